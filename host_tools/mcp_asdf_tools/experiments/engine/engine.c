@@ -362,7 +362,7 @@ size_t mcp_asdf_engine_bytes(const mcp_asdf_experiment_t *experiment)
         const size_t bytes = sizeof(mcp_asdf_arena_t) + mcp_asdf_arena_bytes(&experiment->arenas[i]);
         of_arena = bytes > of_arena ? bytes : of_arena;
     }
-    return VECTOR - 1 + rows_of(experiment, side) * sizeof(lanes_t) + side * of_arena;
+    return VECTOR_BYTES - 1 + rows_of(experiment, side) * sizeof(lanes_t) + side * of_arena;
 }
 
 mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, bool lanes,
@@ -373,7 +373,7 @@ mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, b
         return status;
     }
     const uint32_t side = lanes ? side_of(experiment) : 1, rows = rows_of(experiment, side);
-    lanes_t *const first = (void *)((uint8_t *)memory + (VECTOR - (uintptr_t)memory % VECTOR) % VECTOR);
+    lanes_t *const first = (void *)((uint8_t *)memory + -(uintptr_t)memory % VECTOR_BYTES);
     run_t run = {.experiment = experiment,
                  .has_lanes = lanes,
                  .is_robust = mcp_asdf_is_robust(experiment->configs[0]),

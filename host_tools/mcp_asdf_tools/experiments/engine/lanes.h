@@ -9,7 +9,6 @@
 
 #define LANES 16 /* side by side */
 #define STEPS_KEPT 32
-#define VECTOR 64 /* bytes */
 
 /* The sums of a message or of a round, as in mcp_asdf_closed_t, by lane. */
 typedef struct {

@@ -62,49 +62,51 @@ int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y)
 }
 
 /* Place of robot i's ground sensor. */
-IN_LOOPS double sensor_x(const mcp_asdf_arena_t *arena, uint32_t i)
+IN_LOOPS double sensor_x(const mcp_asdf_arena_t *arena, size_t i)
 {
     return arena->x[i] + SENSOR_FORWARD * arena->cx[i] + SENSOR_RIGHT * arena->cy[i];
 }
 
-IN_LOOPS double sensor_y(const mcp_asdf_arena_t *arena, uint32_t i)
+IN_LOOPS double sensor_y(const mcp_asdf_arena_t *arena, size_t i)
 {
     return arena->y[i] + SENSOR_FORWARD * arena->cy[i] - SENSOR_RIGHT * arena->cx[i];
 }
 
-/* Whether tiles are black under `count` robots from `first` on, AT_ONCE at most. */
-FOR_EACH_TARGET static void see_tiles(const mcp_asdf_arena_t *arena, uint32_t first, uint32_t count)
+/* Whether tiles are black under all robots. Indices that cannot wrap around become vectors. */
+FOR_EACH_TARGET static void see_tiles(const mcp_asdf_arena_t *arena)
 {
-    uint64_t is_black[AT_ONCE] = {0};
-    SIDE_BY_SIDE
-    for (uint32_t i = 0; i < WHOLE_VECTORS(count); ++i) {
-        is_black[i] = tile_is_black(arena, sensor_x(arena, first + i), sensor_y(arena, first + i)) ? 1 : 0;
-    }
-    for (uint32_t i = 0; i < count; ++i) {
-        arena->black[first + i] = (uint8_t)is_black[i];
+    for (size_t first = 0; first < arena->config.robots; first += VECTOR) {
+        uint64_t is_black[VECTOR];
+        SIDE_BY_SIDE
+        for (size_t i = 0; i < VECTOR; ++i) {
+            is_black[i] = tile_is_black(arena, sensor_x(arena, first + i), sensor_y(arena, first + i));
+        }
+        for (size_t i = 0; i < VECTOR; ++i) {
+            arena->black[first + i] = (uint8_t)is_black[i];
+        }
     }
 }
 
 static void see_floor(const mcp_asdf_arena_t *arena)
 {
-    const uint32_t robots = arena->config.robots;
-    for (uint32_t i = 0; i < robots && arena->config.image != NULL; ++i) {
-        arena->black[i] = pixel_is_black(&arena->config, sensor_x(arena, i), sensor_y(arena, i));
+    if (arena->config.image == NULL) {
+        see_tiles(arena);
+        return;
     }
-    for (uint32_t i = 0; i < robots && arena->config.image == NULL; i += AT_ONCE) {
-        see_tiles(arena, i, robots - i < AT_ONCE ? robots - i : AT_ONCE);
+    for (uint32_t i = 0; i < arena->config.robots; ++i) {
+        arena->black[i] = pixel_is_black(&arena->config, sensor_x(arena, i), sensor_y(arena, i));
     }
 }
 
 /* ---- Memory -----------------------------------------------------------------------------------------------
  */
 
-/* The next `count` entries of `size` bytes, and room to a multiple of 64 bytes, so that vectors of them can
- * be read to their end. */
+/* The next `count` entries of `size` bytes, and room to whole vectors, so that they can be read to their end.
+ */
 static void *take(uint8_t *memory, size_t *used, size_t count, size_t size)
 {
     void *const taken = memory == NULL ? NULL : memory + *used;
-    *used += (count * size + 63) / 64 * 64;
+    *used += (count * size + VECTOR_BYTES - 1) / VECTOR_BYTES * VECTOR_BYTES;
     return taken;
 }
 
@@ -134,7 +136,8 @@ static size_t lay_out(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *co
                                 &arena->wanted_spin, &crowd->wanted_x, &crowd->wanted_y, &crowd->given_x,
                                 &crowd->given_y};
     uint8_t **const flags[] = {&arena->black, &arena->wheels, &arena->avoids};
-    size_t used = memory == NULL ? 63 : (64 - (uintptr_t)memory % 64) % 64; /* to where vectors are aligned */
+    size_t used =
+        memory == NULL ? VECTOR_BYTES - 1 : -(uintptr_t)memory % VECTOR_BYTES; /* to align vectors */
     for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) {
         *numbers[k] = take(memory, &used, robots, sizeof(double));
     }

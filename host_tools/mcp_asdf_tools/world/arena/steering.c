@@ -11,7 +11,8 @@
 static const double AHEAD[SENSORS] = {1, HALF_ROOT, 0, -HALF_ROOT, -1, -HALF_ROOT, 0, HALF_ROOT};
 static const double LEFT[SENSORS] = {0, HALF_ROOT, 1, HALF_ROOT, 0, -HALF_ROOT, -1, -HALF_ROOT};
 
-/* Component along x of the direction on the floor of sensor k, with heading (cx, cy); along y with (cy, -cx). */
+/* Component along x of the direction on the floor of sensor k, with heading (cx, cy); along y with (cy, -cx).
+ */
 IN_LOOPS double ray(double cx, double cy, uint32_t k) { return cx * AHEAD[k] - cy * LEFT[k]; }
 
 /* Shorten the rays of robot i that meet robot j. */

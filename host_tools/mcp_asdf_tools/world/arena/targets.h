@@ -29,7 +29,9 @@
 #define SIDE_BY_SIDE
 #endif
 
-/* The next multiple of 8: the arena's memory has room for so many robots. */
-#define WHOLE_VECTORS(count) (((count) + 7U) / 8U * 8U)
+/* Numbers in a vector, its bytes, and the next multiple: the arena's memory has room for so many robots. */
+#define VECTOR 8U
+#define VECTOR_BYTES 64U
+#define WHOLE_VECTORS(count) (((count) + VECTOR - 1) / VECTOR * VECTOR)
 
 #endif
