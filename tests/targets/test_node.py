@@ -173,14 +173,6 @@ SPOILT: tuple[Callable[[can.Message, random.Random], dict[str, Any]], ...] = (
 )
 
 
-def test_the_verdict_on_a_node_with_the_robust_filter_is_good(start: Start, bus: UnixBus) -> None:
-    node = start("--lockstep", "--filter", "robust", "--b-hat", 0.95, "--filter-period", 5)
-    own = RobotRecord(ID, "mirror", 0.95, Config(filter=Filter.ROBUST, filter_period=5))
-    verdict = Verification(surroundings(own), BenchOptions(bus, 20, PATIENCE)).run()
-    assert verdict.has_passed, verdict.headline
-    assert node.stop()["updates"] > 10
-
-
 @pytest.mark.slow
 def test_a_node_says_that_it_is_there_until_it_is_commanded(start: Start, bus: UnixBus) -> None:
     node = start("--lockstep")

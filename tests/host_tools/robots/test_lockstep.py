@@ -1,4 +1,7 @@
-"""The protocol of docs/frame.md: what a robot in lockstep does, and what its driver makes of the answers."""
+"""Robots driven in lockstep: what the driver makes of their answers, and robots in processes of their own.
+
+What a robot makes of commands is that of the C node (tests/targets), of which tests/c_ref has the rules.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import random
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -16,24 +20,22 @@ from mcp_asdf.fixed_point import word_to_alpha
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.bus.frames import (
     COMMANDS,
-    EVERY_ROBOT,
     Action,
     Command,
     FrameFormat,
-    Heartbeat,
-    Rejection,
-    decode,
+    Telemetry,
     decode_command,
-    decode_heartbeat,
     decode_telemetry,
-    encode_command,
 )
-from mcp_asdf_tools.bus.interfaces import BusChoice
+from mcp_asdf_tools.bus.interfaces import BusChoice, choose_bus
+from mcp_asdf_tools.cli import main as cli
+from mcp_asdf_tools.cli.robot_options import robot_of, subjects_of
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots import processes
 from mcp_asdf_tools.robots.lockstep import Lockstep, LockstepError
-from mcp_asdf_tools.robots.node import RobotNode, Subjects, state_of
+from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.robots.processes import NodeProcesses
+from mcp_asdf_tools.robots.record import RobotRecord, ids_of
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from multicast import multicast
 from support import PATIENCE
@@ -43,64 +45,17 @@ COLOURS = (*Observation, None)
 """The possible observations of a tick."""
 
 
-def command(tick: int, target: int, action: Action) -> can.Message:
-    return encode_command(Command(126, tick, target, action, 0))
-
-
-def kind(frame: can.Message) -> str:
-    """Kinds of the frames: heartbeat, estimate or telemetry."""
-    decoded = {"h": decode_heartbeat(frame), "e": decode(frame, FrameFormat()), "t": decode_telemetry(frame)}
-    return "".join(letter for letter, what in decoded.items() if not isinstance(what, Rejection))
-
-
-def kinds(frames: list[can.Message]) -> str:
-    return "".join(map(kind, frames))
-
-
-# The robot's half
-
-
-def test_the_rules_one_by_one() -> None:
-    robot = node(5, comms_period=2)
-    assert kinds(robot.start()) == "h"
-    observe, settle = Action.OBSERVE_BLACK, Action.SETTLE
-    steps = [
-        (command(0, 5, settle), ""),  # nothing to settle
-        (command(0, 6, observe), ""),  # for another
-        (command(0, 5, observe), ""),  # no broadcast due
-        (command(0, 5, observe), ""),  # repeated
-        (command(1, 5, settle), ""),  # another tick's
-        (command(0, 6, settle), ""),  # for another
-        (command(0, 5, settle), "t"),
-        (command(0, 5, settle), ""),  # repeated
-        (command(7, EVERY_ROBOT, observe), "e"),  # any tick is accepted
-        (command(7, EVERY_ROBOT, settle), "t"),
-        (command(7, 5, Action.OBSERVE_NONE), ""),  # the number may come again
-        (command(7, 5, settle), "t"),
-    ]
-    assert [kinds(robot.hear(frame)) for frame, _ in steps] == [answer for _, answer in steps]
-    assert (robot.robot.t, robot.robot.n, robot.ticks) == (2, 2, 3)
-    assert (robot.obeyed, robot.disobeyed) == (6, 4)
-
-
-def test_heartbeats_come_every_second_of_ticks_before_the_estimate() -> None:
-    robot = RobotNode(record(5), steps_per_second=3)
-    said = [robot.start()]
-    for tick in range(7):
-        for action in (Action.OBSERVE_WHITE, Action.SETTLE):
-            said.append(robot.hear(command(tick, 5, action)))
-    assert " ".join(map(kinds, said)) == "h e t e t e t he t e t e t he t"
-    beats = [beat for frames in said for f in frames if isinstance(beat := decode_heartbeat(f), Heartbeat)]
-    assert [(beat.uptime, beat.transfer_id) for beat in beats] == [(0, 0), (1, 1), (2, 2)]
-
-
-# The driver's half
+# Driving
 
 
 def decoded(frame: can.Message) -> Command:
     order = decode_command(frame, COMMANDS)
     assert isinstance(order, Command)
     return order
+
+
+def is_telemetry(frame: can.Message) -> bool:
+    return isinstance(decode_telemetry(frame), Telemetry)
 
 
 class Lossy(Wire):
@@ -125,7 +80,7 @@ class Lossy(Wire):
         return super().recv(timeout)
 
     def say(self, node: RobotNode, frames: Sequence[can.Message]) -> None:
-        is_mute = node.sent.telemetry == self._mute and kinds(list(frames)) == "t"
+        is_mute = node.sent.telemetry == self._mute and any(map(is_telemetry, frames))
         super().say(node, [] if is_mute else frames)
 
 
@@ -299,35 +254,23 @@ def test_ids_and_subjects_that_clash_are_refused() -> None:
 # Processes
 
 
-def test_processes_do_what_robots_in_this_process_do() -> None:
-    choice = multicast(1)
-    wide = generate(parse_omega("0.3"), 3)  # a test that rejects most of the time
-    records = [
-        record(0, "native", b_hat=0.55, table=wide),
-        record(7, "mirror", filter=Filter.ALWAYS, comms_period=2),
-        *(record(robot, filter=Filter.ROBUST, table=None) for robot in (8, 9)),
-    ]
-    twins = Wire(*(RobotNode(each) for each in records))
-    draw, ids = random.Random(3), (0, 7, 8, 9)
-    with choice.open() as bus, NodeProcesses(records, lambda robot: choice, Subjects(), 10) as nodes:
-        lockstep, model = Lockstep(bus, timeout=PATIENCE, check=nodes.check), Lockstep(twins)
-        lockstep.wait_until_up(ids, PATIENCE)
-        for tick in range(60):
-            z = {robot: draw.choice(COLOURS) for robot in ids}
-            due = ids if tick % 2 else (0, 8, 9)
-            for robot in ids:  # in turn, since the robust filter minds the order of messages
-                for each in (lockstep, model):
-                    each.observe({robot: z[robot]})
-                said = [each.estimates({robot} & {*due}) for each in (lockstep, model)]
-                assert said[0] == said[1]
-            assert lockstep.settle(ids) == model.settle(ids)
-    assert twins.nodes[-1].robot.counters.tests > 3, "three voices are heard"
-    for twin in twins.nodes:
-        results = nodes.reports[twin.id]["results"]
-        assert results["robot"] == state_of(twin)
-        # Filters keep heartbeats and telemetry away from a process.
-        assert results["frames"] == twin.figures() | {"rejected": {}}
-        assert (results["steps"], results["ending"]) == (60, "stopped")
+SUBJECTS = Subjects(FrameFormat(7, 1), FrameFormat(8, 6), FrameFormat(9, 3))
+RECORDS = (
+    record(0, b_hat=0.1 + 0.2, table=generate(parse_omega("0.3"), 3)),
+    record(7, "mirror", filter=Filter.ALWAYS, table=None, comms_period=2, memory=64),
+    record(8, filter=Filter.ROBUST, table=None),
+    replace(record(9, "reference", b_hat=2**-20, filter=Filter.OFF, table=None), allow=frozenset((0, 2, 3))),
+)
+
+
+@pytest.mark.parametrize("own", RECORDS)
+def test_a_process_is_told_all_of_its_robot(own: RobotRecord) -> None:
+    choice = BusChoice("udp_multicast", {"channel": "239.1.1.1"})
+    *_, (_, _, _, name, *words) = NodeProcesses([own], lambda robot: choice, SUBJECTS, 3)._commands.values()
+    read = cli._parser_for(name, cli._load(name)).parse_args(words)
+    record = replace(robot_of(read), allow=read.allow and ids_of(read.allow, "--allow"))
+    assert (record, subjects_of(read), read.steps_per_second) == (own, SUBJECTS, 3)
+    assert (read.until_eof, read.json, str(choose_bus(read))) == (True, True, str(choice))
 
 
 def test_a_process_that_ends_is_named_with_what_it_said() -> None:

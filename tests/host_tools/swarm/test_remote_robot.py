@@ -19,7 +19,7 @@ from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode
 from mcp_asdf_tools.cli import swarm
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
-from mcp_asdf_tools.robots.node import RobotNode
+from mcp_asdf_tools.robots.node import BusLink, RobotNode, run_node
 from mcp_asdf_tools.swarm import remote_robot
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -57,16 +57,7 @@ ORDERLY = Wiring(lambda robot: Orderly("one", preserve_timestamps=True), True, f
 def robot_elsewhere(node: RobotNode, bus: can.BusABC) -> Iterator[None]:
     """A robot that runs in a thread and knows nothing but its bus."""
     is_over = threading.Event()
-
-    def live() -> None:
-        for frame in node.start():
-            bus.send(frame, timeout=1)
-        while not is_over.is_set():
-            heard = bus.recv(0.05)
-            for frame in [] if heard is None else node.hear(heard):
-                bus.send(frame, timeout=1)
-
-    with meanwhile(live):
+    with meanwhile(lambda: run_node(node, BusLink(bus, is_over.is_set))):
         try:
             yield
         finally:
