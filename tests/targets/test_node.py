@@ -94,7 +94,6 @@ def start(command: list[str], bus: UnixBus) -> Iterator[Callable[..., CNode]]:
 # ---- What a Python node says ----
 
 
-SENDERS = (ID, *range(7))
 SUBJECTS = Subjects(FrameFormat(7, 4), FrameFormat(8, 6), FrameFormat(9, 3))
 
 
@@ -142,17 +141,18 @@ def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, chosen:
     assert figures["updates" if chosen == Filter.ALWAYS else "tests"] >= 5
 
 
-def command_frame(tick: int, target: int, action: Action) -> can.Message:
-    return encode_command(Command(126, tick, target, action, 0), SUBJECTS.commands)
+def command_frame(tick: int, target: int, action: Action, subjects: Subjects = SUBJECTS) -> can.Message:
+    return encode_command(Command(126, tick, target, action, 0), subjects.commands)
 
 
-def any_frame(draw: random.Random) -> can.Message:
-    """A frame for the test above: legal, or with something wrong."""
+def any_frame(draw: random.Random, own: int = ID, subjects: Subjects = SUBJECTS) -> can.Message:
+    """A frame that a robot may hear: legal, or with something wrong."""
     if draw.random() < 0.5:
-        alpha = draw.choice((0, 0xFF, draw.getrandbits(32)))
-        frame = encode(Message(draw.choice(SENDERS), draw.randrange(2**23 + 1), alpha, 0), SUBJECTS.estimates)
+        sender, alpha = draw.choice((own, *range(7))), draw.choice((0, 0xFF, draw.getrandbits(32)))
+        frame = encode(Message(sender, draw.randrange(2**23 + 1), alpha, 0), subjects.estimates)
     else:
-        frame = command_frame(draw.randrange(2), draw.choice((ID, ID, 255, 4)), draw.choice(list(Action)))
+        target, action = draw.choice((own, own, 255, 4)), draw.choice(list(Action))
+        frame = command_frame(draw.randrange(2), target, action, subjects)
     if draw.random() < 0.7:
         return frame
     changes = draw.choice(SPOILT)(frame, draw)
