@@ -127,9 +127,7 @@ class Neighbourhood:
         arrivals = self._delivery.arrivals(self.tick, frames)
         for robot, node in self.nodes.items():
             node.listen(arrivals.of(robot))
-        for node in self.nodes.values():
-            if node.is_alive:
-                node.end()
+            node.end()  # one that is dead has no tick open
         self.tick += 1
         return arrivals.of(controller)
 
