@@ -9,18 +9,19 @@ from types import ModuleType
 
 import pytest
 
-from benchmarks import ageing_page, engine, fidelity, scale_page, study_page
+from benchmarks import ageing_page, engine, fidelity, scale_page, shared_bus, study_page
 from host_tools.reproduction.test_report import run_of
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.reproduction import report, resampling, robust, scaling
 from mcp_asdf_tools.reproduction.study import PAPER, Part
+from multicast import multicast
 
 pytestmark = pytest.mark.slow
 
 
 def test_all_are_known() -> None:
     scripts = {path.stem for path in Path(__file__).parent.glob("*.py")}
-    measured = {"engine", "fidelity"}
+    measured = {"engine", "fidelity", "shared_bus"}
     pages = {"ageing_page", "robust_page", "scale_page", "study_page"}
     assert scripts == measured | pages | {"test_benchmarks", "test_cost"}
 
@@ -34,6 +35,13 @@ def test_the_engine_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert out.count("robot-steps/s") == 5 and out.count("\n") == 5 + 5 * 4 + 2 + 2 * 4
     assert all(float(line.split()[-1]) > 0 for line in out.splitlines() if "/s" not in line)
     assert engine.SIMULATOR in out
+
+
+def test_one_connection_for_a_swarm_is_compared_with_one_for_each(capsys: pytest.CaptureFixture[str]) -> None:
+    """Their robots end in the same bits, or it fails."""
+    multicast(249)
+    shared_bus.main(["--robots", "3", "20", "--steps", "12"])
+    assert capsys.readouterr().out.count(" times\n") == 2
 
 
 def test_distributions_are_compared(
