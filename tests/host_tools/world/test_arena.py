@@ -71,7 +71,10 @@ def test_a_seed_gives_the_same_bits_everywhere(settings: WorldSettings, expected
     """The digest stands for every machine: the arena uses only operations that IEEE 754 rounds correctly."""
     motion = Arena(settings, 1).record(3000)
     digest = hashlib.sha256()
-    for values in (motion.position, motion.heading, motion.linked, motion.black):
+    linked = np.zeros((*motion.black.shape, 16), np.uint8)  # a bit for each of 128 robots
+    bits = np.packbits(motion.adjacency, axis=2, bitorder="little")
+    linked[:, :, : bits.shape[2]] = bits
+    for values in (motion.position, motion.heading, linked, motion.black):
         digest.update(values.astype(values.dtype.newbyteorder("<")).tobytes())
     assert digest.hexdigest()[:16] == expected
 

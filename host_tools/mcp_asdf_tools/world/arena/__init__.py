@@ -33,8 +33,7 @@ class Motion:
         black: 1 if the floor under the ground sensor is black, shape (ticks, N).
         wheels: 0 straight, 1 soft turn, 2 hard turn in the coming tick, shape (ticks, N).
         avoids: 1 if heading away from an obstacle, shape (ticks, N).
-        linked: Links as bits, shape (ticks, N, words), 2 words up to 128 robots: bit j % 64 of word j // 64
-            is set if j is heard.
+        adjacency: Who hears whom, shape (ticks, N, N).
     """
 
     position: NDArray[np.float64]
@@ -42,14 +41,7 @@ class Motion:
     black: NDArray[np.uint8]
     wheels: NDArray[np.uint8]
     avoids: NDArray[np.uint8]
-    linked: NDArray[np.uint64]
-
-    @property
-    def adjacency(self) -> NDArray[np.bool_]:
-        """Who hears whom, shape (ticks, N, N)."""
-        octets = self.linked.astype("<u8").view(np.uint8)
-        bits = np.unpackbits(octets, axis=2, count=self.linked.shape[1], bitorder="little")
-        return bits.astype(np.bool_)
+    adjacency: NDArray[np.bool_]
 
 
 class Arena:
@@ -71,9 +63,7 @@ class Arena:
     @property
     def positions(self) -> NDArray[np.float64]:
         """Centres, shape (N, 2), in metres from the middle of the floor."""
-        size = 8 * self.settings.robots
-        columns = (np.frombuffer(_arena.ffi.buffer(getattr(self._arena, name), size)) for name in "xy")
-        return np.stack([*columns], axis=1)
+        return np.stack([self._column(name, np.dtype(np.float64)) for name in "xy"], axis=1)
 
     def is_black(self, x: float, y: float) -> bool:
         """The colour of the floor. Raises UsageError if (x, y) is not on it."""
@@ -92,25 +82,40 @@ class Arena:
 
     def step(self, ticks: int = 1) -> None:
         """Let time pass. Raises UsageError if ``ticks`` is not in 0 .. MAX_TICKS. O(ticks robots)."""
-        self._run(ticks, {})
+        for _ in range(_check_ticks(ticks)):
+            _arena.lib.mcp_asdf_arena_step(self._arena, 1)
 
     def record(self, ticks: int) -> Motion:
-        """Let time pass and say what each tick left. Raises as ``step``. Takes 51 bytes a robot and
-        tick; of more than 128 robots also one for every 8 of them."""
+        """Let time pass and say what each tick left. Raises as ``step``. O(ticks N^2)."""
         shape = (_check_ticks(ticks), self.settings.robots)
+        pairs, flags = (*shape, 2), np.uint8
+        motion = Motion(
+            position=np.empty(pairs),
+            heading=np.empty(pairs),
+            black=np.empty(shape, flags),
+            wheels=np.empty(shape, flags),
+            avoids=np.empty(shape, flags),
+            adjacency=np.zeros((*shape, self.settings.robots), np.bool_),
+        )
         columns: dict[str, NDArray[Any]] = {
-            name: np.empty(shape, np.uint8) for name in ("black", "wheels", "avoids")
+            name: getattr(motion, name) for name in ("black", "wheels", "avoids")
         }
-        columns |= {name: np.empty((*shape, 2), np.float64) for name in ("position", "heading")}
-        words = _arena.lib.mcp_asdf_arena_words(self.settings.robots)
-        columns["linked"] = np.empty((*shape, words), np.uint64)
-        self._run(ticks, columns)
-        return Motion(**columns)
+        columns |= zip(("x", "y"), np.moveaxis(motion.position, 2, 0), strict=True)
+        columns |= zip(("cx", "cy"), np.moveaxis(motion.heading, 2, 0), strict=True)
+        now = {name: self._column(name, values.dtype) for name, values in columns.items()}
+        for tick in range(ticks):
+            self.step()
+            for name, values in columns.items():
+                values[tick] = now[name]
+            links = _arena.ffi.buffer(self._arena.links, 4 * self._arena.link_count)
+            a, b = np.frombuffer(links, np.uint16).reshape(-1, 2).T
+            motion.adjacency[tick, a, b] = motion.adjacency[tick, b, a] = True
+        return motion
 
-    def _run(self, ticks: int, columns: dict[str, NDArray[Any]]) -> None:
-        pointers = {name: _arena.ffi.cast("void *", values.ctypes.data) for name, values in columns.items()}
-        record = _arena.ffi.new("mcp_asdf_arena_record_t *", pointers)
-        _arena.lib.mcp_asdf_arena_run(self._arena, _check_ticks(ticks), record)
+    def _column(self, name: str, kind: np.dtype[Any]) -> NDArray[Any]:
+        """The robots' values, shape (N,), which the next tick overwrites."""
+        size = self.settings.robots * kind.itemsize
+        return np.frombuffer(_arena.ffi.buffer(getattr(self._arena, name), size), kind)
 
 
 def memory_of(size: int) -> NDArray[np.float64]:

@@ -1,5 +1,5 @@
-/* A world from its settings: its floor, its start, a tick, and the record of many. arena.h is the manual;
- * docs/arena.md states the model and where its numbers come from.
+/* A world from its settings: its floor, its start, a tick. arena.h is the manual; docs/arena.md states the
+ * model and where its numbers come from.
  *
  *   arena.c        robots are placed and the floor coloured; a tick
  *   motion.c       bodies move as their motors and contacts drive them
@@ -261,57 +261,4 @@ void mcp_asdf_arena_step(mcp_asdf_arena_t *arenas, uint32_t count)
     }
     arena_move(arenas, count);
     look(arenas, count);
-}
-
-uint32_t mcp_asdf_arena_words(uint32_t robots) { return robots <= 128 ? 2 : (robots + 63) / 64; }
-
-static inline void set_bit(uint64_t *mask, uint32_t bit) { mask[bit >> 6] |= (uint64_t)1 << (bit & 63); }
-
-static void write_links(const mcp_asdf_arena_t *arena, uint64_t *linked)
-{
-    const size_t words = mcp_asdf_arena_words(arena->config.robots);
-    memset(linked, 0, words * sizeof *linked * arena->config.robots);
-    for (uint32_t p = 0; p < arena->link_count; ++p) {
-        const mcp_asdf_pair_t pair = arena->links[p];
-        set_bit(linked + words * pair.a, pair.b);
-        set_bit(linked + words * pair.b, pair.a);
-    }
-}
-
-/* Columns go to entries `first` and on of an array, unless it is NULL: two of them as pairs, or one. */
-static void write_pairs(double *array, size_t first, const double *x, const double *y, uint32_t robots)
-{
-    for (size_t i = 0; array != NULL && i < robots; ++i) {
-        array[2 * (first + i)] = x[i];
-        array[2 * (first + i) + 1] = y[i];
-    }
-}
-
-static void write_flags(uint8_t *array, size_t first, const uint8_t *flags, uint32_t robots)
-{
-    if (array != NULL) {
-        memcpy(array + first, flags, robots);
-    }
-}
-
-static void write_record(const mcp_asdf_arena_t *arena, const mcp_asdf_arena_record_t *record, size_t tick)
-{
-    const uint32_t robots = arena->config.robots;
-    const size_t first = tick * robots;
-    write_pairs(record->position, first, arena->x, arena->y, robots);
-    write_pairs(record->heading, first, arena->cx, arena->cy, robots);
-    write_flags(record->black, first, arena->black, robots);
-    write_flags(record->wheels, first, arena->wheels, robots);
-    write_flags(record->avoids, first, arena->avoids, robots);
-    if (record->linked != NULL) {
-        write_links(arena, record->linked + mcp_asdf_arena_words(robots) * first);
-    }
-}
-
-void mcp_asdf_arena_run(mcp_asdf_arena_t *arena, uint32_t ticks, const mcp_asdf_arena_record_t *record)
-{
-    for (uint32_t tick = 0; tick < ticks; ++tick) {
-        mcp_asdf_arena_step(arena, 1);
-        write_record(arena, record, tick);
-    }
 }

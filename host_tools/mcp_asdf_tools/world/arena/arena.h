@@ -173,21 +173,6 @@ typedef struct {
     double motor;
 } mcp_asdf_arena_t;
 
-/* Where mcp_asdf_arena_run() writes the state after each tick: arrays of [ticks][robots], or NULL where not
- * wanted. position (x, y) and heading (cx, cy) have a last axis of 2, linked one of `words`, from
- * mcp_asdf_arena_words(): bit j % 64 of word j / 64 is set if robots i and j hear each other. */
-typedef struct {
-    double *position;
-    double *heading;
-    uint8_t *black;
-    uint8_t *wheels;
-    uint8_t *avoids;
-    uint64_t *linked;
-} mcp_asdf_arena_record_t;
-
-/* Words of linked for each robot: room for all, and for 128 at least. */
-uint32_t mcp_asdf_arena_words(uint32_t robots);
-
 /* Bytes of memory that an arena needs: about 1.7 KB a robot with a range of 0.7 at the usual speed, less for
  * few robots. O(1). */
 size_t mcp_asdf_arena_bytes(const mcp_asdf_arena_config_t *config);
@@ -202,9 +187,6 @@ int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *
  * set; then, from their new places, robots find their neighbours, sense obstacles and floor, and set their
  * wheels. O(robots + pairs nearby). */
 void mcp_asdf_arena_step(mcp_asdf_arena_t *arenas, uint32_t count);
-
-/* Run `ticks` ticks and record each. */
-void mcp_asdf_arena_run(mcp_asdf_arena_t *arena, uint32_t ticks, const mcp_asdf_arena_record_t *record);
 
 /* 1 if the floor is black at (x, y), which must be on the floor; otherwise 0. O(1). */
 int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y);
