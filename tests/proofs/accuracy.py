@@ -18,8 +18,7 @@ from typing import Any
 import z3
 
 from proofs.arithmetic import are_leading_zeros, divide_24, divide_31, is_ratio, multiply_high
-from proofs.core import C_MOST, ONE
-from proofs.formulas import Claim, call, formed, same
+from proofs.formulas import C_MOST, ONE, Claim, call, formed
 from proofs.source import Program
 
 # --- Of the C --------------------------------------------------------------------------------------------
@@ -144,32 +143,6 @@ def of_reestimate(program: Program) -> Iterator[Claim]:
     least, most = z3.BitVecVal(2**12, 32), z3.BitVecVal(2**32 - 2**12, 32)
     kept = z3.If(z3.ULT(quotient, least), least, z3.If(z3.UGT(quotient, most), most, quotient))
     yield "N / D, in the range of b_hat", found == kept, [says_something]
-
-
-# design: R23
-def of_round_b_hat(program: Program) -> Iterator[Claim]:
-    """The paper's filters re-estimate from the mean of the closed round."""
-    given, (found, after) = formed(program, "round_b_hat")
-    closed, count, mode = given["closed"], given["open"]["count"], given["config"]["filter"]
-    mean = call("mean", *(closed[name] for name in ("alpha", "alpha_x_low", "alpha_x_high")))
-    is_tested = z3.And(mode == 0, z3.UGE(count, 2))
-    runs = z3.Or(z3.And(is_tested, call("test_rejects") != 0), z3.And(mode == 1, z3.UGE(count, 1)))
-    yield "b_hat", found == z3.If(runs, call("reestimate", mean), 0), [z3.ULE(mode, 2)]
-    tests = z3.If(is_tested, z3.BitVecVal(1, 16), 0)
-    yield "tests", after["counters"]["tests"] == given["counters"]["tests"] + tests, [z3.ULE(mode, 2)]
-
-
-# design: R10, R23
-def of_filter(program: Program) -> Iterator[Claim]:
-    """What the robot's own filter found becomes b_hat, unless it is 0."""
-    given, (found, after) = formed(program, "filter")
-    is_robust = given["config"]["filter"] == 3
-    b_hat = z3.If(is_robust, call("crowd_b_hat"), call("round_b_hat"))
-    runs = z3.And(given["t"] != 0, b_hat != 0)
-    yield "updated", found == z3.If(runs, z3.BitVecVal(2, found.size()), 0), []
-    updated = [after["accuracy"]["b_hat"] == b_hat, after["updated"] == 1]
-    yield "b_hat", z3.Implies(runs, z3.And(updated)), []
-    yield "no b_hat", z3.Implies(given["t"] == 0, same(after, given)), []
 
 
 # --- Of the numbers --------------------------------------------------------------------------------------
@@ -412,7 +385,7 @@ def _of_exponents() -> Iterator[Claim]:
     yield "both terms", z3.And(total >= 2**28, total < 2**64), known
 
 
-OF_THE_CODE = (of_estimate, of_reestimate, of_round_b_hat, of_filter, of_set_b_hat, of_square_of_ratio)
+OF_THE_CODE = (of_estimate, of_reestimate, of_set_b_hat, of_square_of_ratio)
 OF_THE_NUMBERS = (
     of_lengths,
     of_shifts,

@@ -10,10 +10,9 @@ from typing import Any
 
 import z3
 
-from proofs import arithmetic, core, robust
+from proofs import arithmetic, formulas, robust
 from proofs.arithmetic import EXACT
-from proofs.core import ONE
-from proofs.formulas import BY_LEMMA, Claim, returns, same, units
+from proofs.formulas import BY_LEMMA, ONE, Claim, returns, same, units
 from proofs.machine import Machine, Summary, chosen
 from proofs.numbers import Integers, Number
 from proofs.prove import Contract, Formula, always, any_result
@@ -215,34 +214,7 @@ def of_a_message() -> Iterator[Claim]:
 # --- settle ----------------------------------------------------------------------------------------------
 
 FILTER_CHANGES = ("accuracy", "counters", "updated", "crowd")
-
-
-def _filtered(status: Any, after: Any, robot: Any) -> Any:
-    """What a filter leaves alone, and what it counts. Its b_hat, ``accuracy`` and ``robust`` show."""
-    found, counters = after["counters"], robot["counters"]
-    is_updated = status == UPDATED
-    kept = {name: each for name, each in robot.items() if name not in FILTER_CHANGES}
-    of_crowd = {name: each for name, each in robot["crowd"].items() if name != "votes"}
-    counted = {name: each for name, each in counters.items() if name not in ("tests", "updates")}
-    tested = found["tests"] - counters["tests"]
-    unless_updated = {name: robot[name] for name in ("accuracy", "updated")}
-    return z3.And(
-        *(same(after, kept), same(after["crowd"], of_crowd), same(found, counted), z3.ULE(tested, 1)),
-        z3.Or(is_updated, z3.And(status == 0, same(after, unless_updated))),
-        found["updates"] == counters["updates"] + z3.If(is_updated, z3.BitVecVal(1, 16), z3.BitVecVal(0, 16)),
-        z3.Implies(is_updated, after["updated"] == 1),
-        z3.Implies(robot["t"] == 0, z3.And(status == 0, same(after, robot))),
-    )
-
-
-# design: R10, R13, R23, R29
-FILTER = Contract(
-    _filtered,
-    instead=opaque_all(
-        *("test_rejects", "mean", "reestimate", "deviates"),
-        *("leading_zeros", "shift_left", "square_of_ratio"),
-    ),
-)
+"""Of a robot; robust.of_filter() says how."""
 
 
 def _settled(status: Any, after: Any, robot: Any) -> Any:
@@ -316,7 +288,6 @@ TEST = Contract(_decided, Integers, requires=_may_test, steps=(_spread_is_small,
 CONTRACTS = {
     "mcp_asdf_observe": OBSERVE,
     "mcp_asdf_receive": RECEIVE,
-    "filter": FILTER,
     "mcp_asdf_settle": SETTLE,
     "test_rejects": TEST,
 }
@@ -324,4 +295,4 @@ CONTRACTS = {
 
 def contracts(variant: Variant) -> dict[str, Contract]:
     """Of all functions that have one, for one variant."""
-    return {**arithmetic.contracts(variant), **core.CONTRACTS, **robust.CONTRACTS, **CONTRACTS}
+    return {**arithmetic.contracts(variant), **formulas.CONTRACTS, **robust.CONTRACTS, **CONTRACTS}

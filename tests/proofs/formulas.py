@@ -1,4 +1,6 @@
-"""Functions of the C as formulas of the functions that they call, whatever those compute."""
+"""Functions of the C as formulas of the functions that they call, whatever those compute; and the lemmas of
+alpha's form. ``accuracy`` and ``sums`` show what the core's other functions compute, and that they keep what
+they owe those they call."""
 
 from __future__ import annotations
 
@@ -10,14 +12,17 @@ import z3
 from proofs.arithmetic import EXACT
 from proofs.machine import Machine, Place, Summary, Table
 from proofs.numbers import Number, Type, Words
-from proofs.prove import any_result
-from proofs.source import Program
+from proofs.prove import Contract, any_result
+from proofs.source import SOURCES, Program
 
+CORE = SOURCES / "mcp_asdf.c"
+ONE = 2**23
+C_MOST = (1 << 31) - (1 << 19)
+"""The largest c that says something."""
 RESULTS = {
     **dict.fromkeys(("multiply", "shift_right_64", "join"), 64),
     **dict.fromkeys(("leading_zeros", "shift_left", "upper", "high_word", "low_word", "multiply_high"), 32),
-    **dict.fromkeys(("divide_24", "alpha_word", "square_of_ratio", "mean", "quotient"), 32),
-    **dict.fromkeys(("reestimate", "round_b_hat", "crowd_b_hat"), 32),
+    **dict.fromkeys(("divide_24", "alpha_word", "square_of_ratio", "mean", "quotient", "reestimate"), 32),
     **dict.fromkeys(("test_rejects", "deviates"), 1),
 }
 """Called functions, of which nothing is known here, and bits of their results."""
@@ -73,9 +78,9 @@ def same(after: Any, before: Any) -> Any:
     return after == before
 
 
-def returns(status: Any, *cases: tuple[Any, int], otherwise: int = 0) -> Any:
-    """The code of the first case that is so."""
-    found = z3.BitVecVal(otherwise, status.size())
+def returns(status: Any, *cases: tuple[Any, int]) -> Any:
+    """The code of the first case that is so, or 0."""
+    found = z3.BitVecVal(0, status.size())
     for condition, code in reversed(cases):
         found = z3.If(condition, z3.BitVecVal(code, status.size()), found)
     return status == found
@@ -98,3 +103,25 @@ def formed(program: Program, name: str, opaque: Iterable[str] = RESULTS) -> tupl
         given |= seen if isinstance(seen, dict) else {parameter.name: seen}
     found = machine.seen(machine.call(name, *values))
     return given, (found, machine.seen(values[0]) if isinstance(values[0], Place) else None)
+
+
+# --- The form of alpha ---
+
+
+def _are_units(found: Any, alpha: Any) -> Any:
+    return z3.Concat(found["high"], found["low"]) == units(alpha)
+
+
+def _is_normal(mantissa: Any, exponent: Any) -> Any:
+    """24 bits; the exponent modulo 2^32, at least -31."""
+    return z3.And(mantissa >> 23 == 1, z3.Or(exponent >= -31, exponent >= 0))
+
+
+def _is_on_grid(found: Any, mantissa: Any, exponent: Any) -> Any:
+    """The largest confidence; the number itself; or whole units of it, rounded down, with shift 0."""
+    largest, exact = 0xFFFFFF1F, mantissa << 8 | exponent
+    below = z3.LShR(mantissa, -exponent) << 8
+    return z3.If(exponent > 31, found == largest, found == z3.If(exponent >= 0, exact, below))
+
+
+CONTRACTS = {"units": Contract(_are_units), "alpha_word": Contract(_is_on_grid, requires=_is_normal)}

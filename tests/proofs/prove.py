@@ -9,7 +9,7 @@ from typing import Any
 import z3
 
 from proofs.machine import Machine, Place, Summary
-from proofs.numbers import Integers, Number, Words
+from proofs.numbers import Integers, Words
 from proofs.source import Program
 
 EFFORTS = (10**6, 8 * 10**6, 64 * 10**6)
@@ -72,13 +72,6 @@ def prove_all(claims: Iterable[tuple[str, Any, list[Any]]]) -> None:
         prove(claim, *known, about=about)
     if not possible:
         raise UnprovenError("nothing is claimed")
-
-
-def terms(value: Any) -> Any:
-    """The solver's terms in a value: of a number one, of a structure by name."""
-    if isinstance(value, Number):
-        return value.term
-    return {name: terms(each) for name, each in value.items()} if isinstance(value, dict) else value
 
 
 def always(*_: Any) -> Any:
@@ -196,7 +189,7 @@ def _run(
 
 def _results(machine: Machine, result: Any, arguments: Iterable[Any]) -> list[Any]:
     pointed_to = [machine.seen(each) for each in arguments if isinstance(each, Place)]
-    return [*([] if result is None else [terms(result)]), *pointed_to]
+    return [*([] if result is None else [machine.seen(result)]), *pointed_to]
 
 
 def prove_obligations(machine: Machine, name: str) -> None:

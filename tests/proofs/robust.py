@@ -14,8 +14,7 @@ import z3
 
 from mcp_asdf_tools.crosscheck import exact
 from proofs.arithmetic import SHIFTED, WORDS, are_leading_zeros, multiply_high
-from proofs.core import ONE
-from proofs.formulas import Claim, call, formed, same
+from proofs.formulas import ONE, Claim, call, formed, same
 from proofs.machine import Machine
 from proofs.numbers import Number
 from proofs.prove import Contract, UnprovenError, prove
@@ -145,26 +144,65 @@ def of_deviates(program: Program) -> Iterator[Claim]:
     yield "the test", (found == 1) == rejects, []
 
 
-# design: R37
-def of_crowd_b_hat(program: Program) -> Iterator[Claim]:
-    """What becomes of b_hat, which is 0 or in range, and of the crowd."""
-    given, (found, after) = formed(program, "crowd_b_hat")
-    crowd, counters = given["crowd"], given["counters"]
-    trend, first, centre = _wide(crowd["trend"]), crowd["first"], crowd["centre"]
+# --- The filter ---------------------------------------------------------------------------------------------
+
+
+def _of_round(robot: dict[str, Any]) -> tuple[Any, Any]:
+    """What b_hat becomes by the paper's filters, 0 if it stays; and whether a test is counted."""
+    closed, count, mode = robot["closed"], robot["open"]["count"], robot["config"]["filter"]
+    mean = call("mean", *(closed[name] for name in ("alpha", "alpha_x_low", "alpha_x_high")))
+    is_tested = z3.And(mode == 0, z3.UGE(count, 2))
+    runs = z3.Or(z3.And(is_tested, call("test_rejects") != 0), z3.And(mode == 1, z3.UGE(count, 1)))
+    return z3.If(runs, call("reestimate", mean), 0), is_tested
+
+
+def _of_crowd(robot: dict[str, Any]) -> tuple[Any, Any, Any]:
+    """The same by the robust one; and what becomes of the votes."""
+    crowd, trend = robot["crowd"], _wide(robot["crowd"]["trend"])
     is_moving = z3.Or(z3.ULT(trend, 2**13), z3.UGE(trend, 7 * 2**13))
     voices = sum(z3.LShR(crowd["voices"], bit) & 1 for bit in range(32))
     is_tested = z3.And(z3.Not(is_moving), z3.UGE(voices, 3))
-    anew = call("reestimate", z3.If(centre == 2**30, z3.BitVecVal(2**32 - 1, 32), 4 * centre))
-    kept = z3.If(given["accuracy"]["b_hat"] == first, z3.BitVecVal(0, 32), first)
-    known = [in_range(crowd), _is_b_hat(anew)]  # as accuracy.of_reestimate() has it
-    b_hat = z3.If(is_tested, z3.If(call("deviates") != 0, anew, kept), z3.BitVecVal(0, 32))
-    yield "b_hat", found == b_hat, known
-    yield "in range", _is_b_hat(found), known
+    first = crowd["first"]
+    kept = z3.If(robot["accuracy"]["b_hat"] == first, z3.BitVecVal(0, 32), first)
+    b_hat = z3.If(is_tested, z3.If(call("deviates") != 0, _anew(crowd), kept), z3.BitVecVal(0, 32))
     halved = z3.And(is_moving, z3.UGE(crowd["votes"], 2**9))
-    votes = z3.If(halved, z3.LShR(crowd["votes"], 1), crowd["votes"])
-    tests = counters["tests"] + z3.If(is_tested, z3.BitVecVal(1, 16), z3.BitVecVal(0, 16))
-    changed = {"crowd": {**crowd, "votes": votes}, "counters": {**counters, "tests": tests}}
-    yield "the rest", same(after, {**given, **changed}), known
+    return b_hat, is_tested, z3.If(halved, z3.LShR(crowd["votes"], 1), crowd["votes"])
+
+
+def _anew(crowd: dict[str, Any]) -> Any:
+    whole = crowd["centre"] == 2**30
+    return call("reestimate", z3.If(whole, z3.BitVecVal(2**32 - 1, 32), 4 * crowd["centre"]))
+
+
+# design: R10, R13, R23, R29, R37
+def of_filter(program: Program) -> Iterator[Claim]:
+    """If there was an observation, what the robot's own filter finds becomes b_hat, unless it is 0; nothing
+    else changes but what counts it."""
+    given, (found, after) = formed(program, "filter")
+    counters, crowd, accuracy = (given[name] for name in ("counters", "crowd", "accuracy"))
+    some, is_robust = given["t"] != 0, given["config"]["filter"] == 3
+    (of_round, is_round_tested), (of_crowd, is_crowd_tested, votes) = _of_round(given), _of_crowd(given)
+    b_hat, is_tested = (
+        z3.If(is_robust, of_crowd, of_round),
+        z3.If(is_robust, is_crowd_tested, is_round_tested),
+    )
+    updates, tests = z3.And(some, b_hat != 0), z3.And(some, is_tested)
+    one, none = (z3.BitVecVal(value, 16) for value in (1, 0))
+    changed = {
+        "accuracy": {**accuracy, "b_hat": z3.If(updates, b_hat, accuracy["b_hat"])},
+        "counters": {
+            **counters,
+            "tests": counters["tests"] + z3.If(tests, one, none),
+            "updates": counters["updates"] + z3.If(updates, one, none),
+        },
+        "crowd": {**crowd, "votes": z3.If(z3.And(some, is_robust), votes, crowd["votes"])},
+        "updated": z3.If(updates, z3.BitVecVal(1, 8), given["updated"]),
+    }
+    in_order = z3.And(in_range(crowd), _is_b_hat(_anew(crowd)))  # as of_reestimate() has it
+    known = [z3.ULE(given["config"]["filter"], 3), z3.Implies(is_robust, in_order)]
+    yield "updated", found == z3.If(updates, z3.BitVecVal(2, found.size()), 0), known
+    yield "the robot", same(after, {**given, **changed}), known
+    yield "in range", _is_b_hat(of_crowd), [in_order]
 
 
 def _is_b_hat(found: Any) -> Any:
@@ -282,5 +320,5 @@ def of_the_formed() -> Iterator[Claim]:
 
 
 CONTRACTS = {"vote": VOTE}
-OF_THE_CODE = (of_deviates, of_crowd_b_hat)
+OF_THE_CODE = (of_deviates, of_filter)
 OF_THE_NUMBERS = (of_integers, of_errors, of_the_decision, of_the_formed)

@@ -12,8 +12,7 @@ from collections.abc import Iterator
 import z3
 
 from proofs.arithmetic import EXACT, QUOTIENT
-from proofs.core import ONE
-from proofs.formulas import Claim, call, formed, units
+from proofs.formulas import ONE, Claim, call, formed, units
 from proofs.source import Program
 
 high_word, low_word = EXACT["high_word"], EXACT["low_word"]

@@ -11,8 +11,8 @@ import pytest
 import z3
 from pycparser import c_ast
 
-from proofs import calls, core, images, robust
-from proofs.core import CORE
+from proofs import calls, formulas, images, robust
+from proofs.formulas import CORE
 from proofs.machine import Machine
 from proofs.numbers import Words
 from proofs.prove import (
@@ -30,7 +30,7 @@ from support import slow
 FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c")
 
 
-LEMMAS = [*core.CONTRACTS, *robust.CONTRACTS, *calls.CONTRACTS, *images.CONTRACTS]
+LEMMAS = [*formulas.CONTRACTS, *robust.CONTRACTS, *calls.CONTRACTS, *images.CONTRACTS]
 LONG = ("vote", "mcp_asdf_receive", "test_rejects")
 
 

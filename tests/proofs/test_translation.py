@@ -13,7 +13,6 @@ import z3
 from proofs.arithmetic import PREPARED
 from proofs.machine import INTEGERS, Machine
 from proofs.numbers import Number, Type, Words
-from proofs.prove import terms
 from proofs.source import ARITHMETIC, HEADER, HERE, Program, Variant, program
 from support import run
 
@@ -56,7 +55,8 @@ def interpreted(code: Program, name: str, arguments: list[int], of: list[Type]) 
     numbers = [
         Number(z3.BitVecVal(each, type_.bits), type_) for each, type_ in zip(arguments, of, strict=True)
     ]
-    found = terms(Machine(code, Words).call(name, *numbers))
+    machine = Machine(code, Words)
+    found = machine.seen(machine.call(name, *numbers))
     word = z3.Concat(found["high"], found["low"]) if isinstance(found, dict) else found
     return int(z3.simplify(word).as_long())
 
