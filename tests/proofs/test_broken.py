@@ -69,7 +69,7 @@ BROKEN = (
     ("mcp_asdf_settle", "1000", "    close_round(robot);", ""),
     ("mcp_asdf_settle", "1000", "heard.all[1]", "heard.all[0]"),
     ("", "1000", "++robot->counters.updates", "++robot->counters.tests"),
-    ("", "1000", "    robot->updated = 1;", "    robot->updated = 1, robot->alpha = 0;"),
+    ("", "1000", "    robot->updated = 1;", "    robot->alpha = robot->updated = 1;"),
     ("test_rejects", "1000", "m <= q ? m", "m < q ? m"),
     ("test_rejects", "1000", "> upper_part", ">= upper_part"),
     ("mcp_asdf_save", "1000", "(uint32_t)robot->updated << 16", "(uint32_t)robot->updated << 15"),
