@@ -44,10 +44,11 @@ static uint32_t word_by_the_text(uint32_t binary32)
 {
     float value;
     memcpy(&value, &binary32, sizeof value);
-    if (value >= 2147483648.0F) {
+    const double units = (double)value * 16777216;
+    if (units >= 36028797018963968.0) { /* 2^55 */
         return 0xFFFFFF1F;
     }
-    uint64_t mantissa = (uint64_t)((double)value * 16777216), shift = 0;
+    uint64_t mantissa = (uint64_t)units, shift = 0;
     for (; mantissa >= 16777216; mantissa /= 2) {
         ++shift;
     }
