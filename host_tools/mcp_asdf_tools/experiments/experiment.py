@@ -55,7 +55,8 @@ class Experiment(Population):
 
 
 def grid(**parameters: Any) -> list[Experiment]:
-    """Experiments with all combinations of parameters, of which lists have several values.
+    """Experiments with all combinations of parameters, of which lists have several values, or several tables
+    of parameters that vary together.
 
     Raises ParameterError as Experiment, and for lists that are empty or make too many experiments.
     """
@@ -63,11 +64,18 @@ def grid(**parameters: Any) -> list[Experiment]:
 
 
 def combinations(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """One dictionary for each combination of the values in lists. Raises ParameterError as ``grid``."""
+    """One dictionary for each combination of the values in lists. A list of tables, under a name of its own,
+    is a choice among them: each in turn stands in its place. Raises ParameterError as ``grid``."""
+    for key, value in parameters.items():
+        if isinstance(value, list | tuple) and value and all(isinstance(each, dict) for each in value):
+            others = {name: other for name, other in parameters.items() if name != key}
+            for table in value:
+                yield from combinations({**others, **table})
+            return
     axes = [value if isinstance(value, list | tuple) else [value] for value in parameters.values()]
     size = 1
     for key, axis in zip(parameters, axes, strict=True):
         size *= len(axis)
         if not 0 < size <= MAX_EXPERIMENTS:
             raise ParameterError(key, f"{key} makes {size} experiments; give 1 to {MAX_EXPERIMENTS}")
-    return (dict(zip(parameters, values, strict=True)) for values in product(*axes))
+    yield from (dict(zip(parameters, values, strict=True)) for values in product(*axes))

@@ -1,8 +1,9 @@
 """Files that describe experiments, in TOML.
 
 A line ``key = value`` stands for every parameter of Experiment that differs from its default. A list in place
-of a value makes a grid: one experiment for each combination. Tables ``[[grid]]`` hold grids of their own,
-each on top of the keys above them. Paths of graphs are relative to the file's folder.
+of a value makes a grid: one experiment for each combination. So does a list of tables under any name: each
+holds parameters that vary together. Tables ``[[grid]]`` hold grids of their own, each on top of the keys
+above them. Paths of graphs are relative to the file's folder.
 
 Every error names file and line. A name without a suffix is that of a file that comes with the program, in the
 folder ``studies``.
@@ -24,7 +25,7 @@ STUDIES = Path(__file__).with_name("studies")
 GRID = "grid"
 
 _HEADER = re.compile(r"\s*\[\[\s*grid\s*\]\]")
-_KEY = re.compile(r"""\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
+_KEY = re.compile(r"""(?:^|[{,])\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
 
 
 def read_experiments(path: Path | str) -> list[Experiment]:
@@ -71,17 +72,17 @@ class _TomlLines:
 
     def __init__(self, path: Path, text: str) -> None:
         self.path = path
-        self._of: dict[tuple[int, str], int] = {}
+        self._of: dict[tuple[int, str], list[str]] = {}
         grid = 0
         for number, line in enumerate(text.splitlines(), start=1):
             grid += bool(_HEADER.match(line))
-            if found := _KEY.match(line):
-                self._of.setdefault((grid, found[1]), number)
+            for key in _KEY.findall(line):
+                self._of.setdefault((grid, key), []).append(f"{number}")
 
     def error(self, grid: int, key: str, message: str) -> UsageError:
         """An error at ``key`` of the ``grid``-th grid, or above the grids if it stands there."""
-        line = self._of.get((grid, key), self._of.get((0, key)))
-        return UsageError(f"{self.path}{'' if line is None else f', line {line}'}: {message}")
+        lines = " or ".join(self._of.get((grid, key), self._of.get((0, key), ())))
+        return UsageError(f"{self.path}{lines and f', line {lines}'}: {message}")
 
 
 def _from_folder(parameters: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 
 # --- Values ----------------------------------------------------------------------------------------------
@@ -48,6 +48,13 @@ def test_files_describe_grids_on_the_keys_above_them(tmp_path: Path) -> None:
     text = 'trials = 2\nflawed = 1\n[[grid]]\nfill_ratio = 0.9\n[[grid]]\nflawed = "50%"\ntrials = 3\n'
     found = experiments_of(tmp_path, text)
     assert [(each.trials, each.flawed, each.fill_ratio) for each in found] == [(2, 1, 0.9), (3, 10, 0.55)]
+    text = (
+        "who = [{flawed = 1, seed = [5, 6]}, {flawed = 2, more = [{seed = 7}]}]\nseed = 4\nsteps = [8, 9]\n"
+    )
+    found = experiments_of(tmp_path, text)
+    expected = [(1, 5, 8), (1, 5, 9), (1, 6, 8), (1, 6, 9), (2, 7, 8), (2, 7, 9)]
+    assert [(each.flawed, each.seed, each.steps) for each in found] == expected
+    assert found == grid(who=[{"flawed": 1, "seed": [5, 6]}, {"flawed": 2, "seed": 7}], seed=4, steps=[8, 9])
 
 
 @pytest.mark.parametrize(
@@ -64,6 +71,8 @@ def test_files_describe_grids_on_the_keys_above_them(tmp_path: Path) -> None:
         ("conventions = 'authors'\n", "line 1: .*choose firmware reference"),
         ("grid = 3\n", r"write \[\[grid\]\]"),
         ("steps = [[1]]\n", "line 1: steps is"),
+        ("x = [\n{robots = 3},\n{steps = 9, robots = 0}]\n", "line 2 or 3: robots is 0"),
+        ("x = [{}, 3]\n", "line 1: unknown key 'x'"),
         (f"seed = {list(range(400))}\nsteps = {list(range(1, 400))}\n", "line 2: steps makes 159600"),
     ],
 )
