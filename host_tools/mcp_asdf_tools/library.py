@@ -72,7 +72,7 @@ def simulate(
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(output or Path(folder, "results.parquet")), given, record)
         with progress("trials", store.left, quiet) as report:
-            return run_sweep(store, workers, record, report)
+            return run_sweep(store, workers, report)
 
 
 @naming_extras()

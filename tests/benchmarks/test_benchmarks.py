@@ -1,29 +1,27 @@
-"""Every benchmark and generator of a page ends, in its shortest form; test_robust has robust_page."""
+"""Every benchmark, and generator of a page, ends in its shortest form; test_robust has its page."""
 
 from __future__ import annotations
 
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-from benchmarks import ageing_page, engine, fidelity, scale_page, shared_bus, study_page
+from benchmarks import engine, fidelity, pages, shared_bus
 from host_tools.reproduction.test_report import run_of
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.reproduction import report, resampling, robust, scaling
-from mcp_asdf_tools.reproduction.study import PAPER, Part
+from mcp_asdf_tools.reproduction.study import PAPER, QUICK, Part
 from multicast import multicast
+from support import ROOT
 
 pytestmark = pytest.mark.slow
 
 
 def test_all_are_known() -> None:
     scripts = {path.stem for path in Path(__file__).parent.glob("*.py")}
-    measured = {"engine", "fidelity", "shared_bus"}
-    pages = {"ageing_page", "robust_page", "scale_page", "study_page"}
-    assert scripts == measured | pages | {"test_benchmarks", "test_cost"}
+    assert scripts == {"engine", "fidelity", "pages", "shared_bus", "test_benchmarks", "test_cost"}
 
 
 def test_the_engine_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -55,56 +53,68 @@ def test_distributions_are_compared(
     assert capsys.readouterr().out.count("by Holm's correction over 3 tests") == 2
 
 
-def test_the_page_of_the_study_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder for pages, with the present ones in it."""
+    root = tmp_path / "root"
+    (root / "tests/data").mkdir(parents=True)
+    (root / "docs/images").mkdir(parents=True)
+    for page in ("ageing", "reproduce", "robust"):
+        shutil.copy(ROOT / f"docs/{page}.md", root / "docs")
+    monkeypatch.setattr(pages, "ROOT", root)
     monkeypatch.setattr(resampling, "RESAMPLES", 50)
+    return root
+
+
+def lines_around(page: Path) -> list[str]:
+    """All of a page but the rows of its tables."""
+    return [each for each in page.read_text(encoding="utf-8").splitlines() if each[:1] != "|"]
+
+
+def put(part: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> int:
+    monkeypatch.setattr("sys.argv", ["pages.py", part, str(folder)])
+    return pages.main()
+
+
+def test_the_page_of_the_study_is_written(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(report, "pictures", lambda study, scale: [])
-    page, verdicts = tmp_path / "page.md", tmp_path / "verdicts.csv"
-    shutil.copy(study_page.PAGE, page)
-    monkeypatch.setattr(study_page, "PAGE", page)
-    monkeypatch.setattr(study_page, "VERDICTS", verdicts)
-    monkeypatch.setattr("sys.argv", ["study_page.py", str(tmp_path)])
     run = run_of(1, "90 - P / 2", Part.DYNAMIC)
+    report.write_report(tmp_path, [run], QUICK)
+    assert put("study", tmp_path, monkeypatch) == 1
     report.write_report(tmp_path, [run], PAPER)
-    assert study_page.main() == 0
-    assert len(verdicts.read_text().splitlines()) == 1 + len(run.decided)
+    assert put("study", tmp_path, monkeypatch) == 0
+    assert len((root / "tests/data/study_verdicts.csv").read_text().splitlines()) == 1 + len(run.decided)
     before, after = (
-        path.read_text(encoding="utf-8") for path in (study_page.ROOT / "docs/reproduce.md", page)
+        (each / "docs/reproduce.md").read_text(encoding="utf-8").partition("<!-- end -->")
+        for each in (ROOT, root)
     )
-    assert f"of {len(run.decided)} claims hold" in after
-    assert after.partition(study_page.END)[2] == before.partition(study_page.END)[2] != ""
+    assert f"of {len(run.decided)} claims hold" in after[0]
+    assert after[2] == before[2] != ""
+
+
+WRONG = "fill_ratio = 0.95\ntrue_accuracy = 0.55\nflawed_accuracy = 0.95\n"
 
 
 @pytest.mark.parametrize(
-    ("part", "page", "grid"),
+    ("part", "grid"),
     [
-        ("ageing", ageing_page, '[[grid]]\n[[grid]]\ndrift = "linear"\ndrift_rate = -1e-5\n'),
-        (
-            "scale",
-            scale_page,
-            'topology = "dynamic"\n[[grid]]\n[[grid]]\n'
-            "fill_ratio = 0.95\ntrue_accuracy = 0.55\nflawed_accuracy = 0.95\n",
-        ),
+        ("ageing", '[[grid]]\n[[grid]]\ndrift = "linear"\ndrift_rate = -1e-5\n'),
+        ("scale", f'topology = "dynamic"\n[[grid]]\n[[grid]]\n{WRONG}'),
     ],
 )
 def test_tables_and_picture_of_a_page_are_written(
-    part: str, page: ModuleType, grid: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    part: str, grid: str, root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Between their marks alone."""
     (tmp_path / f"{part}.toml").write_text(f'robots = 4\nsteps = 4000\nfilter = ["none", "robust"]\n{grid}')
     monkeypatch.setattr(robust, "STUDIES", tmp_path)
-    monkeypatch.setattr(resampling, "RESAMPLES", 50)
     monkeypatch.setattr(scaling, "_ROBOT_STEPS", 1000)
     options = ["--part", part, "--trials", "2", "--workers", "1", "--output", str(tmp_path)]
     assert main(["reproduce", *options]) == 0
     shutil.copy(tmp_path / f"{part}.parquet", tmp_path / "peers.parquet")
-    before = page.PAGE.read_text(encoding="utf-8")
-    copy, picture = Path(shutil.copy(page.PAGE, tmp_path / "page.md")), tmp_path / "picture.webp"
-    monkeypatch.setattr(page, "PAGE", copy)
-    monkeypatch.setattr(page, "PICTURE", picture)
-    monkeypatch.setattr("sys.argv", [f"{part}_page.py", str(tmp_path)])
-    assert page.main() == 0
-    after = copy.read_text(encoding="utf-8")
-    assert after != before and [each for each in after.splitlines() if each[:1] != "|"] == [
-        each for each in before.splitlines() if each[:1] != "|"
-    ]
-    assert picture.read_bytes()[8:12] == b"WEBP"
+    assert put(part, tmp_path, monkeypatch) == 0
+    before, after = (each / "docs" / pages.PAGES[part][0] for each in (ROOT, root))
+    assert after.read_bytes() != before.read_bytes() and lines_around(after) == lines_around(before)
+    assert (root / f"docs/images/{part}.webp").read_bytes()[8:12] == b"WEBP"

@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
     def run_store(store: Store) -> None:
         with progress(f"{store.output.stem}: trials", store.left, args.json) as bar:
-            run_missing(store, workers, 0, bar, args.scheduler)
+            run_missing(store, workers, bar, args.scheduler)
 
     with telling_what_is_left(study.stores):
         runs = list(study.runs(run_store))
@@ -112,7 +112,7 @@ def _run_own(part: str, args: argparse.Namespace, workers: int, scale: Scale) ->
     with telling_what_is_left(list(stores.values())):
         for name, store in stores.items():
             with progress(f"{name}: trials", store.left, args.json) as bar:
-                table = run_sweep(store, workers, robust.SAMPLING_INTERVAL, bar, args.scheduler)
+                table = run_sweep(store, workers, bar, args.scheduler)
             results[name] = experiments_in(table)
     OWN[part].write_report(folder, results)
     report = str(folder / f"{part}.md")

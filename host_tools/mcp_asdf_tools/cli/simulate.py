@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
             # A few seconds' work is done sooner than processes start.
             robot_steps = missing * experiment.robots * experiment.steps
             is_short = experiment.firmware == "native" and robot_steps < 10**8
-            table = run_sweep(store, 1 if is_short else workers, args.record, report)
+            table = run_sweep(store, 1 if is_short else workers, report)
     results = experiments_in(table)
     if args.json:
         print(json.dumps({**metadata_of(table), **options.summary(results, limits)[0]}, indent=2))

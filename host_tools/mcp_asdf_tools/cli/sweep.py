@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     store = Store(output, given, args.record)
     missing = store.left
     with telling_what_is_left([store]), progress("trials", missing, args.json) as report:
-        run_missing(store, workers, args.record, report, args.scheduler)
+        run_missing(store, workers, report, args.scheduler)
         store.finish()
     rows = options.summary(experiments_at(output), limits)
     if args.json:

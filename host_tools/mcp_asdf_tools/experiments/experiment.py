@@ -66,12 +66,17 @@ def grid(**parameters: Any) -> list[Experiment]:
 def combinations(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """One dictionary for each combination of the values in lists. A list of tables, under a name of its own,
     is a choice among them: each in turn stands in its place. Raises ParameterError as ``grid``."""
-    for key, value in parameters.items():
-        if isinstance(value, list | tuple) and value and all(isinstance(each, dict) for each in value):
-            others = {name: other for name, other in parameters.items() if name != key}
-            for table in value:
-                yield from combinations({**others, **table})
-            return
+    tables = {
+        key: value
+        for key, value in parameters.items()
+        if isinstance(value, list | tuple) and value and all(isinstance(each, dict) for each in value)
+    }
+    if tables:
+        others = {key: value for key, value in parameters.items() if key not in tables}
+        for chosen in product(*tables.values()):
+            together = {key: value for table in chosen for key, value in table.items()}
+            yield from combinations({**others, **together})
+        return
     axes = [value if isinstance(value, list | tuple) else [value] for value in parameters.values()]
     size = 1
     for key, axis in zip(parameters, axes, strict=True):

@@ -69,7 +69,8 @@ def identity(experiment: Experiment, sampling_interval: int) -> str:
 
 
 class Store:
-    """The results of a sweep on disk, finished or not."""
+    """The results of a sweep on disk, finished or not, with values over time if it has a
+    ``sampling_interval``."""
 
     def __init__(
         self, output: Path, experiments: Iterable[Experiment], sampling_interval: int = 0, most: int = 0
@@ -82,7 +83,7 @@ class Store:
         require_arrow()  # before anything is run
         self.output = output
         self.parts = parts_of(output)
-        self._interval = sampling_interval
+        self.sampling_interval = sampling_interval
         self._most = most
         self._rows: dict[str, NDArray[np.int64]] = {}  # of each trial by identity; -1 if it has none
         self.want(experiments)
@@ -102,7 +103,7 @@ class Store:
     def want(self, experiments: Iterable[Experiment]) -> None:
         """Choose the experiments whose results it is for."""
         self.experiments = list(dict.fromkeys(experiments))
-        self._names = {each: identity(each, self._interval) for each in self.experiments}
+        self._names = {each: identity(each, self.sampling_interval) for each in self.experiments}
         self._size = max(1, min([_ROWS, *(_BYTES // self._bytes_of(each) for each in self.experiments)]))
         for experiment, name in self._names.items():
             known = self._rows.get(name, np.empty(0, np.int64))
@@ -112,8 +113,8 @@ class Store:
     def _bytes_of(self, experiment: Experiment) -> int:
         """Size of the lists in a row."""
         values = 4 + experiment.steps // experiment.filter_period
-        if self._interval:
-            values += 8 * (1 + experiment.steps // self._interval)
+        if self.sampling_interval:
+            values += 8 * (1 + experiment.steps // self.sampling_interval)
         return 8 * experiment.robots * values
 
     def missing(self, experiment: Experiment) -> list[int]:
@@ -137,14 +138,14 @@ class Store:
         for first, table in self._pieces.add(path, INDEX):
             said = metadata_of(table)
             is_own = (
-                said["sampling_interval"] == self._interval
+                said["sampling_interval"] == self.sampling_interval
                 and said["versions"]["mcp-asdf"] == software_versions()["mcp-asdf"]
             )
             trials = table["trial"].to_numpy()
             for parameters, start, stop in stretches_of(table):
                 if parameters not in known:
                     experiment = Experiment(**json.loads(parameters))
-                    known[parameters] = identity(experiment, self._interval)
+                    known[parameters] = identity(experiment, self.sampling_interval)
                 rows, numbers = self._rows.get(known[parameters], none), trials[start:stop]
                 if not is_own or numbers.max() >= len(rows):
                     raise UsageError(
@@ -169,7 +170,7 @@ class Store:
 
     def add(self, trials: Trials) -> None:
         """Take a job's results, and write them to disk soon. Raises UsageError if that fails."""
-        table = table_of(trials, self._interval)
+        table = table_of(trials, self.sampling_interval)
         first = self._pieces.rows + sum(map(len, self._fresh))
         self._rows[self._names[trials.experiment]][trials.numbers] = np.arange(first, first + len(table))
         self._fresh.append(table)

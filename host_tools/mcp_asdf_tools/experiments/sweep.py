@@ -36,7 +36,7 @@ Report = Callable[[int], None]
 """Called with the number of trials that have just been finished."""
 
 
-def jobs_of(store: Store, sampling_interval: int = 0) -> Iterator[Job]:
+def jobs_of(store: Store) -> Iterator[Job]:
     """Jobs for the trials that are missing."""
     for experiment in store.experiments:
         is_native = experiment.firmware == "native"
@@ -47,18 +47,17 @@ def jobs_of(store: Store, sampling_interval: int = 0) -> Iterator[Job]:
         for _, gapless in groupby(enumerate(store.missing(experiment)), lambda pair: pair[1] - pair[0]):
             trials = (trial for _, trial in gapless)
             while batch := list(islice(trials, max(1, size) if is_native else 1)):
-                yield Job(experiment, batch[0], len(batch), sampling_interval)
+                yield Job(experiment, batch[0], len(batch), store.sampling_interval)
 
 
 def run_sweep(
     store: Store,
     workers: int,
-    sampling_interval: int = 0,
     report: Report = lambda trials: None,
     scheduler: str | None = None,
 ) -> pa.Table:
     """Run what is missing, as ``run_missing``, and return the finished table."""
-    run_missing(store, workers, sampling_interval, report, scheduler)
+    run_missing(store, workers, report, scheduler)
     store.finish()
     return read_table(store.output)
 
@@ -66,7 +65,6 @@ def run_sweep(
 def run_missing(
     store: Store,
     workers: int,
-    sampling_interval: int = 0,
     report: Report = lambda trials: None,
     scheduler: str | None = None,
 ) -> None:
@@ -80,7 +78,7 @@ def run_missing(
         return
     store.reserve()
     try:
-        for trials in _results_of(jobs_of(store, sampling_interval), workers, scheduler):
+        for trials in _results_of(jobs_of(store), workers, scheduler):
             with _interrupts_held():
                 store.add(trials)
             report(len(trials.numbers))

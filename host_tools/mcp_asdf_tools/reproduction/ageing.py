@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.reproduction.robust import late, table_of, write_page
+from mcp_asdf_tools.reproduction.robust import LATE, in_markdown, late, table_of, write_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,12 +34,12 @@ def row_of(experiment: Experiment) -> str:
     return f"{kind_of(experiment)}, {memory} memory"
 
 
-def picture_of(results: Sequence[Trials]) -> Figure:
+def picture_of(results: Mapping[str, Sequence[Trials]]) -> Figure:
     """The error over time of robots with the longest memory: a panel for each way to age."""
     from mcp_asdf_tools.experiments.plots import errors_over_time  # noqa: PLC0415 (matplotlib loads slowly)
 
     panels: dict[str, list[Trials]] = {}
-    for each in results:
+    for each in results["ageing"]:
         if each.experiment.memory == LONGEST:
             panels.setdefault(kind_of(each.experiment), []).append(each)
     return errors_over_time(panels)
@@ -47,7 +47,6 @@ def picture_of(results: Sequence[Trials]) -> Figure:
 
 def write_report(folder: Path, results: Mapping[str, Sequence[Trials]]) -> None:
     """Write ``ageing.md`` and ``ageing.csv``, the late error, and ``ageing.svg``, the picture."""
-    (own,) = (results[name] for name in FILES)
-    table = table_of("Sensors that age", own, row_of)
-    lines = table.lines(late, "error of the last quarter (95 % interval)")
-    write_page(folder, "ageing", table, lines, picture_of(own))
+    table = table_of("Sensors that age", results["ageing"], row_of)
+    lines = in_markdown(table.entries, late, f"{LATE} (95 % interval)")
+    write_page(folder, "ageing", table, lines, picture_of(results))

@@ -10,7 +10,7 @@ import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 FILES = GRID, BEYOND = "robust_grid", "robust_beyond"
 SAMPLING_INTERVAL = 1000
 """Steps between the values of x of which the late error is made."""
+T = TypeVar("T")
 CONFIDENCE = 0.95
 OFF = 0.05
 """A healthy robot whose b_hat ends as far from b was harmed by its filter."""
@@ -105,25 +106,25 @@ class Entry(NamedTuple):
     measures: Mapping[str, Estimate]
 
 
-@dataclass(frozen=True)
-class Table:
-    """Entries by row and column, in the order of the experiments."""
+Place = tuple[str, str]
+"""Row and column."""
+
+
+class Table(NamedTuple):
+    """Entries by their place, in the order of the experiments."""
 
     title: str
-    entries: Mapping[tuple[str, str], Entry]
-    columns: list[str] = field(init=False)
+    entries: Mapping[Place, Entry]
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "columns", list(dict.fromkeys(column for _, column in self.entries)))
 
-    def lines(self, shown: Callable[[Entry], str], head: str) -> str:
-        """The table in Markdown."""
-        rows = dict.fromkeys(row for row, _ in self.entries)
-        lines = [f"| {head} | {' | '.join(self.columns)} |", "|---" * (len(self.columns) + 1) + "|"]
-        for row in rows:
-            own = [self.entries.get((row, column)) for column in self.columns]
-            lines.append(f"| {row} | {' | '.join(shown(each) if each else '' for each in own)} |")
-        return "\n".join(lines)
+def in_markdown(entries: Mapping[Place, T], shown: Callable[[T], str], head: str) -> str:
+    """A table with a row and a column for all that there are."""
+    columns = list(dict.fromkeys(column for _, column in entries))
+    lines = [f"| {head} | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
+    for row in dict.fromkeys(row for row, _ in entries):
+        own = [entries.get((row, column)) for column in columns]
+        lines.append(f"| {row} | {' | '.join('' if each is None else shown(each) for each in own)} |")
+    return "\n".join(lines)
 
 
 def table_of(
@@ -133,7 +134,7 @@ def table_of(
     special: Special = PLAIN,
 ) -> Table:
     """Experiments of one row and column are cells, of whose medians the mean is taken."""
-    cells: dict[tuple[str, str], list[Trials]] = {}
+    cells: dict[Place, list[Trials]] = {}
     for trials in results:
         place = (row_of(trials.experiment), special.column(trials.experiment))
         cells.setdefault(place, []).append(trials)
@@ -187,6 +188,9 @@ def whole(entry: Entry) -> str:
     return ", ".join(words)
 
 
+LATE = "error of the last quarter"
+
+
 def late(entry: Entry) -> str:
     """The error of the last quarter."""
     own = entry.measures["late"]
@@ -211,15 +215,6 @@ INTERVALS = (
 )
 
 
-def report_of(tables: Mapping[str, Table]) -> str:
-    """Both tables in Markdown."""
-    grid, beyond = tables[GRID], tables[BEYOND]
-    return (
-        f"# The robust filter\n\n{INTERVALS}\n\n## {grid.title}\n\n{grid.lines(whole, WHOLE)}\n\n"
-        f"## {beyond.title}\n\n{beyond.lines(late, 'error of the last quarter')}\n"
-    )
-
-
 def csv_of(tables: Iterable[Table]) -> str:
     """Every estimate with its interval, one a line."""
     text = io.StringIO()
@@ -231,14 +226,6 @@ def csv_of(tables: Iterable[Table]) -> str:
                 bounds = (f"{value:.6g}" for value in estimate)
                 writer.writerow((table.title, row, column, entry.trials, name, *bounds))
     return text.getvalue()
-
-
-def tables_of(results: Mapping[str, Sequence[Trials]]) -> dict[str, Table]:
-    """The tables of both files' results."""
-    return {
-        GRID: table_of("The paper's grid", results[GRID], grid_row),
-        BEYOND: table_of("Beyond it", results[BEYOND], row_of),
-    }
 
 
 def write_page(folder: Path, name: str, table: Table, lines: str, picture: Figure) -> None:
@@ -257,5 +244,11 @@ def write_page(folder: Path, name: str, table: Table, lines: str, picture: Figur
 
 def write_report(folder: Path, results: Mapping[str, Sequence[Trials]]) -> None:
     """Write ``robust.md`` and ``robust.csv``."""
-    tables = tables_of(results)
-    write_together({folder / "robust.md": report_of(tables), folder / "robust.csv": csv_of(tables.values())})
+    grid = table_of("The paper's grid", results[GRID], grid_row)
+    beyond = table_of("Beyond it", results[BEYOND], row_of)
+    report = (
+        f"# The robust filter\n\n{INTERVALS}\n\n"
+        f"## {grid.title}\n\n{in_markdown(grid.entries, whole, WHOLE)}\n\n"
+        f"## {beyond.title}\n\n{in_markdown(beyond.entries, late, LATE)}\n"
+    )
+    write_together({folder / "robust.md": report, folder / "robust.csv": csv_of([grid, beyond])})

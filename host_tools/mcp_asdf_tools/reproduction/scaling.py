@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.reproduction.robust import (
+    LATE,
     Entry,
     Special,
     Table,
+    in_markdown,
     late,
     measures_of,
     table_of,
@@ -57,9 +59,7 @@ def cost(trials: Trials) -> NDArray[np.float64]:
     return np.full(len(trials.numbers), 1e9 * (long - short) / steps / trials.experiment.robots)
 
 
-def table(results: Sequence[Trials]) -> Table:
-    """Scores, errors and costs."""
-    return table_of("Many robots", results, row_of, Special(more={"cost": cost}))
+COSTS = Special(more={"cost": cost})
 
 
 def lines_of(own: Table) -> str:
@@ -69,10 +69,11 @@ def lines_of(own: Table) -> str:
         h = with_interval(entry.measures["H"], "{:.1f}".format, 0.5)
         return f"{h}, {late(entry)}, {entry.measures['cost'].value:.0f}"
 
-    return own.lines(shown, "H, error of the last quarter, ns of processor time for each robot and step")
+    head = f"H, {LATE}, ns of processor time for each robot and step"
+    return in_markdown(own.entries, shown, head)
 
 
-def picture_of(results: Sequence[Trials]) -> Figure:
+def picture_of(results: Mapping[str, Sequence[Trials]]) -> Figure:
     """H, late error and cost over the number of robots; a row for each way in which robots are flawed."""
     from mcp_asdf_tools.common.figures import WIDTH, empty_figure  # noqa: PLC0415
     from mcp_asdf_tools.experiments.plots import Measure, curve  # noqa: PLC0415 (matplotlib loads slowly)
@@ -88,7 +89,7 @@ def picture_of(results: Sequence[Trials]) -> Figure:
     )
     figure = empty_figure(WIDTH, 4.8)
     for row, name in zip(figure.subplots(2, 3), ("underconfident", "overconfident"), strict=True):
-        own = [each for each in results if row_of(each.experiment).endswith(name)]
+        own = [each for each in results["scale"] if row_of(each.experiment).endswith(name)]
         for axes, measure, look in zip(row, measures, looks, strict=True):
             curve(own, "robots", "filter", measure, ax=axes)
             axes.set(xscale="log", title=name, **look)
@@ -97,6 +98,5 @@ def picture_of(results: Sequence[Trials]) -> Figure:
 
 def write_report(folder: Path, results: Mapping[str, Sequence[Trials]]) -> None:
     """Write ``scale.md`` and ``scale.csv``, and ``scale.svg``, the picture; the costs are measured now."""
-    (own,) = (results[name] for name in FILES)
-    scores = table(own)
-    write_page(folder, "scale", scores, lines_of(scores), picture_of(own))
+    table = table_of("Many robots", results["scale"], row_of, COSTS)
+    write_page(folder, "scale", table, lines_of(table), picture_of(results))

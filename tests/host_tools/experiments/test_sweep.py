@@ -63,7 +63,7 @@ def jobs_run(monkeypatch: pytest.MonkeyPatch) -> list[Job]:
 
 
 def test_jobs_are_every_trial_once(output: Path) -> None:
-    jobs = list(jobs_of(Store(output, GRID), 7))
+    jobs = list(jobs_of(Store(output, GRID, 7)))
     trials = [(job.experiment, job.first + i) for job in jobs for i in range(job.count)]
     assert trials == [(experiment, trial) for experiment in GRID for trial in range(40)]
     assert {job.count for job in jobs} == {32, 8}

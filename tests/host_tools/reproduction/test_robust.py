@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import robust_page
+from benchmarks import pages
 from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
@@ -151,8 +151,8 @@ def test_the_commands_of_the_page_find_the_peers(tmp_path: Path) -> None:
         robust.BEYOND: [],
         "peers": peers,
     }
-    for panel in robust_page.picture_of(found).axes:
+    for panel in pages.picture_of_robust(found).axes:
         finals = [np.asarray(line.get_ydata(), float)[-1] for line in panel.lines]
         assert len(finals) == 4 and all(0 < each < 0.8 for each in finals)
-    rows = {name: table.count("\n") for name, table in robust_page.tables_of(found).items()}
+    rows = {name: table.count("\n") for name, table in pages.tables_of_robust(found).items()}
     assert rows == {"grid": 6, "beyond": 1, "peers": 4, "worlds": 11}
