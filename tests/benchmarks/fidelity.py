@@ -78,7 +78,7 @@ def simulate(experiment: Experiment, trials: int) -> Floats:
     """Our scores, shape (trials, 3)."""
     measured = run_trials(experiment, 0, trials)
     scores = score(measured.convergence_steps, measured.errors, K_MAX, E_MAX)
-    return np.stack([scores.h_k, scores.h_e, scores.h], axis=1)
+    return np.stack([scores[name] for name in SCORES], axis=1)
 
 
 def p_values(ours: Floats, theirs: Floats) -> list[float]:

@@ -33,13 +33,13 @@ from mcp_asdf_tools.experiments import experiment_files
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.experiments.results import (
-    SCORES,
     experiments_at,
     experiments_in,
     metadata_of,
     read_table,
     table_of,
 )
+from mcp_asdf_tools.experiments.scores import SCORES
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
@@ -106,8 +106,8 @@ def sound_results() -> pa.Table:
 def read_results(path: Path) -> object:
     """All that commands take from results."""
     table = read_table(path)
-    at_once = [trials.scores().values for trials in experiments_in(table)]
-    assert np.array_equal(at_once, [trials.scores().values for trials in experiments_at(path)])
+    at_once = [[*trials.scores().values()] for trials in experiments_in(table)]
+    assert np.array_equal(at_once, [[*trials.scores().values()] for trials in experiments_at(path)])
     return metadata_of(table)["versions"]
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import random
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -232,19 +233,12 @@ class Liar(NativeRobot):
     alpha_raw = property(lambda self: ALPHA_MAX)
 
 
-def one_liar(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
-    """The last robot is a liar."""
-    return (Liar if robot_id >= ROBOTS - 1 else NativeRobot)(config, robot_id, b_hat)
+def _with_liars(count: int, config: Config, robot_id: int, b_hat: float) -> NativeRobot:
+    """The last robots are liars; one with several ids is as bad where all hear all."""
+    return (Liar if robot_id >= ROBOTS - count else NativeRobot)(config, robot_id, b_hat)
 
 
-def two_liars(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
-    """The last two robots are liars."""
-    return (Liar if robot_id >= ROBOTS - 2 else NativeRobot)(config, robot_id, b_hat)
-
-
-def five_liars(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
-    """The last five robots are liars; one with five ids is as bad where all hear all."""
-    return (Liar if robot_id >= ROBOTS - 5 else NativeRobot)(config, robot_id, b_hat)
+one_liar, two_liars, five_liars = (partial(_with_liars, count) for count in (1, 2, 5))
 
 
 class ChangingFloor:

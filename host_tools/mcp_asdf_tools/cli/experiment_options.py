@@ -14,7 +14,7 @@ from mcp_asdf_tools.cli.parameter_options import add_parameters, settings_from
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import read_experiments
-from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.results import Trials, differing, experiments_in, matching, read_table
 from mcp_asdf_tools.experiments.scores import E_MAX, Limits
 from mcp_asdf_tools.experiments.sweep import default_workers
 
@@ -65,6 +65,32 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
 def limits_of(args: argparse.Namespace) -> Limits:
     """The limits given, or else the paper's. Raises UsageError for limits of 0 or less."""
     return Limits(args.k_max, args.e_max)
+
+
+def add_where(parser: argparse._ActionsContainer) -> None:
+    """The option; ``chosen`` obeys it."""
+    parser.add_argument(
+        "--where",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="only experiments with this parameter, such as filter=none; repeatable",
+    )
+
+
+def chosen(args: argparse.Namespace) -> list[Trials]:
+    """The experiments of the file ``args.file`` that meet all conditions.
+
+    Raises UsageError, with what there is, for a condition on no parameter and one that nothing meets.
+    """
+    found = experiments_in(read_table(args.file))
+    for condition in args.where:
+        name, equals, value = condition.partition("=")
+        if not equals:
+            there = differing(found)
+            raise UsageError(f"--where {condition}: write NAME=VALUE; the experiments differ in {there}")
+        found = matching(found, {name: value})
+    return found
 
 
 def summary(experiments: Iterable[Trials], limits: Limits) -> list[dict[str, Any]]:

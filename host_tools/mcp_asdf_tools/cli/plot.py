@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.cli.choosing import add_where, chosen
 from mcp_asdf_tools.experiments.pictures import PLOTS, plot
 
 EPILOG = """\
@@ -27,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", type=Path, help="results: .parquet")
     parser.add_argument("picture", metavar="PICTURE", type=Path, help="what to draw into: .png, .svg or .pdf")
     parser.add_argument("--kind", choices=PLOTS, default=PLOTS[0], help="what to draw (default %(default)s)")
-    add_where(parser)
+    options.add_where(parser)
     parser.add_argument("--trial", metavar="N", type=int, default=0, help="which one (default %(default)s)")
     group = parser.add_argument_group("curves")
     group.add_argument("--x", metavar="NAME", default="", help="parameter along the axis")
@@ -42,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.common.figures import check_plot_path, save_figure  # noqa: PLC0415
 
     check_plot_path(args.picture)
-    found = chosen(args)
+    found = options.chosen(args)
     given = {name: getattr(args, name) for name in ("trial", "x", "hue", "y", "facet")}
     save_figure(plot(found, args.kind, **given, limits=options.limits_of(args)), args.picture)
     if args.json:

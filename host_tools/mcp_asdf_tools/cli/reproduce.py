@@ -12,13 +12,14 @@ from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.cli.sweep import add_scheduler, telling_what_is_left
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import make_folder
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.results import experiments_in, require_arrow
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import run_missing, run_sweep
 from mcp_asdf_tools.reproduction import ageing, robust, scaling
-from mcp_asdf_tools.reproduction.runs import StudyFolder, make_folder
+from mcp_asdf_tools.reproduction.runs import StudyFolder
 from mcp_asdf_tools.reproduction.study import PAPER, PERIODS, QUICK, Part, Scale
 
 OWN = {"robust": robust, "ageing": ageing, "scale": scaling}

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import tempfile
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.again import print_again
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.results import experiments_in, metadata_of
-from mcp_asdf_tools.experiments.store import Store
-from mcp_asdf_tools.experiments.sweep import run_sweep
+from mcp_asdf_tools.library import simulate
 
 EPILOG = """\
 examples:
@@ -38,15 +35,11 @@ def run(args: argparse.Namespace) -> int:
     if more:
         raise UsageError(f"{args.file} describes {len(more) + 1} experiments; run it with mcp-asdf sweep")
     workers, limits = options.check_workers(args.workers), options.limits_of(args)
-    with tempfile.TemporaryDirectory() as folder:
-        output = options.checked_output(args.output or Path(folder, "results.parquet"))
-        store = Store(output, [experiment], args.record)
-        missing = len(store.missing(experiment))
-        with progress("trials", missing, args.json) as report:
-            # A few seconds' work is done sooner than processes start.
-            robot_steps = missing * experiment.robots * experiment.steps
-            is_short = experiment.firmware == "native" and robot_steps < 10**8
-            table = run_sweep(store, 1 if is_short else workers, report)
+    # A few seconds' work is done sooner than processes start.
+    robot_steps = experiment.trials * experiment.robots * experiment.steps
+    few = 1 if experiment.firmware == "native" and robot_steps < 10**8 else workers
+    output = args.output and options.checked_output(args.output)
+    table = simulate(experiment, output, workers=few, record=args.record, quiet=args.json)
     results = experiments_in(table)
     if args.json:
         print(json.dumps({**metadata_of(table), **options.summary(results, limits)[0]}, indent=2))

@@ -14,7 +14,7 @@ import can
 
 from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.bus.frames import FrameFormat
-from mcp_asdf_tools.cli.choosing import add_where, chosen
+from mcp_asdf_tools.cli.experiment_options import add_where, chosen
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, write_atomically
 from mcp_asdf_tools.common.signals import stopping

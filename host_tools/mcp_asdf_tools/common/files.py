@@ -87,10 +87,15 @@ def write_files(folder: Path, contents: Mapping[str, str]) -> list[Path]:
 
     All are written, or none. Raises UsageError if one cannot be.
     """
-    with explaining(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     write_together({folder / name: text for name, text in contents.items()})
     return [folder / name for name in contents]
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder if there is none. Raises UsageError if that cannot be done."""
+    with explaining(folder):
+        folder.mkdir(parents=True, exist_ok=True)
 
 
 def check_target(path: Path | str) -> Path:

@@ -33,8 +33,8 @@ from mcp_asdf_tools.common.figures import (
     ordered_colours,
 )
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import SCORES, Trials
-from mcp_asdf_tools.experiments.scores import PAPERS, Limits
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.scores import PAPERS, SCORES, Limits
 from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
 
 _BOXES = (
@@ -208,7 +208,7 @@ def boxes(experiments: Sequence[Trials], limits: Limits = PAPERS, name: Name | N
         slots = sorted(set(places))
         for (index, trials), place in zip(cells, places, strict=True):
             middle = slots.index(place) + (index + 0.5) * width - 0.43
-            _draw_cell(axes, trials.scores(limits).h, middle, 0.85 * width, colours[index])
+            _draw_cell(axes, trials.scores(limits)["H"], middle, 0.85 * width, colours[index])
         axes.set(ylim=(0, 103), xlim=(-0.5, len(slots) - 0.5))
         axes.set_xticks(range(len(slots)), [f"{offset:+.2g}\n{share:.0%}" for share, offset in slots])
         axes.set_title(f"$f = {f:g}$, $b = {b:g}$", fontsize=MEDIUM)
@@ -256,7 +256,7 @@ def scatter(experiments: Sequence[Trials], limits: Limits = PAPERS) -> Figure:
                 continue
             b, offset, scores = experiment.true_accuracy, _offset(experiment), trials.scores(limits)
             look = looks[b, offset] = _shade(offset), _MARKERS[accuracies.index(b) % len(_MARKERS)]
-            axes.plot(scores.h_k, scores.h_e, look[1], color=look[0], markersize=3, alpha=0.6)
+            axes.plot(scores["h_K"], scores["h_e"], look[1], color=look[0], markersize=3, alpha=0.6)
         axes.set_title(f"{key}\n$f = {f:g}$, $P$ = {shares[column]:.0%}", fontsize=SMALL)
         axes.set(xlim=(-4, 104), ylim=(-4, 104))
         clean(axes)

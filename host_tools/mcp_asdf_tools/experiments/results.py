@@ -39,7 +39,7 @@ from mcp_asdf_tools.common.files import draft_of, write_atomically
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.scores import DELTA, PAPERS, Limits, Scores, score
+from mcp_asdf_tools.experiments.scores import DELTA, PAPERS, SCORES, Limits, score
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
@@ -51,7 +51,6 @@ QUANTITIES = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 
 FORMAT = 5
 _KEY = b"mcp-asdf"
-SCORES = ("H", "h_K", "h_e")
 _LISTS = {
     "k": ("convergence_steps", "int32"),
     "e": ("errors", "float64"),
@@ -115,14 +114,14 @@ class Trials:
     updates: NDArray[np.int64]
     records: dict[str, NDArray[np.float64]]
 
-    def scores(self, limits: Limits = PAPERS) -> Scores:
-        """Scores of each trial."""
+    def scores(self, limits: Limits = PAPERS) -> dict[str, NDArray[np.float64]]:
+        """SCORES of each trial by name."""
         return score(self.convergence_steps, self.errors, *limits.of(self.experiment))
 
     def measures(self, limits: Limits = PAPERS) -> dict[str, NDArray[np.float64]]:
         """A value for each trial by name: the scores, means of K and e over the robots, sum of updates."""
         return {
-            **dict(zip(SCORES, self.scores(limits).values, strict=True)),
+            **self.scores(limits),
             "K": self.convergence_steps.mean(axis=1),
             "e": self.errors.mean(axis=1),
             "updates": self.updates.sum(axis=1),
@@ -145,7 +144,7 @@ def table_of(trials: Trials, sampling_interval: int = 0) -> pa.Table:
         arrays[f"record_{name}"] = trials.records.get(name, np.empty((count, 0)))
     parameters = trials.experiment.parameters()
     columns: dict[str, Any] = {name: [value] * count for name, value in parameters.items()}
-    columns |= {"trial": trials.numbers, **dict(zip(SCORES, trials.scores().values, strict=True))}
+    columns |= {"trial": trials.numbers, **trials.scores()}
     columns |= {name: [trial.ravel() for trial in array] for name, array in arrays.items()}
     description = {
         "format": FORMAT,
@@ -262,7 +261,7 @@ def rescored(table: pa.Table, limits: Limits) -> pa.Table:
     for index, row in enumerate(rows):
         experiment = Experiment(**{name: row[name] for name in _PARAMETERS})
         own = score([row["k"]], [row["e"]], *limits.of(experiment))
-        scores[:, index] = [values[0] for values in own.values]
+        scores[:, index] = [values[0] for values in own.values()]
     for name, values in zip(SCORES, scores, strict=True):
         table = table.set_column(table.column_names.index(name), name, pa.array(values))
     return table

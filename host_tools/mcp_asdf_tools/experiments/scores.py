@@ -75,29 +75,20 @@ class Limits:
 PAPERS = Limits()
 
 
-@dataclass(frozen=True)
-class Scores:
-    """Scores of each trial, shape (trials,): 0 .. 100 if no K and e is above its limit."""
-
-    h_k: NDArray[np.float64]
-    h_e: NDArray[np.float64]
-
-    @property
-    def h(self) -> NDArray[np.float64]:
-        """H, the mean of the two."""
-        return 0.5 * (self.h_k + self.h_e)
-
-    @property
-    def values(self) -> tuple[NDArray[np.float64], ...]:
-        """H, h_K and h_e."""
-        return self.h, self.h_k, self.h_e
+SCORES = ("H", "h_K", "h_e")
 
 
-def score(convergence_steps: ArrayLike, errors: ArrayLike, k_max: float, e_max: float) -> Scores:
-    """Scores of trials from K and e of every robot, both of shape (trials, robots). NaN counts as e_max."""
+def score(
+    convergence_steps: ArrayLike, errors: ArrayLike, k_max: float, e_max: float
+) -> dict[str, NDArray[np.float64]]:
+    """SCORES of trials by name, shape (trials,), from K and e of every robot, both of shape (trials, robots).
+
+    They are 0 .. 100 if no K and e is above its limit; H is the mean of the other two. NaN counts as e_max.
+    """
     k = np.asarray(convergence_steps, dtype=np.float64)
     e = np.nan_to_num(np.asarray(errors, dtype=np.float64), nan=e_max)
-    return Scores(_scaled_mean(k, k_max), _scaled_mean(e, e_max))
+    h_k, h_e = _scaled_mean(k, k_max), _scaled_mean(e, e_max)
+    return dict(zip(SCORES, (0.5 * (h_k + h_e), h_k, h_e), strict=True))
 
 
 def _scaled_mean(values: NDArray[np.float64], most: float) -> NDArray[np.float64]:

@@ -11,9 +11,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import image_of
-from mcp_asdf_tools.common.files import write_atomically
+from mcp_asdf_tools.common.files import make_folder, write_atomically
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.scores import E_MAX
 from mcp_asdf_tools.reproduction.claims import LEVELS, QUESTIONS, SIZES
@@ -50,10 +49,7 @@ def write_report(folder: Path, runs: Sequence[Run], scale: Scale) -> None:
     """
     drawn = list(pictures(runs[0].study, scale))
     images = {f"figures/{each.name}.png": image_of(each.figure, Path(f"{each.name}.png")) for each in drawn}
-    try:
-        (folder / "figures").mkdir(exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"cannot make a folder in {folder}: {error.strerror}; choose another") from error
+    make_folder(folder / "figures")
     for name, image in images.items():
         write_atomically(folder / name, image)
     content = re.sub(r" +$", "", _rendered("report.md.j2", **_context(runs, scale, drawn)), flags=re.M)

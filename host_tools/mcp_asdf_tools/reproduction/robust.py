@@ -81,7 +81,7 @@ def measures_of(trials: Trials, special: Special = PLAIN) -> dict[str, Sample]:
     last = trials.b_hat[:, -1, experiment.flawed : honest]
     off = abs(last - experiment.true_accuracy) > OFF
     return {
-        "H": score(k, e, *PAPERS.of(experiment)).h,
+        "H": score(k, e, *PAPERS.of(experiment))["H"],
         "e": e.mean(axis=1),
         "late": abs(late - special.late_f(experiment)).mean(axis=(1, 2)),
         "harmed": off.mean(axis=1) if off.size else np.full(len(e), np.nan),

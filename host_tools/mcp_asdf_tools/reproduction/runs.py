@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import make_folder
 from mcp_asdf_tools.experiments.results import experiments_in
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.reproduction.decisions import Decided, decide
@@ -26,14 +26,6 @@ class Run:
     seed: int
     study: Study
     decided: Decided
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder for results if there is none. Raises UsageError if that cannot be done."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"cannot make the folder {folder}: {error.strerror}; choose another") from error
 
 
 class StudyFolder:

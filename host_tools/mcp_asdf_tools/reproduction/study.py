@@ -8,7 +8,7 @@ folder ``studies``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.scores import Scores
+from mcp_asdf_tools.experiments.scores import SCORES
 from mcp_asdf_tools.reproduction.resampling import Sample, Summarized, Summary, falls_apart, summarized
 
 FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
@@ -178,14 +178,15 @@ def experiment_of(cell: Cell, scale: Scale) -> Experiment:
 
 # --- Results ---------------------------------------------------------------------------------------------
 
-MEASURES: Mapping[str, Callable[[Trials, Scores], Sample]] = {
-    "H": lambda trials, scores: scores.h,
-    "h_K": lambda trials, scores: scores.h_k,
-    "h_e": lambda trials, scores: scores.h_e,
-    "b_hat": lambda trials, scores: trials.b_hat[:, -1, trials.experiment.flawed :].mean(axis=1),
-}
+MEASURES = (*SCORES, "b_hat")
 """A value for each trial: the scores; b_hat in the end, on average over the robots that began with the right
 one."""
+
+
+def corruption(trials: Trials) -> Sample:
+    """That b_hat."""
+    final: Sample = trials.b_hat[:, -1, trials.experiment.flawed :].mean(axis=1)
+    return final
 
 
 class Study:
@@ -212,7 +213,8 @@ class Study:
 
     def sample(self, cell: Cell, measure: str) -> Sample:
         """A value for each trial of a cell. Raises KeyError if it has not been run."""
-        return MEASURES[measure](self._trials[cell.normal], self._scores[cell.normal])
+        found = cell.normal
+        return corruption(self._trials[found]) if measure == "b_hat" else self._scores[found][measure]
 
     def summarized(self, cell: Cell, measure: str, summary: Summary, trials: int) -> Summarized:
         """The summary of a cell's first ``trials``, and of their resamples; kept for the next comparison."""

@@ -31,8 +31,8 @@ def test_the_references_are_whole() -> None:
         h_k, h_e, h = cell.scores.T
         steps, errors = np.rint(40_000 * (1 - h_k / 100)), 0.45 * (1 - h_e / 100)
         own = score(np.repeat(steps[:, None], 10, 1), np.repeat(errors[:, None], 10, 1), 40_000, 0.45)
-        assert own.h_k == pytest.approx(h_k, abs=1e-5)
-        assert own.h == pytest.approx(h, abs=1e-5)
+        assert own["h_K"] == pytest.approx(h_k, abs=1e-5)
+        assert own["H"] == pytest.approx(h, abs=1e-5)
     assert sorted(len(cell.scores) for cell in PHYSICS) == [12] * 3 + [30] * 8
     assert {cell.experiment.filter for cell in PHYSICS} == {"none", "asdf-minus", "asdf-plus"}
     for cell in PHYSICS:

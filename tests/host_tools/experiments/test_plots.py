@@ -81,7 +81,7 @@ def test_boxes_are_where_and_what_they_should_be(results: list[Trials]) -> None:
         order = sorted(own, key=lambda each: (each.experiment.flawed, each.experiment.flawed_accuracy))
         for number, (trials, (x, y, colour)) in enumerate(zip(order, clouds, strict=True)):
             slot, index = divmod(number, 3)
-            scores = trials.scores(LIMITS).h
+            scores = trials.scores(LIMITS)["H"]
             assert np.array_equal(y, scores)
             assert abs(x.mean() - (slot + (index - 1) * 0.86 / 3)) < 0.05
             assert len(set(x)) == len(x)
@@ -111,8 +111,8 @@ def test_points_are_the_trials_in_the_papers_colours(results: list[Trials]) -> N
         expected = [t for t in own if t.experiment.flawed == share]
         assert len(axes.lines) == len(expected) == count
         for trials, line in zip(expected, axes.lines, strict=True):
-            scores = trials.scores(LIMITS)
-            assert np.array_equal(np.array(line.get_xydata()), np.stack([scores.h_k, scores.h_e], axis=1))
+            _, *scores = trials.scores(LIMITS).values()
+            assert np.array_equal(np.array(line.get_xydata()), np.stack(scores, axis=1))
     far, near, blue = lines = found["no filter\n$f = 0.55$, $P$ = 50%"].lines
     reds, blues = zip(*(np.array(to_rgb(line.get_color()))[[0, 2]] for line in lines), strict=True)
     assert reds[0] > blues[0] and reds[1] > blues[1] and reds[2] < blues[2]

@@ -67,7 +67,7 @@ def test_any_reader_of_parquet_finds_everything(path: Path) -> None:
     assert row["trial"] == 0
     assert (row["k"], row["e"]) == (trials.convergence_steps[0].tolist(), trials.errors[0].tolist())
     assert row["b_hat"] == trials.b_hat.ravel().tolist()
-    assert (row["H"], row["h_K"], row["h_e"]) == tuple(each[0] for each in trials.scores().values)
+    assert (row["H"], row["h_K"], row["h_e"]) == tuple(each[0] for each in trials.scores().values())
     said = json.loads(file.schema_arrow.metadata[b"mcp-asdf"])
     columns = said.pop("columns")
     assert list(columns) == file.schema_arrow.names
@@ -112,7 +112,7 @@ def test_other_limits_change_the_scores_and_nothing_else(path: Path) -> None:
     kept = [name for name in table.column_names if name not in ("H", "h_K", "h_e")]
     assert other.select(kept).equals(table.select(kept))
     scores = experiments_in(table)[1].scores(limits)
-    for name, values in zip(("H", "h_K", "h_e"), scores.values, strict=True):
+    for name, values in zip(("H", "h_K", "h_e"), scores.values(), strict=True):
         assert other[name].to_pylist()[3:] == values.tolist()
         assert not other[name].equals(table[name])
 
@@ -128,7 +128,7 @@ def test_csv_has_a_line_for_every_trial(path: Path, tmp_path: Path) -> None:
         for trial in range(3)
     ]
     first, row = found[0], rows[1]
-    scores = (each[1] for each in first.scores(limits).values)
+    scores = (each[1] for each in first.scores(limits).values())
     means = (first.convergence_steps[1].mean(), first.errors[1].mean(), first.b_hat[1, -1].mean())
     expected = (*scores, *means, first.tests[1].sum(), first.updates[1].sum(), limits.k_max, limits.e_max)
     names = ("H", "h_K", "h_e", "mean_K", "mean_e", "mean_b_hat", "tests", "updates", "K_max", "e_max")

@@ -40,19 +40,19 @@ def test_scores_by_hand() -> None:
     convergence_steps = np.array([[0, 100, 200, 300]])  # quartiles between two values: 50 and 250
     errors = np.array([[0.1, 0.1, 0.1, 0.3]])  # 0.1 and 0.2
     result = score(convergence_steps, errors, 1000, 0.5)
-    assert result.h_k[0] == pytest.approx(85 * math.exp(-0.2))
-    assert result.h_e[0] == pytest.approx(70 * math.exp(-0.2))
-    assert result.h[0] == pytest.approx((result.h_k[0] + result.h_e[0]) / 2)
+    assert result["h_K"][0] == pytest.approx(85 * math.exp(-0.2))
+    assert result["h_e"][0] == pytest.approx(70 * math.exp(-0.2))
+    assert result["H"][0] == pytest.approx((result["h_K"][0] + result["h_e"][0]) / 2)
 
 
 def test_quartiles_are_values_where_they_can_be() -> None:
     result = score([[0, 100, 200, 300, 400]], [[0.0, 0.1, 0.2, 0.3, 0.4]], 1000, 0.5)
-    assert result.h_k[0] == pytest.approx(80 * math.exp(-0.2))
-    assert result.h_e[0] == pytest.approx(60 * math.exp(-0.4))
+    assert result["h_K"][0] == pytest.approx(80 * math.exp(-0.2))
+    assert result["h_e"][0] == pytest.approx(60 * math.exp(-0.4))
 
 
 def test_no_number_counts_as_the_worst() -> None:
-    assert score([[1, 1]], [[math.nan, math.nan]], 10, 0.5).h_e[0] == 0
+    assert score([[1, 1]], [[math.nan, math.nan]], 10, 0.5)["h_e"][0] == 0
 
 
 def test_limits_are_the_papers_unless_given() -> None:

@@ -16,7 +16,7 @@ from mcp_asdf_tools.reproduction import report, resampling
 from mcp_asdf_tools.reproduction.claims import CLAIMS, LEVELS, QUESTIONS, SIZES, Claim, Contrast, Question
 from mcp_asdf_tools.reproduction.decisions import Decision, decide, needs
 from mcp_asdf_tools.reproduction.resampling import Sample, interval
-from mcp_asdf_tools.reproduction.study import MEASURES, PAPER, Cell, Part, Scale, Study, cells_of
+from mcp_asdf_tools.reproduction.study import MEASURES, PAPER, Cell, Part, Scale, Study, cells_of, corruption
 from mcp_asdf_tools.reproduction.verdicts import Verdict
 
 FULL, DYNAMIC, PHYSICAL = Part
@@ -264,4 +264,4 @@ def test_identical_estimates_are_identical(spread: int, monkeypatch: pytest.Monk
 def test_corruption_is_that_of_the_robots_that_were_right() -> None:
     b_hat = np.array([[[0.9, 0.9, 0.5, 0.5]] * 2 + [[0.1, 0.2, 0.6, 0.8]]])
     trials: Any = SimpleNamespace(b_hat=b_hat, experiment=SimpleNamespace(flawed=2))
-    assert MEASURES["b_hat"](trials, None) == pytest.approx([0.7])  # type: ignore[arg-type]
+    assert corruption(trials) == pytest.approx([0.7])

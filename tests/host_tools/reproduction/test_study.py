@@ -234,7 +234,7 @@ def test_options_are_the_scale() -> None:
         ("--seeds 0", "--seeds is 0; give at least 1"),
         ("--steps 3999", "--steps is 3999; give at least 4000"),
         ("--workers 0", "--workers is 0"),
-        ("--output /dev/null/x", "cannot make the folder"),
+        ("--output /dev/null/x", "cannot write /dev/null/x: Not a directory; choose a folder"),
     ],
 )
 def test_bad_usage_is_told(arguments: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
