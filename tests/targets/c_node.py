@@ -17,6 +17,7 @@ import pytest
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import DEFAULT_FILTER_PERIOD, Filter, Observation
+from mcp_asdf_tools.bus.frames import MAX_NODE_ID
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
@@ -187,6 +188,18 @@ def assert_same_robot(figures: dict[str, Any], node: RobotNode) -> None:
         **vars(node.sent),
     }
     assert {name: figures[name] for name in numbers} == numbers
+
+
+def assert_same_run(log: Iterable[can.Message], figures: dict[str, Any], node: RobotNode) -> None:
+    """Of what a bus carried the C node has made what the Python node makes of it."""
+    said, answers = list[can.Message](), node.start()
+    for frame in log:
+        if frame.arbitration_id & MAX_NODE_ID == node.id:
+            said.append(frame)
+        else:
+            answers += node.hear(frame)
+    assert content(greeted_once(said)) == content(answers)
+    assert_same_robot(figures, node)
 
 
 def drive(bus: can.BusABC, robots: Collection[int], ticks: int, seed: int) -> list[can.Message]:

@@ -41,7 +41,7 @@ PORT = 20000 + os.getpid() % 12000
 IPV4, IPV6 = "239.74.163.91", "ff15:7079:7468:6f6e:6465:6d6f:6d63:91"
 NODE = (
     *("--lockstep", "--hop-limit", 0, "--steps-per-second", 3, "--b-hat", 0.75, "--filter-period", 4),
-    *("--subject", 7, "--telemetry-subject", 8, "--command-subject", 9),
+    *("--subject", 0, "--telemetry-subject", 8, "--command-subject", 9),
 )
 
 

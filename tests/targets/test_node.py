@@ -94,7 +94,7 @@ def start(command: list[str], bus: UnixBus) -> Iterator[Callable[..., CNode]]:
 # ---- What a Python node says ----
 
 
-SUBJECTS = Subjects(FrameFormat(7, 4), FrameFormat(8, 6), FrameFormat(9, 3))
+SUBJECTS = Subjects(FrameFormat(0, 4), FrameFormat(8, 6), FrameFormat(9, 3))
 
 
 FILTERS = {
@@ -110,7 +110,8 @@ def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, chosen:
     words = [word for name, value in config.items() for word in (f"--{name.replace('_', '-')}", value)]
     node = start(
         *("--lockstep", "--steps-per-second", 3, "--b-hat", 0.75, *FILTERS[chosen].split()),
-        *("--subject", 7, "--telemetry-subject", 8, "--command-subject", 9, *words, "--allow", "0+2-5"),
+        *("--subject", 0, "--telemetry-subject", 8, "--command-subject", 9, *words, "--allow", "0+2-5"),
+        *("--receive-buffer", 0, "--save-period", 0, "--telemetry-period", 0),
     )
     expected = twin(ID, 0.75, SUBJECTS, 3, filter=chosen, allow=frozenset((0, *range(2, 6))), **config)
     draw = random.Random(chosen)

@@ -50,30 +50,24 @@ static void interrupt(int signal)
     is_interrupted = 1;
 }
 
-/* One that this program was started to ignore (nohup, a shell's background) stays ignored. */
-static void heed(run_t *run, int signal, const struct sigaction *action)
-{
-    struct sigaction before;
-    (void)sigdelset(&run->when_waiting, signal);
-    if (sigaction(signal, NULL, &before) == 0 && before.sa_handler != SIG_IGN) {
-        (void)sigaction(signal, action, NULL);
-    }
-}
-
 /* Signals come through only while we wait, so none can slip in between a check and the wait. */
 static void catch_signals(run_t *run)
 {
     static const int signals[] = {SIGINT, SIGTERM, SIGHUP};
     const struct sigaction action = {.sa_handler = interrupt};
+    struct sigaction before;
     sigset_t caught;
     (void)sigemptyset(&caught);
+    (void)sigprocmask(SIG_BLOCK, NULL, &run->when_waiting);
     for (size_t i = 0; i < sizeof signals / sizeof signals[0]; ++i) {
         (void)sigaddset(&caught, signals[i]);
+        (void)sigdelset(&run->when_waiting, signals[i]);
+        /* One that this program was started to ignore (nohup, a shell's background) stays ignored. */
+        if (sigaction(signals[i], NULL, &before) == 0 && before.sa_handler != SIG_IGN) {
+            (void)sigaction(signals[i], &action, NULL);
+        }
     }
-    (void)sigprocmask(SIG_BLOCK, &caught, &run->when_waiting);
-    for (size_t i = 0; i < sizeof signals / sizeof signals[0]; ++i) {
-        heed(run, signals[i], &action);
-    }
+    (void)sigprocmask(SIG_BLOCK, &caught, NULL);
 }
 
 /* ---- Setting up: what is wrong ends the program with a message that names the value and the fix ------ */

@@ -12,67 +12,46 @@
 
 extern const uint32_t MCP_ASDF_NODE_TABLE[];
 
-/* Numbers first, then texts, then what takes no argument. */
-enum option_index {
-    COMMS_PERIOD,
-    FILTER_PERIOD,
-    MEMORY,
-    RATE,
-    TICKS,
-    TELEMETRY_PERIOD,
-    SUBJECT,
-    TELEMETRY_SUBJECT,
-    COMMAND_SUBJECT,
-    RECEIVE_BUFFER,
-    SAVE_PERIOD,
-    HOP_LIMIT,
-    ID,
-    ALLOW,
-    INTERFACE,
-    NETWORK,
-    B_HAT,
-    FILTER,
-    ACTIVATION,
-    OBSERVATIONS,
-    SENSOR,
-    STATE,
-    LOCKSTEP,
-    HELP,
-    VERSION,
-    ALL
-};
+/* Every option: its index, name, what stands for it if it is not given, and its range. Numbers come first,
+ * then texts, then what takes no argument. */
+#define OPTIONS(X)                                                                                           \
+    X(COMMS_PERIOD, "comms-period", "1", 1, LARGEST)                                                         \
+    X(FILTER_PERIOD, "filter-period", "1000", 1, LARGEST)                                                    \
+    X(MEMORY, "memory", "2147483648", MCP_ASDF_MEMORY_MIN, MCP_ASDF_MEMORY_MAX)                              \
+    X(RATE, "steps-per-second", "10", 1, 1000)                                                               \
+    X(TICKS, "steps", "0", 0, LARGEST)                                                                       \
+    X(TELEMETRY_PERIOD, "telemetry-period", "0", 0, LARGEST)                                                 \
+    X(SUBJECT, "subject", "3000", 0, MCP_ASDF_SUBJECT_MAX)                                                   \
+    X(TELEMETRY_SUBJECT, "telemetry-subject", "3001", 0, MCP_ASDF_SUBJECT_MAX)                               \
+    X(COMMAND_SUBJECT, "command-subject", "3002", 0, MCP_ASDF_SUBJECT_MAX)                                   \
+    X(RECEIVE_BUFFER, "receive-buffer", "0", 0, INT32_MAX)                                                   \
+    X(SAVE_PERIOD, "save-period", "0", 0, LARGEST)                                                           \
+    X(HOP_LIMIT, "hop-limit", "1", 0, 255)                                                                   \
+    X(ID, "id", NULL, 0, MCP_ASDF_MAX_ID)                                                                    \
+    X(ALLOW, "allow", NULL, 0, 0)                                                                            \
+    X(INTERFACE, "interface", NULL, 0, 0)                                                                    \
+    X(NETWORK, "network", NULL, 0, 0)                                                                        \
+    X(B_HAT, "b-hat", "0.95", 0, 0)                                                                          \
+    X(FILTER, "filter", "asdf-plus", 0, 0)                                                                   \
+    X(ACTIVATION, "activation", "adaptive", 0, 0)                                                            \
+    X(OBSERVATIONS, "observations", NULL, 0, 0)                                                              \
+    X(SENSOR, "sensor", NULL, 0, 0)                                                                          \
+    X(STATE, "state", NULL, 0, 0)                                                                            \
+    X(LOCKSTEP, "lockstep", NULL, 0, 0)                                                                      \
+    X(HELP, "help", NULL, 0, 0)                                                                              \
+    X(VERSION, "version", NULL, 0, 0)
+
+#define INDEX(index, ...) index,
+#define ROW(index, ...) {__VA_ARGS__},
+
+enum option_index { OPTIONS(INDEX) ALL };
+
+static const struct {
+    const char *name, *usual;
+    uint32_t least, most;
+} table[ALL] = {OPTIONS(ROW)};
 
 #define WITH_ARGUMENT LOCKSTEP
-
-/* Every option; those with numbers have a range and a usual value. */
-static const struct {
-    const char *name;
-    uint32_t least, most, usual;
-} table[ALL] = {[COMMS_PERIOD] = {"comms-period", 1, LARGEST, 1},
-                [FILTER_PERIOD] = {"filter-period", 1, LARGEST, 1000},
-                [MEMORY] = {"memory", MCP_ASDF_MEMORY_MIN, MCP_ASDF_MEMORY_MAX, MCP_ASDF_MEMORY_MAX},
-                [RATE] = {"steps-per-second", 1, 1000, 10},
-                [TICKS] = {"steps", 0, LARGEST, 0},
-                [TELEMETRY_PERIOD] = {"telemetry-period", 0, LARGEST, 0},
-                [SUBJECT] = {"subject", 0, MCP_ASDF_SUBJECT_MAX, 3000},
-                [TELEMETRY_SUBJECT] = {"telemetry-subject", 0, MCP_ASDF_SUBJECT_MAX, 3001},
-                [COMMAND_SUBJECT] = {"command-subject", 0, MCP_ASDF_SUBJECT_MAX, 3002},
-                [RECEIVE_BUFFER] = {"receive-buffer", 0, INT32_MAX, 0},
-                [SAVE_PERIOD] = {"save-period", 0, LARGEST, 0},
-                [HOP_LIMIT] = {"hop-limit", 0, 255, 1},
-                [ID] = {"id", 0, MCP_ASDF_MAX_ID, 0},
-                [ALLOW] = {.name = "allow"},
-                [INTERFACE] = {.name = "interface"},
-                [NETWORK] = {.name = "network"},
-                [B_HAT] = {.name = "b-hat"},
-                [FILTER] = {.name = "filter"},
-                [ACTIVATION] = {.name = "activation"},
-                [OBSERVATIONS] = {.name = "observations"},
-                [SENSOR] = {.name = "sensor"},
-                [STATE] = {.name = "state"},
-                [LOCKSTEP] = {.name = "lockstep"},
-                [HELP] = {.name = "help"},
-                [VERSION] = {.name = "version"}};
 
 /* ---- Help ------------------------------------------------------------------------------------------- */
 
@@ -124,9 +103,6 @@ static uint32_t number(const char *const given[ALL], enum option_index which)
 {
     const char *const text = given[which];
     char *end = NULL;
-    if (text == NULL) {
-        return table[which].usual;
-    }
     errno = 0;
     const unsigned long long value = strtoull(text, &end, 10);
     if (errno != 0 || end == text || *end != '\0' || strchr(text, '-') != NULL ||
@@ -210,6 +186,7 @@ static void collect(const char *given[ALL], int count, char *const arguments[])
     enum { FIRST = 256 }; /* beyond what getopt_long() returns by itself */
     struct option known[ALL + 1] = {0};
     for (int i = 0; i < ALL; ++i) {
+        given[i] = table[i].usual;
         known[i].name = table[i].name;
         known[i].has_arg = i < WITH_ARGUMENT ? required_argument : no_argument;
         known[i].val = FIRST + i;
@@ -241,12 +218,6 @@ static void answer_questions(const char *const given[ALL])
 
 /* ---- Checks that need more than one option ---------------------------------------------------------- */
 
-/* What is given, or what stands for that: of an option that is missing, or one with a usual value. */
-static const char *or_else(const char *given, const char *otherwise)
-{
-    return given != NULL ? given : otherwise;
-}
-
 static void check_needed(const char *const given[ALL])
 {
     if (given[INTERFACE] == NULL) {
@@ -266,13 +237,13 @@ static void check_values(const node_settings_t *node, const char *const given[AL
     const uint16_t estimate = node->estimate.subject, telemetry = node->telemetry.subject;
     const uint16_t command = node->command.subject;
     if (node->filter_period % node->comms_period != 0) {
-        fail(FILTER_PERIOD, or_else(given[FILTER_PERIOD], "1000"), "choose a multiple of --comms-period");
+        fail(FILTER_PERIOD, given[FILTER_PERIOD], "choose a multiple of --comms-period");
     }
     if (node->memory % 4 != 0) {
         fail(MEMORY, given[MEMORY], "choose a multiple of 4");
     }
     if (estimate == telemetry || estimate == command || telemetry == command) {
-        fail(SUBJECT, or_else(given[SUBJECT], "3000"),
+        fail(SUBJECT, given[SUBJECT],
              "choose three different subjects for estimates, telemetry and commands");
     }
 }
@@ -281,7 +252,7 @@ static void check_multicast(const char *const given[ALL])
 {
     static const enum option_index only[] = {NETWORK, HOP_LIMIT};
     for (size_t i = 0; i < sizeof only / sizeof only[0]; ++i) {
-        if (given[only[i]] != NULL && strncmp(given[INTERFACE], "udp:", 4) != 0) {
+        if (given[only[i]] != table[only[i]].usual && strncmp(given[INTERFACE], "udp:", 4) != 0) {
             fail(only[i], given[only[i]], "leave it out, or choose an --interface udp:GROUP:PORT");
         }
     }
@@ -312,7 +283,7 @@ static node_settings_t node_settings(const char *const given[ALL])
 
 void options_read(options_t *options, int count, char *const arguments[])
 {
-    const char *given[ALL] = {[B_HAT] = "0.95", [FILTER] = "asdf-plus", [ACTIVATION] = "adaptive"};
+    const char *given[ALL];
     collect(given, count, arguments);
     answer_questions(given);
     check_needed(given);

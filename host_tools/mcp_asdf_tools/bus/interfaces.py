@@ -95,7 +95,7 @@ class BusChoice:
             raise UsageError(f"cannot open the bus {self}: {self._explain(error)}") from error
         if bus.channel_info == can.BusABC.channel_info:
             bus.channel_info = self.channel or self.interface
-        return _WRAPPERS.get(self.interface, Connection)(bus, returns_own)
+        return (Multicast if self.interface == "udp_multicast" else Connection)(bus, returns_own)
 
     def arguments(self) -> list[str]:
         """Options with which a command in another process joins the same bus.
@@ -144,6 +144,7 @@ class Connection(can.BusABC):
             left = end - time.monotonic()
             frame, is_filtered = self._recv_internal(min(max(left, 0.0), _LONGEST_WAIT))
             if frame is not None and (is_filtered or self._matches_filters(frame)):
+                frame.is_rx = True  # on SocketCAN python-can marks what comes from this computer as sent
                 return frame
             if left <= 0.0:
                 return None
@@ -159,17 +160,6 @@ class Connection(can.BusABC):
 
     def _apply_filters(self, filters: CanFilters | None) -> None:
         self._bus.set_filters(filters)  # by the kernel or the adapter, where they can
-
-
-class AllReceived(Connection):
-    """SocketCAN connection that marks all frames as received: python-can marks those from this computer as
-    sent (``is_rx`` false)."""
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        frame, is_filtered = super()._recv_internal(timeout)
-        if frame is not None:
-            frame.is_rx = True
-        return frame, is_filtered
 
 
 class Multicast(Connection):
@@ -198,7 +188,7 @@ class Multicast(Connection):
             if own is None:
                 return self._frame_of(datagram, timestamp)
             if self._returns_own:
-                own.timestamp, own.is_rx, own.channel = timestamp, True, self.channel_info
+                own.timestamp, own.channel = timestamp, self.channel_info
                 return own, True
             timeout = 0.0  # the caller waits again for the rest of its time
         return None, False
@@ -213,21 +203,12 @@ class Multicast(Connection):
 
     def _frame_of(self, datagram: bytes, timestamp: float) -> tuple[can.Message, bool]:
         """Another's frame, and whether it passes any filter."""
-        try:
-            frame = unpack_message(
-                datagram, {"timestamp": timestamp, "channel": self.channel_info}, check=True
-            )
-        except Exception:  # the sender may have written anything
-            return self._damaged(timestamp), True
-        if type(frame.arbitration_id) is not int or type(frame.dlc) is not int:
-            return self._damaged(timestamp), True
-        return frame, False
-
-    def _damaged(self, timestamp: float) -> can.Message:
-        return can.Message(timestamp, _PROTOCOL_ERROR, is_error_frame=True, channel=self.channel_info, dlc=0)
-
-
-_WRAPPERS: dict[str, type[Connection]] = {"socketcan": AllReceived, "udp_multicast": Multicast}
+        known: dict[str, Any] = {"timestamp": timestamp, "channel": self.channel_info}
+        with suppress(Exception):  # the sender may have written anything
+            frame = unpack_message(datagram, known, check=True)
+            if type(frame.arbitration_id) is int and type(frame.dlc) is int:
+                return frame, False
+        return can.Message(arbitration_id=_PROTOCOL_ERROR, is_error_frame=True, dlc=0, **known), True
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

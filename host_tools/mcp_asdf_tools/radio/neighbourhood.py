@@ -60,21 +60,6 @@ class RadioSettings:
     faults: tuple[Fault, ...] = ()
 
 
-class _Renumbered:
-    """World of robots whose ids are not 0, 1, 2 ..."""
-
-    def __init__(self, world: World, ids: Sequence[int]) -> None:
-        self._world = world
-        self._ids = ids
-
-    @property
-    def hears(self) -> NDArray[np.bool_]:
-        """True if robot i hears j, by id."""
-        hears = np.zeros((MAX_ID + 1, MAX_ID + 1), np.bool_)
-        hears[np.ix_(self._ids, self._ids)] = self._world.hears
-        return hears
-
-
 class Neighbourhood:
     """Emulated robots around a controller. A tick is ``begin``, the controller's part, ``finish``.
 
@@ -93,8 +78,14 @@ class Neighbourhood:
         self._steps_per_second = settings.swarm.steps_per_second
         self._ids = sorted([settings.controller.id, *self.nodes])
         self._world = World(settings.swarm)
-        self._delivery = Delivery(_Renumbered(self._world, self._ids), self.faults, settings.swarm.latency)
+        self._delivery = Delivery(self._hears, self.faults.paths, settings.swarm.latency)
         self._sent: list[SentFrame] = []
+
+    def _hears(self) -> NDArray[np.bool_]:
+        """True if robot i hears j, by id; the world's are 0, 1, 2 ..."""
+        hears = np.zeros((MAX_ID + 1, MAX_ID + 1), np.bool_)
+        hears[np.ix_(self._ids, self._ids)] = self._world.hears
+        return hears
 
     def begin(self) -> Observation | None:
         """Let all neighbours observe; returns the observation of the controller. O(neighbours)."""

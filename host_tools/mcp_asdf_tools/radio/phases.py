@@ -53,17 +53,13 @@ def is_halved(record: RobotRecord) -> bool:
     return record.config.memory <= _LONGEST_MEMORY
 
 
-def _tests(record: RobotRecord) -> bool:
-    return record.config.filter is Filter.ADAPTIVE and is_in_reach(record)
+def _with(*filters: Filter) -> Callable[[RobotRecord], bool]:
+    """Whether a controller has one of these filters, with tests often enough for a run."""
+    return lambda record: record.config.filter in filters and is_in_reach(record)
 
 
-def _re_estimates(record: RobotRecord) -> bool:
-    return record.config.filter in (Filter.ADAPTIVE, Filter.ALWAYS) and is_in_reach(record)
-
-
-def _votes(record: RobotRecord) -> bool:
-    return record.config.filter is Filter.ROBUST and is_in_reach(record)
-
+_tests, _votes = _with(Filter.ADAPTIVE), _with(Filter.ROBUST)
+_re_estimates = _with(Filter.ADAPTIVE, Filter.ALWAYS)
 
 PHASES: tuple[Phase, ...] = (
     Phase("nothing seen", protocol.nothing_seen),

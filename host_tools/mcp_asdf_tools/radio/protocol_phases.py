@@ -100,20 +100,14 @@ MALFORMED: dict[str, Spoil] = {
 """Ways not to be an estimate, each by itself."""
 
 
-def _with_priority(priority: int) -> Change:
-    def change(frame: can.Message) -> None:
-        frame.arbitration_id = frame.arbitration_id & ~(7 << 26) | priority << 26
-
-    return change
-
-
-def _without_ignored_bits(frame: can.Message) -> None:
-    frame.arbitration_id &= ~(3 << 21)
+def _with_bits(mask: int, bits: int) -> Change:
+    """Puts these bits of the identifier there."""
+    return lambda frame: setattr(frame, "arbitration_id", frame.arbitration_id & ~mask | bits)
 
 
 UNUSUAL_IDENTIFIERS: dict[str, Change] = {
-    **{f"with priority {priority}": _with_priority(priority) for priority in range(8)},
-    "with identifier bits 22 and 21 clear": _without_ignored_bits,
+    **{f"with priority {priority}": _with_bits(7 << 26, priority << 26) for priority in range(8)},
+    "with identifier bits 22 and 21 clear": _with_bits(3 << 21, 0),
 }
 """Changes of an identifier that make no difference."""
 

@@ -150,7 +150,7 @@ class Connection:
 
 
 class Carrier:
-    """Carries frames. A context manager: leaving it closes the buses.
+    """Carries frames.
 
     Attributes:
         ends: The carrier's own connection to the bus of each robot, by id; none without a bus.
@@ -284,8 +284,6 @@ class Carrier:
         """Frames that a bus did not bring in time so far."""
         return sum(each.missed for each in {*self._radios.values(), *self.ends.values()})
 
-    def __enter__(self) -> Carrier:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Leave the buses."""
         self._stack.close()

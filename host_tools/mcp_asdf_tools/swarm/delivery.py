@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import copy
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TypeAlias
 
 import can
 import numpy as np
@@ -59,33 +59,19 @@ class Paths:
     def frame(self, number: int) -> can.Message:
         """A frame as it arrives."""
         frame, flips = self.sent[number].frame, int(self.flips[number])
-        return flipped(frame, flips) if flips else frame
+        if not flips:
+            return frame
+        damaged, data = copy.copy(frame), int.from_bytes(frame.data, "little") ^ flips
+        damaged.data = bytearray(data.to_bytes(len(frame.data), "little"))
+        return damaged
 
     def of(self, robot: int) -> list[can.Message]:
         """The frames that ``robot`` hears, in order."""
         return [self.frame(number) for number in self.reach[:, robot].nonzero()[0].tolist()]
 
 
-def flipped(frame: can.Message, flips: int) -> can.Message:
-    """The frame with these bits of its data flipped, the lowest that of the first byte."""
-    damaged, data = copy.copy(frame), int.from_bytes(frame.data, "little") ^ flips
-    damaged.data = bytearray(data.to_bytes(len(frame.data), "little"))
-    return damaged
-
-
-class InRange(Protocol):
-    """World as seen by the delivery."""
-
-    @property
-    def hears(self) -> NDArray[np.bool_]:
-        """True if robot i hears j at present, by id; never itself."""
-
-
-class Links(Protocol):
-    """Faults as seen by the delivery."""
-
-    def paths(self, tick: int, sent: Sequence[SentFrame], in_range: Mask) -> list[Paths]:
-        """Paths of the frames that arrive in this tick, if undisturbed, at the receivers in range."""
+Links: TypeAlias = Callable[[int, Sequence[SentFrame], Mask], list[Paths]]
+"""``Faults.paths``: those of frames that arrive in a tick, if undisturbed, at the receivers in range."""
 
 
 class Delivery:
@@ -96,11 +82,13 @@ class Delivery:
         arrived: Frames heard so far.
     """
 
-    def __init__(self, world: InRange, faults: Links, latency: int) -> None:
-        """Bring frames in ``latency`` steps, 0 or 1, to robots that are in range when these have passed."""
+    def __init__(self, hears: Callable[[], NDArray[np.bool_]], paths: Links, latency: int) -> None:
+        """Bring frames in ``latency`` steps, 0 or 1, to robots that are in range when these have passed.
+
+        ``hears`` returns whether robot i hears j at present, by id; never itself.
+        """
         self.in_range = self.arrived = 0
-        self._world = world
-        self._faults = faults
+        self._hears, self._paths = hears, paths
         self._is_late = latency > 0
         self._held: Sequence[SentFrame] = ()
         self._due: defaultdict[int, list[Paths]] = defaultdict(list)
@@ -112,8 +100,8 @@ class Delivery:
         """
         if self._is_late:
             sent, self._held = self._held, sent
-        in_range = self._world.hears[:, np.array([each.sender for each in sent], np.intp)].T
-        for paths in self._faults.paths(tick, sent, in_range):
+        in_range = self._hears()[:, np.array([each.sender for each in sent], np.intp)].T
+        for paths in self._paths(tick, sent, in_range):
             self._due[tick + paths.delay].append(paths)
         due = _joined(self._due.pop(tick, []), in_range.shape[1])
         self.in_range += int(np.count_nonzero(in_range))

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from enum import Enum
-from typing import Any
+from typing import Any, Literal
 
 from mcp_asdf_tools.bus.frames import MAX_NODE_ID, float_of
 from mcp_asdf_tools.common.errors import UsageError, offer
+from mcp_asdf_tools.common.parameters import parameter, parameters_of
 from mcp_asdf_tools.robots.record import ids_of, text_of_ids
+
+_MAX_TICK = 2**32 - 1
 
 
 class FaultKind(Enum):
@@ -50,39 +53,26 @@ class FaultKind(Enum):
 class Fault:
     """One fault, as ``parse_fault`` reads it. A field that its kind does not use has its default.
 
-    Attributes:
-        kind: Kind of fault.
-        rate: Probability at each occasion, 0 .. 1: for ``babble``, ``sybil``, ``crash`` and ``busoff`` of
-            each tick; for the kinds with receivers of each frame on its way to each receiver; for the others
-            of each frame.
-        start: First tick, from 0.
-        stop: First tick after, above ``start``; None for no end.
-        robots: Affected senders, None for all: the nodes themselves, under any id they use.
-        receivers: Affected receivers; None for all.
-        ticks: How late, or how long, 0 .. 2**32 - 1; 0 only for duplicates.
-        bits: Different bits of a frame that are flipped, 1 .. 64.
-        frames: Frames per tick, 0 .. 10000.
-        rejoin: Whether a crashed robot rejoins ``new`` or ``restored`` as it was when it crashed.
-        x: Estimate that a liar or sybil claims, 0 .. 1.
-        alpha: Confidence that it claims, 0 up to the largest binary32.
-        id: Id under which a node sends, 0 .. 127; required for ``collide``.
-        ids: Ids under which a node sends; required for ``sybil``.
+    The occasions are for ``babble``, ``sybil``, ``crash`` and ``busoff`` ticks; for the kinds with receivers
+    frames on their way to each receiver; for the others frames. ``robots`` are the affected senders, that is
+    nodes under any id they use, and ``receivers`` those affected; None for all.
     """
 
     kind: FaultKind
-    rate: float = 1.0
-    start: int = 0
-    stop: int | None = None
+    rate: float = parameter("probability at each occasion", 0, 1, default=1.0)
+    start: int = parameter("first tick", 0, _MAX_TICK, default=0)
+    stop: int | None = parameter("first tick after, if it ends", 0, _MAX_TICK, default=None)
     robots: frozenset[int] | None = None
     receivers: frozenset[int] | None = None
-    ticks: int = 1
-    bits: int = 1
-    frames: int = 10
-    rejoin: str = "new"
-    x: float = 1.0
-    alpha: float = 1e6
-    id: int | None = None
+    ticks: int = parameter("how late, or how long; 0 only for duplicates", 0, _MAX_TICK, default=1)
+    bits: int = parameter("different bits of a frame that are flipped", 1, 64, default=1)
+    frames: int = parameter("frames per tick", 0, 10_000, default=10)
+    rejoin: Literal["new", "restored"] = parameter("new, or as it was when it crashed", default="new")
+    x: float = parameter("estimate that is claimed", 0, 1, default=1.0)
+    alpha: float = parameter("confidence that is claimed", 0, float_of(0x7F7FFFFF), default=1e6)
+    id: int | None = parameter("id to send under, needed for collide", 0, MAX_NODE_ID, default=None)
     ids: frozenset[int] | None = None
+    """Ids to send under, needed for sybil."""
 
     def is_on(self, tick: int, sender: int) -> bool:
         """True if the fault may affect ``sender`` in this tick. O(1)."""
@@ -103,20 +93,6 @@ class Fault:
 _KINDS: dict[str, FaultKind] = {kind.value: kind for kind in FaultKind}
 _ALWAYS = ("from", "to", "robots")
 _FIELDS = {"from": "start", "to": "stop"}
-_MAX_TICK = 2**32 - 1
-_NUMBERS: dict[str, tuple[type[int] | type[float], float, float]] = {
-    "rate": (float, 0, 1),
-    "from": (int, 0, _MAX_TICK),
-    "to": (int, 0, _MAX_TICK),
-    "ticks": (int, 0, _MAX_TICK),
-    "bits": (int, 1, 64),
-    "frames": (int, 0, 10_000),
-    "x": (float, 0, 1),
-    "alpha": (float, 0, float_of(0x7F7FFFFF)),
-    "id": (int, 0, MAX_NODE_ID),
-}
-"""Numbers that may be given: kind, least and most."""
-_REJOIN = ("new", "restored")
 
 
 def parse_fault(text: str) -> Fault:
@@ -159,20 +135,21 @@ def _check(text: str, fault: Fault) -> None:
 
 def _read(text: str, option: str, value: str) -> Any:
     """The value of an option of the fault ``text``. Raises UsageError if it cannot be."""
-    if option == "rejoin":
-        if value not in _REJOIN:
-            raise _error(text, option, value, " or ".join(_REJOIN))
-        return value
-    if option not in _NUMBERS:
+    read = parameters_of(Fault).get(_FIELDS.get(option, option))
+    if read is None:
         return ids_of(value, f"fault {text!r}: {option}")
-    kind, least, most = _NUMBERS[option]
+    if read.choices:
+        if value not in read.choices:
+            raise _error(text, option, value, " or ".join(read.choices))
+        return value
+    kind = float if read.kind is float else int
     try:
         number = kind(value)
     except ValueError:
         number = None
-    if number is None or not least <= number <= most:
+    if number is None or not read.least <= number <= read.most:
         name = "a whole number" if kind is int else "a number"
-        raise _error(text, option, value, f"{name}, {least:g} to {most:g}")
+        raise _error(text, option, value, f"{name}, {read.least:g} to {read.most:g}")
     return number
 
 

@@ -43,7 +43,7 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.swarm.delivery import Mask, Paths, SentFrame
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind
-from mcp_asdf_tools.swarm.link_faults import LINK_FAULTS, Draws, Injector, LinkFault, below
+from mcp_asdf_tools.swarm.link_faults import LINK_FAULTS, Draws, Injector, LinkFault
 
 
 class Spells(Injector):
@@ -62,7 +62,7 @@ class Spells(Injector):
         for now in range(known + 1, tick + 1):
             left = max(left - 1, 0)
             if left == 0 and self.fault.is_on(now, node):
-                left = self.fault.ticks * below(self._draws.of_node(node, now), self.fault.rate)
+                left = self.fault.ticks * self._strikes_node(node, now)
             self.injected += left > 0
             self._left[node] = now, left
         return left > 0
@@ -78,7 +78,7 @@ class Babbler(Injector):
 
     def frames(self, node: int, tick: int, now: float) -> list[can.Message]:
         """This tick's frames, stamped ``now``."""
-        if not (self.fault.is_on(tick, node) and below(self._draws.of_node(node, tick), self.fault.rate)):
+        if not (self.fault.is_on(tick, node) and self._strikes_node(node, tick)):
             return []
         frames = self._estimates(tick, now) if self.is_early else self._random(node, tick, now)
         self.injected += len(frames)

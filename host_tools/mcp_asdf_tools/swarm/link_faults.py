@@ -19,16 +19,12 @@ from mcp_asdf_tools.bus.frames import FRAME_BYTES
 from mcp_asdf_tools.swarm.delivery import Paths, SentFrame
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind
 
-Words = tuple[int, ...]
-"""Eight random words of 64 bits."""
-
 Drawn = NDArray[np.uint64]
 """Random words of 64 bits, the last axis those for one purpose."""
 
 LINK_FAULTS = (FaultKind.LOSS, FaultKind.DELAY, FaultKind.DUPLICATE, FaultKind.CORRUPT)
 
 _KEY = struct.Struct("<IIIBBBB")
-_WORDS = 8
 _NODE, _FRAME, _COPIES = 0, 2, 3
 """Subjects of draws. Their numbers are part of the keys, so that other ones would draw other words."""
 
@@ -46,13 +42,13 @@ class Draws:
         self.number = number
         self._hash = hashlib.shake_128(seed.to_bytes(16, "little") + f"{kind.value} {number}".encode())
 
-    def of_node(self, node: int, tick: int, number: int = 0) -> Words:
-        """Eight words of a node in a tick."""
-        return struct.unpack("<8Q", self._digest(_WORDS, tick, number, 0, node, 0, _NODE, 0))
+    def of_node(self, node: int, tick: int, number: int = 0) -> tuple[int, int]:
+        """Two words of a node in a tick."""
+        return struct.unpack("<2Q", self._digest(2, tick, number, 0, node, 0, _NODE, 0))
 
-    def of_frame(self, sent: SentFrame) -> Words:
-        """Eight words of a frame."""
-        return struct.unpack("<8Q", self._digest(_WORDS, *_frame_key(sent), 0, _FRAME, 0))
+    def of_frame(self, sent: SentFrame) -> int:
+        """A word of a frame."""
+        return int.from_bytes(self._digest(1, *_frame_key(sent), 0, _FRAME, 0), "little")
 
     def of_copies(self, sent: SentFrame, version: int, receivers: int, words: int) -> Drawn:
         """``words`` words of the copy of a frame for each receiver, shape (receivers, words).
@@ -85,10 +81,14 @@ class Injector:
         self.injected = 0
         self._draws = draws
 
+    def _strikes_node(self, node: int, tick: int) -> bool:
+        """True if the fault strikes a node of its schedule."""
+        return self._draws.of_node(node, tick)[0] <= last_word(self.fault.rate)
+
     def _strikes(self, sent: SentFrame) -> bool:
         """True if the fault strikes a frame of its schedule, which counts."""
         is_on = self.fault.is_on(sent.tick, sent.sender)
-        strikes = is_on and below(self._draws.of_frame(sent), self.fault.rate)
+        strikes = is_on and self._draws.of_frame(sent) <= last_word(self.fault.rate)
         self.injected += strikes
         return strikes
 
@@ -101,7 +101,7 @@ class LinkFault(Injector):
         fault, version = self.fault, paths.version
         is_on = np.array([fault.is_on(each.tick, each.sender) for each in paths.sent], np.bool_)
         words = self._drawn(paths, is_on)
-        struck = paths.reach & is_on[:, np.newaxis] & each_below(words[:, :, 0], fault.rate)
+        struck = paths.reach & is_on[:, np.newaxis] & (words[:, :, 0] <= last_word(fault.rate))
         if fault.receivers is not None:
             struck &= np.isin(np.arange(struck.shape[1]), list(fault.receivers))
         self.injected += int(np.count_nonzero(struck))
@@ -151,20 +151,6 @@ def choices(widths: NDArray[np.int64], words: Drawn) -> NDArray[np.uint64]:
 
 
 @cache
-def _limit(probability: float) -> int:
-    """The number of words below ``probability`` times 2**64: with 1 all of them, with 0 none."""
-    return math.ceil(Fraction(probability) * 2**64)
-
-
-def below(words: Words, probability: float) -> bool:
-    """True if the first word strikes."""
-    return words[0] < _limit(probability)
-
-
-def each_below(words: Drawn, probability: float) -> NDArray[np.bool_]:
-    """True for each word that strikes."""
-    limit = _limit(probability)
-    if limit == 0:
-        return np.zeros(words.shape, np.bool_)
-    struck: NDArray[np.bool_] = words <= np.uint64(limit - 1)
-    return struck
+def last_word(probability: float) -> int:
+    """The largest word that strikes with this probability; -1 if none does."""
+    return math.ceil(Fraction(probability) * 2**64) - 1

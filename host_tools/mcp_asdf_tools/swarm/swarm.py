@@ -81,7 +81,7 @@ class Swarm:
         self.b_hat_at_start = [node.robot.b_hat for node in self.nodes]
         self._here = [node for node in self.nodes if node.id not in wiring.remote]
         self.traffic = Traffic([node.reception for node in self.nodes])
-        self._delivery = Delivery(self.world, self.faults, settings.latency)
+        self._delivery = Delivery(lambda: self.world.hears, self.faults.paths, settings.latency)
         taker = None if log is None else _as_received(log, wiring)
         self._carrier = Carrier(self.nodes, self._delivery, settings.frames, self.clock)
         self._carrier.join(wiring, taker)
@@ -99,7 +99,7 @@ class Swarm:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._carrier.__exit__()
+        self._carrier.close()
 
     def wait_until_up(self, timeout: float, check: Callable[[], None] = lambda: None) -> None:
         """Return when all remote robots are there.
@@ -136,7 +136,9 @@ class Swarm:
         for driver in self._drivers:
             driver.settle(driver.nodes)
         self.ticks += 1
-        self._count(sent)
+        self.traffic.add([each.frame for each in sent])
+        self.traffic.in_range, self.traffic.arrived = self._delivery.in_range, self._delivery.arrived
+        self.traffic.missed = self._carrier.missed
 
     def _commanded(self, seen: Sequence[Observation | None]) -> Iterator[tuple[BusRobot, can.Message]]:
         """Let remote robots observe; yields what they send."""
@@ -193,12 +195,6 @@ class Swarm:
     def _now(self) -> float:
         """Simulated time, seconds."""
         return self.ticks / self.settings.steps_per_second
-
-    def _count(self, sent: list[SentFrame]) -> None:
-        traffic = self.traffic
-        traffic.add([each.frame for each in sent])
-        traffic.in_range, traffic.arrived = self._delivery.in_range, self._delivery.arrived
-        traffic.missed = self._carrier.missed
 
 
 def _as_received(log: FrameTaker, wiring: Wiring) -> FrameTaker:

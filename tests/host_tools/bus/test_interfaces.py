@@ -20,7 +20,7 @@ import pytest
 from can.interfaces.virtual import VirtualBus
 
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, Rejection, decode, encode
-from mcp_asdf_tools.bus.interfaces import AllReceived, BusChoice, add_arguments, choose_bus
+from mcp_asdf_tools.bus.interfaces import BusChoice, Connection, add_arguments, choose_bus
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.node import filters_for
@@ -106,7 +106,7 @@ def test_frames_of_other_programs_on_socketcan_are_received() -> None:
     """The kernel filters, and leaving an adapter that is unplugged is no error."""
     bus = Mock(channel_info="can0", protocol=can.CanProtocol.CAN_20)
     bus._recv_internal.side_effect = [(can.Message(is_rx=False), True), (None, True)]
-    connection = AllReceived(bus)
+    connection = Connection(bus)
     frame = connection.recv(0)
     assert frame is not None and frame.is_rx and connection.recv(0) is None
     connection.set_filters(filters_for(FrameFormat()))

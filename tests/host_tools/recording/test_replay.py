@@ -93,8 +93,8 @@ def test_every_robot_is_reproduced_and_gaps_are_no_difference(options: str, tmp_
     assert made / 5 < verdict.reproduced < made / 2
 
 
-NEEDED = {FaultKind.COLLIDE: ",id=2", FaultKind.SYBIL: ",ids=2+100"}
-FAULTS = " ".join(f"--fault {kind.value}=0.3{NEEDED.get(kind, '')}" for kind in FaultKind)
+NEEDED = {"collide": ",id=2", "sybil": ",ids=2+100", "crash": ",rejoin=restored --fault crash=0.01"}
+FAULTS = " ".join(f"--fault {kind.value}=0.3{NEEDED.get(kind.value, '')}" for kind in FaultKind)
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ from mcp_asdf_tools.bus.frames import (
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
-from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception, Recorder
+from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception
 from mcp_asdf_tools.robots.node import RobotNode
 from mcp_asdf_tools.robots.population import Activation, Filtering, Population
 from mcp_asdf_tools.robots.record import RobotRecord
@@ -265,25 +265,3 @@ def test_every_frame_is_counted_once_by_what_it_is(firmware: str) -> None:
     elsewhere = BusRobot(record(5), ESTIMATES, make=lambda: Mock(receive_all=len))
     elsewhere.listen(frames_of_all_kinds()[:2])  # what its firmware makes of them is its own affair
     assert elsewhere.reception == Reception(delivered=2)
-
-
-def test_events_tell_what_happened_to_a_robot() -> None:
-    """A crash that loses the state is among them, and one that keeps it is not."""
-    lines: list[str] = []
-    recorder = Recorder(5, lines.append, lambda messages: str(messages)[1:-1].replace(" ", ""))
-    one = BusRobot(record(5), ESTIMATES, recorder)
-    for loses_state in (False, True):
-        one.die(loses_state)
-        one.wake()
-        one.broadcast(Observation.WHITE, 0)
-        one.listen([encode(Message(sender, 3, ALPHA_ONE, 0), ESTIMATES) for sender in (6, 7)])
-        one.end()
-    one.begin(None)
-    recorder.falsified(7, 9)
-    recorder.foreign(can.Message(arbitration_id=0x106BB805, data=b"\1\2"))
-    recorder.silent()
-    recorder.flush()
-    recorder.flush()
-    heard = f"[6,3,{ALPHA_ONE}],[7,3,{ALPHA_ONE}]"
-    told = [f"[5,0,{heard},3]", f'[5,"restart",0,{heard},3]', '"106BB805#0102"', '[5,2,[7,9],"silent"]']
-    assert lines == [f"{line}\n" for line in told]

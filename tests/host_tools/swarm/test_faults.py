@@ -8,7 +8,6 @@ import re
 import struct
 from collections import Counter
 from fractions import Fraction
-from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -267,12 +266,11 @@ def test_every_frame_meets_the_fate_that_the_reference_says(
     replay = f"{[str(fault) for fault in kinds]}, seed {seed}, late {is_late}"
     chance = np.random.default_rng(seed % 2**32)
     faults, reference = Faults(kinds, seed, FORMAT), Reference(kinds, seed)
-    world: Any = SimpleNamespace()
-    delivery = Delivery(world, faults, int(is_late))
+    delivery = Delivery(lambda: hears, faults.paths, int(is_late))
     under_way: list[tuple[int, int, tuple[int, ...], int, int, Frame]] = []
     last: list[tuple[SentFrame, Frame]] = []
     for tick in range(TICKS):
-        world.hears = (chance.random((ROBOTS, ROBOTS)) < 0.8) & ~np.eye(ROBOTS, dtype=np.bool_)
+        hears = (chance.random((ROBOTS, ROBOTS)) < 0.8) & ~np.eye(ROBOTS, dtype=np.bool_)
         reference.begin(tick)
         sent: list[SentFrame] = []
         expected: list[Frame] = []
@@ -298,7 +296,7 @@ def test_every_frame_meets_the_fate_that_the_reference_says(
         pairs = list(zip(sent, expected, strict=True))
         pairs, last = (last, pairs) if is_late else (pairs, last)
         for (place, (each, frame)), receiver in itertools.product(enumerate(pairs), range(ROBOTS)):
-            if world.hears[receiver, each.sender] and not reference.off(receiver):
+            if hears[receiver, each.sender] and not reference.off(receiver):
                 for turn, delay, data in reference.ways(frame, each, receiver):
                     under_way.append((tick + delay, tick, turn, place, receiver, (frame[0], data)))
         arrivals = delivery.arrivals(tick, sent)
