@@ -153,7 +153,7 @@ static void write_down(run_t *run, uint32_t step)
 {
     const size_t before = (size_t)step + 1 - run->kept, size = run->kept * sizeof(uint32_t);
     uint32_t series[LANES][STEPS_KEPT];
-    for (uint32_t c = 0; c < run->columns * run->side; ++c) {
+    for (uint32_t c = 0; c < run->columns * run->side && run->kept != 0; ++c) {
         const uint32_t j = c / run->side, l = c % run->side;
         for (uint32_t k = 0; k < LANES * STEPS_KEPT && c % LANES == 0; ++k) {
             series[k % LANES][k / LANES] = run->lanes[c / LANES].x[k / LANES][k % LANES];
@@ -251,7 +251,9 @@ static void run_firmware(run_t *run, uint32_t k)
         trial_tick(experiment, &run->trials[l], arena, k, (trial_eyes_t){run->lanes, l, run->side});
         trial_keep(experiment, &run->trials[l], k + 1);
     }
-    load(run);
+    if (run->has_lanes) {
+        load(run);
+    }
 }
 
 /* --- Runs --- */
@@ -305,26 +307,6 @@ static mcp_asdf_status_t run_trials(run_t *run, const mcp_asdf_outcome_t *outcom
     return status;
 }
 
-static mcp_asdf_status_t check(const mcp_asdf_experiment_t *experiment)
-{
-    const mcp_asdf_config_t *const first = experiment->configs[0];
-    bool is_valid =
-        experiment->robots >= 1 &&
-        experiment->robots <=
-            (trial_is_linked(experiment) ? MCP_ASDF_ENGINE_MAX_ROBOTS : MCP_ASDF_ENGINE_MAX_CONNECTED) &&
-        experiment->steps >= 1 && experiment->steps < INT32_MAX && experiment->comms_period >= 1 &&
-        experiment->observation_period >= 1 && (experiment->latency == 0 || trial_is_linked(experiment)) &&
-        experiment->liars <= experiment->robots;
-    for (uint32_t j = 1; j < experiment->robots && is_valid; ++j) {
-        const mcp_asdf_config_t *const config = experiment->configs[j];
-        is_valid = config->filter_period == first->filter_period && config->memory == first->memory;
-    }
-    for (uint32_t i = 0; i < experiment->trials && is_valid && experiment->arenas != NULL; ++i) {
-        is_valid = experiment->arenas[i].robots == experiment->robots;
-    }
-    return is_valid ? MCP_ASDF_OK : MCP_ASDF_ERR_CONFIG;
-}
-
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
 {
     bool has_lanes =
@@ -368,10 +350,7 @@ size_t mcp_asdf_engine_bytes(const mcp_asdf_experiment_t *experiment)
 mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, bool lanes,
                                       const mcp_asdf_outcome_t *outcome, void *memory)
 {
-    mcp_asdf_status_t status = check(experiment);
-    if (status != MCP_ASDF_OK) {
-        return status;
-    }
+    mcp_asdf_status_t status = MCP_ASDF_OK;
     const uint32_t side = lanes ? side_of(experiment) : 1, rows = rows_of(experiment, side);
     lanes_t *const first = (void *)((uint8_t *)memory + -(uintptr_t)memory % VECTOR_BYTES);
     run_t run = {.experiment = experiment,

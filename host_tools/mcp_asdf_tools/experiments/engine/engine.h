@@ -26,7 +26,7 @@
 #define MCP_ASDF_ENGINE_MAX_CONNECTED 128           /* robots, where each hears all others */
 #define MCP_ASDF_ENGINE_CERTAIN (UINT32_C(1) << 31) /* probability 1 of an observation */
 
-/* A run of trials.
+/* A run of trials, which must be in these ranges: the tools check them (experiment.py).
  *   seed          of all draws
  *   first_trial   number of the first of `trials` trials
  *   robots        N, 1 .. MCP_ASDF_ENGINE_MAX_ROBOTS, fully connected MCP_ASDF_ENGINE_MAX_CONNECTED
@@ -109,10 +109,9 @@ size_t mcp_asdf_engine_bytes(const mcp_asdf_experiment_t *experiment);
 /* Run the trials, one by one through calls of the firmware for every robot and step, or with `lanes` the same
  * to the bit, faster: between filter steps several fully connected trials are computed side by side, or the
  * robots of one that move. O(trials steps robots).
- * Fails as mcp_asdf_init() does, and with MCP_ASDF_ERR_CONFIG for a number or period out of range, settings
- * that differ between robots where they must not, or an arena that cannot be. With `lanes` it needs
- * mcp_asdf_engine_has_lanes(). `memory`, of mcp_asdf_engine_bytes() and aligned for doubles, is free again
- * afterwards. */
+ * Fails as mcp_asdf_init() does, and with MCP_ASDF_ERR_CONFIG where robots find no room in their arena. With
+ * `lanes` it needs mcp_asdf_engine_has_lanes(). `memory`, of mcp_asdf_engine_bytes() and aligned for doubles,
+ * is free again afterwards. */
 mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, bool lanes,
                                       const mcp_asdf_outcome_t *outcome, void *memory);
 

@@ -27,17 +27,6 @@ trial_t trial_part(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outco
                      records == 0 ? 0 : outcome->records + index * records};
 }
 
-/* Adds the sums of a message to a round's. */
-static void add(mcp_asdf_open_t *all, const mcp_asdf_open_t *one)
-{
-    all->alpha += one->alpha;
-    all->alpha_x_low += one->alpha_x_low;
-    all->alpha_x_high += one->alpha_x_high;
-    all->x_squared += one->x_squared;
-    all->x += one->x;
-    all->count += one->count;
-}
-
 /* Sums of all messages but one: exact, so equal to adding the others. */
 static mcp_asdf_open_t without(mcp_asdf_open_t all, const mcp_asdf_open_t *one)
 {
@@ -66,13 +55,16 @@ static void receive(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *r
     robot->id = own;
 }
 
-/* The sums of a robot's message alone: the round of a neighbour that hears nothing else. */
-static mcp_asdf_open_t message_of(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots,
-                                  uint32_t from)
+/* The sums of what robots first .. end - 1 say: the round of a neighbour that hears nothing else. */
+static mcp_asdf_open_t sums_of(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots,
+                               uint32_t first, uint32_t end)
 {
     const mcp_asdf_config_t sums = {NULL, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
-    mcp_asdf_t neighbour = {.id = mcp_asdf_id(&robots[from]) ^ 1, .config = &sums};
-    receive(experiment, robots, &neighbour, from);
+    mcp_asdf_t neighbour = {.config = &sums};
+    for (uint32_t j = first; j < end; ++j) {
+        neighbour.id = mcp_asdf_id(&robots[j]) ^ 1;
+        receive(experiment, robots, &neighbour, j);
+    }
     return neighbour.open;
 }
 
@@ -82,22 +74,19 @@ static mcp_asdf_open_t message_of(const mcp_asdf_experiment_t *experiment, const
 static void exchange(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots)
 {
     const uint32_t count = experiment->robots;
-    mcp_asdf_open_t own[MCP_ASDF_ENGINE_MAX_CONNECTED], all = {0};
+    const mcp_asdf_open_t all = sums_of(experiment, robots, 0, count);
     for (uint32_t j = 0; j < count; ++j) {
-        own[j] = message_of(experiment, robots, j);
-        add(&all, &own[j]);
-    }
-    for (uint32_t j = 0; j < count; ++j) {
-        if (mcp_asdf_is_robust(experiment->configs[j])) {
-            for (uint32_t i = 0; i < count; ++i) {
-                if (i != j) {
-                    receive(experiment, robots, &robots[j], i);
-                }
-            }
+        if (!mcp_asdf_is_robust(experiment->configs[j])) {
+            const mcp_asdf_open_t own = sums_of(experiment, robots, j, j + 1);
+            robots[j].open = without(all, &own);
+            robots[j].counters.accepted = (uint16_t)(robots[j].counters.accepted + count - 1);
             continue;
         }
-        robots[j].open = without(all, &own[j]);
-        robots[j].counters.accepted = (uint16_t)(robots[j].counters.accepted + count - 1);
+        for (uint32_t i = 0; i < count; ++i) {
+            if (i != j) {
+                receive(experiment, robots, &robots[j], i);
+            }
+        }
     }
 }
 
