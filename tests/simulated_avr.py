@@ -17,7 +17,6 @@ BLACK, WHITE = 1000, 4000
 """Millivolts of the sensor above a tile."""
 _C = """
 #include <simavr/avr_adc.h>
-#include <simavr/avr_ioport.h>
 #include <simavr/avr_uart.h>
 #include <simavr/sim_avr.h>
 #include <simavr/sim_core.h>
@@ -55,13 +54,6 @@ static void see(avr_t *avr, uint32_t millivolts)
     avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0), millivolts);
 }
 
-static void set_port_b(avr_t *avr, uint8_t pins)
-{
-    for (int pin = 0; pin < 8; ++pin) {
-        avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), pin), pins >> pin & 1);
-    }
-}
-
 static int run_until(avr_t *avr, uint64_t cycle)
 {
     int state = cpu_Running;
@@ -87,7 +79,6 @@ extern "Python" void sent(void *board, uint8_t byte);
 avr_t *make(const char *image, uint32_t clock, void *board);
 void hear(avr_t *avr, uint8_t byte);
 void see(avr_t *avr, uint32_t millivolts);
-void set_port_b(avr_t *avr, uint8_t pins);
 int run_until(avr_t *avr, uint64_t cycle);
 uint64_t run(avr_t *avr, uint32_t from, uint32_t to);
 """
@@ -139,10 +130,6 @@ class Board:
     def see(self, tile: int) -> None:
         """The sensor is above a tile, black if this is 1."""
         self._simavr.see(self._avr, BLACK if tile == 1 else WHITE)
-
-    def set_port_b(self, pins: int) -> None:
-        """Levels at port B."""
-        self._simavr.set_port_b(self._avr, pins)
 
     def run(self, until: int) -> None:
         """Run until a clock cycle; a robot never ends, so the end is a failure."""
