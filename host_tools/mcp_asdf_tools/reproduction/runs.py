@@ -10,7 +10,7 @@ from mcp_asdf_tools.common.files import make_folder
 from mcp_asdf_tools.experiments.results import experiments_in
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.reproduction.decisions import Decided, decide
-from mcp_asdf_tools.reproduction.study import Cell, Part, Scale, Study, cells_of, experiment_of, study_of
+from mcp_asdf_tools.reproduction.study import Cell, Part, Scale, Study, cell_of, cells_of, experiment_of
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,9 @@ class StudyFolder:
             while True:
                 for store in stores.values():
                     run_missing(store)
-                results = [(part, experiments_in(store.table())) for part, store in stores.items()]
-                study = study_of(results, scale)
+                tables = {part: experiments_in(store.table()) for part, store in stores.items()}
+                found = [(part, trials) for part, own in tables.items() for trials in own]
+                study = Study({cell_of(part, trials.experiment): trials for part, trials in found})
                 decided = decide(study, scale)
                 unsettled = {cell for each in decided for cell in each.unsettled}
                 if not _grow(stores, study, scale, unsettled):

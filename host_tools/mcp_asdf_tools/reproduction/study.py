@@ -84,19 +84,20 @@ def _experiments_of(part: Part) -> list[Experiment]:
 @cache
 def cells_of(part: Part) -> tuple[Cell, ...]:
     """The cells of a part in their normal form, each once."""
-    cells = (
-        Cell(
-            part,
-            each.fill_ratio,
-            each.true_accuracy,
-            each.flawed_accuracy,
-            round(100 * each.flawed / each.robots),
-            each.filter,
-            each.filter_period,
-        )
-        for each in _experiments_of(part)
-    )
-    return tuple(dict.fromkeys(cell.normal for cell in cells))
+    return tuple(dict.fromkeys(cell_of(part, each) for each in _experiments_of(part)))
+
+
+def cell_of(part: Part, experiment: Experiment) -> Cell:
+    """The cell of an experiment of a part, in its normal form."""
+    return Cell(
+        part,
+        experiment.fill_ratio,
+        experiment.true_accuracy,
+        experiment.flawed_accuracy,
+        round(100 * experiment.flawed / experiment.robots),
+        experiment.filter,
+        experiment.filter_period,
+    ).normal
 
 
 class Effort(NamedTuple):
@@ -234,17 +235,3 @@ class Study:
     def of(self, part: Part) -> list[Trials]:
         """All results of a part."""
         return [trials for cell, trials in self._trials.items() if cell.part is part]
-
-
-def study_of(parts: Iterable[tuple[Part, Sequence[Trials]]], scale: Scale) -> Study:
-    """Results by cell. Raises KeyError if they are not those of all cells at this scale."""
-    by_cell: dict[Cell, Trials] = {}
-    for part, results in parts:
-        found = {_once(trials.experiment): trials for trials in results}
-        by_cell |= {cell: found[_once(experiment_of(cell, scale))] for cell in cells_of(part)}
-    return Study(by_cell)
-
-
-def _once(experiment: Experiment) -> Experiment:
-    """The experiment but for its number of trials."""
-    return replace(experiment, trials=1)
