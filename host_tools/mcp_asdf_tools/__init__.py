@@ -11,9 +11,8 @@ if TYPE_CHECKING:
     from mcp_asdf_tools.common.errors import UsageError
     from mcp_asdf_tools.experiments.experiment import Experiment, grid
     from mcp_asdf_tools.experiments.experiment_files import read_experiments
-    from mcp_asdf_tools.experiments.pictures import plot
     from mcp_asdf_tools.experiments.results import experiments_in, read_table
-    from mcp_asdf_tools.library import emulate, score, simulate, start_swarm
+    from mcp_asdf_tools.library import emulate, plot, score, simulate, start_swarm
     from mcp_asdf_tools.swarm.settings import SwarmSettings
     from mcp_asdf_tools.view.inline import show
 
@@ -21,9 +20,8 @@ _HOMES = {
     "common.errors": ["UsageError"],
     "experiments.experiment": ["Experiment", "grid"],
     "experiments.experiment_files": ["read_experiments"],
-    "experiments.pictures": ["plot"],
     "experiments.results": ["experiments_in", "read_table"],
-    "library": ["emulate", "score", "simulate", "start_swarm"],
+    "library": ["emulate", "plot", "score", "simulate", "start_swarm"],
     "swarm.settings": ["SwarmSettings"],
     "view.inline": ["show"],
 }

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.experiments.pictures import PLOTS, plot
+from mcp_asdf_tools.library import PLOTS, plot
 
 EPILOG = """\
 examples:

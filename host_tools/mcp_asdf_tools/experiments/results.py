@@ -310,13 +310,11 @@ def _is(held: object, value: Any) -> bool:
 # --- Parquet ---------------------------------------------------------------------------------------------
 
 
-def write_table(path: Path, table: pa.Table) -> None:
-    """Write a table as Parquet, whole or not at all. Raises UsageError if that cannot be done."""
-    write_tables(path, [table])
-
-
 def write_tables(path: Path, tables: Iterable[pa.Table]) -> None:
-    """Write tables of the same columns, at least one, as row groups of one file, as ``write_table`` does."""
+    """Write tables of the same columns, at least one, as row groups of one Parquet file, whole or not at all.
+
+    Raises UsageError if that cannot be done.
+    """
     given = iter(tables)
     first = next(given)
     with (
@@ -334,7 +332,7 @@ def parts_of(output: Path) -> Path:
 
 @naming_extras()
 def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read a table that ``write_table`` wrote, or all of a folder, such as the parts of a sweep.
+    """Read a table that ``write_tables`` wrote, or all of a folder, such as the parts of a sweep.
 
     Raises UsageError for any other file.
     """
@@ -342,7 +340,7 @@ def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Tab
 
 
 def _open(path: Path) -> Any:
-    """A file that ``write_table`` wrote, to be read in row groups. Raises UsageError for any other."""
+    """A file that ``write_tables`` wrote, to be read in row groups. Raises UsageError for any other."""
     with _reading(path):
         file = pa.parquet.ParquetFile(path)
     _check(path, file.schema_arrow, file.metadata.num_rows)

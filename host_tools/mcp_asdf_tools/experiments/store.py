@@ -36,7 +36,6 @@ from mcp_asdf_tools.experiments.results import (
     require_arrow,
     stretches_of,
     table_of,
-    write_table,
     write_tables,
 )
 
@@ -204,7 +203,7 @@ class Store:
         """Write a part, under a name by which parts are in the order of their rows."""
         table = pa.concat_tables(tables)
         path = self.parts / f"{first:012}-{len(table)}.parquet"
-        write_table(path, table)
+        write_tables(path, [table])
         return path
 
     # --- What comes out ----------------------------------------------------------------------------------

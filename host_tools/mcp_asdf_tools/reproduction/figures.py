@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from matplotlib.figure import Figure
 
-from mcp_asdf_tools.experiments import plots, series_plot
+from mcp_asdf_tools.experiments import plots
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plots import filter_name
 from mcp_asdf_tools.experiments.results import Trials
@@ -125,4 +125,4 @@ def _series(scale: Scale) -> Picture:
     wanted = [replace(experiment_of(cell.but(filter=own), scale), trials=1) for own in (NONE, PLUS)]
     recorded = [run_trials(experiment, 0, 1, _INTERVAL) for experiment in wanted]
     title = "A trial without filter and one with ASDF+: f = 0.95, b = 0.55, b_hat = 0.95, P = 50 %"
-    return Picture("series", _titled(title, "6"), series_plot.series_beside(recorded, 0))
+    return Picture("series", _titled(title, "6"), plots.series_beside(recorded, 0))

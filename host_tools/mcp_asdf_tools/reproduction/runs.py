@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from mcp_asdf_tools.common.files import make_folder
 from mcp_asdf_tools.experiments.results import experiments_in
@@ -13,15 +14,8 @@ from mcp_asdf_tools.reproduction.decisions import Decided, decide
 from mcp_asdf_tools.reproduction.study import Cell, Part, Scale, Study, cell_of, cells_of, experiment_of
 
 
-@dataclass(frozen=True)
-class Run:
-    """Results with one seed.
-
-    Attributes:
-        seed: Seed of everything random.
-        study: The results.
-        decided: What they make of the claims.
-    """
+class Run(NamedTuple):
+    """Results with one seed, and what they make of the claims."""
 
     seed: int
     study: Study

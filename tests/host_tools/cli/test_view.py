@@ -17,7 +17,7 @@ import pytest
 from mcp_asdf_tools.cli import view
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import table_of, write_table
+from mcp_asdf_tools.experiments.results import table_of, write_tables
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.view.films import BusFilm
 
@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for name in ("none", "asdf-plus")
     ]
     tables = [table_of(run_trials(each, 0, 2, 20)) for each in experiments]
-    write_table(path / "grid.parquet", pa.concat_tables(tables))
+    write_tables(path / "grid.parquet", [pa.concat_tables(tables)])
     swarm = "swarm --robots 5 --steps 60 --filter-period 20 --quiet --log"
     assert main([*swarm.split(), str(path / "run.log")]) == 0
     return path

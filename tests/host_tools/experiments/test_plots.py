@@ -15,7 +15,6 @@ from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOURS, FLAWED, INK, OTHER, ROBUST, WITHOUT, number_in_words
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
-from mcp_asdf_tools.experiments.pictures import plot
 from mcp_asdf_tools.experiments.plots import (
     MEASURES,
     bands,
@@ -24,11 +23,12 @@ from mcp_asdf_tools.experiments.plots import (
     filter_colours,
     median_interval,
     scatter,
+    series_beside,
 )
-from mcp_asdf_tools.experiments.results import Trials, table_of, write_table
+from mcp_asdf_tools.experiments.results import Trials, table_of, write_tables
 from mcp_asdf_tools.experiments.scores import Limits
-from mcp_asdf_tools.experiments.series_plot import series_beside
 from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.library import plot
 from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
 
 LIMITS = Limits(200, 0.4)
@@ -285,7 +285,7 @@ def test_what_cannot_be_drawn_is_told(
 def test_the_command_draws(suffix: str, start: bytes, tmp_path: Path) -> None:
     """Equal results give equal files."""
     found, picture = tmp_path / "run.parquet", tmp_path / f"picture.{suffix}"
-    write_table(found, table_of(run_trials(BASE, 0, 1)))
+    write_tables(found, [table_of(run_trials(BASE, 0, 1))])
     written = []
     for _ in range(2):
         assert cli.main(["plot", str(found), str(picture)]) == 0

@@ -25,7 +25,7 @@ from mcp_asdf_tools.experiments.results import (
     rescored,
     table_of,
     write_csv,
-    write_table,
+    write_tables,
 )
 from mcp_asdf_tools.experiments.scores import Limits
 from mcp_asdf_tools.experiments.trials import run_trials
@@ -39,7 +39,7 @@ def path(tmp_path: Path) -> Path:
     """A file of two experiments with values over time, trials of the first in another order."""
     parts = [(SHORT, 2, 1), (SHORT, 0, 2), (OTHER, 0, 3)]
     tables = [table_of(run_trials(*part, sampling_interval=10), 10) for part in parts]
-    write_table(tmp_path / "results.parquet", pa.concat_tables(tables))
+    write_tables(tmp_path / "results.parquet", [pa.concat_tables(tables)])
     return tmp_path / "results.parquet"
 
 
@@ -54,7 +54,7 @@ def test_results_come_back(path: Path, tmp_path: Path) -> None:
         for name in QUANTITIES:
             assert np.array_equal(trials.records[name], measured.records[name]), name
         assert trials.records["x"].shape == (3, 31, 4)
-    write_table(tmp_path / "brief.parquet", table_of(run_trials(SHORT, 0, 1)))
+    write_tables(tmp_path / "brief.parquet", [table_of(run_trials(SHORT, 0, 1))])
     assert experiments_in(read_table(tmp_path / "brief.parquet"))[0].records == {}
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.cli import reproduce
-from mcp_asdf_tools.experiments import plots, series_plot
+from mcp_asdf_tools.experiments import plots
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.sweep import run_missing
@@ -145,9 +145,8 @@ def test_pictures_are_the_papers_figures(monkeypatch: pytest.MonkeyPatch) -> Non
         names, cells = set(map(name, every)), {(e.filter, e.flawed / e.robots) for e in every}
         return [{e.filter for e in every}, {e.filter_period for e in every}, shares, names, cells]
 
-    for kind in ("boxes", "scatter", "bands"):
+    for kind in ("boxes", "scatter", "bands", "series_beside"):
         monkeypatch.setattr(plots, kind, drawn)
-    monkeypatch.setattr(series_plot, "series_beside", drawn)
     found: dict[str, Any] = {each.name: each for each in pictures(Whole({}), Scale(2, 4000))}
     numbers = {name: [*re.findall(r"figure (\w+)\)$", each.title), ""] for name, each in found.items()}
     papers = {"dynamic_asdf-minus": "3a", "dynamic_asdf-plus": "3b", "dynamic_scatter": "4", "series": "6"}
