@@ -95,13 +95,14 @@ def _engine() -> ModuleType:
 
 def _run_native(experiment: Experiment, first: int, trials: int, sampling_interval: int) -> Trials:
     raw = _engine().run(experiment, first, trials, sampling_interval)
+    counted = raw.counters
     return Trials(
         experiment,
         list(range(first, first + trials)),
         *_measured(experiment, raw.x, 1 / ONE),
         raw.b_hat / 2.0**32,
-        raw.counters["tests"].astype(np.int64),
-        raw.counters["updates"].astype(np.int64),
+        counted["tests"],
+        counted["updates"],
         _records_of(experiment, raw.records) if sampling_interval else {},
     )
 

@@ -170,7 +170,7 @@ def test_lanes_are_used_unless_robots_are_recorded_or_broadcast_seldom_or_differ
         (replace(ROBUST_MOVING, latency=1), 0, True),
         (MIXED, 0, False),
     ):
-        call = native._Call(experiment, 0, 1, interval)
+        call = native.EngineTrials(experiment, 0, 1, interval)
         assert _engine.lib.mcp_asdf_engine_has_lanes(call.experiment) is expected
 
 
@@ -332,17 +332,16 @@ def test_a_refusal_of_the_firmware_is_told(lanes: bool) -> None:
 def test_liars_say_what_they_say_on_a_bus(experiment: Experiment) -> None:
     """They have no lanes and, as each hears the truth about itself alone, an x of their own."""
     experiment = replace(experiment, steps=120, trials=1)
-    engine, call = _engine.lib, native._Call(experiment, 0, 1, 0)
+    engine, call = _engine.lib, native.EngineTrials(experiment, 0, 1, 0)
     call.experiment.liars, call.experiment.lie = 2, [0, 16_000_000 << 8 | 20]  # alpha 10^6
     assert not engine.mcp_asdf_engine_has_lanes(call.experiment)
-    outcome = native._allocate(experiment, 1, call, 0)
-    assert native._execute(call, False, outcome) is Status.OK
+    assert call.execute(lanes=False) is Status.OK
     fault = parse_fault(f"liar,robots={experiment.robots - 2}-{experiment.robots - 1},x=0,alpha=1e6")
     plain = experiment.parameters()
     kept = {name: plain[name] for name in plain if name not in ("trials", "conventions")}
     with Swarm(replace(SwarmSettings(**kept), faults=(fault,)), Wiring()) as swarm:
         run_swarm(swarm, [])
-        assert outcome.x[0, :, -1].tolist() == [node.robot.x * 2**23 for node in swarm.nodes]
+        assert call.x[0, :, -1].tolist() == [node.robot.x * 2**23 for node in swarm.nodes]
 
 
 # --- More than 128 robots ----------------------------------------------------------------------------------
@@ -396,7 +395,8 @@ def test_many_robots_in_a_graph_are_firmwares_whose_neighbours_have_ids_of_their
 
 def test_memory_of_the_engine_grows_linearly_with_the_robots() -> None:
     few, many = (
-        _engine.lib.mcp_asdf_engine_bytes(native._Call(experiment, 0, 1, 0).experiment) / experiment.robots
+        _engine.lib.mcp_asdf_engine_bytes(native.EngineTrials(experiment, 0, 1, 0).experiment)
+        / experiment.robots
         for experiment in (replace(MANY, robots=robots, density=1, steps=10) for robots in (2048, 10_240))
     )
     assert 1000 < many < 2500 and few == pytest.approx(many, rel=0.01)
