@@ -9,15 +9,13 @@ runs only the trials that are new. Nothing that is on disk is kept in memory but
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,14 +55,9 @@ _SECONDS = 1.0
 """Work that may be lost when the process is killed."""
 
 
-def identity(experiment: Experiment, sampling_interval: int) -> str:
-    """Digest of everything that decides a trial's result, given its number."""
-    parameters = {
-        **replace(experiment, trials=1).parameters(),
-        "sampling_interval": sampling_interval,
-        "version": software_versions()["mcp-asdf"],
-    }
-    return hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()[:20]
+def _once(experiment: Experiment) -> tuple[Any, ...]:
+    """What decides the results of an experiment's trials: all but how many there are."""
+    return tuple((experiment.parameters() | {"trials": 1}).values())
 
 
 class Store:
@@ -84,7 +77,7 @@ class Store:
         self.parts = parts_of(output)
         self.sampling_interval = sampling_interval
         self._most = most
-        self._rows: dict[str, NDArray[np.int64]] = {}  # of each trial by identity; -1 if it has none
+        self._rows: dict[tuple[Any, ...], NDArray[np.int64]] = {}  # of each trial; -1 if it has none
         self.want(experiments)
         self._pieces = Pieces()
         self._fresh: list[pa.Table] = []  # not yet written
@@ -102,12 +95,12 @@ class Store:
     def want(self, experiments: Iterable[Experiment]) -> None:
         """Choose the experiments whose results it is for."""
         self.experiments = list(dict.fromkeys(experiments))
-        self._names = {each: identity(each, self.sampling_interval) for each in self.experiments}
         self._size = max(1, min([_ROWS, *(_BYTES // self._bytes_of(each) for each in self.experiments)]))
-        for experiment, name in self._names.items():
-            known = self._rows.get(name, np.empty(0, np.int64))
+        self._keys = {each: _once(each) for each in self.experiments}
+        for experiment, key in self._keys.items():
+            known = self._rows.get(key, np.empty(0, np.int64))
             more = max(self._most, experiment.trials) - len(known)
-            self._rows[name] = np.concatenate([known, np.full(max(0, more), -1)])
+            self._rows[key] = np.concatenate([known, np.full(max(0, more), -1)])
 
     def _bytes_of(self, experiment: Experiment) -> int:
         """Size of the lists in a row."""
@@ -128,12 +121,12 @@ class Store:
 
     def _wanted(self, experiment: Experiment) -> NDArray[np.int64]:
         """The rows of an experiment's trials."""
-        return self._rows[self._names[experiment]][: experiment.trials]
+        return self._rows[self._keys[experiment]][: experiment.trials]
 
     def _take_file(self, path: Path) -> None:
         """Find the trials of a file."""
         none = np.empty(0, np.int64)
-        known: dict[str, str] = {}
+        known: dict[str, tuple[Any, ...]] = {}
         for first, table in self._pieces.add(path, INDEX):
             said = metadata_of(table)
             is_own = (
@@ -143,8 +136,7 @@ class Store:
             trials = table["trial"].to_numpy()
             for parameters, start, stop in stretches_of(table):
                 if parameters not in known:
-                    experiment = Experiment(**json.loads(parameters))
-                    known[parameters] = identity(experiment, self.sampling_interval)
+                    known[parameters] = _once(Experiment(**json.loads(parameters)))
                 rows, numbers = self._rows.get(known[parameters], none), trials[start:stop]
                 if not is_own or numbers.max() >= len(rows):
                     raise UsageError(
@@ -171,7 +163,7 @@ class Store:
         """Take a job's results, and write them to disk soon. Raises UsageError if that fails."""
         table = table_of(trials, self.sampling_interval)
         first = self._pieces.rows + sum(map(len, self._fresh))
-        self._rows[self._names[trials.experiment]][trials.numbers] = np.arange(first, first + len(table))
+        self._rows[self._keys[trials.experiment]][trials.numbers] = np.arange(first, first + len(table))
         self._fresh.append(table)
         waiting = first + len(table) - self._pieces.rows
         if waiting >= self._size or time.monotonic() - self._written >= _SECONDS:
@@ -232,8 +224,8 @@ class Store:
         with suppress(OSError):  # absent, or it holds other files
             self.parts.rmdir()
         self._pieces, self._small = Pieces(), []
-        for _, name in self._names.items():
-            self._rows[name][:] = -1
+        for rows in self._rows.values():
+            rows[:] = -1
         self._take_file(self.output)
 
 
