@@ -11,15 +11,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 
 from mutation.c_mutants import Mutant
-from proofs.source import LANES_HEADER, SOURCES, Variant
+from proofs.source import LANES_HEADER, SOURCES, VARIANTS, Variant
 from support import ROOT, TABLE, require, run
 
 TESTS = ROOT / "tests/c_ref"
 PORTS = ROOT / "c_ref/ports"
 CLZ = Path(__file__).with_name("clz.h")
-AVR = Variant("3010", "__AVR__")
-VARIANTS = (*map(Variant, ("1001", "2100", "3010", "4000", "2000", "1000")), AVR, Variant("1000", "__riscv"))
-"""The choices of each target, and the two targets with code of their own."""
+AVR = VARIANTS[-2]
 BUILDS = tuple(Variant("1001", f"MCP_ASDF_WITH_{filter}=0") for filter in ("ROBUST", "ASDF"))
 """Builds without a filter; only the independent implementation is run with them."""
 VARIANTS_OF = {
@@ -32,7 +30,7 @@ VARIANTS_OF = {
 THIRD = "third"
 """The independent implementation; all else is what it cannot see."""
 CORE_LIBRARY = "libcore.so"
-CORE_TESTS = (THIRD, "arithmetic", "state")
+CORE_TESTS = (THIRD, "core")
 FRAME_TESTS = ("node", "frame")
 LINKED = {
     "frame": ("mcp_asdf_frame.c",),
@@ -121,7 +119,7 @@ def killer(mutant: Mutant, folder: Path, most: int = len(VARIANTS)) -> str:
     plant(mutant, folder)
     tests: tuple[str, ...] = FRAME_TESTS if mutant.file == "mcp_asdf_frame.c" else CORE_TESTS
     if mutant.file.startswith(("mcp_asdf_arithmetic", "mcp_asdf_target", "lanes")):
-        tests = ("arithmetic", *(each for each in tests if each != "arithmetic"))  # which takes less
+        tests = CORE_TESTS[::-1]  # which takes less
     variants = VARIANTS_OF.get(mutant.file, VARIANTS)[:most]
     tries = [(test, variant) for test in tests for variant in variants]
     if tests[0] == THIRD:  # what it cannot see at first, another test sees sooner than it with other choices

@@ -10,8 +10,8 @@ import pytest
 
 from mutation.c_mutants import MUTATED, Mutant, mutants
 from mutation.equivalents import equivalents
-from mutation.killers import CORE_TESTS, FRAME_TESTS, VARIANTS, killer, passes, same_code
-from proofs.source import SOURCES
+from mutation.killers import CORE_TESTS, FRAME_TESTS, killer, passes, same_code
+from proofs.source import SOURCES, VARIANTS
 from support import ROOT, require
 
 EQUIVALENTS = equivalents("c")
