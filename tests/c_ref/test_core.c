@@ -4,9 +4,6 @@
  * from formulas of docs/design.md, computed plainly in the widest type at hand, never from the core. */
 #include "check.h"
 
-#if MCP_ASDF_DIVIDE == 4 /* the engine's own */
-#include "lanes_arithmetic.h"
-#endif
 #include "mcp_asdf.c"
 
 #include "mcp_asdf_image.c"
