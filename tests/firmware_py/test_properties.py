@@ -118,22 +118,3 @@ def test_colours_are_mirror_images(
     assert at(kind, t, t - n, b_hat, other) == (ONE - x_hat, alpha)
     assert at(kind, t, t - n, 2**32 - b_hat, other) == (x_hat, alpha)
     assert at(kind, t, n, 2**32 - b_hat, z) == (ONE - x_hat, alpha)
-
-
-@of_fixed_point
-@thorough
-@given(heard=messages, seen=st.lists(colours, max_size=40), b_hat=b_hats)
-def test_estimates_stay_within_what_was_said(
-    kind: FixedPointType, heard: list[Message], seen: list[Observation], b_hat: int
-) -> None:
-    """I20: x and x_bar are means."""
-    robot = robot_at(kind, b_hat=b_hat)
-    for z in seen:
-        robot.observe(z)
-    receive_all(robot, heard)
-    robot.settle()
-    said = [x_hat for _, x_hat, alpha in heard if alpha >> 8]
-    if said:
-        assert min(said) <= robot.x_bar_raw <= max(said)
-    weighty = said + ([robot.x_hat_raw] if robot.alpha_raw or not said else [])
-    assert min(weighty) <= robot.x_raw <= max(weighty)
