@@ -339,11 +339,9 @@ static uint32_t rows_of(const mcp_asdf_experiment_t *experiment, uint32_t side)
 size_t mcp_asdf_engine_bytes(const mcp_asdf_experiment_t *experiment)
 {
     const uint32_t side = side_of(experiment);
-    size_t of_arena = 0;
-    for (uint32_t i = 0; i < experiment->trials && experiment->arenas != NULL; ++i) {
-        const size_t bytes = sizeof(mcp_asdf_arena_t) + mcp_asdf_arena_bytes(&experiment->arenas[i]);
-        of_arena = bytes > of_arena ? bytes : of_arena;
-    }
+    const size_t of_arena = experiment->arenas == NULL || experiment->trials == 0
+                                ? 0
+                                : sizeof(mcp_asdf_arena_t) + mcp_asdf_arena_bytes(experiment->arenas);
     return VECTOR_BYTES - 1 + rows_of(experiment, side) * sizeof(lanes_t) + side * of_arena;
 }
 

@@ -41,7 +41,7 @@
  *                 on a white one the robot observes white with it
  *   sampling_interval  record every robot each `sampling_interval` steps; 0 for never
  *   observation_period  steps between observations, the first in step `observation_period`; 1 or more
- *   arenas        NULL where nobody moves; otherwise [trials] worlds of `robots` robots
+ *   arenas        NULL where nobody moves; otherwise [trials] worlds of `robots` robots that differ in seeds
  *   arcs          NULL unless a graph says who hears whom: `arc_count` pairs, b hears a, by rising a
  *   latency       0: a message reaches the robots linked to its sender in its step; 1: in the next. Fully
  *                 connected 0

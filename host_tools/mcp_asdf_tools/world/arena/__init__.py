@@ -19,9 +19,6 @@ from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.philox import world_seed
 from mcp_asdf_tools.world.settings import WorldSettings
 
-MAX_TICKS = 2**32 - 1
-"""Most ticks of one call."""
-
 
 @dataclass(frozen=True, eq=False)
 class Motion:
@@ -81,13 +78,13 @@ class Arena:
         return np.array([[is_black(arena, x, y) for x in xs] for y in ys], np.bool_)
 
     def step(self, ticks: int = 1) -> None:
-        """Let time pass. Raises UsageError if ``ticks`` is not in 0 .. MAX_TICKS. O(ticks robots)."""
-        for _ in range(_check_ticks(ticks)):
+        """Let time pass. O(ticks robots)."""
+        for _ in range(ticks):
             _arena.lib.mcp_asdf_arena_step(self._arena, 1)
 
     def record(self, ticks: int) -> Motion:
-        """Let time pass and say what each tick left. Raises as ``step``. O(ticks N^2)."""
-        shape = (_check_ticks(ticks), self.settings.robots)
+        """Let time pass and say what each tick left. O(ticks N^2)."""
+        shape = (ticks, self.settings.robots)
         pairs, flags = (*shape, 2), np.uint8
         motion = Motion(
             position=np.empty(pairs),
@@ -121,12 +118,6 @@ class Arena:
 def memory_of(size: int) -> NDArray[np.float64]:
     """Memory of at least ``size`` bytes, as C code takes it: aligned for doubles."""
     return np.empty(-(-size // 8))
-
-
-def _check_ticks(ticks: int) -> int:
-    if not 0 <= ticks <= MAX_TICKS:
-        raise UsageError(f"ticks is {ticks}; choose 0 .. {MAX_TICKS}")
-    return ticks
 
 
 def config_values(settings: WorldSettings, trial: int, ffi: Any) -> tuple[dict[str, Any], object]:

@@ -256,9 +256,6 @@ int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *
 
 void mcp_asdf_arena_step(mcp_asdf_arena_t *arenas, uint32_t count)
 {
-    for (uint32_t a = 0; a < count; ++a) {
-        ++arenas[a].ticks;
-    }
     arena_move(arenas, count);
     look(arenas, count);
 }

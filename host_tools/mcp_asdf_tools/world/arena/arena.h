@@ -134,7 +134,6 @@ typedef struct {
  *   motor                       maximum change of velocity by the motors in a part */
 typedef struct {
     mcp_asdf_arena_config_t config;
-    uint64_t ticks;
     double *x;
     double *y;
     double *cx;
