@@ -6,11 +6,13 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
+import pytest
 
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.trials import MessageSwarm, run_trials
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.trials import Job, MessageSwarm, run_trials
 
 
 def check_that_the_engine_is_the_mirror(experiment: Experiment) -> None:
@@ -33,3 +35,18 @@ def images_by_message(experiment: Experiment, trial: int) -> list[bytes]:
     swarm = MessageSwarm(experiment, trial)
     assert max(swarm.steps()) == experiment.steps
     return [cast(FixedPointRobot, robot).save() for robot in swarm.robots]
+
+
+def noted_jobs(monkeypatch: pytest.MonkeyPatch, most: int = 10**9) -> list[Job]:
+    """The jobs that this process runs from now on, as they start; one more than ``most`` ends in Ctrl-C."""
+    started: list[Job] = []
+    run = Job.run
+
+    def noted(job: Job) -> Trials:
+        if len(started) == most:
+            raise KeyboardInterrupt
+        started.append(job)
+        return run(job)
+
+    monkeypatch.setattr(Job, "run", noted)
+    return started

@@ -78,12 +78,6 @@ def test_any_reader_of_parquet_finds_everything(path: Path) -> None:
     assert said == metadata_of(read_table(path))
 
 
-def test_results_without_a_parameter_are_refused(path: Path) -> None:
-    pq.write_table(pq.read_table(path).drop_columns(["latency", "memory"]), path)
-    with pytest.raises(UsageError, match=r"results\.parquet has no latency, memory: an older mcp-asdf"):
-        next(experiments_at(path))
-
-
 def test_a_file_of_something_else_is_refused(path: Path) -> None:
     table = pq.read_table(path)
     older = table.replace_schema_metadata({b"mcp-asdf": json.dumps({"format": FORMAT - 1})})
@@ -93,6 +87,10 @@ def test_a_file_of_something_else_is_refused(path: Path) -> None:
         (b"nothing", "cannot read"),
         (pa.table({"k": [1]}), "holds no results"),
         (table.slice(0, 0), r"results\.parquet holds no trials; run mcp-asdf sweep again"),
+        (
+            table.drop_columns(["latency", "memory"]),
+            r"results\.parquet has no latency, memory: an older",
+        ),
         (older, f"holds results in format {FORMAT - 1}; format {FORMAT} is needed: run mcp-asdf sweep again"),
     ):
         path.unlink()
@@ -100,8 +98,9 @@ def test_a_file_of_something_else_is_refused(path: Path) -> None:
             path.write_bytes(content)
         elif content is not None:
             pq.write_table(content, path)
-        with pytest.raises(UsageError, match=words):
-            read_table(path)
+        for read in (read_table, lambda path: next(experiments_at(path))):
+            with pytest.raises(UsageError, match=words):
+                read(path)
         path.touch()
 
 

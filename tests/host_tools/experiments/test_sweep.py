@@ -30,6 +30,7 @@ from mcp_asdf_tools.experiments.sweep import jobs_of, run_sweep
 from mcp_asdf_tools.experiments.trials import Job
 from mcp_asdf_tools.robots.population import Filtering
 from support import PATIENCE, ROOT, interruptible, slow
+from trials import noted_jobs
 
 GRID = [
     Experiment(robots=4, flawed=flawed, filter=mode, steps=8000, trials=40)
@@ -45,18 +46,8 @@ def output(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def jobs_run(monkeypatch: pytest.MonkeyPatch) -> list[Job]:
-    """The jobs that are run in this process, as they start; a sixth in a row ends in Ctrl-C."""
-    started: list[Job] = []
-    run = Job.run
-
-    def noted(job: Job) -> Trials:
-        if len(started) == 5:
-            raise KeyboardInterrupt
-        started.append(job)
-        return run(job)
-
-    monkeypatch.setattr(Job, "run", noted)
-    return started
+    """The jobs that are run in this process; a sixth in a row ends in Ctrl-C."""
+    return noted_jobs(monkeypatch, 5)
 
 
 # --- Jobs ------------------------------------------------------------------------------------------------

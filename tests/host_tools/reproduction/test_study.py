@@ -17,9 +17,8 @@ from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.cli import reproduce
 from mcp_asdf_tools.experiments import plots
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.sweep import run_missing
-from mcp_asdf_tools.experiments.trials import Job, run_trials
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.reproduction import report, resampling, runs, study
 from mcp_asdf_tools.reproduction.claims import CLAIMS
 from mcp_asdf_tools.reproduction.decisions import decide
@@ -27,6 +26,7 @@ from mcp_asdf_tools.reproduction.figures import pictures
 from mcp_asdf_tools.reproduction.runs import StudyFolder
 from mcp_asdf_tools.reproduction.study import Effort, Part, Scale, Study, cells_of, experiment_of
 from support import ROOT
+from trials import noted_jobs
 
 FULL, DYNAMIC, PHYSICAL = Part
 SMALL = ("--trials", "2", "--steps", "4000", "--workers", "1", "--seeds", "1")
@@ -44,21 +44,6 @@ def answer(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any
     assert cli.main(["reproduce", *arguments, "--json"]) == 0
     found: dict[str, Any] = json.loads(capsys.readouterr().out)
     return found
-
-
-def count_jobs(monkeypatch: pytest.MonkeyPatch, most: int = 10**9) -> list[Job]:
-    """The jobs run from now on; one more than ``most`` ends in Ctrl-C."""
-    started: list[Job] = []
-    run = Job.run
-
-    def counted(job: Job) -> Trials:
-        if len(started) == most:
-            raise KeyboardInterrupt
-        started.append(job)
-        return run(job)
-
-    monkeypatch.setattr(Job, "run", counted)
-    return started
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
@@ -181,14 +166,14 @@ def test_an_interrupted_study_goes_on_to_the_same_report(
     whole, halves = tmp_path / "whole", tmp_path / "halves"
     found = answer(capsys, *TINY, "--output", str(whole))
     with monkeypatch.context() as patch:
-        count_jobs(patch, 8)
+        noted_jobs(patch, 8)
         assert cli.main(["reproduce", *TINY, "--output", str(halves)]) == 130
     assert "24 of 40 trials left; the same command goes on" in capsys.readouterr().err
-    started = count_jobs(monkeypatch)
+    started = noted_jobs(monkeypatch)
     assert answer(capsys, *TINY, "--output", str(halves))["claims"] == found["claims"]
     assert sum(job.count for job in started) == 24
     assert files_of(whole) == files_of(halves)
-    count_jobs(monkeypatch, 0)
+    noted_jobs(monkeypatch, 0)
     before = files_of(whole)
     (whole / "report.html").unlink()
     assert cli.main(["reproduce", *TINY, "--output", str(whole)]) == 0
