@@ -109,21 +109,6 @@ static void everything_is_said_when_it_is_due(void)
     CHECK(sent_on(3000) == 12 && sent_on(3001) == 0);
 }
 
-/* A round ends with every second tick: a message of the first is in the sums after the second. */
-static void a_round_is_closed_when_due(void)
-{
-    make_usual();
-    node_observe(&node, MCP_ASDF_OBSERVE_WHITE);
-    CHECK_EQUAL(mcp_asdf_receive(&node.robot, 9, 0, 0x100), MCP_ASDF_OK);
-    node_settle(&node);
-    CHECK_EQUAL(mcp_asdf_beta(&node.robot), 0);
-    node_observe(&node, MCP_ASDF_OBSERVE_WHITE);
-    CHECK_EQUAL(mcp_asdf_beta(&node.robot), 0);
-    node_observe(&node, MCP_ASDF_OBSERVE_WHITE); /* which ends the tick before, unanswered */
-    CHECK_EQUAL(mcp_asdf_beta(&node.robot), 1);
-    CHECK(node.counts.unsettled == 1 && sent_on(3001) == 0);
-}
-
 /* What the bus refuses is unsent; what cannot be encoded is made, and neither sent nor unsent. */
 static void what_is_not_sent_is_counted(void)
 {
@@ -269,7 +254,6 @@ int main(void)
 {
     periods_must_fit_together();
     everything_is_said_when_it_is_due();
-    a_round_is_closed_when_due();
     what_is_not_sent_is_counted();
     frames_are_taken_or_counted();
     ids_to_ignore_do_not_reach_the_firmware();
