@@ -73,8 +73,6 @@ class Words:
             right = self._count(left, right)
         elif name in ("/", "%"):
             self.claim(right.term != 0, "division by 0")
-            if left.type.signed:
-                self.claim(z3.And(left.term >= 0, right.term > 0), "division of a negative number")
         elif left.type.signed and name in _NO_OVERFLOW:
             for fits in _NO_OVERFLOW[name]:
                 self.claim(fits(left.term, right.term), f"overflow of {name}")
@@ -106,12 +104,11 @@ _ON_UNSIGNED: dict[str, Operator] = {
     **{"/": z3.UDiv, "%": z3.URem, ">>": z3.LShR},
     **{"<": z3.ULT, "<=": z3.ULE, ">": z3.UGT, ">=": z3.UGE},
 }
-_ON_SIGNED: dict[str, Operator] = {"/": z3.UDiv, "%": z3.URem, ">>": operator.rshift}
-"""A signed dividend and divisor are claimed to be positive."""
 _ON_WORDS = {
-    signed: {**_OF_PYTHON, **_COMPARED, **(_ON_SIGNED if signed else _ON_UNSIGNED)}
-    for signed in (False, True)
+    False: {**_OF_PYTHON, **_COMPARED, **_ON_UNSIGNED},
+    True: {**_OF_PYTHON, **_COMPARED, ">>": operator.rshift},
 }
+"""By signedness; the firmware divides no signed number."""
 
 
 class Integers:

@@ -103,11 +103,11 @@ class Image:
         symbol = self.symbols[name]
         return int(symbol["st_value"]) & (~1 if symbol["st_info"]["type"] == "STT_FUNC" else 0x7FFFFF)
 
-    def segments(self) -> Iterator[tuple[int, int, bytes]]:
-        """Loaded segments: address at run time, address in flash, bytes."""
+    def segments(self) -> Iterator[tuple[int, bytes]]:
+        """Loaded segments: address at run time, bytes."""
         with self.path.open("rb") as stream:
             for segment in ELFFile(stream).iter_segments("PT_LOAD"):
-                yield segment["p_vaddr"], segment["p_paddr"], segment.data()
+                yield segment["p_vaddr"], segment.data()
 
     def sizes(self) -> tuple[int, int]:
         """Bytes of flash, code, constants and what variables begin with; and of variables in RAM, to which an

@@ -83,7 +83,7 @@ class UnicornMachine(Machine):
         mode = UC_MODE_THUMB | UC_MODE_MCLASS
         self._uc = Uc(UC_ARCH_ARM, mode) if self._arm else Uc(UC_ARCH_RISCV, UC_MODE_RISCV32)
         self._uc.mem_map(0, self._END, UC_PROT_ALL)
-        for address, _, content in image.segments():
+        for address, content in image.segments():
             self._uc.mem_write(address, content)
         if not self._arm:
             self._uc.reg_write(riscv_const.UC_RISCV_REG_GP, image.address("__global_pointer$"))
