@@ -23,7 +23,6 @@ from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import _run_by_message as run_by_message
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.world.arena import Arena
 
 HERE = Path(__file__).parent
 MOTION = HERE.parent / "data/motion_statistics.json"
@@ -32,7 +31,7 @@ SCALAR, VECTORS = ("-DFOR_EACH_TARGET=",), ("-fno-trapping-math", "-fno-math-err
 FULL = Experiment(robots=10, flawed=3, steps=40_000, trials=1)
 MOVING = Experiment(topology="dynamic", latency=1, steps=40_000, trials=1)
 REPEATS = 10
-PYTHON, SIMULATOR, MOTION_ALONE = "float64 in Python", "physics simulator", "motion alone"
+PYTHON, SIMULATOR = "float64 in Python", "physics simulator"
 PLAIN, PLAIN_IN_VECTORS = "plain double C", "plain double C, same motion"
 CALLS, LANES = "firmware, call by call", "firmware in lanes"
 
@@ -86,7 +85,6 @@ def main() -> None:
         full = {PLAIN: plain(folder, "full", 96, SCALAR)}
         moving = {
             SIMULATOR: lambda: simulator,
-            MOTION_ALONE: rate_of(MOVING, 1, lambda: Arena(MOVING, 0).step(MOVING.steps)),
             PLAIN: plain(folder, "moving", 8, SCALAR),
             PLAIN_IN_VECTORS: plain(folder, "moving", 8, VECTORS),
         }
