@@ -17,7 +17,7 @@ import pytest
 from can.interfaces import virtual
 from rich.console import Console
 
-from host_tools.swarm.swarms import content, record
+from host_tools.swarm.swarms import content, record, small
 from mcp_asdf_tools.bus.load import LIMIT
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments.engine import native
@@ -27,7 +27,7 @@ from mcp_asdf_tools.swarm import carrier as connection
 from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.summary import load_warning, one_line, summary, summary_table
-from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun
+from mcp_asdf_tools.swarm.swarm import Swarm
 from support import ROOT, interruptible, slow
 
 pytestmark = pytest.mark.usefixtures("private_setup")
@@ -74,58 +74,47 @@ def test_what_is_piped_is_fields_or_a_line(capsys: pytest.CaptureFixture[str]) -
     assert shown.startswith("seed 42: ") and shown.count("\n") == 1
 
 
-RESULTS: dict[str, Any] = {
-    **{"steps": 40, "tests": None, "updates": 7, "mean_x": 0.5512345, "mean_error": 0.0123, "spread_x": 0.25},
-    **{"spread_x_hat": 0.75, "faults": [{"fault": "loss=0.5", "injected": 22}]},
-    "b_hat": {"flawed": None, "other": {"before": 0.9, "after": 0.8, "after_min": 0.7, "after_max": 0.85}},
-    "frames": {
-        **{"sent": 80, "heartbeats_sent": 8, "delivered": 60, "rejected": {"LENGTH": 2, "TAIL": 3}},
-        **{"refused": 1, "strays": 4, "arrived": 66, "in_range": 88, "on_the_bus": 87, "missed": 9},
-        "id_conflicts": {"1": 6},
-    },
-    "robots": [
-        {"id": 0, "delivered": 29, "refused": 0, "rejected": {}},
-        {"id": 1, "delivered": 31, "refused": 1, "rejected": {"LENGTH": 2, "TAIL": 3}},
-        {"id": 5, "delivered": 1, "refused": 2, "rejected": {}},
-    ],
+OTHER_RESULTS: dict[str, Any] = {
+    "tests": None,
     "clock": {"mean_lateness": 0.001, "max_lateness": 0.02, "drift": -0.0005, "late_ticks": 3},
     "bus_load": {
         **{"1000000": {"mean": 0.354, "peak": 0.5}, "500000": {"mean": LIMIT, "peak": 1.0}},
         "250000": {"mean": 0.71, "peak": 2.0},
     },
 }
-RESULTS["b_hat"]["other"]["robots"] = 2
+"""Of robots elsewhere, in real time, on a busy bus."""
 SUMMARY = """\
-run\t40 of 50 steps in 1.3 s; interrupted
-estimate\tmean x 0.55123, f 0.55, mean error 0.01230, spread of x 0.25000, of x_hat 0.75000
+run\t60 of 60 steps in 1.3 s; interrupted
+estimate\tmean x 0.50078, f 0.55, mean error 0.04922, spread of x 0.05334, of x_hat 0.15370
 b_hat, flawed\tno such robots
-b_hat, other\t0.9000 -> 0.8000 (0.7000 to 0.8500, 2 robots; b 0.95)
-filter\tASDF+, an unknown number of tests, 7 updates
-frames\t80 messages and 8 heartbeats sent on vcan0, 60 messages delivered, 5 frames rejected, 1 messages \
-refused, 4 strays
-arrived\t66 of 88 frames, 75.0%; 87 on the bus
-fault\tloss=0.5: 22 injected
-robot 1\t31 messages delivered; 2 LENGTH, 3 TAIL, 1 refused
-robot 5\t1 messages delivered; 2 refused
-node-id conflict\tanother node sent 6 messages as robot 1; give it a free id
+b_hat, other\t0.9500 -> 0.9667 (0.9500 to 1.0000, 3 robots; b 0.95)
+filter\tASDF+, an unknown number of tests, 2 updates
+frames\t180 messages and 18 heartbeats sent on vcan0, 337 messages delivered, 25 frames rejected, 98 \
+messages refused, 0 strays
+arrived\t396 of 396 frames, 100.0%; 198 on the bus
+fault\tcorrupt=0.5,receivers=0,bits=5: 62 injected
+fault\tcollide=1.0,robots=2,id=1: 66 injected
+robot 0\t97 messages delivered; 16 MULTI_FRAME, 3 X_HAT, 4 ALPHA, 2 SUBJECT, 38 refused
+robot 1\t120 messages delivered; 60 refused
+node-id conflict\tanother node sent 60 messages as robot 1; give it a free id
 clock\tticks began 1.000 ms late on average, 20.000 ms at most, 3 of them by more than half a tick; drift \
--0.500 ms; 9 frames late or lost
+-0.500 ms; 0 frames late or lost
 bus load\t1 Mbit/s 35.4% (peak 50%), 500 kbit/s 70.0% (peak 100%), 250 kbit/s 71.0% (peak 200%)"""
 
 
 def test_a_summary_has_all_that_is_worth_telling() -> None:
     """Faults, conflicts, the clock and robots in trouble, too; nothing is said of what there is not."""
-    run = SwarmRun(SwarmSettings(steps=50), [], RESULTS, interrupted=True)
+    run, _ = record(small("corrupt=0.5,bits=5,receivers=0", "collide,robots=2,id=1", robots=3, flawed=0))
+    run.results |= OTHER_RESULTS
+    run.interrupted = True
     assert ["\t".join(row) for row in summary(run, "vcan0", 1.26)] == SUMMARY.split("\n")
-    assert one_line(run) == "seed 1: 20 robots, 40 steps, mean error 0.01230, spread 0.25000; interrupted"
+    assert one_line(run) == "seed 11: 3 robots, 60 steps, mean error 0.04922, spread 0.05334; interrupted"
+    run, _ = record(small(robots=3))
     run.failure = "tick 41: bus off"
-    run.results = RESULTS | {"tests": 5, "clock": None, "faults": [], "robots": []}
-    run.results["frames"] = RESULTS["frames"] | {"id_conflicts": {}}
     rows = dict(summary(run, "vcan0", 1.26))
-    assert rows["run"] == "40 of 50 steps in 1.3 s; failed in tick 41: bus off"
-    assert rows["filter"] == "ASDF+, 5 tests, 7 updates"
-    assert [*rows][5:] == ["frames", "bus load"]
-    assert str(load_warning(RESULTS)).startswith("a real bus at 250 kbit/s or less would be busy for")
+    assert rows["run"] == "60 of 60 steps in 1.3 s; failed in tick 41: bus off"
+    assert [*rows][4:] == ["filter", "frames", "bus load"]
+    assert str(load_warning(OTHER_RESULTS)).startswith("a real bus at 250 kbit/s or less would be busy for")
 
 
 def test_a_summary_is_a_table_with_bold_names() -> None:

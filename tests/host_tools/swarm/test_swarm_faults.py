@@ -191,14 +191,6 @@ def test_a_crashed_robot_rejoins(rejoin: str) -> None:
     assert numbers == [k % 32 for k in (*range(45), *(range(13) if rejoin == "new" else range(45, 58)))]
 
 
-def test_results_name_who_rejected_what() -> None:
-    run, _ = record(small("corrupt=0.5,bits=5,receivers=3", "collide,robots=4,id=2", flawed=0))
-    rejected = [robot["rejected"] for robot in run.results["robots"]]
-    assert [bool(each) for each in rejected] == [False, False, False, True, False]
-    assert rejected[3] == run.results["frames"]["rejected"]
-    assert [fault["fault"] for fault in run.results["faults"]] == [*map(str, run.settings.faults)]
-
-
 def watch_invariants(swarm: Swarm) -> None:
     for node in swarm.nodes:
         assert isinstance(node.robot, FixedPointRobot)
