@@ -219,15 +219,20 @@ def test_the_compiler_refuses_a_setting(name: str, value: int) -> None:
 # ---- In a swarm ----
 
 
+def prepared(target: str, folder: Path) -> str:
+    """Put the sources for a target into a folder; returns a free port."""
+    require_target(target)
+    for name in ("c_ref", "tables"):
+        shutil.copytree(ROOT / name, folder / name)
+    with closing(create_server(("127.0.0.1", 0))) as free:
+        return str(free.getsockname()[1])
+
+
 @pytest.mark.parametrize("target", ["cortex-m3", *slow(["cortex-m4", "rv32imc"])])
 def test_the_commands_of_the_page_work(target: str, tmp_path: Path) -> None:
     """On each board every broadcast is the mirror's, with a filter that is due. The verdict takes minutes;
     it is left out. The image needs a few kilobytes and nothing that is not its own."""
-    require_target(target)
-    for name in ("c_ref", "tables"):
-        shutil.copytree(ROOT / name, tmp_path / name)
-    with closing(create_server(("127.0.0.1", 0))) as free:
-        port = str(free.getsockname()[1])
+    port = prepared(target, tmp_path)
     changes = {"20001": port, "cortex-m3": target, "qemu-system-arm -M mps2-an385": QEMU[target]}
     changes |= {
         " --steps 50": " --steps 60 --filter-period 20",
@@ -252,11 +257,7 @@ def test_the_commands_of_the_page_work(target: str, tmp_path: Path) -> None:
 def test_the_workflow_of_the_page_judges_an_image(tmp_path: Path) -> None:
     """Its steps as they stand, but for what root installs. The image is configured otherwise than they
     say, so the verdict comes soon: exit code 1, a report, and a log that can be replayed."""
-    require_target("cortex-m3")
-    for name in ("c_ref", "tables"):
-        shutil.copytree(ROOT / name, tmp_path / name)
-    with closing(create_server(("127.0.0.1", 0))) as free:
-        port = str(free.getsockname()[1])
+    port = prepared("cortex-m3", tmp_path)
     (text,) = blocks(ROOT / "docs/ci.md", "yaml")
     workflow = yaml.safe_load(text.replace("20001", port).replace("-B build ", "-B build -DROBOT_B_HAT=0.6 "))
     steps = workflow["jobs"]["emulated"]["steps"]

@@ -412,16 +412,6 @@ def test_a_node_goes_on_where_it_was(start: Start, bus: UnixBus, tmp_path: Path,
     assert not state.with_name("state.new").exists()
 
 
-def test_state_is_saved_in_between(start: Start, bus: UnixBus, tmp_path: Path) -> None:
-    node = start("--lockstep", "--state", tmp_path / "state", "--save-period", 4)
-    drive(bus, [ID], 7, seed=3)
-    node.process.kill()
-    expected, draw = twin(ID), random.Random(3)
-    for _ in range(4):
-        expected.robot.step(Observation(draw.randrange(2)))
-    assert (tmp_path / "state").read_bytes() == saved(expected)
-
-
 def test_a_state_that_does_not_fit_is_refused(command: list[str], bus: UnixBus, tmp_path: Path) -> None:
     image, state = saved(twin(ID)), tmp_path / "state"
     cases = (

@@ -16,7 +16,7 @@ from pathlib import Path
 import can
 import pytest
 
-from mcp_asdf.fixed_point import word_to_alpha
+from mcp_asdf.fixed_point import alpha_to_word, word_to_alpha
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.bus.frames import (
     COMMANDS,
@@ -111,6 +111,7 @@ def test_a_driven_swarm_does_what_a_loop_of_calls_does(firmware: str) -> None:
                 twin.observe(colour)
             said = estimates[robot]
             assert (said.sender, said.x_hat) == (robot, round(twin.x_hat * 2**23))
+            assert said.alpha == alpha_to_word(twin.alpha)
         for robot, twin in enumerate(twins):
             for other in ids:
                 if other != robot:

@@ -5,16 +5,14 @@ from __future__ import annotations
 from fractions import Fraction
 from itertools import count, islice
 from typing import Any
-from unittest.mock import Mock
 
 import can
-import numpy as np
 import pytest
 from can.interfaces import virtual
 
 from host_tools.swarm.swarms import content, one_bus, record, small, states
-from mcp_asdf.fixed_point import alpha_units, word_to_alpha
-from mcp_asdf.robot import FixedPointRobot, Status
+from mcp_asdf.fixed_point import word_to_alpha
+from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import (
     ONE,
     FrameFormat,
@@ -30,7 +28,6 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.robots.bus_robot import RoundingPort
 from mcp_asdf_tools.robots.firmwares import FIRMWARES
 from mcp_asdf_tools.swarm import carrier as connection
 from mcp_asdf_tools.swarm.carrier import Connection, Wiring
@@ -116,17 +113,6 @@ def test_all_informed_estimates_are_the_same_to_the_bit(firmware: str) -> None:
         assert found == {sum(products) // sum(weights) if sum(weights) else ONE // 2}
 
 
-def test_a_float_robot_speaks_rounded_integers_and_hears_exact_floats() -> None:
-    robot = Mock(x_hat=0.3, alpha=2 / 3, receive=Mock(return_value=Status.OK))
-    port = RoundingPort(robot)
-    assert abs(Fraction(port.x_hat_raw, ONE) - Fraction(robot.x_hat)) <= Fraction(1, 2 * ONE)
-    assert Fraction(alpha_units(port.alpha_raw), 2**24) == Fraction(robot.alpha) // Fraction(1, 2**24) / 2**24
-    robot.x_hat, robot.alpha = 1 - 2.0**-25, 1e20
-    assert (port.x_hat_raw, word_to_alpha(port.alpha_raw)) == (ONE, 2.0**31 - 2.0**7)
-    assert port.receive_all(np.array([(3, ONE // 4, 0xA0000002)], np.uint32)) == 1
-    robot.receive.assert_called_once_with(3, 0.25, 2.5)
-
-
 @pytest.mark.parametrize("firmware", FIRMWARES)
 def test_telemetry_is_every_robots_state_and_changes_nothing(firmware: str) -> None:
     """A frame of each robot every 7 ticks, with what the robots held at that moment."""
@@ -142,11 +128,13 @@ def test_telemetry_is_every_robots_state_and_changes_nothing(firmware: str) -> N
     outcome, frames = record(talkative, hooks=[note])
     quiet, _ = record(small(firmware=firmware))
     assert [node.robot.x for node in outcome.nodes] == [node.robot.x for node in quiet.nodes]
-    decoded = [decode_telemetry(frame) for frame in frames]
-    found = [each for each in decoded if isinstance(each, Telemetry)]
+    decoded = [(decode_telemetry(frame), frame.timestamp) for frame in frames]
+    found = [each for each, _ in decoded if isinstance(each, Telemetry)]
+    times = [round(10 * time) for each, time in decoded if isinstance(each, Telemetry)]
     assert [(each.sender, each.transfer_id) for each in found] == [
         (robot, turn % 32) for turn in range(9) for robot in range(5)
     ]
+    assert times == [7 * each.transfer_id for each in found]
     for each in found:
         assert (each.x, each.b_hat, each.updates) == held[7 * each.transfer_id][each.sender]
     figures = outcome.results["frames"]
@@ -235,6 +223,7 @@ def test_foreign_traffic_is_counted_and_changes_nothing() -> None:
         can.Message(arbitration_id=0x106BB801, data=b"\0" * 7),
         encode(Message(99, ONE, 0x4F000000, 5), FrameFormat()),
         encode(Message(1, ONE, 0x4F000000, 4), FrameFormat()),
+        can.Message(arbitration_id=8, is_error_frame=True),
     ]
 
     def disturb(swarm: Swarm) -> None:
@@ -250,7 +239,7 @@ def test_foreign_traffic_is_counted_and_changes_nothing() -> None:
     assert all(frame.is_rx for frame in frames)
     assert states(disturbed.nodes) == states(undisturbed.nodes)
     figures = disturbed.results["frames"]
-    assert figures["strays"] == 2 * 5
+    assert (figures["strays"], figures["errors_heard"]) == (2 * 5, 5)
     assert figures["id_conflicts"] == {"1": 1}
     reasons = (Rejection.STANDARD_ID, Rejection.REMOTE_FRAME, Rejection.X_HAT, Rejection.LENGTH)
     assert figures["rejected"] == {reason.name: 5 for reason in reasons}

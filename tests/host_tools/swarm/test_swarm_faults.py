@@ -12,13 +12,8 @@ from typing import Any
 import can
 import pytest
 from can.interfaces import virtual
-from hypothesis import given
-from hypothesis import settings as hypothesis_settings
-from hypothesis import strategies as st
 
 from host_tools.swarm.swarms import ON_ONE_BUS, ON_OWN_BUSES, content, own_bus, record, small, states
-from host_tools.swarm.test_faults import any_fault
-from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode
 from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.common.parameters import ParameterError
@@ -26,7 +21,6 @@ from mcp_asdf_tools.recording.input_log import InputLogReader
 from mcp_asdf_tools.recording.replay import verify
 from mcp_asdf_tools.robots.population import Filtering
 from mcp_asdf_tools.swarm.carrier import Wiring
-from mcp_asdf_tools.swarm.fault_spec import Fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
 from multicast import multicast
@@ -191,29 +185,6 @@ def test_a_crashed_robot_rejoins(rejoin: str) -> None:
     assert numbers == [k % 32 for k in (*range(45), *(range(13) if rejoin == "new" else range(45, 58)))]
 
 
-def watch_invariants(swarm: Swarm) -> None:
-    for node in swarm.nodes:
-        assert isinstance(node.robot, FixedPointRobot)
-        assert node.robot.holds_invariants()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("firmware", ["native", "mirror"])
-@hypothesis_settings(max_examples=30, deadline=None, derandomize=True, database=None)
-@given(st.lists(any_fault(3, 40), max_size=6), st.sampled_from([1, 1, 2, 5]), st.sampled_from([64, 2**31]))
-def test_invariants_hold_under_any_mix_of_faults(
-    firmware: str, faults: list[Fault], comms_period: int, memory: int
-) -> None:
-    """docs/invariants.md, I1 to I10 after every tick; and robots account for all that arrives."""
-    texts = map(str, faults)
-    settings = small(*texts, robots=4, steps=40, comms_period=comms_period, memory=memory, firmware=firmware)
-    found = figures(record(settings, hooks=[watch_invariants])[0])
-    heard = sum(found[name] for name in ("delivered", "heartbeats_heard", "telemetry_heard"))
-    accounted = heard + sum(found["rejected"].values())
-    has_dead = any(fault.kind.value in ("crash", "delay", "duplicate") for fault in faults)
-    assert accounted <= found["arrived"] if has_dead else accounted == found["arrived"]
-
-
 def test_in_real_time_what_comes_too_late_is_heard_in_the_next_tick_and_counted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -228,16 +199,6 @@ def test_in_real_time_what_comes_too_late_is_heard_in_the_next_tick_and_counted(
     assert (swarm.traffic.total("delivered"), swarm.traffic.total("refused")) == (60 * 3 * 2, 3 * 2)
     clock = run.results["clock"]
     assert 0 <= clock["mean_lateness"] <= clock["max_lateness"]
-
-
-def test_the_load_of_a_real_bus() -> None:
-    run, frames = record(small())
-    bits = figures(run)["bits"]
-    assert bits == 160 * len(frames)
-    for rate, share in run.results["bus_load"].items():
-        assert share["mean"] == pytest.approx(bits / (6.0 * int(rate)))
-        # Heartbeats and estimates in one tick are the most.
-        assert share["peak"] == pytest.approx(160 * 10 / (0.1 * int(rate)))
 
 
 @pytest.mark.parametrize("medium", ["one bus", "a group for each", *slow(["one group"])])
