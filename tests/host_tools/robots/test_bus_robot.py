@@ -1,4 +1,7 @@
-"""The robot that swarms, nodes, neighbours and replays drive: its ticks, ears, numbers and crashes."""
+"""The robot that swarms, nodes, neighbours and replays drive: its numbers, and records of it.
+
+What it says and hears is compared with trials (test_swarm.py) and with the C node (tests/targets).
+"""
 
 from __future__ import annotations
 
@@ -12,22 +15,21 @@ import pytest
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError
 from mcp_asdf.table import Table
-from mcp_asdf_tools.bus.frames import (
-    FrameFormat,
-)
+from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
-from mcp_asdf_tools.robots.bus_robot import BusRobot
+from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception
 from mcp_asdf_tools.robots.population import Activation, Filtering, Population
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.tables.thresholds import generate
+from messages import encoded
 from robots import ALPHA_ONE
 from wire import TABLE, record
 
 ESTIMATES = FrameFormat()
 
 
-# Ticks and rounds
+# Ticks, numbers, crashes
 
 
 def counting(comms_period: int, **counters: int) -> BusRobot:
@@ -56,6 +58,18 @@ def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
         one.receive(messages)
         one.end()
     assert one.counters == replace(before, accepted=65_002, rejected=1 + 998 * 300, repeated=65_533 + 598)
+
+
+def test_the_dead_hear_nothing() -> None:
+    dead = BusRobot(record(5), ESTIMATES)
+    dead.die(loses_state=False)
+    frames = [
+        encoded(each) for each in (Message(5, 9, ALPHA_ONE, 0), Message(6, 9, 0, 0), Heartbeat(8, 1, 0))
+    ]
+    dead.listen(frames)
+    for frame in frames:
+        dead.hear_stranger(frame)
+    assert (dead.reception, dead.counters) == (Reception(), Counters())
 
 
 # Records
