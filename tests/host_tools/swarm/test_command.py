@@ -94,8 +94,8 @@ robot 1\t120 messages delivered; 60 refused
 node-id conflict\tanother node sent 60 messages as robot 1; give it a free id
 clock\tticks began 1.000 ms late on average, 20.000 ms at most, 3 of them by more than half a tick; drift \
 -0.500 ms; 0 frames late or lost
-bus load\t125 kbit/s 4.2% (peak 8%), 250 kbit/s 2.1% (peak 4%), 500 kbit/s 1.1% (peak 2%), 1 Mbit/s 0.5% (peak \
-1%)"""
+bus load\t125 kbit/s 4.2% (peak 8%), 250 kbit/s 2.1% (peak 4%), 500 kbit/s 1.1% (peak 2%), 1 Mbit/s 0.5% \
+(peak 1%)"""
 
 
 def test_a_summary_has_all_that_is_worth_telling() -> None:
