@@ -24,7 +24,7 @@ def test_the_engine_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
         monkeypatch.setattr(engine, name, replace(getattr(engine, name), steps=1000))
     engine.main()
     out = capsys.readouterr().out
-    assert out.count("robot-steps/s") == 5 and out.count("\n") == 5 + 5 * 4 + 2 + 2 * 4
+    assert out.count("robot-steps/s") == 5 and out.count("\n") == 5 + 5 * 4 + 2 + 2 * 3
     assert all(float(line.split()[-1]) > 0 for line in out.splitlines() if "/s" not in line)
     assert engine.SIMULATOR in out
 
