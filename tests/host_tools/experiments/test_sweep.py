@@ -185,6 +185,11 @@ def test_parts_are_joined_and_each_is_read_once(output: Path, monkeypatch: pytes
     for one, other in zip(experiments_at(output), experiments_in(table), strict=True):
         assert (one.experiment, one.numbers) == (other.experiment, other.numbers)
         assert (one.errors == other.errors).all()
+    monkeypatch.setattr(store_module, "_SECONDS", 1e9)
+    held = Store(output.with_name("held.parquet"), GRID[:2])
+    for number, job in enumerate(jobs[:8], start=1):
+        held.add(job.run())
+        assert len(list(held.parts.glob("*.parquet"))) == (number == 8), "before 50 rows only time writes"
     long = replace(GRID[0], steps=200_000, filter_period=1000)
     assert Store(output.with_name("long.parquet"), [long], 20)._size < 20, "recorded values take room"
 
