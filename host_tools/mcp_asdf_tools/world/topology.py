@@ -63,11 +63,6 @@ class Checked:
         return hears
 
 
-def fully_connected(robots: int) -> Static:
-    """Every robot of ``0 .. robots - 1`` hears every other."""
-    return Static(~np.eye(robots, dtype=np.bool_))
-
-
 @dataclass(frozen=True)
 class Graph:
     """Directed links between robots.

@@ -126,7 +126,7 @@ class World:
 
 def _topology_of(settings: WorldSettings, trial: int) -> topology.Topology:
     if settings.topology == "fully-connected":
-        return topology.fully_connected(settings.robots)
+        return topology.Static(~np.eye(settings.robots, dtype=np.bool_))
     if isinstance(settings.graph, topology.Graph):
         return settings.graph.topology(settings.robots)
     name = str(settings.topology)

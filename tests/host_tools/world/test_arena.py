@@ -42,10 +42,7 @@ def distances(position: NDArray[np.float64]) -> NDArray[np.float64]:
     return apart
 
 
-def test_impossible_requests_are_named() -> None:
-    for place in ((2.8, 0), (0, -2.8)):
-        with pytest.raises(UsageError, match="outside the arena"):
-            Arena(PAPER).is_black(*place)
+def test_too_little_room_is_named() -> None:
     crowded = world(60, 3, 3)
     for side in ("width", "height"):
         object.__setattr__(crowded, side, 0.6)  # which settings would have refused

@@ -63,19 +63,15 @@ class Arena:
         return np.stack([self._column(name, np.dtype(np.float64)) for name in "xy"], axis=1)
 
     def is_black(self, x: float, y: float) -> bool:
-        """The colour of the floor. Raises UsageError if (x, y) is not on it."""
-        width, height = self.settings.sides
-        if not (abs(x) <= width / 2 and abs(y) <= height / 2):
-            raise UsageError(f"({x}, {y}) is outside the arena, whose middle is (0, 0)")
+        """The colour of the floor at (x, y), which must be on it."""
         return bool(_arena.lib.mcp_asdf_arena_is_black(self._arena, x, y))
 
     def pixels(self, columns: int, rows: int) -> NDArray[np.bool_]:
         """The floor as a picture: True where it is black, the first row in the north. O(pixels)."""
-        is_black, arena = _arena.lib.mcp_asdf_arena_is_black, self._arena
         width, height = self.settings.sides
         xs = (width * ((np.arange(columns) + 0.5) / columns - 0.5)).tolist()
         ys = (height * (0.5 - (np.arange(rows) + 0.5) / rows)).tolist()
-        return np.array([[is_black(arena, x, y) for x in xs] for y in ys], np.bool_)
+        return np.array([[self.is_black(x, y) for x in xs] for y in ys])
 
     def step(self, ticks: int = 1) -> None:
         """Let time pass. O(ticks robots)."""
