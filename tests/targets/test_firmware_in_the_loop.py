@@ -15,6 +15,7 @@ from pathlib import Path
 from socket import create_server
 from typing import Any
 
+import can
 import pytest
 import yaml
 
@@ -116,17 +117,15 @@ class Model:
         return sent
 
     def _line_ended(self, line: bytes) -> bytes:
-        is_frame = line[:1] in (b"t", b"T", b"r", b"R") and frame_of(line) is not None
-        if not is_frame and (len(line) > _LONGEST or _COMMAND.fullmatch(line) is None):
+        frame = frame_of(line) if line[:1] in (b"t", b"T", b"r", b"R") else None
+        if frame is None and (len(line) > _LONGEST or _COMMAND.fullmatch(line) is None):
             return self._drop()
-        return self._frame(line) if is_frame else self._command(line[:1])
+        return self._command(line[:1]) if frame is None else self._frame(frame)
 
-    def _frame(self, line: bytes) -> bytes:
+    def _frame(self, frame: can.Message) -> bytes:
         if not self.is_open:
             return b"\a"
         is_unwell = self.dropped > 0 or self.node.unsettled > 0
-        frame = frame_of(line)
-        assert frame is not None
         answers = self.node.hear(frame)
         for answer in answers:
             if isinstance(decode_heartbeat(answer), Heartbeat):
@@ -136,15 +135,11 @@ class Model:
     def _command(self, command: bytes) -> bytes:
         flags = b"F%02X\r" % (8 * (self.dropped > 0))
         answer = {b"V": b"V1001\r", b"N": b"NASDF\r", b"F": flags}.get(command, b"\r")
+        self.is_open = command == b"O" or (self.is_open and command != b"C")
         if command == b"O":
-            return answer + self._start()
-        self.is_open &= command != b"C"
+            self.node = switched_on(self._filters)
+            answer += b"".join(map(line_of, self.node.start()))
         return answer
-
-    def _start(self) -> bytes:
-        self.is_open = True
-        self.node = switched_on(self._filters)
-        return b"".join(map(line_of, self.node.start()))
 
     def _drop(self) -> bytes:
         self.dropped += 1

@@ -91,10 +91,6 @@ class Connection:
         self._every = every
         self._late: list[SentFrame] = []
 
-    def send(self, frame: can.Message) -> None:
-        """Put ``frame`` on the bus. Raises can.CanError if that does not take it."""
-        self.bus.send(frame, timeout=TIMEOUT)
-
     def take(self, expected: Sequence[SentFrame], patience: float | None) -> Sequence[SentFrame]:
         """Read until all ``expected`` have come, or for ``patience`` seconds; returns those that have.
 
@@ -207,7 +203,7 @@ class Carrier:
         self._log(sent.frame)
         radio = self._radios.get(sent.sender)
         if radio is not None:
-            radio.send(sent.frame)
+            radio.bus.send(sent.frame, timeout=TIMEOUT)
         self._sent.append(sent)
         if len(self._sent) == _BATCH:
             self._read(sent.tick)
@@ -248,7 +244,7 @@ class Carrier:
         """Put ``frames`` on the robot's bus; returns what it reads there."""
         radio, end = self._radios.get(robot), self.ends[robot]
         for frame in frames:
-            end.send(frame)
+            end.bus.send(frame, timeout=TIMEOUT)
         if radio is None:
             return frames
         heard = radio.take([SentFrame(frame, robot, tick) for frame in frames], self._patience(tick))

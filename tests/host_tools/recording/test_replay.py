@@ -281,7 +281,6 @@ EVENTS = {
     spoiled(robots=5): "1: ",
     spoiled(frames={"subject": 6144, "priority": 4}): "1: subject is 6144",
     spoiled(filter="sometimes"): "1: filter is 'sometimes'; it must be one of adaptive, always, off",
-    spoiled(comms_period="1"): "1: ",
     spoiled(table={"omega": "x", "q": 20, "checksum": 1}): "1: ",
     spoiled(table={"omega": "0.05", "q": 20}): "1: 'checksum' is missing",
     f"{GOOD}[0,1": "2: not JSON",
