@@ -129,13 +129,10 @@ class InputLogWriter:
     """
 
     def __init__(self, header: InputLogHeader, write: Callable[[str], object]) -> None:
-        """Pass each line to ``write``. Raises UsageError if two robots have one id."""
-        ids = [robot.id for robot in header.robots]
-        if len(set(ids)) < len(ids):
-            raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
+        """Pass each line to ``write``."""
         self._write = write
         tell = _Latest().tell
-        self.robots = {robot: Recorder(robot, write, tell) for robot in ids}
+        self.robots = {robot.id: Recorder(robot.id, write, tell) for robot in header.robots}
 
     def injected(self, frame: can.Message) -> None:
         """``frame`` went over the bus, but no robot sent it."""

@@ -12,7 +12,6 @@ from typing import Any
 
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.bus.interfaces import BusChoice
-from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import Subjects
 from mcp_asdf_tools.robots.record import RobotRecord
@@ -43,14 +42,11 @@ class NodeProcesses:
         subjects: Subjects,
         steps_per_second: int,
     ) -> None:
-        """Prepare a process for each of ``robots``, on the bus that ``bus_of`` gives for its id.
+        """Prepare a process for each of ``robots``, whose ids differ, on the bus that ``bus_of`` gives.
 
         A heartbeat is due every ``steps_per_second`` ticks. On SocketCAN all processes stay on one processor,
-        see ``keep_order``. Raises UsageError if a bus is inside this process or two robots share an id.
+        see ``keep_order``. Raises UsageError if a bus is inside this process.
         """
-        ids = [robot.id for robot in robots]
-        if len(set(ids)) < len(ids):
-            raise UsageError(f"two robots have one id among {sorted(ids)}; give each an id of its own")
         self.reports: dict[int, dict[str, Any]] = {}
         self._processes: dict[int, subprocess.Popen[str]] = {}
         self._commands = {
@@ -62,7 +58,7 @@ class NodeProcesses:
             ]
             for robot in robots
         }
-        if any(bus_of(robot).interface == "socketcan" for robot in ids):
+        if any(bus_of(robot).interface == "socketcan" for robot in self._commands):
             keep_order()
 
     def __enter__(self) -> NodeProcesses:

@@ -21,7 +21,6 @@ from input_logs import input_log_in
 from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, decode, encode, float_of
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, InputLogWriter, input_log_path
 from mcp_asdf_tools.recording.replay import ReplayVerdict, rerun, verify
@@ -249,11 +248,6 @@ def test_the_events_of_many_robots_are_hardly_more_than_the_log(
     lines = input_log_path(log).read_text().splitlines(keepends=True)
     assert most - 0.2 < sum(map(len, lines[1:])) / log.stat().st_size < most
     assert check([*read_log(log)], log).reproduced == 1200
-
-
-def test_what_cannot_be_written() -> None:
-    with pytest.raises(UsageError, match=r"two robots have one id among \[1, 1\]"):
-        InputLogWriter(InputLogHeader([record(1), record(1)], 1, FrameFormat()), print)
 
 
 # Malformed files

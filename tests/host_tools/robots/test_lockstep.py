@@ -309,5 +309,3 @@ def test_only_processes_on_socketcan_keep_to_one_processor(
     monkeypatch.setattr("os.sched_setaffinity", lambda process, some: kept.append(some))
     NodeProcesses([record(3)], lambda robot: choice, Subjects(), 10)
     assert kept == processors
-    with pytest.raises(UsageError, match=r"two robots have one id among \[3, 3\]"):
-        NodeProcesses([record(3), record(3)], lambda robot: choice, Subjects(), 10)
