@@ -81,20 +81,12 @@ class Arena:
     def record(self, ticks: int) -> Motion:
         """Let time pass and say what each tick left. O(ticks N^2)."""
         shape = (ticks, self.settings.robots)
-        pairs, flags = (*shape, 2), np.uint8
-        motion = Motion(
-            position=np.empty(pairs),
-            heading=np.empty(pairs),
-            black=np.empty(shape, flags),
-            wheels=np.empty(shape, flags),
-            avoids=np.empty(shape, flags),
-            adjacency=np.zeros((*shape, self.settings.robots), np.bool_),
-        )
-        columns: dict[str, NDArray[Any]] = {
-            name: getattr(motion, name) for name in ("black", "wheels", "avoids")
-        }
-        columns |= zip(("x", "y"), np.moveaxis(motion.position, 2, 0), strict=True)
-        columns |= zip(("cx", "cy"), np.moveaxis(motion.heading, 2, 0), strict=True)
+        position, heading = np.empty((2, *shape, 2))
+        black, wheels, avoids = np.empty((3, *shape), np.uint8)
+        adjacency = np.zeros((*shape, self.settings.robots), np.bool_)
+        columns: dict[str, NDArray[Any]] = {"black": black, "wheels": wheels, "avoids": avoids}
+        columns |= {"x": position[:, :, 0], "y": position[:, :, 1]}
+        columns |= {"cx": heading[:, :, 0], "cy": heading[:, :, 1]}
         now = {name: self._column(name, values.dtype) for name, values in columns.items()}
         for tick in range(ticks):
             self.step()
@@ -102,8 +94,8 @@ class Arena:
                 values[tick] = now[name]
             links = _arena.ffi.buffer(self._arena.links, 4 * self._arena.link_count)
             a, b = np.frombuffer(links, np.uint16).reshape(-1, 2).T
-            motion.adjacency[tick, a, b] = motion.adjacency[tick, b, a] = True
-        return motion
+            adjacency[tick, a, b] = adjacency[tick, b, a] = True
+        return Motion(position, heading, black, wheels, avoids, adjacency)
 
     def _column(self, name: str, kind: np.dtype[Any]) -> NDArray[Any]:
         """The robots' values, shape (N,), which the next tick overwrites."""
