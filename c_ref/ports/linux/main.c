@@ -303,9 +303,15 @@ static void run_until_ended(run_t *run)
 
 #define NUMBER(name, value) (void)printf(", \"%s\": %" PRIu64, name, (uint64_t)(value))
 
-static void print_robot(const mcp_asdf_t *robot)
+/* Returns whether the standard output took it. Estimates and accuracies are the firmware's integers. */
+static bool print_summary(const run_t *run)
 {
+    const mcp_asdf_t *robot = &run->node.robot;
     const mcp_asdf_counters_t counters = mcp_asdf_counters(robot);
+    const node_counts_t *counts = &run->node.counts;
+    const bus_counts_t *bus = &run->bus.counts;
+    (void)printf("{\"id\": %u, \"ended\": \"%s\"", run->options.node.id, run->ended);
+    NUMBER("ticks", run->node.ticks);
     NUMBER("t", mcp_asdf_t_count(robot));
     NUMBER("n", mcp_asdf_n_count(robot));
     NUMBER("b_hat", mcp_asdf_b_hat(robot));
@@ -321,10 +327,6 @@ static void print_robot(const mcp_asdf_t *robot)
     NUMBER("rejected", counters.rejected);
     NUMBER("tests", counters.tests);
     NUMBER("updates", counters.updates);
-}
-
-static void print_node(const node_counts_t *counts)
-{
     NUMBER("estimates", counts->estimates);
     NUMBER("heartbeats", counts->heartbeats);
     NUMBER("telemetry", counts->telemetry);
@@ -338,28 +340,14 @@ static void print_node(const node_counts_t *counts)
     NUMBER("obeyed", counts->obeyed);
     NUMBER("disobeyed", counts->disobeyed);
     NUMBER("unsettled", counts->unsettled);
-}
-
-static void print_bus(const bus_t *bus)
-{
-    (void)printf(", \"filtered_by\": \"%s\"", bus->is_filtered ? "kernel" : "node");
-    NUMBER("received", bus->counts.received);
-    NUMBER("overflowed", bus->counts.overflowed);
-    NUMBER("queue_full", bus->counts.queue_full);
-    NUMBER("error_frames", bus->counts.error_frames);
-    NUMBER("bus_off", bus->counts.bus_off);
-    NUMBER("downs", bus->counts.downs);
-    NUMBER("odd_packets", bus->counts.odd_packets);
-}
-
-/* Returns whether the standard output took it. Estimates and accuracies are the firmware's integers. */
-static bool print_summary(const run_t *run)
-{
-    (void)printf("{\"id\": %u, \"ended\": \"%s\"", run->options.node.id, run->ended);
-    NUMBER("ticks", run->node.ticks);
-    print_robot(&run->node.robot);
-    print_node(&run->node.counts);
-    print_bus(&run->bus);
+    (void)printf(", \"filtered_by\": \"%s\"", run->bus.is_filtered ? "kernel" : "node");
+    NUMBER("received", bus->received);
+    NUMBER("overflowed", bus->overflowed);
+    NUMBER("queue_full", bus->queue_full);
+    NUMBER("error_frames", bus->error_frames);
+    NUMBER("bus_off", bus->bus_off);
+    NUMBER("downs", bus->downs);
+    NUMBER("odd_packets", bus->odd_packets);
     NUMBER("missing", run->source.missing);
     NUMBER("skipped", run->clock.skipped);
     NUMBER("worst_lateness_us", run->clock.worst / 1000);

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import random
-import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -38,7 +37,7 @@ from mcp_asdf_tools.robots.processes import NodeProcesses
 from mcp_asdf_tools.robots.record import RobotRecord, ids_of
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from multicast import multicast
-from support import PATIENCE
+from support import PATIENCE, wait_until
 from wire import CLOCK, EndlessWire, Wire, node, record, still
 
 COLOURS = (*Observation, None)
@@ -293,10 +292,7 @@ def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch, 
     nodes._commands = {3: ["sh", "-c", stubborn]}
     with nodes:
         assert os.getsid(nodes._processes[3].pid) != os.getsid(0), "Ctrl-C is not for it"
-        deadline = time.monotonic() + PATIENCE
-        while not (tmp_path / "up").exists():
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        wait_until((tmp_path / "up").exists)
     assert nodes.reports == {3: {}}
 
 
