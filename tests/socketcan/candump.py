@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import subprocess
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import can
 
 from socketcan.vcan import connect
-from support import PATIENCE, require
+from support import PATIENCE, require, wait_until
 
 
 def listeners(interface: str) -> int:
@@ -18,14 +16,6 @@ def listeners(interface: str) -> int:
     found = Path("/proc/net/can/rcvlist_all")
     lines = found.read_text(encoding="ascii").splitlines() if found.exists() else []  # until the first socket
     return sum(line.split()[:1] == [interface] for line in lines)
-
-
-def wait_until(holds: Callable[[], bool]) -> None:
-    """Return when something holds."""
-    deadline = time.monotonic() + PATIENCE
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 class Candump:

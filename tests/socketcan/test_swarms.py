@@ -10,8 +10,9 @@ import pytest
 
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.recording.frame_logs import read_log
-from socketcan.candump import Candump, listeners, wait_until
+from socketcan.candump import Candump, listeners
 from socketcan.vcan import interfaces
+from support import wait_until
 from targets.c_node import PLAIN, CNode, built, content
 
 pytestmark = pytest.mark.socketcan
