@@ -17,6 +17,7 @@ import pytest
 
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation, Robot, Status
 from mcp_asdf.table import MAX_OMEGA_WORD, Table, TableError, checksum
+from mcp_asdf_tools.crosscheck.scenario import Call, edited_image
 from robots import (
     HALF,
     IMAGE_SIZE,
@@ -165,6 +166,32 @@ def test_an_image_must_be_one_and_fit_its_config(kind: FixedPointType) -> None:
         with pytest.raises(FirmwareError) as caught:
             kind.restore(config, wrong)
         assert caught.value.status == status
+
+
+CROWD = {7: 2**29, 8: 2**28, 9: 1, 10: 2**31, 11: 2**31 + 1}
+"""Words of what a robust robot knows of the others, each within its range."""
+
+
+# design: R31
+@of_fixed_point
+@pytest.mark.parametrize(
+    ("word", "least", "most"),
+    [
+        *((7, 0, 2**30), (8, 2**18, 2**28), (9, 1, 2**32 - 1), (10, 2**12, 2**32 - 2**12)),
+        *((11, 1, 2**14), (12, 0, 0), (22, 0, 0)),
+    ],
+)
+def test_a_robust_image_is_refused_beyond_the_ends(
+    kind: FixedPointType, word: int, least: int, most: int
+) -> None:
+    image = kind(ROBUST, OWN_ID, 0.75).save()
+    for value in {least, most, max(least - 1, 0), min(most + 1, 2**32 - 1)}:
+        words = tuple(number for pair in {**CROWD, word: value}.items() for number in pair)
+        try:
+            kind.restore(ROBUST, edited_image(image, Call("restore", words)))
+            assert least <= value <= most
+        except FirmwareError as error:
+            assert error.status == Status.ERR_IMAGE and not least <= value <= most
 
 
 # --- Settings --------------------------------------------------------------------------------------------
