@@ -22,9 +22,10 @@ from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, Telemetry
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from simulated_avr import Board, require_simavr
-from support import CORE, ROOT, require, run, slow
+from support import CORE, ROOT, block_with, blocks, require, run, slow
 
-PAGE = (ROOT / "docs/porting.md").read_text(encoding="utf-8")
+PAGE = ROOT / "docs/porting.md"
+TEXT = PAGE.read_text(encoding="utf-8")
 PORTS = ROOT / "c_ref/ports"
 ROBOT_ID, B_HAT = 7, 0xF3333333
 ESTIMATES = FrameFormat()
@@ -33,10 +34,6 @@ IMAGE_SIZE = 124
 NO_TILE = 2
 """Of a script: a tick in which the sensor gives no colour."""
 WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wundef -Werror"
-
-
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
 
 
 # --- What the robot has to send ----------------------------------------------------------------------------
@@ -157,17 +154,17 @@ def test_the_core_stands_on_its_own(target: str, part: str, tmp_path: Path) -> N
     assert not [name for kind, name in symbols if kind in "bBdDcC"]
     text, data, bss = map(int, run(f"{tools}size", out).splitlines()[1].split()[:3])
     assert (data, bss) == (0, 0)
-    (row,) = re.findall(rf"^\| flash, {PARTS[part]} \| (.*) \|$", PAGE, re.MULTILINE)
+    (row,) = re.findall(rf"^\| flash, {PARTS[part]} \| (.*) \|$", TEXT, re.MULTILINE)
     for budget in re.findall(rf"([\d.]+) KB \({re.escape(target)}\)", row):
         assert 0.8 * float(budget) < text / 1000 <= float(budget)
 
 
 def test_it_does_what_the_mirror_does(tmp_path: Path) -> None:
     """The project of the page, with a script for a board."""
-    assert blocks("c")[0] == (PORTS / "demo.c").read_text(encoding="utf-8")
+    assert blocks(PAGE, "c")[0] == (PORTS / "demo.c").read_text(encoding="utf-8")
     (tmp_path / "mcp-asdf").symlink_to(ROOT)
-    (tmp_path / "CMakeLists.txt").write_text(blocks("cmake")[0])
-    (tmp_path / "main.c").write_text(blocks("c")[0])
+    (tmp_path / "CMakeLists.txt").write_text(blocks(PAGE, "cmake")[0])
+    (tmp_path / "main.c").write_text(blocks(PAGE, "c")[0])
     shutil.copy(Path(__file__).with_name("scripted_board.c"), tmp_path / "board.c")
     run(require("cmake"), "-S", tmp_path, "-B", tmp_path / "build", CFLAGS=WARNINGS)
     run("cmake", "--build", tmp_path / "build")
@@ -225,7 +222,7 @@ def test_it_goes_on_whenever_the_power_fails(tmp_path: Path) -> None:
     """Observations lost after a power failure at every byte of the writing: one until a copy is whole. At the
     end both copies are, and a robot of another id begins anew in spite of them.
     """
-    (tmp_path / "main.c").write_text(blocks("c")[1] + POWER_FAILS)
+    (tmp_path / "main.c").write_text(blocks(PAGE, "c")[1] + POWER_FAILS)
     sources = [tmp_path / "main.c", CORE, CORE.with_name("mcp_asdf_image.c")]
     run("cc", "-std=c99", *WARNINGS.split(), f"-I{ROOT}/c_ref/src", *sources, "-o", tmp_path / "robot")
     lost = [int(number) for number in run(tmp_path / "robot").split()]
@@ -247,7 +244,7 @@ KILOBOT = re.compile(r"-D(?:F_CPU|BAUD)=\w+")
 def avr_image(folder: Path, *macros: str) -> Path:
     """The robot's image, built by the page's command; it leaves half of the flash and most of the memory."""
     require("avr-gcc", PACKAGES)
-    (command,) = (block for block in blocks("console") if "avr-gcc" in block)
+    command = block_with(PAGE, "avr-gcc", "console")
     (folder / "c_ref").symlink_to(ROOT / "c_ref")
     (folder / "tables").symlink_to(ROOT / "tables")
     run(*command.replace("\\\n", " ").split(), *WARNINGS.split(), *macros, cwd=folder)
@@ -263,7 +260,7 @@ def test_it_does_the_same_on_an_atmega(board: str, tmp_path: Path) -> None:
     fast as the line can bring them, and a UART of the line's speed.
     """
     require_simavr()
-    image = avr_image(tmp_path, *(KILOBOT.findall(PAGE) if board == "Kilobot" else ()))
+    image = avr_image(tmp_path, *(KILOBOT.findall(TEXT) if board == "Kilobot" else ()))
     clock, baud = CLOCKS[board]
     ticks, said = script(seed=7, ticks=60, tiles=(0, 1, 1), most_packets=5), bytearray()
     robot = Board(image, clock, said.append)
@@ -324,7 +321,7 @@ def test_two_kilobots_exchange_estimates(tmp_path: Path) -> None:
     machines = pytest.importorskip("benchmarks.cost.machines", reason="unicorn is not installed: make setup")
     require("avr-gcc", PACKAGES)
     require_simavr()
-    (code,) = (block for block in blocks("c") if "kilolib.h" in block)
+    code = block_with(PAGE, "kilolib.h", "c")
     (tmp_path / "kilobot.c").write_text(code + TELLING, encoding="utf-8")
     sources = [*CORE.parent.glob("*.c"), ROOT / "tables/t_table_omega05_q30.c", tmp_path / "kilobot.c"]
     flags = "-mmcu=atmega328p -Os -std=gnu99 -ffunction-sections -Wl,--gc-sections -Wl,-u,told"
