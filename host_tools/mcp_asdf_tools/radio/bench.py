@@ -250,11 +250,6 @@ class Bench:
 
     # --- Comparing ---
 
-    def begin(self) -> None:
-        """Wait for the controller if that is asked for. Raises LockstepError if it does not come."""
-        if self.options.wait is not None:
-            self.lockstep.wait_until_up({self._id}, self.options.wait)
-
     def compare(self) -> None:
         """Compare all frames since the last comparison. Raises Differs."""
         symptom = self.symptom()

@@ -120,8 +120,9 @@ class Comparison:
         self, kind: str, own: Sequence[can.Message], models: Sequence[can.Message]
     ) -> Symptom | None:
         field = _first_difference(kind, own, models)
-        if field == "health" and self.may_advise and _most_severe(own) <= Health.ADVISORY.value:
-            field = None
+        if field == "health" and self.may_advise:
+            most_severe = max(frame.data[4] & 3 for frame in own)
+            field = None if most_severe <= Health.ADVISORY.value else field
         if field is None:
             self.equal[kind] += len(own)
             return None
@@ -175,11 +176,6 @@ def _significant(field: str, value: int) -> int:
 
 _MANY_BITS, _MANY_DIGITS = 24, 1 << 14
 """Of a field, and of the digits of a value."""
-
-
-def _most_severe(heartbeats: Sequence[can.Message]) -> int:
-    """The most severe health among heartbeats."""
-    return max(frame.data[4] & 3 for frame in heartbeats)
 
 
 def _what_is_odd(frame: can.Message) -> str | None:

@@ -174,7 +174,8 @@ class Verification:
         verdict, bench = self.verdict, self.bench
         phase, result = self._phases[0], verdict.phases[0]
         try:
-            bench.begin()
+            if bench.options.wait is not None:
+                bench.lockstep.wait_until_up({bench.record.id}, bench.options.wait)
             for phase, result in zip(self._phases, verdict.phases, strict=True):
                 self._run_phase(phase, result)
             bench.listen_on()

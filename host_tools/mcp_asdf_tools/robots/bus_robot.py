@@ -217,7 +217,8 @@ class BusRobot:
         self.ticks = 0
         self.sent = FramesSent()
         self.robot = self._make()
-        self._port = _port_of(self.robot)
+        speaks_raw = hasattr(self.robot, "receive_all")
+        self._port = cast(FixedPointRobot, self.robot) if speaks_raw else RoundingPort(self.robot)
         self._left = self._period
         self._counted = self.robot.counters
 
@@ -373,8 +374,3 @@ class RoundingPort:
             return self._robot.receive(sender, x_hat / ONE, word_to_alpha(alpha)) is Status.OK
         except FirmwareError:
             return False
-
-
-def _port_of(robot: Robot) -> FixedPointRobot | RoundingPort:
-    """The robot itself if it speaks raw integers, else a port that rounds for it."""
-    return cast(FixedPointRobot, robot) if hasattr(robot, "receive_all") else RoundingPort(robot)

@@ -44,8 +44,8 @@ class NodeProcesses:
     ) -> None:
         """Prepare a process for each of ``robots``, whose ids differ, on the bus that ``bus_of`` gives.
 
-        A heartbeat is due every ``steps_per_second`` ticks. On SocketCAN all processes stay on one processor,
-        see ``keep_order``. Raises UsageError if a bus is inside this process.
+        A heartbeat is due every ``steps_per_second`` ticks. On SocketCAN this process and those it starts
+        stay on one processor. Raises UsageError if a bus is inside this process.
         """
         self.reports: dict[int, dict[str, Any]] = {}
         self._processes: dict[int, subprocess.Popen[str]] = {}
@@ -59,7 +59,9 @@ class NodeProcesses:
             for robot in robots
         }
         if any(bus_of(robot).interface == "socketcan" for robot in self._commands):
-            keep_order()
+            # A virtual CAN interface of Linux delivers a frame on the processor of its sender. With several
+            # one robot may hear a command before the estimate that it followed; lockstep needs one order.
+            os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
     def __enter__(self) -> NodeProcesses:
         pipe = subprocess.PIPE
@@ -113,12 +115,3 @@ def _options(robot: RobotRecord, subjects: Subjects) -> list[str]:
         "command_subject": subjects.commands.subject,
     }
     return [f"--{name.replace('_', '-')}={value}" for name, value in plain.items()]
-
-
-def keep_order() -> None:
-    """Let this process, and those it starts, run on one processor only.
-
-    A virtual CAN interface of Linux delivers a frame on the processor of its sender. With several processors
-    one robot may hear a command before the estimate that it followed; lockstep needs the same order for all.
-    """
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -29,7 +28,7 @@ from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import jobs_of, run_sweep
 from mcp_asdf_tools.experiments.trials import Job
 from mcp_asdf_tools.robots.population import Filtering
-from support import PATIENCE, ROOT, interruptible, slow
+from support import PATIENCE, ROOT, interruptible, slow, wait_until
 from trials import noted_jobs
 
 GRID = [
@@ -335,13 +334,6 @@ def slow_sweep(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     process.communicate()
 
 
-def wait_for(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
-
-
 def workers_of(process: subprocess.Popen[str]) -> list[str]:
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     if not children.exists():
@@ -361,7 +353,7 @@ def test_a_signal_keeps_what_is_finished(
     number: signal.Signals, slow_sweep: subprocess.Popen[str], tmp_path: Path
 ) -> None:
     parts = tmp_path / "slow.parquet.parts"
-    wait_for(lambda: any(parts.glob("*.parquet")))
+    wait_until(lambda: any(parts.glob("*.parquet")))
     os.killpg(slow_sweep.pid, number)
     _, errors = slow_sweep.communicate(timeout=PATIENCE)
     assert slow_sweep.returncode == 128 + number
@@ -387,7 +379,7 @@ def test_ctrl_c_while_a_part_is_noted_loses_nothing(output: Path, monkeypatch: p
 
 
 def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen[str]) -> None:
-    wait_for(lambda: bool(workers_of(slow_sweep)))
+    wait_until(lambda: bool(workers_of(slow_sweep)))
     os.killpg(slow_sweep.pid, signal.SIGINT)
     _, errors = slow_sweep.communicate(timeout=PATIENCE)
     assert slow_sweep.returncode == 130
@@ -396,7 +388,7 @@ def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen
 
 @pytest.mark.slow
 def test_workers_end_with_a_sweep_that_is_killed(slow_sweep: subprocess.Popen[str]) -> None:
-    wait_for(lambda: len(workers_of(slow_sweep)) == 2)
+    wait_until(lambda: len(workers_of(slow_sweep)) == 2)
     workers = workers_of(slow_sweep)
     slow_sweep.kill()
-    wait_for(lambda: not any(map(is_worker, workers)))
+    wait_until(lambda: not any(map(is_worker, workers)))
