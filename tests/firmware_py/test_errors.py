@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation, Robot, Status
 from mcp_asdf.table import MAX_OMEGA_WORD, Table, TableError, checksum
-from mcp_asdf_tools.crosscheck.scenario import Call, edited_image
+from mcp_asdf_tools.crosscheck.scenario import IMAGE, Call, edited_image
 from robots import (
     HALF,
     IMAGE_SIZE,
@@ -27,6 +29,7 @@ from robots import (
     TABLE,
     AnyType,
     FixedPointType,
+    hear,
     new,
     of_every_kind,
     of_fixed_point,
@@ -192,6 +195,34 @@ def test_a_robust_image_is_refused_beyond_the_ends(
             assert least <= value <= most
         except FirmwareError as error:
             assert error.status == Status.ERR_IMAGE and not least <= value <= most
+
+
+def restored(kind: FixedPointType, config: Config, image: bytes) -> object:
+    """The robot's state, or why there is none."""
+    try:
+        return kind.restore(config, image).state()
+    except FirmwareError as error:
+        return error.status
+
+
+# design: R30
+@pytest.mark.parametrize("mode", (Filter.OFF, Filter.ROBUST))
+def test_an_image_with_another_word_is_taken_or_refused_by_mirror_and_c_alike(mode: Filter) -> None:
+    """Each word, at the ends of ranges and beside its own, under a right checksum."""
+    config, seen = Config(filter=mode, filter_period=4), set[object]()
+    robot = MirrorRobot(config, OWN_ID, 0.7)
+    for tick in range(9):
+        hear(robot, 0.4, 0.5, 0.6)
+        robot.step(Observation(tick % 3 == 1))
+    hear(robot, 0.4)
+    for place, word in enumerate(IMAGE.unpack(robot.save())[:-1]):
+        ends = (0, 1, 2**12, 2**18, 2**28, 2**30, 2**31, 2**32, word, word ^ 1 << 16, word ^ 1 << 24)
+        for value in (end + step & 2**32 - 1 for end in ends for step in (-1, 0, 1)):
+            image = edited_image(robot.save(), Call("restore", (place, value)))
+            outcome = restored(MirrorRobot, config, image)
+            assert outcome == restored(NativeRobot, config, image), (place, value)
+            seen.add(str(outcome))
+    assert len(seen) > 100
 
 
 # --- Settings --------------------------------------------------------------------------------------------
