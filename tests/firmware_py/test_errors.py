@@ -173,25 +173,32 @@ def test_an_image_must_be_one_and_fit_its_config(kind: FixedPointType) -> None:
 
 CROWD = {7: 2**29, 8: 2**28, 9: 1, 10: 2**31, 11: 2**31 + 1}
 """Words of what a robust robot knows of the others, each within its range."""
+ROUND = {13: 2**31, 14: 2**23 - 1, 21: 1, 19: 1, 22: 1, 23: 1}
+"""Words of an open round with a message of x_hat 2^-23 and the largest alpha, but for the sums of both."""
 
 
 # design: R31
 @of_fixed_point
 @pytest.mark.parametrize(
-    ("word", "least", "most"),
+    ("config", "known", "ends"),
     [
-        *((7, 0, 2**30), (8, 2**18, 2**28), (9, 1, 2**32 - 1), (10, 2**12, 2**32 - 2**12)),
-        *((11, 1, 2**14), (12, 0, 0), (22, 0, 0)),
+        *((ROBUST, CROWD, ends) for ends in ((7, 0, 2**30), (8, 2**18, 2**28), (9, 1, 2**32 - 1))),
+        *(
+            (ROBUST, CROWD, ends)
+            for ends in ((10, 2**12, 2**32 - 2**12), (11, 1, 2**14), (12, 0, 0), (22, 0, 0))
+        ),
+        *((ADAPTIVE, ROUND, ends) for ends in ((16, 0, 0), (17, 0, 2**23 - 1), (18, 0, 0))),
     ],
 )
-def test_a_robust_image_is_refused_beyond_the_ends(
-    kind: FixedPointType, word: int, least: int, most: int
+def test_an_image_is_refused_beyond_its_ends(
+    kind: FixedPointType, config: Config, known: dict[int, int], ends: tuple[int, int, int]
 ) -> None:
-    image = kind(ROBUST, OWN_ID, 0.75).save()
+    word, least, most = ends
+    image = kind(config, OWN_ID, 0.75).save()
     for value in {least, most, max(least - 1, 0), min(most + 1, 2**32 - 1)}:
-        words = tuple(number for pair in {**CROWD, word: value}.items() for number in pair)
+        words = tuple(number for pair in {**known, word: value}.items() for number in pair)
         try:
-            kind.restore(ROBUST, edited_image(image, Call("restore", words)))
+            kind.restore(config, edited_image(image, Call("restore", words)))
             assert least <= value <= most
         except FirmwareError as error:
             assert error.status == Status.ERR_IMAGE and not least <= value <= most
