@@ -27,7 +27,7 @@ test: .venv/ready-to-test ## run the tests of everything, 2 minutes once set up:
 	@$(PYTEST) -m "not slow" --junit-xml=build/reports/pytest.xml
 
 verify: .venv/ready-to-test ## run the slow rest of the tests: every compiler at every level, long runs, guest kernels
-	@$(PYTEST) -m slow --junit-xml=build/reports/verify.xml
+	@$(PYTEST) --numprocesses=$$(($$(nproc) + 1)) -m slow --junit-xml=build/reports/verify.xml  # some wait
 
 fuzz: .venv/ready-to-test ## fuzz the C for MINUTES=5 in all: serial lines, datagrams, the radio
 	@PYTHONPATH=tests $(BIN)/python -m fuzz --minutes $(MINUTES)

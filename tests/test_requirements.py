@@ -27,10 +27,8 @@ def test_each_proof_that_is_named_is_run() -> None:
         names += [name for name, value in vars(module).items() if id(value) in contracts]
         run |= {f"proofs/{name}.py: {each}" for each in names}
     others = {place for place in named - run if ": test_" not in place}
-    assert others == {
-        "proofs/calls.py: of_a_message",
-        "proofs/images.py: of_the_way_back",
-    }  # tests of their own
+    tests_of_their_own = {"proofs/calls.py: of_a_message", "proofs/images.py: of_the_way_back"}
+    assert others == tests_of_their_own
     assert len(named) > 20
 
 

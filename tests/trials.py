@@ -19,10 +19,7 @@ def check_that_the_engine_is_the_mirror(experiment: Experiment) -> None:
     """Two trials by the C engine have every result and record of those run message by message in Python, and
     leave the robots in the same states."""
     mirrored = replace(experiment, firmware="mirror")
-    own, other = (
-        run_trials(experiment, 1, 2, sampling_interval=7),
-        run_trials(mirrored, 1, 2, sampling_interval=7),
-    )
+    own, other = (run_trials(each, 1, 2, sampling_interval=7) for each in (experiment, mirrored))
     for name in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
         assert np.array_equal(getattr(own, name), getattr(other, name)), name
     for name, values in own.records.items():

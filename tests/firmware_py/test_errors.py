@@ -21,6 +21,7 @@ from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation,
 from mcp_asdf.table import MAX_OMEGA_WORD, Table, TableError, checksum
 from mcp_asdf_tools.crosscheck.scenario import IMAGE, Call, edited_image
 from robots import (
+    ALPHA_MOST,
     HALF,
     IMAGE_SIZE,
     ONE,
@@ -171,39 +172,6 @@ def test_an_image_must_be_one_and_fit_its_config(kind: FixedPointType) -> None:
         assert caught.value.status == status
 
 
-CROWD = {7: 2**29, 8: 2**28, 9: 1, 10: 2**31, 11: 2**31 + 1}
-"""Words of what a robust robot knows of the others, each within its range."""
-ROUND = {13: 2**31, 14: 2**23 - 1, 21: 1, 19: 1, 22: 1, 23: 1}
-"""Words of an open round with a message of x_hat 2^-23 and the largest alpha, but for the sums of both."""
-
-
-# design: R31
-@of_fixed_point
-@pytest.mark.parametrize(
-    ("config", "known", "ends"),
-    [
-        *((ROBUST, CROWD, ends) for ends in ((7, 0, 2**30), (8, 2**18, 2**28), (9, 1, 2**32 - 1))),
-        *(
-            (ROBUST, CROWD, ends)
-            for ends in ((10, 2**12, 2**32 - 2**12), (11, 1, 2**14), (12, 0, 0), (22, 0, 0))
-        ),
-        *((ADAPTIVE, ROUND, ends) for ends in ((16, 0, 0), (17, 0, 2**23 - 1), (18, 0, 0))),
-    ],
-)
-def test_an_image_is_refused_beyond_its_ends(
-    kind: FixedPointType, config: Config, known: dict[int, int], ends: tuple[int, int, int]
-) -> None:
-    word, least, most = ends
-    image = kind(config, OWN_ID, 0.75).save()
-    for value in {least, most, max(least - 1, 0), min(most + 1, 2**32 - 1)}:
-        words = tuple(number for pair in {**known, word: value}.items() for number in pair)
-        try:
-            kind.restore(config, edited_image(image, Call("restore", words)))
-            assert least <= value <= most
-        except FirmwareError as error:
-            assert error.status == Status.ERR_IMAGE and not least <= value <= most
-
-
 def restored(kind: FixedPointType, config: Config, image: bytes) -> object:
     """The robot's state, or why there is none."""
     try:
@@ -221,9 +189,9 @@ def test_an_image_with_another_word_is_taken_or_refused_by_mirror_and_c_alike(mo
     for tick in range(9):
         hear(robot, 0.4, 0.5, 0.6)
         robot.step(Observation(tick % 3 == 1))
-    hear(robot, 0.4)
+    robot.receive_raw(1, 1, ALPHA_MOST)
     for place, word in enumerate(IMAGE.unpack(robot.save())[:-1]):
-        ends = (0, 1, 2**12, 2**18, 2**28, 2**30, 2**31, 2**32, word, word ^ 1 << 16, word ^ 1 << 24)
+        ends = (0, 1, 2**12, 2**18, 2**23, 2**28, 2**30, 2**31, 2**32, word, word ^ 1 << 16, word ^ 1 << 24)
         for value in (end + step & 2**32 - 1 for end in ends for step in (-1, 0, 1)):
             image = edited_image(robot.save(), Call("restore", (place, value)))
             outcome = restored(MirrorRobot, config, image)

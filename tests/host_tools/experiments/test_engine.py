@@ -183,15 +183,8 @@ def engine_for(architecture: str, folder: Path, *more: str) -> Any:
     run(sys.executable, ROOT / "firmware_py/build_native.py", _engine.__name__, glue, *headers)
     includes = [f"-I{path}" for path in (core, arena, engine, sysconfig.get_path("include"))]
     sources = (glue, *sorted(engine.glob("*.c")), *sorted(arena.glob("*.c")), core / "mcp_asdf_image.c")
-    options = (
-        "-std=gnu99",
-        "-O3",
-        "-ffp-contract=off",
-        "-fPIC",
-        "-shared",
-        "-fno-trapping-math",
-        "-fno-math-errno",
-    )
+    floats = ("-ffp-contract=off", "-fno-trapping-math", "-fno-math-errno")
+    options = ("-std=gnu99", "-O3", "-fPIC", "-shared", *floats)
     target = ("-DFOR_EACH_TARGET=", f"-march={architecture}")
     run(require("gcc", "gcc"), *options, *more, *target, *includes, *sources, "-o", module, "-lm")
     spec = importlib.util.spec_from_file_location(_engine.__name__, module)
@@ -349,7 +342,7 @@ def test_liars_say_what_they_say_on_a_bus(experiment: Experiment) -> None:
 MANY = replace(LATE, robots=300, flawed=90, steps=150)
 LONG_GRAPH = "; ".join(f"{i} {(i + 1) % 2100}; {i} > {(i + 2048) % 2100}" for i in range(2100))
 HUGE = replace(MANY, topology="graph", density=1.0, graph=LONG_GRAPH, robots=2100, flawed=630, steps=60)
-"""Its robots, in more than one block of lanes, hear others in the other block."""
+"""Its robots stand in many rows of lanes and hear others far away in them."""
 
 
 def test_lanes_of_many_robots_equal_the_firmware() -> None:
