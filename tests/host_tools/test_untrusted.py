@@ -6,6 +6,7 @@ import gzip
 import json
 import re
 import resource
+import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -198,6 +199,14 @@ def test_what_is_sound_is_read_and_what_is_not_is_refused_in_a_line(name: str, t
         try_to_read(parser, path, data)
 
     always()
+
+
+def test_an_elf_file_whose_symbols_have_no_names_is_damaged(tmp_path: Path) -> None:
+    data = bytearray(firmware())
+    (headers,), is_symtab = struct.unpack_from("<Q", data, 0x28), struct.pack("<I", 2)
+    (symtab,) = (at for at in range(headers, len(data), 64) if data[at + 4 : at + 8] == is_symtab)
+    struct.pack_into("<I", data, symtab + 40, 2048)  # the number of the section with the names
+    assert "the file is damaged" in try_to_read(PARSERS["ELF"], tmp_path / "image.elf", bytes(data))
 
 
 def test_a_refusal_is_one_line_that_can_be_printed() -> None:

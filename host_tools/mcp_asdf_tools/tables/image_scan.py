@@ -29,9 +29,11 @@ _FIRST_WORDS = {
     ">": re.compile(b"(?=" + _MAGIC_BYTES + b".)", re.DOTALL),
 }
 """Places where the magic stands beside a byte for q, in each byte order; two such places may overlap."""
-_DAMAGE = (ELFError, IntelHexError, ValueError, OverflowError, zlib.error)
-_LARGEST_IMAGE = 2**28
+_OF_ELF = (TypeError, AttributeError, LookupError)
+"""What pyelftools raises, too, where a link in the file leads nowhere."""
+_DAMAGE = (ELFError, IntelHexError, ValueError, OverflowError, zlib.error, *_OF_ELF)
 """Exceptions of the two libraries when a file is damaged."""
+_LARGEST_IMAGE = 2**28
 _HEX_RECORD = re.compile(rb"\s*:[0-9A-Fa-f]{10}")
 _NOT_FOUND = "no t-table found; is one linked in and used, and is this ELF, Intel HEX or plain binary?"
 
