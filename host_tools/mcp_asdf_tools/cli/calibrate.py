@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.world.calibration import calibrate, read_readings
+from mcp_asdf_tools.robots.calibration import calibrate, read_readings
 
 EPILOG = """\
 examples:

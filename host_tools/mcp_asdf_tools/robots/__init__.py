@@ -1,1 +1,1 @@
-"""One robot on a bus: firmware, population, node, clock, and how it is driven in lockstep."""
+"""One robot on a bus: firmware, its sensor calibrated, population, node, clock, and lockstep."""

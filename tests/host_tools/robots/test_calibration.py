@@ -13,7 +13,7 @@ import pytest
 
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.world.calibration import calibrate
+from mcp_asdf_tools.robots.calibration import calibrate
 from wire import record
 
 Rows = list[tuple[float, bool]]
