@@ -373,7 +373,7 @@ def test_ctrl_c_while_a_part_is_noted_loses_nothing(output: Path, monkeypatch: p
 
     monkeypatch.setattr(store_module, "_SECONDS", 0.0)
     monkeypatch.setattr(results_module.Pieces, "append", append)
-    with pytest.raises(KeyboardInterrupt):
+    with interruptible(), pytest.raises(KeyboardInterrupt):
         sweep.run_missing(store, workers=1)
     assert 0 < Store(output, [SMALL]).left == store.left < SMALL.trials
 
