@@ -89,7 +89,7 @@ def seen_by(wire: Wire, plan: RadioSettings, phases: Sequence[Phase]) -> tuple[V
 
 @pytest.mark.parametrize(
     ("config", "digest"),
-    [({"memory": 64}, "bfb35dd04e45d683"), *slow([(VOTES, "276c430ae9c3dd81"), ({}, "885ce99c777afaec")])],
+    [({"memory": 64}, "bfb35dd04e45d683"), (VOTES, "276c430ae9c3dd81"), *slow([({}, "885ce99c777afaec")])],
     ids=str,
 )
 def test_a_right_controller_passes_every_phase(config: dict[str, Any], digest: str) -> None:

@@ -275,3 +275,9 @@ def test_only_who_knows_how_accurate_the_counted_observations_were_is_right() ->
     assert ageing_error(firmware="mean-accuracy", memory=1024) < 0.03
     ageing_peer = ageing_error(firmware="ageing-bayescpf", filter="asdf-plus")
     assert ageing_peer != ageing_error(firmware="bayescpf", filter="asdf-plus")
+
+
+def test_a_row_says_what_sets_an_experiment_apart() -> None:
+    healthy = Experiment(topology="dynamic", flawed=0, density=3)
+    assert robust.row_of(healthy) == "moving, 0 % flawed, density 3, latency 0"
+    assert robust.row_of(Experiment(robots=20, flawed=6)) == "fully connected, underconfident"

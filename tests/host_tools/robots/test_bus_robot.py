@@ -5,6 +5,7 @@ What it says and hears is compared with trials (test_swarm.py) and with the C no
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from decimal import Decimal
 from typing import Any
@@ -15,7 +16,7 @@ import pytest
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError
 from mcp_asdf.table import Table
-from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message
+from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, Rejection, Telemetry
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception
@@ -70,6 +71,16 @@ def test_the_dead_hear_nothing() -> None:
     for frame in frames:
         dead.hear_stranger(frame)
     assert (dead.reception, dead.counters) == (Reception(), Counters())
+
+
+def test_what_is_no_estimate_is_counted_by_its_kind() -> None:
+    one = BusRobot(record(5), ESTIMATES)
+    for content in (Heartbeat(8, 1, 0), Telemetry(8, 9, 1 << 23, 1, 0), *Rejection):
+        one.count(content, 3)
+    others = [each for each in Rejection if each is not Rejection.ERROR_FRAME]
+    assert one.reception == Reception(
+        heartbeats=3, telemetry=3, errors=3, rejected=Counter(dict.fromkeys(others, 3))
+    )
 
 
 # Records
