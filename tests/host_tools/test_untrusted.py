@@ -219,6 +219,16 @@ def test_a_refusal_is_one_line_that_can_be_printed() -> None:
 # ---- Results that look like ours ----
 
 
+@pytest.mark.parametrize(("right", "wrong"), [(b"robots", b"\xffobots"), (b"mcp-asdf", b"mcp-asdg")])
+def test_results_whose_two_schemas_differ_are_read_or_refused(
+    right: bytes, wrong: bytes, tmp_path: Path
+) -> None:
+    """A file has one for Parquet and one for Arrow, in base64; other names do not all read as text."""
+    data = results().replace(right, wrong)
+    said = try_to_read(PARSERS["results"], tmp_path / "run.parquet", data)
+    assert (said != "") == (right == b"robots")
+
+
 def with_column(name: str, values: object) -> pa.Table:
     table = sound_results()
     return table.set_column(table.column_names.index(name), name, values)

@@ -343,7 +343,7 @@ def _open(path: Path) -> Any:
     """A file that ``write_tables`` wrote, to be read in row groups. Raises UsageError for any other."""
     with _reading(path):
         file = pa.parquet.ParquetFile(path)
-    _check(path, file.schema_arrow, file.metadata.num_rows)
+        _check(path, file.schema_arrow, file.metadata.num_rows)
     return file
 
 
@@ -351,7 +351,7 @@ def _row_group(path: Path, file: Any, group: int, columns: Sequence[str] | None)
     with _reading(path):
         table = file.read_row_group(group, columns=columns)
         table.validate(full=True)
-    return table
+    return table.replace_schema_metadata(file.schema_arrow.metadata)  # that were checked; a file has two
 
 
 @contextmanager
@@ -359,7 +359,7 @@ def _reading(path: Path) -> Iterator[None]:
     """Turn what goes wrong while ``path`` is read into a UsageError that names it."""
     try:
         yield
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         parts = parts_of(path)
         hint = f"; its sweep is not finished, partial data is in {parts}" if parts.is_dir() else ""
         reason = error if path.exists() else "there is no such file"
