@@ -11,13 +11,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 
 from mutation.c_mutants import Mutant
-from proofs.source import LANES_HEADER, SOURCES, VARIANTS, Variant
+from proofs.source import AVR, LANES_HEADER, SOURCES, VARIANTS, Variant
 from support import ROOT, TABLE, require, run
 
 TESTS = ROOT / "tests/c_ref"
 PORTS = ROOT / "c_ref/ports"
 CLZ = Path(__file__).with_name("clz.h")
-AVR = VARIANTS[-2]
 BUILDS = tuple(Variant("1001", f"MCP_ASDF_WITH_{filter}=0") for filter in ("ROBUST", "ASDF"))
 """Builds without a filter; only the independent implementation is run with them."""
 VARIANTS_OF = {

@@ -69,7 +69,7 @@ class Record:
 def record(of: Iterable[Mutant], folders: Iterable[Path]) -> Record:
     """Run the tests of these folders once, and note which run the statements of these mutants.
 
-    A probe before each statement says so: that takes a third of the time that a tracer of all lines takes.
+    A probe before each statement says so: the tests take half the time that they take with all lines traced.
     """
     for library in HEAVY:
         importlib.import_module(library)

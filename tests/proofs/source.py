@@ -55,7 +55,8 @@ class Variant:
 HERE = tuple(Variant(digits) for digits in ("1001", "2100", "1000", "3010", "4000", "2000"))
 """What targets choose: together they have every variant of every function that a compiler for this machine
 takes."""
-VARIANTS = (*HERE, Variant("3010", "__AVR__"), Variant("1000", "__riscv"))
+AVR = Variant("3010", "__AVR__")
+VARIANTS = (*HERE, AVR, Variant("1000", "__riscv"))
 """The same, and the two targets that have code of their own, with what they choose."""
 
 
