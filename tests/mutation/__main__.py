@@ -32,10 +32,11 @@ def chosen(paths: list[str], sample: int | None = None, seed: int = 0) -> list[M
     return [each for each in found if each.name not in equivalents("python")]
 
 
-def survivors(of: list[Mutant], tests: list[Path] | None = None) -> list[str]:
+def survivors(of: list[Mutant], tests: list[Path] | None = None, with_slow: bool = False) -> list[str]:
     """Lines that name and replay the mutants that pass the tests of their room, or these tests."""
     folders = {each: tests or tests_of(each.path) for each in of}
-    known = record(of, (folder for each in folders.values() for folder in each))
+    marks = "" if with_slow else "not slow"
+    known = record(of, (folder for each in folders.values() for folder in each), marks)
     for test in known.failed:
         print(f"fails without a mistake, and is left out: {test}", flush=True)
     lines = []
@@ -60,11 +61,12 @@ def main() -> None:
     parser.add_argument("--sample", type=int, metavar="N", help="try N of them, at random")
     parser.add_argument("--seed", type=int, default=random.randrange(1 << 32), help="of the sample")
     parser.add_argument("--tests", nargs="+", type=Path, metavar="PATH", help="instead of those of the room")
+    parser.add_argument("--slow", action="store_true", help="let slow tests count, too")
     given = parser.parse_args()
     if given.sample is not None:
         print(f"seed {given.seed}")
     tried = chosen(given.path, given.sample, given.seed)
-    survived = survivors(tried, given.tests)
+    survived = survivors(tried, given.tests, given.slow)
     print(f"{len(tried)} mutants, {len(survived)} survive")
     sys.exit(bool(survived))
 

@@ -1,4 +1,4 @@
-"""Tests that a mutant of the Python has to get past: the quick ones of its room, in child processes."""
+"""Tests that a mutant of the Python has to get past: those of its room, in child processes."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.machinery import SourceFileLoader
 from multiprocessing import get_context
 from pathlib import Path
@@ -27,7 +28,7 @@ from support import DRAWS_ALL, ROOT
 
 SECONDS, TIMES = 10, 4
 """Limit of a test's time, beside so many times what it takes without a mistake. What hangs is noticed."""
-QUIET = ("-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-m", "not slow")
+QUIET = ("-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-m")
 HEAVY = ("numpy", "scipy.stats", "pyarrow.parquet", "matplotlib.figure", "can", "cffi")
 """Libraries that most tests need, imported once before processes split."""
 PROBE = "_mcp_asdf_probe"
@@ -40,9 +41,10 @@ def tests_of(path: Path) -> list[Path]:
     everywhere, the firmware by the cross-check, too."""
     if path.parts[0] == "firmware_py":
         return [Path("tests/firmware_py"), Path("tests/host_tools/crosscheck")]
-    room = Path("tests/host_tools", path.parts[2])
-    is_room = path.parts[2] != "cli" and (ROOT / room).is_dir()
-    return [room if is_room else room.parent]
+    found = [each.relative_to(ROOT) for each in (ROOT / "tests/host_tools").glob("**/test_*.py")]
+    rooms = {each.parent if len(each.parts) > 3 else each for each in found}
+    own = Path("tests/host_tools", path.parts[2])
+    return [own] if own in rooms and path.parts[2] != "cli" else sorted(rooms)
 
 
 @dataclass
@@ -50,11 +52,13 @@ class Record:
     """What the tests do without a mistake.
 
     Attributes:
+        marks: Which tests, in pytest's words.
         seconds: Time of each test, by its name.
         tests: Tests that run a mutant's statement, by ``FILE#PLACE``.
         failed: Tests that fail, and notice nothing.
     """
 
+    marks: str
     seconds: dict[str, float] = field(default_factory=dict)
     tests: dict[str, list[str]] = field(default_factory=dict)
     failed: list[str] = field(default_factory=list)
@@ -66,32 +70,40 @@ class Record:
         return sorted(found, key=self.seconds.__getitem__)
 
 
-def record(of: Iterable[Mutant], folders: Iterable[Path]) -> Record:
+def record(of: Iterable[Mutant], folders: Iterable[Path], marks: str = "not slow") -> Record:
     """Run the tests of these folders once, and note which run the statements of these mutants.
 
     A probe before each statement says so: the tests take half the time that they take with all lines traced.
+    Rooms are run one by one: what one of them keeps in a cache, the next computes again.
     """
     for library in HEAVY:
         importlib.import_module(library)
     probes: dict[Path, dict[int, str]] = {}
     for each in of:
         probes.setdefault(each.path, {})[each.place] = f"{PROBE}({_statement(each)!r})"
+    whole = Record(marks)
     with TemporaryDirectory() as made:
         file = Path(made) / "record.json"
-        paths = sorted({*map(str, folders)})
-        _in_child(lambda: _record_into(file, probes, paths), None)
-        return Record(**json.loads(file.read_text(encoding="utf-8")))
+        for folder in sorted({*folders}):
+            if not _in_child(partial(_record_into, file, probes, folder, marks), None):
+                raise RuntimeError(f"{folder}: its tests ended without a record")
+            part = Record(**json.loads(file.read_text(encoding="utf-8")))
+            whole.seconds |= part.seconds
+            whole.failed += part.failed
+            for statement, tests in part.tests.items():
+                whole.tests.setdefault(statement, []).extend(tests)
+    return whole
 
 
 def _statement(mutant: Mutant) -> str:
     return f"{mutant.path}#{mutant.place}"
 
 
-def _record_into(file: Path, probes: dict[Path, dict[int, str]], paths: list[str]) -> bool:
-    recorder = _Recorder()
+def _record_into(file: Path, probes: dict[Path, dict[int, str]], folder: Path, marks: str) -> bool:
+    recorder = _Recorder(marks)
     setattr(builtins, PROBE, recorder.ran.add)
     _install({path: with_probes(path, texts) for path, texts in probes.items()})
-    pytest.main([*QUIET, *paths], plugins=[recorder])
+    pytest.main([*QUIET, marks, str(folder)], plugins=[recorder])
     file.write_text(json.dumps(vars(recorder.record)), encoding="utf-8")
     return True
 
@@ -99,9 +111,9 @@ def _record_into(file: Path, probes: dict[Path, dict[int, str]], paths: list[str
 class _Recorder:
     """Plugin of pytest that notes which statements a test runs, its fixtures included, in every thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, marks: str) -> None:
         self.ran: set[str] = set()
-        self.record = Record()
+        self.record = Record(marks)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
@@ -135,7 +147,7 @@ def dies(mutant: Mutant, known: Record, folders: Iterable[Path]) -> bool:
 def _passes(mutant: Mutant, files: list[str], running: list[str], known: Record) -> bool:
     _install({mutant.path: mutant.code})
     plugin = _Sorter({test: number for number, test in enumerate(running)}, known)
-    return pytest.main([*QUIET, "-x", *files], plugins=[plugin]) == pytest.ExitCode.OK
+    return pytest.main([*QUIET, known.marks, "-x", *files], plugins=[plugin]) == pytest.ExitCode.OK
 
 
 @dataclass(frozen=True)

@@ -126,7 +126,8 @@ def _changes(statement: ast.stmt) -> Iterator[Change]:
     if isinstance(statement, ast.Assign | ast.AugAssign | ast.Expr):
         yield lambda: _remove(statement)
     if isinstance(statement, ast.If | ast.While):
-        yield from (_set(statement, "test", ast.Constant(value)) for value in (True, False))
+        values = [value for value in (True, False) if ast.unparse(statement.test) != str(value)]
+        yield from (_set(statement, "test", ast.Constant(value)) for value in values)
     for node in _expressions(statement):
         if isinstance(node, ast.BinOp | ast.BoolOp | ast.AugAssign) and type(node.op) in OPERATORS:
             yield _set(node, "op", OPERATORS[type(node.op)]())
