@@ -82,7 +82,6 @@ CASES = [
 ]
 
 NEEDED = {
-    "cortex-a8.cmake": ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"),
     "--preset cortex-m3": ("arm-none-eabi-gcc", "gcc-arm-none-eabi"),
     "ctest": ("qemu-system-arm", "qemu-system-arm"),
 }
