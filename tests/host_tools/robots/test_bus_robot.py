@@ -5,6 +5,7 @@ What it says and hears is compared with trials (test_swarm.py) and with the C no
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from dataclasses import replace
 from decimal import Decimal
@@ -14,14 +15,15 @@ import numpy as np
 import pytest
 
 from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.robot import Config, Counters, Filter, FirmwareError
+from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation
 from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, Rejection, Telemetry
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
-from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception
+from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception, Recorder
 from mcp_asdf_tools.robots.population import Activation, Filtering, Population
 from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.suspicion import Suspicion
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import encoded
 from robots import ALPHA_ONE
@@ -59,6 +61,41 @@ def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
         one.receive(messages)
         one.end()
     assert one.counters == replace(before, accepted=65_002, rejected=1 + 998 * 300, repeated=65_533 + 598)
+    conflicts = Counter({(Suspicion.CONFLICT, 5): 998 * 300})
+    assert one.reception == Reception(1000 * 300, 998 * 300 + 598, events=conflicts)
+    assert one.telemetry(0.0).data == encoded(Telemetry(5, 1 << 22, 3 << 22, 255, 0)).data
+
+
+def test_a_line_has_all_that_befell_a_robot_in_a_tick() -> None:
+    """And what is left when it ends; a crash that keeps the state is none of its events."""
+    lines, heard = list[str](), [encoded(Message(sender, 9, 0, 0)) for sender in (6, 7, 8)]
+    recorder = Recorder(5, lines.append, json.dumps)
+    one = BusRobot(record(5), ESTIMATES, recorder)
+    recorder.flush()
+    one.begin(Observation.BLACK)
+    one.listen([])
+    one.listen([heard[0], encoded(Heartbeat(8, 1, 0)), heard[1]])
+    one.listen([heard[2]] * 2)
+    one.end()
+    for loses_state in (False, True):
+        one.die(loses_state)
+        one.listen(heard)
+        one.wake()
+        assert (one.ticks, one.robot.t) == ((0, 0) if loses_state else (1, 1))
+    one.begin(Observation.WHITE)
+    recorder.silent()
+    one.end()
+    one.begin(None)
+    recorder.falsified(3, 4)
+    recorder.foreign(heard[0])
+    recorder.flush()
+    assert lines == [
+        "[5,1,[[6, 9, 0], [7, 9, 0], [8, 9, 0], [8, 9, 0]],3]\n",
+        '[5,"restart",0,"silent",3]\n',
+        '"106BB806#09000000000000E0"\n',
+        "[5,2,[3,4]]\n",
+    ]
+    assert one.reception == Reception(delivered=4, refused=1, heartbeats=1) and not one.reception.events
 
 
 def test_the_dead_hear_nothing() -> None:
@@ -75,12 +112,17 @@ def test_the_dead_hear_nothing() -> None:
 
 def test_what_is_no_estimate_is_counted_by_its_kind() -> None:
     one = BusRobot(record(5), ESTIMATES)
-    for content in (Heartbeat(8, 1, 0), Telemetry(8, 9, 1 << 23, 1, 0), *Rejection):
+    for content in (Heartbeat(8, 1, 0), Telemetry(8, 9, 1 << 23, 1, 0), Message(6, 9, 0, 0), *Rejection):
         one.count(content, 3)
     others = [each for each in Rejection if each is not Rejection.ERROR_FRAME]
     assert one.reception == Reception(
         heartbeats=3, telemetry=3, errors=3, rejected=Counter(dict.fromkeys(others, 3))
     )
+    one.reception = Reception()
+    for said in (Message(5, 9, 0, 0), Message(6, 9, 0, 0), Heartbeat(8, 1, 0)):
+        one.hear_stranger(encoded(said))
+    own = Counter({(Suspicion.CONFLICT, 5): 1})
+    assert one.reception == Reception(strays=2, heartbeats=1, events=own)
 
 
 # Records
@@ -104,6 +146,7 @@ def test_a_record_is_the_same_after_json_and_makes_the_same_robot() -> None:
     [
         ({"comms_period": 0}, "comms_period is 0"),
         ({"comms_period": 20}, "filter_period is 10; choose a multiple of comms_period 20"),
+        ({"filter_period": 0}, "filter_period is 0; choose a multiple of comms_period 1"),
         ({"filter_period": 2**32}, "filter_period is 4294967296"),
         ({"comms_period": 3}, "filter_period is 10; choose a multiple of comms_period 3"),
         ({"filter_period": 10.5}, "filter_period is 10.5; give a whole number"),
@@ -147,3 +190,9 @@ def test_a_population_has_a_record_of_each_robot(filters: Filtering, activation:
         Population(activity=1)  # type: ignore[call-arg]
     unused = {"none": {"omega", "activation"}}.get(filters, {"omega"} if activation == "always" else set())
     assert set(some.unused_parameters()) == unused
+
+
+def test_a_table_is_for_as_many_neighbours_as_a_round_can_have() -> None:
+    for robots, neighbours in ((1, 2), (3, 2), (4, 3), (128, 127), (129, 127)):
+        table = Population(robots=robots, topology="dynamic").config(0).table
+        assert table is not None and table.q == neighbours

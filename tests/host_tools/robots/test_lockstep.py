@@ -215,13 +215,14 @@ def test_a_command_that_is_lost_twice_ends_the_run_and_so_does_an_answer(
         return order.tick == 7 and order.target == 2 and order.action.name.startswith(lost)
 
     wire, robots = Lossy(*map(node, (1, 2, 3)), loses=is_lost, mute=mute), (1, 2, 3)
-    lockstep = Lockstep(wire, timeout=0.02)
+    lockstep, before = Lockstep(wire, timeout=0.02), CLOCK.now
     with pytest.raises(LockstepError, match=told):
         for tick in range(10):
             lockstep.observe(dict.fromkeys(robots, COLOURS[tick % 3]))
             lockstep.estimates(robots)
             lockstep.settle(robots)
     assert wire.looks < 1000, "it waits instead of looking again and again"
+    assert 0.02 <= CLOCK.now - before < 0.021
     orders = [each.action.name for each in map(decoded, wire.sent) if (each.tick, each.target) == (7, 2)]
     assert sum(name.startswith(lost) for name in orders) == 2 * (lost != "none")
     if lost == "none":
@@ -300,8 +301,8 @@ def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch, 
 def test_only_processes_on_socketcan_keep_to_one_processor(
     interface: str, processors: list[set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    choice, kept = BusChoice(interface, {"channel": "vcan0"}), list[set[int]]()
+    choice, other, kept = BusChoice(interface, {}), BusChoice("udp_multicast", {}), list[set[int]]()
     monkeypatch.setattr("os.sched_getaffinity", lambda process: {3, 1, 2})
     monkeypatch.setattr("os.sched_setaffinity", lambda process, some: kept.append(some))
-    NodeProcesses([record(3)], lambda robot: choice, Subjects(), 10)
+    NodeProcesses([record(3), record(4)], {3: choice, 4: other}.__getitem__, Subjects(), 10)
     assert kept == processors
