@@ -160,11 +160,12 @@ def test_the_core_stands_on_its_own(target: str, part: str, tmp_path: Path) -> N
 
 
 def test_it_does_what_the_mirror_does(tmp_path: Path) -> None:
-    """The project of the page, with a script for a board."""
-    assert blocks(PAGE, "c")[0] == (PORTS / "demo.c").read_text(encoding="utf-8")
+    """The project of the page, with a script for a board; the page shows the end of the robot."""
+    robot = (PORTS / "demo.c").read_text(encoding="utf-8")
+    assert robot.endswith("\n" + blocks(PAGE, "c")[0])
     (tmp_path / "mcp-asdf").symlink_to(ROOT)
     (tmp_path / "CMakeLists.txt").write_text(blocks(PAGE, "cmake")[0])
-    (tmp_path / "main.c").write_text(blocks(PAGE, "c")[0])
+    (tmp_path / "main.c").write_text(robot)
     shutil.copy(Path(__file__).with_name("scripted_board.c"), tmp_path / "board.c")
     run(require("cmake"), "-S", tmp_path, "-B", tmp_path / "build", CFLAGS=WARNINGS)
     run("cmake", "--build", tmp_path / "build")
