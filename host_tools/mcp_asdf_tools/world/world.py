@@ -56,8 +56,7 @@ class World:
         self._draws = Stream(OBSERVATIONS, settings.seed, trial, settings.robots)
         self._next = 0
         self._sensors = sensor_model(settings, trial)
-        self._arena = Arena(settings, trial) if settings.is_dynamic else None
-        self._topology = None if settings.is_dynamic else _topology_of(settings, trial)
+        self._place = Arena(settings, trial) if settings.is_dynamic else _topology_of(settings, trial)
         self._ahead: Scene | None = None
         self._at = -1
 
@@ -69,12 +68,11 @@ class World:
         accuracies = self._sensors.advance(steps)
         accuracy = np.broadcast_to((accuracies[0] + accuracies[1]) / 2, draws.shape)
         observes = (np.arange(first, first + steps) + 1) % settings.observation_period == 0
-        if self._arena is None:
+        if not isinstance(self._place, Arena):
             limit, _ = black_probabilities(accuracies, settings.fill_ratio)
-            assert self._topology is not None
-            return Scene(draws < limit, observes, self._topology.advance(steps), None, accuracy)
+            return Scene(draws < limit, observes, self._place.advance(steps), None, accuracy)
         on_black, on_white = black_probabilities(accuracies, None)
-        motion = self._arena.record(steps)
+        motion = self._place.record(steps)
         limits = np.where(motion.black, on_black, on_white)
         return Scene(draws < limits, observes, motion.adjacency, motion.position, accuracy)
 
@@ -82,10 +80,10 @@ class World:
         """Let 1 or more steps pass unseen. O(steps N), or N^2 with the topology of an extension."""
         self._next += steps
         self._sensors.advance(steps)
-        if self._arena is not None:
-            self._arena.step(steps)
-        elif self._topology is not None:
-            self._topology.advance(steps)
+        if isinstance(self._place, Arena):
+            self._place.step(steps)
+        else:
+            self._place.advance(steps)
 
     def step(self) -> Sequence[Observation | None]:
         """Take one step; returns the observation of each robot, None where it makes none. O(N^2)."""

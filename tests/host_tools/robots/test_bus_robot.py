@@ -67,19 +67,22 @@ def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
 
 
 def test_a_line_has_all_that_befell_a_robot_in_a_tick() -> None:
-    """And what is left when it ends; a crash that keeps the state is none of its events."""
-    lines, heard = list[str](), [encoded(Message(sender, 9, 0, 0)) for sender in (6, 7, 8)]
+    """And what is left when it ends. The dead hear nothing, and wake to an event if all was lost."""
+    lines, beat = list[str](), encoded(Heartbeat(8, 1, 0))
+    own, *heard = (encoded(Message(sender, 9, 0, 0)) for sender in (5, 6, 7, 8))
     recorder = Recorder(5, lines.append, json.dumps)
     one = BusRobot(record(5), ESTIMATES, recorder)
     recorder.flush()
     one.begin(Observation.BLACK)
     one.listen([])
-    one.listen([heard[0], encoded(Heartbeat(8, 1, 0)), heard[1]])
+    one.listen([heard[0], beat, heard[1]])
     one.listen([heard[2]] * 2)
     one.end()
     for loses_state in (False, True):
         one.die(loses_state)
-        one.listen(heard)
+        for frame in (own, beat, *heard):
+            one.listen([frame])
+            one.hear_stranger(frame)
         one.wake()
         assert (one.ticks, one.robot.t) == ((0, 0) if loses_state else (1, 1))
     one.begin(Observation.WHITE)
@@ -96,18 +99,6 @@ def test_a_line_has_all_that_befell_a_robot_in_a_tick() -> None:
         "[5,2,[3,4]]\n",
     ]
     assert one.reception == Reception(delivered=4, refused=1, heartbeats=1) and not one.reception.events
-
-
-def test_the_dead_hear_nothing() -> None:
-    dead = BusRobot(record(5), ESTIMATES)
-    dead.die(loses_state=False)
-    frames = [
-        encoded(each) for each in (Message(5, 9, ALPHA_ONE, 0), Message(6, 9, 0, 0), Heartbeat(8, 1, 0))
-    ]
-    dead.listen(frames)
-    for frame in frames:
-        dead.hear_stranger(frame)
-    assert (dead.reception, dead.counters) == (Reception(), Counters())
 
 
 def test_what_is_no_estimate_is_counted_by_its_kind() -> None:

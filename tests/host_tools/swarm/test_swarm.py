@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from fractions import Fraction
-from itertools import count, islice
+from itertools import islice
 from typing import Any
 
 import can
 import pytest
 from can.interfaces import virtual
 
-from host_tools.swarm.swarms import content, one_bus, record, small, states
+from host_tools.swarm.swarms import ON_ONE_BUS, content, one_bus, record, small, states
 from mcp_asdf.fixed_point import word_to_alpha
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import (
@@ -148,6 +149,7 @@ def test_telemetry_is_every_robots_state_and_changes_nothing(firmware: str) -> N
         ((), {"frames": FrameFormat(3001), "telemetry_period": 1}, "subject 3001 is that of telemetry"),
         ((), {"clock": "none"}, "clock is 'none'; choose lockstep or real-time"),
         ("loss", {}, "faults is .*; give several in a list"),
+        (("loss,robots=4+5",), {}, "names robot 5, but the ids of 5 robots are 0 to 4"),
         (("loss,receivers=5",), {}, "names robot 5, but the ids of 5 robots are 0 to 4"),
     ],
 )
@@ -157,25 +159,22 @@ def test_settings_that_cannot_be(faults: Any, settings: dict[str, Any], reason: 
         SwarmSettings(robots=5, faults=faults, **settings)
 
 
-def test_a_lost_frame_ends_the_run_with_a_clear_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The bus loses estimates of robot 2 from the third round on."""
+@pytest.mark.parametrize(("robots", "names"), [(8, "7"), (9, "7, ...")])
+def test_lost_frames_end_the_run_with_a_clear_reason(
+    robots: int, names: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the third round on."""
     usual = virtual.VirtualBus.recv
-
-    def recv(bus: virtual.VirtualBus, timeout: float) -> can.Message | None:
-        frame = usual(bus, timeout)
-        message = None if frame is None else decode(frame, FrameFormat())
-        is_lost = isinstance(message, Message) and message.sender == 2 and message.transfer_id >= 2
-        return usual(bus, 0) if is_lost else frame
-
-    monkeypatch.setattr(virtual.VirtualBus, "recv", recv)
     monkeypatch.setattr(connection, "TIMEOUT", 0.05)
-    with Swarm(small(), Wiring(lambda robot: virtual.VirtualBus("test", receive_own_messages=True))) as swarm:
+    with Swarm(small(robots=robots), ON_ONE_BUS) as swarm:
+        monkeypatch.setattr(
+            virtual.VirtualBus, "recv", lambda bus, seconds: usual(bus, seconds) if swarm.ticks < 2 else None
+        )
         outcome = run_swarm(swarm)
-    assert outcome.failure is not None
-    for part in ("tick 3", "the carrier did not hear frame 106BB802 within", "test"):
-        assert part in outcome.failure
-    assert outcome.results["steps"] == 2
-    assert not outcome.interrupted
+    frames = ", ".join(f"frame 106BB80{robot}" for robot in range(7))
+    told = f"tick 3: the carrier did not hear {frames}, frame 106BB80{names} within 0.05 s on "
+    assert outcome.failure is not None and outcome.failure.startswith(told)
+    assert outcome.results["steps"] == 2 and not outcome.interrupted
 
 
 def estimate(sender: int, tick: int) -> SentFrame:
@@ -183,17 +182,18 @@ def estimate(sender: int, tick: int) -> SentFrame:
 
 
 def test_a_bus_that_is_never_quiet_does_not_keep_a_robot_listening(monkeypatch: pytest.MonkeyPatch) -> None:
-    frames, babble = count(), estimate(9, 0).frame
+    waits, babble = Counter[bool](), estimate(9, 0).frame
 
     def receive(timeout: float) -> can.Message:
-        assert timeout > 0 or next(frames) < 10_000, "nothing ends the wait"
+        waits[timeout > 0] += 1
+        assert waits[False] < 10_000, "nothing ends the wait"
         return babble
 
     with virtual.VirtualBus() as bus:
         own = Connection(bus, "robot 7")
         monkeypatch.setattr(bus, "recv", receive)
         assert own.take([estimate(1, 0)], 0.02) == []
-        assert own.missed == 1
+        assert own.missed == 1 and waits[True] > 0 and waits[False] == 4096
 
 
 def test_what_comes_late_is_had_with_the_next() -> None:
@@ -210,7 +210,11 @@ def test_what_comes_late_is_had_with_the_next() -> None:
                 other.send(each.frame, timeout=1)
             assert own.take(waited, 0.01) == found
             assert own.missed == 2
-    assert strangers == []
+        assert strangers == []
+        other.send(first.frame, timeout=1)
+        for _ in range(2):
+            own.drain()
+    assert content(strangers) == content([first.frame])
 
 
 def test_foreign_traffic_is_counted_and_changes_nothing() -> None:

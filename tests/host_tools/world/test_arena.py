@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.world import _arena
-from mcp_asdf_tools.world.arena import Arena, Motion, config_values
+from mcp_asdf_tools.world.arena import Arena, Motion, config_values, memory_of
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.settings import WorldSettings
 
@@ -160,6 +160,7 @@ def test_the_grid_of_many_robots_finds_the_pairs_of_all_compared(density: float)
 
 
 def test_memory_grows_linearly_with_the_robots() -> None:
+    assert [memory_of(size).nbytes for size in (1, 8, 9)] == [8, 8, 16]
     few, many = (
         _arena.lib.mcp_asdf_arena_bytes(_arena.ffi.new("mcp_asdf_arena_config_t *", values)) / robots
         for robots in (1000, 10_000)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -75,6 +76,20 @@ def test_a_graph_must_be_text_about_these_robots(tmp_path: Path) -> None:
     crowded = read("".join(f"{sender} > 5\n" for sender in range(200) if sender != 5), tmp_path)
     with pytest.raises(UsageError, match="robot 5 hears 199 others, but a round of the firmware holds 127"):
         crowded.check(200)
+    Graph(frozenset((sender, 5) for sender in range(6, 133))).check(133)
     (tmp_path / "edges.txt").write_bytes(b"\xff\xfe\0")
     with pytest.raises(UsageError, match="cannot read the graph"):
         graph_of(tmp_path / "edges.txt")
+
+
+def test_a_graph_may_be_an_object() -> None:
+    """Pairs, which hear each other, an array, or a graph of networkx, which knows its edges and direction."""
+    heard, edges = np.zeros((4, 4), np.bool_), [(1, 3), (3, np.int64(65535))]
+    heard[3, 1] = heard[0, 3] = True
+    assert graph_of(heard).links == {(1, 3), (3, 0)}
+    assert graph_of(Mock(edges=lambda: edges, is_directed=lambda: True)).links == {*edges}
+    for each in (edges, Mock(edges=lambda: edges, is_directed=lambda: False)):
+        assert graph_of(each).links == {*edges, *(edge[::-1] for edge in edges)}
+    for wrong in (heard[:3], heard[0], [(1, 2, 3)], [("1", 2)], Mock(spec=["edges"])):
+        with pytest.raises(UsageError, match=r"graph (is|has) .*; give a"):
+            graph_of(wrong)

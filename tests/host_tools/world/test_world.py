@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.special import ndtri  # type: ignore[import-untyped]
 
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.common.errors import UsageError
@@ -20,7 +21,7 @@ from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.world import _arena
 from mcp_asdf_tools.world.arena import Arena, config_values
 from mcp_asdf_tools.world.floor_code import CODE_MODULES, code
-from mcp_asdf_tools.world.philox import OBSERVATIONS, Stream, philox
+from mcp_asdf_tools.world.philox import MOVES, OBSERVATIONS, Stream, philox
 from mcp_asdf_tools.world.sensors import CheckedSensors, sensor_model
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.topology import Checked
@@ -75,7 +76,9 @@ def test_observations_follow_the_stated_scheme(white_offset: float, white: Fract
     chance = Fraction(2, 5) * Fraction(7, 10) + Fraction(3, 5) * (1 - white)
     draws = Stream(OBSERVATIONS, SEED, 0, 4).words(200) >> 1
     exact = [[Fraction(draw, 2**31) < chance for draw in row] for row in draws.tolist()]
-    assert world.advance(200).black.tolist() == exact
+    scene = world.advance(200)
+    assert scene.black.tolist() == exact
+    assert scene.accuracy == pytest.approx(float(Fraction(7, 10) + white) / 2)
 
 
 def test_robots_that_move_see_the_floor_through_their_sensors() -> None:
@@ -92,7 +95,10 @@ def test_robots_that_move_see_the_floor_through_their_sensors() -> None:
 def test_how_many_steps_are_taken_at_once_changes_nothing(kind: str) -> None:
     """Also not if it is one by one, with what the world then shows."""
     whole, pieces, world = make(**KINDS[kind]).advance(200), make(**KINDS[kind]), make(**KINDS[kind])
-    scenes = [pieces.advance(steps) for steps in (7, 1, 130, 62)]
+    scenes, late = [pieces.advance(steps) for steps in (7, 1, 130, 62)], make(**KINDS[kind])
+    late.skip(7)
+    late.skip(130)
+    assert np.array_equal(late.advance(63).black, whole.black[137:])
     for name in ("black", "observes", "hears", "accuracy"):
         joined = np.concatenate([getattr(scene, name) for scene in scenes])
         assert np.array_equal(joined, getattr(whole, name)), name
@@ -154,8 +160,18 @@ CODE: dict[str, Any] = {**MOVING_SWARM, "floor": "code"}
         ({**MOVING_SWARM, "tile": 1e-5}, "tile", "at most 100000"),
         ({**CODE, "tile": 0.02}, "tile", "without tiles"),
         ({**CODE, "fill_ratio": 0.44801}, "fill_ratio", "multiple of 0.0001"),
-        ({**CODE, "fill_ratio": 0.99}, "fill_ratio", "can have"),
+        ({**CODE, "fill_ratio": 0.88}, "fill_ratio", "can have 0.0183 to 0.8799"),
         ({**CODE, "fill_ratio": 0.0182}, "fill_ratio", "can have 0.0183 to"),
+        (
+            {"robots": 129},
+            "robots",
+            "robots is 129, but each would hear 128 others, and a round of the firmw",
+        ),
+        (
+            {**MOVING_SWARM, "robots": 129, "radio_range": 1.43},
+            *("radio_range", "robots is 129, but with radio_range 1.43 some could hear more than 127 others"),
+        ),
+        ({**MOVING_SWARM, "width": 0.591, "height": 0.591, "density": 1}, "width", "too many for 0.591 x"),
     ],
 )
 def test_what_cannot_be_is_refused(given: dict[str, Any], key: str, message: str) -> None:
@@ -163,6 +179,17 @@ def test_what_cannot_be_is_refused(given: dict[str, Any], key: str, message: str
         WorldSettings(**STILL | given)
     assert caught.value.key == key
     assert message in str(caught.value)
+
+
+def test_what_is_just_possible_is_taken() -> None:
+    WorldSettings(robots=128)
+    WorldSettings(robots=129, topology="graph", graph="0 128")
+    WorldSettings(robots=129, topology="dynamic", radio_range=1.42)
+    for side in (0.593, 1000.0):
+        WorldSettings(**MOVING_SWARM | {"density": 1, "width": side, "height": side})
+    WorldSettings(**MOVING_SWARM, speed=0.8, steps_per_second=10)
+    for fill_ratio in (0.0183, 0.8799):
+        WorldSettings(**CODE, fill_ratio=fill_ratio)
 
 
 # --- Moving worlds ---------------------------------------------------------------------------------------
@@ -299,6 +326,7 @@ def test_robots_deviate_from_the_common_drift_by_rates_of_their_own() -> None:
     assert abs(rates.mean() + 1e-4) < 4e-5 / rates.size**0.5
     assert rates.std() == pytest.approx(1e-5, rel=0.1)
     assert paths[:, 195] == pytest.approx(0.75 + 190 * rates)
+    assert rates[2] == pytest.approx(-1e-4 + 1e-5 * ndtri(Stream(MOVES, 1, 2, 100).uniforms(1)[0]))
 
 
 def test_of_the_flawed_robots_alone_the_sensors_drift() -> None:
