@@ -38,7 +38,7 @@ Results = Mapping[str, Sequence[Trials]]
 # --- Tables ----------------------------------------------------------------------------------------------
 
 COLUMNS = {
-    **{"bayescpf": "BayesCPF", "all-counts": "all counts", "first-draft": "first draft"},
+    **{"bayescpf": "BayesCPF", "all-counts": "all counts"},
     **{"oracle": "knows b now", "mean-accuracy": "knows its mean", "ageing-bayescpf": "BayesCPF"},
 }
 WORLDS = {"lossy": "3 messages of 10 lost", "liars-1": "1 liar", "liars-2": "2 liars", "liars-5": "5 liars"}
@@ -93,17 +93,28 @@ def beyond_row(experiment: Experiment) -> str:
 
 def is_world(experiment: Experiment) -> bool:
     """Whether it is a hard world, not a peer."""
+    return experiment.firmware in WORLDS or bool(experiment.sensor)
+
+
+def is_for_the_way_back(experiment: Experiment) -> bool:
+    """Whether it says what the way back and the trend are worth, which the page has in words."""
+    return experiment.firmware == "first-draft" or 2 * experiment.flawed == experiment.robots
+
+
+def is_in_page(experiment: Experiment) -> bool:
+    """Whether its row beyond the grid decides: others are like these, or docs/ageing.md has them."""
     e = experiment
-    return e.firmware in {*WORLDS, "first-draft"} or bool(e.sensor) or 2 * e.flawed == e.robots
+    return e.latency == e.is_dynamic and e.robots not in {10, 127} and e.drift == "none"
 
 
 def tables_of_robust(found: Results) -> dict[str, str]:
     """The tables of docs/robust.md by the words of their marks."""
     grid = robust.table_of("", found[robust.GRID], robust.grid_row)
-    peers, worlds = ([e for e in found["peers"] if is_world(e.experiment) is hard] for hard in (False, True))
+    shown = [each for each in found["peers"] if not is_for_the_way_back(each.experiment)]
+    peers, worlds = ([e for e in shown if is_world(e.experiment) is hard] for hard in (False, True))
     return {
         "grid": robust.in_markdown(grid.entries, robust.whole, robust.WHOLE),
-        "beyond": pairs(found[robust.BEYOND], beyond_row),
+        "beyond": pairs([e for e in found[robust.BEYOND] if is_in_page(e.experiment)], beyond_row),
         "peers": pairs(peers, row_of, PEERS),
         "worlds": pairs(worlds, row_of, PEERS),
     }
@@ -121,8 +132,10 @@ def tables_of_ageing(found: Results) -> dict[str, str]:
 
 
 def tables_of_scale(found: Results) -> dict[str, str]:
-    """That of many robots, in docs/robust.md."""
-    own = robust.table_of("", found["scale"], scaling.row_of, scaling.COSTS)
+    """That of many robots, in docs/robust.md: the smallest and the largest swarm."""
+    sizes = {each.experiment.robots for each in found["scale"]}
+    ends = [each for each in found["scale"] if each.experiment.robots in {min(sizes), max(sizes)}]
+    own = robust.table_of("", ends, scaling.row_of, scaling.COSTS)
     return {"scale": scaling.lines_of(own)}
 
 

@@ -256,7 +256,7 @@ def test_the_commands_of_the_page_find_the_peers(tmp_path: Path) -> None:
         finals = [np.asarray(line.get_ydata(), float)[-1] for line in panel.lines]
         assert len(finals) == 4 and all(0 < each < 0.8 for each in finals)
     rows = {name: table.count("\n") for name, table in pages.tables_of_robust(found).items()}
-    assert rows == {"grid": 6, "beyond": 1, "peers": 4, "worlds": 11}
+    assert rows == {"grid": 6, "beyond": 1, "peers": 4, "worlds": 10}
 
 
 def ageing_error(**changes: Any) -> float:
