@@ -155,7 +155,8 @@ POINTS = 16
 def honest_and_few(trials: Trials) -> Trials:
     """The trials without liars, and with few samples."""
     x = trials.records["x"][..., : trials.experiment.robots - PEERS.liars(trials.experiment)]
-    return replace(trials, records={"x": x[:, np.linspace(0, x.shape[1] - 1, POINTS + 1).astype(int)]})
+    few = x[:, np.linspace(0, x.shape[1] - 1, POINTS + 1).astype(int)]
+    return replace(trials, records={"x": few}, sampling_interval=trials.experiment.steps // POINTS)
 
 
 def picture_of_robust(found: Results) -> Figure:

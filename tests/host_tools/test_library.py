@@ -146,24 +146,17 @@ def test_a_wrong_argument_is_one_kind_of_error(wrong: Callable[[Any, Any], objec
 # --- Pictures ---
 
 
-def test_a_curve_goes_into_axes_of_ones_own_or_has_panels() -> None:
-    """A function of the trials is as good as a measure, and a range is not called an interval."""
-    table = m.simulate(m.grid(flawed=[1, 2], filter=["none", "asdf-plus"], robots=[4, 5], steps=60, trials=2))
+def test_a_curve_is_of_the_chosen_and_goes_into_axes_of_ones_own() -> None:
+    table = m.simulate(m.grid(flawed=[1, 2], filter=["none", "asdf-plus"], robots=4, steps=60, trials=2))
     figure: Any = Figure()
-    axes, where = figure.subplots(), {"robots": 4, "filter": "none"}
-    drawn = m.plot(table, "curve", x="flawed", y=lambda each: each.errors[:, 0], where=where, ax=axes)
-    assert drawn is figure
-    chosen = next(each for each in m.experiments_in(table) if each.experiment.robots == 4)
-    assert axes.lines[0].get_ydata()[0] == np.median(chosen.errors[:, 0])
-    both: Any = m.plot(table, "curve", x="flawed", hue="filter", facet="robots")
+    where = {"filter": "none"}
+    drawn = m.plot(
+        table, "curve", x="flawed", y=lambda each: each.errors[:, 0], where=where, ax=figure.subplots()
+    )
+    assert drawn is figure and len(figure.axes[0].lines) == 1
+    both: Any = m.plot(table, "curve", x="flawed", facet="filter")
     assert both._repr_png_().startswith(b"\x89PNG"), "a notebook shows it"
-    assert [each.get_title() for each in both.axes] == ["robots 4", "robots 5"]
-    caption = both._supxlabel.get_text().replace("\n", " ")
-    assert "bands all trials where there are fewer than 6" in caption
-    graphs = [[(0, 1)], [(a, b) for a in range(4) for b in range(a)]]
-    wired = m.simulate(m.grid(topology="graph", graph=graphs, robots=4, steps=30, trials=1, filter="none"))
-    labels = [each.get_text() for each in m.plot(wired, "curve", x="graph").axes[0].get_xticklabels()]
-    assert labels == ["0 1", "0 1; 0 2; 0 3; 1 2;  ..."]
+    assert [each.get_title() for each in both.axes] == ["filter none", "filter asdf-plus"]
 
 
 def test_a_run_is_shown_in_a_notebook_as_its_page(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
@@ -32,6 +32,7 @@ from mcp_asdf_tools.common.figures import (
     number_in_words,
     ordered_colours,
 )
+from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import PAPERS, SCORES, Limits
@@ -72,6 +73,15 @@ def _panels(
     return figure, figure.subplots(rows, columns, sharex=sharex, sharey=True, squeeze=False)
 
 
+def _panels_in_rows(count: int, height: float, series: int = 1, most: int = 3) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels, in rows of ``most``. Raises UsageError as ``_panels``."""
+    columns = min(count, most)
+    figure, grid = _panels(-(-count // columns), columns, height, series)
+    for axes in grid.flat[count:]:
+        axes.set_axis_off()
+    return figure, [*grid.flat[:count]]
+
+
 def _finish(figure: Figure, labels: tuple[str, str], words: str, handles: Sequence[Line2D]) -> Figure:
     """Names of the axes, a caption and a legend."""
     figure.supylabel(labels[1], fontsize=MEDIUM)
@@ -92,10 +102,6 @@ def filter_name(experiment: Experiment) -> str:
 def _share(experiment: Experiment) -> float:
     """P, the share of flawed robots."""
     return float(experiment.flawed / experiment.robots)
-
-
-def _values(experiments: Sequence[Trials], name: str) -> list[float]:
-    return sorted({getattr(trials.experiment, name) for trials in experiments})
 
 
 def _offset(experiment: Experiment) -> float:
@@ -132,7 +138,7 @@ def _varying(experiments: Sequence[Trials], *others: str) -> list[str]:
     every = [(trials.experiment, trials.experiment.parameters()) for trials in experiments]
     return [
         name
-        for name in every[0][1]
+        for name in parameters_of(Experiment)
         if name not in others
         and len({parameters[name] for experiment, parameters in every if _has(experiment, name)}) > 1
     ]
@@ -228,7 +234,6 @@ def _draw_cell(axes: Axes, scores: NDArray[np.float64], place: float, width: flo
         scores,
         positions=[place],
         widths=width,
-        manage_ticks=False,
         showfliers=False,
         medianprops={"color": INK, "linewidth": 1.2},
         boxprops=line,
@@ -243,7 +248,7 @@ def scatter(experiments: Sequence[Trials], limits: Limits = PAPERS) -> Figure:
     """h_e against h_K, a point for each trial, as the paper's figure 4: a row for each series and f, a column
     for each P; overconfident swarms blue, underconfident ones red, a shape for each b."""
     series, fills = _by_series(experiments, None), _values(experiments, "fill_ratio")
-    shares = sorted({_share(trials.experiment) for trials in experiments})
+    shares = _values(experiments, "flawed")
     accuracies = _values(experiments, "true_accuracy")
     rows = [(key, f) for key in series for f in fills]
     figure, grid = _panels(len(rows), len(shares), 1.7, len(series))
@@ -303,7 +308,7 @@ def curve(  # noqa: PLR0913 (each is given by name)
     other.
     """
     _check_axes(experiments, x, hue, y, facet)
-    hues: list[Any] = _values_in_order(experiments, hue) if hue else [None]
+    hues: list[Any] = _values(experiments, hue) if hue else [None]
     colours = filter_colours(hues) if hue == "filter" else ordered_colours(len(hues))
     looks = dict(zip(hues, colours, strict=True))
     handles = [_handle(_said(hue, each), colour, line="-") for each, colour in looks.items() if hue]
@@ -316,7 +321,7 @@ def curve(  # noqa: PLR0913 (each is given by name)
                 for each in own
                 if not hue or _value(each.experiment, hue) == chosen
             }
-            _draw_curve(axes, measured, _values_in_order(experiments, x), colour)
+            _draw_curve(axes, measured, _values(experiments, x), colour)
 
     if ax is not None:
         if facet:
@@ -326,15 +331,12 @@ def curve(  # noqa: PLR0913 (each is given by name)
         if hue:
             ax.legend(handles=handles, frameon=False, fontsize=SMALL)
         return cast(Figure, ax.get_figure(root=True))
-    facets: list[Any] = _values_in_order(experiments, facet) if facet else [None]
-    columns = min(len(facets), 3)
-    figure, grid = _panels(-(-len(facets) // 3), columns, 3.8 if columns == 1 else 2.6, len(hues))
-    for axes, value in zip(grid.flat, facets, strict=False):
+    facets: list[Any] = _values(experiments, facet) if facet else [None]
+    figure, panels = _panels_in_rows(len(facets), 3.8 if len(facets) == 1 else 2.6, len(hues))
+    for axes, value in zip(panels, facets, strict=True):
         draw(axes, [each for each in experiments if not facet or _value(each.experiment, facet) == value])
         if facet:
             axes.set_title(_said(facet, value), fontsize=MEDIUM)
-    for axes in grid.flat[len(facets) :]:
-        axes.set_axis_off()
     words = f"points are medians over the trials, {_interval_words(experiments)}"
     return _finish(figure, labels, _caption(experiments, words, limits), handles)
 
@@ -346,13 +348,18 @@ def _draw_curve(
     is_long = any(isinstance(each, str) and len(each) > _LONGEST for each in places)
     own = [place for place in places if place in measured]
     if own:
-        middle, low, high = np.array([median_interval(measured[place]) for place in own]).T
         at = [places.index(each) for each in own] if is_long else own
-        axes.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
-        axes.plot(at, middle, "o-", color=colour, markersize=3.5, linewidth=1.4)
+        _draw_band(axes, at, _intervals(measured[place] for place in own), colour, "o-")
     if is_long:
         axes.set_xticks(range(len(places)), [_shortened(each) for each in places])
     clean(axes)
+
+
+def _draw_band(axes: Axes, at: Any, values: NDArray[np.float64], colour: str, style: str = "-") -> None:
+    """A line in a band, whose ``values`` are middle, low and high."""
+    middle, low, high = values
+    axes.fill_between(at, low, high, facecolor=colour, alpha=0.2)
+    axes.plot(at, middle, style, color=colour, markersize=3.5, linewidth=1.4)
 
 
 def _measured(trials: Trials, y: str | Measure, limits: Limits) -> NDArray[np.float64]:
@@ -387,7 +394,7 @@ def _interval_words(experiments: Sequence[Trials]) -> str:
     return "bands their 95 % intervals"
 
 
-def _values_in_order(experiments: Sequence[Trials], name: str) -> list[Any]:
+def _values(experiments: Sequence[Trials], name: str) -> list[Any]:
     """Values of a parameter; filters from none to robust."""
     values = {_value(trials.experiment, name) for trials in experiments}
     return sorted(values, key=lambda value: _place(name, value))
@@ -403,7 +410,7 @@ def _value(experiment: Experiment, name: str) -> Any:
 
 
 def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str | Measure, facet: str) -> None:
-    known = experiments[0].experiment.parameters()
+    known = parameters_of(Experiment)
     for option, name in (("x", x), ("hue", hue), ("facet", facet)):
         if name not in known and (name or option == "x"):
             fix = offer(name, known) or f"; choose a parameter: {', '.join(known)}"
@@ -418,6 +425,11 @@ def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str | Measur
             f"the results differ in {', '.join(others)} too; choose with where NAME=VALUE, or name one "
             "with x, hue or facet"
         )
+
+
+def _intervals(samples: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Medians of samples with their intervals, shape (3, samples)."""
+    return np.array([median_interval(sample) for sample in samples]).T
 
 
 def median_interval(sample: NDArray[np.float64]) -> tuple[float, float, float]:
@@ -442,21 +454,16 @@ def errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: Limits = PA
     filters = {trials.experiment.filter for trials in together}
     all_looks = zip(TYPESET_FILTER_NAMES, filter_colours([*TYPESET_FILTER_NAMES]), strict=True)
     looks = [(each, colour) for each, colour in all_looks if each in filters]
-    figure, grid = _panels(-(-len(panels) // 3), min(len(panels), 3), 1.9, len(looks))
-    for axes, (title, own) in zip(grid.flat, panels.items(), strict=False):
+    figure, grid = _panels_in_rows(len(panels), 1.9, len(looks))
+    for axes, (title, own) in zip(grid, panels.items(), strict=True):
         axes.set_title(title, fontsize=SMALL, loc="left")
         for each, colour in looks:
             errors = [_mean_errors(trials) for trials in own if trials.experiment.filter == each]
             if errors:
-                columns = np.concatenate(errors).T
-                middle, low, high = np.array([median_interval(column) for column in columns]).T
-                steps = np.linspace(0, own[0].experiment.steps, len(columns))
-                axes.fill_between(steps, low, high, color=colour, alpha=0.2, linewidth=0)
-                axes.plot(steps, middle, color=colour, linewidth=1.4)
+                found = _intervals(np.concatenate(errors).T)
+                _draw_band(axes, np.arange(found.shape[1]) * own[0].sampling_interval, found, colour)
         axes.set_yscale("log")
         clean(axes)
-    for axes in grid.flat[len(panels) :]:
-        axes.set_axis_off()
     handles = [_handle(TYPESET_FILTER_NAMES[each], colour, "", "-") for each, colour in looks]
     words = f"lines are medians over the trials of a swarm's mean error, {_interval_words(together)}"
     return _finish(figure, ("step", "error |x \u2212 f|"), _caption(together, words, limits), handles)
@@ -481,13 +488,10 @@ def bands(experiments: Sequence[Trials], limits: Limits = PAPERS) -> Figure:
     """
     if any(not trials.b_hat.shape[1] for trials in experiments):
         raise UsageError("these trials have no filter step; run more steps, or a shorter filter_period")
-    columns = 2 if len(experiments) == 4 else min(len(experiments), 3)
-    figure, grid = _panels(-(-len(experiments) // columns), columns, 2.1, 1)
+    figure, grid = _panels_in_rows(len(experiments), 2.1, most=2 if len(experiments) == 4 else 3)
     ordered = [trials for own in _by_series(experiments, filter_name).values() for trials in own]
-    for axes, trials, title in zip(grid.flat, ordered, _titles(ordered), strict=False):
+    for axes, trials, title in zip(grid, ordered, _titles(ordered), strict=True):
         _draw_bands(axes, trials, title)
-    for axes in grid.flat[len(experiments) :]:
-        axes.set_axis_off()
     handles = [_handle(*look, "", "-") for look in (("flawed", FLAWED), ("healthy", OTHER), ("true", INK))]
     labels = ("step", r"assumed accuracy $\hat{b}$")
     return _finish(figure, labels, _caption(experiments, _BANDS, limits), handles)
@@ -503,7 +507,7 @@ def _titles(experiments: Sequence[Trials]) -> list[str]:
         words += [f"$f$ = {each.fill_ratio:g}", f"$b$ = {each.true_accuracy:g}"]
         words += [rf"$\hat{{b}}$ = {each.flawed_accuracy:g}", f"$P$ = {_share(each):.0%}"]
         whole = ", ".join(words).replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}")
-        lines = textwrap.wrap(whole, _TITLE, break_long_words=False)
+        lines = textwrap.wrap(whole, _TITLE)
         titles.append("\n".join([filter_name(each), *lines] if len(filters) > 1 else lines))
     return titles
 
@@ -513,14 +517,13 @@ _TITLE = 56
 
 
 def _draw_bands(axes: Axes, trials: Trials, title: str) -> None:
-    e, periods = trials.experiment, np.arange(1, trials.b_hat.shape[1] + 1)
+    e = trials.experiment
+    at = e.filter_period * np.arange(1, trials.b_hat.shape[1] + 1)
     flawed, healthy = np.split(trials.b_hat, [e.flawed], axis=2)
     for colour, values in ((FLAWED, flawed), (OTHER, healthy)):
         if values.size:
-            low, middle, high = np.percentile(values, [5, 50, 95], axis=(0, 2))
-            axes.fill_between(e.filter_period * periods, low, high, color=colour, alpha=0.2, linewidth=0)
-            axes.plot(e.filter_period * periods, middle, color=colour)
-    axes.axhline(e.true_accuracy, color=INK, linewidth=1, linestyle="--")
+            _draw_band(axes, at, np.percentile(values, [50, 5, 95], axis=(0, 2)), colour)
+    axes.axhline(e.true_accuracy, color=INK, linewidth=1.2, linestyle="--")
     right = e.unflawed_accuracy or e.true_accuracy
     off = f"{np.mean(abs(healthy[:, -1] - right) > _OFF):.0%} of healthy robots" if healthy.size else "-"
     axes.set_title(f"{title}\nmore than {_OFF} off: {off}", fontsize=SMALL)
@@ -548,21 +551,20 @@ def series_beside(runs: Sequence[Trials], number: int) -> Figure:
             raise UsageError(f"there is no trial {number}; choose one of {there}")
         if not trials.records:
             raise UsageError("nothing was recorded over time; run mcp-asdf simulate with --record")
-    figure = empty_figure(WIDTH, 7.5)
+    figure, longest = empty_figure(WIDTH, 7.5), max(trials.experiment.steps for trials in runs)
     grid = figure.subplots(len(_SERIES), len(runs), sharex=True, sharey="row", squeeze=False)
     for row, panel in zip(grid, _SERIES, strict=True):
         shown = [_draw_panel(axes, trials, number, panel) for axes, trials in zip(row, runs, strict=True)]
         low, high = min(map(np.min, shown)), max(map(np.max, shown))
         margin = max(0.06 * (high - low), 0.01)
-        row[0].set_ylim(low - margin, high + margin)
+        row[0].set(xlim=(0, longest), ylim=(low - margin, high + margin))
     for trials, column in zip(runs, grid.T, strict=True):
         title = _title(trials.experiment, number)
         column[0].set_title(title, fontsize=SMALL if len(runs) > 1 else MEDIUM, loc="left")
         column[-1].set_xlabel("step", fontsize=MEDIUM)
     for axes, (_, label, *_) in zip(grid[:, 0], _SERIES, strict=True):
         axes.set_ylabel(label, fontsize=MEDIUM)
-    grid[0, 0].set_xlim(0, max(line.get_xdata()[-1] for axes in grid[0] for line in axes.lines[:1]))
-    lines = {line.get_label(): line for axes in grid[0] for line in axes.lines}
+    lines = {line.get_label(): line for axes in grid.flat for line in axes.lines}
     add_legend(figure, [lines[label] for label in _LINES if label in lines])
     return figure
 
@@ -583,18 +585,15 @@ def _draw_panel(
     first moments, when estimates still jump between 0 and 1."""
     (name, _, letter, parameter), experiment = panel, trials.experiment
     values, truth = trials.records[name][trials.numbers.index(number)], getattr(experiment, parameter)
-    intervals = len(values) - 1
-    steps = np.arange(intervals + 1) * (experiment.steps // intervals)
+    steps = np.arange(len(values)) * trials.sampling_interval
     style = "steps-post" if name == "b_hat" else "default"  # b_hat stands still between its jumps
     for robot in range(experiment.robots - 1, -1, -1):
         color, label = (FLAWED, _LINES[0]) if robot < experiment.flawed else (OTHER, _LINES[1])
         axes.plot(
             steps, values[:, robot], color=color, label=label, linewidth=1.1, alpha=0.75, drawstyle=style
         )
-    axes.axhline(truth, color=INK, label=_LINES[2], linewidth=1.2, linestyle=(0, (5, 3)))
-    words, place, offset = f"{letter} = {truth:g}", (1, truth), (3, 0)
-    axes.annotate(
-        words, place, offset, ("axes fraction", "data"), "offset points", va="center", fontsize=SMALL
-    )
+    axes.axhline(truth, color=INK, label=_LINES[2], linewidth=1.2, linestyle="--")
+    beside = axes.get_yaxis_transform()
+    axes.text(1, truth, f" {letter} = {truth:g}", transform=beside, va="center", fontsize=SMALL)
     clean(axes)
     return np.append(values[len(values) // 50 :], truth)

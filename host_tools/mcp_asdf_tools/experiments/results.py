@@ -103,6 +103,7 @@ class Trials:
         updates: Re-estimates of b_hat by each robot, shape (trials, N).
         records: QUANTITIES by name, at step 0 and every ``sampling_interval`` steps, shape
             (trials, T // sampling_interval + 1, N); empty without recording.
+        sampling_interval: In steps; 0 without recording.
     """
 
     experiment: Experiment
@@ -113,6 +114,7 @@ class Trials:
     tests: NDArray[np.int64]
     updates: NDArray[np.int64]
     records: dict[str, NDArray[np.float64]]
+    sampling_interval: int = 0
 
     def scores(self, limits: Limits = PAPERS) -> dict[str, NDArray[np.float64]]:
         """SCORES of each trial by name."""
@@ -251,6 +253,7 @@ def _trials(parameters: str, table: pa.Table) -> Trials:
             for name in QUANTITIES
             if len(table[f"record_{name}"][0])
         },
+        sampling_interval=metadata_of(table)["sampling_interval"],
     )
 
 

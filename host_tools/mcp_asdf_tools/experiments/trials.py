@@ -8,7 +8,7 @@ known.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from types import ModuleType
 from typing import Any, cast
@@ -59,9 +59,9 @@ def _joined(parts: Sequence[Trials]) -> Trials:
         name: np.concatenate([getattr(part, name) for part in parts])
         for name in ("convergence_steps", "errors", "b_hat", "tests", "updates")
     }
-    return Trials(
-        parts[0].experiment,
-        [number for part in parts for number in part.numbers],
+    return replace(
+        parts[0],
+        numbers=[number for part in parts for number in part.numbers],
         **arrays,
         records={name: np.concatenate([part.records[name] for part in parts]) for name in parts[0].records},
     )
@@ -104,6 +104,7 @@ def _run_native(experiment: Experiment, first: int, trials: int, sampling_interv
         counted["tests"],
         counted["updates"],
         _records_of(experiment, raw.records) if sampling_interval else {},
+        sampling_interval,
     )
 
 
@@ -154,6 +155,7 @@ def _run_by_message(experiment: Experiment, trial: int, sampling_interval: int) 
         dict(zip(QUANTITIES, np.array(records).swapaxes(0, 1)[:, np.newaxis], strict=True))
         if sampling_interval
         else {},
+        sampling_interval,
     )
 
 

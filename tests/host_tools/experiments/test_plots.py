@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
@@ -20,6 +21,7 @@ from mcp_asdf_tools.experiments.plots import (
     bands,
     boxes,
     curve,
+    errors_over_time,
     filter_colours,
     median_interval,
     scatter,
@@ -59,6 +61,27 @@ def legend_of(figure: Figure) -> list[str]:
     return [text.get_text() for text in legend.get_texts()]
 
 
+def check_panels(figure: Figure, rows: int, columns: int, height: float, sharex: bool = True) -> None:
+    """Panels fit a page, and can be compared: rows, columns and inches, common axes, no frame."""
+    assert tuple(figure.get_size_inches()) == pytest.approx((9 if columns > 1 else 6.3, 1.4 + rows * height))
+    first, *others = (axes for axes in figure.axes if axes.axison)
+    for axes in (first, *others):
+        assert axes.get_subplotspec().get_geometry()[:2] == (rows, columns)  # type: ignore[union-attr]
+        assert not axes.spines["top"].get_visible()
+    assert all(axes.get_shared_y_axes().joined(axes, first) for axes in others)
+    assert all(axes.get_shared_x_axes().joined(axes, first) is sharex for axes in others)
+
+
+def check_medians(line: Any, band: Any, samples: dict[float, Any]) -> None:
+    """A line goes through the medians of samples at their places, in a band of their intervals."""
+    ends = np.asarray(band.get_paths()[0].vertices)
+    assert np.array_equal(line.get_xdata(), [*samples])
+    for (place, sample), median in zip(samples.items(), line.get_ydata(), strict=True):
+        heights = ends[ends[:, 0] == place, 1]
+        assert (median, heights.min(), heights.max()) == median_interval(sample)
+    assert not band.get_edgecolor().size
+
+
 def caption_of(figure: Figure) -> str:
     words: str = figure._supxlabel.get_text()  # type: ignore[attr-defined]
     return " ".join(words.split())
@@ -74,10 +97,11 @@ def test_boxes_are_where_and_what_they_should_be(results: list[Trials]) -> None:
         clouds = [
             (*np.array(line.get_xydata()).T, line.get_color())
             for line in axes.lines
-            if line.get_marker() == "."
+            if line.get_marker() == "." and not line.get_markeredgewidth()
         ]
         clouds.sort(key=lambda cloud: cloud[0].mean())
         own = [trials for trials in results if trials.experiment.fill_ratio == f]
+        assert len(axes.lines) == 7 * len(own), "a box is six lines: nothing is drawn twice"
         order = sorted(own, key=lambda each: (each.experiment.flawed, each.experiment.flawed_accuracy))
         for number, (trials, (x, y, colour)) in enumerate(zip(order, clouds, strict=True)):
             slot, index = divmod(number, 3)
@@ -91,7 +115,8 @@ def test_boxes_are_where_and_what_they_should_be(results: list[Trials]) -> None:
         labels = [label.get_text() for label in axes.get_xticklabels()]
         assert labels == ["+0\n0%", "-0.4\n50%", "-0.2\n50%", "-0.4\n100%"]
         assert axes.get_xlim() == (-0.5, 3.5)
-        assert axes.get_ylim()[0] == 0
+        assert axes.get_ylim() == (0, 103)
+    check_panels(figure, 2, 1, 2.6, sharex=False)
     assert figure.get_supylabel() == "score $H$"
     words = caption_of(figure)
     assert words.startswith(r"$\hat{b} - b$ of flawed robots")
@@ -104,6 +129,7 @@ def test_points_are_the_trials_in_the_papers_colours(results: list[Trials]) -> N
     """Rows are series and f, columns P; underconfident swarms are red, overconfident ones blue."""
     over = results_of(replace(BASE, flawed=2, true_accuracy=0.55, flawed_accuracy=0.95))
     figure = scatter([*results, over], LIMITS)
+    check_panels(figure, 6, 3, 1.7)
     found = {axes.get_title(): axes for axes in figure.axes}
     own = [t for t in results if t.experiment.fill_ratio == 0.95 and t.experiment.filter == "none"]
     for share, count in ((0, 1), (2, 2), (4, 1)):
@@ -130,10 +156,16 @@ def test_what_does_not_fit_a_picture_is_refused(results: list[Trials]) -> None:
         with pytest.raises(UsageError, match="9 series do not fit"):
             picture(many)
     assert len(boxes(many[:8]).legends[0].get_texts()) == 8
-    many = [replace(results[0], experiment=replace(GRID[0], fill_ratio=f / 40)) for f in range(33)]
-    assert len(boxes(many[:32]).axes) == 32
+
+    def cells(fills: int, *accuracies: float) -> list[Trials]:
+        many = [
+            replace(GRID[0], fill_ratio=f / 40, true_accuracy=b) for f in range(fills) for b in accuracies
+        ]
+        return [replace(results[0], experiment=each) for each in many]
+
+    assert len(boxes(cells(16, 0.6, 0.8)).axes) == 32
     with pytest.raises(UsageError, match="33 panels"):
-        boxes(many)
+        boxes(cells(11, 0.6, 0.8, 1))
 
 
 @pytest.mark.parametrize("y", MEASURES)
@@ -145,13 +177,72 @@ def test_points_are_medians_and_bands_their_intervals(y: str) -> None:
     figure = curve(swept, "omega", "density", y)
     (axes,) = figure.axes
     for line, band, density in zip(axes.lines, axes.collections, sorted(densities), strict=True):
-        assert np.array_equal(line.get_xdata(), sorted(omegas))
-        ends = np.asarray(band.get_paths()[0].vertices)
         own = {float(each.experiment.omega): each for each in swept if each.experiment.density == density}
-        for omega, median in zip(sorted(omegas), np.asarray(line.get_ydata()), strict=True):
-            sample, heights = own[omega].measures()[y], ends[ends[:, 0] == omega, 1]
-            assert (median, heights.min(), heights.max()) == median_interval(sample)
+        check_medians(line, band, {omega: own[omega].measures()[y] for omega in sorted(omegas)})
     assert legend_of(figure) == ["density 0.5", "density 2"]
+    check_panels(figure, 1, 1, 3.8)
+
+
+def test_curves_have_panels_or_go_into_axes_of_ones_own() -> None:
+    """A function of the trials is as good as a measure, a curve may be absent, and a range is no interval."""
+    varied: dict[str, Any] = {"flawed": [1, 2], "filter": ["none", "robust"], "steps": 60}
+    many = grid(robots=[4, 5, 6], trials=2, **varied) + grid(robots=7, trials=7, **varied)
+    swept = [results_of(each) for each in many if (each.robots, each.filter) != (6, "robust")]
+    figure = curve(swept, "flawed", "filter", facet="robots")
+    check_panels(figure, 2, 3, 2.6)
+    for axes, robots in zip(figure.axes[:4], (4, 5, 6, 7), strict=True):
+        assert axes.get_title() == f"robots {robots}"
+        own = [each.measures()["H"] for each in swept if each.experiment.robots == robots]
+        drawn = np.array([line.get_ydata() for line in axes.lines])
+        assert np.array_equal(drawn.T.ravel(), np.median(own, axis=1))
+        assert all(np.array_equal(line.get_xdata(), [1 / robots, 2 / robots]) for line in axes.lines)
+    assert [axes.axison for axes in figure.axes] == [True] * 4 + [False] * 2
+    assert legend_of(figure) == ["filter none", "filter robust"]
+    assert "2 to 7 trials of each" in caption_of(figure) and "fewer than 6, else 95 %" in caption_of(figure)
+    assert "bands their 95 % intervals" in caption_of(curve(swept[-4:], "flawed", "filter"))
+    whole: Any = Figure()
+    axes = whole.subfigures().subplots()
+    assert curve(swept[:4:2], "flawed", y=lambda each: each.errors[:, 0], ax=axes) is whole
+    assert np.array_equal(axes.lines[0].get_ydata(), [np.median(each.errors[:, 0]) for each in swept[:4:2]])
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("share of flawed robots", "<lambda>")
+    assert axes.get_legend() is None
+    curve(swept[:4], "flawed", "filter", ax=axes)
+    assert [each.get_text() for each in axes.get_legend().get_texts()] == legend_of(figure)
+    assert not axes.get_legend().get_frame_on() and axes.get_ylabel() == "H"
+    with pytest.raises(UsageError, match="give one of them"):
+        curve(swept[:4], "flawed", "filter", facet="robots", ax=axes)
+
+
+def test_long_texts_are_shortened() -> None:
+    graphs = [[(0, 1)], [(0, 1), (0, 2), (0, 10), (0, 11)], [(a, b) for a in range(4) for b in range(a)]]
+    wired = grid(topology="graph", graph=graphs, robots=12, steps=30, trials=1, filter="none")
+    (axes,) = curve([results_of(each) for each in wired], "graph").axes
+    shown = ["0 1", "0 1; 0 2; 0 10; 0 11", "0 1; 0 2; 0 3; 1 2;  ..."]
+    assert [each.get_text() for each in axes.get_xticklabels()] == shown
+    assert np.array_equal(axes.lines[0].get_xdata(), [0, 1, 2])
+
+
+def test_errors_over_time_are_medians_of_the_swarms_means() -> None:
+    """At the steps of the records, also where these do not divide a trial; a panel for each title."""
+    swarms = [
+        results_of(replace(BASE, flawed=2, filter=name, fill_ratio=f, steps=290, trials=6), 50)
+        for name in get_args(Filtering)[::3]
+        for f in (0.55, 0.95)
+    ]
+    figure = errors_over_time({"both": swarms, "none": swarms[:2], "robust": swarms[2:], "one": swarms[:1]})
+    check_panels(figure, 2, 3, 1.9)
+    assert [axes.get_title("left") for axes in figure.axes] == ["both", "none", "robust", "one", "", ""]
+    assert [axes.axison for axes in figure.axes] == [True] * 4 + [False] * 2
+    assert [[line.get_color() for line in axes.lines] for axes in figure.axes[:4]] == [
+        *([WITHOUT, ROBUST], [WITHOUT], [ROBUST], [WITHOUT])
+    ]
+    both = figure.axes[0]
+    for line, band, own in zip(both.lines, both.collections, (swarms[:2], swarms[2:]), strict=True):
+        errors = np.concatenate([abs(each.records["x"] - each.experiment.fill_ratio).mean(2) for each in own])
+        check_medians(line, band, dict(zip(range(0, 290, 50), errors.T, strict=True)))
+    assert both.get_yscale() == "log"
+    assert legend_of(figure) == ["no filter", "robust"]
+    assert "bands their 95 % intervals" in caption_of(figure)
 
 
 @pytest.mark.parametrize(
@@ -199,6 +290,7 @@ def test_intervals_of_medians_are_those_of_the_tables(trials: int, beyond: int) 
     """Ranks from the binomial distribution, as printed in books on nonparametric statistics."""
     values = np.random.default_rng(trials).permutation(trials).astype(float)
     assert median_interval(values) == (np.median(values), beyond - 1, trials - beyond)
+    assert median_interval(np.repeat([0.0, 5, 9], [1, 28, 1])) == (5, 5, 5)
 
 
 def test_bands_hold_all_robots_of_all_trials(results: list[Trials]) -> None:
@@ -216,18 +308,34 @@ def test_bands_hold_all_robots_of_all_trials(results: list[Trials]) -> None:
     assert (heights.min(), heights.max()) == (low.min(), high.max())
     off = np.mean(abs(trials.b_hat[:, -1, 2:] - 0.95) > 0.05)
     title = figure.axes[0].get_title().replace("\xa0", " ")
-    assert title.endswith(f"$P$ = 50%\nmore than 0.05 off: {off:.0%} of healthy robots")
+    cell, _, words = title.replace("\n", " ").partition(" more than 0.05 off: ")
+    assert (
+        cell == r"$f$ = 0.55, $b$ = 0.95, $\hat{b}$ = 0.55, $P$ = 50%"
+        and words == f"{off:.0%} of healthy robots"
+    )
+    check_panels(figure, 2, 3, 2.1)
+    whole = results_of(replace(trials.experiment, flawed=4))
+    four = bands([trials, trials, trials, whole])
+    check_panels(four, 2, 2, 2.1)
+    assert len(four.axes[3].lines) == 2 and four.axes[3].get_title().endswith("off: -")
+    unfiltered = [each for each in results if each.experiment == replace(trials.experiment, filter="none")]
+    names = [axes.get_title().split("\n")[0] for axes in bands([trials, *unfiltered]).axes]
+    assert names == ["no filter", "ASDF+"]
     with pytest.raises(UsageError, match="these trials have no filter step"):
-        bands([results_of(replace(BASE, filter_period=1000))])
+        bands([trials, results_of(replace(BASE, filter_period=1000))])
 
 
 def test_series_beside_each_other_show_their_records() -> None:
-    """Room is for all but the first moments, which are wild; flawed robots lie on top."""
-    runs = [results_of(replace(BASE, flawed=1, trials=1, filter=mode), 2) for mode in ("none", "asdf-plus")]
+    """Room is for all but the first moments, which are wild, and the longest; flawed robots lie on top."""
+    one = replace(BASE, flawed=1, trials=1)
+    runs = [
+        results_of(replace(one, filter="none"), 2),
+        results_of(replace(one, filter="asdf-plus", steps=200), 30),
+    ]
     figure = series_beside(runs, 0)
     panels = np.array(figure.axes).reshape(3, 2)
     for row, name, truth in zip(panels, ("b_hat", "x_hat", "x"), (0.95, 0.55, 0.55), strict=True):
-        settled = np.append([trials.records[name][0][3:] for trials in runs], truth)
+        settled = np.concatenate([runs[0].records[name][0][3:], runs[1].records[name][0], [[truth] * 4]])
         margin = max(0.06 * np.ptp(settled), 0.01)
         for axes, trials in zip(row, runs, strict=True):
             assert axes.get_ylim() == pytest.approx((settled.min() - margin, settled.max() + margin))
@@ -235,7 +343,11 @@ def test_series_beside_each_other_show_their_records() -> None:
             assert [line.get_color() for line in axes.lines] == [OTHER] * 3 + [FLAWED, INK]
             drawn = np.array([line.get_ydata() for line in axes.lines[:4]])
             assert np.array_equal(drawn[::-1].T, trials.records[name][0])
-            assert np.array_equal(axes.lines[0].get_xdata(), np.arange(0, 301, 2))
+            steps = range(0, 301, 2) if trials is runs[0] else range(0, 200, 30)
+            assert np.array_equal(axes.lines[0].get_xdata(), steps)
+            (words,) = axes.texts
+            assert words.get_text().strip() == f"{'b' if name == 'b_hat' else 'f'} = {truth}"
+            assert words.get_position() == (1, truth)
             assert np.asarray(axes.lines[4].get_ydata()).tolist() == [truth] * 2
             assert axes.lines[0].get_drawstyle() == ("steps-post" if name == "b_hat" else "default")
     titles = [axes.get_title("left") for axes in panels.flat]
@@ -244,7 +356,11 @@ def test_series_beside_each_other_show_their_records() -> None:
     assert [axes.get_ylabel().split("$")[0] for axes in panels[:, 0]] == [
         *("assumed accuracy ", "local estimate ", "informed estimate "),
     ]
+    assert [axes.get_xlabel() for axes in panels.flat] == [""] * 4 + ["step"] * 2
     assert legend_of(figure) == ["flawed robots", "healthy robots", "true value"]
+    for shown, size in ((figure, 8), (series_beside(runs[:1], 0), 10)):
+        texts: list[Any] = shown.axes[0].findobj(Text)
+        assert [each.get_fontsize() for each in texts if each.get_text() == titles[0]] == [size]
     with pytest.raises(UsageError, match=r"there is no trial 1; choose one of 0 \.\. 0"):
         series_beside(runs, 1)
 
@@ -272,6 +388,7 @@ def test_numbers_in_words() -> None:
         ([0], {"kind": "curve"}, "x is ''; choose a parameter: robots, topology"),
         ([0], {"kind": "curve", "x": "omega", "hue": "tao"}, "hue is 'tao'; choose"),
         ([0], {"kind": "curve", "x": "omega", "y": "h"}, "y is 'h'; choose one of H,"),
+        ([0], {"kind": "curve", "x": "omega", "y": lambda each: each.errors}, r"y gives shape \(5, 4\)"),
     ],
 )
 def test_what_cannot_be_drawn_is_told(
