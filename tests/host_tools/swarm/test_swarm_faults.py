@@ -211,7 +211,7 @@ def test_a_flood_is_read_while_it_comes(medium: str) -> None:
 
 # The figures of docs/threats.md
 
-FIGURES = re.compile(r"error \d\.\d+, flawed \d\.\d+, sound \d\.\d+")
+FIGURES = re.compile(r"\d\.\d{3}, \d\.\d{3}, \d\.\d{3}")
 ROWS = [
     (re.findall(r"`(\w+,robots=[^`]*)`", line.split("|")[1]), FIGURES.findall(line))
     for line in (ROOT / "docs/threats.md").read_text(encoding="utf-8").splitlines()
@@ -236,5 +236,5 @@ def test_the_table_of_threats_says_what_happens(faults: list[str], figures: list
         groups = robots[:6], robots[last + 1 :]
         error = fmean(abs(robot.x - 0.55) for group in groups for robot in group)
         flawed, sound = (fmean(robot.b_hat for robot in group) for group in groups)
-        found.append(f"error {error:.3f}, flawed {flawed:.3f}, sound {sound:.3f}")
+        found.append(f"{error:.3f}, {flawed:.3f}, {sound:.3f}")
     assert found == figures
