@@ -47,7 +47,7 @@ def summary(run: SwarmRun, bus: str, seconds: float) -> Rows:
 
 def summary_table(rows: Rows) -> Table:
     """A summary as a table of two columns, the second as wide as there is room."""
-    table = Table(box=None, padding=(0, 1), show_header=False)
+    table = Table(box=None, show_header=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     for row in rows:

@@ -27,7 +27,7 @@ from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import FrameTaker
 from mcp_asdf_tools.robots.population import Filtering
 from mcp_asdf_tools.swarm.carrier import Carrier, SwarmError, Wiring
-from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
+from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame, content_of
 from mcp_asdf_tools.swarm.faults import Faults
 from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteFirmware, check_remote, remote_robot
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -182,7 +182,7 @@ class Swarm:
     def _babble(self, is_early: bool) -> list[SentFrame]:
         """Let nodes send what they send besides their own frames."""
         leaving: list[SentFrame] = []
-        for node in (node for node in self.nodes if node.is_alive and self.faults.faults):
+        for node in self.nodes if self.faults.faults else ():
             for frame in self.faults.babble(node.id, self.ticks, self._now, is_early):
                 for sent in self.faults.leave(frame, node.id, self.ticks):
                     if self._input_log is not None and node.id not in self._remote:
@@ -218,12 +218,11 @@ def _note_fate(
 ) -> None:
     """Record how what leaves the robot, a frame or none, differs from its own ``frame``."""
     after = leaving[0].frame if leaving else None
-    if after is frame:
+    if after is not None and content_of(after) == content_of(frame):
         return
     own, said = (None if each is None else decode(each, frames) for each in (frame, after))
-    if isinstance(own, Message) and isinstance(said, Message) and said.sender == robot:
-        if after is not None and after.data != frame.data:
-            input_log.robots[robot].falsified(said.x_hat, alpha_bits(after))
+    if after is not None and isinstance(own, Message) and isinstance(said, Message) and said.sender == robot:
+        input_log.robots[robot].falsified(said.x_hat, alpha_bits(after))
         return
     if after is not None:
         input_log.injected(after)

@@ -32,7 +32,7 @@ class DriftingSensors:
         self._settings = settings
         self._moves = Stream(MOVES, settings.seed, trial, settings.robots)
         self._step = 0
-        self._wiener = np.zeros((1, settings.robots))
+        self._wiener = np.zeros(settings.robots)
 
     def advance(self, steps: int) -> Accuracies:
         """The next steps. O(steps) or, where robots differ, O(steps robots)."""
@@ -73,9 +73,9 @@ class DriftingSensors:
         moves = self._normals(steps, self._step)
         if self._step == 0:
             moves[0] = 0.0
-        moves[0] += self._wiener[0]
+        moves[0] += self._wiener
         paths: NDArray[np.float64] = np.cumsum(moves, axis=0)
-        self._wiener = paths[-1:]
+        self._wiener = paths[-1]
         return paths
 
 

@@ -129,16 +129,18 @@ def test_126_robots_and_the_tool_have_ids() -> None:
 
 
 def test_a_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the driver asks its caller while it waits."""
     monkeypatch.setattr(remote_robot, "ANSWER_TIMEOUT", 0.1)
-    settings = small()
+    settings, asked = small(), list[bool]()
     with Swarm(settings, with_buses(1)) as driven, own_bus(1) as bus:
         with robot_elsewhere(RobotNode(settings.records()[1]), bus):
-            driven.wait_until_up(10)
+            driven.wait_until_up(10, lambda: asked.append(True))
             driven.tick()
+        asked.clear()
         run = run_swarm(driven)
     assert run.failure is not None
     assert "tick 2: robot 1 did not broadcast its estimate within" in run.failure
-    assert run.results["steps"] == 1
+    assert run.results["steps"] == 1 and asked
 
 
 SMALL = ["swarm", "--robots", "3", "--steps", "25", "--filter-period", "10", "--seed", "5", "--json"]

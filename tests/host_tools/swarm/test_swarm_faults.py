@@ -125,6 +125,7 @@ NOTHING: dict[str, Any] = {"refused": 0, "strays": 0, "rejected": {}, "id_confli
         ("freeze,robots=1,from=30", 30, {"delivered": 60 * 20, "refused": 0}, (270, 30, 0, 0)),
         ("liar,robots=2", 60, {"delivered": 60 * 20, "refused": 0}, (240, 60, 0, 0)),
         ("liar,robots=1,from=10,to=20,alpha=1e-9", 10, {"refused": 0}, (290, 10, 0, 0)),
+        ("collide,robots=3,id=3", SENT, {"delivered": 60 * 20, **NOTHING}, ()),
         # Robot 2 refuses its own id; the other three hear 2 twice, robot 3 once.
         ("collide,robots=3,id=2", SENT, {"id_conflicts": {"2": 60}, "refused": 240}, (240, 0, 60, SENT)),
     ],
