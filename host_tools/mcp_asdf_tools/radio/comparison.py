@@ -160,8 +160,8 @@ def _relation(kind: str, field: str, own: Sequence[can.Message], models: Sequenc
     size = place[1] // 8
     if got.to_bytes(size, "little") == expected.to_bytes(size, "big"):
         return f"its {size} bytes are in reverse order"
-    digits = {_significant(field, got), _significant(field, expected)}
-    if len(digits) > 1 or min(digits) < _MANY_DIGITS:
+    digits = _significant(field, got)
+    if digits != _significant(field, expected) or digits < _MANY_DIGITS:
         return ""
     of = float_of if field == "alpha" else float
     return f"it is {of(got) / of(expected):g} times what it should be"

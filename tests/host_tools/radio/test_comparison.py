@@ -16,7 +16,7 @@ def told(got: tuple[int, int], expected: tuple[int, int]) -> str:
     """What is said of two estimates' x_hat and alpha."""
     judge = Comparison(Subjects(), encode_heartbeat(Heartbeat(5, 0, 0)))
     own, model = (encode(Message(5, *each, 0), FrameFormat()) for each in (got, expected))
-    found = judge.check([own], [model])
+    found = judge.check([model, own, own], [model] * 2)
     assert found is not None and str(found).endswith(f"; {found.relation}" if found.relation else found.got)
     return found.relation
 
@@ -37,6 +37,17 @@ def told(got: tuple[int, int], expected: tuple[int, int]) -> str:
 )
 def test_relations_of_estimates(got: tuple[int, int], words: str) -> None:
     assert told(got, (X, ALPHA)) == words
+
+
+def test_powers_of_two_in_binary32() -> None:
+    """From the least exponent of a normal number to the largest; others have none."""
+    tells = {(1, 2): "it is 0.5 times what", (254, 253): "it is 2 times what", (0, 1): "", (255, 254): ""}
+    for exponents, words in tells.items():
+        own, model = (encode(Message(5, X, ALPHA, 0), FrameFormat()) for _ in exponents)
+        for frame, exponent in zip((own, model), exponents, strict=True):
+            frame.data[3:7] = (exponent << 23 | 0x345678).to_bytes(4, "little")
+        found = Comparison(Subjects(), encode_heartbeat(Heartbeat(5, 0, 0))).check([own], [model])
+        assert found is not None and found.relation.partition(" it should")[0] == words
 
 
 def test_short_values_are_left_alone() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import re
 import resource
@@ -29,7 +30,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording import recording as module
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
-from mcp_asdf_tools.recording.recording import Recording
+from mcp_asdf_tools.recording.recording import NoRecording, Recording
 from robots import ALPHA_ONE
 from support import ROOT, require
 from wire import record
@@ -67,17 +68,17 @@ def test_what_is_on_disk_after_a_second_is_read(monkeypatch: pytest.MonkeyPatch,
     log, part, lost = (tmp_path / name for name in ("run.log", "run.log.part", "lost.log.part"))
     clock = SimpleNamespace(now=0.0)
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr(module, "_MOST_WAITING", 20)
+    on_disk = list[int]()
     with recorded(log, None) as write:
-        for number, clock.now in enumerate([*[0.9] * 100, 1.0, 1.9, 1.99]):
+        for number, clock.now in enumerate([*[0.9] * 21, 1.89, 1.9, *[1.91] * 25]):
             write(number)
-        lost.write_bytes(part.read_bytes())
-        assert numbers(lost) == list(range(100))
-        for number in range(103, 5000):  # many do not wait for the second
-            write(number)
-        lost.write_bytes(part.read_bytes())
-        assert len(numbers(lost)) > 4000
+            lost.write_bytes(part.read_bytes())
+            on_disk.append(numbers(lost)[-1] + 1 if lost.stat().st_size else 0)
+        assert on_disk == [*[0] * 20, 20, 20, *[22] * 21, *[43] * 5], "many do not wait for the second"
+        assert numbers(lost) == list(range(43))
         assert not log.exists()
-    assert numbers(log) == list(range(5000))
+    assert numbers(log) == list(range(48))
     assert names(tmp_path) == [lost.name, log.name]
 
 
@@ -141,15 +142,21 @@ def test_a_run_that_does_not_end_regularly_leaves_parts(tmp_path: Path) -> None:
         (tmp_path / "lost.log").mkdir()  # so that the part cannot take its name
     assert "cannot write" in said[1] and "lost.log: it is not a regular file" in said[1]
     with pytest.raises(ZeroDivisionError), recorded(tmp_path / "empty.log"):
+        (tmp_path / "empty.log.part").unlink()  # which is no error any more
+        raise ZeroDivisionError
+    heard = Recording(tmp_path / "events.log", HEADER, said.append)
+    with pytest.raises(ZeroDivisionError), heard as (_, events):
+        assert events is not None
+        events.robots[5].observe(Observation.BLACK)
         raise ZeroDivisionError
     full = Recording(tmp_path / "full.log", None, said.append)
     with disk_with_room_for(0), pytest.raises(ZeroDivisionError), full as (write, _):
         assert write is not None
         write(frame(1))
         raise ZeroDivisionError
-    assert len(said) == 3 and "full.log is not complete: File too large; partial data" in said[2]
+    assert len(said) == 4 and "full.log is not complete: File too large; partial data" in said[3]
     left = ("full.log.part", "lost.log", "lost.log.part", "run.log", "run.log.events.part", "saved.log.part")
-    assert names(tmp_path) == [*left]
+    assert names(tmp_path) == ["events.log.events.part", "events.log.part", *left]
 
 
 @pytest.mark.parametrize("calls", range(5))
@@ -203,6 +210,10 @@ def test_what_cannot_be_recorded_is_told_beforehand(name: str, words: str, tmp_p
     for header in (HEADER, None):  # a log without events leaves no other run's
         with recorded(tmp_path / "run.LOG", header) as write:
             write(1)
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        InputLogHeader([], None, FrameFormat(), {"fill_ratio": math.nan}).line()
+    with NoRecording() as outputs:
+        assert outputs == (None, None)
     assert names(tmp_path) == ["run.LOG"]
 
 

@@ -167,6 +167,8 @@ def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
         assert told in (verdict.difference or "") and verdict.not_logged == 0
     assert check([], log) == ReplayVerdict(not_logged=1)
     input_log_path(log).rename(input_log_path(log.with_name("x.part")))  # of a run that was cut off
+    with input_log_path(log.with_name("x.part")).open("a") as part:
+        part.write("[5,")
     later = [encode(Message(5, 0, 0, turn), FrameFormat()) for turn in (1, 2, 3)]
     assert check([own, *later], log.with_name("x.part")) == ReplayVerdict(reproduced=1, beyond=3)
 
@@ -199,6 +201,7 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
         for frame in FRAMES.values():
             writer.injected(frame)
         writer.robots[127].restart()
+        writer.robots[127].receive(np.array([[127, 0, 0], [3, 2**23, 2**32 - 1]], np.uint32))
         writer.robots[7].settle()
         writer.robots[7].observe(None)
         writer.robots[7].falsified(5, 2**31)
@@ -206,8 +209,9 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
     events = (
         (7, [1, [3, 2**23, 2**32 - 1], [127, 0, 0], 3]),
         (7, [2, [5, 2**31], "silent"]),
-        (127, ["restart"]),
+        (127, ["restart", [127, 0, 0], [3, 2**23, 2**32 - 1]]),
     )
+    assert f'"restart","8{31 * "0"}","8"]' in (tmp_path / "x").read_text(), "known messages are told in short"
     with InputLogReader(tmp_path / "x") as reader:
         assert (reader.header, [*reader.lines()]) == (HEADER, [*FRAMES, *events])
 
@@ -307,6 +311,8 @@ FILES = {
     "run.log --events run.log": "run.log, line 1: not JSON",
     "lone.log": "there is no lone.log.events, without which nothing can be checked; give it as --events",
     "cut.log --events run.log.events": "the log cut.log is malformed after frame 3 ",
+    "late.log --events run.log.events": "malformed after frame 1 (ValueError: its time is 1e+11 s",
+    "run.log.events": "run.log.events is what happened to the robots of a log; give the log, run.log",
     "empty.log": "the log empty.log is empty: the disk was full, or nothing was sent yet",
     "run.xyz --events run.log.events": "the log run.xyz is malformed after frame 0 ",
     "other.log --events run.log.events": "other.log holds no estimate of the robots in run.log.events",
@@ -330,6 +336,7 @@ def place(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         Path(name).write_text("".join(lines))
     Path("cut.log").write_text("".join(lines[:4])[:-40])
     Path("empty.log").touch()
+    Path("late.log").write_text("(100000000000.0) vcan0 123#00 R\n")
     Path("other.log").write_text("(0.0) vcan0 123#00 R\n")
 
 
