@@ -6,7 +6,7 @@ from pathlib import Path
 
 from .images import AVR, KILOBOT_CLOCK, LEVELS, ROOT, TARGETS
 from .measurement import Figures
-from .robots import SHORT, TESTED, UPDATED
+from .robots import TESTED, UPDATED
 
 README, PAGE = ROOT / "README.md", ROOT / "docs/cost.md"
 FLASH, RAM = 32 * 1024, 2 * 1024
@@ -37,7 +37,8 @@ def sections(cells: Cells, kilobots: Kilobots) -> dict[Path, dict[str, str]]:
     """For every page what stands between its markers."""
     names = [target.name for target in TARGETS]
     short = [short_row(name, *(cells[name, level][0] for level in LEVELS)) for name in names]
-    every = [(f"{name} {level}", cells[name, level]) for name in names for level in LEVELS]
+    shown = [name for name in names if is_in_page(name)]
+    every = [(f"{name} {level}", cells[name, level]) for name in shown for level in LEVELS]
     return {
         README: {"cost table": f"{table(short)}\n\n{_kilobot(cells[AVR.name, '-Os'][0], kilobots)}"},
         PAGE: {
@@ -46,6 +47,11 @@ def sections(cells: Cells, kilobots: Kilobots) -> dict[Path, dict[str, str]]:
             "filters": table([filter_row(name, *found[1:]) for name, found in every]),
         },
     }
+
+
+def is_in_page(name: str) -> bool:
+    """Whether docs/cost.md has the target: a Cortex-M3's figures are nearly those of a Cortex-M4."""
+    return name != "Cortex-M3"
 
 
 def short_row(name: str, small: Figures, fast: Figures) -> Row:
@@ -64,11 +70,11 @@ def short_row(name: str, small: Figures, fast: Figures) -> Row:
 def call_row(name: str, found: Figures) -> Row:
     """The most instructions of calls, with bounds where there are any; cycles where they are counted."""
     row = {"worst observed : bound": name}
-    for kind in ("step", SHORT, TESTED, UPDATED, "receive", "x"):
+    for kind in ("step", TESTED, UPDATED, "receive", "x"):
         bound = f" : {found.bound[kind]}" if kind in found.bound else ""
         cycles = found.most(kind, "cycles")
         row[kind] = f"{found.most(kind)}{bound}{f', {cycles} cycles' if cycles else ''}"
-    return {**row, "divisions": str(found.divisions)}
+    return row
 
 
 def memory_row(name: str, found: Figures) -> Row:
