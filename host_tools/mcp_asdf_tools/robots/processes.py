@@ -103,7 +103,7 @@ def _options(robot: RobotRecord, subjects: Subjects) -> list[str]:
     """Options of a robot, in one word each, so that a negative number is not taken for an option."""
     plain, filters = robot.plain(), robot.config.filter
     table = plain.pop("table", None)
-    if filters is Filter.ADAPTIVE and table is not None:
+    if filters is Filter.ADAPTIVE:
         plain |= {"omega": table["omega"], "neighbours": table["q"]}
     if filters is Filter.ALWAYS:
         plain["activation"] = "always"

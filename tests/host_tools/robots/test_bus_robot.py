@@ -122,7 +122,7 @@ def test_what_is_no_estimate_is_counted_by_its_kind() -> None:
 def test_a_record_is_the_same_after_json_and_makes_the_same_robot() -> None:
     own = record(5, "mirror", 0.55, comms_period=2, filter_period=10, memory=64)
     ends = [record(5, comms_period=each, filter_period=each) for each in (1, 2**32 - 1)]
-    for each in (own, *ends):
+    for each in (own, replace(own, allow=frozenset((0, 2, 3, 127))), *ends):
         assert RobotRecord.from_plain(each.plain()) == each
     table = Table(3, TABLE.entries)
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
@@ -143,6 +143,9 @@ def test_a_record_is_the_same_after_json_and_makes_the_same_robot() -> None:
         ({"filter_period": 10.5}, "filter_period is 10.5; give a whole number"),
         ({"filter": "some"}, "filter is 'some'; it must be one of adaptive, always, off"),
         ({"memory": 66}, "memory is 66"),
+        ({"allow": "x"}, "allow is 'x'; it must be ids 0 to 127 such as 0"),
+        ({"allow": "3+0-128"}, "allow is '3.0-128'"),
+        ({"allow": "0+5-3"}, "allow is '0.5-3'"),
         ({"id": 128}, "robot id is 128"),
         ({"b_hat": "high"}, "b_hat is 'high'"),
         ({"firmware": "own"}, "firmware is 'own'"),
@@ -163,23 +166,26 @@ def test_flawed_robots_are_a_count_or_a_share() -> None:
             Population(robots=10, flawed=wrong)
 
 
-@pytest.mark.parametrize("filters", ["none", "asdf-minus", "asdf-plus"])
+@pytest.mark.parametrize("filters", ["none", "asdf-minus", "asdf-plus", "robust"])
 @pytest.mark.parametrize("activation", ["adaptive", "always"])
 def test_a_population_has_a_record_of_each_robot(filters: Filtering, activation: Activation) -> None:
     periods: dict[str, Any] = {"comms_period": 2, "filter_period": 4, "memory": 64}
     accuracies: dict[str, Any] = {"robots": 4, "flawed": 2, "flawed_accuracy": 0.3, "true_accuracy": 1.0}
     some = Population(**accuracies, **periods, filter=filters, activation=activation, omega="0.1")
     off, on = Config(None, Filter.OFF, 2, 64), Config(None, Filter.ALWAYS, 2, 64)
-    if activation == "adaptive":
+    if filters == "robust":
+        on = replace(on, filter=Filter.ROBUST)
+    elif activation == "adaptive":
         on = Config(generate(Decimal("0.1"), 3), Filter.ADAPTIVE, 2, 64)
-    configs = [on if filters != "none" else off] * 2 + [on if filters == "asdf-plus" else off] * 2
+    configs = [on if filters != "none" else off] * 2 + [off if filters in ("none", "asdf-minus") else on] * 2
     b_hat = [0.3, 0.3, 1 - 2**-20, 1 - 2**-20]
     expected = [RobotRecord(i, "native", b_hat[i], configs[i], 2) for i in range(4)]
     assert [some.record(robot) for robot in range(4)] == expected
     assert Population(**some.parameters()) == some
     with pytest.raises(ParameterError, match="unknown key 'activity'; did you mean activation"):
         Population(activity=1)  # type: ignore[call-arg]
-    unused = {"none": {"omega", "activation"}}.get(filters, {"omega"} if activation == "always" else set())
+    both = {"omega", "activation"}
+    unused = {"none": both, "robust": both}.get(filters, {"omega"} if activation == "always" else set())
     assert set(some.unused_parameters()) == unused
 
 

@@ -67,16 +67,16 @@ def test_colours_that_are_far_apart_are_no_proof_of_a_perfect_sensor() -> None:
     found = calibrate([(float(reading), reading < 10) for reading in range(8)] * 5 + [(21.0, False)] * 40)
     assert (found.threshold, found.black_is, found.warning, found.bias) == (14, "below", None, 0)
     assert found.b_hat == 41 / 42
+    assert calibrate([(7.5, True), (21.0, False)] * 40).threshold == 14.25
+    alike = [(0.0, True)] * 9 + [(8.0, False), (9.0, True)] + [(11.0, False)] * 9
+    assert calibrate(alike).threshold == 4, "in the widest gap"
     assert 0.02 < found.uncertainty < 0.04
 
 
 @pytest.mark.parametrize(
     ("lines", "told"),
     [
-        (
-            "reading,colour\n512,grey",
-            "line 2: '512,grey' is no reading over a tile; write a number and black or",
-        ),
+        ("reading,colour\n512,grey", "line 2: '512,grey' is no reading over a tile; write a number and bl"),
         ("512", "line 1: '512' is no reading"),
         ("512,black,3", "line 1: "),
         ("\n\nnan,white", "line 3: 'nan,white' is no reading"),

@@ -290,11 +290,12 @@ def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setattr(processes, "_PATIENCE", 0.1)
     nodes = NodeProcesses([record(3)], lambda robot: BusChoice("udp_multicast", {}), Subjects(), 10)
     stubborn = f"trap '' TERM; echo '{{}}'; touch {tmp_path}/up; exec sleep 1000"
-    nodes._commands = {3: ["sh", "-c", stubborn]}
+    nodes._commands = {3: ["sh", "-c", stubborn], 4: ["echo", '{"steps": 1}']}
     with nodes:
         assert os.getsid(nodes._processes[3].pid) != os.getsid(0), "Ctrl-C is not for it"
         wait_until((tmp_path / "up").exists)
-    assert nodes.reports == {3: {}}
+        nodes._processes[4].wait()
+    assert nodes.reports == {3: {}, 4: {"steps": 1}}
 
 
 @pytest.mark.parametrize(("interface", "processors"), [("socketcan", [{1}]), ("udp_multicast", [])])
@@ -302,7 +303,7 @@ def test_only_processes_on_socketcan_keep_to_one_processor(
     interface: str, processors: list[set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     choice, other, kept = BusChoice(interface, {}), BusChoice("udp_multicast", {}), list[set[int]]()
-    monkeypatch.setattr("os.sched_getaffinity", lambda process: {3, 1, 2})
-    monkeypatch.setattr("os.sched_setaffinity", lambda process, some: kept.append(some))
+    monkeypatch.setattr("os.sched_getaffinity", {0: {3, 1, 2}}.__getitem__)
+    monkeypatch.setattr("os.sched_setaffinity", lambda process, some: kept.append(some | {process} - {0}))
     NodeProcesses([record(3), record(4)], {3: choice, 4: other}.__getitem__, Subjects(), 10)
     assert kept == processors

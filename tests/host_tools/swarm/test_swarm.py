@@ -148,13 +148,15 @@ def test_telemetry_is_every_robots_state_and_changes_nothing(firmware: str) -> N
     [
         ((), {"frames": FrameFormat(3001), "telemetry_period": 1}, "subject 3001 is that of telemetry"),
         ((), {"clock": "none"}, "clock is 'none'; choose lockstep or real-time"),
+        ((), {"allow": "0-128"}, "allow is '0-128'; it must be ids 0 to 127"),
         ("loss", {}, "faults is .*; give several in a list"),
         (("loss,robots=4+5",), {}, "names robot 5, but the ids of 5 robots are 0 to 4"),
         (("loss,receivers=5",), {}, "names robot 5, but the ids of 5 robots are 0 to 4"),
     ],
 )
 def test_settings_that_cannot_be(faults: Any, settings: dict[str, Any], reason: str) -> None:
-    small("loss,robots=4,receivers=4", frames=FrameFormat(3001))
+    right = small("loss,robots=4,receivers=4", frames=FrameFormat(3001), allow="3+0-2+5")
+    assert right.allow == "0-3+5"
     with pytest.raises(UsageError, match=reason):
         SwarmSettings(robots=5, faults=faults, **settings)
 

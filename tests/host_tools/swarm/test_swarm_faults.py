@@ -16,7 +16,6 @@ from can.interfaces import virtual
 from host_tools.swarm.swarms import ON_ONE_BUS, ON_OWN_BUSES, content, own_bus, record, small, states
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode
 from mcp_asdf_tools.bus.interfaces import BusChoice
-from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.recording.input_log import InputLogReader
 from mcp_asdf_tools.recording.replay import verify
 from mcp_asdf_tools.robots.population import Filtering
@@ -101,12 +100,7 @@ NOTHING: dict[str, Any] = {"refused": 0, "strays": 0, "rejected": {}, "id_confli
 @pytest.mark.parametrize(
     ("fault", "injected_in_all", "expected", "replayed"),
     [
-        (
-            "loss=0",
-            0,
-            {"sent": 300, "delivered": 1200, "heartbeats_sent": 30, "heartbeats_heard": 120, **NOTHING},
-            (),
-        ),
+        ("loss=0", 0, {"sent": 300, "delivered": 1200, "heartbeats_heard": 120, **NOTHING}, ()),
         ("loss", SENT * 20, {"delivered": 0, "heartbeats_heard": 0, "arrived": 0, "in_range": SENT * 20}, ()),
         # All messages three ticks late: those of the last three rounds never come.
         ("delay,ticks=3", SENT * 20, {"delivered": (60 - 3) * 20, "refused": 0}, ()),
@@ -114,12 +108,7 @@ NOTHING: dict[str, Any] = {"refused": 0, "strays": 0, "rejected": {}, "id_confli
         # The copy of the last round comes first, so it is the new message that is a repetition.
         ("duplicate,ticks=1", SENT * 20, {"delivered": (60 + 59) * 20, "refused": 59 * 20}, ()),
         ("corrupt,bits=64", SENT * 20, {"delivered": 0, "arrived": SENT * 20}, ()),
-        (
-            "babble,frames=4,robots=3,from=10,to=20",
-            40,
-            {"on_the_bus": SENT * 5 + 40, "arrived": (SENT * 5 + 40) * 4, "refused": 0},
-            (300, 0, 0, 40),
-        ),
+        ("babble,frames=4,robots=3,from=10,to=20", 40, {"arrived": (SENT * 5 + 40) * 4}, (300, 0, 0, 40)),
         ("crash,robots=1,from=20,to=35", 15, {"sent": 60 * 5 - 15, "delivered": 1080}, (285, 0, 0, 0)),
         ("busoff,robots=1,from=20,to=35", 15, {"sent": 60 * 5, "delivered": 1080}, (285, 0, 0, 0)),
         ("freeze,robots=1,from=30", 30, {"delivered": 60 * 20, "refused": 0}, (270, 30, 0, 0)),
@@ -163,13 +152,6 @@ def test_ids_that_are_not_allowed_do_nothing(medium: str) -> None:
     assert (figures(spoofed)["unknown"], figures(spoofed)["id_conflicts"]) == (0, {"0": 60})
     nobody, _ = record(small(allow="127"), MEDIA[medium])
     assert all(node.robot.x == node.robot.x_hat for node in nobody.nodes)
-
-
-@pytest.mark.parametrize("allow", ["x", "5-3", "0-128", "+", "-1"])
-def test_an_allowed_id_is_one_that_a_node_may_have(allow: str) -> None:
-    with pytest.raises(ParameterError, match=f"allow is '{re.escape(allow)}'; it must be ids 0 to 127"):
-        small(allow=allow)
-    assert small(allow="3+0-2+5").allow == "0-3+5"
 
 
 @pytest.mark.parametrize("rejoin", ["new", "restored"])

@@ -55,11 +55,7 @@ def test_too_little_room_is_named() -> None:
 
 @pytest.mark.parametrize(
     ("settings", "expected"),
-    [
-        (PAPER, "9da4ac4df8883d84"),
-        (CROWD, "b076104f7f9d6271"),
-        (world(127, density=4.0), "036003a4cf6e9dcc"),
-    ],
+    [(PAPER, "9da4ac4df8883d84"), (CROWD, "b076104f7f9d6271"), (world(127, density=4.0), "036003a4cf6e9dcc")],
 )
 def test_a_seed_gives_the_same_bits_everywhere(settings: WorldSettings, expected: str) -> None:
     """The digest stands for every machine: the arena uses only operations that IEEE 754 rounds correctly."""
