@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -157,12 +156,3 @@ def test_a_curve_is_of_the_chosen_and_goes_into_axes_of_ones_own() -> None:
     both: Any = m.plot(table, "curve", x="flawed", facet="filter")
     assert both._repr_png_().startswith(b"\x89PNG"), "a notebook shows it"
     assert [each.get_title() for each in both.axes] == ["filter none", "filter asdf-plus"]
-
-
-def test_a_run_is_shown_in_a_notebook_as_its_page(tmp_path: Path) -> None:
-    moving = m.Experiment(topology="dynamic", robots=4, steps=50, filter_period=20, trials=2, density=0.5)
-    shown = m.show(moving, trial=1)
-    shown.save(str(tmp_path / "run.html"))
-    page = (tmp_path / "run.html").read_text(encoding="utf-8")
-    assert shown._repr_html_().startswith("<iframe srcdoc=") and html.escape(page) in shown._repr_html_()
-    assert m.show(m.simulate(moving), trial=1, where={"robots": "4"}).page == page != m.show(moving).page

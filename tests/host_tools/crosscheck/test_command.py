@@ -114,9 +114,14 @@ def test_a_replay_tells_the_calls_made(
     ("operations", "storage", "told"),
     [
         (
-            {"x": {"m": {1: 10, 127: 1000}}},
+            {"x": {"m": {1: 9, 2: 10, 3: 11, 126: 10, 127: 10}}},
             STORAGE,
-            "x: 1000 instructions where m is 127 to 127, but 10 below",
+            "x: 11 instructions where m is 3 to 127, but 10 below",
+        ),
+        (
+            {"x": {"t": {1: 4001, 2: 4001}}},
+            STORAGE,
+            "x: 4001 instructions where t is 2 to 2, but 4001 below",
         ),
         (COUNTS, STORAGE | {"tables": {2: 21}}, "a table with q = 2 takes 21 bytes"),
         (COUNTS, STORAGE | {"images": {0: 124, 1: 125}}, "robots take [124, 125] bytes"),

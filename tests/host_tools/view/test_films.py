@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import base64
+import html
+import json
+import re
 import time
+import zlib
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -12,6 +17,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus.frames import FrameFormat, Message, Telemetry, encode, encode_telemetry
 from mcp_asdf_tools.cli.main import main
@@ -19,13 +25,15 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of
 from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.library import simulate
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
 from mcp_asdf_tools.view import film as films
 from mcp_asdf_tools.view.film import Film, Stage, State
 from mcp_asdf_tools.view.films import BusFilm, SwarmCamera, film_of_log, film_of_trial, spacing_of
-from mcp_asdf_tools.view.page import stage_as_plain
+from mcp_asdf_tools.view.inline import show
+from mcp_asdf_tools.view.page import page, stage_as_plain
 from mcp_asdf_tools.world.arena import Arena
 
 PARAMETERS: dict[str, Any] = {
@@ -158,6 +166,45 @@ def test_a_long_film_of_many_robots_stays_small() -> None:
         assert count * robots**2 <= 4_000_000 and count <= 10_000
 
 
+def inflated(text: str, kind: str) -> NDArray[Any]:
+    return np.frombuffer(zlib.decompress(base64.b64decode(text)), kind)
+
+
+@pytest.mark.parametrize(("robots", "moves"), [(3, 0), (11, 1), (128, 0), (129, 1)])
+def test_a_page_has_all_of_a_film(robots: int, moves: int) -> None:
+    """In the layout that its script reads: with places and without, who hears whom as bits or as pairs."""
+    draw, sides, floor = np.random.default_rng(robots), (3.0, 2.0), np.arange(33).reshape(3, 11) % 5 < 2
+    values, places = draw.uniform(-0.1, 1.1, (5, 4, robots)), draw.uniform(-1, 1, (5, robots, 2))
+    values[values > 1.05] = np.nan
+    hears = draw.random((5, robots, robots)) < 0.3
+    links = [np.argwhere(each) if robots > 128 else each for each in hears]
+    stage = Stage("any", [*range(robots)], range(1), sides=sides if moves else None, floor=floor)
+    film = [State(7 * i, values[i], links[i], places[i] if moves else None) for i in range(5)]
+    (text,) = re.findall('<script id="film"[^>]*>(.*?)</script>', page(Film(stage, film)))
+    told, block = (json.loads(text)[name] for name in ("stage", "block"))
+    bits = np.unpackbits(inflated(told["floor"].pop("bits"), "u1").reshape(3, 2), axis=1)
+    assert np.array_equal(bits[:, :11], floor) and told["floor"] == {"rows": 3, "columns": 11}
+    assert [told[name] for name in ("quantities", "flawed", "twin")] == [
+        ["x", "x_hat", "b_hat", "b"],
+        [0],
+        [],
+    ]
+    parts = inflated(block["data"], "u1")
+    ticks, series, rest = np.split(parts, [20, 20 + 2 * 5 * robots * (4 + 2 * moves)])
+    assert block["count"] == 5 and [*ticks.view("<u4")] == [0, 7, 14, 21, 28]
+    found = series.view("<u2").reshape(-1, robots, 5).cumsum(axis=2, dtype=np.uint16).transpose(2, 0, 1)
+    all_values = np.concatenate([values, *[(places / sides + 0.5).transpose(0, 2, 1)] * moves], axis=1)
+    assert np.array_equal(found == 65535, np.isnan(all_values))
+    assert np.nanmax(abs(found - 65534 * all_values.clip(0, 1))) < 0.501
+    if robots > 128:
+        rest, pairs = np.split(rest, [20])
+        assert [*rest.view("<u4")] == [*map(len, links)]
+        assert np.array_equal(pairs.view("<u2").reshape(-1, 2), np.concatenate(links))
+    else:
+        heard = np.unpackbits(rest.reshape(5, -1), axis=1, count=robots**2, bitorder="little")
+        assert np.array_equal(heard.reshape(hears.shape), hears)
+
+
 def test_a_film_without_an_end_is_thinned_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(films, "MAX_STATES", 100)
     live, most = Film(Stage("endless", [0, 1])), 0
@@ -203,3 +250,14 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
     silent = watch.film.since()[2][-1].values
     assert np.isnan(silent[:3]).all() and (silent[3] == 0.9).all()
     assert watch.film.report is not None and all(each["silent"] for each in watch.film.report["robots"])
+
+
+def test_a_run_is_shown_in_a_notebook_as_its_page(tmp_path: Path) -> None:
+    moving = Experiment(topology="dynamic", robots=4, steps=50, filter_period=20, trials=2, density=0.5)
+    shown = show(moving, trial=1)
+    shown.save(str(tmp_path / "run.html"))
+    page = (tmp_path / "run.html").read_text(encoding="utf-8")
+    assert shown._repr_html_().startswith("<iframe srcdoc=") and html.escape(page) in shown._repr_html_()
+    assert show(simulate(moving), trial=1, where={"robots": "4"}).page == page != show(moving).page
+    with pytest.raises(UsageError, match="trial is -1; give 0 or more"):
+        show(moving, trial=-1)

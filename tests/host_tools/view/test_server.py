@@ -52,7 +52,7 @@ def test_only_the_page_itself_is_answered_and_on_this_computer_alone() -> None:
 
 
 class Growing(Film):
-    """Film that grows each time somebody has looked: by a state, by a robot, and then no more."""
+    """Film that grows each time somebody has looked: by a state, a report, a robot, and then no more."""
 
     looks = 0
 
@@ -61,6 +61,8 @@ class Growing(Film):
         self.looks += 1
         if self.looks == 2:
             self.add(STATES[1])
+        if self.looks == 3:
+            self.report = {"robots": [], "frames": []}
         if self.looks == 4:
             self.join(7)
         self.has_ended = self.looks == 6
@@ -68,7 +70,7 @@ class Growing(Film):
 
 
 def test_events_are_the_film_and_end_with_the_run() -> None:
-    """Also where a state comes, a robot joins and the run ends while somebody watches."""
+    """Also where a state and a report come, a robot joins and the run ends while somebody watches."""
     live = Growing(STAGE)
     live.add(STATES[0])
     for film, robots, counts in ((live, [[0, 1], [0, 1, 7]], [1, 1, 2]), (OVER, [[0, 1]], [5])):
@@ -79,6 +81,8 @@ def test_events_are_the_film_and_end_with_the_run() -> None:
         stages = [content for name, content in contents if name == "event: stage"]
         assert [each["robots"] for each in stages] == robots
         assert [content["count"] for name, content in contents if name == "event: block"] == counts
+        reports = [content for name, content in contents if name == "event: report"]
+        assert reports == [film.report] * (film is live)
         assert {(each["title"], each["fill_ratio"]) for each in stages} == {(STAGE.title, 0.5)}
 
 
