@@ -85,7 +85,7 @@ static mcp_asdf_frame_status_t decode(int kind, const mcp_asdf_frame_t *frame)
     return status;
 }
 
-/* The status by the text of docs/frame.md, for the envelope. */
+/* The status by the text of docs/frame.md, for the envelope, in the order of the header. */
 static mcp_asdf_frame_status_t envelope_by_the_text(const mcp_asdf_frame_t *frame, uint32_t subject)
 {
     const uint32_t id = frame->id;

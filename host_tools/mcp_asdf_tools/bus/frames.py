@@ -55,9 +55,9 @@ SINGLE_FRAME, _TRANSFER_BITS = 0xE0, 0x1F
 
 
 class Rejection(Enum):
-    """Reason why a frame is not the expected message (table in docs/frame.md).
+    """Reason why a frame is not the expected message.
 
-    The value is the code of the same name in C, ``MCP_ASDF_FRAME_ERR_...``.
+    The value is the code of the same name in C, ``MCP_ASDF_FRAME_ERR_...``; ``mcp_asdf_frame.h`` explains it.
     """
 
     ERROR_FRAME = -21
