@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from copy import copy
 from pathlib import Path
 
@@ -187,7 +187,5 @@ class Recording:
         if not self._is_over:
             self._is_over, self.failure = True, reason
             self._warn(f"the log {self._path} is not complete: {reason}; partial data is in {self._parts[0]}")
-            for file in self._files:
-                with suppress(OSError):
-                    file.close()
-                file.file.close()
+            for part in self._files:
+                part.file.close()

@@ -166,6 +166,8 @@ def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
         verdict = check(order, log)
         assert told in (verdict.difference or "") and verdict.not_logged == 0
     assert check([], log) == ReplayVerdict(not_logged=1)
+    with InputLogReader(input_log_path(log)) as input_log:
+        assert [*rerun(input_log)] == []  # a tick that is open, and a frame
     input_log_path(log).rename(input_log_path(log.with_name("x.part")))  # of a run that was cut off
     with input_log_path(log.with_name("x.part")).open("a") as part:
         part.write("[5,")
