@@ -228,12 +228,12 @@ def test_python_can_s_own_settings_are_honoured(monkeypatch: pytest.MonkeyPatch,
 def test_a_bus_without_a_name_has_that_of_its_channel(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is asked for own frames where they are wanted, and for one handle, so that it can tell them."""
     for settings, name in (({"channel": 3}, "3"), ({}, "kvaser")):
-        bus = Mock(channel_info=can.BusABC.channel_info)
-        monkeypatch.setattr(can, "Bus", Mock(return_value=bus))
+        opened = Mock(return_value=Mock(channel_info=can.BusABC.channel_info))
+        monkeypatch.setattr(can, "Bus", opened)
         for returns_own, more in ((False, {}), (True, {"receive_own_messages": True})):
             connection = BusChoice("kvaser", settings).open(returns_own)
             assert (type(connection), connection.channel_info) == (Connection, name)
-            can.Bus.assert_called_with(interface="kvaser", single_handle=True, **settings, **more)
+            opened.assert_called_with(interface="kvaser", single_handle=True, **settings, **more)
 
 
 def test_no_other_process_joins_a_bus_of_this_one() -> None:

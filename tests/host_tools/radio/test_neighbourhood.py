@@ -93,15 +93,19 @@ def test_neighbours_go_on_when_the_bus_fails() -> None:
     assert all(node.robot.t == 20 for node in run.neighbours.nodes.values())
 
 
-def test_what_neighbours_hear_is_counted_by_its_sender() -> None:
-    """And what the controller says reaches them."""
+@pytest.mark.parametrize("catch_up", [BusLink.catch_up, lambda link, take: None])
+def test_what_neighbours_hear_is_counted_by_its_sender(
+    catch_up: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether it comes at a tick or between two. And what the controller says reaches them."""
+    monkeypatch.setattr(BusLink, "catch_up", catch_up)
     wire, others = Wire(), FrameFormat(17)
     heard = [encode(Message(ID, 9, 0, 0), others)]  # another subject's
     heard += [encode(Message(sender, 9, 0, 0), FrameFormat()) for sender in (ID, 1, 1, 100, 5, 6)]
     wire._waiting.extend(heard)
     for frame in heard:
         frame.is_rx = True
-    run = RadioRun(Neighbourhood(surroundings(steps_per_second=1000)), BusLink(wire), ticks=5)
+    run = RadioRun(Neighbourhood(surroundings(steps_per_second=100)), BusLink(wire), ticks=5)
     run.run()
     told = {"estimates_heard": 1, "strangers": 3, "id_conflicts": {"1": 2}, "bus_failures": 0}
     assert run.figures().items() >= told.items()

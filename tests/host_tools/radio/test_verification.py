@@ -19,15 +19,16 @@ import pytest
 from mcp_asdf.robot import Filter, FixedPointRobot, Observation
 from mcp_asdf_tools.bus.frames import Action, Command, Heartbeat, Message, Telemetry, decode_command
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.radio import robust_phases
+from mcp_asdf_tools.radio import bench, robust_phases, rounds
 from mcp_asdf_tools.radio.bench import BenchOptions
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, is_in_reach
+from mcp_asdf_tools.radio.rounds import Update
 from mcp_asdf_tools.radio.verification import ControllerVerdict, PhaseResult, Verification, details
 from mcp_asdf_tools.robots.node import RobotNode
 from messages import encoded
 from support import slow
-from wire import EndlessWire, Wire, node_in_a_thread, record, still
+from wire import CLOCK, EndlessWire, Wire, node_in_a_thread, record, still
 from wrong_robots import B_HAT, DEFAULT, ID, VOTES, WRONG, Wrong, node, right, surroundings
 
 pytestmark = pytest.mark.usefixtures("private_setup")
@@ -39,6 +40,10 @@ PAPERS -= {"no filter", "halvings", "long run"}
 """Phases of one filter alone."""
 CRAFTED = tuple(phase for phase in PHASES if phase.play is not None)
 """Phases made for their purpose."""
+
+
+def named(*names: str) -> list[Phase]:
+    return [phase for phase in PHASES if phase.name in names]
 
 
 def verification(
@@ -144,19 +149,22 @@ def test_other_configurations_pass(config: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("config", "most", "digest"),
+    ("config", "phases", "digest"),
     [
-        ({"comms_period": 5, "filter_period": 20, "memory": 512, **ALWAYS}, 99, "6942b436cc38161f"),
-        ({"b_hat": 0.4, **VOTES}, 4, "10333ac7d43ea32c"),
-        *slow([(OFF, 99, "1b6de9f3e9358cc5")]),
+        ({"comms_period": 5, "filter_period": 20, "memory": 512, **ALWAYS}, CRAFTED, "6942b436cc38161f"),
+        ({"b_hat": 0.4, **VOTES}, CRAFTED[:4], "10333ac7d43ea32c"),
+        (OFF, named("first black tiles", "no filter"), "82f7cc7ef58c73ac"),
+        ({"memory": 80}, named("alone", "messages and silence", "halvings"), "8a038e33816a7c08"),
+        ({"memory": 76}, named("first black tiles", "halvings"), "7fae411d4a628d8c"),
+        *slow([(OFF, CRAFTED, "1b6de9f3e9358cc5")]),
     ],
-    ids=str,
+    ids=lambda each: "" if isinstance(each, Sequence) else str(each),
 )
 def test_a_seed_repeats_the_same_frames_for_the_same_purposes(
-    config: dict[str, Any], most: int, digest: str
+    config: dict[str, Any], phases: Sequence[Phase], digest: str
 ) -> None:
     """So a report says what to run again."""
-    run, _, found = seen_by(Wire(obedient(**config)), surroundings(right(**config)), CRAFTED[:most])
+    run, _, found = seen_by(Wire(obedient(**config)), surroundings(right(**config)), phases)
     assert run.verdict.difference is None
     assert found == digest, "who changes the phases on purpose writes the new digest here"
 
@@ -194,15 +202,22 @@ def test_what_is_not_put_to_the_test_proves_nothing(
     assert verdict.headline.endswith(f", no difference, but never put to the test: {missing}")
 
 
-@pytest.mark.slow
-def test_what_the_crowd_cannot_be_brought_to_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_robot_cannot_be_brought_to_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robust_phases, "_MOST_ROUNDS", 0)
     monkeypatch.setattr(robust_phases, "_MOST_OBSERVED", 0)
-    verdict = judge(obedient(**VOTES), surroundings(right(**VOTES)), CRAFTED)
+    phases = named("few voices", "test of a moderate spread", "test of the least spread")
+    verdict = judge(obedient(**VOTES), surroundings(right(**VOTES)), phases)
     assert verdict.difference is None
-    wanted = ("two voices", "a crowd in the middle", "a spread of 0.0625", "a spread of 0.000244141")
-    assert {*wanted} <= {*verdict.not_exercised}
-    assert any(told.startswith("observations of one colour: a test that") for told in verdict.not_exercised)
+    rejects = ["observations of one colour: a test that rejects"] * 2
+    moderate, least = (
+        ["a crowd in the middle", f"a spread of {each}", *rejects] for each in (1 / 16, "0.000244141")
+    )
+    assert verdict.not_exercised == ["two voices", *moderate, *least]
+    monkeypatch.setattr(rounds, "_TRIES", 0)
+    verdict = judge(obedient(), phases=named("first black tiles", "re-estimates"))
+    assert verdict.difference is None
+    kinds = [each for each in Update if each not in (Update.HALF, Update.FAINT)]
+    assert verdict.not_exercised == [f"a re-estimate: {each.value}" for each in kinds]
 
 
 SLOW = {"filter_period": 5, "comms_period": 5, "memory": 20_004}
@@ -299,6 +314,7 @@ DIFFERENCES = {
     "mode maintenance": "heartbeat, mode: expected .*mode 0, .*got .*mode 2, ",
     "alpha of 20 bits": r"estimate, alpha: expected .*hat 0x\w+ \([\d.]+\), alpha 0x\w+ \([\d.e+-]+\), got",
     "a bitmap of 32 senders": "telemetry, x: ",
+    "estimate before heartbeat": "estimate, order: expected the heartbeat first, got it before the ",
     "hangs": "robot 3 did not ",
 }
 
@@ -381,6 +397,13 @@ def test_what_comes_after_the_last_answer_counts() -> None:
 
     controller, late = obedient(), list[can.Message]()
     assert "telemetry, extra: expected nothing" in str(judge(Late(controller), phases=PHASES[1:2]).difference)
+
+
+def test_others_who_talk_on_do_not_keep_the_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "time", CLOCK)
+    wire = EndlessWire()
+    assert judge(wire, phases=[Phase("nothing", lambda bench: None)]).has_passed
+    assert 10 <= wire.frames <= 12, "a tenth of a second"
 
 
 # The bus
