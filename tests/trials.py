@@ -20,7 +20,7 @@ def check_that_the_engine_is_the_mirror(experiment: Experiment) -> None:
     leave the robots in the same states."""
     mirrored = replace(experiment, firmware="mirror")
     own, other = (run_trials(each, 1, 2, sampling_interval=7) for each in (experiment, mirrored))
-    for name in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
+    for name in ("convergence_steps", "errors", "b_hat", "tests", "updates", "sampling_interval"):
         assert np.array_equal(getattr(own, name), getattr(other, name)), name
     for name, values in own.records.items():
         assert np.array_equal(values, other.records[name]), name

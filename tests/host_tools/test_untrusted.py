@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import gzip
-import json
 import re
 import resource
 import struct
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
 from functools import cache, partial
 from io import BytesIO, StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import can
 import numpy as np
@@ -40,7 +39,6 @@ from mcp_asdf_tools.experiments.results import (
     read_table,
     table_of,
 )
-from mcp_asdf_tools.experiments.scores import SCORES
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
@@ -227,53 +225,6 @@ def test_results_whose_two_schemas_differ_are_read_or_refused(
     data = results().replace(right, wrong)
     said = try_to_read(PARSERS["results"], tmp_path / "run.parquet", data)
     assert (said != "") == (right == b"robots")
-
-
-def with_column(name: str, values: object) -> pa.Table:
-    table = sound_results()
-    return table.set_column(table.column_names.index(name), name, values)
-
-
-def each_damage() -> Iterator[tuple[pa.Table, str]]:
-    """Tables with one thing wrong, and what the refusal has to name."""
-    table = sound_results()
-    for name in table.column_names:
-        yield table.drop_columns([name]), f"has no {name}"
-        yield with_column(name, pa.array([b"?"] * len(table))), f"column {name} "
-        if name not in ("omega", *SCORES):  # what may be left out, and what is found anew
-            yield with_column(name, pa.array([None] * len(table), table[name].type)), ""
-        if pa.types.is_list(table[name].type):
-            lists = table[name].to_pylist()
-            wrong: list[Any]
-            for wrong in (
-                [*lists[1:], lists[0][:-1]],
-                [[None] * len(each) for each in lists],
-                [[]] * len(lists),
-            ):
-                told = f"column {'record_' if name == 'record_t' else name}"
-                yield with_column(name, pa.array(wrong, table[name].type)), told
-        elif table[name].type == pa.uint64():
-            for number in (0, 2**64 - 1):
-                yield with_column(name, pa.array([number] * len(table), pa.uint64())), ""
-    yield table.append_column("k", table["k"]), "k"
-    known = metadata_of(table)
-    for text in (b"[" * 100_000, b'{"a":' * 100_000, b"[]", b"\xff", b"{", json.dumps(None).encode()):
-        yield table.replace_schema_metadata({b"mcp-asdf": text}), "no results"
-    for key, value in (("sampling_interval", -1), ("sampling_interval", "1"), ("versions", 3)):
-        changed = json.dumps(known | {key: value})
-        yield table.replace_schema_metadata({b"mcp-asdf": changed}), "metadata"
-
-
-@pytest.mark.random
-def test_results_of_the_present_format_with_one_thing_wrong_are_refused(tmp_path: Path) -> None:
-    path, parser = tmp_path / "run.parquet", PARSERS["results"]
-    damages = list(each_damage())
-    assert len(damages) > 100
-    for table, told in damages[:: len(damages) // draws(len(damages))]:
-        held = BytesIO()
-        pq.write_table(table, held)
-        said = try_to_read(parser, path, held.getvalue())
-        assert told in said and (said or not told), (told, said)
 
 
 # ---- What has no end, or too much of everything ----

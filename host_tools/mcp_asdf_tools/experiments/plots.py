@@ -560,7 +560,7 @@ def series_beside(runs: Sequence[Trials], number: int) -> Figure:
         row[0].set(xlim=(0, longest), ylim=(low - margin, high + margin))
     for trials, column in zip(runs, grid.T, strict=True):
         title = _title(trials.experiment, number)
-        column[0].set_title(title, fontsize=SMALL if len(runs) > 1 else MEDIUM, loc="left")
+        column[0].set_title(title, fontsize=SMALL, loc="left")
         column[-1].set_xlabel("step", fontsize=MEDIUM)
     for axes, (_, label, *_) in zip(grid[:, 0], _SERIES, strict=True):
         axes.set_ylabel(label, fontsize=MEDIUM)

@@ -106,7 +106,8 @@ def _run_on(executor: Executor, width: Callable[[], int], jobs: Iterator[Job]) -
     running: set[Future[Trials]] = set()
     while True:
         with _interrupts_held():
-            running |= {executor.submit(job.run) for job in islice(jobs, max(0, 2 * width() - len(running)))}
+            more = zip(range(len(running), 2 * width()), jobs, strict=False)
+            running |= {executor.submit(job.run) for _, job in more}
         if not running:
             return
         done, running = wait(running, return_when=FIRST_COMPLETED)

@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments.experiment import Experiment, grid
+from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment, combinations, grid
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
+from mcp_asdf_tools.world.topology import MAX_ON_BUS
 
 # --- Values ----------------------------------------------------------------------------------------------
 
@@ -26,6 +27,8 @@ def test_parameters_come_back() -> None:
     assert Experiment(**experiment.parameters()) == experiment
     whole, exact = Experiment(true_accuracy=1, fill_ratio=0), Experiment(true_accuracy=1.0, fill_ratio=0.0)
     assert repr(whole) == repr(exact)
+    assert Experiment(robots=MAX_ON_BUS, firmware="mirror").lacking_in_c == "firmware"
+    assert next(combinations({"seed": [7] * MAX_EXPERIMENTS})) == {"seed": 7}
 
 
 # --- TOML ------------------------------------------------------------------------------------------------
@@ -54,6 +57,9 @@ def test_files_describe_grids_on_the_keys_above_them(tmp_path: Path) -> None:
     found = experiments_of(tmp_path, text)
     expected = [(1, 5, 8), (1, 5, 9), (1, 6, 8), (1, 6, 9), (2, 7, 8), (2, 7, 9)]
     assert [(each.flawed, each.seed, each.steps) for each in found] == expected
+    (tmp_path / "ring").write_text("0 1\n1 2\n2 0\n")
+    (wired,) = experiments_of(tmp_path, 'topology = "graph"\ngraph = "ring"\nrobots = 3\n')
+    assert wired.graph == Experiment(topology="graph", graph=str(tmp_path / "ring"), robots=3).graph
     assert found == grid(who=[{"flawed": 1, "seed": [5, 6]}, {"flawed": 2, "seed": 7}], seed=4, steps=[8, 9])
 
 
@@ -70,6 +76,7 @@ def test_files_describe_grids_on_the_keys_above_them(tmp_path: Path) -> None:
         ("memory = 63\n", "line 1: memory is 63; it must be 64 to 2147483648"),
         ("conventions = 'authors'\n", "line 1: .*choose firmware reference"),
         ("grid = 3\n", r"write \[\[grid\]\]"),
+        ("grid = [{}, 3]\n", r"write \[\[grid\]\]"),
         ("steps = [[1]]\n", "line 1: steps is"),
         ("x = [\n{robots = 3},\n{steps = 9, robots = 0}]\n", "line 2 or 3: robots is 0"),
         ("x = [{}, 3]\n", "line 1: unknown key 'x'"),

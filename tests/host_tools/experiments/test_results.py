@@ -4,31 +4,38 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
+from host_tools.test_untrusted import PARSERS, sound_results, try_to_read
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import (
     FORMAT,
     QUANTITIES,
+    differing,
     experiments_at,
     experiments_in,
+    matching,
     metadata_of,
+    only,
     read_table,
     rescored,
     table_of,
     write_csv,
     write_tables,
 )
-from mcp_asdf_tools.experiments.scores import Limits
+from mcp_asdf_tools.experiments.scores import SCORES, Limits
 from mcp_asdf_tools.experiments.trials import run_trials
+from support import draws
 
 SHORT = Experiment(robots=4, flawed=1, steps=300, filter_period=100, trials=3)
 OTHER = replace(SHORT, filter="none", seed=2**64 - 1)
@@ -49,13 +56,33 @@ def test_results_come_back(path: Path, tmp_path: Path) -> None:
     for trials in found:
         measured = run_trials(trials.experiment, 0, 3, sampling_interval=10)
         assert trials.numbers == [0, 1, 2]
-        for name in ("convergence_steps", "errors", "b_hat", "tests", "updates"):
+        for name in ("convergence_steps", "errors", "b_hat", "tests", "updates", "sampling_interval"):
             assert np.array_equal(getattr(trials, name), getattr(measured, name)), name
         for name in QUANTITIES:
             assert np.array_equal(trials.records[name], measured.records[name]), name
         assert trials.records["x"].shape == (3, 31, 4)
-    write_tables(tmp_path / "brief.parquet", [table_of(run_trials(SHORT, 0, 1))])
-    assert experiments_in(read_table(tmp_path / "brief.parquet"))[0].records == {}
+    alone = replace(SHORT, robots=1)
+    write_tables(tmp_path / "brief.parquet", [table_of(run_trials(alone, 0, 1))])
+    (found_again,) = experiments_in(read_table(tmp_path / "brief.parquet"))
+    assert (found_again.experiment, found_again.records) == (alone, {})
+
+
+def test_experiments_are_found_by_their_parameters(path: Path) -> None:
+    """A number in any of its spellings."""
+    both = first, second = experiments_in(read_table(path))
+    assert matching(both, {}) == matching(both, {"steps": "3e2", "fill_ratio": 0.55}) == both
+    for where in ({"filter": "none"}, {"seed": str(OTHER.seed)}):
+        assert only(matching(both, where)) is second
+    assert only([first]) is first and differing([first]) == "no parameters"
+    varied = rf"seed=1\|{OTHER.seed}, filter=asdf-plus\|none"
+    for where, words in (
+        ({"filtr": "none"}, rf"called so; did you mean filter\?; the experiments differ in {varied}"),
+        ({"filter": "non"}, "filter=non: no experiment has it; filter is asdf-plus or none"),
+        ({"steps": "many"}, "steps=many: no experiment has it; steps is 300"),
+        ({}, f"2 experiments match; choose one with where {varied}"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            only(matching(both, where))
 
 
 def test_any_reader_of_parquet_finds_everything(path: Path) -> None:
@@ -102,6 +129,51 @@ def test_a_file_of_something_else_is_refused(path: Path) -> None:
             with pytest.raises(UsageError, match=words):
                 read(path)
         path.touch()
+
+
+def with_column(name: str, values: object) -> pa.Table:
+    table = sound_results()
+    return table.set_column(table.column_names.index(name), name, values)
+
+
+def each_damage() -> Iterator[tuple[pa.Table, str]]:
+    """Tables with one thing wrong, and what the refusal has to name."""
+    table = sound_results()
+    for name in table.column_names:
+        yield table.drop_columns([name]), f"has no {name}"
+        yield with_column(name, pa.array([b"?"] * len(table))), f"column {name} "
+        if name not in ("omega", *SCORES):  # what may be left out, and what is found anew
+            yield with_column(name, pa.array([None] * len(table), table[name].type)), ""
+        if pa.types.is_list(table[name].type):
+            lists = table[name].to_pylist()
+            wrong: list[Any]
+            for wrong in (
+                [*lists[1:], lists[0][:-1]],
+                [[None] * len(each) for each in lists],
+                [[]] * len(lists),
+            ):
+                told = f"column {'record_' if name == 'record_t' else name}"
+                yield with_column(name, pa.array(wrong, table[name].type)), told
+        elif table[name].type == pa.uint64():
+            for number in (0, 2**64 - 1):
+                yield with_column(name, pa.array([number] * len(table), pa.uint64())), ""
+    yield table.append_column("k", table["k"]), "k"
+    known = metadata_of(table)
+    for text in (b"[" * 100_000, b'{"a":' * 100_000, b"[]", b"\xff", b"{", json.dumps(None).encode()):
+        yield table.replace_schema_metadata({b"mcp-asdf": text}), "no results"
+    for key, value in (("sampling_interval", -1), ("sampling_interval", "1"), ("versions", 3)):
+        changed = json.dumps(known | {key: value})
+        yield table.replace_schema_metadata({b"mcp-asdf": changed}), "metadata"
+
+
+@pytest.mark.random
+def test_results_of_the_present_format_with_one_thing_wrong_are_refused(path: Path) -> None:
+    damages = list(each_damage())
+    assert len(damages) > 100
+    for table, told in damages[:: len(damages) // draws(len(damages))]:
+        pq.write_table(table, path)
+        said = try_to_read(PARSERS["results"], path, path.read_bytes())
+        assert told in said and (said or not told), (told, said)
 
 
 def test_other_limits_change_the_scores_and_nothing_else(path: Path) -> None:

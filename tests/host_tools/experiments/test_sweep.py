@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, get_args
 
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
@@ -189,8 +190,24 @@ def test_parts_are_joined_and_each_is_read_once(output: Path, monkeypatch: pytes
     for number, job in enumerate(jobs[:8], start=1):
         held.add(job.run())
         assert len(list(held.parts.glob("*.parquet"))) == (number == 8), "before 50 rows only time writes"
-    long = replace(GRID[0], steps=200_000, filter_period=1000)
-    assert Store(output.with_name("long.parquet"), [long], 20)._size < 20, "recorded values take room"
+
+
+def test_parts_are_small_and_written_every_second(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three are joined; their size is that of all values in their lists, or one row, if that is more."""
+    now = 100.0
+    monkeypatch.setattr(store_module, "time", SimpleNamespace(monotonic=lambda: now))
+    monkeypatch.setattr(store_module, "_SMALL_PARTS", 3)
+    store, sizes = Store(output, GRID[:1], 400), list[list[int]]()
+    for now in (100.9, 101.0, 101.9, 102.0, 103.0):  # noqa: B007 (the clock)
+        store.add(Job(GRID[0], len(sizes), 1, 400).run())
+        sizes.append([len(read_table(path)) for path in sorted(store.parts.glob("*.parquet"))])
+    assert sizes == [[], [2], [2], [2, 2], [5]]
+    (row,) = read_table(store.parts).slice(0, 1).to_pylist()
+    values = sum(len(each) for each in row.values() if isinstance(each, list))
+    monkeypatch.setattr(store_module, "_BYTES", 100 * 8 * values)
+    for experiment, size in ((GRID[0], 100), (replace(GRID[0], steps=10**7), 1)):
+        store.want([experiment])
+        assert store._size == size
 
 
 def test_a_second_process_on_one_output_is_refused(output: Path) -> None:
