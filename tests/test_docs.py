@@ -54,7 +54,7 @@ NOT_RUN = {
     r"--slcan|:2000\d": "waits for a program; tests/host_tools/bus/test_yakut.py and tests/targets have some",
     r"mcp-asdf view \S+$|--view$": "ends with Ctrl-C; tests/host_tools/view/test_browser.py",
     "reproduce(?!.*--quick)": "takes minutes",
-    r"(study|explore)\.(toml|parquet)": "takes minutes",
+    r"study\.(toml|parquet)": "takes minutes",
     r"peers\.toml": "tests/host_tools/reproduction/test_own.py",
     r"benchmarks\.pages": "tests/host_tools/reproduction/test_own.py",
     r"peers/ageing\.toml": "tests/host_tools/reproduction/test_own.py",
