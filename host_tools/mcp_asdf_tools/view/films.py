@@ -69,7 +69,7 @@ def _twin(settings: Population, trial: int) -> list[float]:
 
     Empty where they have none, and where it would take long.
     """
-    if settings.filter == "none" or settings.firmware != "native":
+    if settings.filter == "none":
         return []
     parameters = {name: getattr(settings, name) for name in parameters_of(Population)} | {"filter": "none"}
     experiment = Experiment(**parameters, trials=trial + 1)
@@ -259,7 +259,6 @@ class BusFilm:
         self._unknown = [np.nan, np.nan, np.nan, np.nan if b is None else b]
         self._states: dict[int, list[float]] = {}
         self._roster = Roster()
-        self._began = time.monotonic()
         self._report_due = 0
 
     def record(self, should_stop: Callable[[], bool]) -> None:
@@ -269,12 +268,12 @@ class BusFilm:
             left = tick / STATES_PER_SECOND - self._seconds()
             frame = self._bus.recv(max(left, 0.0))
             if frame is not None:
-                self.hear(frame)
+                self._hear(frame)
             if left <= 0:
                 self._take(tick)
                 tick = int(self._seconds() * STATES_PER_SECOND) + 1
 
-    def hear(self, frame: can.Message) -> None:
+    def _hear(self, frame: can.Message) -> None:
         """Take a frame of any node. O(1)."""
         content = decode_any(frame, self._frames)
         self._roster.hear(frame, content, self._seconds())

@@ -91,9 +91,9 @@ def test_a_swarm_its_log_and_its_trial_make_one_film(
     assert past.has_ended and trial.has_ended and not live.has_ended
     assert list(states(past)) == list(states(trial)) == [*range(251)]
     assert set(states(live)) <= set(states(trial)) and len(states(live)) >= 250
-    monkeypatch.setattr("mcp_asdf_tools.view.films.MAX_STATES", 50)
+    monkeypatch.setattr("mcp_asdf_tools.view.films.MAX_STATES", 63)
     sparse = [film_of_log(log), film_of_trial(trials_of(**world), 0)]
-    assert [list(states(each)) for each in sparse] == [[*range(0, 251, 5)]] * 2
+    assert [list(states(each)) for each in sparse] == [[*range(0, 251, 4)]] * 2
     for some, whole in ((live, past), (live, trial), *product(sparse, [past])):
         for tick, state in states(some).items():
             assert all(map(np.array_equal, state, states(whole)[tick])), tick
@@ -105,7 +105,9 @@ def test_the_twin_is_the_same_run_without_a_filter(monkeypatch: pytest.MonkeyPat
     x = np.stack([state[0][0] for state in states(plain_run).values()])
     assert film.stage.twin[1:] == pytest.approx(abs(x - 0.55).mean(axis=1), abs=1e-5)
     assert (film.stage.filter, plain_run.stage.filter) == ("asdf-minus", "none")
-    assert len(plain_run.stage.twin) == len(filmed(**world, faults=("loss=0.1",)).stage.twin) == 0
+    assert plain_run.stage.title == "7 robots, 4 flawed, no filter, dynamic, seed 3"
+    for more in ({"filter": "none"}, {"faults": ("loss=0.1",)}, {"allow": "0-6"}, {"latency": 1}):
+        assert len(SwarmCamera(SwarmSettings(**PARAMETERS | more)).film.stage.twin) == 0, more
     monkeypatch.setattr("mcp_asdf_tools.view.films._TWIN_PARTS", 4)
     assert len(filmed(**world).stage.twin) == 4
 
@@ -209,12 +211,14 @@ def test_a_film_without_an_end_is_thinned_out(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(films, "MAX_STATES", 100)
     live, most = Film(Stage("endless", [0, 1])), 0
     for tick in range(1000):
-        live.add(State(tick, np.full((4, 2), tick / 1e5), np.zeros((2, 2), np.bool_), None))
+        live.add(State(tick, np.full((4, 2), tick / 1e5), np.ones((2, 2), np.bool_), None))
         generation, _, taken = live.since()
         most = max(most, len(taken))
     assert (generation, most) == (4, 100)
     assert [each.tick for each in taken] == list(range(0, 1000, 16))
     assert live.since(generation, len(taken))[2] == []
+    live.join(7)
+    assert live.since()[2][-1].hears.tolist() == [[True, True, False]] * 2 + [[False] * 3]
 
 
 def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -237,7 +241,7 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
     watch = BusFilm(bus, FrameFormat(), "a bus", b=0.9)
     watch.record(lambda: now[0] >= 0.5)
     report = watch.film.report
-    assert report is not None and [each["robot"] for each in report["robots"]] == [7]
+    assert report is not None and [(each["robot"], each["seen"]) for each in report["robots"]] == [(7, 0.0)]
     generation, stage, taken = watch.film.since()
     assert generation == 2 and stage.robots == [7, 3] and watch.has_telemetry
     nan = np.nan

@@ -95,10 +95,11 @@ def test_no_text_of_a_film_ends_its_script() -> None:
 
 
 def test_a_port_is_free_again_at_once_and_one_that_is_taken_is_named() -> None:
-    with serving(OVER) as url:
-        answer(url, Connection="close")
-    with serving(OVER, urlsplit(url).port or 0) as again:
-        assert again == url
+    with serving(OVER, 65535) as url, socket.create_connection(("127.0.0.1", 65535)) as client:
+        client.sendall(b"GET / HTTP/1.0\r\n\r\n")
+        assert client.makefile().read().startswith("HTTP/1.1 403"), "the server closes first"
+    with serving(OVER, 65535) as again:
+        assert again == url == "http://127.0.0.1:65535/"
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(UsageError, match=rf"127.0.0.1:{port}: Address already in use; choose another"):
