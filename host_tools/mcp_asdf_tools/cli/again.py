@@ -1,9 +1,15 @@
-"""The line with which a run ends: what to type for the same run again."""
+"""With what a run ends: its report as JSON, or the line to type for the same run again."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
+
+
+def json_report(report: object) -> str:
+    """A report for machines that people can read."""
+    return json.dumps(report, indent=2)
 
 
 def print_again(args: argparse.Namespace, **settled: object) -> None:

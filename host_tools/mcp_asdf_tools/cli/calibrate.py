@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
 
+from mcp_asdf_tools.cli.again import json_report
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.calibration import calibrate, read_readings
 
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     found = calibrate(read_readings(text, str(args.file)))
     if args.json:
         worth = {name: getattr(found, name) for name in ("b_hat", "uncertainty", "bias", "warning")}
-        print(json.dumps(asdict(found) | worth, indent=2))
+        print(json_report(asdict(found) | worth))
         return 0
     print(f"threshold {found.threshold:.10g}: {found.black_is} it a tile is black")
     for colour, accuracy in found.accuracy.items():

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from typing import cast
 
 from rich.console import Console
 
 from mcp_asdf.robot import Status
-from mcp_asdf_tools.cli.again import print_again
+from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.common.signals import INTERRUPTED
@@ -80,7 +79,7 @@ def _replay(scenario: Scenario, as_json: bool) -> int:
     if as_json:
         made = len(failure.scenario.calls) if failure else len(scenario.calls) if is_made else 0
         report = {"status": status, "calls": made, "failure": failure and failure.as_dict()}
-        print(json.dumps({"ok": failure is None} | report, indent=2))
+        print(json_report({"ok": failure is None} | report))
     elif failure is None and not is_made:
         print(f"native and mirror both refuse to make this robot ({status}); no call was made")
     else:
@@ -98,7 +97,7 @@ def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
         outcome.failure = _shortest(outcome.failure)
     result = Result(seed, outcome, audit, counts, measure_storage())
     if args.json:
-        print(json.dumps(result.as_dict(), indent=2))
+        print(json_report(result.as_dict()))
     else:
         Console(soft_wrap=True).print(result.tables())
         print(result.verdict())

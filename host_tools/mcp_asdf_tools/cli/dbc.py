@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
 from mcp_asdf_tools.bus.dbc import ANY_NODE_MASK, dbc_text
 from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.cli.again import json_report
 from mcp_asdf_tools.common.files import write_atomically
 
 EPILOG = f"""\
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         write_atomically(args.output, text)
     if args.json:
         path = None if args.output is None else str(args.output)
-        print(json.dumps({"file": path, "dbc": text}, indent=2))
+        print(json_report({"file": path, "dbc": text}))
     elif args.output is None:
         sys.stdout.write(text)
     else:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
+from mcp_asdf_tools.cli.again import json_report
 from mcp_asdf_tools.cli.table import add_table_options, table_of
 from mcp_asdf_tools.tables.firmware_folder import write_firmware
 from mcp_asdf_tools.tables.table_files import describe
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     files = [str(path) for path in write_firmware(omega, q, args.folder, args.force)]
     symbol = describe(omega, q)["symbol"]
     if args.json:
-        print(json.dumps({"files": files, "symbol": symbol}, indent=2))
+        print(json_report({"files": files, "symbol": symbol}))
     else:
         print("\n".join(f"wrote {file}" for file in files))
         print(f"The table is: extern const uint32_t {symbol}[];")

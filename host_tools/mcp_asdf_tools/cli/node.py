@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -13,7 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.cli.again import print_again
+from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.cli.parameter_options import add_parameters, settings_from
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
@@ -82,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
             "versions": software_versions(),
             "results": results,
         }
-        print(json.dumps(report, indent=2))
+        print(json_report(report))
     elif not args.quiet:
         print(_summary(node, results, f"on {choice}"))
         print_again(args)

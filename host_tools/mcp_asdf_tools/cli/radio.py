@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
@@ -15,7 +14,7 @@ from rich.console import Console
 from mcp_asdf.robot import B_HAT_MARGIN
 from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.cli import parameter_options
-from mcp_asdf_tools.cli.again import print_again
+from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
 from mcp_asdf_tools.common.errors import UsageError
@@ -175,7 +174,7 @@ def _report(
 
 def _print(args: argparse.Namespace, text: str, report: dict[str, Any]) -> None:
     if args.json:
-        print(json.dumps(report, indent=2))
+        print(json_report(report))
         return
     print(text, end="")
     print_again(args, seed=report["parameters"]["seed"])
@@ -228,7 +227,7 @@ def _emulate(
             text = _results(report["results"])
             ending.callback(_print, args, text, report)  # even if a file cannot be completed
         if results is not None:
-            write_atomically(results, json.dumps(report, indent=2) + "\n")
+            write_atomically(results, json_report(report) + "\n")
     return exit_code(recording, INTERRUPTED if run.outcome.is_interrupted else 0)
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
-from mcp_asdf_tools.cli.again import print_again
+from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import PART, check_log, read_log
 from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
@@ -51,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         verdict = verify(read_log(args.log), input_log)
     if args.json:
         report = {"log": str(args.log), "events": str(events), "incomplete": args.log.suffix == PART}
-        print(json.dumps(report | {"verdict": vars(verdict)}, indent=2))
+        print(json_report(report | {"verdict": vars(verdict)}))
     else:
         Console(soft_wrap=True).print(_table_of(verdict))
         print_again(args)

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from dataclasses import fields, replace
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.cli.again import print_again
+from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.cli.sweep import add_scheduler, telling_what_is_left
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import make_folder
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.common.progress_bar import progress
-from mcp_asdf_tools.experiments.results import experiments_in, require_arrow
+from mcp_asdf_tools.experiments.results import experiments_in
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import run_missing, run_sweep
 from mcp_asdf_tools.reproduction import ageing, robust, scaling
@@ -62,7 +61,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run what is missing, decide the claims, write the report."""
-    require_arrow()  # before there is a folder
     from mcp_asdf_tools.reproduction import report  # noqa: PLC0415 (matplotlib loads slowly)
 
     workers, scale = options.check_workers(args.workers), scale_of(args)
@@ -89,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     report.write_report(folder, runs, scale)
     claims = report.as_values(runs[0], scale)
     if args.json:
-        print(json.dumps({"report": str(folder / "report.html"), "claims": claims}, indent=2))
+        print(json_report({"report": str(folder / "report.html"), "claims": claims}))
         return 0
     for each in claims:
         print(f"{each['verdict'] or 'too short':10} {each['part'] or 'equations':16} {each['claim']}")
@@ -117,7 +115,7 @@ def _run_own(part: str, args: argparse.Namespace, workers: int, scale: Scale) ->
             results[name] = experiments_in(table)
     OWN[part].write_report(folder, results)
     report = str(folder / f"{part}.md")
-    print(json.dumps({"report": report}, indent=2) if args.json else report)
+    print(json_report({"report": report}) if args.json else report)
     return 0
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
+from mcp_asdf_tools.cli.again import json_report
 from mcp_asdf_tools.experiments.results import experiments_at, metadata_of, read_table, write_csv
 
 EPILOG = """\
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
         write_csv(args.csv, experiments_at(args.file), limits)
     rows = options.summary(experiments_at(args.file), limits)
     if args.json:
-        print(json.dumps({**said, "experiments": rows}, indent=2))
+        print(json_report({**said, "experiments": rows}))
     else:
         options.show(rows, str(args.file))
     return 0

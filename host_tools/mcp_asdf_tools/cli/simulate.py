@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.cli.again import print_again
+from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.results import experiments_in, metadata_of
 from mcp_asdf_tools.library import simulate
@@ -42,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     table = simulate(experiment, output, workers=few, record=args.record, quiet=args.json)
     results = experiments_in(table)
     if args.json:
-        print(json.dumps({**metadata_of(table), **options.summary(results, limits)[0]}, indent=2))
+        print(json_report({**metadata_of(table), **options.summary(results, limits)[0]}))
     else:
         options.show(options.summary(results, limits), "one experiment")
         print_again(args, seed=experiment.seed)

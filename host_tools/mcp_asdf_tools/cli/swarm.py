@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from contextlib import ExitStack
@@ -16,7 +15,7 @@ from rich.console import Console
 from mcp_asdf_tools.bus.interfaces import BusChoice, choose_bus
 from mcp_asdf_tools.bus.slcan_server import HOST, SlcanServer
 from mcp_asdf_tools.cli import view
-from mcp_asdf_tools.cli.again import print_again
+from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import PACE, add_arguments, settings_of, wiring_of
 from mcp_asdf_tools.common.errors import UsageError
@@ -99,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
                 # Printed even if a file cannot be completed.
                 ending.callback(_print, plan, outcome, report, seconds)
             if results is not None:
-                write_atomically(results, json.dumps(report, indent=2) + "\n")
+                write_atomically(results, json_report(report) + "\n")
     except (LockstepError, can.CanError) as error:
         print(f"mcp-asdf swarm: {error}", file=sys.stderr)
         return 1
@@ -200,7 +199,7 @@ def _print(plan: _Plan, outcome: SwarmRun, report: dict[str, Any], seconds: floa
     """Print results: as JSON, in a line, as a table on a terminal, else in lines with tabs."""
     args, console = plan.args, Console()
     if args.json:
-        print(json.dumps(report, indent=2))
+        print(json_report(report))
         return
     rows = summary(outcome, str(plan.choice), seconds)
     if args.quiet:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.cli.again import print_again
+from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.results import experiments_at, metadata_of, read_table
 from mcp_asdf_tools.experiments.store import Store
@@ -66,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         said = metadata_of(read_table(output, ["trial"]))
         result = {**said, "run": missing, "output": str(output), "experiments": rows}
-        print(json.dumps(result, indent=2))
+        print(json_report(result))
     else:
         options.show(rows, str(output))
         seeds = {experiment.seed for experiment in given}

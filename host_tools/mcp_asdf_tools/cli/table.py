@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from decimal import Decimal
 from pathlib import Path
 
-from mcp_asdf_tools.cli.again import print_again
+from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.tables.image_scan import verify_image
 from mcp_asdf_tools.tables.table_files import TableCheck, check_file, describe, write
@@ -73,7 +72,7 @@ def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
     files = [str(path) for path in write(omega, q, args.output)]
     facts = describe(omega, q)
     if args.json:
-        print(json.dumps({"files": files} | facts, indent=2))
+        print(json_report({"files": files} | facts))
         return 0
     error = facts["worst_threshold_error"]
     beyond = f", {error['beyond_q']:.2%} for {q} < m <= {MAX_MESSAGES}" if q < MAX_MESSAGES else ""
@@ -87,8 +86,8 @@ def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
 def _report(findings: Sequence[TableCheck], as_json: bool) -> int:
     ok = all(finding.problem is None for finding in findings)
     if as_json:
-        tables = [asdict(finding) for finding in findings]
-        print(json.dumps({"ok": ok, "tables": tables}, indent=2, default=float))
+        tables = [asdict(each) | {"omega": each.omega and float(each.omega)} for each in findings]
+        print(json_report({"ok": ok, "tables": tables}))
     else:
         for finding in findings:
             claim = f"omega {finding.omega:f}, q {finding.q}: " if finding.omega is not None else ""

@@ -58,11 +58,12 @@ def test_each_kind_of_frame_has_transfer_ids_of_its_own_and_silence_ends_a_serie
 def test_a_rate_is_that_of_the_last_seconds_and_ends_with_silence() -> None:
     heard = Heard()
     for tick in range(100):
-        heard.estimate(tick % 32, tick / 10)
-    assert heard.row(9.9)["rate"] == 10.0 and not heard.row(12.89)["silent"]
-    row = heard.row(12.9)
+        heard.estimate(tick % 32, 50 + tick / 10)
+        assert heard.row(50 + tick / 10)["rate"] == round((tick + 1) / max(tick / 10, 1), 1) or tick >= 50
+    assert heard.row(59.9)["rate"] == 10.0 and not heard.row(62.89)["silent"]
+    row = heard.row(62.9)
     assert row["rate"] == pytest.approx(4.0, abs=0.21) and row["silent"] and row["seen"] == 3.0
-    assert heard.row(20.0)["rate"] == 0
+    assert heard.row(70.0)["rate"] == 0
 
 
 def test_states_jumps_and_values_are_what_the_frames_say() -> None:
