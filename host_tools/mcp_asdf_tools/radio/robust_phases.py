@@ -73,10 +73,9 @@ def moving(end: int) -> Callable[[Bench], None]:
 
     def play(bench: Bench) -> None:
         bench.doing = "votes for one side"
-        left = _votes_until_moving(bench, end) - 1
-        while left > 0:
-            _vote(bench, [end] * min(left, _ALL))
-            left -= _ALL
+        count = _votes_until_moving(bench, end) - 1
+        for first in range(0, count, _ALL):
+            _vote(bench, [end] * min(count - first, _ALL))
         _test(bench)
         if bench.firmware.s.crowd.spread < MODERATE and not _rejects(bench):
             bench.tick(_up_to(bench, True))
