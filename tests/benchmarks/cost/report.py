@@ -37,8 +37,8 @@ def sections(cells: Cells, kilobots: Kilobots) -> dict[Path, dict[str, str]]:
     """For every page what stands between its markers."""
     names = [target.name for target in TARGETS]
     short = [short_row(name, *(cells[name, level][0] for level in LEVELS)) for name in names]
-    shown = [name for name in names if is_in_page(name)]
-    every = [(f"{name} {level}", cells[name, level]) for name in shown for level in LEVELS]
+    shown = [(name, level) for name in names for level in LEVELS if is_in_page(name, level)]
+    every = [(" ".join(each), cells[each]) for each in shown]
     return {
         README: {"cost table": f"{table(short)}\n\n{_kilobot(cells[AVR.name, '-Os'][0], kilobots)}"},
         PAGE: {
@@ -49,9 +49,11 @@ def sections(cells: Cells, kilobots: Kilobots) -> dict[Path, dict[str, str]]:
     }
 
 
-def is_in_page(name: str) -> bool:
-    """Whether docs/cost.md has the target: a Cortex-M3's figures are nearly those of a Cortex-M4."""
-    return name != "Cortex-M3"
+def is_in_page(name: str, level: str) -> bool:
+    """Whether docs/cost.md has the build: a Cortex-M3 has nearly the figures of a Cortex-M4, and where a
+    target has no divider -O2 gains next to nothing.
+    """
+    return name != "Cortex-M3" and (level == "-Os" or name not in {AVR.name, "Cortex-M0+"})
 
 
 def short_row(name: str, small: Figures, fast: Figures) -> Row:
