@@ -450,7 +450,7 @@ class Pieces:
 
     def rows_of_last(self, count: int) -> int:
         """Number of rows of the last ``count`` row groups."""
-        return self.rows - self._pieces[-count].first if count else 0
+        return self.rows - self._pieces[-count].first
 
     @staticmethod
     def _read(path: Path, group: int, columns: tuple[str, ...] | None) -> pa.Table:

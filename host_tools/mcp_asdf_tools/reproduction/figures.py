@@ -122,7 +122,7 @@ def _topologies(study: Study, own: str, paper: str) -> Picture:
 def _series(scale: Scale) -> Picture:
     """One trial without and one with a filter, run again to record them."""
     cell = Cell(FULLY_CONNECTED, 0.95, 0.55, 0.95, 50)
-    wanted = [replace(experiment_of(cell.but(filter=own), scale), trials=1) for own in (NONE, PLUS)]
+    wanted = [experiment_of(cell.but(filter=own), scale) for own in (NONE, PLUS)]
     recorded = [run_trials(experiment, 0, 1, _INTERVAL) for experiment in wanted]
     title = "A trial without filter and one with ASDF+: f = 0.95, b = 0.55, b_hat = 0.95, P = 50 %"
     return Picture("series", _titled(title, "6"), plots.series_beside(recorded, 0))

@@ -7,7 +7,9 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -38,17 +40,19 @@ def test_measures_by_hand() -> None:
     experiment = Experiment(robots=4, flawed=1, steps=4000, fill_ratio=0.5, true_accuracy=0.9, trials=2)
     k, e = np.array([[0, 1000, 2000, 9]] * 2), np.array([[0.1, 0.2, 0.3, 9.0]] * 2)
     b_hat = np.array([[[0.5, 0.9, 0.9, 0.1]], [[0.5, 0.84, 0.94, 0.1]]])
-    x = np.full((2, 5, 4), 0.7)
-    x[:, -1] = [0.4, 0.6, 0.8, 0.0]  # the last quarter of five values is one
+    x = np.full((2, 9, 4), 0.7)
+    x[:, -2:] = [[0.4, 0.6, 0.8, 0.0], [0.5, 0.7, 0.6, 0.0]]  # the last quarter of nine values are two
     counts = np.zeros((2, 4), np.int64)
     trials = Trials(experiment, [0, 1], k, e, b_hat, counts, counts, {"x": x})
     special = robust.Special(liars=lambda each: 1, late_f=lambda each: 0.6)
     measures = robust.measures_of(trials, special)
     assert measures["H"] == pytest.approx(score(k[:, :3], e[:, :3], *PAPERS.of(experiment))["H"])
     assert measures["e"] == pytest.approx([0.2, 0.2])
-    assert measures["late"] == pytest.approx([0.4 / 3] * 2)
+    assert measures["late"] == pytest.approx([0.1] * 2)
     assert measures["harmed"] == pytest.approx([0, 0.5])
-    assert robust.measures_of(trials)["late"] == pytest.approx([(0.1 + 0.1 + 0.3 + 0.5) / 4] * 2)
+    assert robust.measures_of(trials)["late"] == pytest.approx([(0.1 + 0.1 + 0.3 + 0.5 + 0.8) / 8] * 2)
+    early = robust.measures_of(replace(trials, records={"x": x[:, 5:8]}))["late"]
+    assert early == pytest.approx([(0.1 + 0.1 + 0.3 + 0.5) / 4] * 2), "one value of three"
     (entry,) = robust.table_of("", [trials], robust.grid_row, special).entries.values()
     assert (entry.trials, entry.measures["harmed"].value) == (2, 0.25)
 
@@ -65,8 +69,24 @@ def test_intervals_are_shown_where_they_are_wide() -> None:
     estimate = Estimate(0.02, 0.018, 0.0235)
     assert robust.with_interval(estimate, robust.error, 0.004) == "0.020"
     assert robust.with_interval(estimate, robust.error, 0.003) == "0.020 (0.018..0.024)"
-    measures = dict.fromkeys(("H", "late", "e", "harmed"), estimate)
-    assert robust.whole(robust.Entry(2, measures)) == "0.0, 0.020 (0.018..0.024), 0.020, 2.0 %"
+    just, nobody = Estimate(0.25, 0.24, 0.255), Estimate(np.nan, np.nan, np.nan)
+    for h, late, harmed, shown in (
+        (Estimate(50, 49.5, 50), Estimate(0.09, 0.0815, 0.09), just, "50.0, 0.090, 0.020, 25.0 %"),
+        (
+            Estimate(50, 49, 50),
+            Estimate(0.09, 0.09, 0.0995),
+            nobody,
+            "50.0 (49.0..50.0), 0.090 (0.090..0.100), 0.020",
+        ),
+        (
+            Estimate(50, 50, 50),
+            estimate,
+            Estimate(0.25, 0.235, 0.25),
+            "50.0, 0.020 (0.018..0.024), 0.020, 25.0 (23.5..25.0) %",
+        ),
+    ):
+        entry = robust.Entry(2, {"H": h, "late": late, "e": estimate, "harmed": harmed})
+        assert robust.whole(entry) == shown
     assert [robust.error(value) for value in (0.00994, 0.01, 0.1)] == ["0.0099", "0.010", "0.100"]
 
 
@@ -75,6 +95,12 @@ def test_each_way_to_age_has_a_row_of_its_own() -> None:
     rows = {ageing.row_of(each) for each in experiments}
     assert len(rows) == 12 and len({(ageing.row_of(each), each.filter) for each in experiments}) == 38
     assert len(experiments) == 3 * 38  # fill ratios
+    short = [replace(each, steps=4000, trials=1) for each in experiments[:38:5]]
+    panels = ageing.picture_of({"ageing": [run_trials(each, 0, 1, 1000) for each in short]})
+    lasting = [ageing.kind_of(each) for each in short if each.memory == ageing.LONGEST]
+    shown = [axes for axes in panels.axes if axes.axison]
+    assert [axes.get_title("left") for axes in shown] == [*dict.fromkeys(lasting)]
+    assert sum(len(axes.lines) for axes in shown) == len(lasting)
 
 
 def test_density_and_world_are_the_same_for_every_number_of_robots() -> None:
@@ -280,4 +306,41 @@ def test_only_who_knows_how_accurate_the_counted_observations_were_is_right() ->
 def test_a_row_says_what_sets_an_experiment_apart() -> None:
     healthy = Experiment(topology="dynamic", flawed=0, density=3)
     assert robust.row_of(healthy) == "moving, 0 % flawed, density 3, latency 0"
-    assert robust.row_of(Experiment(robots=20, flawed=6)) == "fully connected, underconfident"
+    assert robust.grid_row(healthy) == "moving, 0 % flawed"
+    assert robust.grid_row(Experiment(robots=20, flawed=14)) == "fully connected, 70 % flawed"
+    usual: dict[str, Any] = {"robots": 20, "flawed": 6}
+    moving = usual | {"topology": "dynamic", "latency": 1}
+    for own, row in (
+        (usual, "fully connected, underconfident"),
+        (usual | {"flawed": 14}, "fully connected, 70 % flawed, underconfident"),
+        (usual | {"robots": 21}, "fully connected, 21 robots, underconfident"),
+        (usual | {"robots": 19}, "fully connected, 19 robots, underconfident"),
+        (usual | {"flawed_accuracy": 0.95, "true_accuracy": 0.95}, "fully connected, overconfident"),
+        (moving | {"white_offset": -0.1}, "moving, b -0.1 on white, underconfident"),
+        (moving | {"drift": "wiener"}, "moving, sensors age each in its own way, underconfident"),
+        (moving | {"drift": "linear"}, "moving, sensors age alike, underconfident"),
+    ):
+        assert robust.row_of(Experiment(**own)) == row
+
+
+def test_many_robots_have_costs_beside_scores_and_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two ns for a robot and step, and a start."""
+    with monkeypatch.context() as patch:
+        patch.setattr(scaling, "time", SimpleNamespace(process_time=iter([0, 5, 12, 14]).__next__))
+        assert scaling._seconds(Experiment(robots=2, steps=10, filter_period=10)) == 2, "the best of three"
+    monkeypatch.setattr(scaling, "_seconds", lambda each: 3 + 2e-9 * each.robots * each.steps)
+    over = {"true_accuracy": 0.55, "flawed_accuracy": 0.95}
+    many = grid(robots=[3, 9], who=[{}, over], filter=["none", "robust"], steps=60, filter_period=20)
+    results = [run_trials(each, 0, 2, 10) for each in many]
+    table = robust.table_of("", results, scaling.row_of, scaling.COSTS)
+    assert [entry.measures["cost"].value for entry in table.entries.values()] == pytest.approx([2] * 8)
+    assert [line.rpartition(",")[2] for line in scaling.lines_of(table).splitlines()[2:]] == [" 2 |"] * 4
+    figure = scaling.picture_of({"scale": results})
+    for number, axes in enumerate(figure.axes):
+        assert (axes.get_title(), axes.get_xscale()) == (("under", "over")[number // 3] + "confident", "log")
+        assert (axes.get_ylim()[0] == 0) == (number % 3 != 1) and figure.axes[0].get_ylim() == (0, 100)
+        own = [each for each in results if scaling.row_of(each.experiment).endswith(f" {axes.get_title()}")]
+        for line, name in zip(axes.lines, ("none", "robust"), strict=True):
+            found = [robust.measures_of(e, scaling.COSTS) for e in own if e.experiment.filter == name]
+            expected = [np.median(each[("H", "late", "cost")[number % 3]]) for each in found]
+            assert np.asarray(line.get_xydata()) == pytest.approx(np.transpose([[3, 9], expected]))

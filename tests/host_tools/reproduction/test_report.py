@@ -30,7 +30,7 @@ class Counted(MadeUp):
     """Made-up results of which a part has 30 or 60 trials."""
 
     def of(self, part: Part) -> list[Any]:
-        return [SimpleNamespace(numbers=[0] * count) for count in (30, 60)]
+        return [SimpleNamespace(numbers=[0] * count) for count in (30, 45, 60)]
 
 
 def run_of(seed: int, expression: str, *parts: Part) -> Run:
@@ -44,8 +44,8 @@ def run_of(seed: int, expression: str, *parts: Part) -> Run:
 def test_a_report_has_every_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With two seeds for one part and one for the other, in Markdown, HTML, CSV and values."""
     picture = Picture("one", "What it shows", Figure())
-    monkeypatch.setattr(report, "pictures", lambda study, scale: [picture])
     runs = [run_of(1, "90 - P / 2", Part.DYNAMIC, Part.PHYSICAL), run_of(2, "40 + P / 2", Part.DYNAMIC)]
+    monkeypatch.setattr(report, "pictures", lambda study, scale: [picture] * (study is runs[0].study))
     report.write_report(tmp_path, runs, PAPER)
     content, page = ((tmp_path / f"report.{kind}").read_text(encoding="utf-8") for kind in ("md", "html"))
     decided = runs[0].decided

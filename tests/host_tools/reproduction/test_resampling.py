@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import iqr, spearmanr  # type: ignore[import-untyped]
+from scipy.stats import iqr, kurtosis, skew, spearmanr  # type: ignore[import-untyped]
 
 from mcp_asdf_tools.reproduction.resampling import (
     BEST_OF_30,
@@ -15,6 +15,7 @@ from mcp_asdf_tools.reproduction.resampling import (
     Sample,
     _drawn,
     exactly,
+    falls_apart,
     interval,
     rank_correlation,
     summarized,
@@ -52,6 +53,17 @@ def test_trials_are_drawn_together() -> None:
     assert together.high - together.low < 0.2 * (apart.high - apart.low)
     assert difference(common + 7, common) == pytest.approx((7, 7, 7), abs=1e-4)
     assert interval(5, np.arange(101.0), 0.9) == pytest.approx((5, 5, 95))
+    assert interval(0.1, np.full(9, 0.1, np.float32), 0.9) == exactly(0.1)
+
+
+def test_a_sample_that_falls_apart_has_a_high_coefficient_of_bimodality() -> None:
+    """By SciPy's skewness and kurtosis; what cannot be seen does not count."""
+    groups = [np.append(sample(seed, trials=10 + seed), sample(9, seed, 40 - seed)) for seed in range(1, 30)]
+    spread = [np.linspace(0, 99, 30), -20 * np.log(np.linspace(0.01, 1, 300))]
+    for each in (*spread, np.zeros(30), *(scale * group for group in groups for scale in (0.3, 2, 10))):
+        is_seen = each.std() >= 2
+        coefficient = (skew(each) ** 2 + 1) / kurtosis(each, fisher=False) if is_seen else 0
+        assert falls_apart(each) is bool(coefficient > 2 / 3), coefficient
 
 
 def test_rank_correlations_are_spearmans() -> None:

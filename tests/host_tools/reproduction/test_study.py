@@ -17,6 +17,8 @@ from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.cli import reproduce
 from mcp_asdf_tools.experiments import plots
 from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import run_missing
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.reproduction import report, resampling, runs, study
@@ -118,13 +120,13 @@ def test_pictures_are_the_papers_figures(monkeypatch: pytest.MonkeyPatch) -> Non
     class Whole(Study):
         @property
         def parts(self) -> set[Part]:
-            return set(Part)
+            return there
 
         def of(self, part: Part) -> list[Any]:
             return [Results(experiment_of(cell, Scale())) for cell in cells_of(part)]
 
     def drawn(shown: list[Any], number: int = 0, name: Any = lambda each: "") -> list[set[Any]]:
-        assert number == 0
+        assert number == 0 and all(each.numbers == [0] for each in shown if isinstance(each, Trials))
         every = [trials.experiment for trials in shown]
         shares = {each.flawed / each.robots for each in every}
         names, cells = set(map(name, every)), {(e.filter, e.flawed / e.robots) for e in every}
@@ -132,13 +134,14 @@ def test_pictures_are_the_papers_figures(monkeypatch: pytest.MonkeyPatch) -> Non
 
     for kind in ("boxes", "scatter", "bands", "series_beside"):
         monkeypatch.setattr(plots, kind, drawn)
-    found: dict[str, Any] = {each.name: each for each in pictures(Whole({}), Scale(2, 4000))}
+    for there, count in (({DYNAMIC}, 4), ({FULL}, 5), ({PHYSICAL}, 2), (set(Part), 13)):  # noqa: B007 (``Whole``)
+        found: dict[str, Any] = {each.name: each for each in pictures(Whole({}), Scale(2, 4000))}
+        assert len(found) == count
     numbers = {name: [*re.findall(r"figure (\w+)\)$", each.title), ""] for name, each in found.items()}
     papers = {"dynamic_asdf-minus": "3a", "dynamic_asdf-plus": "3b", "dynamic_scatter": "4", "series": "6"}
     papers |= {"topologies_asdf-minus": "5a", "topologies_asdf-plus": "5b"}
     papers |= {"physical_asdf-plus": "8a", "physical_scatter": "8b"}
     assert {name: number for name, (number, *_) in numbers.items() if number} == papers
-    assert len(numbers) == 13
     some, every, shares = {1000}, {1000, 2000, 4000}, {0.1, 0.3, 0.5}
     for name, filters, periods, flawed in (
         ("dynamic_asdf-minus", {"none", "asdf-minus"}, every, {0, *shares}),
@@ -191,7 +194,14 @@ def test_trials_are_added_where_comparisons_are_open(tmp_path: Path, monkeypatch
     monkeypatch.setattr(runs, "decide", lambda *_: [SimpleNamespace(unsettled=unsettled)])
     folder = StudyFolder(tmp_path, [PHYSICAL], Scale(steps=4000))
     assert [store.left for store in folder.stores] == [40, 40]
-    found = list(folder.runs(lambda store: run_missing(store, 1)))
+    left: list[int] = []
+
+    def run_and_note(store: Store) -> None:
+        left.append(store.left)
+        run_missing(store, 1)
+
+    found = list(folder.runs(run_and_note))
+    assert left == [40, 2, 2] * 2
     assert [run.seed for run in found] == [1, 2]
     for run in found:
         trials = {cell: run.study.trials(cell) for cell in cells_of(PHYSICAL)}
