@@ -32,7 +32,7 @@ from mcp_asdf_tools.robots.node import (
 )
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.record import ids_of
-from mcp_asdf_tools.robots.suspicion import Suspicion
+from mcp_asdf_tools.robots.suspicion import MEANINGS, Suspicion
 
 EPILOG = """\
 examples:
@@ -112,7 +112,7 @@ def _watching(node: RobotNode, console: Console) -> Callable[[], None]:
     def watch() -> None:
         for kind, sender in node.reception.events.keys() - told:
             told.add((kind, sender))
-            console.print(f"mcp-asdf node: node {sender}: {kind.text}", soft_wrap=True)
+            console.print(f"mcp-asdf node: node {sender}: {MEANINGS[kind]}", soft_wrap=True)
 
     return watch
 

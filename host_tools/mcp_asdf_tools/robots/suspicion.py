@@ -13,20 +13,19 @@ WATCHED_AFTER = 32
 
 
 class Suspicion(Enum):
-    """Kind of event. The value is its name in reports, ``text`` what it means."""
+    """Kind of event. The value is its name in reports."""
 
-    text: str
+    CONFLICT = "conflict"
+    UNKNOWN = "unknown"
+    JUMP = "jump"
 
-    CONFLICT = "conflict", "another node sends under this node's own id; give one of them another"
-    UNKNOWN = "unknown", "its id is not among those of --allow, so its estimates are dropped"
-    JUMP = "jump", "its alpha doubled at once: it has recalibrated (its telemetry counts updates), or lies"
 
-    def __new__(cls, name: str, text: str) -> Suspicion:
-        """Make a member."""
-        member = object.__new__(cls)
-        member._value_, member.text = name, text
-        return member
-
+MEANINGS = {
+    Suspicion.CONFLICT: "another node sends under this node's own id; give one of them another",
+    Suspicion.UNKNOWN: "its id is not among those of --allow, so its estimates are dropped",
+    Suspicion.JUMP: "its alpha doubled at once: it has recalibrated (its telemetry counts updates), or lies",
+}
+"""A line on each."""
 
 Suspicions: TypeAlias = Counter[tuple[Suspicion, int]]
 """Estimates by kind of event and sender."""

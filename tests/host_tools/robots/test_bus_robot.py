@@ -122,7 +122,8 @@ def test_what_is_no_estimate_is_counted_by_its_kind() -> None:
 def test_a_record_is_the_same_after_json_and_makes_the_same_robot() -> None:
     own = record(5, "mirror", 0.55, comms_period=2, filter_period=10, memory=64)
     ends = [record(5, comms_period=each, filter_period=each) for each in (1, 2**32 - 1)]
-    for each in (own, replace(own, allow=frozenset((0, 2, 3, 127))), *ends):
+    choosy = replace(record(5, table=None, filter=Filter.ALWAYS), allow=frozenset((0, 2, 3, 127)))
+    for each in (own, choosy, *ends):
         assert RobotRecord.from_plain(each.plain()) == each
     table = Table(3, TABLE.entries)
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
@@ -171,7 +172,8 @@ def test_flawed_robots_are_a_count_or_a_share() -> None:
 def test_a_population_has_a_record_of_each_robot(filters: Filtering, activation: Activation) -> None:
     periods: dict[str, Any] = {"comms_period": 2, "filter_period": 4, "memory": 64}
     accuracies: dict[str, Any] = {"robots": 4, "flawed": 2, "flawed_accuracy": 0.3, "true_accuracy": 1.0}
-    some = Population(**accuracies, **periods, filter=filters, activation=activation, omega="0.1")
+    drift: dict[str, Any] = {"drift": "linear", "drift_of": "flawed"}
+    some = Population(**accuracies, **periods, **drift, filter=filters, activation=activation, omega="0.1")
     off, on = Config(None, Filter.OFF, 2, 64), Config(None, Filter.ALWAYS, 2, 64)
     if filters == "robust":
         on = replace(on, filter=Filter.ROBUST)
@@ -182,8 +184,11 @@ def test_a_population_has_a_record_of_each_robot(filters: Filtering, activation:
     expected = [RobotRecord(i, "native", b_hat[i], configs[i], 2) for i in range(4)]
     assert [some.record(robot) for robot in range(4)] == expected
     assert Population(**some.parameters()) == some
-    with pytest.raises(ParameterError, match="unknown key 'activity'; did you mean activation"):
-        Population(activity=1)  # type: ignore[call-arg]
+    assert (some.drifting, some.omega) == (2, Decimal("0.1"))
+    with pytest.raises(ParameterError, match="drift_of is flawed but drift is none"):
+        Population(drift_of="flawed")
+    with pytest.raises(ParameterError, match="memory is 66; it must be a multiple of 4"):
+        Population(memory=66)
     both = {"omega", "activation"}
     unused = {"none": both, "robust": both}.get(filters, {"omega"} if activation == "always" else set())
     assert set(some.unused_parameters()) == unused

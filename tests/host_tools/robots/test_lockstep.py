@@ -281,7 +281,7 @@ def test_a_process_that_ends_is_named_with_what_it_said() -> None:
         NodeProcesses([record(3, memory=63)], lambda robot: choice, Subjects(), 10) as nodes,
     ):
         lockstep = Lockstep(bus, check=nodes.check)
-        with pytest.raises(LockstepError, match=r"robot 3 ended with exit code 2: .*memory is 63"):
+        with pytest.raises(LockstepError, match=r"robot 3 ended with exit code 2: {.*memory is 63"):
             lockstep.wait_until_up({3}, PATIENCE)
     assert nodes.reports == {}
 
@@ -298,12 +298,12 @@ def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch, 
     assert nodes.reports == {3: {}, 4: {"steps": 1}}
 
 
-@pytest.mark.parametrize(("interface", "processors"), [("socketcan", [{1}]), ("udp_multicast", [])])
+@pytest.mark.parametrize(("interface", "processors"), [("socketcan", [{2}]), ("udp_multicast", [])])
 def test_only_processes_on_socketcan_keep_to_one_processor(
     interface: str, processors: list[set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     choice, other, kept = BusChoice(interface, {}), BusChoice("udp_multicast", {}), list[set[int]]()
-    monkeypatch.setattr("os.sched_getaffinity", {0: {3, 1, 2}}.__getitem__)
+    monkeypatch.setattr("os.sched_getaffinity", {0: {3, 2, 4}}.__getitem__)
     monkeypatch.setattr("os.sched_setaffinity", lambda process, some: kept.append(some | {process} - {0}))
     NodeProcesses([record(3), record(4)], {3: choice, 4: other}.__getitem__, Subjects(), 10)
     assert kept == processors

@@ -333,8 +333,6 @@ def test_of_the_flawed_robots_alone_the_sensors_drift() -> None:
     path = true_accuracies(population, 0)
     assert path[99].tolist() == pytest.approx([0.95 - 0.099, 0.95, 0.95, 0.95])
     assert (true_accuracies(Population(robots=4, flawed=1, **given), 0)[99] < 0.9).all()
-    with pytest.raises(ParameterError, match="drift_of is flawed but drift is none"):
-        Population(drift_of="flawed")
 
 
 def test_wiener_drift_adds_up_moves_of_its_own_for_every_robot() -> None:
