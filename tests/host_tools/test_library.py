@@ -147,8 +147,7 @@ def test_a_wrong_argument_is_one_kind_of_error(wrong: Callable[[Any, Any], objec
 
 def test_a_curve_is_of_the_chosen_and_goes_into_axes_of_ones_own() -> None:
     table = m.simulate(m.grid(flawed=[1, 2], filter=["none", "asdf-plus"], robots=4, steps=60, trials=2))
-    figure: Any = Figure()
-    where = {"filter": "none"}
+    figure, where = Figure(), {"filter": "none"}
     drawn = m.plot(
         table, "curve", x="flawed", y=lambda each: each.errors[:, 0], where=where, ax=figure.subplots()
     )

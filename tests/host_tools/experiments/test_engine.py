@@ -20,10 +20,8 @@ from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import B_HAT_MARGIN, Config, Filter, FirmwareError, Observation, Status
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
-from mcp_asdf_tools.experiments import trials as trials_module
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
@@ -302,18 +300,6 @@ def test_a_trial_depends_neither_on_the_others_nor_on_records(experiment: Experi
 
 
 # --- Refusals --------------------------------------------------------------------------------------------
-
-
-def test_so_few_trials_run_at_once_that_their_series_have_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    counts, once = list[int](), trials_module._run_native
-
-    def noted(experiment: Experiment, first: int, count: int, interval: int) -> Trials:
-        counts.append(count)
-        return once(experiment, first, count, interval)
-
-    monkeypatch.setattr(trials_module, "_run_native", noted)
-    monkeypatch.setattr(trials_module, "SERIES_BYTES", 3 * 4 * 9 * 331)
-    assert run_trials(MOVING, 2, 7).numbers == [*range(2, 9)] and counts == [3, 3, 1]
 
 
 def test_what_it_cannot_run_is_refused() -> None:
