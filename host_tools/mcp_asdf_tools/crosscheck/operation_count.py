@@ -24,6 +24,8 @@ from mcp_asdf.table import MAX_Q, MIN_Q, Table
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
 _OWN, _HEARD, _FRESH, _ALPHA_ONE = 127, 0, 126, 0x80000001
+_CENTRES = 0, (1 << 29) - (1 << 24)
+"""Of the robust filter: one that a count of half of the tiles contradicts, and one that it does not."""
 
 AXES = ("t", "m", "q")
 CALLS: dict[str, Callable[[MirrorRobot], object]] = {
@@ -118,7 +120,7 @@ class Situation:
         s.alpha = self.alpha
         s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
         if self.robust:
-            s.crowd.votes, s.crowd.centre = self.m << 7, (1 << 29) - (1 << 24 if self.agrees else 1 << 29)
+            s.crowd.votes, s.crowd.centre = self.m << 7, _CENTRES[self.agrees]
         return robot
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
 
+import numpy as np
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
@@ -275,10 +277,15 @@ def test_sweep_and_score(
     assert all(each["limits"] == {"k_max": 300, "e_max": 0.5} for each in other)
     assert cli.main(["sweep", str(grid), "--workers", "1"]) == 0
     out = capsys.readouterr().out
-    for word in ("flawed", "h_K", "K_max 300, e_max 0.45", "again:"):
-        assert word in out
-    assert "robots" not in out
-    assert f"{scored[0]['H']['median']:.2f} [{scored[0]['H']['q25']:.2f}" in out
+    assert "K_max 300, e_max 0.45; medians over the trials, H with quartiles" in out and "again:" in out
+    found_h = np.split(read_table(results)["H"].to_numpy(), 2)
+    head, *rows = (re.split(" *[│┃] *", line)[1:-1] for line in out.splitlines() if line[0] in "│┃")
+    assert head == ["flawed", "trials", "H", "h_K", "h_e", "K", "e", "updates"]
+    for number, each, row, trials in zip((1, 2), scored, rows, found_h, strict=True):
+        q25, median, q75 = np.percentile(trials, (25, 50, 75))
+        assert row[:3] == [f"{number}", "3", f"{median:.2f} [{q25:.2f}, {q75:.2f}]"]
+        h_k, h_e, steps, error, updates = (each[name]["median"] for name in head[3:])
+        assert row[3:] == [f"{h_k:.2f}", f"{h_e:.2f}", f"{steps:g}", f"{error:.5f}", f"{updates:g}"]
 
 
 def test_simulate_takes_options_over_a_file(tmp_path: Path, answer: Callable[..., dict[str, Any]]) -> None:

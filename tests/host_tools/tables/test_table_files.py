@@ -249,6 +249,10 @@ def test_every_table_is_found_without_its_checksum(omega: str, q: int, tmp_path:
     words = generate(Decimal(omega), q).words()
     (problem,) = problems(tmp_path / "image.bin", packed(words[:-1]) + bytes(4))
     assert str(problem).startswith("the checksum: found 0 ")
+    (problem,) = problems(
+        tmp_path / "image.bin", packed([MAGIC | 2, words[1], 0, (33 << FRACTION_BITS) - 1, 0])
+    )
+    assert str(problem).startswith("entry 0 (m = 2): found 0 "), "it has one that is possible, just"
 
 
 ENTRIES = generate(Decimal("0.05"), 127).entries
@@ -260,6 +264,7 @@ NO_TABLE = [
     *(packed([MAGIC + change | 30, 0x0CCCCCCD, *ENTRIES]) for change in (0x100, -0x100)),
     *(packed([MAGIC | 30, *[value] * 31]) for value in (0, 1 << FRACTION_BITS, 2**32 - 1)),
     packed([MAGIC | 30, 0x0CCCCCCD, *ENTRIES[:14], *[0] * 17]),
+    packed([MAGIC | 2, 0x0CCCCCCD, 0, 33 << FRACTION_BITS, 0]),
 ]
 
 
