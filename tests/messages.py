@@ -28,6 +28,15 @@ from mcp_asdf_tools.bus.frames import (
 from support import ROOT
 
 DEFAULT = FrameFormat()
+FRAMES = {
+    "186BB92A#0000603333F307E5": can.Message(
+        arbitration_id=0x186BB92A, data=bytes.fromhex("0000603333F307E5")
+    ),
+    "042#": can.Message(arbitration_id=0x42, is_extended_id=False),
+    "00000042#R": can.Message(arbitration_id=0x42, is_remote_frame=True, dlc=3),
+    "E00000088#00": can.Message(arbitration_id=0x88, is_error_frame=True, data=bytes(1)),
+}
+"""Frames by their text, which is candump's."""
 
 
 class Kind(NamedTuple):

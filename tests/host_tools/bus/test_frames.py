@@ -45,7 +45,7 @@ from mcp_asdf_tools.bus.frames import (
     float_of,
     word_of,
 )
-from messages import DEFAULT, KINDS, as_decoded, drawn, encoded
+from messages import DEFAULT, FRAMES, KINDS, as_decoded, drawn, encoded
 from robots import ALPHA_ONE
 from support import ROOT, draws, require, run
 
@@ -122,6 +122,7 @@ def test_the_documented_example() -> None:
     assert not (frame.is_fd or frame.is_remote_frame or frame.is_error_frame)
     assert frame.arbitration_id == FrameFormat(3000, 4).identifier(42)
     assert FrameFormat(6143, 7).identifier(127) == 0x1C77FF7F
+    assert {frames.frame_as_text(frame): frame for frame in FRAMES.values()} == FRAMES
 
 
 # Both ways, and the same in C

@@ -213,13 +213,11 @@ def test_a_bus_that_cannot_be_opened_is_told_with_the_fix(
 def test_python_can_s_own_settings_are_honoured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Files, variables, ``can.rc``, options: later ones override earlier ones."""
     monkeypatch.setenv("HOME", str(tmp_path))
-    (tmp_path / ".canrc").write_text("[default]\ninterface=pcan\nchannel=file\nbitrate=5\n")
-    assert chosen() == BusChoice("pcan", {"channel": "file", "bitrate": "5"})
+    (tmp_path / ".canrc").write_text("[default]\ninterface=pcan\nchannel=file\nbitrate=5\nport=9\n")
     monkeypatch.setenv("CAN_INTERFACE", "udp_multicast")
-    monkeypatch.setattr(can, "rc", {"channel": "rc"})
-    assert chosen() == BusChoice("udp_multicast", {"channel": "rc", "bitrate": "5", "hop_limit": 0})
-    found = chosen("-c", "option", "--bus-kwargs", "bitrate=7", "bustype=x")
-    assert found == BusChoice("udp_multicast", {"channel": "option", "bitrate": "7", "hop_limit": 0})
+    monkeypatch.setattr(can, "rc", {"bustype": "pcan", "channel": "rc", "bitrate": 6})
+    settings = {"channel": "mine", "bitrate": 6, "port": "9", "hop_limit": 0}
+    assert chosen("-c", "mine") == BusChoice("udp_multicast", settings)
     monkeypatch.setenv("CAN_CONFIG", "no JSON")
     with pytest.raises(UsageError, match="variables or configuration files are not valid"):
         chosen()
@@ -227,13 +225,13 @@ def test_python_can_s_own_settings_are_honoured(monkeypatch: pytest.MonkeyPatch,
 
 def test_a_bus_without_a_name_has_that_of_its_channel(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is asked for own frames where they are wanted, and for one handle, so that it can tell them."""
-    for settings, name in (({"channel": 3}, "3"), ({}, "kvaser")):
-        opened = Mock(return_value=Mock(channel_info=can.BusABC.channel_info))
-        monkeypatch.setattr(can, "Bus", opened)
-        for returns_own, more in ((False, {}), (True, {"receive_own_messages": True})):
-            connection = BusChoice("kvaser", settings).open(returns_own)
-            assert (type(connection), connection.channel_info) == (Connection, name)
-            opened.assert_called_with(interface="kvaser", single_handle=True, **settings, **more)
+    opened = Mock(side_effect=lambda **_: Mock(channel_info=can.BusABC.channel_info))
+    monkeypatch.setattr(can, "Bus", opened)
+    own: dict[str, Any] = {"receive_own_messages": True}
+    for settings, name, echo in (({"channel": 3}, "3", {}), ({}, "kvaser", own)):
+        connection = BusChoice("kvaser", settings).open(returns_own=echo is own)
+        assert (type(connection), connection.channel_info) == (Connection, name)
+        opened.assert_called_with(interface="kvaser", single_handle=True, **settings, **echo)
 
 
 def test_no_other_process_joins_a_bus_of_this_one() -> None:

@@ -28,6 +28,7 @@ from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.fault_spec import FaultKind
 from mcp_asdf_tools.tables.thresholds import generate
+from messages import FRAMES
 from robots import ALPHA_ONE
 from wire import record
 
@@ -184,15 +185,6 @@ RECORDS = (
     RobotRecord(3, "native", 2.0**-20, Config(generate(Decimal("0.123456789"), 2))),
 )
 HEADER = InputLogHeader(RECORDS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
-FRAMES = {
-    "186BB92A#0000603333F307E5": can.Message(
-        arbitration_id=0x186BB92A, data=bytes.fromhex("0000603333F307E5")
-    ),
-    "042#": can.Message(arbitration_id=0x42, is_extended_id=False),
-    "00000042#R": can.Message(arbitration_id=0x42, is_remote_frame=True, dlc=3),
-    "E00000088#00": can.Message(arbitration_id=0x88, is_error_frame=True, data=bytes(1)),
-}
-"""Frames by their text, which is candump's."""
 
 
 def test_what_is_written_comes_back(tmp_path: Path) -> None:
