@@ -29,6 +29,8 @@ MAX_MESSAGES = MAX_ID
 _DIGITS = 50
 """Digits computed. They decide every entry that is not within 10^-30 of the middle between two multiples:
 that one of the 10^13 entries of all possible tables is so close has a probability of 10^-17."""
+_NOISE = mpf("1e-47")
+"""Steps so small are rounding noise."""
 
 
 def parse_omega(text: str) -> Decimal:
@@ -105,8 +107,8 @@ def _t_score(omega: mpf, freedom: int, start: mpf) -> mpf:
     P is concave for t > 0, so Newton's steps from below never pass the root: the first step that is
     not upward is rounding noise. The score for more degrees of freedom is such a start.
     """
-    score, step = start, mpf(1)
-    while step > mp.eps * 2**10:
+    score, step = start, mp.inf
+    while step > _NOISE:
         step = (omega - _central_probability(score, freedom)) / _density(score, freedom)
         score += step
     return score
@@ -150,4 +152,4 @@ def worst_threshold_error(omega: Decimal, table: Table) -> ThresholdError:
 
 
 def _round_up(value: mpf) -> float:
-    return float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(mp.nstr(value, 20)))
+    return float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(str(value)))
