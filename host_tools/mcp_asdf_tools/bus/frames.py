@@ -383,8 +383,7 @@ def float_of(bits: int) -> float:
 
 def bits_of(value: float) -> int:
     """The binary32 bits nearest to a number. Raises OverflowError if none is near, at 2**128 and above."""
-    bits: int = struct.unpack("<I", struct.pack("<f", value))[0]
-    return bits
+    return int.from_bytes(struct.pack("<f", value), "little")
 
 
 def _content(frame: can.Message, subject: int) -> int | Rejection:
@@ -411,9 +410,8 @@ def _what_is_special(frame: can.Message) -> Rejection:
         (not frame.is_extended_id, Rejection.STANDARD_ID),
         (identifier & _SERVICE, Rejection.SERVICE),
         (identifier & _ANONYMOUS, Rejection.ANONYMOUS),
-        (identifier & _RESERVED, Rejection.RESERVED_BITS),
     )
-    return next(reason for is_so, reason in found if is_so)
+    return next((reason for is_so, reason in found if is_so), Rejection.RESERVED_BITS)
 
 
 @cache

@@ -6,8 +6,9 @@ neighbours.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from functools import partial
 
 from mcp_asdf.fixed_point import ONE
 from mcp_asdf.robot import Filter
@@ -53,13 +54,13 @@ def is_halved(record: RobotRecord) -> bool:
     return record.config.memory <= _LONGEST_MEMORY
 
 
-def _with(*filters: Filter) -> Callable[[RobotRecord], bool]:
+def _has(filters: Collection[Filter], record: RobotRecord) -> bool:
     """Whether a controller has one of these filters, with tests often enough for a run."""
-    return lambda record: record.config.filter in filters and is_in_reach(record)
+    return record.config.filter in filters and is_in_reach(record)
 
 
-_tests, _votes = _with(Filter.ADAPTIVE), _with(Filter.ROBUST)
-_re_estimates = _with(Filter.ADAPTIVE, Filter.ALWAYS)
+_tests, _votes = partial(_has, {Filter.ADAPTIVE}), partial(_has, {Filter.ROBUST})
+_re_estimates = partial(_has, {Filter.ADAPTIVE, Filter.ALWAYS})
 
 PHASES: tuple[Phase, ...] = (
     Phase("nothing seen", protocol.nothing_seen),

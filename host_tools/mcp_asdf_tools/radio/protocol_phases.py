@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import can
@@ -48,12 +49,12 @@ def _between(place: int, length: int, low: int, high: int) -> Spoil:
     return lambda frame, draw: _put(frame, place, draw.randint(low, high).to_bytes(length, "little"))
 
 
-def _clear(bit: int) -> Spoil:
-    return lambda frame, draw: _put(frame, 7, bytes([frame.data[7] & ~(1 << bit)]))
+def _clear(bit: int, frame: can.Message, draw: random.Random) -> None:
+    frame.data[7] &= ~(1 << bit)
 
 
-def _flip(bit: int) -> Spoil:
-    return lambda frame, draw: setattr(frame, "arbitration_id", frame.arbitration_id ^ 1 << bit)
+def _flip(bit: int, frame: can.Message, draw: random.Random) -> None:
+    frame.arbitration_id ^= 1 << bit
 
 
 def _standard(frame: can.Message, draw: random.Random) -> None:
@@ -80,34 +81,34 @@ MALFORMED: dict[str, Spoil] = {
     "7 bytes": _shorten(7, 7),
     "fewer than 7 bytes": _shorten(0, 6),
     "no single-frame tail byte": _between(7, 1, 0, 0xDF),
-    "a tail byte without the start bit": _clear(7),
-    "a tail byte without the end bit": _clear(6),
-    "a tail byte without the toggle bit": _clear(5),
+    "a tail byte without the start bit": partial(_clear, 7),
+    "a tail byte without the end bit": partial(_clear, 6),
+    "a tail byte without the toggle bit": partial(_clear, 5),
     "x_hat above 1": _between(0, 3, ONE + 2, 0xFF_FFFF),
     "x_hat one unit above 1": _between(0, 3, ONE + 1, ONE + 1),
     "alpha infinite": _between(3, 4, 0x7F80_0000, 0x7F80_0000),
     "alpha not a number": _between(3, 4, 0x7F80_0001, 0x7FFF_FFFF),
     "alpha -0": _between(3, 4, 0x8000_0000, 0x8000_0000),
     "alpha negative": _between(3, 4, 0x8000_0001, 0xFFFF_FFFF),
-    "a service transfer": _flip(25),
-    "an anonymous sender": _flip(24),
-    "reserved bit 23 set": _flip(23),
-    "reserved bit 7 set": _flip(7),
-    "another subject": _flip(20),
-    "another subject of the same upper bits": _flip(12),
-    "another subject of the same lower bits": _flip(16),
+    "a service transfer": partial(_flip, 25),
+    "an anonymous sender": partial(_flip, 24),
+    "reserved bit 23 set": partial(_flip, 23),
+    "reserved bit 7 set": partial(_flip, 7),
+    "another subject": partial(_flip, 20),
+    "another subject of the same upper bits": partial(_flip, 12),
+    "another subject of the same lower bits": partial(_flip, 16),
 }
 """Ways not to be an estimate, each by itself."""
 
 
-def _with_bits(mask: int, bits: int) -> Change:
-    """Puts these bits of the identifier there."""
-    return lambda frame: setattr(frame, "arbitration_id", frame.arbitration_id & ~mask | bits)
+def _with_bits(mask: int, bits: int, frame: can.Message) -> None:
+    """Put these bits of the identifier there."""
+    frame.arbitration_id = frame.arbitration_id & ~mask | bits
 
 
 UNUSUAL_IDENTIFIERS: dict[str, Change] = {
-    **{f"with priority {priority}": _with_bits(7 << 26, priority << 26) for priority in range(8)},
-    "with identifier bits 22 and 21 clear": _with_bits(3 << 21, 0),
+    **{f"with priority {priority}": partial(_with_bits, 7 << 26, priority << 26) for priority in range(8)},
+    "with identifier bits 22 and 21 clear": partial(_with_bits, 3 << 21, 0),
 }
 """Changes of an identifier that make no difference."""
 

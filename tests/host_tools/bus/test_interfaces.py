@@ -72,11 +72,13 @@ def test_a_malformed_datagram_is_one_damaged_frame_and_what_follows_is_heard() -
         bus.set_filters(filters_for(FrameFormat()))
         for data in [*MALFORMED, *(any_datagram(draw) for _ in range(300))]:
             stranger.send(data)
+            stranger.send(packed(8, arbitration_id=5))  # which the filters leave out
             stranger.send(packed(8))
             heard: list[Message | Rejection] = []
             while after not in heard:
                 frame = bus.recv(PATIENCE)
-                assert frame is not None and frame.channel == choice.channel, "replay: random.Random(5)"
+                assert frame is not None and frame.dlc == len(frame.data)
+                assert frame.channel == choice.channel, "replay: random.Random(5)"
                 heard.append(decode(frame, FrameFormat()))
             assert len(heard) <= 2
             assert heard[0] is Rejection.ERROR_FRAME or data not in MALFORMED, data
@@ -225,10 +227,11 @@ def test_python_can_s_own_settings_are_honoured(monkeypatch: pytest.MonkeyPatch,
 
 def test_a_bus_without_a_name_has_that_of_its_channel(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is asked for own frames where they are wanted, and for one handle, so that it can tell them."""
-    opened = Mock(side_effect=lambda **_: Mock(channel_info=can.BusABC.channel_info))
+    infos = [*[can.BusABC.channel_info] * 2, "Leaf"]
+    opened = Mock(side_effect=[Mock(channel_info=each) for each in infos])
     monkeypatch.setattr(can, "Bus", opened)
-    own: dict[str, Any] = {"receive_own_messages": True}
-    for settings, name, echo in (({"channel": 3}, "3", {}), ({}, "kvaser", own)):
+    own, third = {"receive_own_messages": True}, {"channel": 3}
+    for settings, name, echo in ((third, "3", {}), ({}, "kvaser", own), (third, "Leaf", {})):
         connection = BusChoice("kvaser", settings).open(returns_own=echo is own)
         assert (type(connection), connection.channel_info) == (Connection, name)
         opened.assert_called_with(interface="kvaser", single_handle=True, **settings, **echo)
