@@ -21,7 +21,7 @@ from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.world import _arena
 from mcp_asdf_tools.world.arena import Arena, config_values
 from mcp_asdf_tools.world.floor_code import CODE_MODULES, code
-from mcp_asdf_tools.world.philox import MOVES, OBSERVATIONS, Stream, philox
+from mcp_asdf_tools.world.philox import MOVES, OBSERVATIONS, Stream, philox, world_seed
 from mcp_asdf_tools.world.sensors import CheckedSensors, sensor_model
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.topology import Checked
@@ -37,10 +37,6 @@ KINDS: dict[str, dict[str, Any]] = {
     "stepped": {"drift": "stepped", "drift_rate": -1e-3, "drift_period": 7},
     "now and then": {"observation_period": 3, "white_offset": -0.2},
 }
-
-
-MOVING = WorldSettings(topology="dynamic", robots=9, density=3, steps=330, seed=91)
-PAIR = replace(MOVING, robots=2, width=2.0, height=1.5, density=1.0, radio_range=10.0)
 
 
 def make(**given: Any) -> World:
@@ -124,7 +120,6 @@ def test_trials_seeds_and_robots_differ_and_a_swarm_s_size_does_not_matter() -> 
     assert np.array_equal(columns[:4].T, large[:, :4])
 
 
-STILL: dict[str, Any] = {"robots": 4}
 MOVING_SWARM: dict[str, Any] = {"robots": 9, "topology": "dynamic", "density": 3}
 CODE: dict[str, Any] = {**MOVING_SWARM, "floor": "code"}
 
@@ -177,7 +172,7 @@ CODE: dict[str, Any] = {**MOVING_SWARM, "floor": "code"}
 )
 def test_what_cannot_be_is_refused(given: dict[str, Any], key: str, message: str) -> None:
     with pytest.raises(ParameterError) as caught:
-        WorldSettings(**STILL | given)
+        WorldSettings(**{"robots": 4} | given)
     assert caught.value.key == key
     assert message in str(caught.value)
 
@@ -203,13 +198,10 @@ def test_the_density_makes_the_square() -> None:
 
 
 def test_every_setting_reaches_the_arena() -> None:
-    settings = replace(PAIR, speed=0.1, radio_range=0.5, tile=0.02, steps_per_second=20)
+    given = {"robots": 2, "width": 2.0, "height": 1.5, "speed": 0.1, "tile": 0.02, "fill_ratio": 0.4}
+    settings = make(**given, topology="dynamic", radio_range=0.5, steps_per_second=20).settings
     values, _ = config_values(settings, 0, _arena.ffi)
-    del values["seed"]
-    assert values == {
-        **{"width": 2.0, "height": 1.5, "speed": 0.1, "range": 0.5, "tick": 1 / 20, "robots": 2},
-        **{"tile": 0.02, "fill_ratio": 0.55},
-    }
+    assert values == {**given, "range": 0.5, "tick": 1 / 20, "seed": world_seed(SEED, 0)}
 
 
 @pytest.mark.parametrize("fill_ratio", [0.448, 0.1, 0.5, 0.5001, 0.8, 3 * 33e-4 + 2 * 42e-4])
