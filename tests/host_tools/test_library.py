@@ -126,10 +126,13 @@ def test_objects_of_this_process_stand_for_extensions(monkeypatch: pytest.Monkey
         lambda m, table: m.Experiment(firmware=7),
         lambda m, table: m.simulate([7]),
         lambda m, table: m.simulate(SHORT, workers=0),
-        lambda m, table: m.simulate(SHORT, record=10**6),
+        lambda m, table: m.simulate(SHORT, record=SHORT.steps + 1),
+        lambda m, table: m.simulate(SHORT, record=-1),
         lambda m, table: m.plot([]),
         lambda m, table: m.plot(table, "curve", x="flawed", y=lambda trials: [1.0]),
         lambda m, table: m.plot(table, "boxes", facet="robots"),
+        lambda m, table: m.plot(table, "boxes", ax=object()),
+        lambda m, table: m.plot(table, "pie"),
         lambda m, table: m.plot(table, where={"filtr": "none"}),
         lambda m, table: m.show(table, trial=99),
         lambda m, table: m.show(SHORT, where={"robots": 99}, trial=-1),
@@ -139,7 +142,7 @@ def test_objects_of_this_process_stand_for_extensions(monkeypatch: pytest.Monkey
 def test_a_wrong_argument_is_one_kind_of_error(wrong: Callable[[Any, Any], object]) -> None:
     """Without types, as in a notebook."""
     with pytest.raises(m.UsageError):
-        wrong(m, m.simulate(SHORT))
+        wrong(m, m.simulate(SHORT, record=SHORT.steps))
 
 
 # --- Pictures ---

@@ -155,12 +155,20 @@ def test_a_short_help_leads_to_all_options(name: str, capsys: Capture) -> None:
         assert cli.main([name, option]) == 0
         helps.append(capsys.readouterr().out)
     short, whole = [set(re.findall(r"^  (?:-\w.*?, )?(--[\w-]+)", text, re.MULTILINE)) for text in helps]
-    actions = cli._parser_for(name, cli._load(name))._actions
-    assert whole == {each.option_strings[-1] for each in actions if each.option_strings[-1:]}
+    parser = cli._parser_for(name, cli._load(name))
+    assert whole == {each.option_strings[-1] for each in parser._actions if each.option_strings[-1:]}
     assert "--json" in short
     if short != whole:
         assert short < whole and len(short) <= len(whole) - 4 and len(helps[0].splitlines()) <= 50
         assert f"\n{len(whole - short)} options more" in helps[0]
+        assert helps[0].startswith(f"usage: mcp-asdf {name} [OPTION ...]") and cli.COMMANDS[name] in helps[0]
+        for group in (each for each in parser._action_groups if each.description):
+            options = {option for each in group._group_actions for option in each.option_strings}
+            assert (str(group.description).splitlines()[0] in helps[0]) == bool(options & short)
+        lines = str(parser.epilog).splitlines()
+        examples = [line for line in lines if line.startswith(f"  mcp-asdf {name} ")]
+        lines = [line for line in lines if line not in examples[5:]]
+        assert helps[0].splitlines()[-len(lines) :] == lines
         used = re.findall(rf"^  mcp-asdf {name} [^#\n]*", helps[0], re.MULTILINE)
         assert set(re.findall(r" (--[a-z-]+)", " ".join(used))) <= short
 

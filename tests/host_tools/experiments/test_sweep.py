@@ -234,17 +234,24 @@ def test_a_second_process_on_one_output_is_refused(output: Path) -> None:
 
 
 def test_progress_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """Rate and time left, where there is no terminal as a line now and then."""
+    """Rate and time left: in a bar, or where there is no terminal as a line now and then."""
     words = progress_bar.rate_in_words
     found = [words(30, 120, 60.0), words(1, 10_001, 2.0), words(9, 9, 3.0), words(0, 9, 3.0)]
     assert found == ["0.5/s, 0:03:00 left", "0.5/s, 5:33:20 left", "3/s, 0:00:00 left", ""]
-    for seconds, lines in ((60.0, 0), (0.0, 2)):
-        monkeypatch.setattr(progress_bar, "_SECONDS", seconds)
-        with progress_bar.progress("trials", 8) as add:
-            add(2)
-            add(4)
-        said = capsys.readouterr().err.splitlines()
-        assert [line.partition(",")[0] for line in said] == ["trials: 2 of 8", "trials: 6 of 8"][:lines]
+    task: Any = SimpleNamespace(completed=30, total=120, elapsed=60.0)
+    assert progress_bar._Rate().render(task).plain == found[0]
+    now = [0.0]
+    monkeypatch.setattr(progress_bar, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    lines = ["trials: 3 of 8, 0.05/s, 0:01:40 left", "trials: 6 of 8, 0.05/s, 0:00:40 left"]
+    for quiet, is_terminal, said in ((False, False, lines), (True, False, []), (False, True, None)):
+        if is_terminal:
+            monkeypatch.setenv("FORCE_COLOR", "1")
+        now[0] = 100.0
+        with progress_bar.progress("trials", 8, quiet) as add:
+            for now[0] in (130.0, 160.0, 219.0, 220.0):
+                add(1.5)
+        err = capsys.readouterr().err
+        assert "6/8" in err if said is None else err.splitlines() == said
 
 
 # --- Commands --------------------------------------------------------------------------------------------
