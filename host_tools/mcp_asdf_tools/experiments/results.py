@@ -20,7 +20,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -492,7 +491,7 @@ def write_csv(path: Path, experiments: Iterable[Trials], limits: Limits = PAPERS
     for trials in experiments:
         parameters = list(trials.experiment.parameters().values())
         *scores_and_means, updates = trials.measures(limits).values()
-        b_hat = trials.b_hat[:, -1].mean(axis=1) if trials.b_hat.shape[1] else [math.nan] * len(updates)
+        b_hat = trials.b_hat[:, -1].mean(axis=1) if trials.b_hat.shape[1] else np.full(len(updates), np.nan)
         columns = (*scores_and_means, b_hat, trials.tests.sum(axis=1), updates)
         for number, *values in zip(trials.numbers, *columns, strict=True):
             shown = (f"{value:.10g}" for value in (*values, *limits.of(trials.experiment)))

@@ -42,7 +42,7 @@ def experiments_of(folder: Path, text: str) -> list[Experiment]:
 
 def test_files_describe_grids_on_the_keys_above_them(tmp_path: Path) -> None:
     assert experiments_of(tmp_path, "") == [Experiment()]
-    assert read_experiments(Path("physical")) == read_experiments(STUDIES / "physical.toml")
+    assert read_experiments("physical") == read_experiments(STUDIES / "physical.toml")
     found = experiments_of(tmp_path, 'steps = 1e3\nflawed = [1, 3]\nfilter = ["none", "asdf-plus"]\n')
     assert [(each.flawed, each.filter) for each in found] == [
         (flawed, mode) for flawed in (1, 3) for mode in ("none", "asdf-plus")

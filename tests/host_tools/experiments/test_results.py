@@ -28,6 +28,7 @@ from mcp_asdf_tools.experiments.results import (
     only,
     read_table,
     rescored,
+    stretches_of,
     table_of,
     write_csv,
     write_tables,
@@ -51,6 +52,7 @@ def path(tmp_path: Path) -> Path:
 
 def test_results_come_back(path: Path, tmp_path: Path) -> None:
     found = experiments_in(read_table(path))
+    assert [each[1:] for each in stretches_of(read_table(path))] == [(0, 3), (3, 6)]
     assert [trials.experiment for trials in found] == [SHORT, OTHER]
     for trials in found:
         measured = run_trials(trials.experiment, 0, 3, sampling_interval=10)

@@ -115,8 +115,11 @@ def test_more_trials_and_experiments_run_what_is_new(output: Path, jobs_run: lis
     table = run_sweep(Store(output, more), 1)
     assert [(job.first, job.count) for job in jobs_run] == [(10, 5), (0, 32), (32, 1)]
     assert [trials.experiment for trials in experiments_in(table)] == more
-    fewer = [replace(each, trials=2) for each in more]
-    assert Store(output, fewer, most=33).left == 0
+    store = Store(output, [replace(each, trials=2) for each in more], most=33)
+    assert store.left == 0
+    store.finish()
+    store.want(more)
+    assert store.left == 13 + 31, "of the others there is nothing any more"
 
 
 def test_results_of_others_are_never_overwritten(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
