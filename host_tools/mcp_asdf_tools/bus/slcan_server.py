@@ -142,18 +142,15 @@ def line_of(frame: can.Message) -> bytes:
 def frame_of(line: bytes) -> can.Message | None:
     """The frame of a line without its end; None if the line is malformed."""
     kind, digits = line[:1], 8 if line[:1].isupper() else 3
-    is_remote = kind in (b"r", b"R")
     if not line.isalnum():  # int() and fromhex() would take white space and signs
         return None
     try:
         identifier, length = int(line[1 : 1 + digits], 16), int(line[1 + digits : 2 + digits])
         data = bytes.fromhex(line[2 + digits :].decode("ascii"))
-        if len(data) != (0 if is_remote else length):
-            return None
         return can.Message(
             arbitration_id=identifier,
             is_extended_id=digits == 8,
-            is_remote_frame=is_remote,
+            is_remote_frame=kind in (b"r", b"R"),
             dlc=length,
             data=data,
             check=True,

@@ -100,6 +100,7 @@ def test_no_node_hears_itself_on_a_bus_that_echoes() -> None:
                 due[other].append((frame.arbitration_id, bytes(frame.data)))
         while (came := connections[place].recv(0)) is not None:
             heard[place].append((came.arbitration_id, bytes(came.data)))
+            assert came.channel == choice.channel and came.timestamp > 0
     for place, connection in enumerate(connections):
         assert sorted(heard[place]) == sorted(due[place]), "replay: random.Random(2)"
         connection.shutdown()
