@@ -54,19 +54,16 @@ def test_instructions_are_counted_inside_every_call_and_nothing_is_left_behind()
 def test_situations_are_what_they_say() -> None:
     """A round ends with a test that rejects and one that does not, and with the robust filter likewise."""
     every = [*_situations()]
-    digest = hashlib.sha256(str(every).encode()).hexdigest()[:8]
-    assert digest == "f66cf076", "the claims about time are now measured elsewhere"
+    digest = hashlib.sha256(repr(every).encode())
     for each in (each for _, value, each in every if value in (1, 2, 9, 64, 1 << 20)):
         robot = each.robot(MirrorRobot)
-        sums, votes = (0, each.m << 7) if each.robust else (each.m, 0)
-        assert (robot.t, robot.n, robot.b_hat_raw) == (each.t - 1, min(each.n, each.t - 1), each.b_hat)
-        assert (robot.s.open.count, robot.s.crowd.votes, robot.alpha_raw) == (sums, votes, each.alpha)
-        assert robot.s.closed.alpha == robot.s.open.alpha
+        digest.update(robot.save())
         assert robot.config.table is None or robot.config.table.q == each.q
         if each.t == 1000 and (each.m > 9 or not each.robust):
             assert (robot.settle() == Status.UPDATED) == (each.m > 1 and not each.agrees)
         assert robot.observe(Observation.BLACK) == Status.OK
         assert robot.t == (each.t // 2 if each.halves else each.t)
+    assert digest.hexdigest()[:8] == "037100e3", "instructions are counted in other situations"
 
 
 # design: R34
