@@ -209,8 +209,8 @@ def test_parts_are_small_and_written_every_second(output: Path, monkeypatch: pyt
     assert sizes == [[], [2], [2], [2, 2], [5]]
     (row,) = read_table(store.parts).slice(0, 1).to_pylist()
     values = sum(len(each) for each in row.values() if isinstance(each, list))
-    monkeypatch.setattr(store_module, "_BYTES", 100 * 8 * values)
-    for experiment, size in ((replace(GRID[0], trials=5), 100), (replace(GRID[0], steps=10**7), 1)):
+    monkeypatch.setattr(store_module, "_BYTES", 1000 * 8 * values)
+    for experiment, size in ((replace(GRID[0], trials=5), 1000), (replace(GRID[0], steps=10**7), 1)):
         store.want([experiment])
         assert store._size == size
 
