@@ -198,7 +198,7 @@ def test_what_is_not_put_to_the_test_proves_nothing(
 ) -> None:
     verdict = judge(obedient(**config), surroundings(right(**config), faults=faults), PHASES[:2])
     assert is_in_reach(right(filter_period=20_000))
-    assert not verdict.has_passed
+    assert not verdict.has_passed and verdict.phases[0].ticks < 1000
     assert verdict.headline.startswith("NOT EXERCISED: ")
     assert verdict.headline.endswith(f", no difference, but never put to the test: {missing}")
 
