@@ -74,7 +74,6 @@ def test_a_line_has_all_that_befell_a_robot_in_a_tick() -> None:
     one = BusRobot(record(5), ESTIMATES, recorder)
     recorder.flush()
     one.begin(Observation.BLACK)
-    one.listen([])
     one.listen([heard[0], beat, heard[1]])
     one.listen([heard[2]] * 2)
     one.end()
@@ -86,9 +85,11 @@ def test_a_line_has_all_that_befell_a_robot_in_a_tick() -> None:
         one.wake()
         assert (one.ticks, one.robot.t) == ((0, 0) if loses_state else (1, 1))
     one.begin(Observation.WHITE)
+    one.listen([])
     recorder.silent()
     one.end()
     one.begin(None)
+    one.listen(heard[:1])
     recorder.falsified(3, 4)
     recorder.foreign(heard[0])
     recorder.flush()
@@ -96,9 +97,9 @@ def test_a_line_has_all_that_befell_a_robot_in_a_tick() -> None:
         "[5,1,[[6, 9, 0], [7, 9, 0], [8, 9, 0], [8, 9, 0]],3]\n",
         '[5,"restart",0,"silent",3]\n',
         '"106BB806#09000000000000E0"\n',
-        "[5,2,[3,4]]\n",
+        "[5,2,[[6, 9, 0]],[3,4]]\n",
     ]
-    assert one.reception == Reception(delivered=4, refused=1, heartbeats=1) and not one.reception.events
+    assert one.reception == Reception(delivered=5, refused=1, heartbeats=1) and not one.reception.events
 
 
 def test_what_is_no_estimate_is_counted_by_its_kind() -> None:
@@ -123,6 +124,7 @@ def test_a_record_is_the_same_after_json_and_makes_the_same_robot() -> None:
     own = record(5, "mirror", 0.55, comms_period=2, filter_period=10, memory=64)
     ends = [record(5, comms_period=each, filter_period=each) for each in (1, 2**32 - 1)]
     choosy = replace(record(5, table=None, filter=Filter.ALWAYS), allow=frozenset((0, 2, 3, 127)))
+    assert choosy.plain()["allow"] == "0+2-3+127"
     for each in (own, choosy, *ends):
         assert RobotRecord.from_plain(each.plain()) == each
     table = Table(3, TABLE.entries)
