@@ -195,14 +195,16 @@ def test_a_missing_extra_is_named_in_one_line(tmp_path: Path) -> None:
 
 
 def test_the_library_names_a_missing_extra_as_the_command_does(tmp_path: Path) -> None:
-    for call in (
+    calls = (
         "m.simulate(m.Experiment(steps=1000, trials=1))",
         "m.plot([])",
         "m.read_table('x.parquet')",
         "m.emulate(m.SwarmSettings(firmware='reference', steps=10))",
-    ):
-        code = f"{HIDING}import mcp_asdf_tools as m\ntry: {call}\nexcept m.UsageError as error: print(error)"
-        assert "run: pip install 'mcp-asdf[study]'" in python("-c", code, cwd=tmp_path).stdout, call
+    )
+    each = "try: eval(call)\n except m.UsageError as error: print(error)"
+    code = f"{HIDING}import mcp_asdf_tools as m\nfor call in {calls}:\n {each}"
+    told = python("-c", code, cwd=tmp_path).stdout.splitlines()
+    assert ["run: pip install 'mcp-asdf[study]'" in line for line in told] == [True] * len(calls)
 
 
 def test_a_command_loads_only_the_libraries_that_it_uses() -> None:

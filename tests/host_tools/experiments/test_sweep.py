@@ -306,8 +306,21 @@ def test_simulate_takes_options_over_a_file(tmp_path: Path, answer: Callable[...
     assert [parameters[name] for name in ("steps", "robots", "flawed", "omega")] == [100, 6, 3, 0.1]
     assert (found["trials"], found["limits"]) == (4, {"k_max": 100, "e_max": 0.45})
     assert list(tmp_path.iterdir()) == [path]
-    answer("simulate", path, "--output", output)
+    answer("simulate", path, "--output", output, "--record", "100")
     assert len(read_table(output)) == 30
+
+
+def test_a_short_experiment_starts_no_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    used: list[int] = []
+
+    def note(*_: object, workers: int, **__: object) -> None:
+        used.append(workers)
+        raise UsageError("that is enough")
+
+    monkeypatch.setattr("mcp_asdf_tools.cli.simulate.simulate", note)
+    for words in ("--steps 999999", "--steps 1000000", "--steps 1000 --firmware mirror"):
+        assert cli.main(f"simulate --robots 20 --trials 5 --workers 1024 {words}".split()) == 2
+    assert used == [1, 1024, 1024]
 
 
 MANY = "--robots 1000 --trials 1 --steps 20"
@@ -335,7 +348,9 @@ def test_a_thousand_robots_are_simulated_where_they_move_or_are_in_a_graph(
         (f"simulate {MANY} --topology dynamic --white-offset 0.1", "--white-offset: robots is 1000, but"),
         ("simulate --filter none --omega 0.1", "--omega would do nothing: filter is none"),
         ("simulate --workers 0", "--workers is 0"),
+        ("simulate --workers 1025", "--workers is 1025"),
         ("simulate --record -1", "--record is -1"),
+        ("simulate --steps 10 --record 11", "--record is 11; choose 1 to 10 steps"),
         ("simulate --output results.csv", "ends in .parquet"),
         ("simulate --steps 10 --k-max 0", "K_max is 0"),
         ("simulate dynamic", "run it with mcp-asdf sweep"),

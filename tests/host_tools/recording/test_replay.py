@@ -144,6 +144,23 @@ def test_one_wrong_bit_is_found_where_it_is(seed: int, recorded: Path) -> None:
         assert (verdict.difference, verdict.not_logged) == (None, 1)
 
 
+def test_the_command_says_what_it_found(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    swarm(tmp_path / "other.log", "--seed 4")
+    others = input_log_path(tmp_path / "other.log")
+    capsys.readouterr()
+    assert main(["replay", str(recorded)]) == 0
+    assert [line.rstrip() for line in capsys.readouterr().out.splitlines()] == [
+        *(" 160  broadcasts reproduced bit for bit", "   0  broadcasts that a fault had given other values"),
+        *("   0  frames under a robot's id that it did not send", "   0  broadcasts that the log lacks"),
+        *("   0  broadcasts after the events were cut off", "  16  other frames"),
+        f"again: mcp-asdf replay {recorded}",
+    ]
+    assert main(["replay", str(recorded), "--events", str(others)]) == 1
+    assert capsys.readouterr().err.startswith("mcp-asdf replay: not reproduced: frame ")
+
+
 def test_every_settle_shows_its_robot(recorded: Path) -> None:
     with InputLogReader(input_log_path(recorded)) as input_log:
         shown = [(robot, state.t) for robot, state in rerun(input_log)]

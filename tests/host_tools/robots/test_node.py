@@ -87,7 +87,7 @@ def test_a_full_send_queue_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_link_that_endures_counts_failures_and_one_that_does_not_ends_the_run(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What the driver marks as sent by itself is not heard."""
     log, bus, slept = list[can.Message](), Mock(), list[float]()
@@ -103,6 +103,9 @@ def test_a_link_that_endures_counts_failures_and_one_that_does_not_ends_the_run(
     outcome = run_node(node(5), BusLink(bus))
     assert outcome.has_failed and not outcome.is_interrupted
     assert outcome.ending == "the bus failed: no luck [Error Code 100]"
+    monkeypatch.setattr("mcp_asdf_tools.cli.node.run_node", lambda *_: outcome)
+    assert main(["node", "--id", "5", "--quiet"]) == 1
+    assert capsys.readouterr() == ("", f"mcp-asdf node: {outcome.ending}\n")
     bus.recv.side_effect, heard = None, can.Message(is_rx=True)
     bus.recv.return_value = heard
     assert link.receive(0) is log[-1] is heard
