@@ -13,9 +13,11 @@ import can
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 import mcp_asdf_tools as m
 from mcp_asdf.reference import ReferenceRobot
+from mcp_asdf_tools.common.figures import add_legend, empty_figure
 from mcp_asdf_tools.experiments.results import table_of
 from mcp_asdf_tools.experiments.trials import run_trials
 from support import ROOT, run
@@ -148,6 +150,18 @@ def test_a_wrong_argument_is_one_kind_of_error(wrong: Callable[[Any, Any], objec
 # --- Pictures ---
 
 
+def test_a_legend_has_the_columns_that_fit() -> None:
+    found = []
+    for letters in (1, 12, 20, 28, 40, 200):
+        figure = empty_figure(6, 3)
+        add_legend(figure, [Line2D([], [], label="m" * letters) for _ in range(8)])
+        (legend,) = figure.legends
+        found.append(cast(Any, legend)._ncols)
+    assert found == [6, 3, 2, 1, 1, 1]
+    add_legend(figure, [Line2D([], [], label="two"), Line2D([], [], label="only")])
+    assert cast(Any, figure.legends[-1])._ncols == 2
+
+
 def test_a_curve_is_of_the_chosen_and_goes_into_axes_of_ones_own() -> None:
     table = m.simulate(m.grid(flawed=[1, 2], filter=["none", "asdf-plus"], robots=4, steps=60, trials=2))
     figure, where = Figure(), {"filter": "none"}
@@ -156,5 +170,6 @@ def test_a_curve_is_of_the_chosen_and_goes_into_axes_of_ones_own() -> None:
     )
     assert drawn is figure and len(figure.axes[0].lines) == 1
     both: Any = m.plot(table, "curve", x="flawed", facet="filter")
-    assert both._repr_png_().startswith(b"\x89PNG"), "a notebook shows it"
+    shown = both._repr_png_()  # by a notebook, 150 pixels an inch
+    assert shown[:4] == b"\x89PNG" and int.from_bytes(shown[16:20], "big") == 150 * both.get_figwidth()
     assert [each.get_title() for each in both.axes] == ["filter none", "filter asdf-plus"]

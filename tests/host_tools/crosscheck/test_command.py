@@ -86,6 +86,7 @@ def test_a_failure_is_printed_with_a_line_that_replays_it(
     assert last.startswith("replay: mcp-asdf crosscheck --replay ")
     replay = shlex.split(last)[3:]
     scenario = parse_scenario(replay[1])
+    assert len(scenario.calls) == 2, "no fewer show it"
     code, again, _ = main(capsys, *replay)
     assert code == 1
     assert out.endswith(again), "the replay shows something else"

@@ -180,7 +180,8 @@ def test_an_interrupted_study_goes_on_to_the_same_report(
     (whole / "report.html").unlink()
     assert cli.main(["reproduce", *TINY, "--output", str(whole)]) == 0
     out, err = capsys.readouterr()
-    assert f"{'too short':10} physical" in out and err == "0 trials to run\n"
+    assert f"{'too short':10} physical" in out and f"\n{whole}/report.html\nagain: " in out
+    assert err == "0 trials to run\n"
     assert files_of(whole) == before
     assert cli.main(["reproduce", *TINY, "--output", str(whole), "--seed", "2"]) == 2
     assert "choose another name" in capsys.readouterr().err
