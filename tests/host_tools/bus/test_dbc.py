@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import fields
 from enum import Enum
+from pathlib import Path
 from typing import Any
 
 import can
@@ -113,10 +115,18 @@ def test_values_have_their_names(database: Any, message: str, signal: str, kind:
     assert {number: str(name) for number, name in choices.items()} == {each.value: each.name for each in kind}
 
 
-def test_messages_of_each_node(capsys: pytest.CaptureFixture[str]) -> None:
-    chosen = ("0", "7", "127")
-    assert main(["dbc", "--per-node", *chosen, "--subject", "1234", "--priority", "1"]) == 0
-    database = load(capsys.readouterr().out)
+def test_messages_of_each_node(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    chosen, path = ("0", "7", "127"), tmp_path / "swarm.dbc"
+    words, output = ["dbc", "--per-node", *chosen, "--subject=1234", "--priority=1"], f"--output={path}"
+    found = []
+    for options in ([], ["--json"], [output], [output, "--json"]):
+        assert main([*words, *options]) == 0
+        found.append(capsys.readouterr().out)
+    assert found[2] == f"wrote {path}\n" and found[0] == path.read_text()
+    assert [json.loads(found[place]) for place in (1, 3)] == [
+        {"file": file, "dbc": found[0]} for file in (None, str(path))
+    ]
+    database = load(found[0])
     assert len(database.messages) == 4 * len(chosen)
     for node in map(int, chosen):
         frame = encode(Message(node, 5, 0x600, 7), FrameFormat(1234, 1))

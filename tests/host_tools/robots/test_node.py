@@ -22,6 +22,7 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import BusLink, RobotNode, filters_for, run_node, send_all
+from mcp_asdf_tools.robots.suspicion import MEANINGS, Suspicion
 from support import PATIENCE, ROOT, interruptible
 from wire import join, meanwhile, node, record
 
@@ -192,7 +193,10 @@ def test_suspicious_estimates_are_told_once_for_each_kind_and_sender(
     assert counters["counters"]["accepted"] == sum(map(len, alphas.values()))
     assert report["parameters"]["robot"]["allow"] == "6-9"
     lines = [line for line in captured.err.splitlines() if ": node " in line]
-    assert len(lines) == len(expected) and all("mcp-asdf node: node" in line for line in lines)
+    assert {*lines} == {
+        f"mcp-asdf node: node {sender}: {MEANINGS[Suspicion(kind)]}" for kind, sender in expected
+    }
+    assert len(lines) == len(expected)
 
 
 ENDINGS = {"": signal.SIGINT, "--steps 100000": signal.SIGTERM, "--until-eof": None}
