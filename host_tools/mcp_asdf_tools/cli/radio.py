@@ -81,8 +81,7 @@ def run(args: argparse.Namespace) -> int:
             f"say with --interface on which bus the controller is: the bus {choice} is inside this process, "
             "where nothing else is"
         )
-    console = Console(stderr=True)
-    console.quiet = args.json or not console.is_terminal
+    console = Console(stderr=True, quiet=args.json)
     return (_verify if args.verify else _emulate)(args, settings, choice, console)
 
 

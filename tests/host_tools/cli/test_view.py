@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 from urllib.request import urlopen
 
 import can
@@ -102,13 +103,14 @@ def test_a_bus_is_watched_until_it_is_asked_to_end(
     assert main(["view", "--interface", "udp_multicast", "--channel", "239.74.163.77", "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["url"].startswith("http://127.0.0.1:") and "no robot sent telemetry" in err
-    monkeypatch.setattr(BusFilm, "record", raise_bus_error)
+    failing = Mock(side_effect=can.CanOperationError("it is off"))
+    monkeypatch.setattr(BusFilm, "record", failing)
     assert main(["view", "--interface", "udp_multicast", "--channel", "239.74.163.77"]) == 1
     assert "mcp-asdf view: the bus failed: it is off" in capsys.readouterr().err
-
-
-def raise_bus_error(film: BusFilm, should_stop: object) -> None:
-    raise can.CanOperationError("it is off")
+    monkeypatch.setattr("mcp_asdf_tools.cli.swarm.run_swarm", failing)
+    monkeypatch.setattr(view, "wait", None)  # nobody looks at a run that an error ended
+    assert main(["swarm", "--robots", "4", "--steps", "20", "--view"]) == 1
+    assert "mcp-asdf swarm: it is off" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
