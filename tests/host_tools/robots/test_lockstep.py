@@ -234,7 +234,7 @@ def test_a_command_that_is_lost_twice_ends_the_run_and_so_does_an_answer(
 @still()
 def test_a_tick_may_be_left_open() -> None:
     """As if every settle had been lost: the robot ends it when it observes again."""
-    wire = Wire(node(1))
+    wire = Wire(node(1, comms_period=2))
     lockstep = Lockstep(wire)
     for distance in (1, 7):
         lockstep.observe({1: Observation.WHITE})
@@ -242,6 +242,7 @@ def test_a_tick_may_be_left_open() -> None:
     step(lockstep, 1)
     assert [decoded(frame).tick for frame in wire.sent] == [0, 1, 8, 8]
     assert (lockstep.tick, wire.nodes[0].unsettled, wire.nodes[0].robot.t) == (9, 2, 3)
+    assert wire.nodes[0].sent.estimates == 1
 
 
 @still()
