@@ -127,8 +127,8 @@ def test_cells_are_all_combinations_that_are_flawed() -> None:
     assert loss.place.column.startswith("loss of H from P 10 %")
     assert questions[0].place.row == "f 0.95, b 0.55, b_hat 0.75"
     assert questions[0].place.column == "H, P 10 %, ASDF+, tau 1000 less no filter"
-    (level,) = asked(percents=30, b_hats=0.75, level="excellent")
-    assert level.place.column == "H less 90, P 30 %, no filter"
+    (level,) = asked(percents=0, b_hats=0.75, level="excellent")
+    assert level.place == ("f 0.95, b 0.55", "H less 90, P 0 %, no filter")
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from benchmarks import pages
 from host_tools.reproduction.test_report import run_of
@@ -39,7 +40,7 @@ def test_measures_by_hand() -> None:
     """Four robots, one flawed and the last a liar; of two trials the second harms one healthy robot."""
     experiment = Experiment(robots=4, flawed=1, steps=4000, fill_ratio=0.5, true_accuracy=0.9, trials=2)
     k, e = np.array([[0, 1000, 2000, 9]] * 2), np.array([[0.1, 0.2, 0.3, 9.0]] * 2)
-    b_hat = np.array([[[0.5, 0.9, 0.9, 0.1]], [[0.5, 0.84, 0.94, 0.1]]])
+    b_hat = np.array([[[0.5] * 4, [0.5, 0.9, 0.9, 0.1]], [[0.5] * 4, [0.5, 0.84, 0.94, 0.1]]])
     x = np.full((2, 9, 4), 0.7)
     x[:, -2:] = [[0.4, 0.6, 0.8, 0.0], [0.5, 0.7, 0.6, 0.0]]  # the last quarter of nine values are two
     counts = np.zeros((2, 4), np.int64)
@@ -308,7 +309,9 @@ def test_a_row_says_what_sets_an_experiment_apart() -> None:
         assert robust.row_of(Experiment(**own)) == row
 
 
-def test_many_robots_have_costs_beside_scores_and_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_robots_have_costs_beside_scores_and_errors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of two ns for a robot and step, and a start."""
     with monkeypatch.context() as patch:
         patch.setattr(scaling, "time", SimpleNamespace(process_time=iter([0, 5, 12, 14]).__next__))
@@ -329,3 +332,7 @@ def test_many_robots_have_costs_beside_scores_and_errors(monkeypatch: pytest.Mon
         expected = [np.median(each[("H", "late", "cost")[number % 3]]) for each in found]
         drawn = np.concatenate([np.asarray(line.get_ydata()) for line in axes.lines])
         assert drawn == pytest.approx(np.array([*expected[::2], *expected[1::2]]))
+    monkeypatch.setattr(scaling, "picture_of", lambda found: Figure())
+    scaling.write_report(tmp_path, {"scale": results})
+    assert f"{scaling.lines_of(table)}\n\n![Many robots](scale.svg)\n" in (tmp_path / "scale.md").read_text()
+    assert {path.name for path in tmp_path.iterdir()} == {"scale.md", "scale.csv", "scale.svg"}

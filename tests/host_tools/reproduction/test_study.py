@@ -25,7 +25,7 @@ from mcp_asdf_tools.reproduction.claims import CLAIMS
 from mcp_asdf_tools.reproduction.decisions import decide
 from mcp_asdf_tools.reproduction.figures import pictures
 from mcp_asdf_tools.reproduction.runs import StudyFolder
-from mcp_asdf_tools.reproduction.study import Effort, Part, Scale, Study, cells_of, experiment_of
+from mcp_asdf_tools.reproduction.study import Cell, Effort, Part, Scale, Study, cells_of, experiment_of
 from support import ROOT
 from trials import noted_jobs
 
@@ -75,6 +75,13 @@ def test_the_study_is_the_papers() -> None:
     for cell in cells_of(PHYSICAL):
         assert (cell.fill_ratio, cell.true_accuracy) == (0.448, 1.0)
         assert experiment_of(cell, Scale()).flawed == cell.percent * 8 // 100
+
+
+def test_only_flawed_robots_that_are_some_make_another_swarm() -> None:
+    minus = Cell(DYNAMIC, 0.55, 0.95, 0.55, 50, "asdf-minus", 2000)
+    without, everyone = minus.but(percent=0).normal, minus.but(percent=100).normal
+    assert without == Cell(DYNAMIC, 0.55, 0.95, 0.95, 0) and minus.normal == minus
+    assert everyone == minus.but(percent=100, filter="asdf-plus")
 
 
 def test_efforts_count_their_looks() -> None:
