@@ -71,16 +71,18 @@ def test_a_changed_character_anywhere_is_noticed(tmp_path: Path, capsys: Capture
     assert check_file(path).problem is None
     path.write_text(text.replace(f" {TABLE.entries[17]},", " 7,"))
     capsys.readouterr()
-    assert run_table("--check", path) == 1
+    assert run_table("--check", C_FILE, path) == 1
     expected = f"line 37: found '    7,', expected '    {TABLE.entries[17]},'"
-    assert capsys.readouterr().out == f"{path}: omega 0.05, q 30: {expected}\n"
+    lines = [f"{C_FILE}: omega 0.05, q 30: ok", f"{path}: omega 0.05, q 30: {expected}"]
+    assert capsys.readouterr().out.splitlines() == lines
 
 
 def test_making_a_table(tmp_path: Path, capsys: Capture) -> None:
     folder = tmp_path / "new/folder"
     assert run_table("--omega", "0.050", "--neighbours", 30, "--output", folder) == 0
     out = capsys.readouterr().out
-    assert "132 bytes (12 + 4 q)" in out and "1.83% for 30 < m <= 127" in out
+    assert out.startswith("omega 0.05, q 30: 132 bytes (12 + 4 q)\nworst threshold error: ")
+    assert " by rounding, 1.83% for 30 < m <= 127\n" in out
     assert {path.name for path in folder.iterdir()} == {C_FILE.name, f"{C_FILE.stem}.json"}
     for path in folder.iterdir():
         assert f"wrote {path}\n" in out
