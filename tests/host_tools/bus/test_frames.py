@@ -253,8 +253,7 @@ def test_many_frames_are_decoded_at_once_as_each_is() -> None:
     flips = [draw.choice((0, 0, 1 << draw.randrange(64), draw.getrandbits(64))) for _ in arrivals]
     ends = (0, bits_of(2.0**-24), bits_of(2.0**31) - 1, bits_of(2.0**31), LARGEST_BITS, frames.INFINITE_ALPHA)
     for x_hat, bits in product((2**23, 2**23 + 1), ends):
-        content = x_hat | bits << 24 | 0xE0 << 56
-        arrivals.append(altered(LEGAL[0], data=content.to_bytes(8, "little")))
+        arrivals.append(altered(LEGAL[0], data=(x_hat | bits << 24 | 0xE0 << 56).to_bytes(8, "little")))
         flips.append(0)
     rows, is_estimate = decode_estimates(arrivals, DEFAULT, np.array(flips, np.uint64))
     assert rows.shape == (len(arrivals), 3)

@@ -66,15 +66,14 @@ def names(folder: Path) -> list[str]:
 def test_what_is_on_disk_after_a_second_is_read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """As after kill -9: the copy is what another process finds at that moment."""
     log, part, lost = (tmp_path / name for name in ("run.log", "run.log.part", "lost.log.part"))
-    clock = SimpleNamespace(now=0.0)
+    clock, on_disk = SimpleNamespace(now=0.0), list[int]()
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: clock.now))
     monkeypatch.setattr(module, "_MOST_WAITING", 20)
-    on_disk = list[int]()
     with recorded(log, None) as write:
         for number, clock.now in enumerate([*[0.9] * 21, 1.89, 1.9, *[1.91] * 25]):
             write(number)
             lost.write_bytes(part.read_bytes())
-            on_disk.append(numbers(lost)[-1] + 1 if lost.stat().st_size else 0)
+            on_disk.append(len(numbers(lost)) if lost.stat().st_size else 0)
         assert on_disk == [*[0] * 20, 20, 20, *[22] * 21, *[43] * 5], "many do not wait for the second"
         assert numbers(lost) == list(range(43))
         assert not log.exists()
