@@ -34,7 +34,7 @@ FRAMES = {
     ),
     "042#": can.Message(arbitration_id=0x42, is_extended_id=False),
     "00000042#R": can.Message(arbitration_id=0x42, is_remote_frame=True, dlc=3),
-    "E00000088#00": can.Message(arbitration_id=0x88, is_error_frame=True, data=bytes(1)),
+    "E00000088#00": can.Message(arbitration_id=0x88, is_error_frame=True, is_extended_id=False, data=b"\0"),
 }
 """Frames by their text, which is candump's."""
 
