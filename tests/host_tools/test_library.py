@@ -151,15 +151,10 @@ def test_a_wrong_argument_is_one_kind_of_error(wrong: Callable[[Any, Any], objec
 
 
 def test_a_legend_has_the_columns_that_fit() -> None:
-    found = []
-    for letters in (1, 12, 20, 28, 40, 200):
+    for letters, count, columns in ((1, 8, 6), (12, 8, 3), (20, 8, 2), (28, 8, 1), (200, 8, 1), (1, 2, 2)):
         figure = empty_figure(6, 3)
-        add_legend(figure, [Line2D([], [], label="m" * letters) for _ in range(8)])
-        (legend,) = figure.legends
-        found.append(cast(Any, legend)._ncols)
-    assert found == [6, 3, 2, 1, 1, 1]
-    add_legend(figure, [Line2D([], [], label="two"), Line2D([], [], label="only")])
-    assert cast(Any, figure.legends[-1])._ncols == 2
+        add_legend(figure, [Line2D([], [], label="m" * letters) for _ in range(count)])
+        assert [each._ncols for each in cast(list[Any], figure.legends)] == [columns]
 
 
 def test_a_curve_is_of_the_chosen_and_goes_into_axes_of_ones_own() -> None:

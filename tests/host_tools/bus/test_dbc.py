@@ -116,17 +116,18 @@ def test_values_have_their_names(database: Any, message: str, signal: str, kind:
 
 
 def test_messages_of_each_node(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    chosen, path = ("0", "7", "127"), tmp_path / "swarm.dbc"
-    words, output = ["dbc", "--per-node", *chosen, "--subject=1234", "--priority=1"], f"--output={path}"
-    found = []
-    for options in ([], ["--json"], [output], [output, "--json"]):
+    chosen, file = ("0", "7", "127"), str(tmp_path / "swarm.dbc")
+    words = ["dbc", "--per-node", *chosen, "--subject=1234", "--priority=1"]
+    for options in ([], ["--output", file], ["--json"], ["--json", "--output", file]):
         assert main([*words, *options]) == 0
-        found.append(capsys.readouterr().out)
-    assert found[2] == f"wrote {path}\n" and found[0] == path.read_text()
-    assert [json.loads(found[place]) for place in (1, 3)] == [
-        {"file": file, "dbc": found[0]} for file in (None, str(path))
+    lines = capsys.readouterr().out.partition(f"wrote {file}\n")
+    text = Path(file).read_text()
+    assert lines[0] == text
+    assert json.loads(f"[{lines[2]}]".replace("}\n{", "},{")) == [
+        {"file": None, "dbc": text},
+        {"file": file, "dbc": text},
     ]
-    database = load(found[0])
+    database = load(text)
     assert len(database.messages) == 4 * len(chosen)
     for node in map(int, chosen):
         frame = encode(Message(node, 5, 0x600, 7), FrameFormat(1234, 1))

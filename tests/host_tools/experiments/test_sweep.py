@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
+from unittest.mock import Mock
 
 import numpy as np
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
@@ -246,15 +247,14 @@ def test_progress_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
     now = [0.0]
     monkeypatch.setattr(progress_bar, "time", SimpleNamespace(monotonic=lambda: now[0]))
     lines = ["trials: 3 of 8, 0.05/s, 0:01:40 left", "trials: 6 of 8, 0.05/s, 0:00:40 left"]
-    for quiet, is_terminal, said in ((False, False, lines), (True, False, []), (False, True, None)):
-        if is_terminal:
-            monkeypatch.setenv("FORCE_COLOR", "1")
+    for quiet, bar, said in ((False, "", lines), (True, "", []), (False, "1", None)):
+        monkeypatch.setenv("FORCE_COLOR", bar)  # a terminal, to rich
         now[0] = 100.0
         with progress_bar.progress("trials", 8, quiet) as add:
             for now[0] in (130.0, 160.0, 219.0, 220.0):
                 add(1.5)
         err = capsys.readouterr().err
-        assert "6/8" in err if said is None else err.splitlines() == said
+        assert "6/8" in err if bar else err.splitlines() == said
 
 
 # --- Commands --------------------------------------------------------------------------------------------
@@ -311,16 +311,11 @@ def test_simulate_takes_options_over_a_file(tmp_path: Path, answer: Callable[...
 
 
 def test_a_short_experiment_starts_no_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    used: list[int] = []
-
-    def note(*_: object, workers: int, **__: object) -> None:
-        used.append(workers)
-        raise UsageError("that is enough")
-
-    monkeypatch.setattr("mcp_asdf_tools.cli.simulate.simulate", note)
+    asked = Mock(side_effect=UsageError("that is enough"))
+    monkeypatch.setattr("mcp_asdf_tools.cli.simulate.simulate", asked)
     for words in ("--steps 999999", "--steps 1000000", "--steps 1000 --firmware mirror"):
         assert cli.main(f"simulate --robots 20 --trials 5 --workers 1024 {words}".split()) == 2
-    assert used == [1, 1024, 1024]
+    assert [each.kwargs["workers"] for each in asked.call_args_list] == [1, 1024, 1024]
 
 
 MANY = "--robots 1000 --trials 1 --steps 20"

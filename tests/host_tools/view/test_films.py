@@ -174,15 +174,19 @@ def inflated(text: str, kind: str) -> NDArray[Any]:
 
 @pytest.mark.parametrize(("robots", "moves"), [(3, 0), (11, 1), (128, 0), (129, 1)])
 def test_a_page_has_all_of_a_film(robots: int, moves: int) -> None:
-    """In the layout that its script reads: with places and without, who hears whom as bits or as pairs."""
+    """In the layout that its script reads: with places and without, who hears whom as bits or as pairs.
+
+    No text in it ends the script."""
     draw, sides, floor = np.random.default_rng(robots), (3.0, 2.0), np.arange(33).reshape(3, 11) % 5 < 2
     values, places = draw.uniform(-0.1, 1.1, (5, 4, robots)), draw.uniform(-1, 1, (5, robots, 2))
     values[values > 1.05] = np.nan
     hears = draw.random((5, robots, robots)) < 0.3
     links = [np.argwhere(each) if robots > 128 else each for each in hears]
-    stage = Stage("any", [*range(robots)], range(1), sides=sides if moves else None, floor=floor)
+    stage = Stage("any </script>", [*range(robots)], range(1), sides=sides if moves else None, floor=floor)
     film = [State(7 * i, values[i], links[i], places[i] if moves else None) for i in range(5)]
-    (text,) = re.findall('<script id="film"[^>]*>(.*?)</script>', page(Film(stage, film)))
+    whole = page(Film(stage, film))
+    assert not re.findall("__[A-Z_]+__", whole) and "Permission is hereby granted" in whole
+    (text,) = re.findall('<script id="film"[^>]*>(.*?)</script>', whole)
     told, block = (json.loads(text)[name] for name in ("stage", "block"))
     bits = np.unpackbits(inflated(told["floor"].pop("bits"), "u1").reshape(3, 2), axis=1)
     assert np.array_equal(bits[:, :11], floor) and told["floor"] == {"rows": 3, "columns": 11}

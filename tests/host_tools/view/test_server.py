@@ -86,14 +86,6 @@ def test_events_are_the_film_and_end_with_the_run() -> None:
         assert {(each["title"], each["fill_ratio"]) for each in stages} == {(STAGE.title, 0.5)}
 
 
-def test_no_text_of_a_film_ends_its_script() -> None:
-    text = page(OVER)
-    begin = text.index('<script id="film"')
-    assert "two \\u003c/script>" in text[begin : text.index("</script>", begin)]
-    assert "__" not in text[:begin].replace("__proto__", "")
-    assert "Permission is hereby granted" in text
-
-
 def test_a_port_is_free_again_at_once_and_one_that_is_taken_is_named() -> None:
     with serving(OVER, 65535) as url, socket.create_connection(("127.0.0.1", 65535)) as client:
         client.sendall(b"GET / HTTP/1.0\r\n\r\n")
