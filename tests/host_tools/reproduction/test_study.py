@@ -140,7 +140,7 @@ def test_pictures_are_the_papers_figures(monkeypatch: pytest.MonkeyPatch) -> Non
 
     for kind in ("boxes", "scatter", "bands", "series_beside"):
         monkeypatch.setattr(plots, kind, drawn)
-    for there, count in (({DYNAMIC}, 4), ({FULL}, 5), ({PHYSICAL}, 2), (set(Part), 13)):  # noqa: B007 (``Whole``)
+    for there, count in (({DYNAMIC}, 4), ({PHYSICAL}, 2), (set(Part), 13)):  # noqa: B007 (``Whole``)
         found: dict[str, Any] = {each.name: each for each in pictures(Whole({}), Scale(2, 4000))}
         assert len(found) == count
     numbers = {name: [*re.findall(r"figure (\w+)\)$", each.title), ""] for name, each in found.items()}
