@@ -106,7 +106,7 @@ class Comparison:
         greeting = self._greeting.arbitration_id, self._greeting.data
         own[HEARTBEAT] = [each for each in own[HEARTBEAT] if (each.arbitration_id, each.data) != greeting]
         if len(own[HEARTBEAT]) > len(models[HEARTBEAT]):
-            models[HEARTBEAT].insert(0, self._greeting)
+            models[HEARTBEAT] = [self._greeting, *models[HEARTBEAT]]
 
     def _by_kind(self, frames: Sequence[can.Message]) -> Frames:
         sorted_: Frames = {kind: [] for kind in FIELDS}

@@ -227,8 +227,7 @@ def unusual_commands(bench: Bench) -> None:
         bench.send(bench.messages({bench.others[2]: any_content(bench.draw)}))
         bench.settle()
     for bit in (8, 16, 24, 31):
-        for distance in (1 << bit, 1 - (1 << bit)):
-            later = "higher" if distance > 0 else "lower"
+        for later, distance in (("higher", 1 << bit), ("lower", 1 - (1 << bit))):
             bench.avoid_test(f"an observe of a number {later} by about 2^{bit} than that of the open tick")
             bench.observe(bench.any_observation())
             bench.leave_open(distance)
