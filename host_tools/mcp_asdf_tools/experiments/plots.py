@@ -458,8 +458,9 @@ def errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: Limits = PA
     for axes, (title, own) in zip(grid, panels.items(), strict=True):
         axes.set_title(title, fontsize=SMALL, loc="left")
         for each, colour in looks:
-            errors = [_mean_errors(trials) for trials in own if trials.experiment.filter == each]
-            if errors:
+            chosen = [trials for trials in own if trials.experiment.filter == each]
+            if chosen:
+                errors = [abs(t.records["x"] - t.experiment.fill_ratio).mean(axis=2) for t in chosen]
                 found = _intervals(np.concatenate(errors).T)
                 _draw_band(axes, np.arange(found.shape[1]) * own[0].sampling_interval, found, colour)
         axes.set_yscale("log")
@@ -467,12 +468,6 @@ def errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: Limits = PA
     handles = [_handle(TYPESET_FILTER_NAMES[each], colour, "", "-") for each, colour in looks]
     words = f"lines are medians over the trials of a swarm's mean error, {_interval_words(together)}"
     return _finish(figure, ("step", "error |x \u2212 f|"), _caption(together, words, limits), handles)
-
-
-def _mean_errors(trials: Trials) -> NDArray[np.float64]:
-    """|x - f| over the robots, shape (trials, samples)."""
-    errors: NDArray[np.float64] = abs(trials.records["x"] - trials.experiment.fill_ratio).mean(axis=2)
-    return errors
 
 
 _OFF = 0.05
