@@ -183,7 +183,7 @@ def test_the_driver_asks_whether_to_wait_on_also_on_a_bus_that_is_never_quiet(
         raise ZeroDivisionError
 
     lockstep = Lockstep(kind_of_wire(node(1)), timeout=1e9, check=give_up)
-    lockstep.observe({2: Observation.WHITE})
+    lockstep.observe(dict.fromkeys((1, 2), Observation.WHITE))
     for wait in (lambda: lockstep.wait_until_up({3}, 1e9), lambda: lockstep.settle({2})):
         with pytest.raises(ZeroDivisionError):
             wait()
