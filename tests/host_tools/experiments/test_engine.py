@@ -288,6 +288,8 @@ def test_float64_follows_the_firmware(experiment: Experiment) -> None:
     assert np.array_equal(own.tests, other.tests)
     for name in ("x_hat", "x_bar", "x", "b_hat"):
         assert np.abs(own.records[name] - other.records[name]).max() < 1e-5, name
+    authors = run_trials(replace(experiment, firmware="reference", conventions="authors"), 0, 1)
+    assert np.array_equal(authors.b_hat, other.b_hat) == (experiment.activation == "always")
 
 
 @BOTH
