@@ -141,7 +141,7 @@ def test_a_claim_that_does_not_hold_fails_the_command(
 ) -> None:
     monkeypatch.setattr(command, "count_operations", lambda: operations)
     monkeypatch.setattr(command, "measure_storage", lambda: storage)
-    code, out, _ = main(capsys, "--steps", "10", "--json")
+    code, out, _ = main(capsys, "--steps", "1", "--seed", "0", "--json")
     assert (code, json.loads(out)["problems"]) == (1, [told])
 
 

@@ -254,7 +254,8 @@ def test_progress_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
             for now[0] in (130.0, 160.0, 219.0, 220.0):
                 add(1.5)
         err = capsys.readouterr().err
-        assert "6/8" in err if bar else err.splitlines() == said
+        # A bar is erased in the end.
+        assert "6/8" in err and err.endswith("\x1b[2K") if bar else err.splitlines() == said
 
 
 # --- Commands --------------------------------------------------------------------------------------------
