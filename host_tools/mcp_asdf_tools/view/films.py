@@ -107,7 +107,7 @@ _BITS_OF_MANY = 16
 def spacing_of(steps: int, robots: int) -> int:
     """Steps between the states of a film, so that a page of it has a few megabytes at most."""
     bits = robots * (_BITS_OF_MANY if robots > MAX_ON_BUS else robots)
-    return -(-steps // min(MAX_STATES, max(1, _MOST_LINKS // bits)))
+    return -(-steps // min(MAX_STATES, _MOST_LINKS // bits))
 
 
 def film_of_trial(trials: Trials, trial: int) -> Film:
