@@ -44,7 +44,7 @@ def udp(port: int, returns_own: bool = False) -> can.BusABC:
 
 MEDIA = {
     "one bus": ON_ONE_BUS,
-    "no bus": Wiring(),
+    "no bus": Wiring(channel="none"),
     "a bus for each": ON_OWN_BUSES,
     "one group": Wiring(lambda robot: udp(UDP_PORT, returns_own=True)),
     "a group for each": Wiring(lambda robot: udp(UDP_PORT + 1 + robot), is_shared=False),
@@ -78,6 +78,7 @@ def test_every_medium_carries_the_same(medium: str, faults: tuple[str, ...], wor
     assert states(run.nodes) == states(reference.nodes)
     assert run.results == reference.results
     assert logs[0] == logs[1]
+    assert medium != "no bus" or {frame.channel for frame in frames} == {"none"}
     assert "group" in medium or [f.timestamp for f in frames] == [f.timestamp for f in sent]
     assert all(injected(run))
 
