@@ -19,12 +19,20 @@ from mcp_asdf_tools.crosscheck.compare import (
     differences,
     shrink,
 )
+from mcp_asdf_tools.crosscheck.random_scenarios import robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, parse_scenario
 
 
 # design: R12, R21, R24, R33
 def test_native_and_mirror_agree_and_keep_every_limit() -> None:
     assert caught(judged(NativeRobot, MirrorRobot), calls=10_000) is None
+
+
+def test_native_and_mirror_agree_next_to_the_threshold_of_the_robust_filter() -> None:
+    """Nothing else notices three mistakes in how the mirror folds b_hat at 1/2."""
+    for number in range(40):
+        scenario = robust_scenario(23, number)
+        assert compare_firmwares(scenario, MirrorRobot, NativeRobot) is None, str(scenario)
 
 
 class Unmakeable(MirrorRobot):
