@@ -29,7 +29,7 @@ def test_native_and_mirror_agree_and_keep_every_limit() -> None:
 
 
 def test_native_and_mirror_agree_next_to_the_threshold_of_the_robust_filter() -> None:
-    """Nothing else notices three mistakes in how the mirror folds b_hat at 1/2."""
+    """Nothing else notices four mistakes in how the mirror folds b_hat at 1/2."""
     for number in range(40):
         scenario = robust_scenario(23, number)
         assert compare_firmwares(scenario, MirrorRobot, NativeRobot) is None, str(scenario)
