@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -62,7 +63,8 @@ def test_a_signal_ends_a_process_and_loses_nothing(
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-    ) as running:
+    ) as running, ExitStack() as in_the_end:
+        in_the_end.callback(running.kill)  # also if it goes on where it should have ended
         wait_until(running, lambda: number == signal.SIGKILL or heeds(running.pid, number))
         if LOG in line:
             wait_until(running, lambda: part.exists() and part.stat().st_size > 0)
