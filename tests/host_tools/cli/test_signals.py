@@ -56,14 +56,17 @@ def test_a_signal_ends_a_process_and_loses_nothing(
     """A log is replayed; what no process survives leaves a part of it."""
     words = shlex.split(line) + (multicast(31).arguments() if "--processes" in line else [])
     log, part = tmp_path / "run.log", tmp_path / "run.log.part"
-    with subprocess.Popen(
-        [sys.executable, "-m", "mcp_asdf_tools.cli.main", *words],
-        cwd=tmp_path,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as running, ExitStack() as in_the_end:
+    with (
+        subprocess.Popen(
+            [sys.executable, "-m", "mcp_asdf_tools.cli.main", *words],
+            cwd=tmp_path,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as running,
+        ExitStack() as in_the_end,
+    ):
         in_the_end.callback(running.kill)  # also if it goes on where it should have ended
         wait_until(running, lambda: number == signal.SIGKILL or heeds(running.pid, number))
         if LOG in line:
