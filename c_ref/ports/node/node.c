@@ -141,7 +141,8 @@ static void watch(node_t *node, const mcp_asdf_estimate_t *estimate)
     node_sender_t *sender = &node->senders[estimate->node];
     const uint64_t before = units(sender->alpha), now = units(estimate->alpha);
     const bool is_watched = sender->heard == NODE_WATCHED_AFTER;
-    node->counts.jumps += is_watched && now > 0 && now >= 2 * before;
+    /* After an alpha of 0 nobody is watched. */
+    node->counts.jumps += is_watched && now >= 2 * before;
     if (2 * now <= before) { /* it has begun anew */
         sender->heard = 0;
     } else if (!is_watched) {

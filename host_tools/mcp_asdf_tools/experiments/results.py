@@ -448,7 +448,7 @@ class Pieces:
         self._pieces[-count:] = [self._pieces[-count]._replace(path=path)]
 
     def rows_of_last(self, count: int) -> int:
-        """Number of rows of the last ``count`` row groups."""
+        """Number of rows of the last ``count`` row groups, 1 or more."""
         return self.rows - self._pieces[-count].first
 
     @staticmethod

@@ -48,4 +48,4 @@ class AlphaWatch:
         now = alpha_units(alpha)
         has_begun_anew = 2 * now <= before
         self._known[sender] = now, 0 if has_begun_anew else heard + 1
-        return heard >= WATCHED_AFTER and now >= 2 * before
+        return heard >= WATCHED_AFTER and now >= 2 * before  # after an alpha of 0 nobody is watched
