@@ -1,7 +1,7 @@
-"""Write the C source of an extension module that offers what C headers declare.
+"""Write the C source of a Python extension module that offers what C headers declare, by cffi.
 
-Run by CMake as ``python build_native.py MODULE OUTPUT HEADER...``. What cffi has to know is derived from
-the headers themselves, so the two cannot drift apart: a construct that this script does not expect ends
+CMake runs it as ``python build_native.py MODULE OUTPUT HEADER...``. The declarations for cffi are derived
+from the headers, so that the two cannot differ. A construct in a header that this script does not know ends
 the build with cffi's parse error.
 """
 
@@ -22,21 +22,26 @@ _INLINE_FUNCTION = re.compile(r"static inline ([^{;]*?)\s*\{[^}]*\}")
 
 
 def declarations(header: str) -> str:
-    """Declarations for cffi from the text of a header: its constants, types and functions."""
+    """Return the declarations for cffi of the constants, types and functions in the text of a header."""
     text = _CONTINUED_LINE.sub(" ", _COMMENT.sub("", header))
     text = _ONLY_CPLUSPLUS.sub("", text)
-    constants = [_constant(name, value) for name, value in _CONSTANT.findall(text) if re.search(r"\d", value)]
+    constants = [
+        _declare_constant(name, value) for name, value in _CONSTANT.findall(text) if re.search(r"\d", value)
+    ]
     code = _INLINE_FUNCTION.sub(r"\1;", _DIRECTIVE.sub("", text))
     return "\n".join([*constants, code])
 
 
-def _constant(name: str, value: str) -> str:
-    """A plain number as it stands, since arrays may be that long; the compiler evaluates any other."""
+def _declare_constant(name: str, value: str) -> str:
+    """Return the declaration of a macro whose value is a number.
+
+    A decimal number is given to cffi, which needs the lengths of arrays; it asks the compiler for others.
+    """
     return f"#define {name} {value if value.isdecimal() else '...'}"
 
 
 def main() -> None:
-    """Write the source."""
+    """Write the module's source, as the command line says."""
     module, output, *headers = sys.argv[1:]
     builder = FFI()
     for header in map(Path, headers):

@@ -10,7 +10,7 @@ import can
 import yaml
 from hypothesis import strategies as st
 
-from mcp_asdf.fixed_point import alpha_units, alpha_word
+from mcp_asdf.fixed_point import alpha_units, alpha_word_from_units
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,
@@ -82,7 +82,9 @@ def as_decoded(message: Any) -> Any:
     """The message with the smallest shift of alpha, as decoding gives it."""
     if not isinstance(message, Message):
         return message
-    return Message(message.sender, message.x_hat, alpha_word(alpha_units(message.alpha)), message.transfer_id)
+    return Message(
+        message.sender, message.x_hat, alpha_word_from_units(alpha_units(message.alpha)), message.transfer_id
+    )
 
 
 messages = drawn().map(as_decoded)

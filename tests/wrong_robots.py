@@ -323,11 +323,13 @@ WRONG |= {
     "rejects its own estimate": firmware("own estimate", "return {diff => difference == 0 or diff}erence *"),
     "tests its informed estimate": firmware("no information", "s.open, {s.x_hat => self.x_raw})"),
     "tests one message": firmware(
-        "rounds without a test", "({2 => 1} if mode ==", "if {not => s.open.count > 1 and not} rejects"
+        "rounds without a test",
+        "= {2 => 1} if config.filter ==",
+        "if {not => s.open.count > 1 and not} asdf_test_rejects",
     ),
-    "never updates": firmware("all white", "return {reestimate(s.t, s.n, s.closed) => None}"),
+    "never updates": firmware("all white", "return {reestimate(s.t, s.n, round_mean(s.closed)) => None}"),
     "x_bar not weighted in eq. 8": firmware(
-        "no information", "s.n, {s.closed => Closed(s.open.count << 24, s.open.x << 24)})"
+        "no information", "s.n, round_mean({s.closed => Closed(s.open.count << 24, s.open.x << 24)}))"
     ),
     "eq. 8 in float32": firmware("no information", "min(max({b_hat => b_hat >> 10 << 10}, B_HAT_MIN)"),
     "b_hat clamped elsewhere": firmware(
@@ -339,9 +341,7 @@ WRONG |= {
     ),
     "divides by 2 b - 1 = 0": firmware("no information", "return {HALF => ONE}, 0"),
     "keeps x_bar in silence": firmware("nothing seen", "{ => if s.open.count: }s.closed = Closed(s."),
-    "a bitmap of 32 senders": firmware(
-        "alike ids", "if s.heard[{sender >> 5 => 0}]", "s.heard[{sender >> 5 => 0}] |="
-    ),
+    "a bitmap of 32 senders": firmware("alike ids", "word_index = {sender >> 5 => 0}"),
     "does not hear robot 127": firmware("every sender", "0 <= sender {<= => <} MAX_ID"),
     "at most 100 messages": firmware("growing rounds", "status != Status.OK{ =>  or s.open.count > 99}:"),
     "takes the last message of a sender": firmware(
@@ -349,41 +349,43 @@ WRONG |= {
         "def {_receive => _receive(self, *message: int) -> Status:\n        "
         "vars(self).setdefault('kept', {})[message[0]] = message; return Status.OK\n\n    "
         "def _take}(self, sender: int, x_hat: int, alpha: int) -> Status:\n        s =",
-        "s, updated = self.s, False{ => ; [self._take(*m) for m in vars(self).pop('kept', {}).values()]}",
+        "is_updated = False{ => ; [self._take(*m) for m in vars(self).pop('kept', {}).values()]}",
     ),
     "loses low bits of alpha": firmware("nothing seen", "units = alpha_units(alpha){ =>  >> 8 << 8}"),
     "takes alpha = 0 for a little": firmware("nothing seen", "s.open, x_hat, alpha{ =>  or 0x100})"),
-    "colours exchanged": firmware("alone", "self.s, {index(z) => 1 - index(z)}"),
+    "colours exchanged": firmware("alone", "colour = {index(z) => 1 - index(z)}"),
     "rounds x_hat up": firmware("first black tiles", "s.updated = 0{ => ; s.x_hat += 0 < s.x_hat < HALF}"),
     "alpha of 20 bits": firmware("alone", "s.updated = 0{ => ; s.alpha &= 0xFFFF_F01F}"),
-    "halves down": firmware("no information", "s.n + {(s.n >> 1 & 1) => 0} >> 1", config=HALVED),
-    "halves up": firmware("threshold of 10 messages", "s.n + {(s.n >> 1 & 1) => 1} >> 1", config=HALVED),
-    "broadcasts x": firmware("nothing seen", '{robot.s.x_hat => robot.x_raw}, "x_hat'),
+    "halves down": firmware("no information", "s.n + {(s.n >> 1 & 1) => 0}) >> 1", config=HALVED),
+    "halves up": firmware("threshold of 10 messages", "s.n + {(s.n >> 1 & 1) => 1}) >> 1", config=HALVED),
+    "broadcasts x": firmware("nothing seen", "return {self.s.x_hat => self.x_raw}\n"),
     # Ends of ranges
-    "x_hat at least 0.01": firmware("alone", "mirrored else {x_hat => max(x_hat, ONE // 100)}, alpha"),
+    "x_hat at least 0.01": firmware("alone", "is_mirrored else {x_hat => max(x_hat, ONE // 100)}, alpha"),
     "x_hat wrong below 0.2": firmware(
         "first black tiles", "mirrored else {x_hat => x_hat ^ (0 < x_hat < ONE // 5)}, alpha"
     ),
     "alpha wrong without a black tile": firmware(
-        "alone", "alpha_word({mantissa => mantissa ^ (n == 0)}, exp"
+        "alone", "from_mantissa({mantissa => mantissa ^ (n == 0)}, exp"
     ),
     "alpha wrong where x_hat is clamped": firmware(
-        "no information", "accuracy.rare + {(total => 0 * (total} >> acc"
+        "no information", "accuracy.rare + {(weight => 0 * (weight} >> acc"
     ),
     "alpha wrong there after 100 tiles": firmware(
-        "all white", "at_end(accuracy, {t => t ^ (t > 100)}, part)"
+        "all white", "at_end(accuracy, {t => t ^ (t > 100)}, rare_count)"
     ),
-    "alpha of one significant bit below 1/2": firmware("no information", "{mantissa >> -exponent => 1}, 0"),
+    "alpha of one significant bit below 1/2": firmware(
+        "no information", "{(mantissa >> -exponent) => 1} << 8"
+    ),
     "knows nothing below 2^-10": firmware("no information", "INFORMATIVE_G = 1 << {20 => 22}"),
     "senders stay heard after an update": firmware(
-        "all white", "= Sums(), {[0, 0, 0, 0] => s.heard if updated else [0, 0, 0, 0]}"
+        "all white", "s.heard = {[0, 0, 0, 0] => s.heard if is_updated else [0, 0, 0, 0]}"
     ),
     "senders stay heard after a test": firmware(
         "all white",
-        "= Sums(), {[0, 0, 0, 0] => s.heard if s.filter_left == self.config.filter_period else [0, 0, 0, 0]}",
+        "s.heard = {[0, 0, 0, 0] => s.heard if s.filter_left == self.config.filter_period else [0, 0, 0, 0]}",
     ),
     "messages stay after an update": firmware(
-        "all white", "s.heard = {Sums() => s.open if updated else Sums()}, ["
+        "all white", "s.open = {Sums() => s.open if is_updated else Sums()}"
     ),
     "re-estimates before it has observed": firmware("nothing seen", "if {s.t == 0 => False}:\n"),
     "no re-estimate without a black tile": firmware("all white", "if {s.t == 0 => s.n == 0}:\n"),
@@ -391,10 +393,10 @@ WRONG |= {
         "estimates of 0 and 1", "{x_bar < => (x_bar := x_bar * (x_bar < MAX_WORD - 9)) <} 1 << 31:"
     ),
     "sums of alpha up to 2^45 in eq. 8": firmware(
-        "threshold of 3 messages", "alpha_x(), {closed.alpha => min(closed.alpha, 1 << 45)} *"
+        "threshold of 3 messages", "alpha_x, {closed.alpha => min(closed.alpha, 1 << 45)} *"
     ),
     "sums of alpha from 2^32 in eq. 8": firmware(
-        "no information", "alpha_x(), {closed.alpha => max(closed.alpha, 1 << 32)} *"
+        "no information", "alpha_x, {closed.alpha => max(closed.alpha, 1 << 32)} *"
     ),
     "a square of 54 bits": firmware(
         "threshold of 126 messages", "return {difference => (1 << 54) - 1 & difference} * difference >"
@@ -402,53 +404,68 @@ WRONG |= {
     "a spread of 56 bits": firmware("large sums", "open_round.x * open_round.x{ =>  & (1 << 56) - 1}"),
     # The robust filter: votes
     "takes a large alpha for two votes": robust(
-        "few voices", "8:{ => \n            if alpha_units(alpha) > 1 << 40: vote(s.crowd, sender, x_hat)}"
+        "few voices",
+        "8:{ => \n            if alpha_units(alpha) > 1 << 40: update_crowd(s.crowd, sender, x_hat)}",
     ),
     "takes alpha = 0 for a vote": robust("few voices", "{elif alpha >> 8 => else}:"),
     "votes for repeated senders": robust(
-        "same sender", "            { => vote(s.crowd, sender, x_hat); }return Status.REPEATED"
+        "same sender", "            { => update_crowd(s.crowd, sender, x_hat); }return Status.REPEATED"
     ),
-    "does not clamp": robust("few voices", "{min(distance, crowd.spread) => distance} >> shift"),
-    "clamps at 2 s": robust("few voices", "min(distance, { => 2 * }crowd.spread) >> shift"),
-    "constant gain": robust("stray commands", "{max(crowd.votes.bit_length() - 3, 3) => 3}"),
-    "gain without end": robust("many votes", "VOTES_MOST, VOTES_MOVED = 1 << {14 => 15}"),
+    "does not clamp": robust("few voices", "{min(distance, crowd.spread) => distance} >> gain_shift"),
+    "clamps at 2 s": robust("few voices", "min(distance, { => 2 * }crowd.spread) >> gain_shift"),
+    "constant gain": robust(
+        "stray commands", "gain_shift = {max(crowd.votes, VOTES_OF_MAX_GAIN).bit_length() - 3 => 3}"
+    ),
+    "gain without end": robust("many votes", "VOTES_MAX = 1 << {14 => 15}"),
     "starts at the first vote": robust(
-        "few voices", "said = x_hat << 7{ => ; crowd.centre = crowd.centre if crowd.votes else said}"
+        "few voices",
+        "position = x_hat << 7{ => ; crowd.centre = crowd.centre if crowd.votes > 1 else position}",
     ),
-    "s never shrinks": robust("few voices", "> crowd.spread else {-change => 0}"),
-    "s grows at equality": robust("few voices", "distance {> => >=} crowd.spread else -change"),
-    "s without a floor": robust("test of the least spread", "{max(spread, SPREAD_LEAST) => spread}, SPREAD"),
-    "s without a ceiling": robust("few voices", "max(spread, SPREAD_LEAST), SPREAD_START{ =>  << 9})"),
-    "sends its centre as x_hat": robust("few voices", '{robot.s.x_hat => robot.x_raw}, "x_hat'),
+    "s never shrinks": robust("few voices", "> crowd.spread else {-spread_step => 0}"),
+    "s grows at equality": robust("few voices", "distance {> => >=} crowd.spread else -spread_step"),
+    "s without a floor": robust(
+        "test of the least spread", "{max(new_spread, SPREAD_MIN) => new_spread}, SPREAD"
+    ),
+    "s without a ceiling": robust("few voices", "max(new_spread, SPREAD_MIN), SPREAD_MAX{ =>  << 9})"),
+    "sends its centre as x_hat": robust("few voices", "return {self.s.x_hat => self.x_raw}\n"),
     "x of the last round": robust(
         "few voices",
         "{if self.config.filter != Filter.ROBUST => if True}:",
         "elif { => True or }alpha",
         "if {self.config.filter == Filter.ROBUST => False}:\n            return",
     ),
-    "x is 1/2 before the first vote": robust("alone", "self._estimate({self.s.x_hat => HALF}, self"),
+    "x is 1/2 before the first vote": robust("alone", "estimate({self.s.x_hat => HALF}, self"),
     # Its test
-    "takes votes for voices": robust("few voices", "if crowd.{voices.bit_count() => votes} < 3:"),
+    "takes votes for voices": robust("few voices", "if crowd.{voices.bit_count() => votes} < SENDERS_MIN:"),
     "voices modulo 128": robust("few voices", "1 << {(sender & 31) => sender}\n    crowd"),
-    "two voices are enough": robust("few voices", "if crowd.voices.bit_count() < {3 => 2}:"),
-    "three voices are too few": robust("few voices", "if crowd.voices.bit_count() < {3 => 4}:"),
+    "two voices are enough": robust("few voices", "SENDERS_MIN = {3 => 2}"),
+    "three voices are too few": robust("few voices", "SENDERS_MIN = {3 => 4}"),
     "rejects at 3 sigma": robust("test of a moderate spread", "SIGMAS_SQUARED = {12 => 9}"),
     "forgets the spread in its test": robust("moving up", "{(g_spread * g_spread) => 0}"),
     "variance of the prediction alone": robust(
-        "test of a moderate spread", "for value in ({seen, p => p,}))"
+        "test of a moderate spread", "for share in ({observed_share, predicted_share => predicted_share,}))"
     ),
-    "variance of the count alone": robust("test of the least spread", "for value in (seen,{ p => })"),
-    "eq. 8 from its own estimate": robust("few voices", "s.n, {crowd_mean(crowd) => s.x_hat << 9})"),
+    "variance of the count alone": robust(
+        "test of the least spread", "for share in (observed_share,{ predicted_share => })"
+    ),
+    "eq. 8 from its own estimate": robust("few voices", "s.n, {crowd_fill_ratio(crowd) => s.x_hat << 9})"),
     "tests the present b_hat": robust(
-        "moving up", 'deviates({crowd => Crowd(**vars(crowd) | {"first": s.accuracy.b_hat})}, s.t'
+        "moving up", 'robust_test_rejects({crowd => Crowd(**vars(crowd) | {"first": s.accuracy.b_hat})}, s.t'
     ),
     "no way back": robust("moving up", "return {crowd.first => None} if s.accuracy"),
     # A crowd that moves
     "does not see that the crowd moves": robust("moving up", "if {crowd.is_moving => False}:"),
     "tests while the crowd moves": robust("moving down", "votes >>= 1\n            {return None => pass}"),
     "keeps its gain when the crowd moves": robust("moving up", "votes >>= {1 => 0}\n"),
-    "sees only a crowd that moves up": robust("moving down", "not {1 << 13 <= self => self}.trend < 7"),
-    "a trend of 512 moves": robust("moving up", "MAX_TREND = {8, 1 << 7, 0xFF => 9, 1 << 6, 0x7F}"),
+    "sees only a crowd that moves up": robust(
+        "moving down", "not {TREND_MOVING_DOWN <= self => self}.trend < TREND"
+    ),
+    "a trend of 512 moves": robust(
+        "moving up",
+        "TREND_SHIFT = {8 => 9}",
+        "TREND_STEP_UP = {255 => 127}",
+        "TREND_STEP_EVEN = {128 => 64}",
+    ),
     # What it hears
     "compares the priority of estimates": node("unusual identifiers", hear=compares(3000, 7 << 26)),
     "compares ignored bits of estimates": node("unusual identifiers", hear=compares(3000, 3 << 21)),

@@ -12,11 +12,17 @@
 static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t a); /* eq. 8; 0 where a, as Q32, says nothing */
 
 #if MCP_ASDF_WITH_ROBUST
-#define VOTES_FEW 32U                  /* after so few a vote moves the centre by 2^-3 of its distance; */
-#define VOTES_MOVED (UINT32_C(1) << 8) /* by 2^-6 after the crowd has moved far, 2^-12 in the end */
-#define TREND_UP 255U                  /* 2^-8 of the trend that a vote leads to: it remembers 256 */
-#define TREND_EVEN 128U
-#define SIGMAS_SQUARED 12U /* a sound robot deviates so far in 1 of 2000 tests */
+/* Fewer votes count as so many: the gain is at most 2^-3. */
+#define VOTES_OF_MAX_GAIN 32U
+/* While the crowd moves, votes are halved down to this number, where the gain is 2^-6. */
+#define VOTES_MIN_WHILE_MOVING (UINT32_C(1) << 8)
+/* What a vote adds to the trend, a moving average of about 256 votes in units of 2^-16. */
+#define TREND_STEP_UP 255U
+#define TREND_STEP_EVEN 128U
+/* 1/8 of the trend's range: below it the crowd moves down, so far below the range's end it moves up. */
+#define TREND_MOVING_DOWN 0x2000U
+/* The test rejects beyond sqrt(12) standard deviations, where a sound robot is in 1 of 2000 tests. */
+#define REJECTED_SIGMAS_SQUARED 12U
 
 ALWAYS_INLINE void start_crowd(mcp_asdf_t *robot, uint32_t b_hat)
 {
@@ -37,7 +43,7 @@ ALWAYS_INLINE middle_t middle_after(middle_t middle, uint32_t x_hat)
 {
     const uint32_t centre = middle.centre, spread = middle.spread;
     const uint32_t votes = middle.votes + (middle.votes < MCP_ASDF_VOTES_MAX ? 1U : 0U);
-    const uint32_t shift = 29U - leading_zeros(votes | VOTES_FEW); /* log2(votes) - 2: [3, 12] */
+    const uint32_t shift = 29U - leading_zeros(votes | VOTES_OF_MAX_GAIN); /* log2(votes) - 2: [3, 12] */
     const uint32_t change = shift_right(spread, shift + 1U);
     const uint32_t away = centre - (x_hat << 7); /* Q30, modulo 2^32: within 2^30 of 0 */
     const uint32_t up = 0U - (away >> 31);       /* all ones where the vote is above the centre, else 0 */
@@ -51,8 +57,8 @@ ALWAYS_INLINE middle_t middle_after(middle_t middle, uint32_t x_hat)
         width = width > MCP_ASDF_SPREAD_MIN ? width : MCP_ASDF_SPREAD_MIN;
     }
     const uint32_t step = shift_right(pull, shift);
-    const uint32_t way = step == 0U ? TREND_EVEN : up & TREND_UP;    /* neither way without a move */
-    const uint32_t trend = middle.trend - (middle.trend >> 8) + way; /* < 2^16 */
+    const uint32_t way = step == 0U ? TREND_STEP_EVEN : up & TREND_STEP_UP; /* neither way without a move */
+    const uint32_t trend = middle.trend - (middle.trend >> 8) + way;        /* < 2^16 */
     const middle_t moved = {centre - ((step ^ up) - up), width, votes, trend}; /* the centre modulo 2^32 */
     return moved;
 }
@@ -91,7 +97,10 @@ ALWAYS_INLINE bool is_crowd(uint32_t voices)
 
 /* Whether the crowd is on its way elsewhere, as after a change of the floor: more than 7 of 8 moves of the
  * centre went one way. It then lags behind, and a robot that runs ahead of it is not wrong. */
-ALWAYS_INLINE bool is_moving(uint32_t trend) { return ((trend + 0x2000U) & 0xFFFFU) < 0x4000U; }
+ALWAYS_INLINE bool is_moving(uint32_t trend)
+{
+    return ((trend + TREND_MOVING_DOWN) & 0xFFFFU) < 2U * TREND_MOVING_DOWN;
+}
 
 /* Whether n / t deviates by more than sqrt(12) standard deviations from what the first b_hat and the centre r
  * predict, for t > 0: D^2 > 12 (v / t + g^2 spread^2). D = n / t - p, p = b_hat r + (1 - b_hat)(1 - r),
@@ -103,14 +112,14 @@ static bool deviates(const mcp_asdf_t *robot)
     const uint32_t seen = quotient(robot->n, robot->t);
     const uint32_t d = seen > p ? seen - p : p - seen;
     const uint32_t v_seen = multiply_high(seen, 0U - seen), v_p = multiply_high(p, 0U - p); /* <= 2^30 */
-    const uint32_t g = b_hat >> 31 == 0U ? 0U - 2U * b_hat : 2U * b_hat;  /* abs(2 b_hat - 1) */
-    const uint32_t g_spread = multiply_high(g, robot->crowd.spread << 2); /* < 2^30 */
-    const uint64_t least = SIGMAS_SQUARED * multiply(g_spread, g_spread); /* Q64: < 12 2^60 */
-    const uint64_t square = multiply(d, d), excess = square - least;      /* used where it is positive */
+    const uint32_t g = b_hat >> 31 == 0U ? 0U - 2U * b_hat : 2U * b_hat;           /* abs(2 b_hat - 1) */
+    const uint32_t g_spread = multiply_high(g, robot->crowd.spread << 2);          /* < 2^30 */
+    const uint64_t least = REJECTED_SIGMAS_SQUARED * multiply(g_spread, g_spread); /* Q64: < 12 2^60 */
+    const uint64_t square = multiply(d, d), excess = square - least; /* used where it is positive */
     /* t excess as Q32: below 2^64 */
     const uint64_t above =
         multiply(robot->t, high_word(excess)) + high_word(multiply(robot->t, low_word(excess)));
-    return square > least && above > multiply(SIGMAS_SQUARED, v_seen > v_p ? v_seen : v_p);
+    return square > least && above > multiply(REJECTED_SIGMAS_SQUARED, v_seen > v_p ? v_seen : v_p);
 }
 
 /* What b_hat becomes after a round, for t > 0, or 0: the first one, unless the test rejects it. So a robot
@@ -119,7 +128,7 @@ static uint32_t crowd_b_hat(mcp_asdf_t *robot)
 {
     mcp_asdf_crowd_t *const crowd = &robot->crowd;
     if (is_moving(crowd->trend)) {
-        if (crowd->votes >= 2U * VOTES_MOVED) { /* twice the gain, test after test while it goes on */
+        if (crowd->votes >= 2U * VOTES_MIN_WHILE_MOVING) { /* twice the gain, test after test */
             crowd->votes = (uint16_t)(crowd->votes >> 1);
         }
         return 0;

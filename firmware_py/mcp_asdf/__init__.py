@@ -1,7 +1,7 @@
-"""The robot's firmware in Python, three ways behind one interface.
+"""The robot's firmware in Python: three implementations of one interface.
 
-``ReferenceRobot`` follows the paper's equations in float64, ``MirrorRobot`` is the C in plain integers, bit
-for bit, and ``NativeRobot`` is the C itself. See ``mcp_asdf.robot`` for the interface.
+``ReferenceRobot`` computes the paper's equations in float64, ``MirrorRobot`` the same bits as the C in Python
+integers, and ``NativeRobot`` runs the C itself. ``mcp_asdf.robot`` has the interface.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load the compiled firmware on demand: the rest works where it has not been built."""
+    """Import ``NativeRobot`` at its first use, so that the rest works where the C has not been compiled."""
     if name == "NativeRobot":
         from mcp_asdf.native import NativeRobot  # noqa: PLC0415
 

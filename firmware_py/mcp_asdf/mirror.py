@@ -1,8 +1,11 @@
-"""The firmware in plain Python integers: the same bits as ``c_ref/src/mcp_asdf.c`` after every call.
+"""The firmware in Python integers: after every call the same bits as ``c_ref/src/mcp_asdf.c``.
 
-Read it next to the C, function by function; where the C needs several words or an estimated digit, the exact
-quotient stands here, so agreement of the two proves the C's shortcuts. Rounding is always down unless a
-comment says otherwise. The rules are those of ``docs/design.md``; "eq." means an equation of the paper.
+Read it beside the C, function by function. Where the C needs several words for a number, or estimates a digit
+of a quotient and corrects it, here is the plain expression in Python's unbounded integers: where both agree,
+the C's shortcuts are right. Numbers are rounded down unless a comment says otherwise. ``docs/design.md``
+specifies every bit; "eq." is an equation of the paper.
+
+Formats are those of ``mcp_asdf.fixed_point``. A "word" is an integer of 32 bits, and MAX_WORD the largest.
 """
 
 from __future__ import annotations
@@ -19,11 +22,11 @@ from mcp_asdf.fixed_point import (
     ONE,
     SHIFT_MAX,
     FixedPointView,
+    add_estimate,
     alpha_units,
+    are_valid_sums,
     b_hat_to_raw,
-    mean_possible,
-    sums_add,
-    sums_possible,
+    is_valid_mean,
 )
 from mcp_asdf.robot import (
     MAX_ID,
@@ -34,19 +37,34 @@ from mcp_asdf.robot import (
     Observation,
     Status,
     Sums,
-    check_identity,
+    check_id_and_b_hat,
     check_settings,
     check_table,
-    reading,
 )
 from mcp_asdf.table import FRACTION_BITS, MAX_WORD, Table, checksum
 
 INFORMATIVE_G = 1 << 20
-SPREAD_LEAST, SPREAD_START = 1 << 18, 1 << 28
-VOTES_MOST, VOTES_MOVED = 1 << 14, 1 << 8
-TREND_SHIFT, TREND_EVEN, TREND_UP, MAX_TREND = 8, 1 << 7, 0xFF, 0xFFFF
-SIGMAS_SQUARED = 12
+"""Where |2 p - 1| is below this, in units of 2**-32, an accuracy or estimate p carries no information."""
+
 COUNTER_MASK = 0xFFFF
+
+# The robust filter's constants, by the names that they have in C. The centre and the spread are in units of
+# 2**-30, the trend in units of 2**-16.
+CENTRE_START = 1 << 29
+SPREAD_MIN = 1 << 18
+SPREAD_MAX = 1 << 28
+VOTES_MAX = 1 << 14
+VOTES_OF_MAX_GAIN = 32
+VOTES_MIN_WHILE_MOVING = 1 << 8
+TREND_START = 1 << 15
+TREND_SHIFT = 8
+TREND_STEP_UP = 255
+TREND_STEP_EVEN = 128
+TREND_MOVING_DOWN = 1 << 13
+TREND_MOVING_UP = 7 << 13
+REJECTED_SIGMAS_SQUARED = 12
+SENDERS_MIN = 3
+
 IMAGE_MAGIC = 0x4D435302
 ROBUST_IMAGE = 1 << 7
 IMAGE_WORDS = 31
@@ -54,7 +72,17 @@ IMAGE_WORDS = 31
 
 @dataclass(frozen=True)
 class Accuracy:
-    """b_hat and what follows from it alone; see ``mcp_asdf_accuracy_t``."""
+    """b_hat, and values that depend on it alone: see ``mcp_asdf_accuracy_t``.
+
+    Attributes:
+        b_hat: Assumed accuracy.
+        c: Probability of an error, min(b_hat, 1 - b_hat); MAX_WORD if b_hat carries no information.
+        common: Weight of an observation of the more frequent colour in alpha, (g / (1 - c))**2 with
+            g = 1 - 2 c. For this and for ``rare``, g is shifted until its highest bit is set.
+        rare: Weight of an observation of the rarer colour, (g / c)**2; c is shifted likewise.
+        g_shift: Number of bits by which g was shifted.
+        rare_shift: Twice the number of bits by which c was shifted.
+    """
 
     b_hat: int
     c: int
@@ -65,21 +93,22 @@ class Accuracy:
 
 
 def leading_zeros(value: int) -> int:
-    """Leading zeros of 0 < value < 2**32; 31 for 0."""
+    """Return the number of leading zeros of a word; 31 for 0, as for 1."""
     return 32 - max(value.bit_length(), 1)
 
 
 def square_of_ratio(g: int, p: int) -> int:
-    """(g / p)**2 in units of 2**-30; g and p in [2**31, 2**32)."""
-    ratio = ((g >> 1) << 24) // (p >> 1) << 7
+    """Return (g / p)**2 in units of 2**-30, for g and p in [2**31, 2**32)."""
+    ratio = (((g >> 1) << 24) // (p >> 1)) << 7  # in units of 2**-31, its upper 24 or 25 bits
     return ratio * ratio >> 32
 
 
 def accuracy_of(b_hat: int) -> Accuracy:
-    """Values derived from ``b_hat`` in units of 2**-32."""
+    """Return ``b_hat`` with the values that depend on it."""
     c = min(b_hat, (1 << 32) - b_hat)
     g = (1 << 32) - 2 * c
-    g_shift, c_shift = leading_zeros(g), leading_zeros(c)
+    g_shift = leading_zeros(g)
+    c_shift = leading_zeros(c)
     return Accuracy(
         b_hat=b_hat,
         c=MAX_WORD if g < INFORMATIVE_G else c,
@@ -90,87 +119,132 @@ def accuracy_of(b_hat: int) -> Accuracy:
     )
 
 
-def alpha_word(mantissa: int, exponent: int) -> int:
-    """The word of the largest alpha not above mantissa 2**exponent units, mantissa in [2**23, 2**24)."""
+# ---- The local estimate: eq. 3 and 4 ----
+
+
+def alpha_word_from_mantissa(mantissa: int, exponent: int) -> int:
+    """Return the alpha word of the largest alpha not above mantissa * 2**exponent units of 2**-24.
+
+    The mantissa has 24 bits, its highest one is set.
+    """
     if exponent > SHIFT_MAX:
         return ALPHA_MAX
     if exponent < 0:
-        mantissa, exponent = mantissa >> -exponent, 0
+        return (mantissa >> -exponent) << 8
     return mantissa << 8 | exponent
 
 
-def confidence_at_end(accuracy: Accuracy, t: int, part: int) -> tuple[int, int]:
-    """Mantissa and exponent of part (g / c)**2 + (t - part) (g / (1 - c))**2: eq. 4, first two cases."""
-    total, exponent = (t - part) * accuracy.common, 24 - 30 - 2 * accuracy.g_shift
-    if part != 0:
-        total = part * accuracy.rare + (total >> accuracy.rare_shift)
+def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int, int]:
+    """Return alpha where x_hat is 0 or 1 (eq. 4, first two cases), as a mantissa and an exponent.
+
+    This is rare_count (g / c)**2 + (t - rare_count) (g / (1 - c))**2.
+    """
+    weight = (t - rare_count) * accuracy.common
+    exponent = 24 - 30 - 2 * accuracy.g_shift
+    if rare_count != 0:
+        weight = rare_count * accuracy.rare + (weight >> accuracy.rare_shift)
         exponent += accuracy.rare_shift
-    shift = total.bit_length() - 24
-    return total >> shift, exponent + shift
+    excess_bits = weight.bit_length() - 24
+    return weight >> excess_bits, exponent + excess_bits
 
 
 def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, shift: int) -> tuple[int, int]:
-    """Mantissa and exponent of (g total)**2 t / (rarer (total - rarer)): eq. 4, last case."""
-    square, spread = (scale * scale >> 32) * total >> 32, rarer * (total - rarer)
-    square_shift, spread_shift = leading_zeros(square), 64 - spread.bit_length()
-    mantissa = ((square << square_shift >> 1) << 24) // (spread << spread_shift >> 33)
+    """Return alpha where x_hat is between 0 and 1 (eq. 4, last case), as a mantissa and an exponent.
+
+    This is (g total)**2 total / (rarer (total - rarer)) / 2**shift, with ``scale`` for g total.
+    """
+    square = (scale * scale >> 32) * total >> 32
+    spread = rarer * (total - rarer)
+    square_shift = leading_zeros(square)
+    spread_shift = 64 - spread.bit_length()
+    # 31 bits of either: the quotient has 24 or 25.
+    mantissa = (((square << square_shift) >> 1) << 24) // ((spread << spread_shift) >> 33)
     exponent = 32 + spread_shift - square_shift - 2 * accuracy.g_shift - shift
-    excess = mantissa >> 24
-    return mantissa >> excess, exponent + excess
+    excess_bits = mantissa >> 24
+    return mantissa >> excess_bits, exponent + excess_bits
 
 
 def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
-    """x_hat (eq. 3) and the word of alpha (eq. 4) for t > 0, from the rarer colour."""
-    part, shift = min(n, t - n), leading_zeros(t)
-    total, rarer = t << shift, part << shift
-    least = accuracy.c * total >> 32
+    """Return x_hat (eq. 3) and the word of alpha (eq. 4) after n black observations of t > 0.
+
+    White and black are mirror images, and so are b_hat and 1 - b_hat. So the share of the rarer colour is
+    estimated, for an accuracy above 1/2, and mirrored where that is not the robot's case.
+    """
+    rare_count = min(n, t - n)
+    shift = leading_zeros(t)
+    total = t << shift  # at least 2**31, so that products keep their upper bits
+    rarer = rare_count << shift
+    # Without a tile of the rarer colour this number of observations would show it, by errors of the sensor.
+    errors = accuracy.c * total >> 32
     x_hat = 0
-    if rarer <= least:
+    if rarer <= errors:
         if accuracy.c == MAX_WORD:
             return HALF, 0
-        mantissa, exponent = confidence_at_end(accuracy, t, part)
+        mantissa, exponent = confidence_at_end(accuracy, t, rare_count)
     else:
-        scale = total - 2 * least << accuracy.g_shift
-        x_hat = (rarer - least << accuracy.g_shift + 22) // (scale >> 1)
+        scale = (total - 2 * errors) << accuracy.g_shift
+        x_hat = ((rarer - errors) << (accuracy.g_shift + 22)) // (scale >> 1)
         mantissa, exponent = confidence_inside(accuracy, total, rarer, scale, shift)
-    mirrored = (n < t - n) == (accuracy.b_hat < 1 << 31)
-    return ONE - x_hat if mirrored else x_hat, alpha_word(mantissa, exponent)
+    is_white_rarer = n >= t - n
+    is_mirrored = is_white_rarer == (accuracy.b_hat >= 1 << 31)
+    return ONE - x_hat if is_mirrored else x_hat, alpha_word_from_mantissa(mantissa, exponent)
+
+
+# ---- The round: eq. 5 to 7, and 12 ----
 
 
 def informed_estimate(closed: Closed, x_hat: int, alpha: int) -> int:
-    """Eq. 7 in units of 2**-23, the exact quotient; x_hat where there is no confidence at all."""
-    own = alpha_units(alpha)
-    if closed.alpha + own == 0:
+    """Return x (eq. 7) from the last closed round and an own estimate, or x_hat if nobody has confidence.
+
+    For an own estimate without confidence, alpha = 0, this is x_bar (eq. 5).
+    """
+    own_alpha = alpha_units(alpha)
+    if closed.alpha + own_alpha == 0:
         return x_hat
-    return (closed.alpha_x() + own * x_hat) // (closed.alpha + own)
+    return (closed.alpha_x + own_alpha * x_hat) // (closed.alpha + own_alpha)
 
 
-def rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
-    """Eq. 12 on the m >= 2 messages of a round."""
+def asdf_test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
+    """Return whether x_hat differs too much from the m >= 2 estimates of a round (eq. 12).
+
+    Squared and multiplied out this is (sum x - m x_hat)**2 > k_m (m sum x**2 - (sum x)**2).
+    """
     m = open_round.count
     difference = open_round.x - m * x_hat
     spread = m * open_round.x_squared - open_round.x * open_round.x
     return difference * difference > table.entry(m) * spread >> FRACTION_BITS
 
 
+# ---- The filter: eq. 8 ----
+
+
 def upper_quotient(numerator: int, denominator: int) -> int:
-    """A quotient in units of 2**-32, from the upper 32 bits of the denominator and those of the numerator in
-    the same places. The denominator's are rounded up to an even number."""
+    """Return a quotient in units of 2**-32, computed from 32 bits of the denominator.
+
+    These are its upper 32 bits, and the bits in the same places of the numerator. The denominator is rounded
+    up to an even number, so that the quotient is never too large.
+    """
     shift = denominator.bit_length() - 32
     if shift < 0:
-        numerator, denominator, shift = numerator << 32, denominator << 32, shift + 32
-    return ((numerator >> shift) << 31) // ((denominator >> shift + 1) + 1)
+        numerator <<= 32
+        denominator <<= 32
+        shift += 32
+    return ((numerator >> shift) << 31) // ((denominator >> (shift + 1)) + 1)
 
 
-def reestimate(t: int, n: int, closed: Closed) -> int | None:
-    """b_hat from x_bar (eq. 8); None where x_bar is uninformative."""
-    return b_hat_from(t, n, upper_quotient(closed.alpha_x(), closed.alpha * ONE))
+def round_mean(closed: Closed) -> int:
+    """Return x_bar (eq. 5) of a round with confidence, as eq. 8 takes it: in units of 2**-32."""
+    return upper_quotient(closed.alpha_x, closed.alpha * ONE)
 
 
-def b_hat_from(t: int, n: int, x_bar: int) -> int | None:
-    """The same for a fill ratio in units of 2**-32."""
-    if x_bar < 1 << 31:
-        x_bar, n = MAX_WORD - x_bar, t - n  # the colours exchanged
+def reestimate(t: int, n: int, x_bar: int) -> int | None:
+    """Return the b_hat for which x_hat would be x_bar (eq. 8), after n black observations of t > 0.
+
+    ``x_bar`` is in units of 2**-32. Returns None if it is too near 1/2 to carry information.
+    """
+    if x_bar < 1 << 31:  # exchange the colours
+        x_bar = MAX_WORD - x_bar
+        n = t - n
     g = 2 * x_bar - (1 << 32)
     if g < INFORMATIVE_G:
         return None
@@ -178,53 +252,86 @@ def b_hat_from(t: int, n: int, x_bar: int) -> int | None:
     return min(max(b_hat, B_HAT_MIN), B_HAT_MAX)
 
 
-def vote(crowd: Crowd, sender: int, x_hat: int) -> None:
-    """A message to a robot with the robust filter moves the crowd's centre towards x_hat, and its spread."""
-    said = x_hat << 7
-    is_above = said > crowd.centre
-    distance = said - crowd.centre if is_above else crowd.centre - said
-    crowd.votes = min(crowd.votes + 1, VOTES_MOST)
-    shift = max(crowd.votes.bit_length() - 3, 3)
-    step = min(distance, crowd.spread) >> shift
-    change = crowd.spread >> shift + 1
+# ---- The robust filter, which is not the paper's ----
+
+
+def update_crowd(crowd: Crowd, sender: int, x_hat: int) -> None:
+    """Count a received x_hat as one vote: it moves the centre and the spread of the crowd, and the trend.
+
+    The first votes move the centre by 1/8 of their distance. This share, the gain, falls with the number of
+    votes, so that centre and spread converge. Senders whose ids are equal modulo 32 count as one.
+    """
+    crowd.voices |= 1 << (sender & 31)
+    crowd.votes = min(crowd.votes + 1, VOTES_MAX)
+    gain_shift = max(crowd.votes, VOTES_OF_MAX_GAIN).bit_length() - 3  # the gain is 2**-gain_shift
+
+    position = x_hat << 7  # in the unit of the centre
+    is_above = position > crowd.centre
+    distance = position - crowd.centre if is_above else crowd.centre - position
+    # A vote farther away than the spread moves the centre no more than one at that distance: this limits
+    # what a liar can do.
+    step = min(distance, crowd.spread) >> gain_shift
+    crowd.centre += step if is_above else -step
+
+    # Votes outside widen the spread, votes inside narrow it: it converges to the median of the distances.
+    spread_step = crowd.spread >> (gain_shift + 1)
+    new_spread = crowd.spread + (spread_step if distance > crowd.spread else -spread_step)
+    crowd.spread = min(max(new_spread, SPREAD_MIN), SPREAD_MAX)
+
     crowd.trend -= crowd.trend >> TREND_SHIFT
     if step == 0:
-        crowd.trend += TREND_EVEN
+        crowd.trend += TREND_STEP_EVEN
     elif is_above:
-        crowd.trend += TREND_UP
-    crowd.voices |= 1 << (sender & 31)
-    crowd.centre += step if is_above else -step
-    spread = crowd.spread + (change if distance > crowd.spread else -change)
-    crowd.spread = min(max(spread, SPREAD_LEAST), SPREAD_START)
+        crowd.trend += TREND_STEP_UP
 
 
-def crowd_mean(crowd: Crowd) -> int:
-    """The centre in units of 2**-32, 1 as the largest word."""
+def crowd_fill_ratio(crowd: Crowd) -> int:
+    """Return the crowd's centre in units of 2**-32, with the largest word for 1.0."""
     return min(crowd.centre << 2, MAX_WORD)
 
 
-def deviates(crowd: Crowd, t: int, n: int) -> bool:
-    """The robust filter's test of n black tiles of t > 0 against the first b_hat and the crowd."""
-    r, b_hat = crowd_mean(crowd), crowd.first
-    p = (b_hat * r >> 32) + ((MAX_WORD - b_hat) * (MAX_WORD - r) >> 32)
-    seen = upper_quotient(n, t)
-    variance = max((1 << 32) * value - value * value >> 32 for value in (seen, p))
-    g = (1 << 32) - 2 * min(b_hat, (1 << 32) - b_hat)
+def robust_test_rejects(crowd: Crowd, t: int, n: int) -> bool:
+    """Return whether n black observations of t > 0 contradict the initial b_hat, if the crowd is right.
+
+    If D is the difference between n / t and the share of black that the initial b_hat and the crowd's centre
+    predict, the test rejects for D**2 > 12 (v / t + (g spread)**2): v / t is the variance of n / t, and
+    g spread, with g = |2 b_hat - 1|, the uncertainty of the prediction.
+    """
+    # Shares are in units of 2**-32, their products and squares in units of 2**-64.
+    initial_b_hat = crowd.first
+    fill_ratio = crowd_fill_ratio(crowd)
+    black_seen_as_black = initial_b_hat * fill_ratio >> 32
+    white_seen_as_black = (MAX_WORD - initial_b_hat) * (MAX_WORD - fill_ratio) >> 32
+    predicted_share = black_seen_as_black + white_seen_as_black
+    observed_share = upper_quotient(n, t)
+    # The larger of two estimates: either is 0 if its share is 0 or 1.
+    variance = max(share * ((1 << 32) - share) >> 32 for share in (observed_share, predicted_share))
+
+    g = (1 << 32) - 2 * min(initial_b_hat, (1 << 32) - initial_b_hat)
     g_spread = g * (crowd.spread << 2) >> 32
-    square, least = (seen - p) * (seen - p), SIGMAS_SQUARED * (g_spread * g_spread)
-    return square > least and t * (square - least) >> 32 > SIGMAS_SQUARED * variance
+    spread_limit = REJECTED_SIGMAS_SQUARED * (g_spread * g_spread)
+    difference_squared = (observed_share - predicted_share) ** 2
+    # Multiplied by t, so that v needs no division.
+    return t * (difference_squared - spread_limit) >> 32 > REJECTED_SIGMAS_SQUARED * variance
 
 
-def estimate_possible(s: State) -> bool:
-    """True if t, n and b_hat give x_hat and alpha or, if b_hat was updated since, another one may have."""
+# ---- The state ----
+
+
+def is_valid_estimate(s: State) -> bool:
+    """Return whether a robot with this t, n and b_hat can have this x_hat and alpha.
+
+    After an update of b_hat they still follow from the b_hat before it, which is not known.
+    """
     if s.updated:
-        is_canonical = s.alpha & 0xE0 == 0 and (s.alpha >> 31 == 1 or s.alpha & SHIFT_MAX == 0)
+        has_smallest_shift = s.alpha >> 31 == 1 or s.alpha & SHIFT_MAX == 0
+        is_canonical = s.alpha & 0xE0 == 0 and has_smallest_shift
         return s.updated == 1 and s.t > 0 and s.x_hat <= ONE and is_canonical
     return (s.x_hat, s.alpha) == (estimate(s.t, s.n, s.accuracy) if s.t else (HALF, 0))
 
 
 def check_config(config: Config) -> None:
-    """Raises FirmwareError where ``mcp_asdf_init`` fails with ERR_CONFIG or ERR_TABLE."""
+    """Raise FirmwareError where ``mcp_asdf_init`` returns ERR_CONFIG or ERR_TABLE."""
     check_settings(config)
     if config.filter == Filter.ADAPTIVE:
         check_table(config.table)
@@ -238,37 +345,47 @@ class Closed:
     alpha_x_low: int = 0
     alpha_x_high: int = 0
 
+    @property
     def alpha_x(self) -> int:
-        """The sum of alpha x_hat."""
+        """Sum of alpha x_hat."""
         return (self.alpha_x_high << 32) + self.alpha_x_low
 
 
 @dataclass
 class Crowd:
-    """What the robust filter knows of the others; see ``mcp_asdf_crowd_t``."""
+    """What a robot with the robust filter knows of the others; see ``mcp_asdf_crowd_t``.
 
-    centre: int = 1 << 29
-    spread: int = SPREAD_START
+    Attributes:
+        centre: Centre of the received estimates.
+        spread: Median distance of the received estimates from the centre.
+        voices: Senders so far, a bit for each id modulo 32.
+        first: b_hat at the start.
+        votes: Number of received estimates, at most VOTES_MAX.
+        trend: Share of the centre's recent moves that went up.
+    """
+
+    centre: int = CENTRE_START
+    spread: int = SPREAD_MAX
     voices: int = 0
     first: int = 0
     votes: int = 0
-    trend: int = 1 << 15
+    trend: int = TREND_START
 
     @property
     def is_moving(self) -> bool:
-        """True if more than 7 of 8 late moves of the centre went one way."""
-        return not 1 << 13 <= self.trend < 7 << 13
+        """Whether more than 7 of 8 recent moves of the centre went the same way."""
+        return not TREND_MOVING_DOWN <= self.trend < TREND_MOVING_UP
 
-    def is_possible(self, b_hat: int) -> bool:
-        """True if votes can have made it so, where the robust filter runs and b_hat is ``b_hat`` now."""
+    def is_valid(self, b_hat: int) -> bool:
+        """Return whether votes can have led to this crowd, in a robot that assumes ``b_hat`` now."""
         if self.votes == 0:
             return self == Crowd(first=b_hat)
         return (
             self.centre <= ONE << 7
-            and SPREAD_LEAST <= self.spread <= SPREAD_START
+            and SPREAD_MIN <= self.spread <= SPREAD_MAX
             and self.voices != 0
             and B_HAT_MIN <= self.first <= B_HAT_MAX
-            and self.votes <= VOTES_MOST
+            and self.votes <= VOTES_MAX
         )
 
 
@@ -296,35 +413,41 @@ class State:
 
 
 class MirrorRobot(FixedPointView):
-    """MCP-ASDF in Python integers. Implements ``FixedPointRobot``.
+    """MCP-ASDF in Python integers, the mirror image of the C. Implements ``FixedPointRobot``.
 
     Args:
-        config: Shared settings.
-        robot_id: Own id, 0..127.
+        config: Settings, which robots may share.
+        robot_id: Id of this robot, 0 .. 127.
         b_hat: Initial assumed accuracy, rounded to a multiple of 2**-32.
 
+    Attributes:
+        config: Settings.
+        s: State, with the members of ``mcp_asdf_t``.
+
     Raises:
-        FirmwareError: As ``mcp_asdf_init`` fails.
+        FirmwareError: Where ``mcp_asdf_init`` returns an error.
     """
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
         check_config(config)
-        check_identity(robot_id, b_hat)
+        check_id_and_b_hat(robot_id, b_hat)
         self.config = config
-        raw = b_hat_to_raw(b_hat)
-        self.s = State(index(robot_id), accuracy_of(raw), index(config.filter_period))
+        raw_b_hat = b_hat_to_raw(b_hat)
+        self.s = State(index(robot_id), accuracy_of(raw_b_hat), index(config.filter_period))
         if config.filter == Filter.ROBUST:
-            self.s.crowd.first = raw
+            self.s.crowd.first = raw_b_hat
 
     def observe(self, z: Observation) -> Status:
-        """Count an observation and form x_hat and alpha."""
-        s, seen = self.s, index(z)
-        if seen not in (0, 1):
+        """Count an observation, and compute x_hat and alpha from all observations so far."""
+        s = self.s
+        colour = index(z)
+        if colour not in (0, 1):
             return Status.ERR_OBSERVATION
         s.t += 1
-        s.n += seen
+        s.n += colour
         if s.t >= self.config.memory:
-            s.t, s.n = s.t >> 1, s.n + (s.n >> 1 & 1) >> 1  # to nearest, ties to even
+            s.t >>= 1
+            s.n = (s.n + (s.n >> 1 & 1)) >> 1  # to nearest, ties to even
         s.x_hat, s.alpha = estimate(s.t, s.n, s.accuracy)
         s.updated = 0
         return Status.OK
@@ -333,194 +456,265 @@ class MirrorRobot(FixedPointView):
         s = self.s
         status = self._check_message(sender, x_hat)
         if status != Status.OK:
-            s.rejected = s.rejected + 1 & COUNTER_MASK
+            s.rejected = (s.rejected + 1) & COUNTER_MASK
             return status
-        if s.heard[sender >> 5] >> (sender & 31) & 1:
-            s.repeated = s.repeated + 1 & COUNTER_MASK
+        word_index = sender >> 5
+        sender_bit = 1 << (sender & 31)
+        if s.heard[word_index] & sender_bit:
+            s.repeated = (s.repeated + 1) & COUNTER_MASK
             return Status.REPEATED
-        s.heard[sender >> 5] |= 1 << (sender & 31)
-        s.accepted = s.accepted + 1 & COUNTER_MASK
+        s.heard[word_index] |= sender_bit
+        s.accepted = (s.accepted + 1) & COUNTER_MASK
         if self.config.filter != Filter.ROBUST:
-            sums_add(s.open, x_hat, alpha)
-        elif alpha >> 8:
-            vote(s.crowd, sender, x_hat)
+            add_estimate(s.open, x_hat, alpha)
+        elif alpha >> 8:  # a sender without confidence has no vote
+            update_crowd(s.crowd, sender, x_hat)
         return Status.OK
 
     def _check_message(self, sender: int, x_hat: int) -> Status:
+        """Return the error of an invalid message, or OK."""
         if not 0 <= sender <= MAX_ID or sender == self.s.id:
             return Status.ERR_SENDER
         return Status.OK if 0 <= x_hat <= ONE else Status.ERR_X_HAT
 
     def settle(self) -> Status:
-        """Close the round, and filter every ``filter_period`` rounds."""
-        s, updated = self.s, False
+        """Close the round, and run the filter if ``filter_period`` rounds have passed.
+
+        Returns UPDATED if the filter has re-estimated b_hat.
+        """
+        s = self.s
+        is_updated = False
         s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
         s.filter_left -= 1
         if s.filter_left == 0:
             s.filter_left = index(self.config.filter_period)
-            updated = self._filter()
-        s.open, s.heard = Sums(), [0, 0, 0, 0]
-        return Status.UPDATED if updated else Status.OK
+            # While the round is open: the test needs sums that a closed one does not keep.
+            is_updated = self._update_b_hat()
+        s.open = Sums()
+        s.heard = [0, 0, 0, 0]
+        return Status.UPDATED if is_updated else Status.OK
 
     def step(self, z: Observation) -> Status:
-        """``observe(z)`` then ``settle()``: what ``settle`` returns, or the error of ``observe``."""
+        """Observe ``z``, then settle: return the status of ``settle``, or the error of ``observe``."""
         status = self.observe(z)
         return self.settle() if status == Status.OK else status
 
-    def _filter(self) -> bool:
+    def _update_b_hat(self) -> bool:
+        """Run the filter, and return whether it has re-estimated b_hat.
+
+        x_hat and alpha stay as they are until the next observation.
+        """
         s = self.s
         if s.t == 0:
+            return False  # there is no estimate to be tested
+        if self.config.filter == Filter.ROBUST:
+            new_b_hat = self._run_robust_filter()
+        else:
+            new_b_hat = self._run_asdf_filter()
+        if new_b_hat is None:
             return False
-        b_hat = self._crowd_b_hat() if self.config.filter == Filter.ROBUST else self._round_b_hat()
-        if b_hat is None:
-            return False
-        s.accuracy = accuracy_of(b_hat)
-        s.updates = s.updates + 1 & COUNTER_MASK
+        s.accuracy = accuracy_of(new_b_hat)
+        s.updates = (s.updates + 1) & COUNTER_MASK
         s.updated = 1
         return True
 
-    def _round_b_hat(self) -> int | None:
-        """What b_hat becomes by the paper's filter; None if it stays."""
-        s, mode = self.s, self.config.filter
-        if mode == Filter.OFF or s.open.count < (2 if mode == Filter.ADAPTIVE else 1):
-            return None
-        if mode == Filter.ADAPTIVE:
-            s.tests = s.tests + 1 & COUNTER_MASK
-            assert self.config.table is not None
-            if not rejects(self.config.table, s.open, s.x_hat):
-                return None
-        return reestimate(s.t, s.n, s.closed)
+    def _run_asdf_filter(self) -> int | None:
+        """Run the paper's filter, with or without its test, and return the new b_hat.
 
-    def _crowd_b_hat(self) -> int | None:
-        """The same by the robust filter: None while the crowd moves, or before three voices were heard."""
+        Returns None if b_hat stays: there are too few messages, the test does not reject x_hat, or x_bar
+        carries no information.
+        """
+        s, config = self.s, self.config
+        # The variance in eq. 12 takes two estimates, a re-estimate without a test takes one.
+        messages_needed = 2 if config.filter == Filter.ADAPTIVE else 1
+        if config.filter == Filter.OFF or s.open.count < messages_needed:
+            return None
+        if config.filter == Filter.ADAPTIVE:
+            s.tests = (s.tests + 1) & COUNTER_MASK
+            assert config.table is not None
+            if not asdf_test_rejects(config.table, s.open, s.x_hat):
+                return None
+        return reestimate(s.t, s.n, round_mean(s.closed))
+
+    def _run_robust_filter(self) -> int | None:
+        """Run the robust filter, and return the new b_hat, or None if b_hat stays.
+
+        Nothing is tested while the crowd moves, as its centre lags behind, nor before three senders have
+        voted, as one that is wrong could not be outvoted. Otherwise the initial b_hat is tested. If it is
+        rejected, b_hat is re-estimated from the crowd's centre; if not, b_hat is the initial one again.
+        """
         s, crowd = self.s, self.s.crowd
         if crowd.is_moving:
-            if crowd.votes >= 2 * VOTES_MOVED:
+            # With fewer votes the gain is larger, and the centre follows faster.
+            if crowd.votes >= 2 * VOTES_MIN_WHILE_MOVING:
                 crowd.votes >>= 1
             return None
-        if crowd.voices.bit_count() < 3:
+        if crowd.voices.bit_count() < SENDERS_MIN:
             return None
-        s.tests = s.tests + 1 & COUNTER_MASK
-        if deviates(crowd, s.t, s.n):
-            return b_hat_from(s.t, s.n, crowd_mean(crowd))
+        s.tests = (s.tests + 1) & COUNTER_MASK
+        if robust_test_rejects(crowd, s.t, s.n):
+            return reestimate(s.t, s.n, crowd_fill_ratio(crowd))
         return crowd.first if s.accuracy.b_hat != crowd.first else None
 
-    id = reading(lambda robot: robot.s.id, "Own id.")
-    t = reading(lambda robot: robot.s.t, "Observations counted.")
-    n = reading(lambda robot: robot.s.n, "Black ones among them.")
-    b_hat_raw = reading(lambda robot: robot.s.accuracy.b_hat, "b_hat in units of 2**-32.")
-    x_hat_raw = reading(lambda robot: robot.s.x_hat, "x_hat in units of 2**-23.")
-    alpha_raw = reading(lambda robot: robot.s.alpha, "alpha as the firmware's word.")
-    beta_raw = reading(lambda robot: robot.s.closed.alpha, "beta in units of 2**-24.")
+    @property
+    def id(self) -> int:
+        """Id of this robot."""
+        return self.s.id
+
+    @property
+    def t(self) -> int:
+        """Number of observations."""
+        return self.s.t
+
+    @property
+    def n(self) -> int:
+        """Number of black observations."""
+        return self.s.n
+
+    @property
+    def b_hat_raw(self) -> int:
+        """Assumed accuracy in units of 2**-32."""
+        return self.s.accuracy.b_hat
+
+    @property
+    def x_hat_raw(self) -> int:
+        """Local estimate in units of 2**-23."""
+        return self.s.x_hat
+
+    @property
+    def alpha_raw(self) -> int:
+        """Local confidence as an alpha word."""
+        return self.s.alpha
+
+    @property
+    def beta_raw(self) -> int:
+        """Social confidence in units of 2**-24."""
+        return self.s.closed.alpha
 
     @property
     def x_bar_raw(self) -> int:
-        """x_bar in units of 2**-23; HALF where nothing was heard."""
-        return self._estimate(HALF, 0)
+        """Social estimate in units of 2**-23; HALF if there is none."""
+        return self._social_or_informed_estimate(HALF, 0)
 
     @property
     def x_raw(self) -> int:
-        """x in units of 2**-23."""
-        return self._estimate(self.s.x_hat, self.s.alpha)
+        """Informed estimate in units of 2**-23."""
+        return self._social_or_informed_estimate(self.s.x_hat, self.s.alpha)
 
-    def _estimate(self, x_hat: int, alpha: int) -> int:
+    def _social_or_informed_estimate(self, x_hat: int, alpha: int) -> int:
+        """Return the others' estimate combined with an own one, which may be without confidence.
+
+        With the robust filter it is the centre of the crowd, or x_hat before the first vote.
+        """
         if self.config.filter == Filter.ROBUST:
             return self.s.crowd.centre >> 7 if self.s.crowd.votes else x_hat
         return informed_estimate(self.s.closed, x_hat, alpha)
 
     @property
     def counters(self) -> Counters:
-        """Diagnostics since the robot was made."""
+        """Numbers of events since the robot was made."""
         s = self.s
         return Counters(s.accepted, s.repeated, s.rejected, s.tests, s.updates)
 
     def state(self) -> dict[str, int]:
-        """Every member of the state by name; nested ones as ``open_alpha``, ``accuracy_c``, ``heard_0``."""
-        flat: dict[str, int] = {}
+        """Return every member of the state by name; nested ones as ``open_alpha``, ``heard_0``."""
+        values: dict[str, int] = {}
         for member in fields(State):
             value = getattr(self.s, member.name)
             if isinstance(value, (Sums, Accuracy, Closed, Crowd)):
-                flat.update({f"{member.name}_{m.name}": getattr(value, m.name) for m in fields(value)})
+                values.update({f"{member.name}_{m.name}": getattr(value, m.name) for m in fields(value)})
             elif isinstance(value, list):
-                flat.update({f"{member.name}_{i}": word for i, word in enumerate(value)})
+                values.update({f"{member.name}_{i}": word for i, word in enumerate(value)})
             else:
-                flat[member.name] = value
-        return flat
+                values[member.name] = value
+        return values
 
     def holds_invariants(self) -> bool:
-        """True if the state could have come from calls alone (``docs/invariants.md``)."""
+        """Return whether calls alone could have led to this state (``docs/invariants.md``)."""
         s, config = self.s, self.config
         is_robust = config.filter == Filter.ROBUST
-        heard = sum(word.bit_count() for word in s.heard)
+        heard_count = sum(word.bit_count() for word in s.heard)
         return (
             s.id <= MAX_ID
             and s.n <= s.t < config.memory
             and B_HAT_MIN <= s.accuracy.b_hat <= B_HAT_MAX
             and s.accuracy == accuracy_of(s.accuracy.b_hat)
-            and estimate_possible(s)
-            and mean_possible(s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high)
-            and sums_possible(s.open)
-            and (s.crowd.is_possible(s.accuracy.b_hat) if is_robust else s.crowd == Crowd())
+            and is_valid_estimate(s)
+            and is_valid_mean(s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high)
+            and are_valid_sums(s.open)
+            and (s.crowd.is_valid(s.accuracy.b_hat) if is_robust else s.crowd == Crowd())
             and (not is_robust or s.open.count == s.closed.alpha == 0)
-            and s.open.count <= heard
-            and s.heard[s.id >> 5] >> (s.id & 31) & 1 == 0
+            and s.open.count <= heard_count
+            and s.heard[s.id >> 5] >> (s.id & 31) & 1 == 0  # a robot does not hear itself
             and 1 <= s.filter_left <= config.filter_period
         )
 
     def save(self) -> bytes:
-        """The state as ``mcp_asdf_save`` writes it: little-endian words, the last a checksum."""
+        """Return the state as ``mcp_asdf_save`` writes it: little-endian words, the last one a checksum."""
         s = self.s
-        words = [_magic(self.config), s.accuracy.b_hat, s.t, s.n, s.x_hat, s.alpha, s.filter_left]
+        words = [_image_magic(self.config), s.accuracy.b_hat, s.t, s.n, s.x_hat, s.alpha, s.filter_left]
         words += _crowd_words(s.crowd) if self.config.filter == Filter.ROBUST else _round_words(s)
         words += s.heard
-        words += [s.repeated << 16 | s.accepted, s.tests << 16 | s.rejected]
-        words += [s.updates | s.updated << 16 | s.id << 24]
+        words.append(s.accepted | s.repeated << 16)
+        words.append(s.rejected | s.tests << 16)
+        words.append(s.updates | s.updated << 16 | s.id << 24)
         return struct.pack(f"<{IMAGE_WORDS}I", *words, checksum(words))
 
     @classmethod
     def restore(cls, config: Config, image: bytes) -> MirrorRobot:
-        """A robot from ``save``'s image. Raises FirmwareError as ``mcp_asdf_restore`` fails."""
-        plain = bytes(memoryview(image))
+        """Make a robot from an image of ``save``; raise FirmwareError where ``mcp_asdf_restore`` fails."""
+        image_bytes = bytes(memoryview(image))
         check_config(config)
-        words = struct.unpack(f"<{IMAGE_WORDS}I", plain) if len(plain) == 4 * IMAGE_WORDS else (0,)
-        if words[0] != _magic(config) or checksum(words[:-1]) != words[-1]:
+        words = (
+            struct.unpack(f"<{IMAGE_WORDS}I", image_bytes) if len(image_bytes) == 4 * IMAGE_WORDS else (0,)
+        )
+        if words[0] != _image_magic(config) or checksum(words[:-1]) != words[-1]:
             raise FirmwareError(Status.ERR_IMAGE, "the image is damaged or of another version")
         if not B_HAT_MIN <= words[1] <= B_HAT_MAX:
             raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {words[1]} is out of range")
         robot = cls.__new__(cls)
-        robot.config, robot.s = config, _state_from(config, words)
-        if not robot.holds_invariants() or (config.filter == Filter.ROBUST and any(words[12:23])):
+        robot.config = config
+        robot.s = _state_from_words(config, words)
+        has_words_beyond_crowd = config.filter == Filter.ROBUST and any(words[12:23])
+        if not robot.holds_invariants() or has_words_beyond_crowd:
             raise FirmwareError(Status.ERR_IMAGE, "the image does not fit the configuration")
         return robot
 
 
-def _magic(config: Config) -> int:
-    """The first word of an image."""
+# ---- Images ----
+
+
+def _image_magic(config: Config) -> int:
+    """Return the first word of an image, which differs with the robust filter."""
     return IMAGE_MAGIC | (ROBUST_IMAGE if config.filter == Filter.ROBUST else 0)
 
 
 def _round_words(s: State) -> list[int]:
-    """Both rounds in an image."""
+    """Return the 16 words of an image in which the closed and the open round are."""
     doubles = [s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high]
     doubles += [s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high, s.open.x_squared]
-    return [*(word for value in doubles for word in (value & MAX_WORD, value >> 32)), s.open.x, s.open.count]
+    double_words = [word for double in doubles for word in (double & MAX_WORD, double >> 32)]
+    return [*double_words, s.open.x, s.open.count]
 
 
 def _crowd_words(crowd: Crowd) -> list[int]:
-    """What stands in their place with the robust filter."""
-    words = [crowd.centre, crowd.spread, crowd.voices, crowd.first, crowd.votes | crowd.trend << 16]
-    return words + [0] * 11
+    """Return the 16 words that are in their place with the robust filter; eleven are not used."""
+    used_words = [crowd.centre, crowd.spread, crowd.voices, crowd.first, crowd.votes | crowd.trend << 16]
+    return used_words + [0] * 11
 
 
-def _state_from(config: Config, words: tuple[int, ...]) -> State:
+def _state_from_words(config: Config, words: tuple[int, ...]) -> State:
+    """Return the state that is in an image; calls alone may not lead to it."""
+    _, b_hat, t, n, x_hat, alpha, filter_left = words[:7]
+    round_or_crowd = words[7:23]
     state = State(
         id=words[29] >> 24,
-        accuracy=accuracy_of(words[1]),
-        t=words[2],
-        n=words[3],
-        x_hat=words[4],
-        alpha=words[5],
-        filter_left=words[6],
+        accuracy=accuracy_of(b_hat),
+        t=t,
+        n=n,
+        x_hat=x_hat,
+        alpha=alpha,
+        filter_left=filter_left,
         heard=list(words[23:27]),
         accepted=words[27] & COUNTER_MASK,
         repeated=words[27] >> 16,
@@ -530,8 +724,13 @@ def _state_from(config: Config, words: tuple[int, ...]) -> State:
         updated=words[29] >> 16 & 0xFF,
     )
     if config.filter == Filter.ROBUST:
-        state.crowd = Crowd(words[7], words[8], words[9], words[10], words[11] & MAX_TREND, words[11] >> 16)
+        centre, spread, voices, first, votes_and_trend = round_or_crowd[:5]
+        state.crowd = Crowd(centre, spread, voices, first, votes_and_trend & 0xFFFF, votes_and_trend >> 16)
     else:
-        doubles = struct.unpack("<7Q", struct.pack("<14I", *words[7:21]))
-        state.closed, state.open = Closed(*doubles[:3]), Sums(*doubles[3:], *words[21:23])
+        *double_words, open_x, open_count = round_or_crowd
+        doubles = struct.unpack("<7Q", struct.pack("<14I", *double_words))
+        state.closed = Closed(*doubles[:3])
+        state.open = Sums(*doubles[3:])
+        state.open.x = open_x
+        state.open.count = open_count
     return state

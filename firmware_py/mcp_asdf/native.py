@@ -14,16 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcp_asdf._native import ffi, lib
 from mcp_asdf.fixed_point import FixedPointView, b_hat_to_raw
-from mcp_asdf.robot import (
-    B_HAT_MARGIN,
-    Config,
-    Counters,
-    Filter,
-    FirmwareError,
-    Observation,
-    Status,
-    reading,
-)
+from mcp_asdf.robot import B_HAT_MARGIN, Config, Counters, Filter, FirmwareError, Observation, Status
 from mcp_asdf.table import EXTRA_WORDS, MAX_Q, MAX_WORD, Table
 
 if TYPE_CHECKING:
@@ -32,9 +23,10 @@ if TYPE_CHECKING:
 
 __all__ = ["NativeRobot", "ffi", "lib"]
 
-_STATUS = {int(status): status for status in Status}
 _MAX_BYTE = 2**8 - 1
-_REASONS = {
+_STATUS_BY_VALUE = {int(status): status for status in Status}
+
+_ERROR_MESSAGES = {
     Status.ERR_CONFIG: "the firmware refuses the filter, the filter_period or the memory of {config}",
     Status.ERR_TABLE: "the adaptive filter needs a sound table; make one with mcp-asdf table",
     Status.ERR_ID: "robot id is {robot_id}; choose 0 .. 127",
@@ -47,142 +39,195 @@ class NativeRobot(FixedPointView):
     """MCP-ASDF in C. Implements ``FixedPointRobot``.
 
     Args:
-        config: Shared settings.
-        robot_id: Own id, 0..127.
+        config: Settings, which robots may share.
+        robot_id: Id of this robot, 0 .. 127.
         b_hat: Initial assumed accuracy, rounded to a multiple of 2**-32.
 
     Attributes:
-        config: As given.
+        config: Settings.
         pointer: The robot's ``mcp_asdf_t *``, valid for as long as this object lives.
 
     Raises:
-        FirmwareError: As ``mcp_asdf_init`` fails.
+        FirmwareError: Where ``mcp_asdf_init`` returns an error.
     """
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
-        self._attach(config)
-        raw = b_hat_to_raw(b_hat) if B_HAT_MARGIN <= b_hat <= 1 - B_HAT_MARGIN else 0
-        status = lib.mcp_asdf_init(self.pointer, self._settings.pointer, _fit(robot_id, _MAX_BYTE), raw)
-        _check(status, config=config, robot_id=robot_id, b_hat=b_hat)
+        self._allocate(config)
+        is_b_hat_valid = B_HAT_MARGIN <= b_hat <= 1 - B_HAT_MARGIN
+        raw_b_hat = b_hat_to_raw(b_hat) if is_b_hat_valid else 0  # the C refuses 0
+        status = lib.mcp_asdf_init(
+            self.pointer, self._c_config.pointer, _fit_to_c_type(robot_id, _MAX_BYTE), raw_b_hat
+        )
+        _raise_for_error(status, config=config, robot_id=robot_id, b_hat=b_hat)
 
-    def _attach(self, config: Config) -> None:
+    def _allocate(self, config: Config) -> None:
+        """Allocate the C structs of the robot and of its settings; the robot's is not initialised yet."""
         self.config = config
         self.pointer = ffi.new("mcp_asdf_t *")
-        self._settings = _ConfigInC(config)
+        self._c_config = _CConfig(config)
 
     @classmethod
     def restore(cls, config: Config, image: bytes) -> NativeRobot:
-        """A robot from ``save``'s image. Raises FirmwareError as ``mcp_asdf_restore`` fails."""
+        """Make a robot from an image of ``save``; raise FirmwareError where ``mcp_asdf_restore`` fails."""
         robot = cls.__new__(cls)
-        robot._attach(config)
-        plain = bytes(memoryview(image))
-        whole = plain if len(plain) == lib.MCP_ASDF_IMAGE_SIZE else bytes(lib.MCP_ASDF_IMAGE_SIZE)
-        status = lib.mcp_asdf_restore(robot.pointer, robot._settings.pointer, whole)
-        _check(status, config=config)
+        robot._allocate(config)
+        image_bytes = bytes(memoryview(image))
+        # The C reads a fixed number of bytes. It refuses zeros, which stand in for an image of another size.
+        size = lib.MCP_ASDF_IMAGE_SIZE
+        c_image = image_bytes if len(image_bytes) == size else bytes(size)
+        status = lib.mcp_asdf_restore(robot.pointer, robot._c_config.pointer, c_image)
+        _raise_for_error(status, config=config)
         return robot
 
     def save(self) -> bytes:
-        """The state as ``mcp_asdf_save`` writes it."""
+        """Return the state as an image for ``restore``."""
         image = ffi.new("uint8_t[]", lib.MCP_ASDF_IMAGE_SIZE)
         lib.mcp_asdf_save(self.pointer, image)
         return bytes(image)
 
     def observe(self, z: Observation) -> Status:
-        """Count an observation and form x_hat and alpha."""
-        return _STATUS[lib.mcp_asdf_observe(self.pointer, _fit(z, MAX_WORD))]
+        """Count an observation, and compute x_hat and alpha from all observations so far."""
+        return _STATUS_BY_VALUE[lib.mcp_asdf_observe(self.pointer, _fit_to_c_type(z, MAX_WORD))]
 
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
         try:
-            return _STATUS[lib.mcp_asdf_receive(self.pointer, sender, x_hat, alpha)]
-        except OverflowError:
-            fitting = _fit(sender, _MAX_BYTE), _fit(x_hat, MAX_WORD)
-            return _STATUS[lib.mcp_asdf_receive(self.pointer, *fitting, alpha)]
+            return _STATUS_BY_VALUE[lib.mcp_asdf_receive(self.pointer, sender, x_hat, alpha)]
+        except OverflowError:  # invalid in any case, so the C rejects and counts what fits its types
+            c_sender = _fit_to_c_type(sender, _MAX_BYTE)
+            c_x_hat = _fit_to_c_type(x_hat, MAX_WORD)
+            return _STATUS_BY_VALUE[lib.mcp_asdf_receive(self.pointer, c_sender, c_x_hat, alpha)]
 
     def _receive_all(self, messages: NDArray[np.uint32]) -> int:
-        words = ffi.from_buffer("uint32_t[]", messages)
-        return int(lib.mcp_asdf_receive_all(self.pointer, words, len(messages)))
+        c_messages = ffi.from_buffer("uint32_t[]", messages)
+        return int(lib.mcp_asdf_receive_all(self.pointer, c_messages, len(messages)))
 
     def settle(self) -> Status:
-        """Close the round, and filter every ``filter_period`` rounds."""
-        return _STATUS[lib.mcp_asdf_settle(self.pointer)]
+        """Close the round, and run the filter if ``filter_period`` rounds have passed."""
+        return _STATUS_BY_VALUE[lib.mcp_asdf_settle(self.pointer)]
 
     def step(self, z: Observation) -> Status:
-        """``observe(z)`` then ``settle()``: what ``settle`` returns, or the error of ``observe``."""
-        return _STATUS[lib.mcp_asdf_step(self.pointer, _fit(z, MAX_WORD))]
+        """Observe ``z``, then settle: return the status of ``settle``, or the error of ``observe``."""
+        return _STATUS_BY_VALUE[lib.mcp_asdf_step(self.pointer, _fit_to_c_type(z, MAX_WORD))]
 
-    id = reading(lambda robot: int(robot.pointer.id), "Own id.")
-    t = reading(lambda robot: int(lib.mcp_asdf_t_count(robot.pointer)), "Observations counted.")
-    n = reading(lambda robot: int(lib.mcp_asdf_n_count(robot.pointer)), "Black ones among them.")
-    b_hat_raw = reading(lambda robot: int(lib.mcp_asdf_b_hat(robot.pointer)), "b_hat in units of 2**-32.")
-    x_hat_raw = reading(lambda robot: int(lib.mcp_asdf_x_hat(robot.pointer)), "x_hat in units of 2**-23.")
-    alpha_raw = reading(lambda robot: int(lib.mcp_asdf_alpha(robot.pointer)), "alpha as the firmware's word.")
-    x_bar_raw = reading(lambda robot: int(lib.mcp_asdf_x_bar(robot.pointer)), "x_bar in units of 2**-23.")
-    beta_raw = reading(lambda robot: int(lib.mcp_asdf_beta(robot.pointer)), "beta in units of 2**-24.")
-    x_raw = reading(lambda robot: int(lib.mcp_asdf_x(robot.pointer)), "x in units of 2**-23.")
+    @property
+    def id(self) -> int:
+        """Id of this robot."""
+        return int(self.pointer.id)
+
+    @property
+    def t(self) -> int:
+        """Number of observations."""
+        return int(lib.mcp_asdf_t_count(self.pointer))
+
+    @property
+    def n(self) -> int:
+        """Number of black observations."""
+        return int(lib.mcp_asdf_n_count(self.pointer))
+
+    @property
+    def b_hat_raw(self) -> int:
+        """Assumed accuracy in units of 2**-32."""
+        return int(lib.mcp_asdf_b_hat(self.pointer))
+
+    @property
+    def x_hat_raw(self) -> int:
+        """Local estimate in units of 2**-23."""
+        return int(lib.mcp_asdf_x_hat(self.pointer))
+
+    @property
+    def alpha_raw(self) -> int:
+        """Local confidence as an alpha word."""
+        return int(lib.mcp_asdf_alpha(self.pointer))
+
+    @property
+    def x_bar_raw(self) -> int:
+        """Social estimate in units of 2**-23."""
+        return int(lib.mcp_asdf_x_bar(self.pointer))
+
+    @property
+    def beta_raw(self) -> int:
+        """Social confidence in units of 2**-24."""
+        return int(lib.mcp_asdf_beta(self.pointer))
+
+    @property
+    def x_raw(self) -> int:
+        """Informed estimate in units of 2**-23."""
+        return int(lib.mcp_asdf_x(self.pointer))
 
     @property
     def counters(self) -> Counters:
-        """Diagnostics since the robot was made."""
-        native_counters = lib.mcp_asdf_counters(self.pointer)
-        return Counters(*(getattr(native_counters, member.name) for member in fields(Counters)))
+        """Numbers of events since the robot was made."""
+        c_counters = lib.mcp_asdf_counters(self.pointer)
+        return Counters(*(getattr(c_counters, member.name) for member in fields(Counters)))
 
     def state(self) -> dict[str, int]:
-        """Every member of ``mcp_asdf_t`` but ``config``, named as ``MirrorRobot.state`` names them."""
-        return dict(_flatten("", self.pointer[0], ffi.typeof("mcp_asdf_t")))
+        """Return every member of ``mcp_asdf_t`` but ``config``, by the names of ``MirrorRobot.state``."""
+        return dict(_iterate_numbers("", self.pointer[0], ffi.typeof("mcp_asdf_t")))
 
     def holds_invariants(self) -> bool:
-        """True if the state could have come from calls alone (``docs/invariants.md``)."""
+        """Return whether calls alone could have led to this state (``docs/invariants.md``)."""
         return bool(lib.mcp_asdf_invariants_hold(self.pointer))
 
 
-class _ConfigInC:
+class _CConfig:
     """A config and its table in C memory, which lives for as long as this object."""
 
     def __init__(self, config: Config) -> None:
         self._table = ffi.NULL
         if config.filter == Filter.ADAPTIVE and config.table is not None:
-            self._table = _table_in_c(config.table)
+            self._table = _allocate_table(config.table)
         self.pointer = ffi.new("mcp_asdf_config_t *")
         self.pointer.table = self._table
-        self.pointer.filter_period = _fit(config.filter_period, MAX_WORD, refused=0)
-        self.pointer.memory = _fit(config.memory, MAX_WORD, refused=0)
-        self.pointer.filter = _fit(config.filter, _MAX_BYTE)
+        self.pointer.filter_period = _fit_to_c_type(config.filter_period, MAX_WORD, substitute=0)
+        self.pointer.memory = _fit_to_c_type(config.memory, MAX_WORD, substitute=0)
+        self.pointer.filter = _fit_to_c_type(config.filter, _MAX_BYTE)
 
 
-def _table_in_c(table: Table) -> Any:
-    """A table's words and zeros up to the longest table: so that C reads valid memory for any q."""
+def _allocate_table(table: Table) -> Any:
+    """Return a table as a C array, or NULL if a word does not fit.
+
+    The array is as long as the longest table: the q of a damaged one may claim that many words, and the C
+    reads them to check the table.
+    """
     words = table.words()
+    padding = [0] * (EXTRA_WORDS + MAX_Q - len(words))
     try:
-        return ffi.new("uint32_t[]", [*words, *[0] * (EXTRA_WORDS + MAX_Q - len(words))])
-    except OverflowError:  # a word of more than 32 bits: no table
+        return ffi.new("uint32_t[]", [*words, *padding])
+    except OverflowError:
         return ffi.NULL
 
 
-def _fit(value: int, most: int, refused: int | None = None) -> int:
-    """``value`` if the C type holds it, else a number that the C refuses: ``refused``, or the largest."""
-    value = index(value)
-    if 0 <= value <= most:
-        return value
-    return most if refused is None else refused
+def _fit_to_c_type(value: int, maximum: int, substitute: int | None = None) -> int:
+    """Return ``value`` if it is in 0 .. ``maximum``, else a number that the C refuses.
 
-
-def _check(status: int, **settings: object) -> None:
-    if status != Status.OK:
-        reason = _STATUS[status]
-        raise FirmwareError(reason, _REASONS[reason].format(**settings))
-
-
-def _flatten(name: str, value: Any, kind: Any) -> Iterator[tuple[str, int]]:
-    """Numbers inside a C value by name; members of the counters go without the counters' name.
-
-    Who was heard is taken by words, as in an image, however C divides it.
+    That number is ``substitute``, or ``maximum`` if there is none.
     """
-    if kind.kind == "struct":
-        prefix = f"{name}_" if name and kind != ffi.typeof("mcp_asdf_counters_t") else ""
-        for member, field in kind.fields:
-            yield from _flatten(prefix + member, getattr(value, member), field.type)
-    elif kind.kind in ("array", "union"):
-        for index, (word,) in enumerate(struct.iter_unpack("<I", ffi.buffer(ffi.addressof(value)))):
-            yield f"{name}_{index}", word
-    elif kind.kind == "primitive":
+    number = index(value)
+    if 0 <= number <= maximum:
+        return number
+    return maximum if substitute is None else substitute
+
+
+def _raise_for_error(status: int, **settings: object) -> None:
+    """Raise FirmwareError unless ``status`` is OK; its message names the wrong one of ``settings``."""
+    if status != Status.OK:
+        error = _STATUS_BY_VALUE[status]
+        raise FirmwareError(error, _ERROR_MESSAGES[error].format(**settings))
+
+
+def _iterate_numbers(name: str, value: Any, c_type: Any) -> Iterator[tuple[str, int]]:
+    """Yield the name and value of each number in a C value; those of nested structs as ``open_alpha``.
+
+    Counters are named without their struct. Arrays are divided into words of 32 bits, as in an image,
+    whatever the size of their elements. Pointers are left out.
+    """
+    if c_type.kind == "struct":
+        prefix = f"{name}_" if name and c_type != ffi.typeof("mcp_asdf_counters_t") else ""
+        for member, field in c_type.fields:
+            yield from _iterate_numbers(prefix + member, getattr(value, member), field.type)
+    elif c_type.kind in ("array", "union"):
+        words = struct.iter_unpack("<I", ffi.buffer(ffi.addressof(value)))
+        for word_index, (word,) in enumerate(words):
+            yield f"{name}_{word_index}", word
+    elif c_type.kind == "primitive":
         yield name, int(value)

@@ -1,13 +1,14 @@
-"""The paper's equations in float64, one function each, and a robot made of them; and the robust filter, which
-is not the paper's (``docs/robust.md``).
+"""The paper's equations, one function each, and a robot that computes them in float64.
 
-Nothing here is quantised and alpha has no upper limit, so this is what the fixed-point firmwares are
-measured against. Names and cases are the paper's, with w_hat = b_hat; equation numbers count its
-numbered rows in order, so the hypothesis test is eq. 12. Sums are correctly rounded (``math.fsum``,
-``statistics``): no result depends on the order of the messages.
+Nothing is quantised here and alpha has no upper limit, so this is the measure for the fixed-point firmwares.
+Names and cases are the paper's, with w_hat = b_hat. Equation numbers count its numbered rows in order, so the
+hypothesis test is eq. 12. The robust filter, which is not the paper's, is here, too (``docs/robust.md``).
 
-Where the equations divide by zero a `Conventions` decides. Arguments outside the ranges
-that a function names, NaN among them, raise ValueError.
+The equations but eq. 10 and 12 take floats or fractions: from `fractions.Fraction` they give exact results.
+Sums of floats are correctly rounded, so that no result depends on the order of the messages.
+
+Where an equation divides by zero, `Conventions` says what it gives. Arguments outside the ranges that a
+function names, NaN among them, raise ValueError.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cache
 from operator import index
 from statistics import mean, stdev
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 from mcp_asdf.robot import (
     B_HAT_MARGIN,
@@ -29,42 +31,53 @@ from mcp_asdf.robot import (
     FirmwareError,
     Observation,
     Status,
-    accepted,
     check_alpha,
-    check_identity,
+    check_id_and_b_hat,
     check_settings,
     check_table,
-    reading,
-    shown,
+    describe_robot,
+    raise_if_rejected,
 )
 
-UNINFORMATIVE = 2.0**-12
-"""Where |2 p - 1| is below this, an accuracy or a social estimate p is uninformative."""
+Number = TypeVar("Number", float, Fraction)
+"""The type in which an equation is computed."""
+
+INFORMATIVE_G = 2.0**-12
+"""Where |2 p - 1| is below this, an accuracy or a social estimate p carries no information."""
 
 MAX_OMEGA = 0.9
 
-LEAST_SPREAD, MOST_SPREAD = 2.0**-12, 0.25
-MOST_VOTES, VOTES_MOVED = 2**14, 2**8
-SIGMAS_SQUARED, FEWEST_VOICES, LEAST_MOVE = 12, 3, 2.0**-30
-"""Constants of the robust filter, whose reasons are in ``docs/robust.md``."""
+# The robust filter's constants, by the names that they have in the C; ``docs/robust.md`` has the reasons.
+SPREAD_MIN = 2.0**-12
+SPREAD_MAX = 0.25
+VOTES_MAX = 2**14
+VOTES_OF_MAX_GAIN = 32
+VOTES_MIN_WHILE_MOVING = 2**8
+TREND_SHIFT = 8
+TREND_MOVING_DOWN = 1 / 8
+TREND_MOVING_UP = 7 / 8
+REJECTED_SIGMAS_SQUARED = 12
+SENDERS_MIN = 3
+STEP_MIN = 2.0**-30
+"""A vote that moves the centre by less does not move it at all in the firmware."""
 
 COUNTER_MODULUS = 2**16
 
 
 @dataclass(frozen=True)
 class Conventions:
-    """Where the firmware and the authors' programs differ.
+    """Choices in which the firmware and the authors' programs differ.
 
     Attributes:
         lost_degrees: The t-score has m - ``lost_degrees`` degrees of freedom.
-        strict: Update where the deviation is above the interval (eq. 12), not where it equals it.
-        guarded: b_hat within UNINFORMATIVE of saying nothing gives x_hat = 1/2 and alpha = 0, and no
-            update follows from such an x_bar. Otherwise a division by zero is IEEE 754's, whose infinity
-            the case distinctions of eq. 3 and 8 then clamp; 0/0 alone, NaN in the authors' programs,
+        strict: The test rejects if the deviation is above the interval (eq. 12), and not if it equals it.
+        guarded: If b_hat carries no information (`INFORMATIVE_G`), x_hat is 1/2 and alpha is 0, and from
+            such an x_bar no update follows. If not ``guarded``, a division by zero gives infinity as IEEE 754
+            says, which the cases of eq. 3 and 8 then clamp. Only 0/0, where the authors' programs have NaN,
             is 1/2: the value of both equations at n/t = 1/2 for every other b_hat or x_bar.
-        clamp_at: A quotient of eq. 8 at most ``clamp_at`` or at least 1 - ``clamp_at`` ...
-        clamp_to: ... becomes ``clamp_to`` or 1 - ``clamp_to``.
-        zero_confidence: Value in place of alpha = 0 once there is an observation.
+        clamp_at: A b_hat of eq. 8 at most ``clamp_at``, or at least 1 - ``clamp_at``, is replaced ...
+        clamp_to: ... by ``clamp_to`` or 1 - ``clamp_to``.
+        zero_confidence: Value that replaces alpha = 0 once there is an observation.
     """
 
     lost_degrees: int = 1
@@ -76,7 +89,7 @@ class Conventions:
 
 
 PAPER = Conventions()
-"""The paper's equations with the firmware's meanings at their edges."""
+"""The paper's equations, with the firmware's meanings where these leave something open."""
 
 AUTHORS = Conventions(
     lost_degrees=0, strict=False, guarded=False, clamp_at=0.0, clamp_to=1e-6, zero_confidence=1e-6
@@ -84,85 +97,105 @@ AUTHORS = Conventions(
 """The authors' programs (github.com/NESTLab/sensor-degradation-filter)."""
 
 
-class Message(NamedTuple):
-    """A robot's broadcast: its local estimate in [0, 1] and its confidence, >= 0 and finite."""
+class Estimate(NamedTuple, Generic[Number]):
+    """What a robot broadcasts: its local estimate in [0, 1], and its confidence, which is >= 0 and finite."""
 
-    x_hat: float
-    alpha: float
+    x_hat: Number
+    alpha: Number
 
 
-def local_estimate(n: int, t: int, b: float, conventions: Conventions = PAPER) -> float:
-    """x_hat in [0, 1] from ``n`` black among ``t`` observations, 0 <= n <= t, and ``b`` in [0, 1] (eq. 3).
+# ---- The local estimate ----
 
-    1/2 before the first observation. O(1).
+
+def local_estimate(n: int, t: int, b: Number, conventions: Conventions = PAPER) -> Number:
+    """Return x_hat in [0, 1] after ``n`` black among ``t`` observations, for ``b`` in [0, 1] (eq. 3). O(1).
+
+    It is 1/2 before the first observation.
     """
     _check_counts(n, t)
-    _check_unit(b, "b")
-    if t == 0 or _is_uninformative(b, conventions):
-        return 0.5
-    return max(0.0, min(_quotient(n / t + b - 1, 2 * b - 1), 1.0))
+    _check_is_in_unit_interval(b, "b")
+    number = _number_type(b)
+    if t == 0 or _carries_no_information(b, conventions):
+        return number(0.5)
+    return _quotient_in_unit_interval(number(n) / t + b - 1, 2 * b - 1)
 
 
-def local_confidence(n: int, t: int, b: float, conventions: Conventions = PAPER) -> float:
-    """alpha >= 0 of the local estimate, whose arguments these are (eq. 4). O(1).
+def local_confidence(n: int, t: int, b: Number, conventions: Conventions = PAPER) -> Number:
+    """Return alpha >= 0 of the local estimate that has the same arguments (eq. 4). O(1).
 
-    0 before the first observation. The numerators of the first two cases are multiplied out, which
-    leaves no difference to cancel: t w^2 - (2w - 1)(t - n) = n w^2 + (t - n)(1 - w)^2. Raises
-    ZeroDivisionError where alpha is infinite: a perfect sensor, ``b`` 0 or 1, that saw one colour only.
+    It is 0 before the first observation. Raises ZeroDivisionError where alpha is infinite: for a perfect
+    sensor, ``b`` 0 or 1, after observations of one colour only.
     """
-    x_hat, d = local_estimate(n, t, b, conventions), (2 * b - 1) ** 2
+    number = _number_type(b)
+    x_hat = local_estimate(n, t, b, conventions)
     if t == 0:
-        return 0.0
-    if _is_uninformative(b, conventions):
-        return conventions.zero_confidence
+        return number(0)
+    if _carries_no_information(b, conventions):
+        return number(conventions.zero_confidence)
+    d = (2 * b - 1) ** 2
+    # In the first two cases the numerators are multiplied out, which leaves no difference to cancel:
+    # t w^2 - (2w - 1)(t - n) = n w^2 + (t - n)(1 - w)^2.
     if x_hat == 0:
         alpha = d * (n / (1 - b) ** 2 + (t - n) / b**2)
     elif x_hat == 1:
         alpha = d * ((t - n) / (1 - b) ** 2 + n / b**2)
     else:
         alpha = d * t**3 / (n * (t - n))
-    return alpha or conventions.zero_confidence
+    return alpha or number(conventions.zero_confidence)
 
 
-def social_estimate(messages: Sequence[Message]) -> float:
-    """x_bar in [0, 1] (eq. 5); 1/2 where it is undefined, when no message has alpha > 0. O(m)."""
-    return _weighted_mean(messages, undefined=0.5)
+# ---- The social and the informed estimate ----
 
 
-def social_confidence(messages: Sequence[Message]) -> float:
-    """beta >= 0 (eq. 6); 0 without messages. O(m)."""
-    _check_messages(messages)
-    return math.fsum(message.alpha for message in messages)
+def social_estimate(estimates: Sequence[Estimate[Number]]) -> Number:
+    """Return x_bar in [0, 1] of the neighbours' estimates (eq. 5). O(m).
 
-
-def informed_estimate(own: Message, messages: Sequence[Message]) -> float:
-    """x in [0, 1] (eq. 7, second form); the own x_hat if all confidences are 0. O(m).
-
-    The own message is one term among the others: robots that hear each other get the same bits.
+    It is 1/2 where the equation is undefined, because no estimate has alpha > 0.
     """
-    return _weighted_mean([own, *messages], undefined=own.x_hat)
+    return _weighted_mean(estimates, default=0.5)
 
 
-def assumed_accuracy_update(n: int, t: int, x_bar: float, conventions: Conventions = PAPER) -> float | None:
-    """The b_hat that makes ``x_bar`` in [0, 1] the local estimate (eq. 8), off 0 and 1 by ``clamp_to``. O(1).
+def social_confidence(estimates: Sequence[Estimate[Number]]) -> Number:
+    """Return beta >= 0 of the neighbours' estimates (eq. 6), which is 0 if there are none. O(m)."""
+    _check_estimates(estimates)
+    return _sum([alpha for _, alpha in estimates])
 
-    None, no update, before the first observation and where ``x_bar`` is uninformative.
+
+def informed_estimate(own_estimate: Estimate[Number], estimates: Sequence[Estimate[Number]]) -> Number:
+    """Return x in [0, 1] of a robot's own and its neighbours' estimates (eq. 7, second form). O(m).
+
+    It is the robot's x_hat if all confidences are 0.
+    """
+    # The own estimate is a term like the others, so robots that all hear each other get the same bits.
+    all_estimates = [own_estimate]
+    all_estimates += estimates
+    return _weighted_mean(all_estimates, default=own_estimate.x_hat)
+
+
+# ---- The sensor degradation filter ----
+
+
+def assumed_accuracy_update(n: int, t: int, x_bar: Number, conventions: Conventions = PAPER) -> Number | None:
+    """Return the b_hat for which ``x_bar`` in [0, 1] would be the local estimate (eq. 8), kept off 0 and 1.
+
+    Returns None, for no update, before the first observation and if ``x_bar`` carries no information. O(1).
     """
     _check_counts(n, t)
-    _check_unit(x_bar, "x_bar")
-    if t == 0 or _is_uninformative(x_bar, conventions):
+    _check_is_in_unit_interval(x_bar, "x_bar")
+    if t == 0 or _carries_no_information(x_bar, conventions):
         return None
-    b = _quotient(n / t + x_bar - 1, 2 * x_bar - 1)
-    if b <= conventions.clamp_at:
-        return conventions.clamp_to
-    if b >= 1 - conventions.clamp_at:
-        return 1 - conventions.clamp_to
-    return b
+    number = _number_type(x_bar)
+    b_hat = _quotient_in_unit_interval(number(n) / t + x_bar - 1, 2 * x_bar - 1)
+    if b_hat <= conventions.clamp_at:
+        return number(conventions.clamp_to)
+    if b_hat >= 1 - conventions.clamp_at:
+        return 1 - number(conventions.clamp_to)
+    return b_hat
 
 
 @cache
 def t_score(m: int, omega: float, conventions: Conventions = PAPER) -> float:
-    """t_{m-1,(1-omega)/2}, which a T variable exceeds with probability (1 - omega)/2 (eq. 10).
+    """Return t_{m-1,(1-omega)/2}, which a T variable exceeds with probability (1 - omega)/2 (eq. 10).
 
     ``m`` >= 2, 0 < ``omega`` < 1. O(1) after the first call with the same arguments.
     """
@@ -173,12 +206,12 @@ def t_score(m: int, omega: float, conventions: Conventions = PAPER) -> float:
     return float(stdtrit(m - conventions.lost_degrees, (1 + omega) / 2))
 
 
-def rejects(
+def asdf_test_rejects(
     x_hat: float, neighbours: Sequence[float], omega: float, conventions: Conventions = PAPER
 ) -> bool:
-    """True if ``x_hat`` differs too much from the m local estimates ``neighbours`` (eq. 12). O(m).
+    """Return whether ``x_hat`` differs too much from the local estimates of m neighbours (eq. 12). O(m).
 
-    Never for m < 2, where the sample has no variance. All estimates are finite, 0 < ``omega`` < 1.
+    It never does for m < 2, where the sample has no variance. All estimates are finite, 0 < ``omega`` < 1.
     """
     if not all(map(math.isfinite, (x_hat, *neighbours))):
         raise ValueError(f"x_hat is {x_hat}, its neighbours' {list(neighbours)}; all must be finite")
@@ -190,107 +223,169 @@ def rejects(
     return deviation > interval or (deviation == interval and not conventions.strict)
 
 
+# ---- The robust filter ----
+
+
 @dataclass(frozen=True)
 class Crowd:
     """What a robot with the robust filter knows of the others.
 
     Attributes:
-        centre: Of the estimates heard, in [0, 1].
-        spread: Their median distance from it, in [LEAST_SPREAD, MOST_SPREAD].
-        trend: Share of the centre's late moves that went up; a move below LEAST_MOVE is half of one.
-        votes: Messages that moved it, up to MOST_VOTES.
-        voices: Who was heard, modulo 32.
+        centre: Centre of the received estimates, in [0, 1].
+        spread: Median distance of the received estimates from the centre, in [SPREAD_MIN, SPREAD_MAX].
+        trend: Share of the centre's recent moves that went up; no move counts as half of one.
+        votes: Number of received estimates, at most VOTES_MAX.
+        voices: Senders of received estimates, modulo 32.
     """
 
     centre: float = 0.5
-    spread: float = MOST_SPREAD
+    spread: float = SPREAD_MAX
     trend: float = 0.5
     votes: int = 0
     voices: frozenset[int] = frozenset()
 
     @property
     def is_moving(self) -> bool:
-        """True if 7 of 8 late moves of the centre went one way: it lags behind a floor that has changed."""
-        return not 1 / 8 <= self.trend < 7 / 8
+        """Whether 7 of 8 recent moves of the centre went the same way: it lags behind a changed floor."""
+        return not TREND_MOVING_DOWN <= self.trend < TREND_MOVING_UP
 
 
-def vote(crowd: Crowd, sender: int, x_hat: float) -> Crowd:
-    """The crowd after a message: one step of Robbins and Monro's stochastic approximation. O(1).
-
-    The centre moves as for Huber's M-estimate clamped at the spread, the spread as for the median of the
-    distances, with a gain of 4/votes to 8/votes that stays within 2**-12 and 2**-3.
-    """
-    _check_unit(x_hat, "x_hat")
-    votes = min(crowd.votes + 1, MOST_VOTES)
-    gain, distance = 2.0 ** -max(votes.bit_length() - 3, 3), x_hat - crowd.centre
-    step = gain * max(-crowd.spread, min(distance, crowd.spread))
-    widening = gain / 2 if abs(distance) > crowd.spread else -gain / 2
-    way = float(step > 0) if abs(step) >= LEAST_MOVE else 0.5
+def crowd_after_vote(crowd: Crowd, sender: int, x_hat: float) -> Crowd:
+    """Return the crowd after an estimate in [0, 1] was received. O(1)."""
+    _check_is_in_unit_interval(x_hat, "x_hat")
+    votes = min(crowd.votes + 1, VOTES_MAX)
+    step, spread = step_and_spread_after_vote(votes, crowd.centre, crowd.spread, x_hat)
+    direction = float(step > 0) if abs(step) >= STEP_MIN else 0.5
     return Crowd(
         centre=crowd.centre + step,
-        spread=max(LEAST_SPREAD, min(crowd.spread * (1 + widening), MOST_SPREAD)),
-        trend=crowd.trend + (way - crowd.trend) / 256,
+        spread=spread,
+        trend=crowd.trend + (direction - crowd.trend) / 2**TREND_SHIFT,
         votes=votes,
         voices=crowd.voices | {sender % 32},
     )
 
 
-def deviates(n: int, t: int, b: float, centre: float, spread: float) -> bool:
-    """The robust filter's test: True if ``n`` black among ``t`` > 0 cannot be chance, given ``b``. O(1).
+def step_and_spread_after_vote(
+    votes: int, centre: Number, spread: Number, x_hat: Number
+) -> tuple[Number, Number]:
+    """Return by how much the ``votes``-th vote moves the centre, and the spread after it. O(1).
 
-    D**2 > 12 (v/t + (2b - 1)**2 spread**2), where D is the distance of n/t from p = b r + (1 - b)(1 - r), r
-    the ``centre``, and v the larger of p (1 - p) and n/t (1 - n/t).
+    This is Robbins and Monro's stochastic approximation: the centre moves as for Huber's M-estimate clamped
+    at the spread, the spread as for the median of the distances. The gain is 4/votes to 8/votes, but at least
+    2**-12 and at most 2**-3.
+    """
+    number = _number_type(centre)
+    gain = number(2.0 ** -(max(votes, VOTES_OF_MAX_GAIN).bit_length() - 3))
+    distance = x_hat - centre
+    step = gain * max(-spread, min(distance, spread))
+    widening = gain / 2 if abs(distance) > spread else -gain / 2
+    new_spread = spread * (1 + widening)
+    return step, max(number(SPREAD_MIN), min(new_spread, number(SPREAD_MAX)))
+
+
+def robust_test_rejects(n: int, t: int, b: float, centre: float, spread: float) -> bool:
+    """Return whether ``n`` black among ``t`` > 0 observations contradict ``b``, if the crowd is right.
+
+    See `robust_test_sides`. O(1).
     """
     _check_counts(n, t)
-    _check_unit(b, "b")
-    _check_unit(centre, "centre")
-    seen, p = n / t, b * centre + (1 - b) * (1 - centre)
-    variance = max(p * (1 - p), seen * (1 - seen))
-    return (seen - p) ** 2 > SIGMAS_SQUARED * (variance / t + (2 * b - 1) ** 2 * spread**2)
+    _check_is_in_unit_interval(b, "b")
+    _check_is_in_unit_interval(centre, "centre")
+    difference_squared, limit = robust_test_sides(n, t, b, centre, spread)
+    return difference_squared > limit
+
+
+def robust_test_sides(n: int, t: int, b: Number, centre: Number, spread: Number) -> tuple[Number, Number]:
+    """Return both sides of the robust filter's test, which rejects if the first is the larger. O(1).
+
+    They are D**2 and 12 (v/t + (2b - 1)**2 spread**2), where D is the difference of the observed share n/t
+    and the predicted one p = b centre + (1 - b)(1 - centre), and v is the larger of their variances p (1 - p)
+    and n/t (1 - n/t).
+    """
+    observed_share = _number_type(b)(n) / t
+    predicted_share = b * centre + (1 - b) * (1 - centre)
+    variance = max(predicted_share * (1 - predicted_share), observed_share * (1 - observed_share))
+    limit = REJECTED_SIGMAS_SQUARED * (variance / t + (2 * b - 1) ** 2 * spread**2)
+    return (observed_share - predicted_share) ** 2, limit
+
+
+# ---- Arguments and numbers ----
 
 
 def _check_counts(n: int, t: int) -> None:
+    """Raise ValueError unless ``n`` may be the number of black among ``t`` observations."""
     if not 0 <= n <= t:
         raise ValueError(f"n is {n} and t {t}; counts are 0 <= n <= t")
 
 
-def _check_unit(value: float, name: str) -> None:
+def _check_is_in_unit_interval(value: float | Fraction, name: str) -> None:
+    """Raise ValueError, with the argument's name, unless ``value`` is in [0, 1]."""
     if not 0 <= value <= 1:
         raise ValueError(f"{name} is {value}; it lies in [0, 1]")
 
 
-def _check_messages(messages: Sequence[Message]) -> None:
-    for x_hat, alpha in messages:
+def _check_estimates(estimates: Sequence[Estimate[Any]]) -> None:
+    """Raise ValueError for an estimate that no robot may broadcast."""
+    for x_hat, alpha in estimates:
         if not (0 <= x_hat <= 1 and 0 <= alpha < math.inf):
             raise ValueError(
                 f"a message has x_hat {x_hat} and alpha {alpha}; x_hat is in [0, 1], alpha finite and >= 0"
             )
 
 
-def _is_uninformative(p: float, conventions: Conventions) -> bool:
-    return conventions.guarded and abs(2 * p - 1) < UNINFORMATIVE
+def is_informative(p: float | Fraction) -> bool:
+    """Return whether an observation with accuracy ``p``, or a social estimate ``p``, carries information."""
+    return abs(2 * p - 1) >= INFORMATIVE_G
 
 
-def _quotient(numerator: float, denominator: float) -> float:
-    """Divide as IEEE 754 does, but 0/0 is 1/2 (see ``Conventions.guarded``)."""
+def _carries_no_information(p: float | Fraction, conventions: Conventions) -> bool:
+    return conventions.guarded and not is_informative(p)
+
+
+def _number_type(value: Number) -> type[Number]:
+    """Return Fraction for a fraction, and float for any other number."""
+    return Fraction if isinstance(value, Fraction) else float
+
+
+def _quotient_in_unit_interval(numerator: Number, denominator: Number) -> Number:
+    """Return a quotient clamped to [0, 1].
+
+    A division by zero gives infinity, clamped likewise, and 0/0 gives 1/2 (see ``Conventions.guarded``).
+    """
+    number = _number_type(numerator)
     if denominator != 0:
-        return numerator / denominator
-    return 0.5 if numerator == 0 else math.copysign(math.inf, numerator)
+        return max(number(0), min(numerator / denominator, number(1)))
+    if numerator == 0:
+        return number(0.5)
+    return number(numerator > 0)
 
 
-def _weighted_mean(messages: Sequence[Message], undefined: float) -> float:
-    _check_messages(messages)
-    beta = math.fsum(message.alpha for message in messages)
-    moments = (message.alpha * message.x_hat for message in messages)
-    return math.fsum(moments) / beta if beta else undefined
+def _sum(terms: Sequence[Number]) -> Number:
+    """Return the sum of fractions exactly, or of floats correctly rounded: 0.0 if there are none."""
+    is_exact = any(isinstance(term, Fraction) for term in terms)
+    return cast(Number, sum(terms) if is_exact else math.fsum(terms))
+
+
+def _weighted_mean(estimates: Sequence[Estimate[Number]], default: float | Fraction) -> Number:
+    """Return the mean of all x_hat weighted by alpha, or ``default`` if all weights are 0."""
+    _check_estimates(estimates)
+    total_weight = _sum([alpha for _, alpha in estimates])
+    if total_weight == 0:
+        return cast(Number, default)
+    return _sum([alpha * x_hat for x_hat, alpha in estimates]) / total_weight
+
+
+# ---- The robot ----
 
 
 class ReferenceRobot:
-    """A robot in float64; see `mcp_asdf.robot.Robot`.
+    """A robot that computes in float64. Implements ``mcp_asdf.robot.Robot``.
 
-    ``settle`` is O(m), as the messages of a round are kept to be summed exactly; m <= 127. The t-scores
-    are computed for the table's omega, or for ``omega`` in (0, 0.9] if it is given; the table's entries
-    are not used. Raises FirmwareError with ERR_CONFIG, ERR_TABLE, ERR_ID or ERR_B_HAT, in this order.
+    The t-scores are computed for the omega of the config's table, or for ``omega`` in (0, 0.9] if it is
+    given; the entries of the table are not used. ``settle`` is O(m) for the m <= 127 messages of a round, as
+    these are kept in order to be summed exactly.
+
+    Raises FirmwareError with ERR_CONFIG, ERR_TABLE, ERR_ID or ERR_B_HAT, in this order.
     """
 
     def __init__(
@@ -305,162 +400,209 @@ class ReferenceRobot:
         check_settings(config)
         self._omega = _checked_omega(config, omega) if config.filter == Filter.ADAPTIVE else 0.0
         if self._omega:
-            t_score(2, self._omega, conventions)  # where SciPy is missing, now and not at the first test
-        check_identity(robot_id, b_hat)
-        self._config, self._id, self._conventions = config, index(robot_id), conventions
-        self._t, self._n, self._b_hat, self._first = 0, 0, float(b_hat), float(b_hat)
+            # Where SciPy is missing this fails now, and not at the first test.
+            t_score(2, self._omega, conventions)
+        check_id_and_b_hat(robot_id, b_hat)
+        self._config = config
+        self._id = index(robot_id)
+        self._conventions = conventions
+        self._t = 0
+        self._n = 0
+        self._b_hat = float(b_hat)
+        self._initial_b_hat = float(b_hat)
+        self._own_estimate = Estimate(x_hat=0.5, alpha=0.0)
+        self._open_round: dict[int, Estimate[float]] = {}
+        """Estimates of the open round, by sender."""
+        self._closed_round: list[Estimate[float]] = []
+        """Estimates with confidence of the last closed round; none with the robust filter."""
         self._crowd = Crowd()
-        self._own = Message(x_hat=0.5, alpha=0.0)
-        self._open: dict[int, Message] = {}
-        self._round: list[Message] = []
         self._filter_left = config.filter_period
         self._counts = dict.fromkeys(Counters.__dataclass_fields__, 0)
 
     def observe(self, z: Observation) -> Status:
-        """Count an observation and form x_hat and alpha. O(1)."""
+        """Count an observation, and compute x_hat and alpha from all observations so far. O(1)."""
         if index(z) not in (Observation.WHITE, Observation.BLACK):
             return Status.ERR_OBSERVATION
         self._t += 1
         self._n += z == Observation.BLACK
         if self._t == self._config.memory:
-            self._t, self._n = self._t // 2, round(self._n / 2)  # round() takes ties to even
-        self._own = Message(
+            self._t //= 2
+            self._n = round(self._n / 2)  # round() takes ties to even
+        self._own_estimate = Estimate(
             local_estimate(self._n, self._t, self._b_hat, self._conventions),
             local_confidence(self._n, self._t, self._b_hat, self._conventions),
         )
         return Status.OK
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        """Take a neighbour's message into the open round; raises as the interface says. O(1)."""
+        """Add a neighbour's estimate to the open round. O(1).
+
+        Raises FirmwareError if the message is invalid, and counts it as rejected.
+        """
         sender = index(sender)
         check_alpha(alpha)
         status = self._check_message(sender, x_hat)
         if status < Status.OK:
             self._count("rejected")
-        elif sender in self._open:
+            raise_if_rejected(status, sender, x_hat)
+        if sender in self._open_round:
             self._count("repeated")
-            status = Status.REPEATED
-        else:
-            self._count("accepted")
-            self._open[sender] = Message(float(x_hat), float(alpha))
-            if self._is_robust and alpha > 0:
-                self._crowd = vote(self._crowd, sender, float(x_hat))
-        return accepted(status, sender, x_hat)
-
-    def settle(self) -> Status:
-        """Close the round, and filter every ``filter_period`` rounds. O(m)."""
-        messages = () if self._is_robust else self._open.values()
-        self._round = [message for message in messages if message.alpha > 0]
-        self._open = {}
-        self._filter_left -= 1
-        if self._filter_left:
-            return Status.OK
-        self._filter_left = self._config.filter_period
-        return self._filter()
-
-    def step(self, z: Observation) -> Status:
-        """``observe(z)`` then ``settle()``: what ``settle`` returns, or the error of ``observe``."""
-        status = self.observe(z)
-        return self.settle() if status == Status.OK else status
+            return Status.REPEATED
+        self._count("accepted")
+        self._open_round[sender] = Estimate(float(x_hat), float(alpha))
+        if self._is_robust and alpha > 0:
+            self._crowd = crowd_after_vote(self._crowd, sender, float(x_hat))
+        return Status.OK
 
     def _check_message(self, sender: int, x_hat: float) -> Status:
+        """Return the error of an invalid message, or OK."""
         if not 0 <= sender <= MAX_ID or sender == self._id:
             return Status.ERR_SENDER
         if not 0 <= x_hat <= 1:
             return Status.ERR_X_HAT
         return Status.OK
 
-    def _filter(self) -> Status:
-        if self._is_robust:
-            b_hat = self._crowd_b_hat()
-        else:
-            b_hat = self.reestimated() if self._is_activated() else None
-        if b_hat is None:
+    def settle(self) -> Status:
+        """Close the round, and run the filter if ``filter_period`` rounds have passed. O(m)."""
+        estimates = () if self._is_robust else self._open_round.values()
+        self._closed_round = [estimate for estimate in estimates if estimate.alpha > 0]
+        self._open_round = {}
+        self._filter_left -= 1
+        if self._filter_left:
             return Status.OK
-        self._b_hat = b_hat
+        self._filter_left = self._config.filter_period
+        return self._update_b_hat()
+
+    def step(self, z: Observation) -> Status:
+        """Observe ``z``, then settle: return the status of ``settle``, or the error of ``observe``."""
+        status = self.observe(z)
+        return self.settle() if status == Status.OK else status
+
+    def _update_b_hat(self) -> Status:
+        """Run the filter, and return UPDATED if it has re-estimated b_hat, else OK."""
+        if self._t == 0:
+            return Status.OK
+        if self._is_robust:
+            new_b_hat = self._run_robust_filter()
+        else:
+            new_b_hat = self.reestimate_b_hat() if self._is_update_needed() else None
+        if new_b_hat is None:
+            return Status.OK
+        self._b_hat = new_b_hat
         self._count("updates")
         return Status.UPDATED
 
-    def reestimated(self) -> float | None:
-        """The next assumed accuracy (eq. 8), None to keep the present one; variants override it."""
+    def reestimate_b_hat(self) -> float | None:
+        """Return the next assumed accuracy (eq. 8), or None to keep the present one.
+
+        The filter calls it when its test rejects. Subclasses may override it for a filter of their own.
+        """
         return assumed_accuracy_update(self._n, self._t, self.x_bar, self._conventions)
+
+    def _is_update_needed(self) -> bool:
+        """Return whether the paper's filter is to re-estimate b_hat: always, never, or by its test."""
+        if self._config.filter == Filter.OFF:
+            return False
+        if self._config.filter == Filter.ALWAYS:
+            return bool(self._closed_round)
+        if len(self._closed_round) < 2:
+            return False
+        self._count("tests")
+        neighbours = [estimate.x_hat for estimate in self._closed_round]
+        return asdf_test_rejects(self._own_estimate.x_hat, neighbours, self._omega, self._conventions)
+
+    def _run_robust_filter(self) -> float | None:
+        """Run the robust filter, and return the new b_hat, or None if b_hat stays.
+
+        Nothing is tested while the crowd moves, nor before three senders have voted. If the test does not
+        reject the initial b_hat, b_hat is that again.
+        """
+        crowd = self._crowd
+        if crowd.is_moving:
+            # With fewer votes the gain is larger, and the centre follows faster.
+            if crowd.votes >= 2 * VOTES_MIN_WHILE_MOVING:
+                self._crowd = replace(crowd, votes=crowd.votes // 2)
+            return None
+        if len(crowd.voices) < SENDERS_MIN:
+            return None
+        self._count("tests")
+        if robust_test_rejects(self._n, self._t, self._initial_b_hat, crowd.centre, crowd.spread):
+            return self.reestimate_b_hat()
+        return self._initial_b_hat if self._b_hat != self._initial_b_hat else None
 
     @property
     def _is_robust(self) -> bool:
         return self._config.filter == Filter.ROBUST
 
-    def _crowd_b_hat(self) -> float | None:
-        """The same by the robust filter: the first b_hat where the test does not reject that."""
-        crowd = self._crowd
-        if self._t == 0:
-            return None
-        if crowd.is_moving:
-            if crowd.votes >= 2 * VOTES_MOVED:
-                self._crowd = replace(crowd, votes=crowd.votes // 2)
-            return None
-        if len(crowd.voices) < FEWEST_VOICES:
-            return None
-        self._count("tests")
-        if deviates(self._n, self._t, self._first, crowd.centre, crowd.spread):
-            return self.reestimated()
-        return self._first if self._b_hat != self._first else None
-
-    def _is_activated(self) -> bool:
-        if self._config.filter == Filter.OFF or self._t == 0:
-            return False
-        if self._config.filter == Filter.ALWAYS:
-            return bool(self._round)
-        if len(self._round) < 2:
-            return False
-        self._count("tests")
-        neighbours = [message.x_hat for message in self._round]
-        return rejects(self._own.x_hat, neighbours, self._omega, self._conventions)
-
     def _count(self, counter: str) -> None:
         self._counts[counter] = (self._counts[counter] + 1) % COUNTER_MODULUS
 
     def __repr__(self) -> str:
-        return shown(self)
+        return describe_robot(self)
 
-    id = reading(lambda robot: robot._id, "Own id.")
-    t = reading(lambda robot: robot._t, "Observations counted.")
-    n = reading(lambda robot: robot._n, "Black ones among them.")
-    b_hat = reading(lambda robot: robot._b_hat, "Assumed accuracy.")
-    x_hat = reading(lambda robot: robot._own.x_hat, "Local estimate (eq. 3), in [0, 1].")
-    alpha = reading(lambda robot: robot._own.alpha, "Local confidence (eq. 4), >= 0.")
+    @property
+    def id(self) -> int:
+        """Id of this robot."""
+        return self._id
+
+    @property
+    def t(self) -> int:
+        """Number of observations."""
+        return self._t
+
+    @property
+    def n(self) -> int:
+        """Number of black observations."""
+        return self._n
+
+    @property
+    def b_hat(self) -> float:
+        """Assumed accuracy of this robot's sensor."""
+        return self._b_hat
+
+    @property
+    def x_hat(self) -> float:
+        """Local estimate (eq. 3), in [0, 1]."""
+        return self._own_estimate.x_hat
+
+    @property
+    def alpha(self) -> float:
+        """Local confidence (eq. 4), >= 0."""
+        return self._own_estimate.alpha
 
     @property
     def x_bar(self) -> float:
-        """Social estimate (eq. 5) of the last closed round; 1/2 when ``beta`` is 0. O(m).
+        """Social estimate (eq. 5) of the last closed round; 1/2 if ``beta`` is 0. O(m).
 
-        Robust: the crowd's centre.
+        With the robust filter: the crowd's centre.
         """
         if self._is_robust:
             return self._crowd.centre
-        return social_estimate(self._round)
+        return social_estimate(self._closed_round)
 
     @property
     def beta(self) -> float:
-        """Social confidence (eq. 6) of the last closed round; 0 without neighbours and if robust. O(m)."""
-        return social_confidence(self._round)
+        """Social confidence (eq. 6) of the last closed round; 0 without messages or if robust. O(m)."""
+        return social_confidence(self._closed_round)
 
     @property
     def x(self) -> float:
-        """Informed estimate (eq. 7) of the own estimate now and the last closed round, in [0, 1]; O(m).
+        """Informed estimate (eq. 7) of the present local estimate and the last closed round. O(m).
 
-        Robust: the centre, or x_hat while nobody was heard.
+        With the robust filter: the crowd's centre, or x_hat before the first vote.
         """
         if self._is_robust:
-            return self._crowd.centre if self._crowd.votes else self._own.x_hat
-        return informed_estimate(self._own, self._round)
+            return self._crowd.centre if self._crowd.votes else self._own_estimate.x_hat
+        return informed_estimate(self._own_estimate, self._closed_round)
 
     @property
     def counters(self) -> Counters:
-        """Diagnostics since the robot was made."""
+        """Numbers of events since the robot was made."""
         return Counters(**self._counts)
 
 
 def _checked_omega(config: Config, omega: float | None) -> float:
+    """Return ``omega``, or that of the config's table; raise FirmwareError (ERR_TABLE) if it is invalid."""
     if omega is not None:
         if not 0 < omega <= MAX_OMEGA:
             raise FirmwareError(Status.ERR_TABLE, f"omega is {omega}; choose one in (0, {MAX_OMEGA}]")

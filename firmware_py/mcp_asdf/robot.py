@@ -1,18 +1,17 @@
-"""The interface of a robot's firmware, whichever arithmetic runs inside.
+"""The interface of a robot's firmware, and what its three implementations share.
 
-Three firmwares implement `Robot`: the paper's equations in float64 (``reference``), plain
-integers (``mirror``) and the C itself (``native``). A tool written against this module runs on any
-of them. The two fixed-point ones also implement `FixedPointRobot`, whose ``*_raw`` members
-are the firmware's own integers; the step's exact meaning is in ``docs/design.md``.
+The implementations are `ReferenceRobot` (the paper's equations in float64), `MirrorRobot` (the firmware in
+Python integers) and `NativeRobot` (the C itself). A tool that is written for `Robot` runs on any of them. The
+latter two also implement `FixedPointRobot`, whose ``*_raw`` members are the firmware's own integers. What a
+robot does in each call, to the bit, is specified in ``docs/design.md``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from mcp_asdf.table import Table, TableError
 
@@ -20,19 +19,17 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-_T = TypeVar("_T")
-
 MAX_ID = 127
-"""Largest robot id; a round therefore holds at most 127 messages."""
+"""Largest robot id. A robot hears at most 127 others, so a round has at most 127 messages."""
 
 DEFAULT_FILTER_PERIOD = 1000
 """Rounds from one run of the filter to the next."""
+MAX_FILTER_PERIOD = 2**32 - 1
 
 DEFAULT_MEMORY = 2**31
-"""Observations at which t and n are halved; the largest the firmware can count."""
-
+"""Number of observations at which t and n are halved: the largest number that the firmware can count."""
 MIN_MEMORY = 64
-MAX_FILTER_PERIOD = 2**32 - 1
+
 B_HAT_MARGIN = 2.0**-20
 """b_hat stays in [2**-20, 1 - 2**-20]."""
 
@@ -45,31 +42,31 @@ class Observation(IntEnum):
 
 
 class Filter(IntEnum):
-    """When the assumed accuracy is re-estimated, every ``filter_period`` rounds."""
+    """Condition under which the filter, which runs every ``filter_period`` rounds, re-estimates b_hat."""
 
     ADAPTIVE = 0
-    """When the hypothesis test (eq. 12) rejects: the paper's ASDF."""
+    """The hypothesis test (eq. 12) rejects. This is the paper's filter, ASDF."""
     ALWAYS = 1
-    """Without a test."""
+    """Every run re-estimates b_hat, without a test."""
     OFF = 2
-    """Never: plain collective perception."""
+    """No run re-estimates b_hat. This is collective perception without calibration."""
     ROBUST = 3
-    """Not the paper's: while the own count of black tiles differs too much from what the centre of all
-    estimates heard predicts (``docs/robust.md``)."""
+    """The robot's count of black tiles contradicts the centre of all received estimates. This is this
+    project's filter and not the paper's (``docs/robust.md``)."""
 
 
 class Status(IntEnum):
-    """Result of a call; the numbers are those of ``mcp_asdf_status_t`` in the C header.
+    """Result of a call, with the numbers of ``mcp_asdf_status_t`` in the C header.
 
-    Zero and positive values mean success, negative values are errors: nothing but the ``rejected`` counter
-    has changed.
+    Zero and positive values mean success. Negative values are errors, after which nothing but the
+    ``rejected`` counter has changed.
     """
 
     OK = 0
     REPEATED = 1
-    """receive: this sender was heard in this round already; the message is ignored."""
+    """``receive`` ignored a message, because the round already has one of the same sender."""
     UPDATED = 2
-    """settle, step: the assumed accuracy was re-estimated."""
+    """``settle`` or ``step`` re-estimated b_hat."""
     ERR_CONFIG = -1
     ERR_TABLE = -2
     ERR_ID = -3
@@ -81,7 +78,11 @@ class Status(IntEnum):
 
 
 class FirmwareError(ValueError):
-    """A robot was not made or restored, or refused a message; ``status`` is the firmware's own error code."""
+    """The firmware refused to make or restore a robot, or rejected a message.
+
+    Attributes:
+        status: The firmware's error code.
+    """
 
     def __init__(self, status: Status, message: str) -> None:
         super().__init__(f"{message} ({status.name})")
@@ -93,11 +94,11 @@ class Config:
     """Settings that robots share.
 
     Attributes:
-        table: Thresholds of the hypothesis test; may be None unless ``filter`` is ADAPTIVE.
-        filter: When the assumed accuracy is re-estimated.
-        filter_period: Rounds from one run of the filter to the next, 1 .. 2**32 - 1: the nominal filtering
-            period tau divided by the broadcast period, which is the caller's.
-        memory: When t reaches this multiple of 4 (64 .. 2**31), t and n are halved.
+        table: Thresholds of the hypothesis test. May be None unless ``filter`` is ADAPTIVE.
+        filter: Condition under which b_hat is re-estimated.
+        filter_period: Rounds from one run of the filter to the next, 1 .. 2**32 - 1. This is the paper's
+            nominal filtering period tau divided by the period of broadcasts, which the caller keeps.
+        memory: Number of observations at which t and n are halved, a multiple of 4 in 64 .. 2**31.
     """
 
     table: Table | None = None
@@ -108,7 +109,15 @@ class Config:
 
 @dataclass(frozen=True)
 class Counters:
-    """Diagnostics, each modulo 2**16."""
+    """Numbers of events since the robot was made, modulo 2**16.
+
+    Attributes:
+        accepted: Messages that counted.
+        repeated: Messages that were ignored, because their sender was in the round already.
+        rejected: Messages with an invalid sender or estimate.
+        tests: Hypothesis tests, of either outcome.
+        updates: Re-estimates of b_hat.
+    """
 
     accepted: int = 0
     repeated: int = 0
@@ -119,12 +128,18 @@ class Counters:
 
 @dataclass
 class Sums:
-    """Exact sums over a round's messages with alpha > 0 (units: see ``mcp_asdf_open_t``).
+    """Exact sums over the messages with alpha > 0 of a round, as in ``mcp_asdf_open_t``.
 
-    With every alpha in units of 2**-24 and every x_hat in units of 2**-23: ``alpha`` is the sum of
-    alpha; ``alpha_x_low`` and ``alpha_x_high`` are the sums of (alpha mod 2**32) x_hat and of
-    (alpha div 2**32) x_hat; ``x`` and ``x_squared`` the sums of x_hat and its square; ``count`` is
-    m, the number of messages.
+    In all of them alpha is in units of 2**-24 and x_hat in units of 2**-23. The sum of alpha x_hat is kept
+    in two halves, because it needs more than 64 bits in C.
+
+    Attributes:
+        alpha: Sum of alpha.
+        alpha_x_low: Sum of (alpha mod 2**32) x_hat.
+        alpha_x_high: Sum of (alpha div 2**32) x_hat.
+        x_squared: Sum of the squares of x_hat.
+        x: Sum of x_hat.
+        count: Number of messages, m.
     """
 
     alpha: int = 0
@@ -137,46 +152,56 @@ class Sums:
 
 @runtime_checkable
 class Robot(Protocol):
-    """One robot's MCP-ASDF firmware. Estimates and confidences are floats here.
+    """The firmware of one robot, with estimates and confidences as floats.
 
-    Constructors take ``(config, robot_id, b_hat)``: a `Config`, an id in 0..127 and the
-    initial assumed accuracy in [2**-20, 1 - 2**-20]; they raise `FirmwareError`.
+    Constructors take ``(config, robot_id, b_hat)``: a `Config`, an id in 0 .. 127 and the initial assumed
+    accuracy in [2**-20, 1 - 2**-20]. They raise `FirmwareError`.
 
-    An ``int`` may be any integer, NumPy's included, and a ``float`` any real number.
+    Wherever an ``int`` is declared, any integer will do, also NumPy's, and any real number for a ``float``.
     """
 
     def observe(self, z: Observation) -> Status:
-        """Count an observation and form x_hat and alpha. Fails for another z (ERR_OBSERVATION). O(1)."""
+        """Count an observation, and compute x_hat and alpha from all observations so far. O(1).
+
+        Returns ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE nor BLACK.
+        """
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        """Take a neighbour's message into the open round; REPEATED if its sender was heard already. O(1).
+        """Add a neighbour's estimate to the open round. O(1).
 
-        Raises FirmwareError, and counts the message as rejected, if ``sender`` is outside 0 .. 127 or the own
-        id (ERR_SENDER), or ``x_hat`` outside [0, 1] or NaN (ERR_X_HAT). Raises ValueError, and changes
-        nothing, for an ``alpha`` that is no confidence: negative (-0.0, too), infinite or NaN.
+        Returns REPEATED, and ignores the message, if the round already has one of this sender. Raises
+        FirmwareError, and counts the message as rejected, if ``sender`` is outside 0 .. 127 or the robot's
+        own id (ERR_SENDER), or ``x_hat`` is outside [0, 1] or NaN (ERR_X_HAT). Raises ValueError, and
+        changes nothing, for an ``alpha`` that is no confidence: negative (also -0.0), infinite or NaN.
         """
 
     def settle(self) -> Status:
-        """Close the round, and filter every ``filter_period`` rounds; UPDATED after a re-estimate. O(1)."""
+        """Close the round, and run the filter if ``filter_period`` rounds have passed. O(1).
+
+        Returns UPDATED if the filter has re-estimated b_hat.
+        """
 
     def step(self, z: Observation) -> Status:
-        """``observe(z)`` then ``settle()``: what ``settle`` returns, or the error of ``observe``."""
+        """Observe ``z``, then settle.
+
+        Returns the status of ``settle``, or the error of ``observe`` without settling.
+        """
 
     @property
     def id(self) -> int:
-        """Own id."""
+        """Id of this robot."""
 
     @property
     def t(self) -> int:
-        """Observations counted."""
+        """Number of observations."""
 
     @property
     def n(self) -> int:
-        """Black ones among them."""
+        """Number of black observations."""
 
     @property
     def b_hat(self) -> float:
-        """Assumed accuracy."""
+        """Assumed accuracy of this robot's sensor."""
 
     @property
     def x_hat(self) -> float:
@@ -188,96 +213,95 @@ class Robot(Protocol):
 
     @property
     def x_bar(self) -> float:
-        """Social estimate (eq. 5) of the last closed round; 1/2 when ``beta`` is 0.
+        """Social estimate (eq. 5) of the last closed round; 1/2 if ``beta`` is 0.
 
-        Robust: the crowd's centre; 1/2 while nobody was heard.
+        With the robust filter: the crowd's centre, or 1/2 before the first vote.
         """
 
     @property
     def beta(self) -> float:
-        """Social confidence (eq. 6) of the last closed round; 0 without neighbours, and in robust mode."""
+        """Social confidence (eq. 6) of the last closed round.
+
+        It is 0 without messages, and always with the robust filter.
+        """
 
     @property
     def x(self) -> float:
         """Informed estimate (eq. 7) of the present local estimate and the last closed round, in [0, 1].
 
-        Robust: the crowd's centre, or x_hat while nobody was heard.
+        With the robust filter: the crowd's centre, or x_hat before the first vote.
         """
 
     @property
     def counters(self) -> Counters:
-        """Diagnostics since the robot was made."""
+        """Numbers of events since the robot was made."""
 
 
 @runtime_checkable
 class FixedPointRobot(Robot, Protocol):
-    """A robot whose arithmetic is the firmware's; raw values are its integers."""
+    """A robot that computes in the firmware's fixed-point numbers; ``*_raw`` members are its integers."""
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """The C call: x_hat in units of 2**-23, alpha as the firmware's word. For programs that read a bus.
+        """Add a neighbour's estimate to the open round; x_hat in units of 2**-23, alpha as an alpha word.
 
-        Invalid messages are part of a bus's life, so the status is the answer here: where ``receive`` raises
-        FirmwareError this returns ERR_SENDER or ERR_X_HAT, for the caller to count. Raises ValueError, and
-        changes nothing, for an ``alpha`` that is no word of 32 bits.
+        This is for programs that read a bus. They meet invalid messages all the time, so these are no
+        exceptions here: where ``receive`` raises FirmwareError this returns ERR_SENDER or ERR_X_HAT, which
+        the caller may count. Raises ValueError, and changes nothing, for an ``alpha`` that has not 32 bits.
         """
 
     def receive_all(self, messages: NDArray[np.uint32]) -> int:
-        """``receive_raw`` of several messages in order; returns how many were accepted. O(messages).
+        """Receive messages in order, and return how many were accepted. O(messages).
 
-        ``messages`` has shape (messages, 3), the columns sender, x_hat and alpha. Raises ValueError, and
-        changes nothing, for an array of another type or shape, or one that is not C-contiguous.
+        ``messages`` has shape (messages, 3), the columns sender, x_hat and alpha as in ``receive_raw``.
+        Raises ValueError, and changes nothing, for an array of another type or shape, or one that is not
+        C-contiguous.
         """
 
     def save(self) -> bytes:
-        """The state as an image that ``restore`` takes back."""
+        """Return the state as an image for ``restore``."""
 
     @classmethod
     def restore(cls, config: Config, image: bytes) -> FixedPointRobot:
-        """A robot from ``save``'s image, whichever firmware saved it; O(q), for the table is checked.
+        """Make a robot from an image of ``save``, whichever firmware saved it. O(q), to check the table.
 
-        ``image`` may be a bytearray or a memoryview, too; what is no bytes at all raises TypeError. Raises
+        ``image`` may also be a bytearray or a memoryview; anything else raises TypeError. Raises
         FirmwareError with ERR_CONFIG or ERR_TABLE as constructors do, and with ERR_IMAGE for an image that
         is damaged, of another version or impossible with ``config``.
         """
 
     def state(self) -> dict[str, int]:
-        """Every field of the state by name, for comparing two firmwares bit for bit."""
+        """Return every field of the state by name, to compare two firmwares bit for bit."""
 
     def holds_invariants(self) -> bool:
-        """True if the state could have come from calls of this interface alone. O(1)."""
+        """Return whether calls of this interface alone could have led to this state. O(1)."""
 
     @property
     def b_hat_raw(self) -> int:
-        """b_hat in units of 2**-32."""
+        """Assumed accuracy in units of 2**-32."""
 
     @property
     def x_hat_raw(self) -> int:
-        """x_hat in units of 2**-23."""
+        """Local estimate in units of 2**-23."""
 
     @property
     def alpha_raw(self) -> int:
-        """alpha as the firmware's word."""
+        """Local confidence as an alpha word."""
 
     @property
     def x_bar_raw(self) -> int:
-        """x_bar in units of 2**-23."""
+        """Social estimate in units of 2**-23."""
 
     @property
     def beta_raw(self) -> int:
-        """beta in units of 2**-24."""
+        """Social confidence in units of 2**-24."""
 
     @property
     def x_raw(self) -> int:
-        """x in units of 2**-23."""
-
-
-def reading(read: Callable[[Any], _T], meaning: str) -> _T:
-    """A property of a robot, which ``read`` gives."""
-    return property(read, doc=meaning)  # type: ignore[return-value]
+        """Informed estimate in units of 2**-23."""
 
 
 def check_settings(config: Config) -> None:
-    """Raises FirmwareError (ERR_CONFIG) for a filter, period or memory that the firmware would refuse."""
+    """Raise FirmwareError (ERR_CONFIG) for a filter, period or memory that the firmware would refuse."""
     period, memory = config.filter_period, config.memory
     if config.filter not in tuple(Filter):
         raise FirmwareError(Status.ERR_CONFIG, f"filter is {config.filter}; choose a Filter")
@@ -292,14 +316,8 @@ def check_settings(config: Config) -> None:
         )
 
 
-def check_alpha(alpha: float) -> None:
-    """Raises ValueError for what is no confidence: a negative number, -0.0, infinity or NaN."""
-    if not 0 <= alpha < math.inf or math.copysign(1, alpha) < 0:
-        raise ValueError(f"alpha is {alpha}; a confidence is finite, not negative and not -0.0")
-
-
 def check_table(table: Table | None) -> Table:
-    """The table, if it is one. Raises FirmwareError (ERR_TABLE) where the firmware would refuse it."""
+    """Return the table, or raise FirmwareError (ERR_TABLE) if the firmware would refuse it."""
     if table is None:
         raise FirmwareError(
             Status.ERR_TABLE, "the adaptive filter needs a table; make one with mcp-asdf table"
@@ -310,26 +328,32 @@ def check_table(table: Table | None) -> Table:
         raise FirmwareError(Status.ERR_TABLE, str(error)) from error
 
 
-def accepted(status: Status, sender: int, x_hat: float) -> Status:
-    """``status``, if a message of these was taken. Raises FirmwareError if it was refused."""
+def check_id_and_b_hat(robot_id: int, b_hat: float) -> None:
+    """Raise FirmwareError for an id (ERR_ID) or an initial accuracy (ERR_B_HAT) that is out of range."""
+    if not 0 <= robot_id <= MAX_ID:
+        raise FirmwareError(Status.ERR_ID, f"robot id is {robot_id}; choose 0 .. {MAX_ID}")
+    if not B_HAT_MARGIN <= b_hat <= 1 - B_HAT_MARGIN:
+        raise FirmwareError(Status.ERR_B_HAT, f"b_hat is {b_hat}; choose one in [2**-20, 1 - 2**-20]")
+
+
+def check_alpha(alpha: float) -> None:
+    """Raise ValueError for an alpha that is no confidence: a negative number, -0.0, infinity or NaN."""
+    is_negative = math.copysign(1, alpha) < 0  # also of -0.0, which is not below 0
+    if not 0 <= alpha < math.inf or is_negative:
+        raise ValueError(f"alpha is {alpha}; a confidence is finite, not negative and not -0.0")
+
+
+def raise_if_rejected(status: Status, sender: int, x_hat: float) -> None:
+    """Raise FirmwareError if ``status``, with which a message was received, says that it was rejected."""
     if status == Status.ERR_SENDER:
         raise FirmwareError(
             status, f"sender is {sender}; it must be 0 .. {MAX_ID} and not the receiver's own id"
         )
     if status == Status.ERR_X_HAT:
         raise FirmwareError(status, f"x_hat is {x_hat}; it must be in [0, 1]")
-    return status
 
 
-def shown(robot: Any) -> str:
-    """A robot's id and state in one line, for ``repr``."""
+def describe_robot(robot: Robot) -> str:
+    """Return a robot's class, id, observations and estimates in one line, for ``repr``."""
     values = (f"{name}={getattr(robot, name):.6g}" for name in ("b_hat", "x_hat", "alpha", "x"))
     return f"<{type(robot).__name__} {robot.id}: t={robot.t} n={robot.n} {' '.join(values)}>"
-
-
-def check_identity(robot_id: int, b_hat: float) -> None:
-    """Raises FirmwareError for an id (ERR_ID) or an initial accuracy (ERR_B_HAT) out of range."""
-    if not 0 <= robot_id <= MAX_ID:
-        raise FirmwareError(Status.ERR_ID, f"robot id is {robot_id}; choose 0 .. {MAX_ID}")
-    if not B_HAT_MARGIN <= b_hat <= 1 - B_HAT_MARGIN:
-        raise FirmwareError(Status.ERR_B_HAT, f"b_hat is {b_hat}; choose one in [2**-20, 1 - 2**-20]")

@@ -1,6 +1,7 @@
-"""The t-table as the firmware reads it: a run of 32-bit words with a checksum.
+"""The t-table as the firmware reads it: an array of 32-bit words with a checksum.
 
-Layout (word index: content), the same on every target::
+The table holds the thresholds k_m of the hypothesis test for m messages. Its layout is the same on every
+target (word index and content)::
 
     0      magic 0x4D4354 ("MCT") in bits 8..31, q in bits 0..7
     1      omega in units of 2**-32, rounded to nearest
@@ -22,24 +23,26 @@ MAGIC = 0x4D435400
 FORMAT_VERSION = 2
 FRACTION_BITS = 26
 EXTRA_WORDS = 3
-"""Words of a table that are no entries: two before them, and the checksum."""
-MIN_Q, MAX_Q = 2, 127
+"""Number of words that are no entries: two before the entries, and the checksum."""
+MIN_Q = 2
+MAX_Q = 127
 MAX_OMEGA_WORD = round(0.9 * 2**32)
 MAX_WORD = 2**32 - 1
-FNV_OFFSET, FNV_PRIME = 0x811C9DC5, 0x01000193
+FNV_OFFSET = 0x811C9DC5
+FNV_PRIME = 0x01000193
 
 
 class TableError(ValueError):
-    """The words are not a t-table; the message names the word and the fix."""
+    """Words that are not a t-table; the message names the first wrong one."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """A t-table.
+    """A t-table: the thresholds of the hypothesis test (eq. 12) for one omega.
 
     Attributes:
         omega_word: Type II error probability omega in units of 2**-32, 1 .. MAX_OMEGA_WORD.
-        entries: q words: k for m = 2 .. q, then the entry for m > q; units of 2**-26.
+        entries: k_m for m = 2 .. q, then k for every m > q, in units of 2**-26. These are q words.
     """
 
     omega_word: int
@@ -47,59 +50,63 @@ class Table:
 
     @property
     def q(self) -> int:
-        """Largest number of messages with an entry of its own."""
+        """Largest number of messages that has an entry of its own."""
         return len(self.entries)
 
     @property
     def omega(self) -> float:
-        """Type II error probability."""
+        """Type II error probability of the hypothesis test."""
         return self.omega_word / 2**32
 
     def entry(self, m: int) -> int:
-        """k for ``m`` >= 2 messages, in units of 2**-26. O(1)."""
+        """Return the threshold k for ``m`` >= 2 messages, in units of 2**-26. O(1)."""
         return self.entries[min(m, self.q + 1) - 2]
 
     def words(self) -> tuple[int, ...]:
-        """The table as the firmware reads it. O(q)."""
+        """Return the table as the firmware reads it. O(q)."""
         body = (MAGIC | self.q, self.omega_word, *self.entries)
         return (*body, checksum(body))
 
     @classmethod
     def from_words(cls, words: Sequence[int]) -> Table:
-        """Read a table back. Raises TableError if the firmware would refuse it. O(q)."""
+        """Make a table from its words. O(q).
+
+        Raises TableError, which names the wrong word, if the firmware would refuse the table.
+        """
         for index, word in enumerate(words):
             if not 0 <= word <= MAX_WORD:
                 raise TableError(f"word {index} is {word}, which is no 32-bit word")
         if len(words) < EXTRA_WORDS + MIN_Q:
             raise TableError(f"a table has at least {EXTRA_WORDS + MIN_Q} words, not {len(words)}")
-        first, omega_word, *entries, stated = words
-        q = first & 0xFF
-        if first - q != MAGIC:
-            raise TableError(f"word 0 is {first:#010x}, a table starts with {MAGIC:#010x} plus q")
+        magic_and_q, omega_word, *entries, stated_checksum = words
+        q = magic_and_q & 0xFF
+        if magic_and_q - q != MAGIC:
+            raise TableError(f"word 0 is {magic_and_q:#010x}, a table starts with {MAGIC:#010x} plus q")
         if not MIN_Q <= q <= MAX_Q:
             raise TableError(f"q = {q} is outside {MIN_Q} .. {MAX_Q}")
         if len(entries) != q:
             raise TableError(f"q = {q} needs {EXTRA_WORDS + q} words, not {len(words)}")
         if not 1 <= omega_word <= MAX_OMEGA_WORD:
             raise TableError(f"omega = {omega_word / 2**32} is outside (0, 0.9]")
-        expected = checksum(words[:-1])
-        if stated != expected:
-            raise TableError(f"checksum is {stated:#010x}, the words give {expected:#010x}")
+        expected_checksum = checksum(words[:-1])
+        if stated_checksum != expected_checksum:
+            raise TableError(f"checksum is {stated_checksum:#010x}, the words give {expected_checksum:#010x}")
         _check_order(entries)
         return cls(omega_word, tuple(entries))
 
 
 def _check_order(entries: Sequence[int]) -> None:
-    for index, (left, right) in enumerate(pairwise(entries)):
-        if right >= left:
-            raise TableError(f"entry {index + 1} is {right}, not below entry {index} ({left})")
+    """Raise TableError unless the entries fall strictly and stay above 1.0."""
+    for index, (entry, next_entry) in enumerate(pairwise(entries)):
+        if next_entry >= entry:
+            raise TableError(f"entry {index + 1} is {next_entry}, not below entry {index} ({entry})")
     if entries[-1] <= 1 << FRACTION_BITS:
         raise TableError(f"entry {len(entries) - 1} is {entries[-1]}, not above 1.0")
 
 
 def checksum(words: Sequence[int]) -> int:
-    """FNV-1a over 32-bit words instead of bytes. O(len(words))."""
-    value = FNV_OFFSET
+    """Return the hash FNV-1a, taken over 32-bit words instead of bytes. O(len(words))."""
+    hash_value = FNV_OFFSET
     for word in words:
-        value = (value ^ word) * FNV_PRIME & 0xFFFFFFFF
-    return value
+        hash_value = (hash_value ^ word) * FNV_PRIME & MAX_WORD
+    return hash_value

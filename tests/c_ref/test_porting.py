@@ -15,7 +15,7 @@ import can
 import pytest
 
 from benchmarks.cost.images import AVR, Image
-from mcp_asdf.fixed_point import alpha_to_word
+from mcp_asdf.fixed_point import alpha_word_from_float
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Observation
 from mcp_asdf_tools.bus import frames
@@ -105,7 +105,7 @@ def played(ticks: Script) -> bytes:
 
 def a_packet(stream: random.Random) -> bytes:
     sender, x_hat = stream.choice((1, 2, 3, ROBOT_ID, 127)), round(2**23 * stream.uniform(0.6, 0.8))
-    alpha = alpha_to_word(stream.choice((0.0, 1.0, 1e3, 1e8)))
+    alpha = alpha_word_from_float(stream.choice((0.0, 1.0, 1e3, 1e8)))
     frame = frames.encode(Message(sender, x_hat, alpha, stream.randrange(32)), ESTIMATES)
     if stream.random() < 0.1:  # off the grid, too large, too small, or none
         frame.data[3:7] = stream.randbytes(4)

@@ -41,11 +41,11 @@ def test_constants_are_those_of_the_header() -> None:
 def test_c_reads_memory_of_a_robot_s_config_for_as_long_as_the_robot_lives() -> None:
     """The table is followed by zeros up to the longest one: a damaged q may claim as many words."""
     native = NativeRobot(Config(replace(TABLE), filter_period=7), OWN_ID, 0.8)
-    kept = weakref.ref(native._settings)
+    kept = weakref.ref(native._c_config)
     gc.collect()
     _ = [ffi.new("uint32_t[]", [0xAAAAAAAA] * 40) for _ in range(1000)]  # takes what was freed
     assert native.pointer.config.filter_period == 7
-    words = native._settings._table
+    words = native._c_config._table
     assert native.pointer.config.table == words and len(words) == EXTRA_WORDS + MAX_Q
     assert list(words) == [*TABLE.words(), *[0] * (MAX_Q - TABLE.q)]
     del native

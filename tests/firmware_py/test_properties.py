@@ -12,7 +12,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mcp_asdf.fixed_point import alpha_to_word, alpha_units, alpha_word
+from mcp_asdf.fixed_point import alpha_units, alpha_word_from_float, alpha_word_from_units
 from mcp_asdf.robot import MAX_ID, Observation
 from robots import (
     ALPHA_LEAST,
@@ -63,7 +63,7 @@ units_of_alpha = st.integers(0, 2**26) | st.builds(
 @given(units=units_of_alpha)
 @example(units=2**54)
 def test_a_confidence_becomes_the_largest_word_not_above_it(units: int) -> None:
-    word = alpha_word(units)
+    word = alpha_word_from_units(units)
     mantissa, shift = word >> 8, word & 0xFF
     if units >= 2**55 - 2**31:
         assert word == ALPHA_MOST
@@ -74,7 +74,7 @@ def test_a_confidence_becomes_the_largest_word_not_above_it(units: int) -> None:
 
 @given(alpha=st.floats(0, 2.0**40))
 def test_a_float_is_rounded_down_to_the_unit(alpha: float) -> None:
-    assert alpha_to_word(alpha) == alpha_word(min(int(Fraction(alpha) * 2**24), 2**55))
+    assert alpha_word_from_float(alpha) == alpha_word_from_units(min(int(Fraction(alpha) * 2**24), 2**55))
 
 
 # --- Messages and sums -----------------------------------------------------------------------------------

@@ -95,7 +95,7 @@ def test_a_graph_may_be_any_of_its_usual_objects() -> None:
 
 def always(accuracy: float) -> Any:
     class Always(ReferenceRobot):
-        def reestimated(self) -> float | None:
+        def reestimate_b_hat(self) -> float | None:
             return accuracy
 
     return Always

@@ -16,7 +16,7 @@ from scipy.special import betainc, betaln  # type: ignore[import-untyped]
 
 from mcp_asdf import Config, ReferenceRobot, Status
 from mcp_asdf.fixed_point import ALPHA_MAX
-from mcp_asdf.mirror import MirrorRobot, b_hat_from, crowd_mean, deviates
+from mcp_asdf.mirror import MirrorRobot, crowd_fill_ratio, reestimate, robust_test_rejects
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import B_HAT_MARGIN, Filter, Observation
 from mcp_asdf_tools.world.sensors import Accuracies, DriftingSensors
@@ -76,7 +76,7 @@ class BayesCpfRobot(ReferenceRobot):
     def _is_activated(self) -> bool:
         return self._config.filter != Filter.OFF and self._late_t > 0
 
-    def reestimated(self) -> float | None:
+    def reestimate_b_hat(self) -> float | None:
         n, t = self._late_n, self._late_t
         self._predict(t)
         x = float(np.average(self._informed, weights=range(len(self._informed), 0, -1)))
@@ -206,13 +206,13 @@ class FirstDraftRobot(MirrorRobot):
 
     _flag = False
 
-    def _crowd_b_hat(self) -> int | None:
+    def _run_robust_filter(self) -> int | None:
         state, crowd = self.s, self.s.crowd
         if crowd.voices.bit_count() < 3:
             return None
         crowd.first = state.accuracy.b_hat
-        self._flag = self._flag or deviates(crowd, state.t, state.n)
-        return b_hat_from(state.t, state.n, crowd_mean(crowd)) if self._flag else None
+        self._flag = self._flag or robust_test_rejects(crowd, state.t, state.n)
+        return reestimate(state.t, state.n, crowd_fill_ratio(crowd)) if self._flag else None
 
 
 class LossyRobot(NativeRobot):

@@ -1,5 +1,5 @@
 """How far x_hat, alpha, x_bar and b_hat are from the paper's equations, for all inputs: the limits of
-the cross-check (exact.py).
+the cross-check (bounds.py).
 
 Two parts with the same names. The first says which numbers the C forms: each function that the limits depend
 on equals a formula of calls, whatever the called functions compute. The second says of each rounding, by what

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import pytest
 
-from mcp_asdf_tools.crosscheck import exact
+from mcp_asdf_tools.crosscheck import bounds
 from proofs import accuracy, robust, sums
 from proofs.formulas import BY_LEMMA, CORE, RESULTS, Claims
 from proofs.prove import prove_all
@@ -48,13 +48,13 @@ def test_roundings_are_within_their_limits(claims: Claims) -> None:
 @pytest.mark.parametrize("b", [Fraction(1, 2) + Fraction(1, 2**12), Fraction(3, 5), Fraction(99, 100)])
 def test_the_limits_are_those_of_the_design(b: Fraction) -> None:
     """The roundings' shares, multiplied, are what the cross-check allows and docs/design.md states."""
-    below, above = exact.alpha_error(1, 2, b)
+    below, above = bounds.alpha_error(1, 2, b)
     r = 1 / abs(2 * b - 1)
     kept = (1 - accuracy.BELOW[0]) * (1 - accuracy.BELOW[1]) * (1 - accuracy.BELOW[2])
     assert below == 1 - kept < Fraction(1, 2**26)
     assert above == (1 + r / 2**30) ** 2 / (1 - accuracy.DIVISOR_LOSES) - 1
     assert above < r / 2**29 + Fraction(1, 2**29)
-    below, above = exact.alpha_error(0, 2, b)
+    below, above = bounds.alpha_error(0, 2, b)
     kept = 1 - accuracy.SUM_LOSES
     for share in accuracy.SQUARE_LOSES:
         kept *= 1 - share
@@ -65,6 +65,6 @@ def test_the_limits_are_those_of_the_design(b: Fraction) -> None:
 @pytest.mark.parametrize("x_bar", [Fraction(0), Fraction(9, 20), Fraction(11, 20), Fraction(1)])
 def test_the_limit_of_b_hat_is_that_of_the_design(x_bar: Fraction) -> None:
     """Error of x_bar at most, made larger by eq. 8, and the loss in its quotient."""
-    off = 4 * x_bar + 3 if x_bar > exact.HALF else max(4 * x_bar + 2, Fraction(1))
+    off = 4 * x_bar + 3 if x_bar > bounds.HALF else max(4 * x_bar + 2, Fraction(1))
     limit = (off / abs(2 * x_bar - 1) + 7) / 2**32
-    assert exact.b_hat_error(x_bar) == limit < Fraction(1, 2**26)
+    assert bounds.b_hat_error(x_bar) == limit < Fraction(1, 2**26)

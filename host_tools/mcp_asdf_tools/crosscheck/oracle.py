@@ -1,34 +1,44 @@
-"""Judging the calls of a scenario by exact rationals and by float64, and collecting a robot's errors.
+"""Check the calls of a scenario against the paper's equations, in exact fractions, and collect errors.
 
-The estimates are computed anew from t, n and b_hat, the social values and the test's decision from the
-round's sums, or with the robust filter from the crowd. Values with one right answer must have it to the last
-bit; the others must keep the limits of ``exact``, and their errors are collected by region.
+x_hat and alpha are computed anew from t, n and b_hat; the social values, the test and b_hat from the sums of
+the round, or with the robust filter from the crowd. Values that have one right result must have it to the
+last bit. The others must keep the bounds of ``bounds``; their errors, also against float64, are collected by
+region.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from typing import Any
 
 from mcp_asdf.fixed_point import HALF, ONE
-from mcp_asdf.reference import assumed_accuracy_update, local_confidence, local_estimate
+from mcp_asdf.reference import (
+    PAPER,
+    SENDERS_MIN,
+    TREND_MOVING_DOWN,
+    TREND_MOVING_UP,
+    VOTES_MIN_WHILE_MOVING,
+    assumed_accuracy_update,
+    local_confidence,
+    local_estimate,
+)
 from mcp_asdf.robot import Filter
 from mcp_asdf.table import FRACTION_BITS
-from mcp_asdf_tools.crosscheck.compare import Look, State
-from mcp_asdf_tools.crosscheck.exact import (
+from mcp_asdf_tools.crosscheck.bounds import (
     LARGEST_ALPHA,
-    alpha_limits,
+    Bounds,
+    alpha_bounds,
     b_hat_error,
-    deviates,
-    exact_b_hat,
-    exact_estimate,
-    updates,
-    vote_limits,
-    x_hat_limits,
+    crowd_after_vote,
+    exact_alpha,
+    is_update_expected,
+    robust_test_outcome,
+    x_hat_bounds,
 )
+from mcp_asdf_tools.crosscheck.compare import Look, State
 from mcp_asdf_tools.crosscheck.scenario import Call, Setup
 
 REGIONS = (
@@ -39,34 +49,39 @@ REGIONS = (
     (0.999, "0.9 to 0.999"),
     (math.inf, "0.999 to 1"),
 )
-"""Upper ends of regions: of |2 b_hat - 1|, or for b_hat itself of |2 x_bar - 1|."""
+"""Upper ends and names of regions: of |2 b_hat - 1|, or for errors of b_hat of |2 x_bar - 1|."""
 
 QUANTITIES = ("x_hat", "alpha", "b_hat")
-"""Errors of alpha are relative, and those of one below 1/2, which has fewer than 24 bits, are left out."""
+"""Quantities whose errors are collected. Errors of alpha are relative, and left out for an alpha below 1/2,
+which has fewer than 24 bits."""
+
+UNGUARDED = replace(PAPER, guarded=False)
+"""Eq. 8 also for an x_bar that carries no information: rounding may give the firmware one that does."""
 
 
 @dataclass
 class Errors:
-    """How many errors were met, and the largest against exact rationals and against float64."""
+    """Number of errors, and the largest one against exact fractions and against float64."""
 
     samples: int = 0
     exact: float = 0.0
     float64: float = 0.0
 
-    def add(self, exact: Fraction, float64: float) -> None:
-        """Count an error. O(1)."""
+    def add(self, exact_error: Fraction, float64_error: float) -> None:
+        """Add the error of one value. O(1)."""
         self.samples += 1
-        self.exact, self.float64 = max(self.exact, abs(float(exact))), max(self.float64, abs(float64))
+        self.exact = max(self.exact, abs(float(exact_error)))
+        self.float64 = max(self.float64, abs(float64_error))
 
 
 class Audit:
-    """Judges robots and collects their errors.
+    """Checks calls of robots, and collects the errors of their results.
 
     Attributes:
-        errors: By quantity and region.
-        tests: How many hypothesis tests were judged.
-        robust: How often the robust filter did what: voted, moving, too few, rejected, returned, kept; and
-            undecided, where a test was too close to be judged.
+        errors: Errors by quantity and region.
+        tests: Number of hypothesis tests that were checked.
+        robust: Number of times that the robust filter did what: voted, moving, too few, rejected, returned,
+            kept; and undecided, if a test was so close that rounding may decide.
     """
 
     def __init__(self) -> None:
@@ -75,97 +90,124 @@ class Audit:
         self.robust = Counter[str]()
 
     def judge(self, setup: Setup, call: Call, before: Look, after: Look) -> list[str]:
-        """Problems of a call, by the looks before and after it."""
-        old, new = before.state, after.state
-        problems = [] if new["holds_invariants()"] else ["the invariants do not hold"]
+        """Check a call by the states before and after it, and return a line for each problem."""
+        old_state, new_state = before.state, after.state
         is_robust = setup.filter == Filter.ROBUST
-        problems += _means(new, is_robust)
+        is_error = after.outcome.startswith("ERR")
+        problems = [] if new_state["holds_invariants()"] else ["the invariants do not hold"]
+        problems += _check_means(new_state, is_robust)
         if call.name == "receive" and is_robust:
-            problems += self._voted(call, old, new, after.outcome == "OK" and call.numbers[2] >> 8 > 0)
-        if call.name in ("observe", "step") and not after.outcome.startswith("ERR"):
-            problems += self._estimated(old["b_hat()"], new)
-        if call.name in ("settle", "step") and not after.outcome.startswith("ERR"):
-            settled = self._crowd_settled if is_robust else self._settled
-            problems += settled(setup, old, new, after.outcome == "UPDATED")
+            has_confidence = call.numbers[2] >> 8 > 0
+            is_vote = after.outcome == "OK" and has_confidence
+            problems += self._check_vote(call, old_state, new_state, is_vote)
+        if call.name in ("observe", "step") and not is_error:
+            problems += self._check_estimate(old_state["b_hat()"], new_state)
+        if call.name in ("settle", "step") and not is_error:
+            check_filter = self._check_robust_filter if is_robust else self._check_asdf_filter
+            problems += check_filter(setup, old_state, new_state, after.outcome == "UPDATED")
         return problems
 
-    def _estimated(self, raw: int, state: State) -> list[str]:
-        """Compare x_hat and alpha, which were formed with the b_hat ``raw``."""
-        n, t, b_hat = state["n"], state["t"], Fraction(raw, 2**32)
-        region, (x_hat, alpha) = region_of(2 * b_hat - 1), exact_estimate(n, t, b_hat)
-        found, weight = Fraction(state["x_hat"], ONE), Fraction(_units(state["alpha"]), 2**24)
-        self.errors["x_hat", region].add(found - x_hat, float(found) - local_estimate(n, t, float(b_hat)))
-        if alpha >= Fraction(1, 2):
-            confidence = min(local_confidence(n, t, float(b_hat)), float(LARGEST_ALPHA))
-            self.errors["alpha", region].add(weight / alpha - 1, float(weight) / confidence - 1)
-        x_limits, limits = x_hat_limits(n, t, b_hat), alpha_limits(n, t, b_hat)
-        return _within("x_hat", found, *x_limits) + _within("alpha", weight, *limits)
+    def _check_estimate(self, raw_b_hat: int, state: State) -> list[str]:
+        """Check x_hat and alpha, which were computed with this b_hat, and collect their errors."""
+        n, t = state["n"], state["t"]
+        b_hat = Fraction(raw_b_hat, 2**32)
+        x_hat = Fraction(state["x_hat"], ONE)
+        alpha = Fraction(_alpha_units(state["alpha"]), 2**24)
+        region = region_of(2 * b_hat - 1)
 
-    def _settled(self, setup: Setup, old: State, new: State, is_updated: bool) -> list[str]:
-        """Check whether b_hat was re-estimated rightly (eq. 12 and 8), and what to."""
-        is_adaptive, m = setup.filter == Filter.ADAPTIVE, old["open_count"]
-        rejects = old["filter_left"] == 1 and setup.filter != Filter.OFF
-        rejects = rejects and new["t"] > 0 and m >= (2 if is_adaptive else 1)
-        if rejects and is_adaptive:
+        exact_error = x_hat - local_estimate(n, t, b_hat)
+        self.errors["x_hat", region].add(exact_error, float(x_hat) - local_estimate(n, t, float(b_hat)))
+        exact = exact_alpha(n, t, b_hat)
+        if exact >= Fraction(1, 2):
+            float64_alpha = min(local_confidence(n, t, float(b_hat)), float(LARGEST_ALPHA))
+            self.errors["alpha", region].add(alpha / exact - 1, float(alpha) / float64_alpha - 1)
+        problems = _check_bounds("x_hat", x_hat, x_hat_bounds(n, t, b_hat))
+        return problems + _check_bounds("alpha", alpha, alpha_bounds(n, t, b_hat))
+
+    def _check_asdf_filter(
+        self, setup: Setup, old_state: State, new_state: State, is_updated: bool
+    ) -> list[str]:
+        """Check whether the paper's filter had to re-estimate b_hat (eq. 12), and the result (eq. 8)."""
+        m = old_state["open_count"]
+        is_adaptive = setup.filter == Filter.ADAPTIVE
+        is_run = old_state["filter_left"] == 1 and setup.filter != Filter.OFF and new_state["t"] > 0
+        has_enough_messages = m >= (2 if is_adaptive else 1)
+        if not is_run or not has_enough_messages:
+            return _check_update(is_updated, expected=False)
+        if is_adaptive:
             assert setup.table is not None
             self.tests += 1
-            squared = (old["open_x"] - m * new["x_hat"]) ** 2
-            spread = m * old["open_x_squared"] - old["open_x"] ** 2
-            rejects = squared << FRACTION_BITS > setup.table.build().entry(m) * spread
-        x_bar = Fraction(_closed_alpha_x(new), new["closed_alpha"] * ONE) if rejects else Fraction(1, 2)
-        expected = updates(x_bar) if rejects else False
-        return self._reestimated(new, x_bar, is_updated, expected)
+            difference_squared = (old_state["open_x"] - m * new_state["x_hat"]) ** 2
+            spread = m * old_state["open_x_squared"] - old_state["open_x"] ** 2
+            if difference_squared << FRACTION_BITS <= setup.table.build().entry(m) * spread:
+                return _check_update(is_updated, expected=False)
+        x_bar = Fraction(_closed_alpha_x(new_state), new_state["closed_alpha"] * ONE)
+        return self._check_b_hat(new_state, x_bar, is_updated)
 
-    def _voted(self, call: Call, old: State, new: State, is_vote: bool) -> list[str]:
-        """Check what a message did to the robust filter's crowd."""
+    def _check_vote(self, call: Call, old_state: State, new_state: State, is_vote: bool) -> list[str]:
+        """Check what a message has changed in the crowd of a robot with the robust filter."""
         if not is_vote:
-            moved = [name for name in old if name.startswith("crowd") and new[name] != old[name]]
-            return [f"{name} has changed without a vote" for name in moved]
+            crowd = [name for name in old_state if name.startswith("crowd")]
+            changed = [name for name in crowd if new_state[name] != old_state[name]]
+            return [f"{name} has changed without a vote" for name in changed]
         self.robust["voted"] += 1
-        found = _crowd(new)
-        limits = vote_limits(new["crowd_votes"], *_crowd(old), Fraction(call.numbers[1], ONE))
-        return _within("centre", found[0], *limits[0]) + _within("spread", found[1], *limits[1])
+        x_hat = Fraction(call.numbers[1], ONE)
+        centre, spread = crowd_after_vote(new_state["crowd_votes"], *_centre_and_spread(old_state), x_hat)
+        return _check_exact(
+            new_state, {"crowd_centre": int(centre * 2**30), "crowd_spread": int(spread * 2**30)}
+        )
 
-    def _crowd_settled(self, _: Setup, old: State, new: State, is_updated: bool) -> list[str]:
-        """Check what the robust filter made of b_hat."""
-        if old["filter_left"] != 1 or new["t"] == 0:
-            return _wrongly(is_updated, False)
-        first, (centre, spread) = old["crowd_first"], _crowd(old)
-        is_moving = not 1 / 8 <= old["crowd_trend"] / 2**16 < 7 / 8
-        votes = old["crowd_votes"]
-        halved = votes // 2 if is_moving and votes >= 2**9 else votes
-        problems = _differing(new, {"crowd_votes": halved})
-        if is_moving or old["crowd_voices"].bit_count() < 3:
+    def _check_robust_filter(
+        self, _: Setup, old_state: State, new_state: State, is_updated: bool
+    ) -> list[str]:
+        """Check whether the robust filter had to change b_hat, and the result."""
+        if old_state["filter_left"] != 1 or new_state["t"] == 0:
+            return _check_update(is_updated, expected=False)
+        is_moving = not TREND_MOVING_DOWN <= old_state["crowd_trend"] / 2**16 < TREND_MOVING_UP
+        votes = old_state["crowd_votes"]
+        has_votes_to_halve = is_moving and votes >= 2 * VOTES_MIN_WHILE_MOVING
+        problems = _check_exact(new_state, {"crowd_votes": votes // 2 if has_votes_to_halve else votes})
+        if is_moving or old_state["crowd_voices"].bit_count() < SENDERS_MIN:
             self.robust["moving" if is_moving else "too few"] += 1
-            problems += _differing(new, {"b_hat()": old["b_hat()"], "tests": old["tests"]})
-            return problems + _wrongly(is_updated, False)
+            problems += _check_exact(
+                new_state, {"b_hat()": old_state["b_hat()"], "tests": old_state["tests"]}
+            )
+            return problems + _check_update(is_updated, expected=False)
+
         self.tests += 1
-        rejects = deviates(new["n"], new["t"], Fraction(first, 2**32), centre, spread)
-        if rejects is None:
+        initial_b_hat = old_state["crowd_first"]
+        centre, spread = _centre_and_spread(old_state)
+        is_rejected = robust_test_outcome(
+            new_state["n"], new_state["t"], Fraction(initial_b_hat, 2**32), centre, spread
+        )
+        if is_rejected is None:
             self.robust["undecided"] += 1
             return problems
-        if rejects:
+        if is_rejected:
             self.robust["rejected"] += 1
-            return problems + self._reestimated(new, centre, is_updated, updates(centre))
+            return problems + self._check_b_hat(new_state, centre, is_updated)
         self.robust["returned" if is_updated else "kept"] += 1
-        return problems + _differing(new, {"b_hat()": first}) + _wrongly(is_updated, old["b_hat()"] != first)
+        problems += _check_exact(new_state, {"b_hat()": initial_b_hat})
+        return problems + _check_update(is_updated, expected=old_state["b_hat()"] != initial_b_hat)
 
-    def _reestimated(
-        self, state: State, x_bar: Fraction, is_updated: bool, expected: bool | None
-    ) -> list[str]:
-        """Compare b_hat with eq. 8 of the exact x_bar."""
-        if not is_updated or expected is False:
-            return _wrongly(is_updated, expected)
-        n, t, found = state["n"], state["t"], Fraction(state["b_hat()"], 2**32)
-        b_hat, limit = exact_b_hat(n, t, x_bar), b_hat_error(x_bar)
-        reference = assumed_accuracy_update(n, t, float(x_bar))
-        if reference is not None:
+    def _check_b_hat(self, state: State, x_bar: Fraction, is_updated: bool) -> list[str]:
+        """Check b_hat after the filter had to re-estimate it from this exact x_bar, and collect its error."""
+        is_expected = is_update_expected(x_bar)
+        if not is_updated or is_expected is False:
+            return _check_update(is_updated, is_expected)
+        n, t = state["n"], state["t"]
+        b_hat = Fraction(state["b_hat()"], 2**32)
+        exact = assumed_accuracy_update(n, t, x_bar, UNGUARDED)
+        assert exact is not None
+        float64_b_hat = assumed_accuracy_update(n, t, float(x_bar))
+        if float64_b_hat is not None:
             errors = self.errors["b_hat", region_of(2 * x_bar - 1)]
-            errors.add(found - b_hat, float(found) - reference)
-        return _within("b_hat", found, b_hat - limit, b_hat + limit)
+            errors.add(b_hat - exact, float(b_hat) - float64_b_hat)
+        largest_error = b_hat_error(x_bar)
+        return _check_bounds("b_hat", b_hat, (exact - largest_error, exact + largest_error))
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything collected, as plain data."""
+        """Return everything that was collected as plain data."""
         rows = (
             {"quantity": quantity, "region": region} | asdict(errors)
             for (quantity, region), errors in self.errors.items()
@@ -178,49 +220,57 @@ class Audit:
 
 
 def region_of(value: Fraction) -> str:
-    """The name of the region that |value| is in."""
+    """Return the name of the region of |value|."""
     return next(name for end, name in REGIONS if abs(value) < end)
 
 
-def _units(word: int) -> int:
-    """The value of an alpha word in units of 2**-24: mantissa 2**shift."""
-    return (word >> 8) << word % 32
+def _alpha_units(word: int) -> int:
+    """Return the value of an alpha word in units of 2**-24: mantissa * 2**shift."""
+    mantissa, shift = word >> 8, word % 32
+    return mantissa << shift
 
 
 def _closed_alpha_x(state: State) -> int:
+    """Return the sum of alpha x_hat of the last closed round."""
     return (state["closed_alpha_x_high"] << 32) + state["closed_alpha_x_low"]
 
 
-def _crowd(state: State) -> tuple[Fraction, Fraction]:
-    """Centre and spread of the robust filter."""
+def _centre_and_spread(state: State) -> tuple[Fraction, Fraction]:
+    """Return the centre and the spread of the robust filter's crowd."""
     return Fraction(state["crowd_centre"], 2**30), Fraction(state["crowd_spread"], 2**30)
 
 
-def _wrongly(is_updated: bool, expected: bool | None) -> list[str]:
+def _check_means(state: State, is_robust: bool) -> list[str]:
+    """Check x_bar and x, which are exact quotients, rounded down."""
+    if is_robust:
+        centre = state["crowd_centre"] * ONE // 2**30
+        has_votes = state["crowd_votes"] > 0
+        x = centre if has_votes else state["x_hat"]
+        x_bar = centre if has_votes else HALF
+        return _check_exact(state, {"x()": x, "x_bar()": x_bar, "beta()": 0})
+    beta, alpha_x = state["closed_alpha"], _closed_alpha_x(state)
+    alpha, x_hat = _alpha_units(state["alpha"]), state["x_hat"]
+    x = (alpha * x_hat + alpha_x) // (alpha + beta) if alpha + beta else x_hat
+    x_bar = alpha_x // beta if beta else HALF
+    return _check_exact(state, {"x()": x, "x_bar()": x_bar})
+
+
+def _check_exact(state: State, expected: State) -> list[str]:
+    """Return a line for each value of ``expected`` that the state does not have."""
+    wrong_values = {name: value for name, value in expected.items() if state[name] != value}
+    return [f"{name} is {state[name]}, exactly {value}" for name, value in wrong_values.items()]
+
+
+def _check_bounds(name: str, value: Fraction, bounds: Bounds) -> list[str]:
+    """Return a line if the value is out of bounds."""
+    lower, upper = bounds
+    if lower <= value <= upper:
+        return []
+    return [f"{name} is {float(value):.9g}, outside {float(lower):.9g} to {float(upper):.9g}"]
+
+
+def _check_update(is_updated: bool, expected: bool | None) -> list[str]:
+    """Return a line if b_hat was re-estimated without need, or was not in need. None allows both."""
     if expected in (None, is_updated):
         return []
     return [f"b_hat is {'' if is_updated else 'not '}re-estimated, wrongly"]
-
-
-def _means(state: State, is_robust: bool) -> list[str]:
-    """Check x_bar and x, which are exact but for their last bit, rounded down."""
-    if is_robust:
-        centre, is_heard = int(_crowd(state)[0] * ONE), state["crowd_votes"] > 0
-        x, x_bar = (centre, centre) if is_heard else (state["x_hat"], HALF)
-        return _differing(state, {"x()": x, "x_bar()": x_bar, "beta()": 0})
-    weight, total = state["closed_alpha"], _closed_alpha_x(state)
-    alpha, x_hat = _units(state["alpha"]), state["x_hat"]
-    x = (alpha * x_hat + total) // (alpha + weight) if alpha + weight else x_hat
-    return _differing(state, {"x()": x, "x_bar()": total // weight if weight else HALF})
-
-
-def _differing(state: State, expected: State) -> list[str]:
-    """Values with one right answer that are others."""
-    wrong = {name: value for name, value in expected.items() if state[name] != value}
-    return [f"{name} is {state[name]}, exactly {value}" for name, value in wrong.items()]
-
-
-def _within(name: str, found: Fraction, least: Fraction, most: Fraction) -> list[str]:
-    if least <= found <= most:
-        return []
-    return [f"{name} is {float(found):.9g}, outside {float(least):.9g} to {float(most):.9g}"]

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from copy import copy, deepcopy
 
 from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE
-from mcp_asdf.mirror import VOTES_MOST, deviates, vote
+from mcp_asdf.mirror import VOTES_MAX, robust_test_rejects, update_crowd
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.radio.bench import BURST, Bench
 from mcp_asdf_tools.radio.rounds import ordinary_alpha
@@ -120,7 +120,7 @@ def thresholds(spread: int) -> Callable[[Bench], None]:
 def many_votes(bench: Bench) -> None:
     """Twice as many votes as count, of both sides, and then a round of one side."""
     bench.doing = "many votes"
-    for _ in range(2 * VOTES_MOST // _ALL + 1):
+    for _ in range(2 * VOTES_MAX // _ALL + 1):
         _vote(bench, [0, ONE] * (_ALL // 2))
     bench.doing = "votes with the least gain"
     _vote(bench, [ONE] * _ALL)
@@ -151,14 +151,14 @@ def _rejects(bench: Bench, z: Observation | None = None) -> bool:
     robot = deepcopy(bench.firmware)
     if z is not None:
         robot.observe(z)
-    return deviates(robot.s.crowd, robot.s.t, robot.s.n)
+    return robust_test_rejects(robot.s.crowd, robot.s.t, robot.s.n)
 
 
 def _votes_until_moving(bench: Bench, end: int) -> int:
     """Votes for ``end`` with which the crowd moves."""
     crowd, count = copy(bench.firmware.s.crowd), 0
     while not crowd.is_moving:
-        vote(crowd, 0, end)
+        update_crowd(crowd, 0, end)
         count += 1
     return count
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from enum import Enum
 from math import isqrt
 
-from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, HALF, ONE, sums_add
-from mcp_asdf.mirror import Closed, reestimate, rejects
+from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, HALF, ONE, add_estimate
+from mcp_asdf.mirror import Closed, asdf_test_rejects, reestimate, round_mean
 from mcp_asdf.robot import Sums
 from mcp_asdf.table import FRACTION_BITS, Table
 
@@ -75,10 +75,11 @@ class Situation:
         """The update that a test of these messages makes; None if it does not reject."""
         sums = Sums()
         for x_hat, alpha in contents:
-            sums_add(sums, x_hat, alpha)
-        if self.table is not None and (sums.count < 2 or not rejects(self.table, sums, self.x_hat)):
+            add_estimate(sums, x_hat, alpha)
+        if self.table is not None and (sums.count < 2 or not asdf_test_rejects(self.table, sums, self.x_hat)):
             return None
-        return update_of(reestimate(self.t, self.n, Closed(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)))
+        closed = Closed(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)
+        return update_of(reestimate(self.t, self.n, round_mean(closed)))
 
 
 def update_of(b_hat: int | None) -> Update:

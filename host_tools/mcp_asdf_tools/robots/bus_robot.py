@@ -16,7 +16,7 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf.fixed_point import alpha_to_word, word_to_alpha
+from mcp_asdf.fixed_point import alpha_from_word, alpha_word_from_float
 from mcp_asdf.robot import Counters, FirmwareError, FixedPointRobot, Observation, Robot, Status
 from mcp_asdf_tools.bus.estimates import decode_estimates
 from mcp_asdf_tools.bus.frames import (
@@ -363,7 +363,7 @@ class RoundingPort:
     @property
     def alpha_raw(self) -> int:
         """Local confidence to broadcast."""
-        return alpha_to_word(self._robot.alpha)
+        return alpha_word_from_float(self._robot.alpha)
 
     def receive_all(self, words: Words) -> int:
         """Hand over neighbours' messages in order; returns how many were accepted."""
@@ -371,6 +371,6 @@ class RoundingPort:
 
     def _accepts(self, sender: int, x_hat: int, alpha: int) -> bool:
         try:
-            return self._robot.receive(sender, x_hat / ONE, word_to_alpha(alpha)) is Status.OK
+            return self._robot.receive(sender, x_hat / ONE, alpha_from_word(alpha)) is Status.OK
         except FirmwareError:
             return False

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mcp_asdf.fixed_point import ALPHA_MAX, alpha_to_word, word_to_alpha
+from mcp_asdf.fixed_point import ALPHA_MAX, alpha_from_word, alpha_word_from_float
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,
@@ -82,7 +82,7 @@ def members(message: Any) -> tuple[Any, ...]:
     """What an object of the message's DSDL type holds, in its order."""
     names = [item.name for item in fields(message) if item.name not in ("sender", "transfer_id")]
     first, *rest = (plain(getattr(message, name)) for name in names)
-    return (first, word_to_alpha(*rest)) if isinstance(message, Message) else (first, *rest)
+    return (first, alpha_from_word(*rest)) if isinstance(message, Message) else (first, *rest)
 
 
 def plain(value: Any) -> Any:
@@ -152,12 +152,12 @@ async def sent_by_pycyphal(channel: str, subject: int, contents: Sequence[Any]) 
 
 def test_we_read_what_pycyphal_sends(types: dict[type, Any]) -> None:
     """Alpha may be any binary32 number, which need not be on the firmware's grid, and may be beyond it."""
-    alphas = (0.0, word_to_alpha(ALPHA_MAX), 2.0**-24, 1.0, float_of(0x7F7FFFFF), float_of(1), 3 * 2.0**-25)
+    alphas = (0.0, alpha_from_word(ALPHA_MAX), 2.0**-24, 1.0, float_of(0x7F7FFFFF), float_of(1), 3 * 2.0**-25)
     sent = [(2**23 - x, alpha) for x, alpha in enumerate(alphas * 5)]  # transfer ids wrap
     contents = [types[Message](*each) for each in sent]
     received = asyncio.run(sent_by_pycyphal("estimates", 3000, contents))
     for count, (frame, (x_hat, alpha)) in enumerate(zip(received, sent, strict=True)):
-        message = Message(42, x_hat, alpha_to_word(alpha), count % 32)
+        message = Message(42, x_hat, alpha_word_from_float(alpha), count % 32)
         assert frames.decode(frame, DEFAULT) == message
         assert frame.arbitration_id == encoded(message).arbitration_id
     beat = Heartbeat(42, 12345, 0, Health.CAUTION, Mode.INITIALIZATION, 77)

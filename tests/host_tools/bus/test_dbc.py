@@ -12,7 +12,7 @@ import can
 import pytest
 from hypothesis import example, given, settings
 
-from mcp_asdf.fixed_point import ALPHA_MAX, word_to_alpha
+from mcp_asdf.fixed_point import ALPHA_MAX, alpha_from_word
 from mcp_asdf_tools.bus.dbc import ANY_NODE_MASK, dbc_text
 from mcp_asdf_tools.bus.frames import (
     EVERY_ROBOT,
@@ -53,7 +53,7 @@ def physical(message: Any) -> dict[str, float]:
     values = {item.name: getattr(message, item.name) for item in fields(message) if item.name != "sender"}
     values = {key: value.value if isinstance(value, Enum) else value for key, value in values.items()}
     if "alpha" in values:
-        values["alpha"] = word_to_alpha(values["alpha"])
+        values["alpha"] = alpha_from_word(values["alpha"])
     return {key: value * UNITS.get(key, 1) for key, value in values.items()} | {"start_end_toggle": 7}
 
 
@@ -96,7 +96,7 @@ def test_a_stated_range_is_what_is_taken(database: Any, legal: Any) -> None:
         around = [each for each in (signal.minimum - unit, signal.maximum + unit) if 0 <= each <= reaches]
         for value in (signal.minimum, signal.maximum):
             found = decoded(database, kind, physical(legal) | {signal.name: value})
-            most = word_to_alpha(ALPHA_MAX) if signal.name == "alpha" else value
+            most = alpha_from_word(ALPHA_MAX) if signal.name == "alpha" else value
             assert physical(found)[signal.name] == min(value, most)
         for value in BEYOND.get(signal.name, around):
             found = decoded(database, kind, physical(legal) | {signal.name: value}, strict=False)

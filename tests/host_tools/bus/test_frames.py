@@ -23,7 +23,7 @@ from cffi import FFI
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mcp_asdf.fixed_point import ALPHA_MAX, alpha_to_word, word_to_alpha
+from mcp_asdf.fixed_point import ALPHA_MAX, alpha_from_word, alpha_word_from_float
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.estimates import decode_estimates
 from mcp_asdf_tools.bus.frames import (
@@ -153,7 +153,7 @@ def test_encoders_make_the_same_frames_and_refuse_the_same(codec: Codec, message
     if isinstance(message, Message):
         bits, word = alpha_bits(frame), message.alpha
         assert bits == binary32_of(word) == bits_of(float_of(bits))
-        assert Fraction(float_of(bits)) == value_of(word) == Fraction(word_to_alpha(word))
+        assert Fraction(float_of(bits)) == value_of(word) == Fraction(alpha_from_word(word))
     assert KINDS[type(message)].decode(frame) == decode_any_kind(frame) == as_decoded(message)
 
 
@@ -288,7 +288,7 @@ def test_a_binary32_number_is_rounded_down_to_the_grid_or_saturated(bits: int) -
     assert value_of(word) == min(value // UNIT * UNIT, value_of(ALPHA_MAX))
     assert word & 0xE0 == 0, "spare bits"
     assert word >> 31 == 1 or word % 256 == 0, "the smallest shift, as the firmware forms it"
-    assert word == alpha_to_word(float(value))
+    assert word == alpha_word_from_float(float(value))
 
 
 def test_bits_of_rounds_to_nearest_even_and_refuses_what_is_too_large() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import can
 import pytest
 
-from mcp_asdf.fixed_point import alpha_to_word
+from mcp_asdf.fixed_point import alpha_word_from_float
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import Message
 from messages import DEFAULT, write_regulated_types
@@ -66,7 +66,7 @@ def documented(port: str) -> list[str]:
 def message_of(estimate: dict[str, Any]) -> Message:
     meta = estimate["_meta_"]
     assert meta["dtype"] == "mcp_asdf_messages.Estimate.1.0"
-    alpha = alpha_to_word(estimate["alpha"])
+    alpha = alpha_word_from_float(estimate["alpha"])
     return Message(meta["source_node_id"], estimate["x_q23"], alpha, meta["transfer_id"] % 32)
 
 

@@ -1,251 +1,368 @@
-"""The oracle of the cross-check is right: exact values, their limits, and what is collected of errors."""
+"""The oracle of the cross-check: its bounds, what it finds wrong in a call, and the errors it collects."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from mcp_asdf.fixed_point import ONE, word_to_alpha
+from mcp_asdf.fixed_point import ONE, alpha_from_word
 from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.reference import INFORMATIVE_G, assumed_accuracy_update, local_estimate
 from mcp_asdf.robot import Filter
-from mcp_asdf_tools.crosscheck import oracle
-from mcp_asdf_tools.crosscheck.compare import Look, Subject
-from mcp_asdf_tools.crosscheck.exact import (
+from mcp_asdf_tools.crosscheck.bounds import (
     HALF,
-    UNINFORMATIVE,
+    alpha_bounds,
     alpha_error,
-    alpha_limits,
     b_hat_error,
-    exact_b_hat,
-    exact_estimate,
-    is_informative,
-    updates,
-    x_hat_limits,
+    crowd_after_vote,
+    exact_alpha,
+    is_update_expected,
+    robust_test_outcome,
+    x_hat_bounds,
 )
-from mcp_asdf_tools.crosscheck.oracle import Audit, Errors
+from mcp_asdf_tools.crosscheck.compare import Look, Subject
+from mcp_asdf_tools.crosscheck.oracle import REGIONS, Audit, Errors, region_of
 from mcp_asdf_tools.crosscheck.random_scenarios import robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import Call, Setup, parse_scenario
-from support import draws
 
-b_hats = st.fractions(Fraction(1, 2**20), 1 - Fraction(1, 2**20), max_denominator=2**32).filter(
-    is_informative
-)
-counts = st.integers(1, 2**31).flatmap(lambda t: st.tuples(st.integers(0, t), st.just(t)))
-draw = settings(deadline=None, database=None, derandomize=True, max_examples=draws(200))
+LIMIT = Fraction(INFORMATIVE_G)
+
+# --- Bounds ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.random
-@draw
-@given(counts, b_hats)
-def test_exact_estimates_are_those_of_the_paper(count: tuple[int, int], b: Fraction) -> None:
-    """alpha is eq. 4 as printed; no x beside x_hat makes n black among t more likely, as P(black) is
-    b x + (1 - b)(1 - x); and b_hat of x_hat, where that is inside the scale, is b."""
-    (n, t), d = count, 2 * b - 1
-    x_hat, alpha = exact_estimate(n, t, b)
-    chance = b * x_hat + (1 - b) * (1 - x_hat)
-    slope = (n - t * chance) * d  # of the log-likelihood, up to a positive factor
-    if x_hat == 0:
-        assert slope <= 0
-        printed = d**2 * (t * b**2 - d * (t - n)) / (b**2 * (b - 1) ** 2)
-    elif x_hat == 1:
-        assert slope >= 0
-        printed = d**2 * (t * b**2 - d * n) / (b**2 * (b - 1) ** 2)
-    else:
-        assert slope == 0 and (x_hat == HALF or exact_b_hat(n, t, x_hat) == b)
-        printed = d**2 * Fraction(t**3, n * (t - n))
-    assert alpha == min(printed, Fraction(2**31 - 2**7))
+def test_the_largest_alpha_limits_the_exact_one() -> None:
+    b = 1 - Fraction(1, 2**20)
+    assert exact_alpha(2**11, 2**31, b) == 2**31 - 2**7
+    assert exact_alpha(1, 2, Fraction(3, 4)) == 2
 
 
-def test_exact_values_at_the_edges() -> None:
-    assert exact_estimate(3, 7, HALF) == (HALF, Fraction(0))
-    assert x_hat_limits(3, 7, HALF) == (HALF, HALF)
-    assert exact_estimate(3, 7, HALF + UNINFORMATIVE / 2)[1] > 0
-    assert exact_b_hat(0, 7, Fraction(1)) == 1 - exact_b_hat(7, 7, Fraction(1)) == Fraction(1, 2**20)
+def test_x_hat_is_exact_without_information() -> None:
+    assert x_hat_bounds(3, 7, HALF) == (HALF, HALF)
 
 
-@pytest.mark.parametrize(
-    ("n", "b", "alpha", "x_hat"),
-    [
-        (0, Fraction(19, 20), (66, 2), (0, 0)),
-        (300_000, Fraction(19, 20), (3.125, 6.444), (2330168, 2330168)),
-        (500_100, Fraction(1025, 2048), (3.125, 4098.002), (5053297, 5053298)),
-        (499_900, Fraction(1025, 2048), (3.125, 4098.002), (3335310, 3335311)),
-    ],
-)
-def test_limits_of_estimates(n: int, b: Fraction, alpha: tuple[float, float], x_hat: tuple[int, int]) -> None:
-    """docs/design.md, section 11; in units of 2**-28 below, 2**-31 above, and 2**-23."""
-    (below, above), (_, exact) = alpha_error(n, 10**6, b), exact_estimate(n, 10**6, b)
-    assert (below * 2**28, above * 2**31) == pytest.approx(alpha, abs=1e-3)
-    assert x_hat_limits(n, 10**6, b) == tuple(Fraction(each, 2**23) for each in x_hat)
-    least = exact * (1 - below) * (1 - Fraction(1, 2**23)) - Fraction(1, 2**24)
-    assert alpha_limits(n, 10**6, b) == (least, exact * (1 + above))
+@dataclass
+class AccuracyCase:
+    """Bounds that docs/design.md, section 11, states for an accuracy and a count of black tiles.
+
+    Attributes:
+        n: Number of black ones among 10**6 tiles.
+        b: Accuracy.
+        too_small: Relative error of alpha downwards, in units of 2**-28.
+        too_large: Relative error of alpha upwards, in units of 2**-31.
+        x_hat: Bounds of x_hat in units of 2**-23.
+    """
+
+    n: int
+    b: Fraction
+    too_small: float
+    too_large: float
+    x_hat: tuple[int, int]
+
+
+ACCURACY_CASES = [
+    AccuracyCase(0, Fraction(19, 20), 66, 2, (0, 0)),
+    AccuracyCase(300_000, Fraction(19, 20), 3.125, 6.444, (2330168, 2330168)),
+    AccuracyCase(500_100, Fraction(1025, 2048), 3.125, 4098.002, (5053297, 5053298)),
+    AccuracyCase(499_900, Fraction(1025, 2048), 3.125, 4098.002, (3335310, 3335311)),
+]
+
+
+@pytest.mark.parametrize("case", ACCURACY_CASES)
+def test_bounds_of_x_hat_are_those_of_the_design(case: AccuracyCase) -> None:
+    lower, upper = case.x_hat
+    assert x_hat_bounds(case.n, 10**6, case.b) == (Fraction(lower, 2**23), Fraction(upper, 2**23))
+
+
+@pytest.mark.parametrize("case", ACCURACY_CASES)
+def test_errors_of_alpha_are_those_of_the_design(case: AccuracyCase) -> None:
+    too_small, too_large = alpha_error(case.n, 10**6, case.b)
+    assert (too_small * 2**28, too_large * 2**31) == pytest.approx((case.too_small, case.too_large), abs=1e-3)
+
+
+@pytest.mark.parametrize("case", ACCURACY_CASES)
+def test_bounds_of_alpha_have_room_for_an_alpha_word(case: AccuracyCase) -> None:
+    exact = exact_alpha(case.n, 10**6, case.b)
+    too_small, too_large = alpha_error(case.n, 10**6, case.b)
+    lower = exact * (1 - too_small) * (1 - Fraction(1, 2**23)) - Fraction(1, 2**24)
+    assert alpha_bounds(case.n, 10**6, case.b) == (lower, exact * (1 + too_large))
 
 
 # design: R26
 @pytest.mark.parametrize(
     ("x_bar", "units"), [(Fraction(11, 20), 59), (Fraction(9, 20), 45), (Fraction(0), 9), (Fraction(1), 14)]
 )
-def test_limits_of_b_hat(x_bar: Fraction, units: int) -> None:
+def test_the_error_of_b_hat_is_that_of_the_design(x_bar: Fraction, units: int) -> None:
     """What eq. 8 makes of 4 x_bar + 3, or 4 x_bar + 2 below 1/2, and 7 for itself; in units of 2**-32."""
     assert round(b_hat_error(x_bar) * 2**32) == units
 
 
 # design: R25
 @pytest.mark.parametrize("side", [1, -1])
-@pytest.mark.parametrize(("errors", "answer"), [(-1.7, False), (2.01, True)])
-def test_a_re_estimate_is_judged_but_next_to_the_limit(side: int, errors: float, answer: bool) -> None:
-    """An x_bar of 1/2 and a little more is known to 1.25 units of 2**-30, which it may be too small."""
-    distance = UNINFORMATIVE + Fraction(errors) * Fraction(5, 4) / 2**30
-    assert updates(HALF + side * distance / 2) is answer
-    assert updates(HALF + UNINFORMATIVE / 2 + Fraction(1, 2**31)) is None
+@pytest.mark.parametrize(("errors", "is_expected"), [(-1.7, False), (2.01, True)])
+def test_an_update_is_expected_from_an_informative_x_bar(side: int, errors: float, is_expected: bool) -> None:
+    """``errors`` is the distance from the limit in units of 1.25 * 2**-30, the largest error of x_bar."""
+    distance = LIMIT + Fraction(errors) * Fraction(5, 4) / 2**30
+    assert is_update_expected(HALF + side * distance / 2) is is_expected
 
 
-# --- Judging ---------------------------------------------------------------------------------------------
+def test_either_is_right_so_near_to_the_limit_that_rounding_decides() -> None:
+    assert is_update_expected(HALF + LIMIT / 2 + Fraction(1, 2**31)) is None
 
 
-def judged(text: str, audit: Audit) -> Iterator[tuple[Setup, Call, Look, Look]]:
-    """Each call of a scenario, with the looks before and after it, in which nothing is wrong."""
+@pytest.mark.parametrize(
+    ("x_hat", "centre", "spread"),
+    [
+        (ONE, 2**29 + 2**15, 2**18 + 2**14),
+        (0, 2**29 - 2**15, 2**18 + 2**14),
+        (2**22, 2**29, 2**18),  # no narrower than the least spread
+        (2**22 + 1, 2**29 + 2**4, 2**18),
+    ],
+)
+def test_a_vote_moves_centre_and_spread_by_whole_units(x_hat: int, centre: int, spread: int) -> None:
+    result = crowd_after_vote(1, HALF, Fraction(2**18, 2**30), Fraction(x_hat, ONE))
+    assert result == (Fraction(centre, 2**30), Fraction(spread, 2**30))
+
+
+def test_changes_of_less_than_a_unit_are_rounded_away() -> None:
+    """With a gain of 2**-12 a distance of 3 * 2**12 - 1 units moves the centre by 2."""
+    distance = Fraction(3 * 2**12 - 128, 2**30)
+    spread = Fraction(2**18 + 1, 2**30)
+    centre_after, _ = crowd_after_vote(2**14, HALF, spread, HALF - distance)
+    assert centre_after == HALF - Fraction(2, 2**30)
+
+
+@pytest.mark.parametrize(("n", "outcome"), [(554_100, False), (554_154, None), (554_200, True)])
+def test_the_robust_test_is_left_undecided_next_to_equality(n: int, outcome: bool | None) -> None:
+    centre, spread = HALF, Fraction(1, 32)
+    b = Fraction(3, 4)
+    assert robust_test_outcome(n, 10**6, b, centre, spread) is outcome
+
+
+# --- What is found wrong in a call -----------------------------------------------------------------------
+
+
+@dataclass
+class CheckedCall:
+    """A call of a scenario, with what was observed before and after it."""
+
+    setup: Setup
+    call: Call
+    before: Look
+    after: Look
+
+
+def check_calls(text: str, audit: Audit) -> Iterator[CheckedCall]:
+    """Make the calls of a scenario, in which ``audit`` finds nothing wrong, and yield them."""
     scenario = parse_scenario(text)
     subject = Subject(MirrorRobot, scenario.setup)
     for call in scenario.calls:
         before = subject.last
         after = subject.apply(call)
         assert audit.judge(scenario.setup, call, before, after) == []
-        yield scenario.setup, call, before, after
+        yield CheckedCall(scenario.setup, call, before, after)
 
 
-def changed(look: Look, name: str, value: int) -> Look:
-    """The look with another value of a word."""
+def last_call(text: str, audit: Audit) -> CheckedCall:
+    """Make the calls of a scenario, and return the last one."""
+    *_, checked_call = check_calls(text, audit)
+    return checked_call
+
+
+def with_value(look: Look, name: str, value: int) -> Look:
+    """Return the look with another value of a field."""
     return replace(look, state=look.state | {name: value})
+
+
+UPDATE = "robot:1:1:64:0:3221225472,step:1,step:0,receive:1:3000000:2147483649,step:0"
+"""A scenario whose last call updates b_hat."""
+
+
+def problems_with_excess(name: str, excess: int) -> list[str]:
+    """Return the problems of a call that updates b_hat, after which a value is larger than it was."""
+    audit = Audit()
+    update = last_call(UPDATE, audit)
+    assert update.after.outcome == "UPDATED"
+    wrong = with_value(update.after, name, update.after.state[name] + excess)
+    return audit.judge(update.setup, update.call, update.before, wrong)
 
 
 # design: R21
 @pytest.mark.parametrize(
-    ("name", "excess", "told"),
+    ("name", "excess", "problem"),
     [
-        *(("x_hat", 2, "x_hat is"), ("x_hat", -2, "x_hat is"), ("alpha", 16 << 8, "alpha is")),
-        *(("b_hat()", 50, "b_hat is"), ("b_hat()", -50, "b_hat is")),
-        *(("x()", 1, "x() is"), ("x_bar()", -1, "x_bar() is")),
-        *(("holds_invariants()", -1, "the invariants do not hold"), ("open_x", 1, "")),
+        ("x_hat", 2, "x_hat is"),
+        ("x_hat", -2, "x_hat is"),
+        ("alpha", 16 << 8, "alpha is"),
+        ("b_hat()", 50, "b_hat is"),
+        ("b_hat()", -50, "b_hat is"),
+        ("x()", 1, "x() is"),
+        ("x_bar()", -1, "x_bar() is"),
+        ("holds_invariants()", -1, "the invariants do not hold"),
     ],
 )
-def test_a_value_beyond_its_limit_is_told(name: str, excess: int, told: str) -> None:
-    """In a state that is right otherwise, after a call that updates b_hat."""
-    audit = Audit()
-    text = "robot:1:1:64:0:3221225472,step:1,step:0,receive:1:3000000:2147483649,step:0"
-    *_, (setup, call, before, after) = judged(text, audit)
-    assert after.outcome == "UPDATED"
-    problems = audit.judge(setup, call, before, changed(after, name, after.state[name] + excess))
-    assert any(problem.startswith(told) for problem in problems) if told else problems == []
+def test_a_value_out_of_bounds_is_reported(name: str, excess: int, problem: str) -> None:
+    assert any(line.startswith(problem) for line in problems_with_excess(name, excess))
+
+
+def test_a_value_that_follows_from_no_equation_is_not_checked() -> None:
+    """It is compared between the firmwares."""
+    assert problems_with_excess("open_x", 1) == []
+
+
+def settle_with_messages(mode: Filter, message_count: int, audit: Audit) -> CheckedCall:
+    """Return a step at which the filter runs after that many messages of different x_hat."""
+    messages = "".join(
+        f"receive:{sender}:{3_000_000 + sender}:2147483649," for sender in range(1, message_count + 1)
+    )
+    return last_call(f"table:0.05:2,robot:{mode:d}:1:64:0:3221225472,{messages}step:1", audit)
 
 
 @pytest.mark.parametrize(
-    ("mode", "heard", "told"),
-    [
-        *((Filter.OFF, 2, ""), (Filter.ALWAYS, 1, "not "), (Filter.ALWAYS, 0, "")),
-        *((Filter.ADAPTIVE, 1, ""), (Filter.ADAPTIVE, 2, "not ")),
-    ],
+    ("mode", "message_count"), [(Filter.OFF, 2), (Filter.ALWAYS, 0), (Filter.ADAPTIVE, 1)]
 )
-def test_a_re_estimate_without_cause_or_a_missing_one_is_told(mode: Filter, heard: int, told: str) -> None:
-    audit, outcome = Audit(), "OK" if told else "UPDATED"
-    messages = "".join(f"receive:{each}:{3_000_000 + each}:2147483649," for each in range(1, heard + 1))
-    text = f"table:0.05:2,robot:{mode:d}:1:64:0:3221225472,{messages}step:1"
-    *_, (setup, call, before, after) = judged(text, audit)
-    assert after.outcome != outcome
-    problems = audit.judge(setup, call, before, replace(after, outcome=outcome))
-    assert problems == [f"b_hat is {told}re-estimated, wrongly"]
-    assert audit.tests == 2 * (mode == Filter.ADAPTIVE and heard == 2)
-    not_due = changed(before, "filter_left", 2)
-    problems = audit.judge(setup, call, not_due, replace(after, outcome="UPDATED"))
-    assert problems == ["b_hat is re-estimated, wrongly"]
-    assert audit.judge(setup, call, before, replace(after, outcome="ERR_OBSERVATION")) == []
+def test_an_update_without_cause_is_reported(mode: Filter, message_count: int) -> None:
+    audit = Audit()
+    step = settle_with_messages(mode, message_count, audit)
+    wrong = replace(step.after, outcome="UPDATED")
+    assert audit.judge(step.setup, step.call, step.before, wrong) == ["b_hat is re-estimated, wrongly"]
+    assert audit.tests == 0
 
 
-IDLE = {"crowd_votes": 1, "b_hat()": 1 << 29, "tests": 1}
-DECIDED = {"crowd_votes": 1, "b_hat()": 1 << 29}
-WHATEVER = {
-    **{"voted": {"crowd_centre": 2, "crowd_spread": 2, "x()": 1}, "rejected": {"crowd_votes": 1}},
-    **{"moving": IDLE, "too few": IDLE, "returned": DECIDED, "kept": DECIDED},
+@pytest.mark.parametrize(("mode", "message_count", "tests"), [(Filter.ALWAYS, 1, 0), (Filter.ADAPTIVE, 2, 2)])
+def test_a_missing_update_is_reported(mode: Filter, message_count: int, tests: int) -> None:
+    audit = Audit()
+    step = settle_with_messages(mode, message_count, audit)
+    wrong = replace(step.after, outcome="OK")
+    assert audit.judge(step.setup, step.call, step.before, wrong) == ["b_hat is not re-estimated, wrongly"]
+    assert audit.tests == tests
+
+
+def test_an_update_before_the_filter_period_has_passed_is_reported() -> None:
+    audit = Audit()
+    step = settle_with_messages(Filter.ALWAYS, 1, audit)
+    too_early = with_value(step.before, "filter_left", 2)
+    assert audit.judge(step.setup, step.call, too_early, step.after) == ["b_hat is re-estimated, wrongly"]
+
+
+def test_nothing_is_expected_of_a_call_with_an_error() -> None:
+    audit = Audit()
+    step = settle_with_messages(Filter.ALWAYS, 1, audit)
+    refused = replace(step.after, outcome="ERR_OBSERVATION")
+    assert audit.judge(step.setup, step.call, step.before, refused) == []
+
+
+UNCHANGED = {"crowd_votes": 1, "b_hat()": 1 << 29, "tests": 1}
+EXACT_B_HAT = {"crowd_votes": 1, "b_hat()": 1 << 29}
+DEVIATIONS_BY_EVENT = {
+    "voted": {"crowd_centre": 1, "crowd_spread": 1, "x()": 1},
+    "rejected": {"crowd_votes": 1},
+    "moving": UNCHANGED,
+    "too few": UNCHANGED,
+    "returned": EXACT_B_HAT,
+    "kept": EXACT_B_HAT,
     "receive": {"crowd_centre": 1, "crowd_spread": 1, "crowd_voices": 1, "beta()": 1},
 }
-"""What the robust filter must not change by more, nor by less, in what it does; a message may be no vote."""
+"""Deviations of fields that are wrong, by event of the robust filter; "receive" is a message without vote."""
+
+
+def wrong_outcomes(event: str, after: Look) -> list[Look]:
+    """Return what a wrong firmware may show after an event of the robust filter."""
+    deviations = DEVIATIONS_BY_EVENT.get(event, {})
+    looks = [
+        with_value(after, name, after.state[name] + sign * deviation)
+        for name, deviation in deviations.items()
+        for sign in (1, -1)
+    ]
+    if "b_hat()" in deviations:
+        looks.append(replace(after, outcome="UPDATED" if after.outcome == "OK" else "OK"))
+    return looks
 
 
 # design: R35, R37, R38
-def test_whatever_the_robust_filter_does_wrongly_is_told() -> None:
-    """In either sense, and also that b_hat is re-estimated or is not."""
-    audit, reached = Audit(), Counter[str]()
+def test_whatever_the_robust_filter_does_wrongly_is_reported() -> None:
+    audit, events = Audit(), Counter[str]()
     for number in range(35):
-        for setup, call, before, after in judged(str(robust_scenario(1, number)), audit):
-            way = next(iter(audit.robust), call.name)
+        for checked_call in check_calls(str(robust_scenario(1, number)), audit):
+            event = next(iter(audit.robust), checked_call.call.name)
             audit.robust.clear()
-            wrong = [
-                changed(after, name, after.state[name] + sign * excess)
-                for name, excess in WHATEVER.get(way, {}).items()
-                for sign in (1, -1)
-            ]
-            if "b_hat()" in WHATEVER.get(way, {}):
-                wrong.append(replace(after, outcome="UPDATED" if after.outcome == "OK" else "OK"))
-            assert all(Audit().judge(setup, call, before, each) for each in wrong), f"{way}: {call}"
-            reached[way] += 1
-    assert min(reached[way] for way in WHATEVER) > 5, reached
+            events[event] += 1
+            for wrong in wrong_outcomes(event, checked_call.after):
+                problems = Audit().judge(checked_call.setup, checked_call.call, checked_call.before, wrong)
+                assert problems, f"{event}: {checked_call.call}"
+    assert min(events[event] for event in DEVIATIONS_BY_EVENT) > 5, events
 
 
-def test_what_the_robust_filter_does_is_judged_from_the_first_vote_and_tile() -> None:
-    """One vote; a filter that is not due; one without a tile; and a test that rounding decides."""
+# --- What is counted -------------------------------------------------------------------------------------
+
+
+def count_robust_events(text: str) -> tuple[Counter[str], int]:
+    """Make the calls of a scenario, and return the events of the robust filter and the number of tests."""
     audit = Audit()
-    list(judged("robot:3:2:64:0:3221225472,step:1,observe:1,receive:1:99:2147483649,observe:1,settle", audit))
-    assert audit.robust == {"voted": 1, "too few": 1}
-    blind = ",".join(f"receive:{sender}:99:2147483649" for sender in (1, 2, 3))
-    list(judged(f"robot:3:2:64:0:3221225472,{blind},settle,settle,observe:1,settle", audit))
-    assert audit.robust == {"voted": 4, "too few": 1}
-    count = "restore:1:2124665746:2:2147483643:3:1085233319:7:3:8:262144:9:7:10:2124665746:11:2147500032"
-    list(judged(f"robot:3:1:2147483648:0:3221225472,{count}:29:65536,settle", audit))
-    assert audit.robust == {"voted": 4, "too few": 1, "undecided": 1} and audit.tests == 1
+    list(check_calls(text, audit))
+    return audit.robust, audit.tests
+
+
+def test_a_vote_and_a_filter_that_has_too_few_senders_are_counted() -> None:
+    calls = "step:1,observe:1,receive:1:99:2147483649,observe:1,settle"
+    assert count_robust_events(f"robot:3:2:64:0:3221225472,{calls}") == ({"voted": 1, "too few": 1}, 0)
+
+
+def test_a_filter_without_an_observation_is_not_counted() -> None:
+    votes = ",".join(f"receive:{sender}:99:2147483649" for sender in (1, 2, 3))
+    calls = f"{votes},settle,settle,observe:1,settle"
+    assert count_robust_events(f"robot:3:2:64:0:3221225472,{calls}") == ({"voted": 3}, 0)
+
+
+def test_a_test_that_rounding_decides_is_counted_as_undecided() -> None:
+    state = "restore:1:2124665746:2:2147483643:3:1085233319:7:3:8:262144:9:7:10:2124665746:11:2147500032"
+    calls = f"{state}:29:65536,settle"
+    assert count_robust_events(f"robot:3:1:2147483648:0:3221225472,{calls}") == ({"undecided": 1}, 1)
 
 
 def test_errors_keep_the_largest() -> None:
     errors = Errors()
-    for exact, reference in ((Fraction(-3, 4), 0.25), (Fraction(1, 4), -0.5)):
-        errors.add(exact, reference)
+    errors.add(Fraction(-3, 4), 0.25)
+    errors.add(Fraction(1, 4), -0.5)
     assert errors == Errors(samples=2, exact=0.75, float64=0.5)
 
 
-def test_regions_cover_the_whole_range() -> None:
-    names = [name for _, name in oracle.REGIONS]
-    for value, expected in [(0, 0), (2**-12, 1), (-0.02, 2), (0.2, 3), (0.9, 4), (0.999, 5), (1, 5)]:
-        assert oracle.region_of(Fraction(value)) == names[expected]
+@pytest.mark.parametrize(
+    ("value", "region_index"), [(0, 0), (2**-12, 1), (-0.02, 2), (0.2, 3), (0.9, 4), (0.999, 5), (1, 5)]
+)
+def test_regions_cover_the_whole_range(value: float, region_index: int) -> None:
+    _, name = REGIONS[region_index]
+    assert region_of(Fraction(value)) == name
 
 
 @pytest.mark.parametrize(
-    ("b_hat", "x_bar", "own", "updated"),
+    ("b_hat", "x_bar", "own_region", "update_region"),
     [
         (4252017623, 7549747, "0.9 to 0.999", "0.2 to 0.9"),  # 0.99 and 0.9
         (4252017623, 4236247, "0.9 to 0.999", "2^-12 to 0.02"),  # 0.99 and 0.505
         (2362232013, 7549747, "0.02 to 0.2", "0.2 to 0.9"),  # 0.55 and 0.9; alpha is below 1/2
     ],
 )
-def test_errors_are_collected_where_they_belong(b_hat: int, x_bar: int, own: str, updated: str) -> None:
-    """A robot hears something at its third tile, the first that is white, and re-estimates its accuracy."""
+def test_errors_are_collected_by_region(b_hat: int, x_bar: int, own_region: str, update_region: str) -> None:
+    """Of a step after two black tiles and one message: a white tile is observed, and b_hat re-estimated."""
     audit = Audit()
     text = f"robot:1:1:64:0:{b_hat},step:1,step:1,receive:1:{x_bar}:2147483649,step:0"
-    for *_, after in judged(text, audit):
-        last, state = audit.as_dict()["errors"], after.state
+    for checked_call in check_calls(text, audit):
+        rows, state = audit.as_dict()["errors"], checked_call.after.state
         audit.errors = Audit().errors
-    x_hat, alpha = exact_estimate(2, 3, Fraction(b_hat, 2**32))
+    b = Fraction(b_hat, 2**32)
+    exact_b_hat = assumed_accuracy_update(2, 3, Fraction(x_bar, ONE))
+    assert exact_b_hat is not None
     errors = {
-        ("x_hat", own): Fraction(state["x_hat"], ONE) - x_hat,
-        ("alpha", own): Fraction(word_to_alpha(state["alpha"])) / alpha - 1,
-        ("b_hat", updated): Fraction(state["b_hat()"], 2**32) - exact_b_hat(2, 3, Fraction(x_bar, ONE)),
+        ("x_hat", own_region): Fraction(state["x_hat"], ONE) - local_estimate(2, 3, b),
+        ("alpha", own_region): Fraction(alpha_from_word(state["alpha"])) / exact_alpha(2, 3, b) - 1,
+        ("b_hat", update_region): Fraction(state["b_hat()"], 2**32) - exact_b_hat,
     }
-    if alpha < HALF:
-        del errors["alpha", own]
-    assert [(row["quantity"], row["region"], row["samples"]) for row in last] == [(*key, 1) for key in errors]
-    for row, error in zip(last, errors.values(), strict=True):
+    if exact_alpha(2, 3, b) < HALF:
+        del errors["alpha", own_region]
+    assert [(row["quantity"], row["region"], row["samples"]) for row in rows] == [(*key, 1) for key in errors]
+    for row, error in zip(rows, errors.values(), strict=True):
         assert row["exact"] == abs(float(error)) and abs(row["float64"] - row["exact"]) < 2**-24

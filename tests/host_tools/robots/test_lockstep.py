@@ -15,7 +15,7 @@ from pathlib import Path
 import can
 import pytest
 
-from mcp_asdf.fixed_point import alpha_to_word, word_to_alpha
+from mcp_asdf.fixed_point import alpha_from_word, alpha_word_from_float
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.bus.frames import (
     COMMANDS,
@@ -110,11 +110,13 @@ def test_a_driven_swarm_does_what_a_loop_of_calls_does(firmware: str) -> None:
                 twin.observe(colour)
             said = estimates[robot]
             assert (said.sender, said.x_hat) == (robot, round(twin.x_hat * 2**23))
-            assert said.alpha == alpha_to_word(twin.alpha)
+            assert said.alpha == alpha_word_from_float(twin.alpha)
         for robot, twin in enumerate(twins):
             for other in ids:
                 if other != robot:
-                    twin.receive(other, estimates[other].x_hat / 2**23, word_to_alpha(estimates[other].alpha))
+                    twin.receive(
+                        other, estimates[other].x_hat / 2**23, alpha_from_word(estimates[other].alpha)
+                    )
         for robot, twin in enumerate(twins):
             twin.settle()
             told = answers[robot]

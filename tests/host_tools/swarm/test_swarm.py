@@ -12,7 +12,7 @@ import pytest
 from can.interfaces import virtual
 
 from host_tools.swarm.swarms import ON_ONE_BUS, content, one_bus, record, small, states
-from mcp_asdf.fixed_point import word_to_alpha
+from mcp_asdf.fixed_point import alpha_from_word
 from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.bus.frames import (
     ONE,
@@ -109,7 +109,7 @@ def test_all_informed_estimates_are_the_same_to_the_bit(firmware: str) -> None:
     messages = iter([message for message in decoded if isinstance(message, Message)])
     for found in estimates:
         in_round = list(islice(messages, 5))
-        weights = [Fraction(word_to_alpha(message.alpha)) for message in in_round]
+        weights = [Fraction(alpha_from_word(message.alpha)) for message in in_round]
         products = [weight * message.x_hat for weight, message in zip(weights, in_round, strict=True)]
         assert found == {sum(products) // sum(weights) if sum(weights) else ONE // 2}
 

@@ -1,0 +1,146 @@
+"""Bounds of the firmware's rounding errors, as exact fractions.
+
+The exact values are those of ``mcp_asdf.reference``, computed in fractions. The bounds are derived from the
+roundings that docs/design.md states, and nothing is taken from the firmware.
+
+Both colours are treated alike, so the derivations are about the rarer one: with k = min(n, t - n),
+c = min(b, 1 - b), g = 1 - 2 c, r = 1 / g and p = k / t, x_hat is max(0, (p - c) / g) or its mirror image.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+from mcp_asdf.reference import (
+    is_informative,
+    local_confidence,
+    local_estimate,
+    robust_test_sides,
+    step_and_spread_after_vote,
+)
+
+HALF = Fraction(1, 2)
+Q23, Q24, Q30, Q31, Q32 = (Fraction(1, 2**bits) for bits in (23, 24, 30, 31, 32))
+
+LARGEST_ALPHA = Fraction(2**31 - 2**7)
+
+UNDECIDED = Fraction(1, 2**13)
+"""The firmware's robust test is right if its sides differ by more than this share of the larger one."""
+
+Bounds = tuple[Fraction, Fraction]
+"""Smallest and largest value that the firmware may have."""
+
+
+def exact_alpha(n: int, t: int, b: Fraction) -> Fraction:
+    """Return alpha (eq. 4) for t > 0 and b in (0, 1), limited to the firmware's largest alpha."""
+    return min(local_confidence(n, t, b), LARGEST_ALPHA)
+
+
+def x_hat_bounds(n: int, t: int, b: Fraction) -> Bounds:
+    """Return the bounds of x_hat for t > 0, which are multiples of 2**-23.
+
+    Whether p > c is decided exactly. T = 2**s t in [2**31, 2**32) and K = 2**s k are whole numbers; c T loses
+    e < 1. So x = (K - c T + e) / (g T + 2 e), rounded down, where eq. 3 has (K - c T) / (g T): the quotient
+    is (1 - 2 x) e / (g T + 2 e) < (1 - 2 x) r 2**-31 too near to 1/2, and never beyond it.
+    """
+    if not is_informative(b):
+        return HALF, HALF
+    exact = local_estimate(n, t, b)
+    rarer = min(exact, 1 - exact)
+    r = 1 / abs(2 * b - 1)
+    largest_error = (1 - 2 * rarer) * r * Q31 if rarer else Fraction(0)
+    lower = rarer // Q23 * Q23
+    upper = (rarer + largest_error) // Q23 * Q23
+    return (lower, upper) if exact == rarer else (1 - upper, 1 - lower)
+
+
+def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:
+    """Return by how much alpha may be too small and too large, relatively, before it becomes an alpha word.
+
+    At an end of the scale (p <= c) k (g / c)**2 + (t - k) (g / (1 - c))**2 is computed with both ratios
+    rounded down to 24 bits or more, and squares to 2**-28 of themselves; the second term loses 2**-28 of the
+    first. That is (1 - 2**-23)**2 (1 - 2**-28)**2 > 1 - 2**-22 - 2**-27. 1 - c may lose half a unit of
+    2**-31, which makes the square 2**-30 too large.
+
+    Inside, (g T)**2 T / (K (T - K)) 2**-s is computed, with g T + 2 e for g T (see `x_hat_bounds`): its
+    square is up to (1 + r 2**-30)**2 too large. Squaring loses 2**-28, multiplying 2**-27, and 31 bits of the
+    dividend are left: less than 2**-26 in all. The 31 bits left of K (T - K) are up to 2**-30 too small.
+    """
+    p = Fraction(min(n, t - n), t)
+    c = min(b, 1 - b)
+    if p <= c:
+        return Fraction(1, 2**22) + Fraction(1, 2**27), Q30
+    r = 1 / (1 - 2 * c)
+    too_small = 1 - (1 - 4 * Q30) * (1 - 8 * Q30) * (1 - Q31)
+    too_large = (1 + r * Q30) ** 2 / (1 - Q30) - 1
+    return too_small, too_large
+
+
+def alpha_bounds(n: int, t: int, b: Fraction) -> Bounds:
+    """Return the bounds of alpha for t > 0.
+
+    An alpha word, with its mantissa of 24 bits, loses up to 2**-23 of alpha and one unit.
+    """
+    exact = exact_alpha(n, t, b)
+    too_small, too_large = alpha_error(n, t, b)
+    return exact * (1 - too_small) * (1 - Q23) - Q24, exact * (1 + too_large)
+
+
+def x_bar_bounds(x_bar: Fraction) -> Bounds:
+    """Return the bounds of the x_bar from which the firmware computes b_hat, for the exact ``x_bar``.
+
+    It is a quotient of the upper 32 bits of the sums, of which the divisor is rounded up to an even number E
+    in (2**31, 2**32]. The dividend loses less than 1, the divisor gains at most 2, the quotient less than
+    2**-32: it is less than (2 x_bar + 1) / E + 2**-32 too small. Below 1/2, 1 - x_bar takes its place, and
+    loses 2**-32.
+    """
+    largest_error = x_bar * Q30 + Q31 + Q32
+    offset = Q32 if x_bar < HALF else Fraction(0)
+    return x_bar - largest_error + offset, x_bar + offset
+
+
+def is_update_expected(x_bar: Fraction) -> bool | None:
+    """Return whether the firmware computes a b_hat from the exact ``x_bar``, which must be informative.
+
+    Returns None if rounding decides, as the firmware's x_bar may be on either side of
+    |2 x_bar - 1| = 2**-12.
+    """
+    is_above_half = x_bar >= HALF
+    answers = {is_informative(bound) and (bound >= HALF) == is_above_half for bound in x_bar_bounds(x_bar)}
+    return answers.pop() if len(answers) == 1 else None
+
+
+def b_hat_error(x_bar: Fraction) -> Fraction:
+    """Return by how much b_hat may be wrong, for any n and t, after an update from the exact ``x_bar``.
+
+    If x_bar is off by e, eq. 8 is off by (2 b - 1) e / (2 x_bar - 1), b being what it then gives. Where that
+    is outside [0, 1] it is clamped, and as far off as for the smaller e that gives 0 or 1.
+    """
+    lower, upper = x_bar_bounds(x_bar)
+    x_bar_error = max(x_bar - lower, upper - x_bar)
+    return x_bar_error / abs(2 * x_bar - 1) + Q30 + Q31 + Q32
+
+
+def crowd_after_vote(votes: int, centre: Fraction, spread: Fraction, x_hat: Fraction) -> Bounds:
+    """Return the centre and the spread that the firmware must have after the ``votes``-th vote.
+
+    Both were multiples of 2**-30 before, and their changes are rounded towards 0 to such multiples.
+    """
+    step, exact_spread = step_and_spread_after_vote(votes, centre, spread, x_hat)
+    rounded_step = int(step / Q30) * Q30
+    rounded_change = int((exact_spread - spread) / Q30) * Q30
+    return centre + rounded_step, spread + rounded_change
+
+
+def robust_test_outcome(n: int, t: int, b: Fraction, centre: Fraction, spread: Fraction) -> bool | None:
+    """Return whether the robust filter's test rejects ``b`` for t > 0, or None if rounding may decide.
+
+    With g = 2 b - 1 both sides are at least 12 2**-33 where they are alike, as t < 2**31, v >= (1 - g**2) / 4
+    and spread >= 2**-12. So D is at least 160,000 units of 2**-32, of which p lacks less than 4, and n/t less
+    than 5: D**2 is off by 2**-13.9 of itself. The product of g and the spread, rounded down, takes 2**-15.5
+    from the other side, and v, which lacks 5 units, far less.
+    """
+    difference_squared, limit = robust_test_sides(n, t, b, centre, spread)
+    if abs(difference_squared - limit) <= UNDECIDED * max(difference_squared, limit):
+        return None
+    return difference_squared > limit
