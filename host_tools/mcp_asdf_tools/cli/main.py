@@ -7,21 +7,23 @@ written, 128 + signal if one interrupted it (130 Ctrl-C, 143 SIGTERM, 129 SIGHUP
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from functools import partial
 from importlib import import_module
-from typing import Protocol, TextIO, cast
+from typing import Protocol, cast
 
+from mcp_asdf_tools.cli.failures import report_failure
 from mcp_asdf_tools.cli.parsing import HelpAll, Parser
 from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.signals import INTERRUPTED, interruptible, stopping
+from mcp_asdf_tools.common.standard_streams import OutputError, checked_streams
 
 PROGRAM = "mcp-asdf"
+_BROKEN_PIPE = 128 + 13
+"""Exit code of a program whose output pipe was closed, which a shell reports as 128 + SIGPIPE."""
+
 GROUPS = {
     "See a swarm calibrate itself": {
         "swarm": "emulate a swarm on a CAN bus and watch it calibrate itself",
@@ -74,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     title = PROGRAM if name is None else f"{PROGRAM} {name}"
     as_json = "--json" in arguments
     work = partial(_show_overview, arguments) if name is None else partial(_run_command, name, arguments[1:])
-    with interruptible() as exit_code:
+    with checked_streams(), interruptible() as exit_code:
         code = _attempt(title, work, as_json)
         return _attempt(title, _flush, as_json) or exit_code(code)
 
@@ -86,42 +88,31 @@ def _attempt(title: str, work: Callable[[], int], as_json: bool) -> int:
             return work()
     except SystemExit as stop:  # argparse has printed its help or its error
         return stop.code if isinstance(stop.code, int) else 0
-    except UsageError as error:
-        return _refuse(title, str(error), as_json)
     except KeyboardInterrupt:
-        _tell(f"{title}: interrupted")
+        print(f"{title}: interrupted", file=sys.stderr, flush=True)
         return INTERRUPTED
-    except OSError as error:
-        _drop(sys.stdout)
-        return 141 if isinstance(error, BrokenPipeError) else _refuse(title, _explained(error), as_json)
+    except (UsageError, OutputError, OSError) as error:
+        if isinstance(error, OutputError) and error.is_broken_pipe:
+            return _BROKEN_PIPE  # the reader has enough, and expects no message
+        return _refuse(title, _explain(error), as_json)
 
 
 def _refuse(title: str, error: str, as_json: bool) -> int:
-    """Tell the error and where help is, in two lines, or as one line of JSON."""
-    told = f"{title}: error: {error}\nSee '{title} --help'."
-    _tell(json.dumps({"command": title, "error": error, "exit_code": 2}) if as_json else told)
+    """Print the error and where help is, in two lines, or as one line of JSON; returns exit code 2."""
+    if as_json:
+        return report_failure(title, error, as_json, exit_code=2)
+    print(f"{title}: error: {error}\nSee '{title} --help'.", file=sys.stderr, flush=True)
     return 2
 
 
-def _explained(error: OSError) -> str:
-    if error.filename is None:
-        return f"cannot write to standard output: {error.strerror}; send it elsewhere"
+def _explain(error: UsageError | OutputError | OSError) -> str:
+    """Return what failed and how to go on."""
+    if not isinstance(error, OSError):
+        return str(error)
+    if error.filename is None:  # it is about no file, but about memory, processes or a connection
+        reason = error.strerror or error
+        return f"the operating system reports: {reason}; resolve that and run the command again"
     return f"cannot use {error.filename}: {error.strerror}; give another"
-
-
-def _tell(text: str) -> None:
-    """Print to standard error, which may be closed or full: then nobody can be told."""
-    if sys.stderr is not None:
-        try:
-            print(text, file=sys.stderr, flush=True)
-        except OSError:
-            _drop(sys.stderr)
-
-
-def _drop(stream: TextIO) -> None:
-    """Let the interpreter, which flushes a stream once more at its end, find a place to write to."""
-    with suppress(OSError, ValueError), open(os.devnull, "w") as null:
-        os.dup2(null.fileno(), stream.fileno())
 
 
 def _flush() -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -14,6 +15,7 @@ from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
+from rich.console import Console
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
@@ -123,6 +125,62 @@ def test_output_that_cannot_be_written_is_no_failed_check(
         for nowhere in (None, full):
             monkeypatch.setattr(sys, "stderr", nowhere)
             assert cli.main(["tabel"]) == 2
+
+
+def test_an_error_without_a_file_name_is_not_blamed_on_standard_output(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    fake_command(monkeypatch, Mock(side_effect=OSError(errno.EMFILE, "Too many open files")))
+    assert cli.main(["table"]) == 2
+    reason = "the operating system reports: Too many open files; resolve that and run the command again"
+    assert capsys.readouterr().err.splitlines()[0] == f"mcp-asdf table: error: {reason}"
+
+
+def test_a_broken_pipe_elsewhere_is_an_error(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    fake_command(monkeypatch, Mock(side_effect=BrokenPipeError(errno.EPIPE, "Broken pipe")))
+    assert cli.main(["table"]) == 2
+    assert "the operating system reports: Broken pipe" in capsys.readouterr().err
+
+
+def print_a_table() -> int:
+    """Print with rich, which handles a broken pipe by itself."""
+    Console().print("a table")
+    return 0
+
+
+def write_a_line() -> int:
+    """Write to the stream, as ``dbc`` does."""
+    sys.stdout.write("a line\n")
+    return 0
+
+
+@pytest.mark.parametrize("work", [print_a_table, write_a_line])
+def test_a_reader_that_leaves_ends_the_command_with_141(
+    work: Callable[[], int], monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    fake_command(monkeypatch, work)
+    with open(write_end, "w") as stream, monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", stream)
+        assert cli.main(["table"]) == 141
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("line", ["dbc", "--help", CHECK, "swarm --robots 3 --steps 5"])
+def test_a_closed_standard_output_is_the_null_device(line: str) -> None:
+    words = [sys.executable, "-m", "mcp_asdf_tools.cli.main", *line.split()]
+    command = f"{shlex.join(words)} >&-"
+    done = subprocess.run(["sh", "-c", command], cwd=ROOT, capture_output=True, check=False, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("target", ["&-", "/dev/full"])
+def test_a_standard_error_that_takes_nothing_changes_no_result(target: str) -> None:
+    words = [sys.executable, "-m", "mcp_asdf_tools.cli.main", "tabel"]
+    command = f"{shlex.join(words)} 2>{target}"
+    done = subprocess.run(["sh", "-c", command], cwd=ROOT, stdout=subprocess.PIPE, check=False, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
 
 
 def in_base(folder: Path, lines: Iterable[str]) -> tuple[list[str], list[str]]:
