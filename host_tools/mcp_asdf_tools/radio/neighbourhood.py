@@ -124,5 +124,5 @@ class Neighbourhood:
 
     def _frames_of(self, node: BusRobot, z: Observation | None) -> list[can.Message]:
         now = node.ticks / self._steps_per_second
-        heartbeats = [node.heartbeat(now)] if node.ticks % self._steps_per_second == 0 else []
+        heartbeats = [node.heartbeat(now)] if node.is_heartbeat_due(self._steps_per_second) else []
         return heartbeats + node.broadcast(z, now)

@@ -277,8 +277,17 @@ class BusRobot:
         self.sent.estimates += 1
         return Message(self.id, self._port.x_hat_raw, self._port.alpha_raw, transfer_id)
 
+    def is_heartbeat_due(self, ticks_per_second: int) -> bool:
+        """Return whether a heartbeat goes before the next tick: at the start, and each second from then on.
+
+        The seconds are the robot's own, counted by the ticks that it has begun: a robot that has lost its
+        state in a crash announces itself in its first tick, and the seconds of one that has kept it go on
+        where they stopped. All robots of this project follow this rule, ``c_ref/ports/node`` included.
+        """
+        return self.ticks % ticks_per_second == 0
+
     def heartbeat(self, now: float) -> can.Message:
-        """The next heartbeat. One is due when the robot starts, and then once per second."""
+        """Return the next heartbeat, stamped ``now`` (seconds), and count it; see ``is_heartbeat_due``."""
         uptime = self.sent.heartbeats
         self.sent.heartbeats += 1
         return encode_heartbeat(Heartbeat(self.id, uptime, uptime % TRANSFER_IDS), timestamp=now)

@@ -113,7 +113,7 @@ class RobotNode(BusRobot):
         self.is_settled = True
         self.obeyed = self.disobeyed = self.unsettled = 0
         self._steps_per_second = steps_per_second
-        self._watch = AlphaWatch()
+        self._alpha_watch = AlphaWatch()
         self._tick_of_command: int | None = None
 
     def start(self) -> list[can.Message]:
@@ -126,8 +126,9 @@ class RobotNode(BusRobot):
             self.unsettled += 1
             self.end()
         self.is_settled = False
-        is_second = self.ticks and self.ticks % self._steps_per_second == 0
-        heartbeats = self.start() if is_second else []
+        # The heartbeat that is due before the first tick has been sent by start().
+        is_second_over = self.ticks > 0 and self.is_heartbeat_due(self._steps_per_second)
+        heartbeats = [self.heartbeat(self._now)] if is_second_over else []
         return heartbeats + self.broadcast(z, self._now)
 
     def settle(self) -> list[can.Message]:
@@ -168,7 +169,7 @@ class RobotNode(BusRobot):
         }
 
     def _receive(self, message: Message) -> None:
-        if self._watch.jumps(message.sender, message.alpha):
+        if self._alpha_watch.is_jump(message.sender, message.alpha):
             self.reception.events[Suspicion.JUMP, message.sender] += 1
         self.receive(np.array([[message.sender, message.x_hat, message.alpha]], np.uint32))
 

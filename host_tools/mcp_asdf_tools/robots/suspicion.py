@@ -32,20 +32,24 @@ Suspicions: TypeAlias = Counter[tuple[Suspicion, int]]
 
 
 class AlphaWatch:
-    """Finds confidences that jump.
+    """Detects confidences that jump: those of at least twice the sender's last one, after WATCHED_AFTER.
 
     An honest alpha is nearly proportional to the observations behind it, so after k of them it grows by a
     k-th with the next. It doubles at once only if b_hat is re-estimated, or if as many estimates were missed
-    as came before.
+    as came before. An alpha of at most half the last one is no jump: the sender has begun anew, and its
+    estimates are counted from there on. Nodes and the page of a bus count by this rule, as does ``watch()``
+    of ``c_ref/ports/node``; ``docs/threats.md`` states it.
     """
 
     def __init__(self) -> None:
-        self._known: dict[int, tuple[int, int]] = {}
+        self._last_alpha_and_count: dict[int, tuple[int, int]] = {}
+        """Of each sender: its last alpha in units of 2^-24, and its estimates since it began."""
 
-    def jumps(self, sender: int, alpha: int) -> bool:
-        """Take the word ``alpha`` of ``sender``'s next estimate; returns whether it is a jump. O(1)."""
-        before, heard = self._known.get(sender, (0, 0))
-        now = alpha_units(alpha)
-        has_begun_anew = 2 * now <= before
-        self._known[sender] = now, 0 if has_begun_anew else heard + 1
-        return heard >= WATCHED_AFTER and now >= 2 * before  # after an alpha of 0 nobody is watched
+    def is_jump(self, sender: int, alpha_word: int) -> bool:
+        """Count the next estimate of ``sender``, and return whether its alpha, a word, is a jump. O(1)."""
+        last_alpha, estimate_count = self._last_alpha_and_count.get(sender, (0, 0))
+        alpha = alpha_units(alpha_word)
+        has_begun_anew = 2 * alpha <= last_alpha
+        self._last_alpha_and_count[sender] = alpha, 0 if has_begun_anew else estimate_count + 1
+        # An alpha of 0 has reset the count, so that 2 * 0 is no limit here.
+        return estimate_count >= WATCHED_AFTER and alpha >= 2 * last_alpha

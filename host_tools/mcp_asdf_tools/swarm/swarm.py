@@ -153,9 +153,10 @@ class Swarm:
         """Heartbeats, then telemetry of the state before this tick."""
         now = self._now
         period = self.settings.telemetry_period
-        if self.ticks % self.settings.steps_per_second == 0:
-            self.traffic.heartbeats_sent += len(alive)
-            yield from ((node, node.heartbeat(now)) for node in alive)
+        for node in alive:
+            if node.is_heartbeat_due(self.settings.steps_per_second):
+                self.traffic.heartbeats_sent += 1
+                yield node, node.heartbeat(now)
         if period and self.ticks % period == 0:
             self.traffic.telemetry_sent += len(alive)
             yield from ((node, node.telemetry(now)) for node in alive)

@@ -20,13 +20,12 @@ from mcp_asdf_tools.bus.frames import (
     float_of,
     frame_as_text,
 )
+from mcp_asdf_tools.robots.suspicion import AlphaWatch
 
 SILENT_SECONDS = 3.0
 """After which a robot counts as silent: OpenCyphal's timeout of heartbeats."""
 RATE_SECONDS = 5.0
 """Over which a rate is taken."""
-ALPHA_JUMP = 2.0
-"""Ratio of a robot's confidence to the one before, or its inverse, from which on it is a jump."""
 _MOST_FRAMES = 4000
 """In a report: as many as a bus of 1 Mbit/s has in half a second."""
 
@@ -40,7 +39,7 @@ class RobotOnBus:
         estimates: When its estimates came in the last RATE_SECONDS.
         received, lost: Frames that came, and those that transfer ids say are missing between them.
         conflicts: Heartbeats that another node with its id must have sent.
-        alpha_jumps: Estimates whose confidence is ALPHA_JUMP times the one before or more, or its inverse.
+        alpha_jumps: Estimates whose confidence jumps; see ``robots.suspicion.AlphaWatch``.
         heartbeat: The latest.
         telemetry: The latest.
     """
@@ -55,7 +54,7 @@ class RobotOnBus:
     heartbeat: Heartbeat | None = None
     telemetry: Telemetry | None = None
     _before: Heartbeat | None = None
-    _alpha: float = 0.0
+    _alpha_watch: AlphaWatch = field(default_factory=AlphaWatch)
     _transfer_ids: dict[type, int] = field(default_factory=dict)
 
     def hear(self, content: Message | Heartbeat | Telemetry, now: float) -> None:
@@ -66,7 +65,7 @@ class RobotOnBus:
         self._count(content)
         if isinstance(content, Message):
             self.estimates.append(now)
-            self._watch_alpha(float_of(binary32_of(content.alpha)))
+            self.alpha_jumps += self._alpha_watch.is_jump(content.sender, content.alpha)
         elif isinstance(content, Heartbeat):
             self.conflicts += self._is_of_another(content)
             self._before, self.heartbeat = self.heartbeat, content
@@ -98,11 +97,6 @@ class RobotOnBus:
         if before is None or not last.uptime < before.uptime < said.uptime:
             return False
         return (said.transfer_id - before.transfer_id - said.uptime + before.uptime) % TRANSFER_IDS == 0
-
-    def _watch_alpha(self, alpha: float) -> None:
-        low, high = sorted((self._alpha, alpha))
-        self.alpha_jumps += low > 0 and high >= ALPHA_JUMP * low
-        self._alpha = alpha
 
     def is_silent(self, now: float) -> bool:
         """Whether nothing came for SILENT_SECONDS."""

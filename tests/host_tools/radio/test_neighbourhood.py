@@ -13,8 +13,9 @@ from unittest.mock import Mock
 import can
 import pytest
 
+from host_tools.swarm.test_swarm_faults import REJOINING
 from mcp_asdf.robot import FixedPointRobot
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
+from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, decode_heartbeat, encode
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.radio.bench import Bench
@@ -59,6 +60,22 @@ def test_a_controller_among_its_neighbours_is_a_robot_in_a_swarm(changes: dict[s
     assert any(each["updates"] for each in expected)
     assert found[0]["accepted"] == heard
     assert found[1]["t"] < found[2]["t"] < found[0]["t"]
+
+
+@pytest.mark.parametrize(("rejoin", "expected"), REJOINING.items())
+def test_a_neighbour_that_rejoins_sends_heartbeats_as_a_robot_of_a_swarm_does(
+    rejoin: str, expected: list[tuple[int, int]]
+) -> None:
+    crash = parse_fault(f"crash,robots=1,from=45,to=47,rejoin={rejoin}")
+    neighbourhood = Neighbourhood(replace(surroundings(), faults=(crash,)))
+    found = []
+    for tick in range(60):
+        neighbourhood.begin()
+        for frame in neighbourhood.finish([]):
+            heartbeat = decode_heartbeat(frame)
+            if isinstance(heartbeat, Heartbeat) and heartbeat.sender == 1:
+                found.append((tick, heartbeat.uptime))
+    assert found == expected
 
 
 def state(robot: object) -> dict[str, int]:

@@ -14,7 +14,7 @@ import pytest
 from can.interfaces import virtual
 
 from host_tools.swarm.swarms import ON_ONE_BUS, ON_OWN_BUSES, content, own_bus, record, small, states
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode
+from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, decode, decode_heartbeat
 from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.recording.input_log import InputLogReader
 from mcp_asdf_tools.recording.replay import verify
@@ -167,6 +167,27 @@ def test_a_crashed_robot_rejoins(rejoin: str) -> None:
     spoken = [decode(frame, FrameFormat()) for frame in frames]
     numbers = [m.transfer_id for m in spoken if isinstance(m, Message) and m.sender == 0]
     assert numbers == [k % 32 for k in (*range(45), *(range(13) if rejoin == "new" else range(45, 58)))]
+
+
+REJOINING = {
+    "new": [*((10 * uptime, uptime) for uptime in range(5)), (47, 0), (57, 1)],
+    "restored": [*((10 * uptime, uptime) for uptime in range(5)), (52, 5)],
+}
+"""The ticks and uptimes of the heartbeats of a robot that is dead in ticks 45 and 46, by how it rejoins."""
+
+
+@pytest.mark.parametrize(("rejoin", "expected"), REJOINING.items())
+def test_a_robot_that_rejoins_sends_heartbeats_in_its_own_seconds(
+    rejoin: str, expected: list[tuple[int, int]]
+) -> None:
+    _, frames = record(small(f"crash,robots=0,from=45,to=47,rejoin={rejoin}"))
+    heartbeats = [(frame, decode_heartbeat(frame)) for frame in frames]
+    found = [
+        (round(10 * frame.timestamp), heartbeat.uptime)
+        for frame, heartbeat in heartbeats
+        if isinstance(heartbeat, Heartbeat) and heartbeat.sender == 0
+    ]
+    assert found == expected
 
 
 def test_in_real_time_what_comes_too_late_is_heard_in_the_next_tick_and_counted(

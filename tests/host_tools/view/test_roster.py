@@ -7,8 +7,19 @@ from typing import Any
 import can
 import pytest
 
-from mcp_asdf_tools.bus.frames import Health, Heartbeat, Message, Mode, Rejection, Telemetry
+from mcp_asdf_tools.bus.frames import (
+    FrameFormat,
+    Health,
+    Heartbeat,
+    Message,
+    Mode,
+    Rejection,
+    Telemetry,
+    encode,
+)
+from mcp_asdf_tools.robots.suspicion import Suspicion
 from mcp_asdf_tools.view.roster import Roster
+from wire import node
 
 FRAME = can.Message()
 
@@ -66,13 +77,31 @@ def test_a_rate_is_that_of_the_last_seconds_and_ends_with_silence() -> None:
     assert heard.row(70.0)["rate"] == 0
 
 
-def test_states_jumps_and_values_are_what_the_frames_say() -> None:
+@pytest.mark.parametrize(
+    ("alphas", "jumps"),
+    [
+        ([100] * 32 + [200], 1),
+        ([100] * 32 + [199], 0),
+        ([100] * 31 + [200], 0),
+        ([100] * 33 + [50], 0),
+        ([100] * 33 + [50] * 32 + [100], 0),
+        ([100] * 33 + [50] * 33 + [100], 1),
+    ],
+    ids=["doubled", "less than doubled", "too early", "halved", "anew, too early", "anew, doubled"],
+)
+def test_the_page_counts_the_jumps_that_a_node_counts(alphas: list[int], jumps: int) -> None:
+    heard, listener = Heard(), node(5)
+    for tick, alpha in enumerate(alphas):
+        estimate = Message(3, 1 << 22, alpha << 8, tick % 32)
+        heard.hear(FRAME, estimate, 0.0)
+        listener.hear(encode(estimate, FrameFormat()))
+    assert heard.row(0.0)["jumps"] == listener.reception.events[Suspicion.JUMP, 3] == jumps
+
+
+def test_states_and_values_are_what_the_frames_say() -> None:
     heard = Heard()
-    heard.estimate(0, 0.0, alpha=100 << 8)
+    heard.estimate(0, 0.0)
     assert {heard.row(0.0)[name] for name in ("health", "mode", "x", "b_hat", "updates")} == {None}
-    for alpha, jumps in ((199, 0), (398, 1), (200, 1), (100, 2), (0, 2), (100, 2)):
-        heard.estimate(0, 0.0, alpha=alpha << 8)
-        assert heard.row(0.0)["jumps"] == jumps, alpha
     heard.beat(100, 2, health=Health.ADVISORY)
     heard.tell(0.5)
     row = heard.row(1.0)
