@@ -17,6 +17,8 @@ import pytest
 from can.interfaces.udp_multicast.bus import GeneralPurposeUdpMulticastBus as Group
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
+from datagrams import odd_datagrams
+from mcp_asdf_tools.bus.datagrams import unpack_data_frame
 from mcp_asdf_tools.bus.frames import Action
 from mcp_asdf_tools.cli.main import main
 from multicast import multicast
@@ -129,11 +131,29 @@ def hear(group: Group, said: list[can.Message], frames: int) -> None:
             assert abs(said[-1].timestamp - time.time()) < PATIENCE
 
 
-def test_what_is_taken_is_what_python_can_takes(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+    """The C node's multicast.c."""
+    path = tmp_path_factory.mktemp("multicast") / "multicast.so"
+    run(require("gcc"), "-D_GNU_SOURCE", "-shared", "-fPIC", SOURCES / "multicast.c", "-o", path)
+    return ctypes.CDLL(str(path))
+
+
+def test_the_c_node_and_the_tools_unpack_the_same_datagrams_to_the_same_frames(library: ctypes.CDLL) -> None:
+    raw_frame = (ctypes.c_uint8 * 72)()
+    for datagram in odd_datagrams():
+        frame = unpack_data_frame(datagram)
+        is_unpacked = library.multicast_unpack(raw_frame, datagram, len(datagram)) & 1
+        assert is_unpacked == (frame is not None), datagram
+        if frame is not None:
+            identifier = int.from_bytes(bytes(raw_frame[:4]), "little")
+            assert identifier == frame.arbitration_id | frame.is_extended_id << 31
+            assert bytes(raw_frame[8 : 8 + raw_frame[4]]) == frame.data
+
+
+def test_what_is_taken_is_what_python_can_takes(library: ctypes.CDLL) -> None:
     """Of datagrams that it packs, each classic data frame; of spoilt ones, none that it refuses."""
-    library = tmp_path / "multicast.so"
-    run(require("gcc"), "-D_GNU_SOURCE", "-shared", "-fPIC", SOURCES / "multicast.c", "-o", library)
-    unpack, frame = ctypes.CDLL(str(library)).multicast_unpack, (ctypes.c_uint8 * 72)()
+    unpack, frame = library.multicast_unpack, (ctypes.c_uint8 * 72)()
     draw, taken = random.Random(8), [0, 0]
 
     def check(datagram: bytes, *, is_spoilt: bool) -> None:

@@ -223,6 +223,9 @@ bool multicast_unpack(struct canfd_frame *frame, const uint8_t *datagram, size_t
 {
     reader_t in = {datagram, size};
     uint32_t id, length;
+    if (size > MULTICAST_SIZE) {
+        return false;
+    }
     if (!skip_text(&in, TIME) || !skip_value(&in) || !skip_text(&in, ID) || !take_number(&in, &id) ||
         !skip_text(&in, EXTENDED) || !skip(&in, 1)) {
         return false;

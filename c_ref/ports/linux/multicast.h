@@ -9,9 +9,9 @@
 #include <stdint.h>
 #include <sys/socket.h>
 
-#define MULTICAST_SIZE                                                                                       \
-    512 /* room for any datagram; python-can's have 220 bytes and the name of a channel                      \
-         */
+/* Size of the longest datagram that is read; a longer one is refused. python-can's have 164 bytes, and the
+ * name of a channel. mcp_asdf_tools/bus/datagrams.py has the same limit. */
+#define MULTICAST_SIZE 400
 
 /*   network    interface that leads to the group, such as wlan0; NULL: the one of the kernel's route
  *   hops       networks that a datagram may cross; 0: it stays in this computer, 1: in its network
@@ -34,7 +34,8 @@ void multicast_close(multicast_t *group);
 size_t multicast_pack(uint8_t datagram[MULTICAST_SIZE], const struct can_frame *frame, double time);
 
 /* Read a datagram; returns whether it is one classic data frame as python-can writes it, field by field in
- * its order, and nothing else. If not, *frame is of no use. */
+ * its order, and nothing else. If not, *frame is of no use. mcp_asdf_tools/bus/datagrams.py accepts and
+ * refuses the same datagrams. */
 bool multicast_unpack(struct canfd_frame *frame, const uint8_t *datagram, size_t size);
 
 #endif

@@ -13,11 +13,14 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import can
+from can.interfaces.slcan import slcanBus
 from can.interfaces.udp_multicast import UdpMulticastBus
-from can.interfaces.udp_multicast.utils import pack_message, unpack_message
+from can.interfaces.udp_multicast.utils import pack_message
 from can.typechecking import CanFilters
 from can.util import load_environment_config, load_file_config
 
+from mcp_asdf_tools.bus.bus_errors import failure_of_bus
+from mcp_asdf_tools.bus.datagrams import unpack_data_frame
 from mcp_asdf_tools.common.errors import UsageError
 
 DEFAULT_INTERFACE = "virtual"
@@ -35,6 +38,12 @@ _LONGEST_WAIT = 1.0
 """Seconds."""
 _PROTOCOL_ERROR = 0x8
 """Class of an error frame in SocketCAN's identifiers: damaged on its way."""
+_PAUSE = 0.001
+"""Seconds between two attempts to read from an interface that raises an exception each time."""
+_LONGEST_LINE = 1024
+"""Bytes of a serial adapter's line; that of a CAN FD frame has 145."""
+_MAX_STANDARD_ID, _MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
+_MAX_BYTES, _MAX_FD_BYTES = 8, 64
 _ROBOT = "{robot}"
 _UDP_PORT = 43113
 """python-can's."""
@@ -95,7 +104,8 @@ class BusChoice:
             raise UsageError(f"cannot open the bus {self}: {self._explain(error)}") from error
         if bus.channel_info == can.BusABC.channel_info:
             bus.channel_info = self.channel or self.interface
-        return (Multicast if self.interface == "udp_multicast" else Connection)(bus, returns_own)
+        connection = {"udp_multicast": Multicast, "slcan": SerialAdapter}.get(self.interface, Connection)
+        return connection(bus, returns_own)
 
     def arguments(self) -> list[str]:
         """Options with which a command in another process joins the same bus.
@@ -123,37 +133,83 @@ class BusChoice:
 
 
 class Connection(can.BusABC):
-    """Connection that wraps another, whose own ``recv`` waits longer where the time of day is set back."""
+    """Connection that wraps one of python-can's, and gives all of them the same behaviour.
+
+    - Time limits hold where the time of day is set back: python-can's own ``recv`` would wait longer.
+    - Input that python-can cannot decode, or that no CAN controller sends, arrives as an error frame, like a
+      frame that is damaged on its way on a CAN bus. It passes every filter.
+    - What fails raises can.CanError, and BusGoneError if the bus will not come back.
+    """
 
     def __init__(self, bus: can.BusABC, returns_own: bool = False) -> None:
         """Take over ``bus``, which closes with this connection, and returns own frames or not."""
         self._bus = bus
         self._returns_own = returns_own
+        self._was_undecodable = False
         super().__init__(channel=str(bus.channel_info))
         self.channel_info = bus.channel_info
         self._can_protocol = bus.protocol
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame, as ``can.BusABC.send``."""
-        self._bus.send(msg, timeout)
+        """Send a frame, as ``can.BusABC.send``. Raises BusGoneError if the bus is gone."""
+        try:
+            self._send(msg, timeout)
+        except Exception as error:  # an interface may raise anything
+            failure = failure_of_bus(error, self._bus)
+            if failure is None or failure is error:
+                raise
+            raise failure from error
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame that passes the filters, as ``can.BusABC.recv``."""
+        """Return the next frame that passes the filters, as ``can.BusABC.recv``.
+
+        Raises BusGoneError if the bus is gone.
+        """
         end = math.inf if timeout is None else time.monotonic() + timeout
         while True:
-            left = end - time.monotonic()
-            frame, is_filtered = self._recv_internal(min(max(left, 0.0), _LONGEST_WAIT))
+            seconds_left = end - time.monotonic()
+            frame, is_filtered = self._receive(min(max(seconds_left, 0.0), _LONGEST_WAIT))
             if frame is not None and (is_filtered or self._matches_filters(frame)):
                 frame.is_rx = True  # on SocketCAN python-can marks what comes from this computer as sent
                 return frame
-            if left <= 0.0:
+            if seconds_left <= 0.0:
                 return None
 
     def shutdown(self) -> None:
         """Leave the bus, even if its adapter is unplugged."""
         super().shutdown()
-        with suppress(can.CanError):
+        with suppress(Exception):  # an interface may raise anything, and the bus is left in any case
             self._bus.shutdown()
+
+    def _receive(self, timeout: float) -> tuple[can.Message | None, bool]:
+        """Return what ``_recv_internal`` returns, and an error frame in place of undecodable input."""
+        try:
+            frame, is_filtered = self._recv_internal(timeout)
+            is_decodable = frame is None or _can_be_sent(frame)
+        except Exception as error:  # an interface may raise anything
+            failure = failure_of_bus(error, self._bus)
+            if failure is not None:
+                raise failure from error
+            frame, is_filtered, is_decodable = None, False, False
+        if not is_decodable:
+            if self._was_undecodable:
+                time.sleep(_PAUSE)  # an interface that always fails must not keep the processor busy
+            frame, is_filtered = self._error_frame(time.time()), True
+        self._was_undecodable = not is_decodable
+        return frame, is_filtered
+
+    def _error_frame(self, timestamp: float) -> can.Message:
+        """Return the error frame that stands for undecodable input."""
+        return can.Message(
+            timestamp=timestamp,
+            arbitration_id=_PROTOCOL_ERROR,
+            is_error_frame=True,
+            dlc=0,
+            channel=self.channel_info,
+        )
+
+    def _send(self, msg: can.Message, timeout: float | None) -> None:
+        self._bus.send(msg, timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         return self._bus._recv_internal(timeout)
@@ -162,53 +218,93 @@ class Connection(can.BusABC):
         self._bus.set_filters(filters)  # by the kernel or the adapter, where they can
 
 
+def _can_be_sent(frame: can.Message) -> bool:
+    """Return whether a CAN controller can send ``frame``: python-can decodes some damaged input to others."""
+    if not 0 <= frame.arbitration_id <= _MAX_EXTENDED_ID:
+        return False
+    if frame.is_error_frame:  # its identifier has bits that describe the error
+        return True
+    has_valid_id = frame.is_extended_id or frame.arbitration_id <= _MAX_STANDARD_ID
+    has_right_length = len(frame.data) == (0 if frame.is_remote_frame else frame.dlc)
+    return has_valid_id and has_right_length and frame.dlc <= (_MAX_FD_BYTES if frame.is_fd else _MAX_BYTES)
+
+
+class SerialAdapter(Connection):
+    """Connection through an adapter that sends frames as lines of text, damaged or endless ones included."""
+
+    def __init__(self, bus: can.BusABC, returns_own: bool = False) -> None:
+        """Take over ``bus``, as ``Connection``."""
+        super().__init__(bus, returns_own)
+        adapter = cast(slcanBus, bus)
+        self._port = adapter.serialPortOrig
+        self._unfinished_line = adapter._buffer
+
+    def shutdown(self) -> None:
+        """Leave the bus, and close the port, which python-can leaves open if the adapter takes no command."""
+        super().shutdown()
+        with suppress(OSError):
+            self._port.close()
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        try:
+            received = super()._recv_internal(timeout)
+        except Exception:
+            # python-can keeps a line that is no text, and would add all that follow to it.
+            self._unfinished_line.clear()
+            raise
+        if len(self._unfinished_line) > _LONGEST_LINE:
+            self._unfinished_line.clear()
+            raise ValueError("a line has no end")
+        return received
+
+
 class Multicast(Connection):
     """Connection to a multicast group, where any program of the network may send anything.
 
-    A datagram that is no frame arrives as an error frame, like a frame that is damaged on its way on a CAN
-    bus. It passes every filter. Own frames that are returned are the objects that were sent, stamped anew.
+    Datagrams are decoded here, not by python-can. Own frames that are returned are the objects that were
+    sent, stamped anew.
     """
 
     def __init__(self, bus: can.BusABC, returns_own: bool = False) -> None:
+        """Take over ``bus``, as ``Connection``."""
         super().__init__(bus, returns_own)
         self._group = cast(UdpMulticastBus, bus)._multicast
         # If an own datagram is lost, the same one from elsewhere is taken for it, once.
         self._own: deque[tuple[bytes, can.Message]] = deque(maxlen=_MOST_ECHOES)
 
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame, as ``can.BusABC.send``."""
+    def _send(self, msg: can.Message, timeout: float | None) -> None:
         datagram = pack_message(msg)
         self._own.append((datagram, msg))
         self._group.send(datagram, timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        while (came := self._group.recv(timeout)) is not None:
-            datagram, _, timestamp = came
-            own = self._take_own(datagram)
-            if own is None:
-                return self._frame_of(datagram, timestamp)
+        while (received := self._group.recv(timeout)) is not None:
+            datagram, _, timestamp = received
+            own_frame = self._take_own(datagram)
+            if own_frame is None:
+                return self._decode(datagram, timestamp)
             if self._returns_own:
-                own.timestamp, own.channel = timestamp, self.channel_info
-                return own, True
+                own_frame.timestamp, own_frame.channel = timestamp, self.channel_info
+                return own_frame, True
             timeout = 0.0  # the caller waits again for the rest of its time
         return None, False
 
     def _take_own(self, datagram: bytes) -> can.Message | None:
-        """The own frame that has come back, if it is one."""
-        for place, (sent, frame) in enumerate(self._own):
-            if sent == datagram:
-                del self._own[place]
+        """Return the own frame that has come back, if it is one, and forget it."""
+        for index, (own_datagram, frame) in enumerate(self._own):
+            if own_datagram == datagram:
+                del self._own[index]
                 return frame
         return None
 
-    def _frame_of(self, datagram: bytes, timestamp: float) -> tuple[can.Message, bool]:
-        """Another's frame, and whether it passes any filter."""
-        known: dict[str, Any] = {"timestamp": timestamp, "channel": self.channel_info}
-        with suppress(Exception):  # the sender may have written anything
-            frame = unpack_message(datagram, known, check=True)
-            if type(frame.arbitration_id) is int and type(frame.dlc) is int:
-                return frame, False
-        return can.Message(arbitration_id=_PROTOCOL_ERROR, is_error_frame=True, dlc=0, **known), True
+    def _decode(self, datagram: bytes, timestamp: float) -> tuple[can.Message, bool]:
+        """Return another's frame, or an error frame for a datagram that holds none, and whether it passes any
+        filter."""
+        frame = unpack_data_frame(datagram)
+        if frame is None:
+            return self._error_frame(timestamp), True
+        frame.timestamp, frame.channel = timestamp, self.channel_info
+        return frame, False
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, replace
@@ -13,6 +12,7 @@ from rich.console import Console
 
 from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.cli.again import json_report, print_again
+from mcp_asdf_tools.cli.failures import report_failure
 from mcp_asdf_tools.cli.parameter_options import add_parameters, settings_from
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
@@ -86,8 +86,7 @@ def run(args: argparse.Namespace) -> int:
         print(_summary(node, results, f"on {choice}"))
         print_again(args)
     if outcome.has_failed:
-        print(f"mcp-asdf node: {outcome.ending}", file=sys.stderr)
-        return exit_code(recording, 1)
+        return exit_code(recording, report_failure("mcp-asdf node", outcome.ending, args.json))
     return exit_code(recording, INTERRUPTED if outcome.is_interrupted else 0)
 
 

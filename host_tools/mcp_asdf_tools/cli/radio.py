@@ -15,6 +15,7 @@ from mcp_asdf.robot import B_HAT_MARGIN
 from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.cli import parameter_options
 from mcp_asdf_tools.cli.again import json_report, print_again
+from mcp_asdf_tools.cli.failures import report_failure
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
 from mcp_asdf_tools.common.errors import UsageError
@@ -227,6 +228,8 @@ def _emulate(
             ending.callback(_print, args, text, report)  # even if a file cannot be completed
         if results is not None:
             write_atomically(results, json_report(report) + "\n")
+    if run.outcome.has_failed:
+        return exit_code(recording, report_failure("mcp-asdf radio", run.outcome.ending, args.json))
     return exit_code(recording, INTERRUPTED if run.outcome.is_interrupted else 0)
 
 
@@ -234,7 +237,8 @@ def _results(results: dict[str, Any]) -> str:
     lines = [
         f"run         {results['steps']} steps; {results['ending']}",
         f"frames      {results['frames_sent']} sent to it, {results['estimates_heard']} estimates heard "
-        f"of it, {results['strangers']} from strangers; the bus failed {results['bus_failures']} times",
+        f"of it, {results['strangers']} from strangers; {results['error_frames']} error frames, "
+        f"the bus failed {results['bus_failures']} times",
         f"neighbours  mean x {results['mean_x']:.5f}, spread {results['spread_x']:.5f}",
     ]
     lines += [f"fault       {each['fault']}: struck {each['injected']} times" for each in results["faults"]]

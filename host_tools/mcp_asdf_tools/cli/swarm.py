@@ -16,6 +16,7 @@ from mcp_asdf_tools.bus.interfaces import BusChoice, choose_bus
 from mcp_asdf_tools.bus.slcan_server import HOST, SlcanServer
 from mcp_asdf_tools.cli import view
 from mcp_asdf_tools.cli.again import json_report, print_again
+from mcp_asdf_tools.cli.failures import report_failure
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.swarm_options import PACE, add_arguments, settings_of, wiring_of
 from mcp_asdf_tools.common.errors import UsageError
@@ -100,11 +101,10 @@ def run(args: argparse.Namespace) -> int:
             if results is not None:
                 write_atomically(results, json_report(report) + "\n")
     except (LockstepError, can.CanError) as error:
-        print(f"mcp-asdf swarm: {error}", file=sys.stderr)
-        return 1
+        return report_failure("mcp-asdf swarm", str(error), args.json)
     if outcome.failure is not None:
-        print(f"mcp-asdf swarm: failed in {outcome.failure}", file=sys.stderr)
-        return exit_code(recording, 1)
+        code = report_failure("mcp-asdf swarm", f"failed in {outcome.failure}", args.json)
+        return exit_code(recording, code)
     return exit_code(recording, INTERRUPTED if outcome.interrupted else 0)
 
 

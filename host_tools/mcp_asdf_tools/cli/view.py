@@ -15,6 +15,7 @@ import can
 from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.cli.experiment_options import add_where, chosen
+from mcp_asdf_tools.cli.failures import report_failure
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, write_atomically
 from mcp_asdf_tools.common.signals import stopping
@@ -148,8 +149,7 @@ def _watch(args: argparse.Namespace) -> int:
                 announce(args, url)
                 watch.record(should_stop)
     except can.CanError as error:
-        print(f"mcp-asdf view: the bus failed: {error}", file=sys.stderr)
-        return 1
+        return report_failure("mcp-asdf view", f"the bus failed: {error}", args.json)
     if not watch.has_telemetry:
         hint = "no robot sent telemetry, which has x and b_hat: see mcp-asdf swarm --set telemetry-period=1"
         print(f"mcp-asdf view: {hint}", file=sys.stderr)

@@ -25,6 +25,7 @@ class RadioRun:
         sent: Frames sent to the controller.
         heard: Estimates heard from it.
         strangers: Legal estimates from nodes that are neither the controller nor emulated.
+        error_frames: Error frames, and what could not be decoded.
         id_conflicts: Estimates of other nodes under ids of emulated robots, by id.
         watch: Called after each tick.
     """
@@ -34,16 +35,17 @@ class RadioRun:
         self.neighbours = neighbours
         self.link = link
         self.outcome = RunOutcome("all ticks done")
-        self.sent = self.heard = self.strangers = 0
+        self.sent = self.heard = self.strangers = self.error_frames = 0
         self.id_conflicts = Counter[int]()
         self.watch: Callable[[], None] = lambda: None
         self._ticks = ticks
         self._said: list[can.Message] = []
 
     def run(self) -> None:
-        """Tick until all ticks are done, or until asked to stop.
+        """Tick until all ticks are done, until asked to stop, or until the bus is gone.
 
-        Frames of the controller are heard at the next tick, and it is sent frames at ticks.
+        Frames of the controller are heard at the next tick, and it is sent frames at ticks. The bus may fail
+        meanwhile, but a run has failed if the last attempt to use the bus did.
         """
         clock = RealTimeClock(self.neighbours.settings.swarm.steps_per_second, sleep=self._listen)
         try:
@@ -55,8 +57,13 @@ class RadioRun:
         except (Stopped, KeyboardInterrupt):
             self.outcome.ending = "stopped"
             self.outcome.is_interrupted = self._ticks is not None
+        except can.CanError as error:
+            self.link.last_failure = error
         finally:
             self.outcome.lateness = clock.figures()
+        if self.link.last_failure is not None:
+            self.outcome.ending = f"the bus failed: {self.link.last_failure}"
+            self.outcome.has_failed = True
 
     def figures(self) -> dict[str, Any]:
         """Results as plain values, for JSON."""
@@ -67,6 +74,7 @@ class RadioRun:
             "frames_sent": self.sent,
             "estimates_heard": self.heard,
             "strangers": self.strangers,
+            "error_frames": self.error_frames,
             "id_conflicts": {str(sender): count for sender, count in self.id_conflicts.items()},
             "bus_failures": self.link.failures,
             "faults": self.neighbours.faults.figures(),
@@ -88,6 +96,7 @@ class RadioRun:
     def _take(self, frame: can.Message) -> None:
         estimate = decode(frame, self.neighbours.settings.subjects.estimates)
         if not isinstance(estimate, Message):
+            self.error_frames += frame.is_error_frame
             return
         if estimate.sender == self.neighbours.settings.controller.id:
             self.heard += 1

@@ -17,6 +17,7 @@ import numpy as np
 from can.typechecking import CanFilters
 
 from mcp_asdf.robot import FixedPointRobot, Observation, Robot
+from mcp_asdf_tools.bus.bus_errors import BusGoneError
 from mcp_asdf_tools.bus.frames import (
     COMMANDS,
     EVERY_ROBOT,
@@ -216,9 +217,10 @@ class BusLink:
     Attributes:
         bus: The connection; its filters should pass only frames that the node needs.
         should_stop: Checked while waiting.
-        endures: Whether to go on when the bus fails, as in real time.
+        endures: Whether to go on when the bus fails, as in real time. A bus that is gone ends the run.
         log: Takes all frames sent and received; they are stamped with the time of day.
         failures: How often sending or receiving failed.
+        last_failure: Failure of the last attempt; None if it succeeded.
     """
 
     bus: can.BusABC
@@ -226,17 +228,19 @@ class BusLink:
     endures: bool = False
     log: FrameTaker | None = None
     failures: int = 0
+    last_failure: can.CanError | None = None
 
     def send(self, frame: can.Message) -> bool:
         """Put a frame on the bus; returns whether that succeeded.
 
-        Raises can.CanError if it failed and the link does not endure.
+        Raises can.CanError if it failed and the link does not endure, and BusGoneError in any case.
         """
         try:
             self.bus.send(frame, timeout=SEND_TIMEOUT)
         except can.CanError as error:
-            self._note(error)
+            self._count_failure(error)
             return False
+        self.last_failure = None
         if self.log is not None:
             frame.timestamp = time.time()
             self.log(frame)
@@ -253,11 +257,12 @@ class BusLink:
         try:
             frame = self.bus.recv(seconds)
         except can.CanError as error:
-            self._note(error)
+            self._count_failure(error)
             time.sleep(seconds)  # a bus that fails at once must not keep the processor busy
             return None
         if frame is None or not frame.is_rx:
             return None
+        self.last_failure = None
         if self.log is not None:
             self.log(frame)
         return frame
@@ -270,9 +275,11 @@ class BusLink:
                 return
             take(frame)
 
-    def _note(self, error: can.CanError) -> None:
+    def _count_failure(self, error: can.CanError) -> None:
+        """Count a failure, and raise it unless the link endures it."""
         self.failures += 1
-        if not self.endures:
+        self.last_failure = error
+        if not self.endures or isinstance(error, BusGoneError):
             raise error
 
 

@@ -192,6 +192,10 @@ class Driver:
         """Keep the robots' frames except their answers."""
         if self._log is not None:
             self._log(frame)
+        if frame.is_error_frame:  # its identifier describes the error, and is none of a robot's
+            for node in self.nodes.values():
+                node.hear_stranger(frame)
+            return
         if _sender(frame) not in self.nodes or isinstance(decode_telemetry(frame), Telemetry):
             return
         if isinstance(decode(frame, self._frames), Message):

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -27,6 +28,7 @@ from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
 from multicast import multicast
 from support import slow
 from wire import meanwhile
+from wire import record as robot_record
 
 pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
@@ -178,4 +180,14 @@ def test_a_device_that_is_not_there_is_named(
 ) -> None:
     monkeypatch.setattr(swarm, "_STARTING_TIMEOUT", 0.05)
     assert main([*SMALL, "--channel", "v{robot}", "--device", "1=virtual:v1"]) == 1
-    assert "mcp-asdf swarm: robot 1 did not send a heartbeat within 0.05 s" in capsys.readouterr().err
+    failure = json.loads(capsys.readouterr().err)
+    assert failure["error"].startswith("robot 1 did not send a heartbeat within 0.05 s")
+
+
+def test_an_error_frame_is_counted_and_is_no_robot_s_frame() -> None:
+    """The identifier of an error frame, 8 for damaged input, is no node id."""
+    robot = remote_robot.remote_robot(robot_record(8), FrameFormat())
+    driver = remote_robot.Driver(Mock(), [robot], FrameFormat())
+    driver._see(can.Message(arbitration_id=8, is_error_frame=True))
+    assert driver._held == []
+    assert robot.reception.errors == 1

@@ -1,0 +1,97 @@
+"""What an exception out of a python-can interface means: damaged input, or a bus that has failed or is gone.
+
+Interfaces raise what they like: slcan raises ValueError, IndexError or CanOperationError for a damaged line,
+and CanOperationError for an adapter that was unplugged. The exception that caused it makes the difference.
+"""
+
+from __future__ import annotations
+
+import errno
+import struct
+from collections.abc import Iterable, Iterator
+
+import can
+import serial  # type: ignore[import-untyped]
+
+_DECODING_ERRORS = (ValueError, LookupError, TypeError, ArithmeticError, AttributeError, struct.error)
+"""What decoders raise for input that they do not expect."""
+
+_PASSING_FAILURES = frozenset(
+    {
+        *(errno.EAGAIN, errno.EINTR, errno.ENOBUFS, errno.ENOMEM, errno.EPERM, errno.ETIMEDOUT),
+        *(errno.ENETDOWN, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EADDRNOTAVAIL, errno.ECONNREFUSED),
+    }
+)
+"""Error numbers of a full queue, an interface that is down, or a group that is out of reach: the connection
+is there, and works again when the cause is over."""
+
+
+class BusGoneError(can.CanOperationError):
+    """The bus is gone for good: its adapter was unplugged, or its connection is closed."""
+
+
+def failure_of_bus(error: Exception, bus: can.BusABC) -> can.CanError | None:
+    """Return the failure that ``error``, which ``bus`` has raised, stands for; None if input was undecodable.
+
+    The failure is a BusGoneError unless the bus may work again.
+    """
+    causes = [*_causes(error)]
+    system_error = _system_error_among(causes)
+    if system_error is not None:
+        if _may_pass(system_error):
+            return error if isinstance(error, can.CanError) else _passing(error)
+        return _gone(error, system_error)
+    decoding_error = next((cause for cause in causes if isinstance(cause, _DECODING_ERRORS)), None)
+    if decoding_error is not None:
+        # Operations on a closed port or socket raise these errors, too.
+        return _gone(error, decoding_error) if _is_closed(bus) else None
+    # A driver's own error may be a state of the bus that passes, such as bus-off or a full queue.
+    return error if isinstance(error, can.CanError) else _gone(error, error)
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    """Yield an exception, the one that caused it, and so on."""
+    while error is not None:
+        yield error
+        error = error.__cause__
+
+
+def _system_error_among(causes: Iterable[BaseException]) -> OSError | None:
+    """Return the first that the operating system or pyserial has raised; None if there is none."""
+    for cause in causes:
+        # python-can's own time-out is an OSError, too.
+        if isinstance(cause, OSError) and not isinstance(cause, can.CanError):
+            return cause
+    return None
+
+
+def _may_pass(error: OSError) -> bool:
+    """Return whether the bus may work again after ``error``."""
+    # pyserial's errors have no number; of them, only that of a full output buffer passes.
+    is_timeout = isinstance(error, TimeoutError | serial.SerialTimeoutException)
+    return is_timeout or error.errno in _PASSING_FAILURES
+
+
+def _passing(error: Exception) -> can.CanOperationError:
+    """Return an interface's bare OSError as an error of the bus."""
+    failure = can.CanOperationError(str(error))
+    failure.__cause__ = error
+    return failure
+
+
+def _gone(error: Exception, cause: BaseException) -> BusGoneError:
+    """Return the error of a bus that is gone, with the messages of both."""
+    gone = BusGoneError(str(error) if cause is error else f"{error}: {cause}")
+    gone.__cause__ = error
+    return gone
+
+
+def _is_closed(bus: can.BusABC) -> bool:
+    """Return whether the connection's file descriptor is closed; False where the interface has none."""
+    try:
+        descriptor = bus.fileno()
+    except NotImplementedError:
+        return False
+    except (can.CanError, OSError, ValueError):
+        return True
+    return isinstance(descriptor, int) and descriptor < 0

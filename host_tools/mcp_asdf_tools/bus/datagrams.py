@@ -1,0 +1,142 @@
+"""Strict decoder of the datagrams with which python-can's udp_multicast sends frames.
+
+A datagram is a msgpack map from the names of a frame's fields to their values. Anybody in the network can
+send one, and python-can hands it to a general decoder, and allocates as many bytes as an integer in the place
+of the data says. This decoder reads the one map that python-can writes, field by field in its order, and
+nothing else. ``multicast_unpack()`` in ``c_ref/ports/linux`` accepts and refuses the same datagrams.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import can
+
+LONGEST_DATAGRAM = 400
+"""Bytes; a longer datagram is refused unread. python-can's have at most 164, and the name of a channel."""
+
+_MAX_DATA_BYTES = 8
+_LARGEST_IDENTIFIER = {False: 0x7FF, True: 0x1FFF_FFFF}
+"""By whether the identifier is an extended one."""
+
+# Bytes of msgpack that begin a value.
+_MAP_OF_11 = b"\x8b"
+_NIL, _FALSE, _TRUE = 0xC0, 0xC2, 0xC3
+_BYTES_8 = b"\xc4"
+_TEXT_8 = 0xD9
+_SHORT_TEXT, _SHORT_TEXT_MAX = 0xA0, 0xBF
+_SHORT_NUMBER_MAX = 0x7F
+_NUMBER_SIZES = {0xCC: 1, 0xCD: 2, 0xCE: 4}
+_FLOAT_SIZES = {0xCA: 4, 0xCB: 8}
+
+
+def unpack_data_frame(datagram: bytes) -> can.Message | None:
+    """Return the classic data frame in ``datagram``, without its time and channel; None if it holds none.
+
+    Error frames, remote frames and CAN FD frames are none, either. O(1).
+    """
+    if len(datagram) > LONGEST_DATAGRAM:
+        return None
+    try:
+        return _read_data_frame(_Reader(datagram))
+    except _MalformedError:
+        return None
+
+
+def _read_data_frame(reader: _Reader) -> can.Message:
+    """Read the fields in python-can's order. Raises _MalformedError if one is not as it should be."""
+    reader.skip_exactly(_MAP_OF_11 + _packed_name("timestamp"))
+    reader.skip_scalar()
+    reader.skip_exactly(_packed_name("arbitration_id"))
+    identifier = reader.take_number()
+    is_extended = reader.take_flag("is_extended_id")
+    is_remote = reader.take_flag("is_remote_frame")
+    is_error = reader.take_flag("is_error_frame")
+    reader.skip_exactly(_packed_name("channel"))
+    reader.skip_scalar()
+    reader.skip_exactly(_packed_name("dlc"))
+    length = reader.take_number()
+    reader.skip_exactly(_packed_name("data") + _BYTES_8)
+    data = reader.take(reader.take_byte())
+    is_fd = reader.take_flag("is_fd")
+    has_bit_rate_switch = reader.take_flag("bitrate_switch")
+    has_error_state = reader.take_flag("error_state_indicator")
+
+    is_data_frame = not (is_remote or is_error or is_fd or has_bit_rate_switch or has_error_state)
+    is_consistent = length == len(data) <= _MAX_DATA_BYTES and identifier <= _LARGEST_IDENTIFIER[is_extended]
+    if not (is_data_frame and is_consistent and reader.is_at_end):
+        raise _MalformedError
+    return can.Message(arbitration_id=identifier, is_extended_id=is_extended, dlc=length, data=data)
+
+
+@cache
+def _packed_name(name: str) -> bytes:
+    """Return a field's name as a msgpack text of less than 32 bytes."""
+    return bytes([_SHORT_TEXT | len(name)]) + name.encode("ascii")
+
+
+class _MalformedError(Exception):
+    """The datagram is not what python-can writes."""
+
+
+class _Reader:
+    """Reader of a datagram from its first byte on; its methods raise _MalformedError if it ends too early."""
+
+    def __init__(self, datagram: bytes) -> None:
+        self._datagram = datagram
+        self._position = 0
+
+    @property
+    def is_at_end(self) -> bool:
+        """Whether nothing is left."""
+        return self._position == len(self._datagram)
+
+    def take(self, size: int) -> bytes:
+        """Return the next ``size`` bytes."""
+        end = self._position + size
+        if end > len(self._datagram):
+            raise _MalformedError
+        taken = self._datagram[self._position : end]
+        self._position = end
+        return taken
+
+    def take_byte(self) -> int:
+        """Return the next byte."""
+        return self.take(1)[0]
+
+    def skip_exactly(self, expected: bytes) -> None:
+        """Skip bytes that have to be ``expected``."""
+        if self.take(len(expected)) != expected:
+            raise _MalformedError
+
+    def take_flag(self, name: str) -> bool:
+        """Return the boolean value of the field ``name``, which comes next."""
+        self.skip_exactly(_packed_name(name))
+        flag = self.take_byte()
+        if flag not in (_FALSE, _TRUE):
+            raise _MalformedError
+        return flag == _TRUE
+
+    def take_number(self) -> int:
+        """Return a whole number from 0 to 2^32 - 1, in 1, 2, 3 or 5 bytes."""
+        return self._take_number_after(self.take_byte())
+
+    def skip_scalar(self) -> None:
+        """Skip nil, a number or a text of less than 256 bytes, which need not be UTF-8: nobody reads it."""
+        first = self.take_byte()
+        if _SHORT_TEXT <= first <= _SHORT_TEXT_MAX:
+            self.take(first - _SHORT_TEXT)
+        elif first == _TEXT_8:
+            self.take(self.take_byte())
+        elif first in _FLOAT_SIZES:
+            self.take(_FLOAT_SIZES[first])
+        elif first != _NIL:
+            self._take_number_after(first)
+
+    def _take_number_after(self, first: int) -> int:
+        """Return the whole number whose first byte has been read."""
+        if first <= _SHORT_NUMBER_MAX:
+            return first
+        if first not in _NUMBER_SIZES:
+            raise _MalformedError
+        return int.from_bytes(self.take(_NUMBER_SIZES[first]), "big")

@@ -1,0 +1,202 @@
+"""Connections to a bus whose input is damaged, which fails, or which is gone."""
+
+from __future__ import annotations
+
+import errno
+import json
+from typing import Any
+from unittest.mock import Mock
+
+import can
+import pytest
+import serial  # type: ignore[import-untyped]
+
+from mcp_asdf_tools.bus.bus_errors import BusGoneError
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode
+from mcp_asdf_tools.bus.interfaces import BusChoice, Connection
+from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
+from mcp_asdf_tools.radio.real_time import RadioRun
+from mcp_asdf_tools.robots.node import BusLink
+from serial_adapters import DAMAGED_LINES, GOOD_LINE, serial_adapter
+from support import PATIENCE
+from wrong_robots import surroundings
+
+pytestmark = [
+    pytest.mark.usefixtures("private_setup"),
+    # pyserial leaves closing to the garbage collector where the other end has closed first.
+    pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning"),
+]
+
+
+def receive(bus: can.BusABC) -> can.Message:
+    """Return the next frame."""
+    frame = bus.recv(PATIENCE)
+    assert frame is not None
+    return frame
+
+
+@pytest.mark.parametrize("line", DAMAGED_LINES)
+def test_a_damaged_line_is_one_error_frame_and_what_follows_is_heard(line: bytes) -> None:
+    with serial_adapter([line, GOOD_LINE]) as choice, choice.open() as bus:
+        error_frame, frame = receive(bus), receive(bus)
+    assert error_frame.is_error_frame
+    assert isinstance(decode(frame, FrameFormat()), Message)
+
+
+def test_a_line_without_an_end_is_dropped() -> None:
+    with serial_adapter([b"T" * 3000, GOOD_LINE, GOOD_LINE]) as choice, choice.open() as bus:
+        frames = [receive(bus)]
+        while frames[-1].is_error_frame:
+            frames.append(receive(bus))
+    assert len(frames) > 1
+    assert isinstance(decode(frames[-1], FrameFormat()), Message)
+
+
+def test_an_adapter_that_closes_is_a_bus_that_is_gone() -> None:
+    with serial_adapter([GOOD_LINE], stays_open=False) as choice, choice.open() as bus:
+        receive(bus)
+        with pytest.raises(BusGoneError, match="socket disconnected"):
+            bus.recv(PATIENCE)
+
+
+def failing_connection(error: Exception, descriptor: int = 5) -> Connection:
+    """Return a connection to a bus that raises ``error`` whenever it is used."""
+    bus = Mock(channel_info="can0", protocol=can.CanProtocol.CAN_20)
+    bus._recv_internal.side_effect = bus.send.side_effect = error
+    bus.fileno.return_value = descriptor
+    return Connection(bus)
+
+
+def caused_by(cause: Exception) -> can.CanOperationError:
+    """Return what python-can makes of an exception."""
+    error = can.CanOperationError("could not read")
+    error.__cause__ = cause
+    return error
+
+
+GONE: list[Exception] = [
+    caused_by(serial.SerialException("device disconnected")),
+    caused_by(OSError(errno.ENODEV, "No such device")),
+    caused_by(OSError(errno.EIO, "Input/output error")),
+    OSError(errno.EBADF, "Bad file descriptor"),
+    RuntimeError("the driver has crashed"),
+]
+
+
+@pytest.mark.parametrize("error", GONE, ids=str)
+def test_a_bus_is_gone_where_its_device_or_its_driver_is(error: Exception) -> None:
+    connection = failing_connection(error)
+    with pytest.raises(BusGoneError):
+        connection.recv(0)
+    with pytest.raises(BusGoneError):
+        connection.send(can.Message(), 0)
+
+
+PASSING: list[Exception] = [
+    caused_by(OSError(errno.ENETDOWN, "Network is down")),
+    caused_by(serial.SerialTimeoutException("Write timeout")),
+    can.CanOperationError("bus-off"),
+    can.CanTimeoutError("no room in the queue"),
+    OSError(errno.ENOBUFS, "No buffer space available"),
+]
+
+
+@pytest.mark.parametrize("error", PASSING, ids=str)
+def test_a_failure_that_may_pass_is_no_bus_that_is_gone(error: Exception) -> None:
+    with pytest.raises(can.CanError) as raised:
+        failing_connection(error).recv(0)
+    assert not isinstance(raised.value, BusGoneError)
+
+
+NO_TEXT = UnicodeDecodeError("utf-8", b"", 0, 1, "")
+
+
+@pytest.mark.parametrize("error", [ValueError("no number"), caused_by(NO_TEXT)], ids=str)
+def test_a_decoding_error_is_undecodable_input_only_while_the_connection_is_open(error: Exception) -> None:
+    frame = failing_connection(error).recv(0)
+    assert frame is not None
+    assert frame.is_error_frame
+    with pytest.raises(BusGoneError):
+        failing_connection(error, descriptor=-1).recv(0)
+
+
+def test_an_interface_that_always_fails_does_not_keep_the_processor_busy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pauses: list[float] = []
+    monkeypatch.setattr("mcp_asdf_tools.bus.interfaces.time.sleep", pauses.append)
+    connection = failing_connection(IndexError("always"))
+    for _ in range(10):
+        connection.recv(0)
+    assert pauses == [0.001] * 9
+
+
+# Commands
+
+
+COMMANDS = ["view", "radio --id 0 --robots 3", "node --id 3", "swarm --robots 2 --steps 10"]
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_a_command_reports_in_json_that_its_bus_is_gone(
+    line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with serial_adapter(DAMAGED_LINES, stays_open=False) as choice:
+        assert main([*line.split(), "--json", *bus_arguments(choice, line)]) == 1
+    failure = json.loads(capsys.readouterr().err)
+    assert (failure["command"], failure["exit_code"]) == (f"mcp-asdf {line.split(maxsplit=1)[0]}", 1)
+    assert "serial device" in failure["error"]
+
+
+def test_a_verdict_names_a_bus_that_is_gone(capsys: pytest.CaptureFixture[str]) -> None:
+    line = "radio --id 0 --robots 3 --verify --json"
+    with serial_adapter(DAMAGED_LINES, stays_open=False) as choice:
+        assert main([*line.split(), *bus_arguments(choice, line)]) == 1
+    verdict = json.loads(capsys.readouterr().out)["verdict"]
+    assert "serial device" in verdict["disturbance"]
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_a_bus_that_is_gone_ends_a_command_within_a_second(line: str) -> None:
+    """Counted in waits for the bus, of which the longest takes a tenth of a second."""
+    waits: list[float | None] = []
+    connection = failing_connection(OSError(errno.ENODEV, "No such device"))
+    receive_from_connection = connection.recv
+
+    def count_waits(timeout: float | None = None) -> can.Message | None:
+        waits.append(timeout)
+        return receive_from_connection(timeout)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(connection, "recv", count_waits)
+        patch.setattr(BusChoice, "open", lambda *_, **__: connection)
+        arguments = bus_arguments(BusChoice("slcan", {"channel": "/dev/ttyACM0"}), line)
+        assert main([*line.split(), *arguments]) == 1
+    assert len(waits) <= 10
+
+
+def bus_arguments(choice: BusChoice, line: str) -> list[str]:
+    """Return the options with which a command joins the bus."""
+    if line.startswith("swarm"):
+        return ["--channel", "v{robot}", "--device", f"0=slcan:{choice.channel}"]
+    return ["-i", "slcan", "-c", str(choice.channel), "--bus-kwargs", "sleep_after_open=0"]
+
+
+def test_real_time_neighbours_end_when_the_bus_is_gone() -> None:
+    link = BusLink(failing_connection(OSError(errno.ENODEV, "No such device")), endures=True)
+    run = RadioRun(Neighbourhood(surroundings(steps_per_second=1000)), link, ticks=20)
+    run.run()
+    assert run.outcome.has_failed
+    assert run.outcome.ending == "the bus failed: [Errno 19] No such device"
+    assert run.neighbours.tick == 0
+
+
+def test_real_time_neighbours_that_end_on_a_bus_that_fails_have_failed() -> None:
+    """A bus that works again in between has not."""
+    bus: Any = Mock()
+    bus.recv.return_value, bus.send.side_effect = None, can.CanOperationError("bus-off")
+    run = RadioRun(Neighbourhood(surroundings(steps_per_second=1000)), BusLink(bus, endures=True), ticks=20)
+    run.run()
+    assert run.outcome.ending == "the bus failed: bus-off"
+    assert run.neighbours.tick == 20
