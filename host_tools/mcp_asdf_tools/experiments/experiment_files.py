@@ -29,22 +29,27 @@ _KEY = re.compile(r"""(?:^|[{,])\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
 
 
 def read_experiments(path: Path | str) -> list[Experiment]:
-    """The experiments of a file, in its order. Raises UsageError, naming the line, for anything invalid."""
+    """Return the experiments of a file, in its order.
+
+    Raises UsageError, naming the line, for anything invalid, and for a file that names no parameter.
+    """
     path = Path(path)
     if not path.suffix and not path.exists():
         path = _shipped(path)
     if path.suffix != ".toml":
         raise UsageError(f"{path}: unknown format; describe experiments in TOML and name it .toml")
     try:
-        text = read_at_most(path).decode()
+        text = read_at_most(path).decode("utf-8-sig")
         content = tomllib.loads(text)
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # bad UTF-8, a number with thousands of digits, deep lists
         raise UsageError(f"{path}: {error}") from error
     grids = content.pop(GRID, [{}])
-    if not (isinstance(grids, list) and all(isinstance(grid, dict) for grid in grids)):
+    if not (isinstance(grids, list) and grids and all(isinstance(grid, dict) for grid in grids)):
         raise UsageError(f"{path}: grid is not a table; write [[grid]] above its keys")
+    if not content and not any(grids):
+        raise UsageError(f"{path} names no parameter; give at least one, such as trials = 30")
     lines = _TomlLines(path, text)
     experiments: list[Experiment] = []
     for number, grid in enumerate(grids, start=1):

@@ -18,7 +18,9 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import read_at_most
 
 _EDGES = re.compile(r"[0-9>;\s]*")
-_EDGE = re.compile(r"\s*([0-9]{1,5})(?:\s*(>)\s*|\s+)([0-9]{1,5})\s*")
+_NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+# Behind an edge other tools write a weight, or its attributes in braces as networkx does.
+_EDGE = re.compile(rf"([0-9]{{1,5}})(?:\s*(>)\s*|\s+)([0-9]{{1,5}})(?:\s+(?:{_NUMBER}|\{{.*\}}))?", re.ASCII)
 
 MAX_ROBOTS = 2**16
 """Largest number of robots without a bus: ids have 16 bits."""
@@ -111,22 +113,25 @@ class Graph:
 
 
 def graph_of(given: Any) -> Graph:
-    """A graph from a file of edges, or from edges in one line, separated by semicolons; or from an object: a
-    list of pairs (both hear each other), a boolean array [receiver, sender], or a graph of networkx.
+    """Return the graph that a file, a text or an object describes.
 
-    An edge is ``3 5`` if robots 3 and 5 hear each other, ``3 > 5`` if only 5 hears 3. In a file it is a line;
-    empty lines and everything after a ``#`` are ignored. Raises UsageError, naming the line, for anything
-    else, for ids outside 0 .. 65535 and for repeated links. O(lines).
+    A text has edges in one line, separated by semicolons; any other text is the path of a file. An object is
+    a list of pairs (both hear each other), a boolean array [receiver, sender], or a graph of networkx.
+
+    An edge is ``3 5`` if robots 3 and 5 hear each other, ``3 > 5`` if only 5 hears 3. In a file each line has
+    one; empty lines and everything after a ``#`` are ignored, and so is a weight or ``{...}`` behind an edge.
+    An edge without ``>`` may be listed in both directions. Raises UsageError, naming the line, for anything
+    else, for ids outside 0 .. 65535, for repeated edges and for a graph without edges. O(lines).
     """
     if not isinstance(given, str | Path):
-        return _graph(_edges_of(given), "edge", "graph")
+        return _parse_graph(_edges_of(given), "edge", "graph")
     if isinstance(given, str) and _EDGES.fullmatch(given):
-        return _graph(given.split(";"), "edge", "graph")
+        return _parse_graph(given.split(";"), "edge", "graph")
     try:
-        lines = read_at_most(given).decode().splitlines()
+        lines = read_at_most(given).decode("utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
         raise UsageError(f"cannot read the graph {given}: {error}; give a text file of edges") from error
-    return _graph(lines, "line", str(given))
+    return _parse_graph(lines, "line", str(given))
 
 
 def _edges_of(given: Any) -> list[str]:
@@ -147,27 +152,55 @@ def _edges_of(given: Any) -> list[str]:
         raise UsageError(f"graph is {given!r}; {fix}") from None
 
 
-def _graph(lines: Iterable[str], unit: str, source: str) -> Graph:
-    first: dict[tuple[int, int], int] = {}
-    for number, line in enumerate(lines, start=1):
-        for link in _links_of(line.partition("#")[0], f"{source}, {unit} {number}"):
-            if link in first:
+@dataclass(frozen=True)
+class _Edge:
+    """An edge as it is written, with the number of its line."""
+
+    sender: int
+    receiver: int
+    is_one_way: bool
+    line_number: int
+
+    @property
+    def links(self) -> list[tuple[int, int]]:
+        """The (sender, receiver) pairs that the edge stands for: one, or both directions."""
+        link = (self.sender, self.receiver)
+        return [link] if self.is_one_way else [link, link[::-1]]
+
+    def is_reverse_of(self, other: _Edge) -> bool:
+        """Whether both say the same of two robots that hear each other, in either direction."""
+        is_reversed = (self.sender, self.receiver) == (other.receiver, other.sender)
+        return is_reversed and not self.is_one_way and not other.is_one_way
+
+
+def _parse_graph(lines: Iterable[str], unit: str, source: str) -> Graph:
+    """Return the graph of the edges in ``lines``. Errors name ``source`` and the number of the ``unit``."""
+    edge_of_link: dict[tuple[int, int], _Edge] = {}
+    for line_number, line in enumerate(lines, start=1):
+        text = line.partition("#")[0].strip()
+        if not text:
+            continue
+        edge = _parse_edge(text, f"{source}, {unit} {line_number}", line_number)
+        for link in edge.links:
+            earlier_edge = edge_of_link.setdefault(link, edge)
+            if earlier_edge is not edge and not edge.is_reverse_of(earlier_edge):
+                sender, receiver = link
                 raise UsageError(
-                    f"{source}, {unit} {number}: that robot {link[1]} hears {link[0]} is in {unit} "
-                    f"{first[link]} already; remove one of them"
+                    f"{source}, {unit} {line_number}: that robot {receiver} hears {sender} is in {unit} "
+                    f"{earlier_edge.line_number} already; remove one of them"
                 )
-            first[link] = number
-    return Graph(frozenset(first), source)
+    if not edge_of_link:
+        raise UsageError(f"{source} has no edge, so no robot would hear another; write edges such as '3 5'")
+    return Graph(frozenset(edge_of_link), source)
 
 
-def _links_of(text: str, place: str) -> list[tuple[int, int]]:
-    """The links of a line. Raises UsageError, naming the ``place``, if it is no edge."""
-    if not text.strip():
-        return []
-    edge = _EDGE.fullmatch(text)
-    if edge is None or max(first := int(edge[1]), second := int(edge[3])) >= MAX_ROBOTS:
+def _parse_edge(text: str, position: str, line_number: int) -> _Edge:
+    """Return the edge of a line without its comment. Raises UsageError, naming the ``position``, if none."""
+    match = _EDGE.fullmatch(text)
+    if match is None or max(int(match[1]), int(match[3])) >= MAX_ROBOTS:
         fix = f"write two ids, 0 to {MAX_ROBOTS - 1}, such as '3 5' or '3 > 5'"
-        raise UsageError(f"{place}: {text.strip()!r} is not an edge; {fix}")
-    if first == second:
-        raise UsageError(f"{place}: robot {first} cannot be its own neighbour; remove the edge")
-    return [(first, second)] if edge[2] else [(first, second), (second, first)]
+        raise UsageError(f"{position}: {text!r} is not an edge; {fix}")
+    edge = _Edge(int(match[1]), int(match[3]), match[2] is not None, line_number)
+    if edge.sender == edge.receiver:
+        raise UsageError(f"{position}: robot {edge.sender} cannot be its own neighbour; remove the edge")
+    return edge

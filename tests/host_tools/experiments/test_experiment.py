@@ -41,7 +41,6 @@ def experiments_of(folder: Path, text: str) -> list[Experiment]:
 
 
 def test_files_describe_grids_on_the_keys_above_them(tmp_path: Path) -> None:
-    assert experiments_of(tmp_path, "") == [Experiment()]
     assert read_experiments("physical") == read_experiments(STUDIES / "physical.toml")
     found = experiments_of(tmp_path, 'steps = 1e3\nflawed = [1, 3]\nfilter = ["none", "asdf-plus"]\n')
     assert [(each.flawed, each.filter) for each in found] == [
@@ -76,6 +75,8 @@ def test_files_describe_grids_on_the_keys_above_them(tmp_path: Path) -> None:
         ("memory = 63\n", "line 1: memory is 63; it must be 64 to 2147483648"),
         ("conventions = 'authors'\n", "line 1: .*choose firmware reference"),
         ("grid = 3\n", r"write \[\[grid\]\]"),
+        ("grid = []\n", r"write \[\[grid\]\]"),
+        ("steps = 5\ngrid = []\n", r"write \[\[grid\]\]"),
         ("grid = [{}, 3]\n", r"write \[\[grid\]\]"),
         ("steps = [[1]]\n", "line 1: steps is"),
         ("x = [\n{robots = 3},\n{steps = 9, robots = 0}]\n", "line 2 or 3: robots is 0"),
@@ -87,6 +88,16 @@ def test_an_error_names_file_and_line(tmp_path: Path, text: str, words: str) -> 
     with pytest.raises(UsageError, match=words) as error:
         experiments_of(tmp_path, text)
     assert str(tmp_path / "grid.toml") in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["", "\n# steps = 10\n", "[[grid]]\n", "[[grid]]\n[[grid]]\n"])
+def test_a_file_that_names_no_parameter_is_refused(text: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"grid\.toml names no parameter; give at least one, such as trials"):
+        experiments_of(tmp_path, text)
+
+
+def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    assert experiments_of(tmp_path, "\ufeffsteps = 5\n") == [Experiment(steps=5)]
 
 
 @pytest.mark.parametrize(
