@@ -233,7 +233,7 @@ def test_results_whose_two_schemas_differ_are_read_or_refused(
 @pytest.mark.parametrize("stamp", ["nan", "inf", "1e308", "-1e300"])
 def test_a_frame_has_a_time(stamp: str, tmp_path: Path) -> None:
     said = try_to_read(PARSERS["log .log"], tmp_path / "run.log", f"({stamp}) vcan0 186BB92A#00\n".encode())
-    assert "malformed after frame 1" in said and "its time is" in said
+    assert f"holds no frame: line 1, '({stamp}) vcan0 186BB92A#00', is none of candump's" in said
 
 
 def limited() -> None:
@@ -251,7 +251,7 @@ def test_too_much_is_refused_soon(case: str, tmp_path: Path) -> None:
     elif case == "device as image":
         words = ["table", "--verify", endless]
     else:
-        grid.write_text("[[grid]]\n" * 200_000)
+        grid.write_text("steps = 9\n" + "[[grid]]\n" * 200_000)
     command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", *words]
     done = subprocess.run(
         command, capture_output=True, text=True, preexec_fn=limited, timeout=PATIENCE, check=False

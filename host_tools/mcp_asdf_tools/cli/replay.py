@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import deque
+from contextlib import suppress
 from pathlib import Path
 
 from rich.console import Console
@@ -11,7 +13,7 @@ from rich.table import Table
 
 from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.recording.frame_logs import PART, check_log, read_log
+from mcp_asdf_tools.recording.frame_logs import PART, LogSummary, check_log, read_log
 from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
 from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
 
@@ -19,6 +21,7 @@ EPILOG = """\
 examples:
   mcp-asdf replay run.log                       # is every broadcast what the firmware makes of it?
   mcp-asdf replay run.log --events run.log.events --json
+  mcp-asdf replay any.log --channel vcan0 --events run.log.events     # of a log of several buses
 Checking needs the file FILE.events that swarm and radio write beside their logs. To play a log onto a bus,
 use python-can's can_player.
 exit code: 0 done, 1 a broadcast is not reproduced, 2 bad usage, 128 + signal if interrupted"""
@@ -32,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--events", metavar="FILE", type=Path, help="what happened to the robots (default: LOG.events)"
     )
+    parser.add_argument("--channel", metavar="NAME", help="check only the frames of this bus (default: all)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -39,27 +43,57 @@ def run(args: argparse.Namespace) -> int:
     events = args.events or input_log_path(args.log)
     check_log(args.log)
     if args.log.suffix == PART:
-        print(f"mcp-asdf replay: {args.log} is incomplete: its run was cut off", file=sys.stderr)
+        _warn(f"{args.log} is incomplete: its run was cut off")
     if args.events is None and not events.exists():
         raise UsageError(
-            f"there is no {events}, without which nothing can be checked; give it as --events (to play the "
-            "log onto a bus, use python-can's can_player)"
+            f"there is no {events}, without which nothing can be checked: only swarm and radio write it, and "
+            "not if the disk was full; give it as --events, or see what the frames say with mcp-asdf view"
         )
     console = Console(stderr=True)
+    summary = LogSummary()
+    frames = read_log(args.log, args.channel, summary)
     with InputLogReader(events) as input_log, console.status("running the robots again"):
-        verdict = verify(read_log(args.log), input_log)
+        verdict = verify(frames, input_log)
+        with suppress(UsageError):  # the rest of the log only tells its channels
+            deque(frames, maxlen=0)
     if args.json:
-        report = {"log": str(args.log), "events": str(events), "incomplete": args.log.suffix == PART}
-        print(json_report(report | {"verdict": vars(verdict)}))
+        print(json_report(_report(args, events, summary, verdict)))
     else:
         Console(soft_wrap=True).print(_table_of(verdict))
         print_again(args)
+    if summary.warning is not None:
+        _warn(f"of {args.log} {summary.warning}")
     if verdict.difference is not None:
-        print(f"mcp-asdf replay: not reproduced: {verdict.difference}", file=sys.stderr)
+        _warn(f"not reproduced: {verdict.difference}")
+        if args.channel is None and len(summary.channels) > 1:
+            _warn(
+                f"{args.log} has frames of {summary.channel_names}: if it has the same frames of each, "
+                "choose one by --channel"
+            )
         return 1
     if not verdict.reproduced + verdict.falsified:
         raise UsageError(f"{args.log} holds no estimate of the robots in {events}; do they belong together?")
     return 0
+
+
+def _warn(text: str) -> None:
+    """Print a line to standard error."""
+    print(f"mcp-asdf replay: {text}", file=sys.stderr)
+
+
+def _report(
+    args: argparse.Namespace, events: Path, summary: LogSummary, verdict: ReplayVerdict
+) -> dict[str, object]:
+    """Return the result as plain values for JSON."""
+    return {
+        "log": str(args.log),
+        "events": str(events),
+        "incomplete": args.log.suffix == PART,
+        "channel": args.channel,
+        "channels": summary.channels,
+        "skipped_lines": summary.skipped_lines,
+        "verdict": vars(verdict),
+    }
 
 
 def _table_of(verdict: ReplayVerdict) -> Table:

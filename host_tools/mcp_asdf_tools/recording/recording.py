@@ -172,7 +172,10 @@ class Recording:
         events.file.close()
         self._parts.pop().unlink()
         self.failure = reason
-        self._warn(f"{events.path} is given up to leave room for the log, which goes on: {reason}")
+        self._warn(
+            f"{events.path} is given up to leave room for the log, which goes on: {reason}; mcp-asdf replay "
+            "cannot check this log, as it needs the events, but mcp-asdf view shows its frames"
+        )
 
     def _attempt(self, work: Callable[[], object]) -> None:
         """Do ``work`` unless the recording is over; what goes wrong ends it."""

@@ -36,6 +36,7 @@ from support import ROOT, require
 from wire import record
 
 HEADER = InputLogHeader((record(5),), None, FrameFormat())
+LOST = "mcp-asdf replay cannot check this log, as it needs the events, but mcp-asdf view shows its frames"
 
 
 def frame(number: int) -> can.Message:
@@ -228,7 +229,8 @@ def test_a_full_disk_ends_the_log_but_not_the_swarm(
         assert main(["swarm", *shlex.split(options), "--log", str(log)]) == 2
     said, told = capsys.readouterr(), "mcp-asdf swarm: "
     assert said.err == (
-        f"{told}{log}.events.part is given up to leave room for the log, which goes on: File too large\n"
+        f"{told}{log}.events.part is given up to leave room for the log, which goes on: File too large; "
+        f"{LOST}\n"
         f"{told}the log {log} is not complete: File too large; partial data is in {log}.part\n"
     )
     assert json.loads(said.out)["results"]["steps"] == 200
@@ -276,8 +278,26 @@ def test_events_never_take_the_last_byte_from_the_log(
         return
     assert names(tmp_path) == ["run.log"]
     assert said == [
-        f"{log}.events.part is given up to leave room for the log, which goes on: {recording.failure}"
+        f"{log}.events.part is given up to leave room for the log, which goes on: {recording.failure}; {LOST}"
     ]
+
+
+def test_replay_says_why_a_log_of_a_full_disk_cannot_be_checked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, said = tmp_path / "run.log", list[str]()
+    with disk_with_room_for(len(HEADER.line()) - 1), Recording(log, HEADER, said.append) as (write, _):
+        assert write is not None
+        write(frame(1))
+    assert said == [
+        f"{log}.events.part is given up to leave room for the log, which goes on: File too large; {LOST}"
+    ]
+    assert names(tmp_path) == ["run.log"]
+    assert main(["replay", str(log)]) == 2
+    reason = "only swarm and radio write it, and not if the disk was full"
+    assert (
+        f"there is no {log}.events, without which nothing can be checked: {reason}" in capsys.readouterr().err
+    )
 
 
 def test_wireshark_shows_every_frame_as_a_transfer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

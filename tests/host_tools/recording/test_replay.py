@@ -193,6 +193,59 @@ def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
     assert check([own, *later], log.with_name("x.part")) == ReplayVerdict(reproduced=1, beyond=3)
 
 
+# Logs of several buses, and lines that are no frames
+
+
+def of_two_buses(recorded: Path, log: Path) -> None:
+    """Write a log as ``candump any`` does where each frame passes on two buses."""
+    lines = recorded.read_text().splitlines(keepends=True)
+    log.write_text("".join(copy for line in lines for copy in (line, line.replace(" vcan0 ", " vcan1 "))))
+
+
+def test_replay_names_the_buses_of_a_log_that_has_every_frame_twice(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "any.log"
+    of_two_buses(recorded, log)
+    assert main(["replay", str(log), "--events", str(input_log_path(recorded))]) == 1
+    assert (
+        f"mcp-asdf replay: {log} has frames of vcan0 and vcan1: if it has the same frames of each, "
+        "choose one by --channel\n"
+    ) in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("channel", ["vcan0", "vcan1"])
+def test_replay_checks_one_bus_of_a_log(
+    channel: str, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, events = tmp_path / "any.log", str(input_log_path(recorded))
+    of_two_buses(recorded, log)
+    assert main(["replay", str(log), "--events", events, "--channel", channel, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (report["channel"], report["channels"]) == (channel, {"vcan0": 176, "vcan1": 176})
+    assert report["verdict"] == vars(ReplayVerdict(reproduced=BROADCASTS, other=16))
+
+
+def test_replay_refuses_a_bus_that_the_log_has_not(
+    recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", str(recorded), "--channel", "vcan7"]) == 2
+    assert "has no frame of vcan7, but of vcan0; choose one of them" in capsys.readouterr().err
+
+
+def test_replay_counts_the_lines_that_are_no_frames(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, events = tmp_path / "odd.log", str(input_log_path(recorded))
+    log.write_text(f"\ufeff{recorded.read_text()}# the end\n(1.0) vcan0 186BB92A#0\n")
+    assert main(["replay", str(log), "--events", events, "--json"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["skipped_lines"] == 2
+    assert json.loads(said.out)["verdict"]["reproduced"] == BROADCASTS
+    told = "2 lines are no frames and were left out; the first is line 177, '# the end'"
+    assert said.err == f"mcp-asdf replay: of {log} {told}\n"
+
+
 # The input log
 
 RECORDS = (
@@ -320,12 +373,11 @@ FILES = {
     ". --events run.log.events": "cannot read the log .: Is a directory",
     "run.log --events absent": "cannot read absent: No such file",
     "run.log --events run.log": "run.log, line 1: not JSON",
-    "lone.log": "there is no lone.log.events, without which nothing can be checked; give it as --events",
-    "cut.log --events run.log.events": "the log cut.log is malformed after frame 3 ",
-    "late.log --events run.log.events": "malformed after frame 1 (ValueError: its time is 1e+11 s",
+    "lone.log": "there is no lone.log.events, without which nothing can be checked: only swarm and radio",
+    "late.log --events run.log.events": "the log late.log holds no frame: line 1, '(100000000000.0) vcan0 1",
     "run.log.events": "run.log.events is what happened to the robots of a log; give the log, run.log",
     "empty.log": "the log empty.log is empty: the disk was full, or nothing was sent yet",
-    "run.xyz --events run.log.events": "the log run.xyz is malformed after frame 0 ",
+    "run.xyz --events run.log.events": "the log run.xyz cannot be opened, or its suffix is wrong: it must be",
     "other.log --events run.log.events": "other.log holds no estimate of the robots in run.log.events",
 }
 """Arguments of ``replay``, and what is told of the files."""
@@ -345,7 +397,6 @@ def place(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     Path("run.log.events").write_text(input_log_path(recorded).read_text())
     for name in ("run.log", "lone.log", "run.xyz"):
         Path(name).write_text("".join(lines))
-    Path("cut.log").write_text("".join(lines[:4])[:-40])
     Path("empty.log").touch()
     Path("late.log").write_text("(100000000000.0) vcan0 123#00 R\n")
     Path("other.log").write_text("(0.0) vcan0 123#00 R\n")
