@@ -5,39 +5,57 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import asdict
-from pathlib import Path
 
 from mcp_asdf_tools.cli.again import json_report
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.calibration import calibrate, read_readings
+from mcp_asdf_tools.common.files import LONGEST_TEXT, read_text
+from mcp_asdf_tools.robots.calibration import calibrate
+from mcp_asdf_tools.robots.readings import Readings, parse_readings
 
-EPILOG = """\
+EPILOG = f"""\
 examples:
   mcp-asdf calibrate readings.csv                 # lines such as 512,black: a reading and its tile's colour
   mcp-asdf calibrate readings.csv --json
+  mcp-asdf calibrate -                            # from standard input
+Columns may be separated by commas, semicolons, tabs or spaces. A header names the columns reading and colour;
+others are ignored. Readings of -1, words in place of a number and comments are left out and counted. Input
+may have up to {LONGEST_TEXT >> 20} MiB.
 exit code: 0 done, 2 bad usage"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("file", metavar="FILE", type=Path, help="readings over known tiles: reading,colour")
+    parser.add_argument(
+        "file", metavar="FILE", help="readings over known tiles: reading,colour; - is standard input"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Calibrate and print."""
+    readings = parse_readings(read_text(args.file), "standard input" if args.file == "-" else args.file)
+    left_out = _left_out_in_words(readings)
     try:
-        text = args.file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"cannot read {args.file}: {error}; give lines of text such as 512,black") from error
-    found = calibrate(read_readings(text, str(args.file)))
+        calibration = calibrate(readings.rows)
+    except UsageError as error:
+        raise UsageError(f"{error} ({left_out})" if left_out else str(error)) from error
     if args.json:
-        worth = {name: getattr(found, name) for name in ("b_hat", "uncertainty", "bias", "warning")}
-        print(json_report(asdict(found) | worth))
+        derived = {name: getattr(calibration, name) for name in ("b_hat", "uncertainty", "bias", "warning")}
+        print(json_report(asdict(calibration) | derived | {"left_out": readings.left_out}))
         return 0
-    print(f"threshold {found.threshold:.10g}: {found.black_is} it a tile is black")
-    for colour, accuracy in found.accuracy.items():
-        print(f"accuracy on {colour} {accuracy:.4f} ({found.readings[colour]} readings)")
-    print(f"start with --b-hat {found.b_hat:.4f} (+- {found.uncertainty:.4f}, 95 %)")
-    if found.warning is not None:
-        print(f"mcp-asdf calibrate: {found.warning}", file=sys.stderr)
+    print(f"threshold {calibration.threshold:.10g}: {calibration.black_is} it a tile is black")
+    for colour, accuracy in calibration.accuracy.items():
+        print(f"accuracy on {colour} {accuracy:.4f} ({calibration.readings[colour]} readings)")
+    if left_out:
+        print(left_out)
+    print(f"start with --b-hat {calibration.b_hat:.4f} (+- {calibration.uncertainty:.4f}, 95 %)")
+    if calibration.warning is not None:
+        print(f"mcp-asdf calibrate: {calibration.warning}", file=sys.stderr)
     return 0
+
+
+def _left_out_in_words(readings: Readings) -> str:
+    """Return how many lines were left out and why; nothing if none was."""
+    if not readings.left_out:
+        return ""
+    reasons = ", ".join(f"{reason} {count}" for reason, count in readings.left_out.items())
+    return f"left out {readings.left_out.total()} lines: {reasons}"

@@ -19,6 +19,7 @@ from mcp_asdf_tools.cli.failures import report_failure
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, write_atomically
 from mcp_asdf_tools.common.signals import stopping
+from mcp_asdf_tools.recording.input_log import input_log_path
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.view.film import Film
@@ -29,6 +30,7 @@ examples:
   mcp-asdf view grid.parquet --where filter=none --trial 3
   mcp-asdf view run.log                             # a log of swarm, beside run.log.events
   mcp-asdf view run.log --export run.html           # one file that needs nothing else
+  mcp-asdf view candump.log --channel can0          # a log of real robots: what their frames say
   mcp-asdf view --interface socketcan --channel vcan0       # robots elsewhere that send telemetry
 mcp-asdf swarm --view shows a swarm as it runs.
 The page is for browsers of this computer alone; Ctrl-C ends it. A recording need not hold positions and
@@ -36,6 +38,7 @@ floor: they follow from its seed and parameters. A server needs the extra: pip i
 exit code: 0 done, 1 the bus failed, 2 bad usage, 130 interrupted"""
 
 _NAP = 0.2
+_NO_TELEMETRY = "no robot sent telemetry, which has x and b_hat: see mcp-asdf swarm --set telemetry-period=1"
 _RESULTS = (".parquet", ".pq")
 
 
@@ -50,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_where(recording)
     recording.add_argument("--export", metavar="FILE", type=Path, help="write the page as one file: .html")
-    truth = parser.add_argument_group("truth of a bus, drawn if known")
+    truth = parser.add_argument_group("truth of a bus, or of a log of real robots, drawn if known")
     truth.add_argument("--fill-ratio", metavar="F", type=float, help="f, share of black tiles")
     truth.add_argument("--true-accuracy", metavar="B", type=float, help="b of every sensor")
     add_server_options(parser)
@@ -87,7 +90,39 @@ def _film_of(args: argparse.Namespace) -> Film:
         raise UsageError(f"--trial and --where choose from results (.parquet), but {args.file} is a log")
     if not args.file.exists():
         raise UsageError(f"there is no log {args.file}; give one that swarm --log wrote")
+    if not input_log_path(args.file).exists():
+        return _film_of_frames(args)
     return film_of_log(args.file)
+
+
+def _film_of_frames(args: argparse.Namespace) -> Film:
+    """Return the film of a log without an input log, and print what it lacks to standard error."""
+    from mcp_asdf_tools.view.frame_film import film_of_frames  # noqa: PLC0415
+
+    channel = getattr(args, "channel", None)
+    frame_film = film_of_frames(args.file, _frame_format(args), channel, args.fill_ratio, args.true_accuracy)
+    notes = [
+        f"there is no {input_log_path(args.file)}, which only swarm and radio write, and not if the disk was "
+        "full: the page shows what the frames say"
+    ]
+    summary = frame_film.summary
+    if channel is None and len(summary.channels) > 1:
+        notes.append(f"{args.file} has frames of {summary.channel_names}; choose one by --channel")
+    if summary.warning is not None:
+        notes.append(f"of {args.file} {summary.warning}")
+    if not frame_film.has_telemetry:
+        notes.append(_NO_TELEMETRY)
+    for note in notes:
+        print(f"mcp-asdf view: {note}", file=sys.stderr)
+    return frame_film.film
+
+
+def _frame_format(args: argparse.Namespace) -> FrameFormat:
+    """Return the format of estimates. Raises UsageError if --subject is none."""
+    try:
+        return FrameFormat(args.subject)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
 
 
 def _export(args: argparse.Namespace, film: Film) -> int:
@@ -138,10 +173,7 @@ def _watch(args: argparse.Namespace) -> int:
     for option in ("export", "where", "trial"):
         if getattr(args, option):
             raise UsageError(f"--{option} is for recordings, and there is none; leave it out")
-    try:
-        frames = FrameFormat(args.subject)
-    except ValueError as error:
-        raise UsageError(str(error)) from error
+    frames = _frame_format(args)
     try:
         with choice.open() as bus, stopping() as should_stop:
             watch = BusFilm(bus, frames, f"robots on {choice}", args.fill_ratio, args.true_accuracy)
@@ -151,6 +183,5 @@ def _watch(args: argparse.Namespace) -> int:
     except can.CanError as error:
         return report_failure("mcp-asdf view", f"the bus failed: {error}", args.json)
     if not watch.has_telemetry:
-        hint = "no robot sent telemetry, which has x and b_hat: see mcp-asdf swarm --set telemetry-period=1"
-        print(f"mcp-asdf view: {hint}", file=sys.stderr)
+        print(f"mcp-asdf view: {_NO_TELEMETRY}", file=sys.stderr)
     return 0

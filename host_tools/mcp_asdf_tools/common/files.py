@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import secrets
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,6 +22,34 @@ def read_at_most(path: Path | str, most: int = LONGEST_TEXT) -> bytes:
         data = file.read(most + 1)
     if len(data) > most:
         raise ValueError(f"it has more than {most} bytes")
+    return data
+
+
+def read_text(path: Path | str) -> str:
+    """Return a text that people or programs have written: a file, or standard input if ``path`` is ``-``.
+
+    It is UTF-8, or UTF-16 with a byte order mark, and not longer than LONGEST_TEXT. Raises UsageError.
+    """
+    name = "standard input" if str(path) == "-" else str(path)
+    try:
+        data = _read_standard_input() if str(path) == "-" else read_at_most(path)
+        encoding = "utf-16" if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
+        return data.decode(encoding)
+    except OSError as error:
+        raise UsageError(f"cannot read {name}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"cannot read {name}: it is no text in UTF-8 (byte {error.start})") from error
+    except ValueError as error:
+        raise UsageError(f"cannot read {name}: {error}; give a shorter one") from error
+
+
+def _read_standard_input() -> bytes:
+    """Return all of standard input. Raises OSError if it is closed, ValueError beyond LONGEST_TEXT."""
+    if sys.stdin is None:
+        raise OSError("it is closed")
+    data = sys.stdin.buffer.read(LONGEST_TEXT + 1)
+    if len(data) > LONGEST_TEXT:
+        raise ValueError(f"it has more than {LONGEST_TEXT} bytes")
     return data
 
 

@@ -9,7 +9,6 @@ from itertools import pairwise
 
 from mcp_asdf_tools.common.errors import UsageError
 
-_IS_BLACK = {"black": True, "1": True, "white": False, "0": False}
 _FEWEST = 10
 _MOST_BIAS = 0.02
 _LEAST_ACCURACY = 0.55
@@ -63,26 +62,6 @@ class Calibration:
 
     def _colours(self) -> Iterable[tuple[float, int]]:
         return zip(self.accuracy.values(), self.readings.values(), strict=True)
-
-
-def read_readings(text: str, name: str) -> list[tuple[float, bool]]:
-    """Readings, each with whether its tile was black, from lines such as ``512,black`` under any heading.
-
-    Raises UsageError that names the file by ``name``, the line and the fix.
-    """
-    rows: list[tuple[float, bool]] = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        reading, _, colour = (part.strip().lower() for part in line.partition(","))
-        if not line.strip() or (number == 1 and (reading, colour) == ("reading", "colour")):
-            continue
-        try:
-            rows.append((float(reading), _IS_BLACK[colour]))
-        except (ValueError, KeyError):
-            rows.append((math.nan, False))
-        if not math.isfinite(rows[-1][0]):
-            fix = "write a number and black or white, such as 512,black"
-            raise UsageError(f"{name}, line {number}: {line!r} is no reading over a tile; {fix}")
-    return rows
 
 
 def calibrate(rows: Sequence[tuple[float, bool]]) -> Calibration:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.robot import Robot
-from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Message, Telemetry, decode_any
+from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -30,7 +30,7 @@ from mcp_asdf_tools.swarm.fault_spec import Fault, parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.film import MAX_STATES, QUANTITIES, Film, Stage, State
-from mcp_asdf_tools.view.roster import Roster
+from mcp_asdf_tools.view.heard_robots import HeardRobots
 from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.floor_code import code
 from mcp_asdf_tools.world.settings import WorldSettings
@@ -235,7 +235,6 @@ class SwarmCamera:
 
 STATES_PER_SECOND = 10
 STATES_PER_REPORT = 5
-_X, _X_HAT, _B_HAT, _ = range(len(QUANTITIES))
 
 
 class BusFilm:
@@ -245,7 +244,6 @@ class BusFilm:
 
     Attributes:
         film: What was heard so far; robots are in the order in which they were first heard.
-        has_telemetry: Whether a robot sends it: x and b_hat are in no other frame.
     """
 
     def __init__(
@@ -253,13 +251,14 @@ class BusFilm:
     ) -> None:
         """Listen on ``bus`` for these estimates; the true ``f`` and ``b`` are drawn if they are known."""
         self.film = Film(Stage(title, [], fill_ratio=f, steps_per_second=STATES_PER_SECOND))
-        self.has_telemetry = False
         self._bus = bus
-        self._frames = frames
-        self._unknown = [np.nan, np.nan, np.nan, np.nan if b is None else b]
-        self._states: dict[int, list[float]] = {}
-        self._roster = Roster()
+        self._heard_robots = HeardRobots(frames, b)
         self._report_due = 0
+
+    @property
+    def has_telemetry(self) -> bool:
+        """Whether a robot sends it: x and b_hat are in no other frame."""
+        return self._heard_robots.has_telemetry
 
     def record(self, should_stop: Callable[[], bool]) -> None:
         """Film until asked to stop. Raises can.CanError if the bus fails."""
@@ -275,35 +274,20 @@ class BusFilm:
 
     def _hear(self, frame: can.Message) -> None:
         """Take a frame of any node. O(1)."""
-        content = decode_any(frame, self._frames)
-        self._roster.hear(frame, content, self._seconds())
-        if isinstance(content, Message):
-            self._state(content.sender)[_X_HAT] = content.x_hat / ONE
-        elif isinstance(content, Telemetry):
-            self.has_telemetry = True
-            state = self._state(content.sender)
-            state[_X], state[_B_HAT] = content.x / ONE, content.b_hat / 2**24
+        new_robot = self._heard_robots.receive(frame, self._seconds())
+        if new_robot is not None:
+            self.film.join(new_robot)
 
     def _seconds(self) -> float:
         """Seconds since the film began."""
         return time.monotonic() - self._began
 
-    def _state(self, robot: int) -> list[float]:
-        if robot not in self._states:
-            self._states[robot] = self._unknown.copy()
-            self.film.join(robot)
-        return self._states[robot]
-
     def _take(self, tick: int) -> None:
         """Add a state, in which nothing is known of robots that are silent, and a report."""
-        now, robots = self._seconds(), self._roster.robots
-        for robot, state in self._states.items():
-            if robots[robot].is_silent(now):
-                state[:] = self._unknown
-        if self._states:
-            values = np.array(list(self._states.values())).T
-            deaf = np.zeros((len(self._states), len(self._states)), np.bool_)
-            self.film.add(State(tick, values, deaf, None))
+        now, robots = self._seconds(), self._heard_robots.ids
+        if robots:
+            no_links = np.zeros((len(robots), len(robots)), np.bool_)
+            self.film.add(self._heard_robots.state(tick, now, robots, no_links))
         if tick >= self._report_due:
-            self.film.report = self._roster.report(now)
+            self.film.report = self._heard_robots.roster.report(now)
             self._report_due = tick + STATES_PER_REPORT

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -73,6 +74,28 @@ def test_a_log_and_a_trial_are_exported(
     report = json.loads(capsys.readouterr().out)
     assert report == {"export": str(target), "bytes": target.stat().st_size, "states": 61}
     assert f"5 robots, 2 flawed, {title}" in target.read_text()
+
+
+def test_a_log_without_events_shows_what_its_frames_say(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, target = tmp_path / "real.log", tmp_path / "run.html"
+    shutil.copy("run.log", log)
+    assert main(["view", str(log), "--export", str(target), "--json"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["states"] == 61
+    assert f"mcp-asdf view: there is no {log}.events, which only swarm and radio write" in said.err
+    assert "no robot sent telemetry" in said.err
+
+
+def test_a_log_of_two_buses_is_shown_of_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, command = tmp_path / "any.log", ["view", str(tmp_path / "any.log"), "--export"]
+    text = Path("run.log").read_text()
+    log.write_text(text + text.replace(" vcan0 ", " can3 "))
+    assert main([*command, str(tmp_path / "all.html")]) == 0
+    assert f"{log} has frames of vcan0 and can3; choose one by --channel" in capsys.readouterr().err
+    assert main([*command, str(tmp_path / "one.html"), "--channel", "can3"]) == 0
+    assert "choose one" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("line", ["view run.log", "swarm --robots 4 --steps 20 --quiet --view"])

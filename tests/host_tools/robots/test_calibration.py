@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import random
+import subprocess
+import sys
 from collections.abc import Callable
+from io import BytesIO, TextIOWrapper
 from itertools import product
 from pathlib import Path
 
@@ -14,6 +17,7 @@ import pytest
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.robots.calibration import calibrate
+from mcp_asdf_tools.robots.readings import Readings, parse_readings
 from wire import record
 
 Rows = list[tuple[float, bool]]
@@ -76,13 +80,20 @@ def test_colours_that_are_far_apart_are_no_proof_of_a_perfect_sensor() -> None:
 @pytest.mark.parametrize(
     ("lines", "told"),
     [
-        ("reading,colour\n512,grey", "line 2: '512,grey' is no reading over a tile; write a number and bl"),
-        ("512", "line 1: '512' is no reading"),
-        ("512,black,3", "line 1: "),
-        ("\n\nnan,white", "line 3: 'nan,white' is no reading"),
-        ("1e999,1", "line 1: "),
-        ("512,black\nreading,colour", "line 2: "),
+        ("reading,colour\n512,grey", "line 2: '512,grey' has the colour 'grey'; write black or white"),
+        (
+            "512",
+            "line 1: '512' has 1 column where 2 are expected; write a reading and the colour of its tile",
+        ),
+        ("512,black,3", "line 1: '512,black,3' has 3 columns where 2 are expected"),
+        ("512,5,black", "line 1: '512,5,black' has 3 columns"),
+        ("1e999,1", "line 1: '1e999,1' has the reading '1e999', which is no number; write it as 512"),
+        ("1.024,5;1", "line 1: '1.024,5;1' has the reading '1.024,5', which is no number"),
+        ("512 mV;black", "line 1: '512 mV;black' has the reading '512 mv', which is no number"),
+        ("512,black\nreading,colour", "line 2: 'reading,colour' has the colour 'colour'"),
+        ("wert;farbe\n512;black", "line 1: 'wert;farbe' is a header without the columns reading and colour"),
         ("", "0 readings over black tiles; take 10 or more"),
+        ("-1,black\n" * 30, "0 readings over black tiles; take 10 or more, better 1000 (left out 30 lines"),
         ("5,black\n" * 10 + "4,white\n" * 9, "9 readings over white tiles; take 10 or more"),
         ("5,1\n5,0\n" * 10, "the readings do not tell black from white"),
         ("5,1\n5,0\n6,1\n6,0\n" * 10, "the readings do not tell black from white"),
@@ -92,6 +103,80 @@ def test_what_cannot_be_used_is_named(lines: str, told: str, tmp_path: Path, cap
     (tmp_path / "readings.csv").write_text(lines, encoding="utf-8")
     assert main(["calibrate", str(tmp_path / "readings.csv")]) == 2
     assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "300,black\n700.5,white\n",
+        "colour,reading\nBLACK,300\nWhite,700.5\n",
+        "300;black\n700,5;white\n",
+        "sep=;\nreading;color\n300;1\n700,5;0\n",
+        "reading\tcolour\n300\tblack\n700,5\twhite\n",
+        ",reading,colour\n0,300.0,black\n1,700.5,white\n",
+        '"","reading","colour"\n"1",300,"black"\n"2",700.5,"white"\n',
+        '"reading" "colour"\n"1" 300 "black"\n"2" 700.5 "white"\n',
+        "time,reading,colour\n12:00:01,300,black\n12:00:02,700.5,white\n",
+        "\n300 black\n\n700.5   white",
+    ],
+)
+def test_readings_of_other_programs_are_read(text: str) -> None:
+    """Of a sensor, of Excel in two languages, of pandas and of R's write.csv and write.table."""
+    assert parse_readings(text, "x.csv") == Readings([(300.0, True), (700.5, False)])
+
+
+def test_lines_that_hold_no_reading_are_left_out_and_counted() -> None:
+    """-1 is what tile_sensor of docs/khepera.md prints when the sensor did not answer."""
+    text = "reading,colour\n# bright\n300,black\n-1,black\n-1.0,white\nNA,black\nnan,white\n,black\n"
+    text += "timeout,white\nreading,colour\n700,white\n"
+    readings = parse_readings(text, "x.csv")
+    assert readings.rows == [(300.0, True), (700.0, False)]
+    assert readings.left_out == {"comment": 1, "reading -1": 2, "no number": 4, "header": 1}
+
+
+def test_readings_of_a_sensor_that_did_not_answer_move_nothing(tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "readings.csv"
+    path.write_text("700,white\n300,black\n" * 95)
+    assert main(["calibrate", str(path)]) == 0
+    *all_but_last, last = capsys.readouterr().out.splitlines()
+    path.write_text("700,white\n300,black\n" * 95 + "-1,white\n-1,black\n" * 5)
+    assert main(["calibrate", str(path)]) == 0
+    assert capsys.readouterr().out.splitlines() == [*all_but_last, "left out 10 lines: reading -1 10", last]
+    assert main(["calibrate", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["left_out"] == {"reading -1": 10}
+
+
+def test_readings_come_from_standard_input(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    monkeypatch.setattr("sys.stdin", TextIOWrapper(BytesIO(b"700,white\n300,black\n" * 90)))
+    assert main(["calibrate", "-"]) == 0
+    assert "threshold 500: below it a tile is black\n" in capsys.readouterr().out
+    monkeypatch.setattr("sys.stdin", TextIOWrapper(BytesIO(b"700,grey\n")))
+    assert main(["calibrate", "-"]) == 2
+    assert "standard input, line 1: '700,grey' has the colour" in capsys.readouterr().err
+
+
+def test_readings_without_an_end_are_refused() -> None:
+    """By the command, as ``yes 512,black`` writes them."""
+    command = f"yes 512,black | {sys.executable} -m mcp_asdf_tools.cli.main calibrate -"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert "cannot read standard input: it has more than 16777216 bytes; give a shorter one" in done.stderr
+
+
+def test_standard_input_may_be_closed(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    monkeypatch.setattr("sys.stdin", None)
+    assert main(["calibrate", "-"]) == 2
+    assert "cannot read standard input: it is closed" in capsys.readouterr().err
+
+
+def test_excel_s_unicode_text_is_read(tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "readings.txt"
+    path.write_text("reading\tcolour\n" + "700\twhite\n300\tblack\n" * 90, encoding="utf-16")
+    assert main(["calibrate", str(path)]) == 0
+    assert "threshold 500" in capsys.readouterr().out
+    path.write_bytes(b"512,black\n\xe9")
+    assert main(["calibrate", str(path)]) == 2
+    assert "it is no text in UTF-8 (byte 10)" in capsys.readouterr().err
 
 
 def test_the_command_says_it_and_warns(tmp_path: Path, capsys: Capture) -> None:

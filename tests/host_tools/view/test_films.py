@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, Telemetry, encode, encode_telemetry
+from mcp_asdf_tools.bus.frames import FrameFormat, Message, Telemetry, encode, encode_telemetry, frame_as_text
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -32,6 +32,7 @@ from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
 from mcp_asdf_tools.view import film as films
 from mcp_asdf_tools.view.film import Film, Stage, State
 from mcp_asdf_tools.view.films import BusFilm, SwarmCamera, film_of_log, film_of_trial, spacing_of
+from mcp_asdf_tools.view.frame_film import film_of_frames
 from mcp_asdf_tools.view.inline import show
 from mcp_asdf_tools.view.page import page, stage_as_plain
 from mcp_asdf_tools.world.arena import Arena
@@ -258,6 +259,54 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
     silent = watch.film.since()[2][-1].values
     assert np.isnan(silent[:3]).all() and (silent[3] == 0.9).all()
     assert watch.film.report is not None and all(each["silent"] for each in watch.film.report["robots"])
+
+
+def log_of(path: Path, frames: dict[float, can.Message], head: str = "") -> Path:
+    """Write a log as candump does, with the frames by their times."""
+    lines = [f"({seconds:.6f}) can0 {frame_as_text(frame)}\n" for seconds, frame in frames.items()]
+    path.write_text(head + "".join(lines))
+    return path
+
+
+def test_a_log_is_filmed_by_its_frames(tmp_path: Path) -> None:
+    """Robot 7 comes first and falls silent after 3 s; robot 3 sends telemetry."""
+    frames = {
+        1000.0: encode(Message(7, 1 << 21, 1, 0), FrameFormat()),
+        1000.25: encode_telemetry(Telemetry(3, 1 << 21, 1 << 22, 0, 0)),
+        1003.5: encode_telemetry(Telemetry(3, 1 << 22, 1 << 23, 0, 1)),
+    }
+    log = log_of(tmp_path / "real.log", frames, "# of Tuesday\n")
+    shown = film_of_frames(log, FrameFormat(), fill_ratio=0.4, true_accuracy=0.9)
+    assert shown.has_telemetry and shown.summary.skipped_lines == 1
+    _, stage, taken = shown.film.since()
+    assert (stage.title, stage.robots, stage.fill_ratio) == ("real.log", [7, 3], 0.4)
+    assert [state.tick for state in taken] == [*range(37)]
+    nan = np.nan
+    assert np.array_equal(taken[1].values, [[nan, nan], [0.25, nan], [nan, nan], [0.9, 0.9]], equal_nan=True)
+    assert np.array_equal(taken[4].values[:, 1], [0.25, nan, 0.25, 0.9], equal_nan=True)
+    assert np.array_equal(taken[36].values[:, 0], [nan, nan, nan, 0.9], equal_nan=True)
+    assert shown.film.has_ended and shown.film.report is not None
+
+
+def test_frames_of_a_long_log_make_a_film_of_bounded_length(tmp_path: Path) -> None:
+    frame = encode(Message(7, 1 << 21, 1, 0), FrameFormat())
+    log = log_of(tmp_path / "real.log", {0.0: frame, 2e7: frame})
+    assert len(film_of_frames(log, FrameFormat()).film.since()[2]) <= films.MAX_STATES + 1
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("(1.0) can0 123#00\n(2.0) can0 123#00\n", "has no estimate and no telemetry of a robot"),
+        (" can0  106BB807   [8]  00 00 40 00 00 80 3F E0\n" * 2, "span 0 s, so they cannot be shown"),
+        ("(0) can0 106BB807#000040000080 3FE0\n", "holds no frame"),
+    ],
+)
+def test_frames_that_cannot_be_shown_are_refused(text: str, reason: str, tmp_path: Path) -> None:
+    log = tmp_path / "real.log"
+    log.write_text(text)
+    with pytest.raises(UsageError, match=reason):
+        film_of_frames(log, FrameFormat())
 
 
 def test_a_run_is_shown_in_a_notebook_as_its_page(tmp_path: Path) -> None:
