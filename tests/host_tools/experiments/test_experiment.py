@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,11 @@ from typing import Any
 import pytest
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment, combinations, grid
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.world.topology import MAX_ON_BUS
+from support import ROOT, blocks
 
 # --- Values ----------------------------------------------------------------------------------------------
 
@@ -88,6 +91,22 @@ def test_an_error_names_file_and_line(tmp_path: Path, text: str, words: str) -> 
     with pytest.raises(UsageError, match=words) as error:
         experiments_of(tmp_path, text)
     assert str(tmp_path / "grid.toml") in str(error.value)
+
+
+def test_the_page_translates_the_authors_template(tmp_path: Path) -> None:
+    """Each parameter that its table of their keys names is one of ours, and its file is read."""
+    page = ROOT / "docs/experiments.md"
+    (text,) = (block for block in blocks(page, "toml") if block.startswith("robots = 10"))
+    found = experiments_of(tmp_path, text)
+    assert [(each.robots, each.flawed, each.comms_period) for each in found] == [
+        (10, flawed, 10) for flawed in (1, 2, 3, 4)
+    ]
+    assert {(each.filter, str(each.omega), each.steps) for each in found} == {("asdf-minus", "0.1", 1000)}
+    (table,) = re.findall(r"\| theirs, YAML .*\n((?:\|.*\n)+)", page.read_text(encoding="utf-8"))
+    our_cells = [row.split("|")[3] for row in table.splitlines()]
+    names = {name for cell in our_cells for name in re.findall(r"^ `(\w+)", cell)}
+    assert len(names) > 15
+    assert names <= set(parameters_of(Experiment))
 
 
 @pytest.mark.parametrize("text", ["", "\n# steps = 10\n", "[[grid]]\n", "[[grid]]\n[[grid]]\n"])
