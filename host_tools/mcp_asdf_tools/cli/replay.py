@@ -46,8 +46,8 @@ def run(args: argparse.Namespace) -> int:
         _warn(f"{args.log} is incomplete: its run was cut off")
     if args.events is None and not events.exists():
         raise UsageError(
-            f"there is no {events}, without which nothing can be checked: only swarm and radio write it, and "
-            "not if the disk was full; give it as --events, or see what the frames say with mcp-asdf view"
+            f"there is no {events}, without which nothing can be checked: swarm, radio and node write it, "
+            "but not if the disk was full; give it as --events, or see what the frames say with mcp-asdf view"
         )
     console = Console(stderr=True)
     summary = LogSummary()

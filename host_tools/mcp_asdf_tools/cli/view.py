@@ -102,8 +102,8 @@ def _film_of_frames(args: argparse.Namespace) -> Film:
     channel = getattr(args, "channel", None)
     frame_film = film_of_frames(args.file, _frame_format(args), channel, args.fill_ratio, args.true_accuracy)
     notes = [
-        f"there is no {input_log_path(args.file)}, which only swarm and radio write, and not if the disk was "
-        "full: the page shows what the frames say"
+        f"there is no {input_log_path(args.file)}, which swarm, radio and node write, but not if the disk "
+        "was full: the page shows what the frames say"
     ]
     summary = frame_film.summary
     if channel is None and len(summary.channels) > 1:

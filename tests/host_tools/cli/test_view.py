@@ -84,7 +84,7 @@ def test_a_log_without_events_shows_what_its_frames_say(
     assert main(["view", str(log), "--export", str(target), "--json"]) == 0
     said = capsys.readouterr()
     assert json.loads(said.out)["states"] == 61
-    assert f"mcp-asdf view: there is no {log}.events, which only swarm and radio write" in said.err
+    assert f"mcp-asdf view: there is no {log}.events, which swarm, radio and node write" in said.err
     assert "no robot sent telemetry" in said.err
 
 

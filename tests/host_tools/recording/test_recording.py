@@ -294,7 +294,7 @@ def test_replay_says_why_a_log_of_a_full_disk_cannot_be_checked(
     ]
     assert names(tmp_path) == ["run.log"]
     assert main(["replay", str(log)]) == 2
-    reason = "only swarm and radio write it, and not if the disk was full"
+    reason = "swarm, radio and node write it, but not if the disk was full"
     assert (
         f"there is no {log}.events, without which nothing can be checked: {reason}" in capsys.readouterr().err
     )

@@ -373,7 +373,7 @@ FILES = {
     ". --events run.log.events": "cannot read the log .: Is a directory",
     "run.log --events absent": "cannot read absent: No such file",
     "run.log --events run.log": "run.log, line 1: not JSON",
-    "lone.log": "there is no lone.log.events, without which nothing can be checked: only swarm and radio",
+    "lone.log": "there is no lone.log.events, without which nothing can be checked: swarm, radio and node",
     "late.log --events run.log.events": "the log late.log holds no frame: line 1, '(100000000000.0) vcan0 1",
     "run.log.events": "run.log.events is what happened to the robots of a log; give the log, run.log",
     "empty.log": "the log empty.log is empty: the disk was full, or nothing was sent yet",
