@@ -16,9 +16,9 @@ from cffi import FFI
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _CONTINUED_LINE = re.compile(r"\\\n")
 _ONLY_CPLUSPLUS = re.compile(r"^#ifdef __cplusplus\n.*?^#endif\n", re.DOTALL | re.MULTILINE)
-_CONSTANT = re.compile(r"^#define (MCP_ASDF_\w+) +(\S.*?)\s*$", re.MULTILINE)
+_CONSTANT = re.compile(r"^#define (MCP_ASDF_\w+) +([^\s{].*?)\s*$", re.MULTILINE)  # no initialisers
 _DIRECTIVE = re.compile(r"^#.*$", re.MULTILINE)
-_INLINE_FUNCTION = re.compile(r"static inline ([^{;]*?)\s*\{[^}]*\}")
+_INLINE_FUNCTION = re.compile(r"(?:static inline|MCP_ASDF_INLINE) ([^{;]*?)\s*\{[^}]*\}")
 
 
 def declarations(header: str) -> str:

@@ -8,7 +8,7 @@ set(package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/mcp_asdf)
 install(
     FILES src/mcp_asdf.h src/mcp_asdf_image.h src/mcp_asdf_frame.h src/mcp_asdf_rom.h
     DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
-install(TARGETS mcp_asdf EXPORT mcp_asdf ARCHIVE INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
+install(TARGETS mcp_asdf EXPORT mcp_asdf INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 install(EXPORT mcp_asdf NAMESPACE mcp_asdf:: FILE mcp_asdf-config.cmake DESTINATION ${package_dir})
 
 # Below 1.0 the minor number tells incompatible versions apart, from 1.0 on the major one.

@@ -24,6 +24,7 @@
 /* Bounds that the comments rely on, as far as the compiler can see them. */
 #define ASSERT(name, condition) typedef char assert_##name[(condition) ? 1 : -1]
 ASSERT(enough_senders, sizeof(((mcp_asdf_t *)0)->heard) * 8 == MCP_ASDF_MAX_ID + 1);
+ASSERT(size_is_stated, sizeof(mcp_asdf_t) <= MCP_ASDF_SIZE_MAX);
 ASSERT(t_is_a_word, MCP_ASDF_MEMORY_MAX <= ONE_HALF);
 ASSERT(halves_mirror, MCP_ASDF_MEMORY_MIN % 4 == 0);
 ASSERT(b_hat_mirrors, MCP_ASDF_B_HAT_MIN + MCP_ASDF_B_HAT_MAX == 0); /* modulo 2^32 */

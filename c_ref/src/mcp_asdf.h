@@ -13,7 +13,10 @@
  *     }
  *
  * A round is what a robot hears from one settle to the next, so the caller's broadcast timer sets its
- * length. mcp_asdf_x() is the answer, at any time.
+ * length. mcp_asdf_x() is the answer, at any time; mcp_asdf_thousandths() makes it fit for printing.
+ *
+ * The functions marked MCP_ASDF_INLINE are compiled into their callers. mcp_asdf_accessors.c has them as
+ * symbols of a library, for callers in other languages.
  *
  * What holds for every function
  *   - C99, freestanding. No floating point, heap, recursion, mutable static data or libc call, but for memcpy
@@ -40,10 +43,17 @@
 #define MCP_ASDF_H
 
 #include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
 
 #ifdef __cplusplus
 extern "C" {
+#endif
+
+/* Linkage of the short functions whose body stands in this header. A generator of bindings for another
+ * language sees them as symbols of the library if it reads the header with -DMCP_ASDF_INLINE=extern. */
+#ifndef MCP_ASDF_INLINE
+#define MCP_ASDF_INLINE static inline
 #endif
 
 #define MCP_ASDF_VERSION_MAJOR 0
@@ -51,6 +61,7 @@ extern "C" {
 #define MCP_ASDF_VERSION_PATCH 0
 
 #define MCP_ASDF_MAX_ID 127U
+#define MCP_ASDF_SIZE_MAX 168             /* bytes of a robot on any machine, at most */
 #define MCP_ASDF_ONE (UINT32_C(1) << 23)  /* 1.0 as x_hat, x_bar or x */
 #define MCP_ASDF_HALF (UINT32_C(1) << 22) /* 0.5 as x_hat, x_bar or x */
 #define MCP_ASDF_B_HAT_MIN (UINT32_C(1) << 12)
@@ -119,13 +130,31 @@ typedef struct {
     uint8_t filter;
 } mcp_asdf_config_t;
 
-/* The usual settings: filter every 1000 rounds, longest memory, adaptive filter, or the robust one where it
- * alone is built, which needs no table. */
-#define MCP_ASDF_CONFIG(t_table)                                                                             \
-    {(t_table), 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_WITH_ASDF ? MCP_ASDF_ADAPTIVE : MCP_ASDF_ROBUST}
+/* Initialisers of mcp_asdf_config_t, named after the filter: it runs every 1000 rounds, and the memory is the
+ * longest. docs/advice.md says which filter suits a swarm; a build has the initialisers of its filters only.
+ */
+#if MCP_ASDF_WITH_ROBUST
+/* For all robots of a swarm in which nobody knows whose sensor is wrong. */
+#define MCP_ASDF_CONFIG_ROBUST {NULL, 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_ROBUST}
+#endif
+#if MCP_ASDF_WITH_ASDF
+/* For robots whose sensors you doubt. In robots with a good sensor it does harm: give them one of the others.
+ */
+#define MCP_ASDF_CONFIG_ASDF(t_table) {(t_table), 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_ADAPTIVE}
+/* For robots whose sensors are known to be calibrated: b_hat stays. */
+#define MCP_ASDF_CONFIG_OFF {NULL, 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF}
+#endif
+
+/* b_hat of a sensor that is right so many times out of so many: MCP_ASDF_PROBABILITY(95, 100) is 0.95 in
+ * units of 2^-32, rounded to nearest, halves up. A constant expression where both are integer constants,
+ * which may be 0 .. 2^32 - 1. One and more become 2^32 - 1, which mcp_asdf_init() refuses, as it does 0.
+ * Where right < all, the dividend is below 2^64 - 2^32 and the quotient below 2^32. */
+#define MCP_ASDF_PROBABILITY(right, all)                                                                     \
+    ((right) < (all) ? (uint32_t)((((uint64_t)(right) << 32) + (uint64_t)(all) / 2U) / (uint64_t)(all))      \
+                     : UINT32_MAX)
 
 /* Whether a robot with these settings has the robust filter; a constant where there is no choice. */
-static inline bool mcp_asdf_is_robust(const mcp_asdf_config_t *config)
+MCP_ASDF_INLINE bool mcp_asdf_is_robust(const mcp_asdf_config_t *config)
 {
     return MCP_ASDF_WITH_ROBUST && (!MCP_ASDF_WITH_ASDF || config->filter == MCP_ASDF_ROBUST);
 }
@@ -178,8 +207,9 @@ typedef struct {
 /* What a robot with the robust filter knows of the others.
  *   centre      of the x_hat heard, unit 2^-30              0 .. 2^30; MCP_ASDF_CENTRE_START before any
  *   spread      their median distance from it, unit 2^-30   2^18 .. 2^28
- *   voices      who was heard: bit (id mod 32)
- *   votes       messages that moved them, up to             2^14
+ *   voices      bit (id mod 32) of every sender of a message with alpha > 0
+ *   votes       weight of these two against the next message, which adds 1, up to 2^14; halved while the
+ *               centre moves one way
  *   trend       share of the centre's late moves that went up, unit 2^-16
  *   first       b_hat at the start, unit 2^-32: what the test is about; 0 with other filters */
 typedef struct {
@@ -191,13 +221,17 @@ typedef struct {
     uint16_t trend;
 } mcp_asdf_crowd_t;
 
+/* A set of senders, in two forms. */
+typedef union {
+    uint8_t of[16];  /* bit (id mod 8) of byte (id div 8) */
+    uint64_t all[2]; /* the same, to forget them at once */
+} mcp_asdf_senders_t;
+
 /* A robot. Its members are the state; read them through the functions below. The order keeps them within
- * reach of short instructions: bytes first, then half words, then what a tick touches. */
+ * reach of short instructions: bytes first, then half words, then what a tick touches. Whoever has no header
+ * to ask for its size takes MCP_ASDF_SIZE_MAX bytes, aligned as a uint64_t. */
 typedef struct {
-    union {
-        uint8_t of[16];  /* senders of the open round, bit (id mod 8) of byte (id div 8) */
-        uint64_t all[2]; /* the same, to forget them at once */
-    } heard;
+    mcp_asdf_senders_t heard; /* senders of the open round */
     uint8_t id;
     uint8_t updated; /* 1 if b_hat was re-estimated since the last observation, else 0 */
     mcp_asdf_counters_t counters;
@@ -258,31 +292,43 @@ uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot);
 uint32_t mcp_asdf_x(const mcp_asdf_t *robot);
 
 /* Own id, 0 .. 127. */
-static inline uint8_t mcp_asdf_id(const mcp_asdf_t *robot) { return robot->id; }
+MCP_ASDF_INLINE uint8_t mcp_asdf_id(const mcp_asdf_t *robot) { return robot->id; }
 
 /* Observations counted, and the black ones among them. */
-static inline uint32_t mcp_asdf_t_count(const mcp_asdf_t *robot) { return robot->t; }
-static inline uint32_t mcp_asdf_n_count(const mcp_asdf_t *robot) { return robot->n; }
+MCP_ASDF_INLINE uint32_t mcp_asdf_t_count(const mcp_asdf_t *robot) { return robot->t; }
+MCP_ASDF_INLINE uint32_t mcp_asdf_n_count(const mcp_asdf_t *robot) { return robot->n; }
 
 /* Assumed accuracy, unit 2^-32. */
-static inline uint32_t mcp_asdf_b_hat(const mcp_asdf_t *robot) { return robot->accuracy.b_hat; }
+MCP_ASDF_INLINE uint32_t mcp_asdf_b_hat(const mcp_asdf_t *robot) { return robot->accuracy.b_hat; }
 
 /* Local estimate (eq. 3), unit 2^-23, and local confidence (eq. 4), an alpha word: what to broadcast. */
-static inline uint32_t mcp_asdf_x_hat(const mcp_asdf_t *robot) { return robot->x_hat; }
-static inline uint32_t mcp_asdf_alpha(const mcp_asdf_t *robot) { return robot->alpha; }
+MCP_ASDF_INLINE uint32_t mcp_asdf_x_hat(const mcp_asdf_t *robot) { return robot->x_hat; }
+MCP_ASDF_INLINE uint32_t mcp_asdf_alpha(const mcp_asdf_t *robot) { return robot->alpha; }
 
 #if MCP_ASDF_WITH_ASDF
 /* Social confidence (eq. 6) of the last closed round, unit 2^-24, below 2^62; 0 with the robust filter. */
-static inline uint64_t mcp_asdf_beta(const mcp_asdf_t *robot) { return robot->closed.alpha; }
+MCP_ASDF_INLINE uint64_t mcp_asdf_beta(const mcp_asdf_t *robot) { return robot->closed.alpha; }
 #endif
 
 #if MCP_ASDF_WITH_ROBUST
 /* What a robot with the robust filter knows of the others. */
-static inline mcp_asdf_crowd_t mcp_asdf_crowd(const mcp_asdf_t *robot) { return robot->crowd; }
+MCP_ASDF_INLINE mcp_asdf_crowd_t mcp_asdf_crowd(const mcp_asdf_t *robot) { return robot->crowd; }
 #endif
 
 /* Diagnostics since init. */
-static inline mcp_asdf_counters_t mcp_asdf_counters(const mcp_asdf_t *robot) { return robot->counters; }
+MCP_ASDF_INLINE mcp_asdf_counters_t mcp_asdf_counters(const mcp_asdf_t *robot) { return robot->counters; }
+
+/* x, x_bar or x_hat in thousandths, 0 .. 1000, rounded to nearest, halves up; of b_hat it takes b_hat >> 9.
+ * For people to read, without floating point, a 64-bit product, or an overflow of whatever has 32 bits:
+ *
+ *     const unsigned share = mcp_asdf_thousandths(mcp_asdf_x(&robot));
+ *     printf("%u.%03u", share / 1000, share % 1000);
+ */
+MCP_ASDF_INLINE uint16_t mcp_asdf_thousandths(uint32_t x)
+{
+    /* 1000 x / 2^23 is 125 x / 2^20, and 125 2^23 + 2^19 < 2^30. */
+    return (uint16_t)((x * 125U + (UINT32_C(1) << 19)) >> 20);
+}
 
 #ifdef __cplusplus
 }
