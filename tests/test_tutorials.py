@@ -65,11 +65,11 @@ def test_the_robot_learns_its_accuracy_from_the_others(tmp_path: Path) -> None:
         done = subprocess.run(
             command, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=PATIENCE
         )
-    learnt = re.findall(r"share of black (\S+), my sensor is right (\d+) times in 100", done.stderr)
+    learnt = re.findall(r"share of black (\S+), my sensor is right (\d+) times in 1000", done.stderr)
     assert learnt, done.stderr
     for share, accuracy in learnt:
         assert 0.75 < float(share) < 1
-        assert 80 <= int(accuracy) <= 100
+        assert 800 <= int(accuracy) <= 1000
 
 
 def write(block: str, folder: Path) -> None:

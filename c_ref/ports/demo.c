@@ -12,11 +12,16 @@
 #if DEMO_ID < 0 || DEMO_ID > 125
 #error "DEMO_ID has to be 0 to 125: CAN tools of Cyphal keep 126 and 127 for themselves"
 #endif
-#define B_HAT UINT32_C(0xF3333333) /* we believe that the sensor is right 95 times out of 100 */
+#ifndef DEMO_CONFIG
+/* The filter, which docs/advice.md helps to choose. MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q30) is for
+ * robots whose sensors you doubt, MCP_ASDF_CONFIG_OFF for robots whose sensors are calibrated. */
+#define DEMO_CONFIG MCP_ASDF_CONFIG_ROBUST
+#endif
+#define B_HAT MCP_ASDF_PROBABILITY(95, 100) /* we believe that the sensor is right 95 times out of 100 */
 #define TICKS_PER_SECOND 10
 
 extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
-static const mcp_asdf_config_t config = MCP_ASDF_CONFIG(mcp_asdf_t_table_omega05_q30);
+static const mcp_asdf_config_t config = DEMO_CONFIG;
 static const mcp_asdf_frame_format_t estimates = MCP_ASDF_FORMAT_ESTIMATE,
                                      reports = MCP_ASDF_FORMAT_TELEMETRY;
 static mcp_asdf_t robot;

@@ -110,7 +110,7 @@ static void a_table_has_entries_for_2_to_127(void)
             table[m] = (UINT32_C(63) << 26) - m;
         }
         seal(table, q + 3);
-        const mcp_asdf_config_t config = MCP_ASDF_CONFIG(table);
+        const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ASDF(table);
         mcp_asdf_t robot;
         CHECK(config.filter_period == 1000 && config.memory == MCP_ASDF_MEMORY_MAX);
         CHECK(config.table == table && config.filter == MCP_ASDF_ADAPTIVE);

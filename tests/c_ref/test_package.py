@@ -45,7 +45,7 @@ const uint32_t mcp_asdf_t_table_omega05_q30[33];
 
 int main(void)
 {
-    static const mcp_asdf_config_t config = MCP_ASDF_CONFIG(mcp_asdf_t_table_omega05_q30);
+    static const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q30);
     static const mcp_asdf_heartbeat_t beat = {0, 0, 0, 0, 0, 0};
     mcp_asdf_t robot, copy;
     mcp_asdf_frame_t frame;
@@ -145,7 +145,7 @@ def without_the_robust_filter(project: Path) -> None:
 
 def without_the_papers(project: Path) -> None:
     """The same of an installed library, with a robot that has no table."""
-    robust = CONSUMER.replace("MCP_ASDF_CONFIG(mcp_asdf_t_table_omega05_q30)", "{0, 1, 64, MCP_ASDF_ROBUST}")
+    robust = CONSUMER.replace("MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q30)", "MCP_ASDF_CONFIG_ROBUST")
     (project / "main.c").write_text(f"{robust}#if MCP_ASDF_WITH_ASDF\n#error it is there\n#endif\n")
     prefix = installed(project / "library", "-DMCP_ASDF_WITH_ASDF=OFF")
     (description,) = prefix.rglob("mcp_asdf.pc")
@@ -266,8 +266,8 @@ def test_esp_idf_packs_it(tmp_path: Path) -> None:
     files = files_in(tmp_path / f"mcp_asdf_{version_of_header()}.tgz")
     assert files == FILES | {"CMakeLists.txt", "idf_component.yml", "README.md", "LICENSE"}
     component = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
-    (sources,) = re.findall(r"idf_component_register\(SRCS (.*) INCLUDE_DIRS src\)", component)
-    assert set(sources.split()) == {f"src/{name}.c" for name in PARTS}
+    (sources,) = re.findall(r"idf_component_register\(\s*SRCS (.*) INCLUDE_DIRS src\)", component)
+    assert set(sources.split()) == {name for name in FILES if name.endswith(".c")}
 
 
 @pytest.mark.parametrize(
@@ -284,5 +284,6 @@ def test_zephyr_builds_what_its_options_say(chosen: str, parts: tuple[str, ...],
     options = {symbol.name: symbol.str_value for symbol in kconfig.unique_defined_syms}
     assert options == {name.upper(): "y" if name in parts else "n" for name in PARTS}
     text = (PACKAGE / module["cmake"] / "CMakeLists.txt").read_text(encoding="utf-8")
+    assert "zephyr_library_sources(../src/mcp_asdf.c ../src/mcp_asdf_accessors.c)" in text
     for name in PARTS[1:]:
         assert f"zephyr_library_sources_ifdef(CONFIG_{name.upper()} ../src/{name}.c)" in text

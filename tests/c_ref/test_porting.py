@@ -17,17 +17,16 @@ import pytest
 from benchmarks.cost.images import AVR, Image
 from mcp_asdf.fixed_point import alpha_word_from_float
 from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.robot import Config, Observation
+from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, Telemetry
-from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from simulated_avr import Board, require_simavr
 from support import CORE, ROOT, block_with, blocks, require, run, slow
 
 PAGE = ROOT / "docs/porting.md"
 TEXT = PAGE.read_text(encoding="utf-8")
 PORTS = ROOT / "c_ref/ports"
-ROBOT_ID, B_HAT = 7, 0xF3333333
+ROBOT_ID, B_HAT = 7, 0xF3333333  # MCP_ASDF_PROBABILITY(95, 100)
 ESTIMATES = FrameFormat()
 MARK, SLOTS = 0x7E, 8
 IMAGE_SIZE = 124
@@ -59,7 +58,7 @@ Script = list[tuple[list[bytes], int]]
 
 def expected(ticks: Script) -> bytes:
     """What the demonstration robot sends, by the mirror; its radio's queue keeps the first packets."""
-    robot = MirrorRobot(Config(generate(parse_omega("0.05"), 30)), ROBOT_ID, B_HAT / 2**32)
+    robot = MirrorRobot(Config(filter=Filter.ROBUST), ROBOT_ID, B_HAT / 2**32)
     assert robot.b_hat_raw == B_HAT
     sent, lost = b"", 0
     for number, (packets, tile) in enumerate(ticks, 1):
@@ -329,7 +328,7 @@ def test_two_kilobots_exchange_estimates(tmp_path: Path) -> None:
     include = (f"-I{CORE.parent}", f"-I{Path(__file__).parent / 'kilobot'}")
     run("avr-gcc", *flags.split(), *WARNINGS.split(), *include, *sources, "-o", tmp_path / "kilobot.elf")
     image, draw = Image(AVR, tmp_path / "kilobot.elf"), random.Random(9)
-    config = Config(generate(parse_omega("0.05"), 30))
+    config = Config(filter=Filter.ROBUST)
     both = [
         (Kilobot(machines.AvrMachine(image), each), MirrorRobot(config, each, B_HAT / 2**32))
         for each in KILOBOTS

@@ -34,7 +34,7 @@ def test_constants_are_those_of_the_header() -> None:
         **{"IMAGE_SIZE": 4 * IMAGE_WORDS, "IMAGE_VERSION": IMAGE_MAGIC & 0xFF},
     }
     assert {name: getattr(lib, f"MCP_ASDF_{name}") for name in expected} == expected
-    # MCP_ASDF_CONFIG's, which test_core.c checks
+    # MCP_ASDF_CONFIG_ASDF's, which test_core.c checks
     assert Config() == Config(None, Filter.ADAPTIVE, filter_period=1000, memory=lib.MCP_ASDF_MEMORY_MAX)
 
 

@@ -40,12 +40,13 @@ def test_some_figures_are_those_of_the_sweeps(line: str, given: dict[str, Any]) 
 
 
 def test_the_defaults_are_the_advice() -> None:
-    """The configuration of a robot in C has them, and so have the tools."""
+    """The tools have them, and so have all configurations of robots in C."""
     header = (ROOT / "c_ref/src/mcp_asdf.h").read_text(encoding="utf-8")
-    assert re.search(
-        r"MCP_ASDF_CONFIG\(t_table\)[ \\]*\n *\{\(t_table\), 1000, MCP_ASDF_MEMORY_MAX, "
-        r"MCP_ASDF_WITH_ASDF \? MCP_ASDF_ADAPTIVE",
-        header,
-    )
+    configurations = re.findall(r"#define MCP_ASDF_CONFIG_(\w+)\S* \{(.*)\}", header)
+    assert configurations == [
+        ("ROBUST", "NULL, 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_ROBUST"),
+        ("ASDF", "(t_table), 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_ADAPTIVE"),
+        ("OFF", "NULL, 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF"),
+    ]
     default = m.Experiment()
     assert (default.filter_period, float(default.omega), default.memory) == (1000, 0.05, 2**31)

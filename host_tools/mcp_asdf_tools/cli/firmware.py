@@ -15,8 +15,17 @@ examples:
   mcp-asdf firmware vendor/mcp_asdf                       # core, the paper's table, a CMake file
   mcp-asdf firmware vendor/mcp_asdf --neighbours 30       # a shorter table: 372 bytes of flash
 With CMake: add_subdirectory(vendor/mcp_asdf), link mcp_asdf::mcp_asdf. Without: compile all .c files there.
+Of several such folders in one CMake project the first makes the library, and each adds its table.
 Its own files it replaces, and leaves one table; sha256sums.txt says which files are as they were written.
 exit code: 0 done, 2 bad usage"""
+
+_USAGE = """\
+The table is: extern const uint32_t {symbol}[];
+A robot's filter: static const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ROBUST;
+  or, where you doubt its sensor, MCP_ASDF_CONFIG_ASDF({symbol}), and
+  where its sensor is calibrated, MCP_ASDF_CONFIG_OFF
+Its sensor is right 95 times in 100: b_hat is MCP_ASDF_PROBABILITY(95, 100)
+Its answer, to be printed: mcp_asdf_thousandths(mcp_asdf_x(&robot))"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,5 +44,5 @@ def run(args: argparse.Namespace) -> int:
         print(json_report({"files": files, "symbol": symbol}))
     else:
         print("\n".join(f"wrote {file}" for file in files))
-        print(f"The table is: extern const uint32_t {symbol}[];")
+        print(_USAGE.format(symbol=symbol))
     return 0

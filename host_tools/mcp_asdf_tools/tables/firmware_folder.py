@@ -19,10 +19,34 @@ _CMAKE = """\
 cmake_minimum_required(VERSION 3.21)
 project(mcp_asdf LANGUAGES C)
 
-add_library(mcp_asdf STATIC {sources})
-add_library(mcp_asdf::mcp_asdf ALIAS mcp_asdf)
-set_target_properties(mcp_asdf PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON C_EXTENSIONS OFF)
-target_include_directories(mcp_asdf PUBLIC ${{CMAKE_CURRENT_LIST_DIR}})
+option(MCP_ASDF_WITH_ASDF "Build the paper's filter" ON)
+option(MCP_ASDF_WITH_ROBUST "Build the robust filter" ON)
+
+# A project may have several such folders: the first one makes the library, each adds its table.
+if(NOT TARGET mcp_asdf)
+    # Static or shared as BUILD_SHARED_LIBS says, position-independent as CMAKE_POSITION_INDEPENDENT_CODE does.
+    add_library(mcp_asdf {sources})
+    add_library(mcp_asdf::mcp_asdf ALIAS mcp_asdf)
+    set_target_properties(
+        mcp_asdf PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON C_EXTENSIONS OFF WINDOWS_EXPORT_ALL_SYMBOLS ON
+                            MCP_ASDF_VERSION {version})
+    foreach(filter IN ITEMS ASDF ROBUST)
+        if(NOT MCP_ASDF_WITH_${{filter}}) # the header of whoever uses it has to agree
+            target_compile_definitions(mcp_asdf PUBLIC MCP_ASDF_WITH_${{filter}}=0)
+        endif()
+    endforeach()
+    target_include_directories(mcp_asdf PUBLIC ${{CMAKE_CURRENT_LIST_DIR}})
+endif()
+
+get_target_property(other_version mcp_asdf MCP_ASDF_VERSION)
+if(NOT other_version STREQUAL "{version}")
+    message(FATAL_ERROR "The project has a target mcp_asdf of another version (${{other_version}}) than this folder ({version}): run mcp-asdf firmware for both folders")
+endif()
+get_target_property(tables mcp_asdf MCP_ASDF_TABLES)
+if(NOT {table} IN_LIST tables)
+    target_sources(mcp_asdf PRIVATE ${{CMAKE_CURRENT_LIST_DIR}}/{table})
+    set_property(TARGET mcp_asdf APPEND PROPERTY MCP_ASDF_TABLES {table})
+endif()
 """
 _SUMS = "sha256sums.txt"
 
@@ -35,9 +59,12 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
     """
     core = Path(_native.__file__).parent / "core"  # installed beside the compiled firmware
     contents = {path.name: path.read_text(encoding="utf-8") for path in sorted(core.iterdir())}
-    contents[f"{stem(omega, q)}.c"] = c_text(omega, q)
     sources = " ".join(sorted(name for name in contents if name.endswith(".c")))
-    contents["CMakeLists.txt"] = _CMAKE.format(version=own_version(), omega=omega, q=q, sources=sources)
+    table = f"{stem(omega, q)}.c"
+    contents[table] = c_text(omega, q)
+    contents["CMakeLists.txt"] = _CMAKE.format(
+        version=own_version(), omega=omega, q=q, sources=sources, table=table
+    )
     sums = {name: sha256(text.encode()).hexdigest() for name, text in sorted(contents.items())}
     others = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in contents]
     if not force:

@@ -17,7 +17,11 @@ void bench_crowd(uint32_t centre, uint32_t spread, uint32_t voices, uint32_t vot
 extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
 
 mcp_asdf_t robot;
-mcp_asdf_config_t config = MCP_ASDF_CONFIG(mcp_asdf_t_table_omega05_q30);
+#if MCP_ASDF_WITH_ASDF
+mcp_asdf_config_t config = MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q30);
+#else
+mcp_asdf_config_t config = MCP_ASDF_CONFIG_ROBUST;
+#endif
 uint8_t image[MCP_ASDF_IMAGE_SIZE];
 
 void bench_start(uint32_t b_hat, uint32_t filter)
@@ -49,7 +53,7 @@ void bench_crowd(uint32_t centre, uint32_t spread, uint32_t voices, uint32_t vot
 
 int main(void)
 {
-    (void)mcp_asdf_init(&robot, &config, 5, UINT32_C(0xF3333333));
+    (void)mcp_asdf_init(&robot, &config, 5, MCP_ASDF_PROBABILITY(95, 100));
     (void)mcp_asdf_observe(&robot, MCP_ASDF_BLACK);
     (void)mcp_asdf_receive(&robot, 6, mcp_asdf_x_hat(&robot), mcp_asdf_alpha(&robot));
     (void)mcp_asdf_settle(&robot);

@@ -169,5 +169,6 @@ def kilobot_image(folder: Path, *flags: str) -> Image:
     core = (FIRMWARE / f"mcp_asdf{part}.c" for part in ("", "_image", "_frame"))
     clock = (f"-DF_CPU={KILOBOT_CLOCK}UL", f"-DBAUD={KILOBOT_BAUD}")
     is_robust = "-DMCP_ASDF_WITH_ASDF=0" in flags
-    table = f"-Wl,--defsym={TABLE.stem.replace('t_table', 'mcp_asdf_t_table')}=0" if is_robust else str(TABLE)
-    return build(AVR, folder, [*ports, *core], "-Os", f"-I{PORTS}", *clock, *flags, table)
+    symbol = TABLE.stem.replace("t_table", "mcp_asdf_t_table")
+    filter_options = () if is_robust else (f"-DDEMO_CONFIG=MCP_ASDF_CONFIG_ASDF({symbol})", str(TABLE))
+    return build(AVR, folder, [*ports, *core], "-Os", f"-I{PORTS}", *clock, *flags, *filter_options)

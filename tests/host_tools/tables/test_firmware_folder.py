@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import json
+import subprocess
 from pathlib import Path
 
 import pytest
 
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.common.versions import own_version
 from support import ROOT, require, run
 
 PROGRAM = """\
 #include "mcp_asdf.h"
 extern const uint32_t mcp_asdf_t_table_omega10_q30[];
-static const mcp_asdf_config_t config = MCP_ASDF_CONFIG(mcp_asdf_t_table_omega10_q30);
+static const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega10_q30);
 int main(void)
 {
     mcp_asdf_t robot;
@@ -24,10 +26,24 @@ int main(void)
 PROJECT = """\
 cmake_minimum_required(VERSION 3.21)
 project(robot LANGUAGES C)
-add_subdirectory(vendor/mcp_asdf)
+{}
 add_executable(robot robot.c)
 target_link_libraries(robot PRIVATE mcp_asdf::mcp_asdf)
 """
+
+
+def write_folder(folder: Path, *options: str) -> None:
+    assert main(["firmware", str(folder), *options]) == 0
+
+
+def build(project: Path, program: str, *settings: str, parts: tuple[str, ...] = ("vendor/mcp_asdf",)) -> None:
+    """Build ``project``, a folder, from a program in C and the folders ``parts`` in it."""
+    (project / "robot.c").write_text(program)
+    lines = [f"add_subdirectory({part} build_of_part_{index})" for index, part in enumerate(parts)]
+    (project / "CMakeLists.txt").write_text(PROJECT.format("\n".join(lines)))
+    cmake = require("cmake", "cmake")
+    run(cmake, "-S", project, "-B", project / "build", *settings)
+    run(cmake, "--build", project / "build")
 
 
 def test_a_project_builds_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -41,12 +57,100 @@ def test_a_project_builds_what_it_writes(tmp_path: Path, capsys: pytest.CaptureF
     assert told["symbol"] == "mcp_asdf_t_table_omega10_q30"
     for source in (ROOT / "c_ref/src").glob("*.[ch]"):
         assert (folder / source.name).read_bytes() == source.read_bytes()
-    (tmp_path / "robot.c").write_text(PROGRAM)
-    (tmp_path / "CMakeLists.txt").write_text(PROJECT)
-    cmake = require("cmake", "cmake")
-    run(cmake, "-S", tmp_path, "-B", tmp_path / "build")
-    run(cmake, "--build", tmp_path / "build")
+    build(tmp_path, PROGRAM)
     run(tmp_path / "build/robot")
+
+
+def test_firmware_prints_a_line_for_each_filter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_folder(tmp_path / "mcp_asdf", "--neighbours", "30")
+    printed = capsys.readouterr().out
+    assert "static const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ROBUST;" in printed
+    assert "MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q30)" in printed
+    assert "MCP_ASDF_CONFIG_OFF" in printed
+    assert "mcp_asdf_thousandths(mcp_asdf_x(&robot))" in printed
+
+
+TWO_TABLES = """\
+#include "mcp_asdf.h"
+extern const uint32_t mcp_asdf_t_table_omega10_q30[], mcp_asdf_t_table_omega05_q127[];
+static const mcp_asdf_config_t configs[] = {
+    MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega10_q30), MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q127)};
+int main(void)
+{
+    mcp_asdf_t robot;
+    return mcp_asdf_init(&robot, &configs[0], 7, 0xF0000000) != MCP_ASDF_OK ||
+           mcp_asdf_init(&robot, &configs[1], 7, 0xF0000000) != MCP_ASDF_OK;
+}
+"""
+
+
+def test_two_folders_of_one_project_share_the_library(tmp_path: Path) -> None:
+    write_folder(tmp_path / "one", "--omega", "0.1", "--neighbours", "30")
+    write_folder(tmp_path / "two")
+    write_folder(tmp_path / "three")  # the table of the second one again
+    build(tmp_path, TWO_TABLES, parts=("one", "two", "three"))
+    run(tmp_path / "build/robot")
+
+
+@pytest.mark.parametrize("parts", [("core", "vendor/mcp_asdf"), ("vendor/mcp_asdf", "core")])
+def test_a_folder_and_the_package_share_the_library(parts: tuple[str, ...], tmp_path: Path) -> None:
+    (tmp_path / "core").symlink_to(ROOT / "c_ref")
+    write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
+    build(tmp_path, PROGRAM, parts=parts)
+    run(tmp_path / "build/robot")
+
+
+def test_folders_of_two_versions_are_refused(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        write_folder(tmp_path / name)
+    lists = tmp_path / "two/CMakeLists.txt"
+    lists.write_text(lists.read_text().replace(own_version(), "9.8.7"))
+    with pytest.raises(AssertionError) as error:
+        build(tmp_path, TWO_TABLES, parts=("one", "two"))
+    message = " ".join(str(error.value).split())
+    assert f"another version ({own_version()}) than this folder (9.8.7)" in message
+
+
+@pytest.mark.parametrize(
+    ("setting", "code"),
+    [
+        ("MCP_ASDF_WITH_ROBUST", "#if MCP_ASDF_WITH_ROBUST || !MCP_ASDF_WITH_ASDF"),
+        ("MCP_ASDF_WITH_ASDF", "#if MCP_ASDF_WITH_ASDF || !MCP_ASDF_WITH_ROBUST"),
+    ],
+)
+def test_a_filter_that_is_switched_off_is_left_out_everywhere(
+    setting: str, code: str, tmp_path: Path
+) -> None:
+    """The program is compiled without it, and the library, which refuses a robot that has it."""
+    write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
+    config = "MCP_ASDF_CONFIG_ROBUST" if setting == "MCP_ASDF_WITH_ASDF" else "MCP_ASDF_CONFIG_OFF"
+    program = PROGRAM.replace("MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega10_q30)", config)
+    build(tmp_path, f"{program}{code}\n#error it is there\n#endif\n", f"-D{setting}=OFF")
+    run(tmp_path / "build/robot")
+    left_out = "MCP_ASDF_OFF" if setting == "MCP_ASDF_WITH_ASDF" else "MCP_ASDF_ROBUST"
+    (tmp_path / "robot.c").write_text(program.replace(config, f"{{0, 1, 64, {left_out}}}"))
+    run("cmake", "--build", tmp_path / "build")
+    assert subprocess.run([tmp_path / "build/robot"], check=False).returncode == 1
+
+
+def test_build_shared_libs_makes_a_shared_library(tmp_path: Path) -> None:
+    write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
+    build(tmp_path, PROGRAM, "-DBUILD_SHARED_LIBS=ON")
+    [library] = (tmp_path / "build").rglob("libmcp_asdf.so")
+    symbols = run("nm", "--dynamic", "--defined-only", library)
+    assert " T mcp_asdf_alpha\n" in symbols and " R mcp_asdf_t_table_omega10_q30\n" in symbols
+    run(tmp_path / "build/robot")
+
+
+def test_a_position_independent_library_goes_into_a_shared_one(tmp_path: Path) -> None:
+    write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
+    settings = ("-DCMAKE_POSITION_INDEPENDENT_CODE=ON", "-DCMAKE_C_FLAGS_INIT=-fno-pie", "-GNinja")
+    require("ninja")
+    build(tmp_path, PROGRAM, "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON", *settings)
+    commands = json.loads((tmp_path / "build/compile_commands.json").read_text())
+    core = [entry["command"] for entry in commands if "vendor/mcp_asdf" in entry["file"]]
+    assert len(core) == len(list((tmp_path / "vendor/mcp_asdf").glob("*.c")))
+    assert all("-fPIC" in command for command in core)
 
 
 def test_what_somebody_has_changed_stays_without_force(
