@@ -59,8 +59,10 @@ typedef struct {
 #define MCP_ASDF_FRAME_ERROR 4U    /* a driver's report of an error on the bus, no frame at all */
 #define MCP_ASDF_FRAME_FD 8U       /* CAN FD */
 
-/* Reasons to refuse a frame, in the order of the checks. The numbers are none of mcp_asdf_status_t's, so
- * that one log may hold both; host_tools/mcp_asdf_tools/bus/frames.py uses the same. */
+/* Reasons to refuse a frame or a message. Decoders check in this order. Encoders check the node first, then
+ * the format, then the members of the message, the health before the mode. The numbers are none of
+ * mcp_asdf_status_t's, so that one log may hold both; host_tools/mcp_asdf_tools/bus/frames.py uses the same.
+ */
 typedef enum {
     MCP_ASDF_FRAME_OK = 0,
     MCP_ASDF_FRAME_ERR_ERROR_FRAME = -21,
@@ -70,7 +72,7 @@ typedef enum {
     MCP_ASDF_FRAME_ERR_SERVICE = -25,       /* a service transfer, not a message */
     MCP_ASDF_FRAME_ERR_ANONYMOUS = -26,     /* the sender has no node id */
     MCP_ASDF_FRAME_ERR_RESERVED_BITS = -27, /* bit 23 or 7 of the identifier is set: not Cyphal v1 */
-    MCP_ASDF_FRAME_ERR_SUBJECT = -28,       /* another kind of message */
+    MCP_ASDF_FRAME_ERR_SUBJECT = -28,       /* another kind of message, or more than 29 bits */
     MCP_ASDF_FRAME_ERR_LENGTH = -29,        /* not 8 bytes */
     MCP_ASDF_FRAME_ERR_MULTI_FRAME = -30,   /* start, end and toggle bit are not all set */
     MCP_ASDF_FRAME_ERR_X_HAT = -31,         /* above 1.0 */
@@ -188,7 +190,7 @@ typedef struct {
 } mcp_asdf_command_t;
 
 /* Make the frame of a message. All fail if node or format is out of range (ERR_NODE, ERR_FORMAT), and as
- * listed. The heartbeat's subject is fixed. */
+ * listed, with the first reason in this order. The heartbeat's subject is fixed. */
 
 /* Fails if x_hat is out of range (ERR_X_HAT); every alpha is valid. */
 mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,

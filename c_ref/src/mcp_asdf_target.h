@@ -143,7 +143,8 @@ ALWAYS_INLINE uint32_t multiply_high(uint32_t a, uint32_t b) { return high_word(
 /* Long division. A digit of up to 13 bits is estimated from the upper bits of rest and divisor, never too
  * large and less than 2 too small, so the rest stays in [0, 2 d) and arithmetic modulo 2^32 gives it exactly.
  * The last rest corrects the quotient: it is the exact floor however the digits were estimated. Of all digits
- * d = [2^30, 2^31] is the divisor, and prepare(d) what they share. Lemmas prepare, estimate_digit. */
+ * d is the divisor, and prepare(d) what they share: d is in [2^29, 2^31], or in [2^30, 2^31] where prepare()
+ * takes a reciprocal from the table. Lemmas prepare, estimate_digit. */
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_HARDWARE
 ALWAYS_INLINE uint32_t prepare(uint32_t d) { return (d >> 15) + 1U; } /* > d / 2^15 */
 

@@ -233,9 +233,9 @@ class Crowd:
     Attributes:
         centre: Centre of the received estimates, in [0, 1].
         spread: Median distance of the received estimates from the centre, in [SPREAD_MIN, SPREAD_MAX].
-        trend: Share of the centre's recent moves that went up; no move counts as half of one.
-        votes: Number of received estimates, at most VOTES_MAX.
-        voices: Senders of received estimates, modulo 32.
+        trend: Share of the centre's recent moves that went up; a move too small to count is half of one.
+        votes: Weight against the next estimate, which adds 1 up to VOTES_MAX; halved while the centre moves.
+        voices: Senders of the estimates that moved the centre, modulo 32.
     """
 
     centre: float = 0.5

@@ -200,8 +200,65 @@ static void only_one_filter_has_a_memory(void)
     IS_SOUND(++robot.crowd.trend, false);
 }
 
+/* ---- What the header computes for its users ---- */
+
+/* Against 64-bit arithmetic, for every x_hat, x_bar and x. */
+static void thousandths_are_rounded_to_nearest(void)
+{
+    for (uint32_t x = 0; x <= MCP_ASDF_ONE; ++x) {
+        GIVEN(x, 0, 0);
+        CHECK_EQUAL(mcp_asdf_thousandths(x), (UINT64_C(1000) * x + MCP_ASDF_HALF) / MCP_ASDF_ONE);
+    }
+    CHECK_EQUAL(mcp_asdf_thousandths(MCP_ASDF_B_HAT_MAX >> 9), 1000);
+}
+
+/* As initialisers of static objects, which have to be constants. */
+static void probabilities_are_rounded_to_nearest(void)
+{
+    static const uint32_t probabilities[] = {
+        MCP_ASDF_PROBABILITY(0, 1),
+        MCP_ASDF_PROBABILITY(95, 100),
+        MCP_ASDF_PROBABILITY(55, 100),
+        MCP_ASDF_PROBABILITY(999999, 1000000),
+        MCP_ASDF_PROBABILITY(UINT32_C(4294967294), UINT32_C(4294967295)),
+        MCP_ASDF_PROBABILITY(1, 1),
+        MCP_ASDF_PROBABILITY(120, 100),
+    };
+    CHECK_EQUAL(probabilities[0], 0);
+    CHECK_EQUAL(probabilities[1], 0xF3333333); /* 0.95 2^32 is this and 0.2 */
+    CHECK_EQUAL(probabilities[2], 0x8CCCCCCD); /* 0.55 2^32 is 0.2 less */
+    CHECK_EQUAL(probabilities[3], 0xFFFFEF39); /* 2^32 - 4294.97 */
+    CHECK_EQUAL(probabilities[4], UINT32_MAX);
+    CHECK_EQUAL(probabilities[5], UINT32_MAX);
+    CHECK_EQUAL(probabilities[6], UINT32_MAX);
+}
+
+static void no_probability_of_one_is_an_accuracy(void)
+{
+    mcp_asdf_t robot;
+    CHECK_EQUAL(mcp_asdf_init(&robot, &config, 0, MCP_ASDF_PROBABILITY(1, 1)), MCP_ASDF_ERR_B_HAT);
+    CHECK_EQUAL(mcp_asdf_init(&robot, &config, 0, MCP_ASDF_PROBABILITY(0, 1)), MCP_ASDF_ERR_B_HAT);
+    CHECK_EQUAL(mcp_asdf_init(&robot, &config, 0, MCP_ASDF_PROBABILITY(95, 100)), MCP_ASDF_OK);
+}
+
+static void configurations_have_the_filter_that_their_name_says(void)
+{
+    static const uint32_t table[1] = {0};
+    static const mcp_asdf_config_t asdf = MCP_ASDF_CONFIG_ASDF(table), off = MCP_ASDF_CONFIG_OFF,
+                                   crowd = MCP_ASDF_CONFIG_ROBUST;
+    CHECK(asdf.filter == MCP_ASDF_ADAPTIVE && asdf.table == table);
+    CHECK(off.filter == MCP_ASDF_OFF && off.table == NULL);
+    CHECK(crowd.filter == MCP_ASDF_ROBUST && crowd.table == NULL);
+    CHECK(off.filter_period == 1000 && off.memory == MCP_ASDF_MEMORY_MAX);
+    CHECK(crowd.filter_period == 1000 && crowd.memory == MCP_ASDF_MEMORY_MAX);
+}
+
 int main(void)
 {
+    thousandths_are_rounded_to_nearest();
+    probabilities_are_rounded_to_nearest();
+    no_probability_of_one_is_an_accuracy();
+    configurations_have_the_filter_that_their_name_says();
     shifts_by_any_count();
     zeros_lead_in_every_word();
     products_are_exact();

@@ -24,12 +24,12 @@ option(MCP_ASDF_WITH_ROBUST "Build the robust filter" ON)
 
 # A project may have several such folders: the first one makes the library, each adds its table.
 if(NOT TARGET mcp_asdf)
-    # Static or shared as BUILD_SHARED_LIBS says, position-independent as CMAKE_POSITION_INDEPENDENT_CODE does.
+    # Static or shared by BUILD_SHARED_LIBS, position-independent by CMAKE_POSITION_INDEPENDENT_CODE.
     add_library(mcp_asdf {sources})
     add_library(mcp_asdf::mcp_asdf ALIAS mcp_asdf)
     set_target_properties(
-        mcp_asdf PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON C_EXTENSIONS OFF WINDOWS_EXPORT_ALL_SYMBOLS ON
-                            MCP_ASDF_VERSION {version})
+        mcp_asdf PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON C_EXTENSIONS OFF
+                            WINDOWS_EXPORT_ALL_SYMBOLS ON MCP_ASDF_VERSION {version})
     foreach(filter IN ITEMS ASDF ROBUST)
         if(NOT MCP_ASDF_WITH_${{filter}}) # the header of whoever uses it has to agree
             target_compile_definitions(mcp_asdf PUBLIC MCP_ASDF_WITH_${{filter}}=0)
@@ -40,7 +40,9 @@ endif()
 
 get_target_property(other_version mcp_asdf MCP_ASDF_VERSION)
 if(NOT other_version STREQUAL "{version}")
-    message(FATAL_ERROR "The project has a target mcp_asdf of another version (${{other_version}}) than this folder ({version}): run mcp-asdf firmware for both folders")
+    message(FATAL_ERROR
+        "The project has a target mcp_asdf of another version (${{other_version}}) than this folder "
+        "({version}): run mcp-asdf firmware for both folders")
 endif()
 get_target_property(tables mcp_asdf MCP_ASDF_TABLES)
 if(NOT {table} IN_LIST tables)
