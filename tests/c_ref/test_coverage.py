@@ -136,8 +136,9 @@ UNREACHED = {
 def test_every_condition_is_tested(tmp_path: Path) -> None:
     """Missing means missing from all C tests together."""
     found = measured(tmp_path)
+    without_code = CORE.with_name("mcp_asdf_accessors.c")  # its functions stand in mcp_asdf.h
     assert {Path(path) for _, path, _ in found.outcomes} == {
-        *SOURCES,
+        *(source for source in SOURCES if source != without_code),
         *(CORE.with_name(f"mcp_asdf{part}.h") for part in ("", "_arithmetic", "_robust")),
         *CORE.parent.glob("mcp_asdf_target*.h"),
     }
