@@ -1,4 +1,4 @@
-"""A cross-check as tests run it, and mirrors with a fault in them to be found."""
+"""Cross-checks as tests run them, and mirrors with a planted fault for them to find."""
 
 from __future__ import annotations
 
@@ -13,30 +13,36 @@ import mcp_asdf.fixed_point
 import mcp_asdf.mirror
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Status
-from mcp_asdf_tools.crosscheck.compare import Check, Failure, Firmware, compare_firmwares, crosscheck
+from mcp_asdf_tools.crosscheck.compare import (
+    CheckScenario,
+    Failure,
+    Firmware,
+    compare_firmwares,
+    run_crosscheck,
+)
 from mcp_asdf_tools.crosscheck.oracle import Audit
 
 SOURCES = {
     module.__name__: Path(cast(str, module.__file__)).read_text(encoding="utf-8")
     for module in (mcp_asdf.fixed_point, mcp_asdf.mirror)
 }
-"""The arithmetic of the mirror, in the order of imports."""
+"""Sources of the mirror's arithmetic by module, in the order of their imports."""
 ROBOT = "robot:2:1:64:0:2147483648"
-"""Of a scenario."""
+"""The robot of a scenario, without a filter."""
 SEED = 1
 CALLS = 40_000
-"""Maximum number of calls to catch a fault; most take a few hundred."""
+"""Maximum number of calls to find a fault; most take a few hundred."""
 
 
-def judged(left: Firmware, right: Firmware) -> Check:
-    """A check that compares two firmwares and judges them."""
+def check_with_audit(first: Firmware, second: Firmware) -> CheckScenario:
+    """Return a check that compares two firmwares, and checks the first against the oracle."""
     audit = Audit()
-    return lambda scenario: compare_firmwares(scenario, left, right, audit.judge)
+    return lambda scenario: compare_firmwares(scenario, first, second, audit.check_call)
 
 
-def caught(check: Check, calls: int = CALLS) -> Failure | None:
-    """The first failure that the check finds."""
-    return crosscheck(check, SEED, calls, lambda done: None).failure
+def find_failure(check_scenario: CheckScenario, calls: int = CALLS) -> Failure | None:
+    """Return the first failure of the check in so many calls of random scenarios."""
+    return run_crosscheck(check_scenario, SEED, calls, lambda calls_made: None).failure
 
 
 FAULTS = {
@@ -63,19 +69,24 @@ FAULTS = {
     "robust: way back": "return {crowd.first => None} if s.accuracy",
     "restore": "repeated=words[27] >> 16{ =>  & 0x7FFF}",
 }
-"""Places of SOURCES and how they become wrong, often by one bit: ``mirror_with`` reads them."""
+"""Faults by name, as `mirror_with` reads them: places in SOURCES and what is wrong there, often one bit."""
 
 
 def mirror_with(*changes: str) -> Firmware:
-    """A copy of the mirror in which ``before {right => wrong} after`` has become ``before wrong after``."""
+    """Return the mirror with changes in its source.
+
+    A change ``before {right => wrong} after`` replaces ``before right after``, which must be unique in the
+    sources, by ``before wrong after``.
+    """
     sources = dict(SOURCES)
     for change in changes:
-        found = re.fullmatch(r"(.*?)\{(.*?) => (.*)\}(.*)", change, re.DOTALL)
-        assert found is not None
-        before, right, wrong, after = found.groups()
-        place, become = before + right + after, before + wrong + after
-        assert sum(source.count(place) for source in sources.values()) == 1, f"plant {change!r} anew"
-        sources = {name: source.replace(place, become) for name, source in sources.items()}
+        match = re.fullmatch(r"(.*?)\{(.*?) => (.*)\}(.*)", change, re.DOTALL)
+        assert match is not None
+        before, right, wrong, after = match.groups()
+        right_text, wrong_text = before + right + after, before + wrong + after
+        occurrences = sum(source.count(right_text) for source in sources.values())
+        assert occurrences == 1, f"{change!r} occurs {occurrences} times: plant it anew"
+        sources = {name: source.replace(right_text, wrong_text) for name, source in sources.items()}
     with patch.dict(sys.modules):
         for name, source in sources.items():
             sys.modules[name] = ModuleType(name)
@@ -84,7 +95,7 @@ def mirror_with(*changes: str) -> Firmware:
 
 
 class BrokenRobot(MirrorRobot):
-    """Fails in a way no firmware may."""
+    """Raises an exception that no firmware may raise."""
 
     def settle(self) -> Status:
         raise ZeroDivisionError("in settle")

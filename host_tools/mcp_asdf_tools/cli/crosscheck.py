@@ -14,17 +14,17 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.common.signals import INTERRUPTED
 from mcp_asdf_tools.crosscheck.compare import (
-    Check,
+    CheckScenario,
     Failure,
     Firmware,
-    Subject,
+    RobotUnderTest,
     compare_firmwares,
-    crosscheck,
+    run_crosscheck,
     shrink,
 )
 from mcp_asdf_tools.crosscheck.operation_count import count_operations, measure_storage
 from mcp_asdf_tools.crosscheck.oracle import Audit
-from mcp_asdf_tools.crosscheck.report import Result
+from mcp_asdf_tools.crosscheck.report import CrosscheckReport
 from mcp_asdf_tools.crosscheck.scenario import Scenario, parse_scenario
 from mcp_asdf_tools.robots.firmwares import load_firmware
 
@@ -66,15 +66,15 @@ def _firmware(name: str) -> Firmware:
     return cast(Firmware, load_firmware(name))
 
 
-def _check_with(audit: Audit) -> Check:
-    """Compare native and mirror, and let ``audit`` judge what they do."""
+def _check_with(audit: Audit) -> CheckScenario:
+    """Return a check that compares native and mirror, and lets ``audit`` check what they do."""
     native, mirror = _firmware("native"), _firmware("mirror")
-    return lambda scenario: compare_firmwares(scenario, native, mirror, audit.judge)
+    return lambda scenario: compare_firmwares(scenario, native, mirror, audit.check_call)
 
 
 def _replay(scenario: Scenario, as_json: bool) -> int:
     failure = _check_with(Audit())(scenario)
-    status = Subject(_firmware("native"), scenario.setup).last.outcome
+    status = RobotUnderTest(_firmware("native"), scenario.setup).last_result.outcome
     is_made = status == Status.OK.name
     if as_json:
         made = len(failure.scenario.calls) if failure else len(scenario.calls) if is_made else 0
@@ -89,23 +89,23 @@ def _replay(scenario: Scenario, as_json: bool) -> int:
 
 def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
     audit = Audit()
-    check = _check_with(audit)
+    check_scenario = _check_with(audit)
     counts = count_operations()
-    with progress("calls", steps, args.json) as report:
-        outcome = crosscheck(check, seed, steps, report)
-    if outcome.failure is not None:
-        outcome.failure = _shortest(outcome.failure)
-    result = Result(seed, outcome, audit, counts, measure_storage())
+    with progress("calls", steps, args.json) as on_calls:
+        result = run_crosscheck(check_scenario, seed, steps, on_calls)
+    if result.failure is not None:
+        result.failure = _shortest(result.failure)
+    report = CrosscheckReport(seed, result, audit, counts, measure_storage())
     if args.json:
-        print(json_report(result.as_dict()))
+        print(json_report(report.as_dict()))
     else:
-        Console(soft_wrap=True).print(result.tables())
-        print(result.verdict())
-        if result.is_good:  # else the verdict ends with the line that replays the failure
+        Console(soft_wrap=True).print(report.tables())
+        print(report.verdict())
+        if report.is_good:  # else the verdict ends with the line that replays the failure
             print_again(args, steps=steps, seed=seed)
-    if not result.is_good:
+    if not report.is_good:
         return 1
-    return INTERRUPTED if outcome.interrupted else 0
+    return INTERRUPTED if result.interrupted else 0
 
 
 def _shortest(failure: Failure) -> Failure:

@@ -1,4 +1,4 @@
-"""Two firmwares through the same scenario: do they agree in every bit, and if not, in which shortest one?"""
+"""Run two firmwares through the same scenarios, and find the shortest scenario in which they differ."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario, robust_s
 from mcp_asdf_tools.crosscheck.scenario import IMAGE, REPLACING, Call, Scenario, Setup, edited_image, perform
 
 State = dict[str, int]
-"""All that can be seen of a robot after a call, by name."""
+"""All that can be observed of a robot after a call, by name."""
 
 OUTCOMES = frozenset(Status.__members__)
 """Outcomes that a firmware may have."""
@@ -28,13 +28,13 @@ class Firmware(Protocol):
 
 
 @dataclass(frozen=True)
-class Look:
-    """The result of a call.
+class CallResult:
+    """Outcome of a call, and the robot after it.
 
     Attributes:
-        outcome: One of OUTCOMES, or an exception that was raised instead.
-        state: The robot afterwards; empty if there is none.
-        image: Its state as saved.
+        outcome: One of OUTCOMES, or the exception that was raised instead.
+        state: State of the robot; empty if there is no robot, or the call raised an exception.
+        image: The state as ``save`` returns it; empty likewise.
     """
 
     outcome: str
@@ -42,40 +42,56 @@ class Look:
     image: bytes
 
 
-class Subject:
-    """A robot of one firmware on its way through a scenario."""
+class RobotUnderTest:
+    """A robot of one firmware on which the calls of a scenario are made.
+
+    Attributes:
+        last_result: Result of the last call; before any, of making the robot.
+    """
 
     def __init__(self, firmware: Firmware, setup: Setup) -> None:
         self._firmware = firmware
         self._config = setup.config()
         self._robot: FixedPointRobot | None = None
-        self.last = self._look(lambda: self._make(setup))
+        self.last_result = self._run(lambda: self._make(setup))
 
-    def apply(self, call: Call) -> Look:
-        """Make a call; the result also stays as ``last``."""
-        self.last = self._look(lambda: self._dispatch(call))
-        return self.last
+    def apply(self, call: Call) -> CallResult:
+        """Make a call, and return its result."""
+        self.last_result = self._run(lambda: self._dispatch(call))
+        return self.last_result
 
-    def _look(self, act: Callable[[], str]) -> Look:
-        """Act and look. An exception is an outcome, to be compared like any other."""
+    def _run(self, action: Callable[[], str]) -> CallResult:
+        """Run something that returns an outcome, and return this with the robot's state.
+
+        An exception that no firmware may raise is an outcome, too: both firmwares may have it, or one.
+        """
         try:
             try:
-                outcome = act()
+                outcome = action()
             except FirmwareError as error:
                 outcome = error.status.name
-            return Look(outcome, *self._observed())
+            return CallResult(outcome, self._state(), self._image())
         except Exception as error:
-            return Look(f"{type(error).__name__}: {error}", {}, b"")
+            return CallResult(f"{type(error).__name__}: {error}", {}, b"")
 
     def _make(self, setup: Setup) -> str:
         self._robot = self._firmware(self._config, setup.robot_id, setup.b_hat / 2**32)
         return Status.OK.name
 
-    def _observed(self) -> tuple[State, bytes]:
+    def _dispatch(self, call: Call) -> str:
+        """Make a call, which may replace the robot by one that is restored from its image."""
+        assert self._robot is not None
+        if call.name not in REPLACING:
+            return perform(self._robot, call).name
+        self._robot = self._firmware.restore(self._config, edited_image(self._robot.save(), call))
+        return Status.OK.name
+
+    def _state(self) -> State:
+        """Return the fields of the robot's state, and what its methods and properties return, with ``()``."""
         robot = self._robot
         if robot is None:
-            return {}, b""
-        state = robot.state() | {
+            return {}
+        return robot.state() | {
             "t()": robot.t,
             "n()": robot.n,
             "b_hat()": robot.b_hat_raw,
@@ -87,30 +103,25 @@ class Subject:
             "holds_invariants()": robot.holds_invariants(),
             **{f"{name}()": value for name, value in asdict(robot.counters).items()},
         }
-        return state, robot.save()
 
-    def _dispatch(self, call: Call) -> str:
-        assert self._robot is not None
-        if call.name not in REPLACING:
-            return perform(self._robot, call).name
-        self._robot = self._firmware.restore(self._config, edited_image(self._robot.save(), call))
-        return Status.OK.name
+    def _image(self) -> bytes:
+        return b"" if self._robot is None else self._robot.save()
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Something wrong in a scenario.
+    """A scenario in which something is wrong.
 
     Attributes:
-        scenario: The robot and the calls made when it showed, if it was made at all.
-        problems: One line for each.
+        scenario: The robot and the calls up to the one that showed it; no calls if the robot itself did.
+        problems: A line for each wrong thing.
     """
 
     scenario: Scenario
     problems: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """As plain data."""
+        """Return the failure as plain data, with the line that replays it."""
         calls = [str(call) for call in self.scenario.calls]
         return {"problems": list(self.problems), "calls": calls, "replay": str(self.scenario)}
 
@@ -122,56 +133,64 @@ class Failure:
         return "\n".join([*lines, f"replay: mcp-asdf crosscheck --replay {self.scenario}"])
 
 
-Judge = Callable[[Setup, Call, Look, Look], list[str]]
-"""Judges a call by the looks before and after it; returns problems."""
+CheckCall = Callable[[Setup, Call, CallResult, CallResult], list[str]]
+"""Checks a call by the results before and after it, and returns a line for each problem."""
 
-Check = Callable[[Scenario], Failure | None]
+CheckScenario = Callable[[Scenario], Failure | None]
+"""Runs a scenario, and returns what is wrong in it."""
 
 
 def compare_firmwares(
-    scenario: Scenario, left: Firmware, right: Firmware, judge: Judge | None = None
+    scenario: Scenario, first: Firmware, second: Firmware, check_call: CheckCall | None = None
 ) -> Failure | None:
-    """Take both firmwares through the scenario and stop at the first difference or complaint of ``judge``."""
-    one, other = Subject(left, scenario.setup), Subject(right, scenario.setup)
-    problems = list(differences(one.last, other.last))
+    """Run a scenario on both firmwares up to the first call in which something is wrong.
+
+    That is a difference between them or, if they agree, a problem that ``check_call`` reports.
+    """
+    first_robot = RobotUnderTest(first, scenario.setup)
+    second_robot = RobotUnderTest(second, scenario.setup)
+    problems = list(differences(first_robot.last_result, second_robot.last_result))
     if problems:
         return Failure(scenario.with_calls(()), tuple(problems))
-    for made, call in enumerate(scenario.calls if one.last.state else (), start=1):
-        before = one.last
-        problems = list(differences(one.apply(call), other.apply(call)))
-        if judge is not None and not problems:
-            problems = judge(scenario.setup, call, before, one.last)
+    is_made = bool(first_robot.last_result.state)
+    for call_count, call in enumerate(scenario.calls if is_made else (), start=1):
+        before = first_robot.last_result
+        after = first_robot.apply(call)
+        problems = list(differences(after, second_robot.apply(call)))
+        if check_call is not None and not problems:
+            problems = check_call(scenario.setup, call, before, after)
         if problems:
-            return Failure(scenario.with_calls(scenario.calls[:made]), tuple(problems))
+            return Failure(scenario.with_calls(scenario.calls[:call_count]), tuple(problems))
     return None
 
 
-def differences(left: Look, right: Look) -> Iterator[str]:
-    """Differences, a line each: the first firmware's value, then the second's; or an exception of both."""
-    if left.outcome != right.outcome:
-        yield f"status: {left.outcome}, {right.outcome}"
-    elif left.outcome not in OUTCOMES:
-        yield f"both: {left.outcome}"
-    if left == right or not left.state or not right.state:
+def differences(first: CallResult, second: CallResult) -> Iterator[str]:
+    """Yield a line for each difference, with the first value and the second, or for an exception of both."""
+    if first.outcome != second.outcome:
+        yield f"status: {first.outcome}, {second.outcome}"
+    elif first.outcome not in OUTCOMES:
+        yield f"both: {first.outcome}"
+    if first == second or not first.state or not second.state:
         return
-    for name in left.state | right.state:
-        one, other = left.state.get(name), right.state.get(name)
-        if one != other:
-            yield f"{name}: {one}, {other}"
-    for index, words in enumerate(zip(IMAGE.unpack(left.image), IMAGE.unpack(right.image), strict=True)):
-        if words[0] != words[1]:
-            yield f"save(), word {index}: {words[0]:#010x}, {words[1]:#010x}"
+    for name in first.state | second.state:
+        first_value, second_value = first.state.get(name), second.state.get(name)
+        if first_value != second_value:
+            yield f"{name}: {first_value}, {second_value}"
+    word_pairs = zip(IMAGE.unpack(first.image), IMAGE.unpack(second.image), strict=True)
+    for word_index, (first_word, second_word) in enumerate(word_pairs):
+        if first_word != second_word:
+            yield f"save(), word {word_index}: {first_word:#010x}, {second_word:#010x}"
 
 
 @dataclass
 class CrosscheckResult:
-    """The result of a cross-check.
+    """What a cross-check has done.
 
     Attributes:
-        calls: Number of calls made and compared.
-        scenarios: Number of scenarios they belonged to.
-        failure: Something wrong, at which the check stopped.
-        interrupted: Ctrl-C ended it early.
+        calls: Number of calls that were made and compared.
+        scenarios: Number of scenarios to which they belong.
+        failure: The failure at which the check ended, if there was one.
+        interrupted: Whether Ctrl-C ended it early.
     """
 
     calls: int = 0
@@ -180,51 +199,67 @@ class CrosscheckResult:
     interrupted: bool = False
 
 
-def crosscheck(check: Check, seed: int, calls: int, report: Callable[[int], object]) -> CrosscheckResult:
-    """Check the random scenarios of ``seed`` until ``calls`` calls are made or something is found.
+def run_crosscheck(
+    check_scenario: CheckScenario, seed: int, calls: int, on_calls: Callable[[int], object]
+) -> CrosscheckResult:
+    """Check the random scenarios of ``seed`` until ``calls`` calls were made, or a scenario fails.
 
-    ``report`` gets the number of calls made in every scenario.
+    ``on_calls`` is called after each scenario with the number of calls that were made in it.
     """
-    outcome = CrosscheckResult()
+    result = CrosscheckResult()
     try:
-        while outcome.calls < calls and outcome.failure is None:
-            scenario = _scenario(seed, outcome.scenarios)
-            scenario = scenario.with_calls(scenario.calls[: calls - outcome.calls])
-            outcome.failure = check(scenario)
-            made = len((outcome.failure or Failure(scenario, ())).scenario.calls)
-            outcome.calls += made
-            outcome.scenarios += 1
-            report(made)
+        while result.calls < calls and result.failure is None:
+            whole_scenario = _generate_scenario(seed, result.scenarios)
+            scenario = whole_scenario.with_calls(whole_scenario.calls[: calls - result.calls])
+            result.failure = check_scenario(scenario)
+            scenario_made = scenario if result.failure is None else result.failure.scenario
+            result.calls += len(scenario_made.calls)
+            result.scenarios += 1
+            on_calls(len(scenario_made.calls))
     except KeyboardInterrupt:
-        outcome.interrupted = True
-    return outcome
+        result.interrupted = True
+    return result
 
 
-def _scenario(seed: int, number: int) -> Scenario:
-    """Every fourth scenario is of a robot with the robust filter."""
-    fours, place = divmod(number, 4)
-    return robust_scenario(seed, fours) if place == 3 else random_scenario(seed, 3 * fours + place)
+def _generate_scenario(seed: int, index: int) -> Scenario:
+    """Return the scenario of this index; every fourth is of a robot with the robust filter."""
+    group, index_in_group = divmod(index, 4)
+    if index_in_group == 3:
+        return robust_scenario(seed, group)
+    return random_scenario(seed, 3 * group + index_in_group)
 
 
-def shrink(failure: Failure, check: Check) -> Failure:
-    """The failure without calls that ``check`` does not need to find something.
+def shrink(failure: Failure, check_scenario: CheckScenario) -> Failure:
+    """Return a failure of as few calls as possible, by leaving out calls without which the check still fails.
 
-    The result is minimal: without any one of its calls, or any one word that a restore replaces, nothing is
-    found. Needs a few hundred runs of the check for a scenario of a hundred calls.
+    The result is minimal: without any one of its calls, or any one word that a restore replaces, the check
+    passes. For a scenario of a hundred calls this takes a few hundred runs of the check.
     """
-    size = len(failure.scenario.calls)
-    while size:
-        found = next(filter(None, map(check, _shorter(failure.scenario, size))), None)
-        failure, size = (failure, size // 2) if found is None else (found, size)
+    run_length = len(failure.scenario.calls)
+    while run_length:
+        shorter_failures = filter(None, map(check_scenario, _shorter_scenarios(failure.scenario, run_length)))
+        shorter_failure = next(shorter_failures, None)
+        if shorter_failure is None:
+            run_length //= 2
+        else:
+            failure = shorter_failure
     return failure
 
 
-def _shorter(scenario: Scenario, size: int) -> Iterator[Scenario]:
-    """The scenario without a run of ``size`` calls; where that is one, also without one word of a restore."""
+def _shorter_scenarios(scenario: Scenario, run_length: int) -> Iterator[Scenario]:
+    """Yield the scenario without each of its runs of ``run_length`` calls.
+
+    If that is one call, yield it also without each of the words that a restore replaces.
+    """
     calls = scenario.calls
-    for start in range(0, len(calls), size):
-        yield scenario.with_calls(calls[:start] + calls[start + size :])
-    for at, call in enumerate(calls if size == 1 else ()):
-        for pair in range(0, len(call.numbers) if call.name == "restore" else 0, 2):
-            fewer = Call("restore", call.numbers[:pair] + call.numbers[pair + 2 :])
-            yield scenario.with_calls((*calls[:at], fewer, *calls[at + 1 :]))
+    for start in range(0, len(calls), run_length):
+        yield scenario.with_calls(calls[:start] + calls[start + run_length :])
+    if run_length > 1:
+        return
+    for call_index, call in enumerate(calls):
+        if call.name != "restore":
+            continue
+        for pair_start in range(0, len(call.numbers), 2):
+            fewer_numbers = call.numbers[:pair_start] + call.numbers[pair_start + 2 :]
+            shorter_call = Call("restore", fewer_numbers)
+            yield scenario.with_calls((*calls[:call_index], shorter_call, *calls[call_index + 1 :]))

@@ -1,8 +1,8 @@
-"""Counting the interpreter's instructions of every call: the claims that time is O(1) and memory O(q).
+"""Count the instructions of every call in Python's interpreter, to check that time is O(1) and memory O(q).
 
-The mirror's code runs as it is and every bytecode instruction is counted, so a loop shows whatever it loops
-over. The count is taken over t, over the messages m of a round and over the table's q, with both outcomes of
-every decision. Each instruction takes a bounded time, for the mirror's integers are those of the C.
+The mirror's own code runs, and every bytecode instruction is counted, so a loop shows whatever it loops over.
+Calls are counted over t, over the number m of messages in a round and over the table's q, with both outcomes
+of every decision. Each instruction takes a bounded time, as the mirror's integers are those of the C.
 """
 
 from __future__ import annotations
@@ -23,37 +23,43 @@ from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MIN_MEMORY, Config, Filter, O
 from mcp_asdf.table import MAX_Q, MIN_Q, Table
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
-_OWN, _HEARD, _FRESH, _ALPHA_ONE = 127, 0, 126, 0x80000001
-_CENTRES = 0, (1 << 29) - (1 << 24)
-"""Of the robust filter: one that a count of half of the tiles contradicts, and one that it does not."""
+_OWN_ID = 127
+_ID_IN_ROUND = 0
+_ID_NOT_IN_ROUND = 126
+_ALPHA_ONE = 0x80000001
+"""The alpha word of 1.0."""
+
+_CENTRE_THAT_CONTRADICTS = 0
+_CENTRE_THAT_AGREES = (1 << 29) - (1 << 24)
+"""Centres of the robust filter that contradict half of the tiles being black, and that do not."""
 
 AXES = ("t", "m", "q")
 CALLS: dict[str, Callable[[MirrorRobot], object]] = {
     "observe": lambda robot: robot.observe(Observation.BLACK),
-    "receive": lambda robot: robot.receive_raw(_FRESH, ONE // 3, _ALPHA_ONE),
-    "receive again": lambda robot: robot.receive_raw(_HEARD, ONE // 3, _ALPHA_ONE),
-    "receive own": lambda robot: robot.receive_raw(_OWN, ONE // 3, _ALPHA_ONE),
+    "receive": lambda robot: robot.receive_raw(_ID_NOT_IN_ROUND, ONE // 3, _ALPHA_ONE),
+    "receive again": lambda robot: robot.receive_raw(_ID_IN_ROUND, ONE // 3, _ALPHA_ONE),
+    "receive own": lambda robot: robot.receive_raw(_OWN_ID, ONE // 3, _ALPHA_ONE),
     "settle": lambda robot: robot.settle(),
     "step": lambda robot: robot.step(Observation.WHITE),
     "x": lambda robot: robot.x_raw,
 }
 
 Counts = dict[str, dict[str, dict[int, int]]]
-"""Largest number of instructions by call, with the robust filter apart, by t, m or q, and by its value. The
-robust filter has no q."""
+"""Largest number of instructions by call, axis and value on the axis. Calls of robots with the robust filter
+are apart, as "settle, robust"; they have no values for q."""
 
-_TOO_MANY = 4000
-"""A call is cut short there: a loop over t would not end."""
+_MAX_INSTRUCTIONS = 4000
+"""Longer calls are cut short here, as a loop over t would not end."""
 
 
 class _CutShortError(Exception):
     """Ends a call that has executed too many instructions."""
 
 
-def instructions(act: Callable[[], object]) -> int:
-    """The number of bytecode instructions that ``act`` executes, cut short at 4000.
+def count_instructions(action: Callable[[], object]) -> int:
+    """Return the number of bytecode instructions that ``action`` executes; it is cut short after 4000.
 
-    Garbage is not collected meanwhile: finalizers of whatever else the process has made would be counted.
+    The garbage collector is off meanwhile: finalizers of other objects of the process would be counted.
     """
     count = 0
 
@@ -61,38 +67,39 @@ def instructions(act: Callable[[], object]) -> int:
         nonlocal count
         frame.f_trace_opcodes = True
         count += event == "opcode"
-        if count > _TOO_MANY:
+        if count > _MAX_INSTRUCTIONS:
             raise _CutShortError
         return trace
 
-    previous, collects = sys.gettrace(), gc.isenabled()
+    previous_trace, is_collecting = sys.gettrace(), gc.isenabled()
     gc.disable()
     sys.settrace(trace)
     try:
-        act()
+        action()
     except _CutShortError:
         pass
     finally:
-        sys.settrace(previous)
-        if collects:
+        sys.settrace(previous_trace)
+        if is_collecting:
             gc.enable()
     return count
 
 
 @dataclass(frozen=True)
-class Situation:
-    """A robot before an observation, and before the end of a round at which the filter runs.
+class Workload:
+    """A robot whose calls are counted: before an observation, and in the last round before the filter runs.
 
     Attributes:
-        t, n: Observations, the next one included, and the black ones among them.
-        b_hat: Assumed accuracy (raw).
-        m: Messages in its open round, and in the last closed one.
-        alpha: Confidence of these messages and its own, about.
-        q: Entries of its table.
+        t: Number of observations, with the next one.
+        n: Number of black ones among them.
+        b_hat: Assumed accuracy in units of 2**-32.
+        m: Number of messages in the open round, and in the last closed one.
+        alpha: Alpha word of the robot's confidence; those of the messages differ in some bits.
+        q: Number of entries of the table.
         halves: Whether the memory halves t and n at the next observation.
-        agrees: Whether its x_hat is that of the messages, so that the hypothesis test does not reject.
-        robust: Whether it has the robust filter, and has had 128 votes for each of the m messages; then
-            ``agrees`` is about its count of black tiles.
+        agrees: Whether x_hat is that of the messages, so that the hypothesis test does not reject it. With
+            the robust filter: whether the crowd's centre agrees with half of the tiles being black.
+        robust: Whether the robot has the robust filter. It has had 128 votes for each of the m messages.
     """
 
     t: int = 1000
@@ -105,85 +112,103 @@ class Situation:
     agrees: bool = False
     robust: bool = False
 
-    def robot(self, firmware: type[MirrorRobot]) -> MirrorRobot:
-        """The robot."""
+    def make_robot(self, firmware: type[MirrorRobot]) -> MirrorRobot:
+        """Make the robot."""
         memory = self.t if self.halves else DEFAULT_MEMORY
         mode = Filter.ROBUST if self.robust else Filter.ADAPTIVE
-        robot = firmware(
-            Config(_table(self.q), mode, filter_period=1, memory=memory), _OWN, self.b_hat / 2**32
-        )
+        config = Config(_table(self.q), mode, filter_period=1, memory=memory)
+        robot = firmware(config, _OWN_ID, self.b_hat / 2**32)
         s = robot.s
-        s.t, s.n = self.t - 1, min(self.n, self.t - 1)
+        s.t = self.t - 1
+        s.n = min(self.n, self.t - 1)
         for sender in range(self.m):
-            robot.receive_raw(sender, ONE // 3 + 1000 * sender, self.alpha ^ sender << 8)
-        s.x_hat = s.open.x // s.open.count if self.agrees and s.open.count else ONE
+            robot.receive_raw(sender, ONE // 3 + 1000 * sender, self.alpha ^ (sender << 8))
+        has_estimates = s.open.count > 0
+        s.x_hat = s.open.x // s.open.count if self.agrees and has_estimates else ONE
         s.alpha = self.alpha
         s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
         if self.robust:
-            s.crowd.votes, s.crowd.centre = self.m << 7, _CENTRES[self.agrees]
+            s.crowd.votes = 128 * self.m
+            s.crowd.centre = _CENTRE_THAT_AGREES if self.agrees else _CENTRE_THAT_CONTRADICTS
         return robot
 
 
-def _situations() -> Iterator[tuple[str, int, Situation]]:
-    """An axis, a value of it, and a situation there."""
-    values = sorted({t for k in range(32) for t in ((1 << k) - 1, 1 << k) if t})
-    for t, robust in product(values, (False, True)):
+def workloads() -> Iterator[tuple[str, int, Workload]]:
+    """Yield workloads with their axis and value on it: t around powers of two, every m and every q."""
+    powers_of_two = [1 << exponent for exponent in range(32)]
+    t_values = sorted({t for power in powers_of_two for t in (power - 1, power) if t > 0})
+    for t, robust in product(t_values, (False, True)):
         for b_hat in (B_HAT_MIN, 1 << 31, 4080218931, B_HAT_MAX):
             for n in sorted({0, 2 * t // 5, t}):
-                yield "t", t, Situation(t=t, n=n, b_hat=b_hat, robust=robust)
+                yield "t", t, Workload(t=t, n=n, b_hat=b_hat, robust=robust)
         if t >= MIN_MEMORY and t % 4 == 0:
-            yield "t", t, Situation(t=t, n=t // 2, halves=True, robust=robust)
+            yield "t", t, Workload(t=t, n=t // 2, halves=True, robust=robust)
     for m in range(MAX_ID + 1):
-        yield "m", m, Situation(m=m)
-        yield "m", m, Situation(m=m, agrees=True)
-        yield "m", m, Situation(m=m, alpha=ALPHA_MAX)
+        yield "m", m, Workload(m=m)
+        yield "m", m, Workload(m=m, agrees=True)
+        yield "m", m, Workload(m=m, alpha=ALPHA_MAX)
         for agrees in (False, True):
-            yield "m", m, Situation(m=m, n=500, agrees=agrees, robust=True)
+            yield "m", m, Workload(m=m, n=500, agrees=agrees, robust=True)
     for q in range(MIN_Q, MAX_Q + 1):
+        # The first entry of the table, the last one of its own, and that for all larger m.
         for m in (2, q, min(q + 1, MAX_ID)):
-            yield "q", q, Situation(q=q, m=m)
+            yield "q", q, Workload(q=q, m=m)
 
 
 @cache
 def _table(q: int) -> Table:
-    """A table with q entries of the paper's omega; only their number matters here."""
-    whole = generate(parse_omega("0.05"), MAX_Q)
-    return replace(whole, entries=whole.entries[:q])
+    """Return a table with q entries, which are right for the paper's omega but for the last one.
+
+    Only their number matters here.
+    """
+    largest_table = generate(parse_omega("0.05"), MAX_Q)
+    return replace(largest_table, entries=largest_table.entries[:q])
 
 
 def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection[str] = AXES) -> Counts:
-    """Count the instructions of every call, over some of AXES. Takes a few seconds for all."""
-    counts: Counts = {name + kind: {axis: {} for axis in axes} for kind in ("", ", robust") for name in CALLS}
-    for axis, value, situation in _situations():
+    """Count the instructions of every call along some of AXES. Takes a few seconds for all of them."""
+    counts: Counts = {
+        name + suffix: {axis: {} for axis in axes} for suffix in ("", ", robust") for name in CALLS
+    }
+    for axis, value, workload in workloads():
         if axis not in axes:
             continue
-        plain, kind = situation.robot(firmware), ", robust" if situation.robust else ""
-        for name, act in CALLS.items():
-            robot = firmware.__new__(firmware)
-            robot.config, robot.s = plain.config, deepcopy(plain.s)
-            most = counts[name + kind][axis]
-            most[value] = max(most.get(value, 0), instructions(partial(act, robot)))
+        suffix = ", robust" if workload.robust else ""
+        robot = workload.make_robot(firmware)
+        for name, call in CALLS.items():
+            # A copy for each call, since calls change the robot.
+            copied_robot = firmware.__new__(firmware)
+            copied_robot.config = robot.config
+            copied_robot.s = deepcopy(robot.s)
+            count = count_instructions(partial(call, copied_robot))
+            count_by_value = counts[name + suffix][axis]
+            count_by_value[value] = max(count_by_value.get(value, 0), count)
     return counts
 
 
-def growing(counts: Counts) -> list[str]:
-    """Calls that take more instructions in the later half of an axis than in the earlier, or have no
-    end, a line each."""
+def find_growth(counts: Counts) -> list[str]:
+    """Return a line for each call that takes more instructions in the later half of an axis than before.
+
+    Calls that were cut short are among them.
+    """
     problems = []
-    for name, axes in counts.items():
-        for axis, most in axes.items():
-            values = sorted(most)
-            early, late = values[: len(values) // 2], values[len(values) // 2 :]
-            earlier, later = (max(map(most.__getitem__, half), default=0) for half in (early, late))
-            if later > min(earlier, _TOO_MANY):
-                where = f"where {axis} is {late[0]} to {late[-1]}"
-                problems.append(f"{name}: {later} instructions {where}, but {earlier} below")
+    for name, count_by_axis in counts.items():
+        for axis, count_by_value in count_by_axis.items():
+            values = sorted(count_by_value)
+            middle = len(values) // 2
+            early_maximum = max((count_by_value[value] for value in values[:middle]), default=0)
+            late_maximum = max((count_by_value[value] for value in values[middle:]), default=0)
+            if late_maximum > min(early_maximum, _MAX_INSTRUCTIONS):
+                late_range = f"where {axis} is {values[middle]} to {values[-1]}"
+                problems.append(
+                    f"{name}: {late_maximum} instructions {late_range}, but {early_maximum} below"
+                )
     return problems
 
 
 def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> dict[str, dict[int, int]]:
-    """Bytes of a table by q, and of the image that a robot saves by the messages m in its rounds."""
+    """Return the bytes of a table by q, and of a saved robot by the messages m in its rounds."""
     return {
         "tables": {q: 4 * len(_table(q).words()) for q in range(MIN_Q, MAX_Q + 1)},
-        "images": {m: len(Situation(m=m).robot(firmware).save()) for m in range(MAX_ID + 1)},
+        "images": {m: len(Workload(m=m).make_robot(firmware).save()) for m in range(MAX_ID + 1)},
     }

@@ -38,7 +38,7 @@ from mcp_asdf_tools.crosscheck.bounds import (
     robust_test_outcome,
     x_hat_bounds,
 )
-from mcp_asdf_tools.crosscheck.compare import Look, State
+from mcp_asdf_tools.crosscheck.compare import CallResult, State
 from mcp_asdf_tools.crosscheck.scenario import Call, Setup
 
 REGIONS = (
@@ -89,7 +89,7 @@ class Audit:
         self.tests = 0
         self.robust = Counter[str]()
 
-    def judge(self, setup: Setup, call: Call, before: Look, after: Look) -> list[str]:
+    def check_call(self, setup: Setup, call: Call, before: CallResult, after: CallResult) -> list[str]:
         """Check a call by the states before and after it, and return a line for each problem."""
         old_state, new_state = before.state, after.state
         is_robust = setup.filter == Filter.ROBUST

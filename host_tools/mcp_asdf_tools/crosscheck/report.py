@@ -1,4 +1,4 @@
-"""The findings of a cross-check, as tables for people and as plain data for machines."""
+"""Show the results of a cross-check: tables and a verdict for people, plain data for machines."""
 
 from __future__ import annotations
 
@@ -9,52 +9,55 @@ from rich.console import Group
 from rich.table import Table
 
 from mcp_asdf_tools.crosscheck.compare import CrosscheckResult
-from mcp_asdf_tools.crosscheck.operation_count import AXES, Counts, growing
+from mcp_asdf_tools.crosscheck.operation_count import AXES, Counts, find_growth
 from mcp_asdf_tools.crosscheck.oracle import Audit
 
 
 @dataclass(frozen=True)
-class Result:
-    """A whole cross-check.
+class CrosscheckReport:
+    """All results of a cross-check.
 
     Attributes:
         seed: Seed of the scenarios.
-        outcome: What was run; its failure shortened.
-        audit: Errors.
+        result: Calls and scenarios that were run, and the failure, made as short as possible.
+        audit: Errors of the results.
         counts: Instructions of the calls.
-        storage: Bytes of tables and of saved robots, as ``measure_storage`` gives them.
+        storage: Bytes of tables and of saved robots, as from ``measure_storage``.
     """
 
     seed: int
-    outcome: CrosscheckResult
+    result: CrosscheckResult
     audit: Audit
     counts: Counts
     storage: dict[str, dict[int, int]]
 
     @property
     def problems(self) -> list[str]:
-        """Claims about time and memory that do not hold."""
-        tables, images = self.storage["tables"], self.storage["images"]
-        wrong = [
-            f"a table with q = {q} takes {size} bytes" for q, size in tables.items() if size != 12 + 4 * q
+        """A line for each claim about time or memory that does not hold."""
+        table_problems = [
+            f"a table with q = {q} takes {size} bytes"
+            for q, size in self.storage["tables"].items()
+            if size != 12 + 4 * q
         ]
-        wrong += [f"robots take {sorted({*images.values()})} bytes"] if len({*images.values()}) != 1 else []
-        return growing(self.counts) + wrong
+        image_sizes = set(self.storage["images"].values())
+        image_problems = [f"robots take {sorted(image_sizes)} bytes"] if len(image_sizes) != 1 else []
+        return find_growth(self.counts) + table_problems + image_problems
 
     @property
     def is_good(self) -> bool:
-        """True if no difference or problem was found."""
-        return self.outcome.failure is None and not self.problems
+        """Whether no scenario failed and all claims about time and memory hold."""
+        return self.result.failure is None and not self.problems
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything, as plain data."""
+        """Return everything as plain data."""
+        failure = self.result.failure
         return {
             "ok": self.is_good,
             "seed": self.seed,
-            "steps": self.outcome.calls,
-            "scenarios": self.outcome.scenarios,
-            "interrupted": self.outcome.interrupted,
-            "failure": self.outcome.failure and self.outcome.failure.as_dict(),
+            "steps": self.result.calls,
+            "scenarios": self.result.scenarios,
+            "interrupted": self.result.interrupted,
+            "failure": None if failure is None else failure.as_dict(),
             "problems": self.problems,
             **self.audit.as_dict(),
             "operations": self.counts,
@@ -62,44 +65,51 @@ class Result:
         }
 
     def tables(self) -> Group:
-        """The measurements."""
-        errors = [
+        """Return tables of the largest errors and of the instructions."""
+        error_rows = [
             (row["quantity"], row["region"], row["samples"], f"{row['exact']:.2g}", f"{row['float64']:.2g}")
             for row in self.audit.as_dict()["errors"]
         ]
-        counts = [
-            (name, *(max(axes[axis].values(), default="-") for axis in AXES))
-            for name, axes in self.counts.items()
+        count_rows = [
+            (name, *(max(count_by_axis[axis].values(), default="-") for axis in AXES))
+            for name, count_by_axis in self.counts.items()
         ]
         regions = "by region of |2 b_hat - 1|, for b_hat of |2 x_bar - 1|; those of alpha are relative"
         return Group(
-            _table(f"largest errors {regions}", ("", "region", "samples", "exact", "float64"), errors),
-            _table(
+            _format_table(
+                f"largest errors {regions}", ("", "region", "samples", "exact", "float64"), error_rows
+            ),
+            _format_table(
                 "instructions of Python's interpreter per call, at most",
-                ("", *map("over {}".format, AXES)),
-                counts,
+                ("", *(f"over {axis}" for axis in AXES)),
+                count_rows,
             ),
         )
 
     def verdict(self) -> str:
-        """The conclusion; the last line replays a failure."""
-        outcome = self.outcome
+        """Return the conclusion in some lines; after a failure the last one replays it."""
+        result = self.result
+        image_size = max(self.storage["images"].values())
+        robust_events = ", ".join(f"{number} {name}" for name, number in sorted(self.audit.robust.items()))
+        interrupted = ", interrupted" if result.interrupted else ""
         lines = [
-            f"memory: 12 + 4 q bytes for a table, {max(self.storage['images'].values())} for a saved robot",
-            "the robust filter: "
-            + ", ".join(f"{number} {name}" for name, number in sorted(self.audit.robust.items())),
-            f"calls made and compared: {outcome.calls} in {outcome.scenarios} scenarios, seed {self.seed}"
-            + (", interrupted" if outcome.interrupted else ""),
+            f"memory: 12 + 4 q bytes for a table, {image_size} for a saved robot",
+            f"the robust filter: {robust_events}",
+            f"calls made and compared: {result.calls} in {result.scenarios} scenarios, seed {self.seed}"
+            + interrupted,
             *(f"FAILED: {problem}" for problem in self.problems),
-            str(outcome.failure or "native and mirror agree in every bit"),
+            str(result.failure or "native and mirror agree in every bit"),
         ]
         return "\n".join(lines)
 
 
-def _table(title: str, columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> Table:
+def _format_table(title: str, columns: tuple[str, ...], rows: list[tuple[Any, ...]]) -> Table:
+    """Return a table without borders, whose first column is aligned left and the others right."""
     table = Table(title=f"\n{title}", title_justify="left", box=None, padding=(0, 1), pad_edge=False)
-    for number, column in enumerate(columns):
-        table.add_column(column, justify="right" if number else "left", no_wrap=True)
+    first_column, *other_columns = columns
+    table.add_column(first_column, justify="left", no_wrap=True)
+    for column in other_columns:
+        table.add_column(column, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(*map(str, row))
     return table

@@ -1,11 +1,11 @@
-"""``mcp-asdf crosscheck``: what it prints of agreement, failures and interrupts."""
+"""``mcp-asdf crosscheck``: its reports of agreement, failures and interrupts."""
 
 from __future__ import annotations
 
 import json
 import re
 import shlex
-from typing import cast
+from typing import Any, cast
 
 import pytest
 
@@ -22,101 +22,88 @@ from mcp_asdf_tools.crosscheck.scenario import parse_scenario
 
 COUNTS: Counts = {
     "x": {axis: {1: 58, 2: 58} for axis in AXES},
-    "x, robust": {axis: {1: 9, 2: 9} for axis in ("t", "m")} | {"q": {}},
+    "x, robust": {"t": {1: 9, 2: 9}, "m": {1: 9, 2: 9}, "q": {}},
 }
 STORAGE = {"tables": {30: 132}, "images": {0: 124, 127: 124}}
 
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Take what counting gives for granted."""
+def skip_counting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replace counting, which takes seconds, by what it may return."""
     monkeypatch.setattr(command, "count_operations", lambda: COUNTS)
     monkeypatch.setattr(command, "measure_storage", lambda: STORAGE)
 
 
 def use_mirror(monkeypatch: pytest.MonkeyPatch, mirror: Firmware) -> None:
     """Let the command load another mirror."""
-    monkeypatch.setattr(command, "load_firmware", {"native": NativeRobot, "mirror": mirror}.__getitem__)
+    firmwares = {"native": NativeRobot, "mirror": mirror}
+    monkeypatch.setattr(command, "load_firmware", firmwares.__getitem__)
 
 
 def main(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    """Run the command, and return its exit code, output and errors."""
     code = cli.main(["crosscheck", *arguments])
-    return code, *capsys.readouterr()
+    output = capsys.readouterr()
+    return code, output.out, output.err
 
 
-def test_the_command_reports_everything(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = main(capsys, "--steps", "6000", "--json")
-    report = json.loads(out)
-    errors, tests, robust = (report.pop(name) for name in ("errors", "tests", "robust"))
-    assert code == 0
-    assert (report.pop("scenarios") > 10, tests > 20) == (True, True)
-    assert robust.keys() >= {"voted", "moving", "too few", "rejected", "returned", "kept"}
+def json_report(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    """Run the command with --json, and return its report."""
+    _, output, _ = main(capsys, *arguments, "--json")
+    report: dict[str, Any] = json.loads(output)
+    return report
+
+
+# --- The whole check -------------------------------------------------------------------------------------
+
+
+def test_the_report_has_all_results(capsys: pytest.CaptureFixture[str]) -> None:
+    report = json_report(capsys, "--steps", "6000")
+    errors, tests, robust = report.pop("errors"), report.pop("tests"), report.pop("robust")
+    assert report.pop("scenarios") > 10
     assert report == {
-        **{"ok": True, "seed": SEED, "steps": 6000, "interrupted": False, "failure": None, "problems": []},
-        **json.loads(json.dumps({"operations": COUNTS, "storage": STORAGE})),
+        "ok": True,
+        "seed": SEED,
+        "steps": 6000,
+        "interrupted": False,
+        "failure": None,
+        "problems": [],
+        "operations": json.loads(json.dumps(COUNTS)),
+        "storage": json.loads(json.dumps(STORAGE)),
     }
+    assert tests > 20
+    assert robust.keys() >= {"voted", "moving", "too few", "rejected", "returned", "kept"}
     assert {row["quantity"] for row in errors} == set(oracle.QUANTITIES)
-    assert all(0 <= row["exact"] < 1e-3 > row["float64"] for row in errors)
+    assert all(row["exact"] < 1e-3 and row["float64"] < 1e-3 for row in errors)
 
 
-def test_the_command_speaks_to_people(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = main(capsys, "--steps", "2000", "--seed", "4")
-    assert (code, err) == (0, "")
-    *lines, memory, robust, calls, verdict, again = out.splitlines()
-    assert re.search(r"x_hat +0.999 to 1 +\d+ +[\d.e-]+ +[\d.e-]+\n", out)
-    assert (lines[0], lines[2]) == ("", "              region  samples    exact  float64")
-    assert lines[-5:] == [
-        *("", "instructions of Python's interpreter per call, at most", "           over t  over m  over q"),
-        *("x              58      58      58", "x, robust       9       9       -"),
-    ]
-    assert re.fullmatch(r"the robust filter: (\d+ [a-z ]+(, |$))+", robust)
+def test_the_verdict_says_what_was_compared_and_how_to_repeat_it(capsys: pytest.CaptureFixture[str]) -> None:
+    code, output, errors = main(capsys, "--steps", "2000", "--seed", "4")
+    assert (code, errors) == (0, "")
+    memory, robust, calls, verdict, repeat = output.splitlines()[-5:]
     assert memory == "memory: 12 + 4 q bytes for a table, 124 for a saved robot"
+    assert re.fullmatch(r"the robust filter: (\d+ [a-z ]+(, |$))+", robust)
     assert re.fullmatch(r"calls made and compared: 2000 in \d+ scenarios, seed 4", calls)
     assert verdict == "native and mirror agree in every bit"
-    assert again == "again: mcp-asdf crosscheck --steps 2000 --seed 4"
+    assert repeat == "again: mcp-asdf crosscheck --steps 2000 --seed 4"
 
 
-def test_a_failure_is_printed_with_a_line_that_replays_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    use_mirror(monkeypatch, mirror_with(FAULTS["halving: ties to even"]))
-    code, out, _ = main(capsys, "--steps", "30000")
-    *_, last = out.splitlines()
-    assert code == 1
-    assert last.startswith("replay: mcp-asdf crosscheck --replay ")
-    replay = shlex.split(last)[3:]
-    scenario = parse_scenario(replay[1])
-    assert len(scenario.calls) == 2, "no fewer show it"
-    code, again, _ = main(capsys, *replay)
-    assert code == 1
-    assert out.endswith(again), "the replay shows something else"
-    code, report, _ = main(capsys, *replay, "--json")
-    failure = json.loads(report)["failure"]
-    assert code == 1
-    assert (failure["replay"], failure["calls"]) == (replay[1], [str(call) for call in scenario.calls])
-    assert failure["problems"][0].startswith("n: ")
-    monkeypatch.undo()
-    told = f"native and mirror agree in every bit over {len(scenario.calls)} calls\n"
-    assert main(capsys, *replay) == (0, told, "")
-
-
-def test_a_replay_tells_the_calls_made(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    replay = ["--replay", f"{ROBOT},observe:1,settle,observe:9", "--json"]
-    assert json.loads(main(capsys, *replay)[1]) == {"ok": True, "status": "OK", "calls": 3, "failure": None}
-    refused = ["--replay", "robot:9:1:64:0:3221225472,observe:1,observe:1"]
-    told = "native and mirror both refuse to make this robot (ERR_CONFIG); no call was made\n"
-    assert main(capsys, *refused) == (0, told, "")
-    report = json.loads(main(capsys, *refused, "--json")[1])
-    assert report == {"ok": True, "status": "ERR_CONFIG", "calls": 0, "failure": None}
-    use_mirror(monkeypatch, cast(Firmware, BrokenRobot))
-    report = json.loads(main(capsys, *replay)[1])
-    assert (report["ok"], report["status"], report["calls"]) == (False, "OK", 2)
+def test_errors_and_instructions_are_shown_in_tables(capsys: pytest.CaptureFixture[str]) -> None:
+    _, output, _ = main(capsys, "--steps", "2000", "--seed", "4")
+    lines = output.splitlines()[:-5]
+    assert (lines[0], lines[2]) == ("", "              region  samples    exact  float64")
+    assert re.search(r"x_hat +0.999 to 1 +\d+ +[\d.e-]+ +[\d.e-]+\n", output)
+    assert lines[-5:] == [
+        "",
+        "instructions of Python's interpreter per call, at most",
+        "           over t  over m  over q",
+        "x              58      58      58",
+        "x, robust       9       9       -",
+    ]
 
 
 @pytest.mark.parametrize(
-    ("operations", "storage", "told"),
+    ("operations", "storage", "problem"),
     [
         (
             {"x": {"m": {1: 9, 2: 10, 3: 11, 126: 10, 127: 10}}},
@@ -132,38 +119,89 @@ def test_a_replay_tells_the_calls_made(
         (COUNTS, STORAGE | {"images": {0: 124, 1: 125}}, "robots take [124, 125] bytes"),
     ],
 )
-def test_a_claim_that_does_not_hold_fails_the_command(
+def test_a_claim_about_time_or_memory_that_does_not_hold_fails_the_check(
     operations: Counts,
     storage: dict[str, dict[int, int]],
-    told: str,
+    problem: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(command, "count_operations", lambda: operations)
     monkeypatch.setattr(command, "measure_storage", lambda: storage)
-    code, out, _ = main(capsys, "--steps", "1", "--seed", "0", "--json")
-    assert (code, json.loads(out)["problems"]) == (1, [told])
+    code, output, _ = main(capsys, "--steps", "1", "--seed", "0", "--json")
+    assert (code, json.loads(output)["problems"]) == (1, [problem])
 
 
 class InterruptedRobot(MirrorRobot):
-    """Ctrl-C comes while it works."""
+    """Is interrupted by Ctrl-C at its 51st observation."""
 
-    calls = 0
+    observations = 0
 
     def observe(self, z: Observation) -> Status:
-        InterruptedRobot.calls += 1
-        if InterruptedRobot.calls > 50:
+        InterruptedRobot.observations += 1
+        if InterruptedRobot.observations > 50:
             raise KeyboardInterrupt
         return super().observe(z)
 
 
-def test_an_interrupt_reports_what_was_done(
+def test_an_interrupted_check_reports_what_was_done(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     use_mirror(monkeypatch, InterruptedRobot)
-    code, out, _ = main(capsys, "--steps", "100000")
+    code, output, _ = main(capsys, "--steps", "100000")
     assert code == 130
-    assert re.search(r"compared: \d{1,3} in \d+ scenarios, seed 1, interrupted\n", out)
+    assert re.search(r"compared: \d{1,3} in \d+ scenarios, seed 1, interrupted\n", output)
+
+
+# --- A failure and its replay ----------------------------------------------------------------------------
+
+
+def test_a_failure_is_shown_by_the_fewest_calls_and_a_line_that_replays_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    use_mirror(monkeypatch, mirror_with(FAULTS["halving: ties to even"]))
+    code, output, _ = main(capsys, "--steps", "30000")
+    last_line = output.splitlines()[-1]
+    assert code == 1
+    assert last_line.startswith("replay: mcp-asdf crosscheck --replay ")
+    _, _, _, *replay = shlex.split(last_line)
+    assert len(parse_scenario(replay[1]).calls) == 2
+
+    code, replay_output, _ = main(capsys, *replay)
+    assert code == 1
+    assert output.endswith(replay_output)
+
+    failure = json_report(capsys, *replay)["failure"]
+    assert failure["replay"] == replay[1]
+    assert failure["calls"] == [str(call) for call in parse_scenario(replay[1]).calls]
+    assert failure["problems"][0].startswith("n: ")
+
+
+def test_a_replay_without_a_difference_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    expected = "native and mirror agree in every bit over 3 calls\n"
+    replay = f"{ROBOT},observe:1,settle,observe:9"
+    assert main(capsys, "--replay", replay) == (0, expected, "")
+    report = json_report(capsys, "--replay", replay)
+    assert report == {"ok": True, "status": "OK", "calls": 3, "failure": None}
+
+
+def test_a_replay_of_a_robot_that_both_refuse_makes_no_call(capsys: pytest.CaptureFixture[str]) -> None:
+    replay = "robot:9:1:64:0:3221225472,observe:1,observe:1"
+    expected = "native and mirror both refuse to make this robot (ERR_CONFIG); no call was made\n"
+    assert main(capsys, "--replay", replay) == (0, expected, "")
+    report = json_report(capsys, "--replay", replay)
+    assert report == {"ok": True, "status": "ERR_CONFIG", "calls": 0, "failure": None}
+
+
+def test_a_replay_with_a_difference_counts_the_calls_up_to_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    use_mirror(monkeypatch, cast(Firmware, BrokenRobot))
+    report = json_report(capsys, "--replay", f"{ROBOT},observe:1,settle,observe:9")
+    assert (report["ok"], report["status"], report["calls"]) == (False, "OK", 2)
+
+
+# --- Bad usage -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -176,7 +214,9 @@ def test_an_interrupt_reports_what_was_done(
         (["--replay", ROBOT, "--seed", "5"], "--replay runs one scenario"),
     ],
 )
-def test_bad_usage(arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = main(capsys, *arguments)
-    assert (code, out) == (2, "")
-    assert complaint in err
+def test_a_wrong_option_is_refused(
+    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, output, errors = main(capsys, *arguments)
+    assert (code, output) == (2, "")
+    assert complaint in errors

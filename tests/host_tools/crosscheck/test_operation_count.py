@@ -1,26 +1,29 @@
-"""The count of instructions: time and storage are bounded whatever t, m and q, and growth is caught."""
+"""The count of instructions: time and storage are bounded whatever t, m and q, and growth is found."""
 
 from __future__ import annotations
 
 import gc
-import hashlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import pytest
 
 from mcp_asdf.mirror import MirrorRobot, State
-from mcp_asdf.robot import Observation, Status
+from mcp_asdf.robot import Config, Filter, Observation, Status
 from mcp_asdf_tools.crosscheck.operation_count import (
     CALLS,
-    _situations,
+    Counts,
+    Workload,
+    count_instructions,
     count_operations,
-    growing,
-    instructions,
+    find_growth,
     measure_storage,
+    workloads,
 )
 from support import slow
+
+# --- Counting --------------------------------------------------------------------------------------------
 
 
 def loop(times: int) -> None:
@@ -28,87 +31,195 @@ def loop(times: int) -> None:
         pass
 
 
-def test_instructions_are_counted_inside_every_call_and_nothing_is_left_behind() -> None:
-    """Other watchers, such as a debugger, are back afterwards; what has no end is cut short."""
+def test_instructions_of_a_loop_are_counted() -> None:
+    none, one, ten = (count_instructions(partial(loop, times)) for times in (0, 1, 10))
+    assert none > 0
+    assert ten - one == 9 * (one - none) > 0
 
-    def other(frame: object, event: str, argument: object) -> None:
+
+def test_a_call_without_end_is_cut_short() -> None:
+    assert count_instructions(partial(loop, 10**9)) == 4001
+
+
+def test_a_debugger_is_back_after_counting() -> None:
+    def debugger(frame: object, event: str, argument: object) -> None:
         return None
 
-    before = sys.gettrace()
-    sys.settrace(other)
+    previous_trace = sys.gettrace()
+    sys.settrace(debugger)
     try:
-        none, one, ten, endless = (instructions(partial(loop, times)) for times in (0, 1, 10, 10**9))
-        assert sys.gettrace() is other and gc.isenabled()
+        count_instructions(partial(loop, 1))
+        assert sys.gettrace() is debugger
     finally:
-        sys.settrace(before)
-    assert none > 0 and ten - one == 9 * (one - none) > 0
-    assert endless == 4001
-    collects: list[bool] = []
-    for usual in (gc.disable, gc.enable):
-        usual()
-        instructions(lambda: collects.append(gc.isenabled()))
-        collects.append(gc.isenabled())
-    assert collects == [False, False, False, True]
+        sys.settrace(previous_trace)
 
 
-def test_situations_are_what_they_say() -> None:
-    """A round ends with a test that rejects and one that does not, and with the robust filter likewise."""
-    every = [*_situations()]
-    digest = hashlib.sha256(repr(every).encode())
-    for each in (each for _, value, each in every if value in (1, 2, 9, 64, 1 << 20)):
-        robot = each.robot(MirrorRobot)
-        digest.update(robot.save())
-        assert robot.config.table is None or robot.config.table.q == each.q
-        if each.t == 1000 and (each.m > 9 or not each.robust):
-            assert (robot.settle() == Status.UPDATED) == (each.m > 1 and not each.agrees)
-        assert robot.observe(Observation.BLACK) == Status.OK
-        assert robot.t == (each.t // 2 if each.halves else each.t)
-    assert digest.hexdigest()[:8] == "037100e3", "instructions are counted in other situations"
+@pytest.fixture
+def collector_switched_back() -> Iterator[None]:
+    yield
+    gc.enable()
+
+
+@pytest.mark.parametrize(("switch", "is_on"), [(gc.disable, False), (gc.enable, True)])
+@pytest.mark.usefixtures("collector_switched_back")
+def test_the_garbage_collector_is_off_while_counting_and_then_as_before(
+    switch: Callable[[], None], is_on: bool
+) -> None:
+    was_on: list[bool] = []
+    switch()
+    count_instructions(lambda: was_on.append(gc.isenabled()))
+    assert (was_on, gc.isenabled()) == ([False], is_on)
+
+
+# --- Workloads -------------------------------------------------------------------------------------------
+
+
+def workloads_at(axis: str, value: int) -> list[Workload]:
+    """Return the workloads at a value of an axis."""
+    return [workload for name, at, workload in workloads() if (name, at) == (axis, value)]
+
+
+def test_workloads_at_a_t_are_of_all_kinds_of_accuracies_and_counts() -> None:
+    least, half, usual, most = 2**12, 2**31, 4080218931, 2**32 - 2**12
+    expected = [
+        Workload(t=64, n=n, b_hat=b_hat, robust=robust)
+        for robust in (False, True)
+        for b_hat in (least, half, usual, most)
+        for n in (0, 25, 64)
+    ]
+    expected.insert(12, Workload(t=64, n=32, halves=True))
+    expected.append(Workload(t=64, n=32, halves=True, robust=True))
+    assert workloads_at("t", 64) == expected
+
+
+def test_workloads_at_a_t_that_no_memory_can_have_are_not_halved() -> None:
+    assert not any(workload.halves for t in (32, 63, 127) for workload in workloads_at("t", t))
+
+
+def test_workloads_cover_t_around_powers_of_two() -> None:
+    t_values = {value for axis, value, _ in workloads() if axis == "t"}
+    powers = [2**exponent for exponent in range(32)]
+    assert t_values == {*powers, *(power - 1 for power in powers[1:])}
+
+
+def test_workloads_at_an_m_have_tests_of_both_outcomes_and_the_largest_sums() -> None:
+    assert workloads_at("m", 9) == [
+        Workload(m=9),
+        Workload(m=9, agrees=True),
+        Workload(m=9, alpha=0xFFFFFF1F),
+        Workload(m=9, n=500, robust=True),
+        Workload(m=9, n=500, agrees=True, robust=True),
+    ]
+
+
+@pytest.mark.parametrize(("q", "m_values"), [(2, [2, 2, 3]), (30, [2, 30, 31]), (127, [2, 127, 127])])
+def test_workloads_at_a_q_use_the_first_and_the_last_entries(q: int, m_values: list[int]) -> None:
+    assert workloads_at("q", q) == [Workload(q=q, m=m) for m in m_values]
+
+
+def test_a_workload_is_a_robot_in_the_last_round_before_its_filter_runs() -> None:
+    robot = Workload(t=1000, n=400, m=3, q=30).make_robot(MirrorRobot)
+    s = robot.s
+    assert (robot.id, robot.config.filter_period, s.filter_left) == (127, 1, 1)
+    assert (s.t, s.n, s.x_hat, s.alpha, s.accuracy.b_hat) == (999, 400, 2**23, 0x80000001, 3 << 30)
+    assert (s.open.count, s.open.x) == (3, 3 * (2**23 // 3) + 3000)
+    assert s.closed.alpha == s.open.alpha > 0 and s.closed.alpha_x > 0
+    assert robot.config.table is not None and robot.config.table.q == 30
+
+
+def test_a_workload_without_messages_has_an_x_hat_of_1() -> None:
+    assert Workload(m=0, agrees=True).make_robot(MirrorRobot).s.x_hat == 2**23
+
+
+def test_a_robust_workload_has_128_votes_for_each_message() -> None:
+    robot = Workload(m=3, robust=True).make_robot(MirrorRobot)
+    assert robot.config == Config(robot.config.table, Filter.ROBUST, filter_period=1)
+    assert (robot.s.crowd.votes, robot.s.crowd.voices) == (384, 0b111)
+
+
+@pytest.mark.parametrize("robust", [False, True])
+@pytest.mark.parametrize("m", [10, 127])
+@pytest.mark.parametrize(("agrees", "status"), [(False, Status.UPDATED), (True, Status.OK)])
+def test_the_filter_updates_unless_the_workload_agrees(
+    robust: bool, m: int, agrees: bool, status: Status
+) -> None:
+    robot = Workload(m=m, n=500, agrees=agrees, robust=robust).make_robot(MirrorRobot)
+    assert robot.settle() == status
+
+
+@pytest.mark.parametrize(("halves", "t"), [(False, 64), (True, 32)])
+def test_the_next_observation_makes_t_or_halves_it(halves: bool, t: int) -> None:
+    robot = Workload(t=64, n=32, halves=halves).make_robot(MirrorRobot)
+    assert robot.observe(Observation.BLACK) == Status.OK
+    assert robot.t == t
+
+
+# --- Time and storage ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def operations() -> Counts:
+    return count_operations()
 
 
 # design: R34
-def test_calls_do_not_grow_over_the_whole_range() -> None:
-    operations = count_operations()
-    assert growing(operations) == []
+def test_no_call_of_the_mirror_grows(operations: Counts) -> None:
+    assert find_growth(operations) == []
     assert operations.keys() == CALLS.keys() | {f"{name}, robust" for name in CALLS}
-    for name, axes in operations.items():
-        assert {1, 2, 2**31 - 1, 2**31} <= axes["t"].keys()
-        assert axes["m"].keys() == set(range(128))
-        assert axes["q"].keys() == (set() if "robust" in name else set(range(2, 128)))
-        assert all(0 < count < 2000 for most in axes.values() for count in most.values())
-    # Both outcomes of the test, a new accuracy and all kinds of messages are counted.
-    of = {call: axes["m"] for call, axes in operations.items()}
-    assert of["settle"][0] < of["settle"][2] == of["settle"][127]
-    assert of["step"][127] > of["settle"][127] + min(of["observe"].values())
-    assert of["receive"][20] > of["receive again"][20] > of["receive own"][20]
-    # So are the robust filter's: no test with too few voices, a test, a new accuracy.
-    settles = of["settle, robust"]
-    assert settles[2] < settles[3] < settles[64] == settles[127]
-    assert of["receive, robust"][20] > of["receive again, robust"][20]
 
 
-def looping(times: Callable[[State], int]) -> type[MirrorRobot]:
-    """Loops so many times at the end of a round."""
+def test_calls_are_counted_over_the_ranges_of_t_m_and_q(operations: Counts) -> None:
+    for name, count_by_axis in operations.items():
+        assert {1, 2, 2**31 - 1, 2**31} <= count_by_axis["t"].keys()
+        assert count_by_axis["m"].keys() == set(range(128))
+        assert count_by_axis["q"].keys() == (set() if "robust" in name else set(range(2, 128)))
 
-    class Looping(MirrorRobot):
+
+def test_calls_take_less_than_2000_instructions(operations: Counts) -> None:
+    counts = [
+        count
+        for count_by_axis in operations.values()
+        for count_by_value in count_by_axis.values()
+        for count in count_by_value.values()
+    ]
+    assert min(counts) > 0 and max(counts) < 2000
+
+
+def test_both_outcomes_of_the_test_and_an_update_are_counted(operations: Counts) -> None:
+    count_by_m = {name: count_by_axis["m"] for name, count_by_axis in operations.items()}
+    settle = count_by_m["settle"]
+    assert settle[0] < settle[2] == settle[127]
+    assert count_by_m["step"][127] > settle[127] + min(count_by_m["observe"].values())
+    robust_settle = count_by_m["settle, robust"]
+    assert robust_settle[2] < robust_settle[3] < robust_settle[64] == robust_settle[127]
+
+
+def test_all_kinds_of_messages_are_counted(operations: Counts) -> None:
+    count = {name: count_by_axis["m"][20] for name, count_by_axis in operations.items()}
+    assert count["receive"] > count["receive again"] > count["receive own"]
+    assert count["receive, robust"] > count["receive again, robust"]
+
+
+def robot_that_loops(times: Callable[[State], int]) -> type[MirrorRobot]:
+    """Return a firmware that loops so many times at the end of a round."""
+
+    class LoopingRobot(MirrorRobot):
         def settle(self) -> Status:
             loop(times(self.s))
             return super().settle()
 
-    return Looping
+    return LoopingRobot
 
 
-class Endless(MirrorRobot):
-    """Loops once for each observation."""
-
+class RobotThatLoopsOverObservations(MirrorRobot):
     @property
     def x_raw(self) -> int:
         loop(self.s.t)
         return super().x_raw
 
 
-class Searching(MirrorRobot):
-    """Looks at each entry of the table, and saves all that it has heard."""
+class RobotThatSearchesItsTable(MirrorRobot):
+    """Looks at each entry of the table, and saves a byte for each message."""
 
     def settle(self) -> Status:
         assert self.config.table is not None
@@ -120,22 +231,27 @@ class Searching(MirrorRobot):
 
 
 @pytest.mark.parametrize(
-    ("robot", "axis", "calls"),
+    ("firmware", "axis", "growing_calls"),
     [
-        (looping(lambda state: state.open.count), "m", ["settle", "step"]),
-        (looping(lambda state: state.crowd.votes), "m", ["settle, robust", "step, robust"]),
-        (Searching, "q", ["settle", "step"]),
-        *slow([(Endless, "t", ["x", "x, robust"])]),
+        (robot_that_loops(lambda state: state.open.count), "m", ["settle", "step"]),
+        (robot_that_loops(lambda state: state.crowd.votes), "m", ["settle, robust", "step, robust"]),
+        (RobotThatSearchesItsTable, "q", ["settle", "step"]),
+        *slow([(RobotThatLoopsOverObservations, "t", ["x", "x, robust"])]),
     ],
 )
-def test_time_that_grows_is_caught(robot: type[MirrorRobot], axis: str, calls: list[str]) -> None:
-    problems = growing(count_operations(robot, [axis]))
-    assert sorted(problem.split(":")[0] for problem in problems) == calls
+def test_time_that_grows_is_found(firmware: type[MirrorRobot], axis: str, growing_calls: list[str]) -> None:
+    problems = find_growth(count_operations(firmware, [axis]))
+    assert sorted(problem.split(":")[0] for problem in problems) == growing_calls
     assert all(f"where {axis} is" in problem for problem in problems)
 
 
-def test_storage() -> None:
-    storage = measure_storage()
-    assert storage["images"] == dict.fromkeys(range(128), 124)
-    assert storage["tables"] == {q: 12 + 4 * q for q in range(2, 128)}
-    assert len({*measure_storage(Searching)["images"].values()}) == 128
+def test_a_saved_robot_has_the_same_size_whatever_it_has_received() -> None:
+    assert measure_storage()["images"] == dict.fromkeys(range(128), 124)
+
+
+def test_a_table_takes_4_bytes_an_entry() -> None:
+    assert measure_storage()["tables"] == {q: 12 + 4 * q for q in range(2, 128)}
+
+
+def test_storage_that_grows_is_measured() -> None:
+    assert len(set(measure_storage(RobotThatSearchesItsTable)["images"].values())) == 128

@@ -24,7 +24,7 @@ from mcp_asdf_tools.crosscheck.bounds import (
     robust_test_outcome,
     x_hat_bounds,
 )
-from mcp_asdf_tools.crosscheck.compare import Look, Subject
+from mcp_asdf_tools.crosscheck.compare import CallResult, RobotUnderTest
 from mcp_asdf_tools.crosscheck.oracle import REGIONS, Audit, Errors, region_of
 from mcp_asdf_tools.crosscheck.random_scenarios import robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import Call, Setup, parse_scenario
@@ -151,18 +151,18 @@ class CheckedCall:
 
     setup: Setup
     call: Call
-    before: Look
-    after: Look
+    before: CallResult
+    after: CallResult
 
 
 def check_calls(text: str, audit: Audit) -> Iterator[CheckedCall]:
     """Make the calls of a scenario, in which ``audit`` finds nothing wrong, and yield them."""
     scenario = parse_scenario(text)
-    subject = Subject(MirrorRobot, scenario.setup)
+    robot = RobotUnderTest(MirrorRobot, scenario.setup)
     for call in scenario.calls:
-        before = subject.last
-        after = subject.apply(call)
-        assert audit.judge(scenario.setup, call, before, after) == []
+        before = robot.last_result
+        after = robot.apply(call)
+        assert audit.check_call(scenario.setup, call, before, after) == []
         yield CheckedCall(scenario.setup, call, before, after)
 
 
@@ -172,9 +172,9 @@ def last_call(text: str, audit: Audit) -> CheckedCall:
     return checked_call
 
 
-def with_value(look: Look, name: str, value: int) -> Look:
-    """Return the look with another value of a field."""
-    return replace(look, state=look.state | {name: value})
+def with_value(result: CallResult, name: str, value: int) -> CallResult:
+    """Return the result with another value of a field of the state."""
+    return replace(result, state=result.state | {name: value})
 
 
 UPDATE = "robot:1:1:64:0:3221225472,step:1,step:0,receive:1:3000000:2147483649,step:0"
@@ -187,7 +187,7 @@ def problems_with_excess(name: str, excess: int) -> list[str]:
     update = last_call(UPDATE, audit)
     assert update.after.outcome == "UPDATED"
     wrong = with_value(update.after, name, update.after.state[name] + excess)
-    return audit.judge(update.setup, update.call, update.before, wrong)
+    return audit.check_call(update.setup, update.call, update.before, wrong)
 
 
 # design: R21
@@ -228,7 +228,7 @@ def test_an_update_without_cause_is_reported(mode: Filter, message_count: int) -
     audit = Audit()
     step = settle_with_messages(mode, message_count, audit)
     wrong = replace(step.after, outcome="UPDATED")
-    assert audit.judge(step.setup, step.call, step.before, wrong) == ["b_hat is re-estimated, wrongly"]
+    assert audit.check_call(step.setup, step.call, step.before, wrong) == ["b_hat is re-estimated, wrongly"]
     assert audit.tests == 0
 
 
@@ -237,7 +237,9 @@ def test_a_missing_update_is_reported(mode: Filter, message_count: int, tests: i
     audit = Audit()
     step = settle_with_messages(mode, message_count, audit)
     wrong = replace(step.after, outcome="OK")
-    assert audit.judge(step.setup, step.call, step.before, wrong) == ["b_hat is not re-estimated, wrongly"]
+    assert audit.check_call(step.setup, step.call, step.before, wrong) == [
+        "b_hat is not re-estimated, wrongly"
+    ]
     assert audit.tests == tests
 
 
@@ -245,14 +247,16 @@ def test_an_update_before_the_filter_period_has_passed_is_reported() -> None:
     audit = Audit()
     step = settle_with_messages(Filter.ALWAYS, 1, audit)
     too_early = with_value(step.before, "filter_left", 2)
-    assert audit.judge(step.setup, step.call, too_early, step.after) == ["b_hat is re-estimated, wrongly"]
+    assert audit.check_call(step.setup, step.call, too_early, step.after) == [
+        "b_hat is re-estimated, wrongly"
+    ]
 
 
 def test_nothing_is_expected_of_a_call_with_an_error() -> None:
     audit = Audit()
     step = settle_with_messages(Filter.ALWAYS, 1, audit)
     refused = replace(step.after, outcome="ERR_OBSERVATION")
-    assert audit.judge(step.setup, step.call, step.before, refused) == []
+    assert audit.check_call(step.setup, step.call, step.before, refused) == []
 
 
 UNCHANGED = {"crowd_votes": 1, "b_hat()": 1 << 29, "tests": 1}
@@ -269,17 +273,17 @@ DEVIATIONS_BY_EVENT = {
 """Deviations of fields that are wrong, by event of the robust filter; "receive" is a message without vote."""
 
 
-def wrong_outcomes(event: str, after: Look) -> list[Look]:
+def wrong_outcomes(event: str, after: CallResult) -> list[CallResult]:
     """Return what a wrong firmware may show after an event of the robust filter."""
     deviations = DEVIATIONS_BY_EVENT.get(event, {})
-    looks = [
+    results = [
         with_value(after, name, after.state[name] + sign * deviation)
         for name, deviation in deviations.items()
         for sign in (1, -1)
     ]
     if "b_hat()" in deviations:
-        looks.append(replace(after, outcome="UPDATED" if after.outcome == "OK" else "OK"))
-    return looks
+        results.append(replace(after, outcome="UPDATED" if after.outcome == "OK" else "OK"))
+    return results
 
 
 # design: R35, R37, R38
@@ -291,7 +295,9 @@ def test_whatever_the_robust_filter_does_wrongly_is_reported() -> None:
             audit.robust.clear()
             events[event] += 1
             for wrong in wrong_outcomes(event, checked_call.after):
-                problems = Audit().judge(checked_call.setup, checked_call.call, checked_call.before, wrong)
+                problems = Audit().check_call(
+                    checked_call.setup, checked_call.call, checked_call.before, wrong
+                )
                 assert problems, f"{event}: {checked_call.call}"
     assert min(events[event] for event in DEVIATIONS_BY_EVENT) > 5, events
 

@@ -16,7 +16,7 @@ from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Filter
 from mcp_asdf.table import FRACTION_BITS
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.crosscheck.compare import Subject
+from mcp_asdf_tools.crosscheck.compare import RobotUnderTest
 from mcp_asdf_tools.crosscheck.oracle import Audit
 from mcp_asdf_tools.crosscheck.random_scenarios import (
     TABLES,
@@ -32,8 +32,8 @@ def test_scenarios_bring_about_every_status() -> None:
     found = set()
     for number in range(100):
         scenario = random_scenario(SEED, number)
-        subject = Subject(MirrorRobot, scenario.setup)
-        found |= {f"{call.name} {subject.apply(call).outcome}" for call in scenario.calls}
+        robot = RobotUnderTest(MirrorRobot, scenario.setup)
+        found |= {f"{call.name} {robot.apply(call).outcome}" for call in scenario.calls}
     assert found == {
         *("observe OK", "observe ERR_OBSERVATION", "step OK", "step UPDATED", "step ERR_OBSERVATION"),
         *("receive OK", "receive REPEATED", "receive ERR_SENDER", "receive ERR_X_HAT"),
@@ -63,11 +63,11 @@ def test_robust_scenarios_go_every_way_and_come_near_the_threshold_on_both_sides
     audit, statuses = Audit(), set[str]()
     for number in range(150):
         scenario = robust_scenario(SEED, number)
-        subject = Subject(MirrorRobot, scenario.setup)
+        robot = RobotUnderTest(MirrorRobot, scenario.setup)
         for call in scenario.calls:
-            before = subject.last
-            assert audit.judge(scenario.setup, call, before, subject.apply(call)) == []
-            statuses.add(f"{call.name} {subject.last.outcome}")
+            before = robot.last_result
+            assert audit.check_call(scenario.setup, call, before, robot.apply(call)) == []
+            statuses.add(f"{call.name} {robot.last_result.outcome}")
     assert min(audit.robust[way] for way in WAYS) > 50 and audit.robust["undecided"] > 10
     assert {"restore OK", "restore ERR_IMAGE", "settle UPDATED", "step UPDATED"} <= statuses
 
