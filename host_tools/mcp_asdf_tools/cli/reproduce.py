@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import fields, replace
 from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
@@ -14,122 +13,110 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import make_folder
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.common.progress_bar import progress
-from mcp_asdf_tools.experiments.results import experiments_in
+from mcp_asdf_tools.experiments.results import Trials, experiments_in
 from mcp_asdf_tools.experiments.store import Store
-from mcp_asdf_tools.experiments.sweep import run_missing, run_sweep
-from mcp_asdf_tools.reproduction import ageing, robust, scaling
-from mcp_asdf_tools.reproduction.runs import StudyFolder
-from mcp_asdf_tools.reproduction.study import PAPER, PERIODS, QUICK, Part, Scale
+from mcp_asdf_tools.experiments.sweep import run_sweep
+from mcp_asdf_tools.studies.cells import (
+    FILTER_PERIODS,
+    Cell,
+    Part,
+    StudySize,
+    cell_of,
+    cells_of,
+    experiment_of,
+)
+from mcp_asdf_tools.studies.claims import decide
+from mcp_asdf_tools.studies.study_results import StudyResults
 
-OWN = {"robust": robust, "ageing": ageing, "scale": scaling}
-"""Parts that are not the paper's, each a study of its own."""
+PAPER_SIZE = StudySize()
+QUICK_SIZE = StudySize(trials=10, steps=10_000)
 
 EPILOG = """\
 examples:
-  mcp-asdf reproduce                                # as many trials as decide
-  mcp-asdf reproduce --paper                        # the paper's 30 trials, in reproduction-paper
+  mcp-asdf reproduce                                # the paper's 30 trials of each experiment
+  mcp-asdf reproduce --trials 120                   # more trials, which leave fewer claims undecided
   mcp-asdf reproduce --quick                        # fewer and shorter trials, no verdicts
   mcp-asdf reproduce --part fully_connected --seed 7 --output other
-  mcp-asdf reproduce --part robust                  # not the paper's: the robust filter
-  mcp-asdf reproduce --part ageing                  # not the paper's: sensors that age
-  mcp-asdf reproduce --part scale                   # not the paper's: 20 to 10,000 robots
-The same command resumes a run that was interrupted, and makes the report of a finished one again.
+The same command resumes a run that was interrupted, and makes the report of a finished one again. With more
+trials it runs those that are new.
 exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 128 + signal if interrupted (what
 was finished is kept)"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    add, full = parser.add_argument, Scale()
-    size = parser.add_mutually_exclusive_group()
-    quick = f"{QUICK.trials} trials of {QUICK.steps} steps: whether it works, without verdicts"
-    size.add_argument("--quick", action="store_true", help=quick)
-    size.add_argument(
-        "--paper", action="store_true", help=f"the paper's {PAPER.trials} trials, with one seed"
+    """Declare the options of the command."""
+    add = parser.add_argument
+    quick = f"{QUICK_SIZE.trials} trials of {QUICK_SIZE.steps} steps: whether it works, without verdicts"
+    add("--quick", action="store_true", help=quick)
+    add(
+        "--output", metavar="FOLDER", type=Path, help="for report and results (default: reproduction[-quick])"
     )
-    add("--output", metavar="FOLDER", type=Path, help="for report and results (default: reproduction[-...])")
-    parts = [*(part.value for part in Part), *OWN]
-    text = f"only this part; may be repeated (default: the paper's, all but {' and '.join(OWN)})"
-    add("--part", action="append", choices=parts, help=text)
-    add("--trials", type=int, metavar="N", help="of each experiment (default: more until all is decided)")
-    add("--steps", type=int, metavar="N", help=f"at most, of a trial (default {full.steps})")
-    add("--seed", type=int, metavar="N", help=f"the first one (default {full.seed})")
-    add("--seeds", type=int, metavar="N", help="how many (default: 2 where robots move, else 3)")
+    parts = [part.value for part in Part]
+    add("--part", action="append", choices=parts, help="only this part; may be repeated (default: all)")
+    add("--trials", type=int, metavar="N", help=f"of each experiment (default {PAPER_SIZE.trials})")
+    add("--steps", type=int, metavar="N", help=f"at most, of a trial (default {PAPER_SIZE.steps})")
+    add("--seed", type=int, metavar="N", help=f"of all random numbers (default {PAPER_SIZE.seed})")
     options.add_workers(parser)
     add_scheduler(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run what is missing, decide the claims, write the report."""
-    from mcp_asdf_tools.reproduction import report  # noqa: PLC0415 (matplotlib loads slowly)
+    """Run the trials that are missing, decide the claims and write the report; returns the exit code."""
+    from mcp_asdf_tools.studies import report  # noqa: PLC0415 (matplotlib loads slowly)
 
-    workers, scale = options.check_workers(args.workers), scale_of(args)
-    for name in OWN:
-        if args.part is not None and name in args.part:
-            return _run_own(name, args, workers, scale)
+    workers = options.check_workers(args.workers)
+    size = study_size_from(args)
     parts = [part for part in Part if args.part is None or part.value in args.part]
-    suffix = "-quick" if args.quick else "-paper" if args.paper else ""
-    folder = args.output or Path(f"reproduction{suffix}")
-    try:
-        study = StudyFolder(folder, parts, scale)
-    except ParameterError as error:
-        raise UsageError(f"--{error.key}: {error}") from error
+    folder = args.output or Path("reproduction-quick" if args.quick else "reproduction")
+    stores = open_stores(folder, parts, size)
     if not args.json:
-        print(f"{sum(store.left for store in study.stores)} trials to run", file=sys.stderr)
+        print(f"{sum(store.left for store in stores.values())} trials to run", file=sys.stderr)
 
-    def run_store(store: Store) -> None:
-        with progress(f"{store.output.stem}: trials", store.left, args.json) as bar:
-            run_missing(store, workers, bar, args.scheduler)
+    trials_by_cell: dict[Cell, Trials] = {}
+    with telling_what_is_left(list(stores.values())):
+        for part, store in stores.items():
+            with progress(f"{part.value}: trials", store.left, args.json) as bar:
+                table = run_sweep(store, workers, bar, args.scheduler)
+            trials_by_cell |= {cell_of(part, trials.experiment): trials for trials in experiments_in(table)}
 
-    with telling_what_is_left(study.stores):
-        runs = list(study.runs(run_store))
-
-    report.write_report(folder, runs, scale)
-    claims = report.as_values(runs[0], scale)
+    results = StudyResults(trials_by_cell)
+    decisions = decide(results)
+    report.write_report(folder, results, decisions, size)
+    claims = report.decisions_as_json(decisions, size)
     if args.json:
         print(json_report({"report": str(folder / "report.html"), "claims": claims}))
         return 0
-    for each in claims:
-        print(f"{each['verdict'] or 'too short':10} {each['part'] or 'equations':16} {each['claim']}")
+    for claim in claims:
+        print(f"{claim['verdict'] or 'too short':10} {claim['part'] or 'equations':16} {claim['claim']}")
     print(folder / "report.html")
-    print_again(args, seed=scale.seed)
+    print_again(args, seed=size.seed)
     return 0
 
 
-def _run_own(part: str, args: argparse.Namespace, workers: int, scale: Scale) -> int:
-    """A study that is not the paper's: all of its files, and its report."""
-    if set(args.part) != {part} or args.paper or args.seeds is not None:
-        raise UsageError(f"--part {part} is a study of its own; leave out --paper, --seeds and other parts")
-    folder = args.output or Path(f"reproduction-{part}{'-quick' if args.quick else ''}")
-    wanted = {name: robust.experiments_of(name, scale, args.seed) for name in OWN[part].FILES}
+def study_size_from(args: argparse.Namespace) -> StudySize:
+    """Return how much is to be run, by the options. Raises UsageError for too few trials or steps."""
+    default = QUICK_SIZE if args.quick else PAPER_SIZE
+    size = StudySize(
+        default.trials if args.trials is None else args.trials,
+        default.steps if args.steps is None else args.steps,
+        default.seed if args.seed is None else args.seed,
+    )
+    if size.trials < 2:
+        raise UsageError(f"--trials is {size.trials}; give at least 2: one says nothing of how sure it is")
+    longest_period = FILTER_PERIODS[-1]
+    if size.steps < longest_period:
+        raise UsageError(f"--steps is {size.steps}; give at least {longest_period}: the longest tau")
+    return size
+
+
+def open_stores(folder: Path, parts: list[Part], size: StudySize) -> dict[Part, Store]:
+    """Open the results of each part in a folder, which is made if need be; those that exist are kept.
+
+    Raises UsageError for a size out of range, results of another study, and a folder that cannot be written.
+    """
+    try:
+        experiments = {part: [experiment_of(cell, size) for cell in cells_of(part)] for part in parts}
+    except ParameterError as error:
+        raise UsageError(f"--{error.key}: {error}") from error
     make_folder(folder)
-    stores = {
-        name: Store(folder / f"{name}.parquet", experiments, robust.SAMPLING_INTERVAL)
-        for name, experiments in wanted.items()
-    }
-    results = {}
-    with telling_what_is_left(list(stores.values())):
-        for name, store in stores.items():
-            with progress(f"{name}: trials", store.left, args.json) as bar:
-                table = run_sweep(store, workers, bar, args.scheduler)
-            results[name] = experiments_in(table)
-    OWN[part].write_report(folder, results)
-    report = str(folder / f"{part}.md")
-    print(json_report({"report": report}) if args.json else report)
-    return 0
-
-
-def scale_of(args: argparse.Namespace) -> Scale:
-    """Size of the study by the options. Raises UsageError for values out of range."""
-    names = [field.name for field in fields(Scale)]
-    given = {name: value for name in names if (value := getattr(args, name)) is not None}
-    scale = replace(QUICK if args.quick else PAPER if args.paper else Scale(), **given)
-    least = {
-        "trials": (2, "one says nothing of how sure it is"),
-        "seeds": (1, "the first one"),
-        "steps": (PERIODS[-1], "the longest tau"),
-    }
-    for name, (value, why) in least.items():
-        if (own := getattr(scale, name)) is not None and own < value:
-            raise UsageError(f"--{name} is {own}; give at least {value}: {why}")
-    return scale
+    return {part: Store(folder / f"{part.value}.parquet", experiments[part]) for part in parts}

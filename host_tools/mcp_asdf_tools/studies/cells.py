@@ -1,0 +1,142 @@
+"""The paper's three sets of experiments, and the cells of which they consist.
+
+A ``Cell`` is one combination of what the paper varies. Some combinations are the same experiment: without
+flawed robots it does not matter what these would assume, nor whether only they filter; where all robots are
+flawed, ASDF- is ASDF+; and without a filter there is no filtering period. ``Cell.normal`` chooses one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import cache
+from typing import Any
+
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
+from mcp_asdf_tools.robots.population import Filtering
+
+FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
+FLAWED_PERCENTS = (0, 10, 30, 50, 100)
+FILTER_PERIODS = (1000, 2000, 4000)
+PAPER_TRIALS = 30
+PAPER_STEPS = 40_000
+
+
+class Part(Enum):
+    """One of the paper's sets of experiments; its value is the name of the file that describes it."""
+
+    FULLY_CONNECTED = "fully_connected"
+    DYNAMIC = "dynamic"
+    PHYSICAL = "physical"
+
+    @property
+    def label(self) -> str:
+        """The name for people to read: without the underscore."""
+        return self.value.replace("_", " ")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One combination of what the paper varies.
+
+    Attributes:
+        part: Set of experiments that it belongs to.
+        fill_ratio: f.
+        true_accuracy: b.
+        flawed_accuracy: b_hat of the flawed robots at the start.
+        flawed_percent: P, the percentage of robots that are flawed.
+        filter: Which robots filter, as ``Experiment.filter``.
+        filter_period: tau in steps.
+    """
+
+    part: Part
+    fill_ratio: float
+    true_accuracy: float
+    flawed_accuracy: float
+    flawed_percent: int
+    filter: Filtering = "none"
+    filter_period: int = FILTER_PERIODS[0]
+
+    @property
+    def normal(self) -> Cell:
+        """The representative of all cells that are the same experiment as this one."""
+        filter_name, flawed_accuracy, filter_period = self.filter, self.flawed_accuracy, self.filter_period
+        if self.flawed_percent == 0:
+            flawed_accuracy = self.true_accuracy
+            if filter_name == "asdf-minus":
+                filter_name = "none"  # only flawed robots would filter, and there are none
+        elif self.flawed_percent == 100 and filter_name == "asdf-minus":
+            filter_name = "asdf-plus"  # all robots are flawed, so all filter
+        if filter_name == "none":
+            filter_period = FILTER_PERIODS[0]
+        return replace(self, filter=filter_name, flawed_accuracy=flawed_accuracy, filter_period=filter_period)
+
+    @property
+    def without_flawed_robots(self) -> Cell:
+        """The same swarm with P = 0."""
+        return replace(self, flawed_percent=0)
+
+
+@dataclass(frozen=True)
+class StudySize:
+    """How much of the study is run.
+
+    Attributes:
+        trials: Number of trials of each experiment.
+        steps: Largest number of steps of a trial; an experiment of the paper that is shorter stays so.
+        seed: Seed of all experiments.
+    """
+
+    trials: int = PAPER_TRIALS
+    steps: int = PAPER_STEPS
+    seed: int = 1
+
+    @property
+    def allows_verdicts(self) -> bool:
+        """True if trials are at least as many and as long as the paper's."""
+        return self.trials >= PAPER_TRIALS and self.steps >= PAPER_STEPS
+
+
+@cache
+def _shipped_experiments(part: Part) -> list[Experiment]:
+    return read_experiments(STUDIES / f"{part.value}.toml")
+
+
+@cache
+def cells_of(part: Part) -> tuple[Cell, ...]:
+    """Return the normal cells of a part, in the order in which its file has their experiments."""
+    cells = [cell_of(part, experiment) for experiment in _shipped_experiments(part)]
+    return tuple(dict.fromkeys(cells))
+
+
+def cell_of(part: Part, experiment: Experiment) -> Cell:
+    """Return the normal cell to which an experiment of a part belongs."""
+    cell = Cell(
+        part,
+        experiment.fill_ratio,
+        experiment.true_accuracy,
+        experiment.flawed_accuracy,
+        round(100 * experiment.flawed / experiment.robots),
+        experiment.filter,
+        experiment.filter_period,
+    )
+    return cell.normal
+
+
+def experiment_of(cell: Cell, size: StudySize) -> Experiment:
+    """Return the experiment of a cell. Raises ParameterError for trials, steps or a seed out of range."""
+    common = _shipped_experiments(cell.part)[0]
+    parameters: dict[str, Any] = {
+        **common.parameters(),
+        "fill_ratio": cell.fill_ratio,
+        "true_accuracy": cell.true_accuracy,
+        "flawed_accuracy": cell.flawed_accuracy,
+        "flawed": round(cell.flawed_percent * common.robots / 100),
+        "filter": cell.filter,
+        "filter_period": cell.filter_period,
+        "trials": size.trials,
+        "steps": min(common.steps, size.steps),
+        "seed": size.seed,
+    }
+    return Experiment(**parameters)

@@ -1,0 +1,160 @@
+"""Claims of the paper that follow from its equations, without trials: a function of each claim's name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from itertools import combinations, pairwise
+from math import pi
+
+import numpy as np
+
+from mcp_asdf.reference import local_confidence, local_estimate
+from mcp_asdf_tools.studies.cells import FLAWED_ACCURACIES, PAPER_STEPS
+from mcp_asdf_tools.studies.verdicts import Comparison, Expectation, exact_comparison
+
+OBSERVATIONS = 100_000
+"""t of the robots below: enough for n/t to be any share of black readings to five digits."""
+
+PANELS = ((0.55, 0.55), (0.95, 0.55), (0.55, 0.95), (0.95, 0.95))
+"""f and b of the panels of Table I."""
+
+PRINTED_BLACK_SHARES = (0.505, 0.545, 0.545, 0.905)
+"""n/t of each panel, as Table I prints it."""
+
+PRINTED_ESTIMATES = {
+    (0.55, 0.55): {0.55: 0.550, 0.75: 0.510, 0.95: 0.506},
+    (0.55, 0.95): {0.95: 0.550, 0.75: 0.590, 0.55: 0.950},
+    (0.95, 0.55): {0.55: 0.950, 0.75: 0.590, 0.95: 0.550},
+    (0.95, 0.95): {0.95: 0.950, 0.75: 1.000, 0.55: 1.000},
+}
+"""x_hat by b_hat for each panel, as Table I prints it."""
+
+HALF_A_PRINTED_DIGIT = 0.000500001
+ROUNDING = 1e-9
+"""Differences up to this size come from float64."""
+
+WIDEST_B_HAT_PAIR = (0.505, 0.995)
+"""Ends of the range of b_hat in the paper's figure 2, as we draw it."""
+
+
+def black_share(f: float, b: float) -> float:
+    """Return p(z = 1), the share of readings that are black (eq. 1)."""
+    return f * b + (1 - f) * (1 - b)
+
+
+def _x_hat(share: float, b_hat: float) -> float:
+    """Return the local estimate of a robot that has read a share of its tiles as black (eq. 3)."""
+    return local_estimate(round(share * OBSERVATIONS), OBSERVATIONS, b_hat)
+
+
+def _alpha(share: float, b_hat: float) -> float:
+    """Return the local confidence of a robot that has read a share of its tiles as black (eq. 4)."""
+    return local_confidence(round(share * OBSERVATIONS), OBSERVATIONS, b_hat)
+
+
+def _black_shares_of_table_1() -> list[float]:
+    """Return the different n/t of the four panels, in ascending order."""
+    return sorted({round(black_share(f, b), 9) for f, b in PANELS})
+
+
+def table_of_observations() -> list[Comparison]:
+    """Compare n/t with the printed values of Table I."""
+    return [
+        _equal_to_printed_digits(f"f {f:g}, b {b:g}", "p(z = 1)", black_share(f, b), printed)
+        for (f, b), printed in zip(PANELS, PRINTED_BLACK_SHARES, strict=True)
+    ]
+
+
+def table_of_local_estimates() -> list[Comparison]:
+    """Compare x_hat with the printed values of Table I."""
+    return [
+        _equal_to_printed_digits(
+            f"f {f:g}, b {b:g}, b_hat {b_hat:g}", "x_hat", _x_hat(black_share(f, b), b_hat), printed
+        )
+        for (f, b), printed_by_b_hat in PRINTED_ESTIMATES.items()
+        for b_hat, printed in printed_by_b_hat.items()
+    ]
+
+
+def _equal_to_printed_digits(row: str, name: str, value: float, printed: float) -> Comparison:
+    column = f"{name} less {printed:.3f}"
+    return exact_comparison(row, column, _rounded(value - printed), Expectation.SAME, HALF_A_PRINTED_DIGIT)
+
+
+def _above_zero(row: str, column: str, value: float) -> Comparison:
+    return exact_comparison(row, column, _rounded(value), Expectation.ABOVE, ROUNDING)
+
+
+def _rounded(value: float) -> float:
+    """Return a value without the last digits, which differ between processors."""
+    return round(value, 12)
+
+
+def confidence_increases_with_b_hat() -> list[Comparison]:
+    """Compare alpha at each b_hat from 0.505 to 0.995 with that at the b_hat 0.005 lower."""
+    comparisons = []
+    for share in _black_shares_of_table_1():
+        alphas = [_alpha(share, b_hat) for b_hat in np.linspace(0.505, 0.995, 99)]
+        smallest_ratio = min(higher / lower for lower, higher in pairwise(alphas))
+        column = "least ratio of alpha to that of a b_hat 0.005 lower, less 1"
+        comparisons.append(_above_zero(f"n/t {share:g}", column, smallest_ratio - 1))
+    return comparisons
+
+
+def confidence_grows_a_hundredfold() -> list[Comparison]:
+    """Compare the ratio of two alphas with 100, for each pair of the study's b_hat and the widest pair."""
+    return _compare_alpha_ratios([*combinations(FLAWED_ACCURACIES, 2), WIDEST_B_HAT_PAIR], 100)
+
+
+def underconfident_robots_weigh_less() -> list[Comparison]:
+    """Compare the ratio of alpha at b_hat 0.95 to that at 0.55 and at 0.75 with 1."""
+    return _compare_alpha_ratios([(0.55, 0.95), (0.75, 0.95)], 1)
+
+
+def _compare_alpha_ratios(b_hat_pairs: Iterable[tuple[float, float]], claimed: int) -> list[Comparison]:
+    """Compare the ratio of alpha of the second b_hat to that of the first with ``claimed``, at each n/t."""
+    return [
+        _above_zero(
+            f"n/t {share:g}",
+            f"alpha of b_hat {high:g} over that of {low:g}, less {claimed}",
+            _alpha(share, high) / _alpha(share, low) - claimed,
+        )
+        for low, high in b_hat_pairs
+        for share in _black_shares_of_table_1()
+    ]
+
+
+def low_b_hat_is_volatile() -> list[Comparison]:
+    """Compare how far x_hat moves at b_hat 0.55 and 0.95 while n/t goes from 0.505 to 0.515."""
+    # No estimate reaches 0 or 1 in this range, where it would stop moving.
+    change_of_low, change_of_high = (_x_hat(0.515, b_hat) - _x_hat(0.505, b_hat) for b_hat in (0.55, 0.95))
+    column = "change of x_hat: b_hat 0.55 less b_hat 0.95"
+    return [_above_zero("n/t 0.505 to 0.515", column, change_of_low - change_of_high)]
+
+
+def physical_density() -> list[Comparison]:
+    """Compare the density of eight robots with a radio range of 0.7 m on the platform with 1.3."""
+    density = 8 * pi * 0.7**2 / (3.0353 * 3.0226)
+    return [exact_comparison("", "D less 1.3", _rounded(density - 1.3), Expectation.SAME, 0.05)]
+
+
+def physical_observations() -> list[Comparison]:
+    """Compare the number of observations of a simulation with that of 1000 s at 2 Hz."""
+    ratio = PAPER_STEPS / (1000 * 2)
+    return [exact_comparison("", "ratio less 20", _rounded(ratio - 20), Expectation.SAME, 0.5)]
+
+
+EQUATIONS: Mapping[str, Callable[[], list[Comparison]]] = {
+    function.__name__: function
+    for function in (
+        confidence_increases_with_b_hat,
+        confidence_grows_a_hundredfold,
+        low_b_hat_is_volatile,
+        table_of_observations,
+        table_of_local_estimates,
+        underconfident_robots_weigh_less,
+        physical_density,
+        physical_observations,
+    )
+}
+"""The claims that equations decide, by name."""

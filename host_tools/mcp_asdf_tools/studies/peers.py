@@ -1,0 +1,318 @@
+"""Robots with which the robust filter is compared, and robots and sensors that make a world hard for it.
+
+docs/extending.md says how to write such classes; experiments take them in place of a name.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import betainc, betaln  # type: ignore[import-untyped]
+
+from mcp_asdf import Config, ReferenceRobot, Status
+from mcp_asdf.fixed_point import ALPHA_MAX
+from mcp_asdf.native import NativeRobot
+from mcp_asdf.robot import B_HAT_MARGIN, Filter, Observation, reading
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.robots.population import FILTER_NAMES
+from mcp_asdf_tools.world.sensors import Accuracies, DriftingSensors
+from mcp_asdf_tools.world.settings import WorldSettings
+
+ROBOTS_WITH_LIARS = 20
+"""Number of robots of the swarms with liars."""
+
+LIARS = {"one_liar": 1, "two_liars": 2, "five_liars": 5}
+"""How many of the robots lie, by the firmware's name."""
+
+FLOOR_AFTER_CHANGE = 0.95
+"""f of a ``ChangingFloor`` from the middle of a trial on."""
+
+_LABELS = {
+    "BayesCpfRobot": "BayesCPF",
+    "AgeingBayesCpfRobot": "BayesCPF",
+    "AllCountsRobot": "all counts",
+    "OracleRobot": "knows b now",
+    "MeanAccuracyRobot": "knows its mean",
+}
+
+
+def firmware_name(experiment: Experiment) -> str:
+    """Return the name of an experiment's firmware without its module."""
+    return experiment.firmware.rpartition(".")[2]
+
+
+def column_label(experiment: Experiment) -> str:
+    """Return the head of an experiment's column: its filter, or the peer that stands for one."""
+    name = firmware_name(experiment)
+    filter_name = FILTER_NAMES[experiment.filter]
+    return f"{filter_name} with memory" if name == "RememberingRobot" else _LABELS.get(name, filter_name)
+
+
+# --- Other filters ---------------------------------------------------------------------------------------
+
+
+class RememberingRobot(ReferenceRobot):
+    """The paper's filter, or none, with a memory instead of rounds.
+
+    x_bar and x are running means of all that was received, weighted by alpha per observation. Their gain
+    falls with the number of messages as that of the robust filter: from 2^-3 down to 2^-12.
+    """
+
+    _messages = 0
+    _weight = 0.0
+    _weighted_sum = 0.0
+
+    def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
+        status = super().receive(sender, x_hat, alpha)
+        if status is Status.OK and alpha > 0:
+            self._messages += 1
+            gain = 2.0 ** -min(max(self._messages.bit_length() - 3, 3), 12)
+            weight = alpha / max(self.t, 1)
+            self._weight += gain * (weight - self._weight)
+            self._weighted_sum += gain * (weight * x_hat - self._weighted_sum)
+        return status
+
+    @property
+    def x_bar(self) -> float:
+        return self._weighted_sum / self._weight if self._weight else 0.5
+
+    @property
+    def x(self) -> float:
+        return self._weighted_sum / self._weight if self._weight else self.x_hat
+
+
+class BayesCpfRobot(ReferenceRobot):
+    """BayesCPF (Chin and Pinciroli 2025, arXiv 2504.04774) for sensors that do not age.
+
+    An extended Kalman filter over b. It measures how many of the tiles since the last update were black,
+    given the mean of the informed estimates since then, in which older ones weigh more. The estimate is cut
+    to [1/2, 1] as the mean of a truncated normal distribution. At the start b has the variance 0.04.
+    """
+
+    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        super().__init__(config, robot_id, b_hat)
+        self._mean, self._variance = b_hat, 0.04
+        self._n_since_update, self._t_since_update = 0, 0
+        self._x_since_update: list[float] = []
+
+    def observe(self, z: Observation) -> Status:
+        self._n_since_update += int(z)
+        self._t_since_update += 1
+        return super().observe(z)
+
+    def settle(self) -> Status:
+        self._x_since_update.append(self.x)
+        return super().settle()
+
+    def _is_activated(self) -> bool:
+        # There is no hypothesis test: every filter step is an update.
+        return self._config.filter != Filter.OFF and self._t_since_update > 0
+
+    def reestimated(self) -> float | None:
+        n, t = self._n_since_update, self._t_since_update
+        weights = range(len(self._x_since_update), 0, -1)
+        x = float(np.average(self._x_since_update, weights=weights))
+        self._n_since_update, self._t_since_update, self._x_since_update = 0, 0, []
+        self._predict(t)
+        if t * min(self._mean, 1 - self._mean) < 5:
+            return None  # the binomial count is not near enough to a normal distribution
+        slope = t * (2 * x - 1)
+        expected = t * (x * (2 * self._mean - 1) + 1 - self._mean)
+        noise = t * ((2 * self._mean - 1) ** 2 * (x - x**2 - 0.25) + 0.25)
+        gain = self._variance * slope / (slope**2 * self._variance + noise)
+        self._mean += gain * (n - expected)
+        self._variance *= 1 - gain * slope
+        return min(max(self._truncated_mean(), 0.5 + 1e-6), 1 - 1e-6)
+
+    def _predict(self, steps: int) -> None:
+        """Move mean and variance by what is known of the drift in so many steps: here none."""
+
+    def _truncated_mean(self) -> float:
+        """Return the mean of the estimate's normal distribution, cut to [1/2, 1]."""
+        if 0.5 < self._mean < 1:
+            return self._mean
+        deviation = math.sqrt(self._variance)
+        low, high = (0.5 - self._mean) / deviation, (1 - self._mean) / deviation
+        mass = math.erf(high / math.sqrt(2)) - math.erf(low / math.sqrt(2))
+        if mass < 1e-12:
+            return self._mean
+        density_difference = math.exp(-(low**2) / 2) - math.exp(-(high**2) / 2)
+        return self._mean + deviation * math.sqrt(2 / math.pi) / mass * density_difference
+
+
+class AllCountsRobot(ReferenceRobot):
+    """A bound, not a peer: at every filter step the posterior mean of f from all robots' counts at once.
+
+    A robot's b_hat is right with probability 0.9; otherwise any accuracy in [1/2, 1] is as likely.
+    """
+
+    _fill_ratios = np.linspace(0.0005, 0.9995, 1000)
+    _newest_swarm: ClassVar[list[AllCountsRobot]] = []
+
+    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        super().__init__(config, robot_id, b_hat)
+        if robot_id == 0:  # swarms are made one after the other, each from robot 0 on
+            AllCountsRobot._newest_swarm = []
+        self._swarm = AllCountsRobot._newest_swarm
+        self._swarm.append(self)
+        self._rounds, self._estimate = 0, 0.5
+
+    def settle(self) -> Status:
+        status = super().settle()
+        self._rounds += 1
+        is_last_robot = self.id == len(self._swarm) - 1
+        if is_last_robot and self._rounds % self._config.filter_period == 0:
+            log_likelihood = np.sum([robot._log_likelihood() for robot in self._swarm], axis=0)
+            weights = np.exp(log_likelihood - log_likelihood.max())
+            estimate = float(np.average(self._fill_ratios, weights=weights))
+            for robot in self._swarm:
+                robot._estimate = estimate
+        return status
+
+    def _log_likelihood(self) -> NDArray[np.float64]:
+        """Return the log likelihood of the robot's counts for each of ``_fill_ratios``."""
+        f, black, white = self._fill_ratios, self.n, self.t - self.n
+        p = f * self.b_hat + (1 - f) * (1 - self.b_hat)
+        if_b_hat_is_right = black * np.log(p) + white * np.log1p(-p)
+        # While b goes from 1/2 to 1, p goes from 1/2 to f: the likelihood is averaged between these.
+        beta_mass = betainc(black + 1, white + 1, f) - betainc(black + 1, white + 1, 0.5)
+        average = np.maximum(beta_mass / (f - 0.5), 1e-300)
+        if_b_hat_is_wrong = betaln(black + 1, white + 1) + np.log(average)
+        mixture: NDArray[np.float64] = np.logaddexp(
+            np.log(0.9) + if_b_hat_is_right, np.log(0.1) + if_b_hat_is_wrong
+        )
+        return mixture
+
+    @property
+    def x(self) -> float:
+        return self._estimate
+
+
+# --- Robots that know how sensors age --------------------------------------------------------------------
+
+
+class KnownSensors(DriftingSensors):
+    """The built-in sensors, whose accuracies the robots of the newest trial may ask for."""
+
+    newest: ClassVar[KnownSensors]
+
+    def __init__(self, settings: WorldSettings, trial: int) -> None:
+        super().__init__(settings, trial)
+        self.settings = settings
+        self._accuracies_by_step: list[list[float]] = []
+        KnownSensors.newest = self
+
+    def advance(self, steps: int) -> Accuracies:
+        black, white = super().advance(steps)
+        self._accuracies_by_step += np.broadcast_to(black, (steps, black.shape[1])).tolist()
+        return black, white
+
+    def true_accuracy(self, step: int, robot: int) -> float:
+        """Return b of a robot in a step that has been reached."""
+        accuracies = self._accuracies_by_step[step]
+        return accuracies[robot % len(accuracies)]  # one number stands for all robots
+
+
+class AgeingBayesCpfRobot(BayesCpfRobot):
+    """BayesCPF as it is meant: the filter knows how sensors drift, but not how far they have."""
+
+    def _predict(self, steps: int) -> None:
+        settings = KnownSensors.newest.settings
+        self._mean += settings.drift_rate * steps
+        self._variance += settings.drift_diffusion**2 * steps
+
+
+class OracleRobot(ReferenceRobot):
+    """A robot that knows its sensor's accuracy at each moment, without a filter."""
+
+    _steps = 0
+
+    def observe(self, z: Observation) -> Status:
+        b_hat = self._accuracy_to_assume(KnownSensors.newest.true_accuracy(self._steps, self.id))
+        self._b_hat = min(b_hat, 1 - B_HAT_MARGIN)
+        self._steps += 1
+        return super().observe(z)
+
+    def _accuracy_to_assume(self, true_accuracy: float) -> float:
+        """Return b_hat for an observation that is made with the given accuracy."""
+        return true_accuracy
+
+
+class MeanAccuracyRobot(OracleRobot):
+    """A robot that knows the mean accuracy over the observations that it counts: one sum beside t and n."""
+
+    _accuracy_sum = 0.0
+
+    def _accuracy_to_assume(self, true_accuracy: float) -> float:
+        self._accuracy_sum += true_accuracy
+        observations = self.t + 1
+        mean_accuracy = self._accuracy_sum / observations
+        if observations == self._config.memory:
+            self._accuracy_sum /= 2  # as t and n will be
+        return float(mean_accuracy)
+
+
+# --- Hard worlds -----------------------------------------------------------------------------------------
+
+
+class LossyRobot(NativeRobot):
+    """The firmware behind a radio that loses three messages in ten."""
+
+    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        super().__init__(config, robot_id, b_hat)
+        self._random = random.Random(robot_id)
+
+    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
+        is_lost = self._random.random() < 0.3
+        return Status.OK if is_lost else super().receive_raw(sender, x_hat, alpha)
+
+
+class Liar(NativeRobot):
+    """A robot that broadcasts "no tile is black" with the largest confidence."""
+
+    x_hat_raw = reading(lambda robot: 0, "The lie.")
+    alpha_raw = reading(lambda robot: ALPHA_MAX, "The largest confidence that a frame carries.")
+
+
+def one_liar(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
+    """Make a robot of a swarm whose last robot lies."""
+    return _make_robot(1, config, robot_id, b_hat)
+
+
+def two_liars(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
+    """Make a robot of a swarm whose last two robots lie."""
+    return _make_robot(2, config, robot_id, b_hat)
+
+
+def five_liars(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
+    """Make a robot of a swarm whose last five robots lie."""
+    return _make_robot(5, config, robot_id, b_hat)
+
+
+def _make_robot(liars: int, config: Config, robot_id: int, b_hat: float) -> NativeRobot:
+    robot_class = Liar if robot_id >= ROBOTS_WITH_LIARS - liars else NativeRobot
+    return robot_class(config, robot_id, b_hat)
+
+
+class ChangingFloor:
+    """A floor of which FLOOR_AFTER_CHANGE is black from the middle of the trial on.
+
+    A sensor cannot change the floor, but it can make its colours as frequent: white tiles are called black as
+    often as it takes.
+    """
+
+    def __init__(self, settings: WorldSettings, trial: int) -> None:
+        self._settings, self._steps = settings, 0
+
+    def advance(self, steps: int) -> Accuracies:
+        f, b = self._settings.fill_ratio, self._settings.true_accuracy
+        black_readings_after = FLOOR_AFTER_CHANGE * b + (1 - FLOOR_AFTER_CHANGE) * (1 - b)
+        white_accuracy_after = 1 - (black_readings_after - f * b) / (1 - f)
+        step = np.arange(self._steps, self._steps + steps)[:, np.newaxis]
+        self._steps += steps
+        is_before_change = step < self._settings.steps // 2
+        return np.full((1, 1), b), np.where(is_before_change, b, white_accuracy_after)

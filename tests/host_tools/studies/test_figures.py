@@ -1,0 +1,150 @@
+"""The pictures of the report are the paper's figures: each shows the swarms that the paper's shows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from mcp_asdf_tools.experiments import plots
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.studies.cells import Part, StudySize, cells_of, experiment_of
+from mcp_asdf_tools.studies.figures import draw_pictures
+from mcp_asdf_tools.studies.study_results import StudyResults
+
+
+class ResultsWithoutTrials(StudyResults):
+    """Results of parts of the study that have experiments, but nothing measured."""
+
+    def __init__(self, parts: Collection[Part]) -> None:
+        super().__init__({})
+        self._parts = [part for part in Part if part in parts]
+
+    @property
+    def parts(self) -> list[Part]:
+        return self._parts
+
+    def trials_of(self, part: Part) -> list[Any]:
+        return [ExperimentOnly(experiment_of(cell, StudySize())) for cell in cells_of(part)]
+
+
+@dataclass
+class ExperimentOnly:
+    """Stands for the trials of an experiment."""
+
+    experiment: Experiment
+
+
+@dataclass
+class DrawnSwarms:
+    """What a plot was asked to draw, in place of the picture."""
+
+    filters: set[str]
+    periods: set[int]
+    percents: set[int]
+    names: set[str]
+    filters_and_percents: set[tuple[str, int]]
+
+
+def note_swarms(
+    experiments: Sequence[Any], trial: int = 0, name: Callable[[Experiment], str] = lambda experiment: ""
+) -> DrawnSwarms:
+    swarms = [trials.experiment for trials in experiments]
+    percents = [round(100 * swarm.flawed / swarm.robots) for swarm in swarms]
+    filters = [swarm.filter for swarm in swarms]
+    return DrawnSwarms(
+        set(filters),
+        {swarm.filter_period for swarm in swarms},
+        set(percents),
+        {name(swarm) for swarm in swarms},
+        set(zip(filters, percents, strict=True)),
+    )
+
+
+@pytest.fixture(autouse=True)
+def plots_that_note_swarms(monkeypatch: pytest.MonkeyPatch) -> None:
+    for kind in ("boxes", "scatter", "bands", "series_beside"):
+        monkeypatch.setattr(plots, kind, note_swarms)
+
+
+def pictures_of(*parts: Part) -> dict[str, Any]:
+    size = StudySize(2, 4000)
+    return {picture.name: picture for picture in draw_pictures(ResultsWithoutTrials(parts), size)}
+
+
+@pytest.mark.parametrize(
+    ("parts", "count"),
+    [([Part.DYNAMIC], 4), ([Part.FULLY_CONNECTED], 5), ([Part.PHYSICAL], 2), (list(Part), 13)],
+)
+def test_pictures_are_of_the_parts_that_were_run(parts: list[Part], count: int) -> None:
+    assert len(pictures_of(*parts)) == count
+
+
+def test_titles_have_the_numbers_of_the_papers_figures() -> None:
+    numbers = {
+        name: re.findall(r"figure (\w+)\)$", picture.title) for name, picture in pictures_of(*Part).items()
+    }
+    assert {name: number[0] for name, number in numbers.items() if number} == {
+        "dynamic_asdf-minus": "3a",
+        "dynamic_asdf-plus": "3b",
+        "dynamic_scatter": "4",
+        "topologies_asdf-minus": "5a",
+        "topologies_asdf-plus": "5b",
+        "series": "6",
+        "physical_asdf-plus": "8a",
+        "physical_scatter": "8b",
+    }
+
+
+ANY_PERIOD = {1000, 2000, 4000}
+SHORTEST = {1000}
+
+
+@pytest.mark.parametrize(
+    ("name", "filters", "periods", "percents"),
+    [
+        ("dynamic_asdf-minus", {"none", "asdf-minus"}, ANY_PERIOD, {0, 10, 30, 50}),
+        ("dynamic_asdf-plus", {"none", "asdf-plus"}, ANY_PERIOD, {0, 10, 30, 50, 100}),
+        ("dynamic_scatter", {"none", "asdf-minus", "asdf-plus"}, SHORTEST, {0, 10, 30, 50, 100}),
+        ("fully_connected_bands", {"asdf-plus"}, SHORTEST, {10, 30, 50}),
+        ("topologies_asdf-minus", {"none", "asdf-minus"}, SHORTEST, {0, 10, 30, 50, 100}),
+        ("series", {"none", "asdf-plus"}, SHORTEST, {50}),
+        ("physical_asdf-plus", {"none", "asdf-plus"}, SHORTEST, {0, 25, 50, 100}),
+    ],
+)
+def test_a_picture_shows_the_swarms_of_the_papers_figure(
+    name: str, filters: set[str], periods: set[int], percents: set[int]
+) -> None:
+    drawn = pictures_of(*Part)[name].figure
+    assert (drawn.filters, drawn.periods, drawn.percents) == (filters, periods, percents)
+
+
+def test_topologies_are_told_apart_by_name() -> None:
+    assert pictures_of(*Part)["topologies_asdf-plus"].figure.names == {
+        "dynamic, no filter",
+        "dynamic, ASDF+",
+        "fully connected, no filter",
+        "fully connected, ASDF+",
+    }
+
+
+@pytest.mark.parametrize("name", ["dynamic_scatter", "topologies_asdf-minus"])
+def test_asdf_minus_has_its_ends_where_it_is_another_filter(name: str) -> None:
+    drawn = pictures_of(*Part)[name].figure
+    assert {("asdf-minus", 0), ("asdf-minus", 100)} <= drawn.filters_and_percents
+
+
+def test_series_are_recorded_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    recorded: list[Any] = []
+    monkeypatch.setattr(plots, "series_beside", lambda runs, trial: recorded.extend(runs))
+    pictures_of(Part.FULLY_CONNECTED)
+    assert [sorted(trials.records) for trials in recorded] == [sorted(recorded[0].records)] * 2
+    assert [trials.numbers for trials in recorded] == [[0], [0]]
+
+
+def test_the_title_has_the_filters_typeset_name() -> None:
+    title = pictures_of(Part.DYNAMIC)["dynamic_asdf-minus"].title
+    assert title.startswith("H of dynamic swarms without filter and with ASDF\N{MINUS SIGN}")

@@ -1,0 +1,200 @@
+"""``mcp-asdf reproduce``: the command that runs the paper's study."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mcp_asdf_tools.cli import main as cli
+from mcp_asdf_tools.cli import reproduce
+from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.studies import report
+from mcp_asdf_tools.studies.cells import Cell, Part, StudySize, experiment_of
+from mcp_asdf_tools.studies.claims import CLAIMS, Claim, Decision, decide
+from mcp_asdf_tools.studies.study_results import StudyResults
+from support import ROOT
+from trials import noted_jobs
+
+SHORT_STUDY = ("--part", "physical", "--trials", "2", "--steps", "4000", "--workers", "1")
+TRIALS = 40  # 20 experiments of the physical part
+
+
+@pytest.fixture(autouse=True)
+def quick_report(few_resamples: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw no pictures, which take long."""
+    monkeypatch.setattr(report, "draw_pictures", lambda results, size: [])
+
+
+def run_json(capsys: pytest.CaptureFixture[str], folder: Path, *arguments: str) -> dict[str, Any]:
+    assert cli.main(["reproduce", *SHORT_STUDY, "--output", str(folder), "--json", *arguments]) == 0
+    answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return answer
+
+
+def run_plain(folder: Path, *arguments: str) -> int:
+    return cli.main(["reproduce", *SHORT_STUDY, "--output", str(folder), *arguments])
+
+
+def contents_of(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_the_study_is_a_report_and_its_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    answer = run_json(capsys, tmp_path)
+    assert set(contents_of(tmp_path)) == {
+        "report.html",
+        "report.md",
+        "comparisons.csv",
+        "physical.parquet",
+    }
+    assert answer["report"] == f"{tmp_path}/report.html"
+
+
+def test_short_trials_get_no_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    claims = run_json(capsys, tmp_path)["claims"]
+    assert {claim["part"] for claim in claims} == {None, "physical"}
+    assert {claim["verdict"] for claim in claims} == {None}
+
+
+def test_an_interrupted_study_runs_the_trials_that_are_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with monkeypatch.context() as patch:
+        noted_jobs(patch, 8)  # Ctrl-C after eight jobs of two trials
+        assert run_plain(tmp_path) == 130
+    assert "24 of 40 trials left; the same command goes on" in capsys.readouterr().err
+    started = noted_jobs(monkeypatch)
+    run_json(capsys, tmp_path)
+    assert sum(job.count for job in started) == 24
+
+
+def test_an_interrupted_study_ends_in_the_files_of_one_that_was_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_json(capsys, tmp_path / "uninterrupted")
+    with monkeypatch.context() as patch:
+        noted_jobs(patch, 8)
+        assert run_plain(tmp_path / "resumed") == 130
+    run_json(capsys, tmp_path / "resumed")
+    assert contents_of(tmp_path / "resumed") == contents_of(tmp_path / "uninterrupted")
+
+
+def test_the_report_of_a_finished_study_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_json(capsys, tmp_path)
+    before = contents_of(tmp_path)
+    (tmp_path / "report.html").unlink()
+    noted_jobs(monkeypatch, 0)  # any job would be an interrupt
+    assert run_plain(tmp_path) == 0
+    assert contents_of(tmp_path) == before
+    assert capsys.readouterr().err == "0 trials to run\n"
+
+
+def test_the_claims_are_printed_with_the_report_and_the_line_to_repeat(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_plain(tmp_path) == 0
+    output = capsys.readouterr().out
+    assert f"{'too short':10} physical" in output
+    assert f"\n{tmp_path}/report.html\nagain: mcp-asdf reproduce --seed=1 " in output
+
+
+def test_more_trials_are_added_to_those_that_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_json(capsys, tmp_path)
+    started = noted_jobs(monkeypatch)
+    run_json(capsys, tmp_path, "--trials", "3")
+    assert sum(job.count for job in started) == TRIALS // 2
+
+
+def test_results_of_another_seed_are_not_overwritten(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_json(capsys, tmp_path)
+    before = contents_of(tmp_path)
+    assert run_plain(tmp_path, "--seed", "2") == 2
+    assert "choose another name" in capsys.readouterr().err
+    assert contents_of(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "size"),
+    [
+        ([], StudySize(30, 40_000, 1)),
+        (["--seed", "7"], StudySize(30, 40_000, 7)),
+        (["--quick"], StudySize(10, 10_000, 1)),
+        (["--quick", "--trials", "2", "--steps", "4000"], StudySize(2, 4000, 1)),
+    ],
+)
+def test_options_say_how_much_is_run(arguments: list[str], size: StudySize) -> None:
+    parser = argparse.ArgumentParser()
+    reproduce.add_arguments(parser)
+    assert reproduce.study_size_from(parser.parse_args(arguments)) == size
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("--trials 1", "--trials is 1; give at least 2"),
+        ("--trials 1000001", "--trials: trials is 1000001"),
+        ("--steps 3999", "--steps is 3999; give at least 4000"),
+        ("--workers 0", "--workers is 0"),
+        ("--output /dev/null/x", "cannot write /dev/null/x: Not a directory; choose a folder"),
+    ],
+)
+def test_bad_usage_is_reported_with_its_fix(
+    arguments: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["reproduce", *arguments.split()]) == 2
+    assert message in capsys.readouterr().err
+
+
+# --- The page of the study -------------------------------------------------------------------------------
+
+CHECKED_CLAIMS = (
+    "plus_improves_few_overconfident",
+    "minus_still_improves_where_clear",
+    "overconfident_are_accurate_where_easy",
+    "plus_is_worse_than_minus_where_clear",
+)
+
+
+@pytest.fixture(scope="module")
+def decisions_of_60_trials() -> list[Decision]:
+    """Decide some claims about fully connected swarms by 60 trials of each experiment."""
+    claims = [claim for claim in CLAIMS if claim.name in CHECKED_CLAIMS]
+    size = StudySize(trials=60)
+    results = {cell: run_trials(experiment_of(cell, size), 0, 60) for cell in cells_compared(claims)}
+    return decide(StudyResults(results), claims)
+
+
+def cells_compared(claims: list[Claim]) -> set[Cell]:
+    plans = [plan for claim in claims for plan in claim.plan(Part.FULLY_CONNECTED)]
+    return {plan.cell for plan in plans} | {plan.other for plan in plans if plan.other}
+
+
+@pytest.mark.slow
+def test_recorded_verdicts_are_those_of_fewer_trials(decisions_of_60_trials: list[Decision]) -> None:
+    recorded = (ROOT / "tests/data/study_verdicts.csv").read_text(encoding="utf-8")
+    for decision in decisions_of_60_trials:
+        counts = f"{decision.count(True)},{len(decision.comparisons)}"
+        assert f"{decision.claim.name},fully connected,{decision.verdict.value},{counts}\n" in recorded
+
+
+@pytest.mark.slow
+def test_the_page_has_the_gain_of_asdf_plus_that_fewer_trials_give(
+    decisions_of_60_trials: list[Decision],
+) -> None:
+    page = (ROOT / "docs/reproduce.md").read_text(encoding="utf-8")
+    gain = re.search(r"helps overconfident swarms only at P = 10 %\*\*, by (\d+) to (\d+) points", page)
+    assert gain
+    (decision,) = [each for each in decisions_of_60_trials if each.claim.name == CHECKED_CLAIMS[0]]
+    values = sorted(comparison.interval.value for comparison in decision.comparisons)
+    assert values == pytest.approx([float(number) for number in gain.groups()], abs=4)
