@@ -19,7 +19,7 @@ from mcp_asdf_tools.experiments.sweep import run_sweep
 from mcp_asdf_tools.studies.cells import (
     FILTER_PERIODS,
     Cell,
-    Part,
+    StudyPart,
     StudySize,
     cell_of,
     cells_of,
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--output", metavar="FOLDER", type=Path, help="for report and results (default: reproduction[-quick])"
     )
-    parts = [part.value for part in Part]
+    parts = [study_part.value for study_part in StudyPart]
     add("--part", action="append", choices=parts, help="only this part; may be repeated (default: all)")
     add("--trials", type=int, metavar="N", help=f"of each experiment (default {PAPER_SIZE.trials})")
     add("--steps", type=int, metavar="N", help=f"at most, of a trial (default {PAPER_SIZE.steps})")
@@ -65,58 +65,68 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.studies import report  # noqa: PLC0415 (matplotlib loads slowly)
 
     workers = options.check_workers(args.workers)
-    size = study_size_from(args)
-    parts = [part for part in Part if args.part is None or part.value in args.part]
+    study_size = study_size_from(args)
+    parts = [study_part for study_part in StudyPart if args.part is None or study_part.value in args.part]
     folder = args.output or Path("reproduction-quick" if args.quick else "reproduction")
-    stores = open_stores(folder, parts, size)
+    stores = open_stores(folder, parts, study_size)
     if not args.json:
         print(f"{sum(store.left for store in stores.values())} trials to run", file=sys.stderr)
 
     trials_by_cell: dict[Cell, Trials] = {}
     with telling_what_is_left(list(stores.values())):
-        for part, store in stores.items():
-            with progress(f"{part.value}: trials", store.left, args.json) as bar:
+        for study_part, store in stores.items():
+            with progress(f"{study_part.value}: trials", store.left, args.json) as bar:
                 table = run_sweep(store, workers, bar, args.scheduler)
-            trials_by_cell |= {cell_of(part, trials.experiment): trials for trials in experiments_in(table)}
+            trials_by_cell |= {
+                cell_of(study_part, trials.experiment): trials for trials in experiments_in(table)
+            }
 
-    results = StudyResults(trials_by_cell)
-    decisions = decide(results)
-    report.write_report(folder, results, decisions, size)
-    claims = report.decisions_as_json(decisions, size)
+    study_results = StudyResults(trials_by_cell)
+    decisions = decide(study_results)
+    report.write_report(folder, study_results, decisions, study_size)
+    claims = report.decisions_as_json(decisions, study_size)
     if args.json:
         print(json_report({"report": str(folder / "report.html"), "claims": claims}))
         return 0
     for claim in claims:
         print(f"{claim['verdict'] or 'too short':10} {claim['part'] or 'equations':16} {claim['claim']}")
     print(folder / "report.html")
-    print_again(args, seed=size.seed)
+    print_again(args, seed=study_size.seed)
     return 0
 
 
 def study_size_from(args: argparse.Namespace) -> StudySize:
     """Return how much is to be run, by the options. Raises UsageError for too few trials or steps."""
     default = QUICK_SIZE if args.quick else PAPER_SIZE
-    size = StudySize(
+    study_size = StudySize(
         default.trials if args.trials is None else args.trials,
         default.steps if args.steps is None else args.steps,
         default.seed if args.seed is None else args.seed,
     )
-    if size.trials < 2:
-        raise UsageError(f"--trials is {size.trials}; give at least 2: one says nothing of how sure it is")
+    if study_size.trials < 2:
+        raise UsageError(
+            f"--trials is {study_size.trials}; give at least 2: one says nothing of how sure it is"
+        )
     longest_period = FILTER_PERIODS[-1]
-    if size.steps < longest_period:
-        raise UsageError(f"--steps is {size.steps}; give at least {longest_period}: the longest tau")
-    return size
+    if study_size.steps < longest_period:
+        raise UsageError(f"--steps is {study_size.steps}; give at least {longest_period}: the longest tau")
+    return study_size
 
 
-def open_stores(folder: Path, parts: list[Part], size: StudySize) -> dict[Part, Store]:
+def open_stores(folder: Path, parts: list[StudyPart], study_size: StudySize) -> dict[StudyPart, Store]:
     """Open the results of each part in a folder, which is made if need be; those that exist are kept.
 
     Raises UsageError for a size out of range, results of another study, and a folder that cannot be written.
     """
     try:
-        experiments = {part: [experiment_of(cell, size) for cell in cells_of(part)] for part in parts}
+        experiments = {
+            study_part: [experiment_of(cell, study_size) for cell in cells_of(study_part)]
+            for study_part in parts
+        }
     except ParameterError as error:
         raise UsageError(f"--{error.key}: {error}") from error
     make_folder(folder)
-    return {part: Store(folder / f"{part.value}.parquet", experiments[part]) for part in parts}
+    return {
+        study_part: Store(folder / f"{study_part.value}.parquet", experiments[study_part])
+        for study_part in parts
+    }

@@ -30,6 +30,7 @@ class Interval(NamedTuple):
     high: float
 
     def __neg__(self) -> Interval:
+        """Return the interval of the negated number: its ends change places."""
         return Interval(-self.value, -self.high, -self.low)
 
 
@@ -41,6 +42,7 @@ class Resampled:
     resamples: NDArray[np.float32]
 
     def __sub__(self, other: Resampled) -> Resampled:
+        """Return the difference of two statistics, resample by resample."""
         return Resampled(self.value - other.value, self.resamples - other.resamples)
 
     def minus_constant(self, constant: float) -> Resampled:
@@ -50,7 +52,8 @@ class Resampled:
     def interval(self, confidence: float) -> Interval:
         """Return the percentile interval that covers the share ``confidence`` of the resamples."""
         if np.ptp(self.resamples) == 0:
-            return Interval(self.value, self.value, self.value)  # float32 may have rounded the resamples
+            # The resamples are float32, so they may differ from the value by rounding.
+            return Interval(self.value, self.value, self.value)
         low, high = np.quantile(self.resamples, [(1 - confidence) / 2, (1 + confidence) / 2])
         return Interval(self.value, float(low), float(high))
 
@@ -58,6 +61,7 @@ class Resampled:
 @lru_cache(maxsize=4)
 def resample_indices(trials: int) -> NDArray[np.uint16]:
     """Draw the trials of every resample with replacement; shape (RESAMPLES, trials), always the same."""
+    # A fixed seed: the report of one study is the same each time it is made.
     return np.random.default_rng(1).integers(trials, size=(RESAMPLES, trials), dtype=np.uint16)
 
 

@@ -23,7 +23,7 @@ PAPER_TRIALS = 30
 PAPER_STEPS = 40_000
 
 
-class Part(Enum):
+class StudyPart(Enum):
     """One of the paper's sets of experiments; its value is the name of the file that describes it."""
 
     FULLY_CONNECTED = "fully_connected"
@@ -50,7 +50,7 @@ class Cell:
         filter_period: tau in steps.
     """
 
-    part: Part
+    study_part: StudyPart
     fill_ratio: float
     true_accuracy: float
     flawed_accuracy: float
@@ -99,21 +99,22 @@ class StudySize:
 
 
 @cache
-def _shipped_experiments(part: Part) -> list[Experiment]:
-    return read_experiments(STUDIES / f"{part.value}.toml")
+def _shipped_experiments(study_part: StudyPart) -> list[Experiment]:
+    """Read the file that comes with the program for a part of the study."""
+    return read_experiments(STUDIES / f"{study_part.value}.toml")
 
 
 @cache
-def cells_of(part: Part) -> tuple[Cell, ...]:
+def cells_of(study_part: StudyPart) -> tuple[Cell, ...]:
     """Return the normal cells of a part, in the order in which its file has their experiments."""
-    cells = [cell_of(part, experiment) for experiment in _shipped_experiments(part)]
+    cells = [cell_of(study_part, experiment) for experiment in _shipped_experiments(study_part)]
     return tuple(dict.fromkeys(cells))
 
 
-def cell_of(part: Part, experiment: Experiment) -> Cell:
+def cell_of(study_part: StudyPart, experiment: Experiment) -> Cell:
     """Return the normal cell to which an experiment of a part belongs."""
     cell = Cell(
-        part,
+        study_part,
         experiment.fill_ratio,
         experiment.true_accuracy,
         experiment.flawed_accuracy,
@@ -124,9 +125,10 @@ def cell_of(part: Part, experiment: Experiment) -> Cell:
     return cell.normal
 
 
-def experiment_of(cell: Cell, size: StudySize) -> Experiment:
+def experiment_of(cell: Cell, study_size: StudySize) -> Experiment:
     """Return the experiment of a cell. Raises ParameterError for trials, steps or a seed out of range."""
-    common = _shipped_experiments(cell.part)[0]
+    # All experiments of a part share what the cell does not say.
+    common = _shipped_experiments(cell.study_part)[0]
     parameters: dict[str, Any] = {
         **common.parameters(),
         "fill_ratio": cell.fill_ratio,
@@ -135,8 +137,8 @@ def experiment_of(cell: Cell, size: StudySize) -> Experiment:
         "flawed": round(cell.flawed_percent * common.robots / 100),
         "filter": cell.filter,
         "filter_period": cell.filter_period,
-        "trials": size.trials,
-        "steps": min(common.steps, size.steps),
-        "seed": size.seed,
+        "trials": study_size.trials,
+        "steps": min(common.steps, study_size.steps),
+        "seed": study_size.seed,
     }
     return Experiment(**parameters)

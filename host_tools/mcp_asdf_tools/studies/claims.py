@@ -15,7 +15,7 @@ from mcp_asdf_tools.studies.cells import (
     FLAWED_ACCURACIES,
     FLAWED_PERCENTS,
     Cell,
-    Part,
+    StudyPart,
 )
 from mcp_asdf_tools.studies.equations import EQUATIONS, ROUNDING
 from mcp_asdf_tools.studies.study_results import StudyResults
@@ -80,38 +80,43 @@ class Contrast:
     than: str | Mapping[str, Any] | None = None
     level: str | float | None = None
 
-    def plan(self, part: Part) -> list[PlannedComparison]:
+    def plan(self, study_part: StudyPart) -> list[PlannedComparison]:
         """List the comparisons about a part of the study, each pair of experiments once."""
+        # Different rows of the file may mean the same experiments: see Cell.normal.
         plans = [
-            PlannedComparison(self, cell.normal, other.normal if other else None)
-            for cell in self._cells(part)
-            for other in self._others(cell)
+            PlannedComparison(self, cell.normal, reference.normal if reference else None)
+            for cell in self._cells(study_part)
+            for reference in self._references(cell)
         ]
-        return list({(plan.cell, plan.other): plan for plan in plans}.values())
+        return list({(plan.cell, plan.reference): plan for plan in plans}.values())
 
-    def _cells(self, part: Part) -> list[Cell]:
+    def _cells(self, study_part: StudyPart) -> list[Cell]:
+        """Return all combinations of the contrast's values whose flawed robots are flawed."""
         combinations = product(
             _as_list(self.filters),
-            _fill_ratios_and_accuracies(self.panels, part),
+            _fill_ratios_and_accuracies(self.panels, study_part),
             _as_list(self.flawed_accuracies),
             _as_list(self.flawed_percents),
             _as_list(self.filter_periods),
         )
         return [
-            Cell(part, fill_ratio, accuracy, flawed_accuracy, percent, filter_name, period)
+            Cell(study_part, fill_ratio, accuracy, flawed_accuracy, percent, filter_name, period)
             for filter_name, (fill_ratio, accuracy), flawed_accuracy, percent, period in combinations
-            if flawed_accuracy != accuracy  # such robots would not be flawed
+            if flawed_accuracy != accuracy
         ]
 
-    def _others(self, cell: Cell) -> list[Cell] | list[None]:
+    def _references(self, cell: Cell) -> list[Cell] | list[None]:
         """Return the cells with which a cell is compared; a list of None where that is a level."""
         if self.than is None:
             return [None]
         if self.than == "next lower P":
             index = FLAWED_PERCENTS.index(cell.flawed_percent)
             return [replace(cell, flawed_percent=FLAWED_PERCENTS[index - 1])]
+        # A list among the values makes several reference cells.
         changes = _FILE["than"][self.than] if isinstance(self.than, str) else self.than
-        values = [_as_list(Part(value) if name == "part" else value) for name, value in changes.items()]
+        values = [
+            _as_list(StudyPart(value) if name == "study_part" else value) for name, value in changes.items()
+        ]
         return [replace(cell, **dict(zip(changes, choice, strict=True))) for choice in product(*values)]
 
     @property
@@ -126,62 +131,67 @@ class Contrast:
 
 
 def _as_list(value: Any) -> list[Any]:
+    """Return a list of the file as it is, and one value as a list of its own."""
     return list(value) if isinstance(value, list | tuple) else [value]
 
 
-def _fill_ratios_and_accuracies(panels: str | Sequence[str], part: Part) -> list[tuple[float, float]]:
+def _fill_ratios_and_accuracies(
+    panels: str | Sequence[str], study_part: StudyPart
+) -> list[tuple[float, float]]:
     """Return f and b of panels by their names; some names mean other panels in each part of the study."""
     pairs: list[tuple[float, float]] = []
     for name in _as_list(panels):
         panel = _FILE["panels"][name]
-        pairs += panel[part.value] if isinstance(panel, dict) else panel
+        pairs += panel[study_part.value] if isinstance(panel, dict) else panel
     return pairs
 
 
 @dataclass(frozen=True)
 class PlannedComparison:
-    """A comparison to be made: a cell and, unless it is compared with the contrast's level, another cell."""
+    """A comparison to be made: of a cell with a reference, or with the contrast's level if that is None."""
 
     contrast: Contrast
     cell: Cell
-    other: Cell | None
+    reference: Cell | None
 
     @property
-    def parts(self) -> set[Part]:
+    def parts(self) -> set[StudyPart]:
         """The parts of the study whose results it needs."""
-        return {self.cell.part} | ({self.other.part} if self.other else set())
+        return {self.cell.study_part} | ({self.reference.study_part} if self.reference else set())
 
-    def compare(self, results: StudyResults, confidence: float) -> Comparison:
+    def compare(self, study_results: StudyResults, confidence: float) -> Comparison:
         """Compare the cells by their trials, with an interval of the given confidence."""
         contrast = self.contrast
-        difference = results.measure(self.cell, contrast.measure)
-        if self.other:
-            difference -= results.measure(self.other, contrast.than_measure or contrast.measure)
+        # Differences are formed resample by resample, so that what both cells have in common cancels.
+        difference = study_results.measure(self.cell, contrast.measure)
+        if self.reference:
+            difference -= study_results.measure(self.reference, contrast.than_measure or contrast.measure)
         elif contrast.level_in_points is not None:
             difference = difference.minus_constant(contrast.level_in_points)
         return Comparison(
-            *self._place(),
+            *self._row_and_column(),
             difference.interval(confidence),
             Expectation(contrast.expected),
             contrast.size_in_points,
             contrast.size in STRONG_WORDS,
         )
 
-    def _place(self) -> tuple[str, str]:
+    def _row_and_column(self) -> tuple[str, str]:
         """Return the row and the column of the claim's table that the comparison belongs to."""
         cell_labels = labels_of(self.cell)
-        other_labels = labels_of(self.other) if self.other else cell_labels
+        reference_labels = labels_of(self.reference) if self.reference else cell_labels
         row_names = ("fill_ratio", "true_accuracy", "flawed_accuracy")
         column_names = ["flawed_percent", "filter", "filter_period"]
-        if other_labels["part"] != cell_labels["part"]:
-            column_names.insert(0, "part")
+        # The part of the study is named only where it is what differs.
+        if reference_labels["study_part"] != cell_labels["study_part"]:
+            column_names.insert(0, "study_part")
         row = ", ".join(cell_labels[name] for name in row_names if name in cell_labels)
         column = self.contrast.measure
         if self.contrast.level_in_points is not None:
             column += f" less {self.contrast.level_in_points:g}"
         column = ", ".join([column, *(cell_labels[name] for name in column_names if name in cell_labels)])
-        if self.other:
-            changed = [label for name, label in other_labels.items() if cell_labels.get(name) != label]
+        if self.reference:
+            changed = [label for name, label in reference_labels.items() if cell_labels.get(name) != label]
             column += f" less {', '.join(changed)}"
         return row, column
 
@@ -189,7 +199,7 @@ class PlannedComparison:
 def labels_of(cell: Cell) -> dict[str, str]:
     """Return a label for each attribute of a cell that means something in it."""
     labels = {
-        "part": cell.part.label,
+        "study_part": cell.study_part.label,
         "fill_ratio": f"f {cell.fill_ratio:g}",
         "true_accuracy": f"b {cell.true_accuracy:g}",
         "flawed_accuracy": f"b_hat {cell.flawed_accuracy:g}",
@@ -222,13 +232,13 @@ class Claim:
     where: str
     quote: str
     compared: str
-    parts: tuple[Part | None, ...]
+    parts: tuple[StudyPart | None, ...]
     scope: Scope
     contrasts: tuple[Contrast, ...]
 
-    def plan(self, part: Part) -> list[PlannedComparison]:
+    def plan(self, study_part: StudyPart) -> list[PlannedComparison]:
         """List all comparisons about a part of the study."""
-        return [plan for contrast in self.contrasts for plan in contrast.plan(part)]
+        return [plan for contrast in self.contrasts for plan in contrast.plan(study_part)]
 
 
 def _claim_from(name: str, row: Mapping[str, Any]) -> Claim:
@@ -238,7 +248,7 @@ def _claim_from(name: str, row: Mapping[str, Any]) -> Claim:
         for contrast in row.get("contrasts", [])
         for measure in _as_list(contrast.get("measure", Contrast.measure))
     ]
-    parts = (None,) if name in EQUATIONS else tuple(Part(part) for part in row["parts"])
+    parts = (None,) if name in EQUATIONS else tuple(StudyPart(study_part) for study_part in row["parts"])
     scope = Scope(row.get("scope", "all"))
     return Claim(name, row["where"], row["quote"], row["compared"], parts, scope, tuple(contrasts))
 
@@ -252,7 +262,7 @@ class Decision:
     """What the results say about a claim in a part of the study; the part is None where equations decide."""
 
     claim: Claim
-    part: Part | None
+    study_part: StudyPart | None
     comparisons: tuple[Comparison, ...]
 
     @property
@@ -263,51 +273,52 @@ class Decision:
     @property
     def part_label(self) -> str:
         """Name of the part for people to read."""
-        return self.part.label if self.part else "equations"
+        return self.study_part.label if self.study_part else "equations"
 
     @property
     def anchor(self) -> str:
         """Target of links to the claim in the report."""
-        return f"{self.part.value if self.part else 'equations'}-{self.claim.name}"
+        return f"{self.study_part.value if self.study_part else 'equations'}-{self.claim.name}"
 
     def count(self, holds: bool | None) -> int:
         """Count the comparisons that hold (True), fail (False) or are open (None)."""
         return count_holding(self.comparisons, holds)
 
 
-def decide(results: StudyResults, claims: Iterable[Claim] = CLAIMS) -> list[Decision]:
+def decide(study_results: StudyResults, claims: Iterable[Claim] = CLAIMS) -> list[Decision]:
     """Decide every claim of whose parts there are results. O(cells RESAMPLES trials)."""
     return [
-        Decision(claim, part, tuple(_compare(claim, part, results)))
+        Decision(claim, study_part, tuple(_compare(claim, study_part, study_results)))
         for claim in claims
-        for part in claim.parts
-        if parts_needed(claim, part) <= set(results.parts)
+        for study_part in claim.parts
+        if parts_needed(claim, study_part) <= set(study_results.parts)
     ]
 
 
-def parts_needed(claim: Claim, part: Part | None) -> set[Part]:
+def parts_needed(claim: Claim, study_part: StudyPart | None) -> set[StudyPart]:
     """Return the parts of the study whose results decide a claim about ``part``; none where equations do."""
-    if part is None:
+    if study_part is None:
         return set()
-    return {part}.union(*(plan.parts for plan in claim.plan(part)))
+    return {study_part}.union(*(plan.parts for plan in claim.plan(study_part)))
 
 
-def _compare(claim: Claim, part: Part | None, results: StudyResults) -> list[Comparison]:
+def _compare(claim: Claim, study_part: StudyPart | None, study_results: StudyResults) -> list[Comparison]:
     """Make all comparisons of a claim, with intervals so wide that all are right together with CONFIDENCE."""
-    if part is None:
+    if study_part is None:
         return EQUATIONS[claim.name]()
     if claim.name == IDENTICAL_ROBOTS:
-        return _compare_robots(part, results)
-    plans = claim.plan(part)
+        return _compare_robots(study_part, study_results)
+    plans = claim.plan(study_part)
+    # Bonferroni's correction: errors of single comparisons add up to 1 - CONFIDENCE at most.
     bonferroni_confidence = 1 - (1 - CONFIDENCE) / len(plans)
-    return [plan.compare(results, bonferroni_confidence) for plan in plans]
+    return [plan.compare(study_results, bonferroni_confidence) for plan in plans]
 
 
-def _compare_robots(part: Part, results: StudyResults) -> list[Comparison]:
+def _compare_robots(study_part: StudyPart, study_results: StudyResults) -> list[Comparison]:
     """Compare the largest K and e of the robots of a trial with the smallest ones, over all cells."""
     return [
         exact_comparison(
             "all cells", f"largest {name} in a trial less the smallest", value, Expectation.SAME, ROUNDING
         )
-        for name, value in results.largest_differences_between_robots(part).items()
+        for name, value in study_results.largest_differences_between_robots(study_part).items()
     ]

@@ -54,6 +54,7 @@ def _alpha(share: float, b_hat: float) -> float:
 
 def _black_shares_of_table_1() -> list[float]:
     """Return the different n/t of the four panels, in ascending order."""
+    # Two panels have the same n/t, but for what float64 rounds.
     return sorted({round(black_share(f, b), 9) for f, b in PANELS})
 
 
@@ -77,11 +78,13 @@ def table_of_local_estimates() -> list[Comparison]:
 
 
 def _equal_to_printed_digits(row: str, name: str, value: float, printed: float) -> Comparison:
+    """Compare a value with the three digits that the paper prints of it."""
     column = f"{name} less {printed:.3f}"
     return exact_comparison(row, column, _rounded(value - printed), Expectation.SAME, HALF_A_PRINTED_DIGIT)
 
 
 def _above_zero(row: str, column: str, value: float) -> Comparison:
+    """Compare a value with 0: the claim is that it is larger."""
     return exact_comparison(row, column, _rounded(value), Expectation.ABOVE, ROUNDING)
 
 

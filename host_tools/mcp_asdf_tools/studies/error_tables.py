@@ -82,7 +82,7 @@ def late_errors(trials: Trials, honest: int | None = None, fill_ratio: float | N
     where it is not the experiment's.
     """
     x = trials.records["x"][:, :, :honest]
-    quarter = max(1, x.shape[1] // 4)
+    quarter = max(1, x.shape[1] // 4)  # a short trial has few values, but at least one counts
     true_fill_ratio = trials.experiment.fill_ratio if fill_ratio is None else fill_ratio
     errors: Sample = abs(x[:, -quarter:] - true_fill_ratio).mean(axis=(1, 2))
     return errors
@@ -100,6 +100,7 @@ def harmed_shares(trials: Trials) -> Sample:
 
 def mean_of_medians(measure: Measure, experiments: Sequence[Trials]) -> Interval:
     """Return the mean over experiments of the medians over their trials, with its interval."""
+    # All experiments are resampled by the same trials, which saw the same worlds.
     medians = [resample_median(measure(trials)) for trials in experiments]
     return mean_of_resampled(medians).interval(CONFIDENCE)
 
@@ -126,6 +127,7 @@ def format_tenths(value: float) -> str:
 def format_interval(interval: Interval, format_value: Callable[[float], str], tolerance: float) -> str:
     """Format a number; its interval follows in brackets where that reaches farther than ``tolerance``."""
     value, low, high = (format_value(number) for number in interval)
+    # Where the interval is narrow it would only make the table harder to read.
     reach = max(interval.high - interval.value, interval.value - interval.low)
     return value if reach <= tolerance or low == high else f"{value} ({low}..{high})"
 

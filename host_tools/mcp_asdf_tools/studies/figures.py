@@ -12,7 +12,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
-from mcp_asdf_tools.studies.cells import FILTER_PERIODS, Cell, Part, StudySize, experiment_of
+from mcp_asdf_tools.studies.cells import FILTER_PERIODS, Cell, StudyPart, StudySize, experiment_of
 from mcp_asdf_tools.studies.study_results import StudyResults
 
 NONE: Filtering = "none"
@@ -20,7 +20,7 @@ MINUS: Filtering = "asdf-minus"
 PLUS: Filtering = "asdf-plus"
 
 SHORTEST_PERIOD = FILTER_PERIODS[0]
-SERIES_CELL = Cell(Part.FULLY_CONNECTED, 0.95, 0.55, 0.95, 50)
+SERIES_CELL = Cell(StudyPart.FULLY_CONNECTED, 0.95, 0.55, 0.95, 50)
 SERIES_SAMPLING_INTERVAL = 100
 
 
@@ -39,34 +39,34 @@ class Picture:
     figure: Figure
 
 
-def draw_pictures(results: StudyResults, size: StudySize) -> Iterator[Picture]:
+def draw_pictures(study_results: StudyResults, study_size: StudySize) -> Iterator[Picture]:
     """Draw all pictures of the parts of which there are results; that of single trials runs two again."""
-    if Part.DYNAMIC in results.parts:
-        yield _draw_boxes(results, Part.DYNAMIC, MINUS, "3a")
-        yield _draw_boxes(results, Part.DYNAMIC, PLUS, "3b")
-        yield _draw_scatter(results, Part.DYNAMIC, "4")
-        yield _draw_bands(results, Part.DYNAMIC)
-    if Part.FULLY_CONNECTED in results.parts:
-        yield _draw_boxes(results, Part.FULLY_CONNECTED, MINUS)
-        yield _draw_boxes(results, Part.FULLY_CONNECTED, PLUS)
-        yield _draw_scatter(results, Part.FULLY_CONNECTED)
-        yield _draw_bands(results, Part.FULLY_CONNECTED)
-    if {Part.DYNAMIC, Part.FULLY_CONNECTED} <= set(results.parts):
-        yield _draw_topologies(results, MINUS, "5a")
-        yield _draw_topologies(results, PLUS, "5b")
-    if Part.FULLY_CONNECTED in results.parts:
-        yield _draw_series(size)
-    if Part.PHYSICAL in results.parts:
-        yield _draw_boxes(results, Part.PHYSICAL, PLUS, "8a")
-        yield _draw_scatter(results, Part.PHYSICAL, "8b")
+    if StudyPart.DYNAMIC in study_results.parts:
+        yield _draw_boxes(study_results, StudyPart.DYNAMIC, MINUS, "3a")
+        yield _draw_boxes(study_results, StudyPart.DYNAMIC, PLUS, "3b")
+        yield _draw_scatter(study_results, StudyPart.DYNAMIC, "4")
+        yield _draw_bands(study_results, StudyPart.DYNAMIC)
+    if StudyPart.FULLY_CONNECTED in study_results.parts:
+        yield _draw_boxes(study_results, StudyPart.FULLY_CONNECTED, MINUS)
+        yield _draw_boxes(study_results, StudyPart.FULLY_CONNECTED, PLUS)
+        yield _draw_scatter(study_results, StudyPart.FULLY_CONNECTED)
+        yield _draw_bands(study_results, StudyPart.FULLY_CONNECTED)
+    if {StudyPart.DYNAMIC, StudyPart.FULLY_CONNECTED} <= set(study_results.parts):
+        yield _draw_topologies(study_results, MINUS, "5a")
+        yield _draw_topologies(study_results, PLUS, "5b")
+    if StudyPart.FULLY_CONNECTED in study_results.parts:
+        yield _draw_series(study_size)
+    if StudyPart.PHYSICAL in study_results.parts:
+        yield _draw_boxes(study_results, StudyPart.PHYSICAL, PLUS, "8a")
+        yield _draw_scatter(study_results, StudyPart.PHYSICAL, "8b")
 
 
-def _trials_with(results: StudyResults, part: Part, *filters: str) -> list[Trials]:
+def _trials_with(study_results: StudyResults, study_part: StudyPart, *filters: str) -> list[Trials]:
     """Return the trials of a part with any of these filters, filter by filter."""
     return [
         trials
         for filter_name in filters
-        for trials in results.trials_of(part)
+        for trials in study_results.trials_of(study_part)
         if trials.experiment.filter == filter_name
     ]
 
@@ -80,61 +80,66 @@ def _with_shortest_period(experiments: list[Trials]) -> list[Trials]:
     ]
 
 
-def _ends_of_asdf_minus(results: StudyResults, part: Part) -> list[Trials]:
+def _ends_of_asdf_minus(study_results: StudyResults, study_part: StudyPart) -> list[Trials]:
     """Return the experiments with ASDF- where no robot is flawed, and where all are.
 
     They have been run under other names: without flawed robots nobody filters, with flawed ones alone all do.
     """
-    unfiltered = _trials_with(results, part, NONE)
-    filtered = _with_shortest_period(_trials_with(results, part, PLUS))
+    unfiltered = _trials_with(study_results, study_part, NONE)
+    filtered = _with_shortest_period(_trials_with(study_results, study_part, PLUS))
     ends = [trials for trials in unfiltered if trials.experiment.flawed == 0]
     ends += [trials for trials in filtered if trials.experiment.flawed == trials.experiment.robots]
     return [replace(trials, experiment=replace(trials.experiment, filter=MINUS)) for trials in ends]
 
 
 def _number_of_paper(number: str) -> str:
+    """Return the end of a title that follows a figure of the paper; empty if it follows none."""
     return f" (the paper's figure {number})" if number else ""
 
 
-def _draw_boxes(results: StudyResults, part: Part, filter_name: Filtering, number: str = "") -> Picture:
+def _draw_boxes(
+    study_results: StudyResults, study_part: StudyPart, filter_name: Filtering, number: str = ""
+) -> Picture:
     """Draw H without and with a filter."""
-    experiments = _trials_with(results, part, NONE, filter_name)
+    experiments = _trials_with(study_results, study_part, NONE, filter_name)
     if filter_name == MINUS:
         # Where all robots are flawed ASDF- is ASDF+, which has a picture of its own.
         experiments = [
             trials for trials in experiments if trials.experiment.flawed < trials.experiment.robots
         ]
-    title = f"H of {part.label} swarms without filter and with {TYPESET_FILTER_NAMES[filter_name]}"
-    name = f"{part.value}_{filter_name}"
+    title = f"H of {study_part.label} swarms without filter and with {TYPESET_FILTER_NAMES[filter_name]}"
+    name = f"{study_part.value}_{filter_name}"
     return Picture(name, title + _number_of_paper(number), plots.boxes(experiments))
 
 
-def _draw_scatter(results: StudyResults, part: Part, number: str = "") -> Picture:
+def _draw_scatter(study_results: StudyResults, study_part: StudyPart, number: str = "") -> Picture:
     """Draw h_e against h_K of all filters, with the shortest filtering period."""
-    experiments = _with_shortest_period(_trials_with(results, part, NONE, MINUS, PLUS))
-    experiments += _ends_of_asdf_minus(results, part)
-    title = f"Accuracy against convergence of {part.label} swarms, tau = {SHORTEST_PERIOD}"
-    return Picture(f"{part.value}_scatter", title + _number_of_paper(number), plots.scatter(experiments))
+    experiments = _with_shortest_period(_trials_with(study_results, study_part, NONE, MINUS, PLUS))
+    experiments += _ends_of_asdf_minus(study_results, study_part)
+    title = f"Accuracy against convergence of {study_part.label} swarms, tau = {SHORTEST_PERIOD}"
+    return Picture(
+        f"{study_part.value}_scatter", title + _number_of_paper(number), plots.scatter(experiments)
+    )
 
 
-def _draw_bands(results: StudyResults, part: Part) -> Picture:
+def _draw_bands(study_results: StudyResults, study_part: StudyPart) -> Picture:
     """Draw b_hat over time in swarms of which some robots are flawed and all filter."""
     experiments = [
         trials
-        for trials in _with_shortest_period(_trials_with(results, part, PLUS))
+        for trials in _with_shortest_period(_trials_with(study_results, study_part, PLUS))
         if 0 < trials.experiment.flawed < trials.experiment.robots
     ]
-    title = f"b_hat of all robots of {part.label} swarms with ASDF+, tau = {SHORTEST_PERIOD}"
-    return Picture(f"{part.value}_bands", title, plots.bands(experiments))
+    title = f"b_hat of all robots of {study_part.label} swarms with ASDF+, tau = {SHORTEST_PERIOD}"
+    return Picture(f"{study_part.value}_bands", title, plots.bands(experiments))
 
 
-def _draw_topologies(results: StudyResults, filter_name: Filtering, number: str) -> Picture:
+def _draw_topologies(study_results: StudyResults, filter_name: Filtering, number: str) -> Picture:
     """Draw H of dynamic swarms beside that of fully connected ones, without and with a filter."""
     experiments: list[Trials] = []
-    for part in (Part.DYNAMIC, Part.FULLY_CONNECTED):
-        experiments += _with_shortest_period(_trials_with(results, part, NONE, filter_name))
+    for study_part in (StudyPart.DYNAMIC, StudyPart.FULLY_CONNECTED):
+        experiments += _with_shortest_period(_trials_with(study_results, study_part, NONE, filter_name))
         if filter_name == MINUS:
-            experiments += _ends_of_asdf_minus(results, part)
+            experiments += _ends_of_asdf_minus(study_results, study_part)
 
     def series_name(experiment: Experiment) -> str:
         topology = "dynamic" if experiment.is_dynamic else "fully connected"
@@ -145,10 +150,10 @@ def _draw_topologies(results: StudyResults, filter_name: Filtering, number: str)
     return Picture(f"topologies_{filter_name}", title, plots.boxes(experiments, name=series_name))
 
 
-def _draw_series(size: StudySize) -> Picture:
+def _draw_series(study_size: StudySize) -> Picture:
     """Run one trial without and one with a filter again, recorded, and draw their values over time."""
-    unfiltered = experiment_of(SERIES_CELL, size)
-    filtered = experiment_of(replace(SERIES_CELL, filter=PLUS), size)
+    unfiltered = experiment_of(SERIES_CELL, study_size)
+    filtered = experiment_of(replace(SERIES_CELL, filter=PLUS), study_size)
     recorded = [run_trials(e, 0, 1, SERIES_SAMPLING_INTERVAL) for e in (unfiltered, filtered)]
     title = "A trial without filter and one with ASDF+: f = 0.95, b = 0.55, b_hat = 0.95, P = 50 %"
     return Picture("series", title + _number_of_paper("6"), plots.series_beside(recorded, 0))

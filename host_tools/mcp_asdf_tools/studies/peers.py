@@ -67,10 +67,12 @@ class RememberingRobot(ReferenceRobot):
     _weighted_sum = 0.0
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
+        """Take a message as the reference does, and add it to the running means."""
         status = super().receive(sender, x_hat, alpha)
         if status is Status.OK and alpha > 0:
             self._messages += 1
             gain = 2.0 ** -min(max(self._messages.bit_length() - 3, 3), 12)
+            # The sender's t is not in the message; robots of a swarm have observed equally often.
             weight = alpha / max(self.t, 1)
             self._weight += gain * (weight - self._weight)
             self._weighted_sum += gain * (weight * x_hat - self._weighted_sum)
@@ -78,10 +80,12 @@ class RememberingRobot(ReferenceRobot):
 
     @property
     def x_bar(self) -> float:
+        """The running mean of the received estimates; 1/2 before the first one."""
         return self._weighted_sum / self._weight if self._weight else 0.5
 
     @property
     def x(self) -> float:
+        """The running mean of the received estimates; the own estimate before the first one."""
         return self._weighted_sum / self._weight if self._weight else self.x_hat
 
 
@@ -95,24 +99,27 @@ class BayesCpfRobot(ReferenceRobot):
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
         super().__init__(config, robot_id, b_hat)
-        self._mean, self._variance = b_hat, 0.04
+        self._mean, self._variance = b_hat, 0.04  # of the estimate of b
         self._n_since_update, self._t_since_update = 0, 0
         self._x_since_update: list[float] = []
 
     def observe(self, z: Observation) -> Status:
+        """Count an observation as the reference does, and for the next measurement."""
         self._n_since_update += int(z)
         self._t_since_update += 1
         return super().observe(z)
 
     def settle(self) -> Status:
+        """Close the round as the reference does, and keep x for the next measurement."""
         self._x_since_update.append(self.x)
         return super().settle()
 
     def _is_activated(self) -> bool:
-        # There is no hypothesis test: every filter step is an update.
+        """Return whether a filter step updates b_hat: always, as there is no hypothesis test."""
         return self._config.filter != Filter.OFF and self._t_since_update > 0
 
     def reestimated(self) -> float | None:
+        """Return b_hat after a step of the Kalman filter; None if the count is too small to measure."""
         n, t = self._n_since_update, self._t_since_update
         weights = range(len(self._x_since_update), 0, -1)
         x = float(np.average(self._x_since_update, weights=weights))
@@ -120,6 +127,7 @@ class BayesCpfRobot(ReferenceRobot):
         self._predict(t)
         if t * min(self._mean, 1 - self._mean) < 5:
             return None  # the binomial count is not near enough to a normal distribution
+        # The measurement is n; its expectation t (x b + (1 - x)(1 - b)) has this slope in b.
         slope = t * (2 * x - 1)
         expected = t * (x * (2 * self._mean - 1) + 1 - self._mean)
         noise = t * ((2 * self._mean - 1) ** 2 * (x - x**2 - 0.25) + 0.25)
@@ -162,10 +170,12 @@ class AllCountsRobot(ReferenceRobot):
         self._rounds, self._estimate = 0, 0.5
 
     def settle(self) -> Status:
+        """Close the round; the last robot of the swarm estimates f for all at the end of a filter period."""
         status = super().settle()
         self._rounds += 1
         is_last_robot = self.id == len(self._swarm) - 1
         if is_last_robot and self._rounds % self._config.filter_period == 0:
+            # Robots observe independently, so their likelihoods multiply.
             log_likelihood = np.sum([robot._log_likelihood() for robot in self._swarm], axis=0)
             weights = np.exp(log_likelihood - log_likelihood.max())
             estimate = float(np.average(self._fill_ratios, weights=weights))
@@ -189,6 +199,7 @@ class AllCountsRobot(ReferenceRobot):
 
     @property
     def x(self) -> float:
+        """The posterior mean at the last filter step; 1/2 before the first one."""
         return self._estimate
 
 
@@ -207,6 +218,7 @@ class KnownSensors(DriftingSensors):
         KnownSensors.newest = self
 
     def advance(self, steps: int) -> Accuracies:
+        """Return the accuracies of the next steps, and keep those on black tiles."""
         black, white = super().advance(steps)
         self._accuracies_by_step += np.broadcast_to(black, (steps, black.shape[1])).tolist()
         return black, white
@@ -221,6 +233,7 @@ class AgeingBayesCpfRobot(BayesCpfRobot):
     """BayesCPF as it is meant: the filter knows how sensors drift, but not how far they have."""
 
     def _predict(self, steps: int) -> None:
+        """Move the mean by the drift's rate, and widen the variance by its diffusion."""
         settings = KnownSensors.newest.settings
         self._mean += settings.drift_rate * steps
         self._variance += settings.drift_diffusion**2 * steps
@@ -232,6 +245,7 @@ class OracleRobot(ReferenceRobot):
     _steps = 0
 
     def observe(self, z: Observation) -> Status:
+        """Set b_hat, and count an observation as the reference does."""
         b_hat = self._accuracy_to_assume(KnownSensors.newest.true_accuracy(self._steps, self.id))
         self._b_hat = min(b_hat, 1 - B_HAT_MARGIN)
         self._steps += 1
@@ -248,6 +262,7 @@ class MeanAccuracyRobot(OracleRobot):
     _accuracy_sum = 0.0
 
     def _accuracy_to_assume(self, true_accuracy: float) -> float:
+        """Return the mean accuracy of all observations that t counts, this one included."""
         self._accuracy_sum += true_accuracy
         observations = self.t + 1
         mean_accuracy = self._accuracy_sum / observations
@@ -267,6 +282,7 @@ class LossyRobot(NativeRobot):
         self._random = random.Random(robot_id)
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """Take a message, or lose it as if it had never arrived."""
         is_lost = self._random.random() < 0.3
         return Status.OK if is_lost else super().receive_raw(sender, x_hat, alpha)
 
@@ -294,6 +310,7 @@ def five_liars(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
 
 
 def _make_robot(liars: int, config: Config, robot_id: int, b_hat: float) -> NativeRobot:
+    """Make a liar for the last ids of the swarm, and an honest robot for the others."""
     robot_class = Liar if robot_id >= ROBOTS_WITH_LIARS - liars else NativeRobot
     return robot_class(config, robot_id, b_hat)
 
@@ -309,8 +326,10 @@ class ChangingFloor:
         self._settings, self._steps = settings, 0
 
     def advance(self, steps: int) -> Accuracies:
+        """Return the accuracies of the next steps on black and on white tiles."""
         f, b = self._settings.fill_ratio, self._settings.true_accuracy
         black_readings_after = FLOOR_AFTER_CHANGE * b + (1 - FLOOR_AFTER_CHANGE) * (1 - b)
+        # f b black readings come from black tiles; white tiles have to give the rest.
         white_accuracy_after = 1 - (black_readings_after - f * b) / (1 - f)
         step = np.arange(self._steps, self._steps + steps)[:, np.newaxis]
         self._steps += steps

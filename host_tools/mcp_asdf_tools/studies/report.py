@@ -16,7 +16,7 @@ from mcp_asdf_tools.common.files import make_folder, write_atomically
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.scores import E_MAX
 from mcp_asdf_tools.studies.bootstrap import RESAMPLES
-from mcp_asdf_tools.studies.cells import Part, StudySize, cells_of, experiment_of
+from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of
 from mcp_asdf_tools.studies.claims import LEVELS, QUESTIONS, SIZES, Decision
 from mcp_asdf_tools.studies.figures import Picture, draw_pictures
 from mcp_asdf_tools.studies.study_results import StudyResults
@@ -57,12 +57,14 @@ CSV_COLUMNS = (
 )
 
 
-def write_report(folder: Path, results: StudyResults, decisions: Sequence[Decision], size: StudySize) -> None:
+def write_report(
+    folder: Path, study_results: StudyResults, decisions: Sequence[Decision], study_size: StudySize
+) -> None:
     """Write ``report.html``, which needs no other file, ``report.md`` with ``figures``, ``comparisons.csv``.
 
     Raises UsageError if that cannot be done.
     """
-    pictures = list(draw_pictures(results, size))
+    pictures = list(draw_pictures(study_results, study_size))
     images = {
         f"figures/{picture.name}.png": image_of(picture.figure, Path(f"{picture.name}.png"))
         for picture in pictures
@@ -70,13 +72,14 @@ def write_report(folder: Path, results: StudyResults, decisions: Sequence[Decisi
     make_folder(folder / "figures")
     for name, image in images.items():
         write_atomically(folder / name, image)
-    markdown = render_markdown(results, decisions, size, pictures)
+    markdown = render_markdown(study_results, decisions, study_size, pictures)
     write_atomically(folder / "report.md", markdown)
     write_atomically(folder / "report.html", render_page(markdown, images))
-    write_atomically(folder / "comparisons.csv", comparisons_as_csv(decisions, size))
+    write_atomically(folder / "comparisons.csv", comparisons_as_csv(decisions, study_size))
 
 
 def _fill_template(name: str, **context: Any) -> str:
+    """Return one of the templates of this folder, filled in; a name that is missing is an error."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 (loads slowly)
 
     environment = Environment(
@@ -91,7 +94,10 @@ def _fill_template(name: str, **context: Any) -> str:
 
 
 def render_markdown(
-    results: StudyResults, decisions: Sequence[Decision], size: StudySize, pictures: Sequence[Picture]
+    study_results: StudyResults,
+    decisions: Sequence[Decision],
+    study_size: StudySize,
+    pictures: Sequence[Picture],
 ) -> str:
     """Return the report in Markdown."""
     questions = {
@@ -100,13 +106,13 @@ def render_markdown(
     }
     markdown = _fill_template(
         "report.md.j2",
-        size=size,
+        study_size=study_size,
         decisions=decisions,
         decisions_by_part=_decisions_by_part(decisions),
         verdict_counts=Counter((decision.part_label, decision.verdict) for decision in decisions),
         answers={question: answers for question, answers in questions.items() if answers},
-        parts=results.parts,
-        runs=[_describe_run(part, size) for part in results.parts],
+        parts=study_results.parts,
+        runs=[_describe_run(study_part, study_size) for study_part in study_results.parts],
         versions=", ".join(f"{name} {version}" for name, version in software_versions().items()),
         pictures=pictures,
         Verdict=Verdict,
@@ -122,6 +128,7 @@ def render_markdown(
         resamples=RESAMPLES,
         e_max=E_MAX,
     )
+    # Empty cells of the template leave spaces at the ends of lines.
     return re.sub(r" +$", "", markdown, flags=re.MULTILINE)
 
 
@@ -139,32 +146,41 @@ def render_page(markdown: str, images: Mapping[str, bytes]) -> str:
 def _decisions_by_part(decisions: Sequence[Decision]) -> dict[str, list[Decision]]:
     """Group decisions by the label of their part: the equations first, then the paper's order."""
     groups: dict[str, list[Decision]] = {}
-    for part in (None, *Part):
-        decisions_of_part = [decision for decision in decisions if decision.part is part]
+    for study_part in (None, *StudyPart):
+        decisions_of_part = [decision for decision in decisions if decision.study_part is study_part]
         if decisions_of_part:
             groups[decisions_of_part[0].part_label] = decisions_of_part
     return groups
 
 
-def _describe_run(part: Part, size: StudySize) -> list[object]:
+def _describe_run(study_part: StudyPart, study_size: StudySize) -> list[object]:
     """Return a row of the table of what was run."""
-    experiment = experiment_of(cells_of(part)[0], size)
-    cell_count = len(cells_of(part))
-    return [part.label, cell_count, experiment.robots, experiment.steps, size.trials, size.seed]
+    experiment = experiment_of(cells_of(study_part)[0], study_size)
+    cell_count = len(cells_of(study_part))
+    return [
+        study_part.label,
+        cell_count,
+        experiment.robots,
+        experiment.steps,
+        study_size.trials,
+        study_size.seed,
+    ]
 
 
 def heading_of(claim_name: str) -> str:
     """Return the heading of a claim: its name with spaces; symbols and names of filters as in the paper."""
-    words = f"{claim_name} ".replace("_", " ").replace("b hat", "b_hat").replace(" p ", " P ").strip()
-    words = re.sub(r"\bplus\b", "ASDF+", words)
-    words = re.sub(r"\bminus\b", "ASDF\N{MINUS SIGN}", words)
-    return words[0].upper() + words[1:]
+    heading = claim_name.replace("_", " ").replace("b hat", "b_hat")
+    heading = re.sub(r"\bp\b", "P", heading)
+    heading = re.sub(r"\bplus\b", "ASDF+", heading)
+    heading = re.sub(r"\bminus\b", "ASDF\N{MINUS SIGN}", heading)
+    return heading[0].upper() + heading[1:]  # capitalize() would make b_hat and P lower-case
 
 
 def comparison_table(decision: Decision) -> list[list[str]]:
     """Return a claim's comparisons as rows of text; the first row has the heads of the columns."""
     rows = list(dict.fromkeys(comparison.row for comparison in decision.comparisons))
     columns = list(dict.fromkeys(_column_head(comparison) for comparison in decision.comparisons))
+    # Not every contrast has a comparison for every swarm: those cells stay empty.
     texts = {
         (comparison.row, _column_head(comparison)): " ".join(
             [MARKS[comparison.holds], format_difference(comparison)]
@@ -212,29 +228,35 @@ def _favour(comparison: Comparison) -> float:
             return -value
 
 
-def comparisons_as_csv(decisions: Sequence[Decision], size: StudySize) -> str:
+def comparisons_as_csv(decisions: Sequence[Decision], study_size: StudySize) -> str:
     """Return a line of CSV for every comparison; verdicts are empty where none may be given."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+    csv_text = io.StringIO()
+    writer = csv.writer(csv_text, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
     for decision in decisions:
-        verdict = decision.verdict.value if size.allows_verdicts else ""
-        claim_columns = (size.seed, decision.claim.name, decision.claim.where, decision.part_label, verdict)
+        verdict = decision.verdict.value if study_size.allows_verdicts else ""
+        claim_columns = (
+            study_size.seed,
+            decision.claim.name,
+            decision.claim.where,
+            decision.part_label,
+            verdict,
+        )
         for comparison in decision.comparisons:
             numbers = (f"{number:.6g}" for number in (comparison.size, *comparison.interval))
             holds = {True: "yes", False: "no", None: "open"}[comparison.holds]
             expected = comparison.expectation.value
             writer.writerow([*claim_columns, comparison.label, expected, *numbers, holds])
-    return text.getvalue()
+    return csv_text.getvalue()
 
 
-def decisions_as_json(decisions: Sequence[Decision], size: StudySize) -> list[dict[str, object]]:
+def decisions_as_json(decisions: Sequence[Decision], study_size: StudySize) -> list[dict[str, object]]:
     """Return claims and verdicts as plain values; a verdict is None where none may be given."""
     return [
         {
             "claim": decision.claim.name,
-            "part": decision.part.value if decision.part else None,
-            "verdict": decision.verdict.value if size.allows_verdicts else None,
+            "part": decision.study_part.value if decision.study_part else None,
+            "verdict": decision.verdict.value if study_size.allows_verdicts else None,
             "numbers": summarize(decision),
         }
         for decision in decisions

@@ -124,6 +124,7 @@ def grid_row(experiment: Experiment) -> str:
 def beyond_row(experiment: Experiment) -> str:
     """Return what sets an experiment beyond the grid apart from 20 robots at density 1, 30 % flawed."""
     labels = [topology_label(experiment)]
+    # The order is that of the rows in docs/robust.md, which are found by their names.
     if experiment.robots != 20:
         labels.append(f"{experiment.robots} robots")
     if experiment.density != 1:
@@ -178,6 +179,7 @@ def late_errors_of_honest_robots(trials: Trials) -> Sample:
 
 def grid_text(experiments: Sequence[Trials]) -> str:
     """Format score, late error, e and the share of harmed robots of experiments in one cell of the table."""
+    # e counts from the convergence step on, so it includes the beginnings of a rule that settles early.
     e = mean_of_medians(lambda trials: trials.errors.mean(axis=1), experiments).value
     texts = [score_text(experiments), late_error_text(experiments), format_error(e)]
     harmed = mean_of_means(harmed_shares, experiments)
@@ -208,6 +210,7 @@ def make_tables(
 
 def draw_errors(grid: Sequence[Trials], worlds: Sequence[Trials]) -> Figure:
     """Draw errors of moving swarms over time: a column for each of three worlds, a row for each flaw."""
+    # Each column has its experiments, and a condition by which they are chosen.
     columns: dict[str, tuple[Sequence[Trials], Callable[[Experiment], bool]]] = {
         "30 % flawed": (grid, lambda experiment: 10 * experiment.flawed == 3 * experiment.robots),
         "30 % flawed and 5 liars": (worlds, lambda experiment: count_liars(experiment) == 5),

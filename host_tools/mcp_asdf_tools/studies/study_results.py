@@ -16,7 +16,7 @@ from mcp_asdf_tools.studies.bootstrap import (
     resample_quantile,
     resample_rank_correlation,
 )
-from mcp_asdf_tools.studies.cells import Cell, Part
+from mcp_asdf_tools.studies.cells import Cell, StudyPart
 
 SAMPLES = (*SCORES, "b_hat")
 """Values of a trial: its scores, and b_hat at the end, averaged over the robots that started with b."""
@@ -38,14 +38,14 @@ class StudyResults:
         self._measured: dict[tuple[Cell, str], Resampled] = {}
 
     @property
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[StudyPart]:
         """The parts of which there are results, in the paper's order."""
-        parts_run = {cell.part for cell in self._trials_by_cell}
-        return [part for part in Part if part in parts_run]
+        parts_run = {cell.study_part for cell in self._trials_by_cell}
+        return [study_part for study_part in StudyPart if study_part in parts_run]
 
-    def trials_of(self, part: Part) -> list[Trials]:
+    def trials_of(self, study_part: StudyPart) -> list[Trials]:
         """Return the trials of all cells of a part, a list entry for each cell."""
-        return [trials for cell, trials in self._trials_by_cell.items() if cell.part is part]
+        return [trials for cell, trials in self._trials_by_cell.items() if cell.study_part is study_part]
 
     def sample(self, cell: Cell, name: str) -> Sample:
         """Return one of SAMPLES: a value for each trial of a cell."""
@@ -62,12 +62,14 @@ class StudyResults:
         - "loss of H": the median H of the same swarm without flawed robots, less that of this one
         - "rank correlation of h_K and h_e": Spearman's coefficient over the trials
         """
+        # Many claims compare the same cells, and resampling is what takes long.
         key = (cell.normal, name)
         if key not in self._measured:
             self._measured[key] = self._compute_measure(cell.normal, name)
         return self._measured[key]
 
     def _compute_measure(self, cell: Cell, name: str) -> Resampled:
+        """Compute one of MEASURES of a normal cell."""
         match name:
             case "spread of H":
                 return resample_interquartile_range(self.sample(cell, "H"))
@@ -80,18 +82,18 @@ class StudyResults:
             case _:
                 return resample_median(self.sample(cell, name))
 
-    def largest_differences_between_robots(self, part: Part) -> dict[str, float]:
+    def largest_differences_between_robots(self, study_part: StudyPart) -> dict[str, float]:
         """Return by how much K and e of the robots of one trial differ at most, over all trials of a part."""
         return {
             "K": max(
-                float(np.ptp(trials.convergence_steps, axis=1).max()) for trials in self.trials_of(part)
+                float(np.ptp(trials.convergence_steps, axis=1).max()) for trials in self.trials_of(study_part)
             ),
-            "e": max(float(np.ptp(trials.errors, axis=1).max()) for trials in self.trials_of(part)),
+            "e": max(float(np.ptp(trials.errors, axis=1).max()) for trials in self.trials_of(study_part)),
         }
 
 
 def final_b_hat_of_healthy_robots(trials: Trials) -> Sample:
     """Return b_hat after the last filter step, averaged over the robots that started with the right one."""
-    healthy_robots = slice(trials.experiment.flawed, None)  # flawed robots come first
+    healthy_robots = slice(trials.experiment.flawed, None)  # the first robots are the flawed ones
     final_b_hat: Sample = trials.b_hat[:, -1, healthy_robots].mean(axis=1)
     return final_b_hat

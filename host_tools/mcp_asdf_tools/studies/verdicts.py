@@ -78,6 +78,7 @@ class Comparison:
     def holds(self) -> bool | None:
         """True if the claim is right here, False if it is wrong, None if the interval leaves it open."""
         interval, size = self.interval, self.size
+        # Below is above with the sign changed, so that no side is preferred.
         match self.expectation:
             case Expectation.ABOVE:
                 return _holds_above(interval, size, self.is_strong)
@@ -104,6 +105,7 @@ def _is_surely_above(interval: Interval, size: float) -> bool:
 
 
 def _holds_above(interval: Interval, size: float, is_strong: bool) -> bool | None:
+    """Return whether a difference is above 0 by the size; None if the interval leaves it open."""
     is_above = interval.low >= size if is_strong else _is_surely_above(interval, size)
     if is_above:
         return True
@@ -111,12 +113,14 @@ def _holds_above(interval: Interval, size: float, is_strong: bool) -> bool | Non
 
 
 def _holds_not_below(interval: Interval, size: float) -> bool | None:
+    """Return whether a difference is not below 0 by the size; None if the interval leaves it open."""
     if interval.low > -size:
         return True
     return False if _is_surely_above(-interval, size) else None
 
 
 def _holds_same(interval: Interval, size: float) -> bool | None:
+    """Return whether a difference is within the size; None if the interval leaves it open."""
     if -size < interval.low and interval.high < size:
         return True
     differs = _is_surely_above(interval, size) or _is_surely_above(-interval, size)
@@ -132,6 +136,7 @@ def verdict_of(comparisons: Sequence[Comparison], scope: Scope) -> Verdict:
     """Return the verdict to which every outcome of the open comparisons leads; UNDECIDED if they differ."""
     total = len(comparisons)
     holding, open_count = count_holding(comparisons, True), count_holding(comparisons, None)
+    # Any number of the open comparisons may hold.
     possible_counts = range(holding, holding + open_count + 1)
     verdicts = {_verdict_of_count(count, total, scope) for count in possible_counts}
     return verdicts.pop() if len(verdicts) == 1 else Verdict.UNDECIDED

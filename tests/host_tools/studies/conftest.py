@@ -10,11 +10,11 @@ import pytest
 
 from mcp_asdf_tools.studies import bootstrap
 from mcp_asdf_tools.studies.bootstrap import Sample
-from mcp_asdf_tools.studies.cells import Cell, Part, cells_of
+from mcp_asdf_tools.studies.cells import Cell, StudyPart, cells_of
 from mcp_asdf_tools.studies.study_results import SAMPLES, StudyResults
 
 PLANTED_TRIALS = 30
-STUDY_CELLS = {cell for part in Part for cell in cells_of(part)}
+STUDY_CELLS = {cell for study_part in StudyPart for cell in cells_of(study_part)}
 
 
 @pytest.fixture
@@ -32,19 +32,19 @@ class PlantedResults(StudyResults):
     Names in the expression are f, b, b_hat, P, filter, tau, part and measure.
     """
 
-    def __init__(self, expression: str, parts: Collection[Part] = tuple(Part)) -> None:
+    def __init__(self, expression: str, parts: Collection[StudyPart] = tuple(StudyPart)) -> None:
         super().__init__({})
         self._expression = compile(expression, "planted", "eval")
-        self._parts = [part for part in Part if part in parts]
+        self._parts = [study_part for study_part in StudyPart if study_part in parts]
 
     @property
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[StudyPart]:
         return self._parts
 
     def sample(self, cell: Cell, name: str) -> Sample:
         cell = cell.normal
         assert cell in STUDY_CELLS, f"the study does not run {cell}"
-        assert cell.part in self._parts, f"the claim needs {cell.part}, which it does not say"
+        assert cell.study_part in self._parts, f"the claim needs {cell.study_part}, which it does not say"
         assert name in SAMPLES
         values: dict[str, Any] = {
             "f": cell.fill_ratio,
@@ -53,7 +53,7 @@ class PlantedResults(StudyResults):
             "P": cell.flawed_percent,
             "filter": cell.filter,
             "tau": cell.filter_period,
-            "part": cell.part.value,
+            "part": cell.study_part.value,
             "measure": name,
         }
         planted = eval(self._expression, values)

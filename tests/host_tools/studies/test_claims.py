@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from host_tools.studies.conftest import STUDY_CELLS, PlantedResults
-from mcp_asdf_tools.studies.cells import Cell, Part
+from mcp_asdf_tools.studies.cells import Cell, StudyPart
 from mcp_asdf_tools.studies.claims import (
     CLAIMS,
     IDENTICAL_ROBOTS,
@@ -40,8 +40,10 @@ PLANTED: dict[str, list[str]] = tomllib.loads(
 PLACE_IN_PAPER = r"(abstract|[IV]+(-[A-E])?|)(, )?(figure \d[ab]?|table I|)"
 
 
-def decide_one(results: StudyResults, claim: Claim, part: Part | None) -> Decision:
-    (decision,) = [decision for decision in decide(results, [claim]) if decision.part is part]
+def decide_one(study_results: StudyResults, claim: Claim, study_part: StudyPart | None) -> Decision:
+    (decision,) = [
+        decision for decision in decide(study_results, [claim]) if decision.study_part is study_part
+    ]
     return decision
 
 
@@ -54,19 +56,21 @@ def claim_named(name: str) -> Claim:
 
 
 @pytest.mark.parametrize(
-    ("claim", "part"),
+    ("claim", "study_part"),
     [
-        pytest.param(claim, part, id=f"{claim.name}-{part.value}")
+        pytest.param(claim, study_part, id=f"{claim.name}-{study_part.value}")
         for claim in CLAIMS
         if claim.name != IDENTICAL_ROBOTS
-        for part in claim.parts
-        if part is not None
+        for study_part in claim.parts
+        if study_part is not None
     ],
 )
 @pytest.mark.parametrize(("index", "verdict"), [(0, Verdict.AGREE), (1, Verdict.DISAGREE)])
-def test_a_claim_follows_the_results(claim: Claim, part: Part, index: int, verdict: Verdict) -> None:
-    results = PlantedResults(PLANTED[claim.name][index], parts_needed(claim, part))
-    decision = decide_one(results, claim, part)
+def test_a_claim_follows_the_results(
+    claim: Claim, study_part: StudyPart, index: int, verdict: Verdict
+) -> None:
+    study_results = PlantedResults(PLANTED[claim.name][index], parts_needed(claim, study_part))
+    decision = decide_one(study_results, claim, study_part)
     shown = [f"{each.label}: {each.interval} {each.holds}" for each in decision.comparisons]
     assert decision.verdict is verdict, "\n".join(shown)
 
@@ -97,25 +101,27 @@ def test_a_claim_quotes_one_sentence_of_one_place(claim: Claim) -> None:
 
 
 PLANS = [
-    pytest.param(claim.plan(part), part, id=f"{claim.name}-{part.value}")
+    pytest.param(claim.plan(study_part), study_part, id=f"{claim.name}-{study_part.value}")
     for claim in CLAIMS
     if claim.contrasts
-    for part in claim.parts
-    if part is not None
+    for study_part in claim.parts
+    if study_part is not None
 ]
 
 
-@pytest.mark.parametrize(("plans", "part"), PLANS)
-def test_a_claim_compares_cells_of_the_study_once(plans: list[PlannedComparison], part: Part) -> None:
-    cells = {plan.cell for plan in plans} | {plan.other for plan in plans if plan.other}
+@pytest.mark.parametrize(("plans", "study_part"), PLANS)
+def test_a_claim_compares_cells_of_the_study_once(
+    plans: list[PlannedComparison], study_part: StudyPart
+) -> None:
+    cells = {plan.cell for plan in plans} | {plan.reference for plan in plans if plan.reference}
     assert cells <= STUDY_CELLS
-    assert part in {cell.part for cell in cells}
-    questions = {(plan.cell, plan.other, plan.contrast.measure, plan.contrast.expected) for plan in plans}
+    assert study_part in {cell.study_part for cell in cells}
+    questions = {(plan.cell, plan.reference, plan.contrast.measure, plan.contrast.expected) for plan in plans}
     assert len(questions) == len(plans) > 0
 
 
-@pytest.mark.parametrize(("plans", "part"), PLANS)
-def test_names_in_the_file_are_known(plans: list[PlannedComparison], part: Part) -> None:
+@pytest.mark.parametrize(("plans", "study_part"), PLANS)
+def test_names_in_the_file_are_known(plans: list[PlannedComparison], study_part: StudyPart) -> None:
     for plan in plans:
         assert plan.contrast.measure in MEASURES
         assert plan.contrast.size_in_points > 0
@@ -127,16 +133,16 @@ def test_names_in_the_file_are_known(plans: list[PlannedComparison], part: Part)
 
 def plan(**row: Any) -> list[PlannedComparison]:
     """Plan a contrast of dynamic swarms with f = 0.95 and b = 0.55."""
-    return Contrast(**{"expected": "above", "panels": "over_clear", **row}).plan(Part.DYNAMIC)
+    return Contrast(**{"expected": "above", "panels": "over_clear", **row}).plan(StudyPart.DYNAMIC)
 
 
 def test_lists_make_all_combinations_of_flawed_robots() -> None:
     plans = plan(flawed_percents=[10, 30], filters="asdf-plus", than="no filter")
-    pairs = [(plan.cell, plan.other) for plan in plans]
+    pairs = [(plan.cell, plan.reference) for plan in plans]
     assert pairs == [
         (
-            Cell(Part.DYNAMIC, 0.95, 0.55, b_hat, percent, "asdf-plus"),
-            Cell(Part.DYNAMIC, 0.95, 0.55, b_hat, percent, "none"),
+            Cell(StudyPart.DYNAMIC, 0.95, 0.55, b_hat, percent, "asdf-plus"),
+            Cell(StudyPart.DYNAMIC, 0.95, 0.55, b_hat, percent, "none"),
         )
         for b_hat in (0.75, 0.95)  # 0.55 is right
         for percent in (10, 30)
@@ -149,7 +155,9 @@ def test_cells_that_are_the_same_experiment_are_compared_once() -> None:
 
 def test_the_next_lower_p_is_that_of_the_study() -> None:
     plans = plan(flawed_percents=[10, 30, 50, 100], flawed_accuracies=0.95, than="next lower P")
-    percents = [(plan.cell.flawed_percent, plan.other and plan.other.flawed_percent) for plan in plans]
+    percents = [
+        (plan.cell.flawed_percent, plan.reference and plan.reference.flawed_percent) for plan in plans
+    ]
     assert percents == [(10, 0), (30, 10), (50, 30), (100, 50)]
 
 
@@ -170,8 +178,8 @@ def test_the_next_lower_p_is_that_of_the_study() -> None:
 )
 def test_a_comparison_is_the_first_cell_less_the_other(row: dict[str, Any], expected: float) -> None:
     median = "{'none': 60, 'asdf-minus': 75, 'asdf-plus': 80}[filter] - P / 10 + 4 * (part != 'dynamic')"
-    results = PlantedResults(f"({median}, 1 + (filter == 'asdf-plus'))")
-    values = [plan.compare(results, 0.9).interval.value for plan in plan(flawed_percents=30, **row)]
+    study_results = PlantedResults(f"({median}, 1 + (filter == 'asdf-plus'))")
+    values = [plan.compare(study_results, 0.9).interval.value for plan in plan(flawed_percents=30, **row)]
     assert values == pytest.approx([expected] * len(values), abs=0.02)
 
 
@@ -208,15 +216,15 @@ def test_much_is_a_strong_word(size: str | float, is_strong: bool) -> None:
 
 
 def test_intervals_allow_for_the_number_of_comparisons() -> None:
-    results = PlantedResults("(70, 8)")
-    decision = decide_one(results, claim_named("flawed_robots_harm"), Part.DYNAMIC)
-    first_plan = claim_named("flawed_robots_harm").plan(Part.DYNAMIC)[0]
-    assert decision.comparisons[0].interval == first_plan.compare(results, 1 - 0.05 / 24).interval
+    study_results = PlantedResults("(70, 8)")
+    decision = decide_one(study_results, claim_named("flawed_robots_harm"), StudyPart.DYNAMIC)
+    first_plan = claim_named("flawed_robots_harm").plan(StudyPart.DYNAMIC)[0]
+    assert decision.comparisons[0].interval == first_plan.compare(study_results, 1 - 0.05 / 24).interval
 
 
 def test_a_claim_is_left_out_where_a_part_that_it_needs_has_not_been_run() -> None:
     claim = claim_named("connected_overconfident_score_higher")  # compares with the dynamic swarm
-    assert decide(PlantedResults("70", [Part.FULLY_CONNECTED]), [claim]) == []
+    assert decide(PlantedResults("70", [StudyPart.FULLY_CONNECTED]), [claim]) == []
 
 
 @pytest.mark.parametrize(("excess", "verdict"), [(0, Verdict.AGREE), (1, Verdict.DISAGREE)])
@@ -227,9 +235,9 @@ def test_robots_of_a_connected_swarm_are_compared_with_each_other(
     convergence_steps[2, 1] += excess
     errors[0, 3] += 1e-6 * excess
     trials = SimpleNamespace(convergence_steps=convergence_steps, errors=errors)
-    results = PlantedResults("70")
-    monkeypatch.setattr(results, "trials_of", lambda part: [trials])
-    decision = decide_one(results, claim_named(IDENTICAL_ROBOTS), Part.FULLY_CONNECTED)
+    study_results = PlantedResults("70")
+    monkeypatch.setattr(study_results, "trials_of", lambda study_part: [trials])
+    decision = decide_one(study_results, claim_named(IDENTICAL_ROBOTS), StudyPart.FULLY_CONNECTED)
     assert decision.verdict is verdict
 
 

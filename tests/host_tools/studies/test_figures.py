@@ -11,7 +11,7 @@ import pytest
 
 from mcp_asdf_tools.experiments import plots
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.studies.cells import Part, StudySize, cells_of, experiment_of
+from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of
 from mcp_asdf_tools.studies.figures import draw_pictures
 from mcp_asdf_tools.studies.study_results import StudyResults
 
@@ -19,16 +19,16 @@ from mcp_asdf_tools.studies.study_results import StudyResults
 class ResultsWithoutTrials(StudyResults):
     """Results of parts of the study that have experiments, but nothing measured."""
 
-    def __init__(self, parts: Collection[Part]) -> None:
+    def __init__(self, parts: Collection[StudyPart]) -> None:
         super().__init__({})
-        self._parts = [part for part in Part if part in parts]
+        self._parts = [study_part for study_part in StudyPart if study_part in parts]
 
     @property
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[StudyPart]:
         return self._parts
 
-    def trials_of(self, part: Part) -> list[Any]:
-        return [ExperimentOnly(experiment_of(cell, StudySize())) for cell in cells_of(part)]
+    def trials_of(self, study_part: StudyPart) -> list[Any]:
+        return [ExperimentOnly(experiment_of(cell, StudySize())) for cell in cells_of(study_part)]
 
 
 @dataclass
@@ -70,22 +70,28 @@ def plots_that_note_swarms(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(plots, kind, note_swarms)
 
 
-def pictures_of(*parts: Part) -> dict[str, Any]:
-    size = StudySize(2, 4000)
-    return {picture.name: picture for picture in draw_pictures(ResultsWithoutTrials(parts), size)}
+def pictures_of(*parts: StudyPart) -> dict[str, Any]:
+    study_size = StudySize(2, 4000)
+    return {picture.name: picture for picture in draw_pictures(ResultsWithoutTrials(parts), study_size)}
 
 
 @pytest.mark.parametrize(
     ("parts", "count"),
-    [([Part.DYNAMIC], 4), ([Part.FULLY_CONNECTED], 5), ([Part.PHYSICAL], 2), (list(Part), 13)],
+    [
+        ([StudyPart.DYNAMIC], 4),
+        ([StudyPart.FULLY_CONNECTED], 5),
+        ([StudyPart.PHYSICAL], 2),
+        (list(StudyPart), 13),
+    ],
 )
-def test_pictures_are_of_the_parts_that_were_run(parts: list[Part], count: int) -> None:
+def test_pictures_are_of_the_parts_that_were_run(parts: list[StudyPart], count: int) -> None:
     assert len(pictures_of(*parts)) == count
 
 
 def test_titles_have_the_numbers_of_the_papers_figures() -> None:
     numbers = {
-        name: re.findall(r"figure (\w+)\)$", picture.title) for name, picture in pictures_of(*Part).items()
+        name: re.findall(r"figure (\w+)\)$", picture.title)
+        for name, picture in pictures_of(*StudyPart).items()
     }
     assert {name: number[0] for name, number in numbers.items() if number} == {
         "dynamic_asdf-minus": "3a",
@@ -118,12 +124,12 @@ SHORTEST = {1000}
 def test_a_picture_shows_the_swarms_of_the_papers_figure(
     name: str, filters: set[str], periods: set[int], percents: set[int]
 ) -> None:
-    drawn = pictures_of(*Part)[name].figure
+    drawn = pictures_of(*StudyPart)[name].figure
     assert (drawn.filters, drawn.periods, drawn.percents) == (filters, periods, percents)
 
 
 def test_topologies_are_told_apart_by_name() -> None:
-    assert pictures_of(*Part)["topologies_asdf-plus"].figure.names == {
+    assert pictures_of(*StudyPart)["topologies_asdf-plus"].figure.names == {
         "dynamic, no filter",
         "dynamic, ASDF+",
         "fully connected, no filter",
@@ -133,18 +139,18 @@ def test_topologies_are_told_apart_by_name() -> None:
 
 @pytest.mark.parametrize("name", ["dynamic_scatter", "topologies_asdf-minus"])
 def test_asdf_minus_has_its_ends_where_it_is_another_filter(name: str) -> None:
-    drawn = pictures_of(*Part)[name].figure
+    drawn = pictures_of(*StudyPart)[name].figure
     assert {("asdf-minus", 0), ("asdf-minus", 100)} <= drawn.filters_and_percents
 
 
 def test_series_are_recorded_trials(monkeypatch: pytest.MonkeyPatch) -> None:
     recorded: list[Any] = []
     monkeypatch.setattr(plots, "series_beside", lambda runs, trial: recorded.extend(runs))
-    pictures_of(Part.FULLY_CONNECTED)
+    pictures_of(StudyPart.FULLY_CONNECTED)
     assert [sorted(trials.records) for trials in recorded] == [sorted(recorded[0].records)] * 2
     assert [trials.numbers for trials in recorded] == [[0], [0]]
 
 
 def test_the_title_has_the_filters_typeset_name() -> None:
-    title = pictures_of(Part.DYNAMIC)["dynamic_asdf-minus"].title
+    title = pictures_of(StudyPart.DYNAMIC)["dynamic_asdf-minus"].title
     assert title.startswith("H of dynamic swarms without filter and with ASDF\N{MINUS SIGN}")

@@ -224,16 +224,16 @@ def test_the_page_has_what_few_trials_of_another_seed_give(share: str, filter_na
     row = re.search(rf"^\| moving, {share} flawed \|(.*)\|$", page, re.MULTILINE)
     assert row is not None
     h, late_error = (float(text.split()[0]) for text in row[1].split("|")[column].split(", ")[:2])
-    results = [
+    study_results = [
         run_trials(replace(experiment, seed=5), 0, 3, 1000)
         for experiment in m.read_experiments("robust_grid")
         if experiment.is_dynamic
         and experiment.filter == filter_name
         and error_tables.flawed_label(experiment) == f"{share} flawed"
     ]
-    scores = error_tables.mean_of_medians(lambda trials: trials.scores()["H"], results)
+    scores = error_tables.mean_of_medians(lambda trials: trials.scores()["H"], study_results)
     assert scores.value == pytest.approx(h, abs=5)
-    errors = error_tables.mean_of_medians(error_tables.late_errors, results)
+    errors = error_tables.mean_of_medians(error_tables.late_errors, study_results)
     assert errors.value == pytest.approx(late_error, rel=0.5)
 
 

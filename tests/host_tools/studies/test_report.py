@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from host_tools.studies.conftest import PlantedResults
 from mcp_asdf_tools.studies import bootstrap, report
 from mcp_asdf_tools.studies.bootstrap import Interval
-from mcp_asdf_tools.studies.cells import Part, StudySize
+from mcp_asdf_tools.studies.cells import StudyPart, StudySize
 from mcp_asdf_tools.studies.claims import CLAIMS, IDENTICAL_ROBOTS, Decision, decide
 from mcp_asdf_tools.studies.figures import Picture
 from mcp_asdf_tools.studies.verdicts import Comparison, Expectation, Verdict, exact_comparison
@@ -45,15 +45,15 @@ class WrittenReport:
         return self.markdown.partition(f'<a id="{decision.anchor}"></a>')[2].partition("<a id")[0]
 
 
-def write_planted_report(folder: Path, size: StudySize) -> WrittenReport:
+def write_planted_report(folder: Path, study_size: StudySize) -> WrittenReport:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bootstrap, "RESAMPLES", 50)
         bootstrap.resample_indices.cache_clear()
         picture = Picture("one", "What it shows", Figure())
-        patch.setattr(report, "draw_pictures", lambda results, size: [picture])
-        results = PlantedResults("90 - P / 2", [Part.DYNAMIC, Part.PHYSICAL])
-        decisions = decide(results, TRIED_CLAIMS)
-        report.write_report(folder, results, decisions, size)
+        patch.setattr(report, "draw_pictures", lambda study_results, study_size: [picture])
+        study_results = PlantedResults("90 - P / 2", [StudyPart.DYNAMIC, StudyPart.PHYSICAL])
+        decisions = decide(study_results, TRIED_CLAIMS)
+        report.write_report(folder, study_results, decisions, study_size)
     bootstrap.resample_indices.cache_clear()
     markdown, page = ((folder / f"report.{kind}").read_text(encoding="utf-8") for kind in ("md", "html"))
     return WrittenReport(folder, decisions, markdown, page)
@@ -72,7 +72,7 @@ def test_the_report_begins_with_how_many_claims_agree(written: WrittenReport) ->
 
 def test_the_report_counts_verdicts_for_each_part(written: WrittenReport) -> None:
     assert "| equations | 7 | 1 | 0 | 0 |\n" in written.markdown
-    dynamic = [decision.verdict for decision in written.decisions if decision.part is Part.DYNAMIC]
+    dynamic = [decision.verdict for decision in written.decisions if decision.study_part is StudyPart.DYNAMIC]
     counts = " | ".join(str(dynamic.count(verdict)) for verdict in Verdict)
     assert f"| dynamic | {counts} |\n" in written.markdown
 
@@ -181,8 +181,8 @@ def test_a_heading_has_the_papers_symbols(name: str, heading: str) -> None:
 # --- Numbers ---------------------------------------------------------------------------------------------
 
 
-def exact(value: float, expectation: Expectation = Expectation.ABOVE, size: float = 2) -> Comparison:
-    return exact_comparison("row", "column", value, expectation, size)
+def exact(value: float, expectation: Expectation = Expectation.ABOVE, study_size: float = 2) -> Comparison:
+    return exact_comparison("row", "column", value, expectation, study_size)
 
 
 OPEN = Comparison("row", "column", Interval(0.1, -0.25, 3), Expectation.NOT_BELOW, 0.2)
@@ -196,19 +196,19 @@ SAME = exact(1, Expectation.SAME)
         ([exact(9), exact(-9), BELOW, SAME], "3 of 4 hold, 1 fail; best 9.0, worst -9.0"),
         ([exact(-9), BELOW, SAME], "2 of 3 hold, 1 fail; best -4.0, worst -9.0"),
         ([OPEN], "0 of 1 hold, 1 open; 0.1 [-0.25, 3]"),
-        ([exact(9), exact(3, size=0.2)], "2 of 2 hold; best 3, worst 9.0"),
+        ([exact(9), exact(3, study_size=0.2)], "2 of 2 hold; best 3, worst 9.0"),
         ([OPEN, SAME], "1 of 2 hold, 1 open; best 0.1 [-0.25, 3], worst 1.0"),
     ],
 )
 def test_a_summary_has_the_most_and_the_least_favourable_comparison(
     comparisons: list[Comparison], summary: str
 ) -> None:
-    decision = Decision(CLAIMS[0], Part.DYNAMIC, tuple(comparisons))
+    decision = Decision(CLAIMS[0], StudyPart.DYNAMIC, tuple(comparisons))
     assert report.summarize(decision).replace("\N{MINUS SIGN}", "-") == summary
 
 
 def test_a_table_has_a_row_for_each_swarm_and_a_column_for_each_contrast() -> None:
-    decision = Decision(CLAIMS[0], Part.DYNAMIC, (exact(9), BELOW))
+    decision = Decision(CLAIMS[0], StudyPart.DYNAMIC, (exact(9), BELOW))
     assert report.comparison_table(decision) == [
         ["", "column: at least 2", "column: at most \N{MINUS SIGN}2"],
         ["row", "✓ 9.0", "✓ \N{MINUS SIGN}4.0"],

@@ -14,7 +14,7 @@ from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.cli import reproduce
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import report
-from mcp_asdf_tools.studies.cells import Cell, Part, StudySize, experiment_of
+from mcp_asdf_tools.studies.cells import Cell, StudyPart, StudySize, experiment_of
 from mcp_asdf_tools.studies.claims import CLAIMS, Claim, Decision, decide
 from mcp_asdf_tools.studies.study_results import StudyResults
 from support import ROOT
@@ -27,7 +27,7 @@ TRIALS = 40  # 20 experiments of the physical part
 @pytest.fixture(autouse=True)
 def quick_report(few_resamples: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw no pictures, which take long."""
-    monkeypatch.setattr(report, "draw_pictures", lambda results, size: [])
+    monkeypatch.setattr(report, "draw_pictures", lambda study_results, study_size: [])
 
 
 def run_json(capsys: pytest.CaptureFixture[str], folder: Path, *arguments: str) -> dict[str, Any]:
@@ -133,10 +133,10 @@ def test_results_of_another_seed_are_not_overwritten(
         (["--quick", "--trials", "2", "--steps", "4000"], StudySize(2, 4000, 1)),
     ],
 )
-def test_options_say_how_much_is_run(arguments: list[str], size: StudySize) -> None:
+def test_options_say_how_much_is_run(arguments: list[str], study_size: StudySize) -> None:
     parser = argparse.ArgumentParser()
     reproduce.add_arguments(parser)
-    assert reproduce.study_size_from(parser.parse_args(arguments)) == size
+    assert reproduce.study_size_from(parser.parse_args(arguments)) == study_size
 
 
 @pytest.mark.parametrize(
@@ -170,14 +170,16 @@ CHECKED_CLAIMS = (
 def decisions_of_60_trials() -> list[Decision]:
     """Decide some claims about fully connected swarms by 60 trials of each experiment."""
     claims = [claim for claim in CLAIMS if claim.name in CHECKED_CLAIMS]
-    size = StudySize(trials=60)
-    results = {cell: run_trials(experiment_of(cell, size), 0, 60) for cell in cells_compared(claims)}
-    return decide(StudyResults(results), claims)
+    study_size = StudySize(trials=60)
+    study_results = {
+        cell: run_trials(experiment_of(cell, study_size), 0, 60) for cell in cells_compared(claims)
+    }
+    return decide(StudyResults(study_results), claims)
 
 
 def cells_compared(claims: list[Claim]) -> set[Cell]:
-    plans = [plan for claim in claims for plan in claim.plan(Part.FULLY_CONNECTED)]
-    return {plan.cell for plan in plans} | {plan.other for plan in plans if plan.other}
+    plans = [plan for claim in claims for plan in claim.plan(StudyPart.FULLY_CONNECTED)]
+    return {plan.cell for plan in plans} | {plan.reference for plan in plans if plan.reference}
 
 
 @pytest.mark.slow
