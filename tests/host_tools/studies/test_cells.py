@@ -88,7 +88,7 @@ def test_a_size_shortens_trials_but_never_lengthens_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("size", "allows_verdicts"),
+    ("study_size", "allows_verdicts"),
     [
         (StudySize(30, 40_000), True),
         (StudySize(29, 40_000), False),

@@ -125,7 +125,7 @@ def test_results_of_another_seed_are_not_overwritten(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "size"),
+    ("arguments", "study_size"),
     [
         ([], StudySize(30, 40_000, 1)),
         (["--seed", "7"], StudySize(30, 40_000, 7)),
