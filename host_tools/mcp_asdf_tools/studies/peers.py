@@ -16,7 +16,7 @@ from scipy.special import betainc, betaln  # type: ignore[import-untyped]
 from mcp_asdf import Config, ReferenceRobot, Status
 from mcp_asdf.fixed_point import ALPHA_MAX
 from mcp_asdf.native import NativeRobot
-from mcp_asdf.robot import B_HAT_MARGIN, Filter, Observation, reading
+from mcp_asdf.robot import B_HAT_MARGIN, Filter, Observation
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.robots.population import FILTER_NAMES
 from mcp_asdf_tools.world.sensors import Accuracies, DriftingSensors
@@ -114,11 +114,11 @@ class BayesCpfRobot(ReferenceRobot):
         self._x_since_update.append(self.x)
         return super().settle()
 
-    def _is_activated(self) -> bool:
+    def _is_update_needed(self) -> bool:
         """Return whether a filter step updates b_hat: always, as there is no hypothesis test."""
         return self._config.filter != Filter.OFF and self._t_since_update > 0
 
-    def reestimated(self) -> float | None:
+    def reestimate_b_hat(self) -> float | None:
         """Return b_hat after a step of the Kalman filter; None if the count is too small to measure."""
         n, t = self._n_since_update, self._t_since_update
         weights = range(len(self._x_since_update), 0, -1)
@@ -290,8 +290,15 @@ class LossyRobot(NativeRobot):
 class Liar(NativeRobot):
     """A robot that broadcasts "no tile is black" with the largest confidence."""
 
-    x_hat_raw = reading(lambda robot: 0, "The lie.")
-    alpha_raw = reading(lambda robot: ALPHA_MAX, "The largest confidence that a frame carries.")
+    @property
+    def x_hat_raw(self) -> int:
+        """The lie: no tile is black."""
+        return 0
+
+    @property
+    def alpha_raw(self) -> int:
+        """The largest confidence that a robot can broadcast."""
+        return ALPHA_MAX
 
 
 def one_liar(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
