@@ -28,8 +28,8 @@ HERE = Path(__file__).parent
 MOTION = HERE.parent / "data/motion_statistics.json"
 ARENA = HERE.parents[1] / "host_tools/mcp_asdf_tools/world/arena"
 SCALAR, VECTORS = ("-DFOR_EACH_TARGET=",), ("-fno-trapping-math", "-fno-math-errno")
-FULL = Experiment(robots=10, flawed=3, steps=40_000, trials=1)
-MOVING = Experiment(topology="dynamic", latency=1, steps=40_000, trials=1)
+FULL = Experiment(robots=10, flawed=3, filter="asdf-plus", steps=40_000, trials=1)
+MOVING = Experiment(topology="dynamic", filter="asdf-plus", latency=1, steps=40_000, trials=1)
 REPEATS = 10
 PYTHON, SIMULATOR = "float64 in Python", "physics simulator"
 PLAIN, PLAIN_IN_VECTORS = "plain double C", "plain double C, same motion"

@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for way in (shared, each):  # the first ticks of a process are slower
         way(SwarmSettings(robots=2, steps=args.steps))
     for robots in args.robots:
-        settings = SwarmSettings(robots=robots, steps=args.steps, filter_period=10)
+        settings = SwarmSettings(robots=robots, filter="asdf-plus", steps=args.steps, filter_period=10)
         runs = [(shared(settings), each(settings)) for _ in range(3)]
         assert all(ours[1] == theirs[1] for ours, theirs in runs), "the robots differ"
         one, many = (min(run[way][0] for run in runs) for way in (0, 1))

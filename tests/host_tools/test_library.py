@@ -22,8 +22,10 @@ from mcp_asdf_tools.experiments.results import table_of
 from mcp_asdf_tools.experiments.trials import run_trials
 from support import ROOT, run
 
-SHORT = m.Experiment(robots=4, steps=120, filter_period=20, trials=3, flawed=1)
-SETTINGS = m.SwarmSettings(robots=4, steps=60, filter_period=20, flawed=1, faults=("loss=0.2",))
+SHORT = m.Experiment(robots=4, filter="asdf-plus", steps=120, filter_period=20, trials=3, flawed=1)
+SETTINGS = m.SwarmSettings(
+    robots=4, filter="asdf-plus", steps=60, filter_period=20, flawed=1, faults=("loss=0.2",)
+)
 
 
 def test_the_page_has_every_name() -> None:

@@ -98,6 +98,7 @@ def summary(experiments: Iterable[Trials], limits: Limits) -> list[dict[str, Any
     return [
         {
             "parameters": trials.experiment.parameters(),
+            "filter": trials.experiment.filter_description,
             "trials": len(trials.numbers),
             "limits": dict(zip(("k_max", "e_max"), limits.of(trials.experiment), strict=True)),
             **_quartiles(trials, limits),
@@ -121,7 +122,9 @@ def show(rows: Sequence[dict[str, Any]], title: str) -> None:
     varying = [name for name in rows[0]["parameters"] if len({row["parameters"][name] for row in rows}) > 1]
     k_max, e_max = (sorted({row["limits"][name] for row in rows}) for name in ("k_max", "e_max"))
     words = f"{k_max[0]:g}" if len(k_max) == 1 else "the length of a trial"
-    caption = f"K_max {words}, e_max {e_max[0]:.6g}; medians over the trials, H with quartiles"
+    filters = sorted({row["filter"] for row in rows})
+    limits = f"K_max {words}, e_max {e_max[0]:.6g}; medians over the trials, H with quartiles"
+    caption = "\n".join([*filters, limits])
     table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
     formats = {"h_K": ".2f", "h_e": ".2f", "K": "g", "e": ".5f", "updates": "g"}
     for name in (*varying, "trials", "H", *formats):

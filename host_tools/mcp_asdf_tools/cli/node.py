@@ -30,7 +30,7 @@ from mcp_asdf_tools.robots.node import (
     run_node,
     state_of,
 )
-from mcp_asdf_tools.robots.population import Population
+from mcp_asdf_tools.robots.population import Population, describe_filters
 from mcp_asdf_tools.robots.record import ids_of
 from mcp_asdf_tools.robots.suspicion import MEANINGS, Suspicion
 
@@ -73,7 +73,8 @@ def run(args: argparse.Namespace) -> int:
     with recording as (log, events):
         node = RobotNode(record, subjects, rate, None if events is None else events.robots[record.id])
         outcome = _go(args, node, choice, log)
-    results = {"steps": node.ticks, **vars(outcome), "robot": state_of(node), "frames": node.figures()}
+    description = describe_filters([record])
+    results = {"filter": description, "steps": node.ticks, **vars(outcome), "robot": state_of(node), "frames": node.figures()}
     if args.json:
         report = {
             "parameters": parameters | {"robot": record.plain(), "subjects": asdict(subjects)},
@@ -121,7 +122,7 @@ def _summary(node: RobotNode, results: dict[str, Any], where: str) -> str:
     return (
         f"run       {node.ticks} ticks as robot {node.id}; {results['ending']}\n"
         f"estimate  x {robot.x:.5f}, x_hat {robot.x_hat:.5f}, alpha {robot.alpha:.5g}\n"
-        f"filter    b_hat {robot.b_hat:.4f}, {counters.tests} tests, {counters.updates} updates\n"
+        f"filter    {results['filter']}; b_hat {robot.b_hat:.4f}, {counters.tests} tests, {counters.updates} updates\n"
         f"sent      {frames['estimates_sent']} estimates, {frames['heartbeats_sent']} heartbeats, "
         f"{frames['telemetry_sent']} telemetry {where}\n"
         f"heard     {frames['delivered']} estimates, {frames['refused']} of them refused, and "

@@ -11,13 +11,19 @@ from typing import Any
 
 from rich.console import Console
 
-from mcp_asdf.robot import B_HAT_MARGIN
+from mcp_asdf.robot import B_HAT_MARGIN, Filter
 from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.cli import parameter_options
 from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.cli.failures import report_failure
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
-from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
+from mcp_asdf_tools.cli.robot_options import (
+    add_robot_options,
+    add_subject_options,
+    filtering_of,
+    robot_of,
+    subjects_of,
+)
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, results_beside, write_atomically
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
@@ -29,6 +35,7 @@ from mcp_asdf_tools.radio.verification import Verification, details, markdown
 from mcp_asdf_tools.recording.frame_logs import add_log_option
 from mcp_asdf_tools.recording.input_log import InputLogHeader
 from mcp_asdf_tools.robots.node import BusLink, filters_for
+from mcp_asdf_tools.robots.population import describe_filters
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
@@ -147,7 +154,11 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
     world = parameter_options.settings_from(args, SwarmSettings, steps=_PHASE_TICKS)
     ids = choose_ids(controller.id, world.robots - 1, args.first_id)
     b_hat = min(max(world.true_accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
-    neighbours = tuple(replace(controller, id=robot, b_hat=b_hat) for robot in ids)
+    config = controller.config
+    if filtering_of(args) == "asdf-minus":
+        # Of this swarm the controller alone is in doubt, so its neighbours do not recalibrate.
+        config = replace(config, table=None, filter=Filter.OFF)
+    neighbours = tuple(replace(controller, id=robot, b_hat=b_hat, config=config) for robot in ids)
     faults = tuple(parse_fault(text) for text in args.faults)
     return RadioSettings(controller, neighbours, world, subjects_of(args), faults)
 
@@ -159,6 +170,7 @@ def _report(
     own = ("verify", "steps", "timeout")
     return {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "filter": describe_filters([settings.controller, *settings.neighbours]),
         "parameters": {
             "controller": settings.controller.plain(),
             "neighbours": [neighbour.plain() for neighbour in settings.neighbours],
@@ -199,7 +211,7 @@ def _verify(
                 options.progress = lambda ticks: status.update(f"tick {ticks}   {verification.bench.doing}")
                 verdict = verification.run()
             report |= {"verdict": verdict.plain()}
-            text = f"{details(verdict)}\n{verdict.headline}\n"
+            text = f"filter: {report['filter']}\n\n{details(verdict)}\n{verdict.headline}\n"
             ending.callback(_print, args, text, report)  # even if a file cannot be completed
         if args.report is not None:
             write_atomically(args.report, markdown(verdict, report))
@@ -224,7 +236,7 @@ def _emulate(
                 )
                 run.run()
             report = _report(args, settings, choice) | {"results": run.figures()}
-            text = _results(report["results"])
+            text = _results(report["results"], report["filter"])
             ending.callback(_print, args, text, report)  # even if a file cannot be completed
         if results is not None:
             write_atomically(results, json_report(report) + "\n")
@@ -233,9 +245,10 @@ def _emulate(
     return exit_code(recording, INTERRUPTED if run.outcome.is_interrupted else 0)
 
 
-def _results(results: dict[str, Any]) -> str:
+def _results(results: dict[str, Any], filters: str) -> str:
     lines = [
         f"run         {results['steps']} steps; {results['ending']}",
+        f"filter      {filters}",
         f"frames      {results['frames_sent']} sent to it, {results['estimates_heard']} estimates heard "
         f"of it, {results['strangers']} from strangers; {results['error_frames']} error frames, "
         f"the bus failed {results['bus_failures']} times",

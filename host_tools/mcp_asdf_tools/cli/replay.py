@@ -16,6 +16,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import PART, LogSummary, check_log, read_log
 from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
 from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
+from mcp_asdf_tools.robots.population import describe_filters
 
 EPILOG = """\
 examples:
@@ -49,17 +50,20 @@ def run(args: argparse.Namespace) -> int:
             f"there is no {events}, without which nothing can be checked: swarm, radio and node write it, "
             "but not if the disk was full; give it as --events, or see what the frames say with mcp-asdf view"
         )
-    console = Console(stderr=True)
+    progress = Console(stderr=True)
     summary = LogSummary()
     frames = read_log(args.log, args.channel, summary)
-    with InputLogReader(events) as input_log, console.status("running the robots again"):
+    with InputLogReader(events) as input_log, progress.status("running the robots again"):
         verdict = verify(frames, input_log)
         with suppress(UsageError):  # the rest of the log only tells its channels
             deque(frames, maxlen=0)
+    filters = describe_filters(input_log.header.robots)
     if args.json:
-        print(json_report(_report(args, events, summary, verdict)))
+        print(json_report(_report(args, events, summary, verdict, filters)))
     else:
-        Console(soft_wrap=True).print(_table_of(verdict))
+        console = Console(soft_wrap=True)
+        console.print(_table_of(verdict))
+        console.print(filters, highlight=False)
         print_again(args)
     if summary.warning is not None:
         _warn(f"of {args.log} {summary.warning}")
@@ -82,13 +86,14 @@ def _warn(text: str) -> None:
 
 
 def _report(
-    args: argparse.Namespace, events: Path, summary: LogSummary, verdict: ReplayVerdict
+    args: argparse.Namespace, events: Path, summary: LogSummary, verdict: ReplayVerdict, filters: str
 ) -> dict[str, object]:
     """Return the result as plain values for JSON."""
     return {
         "log": str(args.log),
         "events": str(events),
         "incomplete": args.log.suffix == PART,
+        "filter": filters,
         "channel": args.channel,
         "channels": summary.channels,
         "skipped_lines": summary.skipped_lines,

@@ -175,6 +175,9 @@ def filter_colours(filters: Sequence[str]) -> list[str]:
 def _caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> str:
     """Parameters that all experiments have in common, their trials, limits of the scores, and ``marks``."""
     words = []
+    filter_names = {filter_name(trials.experiment) for trials in experiments}
+    if len(filter_names) == 1:
+        words += filter_names
     for name in ("robots", "topology", "steps", "seed", *_FILTER_PARAMETERS[:2]):
         own = [trials.experiment for trials in experiments if _has(trials.experiment, name)]
         common = {experiment.parameters()[name] for experiment in own}

@@ -260,7 +260,7 @@ def markdown(verdict: ControllerVerdict, report: dict[str, Any]) -> str:
     everything = {key: report[key] for key in ("parameters", "versions")}
     return f"""# Verification of a controller
 
-Robot {robot} on {bus["interface"]} {bus["channel"] or ""}, {report["time"]}.
+Robot {robot} on {bus["interface"]} {bus["channel"] or ""}, {report["time"]}. Filter: {report["filter"]}.
 
 **{verdict.headline}**
 

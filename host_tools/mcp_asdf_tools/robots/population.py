@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
@@ -45,6 +46,20 @@ FILTER_MEANINGS: dict[Filtering, str] = {
 }
 """A line on each."""
 
+_FILTER_DESCRIPTIONS: dict[Filtering, str] = {
+    "none": "no filter: no robot recalibrates",
+    "asdf-minus": "ASDF-: only the flawed robots recalibrate",
+    "asdf-plus": "ASDF+: all robots recalibrate",
+    "robust": "robust: all robots recalibrate, by this project's own filter",
+}
+_ALWAYS_ACTIVE = ", in every filter step without a test"
+_DESCRIPTIONS_OF_ONE = {
+    Filter.OFF: "no filter: the robot does not recalibrate",
+    Filter.ADAPTIVE: "ASDF: the robot recalibrates, by the paper's filter",
+    Filter.ALWAYS: f"ASDF: the robot recalibrates, by the paper's filter{_ALWAYS_ACTIVE}",
+    Filter.ROBUST: "robust: the robot recalibrates, by this project's own filter",
+}
+
 Activation = Literal["adaptive", "always"]
 """When a robot re-estimates, every ``filter_period`` steps: if the test rejects (eq. 12), or always."""
 
@@ -67,7 +82,7 @@ class Population(WorldSettings):
     )
     drift_of: Drifting = parameter("robots whose sensors drift", default="all")
     filter: Filtering = parameter(
-        "which robots recalibrate; robust: all, by a filter that is not the paper's", default="asdf-plus"
+        "which robots recalibrate; robust: all, by a filter that is not the paper's", default="asdf-minus"
     )
     activation: Activation = parameter("recalibrate if the test rejects, or always", default="adaptive")
     comms_period: int = parameter("steps between broadcasts", 1, MAX_PERIOD, default=1)
@@ -123,6 +138,13 @@ class Population(WorldSettings):
         """The paper's name of who filters, or robust, in ASCII."""
         return FILTER_NAMES[self.filter]
 
+    @property
+    def filter_description(self) -> str:
+        """The filter for reports, in ASCII: its name, and which robots recalibrate."""
+        description = _FILTER_DESCRIPTIONS[self.filter]
+        is_untested = self.filter in ("asdf-minus", "asdf-plus") and self.activation == "always"
+        return description + _ALWAYS_ACTIVE if is_untested else description
+
     def is_flawed(self, robot: int) -> bool:
         """True if a robot is among the flawed."""
         return bool(robot < self.flawed)
@@ -163,6 +185,25 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Decimal):
         return float(value)
     return value if isinstance(value, int | float) else str(value)
+
+
+def describe_filters(records: Sequence[RobotRecord]) -> str:
+    """Describe for reports which of these robots recalibrate, and by which filter, in ASCII.
+
+    A single robot has "ASDF", since only a swarm can have ASDF- or ASDF+.
+    """
+    if len(records) == 1:
+        return _DESCRIPTIONS_OF_ONE[records[0].config.filter]
+    filters = {record.config.filter for record in records}
+    if filters == {Filter.OFF}:
+        return _FILTER_DESCRIPTIONS["none"]
+    if filters == {Filter.ROBUST}:
+        return _FILTER_DESCRIPTIONS["robust"]
+    if Filter.ROBUST in filters:
+        names = sorted(kind.name.lower() for kind in filters)
+        return f"mixed: robots with the filters {', '.join(names)}"
+    description = _FILTER_DESCRIPTIONS["asdf-minus" if Filter.OFF in filters else "asdf-plus"]
+    return description + _ALWAYS_ACTIVE if Filter.ALWAYS in filters else description
 
 
 def flawed_count(given: Any, robots: int) -> int:

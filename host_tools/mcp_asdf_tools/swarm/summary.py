@@ -33,7 +33,7 @@ def summary(run: SwarmRun, bus: str, seconds: float) -> Rows:
             (f"b_hat, {name}", _change(results["b_hat"][name], settings.true_accuracy))
             for name in ("flawed", "other")
         ),
-        ("filter", f"{settings.filter_name}, {tests} tests, {results['updates']} updates"),
+        ("filter", f"{settings.filter_description}; {tests} tests, {results['updates']} updates"),
         (
             "frames",
             f"{frames['sent']} messages and {frames['heartbeats_sent']} heartbeats sent on {bus}, "
@@ -59,7 +59,7 @@ def one_line(run: SwarmRun) -> str:
     """Summary in one line, for quiet runs."""
     results = run.results
     return (
-        f"seed {run.settings.seed}: {run.settings.robots} robots, {results['steps']} steps, "
+        f"seed {run.settings.seed}: {run.settings.robots} robots, {run.settings.filter_name}, {results['steps']} steps, "
         f"mean error {results['mean_error']:.5f}, spread {results['spread_x']:.5f}{_ending(run)}"
     )
 

@@ -331,6 +331,7 @@ def results_of(swarm: Swarm) -> dict[str, Any]:
     has_remote = any(isinstance(node.robot, RemoteFirmware) for node in nodes)
     traffic, tick = swarm.traffic, 1 / settings.steps_per_second
     return {
+        "filter": settings.filter_description,
         "steps": swarm.ticks,
         "mean_x": fmean(x),
         "mean_error": mean_error(swarm),

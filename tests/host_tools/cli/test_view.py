@@ -32,7 +32,7 @@ ANY = "where fill_ratio=0.55|0.95, filter=asdf-plus|none"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A swarm's log, and results of four experiments of two trials, with values every 20 steps."""
     path = tmp_path_factory.mktemp("view")
-    common = Experiment(robots=5, steps=60, filter_period=20, trials=2)
+    common = Experiment(robots=5, filter="asdf-plus", steps=60, filter_period=20, trials=2)
     experiments = [
         replace(common, filter=name, fill_ratio=fill)
         for fill in (0.55, 0.95)
@@ -40,7 +40,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     tables = [table_of(run_trials(each, 0, 2, 20)) for each in experiments]
     write_tables(path / "grid.parquet", [pa.concat_tables(tables)])
-    swarm = "swarm --robots 5 --steps 60 --filter-period 20 --quiet --log"
+    swarm = "swarm --robots 5 --filter asdf-plus --steps 60 --filter-period 20 --quiet --log"
     assert main([*swarm.split(), str(path / "run.log")]) == 0
     return path
 

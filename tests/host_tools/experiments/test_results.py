@@ -37,7 +37,7 @@ from mcp_asdf_tools.experiments.scores import SCORES, Limits
 from mcp_asdf_tools.experiments.trials import run_trials
 from support import draws
 
-SHORT = Experiment(robots=4, flawed=1, steps=300, filter_period=100, trials=3)
+SHORT = Experiment(robots=4, flawed=1, filter="asdf-plus", steps=300, filter_period=100, trials=3)
 OTHER = replace(SHORT, filter="none", seed=2**64 - 1)
 
 

@@ -155,6 +155,7 @@ def test_the_command_says_what_it_found(
         *(" 160  broadcasts reproduced bit for bit", "   0  broadcasts that a fault had given other values"),
         *("   0  frames under a robot's id that it did not send", "   0  broadcasts that the log lacks"),
         *("   0  broadcasts after the events were cut off", "  16  other frames"),
+        "ASDF-: only the flawed robots recalibrate",
         f"again: mcp-asdf replay {recorded}",
     ]
     assert main(["replay", str(recorded), "--events", str(others)]) == 1

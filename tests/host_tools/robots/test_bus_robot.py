@@ -198,5 +198,5 @@ def test_a_population_has_a_record_of_each_robot(filters: Filtering, activation:
 
 def test_a_table_is_for_as_many_neighbours_as_a_round_can_have() -> None:
     for robots, neighbours in ((1, 2), (3, 2), (4, 3), (128, 127), (129, 127)):
-        table = Population(robots=robots, topology="dynamic").config(0).table
+        table = Population(robots=robots, topology="dynamic", filter="asdf-plus").config(0).table
         assert table is not None and table.q == neighbours

@@ -31,7 +31,8 @@ ON_ONE_BUS, ON_OWN_BUSES = Wiring(one_bus), Wiring(own_bus, is_shared=False)
 
 def small(*faults: str, **changes: Any) -> SwarmSettings:
     """Settings of a short run with several filter periods, in which these faults strike."""
-    plain: dict[str, Any] = {"robots": 5, "flawed": 0.4, "steps": 60, "filter_period": 20, "seed": 11}
+    plain: dict[str, Any] = {"robots": 5, "flawed": 0.4, "filter": "asdf-plus", "steps": 60}
+    plain |= {"filter_period": 20, "seed": 11}
     return SwarmSettings(**(plain | changes), faults=faults)
 
 

@@ -83,7 +83,7 @@ run\t60 of 60 steps in 1.3 s; interrupted
 estimate\tmean x 0.50078, f 0.55, mean error 0.04922, spread of x 0.05334, of x_hat 0.15370
 b_hat, flawed\tno such robots
 b_hat, other\t0.9500 -> 0.9667 (0.9500 to 1.0000, 3 robots; b 0.95)
-filter\tASDF+, an unknown number of tests, 2 updates
+filter\tASDF+: all robots recalibrate; an unknown number of tests, 2 updates
 frames\t180 messages and 18 heartbeats sent on vcan0, 337 messages delivered, 25 frames rejected, 98 \
 messages refused, 0 strays
 arrived\t396 of 396 frames, 100.0%; 198 on the bus
@@ -104,7 +104,7 @@ def test_a_summary_has_all_that_is_worth_telling() -> None:
     run.results |= OTHER_RESULTS
     run.interrupted = True
     assert ["\t".join(row) for row in summary(run, "vcan0", 1.26)] == SUMMARY.split("\n")
-    assert one_line(run) == "seed 11: 3 robots, 60 steps, mean error 0.04922, spread 0.05334; interrupted"
+    assert one_line(run) == "seed 11: 3 robots, ASDF+, 60 steps, mean error 0.04922, spread 0.05334; interrupted"
     run, _ = record(small(robots=3))
     run.failure = "tick 41: bus off"
     rows = dict(summary(run, "vcan0", 1.26))
@@ -260,7 +260,7 @@ def test_results_that_cannot_be_written_cost_neither_the_summary_nor_the_log(
     monkeypatch.setattr(LiveView, "__call__", lambda self, swarm: obstruct(exist_ok=True))
     assert command("--quiet", "--log", tmp_path / "run.log") == 2
     out, err = capsys.readouterr()
-    assert out.startswith("seed 1: 4 robots, 30 steps")
+    assert out.startswith("seed 1: 4 robots, ASDF-, 30 steps")
     assert f"cannot write {tmp_path}/run.log.json" in err
     assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
 
