@@ -74,7 +74,13 @@ def run(args: argparse.Namespace) -> int:
         node = RobotNode(record, subjects, rate, None if events is None else events.robots[record.id])
         outcome = _go(args, node, choice, log)
     description = describe_filters([record])
-    results = {"filter": description, "steps": node.ticks, **vars(outcome), "robot": state_of(node), "frames": node.figures()}
+    results = {
+        "filter": description,
+        "steps": node.ticks,
+        **vars(outcome),
+        "robot": state_of(node),
+        "frames": node.figures(),
+    }
     if args.json:
         report = {
             "parameters": parameters | {"robot": record.plain(), "subjects": asdict(subjects)},

@@ -174,7 +174,7 @@ def filter_colours(filters: Sequence[str]) -> list[str]:
 
 def _caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> str:
     """Parameters that all experiments have in common, their trials, limits of the scores, and ``marks``."""
-    words = []
+    words: list[str] = []
     filter_names = {filter_name(trials.experiment) for trials in experiments}
     if len(filter_names) == 1:
         words += filter_names

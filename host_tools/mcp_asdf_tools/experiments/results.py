@@ -12,7 +12,8 @@ A Parquet file has a row for every trial: the experiment's parameters, a column 
 
 The file's metadata hold, under the key ``mcp-asdf``, JSON with the format's version, the versions of the
 software, the threshold delta, ``sampling_interval``, and unit and meaning of each of ``columns``. Rows of
-equal parameters belong to one experiment.
+equal parameters belong to one experiment. A parameter without a column has its default: a file from before
+there was such a parameter can be read.
 """
 
 from __future__ import annotations
@@ -208,8 +209,22 @@ def _by_experiment(stretches: Iterable[Stretch]) -> dict[str, NDArray[np.int64]]
     return {key: np.concatenate(rows) for key, rows in found.items()}
 
 
+def _with_all_parameters(table: pa.Table, rows: int) -> pa.Table:
+    """Return the table of so many rows with the columns in order, and the default of each parameter it lacks."""
+    defaults, kinds = Experiment().parameters(), _column_types()
+    columns = {}
+    for name, kind in kinds.items():
+        if name in table.column_names:
+            columns[name] = table[name]
+        elif name in defaults:
+            columns[name] = pa.repeat(pa.scalar(defaults[name], kind), rows)
+    columns |= {name: table[name] for name in table.column_names if name not in kinds}
+    return pa.table(columns, metadata=table.schema.metadata)
+
+
 def experiments_in(table: pa.Table) -> list[Trials]:
     """The experiments of a table in the order of their first rows. O(rows)."""
+    table = _with_all_parameters(table, len(table))
     groups = _by_experiment(stretches_of(table))
     whole = table.combine_chunks()  # rows picked from many small pieces take long
     return [_trials(key, whole.take(rows)) for key, rows in groups.items()]
@@ -232,7 +247,7 @@ def experiments_at(path: Path) -> Iterator[Trials]:
 
 def _trials(parameters: str, table: pa.Table) -> Trials:
     """The trials of rows that belong to one experiment, whose lists in a column are all of one length."""
-    experiment = Experiment(**json.loads(parameters))
+    experiment = Experiment.from_recording(json.loads(parameters))
     _check_values(experiment, table)
     table = table.sort_by("trial")
 
@@ -258,10 +273,11 @@ def _trials(parameters: str, table: pa.Table) -> Trials:
 
 def rescored(table: pa.Table, limits: Limits) -> pa.Table:
     """The table with scores for other limits. O(rows)."""
+    table = _with_all_parameters(table, len(table))
     rows = table.select([*_PARAMETERS, "k", "e"]).to_pylist()
     scores = np.empty((len(SCORES), len(rows)))
     for index, row in enumerate(rows):
-        experiment = Experiment(**{name: row[name] for name in _PARAMETERS})
+        experiment = Experiment.from_recording(row)
         own = score([row["k"]], [row["e"]], *limits.of(experiment))
         scores[:, index] = [values[0] for values in own.values()]
     for name, values in zip(SCORES, scores, strict=True):
@@ -350,10 +366,17 @@ def _open(path: Path) -> Any:
 
 
 def _row_group(path: Path, file: Any, group: int, columns: Sequence[str] | None) -> pa.Table:
+    """Read some columns of a row group, or all; a parameter without a column has its default."""
+    stored_names = file.schema_arrow.names
+    stored_columns = None
+    if columns is not None:
+        stored_columns = [name for name in columns if name in stored_names]
     with _reading(path):
-        table = file.read_row_group(group, columns=columns)
+        table = file.read_row_group(group, columns=stored_columns)
         table.validate(full=True)
-    return table.replace_schema_metadata(file.schema_arrow.metadata)  # that were checked; a file has two
+    table = table.replace_schema_metadata(file.schema_arrow.metadata)  # that were checked; a file has two
+    table = _with_all_parameters(table, file.metadata.row_group(group).num_rows)
+    return table if columns is None else table.select(columns)
 
 
 @contextmanager
@@ -384,11 +407,13 @@ def _check(path: Path, schema: Any, rows: int) -> None:
     if not (isinstance(interval, int) and interval >= 0 and isinstance(known.get("versions"), dict)):
         raise UsageError(f"{path} is damaged: its metadata lack versions or sampling_interval; run it again")
     kinds = _column_types()
-    if absent := set(kinds) - set(schema.names):
+    if absent := set(kinds) - set(_PARAMETERS) - set(schema.names):
         raise UsageError(
-            f"{path} has no {', '.join(sorted(absent))}: an older mcp-asdf wrote it; run it again"
+            f"{path} is damaged: it has no {', '.join(sorted(absent))}; run mcp-asdf sweep again"
         )
     for name, kind in kinds.items():
+        if name not in schema.names:
+            continue  # a parameter that is newer than the file
         if schema.names.count(name) > 1 or schema.field(name).type != kind:
             raise UsageError(f"{path} is damaged: column {name} is not {kind}; run mcp-asdf sweep again")
 
@@ -430,7 +455,7 @@ class Pieces:
         first row, and these columns. Raises UsageError as ``read_table``."""
         for each in sorted(path.glob("*.parquet")) or [path]:
             file = _open(each)
-            self.column_names = file.schema_arrow.names
+            self.column_names = list(_column_types())
             for group in range(file.num_row_groups):
                 table = _row_group(each, file, group, columns)
                 first = self.rows

@@ -136,7 +136,7 @@ class Store:
             trials = table["trial"].to_numpy()
             for parameters, start, stop in stretches_of(table):
                 if parameters not in known:
-                    known[parameters] = _once(Experiment(**json.loads(parameters)))
+                    known[parameters] = _once(Experiment.from_recording(json.loads(parameters)))
                 rows, numbers = self._rows.get(known[parameters], none), trials[start:stop]
                 if not is_own or numbers.max() >= len(rows):
                     raise UsageError(

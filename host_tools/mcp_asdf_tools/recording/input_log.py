@@ -1,7 +1,8 @@
 """Input log of a run: the events of each robot in a run, enough to run every robot again.
 
 The input_log of ``run.log`` is ``run.log.events``, text, one JSON value a line. The first line describes the
-run (`InputLogHeader`). Every other line is either
+run (`InputLogHeader`); what it lacks has its default, and only its robots have to be there. Every other line
+is either
 
 - ``[robot, event, ...]``: the next events of one robot, in order. An event is
 
@@ -219,6 +220,7 @@ class InputLogReader:
                 yield content
 
     def _header_of(self, plain: Any) -> InputLogHeader:
+        """Read the description of a run; a setting that it lacks is newer than the log, and has its default."""
         if not isinstance(plain, dict) or plain.get("format") != FORMAT:
             raise self.wrong(f'"format": "{FORMAT}" is missing')
         if plain.get("version") != VERSION:
@@ -228,12 +230,18 @@ class InputLogReader:
             )
         try:
             robots = tuple(RobotRecord.from_plain(each) for each in plain["robots"])
-            frames = FrameFormat(**plain["frames"])
-            return InputLogHeader(robots, plain["seed"], frames, plain["parameters"], plain["versions"])
+            frames = FrameFormat(**plain.get("frames", {}))
         except KeyError as error:
             raise self.wrong(f"{error} is missing") from error
         except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
             raise self.wrong(str(error)) from error
+        parameters, versions = plain.get("parameters", {}), plain.get("versions", {})
+        for name, value in (("parameters", parameters), ("versions", versions)):
+            if not isinstance(value, dict):
+                raise self.wrong(f"{name} is {value!r}; it must be an object in braces")
+        if len({record.id for record in robots}) < len(robots):
+            raise self.wrong("two robots have the same id")
+        return InputLogHeader(robots, plain.get("seed"), frames, parameters, versions)
 
     def wrong(self, what: str) -> UsageError:
         """An error that names the line read last."""

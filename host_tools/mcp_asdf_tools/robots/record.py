@@ -6,7 +6,15 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any
 
-from mcp_asdf.robot import MAX_FILTER_PERIOD, Config, Filter, Robot, check_settings
+from mcp_asdf.robot import (
+    DEFAULT_FILTER_PERIOD,
+    DEFAULT_MEMORY,
+    MAX_FILTER_PERIOD,
+    Config,
+    Filter,
+    Robot,
+    check_settings,
+)
 from mcp_asdf_tools.bus.frames import MAX_NODE_ID
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.firmwares import load_firmware
@@ -18,6 +26,14 @@ _TYPES: dict[str, type[Any]] = {
     "firmware": str,
     "b_hat": float,
 }
+_DEFAULTS = {
+    "comms_period": 1,
+    "filter": Config.filter.name.lower(),
+    "filter_period": DEFAULT_FILTER_PERIOD,
+    "memory": DEFAULT_MEMORY,
+    "firmware": "native",
+}
+"""Settings that a record need not state."""
 _KINDS = {int: "a whole number", str: "a text", float: "a number with a point"}
 
 
@@ -95,10 +111,14 @@ class RobotRecord:
 
     @classmethod
     def from_plain(cls, plain: Any) -> RobotRecord:
-        """The record of ``plain`` values, which may come from any file.
+        """The record of ``plain`` values, which may come from any file. What it lacks has its
+        default, except for the id and b_hat, which it must have.
 
         Raises a built-in error or one of ours, all with a message, for what is no record of a robot.
         """
+        if not isinstance(plain, dict):
+            raise UsageError(f"a robot is {plain!r}; give its settings as an object in braces")
+        plain = _DEFAULTS | plain
         table = None
         if "table" in plain:
             stated = plain["table"]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, get_args
+from typing import Any, Self, get_args
 
 from mcp_asdf_tools.bus.frames import TELEMETRY, FrameFormat
 from mcp_asdf_tools.common.parameters import ParameterError, parameter, value_of
@@ -38,6 +39,18 @@ class SwarmSettings(Population):
     frames: FrameFormat = field(default_factory=FrameFormat)
     faults: Any = ()
     clock: ClockKind = "lockstep"
+
+    @classmethod
+    def from_recording(cls, recorded: Mapping[str, Any]) -> Self:
+        """Make settings of what ``plain`` returned, as ``WorldSettings.from_recording``, faults included.
+
+        How frames looked and what ended steps is left out: both have passed.
+        """
+        faults = recorded.get("faults", [])
+        if not isinstance(faults, list):
+            raise ParameterError("faults", f"faults is {faults!r}; give several in a list")
+        with value_of("faults"):
+            return replace(super().from_recording(recorded), faults=tuple(map(str, faults)))
 
     def __post_init__(self) -> None:
         super().__post_init__()

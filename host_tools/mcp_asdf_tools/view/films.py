@@ -23,10 +23,11 @@ from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
+from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
 from mcp_asdf_tools.recording.replay import rerun
 from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Population
-from mcp_asdf_tools.swarm.fault_spec import Fault, parse_fault
+from mcp_asdf_tools.robots.record import text_of_ids
+from mcp_asdf_tools.swarm.fault_spec import Fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.film import MAX_STATES, QUANTITIES, Film, Stage, State
@@ -40,6 +41,10 @@ from mcp_asdf_tools.world.world import World
 _MOST_PIXELS = 800
 """Along a side of the floor: more than a page shows."""
 _TWIN_PARTS = 480
+_MOST_TWIN_WORK = 20_000_000
+"""Most robot-steps of a run that is made again only for a line of a chart: a second or two."""
+_MOST_WORK = 200_000_000
+"""Most robot-steps of a trial that is made again: 800 MB of estimates."""
 
 
 def stage_of(settings: Population, trial: int = 0, faults: Sequence[Fault] = (), allow: str = "") -> Stage:
@@ -69,7 +74,7 @@ def _twin(settings: Population, trial: int) -> list[float]:
 
     Empty where they have none, and where it would take long.
     """
-    if settings.filter == "none":
+    if settings.filter == "none" or settings.robots * settings.steps > _MOST_TWIN_WORK:
         return []
     parameters = {name: getattr(settings, name) for name in parameters_of(Population)} | {"filter": "none"}
     experiment = Experiment(**parameters, trials=trial + 1)
@@ -119,6 +124,11 @@ def film_of_trial(trials: Trials, trial: int) -> Film:
     if trial not in trials.numbers:
         numbers = f"{trials.numbers[0]} to {trials.numbers[-1]}"
         raise UsageError(f"there is no trial {trial}; choose one of {numbers}")
+    if experiment.robots * experiment.steps > _MOST_WORK:
+        raise UsageError(
+            f"a trial of {experiment.robots} robots and {experiment.steps} steps is too long to be run again, "
+            f"which view has to do; take one of at most {_MOST_WORK // experiment.robots} steps"
+        )
     spacing, place = spacing_of(experiment.steps, experiment.robots), trials.numbers.index(trial)
     again = run_trials(experiment, trial, 1, spacing)
     if not np.array_equal(again.errors[0], trials.errors[place]):
@@ -136,24 +146,38 @@ def film_of_log(log: Path) -> Film:
     Raises UsageError if the input log cannot be read, contradicts itself, or is of robots without a world.
     """
     with InputLogReader(input_log_path(log)) as input_log:
-        parameters, names = input_log.header.parameters, list(parameters_of(Population))
-        if not set(names) <= set(parameters):
-            raise UsageError(
-                f"{log} is not of a swarm, so there is nothing to see; mcp-asdf replay checks it"
-            )
-        settings = Population(**{name: parameters[name] for name in names})
+        settings = _swarm_of(log, input_log.header)
         spacing = spacing_of(settings.steps, settings.robots)
-        values = np.stack([*_values_of_log(input_log, spacing)])
-    faults = [parse_fault(each) for each in parameters.get("faults", ())]
-    stage = stage_of(settings, 0, faults, parameters.get("allow", ""))
+        values = np.stack([*_values_of_log(input_log, settings.steps, spacing)])
+    stage = stage_of(settings, 0, settings.faults, settings.allow)
     return Film(stage, _in_the_world(settings, 0, values, spacing))
 
 
-def _values_of_log(input_log: InputLogReader, spacing: int) -> Iterator[NDArray[np.float64]]:
-    """Estimates of all robots of an input log after every ``spacing`` steps.
+def _swarm_of(log: Path, header: InputLogHeader) -> SwarmSettings:
+    """Return the settings of the swarm whose log this is; a parameter that the header lacks has its default.
+
+    Raises UsageError for the log of a node or a controller, and for settings that do not fit its robots.
+    """
+    if "flawed" not in header.parameters:  # which every swarm has had, and nothing else has
+        raise UsageError(f"{log} is not of a swarm, so there is nothing to see; mcp-asdf replay checks it")
+    try:
+        settings = SwarmSettings.from_recording(header.parameters)
+    except UsageError as error:
+        raise UsageError(f"the first line of {input_log_path(log)} is damaged: {error}") from error
+    ids = [record.id for record in header.robots]
+    if ids != list(range(settings.robots)):
+        raise UsageError(
+            f"the first line of {input_log_path(log)} is damaged: it is of {settings.robots} robots, but "
+            f"lists {len(ids)}, {text_of_ids(frozenset(ids)) or 'none'}; the ids must be 0, 1, 2 and so on"
+        )
+    return settings
+
+
+def _values_of_log(input_log: InputLogReader, steps: int, spacing: int) -> Iterator[NDArray[np.float64]]:
+    """Estimates of all robots of an input log after every ``spacing`` steps of at most ``steps``.
 
     An input log has no ticks, but a robot settles once in each; so one has passed when a robot settles again.
-    Of a robot that did not settle, since it was dead, nothing is known.
+    Of a robot that did not settle, since it was dead, nothing is known. Raises UsageError for more steps.
     """
     places = {record.id: place for place, record in enumerate(input_log.header.robots)}
     now = _estimates(record.make() for record in input_log.header.robots)
@@ -168,6 +192,8 @@ def _values_of_log(input_log: InputLogReader, spacing: int) -> Iterator[NDArray[
                 yield of_the_living()
             settled.clear()
             ticks += 1
+            if ticks > steps:
+                raise input_log.wrong(f"the run goes on after the {steps} steps of the first line")
         settled.add(robot_id)
         now[:, places[robot_id]] = _estimates([robot])[:, 0]
     if ticks % spacing == 0:

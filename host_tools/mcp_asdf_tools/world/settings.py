@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, Self
 
@@ -16,7 +17,7 @@ from mcp_asdf_tools.common.parameters import (
     value_of,
 )
 from mcp_asdf_tools.world.floor_code import code
-from mcp_asdf_tools.world.topology import MAX_ON_BUS, MAX_ROBOTS, Graph, graph_of
+from mcp_asdf_tools.world.topology import MAX_ON_BUS, MAX_ROBOTS, Graph, graph_of, graph_of_edges
 
 MAX_STEPS = 10**9
 MAX_PERIOD = 2**32 - 1
@@ -138,6 +139,21 @@ class WorldSettings:
             _check_floor(self)
         if self.robots > MAX_ON_BUS:
             _check_many(self)
+
+    @classmethod
+    def from_recording(cls, recorded: Mapping[str, Any]) -> Self:
+        """Make settings of the parameters that a recording or a file of results states.
+
+        A parameter that it lacks has its default: an older program wrote it. Other entries are left out.
+        Raises ParameterError as the class, and for a graph that is not a text of edges: what others have
+        written must not make this program open a file.
+        """
+        parameters = {name: recorded[name] for name in parameters_of(cls) if name in recorded}
+        graph = parameters.get("graph", "")
+        if graph != "":
+            with value_of("graph"):
+                parameters["graph"] = graph_of_edges(graph)
+        return cls(**parameters)
 
     @property
     def is_dynamic(self) -> bool:

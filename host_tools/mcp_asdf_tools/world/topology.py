@@ -134,6 +134,19 @@ def graph_of(given: Any) -> Graph:
     return _parse_graph(lines, "line", str(given))
 
 
+def graph_of_edges(text: Any) -> Graph:
+    """Return the graph of edges in one line, such as ``3 5; 5 > 7``, and never open a file.
+
+    For the graphs in recordings and results, which come from others. Raises UsageError for anything else.
+    """
+    if not isinstance(text, str) or not _EDGES.fullmatch(text):
+        raise UsageError(
+            f"graph is {text!r}, but a recording or a file of results has to hold the edges themselves, such "
+            "as '3 5; 5 > 7': it may not name a file"
+        )
+    return graph_of(text)
+
+
 def _edges_of(given: Any) -> list[str]:
     """An object's edges as lines. Raises UsageError if it has none that can be read."""
     sign = ""

@@ -34,9 +34,7 @@ from mcp_asdf_tools.world.world import World
 from support import CORE, ROOT, require, run
 from trials import check_that_the_engine_is_the_mirror
 
-SHORT = Experiment(
-    robots=10, flawed=3, filter="asdf-plus", steps=700, filter_period=100, trials=3, seed=77
-)
+SHORT = Experiment(robots=10, flawed=3, filter="asdf-plus", steps=700, filter_period=100, trials=3, seed=77)
 MOVING = Experiment(
     topology="dynamic",
     robots=9,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import (
+    experiments_at,
     FORMAT,
     QUANTITIES,
     differing,
@@ -116,11 +118,12 @@ def each_damage() -> Iterator[tuple[pa.Table, str]]:
     table = sound_results()
     yield pa.table({"k": [1]}), "holds no results"
     yield table.slice(0, 0), "holds no trials; run mcp-asdf sweep again"
-    yield table.drop_columns(["latency", "memory"]), "has no latency, memory: an older"
+    yield table.drop_columns(["e", "k"]), "it has no e, k; run mcp-asdf sweep again"
     older = table.replace_schema_metadata({b"mcp-asdf": json.dumps({"format": FORMAT - 1})})
     yield older, f"in format {FORMAT - 1}; format {FORMAT} is needed: run mcp-asdf sweep again"
     for name in table.column_names:
-        yield table.drop_columns([name]), f"has no {name}"
+        if name not in Experiment().parameters():
+            yield table.drop_columns([name]), f"has no {name}"
         yield with_column(name, pa.array([b"?"] * len(table))), f"column {name} "
         if name not in ("omega", *SCORES):  # what may be left out, and what is found anew
             yield with_column(name, pa.array([None] * len(table), table[name].type)), ""
@@ -158,6 +161,40 @@ def test_results_of_the_present_format_with_one_thing_wrong_are_refused(path: Pa
     path.unlink()
     with pytest.raises(UsageError, match="there is no such file"):
         read_table(path)
+
+
+@pytest.mark.parametrize("name", [*Experiment().parameters()])
+def test_results_without_a_parameter_have_its_default(name: str, path: Path) -> None:
+    values = {"trials": 1, "robots": 20, "flawed": 6, name: getattr(Experiment(), name)}
+    experiment = replace(SHORT, **values)
+    pq.write_table(table_of(run_trials(experiment, 0, 1)).drop_columns([name]), path)
+    (trials,) = experiments_at(path)
+    assert trials.experiment == experiments_in(read_table(path))[0].experiment
+    assert trials.experiment.parameters()[name] == Experiment().parameters()[name]
+
+
+def test_a_table_without_a_parameter_can_be_scored_again() -> None:
+    table = table_of(run_trials(SHORT, 0, 2))
+    again = rescored(table.drop_columns(["latency"]), Limits())
+    assert again["H"].equals(table["H"])
+
+
+def test_results_of_before_a_parameter_stand_beside_newer_ones(tmp_path: Path) -> None:
+    table = table_of(run_trials(SHORT, 0, 2))
+    pq.write_table(table.drop_columns(["latency"]), tmp_path / "1.parquet")
+    pq.write_table(table, tmp_path / "2.parquet")
+    assert read_table(tmp_path)["latency"].to_pylist() == [0, 0, 0, 0]
+
+
+def test_results_may_not_name_a_file_as_their_graph(path: Path, tmp_path: Path) -> None:
+    """Opening this one, a pipe that nobody writes, would wait for ever."""
+    os.mkfifo(tmp_path / "pipe")
+    wired = replace(SHORT, topology="graph", graph="0 1", trials=1)
+    table = table_of(run_trials(wired, 0, 1))
+    graphs = pa.array([str(tmp_path / "pipe")])
+    pq.write_table(table.set_column(table.column_names.index("graph"), "graph", graphs), path)
+    with pytest.raises(UsageError, match="has to hold the edges themselves"):
+        list(experiments_at(path))
 
 
 def test_other_limits_change_the_scores_and_nothing_else(path: Path) -> None:

@@ -104,7 +104,9 @@ def test_a_summary_has_all_that_is_worth_telling() -> None:
     run.results |= OTHER_RESULTS
     run.interrupted = True
     assert ["\t".join(row) for row in summary(run, "vcan0", 1.26)] == SUMMARY.split("\n")
-    assert one_line(run) == "seed 11: 3 robots, ASDF+, 60 steps, mean error 0.04922, spread 0.05334; interrupted"
+    assert (
+        one_line(run) == "seed 11: 3 robots, ASDF+, 60 steps, mean error 0.04922, spread 0.05334; interrupted"
+    )
     run, _ = record(small(robots=3))
     run.failure = "tick 41: bus off"
     rows = dict(summary(run, "vcan0", 1.26))

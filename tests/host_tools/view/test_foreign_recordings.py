@@ -1,0 +1,126 @@
+"""A log from someone else is viewed or refused in a line: it names no file, and its size is bounded."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of
+from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.recording.input_log import input_log_path
+from mcp_asdf_tools.robots.population import Population
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.view.films import SwarmCamera, film_of_log, film_of_trial
+
+pytestmark = pytest.mark.usefixtures("private_setup")
+
+Header = dict[str, Any]
+
+
+@pytest.fixture
+def log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    """The log of a swarm of 20 robots, all of whose parameters but the length are the defaults."""
+    path = tmp_path / "run.log"
+    assert main(["swarm", "--steps", "5", "--quiet", "--log", str(path)]) == 0
+    capsys.readouterr()
+    return path
+
+
+def change_header(log: Path, change: Callable[[Header], object]) -> None:
+    """Change the first line of the input log of a log."""
+    events = input_log_path(log)
+    first_line, *lines = events.read_text().splitlines(keepends=True)
+    header = json.loads(first_line)
+    change(header)
+    events.write_text("".join([json.dumps(header) + "\n", *lines]))
+
+
+def set_parameters(**values: Any) -> Callable[[Header], object]:
+    return lambda header: header["parameters"].update(values)
+
+
+@pytest.mark.parametrize("name", sorted({*Population().parameters(), "allow", "faults"} - {"flawed"}))
+def test_a_log_without_a_parameter_is_viewed_with_its_default(name: str, log: Path) -> None:
+    title = film_of_log(log).stage.title
+    change_header(log, lambda header: header["parameters"].pop(name))
+    assert film_of_log(log).stage.title == title
+
+
+@pytest.mark.parametrize("name", ["comms_period", "filter_period", "memory", "firmware"])
+def test_a_log_whose_robots_lack_a_setting_is_replayed_with_its_default(name: str, log: Path) -> None:
+    change_header(log, lambda header: [robot.pop(name) for robot in header["robots"]])
+    assert main(["replay", str(log)]) == 0
+
+
+@pytest.mark.parametrize("name", ["frames", "parameters", "seed", "versions"])
+def test_a_log_whose_header_lacks_an_entry_is_replayed(name: str, log: Path) -> None:
+    change_header(log, lambda header: header.pop(name))
+    assert main(["replay", str(log)]) == 0
+
+
+def test_a_log_of_a_node_is_not_of_a_swarm(log: Path) -> None:
+    change_header(log, lambda header: header.update(parameters={"steps_per_second": 10, "steps": 5}))
+    with pytest.raises(UsageError, match="is not of a swarm, so there is nothing to see"):
+        film_of_log(log)
+
+
+def test_a_graph_of_a_log_that_is_a_file_is_refused_unopened(log: Path, tmp_path: Path) -> None:
+    """Opening this one, a pipe that nobody writes, would wait for ever."""
+    os.mkfifo(tmp_path / "pipe")
+    change_header(log, set_parameters(topology="graph", graph=str(tmp_path / "pipe")))
+    with pytest.raises(UsageError, match="has to hold the edges themselves"):
+        film_of_log(log)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (set_parameters(robots=8), "it is of 8 robots, but lists 20, 0-19; the ids must be"),
+        (lambda header: header["robots"].pop(), "it is of 20 robots, but lists 19, 0-18"),
+        (lambda header: header["robots"].clear(), "it is of 20 robots, but lists 0, none"),
+        (lambda header: header["robots"].append(header["robots"][0]), "two robots have the same id"),
+        (lambda header: header.update(parameters=[]), r"parameters is \[\]; it must be an object"),
+        (lambda header: header.update(robots=[7]), "a robot is 7; give its settings"),
+        (set_parameters(steps=4), "the run goes on after the 4 steps of the first line"),
+        (set_parameters(steps=[]), r"damaged: steps is \[\]; give a number"),
+        (set_parameters(faults=3), "faults is 3; give several in a list"),
+        (set_parameters(faults=[[]]), r"damaged: .*\[\]"),
+        (set_parameters(allow=5), "allow is 5; give a text"),
+    ],
+)
+def test_a_damaged_first_line_is_refused_in_a_line(
+    change: Callable[[Header], object], message: str, log: Path
+) -> None:
+    change_header(log, change)
+    with pytest.raises(UsageError, match=message):
+        film_of_log(log)
+
+
+def test_a_log_of_a_billion_steps_is_viewed_as_far_as_it_goes(log: Path) -> None:
+    """Its chart has no line of the same robots without a filter, which would take hours."""
+    change_header(log, set_parameters(steps=10**9))
+    film = film_of_log(log)
+    assert [state.tick for state in film.since()[2]] == [0]
+    assert len(film.stage.twin) == 0
+
+
+def test_a_running_swarm_of_a_billion_steps_is_filmed_at_once() -> None:
+    assert len(SwarmCamera(SwarmSettings(steps=10**9)).film.stage.twin) == 0
+
+
+def test_a_trial_of_a_billion_steps_is_refused() -> None:
+    (short,) = experiments_in(table_of(run_trials(Experiment(robots=2, steps=10, trials=1), 0, 1)))
+    long: Trials = replace(short, experiment=replace(short.experiment, steps=10**9))
+    with pytest.raises(UsageError, match="too long to be run again, .* at most 100000000 steps"):
+        film_of_trial(long, 0)
+    assert np.isfinite(film_of_trial(short, 0).since()[2][-1].values).all()
