@@ -14,7 +14,7 @@ from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials, experiments_in, matching, only, rescored
-from mcp_asdf_tools.experiments.scores import E_MAX, PAPERS, Limits
+from mcp_asdf_tools.experiments.scores import E_MAX, PAPERS, SCORES, Limits
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import run_sweep
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -88,47 +88,74 @@ def score(table: pa.Table, k_max: float | None = None, e_max: float | None = Non
     return rescored(table, Limits(k_max, E_MAX if e_max is None else e_max))
 
 
-PLOTS = ("boxes", "scatter", "curve", "bands", "series")
-"""The last is of one experiment."""
+PLOTS: dict[str, tuple[str, ...]] = {
+    "boxes": ("limits",),
+    "scatter": ("limits",),
+    "curve": ("x", "hue", "y", "facet", "ax", "limits"),
+    "bands": (),
+    "series": ("trial",),
+}
+"""The options that each kind of picture has. Series are of one experiment."""
+
+
+def check_plot_options(kind: str, options: Iterable[tuple[str, str]], y: str | Measure | None = None) -> None:
+    """Refuse options that a kind of picture does not have, and limits of what has none.
+
+    Each option is its name in ``plot`` and what the user knows it as. Raises UsageError, naming the first
+    option that would do nothing.
+    """
+    if kind not in PLOTS:
+        raise UsageError(f"kind is {kind!r}; choose one of {', '.join(PLOTS)}")
+    for name, shown_name in options:
+        if name not in PLOTS[kind]:
+            kinds = " and ".join(other for other, names in PLOTS.items() if name in names)
+            raise UsageError(
+                f"{shown_name} would do nothing: it is for {kinds}, and kind is {kind}; leave it out"
+            )
+        if name == "limits" and kind == "curve" and y not in (None, *SCORES):
+            raise UsageError(f"{shown_name} would do nothing: it is for scores, and y is none; leave it out")
 
 
 @naming_extras()
 def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
     results: pa.Table | list[Trials],
-    kind: str = PLOTS[0],
+    kind: str = "boxes",
     *,
-    trial: int = 0,
+    trial: int | None = None,
     x: str = "",
     hue: str = "",
-    y: str | Measure = "H",
+    y: str | Measure | None = None,
     facet: str = "",
     where: Mapping[str, Any] | None = None,
     ax: Axes | None = None,
-    limits: Limits = PAPERS,
+    limits: Limits | None = None,
 ) -> Figure:
     """A picture of results; its method ``savefig`` writes a file.
 
-    Kinds: ``boxes`` and ``scatter`` show scores relative to ``limits``; ``curve`` the measure ``y`` (H, h_K,
-    h_e, K, e, or a function of ``Trials`` with a number for each trial) over a parameter ``x``, with a curve
-    for each value of a parameter ``hue`` and a panel for each of ``facet``, or into the axes ``ax``;
-    ``bands`` b_hat of all trials over time; ``series`` a ``trial`` over time, which needs ``record``.
-    ``where`` chooses experiments by their parameters. Raises UsageError if the results do not have what it
-    shows.
+    Kinds: ``boxes`` and ``scatter`` show scores relative to ``limits``, by default the paper's; ``curve``
+    the measure ``y`` (H by default, h_K, h_e, K, e, or a function of ``Trials`` with a number for each trial)
+    over a parameter ``x``, with a curve for each value of a parameter ``hue`` and a panel for each of
+    ``facet``, or into the axes ``ax``; ``bands`` b_hat of all trials over time; ``series`` a ``trial``, by
+    default 0, over time, which needs ``record``. ``where`` chooses experiments by their parameters. Raises
+    UsageError if the results do not have what it shows, and for an option that the kind does not have.
     """
     from mcp_asdf_tools.experiments import plots  # noqa: PLC0415 (matplotlib loads slowly)
 
     experiments = matching(results if isinstance(results, list) else experiments_in(results), where or {})
     if not experiments:
         raise UsageError("there is no experiment to draw; give results of one or more")
-    if kind != "curve" and (facet or ax is not None):
-        raise UsageError(f"facet and ax are for curve, and {kind} has panels of its own; leave them out")
-    pictures = {
-        "boxes": lambda: plots.boxes(experiments, limits),
-        "scatter": lambda: plots.scatter(experiments, limits),
-        "curve": lambda: plots.curve(experiments, x, hue, y, limits, facet=facet, ax=ax),
-        "bands": lambda: plots.bands(experiments, limits),
-        "series": lambda: plots.series_beside([only(experiments)], trial),
-    }
-    if kind not in pictures:
-        raise UsageError(f"kind is {kind!r}; choose one of {', '.join(PLOTS)}")
-    return pictures[kind]()
+    options = {"trial": trial, "x": x, "hue": hue, "y": y, "facet": facet, "ax": ax, "limits": limits}
+    given_names = [name for name, value in options.items() if value is not None and value != ""]
+    check_plot_options(kind, [(name, name) for name in given_names], y)
+    score_limits = limits or PAPERS
+    match kind:
+        case "boxes":
+            return plots.boxes(experiments, score_limits)
+        case "scatter":
+            return plots.scatter(experiments, score_limits)
+        case "curve":
+            return plots.curve(experiments, x, hue, y or "H", score_limits, facet=facet, ax=ax)
+        case "bands":
+            return plots.bands(experiments)
+        case _:
+            return plots.series_beside([only(experiments)], trial or 0)

@@ -13,8 +13,8 @@ import pytest
 import mcp_asdf_tools as m
 from mcp_asdf.robot import Config, Filter
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.cli.radio import settings_of
 from mcp_asdf_tools.cli.radio import add_arguments as add_radio_arguments
+from mcp_asdf_tools.cli.radio import settings_of
 from mcp_asdf_tools.robots.population import describe_filters
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from wire import record

@@ -59,12 +59,18 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
     """The options for K_max and e_max."""
     add = parser.add_argument_group("scores").add_argument
     add("--k-max", type=float, metavar="STEPS", help="K that scores 0 (default: the length of a trial)")
-    add("--e-max", type=float, metavar="ERROR", default=E_MAX, help="e that scores 0 (default: %(default)s)")
+    add("--e-max", type=float, metavar="ERROR", help=f"e that scores 0 (default: {E_MAX})")
 
 
 def limits_of(args: argparse.Namespace) -> Limits:
     """The limits given, or else the paper's. Raises UsageError for limits of 0 or less."""
-    return Limits(args.k_max, args.e_max)
+    return Limits(args.k_max, E_MAX if args.e_max is None else args.e_max)
+
+
+def limits_given(args: argparse.Namespace) -> list[str]:
+    """Return the options for K_max and e_max that the user has typed."""
+    values = {"--k-max": args.k_max, "--e-max": args.e_max}
+    return [option for option, value in values.items() if value is not None]
 
 
 def add_where(parser: argparse._ActionsContainer) -> None:

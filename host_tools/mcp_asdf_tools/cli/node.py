@@ -128,7 +128,8 @@ def _summary(node: RobotNode, results: dict[str, Any], where: str) -> str:
     return (
         f"run       {node.ticks} ticks as robot {node.id}; {results['ending']}\n"
         f"estimate  x {robot.x:.5f}, x_hat {robot.x_hat:.5f}, alpha {robot.alpha:.5g}\n"
-        f"filter    {results['filter']}; b_hat {robot.b_hat:.4f}, {counters.tests} tests, {counters.updates} updates\n"
+        f"filter    {results['filter']}; b_hat {robot.b_hat:.4f}, {counters.tests} tests, "
+        f"{counters.updates} updates\n"
         f"sent      {frames['estimates_sent']} estimates, {frames['heartbeats_sent']} heartbeats, "
         f"{frames['telemetry_sent']} telemetry {where}\n"
         f"heard     {frames['delivered']} estimates, {frames['refused']} of them refused, and "

@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.library import PLOTS, plot
+from mcp_asdf_tools.library import PLOTS, check_plot_options, plot
 
 EPILOG = """\
 examples:
@@ -25,14 +26,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("file", metavar="FILE", type=Path, help="results: .parquet")
     parser.add_argument("picture", metavar="PICTURE", type=Path, help="what to draw into: .png, .svg or .pdf")
-    parser.add_argument("--kind", choices=PLOTS, default=PLOTS[0], help="what to draw (default %(default)s)")
+    kinds = "what to draw (default %(default)s)"
+    parser.add_argument("--kind", choices=[*PLOTS], default="boxes", help=kinds)
     options.add_where(parser)
-    parser.add_argument("--trial", metavar="N", type=int, default=0, help="which one (default %(default)s)")
+    parser.add_argument("--trial", metavar="N", type=int, help="which one, for series (default 0)")
     group = parser.add_argument_group("curves")
-    group.add_argument("--x", metavar="NAME", default="", help="parameter along the axis")
-    group.add_argument("--hue", metavar="NAME", default="", help="parameter with a curve for each value")
-    group.add_argument("--y", metavar="NAME", default="H", help="H, h_K, h_e, K or e (default %(default)s)")
-    group.add_argument("--facet", metavar="NAME", default="", help="parameter with a panel for each value")
+    group.add_argument("--x", metavar="NAME", help="parameter along the axis")
+    group.add_argument("--hue", metavar="NAME", help="parameter with a curve for each value")
+    group.add_argument("--y", metavar="NAME", help="H, h_K, h_e, K or e (default H)")
+    group.add_argument("--facet", metavar="NAME", help="parameter with a panel for each value")
     options.add_limits(parser)
 
 
@@ -41,9 +43,18 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.common.figures import check_plot_path, save_figure  # noqa: PLC0415
 
     check_plot_path(args.picture)
+    given: dict[str, Any] = {
+        name: getattr(args, name)
+        for name in ("trial", "x", "hue", "y", "facet")
+        if getattr(args, name) is not None
+    }
+    shown_names = [(name, f"--{name}") for name in given]
+    shown_names += [("limits", option) for option in options.limits_given(args)]
+    check_plot_options(args.kind, shown_names, args.y)
+    if options.limits_given(args):
+        given["limits"] = options.limits_of(args)
     found = options.chosen(args)
-    given = {name: getattr(args, name) for name in ("trial", "x", "hue", "y", "facet")}
-    save_figure(plot(found, args.kind, **given, limits=options.limits_of(args)), args.picture)
+    save_figure(plot(found, args.kind, **given), args.picture)
     if args.json:
         print(json.dumps({"picture": str(args.picture), "kind": args.kind, "experiments": len(found)}))
     else:

@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     truth.add_argument("--true-accuracy", metavar="B", type=float, help="b of every sensor")
     add_server_options(parser)
     parser.add_argument(
-        "--subject", type=int, default=FrameFormat().subject, help="of estimates (default %(default)s)"
+        "--subject", type=int, help=f"of estimates on a bus (default {FrameFormat().subject})"
     )
     interfaces.add_arguments(parser)
 
@@ -72,12 +72,27 @@ def run(args: argparse.Namespace) -> int:
     """Show the recording or the bus, or write the page."""
     if args.file is None:
         return _watch(args)
+    _check_recording_options(args)
     if args.export is None:
         return _serve(args, _film_of(args))
     if args.export.suffix.lower() != ".html":
         raise UsageError(f"cannot export to {args.export.name}: choose a name that ends in .html")
     check_target(args.export)
     return _export(args, _film_of(args))
+
+
+def _check_recording_options(args: argparse.Namespace) -> None:
+    """Raise UsageError for an option that does nothing where a recording is shown."""
+    unused_options = ["interface", "bitrate", "bus_kwargs"]
+    has_parameters = args.file.suffix.lower() in _RESULTS or input_log_path(args.file).exists()
+    if has_parameters:  # what the frames of any other log mean is for the user to say
+        unused_options += ["fill_ratio", "true_accuracy", "subject", "channel"]
+    for name in unused_options:
+        if getattr(args, name, None) is not None:
+            option = f"--{name.replace('_', '-')}"
+            raise UsageError(f"{option} is for a bus, but {args.file} is a recording; leave one of them out")
+    if args.export is not None and args.port is not None:
+        raise UsageError("--port is for a page that is served, but --export writes a file; leave it out")
 
 
 def _film_of(args: argparse.Namespace) -> Film:
@@ -120,7 +135,7 @@ def _film_of_frames(args: argparse.Namespace) -> Film:
 def _frame_format(args: argparse.Namespace) -> FrameFormat:
     """Return the format of estimates. Raises UsageError if --subject is none."""
     try:
-        return FrameFormat(args.subject)
+        return FrameFormat() if args.subject is None else FrameFormat(args.subject)
     except ValueError as error:
         raise UsageError(str(error)) from error
 

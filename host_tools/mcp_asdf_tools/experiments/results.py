@@ -210,7 +210,7 @@ def _by_experiment(stretches: Iterable[Stretch]) -> dict[str, NDArray[np.int64]]
 
 
 def _with_all_parameters(table: pa.Table, rows: int) -> pa.Table:
-    """Return the table of so many rows with the columns in order, and the default of each parameter it lacks."""
+    """Return the table with its columns in order; a parameter it lacks has its default in all ``rows``."""
     defaults, kinds = Experiment().parameters(), _column_types()
     columns = {}
     for name, kind in kinds.items():

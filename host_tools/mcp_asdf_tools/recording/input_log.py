@@ -220,7 +220,7 @@ class InputLogReader:
                 yield content
 
     def _header_of(self, plain: Any) -> InputLogHeader:
-        """Read the description of a run; a setting that it lacks is newer than the log, and has its default."""
+        """Read the description of a run; a setting that it lacks is newer, and has its default."""
         if not isinstance(plain, dict) or plain.get("format") != FORMAT:
             raise self.wrong(f'"format": "{FORMAT}" is missing')
         if plain.get("version") != VERSION:

@@ -59,8 +59,9 @@ def one_line(run: SwarmRun) -> str:
     """Summary in one line, for quiet runs."""
     results = run.results
     return (
-        f"seed {run.settings.seed}: {run.settings.robots} robots, {run.settings.filter_name}, {results['steps']} steps, "
-        f"mean error {results['mean_error']:.5f}, spread {results['spread_x']:.5f}{_ending(run)}"
+        f"seed {run.settings.seed}: {run.settings.robots} robots, {run.settings.filter_name}, "
+        f"{results['steps']} steps, mean error {results['mean_error']:.5f}, "
+        f"spread {results['spread_x']:.5f}{_ending(run)}"
     )
 
 

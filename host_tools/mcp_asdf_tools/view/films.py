@@ -126,8 +126,8 @@ def film_of_trial(trials: Trials, trial: int) -> Film:
         raise UsageError(f"there is no trial {trial}; choose one of {numbers}")
     if experiment.robots * experiment.steps > _MOST_WORK:
         raise UsageError(
-            f"a trial of {experiment.robots} robots and {experiment.steps} steps is too long to be run again, "
-            f"which view has to do; take one of at most {_MOST_WORK // experiment.robots} steps"
+            f"a trial of {experiment.robots} robots and {experiment.steps} steps is too long to be run "
+            f"again, which view has to do; take one of at most {_MOST_WORK // experiment.robots} steps"
         )
     spacing, place = spacing_of(experiment.steps, experiment.robots), trials.numbers.index(trial)
     again = run_trials(experiment, trial, 1, spacing)

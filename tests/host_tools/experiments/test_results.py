@@ -20,10 +20,10 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import (
-    experiments_at,
     FORMAT,
     QUANTITIES,
     differing,
+    experiments_at,
     experiments_in,
     matching,
     metadata_of,

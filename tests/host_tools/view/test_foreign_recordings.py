@@ -121,6 +121,6 @@ def test_a_running_swarm_of_a_billion_steps_is_filmed_at_once() -> None:
 def test_a_trial_of_a_billion_steps_is_refused() -> None:
     (short,) = experiments_in(table_of(run_trials(Experiment(robots=2, steps=10, trials=1), 0, 1)))
     long: Trials = replace(short, experiment=replace(short.experiment, steps=10**9))
-    with pytest.raises(UsageError, match="too long to be run again, .* at most 100000000 steps"):
+    with pytest.raises(UsageError, match=r"too long to be run again, .* at most 100000000 steps"):
         film_of_trial(long, 0)
     assert np.isfinite(film_of_trial(short, 0).since()[2][-1].values).all()
