@@ -16,7 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 import mcp_asdf_tools as m
+from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.reference import ReferenceRobot
+from mcp_asdf.robot import Config
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import add_legend, empty_figure
 from mcp_asdf_tools.experiments.results import table_of
 from mcp_asdf_tools.experiments.trials import run_trials
@@ -93,6 +96,44 @@ def test_a_graph_may_be_any_of_its_usual_objects() -> None:
     for wrong in (5, [(0, 1, 2)], [("a", "b")], np.ones((2, 3), np.bool_), [(0, 1), (1, 0)], [(0, 200)]):
         with pytest.raises(m.UsageError):
             replace(SHORT, topology="graph", graph=wrong)
+
+
+@pytest.mark.parametrize("first_kind", [MirrorRobot, ReferenceRobot])
+def test_an_extension_may_mix_robots_with_and_without_raw_values(first_kind: Any) -> None:
+    def mix(config: Config, robot_id: int, b_hat: float) -> Any:
+        other_kind = ReferenceRobot if first_kind is MirrorRobot else MirrorRobot
+        make = other_kind if robot_id % 2 else first_kind
+        return make(config, robot_id, b_hat)
+
+    firmware: Any = mix
+    experiment = replace(SHORT, trials=1, firmware=firmware)
+    (trials,) = m.experiments_in(m.simulate(experiment))
+    (native_trials,) = m.experiments_in(m.simulate(replace(SHORT, trials=1)))
+    assert np.allclose(trials.b_hat, native_trials.b_hat, atol=1e-4)
+    settings = replace(SETTINGS, firmware=firmware, faults=())
+    assert m.emulate(settings).results["mean_error"] == pytest.approx(
+        m.emulate(replace(SETTINGS, faults=())).results["mean_error"], abs=1e-4
+    )
+
+
+@pytest.mark.parametrize("run", [m.simulate, m.emulate])
+def test_an_extension_whose_robots_lack_something_is_refused(run: Any) -> None:
+    def incomplete(config: Config, robot_id: int, b_hat: float) -> Any:
+        return SimpleNamespace(id=robot_id, observe=print, settle=print)
+
+    settings: Any = SHORT if run is m.simulate else SETTINGS
+    with pytest.raises(UsageError, match=r"SimpleNamespace without alpha, b_hat, beta, .* x_hat"):
+        run(replace(settings, firmware=incomplete))
+
+
+def test_an_extension_with_some_of_the_raw_values_is_refused() -> None:
+    class HalfRaw(ReferenceRobot):
+        def receive_all(self, messages: Any) -> int:
+            return len(messages)
+
+    settings = replace(SETTINGS, firmware=cast(Any, HalfRaw))
+    with pytest.raises(UsageError, match=r"a HalfRaw without alpha_raw, .*give it all that mcp_asdf.Fixed"):
+        m.emulate(settings)
 
 
 def always(accuracy: float) -> Any:

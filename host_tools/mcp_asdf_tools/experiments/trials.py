@@ -170,7 +170,9 @@ class MessageSwarm:
     def __init__(self, experiment: Experiment, trial: int) -> None:
         self._experiment, self._world = experiment, World(experiment, trial)
         self.robots = _make_robots(experiment)
-        self._deliver = self._send_raw if isinstance(self.robots[0], FixedPointRobot) else self._send
+        # An extension may mix robots of both kinds, and then all of them exchange floats.
+        have_raw_values = all(isinstance(robot, FixedPointRobot) for robot in self.robots)
+        self._deliver = self._send_raw if have_raw_values else self._send
 
     def steps(self) -> Iterator[int]:
         """Take every step of the trial; yields its number, from 1, when it is over."""

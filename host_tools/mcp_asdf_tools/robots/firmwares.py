@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
-from typing import cast
+from typing import Any, cast
 
-from mcp_asdf.robot import Config, Robot
+from mcp_asdf.robot import Config, FixedPointRobot, Robot
 from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.common.errors import UsageError
 
@@ -20,9 +21,34 @@ FIRMWARES = {
 }
 
 
+_MEMBERS: dict[type[Any], list[str]] = {
+    kind: sorted(name for name in dir(kind) if not name.startswith("_")) for kind in (Robot, FixedPointRobot)
+}
+"""What robots of either kind have."""
+
+
 def firmware_names() -> extensions.Names:
     """Names of the firmwares that come with the project, then of installed extensions."""
     return extensions.Names(FIRMWARES, extensions.FIRMWARES)
+
+
+def _make_by_extension(
+    name: str, make: Callable[..., Any], config: Config, robot_id: int, b_hat: float
+) -> Robot:
+    """Make a robot of an extension.
+
+    Raises UsageError, naming what the object lacks, unless it is an ``mcp_asdf.Robot``; one that takes raw
+    messages has to be an ``mcp_asdf.FixedPointRobot``.
+    """
+    robot = make(config, robot_id, b_hat)
+    kind = FixedPointRobot if hasattr(robot, "receive_all") else Robot
+    missing = [member for member in _MEMBERS[kind] if not hasattr(robot, member)]
+    if missing:
+        raise UsageError(
+            f"the firmware {name} made a {type(robot).__name__} without {', '.join(missing)}; "
+            f"give it all that mcp_asdf.{kind.__name__} has"
+        )
+    return cast(Robot, robot)
 
 
 def load_firmware(name: str) -> RobotMaker:
@@ -33,7 +59,7 @@ def load_firmware(name: str) -> RobotMaker:
     if name not in FIRMWARES:
         if name not in firmware_names():
             raise UsageError(f"firmware is {name!r}; choose one of {', '.join(firmware_names())}")
-        return cast(RobotMaker, extensions.load(extensions.FIRMWARES, name))
+        return partial(_make_by_extension, name, extensions.load(extensions.FIRMWARES, name))
     module, class_name = FIRMWARES[name]
     try:
         return cast(RobotMaker, getattr(import_module(module), class_name))
