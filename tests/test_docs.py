@@ -279,10 +279,14 @@ def test_the_python_program_of_the_readme_runs() -> None:
 def test_the_readme_says_how_much_it_helps_as_the_page_does() -> None:
     """The page's figures are those of its program; the README rounds them no further."""
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    page = (ROOT / "docs/experiments.md").read_text(encoding="utf-8")
+    assert "trials=200" in page and "[200 worlds](docs/experiments.md#how-much-it-helps)" in readme
     lines = block_with(ROOT / "docs/experiments.md", "6 flawed, none:", "text").splitlines()
-    (none, minus, robust, _, half_minus, half_robust) = [re.findall(r"\d+\.\d*", line) for line in lines]
+    figures = [[float(number) for number in re.findall(r"\d+\.\d*", line)] for line in lines]
+    none, minus, robust, _, half_minus, half_robust = figures
     for low, middle, high, *_ in (none, minus, robust):
-        assert f"{middle} ({low} to {high})" in readme
+        assert f"{middle:.3f} ({low:.3f} to {high:.3f})" in readme
     low, middle, high = half_minus[3:]
-    assert f"{middle} times smaller (quartiles {low} to {high})" in readme
-    assert f"{half_robust[3]} and {half_robust[5]}" in readme
+    assert f"makes the error at the end {middle} times smaller (quartiles {low} to {high})" in readme
+    (harmed,) = re.findall(r"larger in (\d+)%", lines[-1])
+    assert f"{half_robust[3]} and {half_robust[5]}, and it does harm in {harmed} % of these worlds" in readme

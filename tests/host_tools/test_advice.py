@@ -11,8 +11,14 @@ import pytest
 import mcp_asdf_tools as m
 from support import ROOT
 
-DYNAMIC = {"steps": 40_000, "topology": "dynamic", "fill_ratio": 0.55, "flawed_accuracy": 0.55}
-CONNECTED = {"steps": 40_000, "fill_ratio": 0.95, "true_accuracy": 0.55, "flawed_accuracy": 0.95}
+DYNAMIC = {"steps": 40_000, "trials": 200, "topology": "dynamic", "fill_ratio": 0.55, "flawed_accuracy": 0.55}
+CONNECTED = {
+    "steps": 40_000,
+    "trials": 200,
+    "fill_ratio": 0.95,
+    "true_accuracy": 0.55,
+    "flawed_accuracy": 0.95,
+}
 SOME: list[tuple[str, dict[str, Any]]] = [
     ("dynamic | underconfident | 50 % | {none} | {minus} | {robust} |", DYNAMIC | {"flawed": "50%"}),
     ("fully-connected | overconfident | 10 % | {none} | {minus} | {robust} |", CONNECTED | {"flawed": "10%"}),

@@ -247,7 +247,7 @@ def test_too_much_is_refused_soon(case: str, tmp_path: Path) -> None:
     grid, endless = tmp_path / "grid.toml", "/dev/zero"
     words = ["sweep", str(grid), "--output", str(tmp_path / "run.parquet")]
     if case == "device as graph":
-        grid.write_text(f'topology = "graph"\ngraph = "{endless}"\n')
+        words = ["swarm", "--topology", "graph", "--graph", endless]
     elif case == "device as image":
         words = ["table", "--verify", endless]
     else:

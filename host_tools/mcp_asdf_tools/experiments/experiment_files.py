@@ -20,6 +20,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import read_at_most
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment, combinations
+from mcp_asdf_tools.world.topology import is_text_of_edges
 
 STUDIES = Path(__file__).with_name("studies")
 GRID = "grid"
@@ -91,8 +92,20 @@ class _TomlLines:
 
 
 def _from_folder(parameters: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The parameters with paths as this process needs them."""
-    given = dict(parameters)
-    if isinstance(given.get("graph"), str) and (folder / given["graph"]).is_file():
-        given["graph"] = str(folder / given["graph"])
-    return given
+    """Return the parameters, a graph that is a file with its path from where this process runs.
+
+    Raises ParameterError for a path that leads to no regular file: a pipe or a device might never end.
+    """
+    graph = parameters.get("graph", "")
+    if not isinstance(graph, str) or is_text_of_edges(graph):
+        return parameters
+    path = folder / graph
+    try:
+        is_regular = path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        is_regular = False
+    if not is_regular:
+        raise ParameterError(
+            "graph", f"graph is {graph!r}, but {path} is no regular file; give edges, or a file with them"
+        )
+    return parameters | {"graph": str(path)}

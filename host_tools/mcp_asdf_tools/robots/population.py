@@ -120,6 +120,20 @@ class Population(WorldSettings):
 
     def unused_parameters(self) -> dict[str, str]:
         """Parameters without effect here, with the reason."""
+        return self._unused_of_drift() | self._unused_of_filter()
+
+    def _unused_of_drift(self) -> dict[str, str]:
+        """Parameters of drifts that this kind of drift does not have."""
+        reason = f"drift is {self.drift}"
+        unused = {} if self.drift == "stepped" else {"drift_period": reason}
+        if self.drift != "wiener":
+            unused["drift_diffusion"] = reason
+        if self.drift == "none":
+            unused["lowest_accuracy"] = reason
+        return unused
+
+    def _unused_of_filter(self) -> dict[str, str]:
+        """Parameters of filters that this filter does not have."""
         if self.filter == "none":
             return dict.fromkeys(("omega", "activation"), "filter is none")
         if self.filter == "robust":

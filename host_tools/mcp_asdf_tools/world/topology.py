@@ -125,7 +125,7 @@ def graph_of(given: Any) -> Graph:
     """
     if not isinstance(given, str | Path):
         return _parse_graph(_edges_of(given), "edge", "graph")
-    if isinstance(given, str) and _EDGES.fullmatch(given):
+    if isinstance(given, str) and is_text_of_edges(given):
         return _parse_graph(given.split(";"), "edge", "graph")
     try:
         lines = read_at_most(given).decode("utf-8-sig").splitlines()
@@ -134,12 +134,17 @@ def graph_of(given: Any) -> Graph:
     return _parse_graph(lines, "line", str(given))
 
 
+def is_text_of_edges(text: str) -> bool:
+    """Return whether a text holds edges in one line, or nothing, and is no path of a file."""
+    return _EDGES.fullmatch(text) is not None
+
+
 def graph_of_edges(text: Any) -> Graph:
     """Return the graph of edges in one line, such as ``3 5; 5 > 7``, and never open a file.
 
     For the graphs in recordings and results, which come from others. Raises UsageError for anything else.
     """
-    if not isinstance(text, str) or not _EDGES.fullmatch(text):
+    if not isinstance(text, str) or not is_text_of_edges(text):
         raise UsageError(
             f"graph is {text!r}, but a recording or a file of results has to hold the edges themselves, such "
             "as '3 5; 5 > 7': it may not name a file"

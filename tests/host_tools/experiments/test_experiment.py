@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from decimal import Decimal
 from pathlib import Path
@@ -63,6 +64,14 @@ def test_files_describe_grids_on_the_keys_above_them(tmp_path: Path) -> None:
     (wired,) = experiments_of(tmp_path, 'topology = "graph"\ngraph = "ring"\nrobots = 3\n')
     assert wired.graph == Experiment(topology="graph", graph=str(tmp_path / "ring"), robots=3).graph
     assert found == grid(who=[{"flawed": 1, "seed": [5, 6]}, {"flawed": 2, "seed": 7}], seed=4, steps=[8, 9])
+
+
+@pytest.mark.parametrize("graph", ["pipe", "/dev/zero", "absent", "a" * 300])
+def test_a_graph_of_a_file_of_experiments_is_a_regular_file(graph: str, tmp_path: Path) -> None:
+    """Reading a pipe that nobody writes would wait for ever."""
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(UsageError, match=r"line 2: graph is '.*', but .* is no regular file; give edges"):
+        experiments_of(tmp_path, f'topology = "graph"\ngraph = "{graph}"\n')
 
 
 @pytest.mark.parametrize(
