@@ -105,7 +105,6 @@ def _from_folder(parameters: dict[str, Any], folder: Path) -> dict[str, Any]:
     except (OSError, ValueError):  # a name that no file can have
         is_regular = False
     if not is_regular:
-        raise ParameterError(
-            "graph", f"graph is {graph!r}, but {path} is no regular file; give edges, or a file with them"
-        )
+        fix = "give edges, or the path of a file with them from this file's folder"
+        raise ParameterError("graph", f"graph is {graph!r}, which is no regular file; {fix}")
     return parameters | {"graph": str(path)}

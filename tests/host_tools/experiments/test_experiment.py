@@ -70,7 +70,7 @@ def test_files_describe_grids_on_the_keys_above_them(tmp_path: Path) -> None:
 def test_a_graph_of_a_file_of_experiments_is_a_regular_file(graph: str, tmp_path: Path) -> None:
     """Reading a pipe that nobody writes would wait for ever."""
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(UsageError, match=r"line 2: graph is '.*', but .* is no regular file; give edges"):
+    with pytest.raises(UsageError, match=r"line 2: graph is '.*', which is no regular file; give"):
         experiments_of(tmp_path, f'topology = "graph"\ngraph = "{graph}"\n')
 
 
