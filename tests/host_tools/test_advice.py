@@ -45,6 +45,15 @@ def test_some_figures_are_those_of_the_sweeps(line: str, given: dict[str, Any]) 
     assert line.format(**cells) in (ROOT / "docs/advice.md").read_text(encoding="utf-8")
 
 
+def test_the_page_on_the_method_has_the_figures_of_the_advice() -> None:
+    advice, method = ((ROOT / f"docs/{page}.md").read_text(encoding="utf-8") for page in ("advice", "method"))
+    row = r"\| dynamic \| underconfident \| 30 % \| \d+, ([\d.]+) \([\d.]+\) \| \d+, ([\d.]+) "
+    found = re.search(row, advice)
+    assert found is not None
+    without_filter, with_filter = found.groups()
+    assert f"moving swarm is {without_filter}; if they filter, {with_filter} " in method
+
+
 def test_the_defaults_are_the_advice() -> None:
     """The tools have them, and so have all configurations of robots in C."""
     header = (ROOT / "c_ref/src/mcp_asdf.h").read_text(encoding="utf-8")
