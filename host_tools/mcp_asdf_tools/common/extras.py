@@ -1,4 +1,4 @@
-"""Parts of the installation that only some commands need."""
+"""How the project is installed, and the extras that only some commands need."""
 
 from __future__ import annotations
 
@@ -19,6 +19,22 @@ EXTRAS = {
 }
 """The extra of ``pyproject.toml`` that brings each module outside the base installation."""
 
+# Nothing is published yet, so only a clone can be installed. A release changes these two, to "mcp-asdf" and
+# "run"; docs/installing.md and docs/ci.md then have to follow, as tests/release/test_installing.py says.
+PIP_TARGET = "."
+PIP_PLACE = "in a clone of mcp-asdf run"
+
+
+def install_command(extra: str = "") -> str:
+    """Return the shell command that installs the project, with one of its extras if ``extra`` names one."""
+    target = f"'{PIP_TARGET}[{extra}]'" if extra else PIP_TARGET
+    return f"pip install {target}"
+
+
+def install_instruction(extra: str = "") -> str:
+    """Return what an error message asks the user to do to install the project: where, and which command."""
+    return f"{PIP_PLACE}: {install_command(extra)}"
+
 
 @contextmanager
 def naming_extras() -> Iterator[None]:
@@ -31,5 +47,5 @@ def naming_extras() -> Iterator[None]:
             raise
         extra = EXTRAS[module]
         raise UsageError(
-            f"this needs {module}, which is not installed; run: pip install 'mcp-asdf[{extra}]'"
+            f"this needs {module}, which is not installed; {install_instruction(extra)}"
         ) from error

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.extras import install_instruction
 
 _PATIENCE = 30
 """Seconds to wait for the scheduler, and then for a first worker."""
@@ -30,7 +31,8 @@ def cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]]:
         import distributed as dask  # noqa: PLC0415
         from distributed.comm.core import CommClosedError  # noqa: PLC0415
     except ImportError as error:
-        raise UsageError(f"no Dask here ({error}); install it: pip install 'mcp-asdf[cluster]'") from error
+        message = f"Dask cannot be loaded ({error}); to install it, {install_instruction('cluster')}"
+        raise UsageError(message) from error
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is raised
     client = _client(dask, address)
     try:

@@ -20,6 +20,7 @@ from mcp_asdf.fixed_point import ONE, SHIFT_MAX, UNITS_PER_ALPHA, b_hat_to_raw
 from mcp_asdf.reference import AUTHORS, PAPER, ReferenceRobot
 from mcp_asdf.robot import FixedPointRobot, Observation, Robot
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.extras import install_instruction
 from mcp_asdf_tools.common.versions import own_version
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
@@ -88,7 +89,8 @@ def _engine() -> ModuleType:
         from mcp_asdf_tools.experiments.engine import native  # noqa: PLC0415
     except ImportError as error:
         raise UsageError(
-            f"the engine cannot be loaded ({error}); build it with 'pip install .' or choose firmware mirror"
+            f"the engine cannot be loaded ({error}); choose firmware mirror, or to build the engine, "
+            f"{install_instruction()}"
         ) from error
     return native
 

@@ -10,6 +10,7 @@ from typing import Any, cast
 from mcp_asdf.robot import Config, FixedPointRobot, Robot
 from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.extras import install_instruction
 
 RobotMaker = Callable[[Config, int, float], Robot]
 """Makes a robot from a config, a robot id and an initial assumed accuracy."""
@@ -65,5 +66,6 @@ def load_firmware(name: str) -> RobotMaker:
         return cast(RobotMaker, getattr(import_module(module), class_name))
     except ImportError as error:
         raise UsageError(
-            f"firmware {name} cannot be loaded ({error}); build it with 'pip install .' or choose mirror"
+            f"firmware {name} cannot be loaded ({error}); choose mirror, or to build {name}, "
+            f"{install_instruction()}"
         ) from error

@@ -1,0 +1,101 @@
+"""How to install the project is said in one way everywhere, and workflows pin what they use of others."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from mcp_asdf_tools.common.extras import EXTRAS, install_command, install_instruction
+from support import ROOT, run
+
+INSTALLING = ROOT / "docs/installing.md"
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+# "pip install", options, and this project: its folder or its name, perhaps with extras.
+INSTALLS_PROJECT = re.compile(
+    r"pip (?:-\S+ )*install (?:-\S+ )*['\"]?(?:\.|mcp[-_]asdf)(?:\[[^\]]*\])?(?=['\"`\s]|$)"
+)
+PAGES_THAT_INSTALL = {"docs/installing.md", "docs/ci.md"}
+OTHER_MENTIONS = {
+    "docs/development.md": "the set-up of developers, who always have a clone",
+    "docs/extending.md": "installs the reader's own package",
+    "CHANGELOG.md": "tells what was once written",
+}
+
+ACTION_OR_CONTAINER = re.compile(r"^\s*(?:- )?(?:uses|container|image): +(.+)$", re.MULTILINE)
+PINNED_BY_HASH = re.compile(r"[\w./-]+@(?:[0-9a-f]{40} # v\d+\.\d+\.\d+|sha256:[0-9a-f]{64} # \d+)")
+
+
+def listed_texts() -> dict[str, str]:
+    """Return the text of each file that git lists, by its path, but for tests and files that are no text."""
+    texts = dict[str, str]()
+    for name in run("git", "ls-files", "-z", "--", ":!tests").split("\0"):
+        path = ROOT / name
+        if path.is_file() and b"\0" not in (content := path.read_bytes()):
+            texts[name] = content.decode("utf-8")
+    return texts
+
+
+def test_only_these_pages_have_the_command_that_installs() -> None:
+    """Messages take it from ``common/extras.py``; other pages lead to docs/installing.md."""
+    names = {name for name, text in listed_texts().items() if INSTALLS_PROJECT.search(text)}
+    assert names - set(OTHER_MENTIONS) == PAGES_THAT_INSTALL
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "pip install mcp-asdf",
+        "pip install 'mcp-asdf[study]'",
+        "`pip install .`",
+        "pip -q install -e '.[all]'",
+    ],
+)
+def test_each_form_of_the_command_is_recognised(text: str) -> None:
+    assert INSTALLS_PROJECT.search(text)
+
+
+def test_the_table_of_extras_has_the_commands_of_the_messages() -> None:
+    shown = re.findall(r"^\| `(pip install [^`]+)` \|", INSTALLING.read_text(encoding="utf-8"), re.MULTILINE)
+    extras = PYPROJECT["project"]["optional-dependencies"]
+    assert shown == [install_command(), *(install_command(extra) for extra in extras)]
+    assert set(EXTRAS.values()) <= set(extras)
+
+
+def test_the_workflow_for_users_installs_as_the_messages_say() -> None:
+    page = (ROOT / "docs/ci.md").read_text(encoding="utf-8")
+    assert f"          .venv/bin/python -m {install_command()}\n" in page
+
+
+def test_a_message_says_where_to_run_the_command() -> None:
+    assert install_instruction("study") == "in a clone of mcp-asdf run: pip install '.[study]'"
+    assert install_instruction() == "in a clone of mcp-asdf run: pip install ."
+
+
+def pins_in(path: Path) -> list[str]:
+    """Return the actions and containers that the workflows in a file use, comments included."""
+    return ACTION_OR_CONTAINER.findall(path.read_text(encoding="utf-8"))
+
+
+def workflow_files() -> list[Path]:
+    """Return the files of the project that hold workflows: its own, and pages that propose some."""
+    pages = [path for path in sorted((ROOT / "docs").glob("*.md")) if pins_in(path)]
+    return [*sorted((ROOT / ".github").rglob("*.y*ml")), *pages]
+
+
+def test_workflows_pin_actions_and_containers_by_hash() -> None:
+    """A tag can be moved to other code, a hash cannot. The tag stands beside it, for people."""
+    pins = {path.name: pins_in(path) for path in workflow_files()}
+    assert len(pins["tests.yml"]) == 3 and len(pins["ci.md"]) == 4
+    unpinned = [(name, pin) for name in pins for pin in pins[name] if not PINNED_BY_HASH.fullmatch(pin)]
+    assert unpinned == []
+
+
+@pytest.mark.parametrize(
+    "pin", ["actions/checkout@v4", "debian:12", "debian@sha256:813017f3 # 12", "a/b@main"]
+)
+def test_what_is_pinned_by_a_tag_or_half_a_hash_is_refused(pin: str) -> None:
+    assert not PINNED_BY_HASH.fullmatch(pin)
