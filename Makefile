@@ -12,7 +12,7 @@ C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')
 
 MINUTES := 5
 
-.PHONY: help setup swarm test verify fuzz lint format crosscheck cost targets socketcan reproducible sbom evidence lowest docs clean
+.PHONY: help setup swarm test verify fuzz lint format crosscheck cost targets socketcan reproducible sbom evidence lowest newest docs clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 18
@@ -67,6 +67,11 @@ lowest: .venv/ready-to-test ## install the lowest versions that pyproject.toml a
 	@uv pip install --quiet --python build/lowest --resolution lowest-direct --editable '.[all]'
 	@uv pip install --quiet --python build/lowest cantools hypothesis pycparser pytest pytest-timeout pytest-xdist
 	@build/lowest/bin/pytest -m "not slow" -W default --numprocesses=auto tests/firmware_py tests/host_tools
+
+newest: .venv/ready-to-test ## install all for the newest Python that can be had, in build/newest, and run the quick tests
+	@.ci/newest build/newest
+	@uv pip install --quiet --python build/newest --editable '.[all]' --group dev
+	@build/newest/bin/pytest --numprocesses=auto --dist=worksteal -m "not slow"
 
 docs: .venv/ready-to-test ## build the documentation in build/site
 	@$(BIN)/mkdocs build --strict --config-file .ci/mkdocs.yml

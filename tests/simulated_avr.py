@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sysconfig
 import tempfile
 from collections.abc import Callable
 from functools import cache
@@ -12,6 +13,8 @@ from typing import Any
 
 import pytest
 from cffi import FFI
+
+from support import run
 
 BLACK, WHITE = 1000, 4000
 """Millivolts of the sensor above a tile."""
@@ -86,11 +89,17 @@ uint64_t run(avr_t *avr, uint32_t from, uint32_t to);
 
 @cache
 def _simavr() -> tuple[FFI, Any]:
+    """Compile the board as a Python extension, and return its ``ffi`` and ``lib``."""
     ffi = FFI()
     ffi.cdef(_DECLARED)
-    ffi.set_source("avr_board", _C, libraries=["simavr"])
+    ffi.set_source("avr_board", _C)
     with tempfile.TemporaryDirectory() as folder:
-        loader = ExtensionFileLoader("avr_board", ffi.compile(tmpdir=folder))
+        source, library = Path(folder, "avr_board.c"), Path(folder, "avr_board.so")
+        ffi.emit_c_code(str(source))
+        # Not by ffi.compile, which needs setuptools from Python 3.12 on.
+        include = f"-I{sysconfig.get_path('include')}"
+        run("cc", "-shared", "-fPIC", "-O2", include, source, "-lsimavr", "-o", library)
+        loader = ExtensionFileLoader("avr_board", str(library))
         spec = spec_from_loader(loader.name, loader)
         assert spec
         module = module_from_spec(spec)

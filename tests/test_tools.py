@@ -221,6 +221,6 @@ def test_clang_warns_of_nothing(room: Room) -> None:
     run(require("clang", "clang"), *room.flags(), *WARNINGS, *room.clang, "-fsyntax-only", *room.sources)
 
 
-@pytest.mark.parametrize("script", [".ci/setup", ".ci/run", "tests/release/evidence.sh"])
+@pytest.mark.parametrize("script", [".ci/setup", ".ci/run", ".ci/newest", "tests/release/evidence.sh"])
 def test_shell_scripts_are_sound(script: str) -> None:
     run(require("shellcheck", "shellcheck"), ROOT / script)

@@ -10,11 +10,8 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import site
 import sys
 import tarfile
-import tomllib
-import zipfile
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
@@ -177,40 +174,6 @@ WAYS: dict[str, Callable[[Path], None]] = {
 def test_a_project_gets_it_in_each_way(way: str, project: Path) -> None:
     WAYS[way](project)
     run(project / "consumer")
-
-
-# --- The Python package ----------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_the_wheel_is_whole_and_used(tmp_path: Path) -> None:
-    """It is installed in a fresh environment, which borrows only the libraries from that of the tests, and
-    passes the commands with which cibuildwheel tests what it makes."""
-    no_network = ("--no-build-isolation", "--no-deps", "--no-index", "--quiet")
-    options = (*no_network, "--config-settings=cmake.build-type=Debug", "--wheel-dir", tmp_path)
-    run(sys.executable, "-m", "pip", "wheel", *options, ROOT)
-    (wheel,) = tmp_path.glob(f"mcp_asdf-{version_of_header()}-*.whl")
-    names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info" not in name}
-    extensions = {name for name in names if re.fullmatch(r"mcp_asdf/_native\..*\.so", name)}
-    assert len(extensions) == 1
-    core = {name.replace("src/", "mcp_asdf/core/") for name in FILES}
-    assert core == {name for name in names if name.endswith((".c", ".h"))}
-    for folder in (ROOT / "firmware_py/mcp_asdf", ROOT / "host_tools/mcp_asdf_tools"):
-        here = [*folder.rglob("*.py"), folder / "py.typed", *folder.glob("view/page/**/*.*")]
-        assert {str(path.relative_to(folder.parent)) for path in here} <= names
-    assert {name.split("/")[0] for name in names} == {"mcp_asdf", "mcp_asdf_tools"}
-
-    run(sys.executable, "-m", "venv", tmp_path / "venv")
-    python = tmp_path / "venv/bin/python"
-    where = Path(run(python, "-c", "import site; print(*site.getsitepackages())").strip())
-    (where / "borrowed.pth").write_text("\n".join(site.getsitepackages()))
-    run(python, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", wheel)
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    for command in settings["tool"]["cibuildwheel"]["test-command"]:
-        program, *arguments = command.replace("{project}", str(ROOT)).split()
-        run(tmp_path / "venv/bin" / program, *arguments, cwd=tmp_path)
-    code = "import mcp_asdf, mcp_asdf_tools; print(mcp_asdf.__file__, mcp_asdf_tools.__file__)"
-    assert all(Path(each).is_relative_to(where) for each in run(python, "-c", code).split())
 
 
 # --- Manifests -------------------------------------------------------------------------------------------

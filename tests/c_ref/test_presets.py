@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 from itertools import product
 from pathlib import Path
@@ -55,6 +56,19 @@ def test_c_tests_pass(preset: str) -> None:
     run(require("cmake"), "--preset", preset, "-B", folder, *chosen, *debug)
     run("cmake", "--build", folder)
     run("ctest", "--preset", preset, "--test-dir", folder, "--output-junit", report)
+
+
+@pytest.mark.parametrize("preset", ["sanitizers", *slow(name for name in NAMES if name != "sanitizers")])
+def test_a_preset_works_in_a_folder_with_a_space(preset: str, tmp_path: Path) -> None:
+    """CMake compiles small programs with the preset's flags before it writes the build's rules."""
+    skip_without_tools(preset)
+    source = tmp_path / "a clone"
+    for name in ("c_ref", "tables", "tests/c_ref", "tests/third", "host_tools/mcp_asdf_tools/experiments"):
+        shutil.copytree(ROOT / name, source / name)
+    for name in ("CMakeLists.txt", "CMakePresets.json"):
+        shutil.copy(ROOT / name, source / name)
+    run(require("cmake"), "--preset", preset, cwd=source)
+    run("cmake", "--build", "--preset", preset, "--target", "test_frame", cwd=source)
 
 
 @pytest.mark.slow

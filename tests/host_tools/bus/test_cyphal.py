@@ -31,7 +31,11 @@ from mcp_asdf_tools.bus.frames import (
 from messages import DEFAULT, KINDS, encoded, estimates, messages, write_regulated_types
 from support import PATIENCE, ROOT, draws
 
-pytestmark = pytest.mark.random
+pytestmark = [
+    pytest.mark.random,
+    # Nunavut, the compiler of DSDL, takes the time by a function that is deprecated from Python 3.12 on.
+    pytest.mark.filterwarnings(r"ignore:datetime.datetime.utcnow\(\):DeprecationWarning:nunavut\.jinja"),
+]
 
 pycyphal = pytest.importorskip("pycyphal", reason="pycyphal is not installed (pip install pycyphal)")
 transport = importlib.import_module("pycyphal.transport")

@@ -1,0 +1,122 @@
+"""The wheel and the source archive have every file that git lists, and the commands work from the wheel."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import site
+import sys
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from mcp_asdf_tools.cli import main as cli
+from support import CORE, ROOT, made_once, run, version_of_header
+
+PACKAGE_FOLDERS = ("firmware_py/mcp_asdf", "host_tools/mcp_asdf_tools")
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+COMMANDS = """\
+mcp-asdf --version
+mcp-asdf swarm --robots 4 --steps 30 --filter-period 10 --quiet --log run.log
+mcp-asdf view run.log --export run.html
+mcp-asdf replay run.log
+mcp-asdf firmware vendor
+mcp-asdf calibrate readings.csv
+mcp-asdf table --output tables --neighbours 4
+mcp-asdf radio --id 3 --robots 3 --steps 1 --steps-per-second 500 --interface virtual
+mcp-asdf node --help
+mcp-asdf dbc --output mcp_asdf.dbc
+mcp-asdf crosscheck --steps 100
+mcp-asdf simulate --steps 1000 --trials 2 --output run.parquet
+mcp-asdf sweep physical --steps 10 --trials 1 --output physical.parquet
+mcp-asdf score run.parquet
+mcp-asdf plot run.parquet run.png
+mcp-asdf reproduce --quick --part physical --trials 2 --steps 4000
+"""
+"""What is run from the wheel: every command. They read the files that are no Python: the C core, the page of
+``view``, the studies, the claims and the templates of the report."""
+
+
+def listed_files(*folders: str) -> set[str]:
+    """Return the files in the folders that git tracks or would add, relative to the repository."""
+    listed = run("git", "ls-files", "-z", "-co", "--exclude-standard", "--", *folders).split("\0")
+    return {name for name in listed if (ROOT / name).is_file()}
+
+
+def build_wheel(folder: Path) -> None:
+    """Build the wheel of this tree into the folder, without the network and without optimising the C."""
+    options = ("--quiet", "--no-build-isolation", "--no-deps", "--no-index", "--wheel-dir", folder)
+    run(sys.executable, "-m", "pip", "wheel", *options, "--config-settings=cmake.build-type=Debug", ROOT)
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The project's wheel, built once for all tests."""
+    folder = made_once(tmp_path_factory, "wheel", build_wheel)
+    (path,) = folder.glob(f"mcp_asdf-{version_of_header()}-*.whl")
+    return path
+
+
+@pytest.fixture
+def environment(wheel: Path, tmp_path: Path) -> Path:
+    """A fresh virtual environment with the wheel in it; only libraries come from that of the tests."""
+    folder = tmp_path / "environment"
+    run(sys.executable, "-m", "venv", folder)
+    python = folder / "bin/python"
+    (packages,) = folder.glob("lib/python*/site-packages")
+    # A path in a .pth file is searched last, and .pth files in it, such as that of this tree, are ignored.
+    (packages / "libraries_of_the_tests.pth").write_text("\n".join(site.getsitepackages()))
+    run(python, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", wheel)
+    return folder
+
+
+@pytest.mark.slow
+def test_the_wheel_has_every_file_that_git_lists_of_the_packages(wheel: Path) -> None:
+    files = {name.partition("/")[2] for name in listed_files(*PACKAGE_FOLDERS)}
+    # C is compiled, but for the core, which "mcp-asdf firmware" copies into projects.
+    expected = {name for name in files if not name.endswith((".c", ".h"))}
+    expected |= {
+        f"mcp_asdf/core/{name}" for name in ("LICENSE", *(path.name for path in CORE.parent.iterdir()))
+    }
+    names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    extensions = {name for name in names if name.endswith(".so")}
+    assert names - extensions == expected
+    assert {name.partition(".")[0] for name in extensions} == {
+        "mcp_asdf/_native",
+        "mcp_asdf_tools/experiments/_engine",
+        "mcp_asdf_tools/world/_arena",
+    }
+
+
+@pytest.mark.slow
+def test_every_command_runs_from_the_wheel(environment: Path, tmp_path: Path) -> None:
+    lines = COMMANDS.splitlines()
+    assert {line.split()[1] for line in lines[1:]} == set(cli.COMMANDS)
+    (tmp_path / "readings.csv").write_text("100,black\n800,white\n" * 10)
+    for line in lines:
+        program, *words = shlex.split(line)
+        run(environment / "bin" / program, *words, cwd=tmp_path, MPLBACKEND="Agg")
+    code = "import mcp_asdf, mcp_asdf_tools; print(mcp_asdf.__file__, mcp_asdf_tools.__file__, sep='\\n')"
+    imported = run(environment / "bin/python", "-c", code, cwd=tmp_path).splitlines()
+    assert all(Path(path).is_relative_to(environment) for path in imported)
+
+
+@pytest.mark.slow
+def test_the_wheel_passes_the_commands_that_test_a_release(environment: Path, tmp_path: Path) -> None:
+    for command in PYPROJECT["tool"]["cibuildwheel"]["test-command"]:
+        program, *words = shlex.split(command.replace("{project}", shlex.quote(str(ROOT))))
+        run(environment / "bin" / program, *words, cwd=tmp_path)
+
+
+def test_the_source_archive_has_every_file_that_git_lists(tmp_path: Path) -> None:
+    """It is what pip builds from where there is no wheel, so it shows in a second what a wheel would lack."""
+    code = "import sys; from scikit_build_core.build import build_sdist; build_sdist(sys.argv[1])"
+    run(sys.executable, "-c", code, tmp_path)
+    (archive,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(archive) as opened:
+        names = {re.sub("^[^/]+/", "", member.name) for member in opened if member.isfile()}
+    assert names - {"PKG-INFO"} == listed_files()
