@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import shutil
@@ -80,7 +81,7 @@ def test_without_root_it_names_what_is_missing_and_goes_on(clone: Path) -> None:
 def test_without_the_index_of_packages_it_says_so_in_one_line(clone: Path) -> None:
     """pip's own message where nothing answers."""
     nowhere = "-qq --isolated --retries 1 --index-url http://127.0.0.1:1/simple mcp-asdf-of-nowhere"
-    asks = f'[ "$5" != install ] || exec {sys.executable} -m pip download {nowhere}\n'
+    asks = f'[ "$5" != install ] || exec {shlex.quote(sys.executable)} -m pip download {nowhere}\n'
     program(clone / ".venv/bin/python", f"#!/bin/sh\n{asks}")
     said = history(clone, "run", status=1)
     assert said[-1].startswith("setup: no connection to the index of Python packages; connect to the network")
@@ -96,6 +97,35 @@ def test_the_set_up_by_hand_is_the_same(clone: Path) -> None:
     done = [[word for word in call if word not in quiet] for call in set_up(clone, "test")]
     assert [call[1:] for call in shown] == [call[1:] for call in done]
     assert [Path(call[0]).name for call in shown] == [Path(call[0]).name for call in done]
+
+
+def make_newest(folder: Path, available: str) -> tuple[int, list[str]]:
+    """Run ``.ci/newest`` with a stand-in for uv that has one version of Python; returns exit code and output."""
+    (folder / ".ci").mkdir()
+    shutil.copy(ROOT / ".ci/newest", folder / ".ci/newest")
+    (folder / "pyproject.toml").write_text(
+        "".join(f'    "Programming Language :: Python :: 3.{minor}",\n' for minor in (9, 11, 10))
+    )
+    program(folder / "bin/uv", f'#!/bin/sh\ncase "$*" in *" {available} "*) ;; *) exit 2 ;; esac\n')
+    done = subprocess.run(
+        [folder / ".ci/newest", "build/newest"],
+        env={**os.environ, "PATH": f"{folder / 'bin'}:/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.returncode, done.stdout.splitlines()
+
+
+def test_the_newest_python_that_can_be_had_is_taken_and_others_are_named(tmp_path: Path) -> None:
+    status, lines = make_newest(tmp_path, available="3.10")
+    assert status == 0
+    assert lines == ["newest: Python 3.11 cannot be had here", "newest: Python 3.10"]
+
+
+def test_without_any_python_the_run_with_the_newest_fails(tmp_path: Path) -> None:
+    status, lines = make_newest(tmp_path, available="2.7")
+    assert status == 1 and len(lines) == 3
 
 
 def report(tests: int, skipped: str = "", failures: int = 0) -> str:

@@ -368,7 +368,7 @@ def _draw_band(axes: Axes, at: Any, values: NDArray[np.float64], colour: str, st
 def _measured(trials: Trials, y: str | Measure, limits: Limits) -> NDArray[np.float64]:
     """The values of ``y``. Raises UsageError unless a function gives one number for each trial."""
     if isinstance(y, str):
-        return trials.measures(limits)[y]
+        return np.asarray(trials.measures(limits)[y], dtype=np.float64)  # updates are counted in integers
     values = np.asarray(y(trials), dtype=np.float64)
     if values.shape != (len(trials.numbers),):
         raise UsageError(

@@ -120,7 +120,7 @@ class Trials:
         """SCORES of each trial by name."""
         return score(self.convergence_steps, self.errors, *limits.of(self.experiment))
 
-    def measures(self, limits: Limits = PAPERS) -> dict[str, NDArray[np.float64]]:
+    def measures(self, limits: Limits = PAPERS) -> dict[str, NDArray[np.float64 | np.signedinteger]]:
         """A value for each trial by name: the scores, means of K and e over the robots, sum of updates."""
         return {
             **self.scores(limits),

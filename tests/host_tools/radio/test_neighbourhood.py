@@ -122,7 +122,8 @@ def test_what_neighbours_hear_is_counted_by_its_sender(
     wire._waiting.extend(heard)
     for frame in heard:
         frame.is_rx = True
-    run = RadioRun(Neighbourhood(surroundings(steps_per_second=100)), BusLink(wire), ticks=5)
+    # On a busy machine, too, one of the pauses between ticks is long enough to read all frames.
+    run = RadioRun(Neighbourhood(surroundings(steps_per_second=20)), BusLink(wire), ticks=5)
     run.run()
     told = {"estimates_heard": 1, "strangers": 3, "id_conflicts": {"1": 2}, "bus_failures": 0}
     assert run.figures().items() >= told.items()

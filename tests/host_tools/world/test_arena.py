@@ -123,8 +123,8 @@ def test_links_are_those_of_the_definition(settings: WorldSettings) -> None:
         motion = arena.record(portion)
         expected = links_by_definition(motion.position[-1], settings)
         assert np.array_equal(motion.adjacency[-1], expected), f"seed 11, after {portion} ticks"
-        linked += expected.sum()
-        near += (distances(motion.position[-1]) < settings.radio_range).sum()
+        linked += int(expected.sum())
+        near += int((distances(motion.position[-1]) < settings.radio_range).sum())
     assert 0 < linked < near * (0.8 if settings is CROWD else 1.1), "a body between does cut links"
 
 
