@@ -102,6 +102,7 @@ def commands() -> str:
 
 def _command(name: str) -> str:
     parser = cli._parser_for(name, cli._load(name))
+    parser.color = False  # from Python 3.14 on, where it is True, options have escape codes on a terminal
     parts = [f"### {name}\n\n{parser.description}\n"]
     for group in parser._action_groups:
         actions = [action for action in group._group_actions if action.help is not argparse.SUPPRESS]

@@ -100,7 +100,7 @@ def test_the_set_up_by_hand_is_the_same(clone: Path) -> None:
 
 
 def make_newest(folder: Path, available: str) -> tuple[int, list[str]]:
-    """Run ``.ci/newest`` with a stand-in for uv that has one version of Python; returns exit code and output."""
+    """Run ``.ci/newest`` with a stand-in for uv that has one Python; returns exit code and output."""
     (folder / ".ci").mkdir()
     shutil.copy(ROOT / ".ci/newest", folder / ".ci/newest")
     (folder / "pyproject.toml").write_text(
