@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import re
+import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import EXTRAS, install_command, install_instruction
+from mcp_asdf_tools.experiments import trials
+from mcp_asdf_tools.experiments.cluster import cluster
+from mcp_asdf_tools.robots.firmwares import load_firmware
 from support import ROOT, run
 
 INSTALLING = ROOT / "docs/installing.md"
@@ -99,3 +105,21 @@ def test_workflows_pin_actions_and_containers_by_hash() -> None:
 )
 def test_what_is_pinned_by_a_tag_or_half_a_hash_is_refused(pin: str) -> None:
     assert not PINNED_BY_HASH.fullmatch(pin)
+
+
+@pytest.mark.parametrize(
+    ("module", "call", "extra"),
+    [
+        ("mcp_asdf.native", lambda: load_firmware("native"), ""),
+        ("mcp_asdf_tools.experiments.engine.native", trials._engine, ""),
+        ("distributed", lambda: cluster("tcp://head:8786").__enter__(), "cluster"),
+    ],
+)
+def test_what_cannot_be_loaded_says_how_to_install_it(
+    module: str, call: Callable[[], object], extra: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)  # importing it fails from here on
+    monkeypatch.delattr("mcp_asdf_tools.experiments.engine.native", raising=False)
+    with pytest.raises(UsageError) as refusal:
+        call()
+    assert str(refusal.value).endswith(install_instruction(extra))
