@@ -1,4 +1,4 @@
-"""What robots refuse, and how: messages, observations, images, settings and tables; an error changes nothing.
+"""What robots refuse, and how: messages, observations, images, settings and tables. An error changes nothing.
 
 I1, I2, ... are the numbers of docs/invariants.md.
 """
@@ -21,259 +21,337 @@ from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation,
 from mcp_asdf.table import MAX_OMEGA_WORD, Table, TableError, checksum
 from mcp_asdf_tools.crosscheck.scenario import IMAGE, Call, edited_image
 from robots import (
-    ALPHA_MOST,
+    ALPHA_MAX,
     HALF,
     IMAGE_SIZE,
     ONE,
     OWN_ID,
     PLAIN,
     TABLE,
-    AnyType,
-    FixedPointType,
-    hear,
-    new,
-    of_every_kind,
-    of_fixed_point,
-    receive_all,
-    robot_at,
-    watch,
+    Firmware,
+    FixedPointFirmware,
+    for_every_firmware,
+    for_fixed_point_firmwares,
+    make_robot,
+    observe_tiles,
+    receive_estimates,
+    receive_raw_messages,
+    restore_robot,
 )
 
 EPSILON = 2.0**-20
 ADAPTIVE = Config(table=TABLE, filter_period=1)
-BUSY, ROBUST = replace(ADAPTIVE, filter_period=4), Config(filter=Filter.ROBUST, filter_period=4)
+
+BELOW_0 = -1e-9
+ABOVE_1 = math.nextafter(1, 2)
 
 
-def view(robot: Robot) -> tuple[object, ...]:
-    """All that can be seen of a robot, but the counter of rejected messages."""
+def visible_state(robot: Robot) -> tuple[object, ...]:
+    """Return all that a robot shows of itself but the counter of rejected messages."""
     values = (robot.t, robot.n, robot.b_hat, robot.x_hat, robot.alpha, robot.x_bar, robot.beta, robot.x)
     return (*values, replace(robot.counters, rejected=0))
 
 
-# --- Messages and observations ---------------------------------------------------------------------------
+# --- Messages --------------------------------------------------------------------------------------------
+
+
+def check_rejection(firmware: Firmware, sender: int, x_hat: float, status: Status, message: str) -> None:
+    """Check that a robot rejects and counts a message, with this error, and that nothing else changes."""
+    robot = make_robot(firmware)
+    observe_tiles(robot, black=2, white=1)
+    robot.receive(1, 0.25, 4.0)
+    state_before = visible_state(robot)
+    with pytest.raises(FirmwareError, match=re.escape(message)) as error:
+        robot.receive(sender, x_hat, 1.0)
+    assert error.value.status == status
+    assert visible_state(robot) == state_before
+    assert robot.counters.rejected == 1
 
 
 # design: R5
-@of_every_kind
-@pytest.mark.parametrize(
-    ("message", "told"),
-    [
-        *(((sender, 0.5, 1.0), f"sender is {sender};") for sender in (OWN_ID, 128, -1, 256 + 4, 300)),
-        *(((1, x, 1.0), f"x_hat is {x};") for x in (math.nextafter(1, 2), -1e-9, math.nan, math.inf)),
-        *(((128, 2.0, 0.0), "sender is 128;"), ((1, 2.0, 0.0), "x_hat is 2.0;")),
-    ],
-)
-def test_invalid_messages_count_and_change_nothing(
-    kind: AnyType, message: tuple[int, float, float], told: str
-) -> None:
-    robot = new(kind)
-    watch(robot, 2, 1)
-    robot.receive(1, 0.25, 4.0)
-    before = view(robot)
-    with pytest.raises(FirmwareError, match=re.escape(told)) as refused:
-        robot.receive(*message)
-    assert refused.value.status == (Status.ERR_SENDER if "sender" in told else Status.ERR_X_HAT)
-    assert (view(robot), robot.counters.rejected) == (before, 1)
+@for_every_firmware
+@pytest.mark.parametrize("sender", [OWN_ID, 128, -1, 256 + 4, 300])
+def test_a_message_of_an_invalid_sender_is_rejected(firmware: Firmware, sender: int) -> None:
+    check_rejection(firmware, sender, 0.5, Status.ERR_SENDER, f"sender is {sender};")
 
 
-@of_every_kind
+# design: R5
+@for_every_firmware
+@pytest.mark.parametrize("x_hat", [ABOVE_1, BELOW_0, math.nan, math.inf, 2.0])
+def test_a_message_with_an_invalid_x_hat_is_rejected(firmware: Firmware, x_hat: float) -> None:
+    check_rejection(firmware, 1, x_hat, Status.ERR_X_HAT, f"x_hat is {x_hat};")
+
+
+@for_every_firmware
+def test_the_sender_of_a_message_is_checked_first(firmware: Firmware) -> None:
+    check_rejection(firmware, 128, 2.0, Status.ERR_SENDER, "sender is 128;")
+
+
+@for_every_firmware
 @pytest.mark.parametrize("alpha", [-0.0, -1.0, -5e-324, math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize(("sender", "x_hat"), [(1, 0.5), (OWN_ID, 2.0)])
-def test_what_is_no_confidence_raises_and_changes_nothing(
-    kind: AnyType, alpha: float, sender: int, x_hat: float
+def test_an_alpha_that_is_no_confidence_raises_and_changes_nothing(
+    firmware: Firmware, alpha: float, sender: int, x_hat: float
 ) -> None:
     """Frames with such an alpha do not reach a robot; a program that passes one has a fault."""
-    robot = new(kind)
-    watch(robot, 2, 1)
-    before, counters = view(robot), robot.counters
+    robot = make_robot(firmware)
+    observe_tiles(robot, black=2, white=1)
+    state_before, counters_before = visible_state(robot), robot.counters
     with pytest.raises(ValueError, match="alpha is"):
         robot.receive(sender, x_hat, alpha)
-    assert (view(robot), robot.counters) == (before, counters)
-    assert robot.receive(1, 0.5, 1.0) == Status.OK, "it has not been heard"
+    assert (visible_state(robot), robot.counters) == (state_before, counters_before)
+    assert robot.receive(1, 0.5, 1.0) == Status.OK, "the sender has not been heard"
 
 
-@of_fixed_point
-def test_raw_messages_that_no_c_type_holds_are_refused(kind: FixedPointType) -> None:
-    robot = kind(PLAIN, OWN_ID, 0.75)
-    before = robot.state()
-    bad = [
-        *((sender, 0, 0) for sender in (-1, 255, 256 + 4, 2**40)),
-        *((4, x, 0) for x in (-1, ONE + 1, 2**32 + 5)),
-    ]
-    for count, (sender, x_hat, alpha) in enumerate(bad, 1):
-        status = Status.ERR_X_HAT if sender == 4 else Status.ERR_SENDER
-        assert robot.receive_raw(sender, x_hat, alpha) == status
-        assert robot.state() == {**before, "rejected": count}
-    for alpha in (-1, 2**32):
-        with pytest.raises(ValueError, match=f"alpha is {alpha}; the firmware's word has 32 bits"):
-            robot.receive_raw(4, 0, alpha)
-
-
-@of_fixed_point
-def test_messages_in_an_array_are_received_in_order_and_the_accepted_ones_counted(
-    kind: FixedPointType,
+@for_fixed_point_firmwares
+@pytest.mark.parametrize("sender", [-1, 255, 256 + 4, 2**40])
+def test_a_raw_message_of_a_sender_that_no_c_type_holds_is_rejected(
+    firmware: FixedPointFirmware, sender: int
 ) -> None:
-    robot, other = (kind(PLAIN, OWN_ID, 0.7) for _ in range(2))
-    messages = [
-        (1, HALF, 0x80000001),
-        (1, ONE, 0x80000003),
-        (OWN_ID, 0, 0x80000001),
-        (2, ONE + 1, 0),
-        (3, 5, 0),
-    ]
-    array = np.array(messages, np.uint32)
-    assert robot.receive_all(array) == 2
-    receive_all(other, messages)
-    for wrong in (array.astype("int64"), array[:, :2].copy(), array[::2, ::-1], array[:, 0].copy()):
-        with pytest.raises(ValueError, match="give a C-contiguous one"):
-            robot.receive_all(wrong)
-    assert robot.save() == other.save()
+    robot = firmware(PLAIN, OWN_ID, 0.75)
+    state_before = robot.state()
+    assert robot.receive_raw(sender, 0, 0) == Status.ERR_SENDER
+    assert robot.state() == {**state_before, "rejected": 1}
+
+
+@for_fixed_point_firmwares
+@pytest.mark.parametrize("x_hat", [-1, ONE + 1, 2**32 + 5])
+def test_a_raw_message_with_an_x_hat_that_no_c_type_holds_is_rejected(
+    firmware: FixedPointFirmware, x_hat: int
+) -> None:
+    robot = firmware(PLAIN, OWN_ID, 0.75)
+    state_before = robot.state()
+    assert robot.receive_raw(4, x_hat, 0) == Status.ERR_X_HAT
+    assert robot.state() == {**state_before, "rejected": 1}
+
+
+@for_fixed_point_firmwares
+@pytest.mark.parametrize("alpha", [-1, 2**32])
+def test_a_raw_alpha_that_has_not_32_bits_raises(firmware: FixedPointFirmware, alpha: int) -> None:
+    robot = firmware(PLAIN, OWN_ID, 0.75)
+    with pytest.raises(ValueError, match=f"alpha is {alpha}; the firmware's word has 32 bits"):
+        robot.receive_raw(4, 0, alpha)
+
+
+MESSAGES = [(1, HALF, 0x80000001), (1, ONE, 0x80000003), (OWN_ID, 0, 0x80000001), (2, ONE + 1, 0), (3, 5, 0)]
+"""Raw messages: two are accepted, one is repeated, two are rejected."""
+
+
+@for_fixed_point_firmwares
+def test_messages_in_an_array_are_received_in_order(firmware: FixedPointFirmware) -> None:
+    robot, other_robot = firmware(PLAIN, OWN_ID, 0.7), firmware(PLAIN, OWN_ID, 0.7)
+    assert robot.receive_all(np.array(MESSAGES, np.uint32)) == 2
+    receive_raw_messages(other_robot, MESSAGES)
+    assert robot.save() == other_robot.save()
     assert robot.counters == Counters(accepted=2, repeated=1, rejected=2)
 
 
+@for_fixed_point_firmwares
+def test_an_array_of_another_type_shape_or_order_is_refused(firmware: FixedPointFirmware) -> None:
+    robot, array = firmware(PLAIN, OWN_ID, 0.7), np.array(MESSAGES, np.uint32)
+    for wrong in (array.astype("int64"), array[:, :2].copy(), array[::2, ::-1], array[:, 0].copy()):
+        with pytest.raises(ValueError, match="give a C-contiguous one"):
+            robot.receive_all(wrong)
+    assert robot.counters == Counters()
+
+
+# --- Observations ----------------------------------------------------------------------------------------
+
+
 # design: R1, R11
-@of_every_kind
+@for_every_firmware
 @pytest.mark.parametrize("z", [-1, 2, 2**32 + 1, 2**64])
-def test_an_invalid_observation_changes_nothing(kind: AnyType, z: Any) -> None:
-    robot = new(kind, ADAPTIVE)
+def test_an_invalid_observation_changes_nothing_and_keeps_the_round_open(firmware: Firmware, z: Any) -> None:
+    robot = make_robot(firmware, ADAPTIVE)
     robot.receive(1, 0.25, 1.0)
     robot.observe(Observation.BLACK)
-    before = view(robot)
+    state_before = visible_state(robot)
     assert robot.step(z) == robot.observe(z) == Status.ERR_OBSERVATION
-    assert view(robot) == before
+    assert visible_state(robot) == state_before
     robot.settle()
-    assert robot.beta == 1.0, "the round was still open"
+    assert robot.beta == 1.0
 
 
-# --- Saving ----------------------------------------------------------------------------------------------
+# --- Images ----------------------------------------------------------------------------------------------
+
+
+FITTING = replace(PLAIN, filter_period=9, memory=84)
+"""A config that fits `saved_image`."""
+
+
+def saved_image(firmware: FixedPointFirmware) -> bytes:
+    """Return the image of a robot with 80 observations and 8 rounds left to the filter."""
+    return restore_robot(firmware, replace(PLAIN, filter_period=8), t=80, filter_left=8).save()
+
+
+def restore_status(firmware: FixedPointFirmware, config: Config, image: bytes) -> Status:
+    """Return the error with which an image is refused, or OK."""
+    try:
+        firmware.restore(config, image)
+    except FirmwareError as error:
+        return error.status
+    return Status.OK
+
+
+@for_fixed_point_firmwares
+def test_an_image_may_be_any_bytes_like_object(firmware: FixedPointFirmware) -> None:
+    image = saved_image(firmware)
+    assert len(image) == IMAGE_SIZE
+    assert firmware.restore(FITTING, memoryview(image)).save() == image  # type: ignore[arg-type]
+    with pytest.raises(TypeError):
+        firmware.restore(FITTING, IMAGE_SIZE)  # type: ignore[arg-type]
 
 
 # design: R31
-@of_fixed_point
-def test_an_image_must_be_one_and_fit_its_config(kind: FixedPointType) -> None:
-    """Damaged ones of all kinds are tried by the cross-check, and by tests/third."""
-    fits = replace(PLAIN, filter_period=9, memory=84)
-    image = robot_at(kind, replace(PLAIN, filter_period=8), t=80, filter_left=8).save()
-    restored = kind.restore(fits, memoryview(image))  # type: ignore[arg-type]
-    assert restored.save() == image and len(image) == IMAGE_SIZE
-    with pytest.raises(TypeError):
-        kind.restore(fits, IMAGE_SIZE)  # type: ignore[arg-type]
-    sizes = [*(image[:size] for size in (0, 4, 120, 123)), image + b"\0", image * 8]
-    for config, wrong, status in (
-        *((fits, each, Status.ERR_IMAGE) for each in (*sizes, bytes(IMAGE_SIZE), image[::-1])),
-        (replace(PLAIN, filter_period=8, memory=80), image, Status.ERR_IMAGE),
-        (replace(PLAIN, filter_period=7), image, Status.ERR_IMAGE),
-        (Config(filter=Filter.ROBUST), image, Status.ERR_IMAGE),
-        (replace(PLAIN, memory=1), image, Status.ERR_CONFIG),
-        (Config(table=None), image, Status.ERR_TABLE),
-    ):
-        with pytest.raises(FirmwareError) as caught:
-            kind.restore(config, wrong)
-        assert caught.value.status == status
+@for_fixed_point_firmwares
+def test_bytes_that_are_no_image_are_refused(firmware: FixedPointFirmware) -> None:
+    """Damaged images of all kinds are tried by the cross-check, and by tests/third."""
+    image = saved_image(firmware)
+    wrong_images = [*(image[:size] for size in (0, 4, 120, 123)), image + b"\0", image * 8]
+    wrong_images += [bytes(IMAGE_SIZE), image[::-1]]
+    statuses = {restore_status(firmware, FITTING, wrong) for wrong in wrong_images}
+    assert statuses == {Status.ERR_IMAGE}
 
 
-def restored(kind: FixedPointType, config: Config, image: bytes) -> object:
-    """The robot's state, or why there is none."""
+# design: R31
+@for_fixed_point_firmwares
+@pytest.mark.parametrize(
+    ("config", "status"),
+    [
+        (FITTING, Status.OK),
+        (replace(PLAIN, filter_period=8, memory=80), Status.ERR_IMAGE),
+        (replace(PLAIN, filter_period=7), Status.ERR_IMAGE),
+        (Config(filter=Filter.ROBUST), Status.ERR_IMAGE),
+        (replace(PLAIN, memory=1), Status.ERR_CONFIG),
+        (Config(table=None), Status.ERR_TABLE),
+    ],
+)
+def test_an_image_is_refused_by_a_config_that_it_does_not_fit(
+    firmware: FixedPointFirmware, config: Config, status: Status
+) -> None:
+    assert restore_status(firmware, config, saved_image(firmware)) == status
+
+
+def state_or_error(firmware: FixedPointFirmware, config: Config, image: bytes) -> object:
+    """Return the state of the robot that is restored from an image, or the error if it is refused."""
     try:
-        return kind.restore(config, image).state()
+        return firmware.restore(config, image).state()
     except FirmwareError as error:
         return error.status
 
 
 # design: R30
-@pytest.mark.parametrize("mode", (Filter.OFF, Filter.ROBUST))
-def test_an_image_with_another_word_is_taken_or_refused_by_mirror_and_c_alike(mode: Filter) -> None:
-    """Each word, at the ends of ranges and beside its own, under a right checksum."""
-    config, seen = Config(filter=mode, filter_period=4), set[object]()
+@pytest.mark.parametrize("mode", [Filter.OFF, Filter.ROBUST])
+def test_mirror_and_c_agree_on_images_with_another_word(mode: Filter) -> None:
+    """Each word takes values at the ends of ranges and beside its own; the checksum is made right."""
+    config, outcomes = Config(filter=mode, filter_period=4), set[object]()
     robot = MirrorRobot(config, OWN_ID, 0.7)
     for tick in range(9):
-        hear(robot, 0.4, 0.5, 0.6)
+        receive_estimates(robot, 0.4, 0.5, 0.6)
         robot.step(Observation(tick % 3 == 1))
-    robot.receive_raw(1, 1, ALPHA_MOST)
-    for place, word in enumerate(IMAGE.unpack(robot.save())[:-1]):
+    robot.receive_raw(1, 1, ALPHA_MAX)
+    image = robot.save()
+    for word_index, word in enumerate(IMAGE.unpack(image)[:-1]):
         ends = (0, 1, 2**12, 2**18, 2**23, 2**28, 2**30, 2**31, 2**32, word, word ^ 1 << 16, word ^ 1 << 24)
-        for value in (end + step & 2**32 - 1 for end in ends for step in (-1, 0, 1)):
-            image = edited_image(robot.save(), Call("restore", (place, value)))
-            outcome = restored(MirrorRobot, config, image)
-            assert outcome == restored(NativeRobot, config, image), (place, value)
-            seen.add(str(outcome))
-    assert len(seen) > 100
+        for value in ((end + offset) % 2**32 for end in ends for offset in (-1, 0, 1)):
+            edited = edited_image(image, Call("restore", (word_index, value)))
+            outcome = state_or_error(MirrorRobot, config, edited)
+            assert outcome == state_or_error(NativeRobot, config, edited), (word_index, value)
+            outcomes.add(str(outcome))
+    assert len(outcomes) > 100
 
 
 # --- Settings --------------------------------------------------------------------------------------------
 
-GOOD = Table(omega_word=1 << 30, entries=(2**32 - 2, 3 << 26, (1 << 26) + 1))
+VALID_TABLE = Table(omega_word=1 << 30, entries=(2**32 - 2, 3 << 26, (1 << 26) + 1))
 
 
-def entries(count: int) -> tuple[int, ...]:
+def falling_entries(count: int) -> tuple[int, ...]:
+    """Return so many entries that fall strictly and are above 9."""
     return tuple(range((9 << 26) + count, 9 << 26, -1))
 
 
-WRONG_ENTRIES = (
-    *(entries(0), entries(1), entries(128), entries(258)),
+INVALID_ENTRIES = (
+    *(falling_entries(0), falling_entries(1), falling_entries(128), falling_entries(258)),
     *((3 << 26, (3 << 26) + 1), (3 << 26, 3 << 26), (4 << 26, 3 << 26, (3 << 26) + 1)),
     *((3 << 26, 1 << 26), (3 << 26, 1), (64 << 26, 2 << 26), (2**33 - 1, 2**31 + 1), (-1, 3 << 26), (-1, -2)),
 )
-LEGAL_ENTRIES = (((1 << 26) + 2, (1 << 26) + 1), (2**32 - 1, 2**32 - 2), entries(127))
-WRONG_MEMORY = (0, -64, 60, 62, 65, 66, 2**31 - 2, 2**31 + 4, 2**32 - 4, 2**32, 2**32 + 64)
-WRONG_B_HAT = (EPSILON - 2.0**-33, 1 - EPSILON + 2.0**-53, 0.0, 1.0, -0.5, math.nan, math.inf)
+VALID_ENTRIES = (((1 << 26) + 2, (1 << 26) + 1), (2**32 - 1, 2**32 - 2), falling_entries(127))
+INVALID_MEMORY = (0, -64, 60, 62, 65, 66, 2**31 - 2, 2**31 + 4, 2**32 - 4, 2**32, 2**32 + 64)
+INVALID_B_HAT = (EPSILON - 2.0**-33, 1 - EPSILON + 2.0**-53, 0.0, 1.0, -0.5, math.nan, math.inf)
 
 
-def made(kind: AnyType, **given: Any) -> Status:
-    """The status with which a robot of these settings, and others that are sound, is made."""
-    table = replace(GOOD, **{name: given.pop(name) for name in ("omega_word", "entries") if name in given})
-    robot_id, b_hat = given.pop("robot_id", OWN_ID), given.pop("b_hat", 0.75)
+def init_status(firmware: Firmware, **settings: Any) -> Status:
+    """Return the status with which a robot of these settings, and others that are valid, is made.
+
+    An error message must name the wrong value, or the status.
+    """
+    table_fields = {name: settings.pop(name) for name in ("omega_word", "entries") if name in settings}
+    robot_id, b_hat = settings.pop("robot_id", OWN_ID), settings.pop("b_hat", 0.75)
+    config = Config(**{"table": replace(VALID_TABLE, **table_fields)} | settings)
     try:
-        kind(Config(**{"table": table} | given), robot_id, b_hat)
+        firmware(config, robot_id, b_hat)
     except FirmwareError as error:
-        named = {Status.ERR_ID: robot_id, Status.ERR_B_HAT: b_hat}.get(error.status, error.status.name)
-        assert str(named) in str(error)
+        value = {Status.ERR_ID: robot_id, Status.ERR_B_HAT: b_hat}.get(error.status, error.status.name)
+        assert str(value) in str(error)
         return error.status
     return Status.OK
 
 
 # design: R14
-@of_every_kind
+@for_every_firmware
 @pytest.mark.parametrize(
-    ("name", "status", "wrong", "legal"),
+    ("name", "status", "invalid", "valid"),
     [
         ("filter_period", Status.ERR_CONFIG, (0, -1, 2**32, 2**32 + 1), (1, 2**32 - 1)),
-        ("memory", Status.ERR_CONFIG, WRONG_MEMORY, (64, 68, 2**31 - 4, 2**31)),
+        ("memory", Status.ERR_CONFIG, INVALID_MEMORY, (64, 68, 2**31 - 4, 2**31)),
         ("filter", Status.ERR_CONFIG, (4, -1, 256), tuple(Filter)),
         ("omega_word", Status.ERR_TABLE, (0, -1, MAX_OMEGA_WORD + 1, 2**32 + 5), (1, MAX_OMEGA_WORD)),
-        ("entries", Status.ERR_TABLE, WRONG_ENTRIES, LEGAL_ENTRIES),
+        ("entries", Status.ERR_TABLE, INVALID_ENTRIES, VALID_ENTRIES),
         ("robot_id", Status.ERR_ID, (-1, 128, 255, 256), (0, 127)),
-        ("b_hat", Status.ERR_B_HAT, WRONG_B_HAT, (EPSILON, 0.5, 1 - EPSILON)),
+        ("b_hat", Status.ERR_B_HAT, INVALID_B_HAT, (EPSILON, 0.5, 1 - EPSILON)),
     ],
 )
-def test_settings_are_legal_up_to_their_ends(
-    kind: AnyType, name: str, status: Status, wrong: Sequence[Any], legal: Sequence[Any]
+def test_settings_are_valid_up_to_the_ends_of_their_ranges(
+    firmware: Firmware, name: str, status: Status, invalid: Sequence[Any], valid: Sequence[Any]
 ) -> None:
-    assert [value for value in wrong if made(kind, **{name: value}) != status] == []
-    assert [value for value in legal if made(kind, **{name: value}) != Status.OK] == []
+    assert [value for value in invalid if init_status(firmware, **{name: value}) != status] == []
+    assert [value for value in valid if init_status(firmware, **{name: value}) != Status.OK] == []
 
 
 # design: R14
-@of_every_kind
-def test_the_first_error_is_told_and_a_table_is_needed_for_the_test_alone(kind: AnyType) -> None:
+@for_every_firmware
+def test_of_several_wrong_settings_the_first_is_reported(firmware: Firmware) -> None:
     """Config, table, id, b_hat, in this order."""
-    assert made(kind, memory=1, table=None, robot_id=200, b_hat=0.0) == Status.ERR_CONFIG
-    assert made(kind, table=None, robot_id=200, b_hat=0.0) == Status.ERR_TABLE
-    assert made(kind, robot_id=200, b_hat=0.0) == Status.ERR_ID
-    for mode in (Filter.ALWAYS, Filter.OFF):
-        assert made(kind, filter=mode, table=None) == Status.OK
-        assert made(kind, filter=mode, entries=(3 << 26, 3 << 26)) == Status.OK
+    assert init_status(firmware, memory=1, table=None, robot_id=200, b_hat=0.0) == Status.ERR_CONFIG
+    assert init_status(firmware, table=None, robot_id=200, b_hat=0.0) == Status.ERR_TABLE
+    assert init_status(firmware, robot_id=200, b_hat=0.0) == Status.ERR_ID
+
+
+@for_every_firmware
+@pytest.mark.parametrize("mode", [Filter.ALWAYS, Filter.OFF])
+def test_only_the_hypothesis_test_needs_a_table(firmware: Firmware, mode: Filter) -> None:
+    assert init_status(firmware, filter=mode, table=None) == Status.OK
+    assert init_status(firmware, filter=mode, entries=(3 << 26, 3 << 26)) == Status.OK
+
+
+# --- Tables ----------------------------------------------------------------------------------------------
 
 
 # design: R28
-def test_words_of_a_damaged_table_or_one_of_another_make_are_none() -> None:
-    """The checksum sees each flipped bit; under a right one word 0 itself must be looked at: format and q."""
-    good = GOOD.words()
-    flips = itertools.product(range(len(good)), range(32))
-    wrong = [(*good[:at], good[at] ^ 1 << bit, *good[at + 1 :]) for at, bit in flips]
-    for first in (0x4D435303, 0x4D435503, 3, 0x4D435404, 0x4D435402, 0x4D4354FF, 0x4D435400):
-        body = (first, *good[1:-1])
-        wrong.append((*body, checksum(body)))
-    for words in wrong:
+def test_each_flipped_bit_of_a_table_is_found() -> None:
+    words = VALID_TABLE.words()
+    for word_index, bit in itertools.product(range(len(words)), range(32)):
+        damaged = (*words[:word_index], words[word_index] ^ 1 << bit, *words[word_index + 1 :])
         with pytest.raises(TableError):
-            Table.from_words(words)
+            Table.from_words(damaged)
+
+
+# design: R28
+@pytest.mark.parametrize(
+    "magic_and_q", [0x4D435303, 0x4D435503, 3, 0x4D435404, 0x4D435402, 0x4D4354FF, 0x4D435400]
+)
+def test_a_table_of_another_format_or_q_is_refused_whatever_its_checksum(magic_and_q: int) -> None:
+    words = (magic_and_q, *VALID_TABLE.words()[1:-1])
+    with pytest.raises(TableError):
+        Table.from_words((*words, checksum(words)))

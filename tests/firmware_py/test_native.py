@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import gc
+import re
 import weakref
 from dataclasses import replace
 from enum import IntEnum
 
 import pytest
 
-from mcp_asdf import fixed_point, robot
+from mcp_asdf import fixed_point, mirror, reference, robot
 from mcp_asdf.mirror import IMAGE_MAGIC, IMAGE_WORDS
 from mcp_asdf.native import NativeRobot, ffi, lib
 from mcp_asdf.robot import Config, Filter, Observation, Status
 from mcp_asdf.table import EXTRA_WORDS, MAX_Q
 from robots import OWN_ID, TABLE
+from support import ROOT
+
+# --- Numbers of the header -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -22,32 +26,102 @@ from robots import OWN_ID, TABLE
     [("mcp_asdf_status_t", Status), ("mcp_asdf_filter_t", Filter), ("mcp_asdf_observation_t", Observation)],
 )
 def test_enums_are_those_of_the_header(c_type: str, enum: type[IntEnum]) -> None:
-    of_c = {name.removeprefix("MCP_ASDF_"): value for value, name in ffi.typeof(c_type).elements.items()}
-    assert of_c == {member.name: member.value for member in enum}
+    c_members = {name: value for value, name in ffi.typeof(c_type).elements.items()}
+    assert c_members == {f"MCP_ASDF_{member.name}": member.value for member in enum}
 
 
-def test_constants_are_those_of_the_header() -> None:
-    expected = {
-        **{"ONE": fixed_point.ONE, "HALF": fixed_point.HALF, "MAX_ID": robot.MAX_ID},
-        **{"B_HAT_MIN": fixed_point.B_HAT_MIN, "B_HAT_MAX": fixed_point.B_HAT_MAX},
-        **{"MEMORY_MIN": robot.MIN_MEMORY, "MEMORY_MAX": robot.DEFAULT_MEMORY},
-        **{"IMAGE_SIZE": 4 * IMAGE_WORDS, "IMAGE_VERSION": IMAGE_MAGIC & 0xFF},
-    }
-    assert {name: getattr(lib, f"MCP_ASDF_{name}") for name in expected} == expected
-    # MCP_ASDF_CONFIG_ASDF's, which test_core.c checks
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("ONE", fixed_point.ONE),
+        ("HALF", fixed_point.HALF),
+        ("MAX_ID", robot.MAX_ID),
+        ("B_HAT_MIN", fixed_point.B_HAT_MIN),
+        ("B_HAT_MAX", fixed_point.B_HAT_MAX),
+        ("MEMORY_MIN", robot.MIN_MEMORY),
+        ("MEMORY_MAX", robot.DEFAULT_MEMORY),
+        ("IMAGE_SIZE", 4 * IMAGE_WORDS),
+        ("IMAGE_VERSION", IMAGE_MAGIC & 0xFF),
+        ("CENTRE_START", mirror.CENTRE_START),
+        ("SPREAD_MIN", mirror.SPREAD_MIN),
+        ("SPREAD_MAX", mirror.SPREAD_MAX),
+        ("VOTES_MAX", mirror.VOTES_MAX),
+        ("TREND_START", mirror.TREND_START),
+    ],
+)
+def test_constants_are_those_of_the_header(name: str, value: int) -> None:
+    assert getattr(lib, f"MCP_ASDF_{name}") == value
+
+
+def test_the_default_config_is_that_of_the_header() -> None:
+    """MCP_ASDF_CONFIG_ASDF, which test_core.c checks."""
     assert Config() == Config(None, Filter.ADAPTIVE, filter_period=1000, memory=lib.MCP_ASDF_MEMORY_MAX)
 
 
-def test_c_reads_memory_of_a_robot_s_config_for_as_long_as_the_robot_lives() -> None:
-    """The table is followed by zeros up to the longest one: a damaged q may claim as many words."""
-    native = NativeRobot(Config(replace(TABLE), filter_period=7), OWN_ID, 0.8)
-    kept = weakref.ref(native._c_config)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "VOTES_OF_MAX_GAIN",
+        "VOTES_MIN_WHILE_MOVING",
+        "TREND_STEP_UP",
+        "TREND_STEP_EVEN",
+        "TREND_MOVING_DOWN",
+        "REJECTED_SIGMAS_SQUARED",
+    ],
+)
+def test_the_robust_filter_has_the_same_constants_in_c_and_mirror(name: str) -> None:
+    source = (ROOT / "c_ref/src/mcp_asdf_robust.h").read_text(encoding="utf-8")
+    match = re.search(rf"^#define {name} (.+)$", source, re.MULTILINE)
+    assert match is not None
+    c_expression = re.sub(r"UINT32_C\((\d+)\)|(\w+)U\b", r"\1\2", match[1])
+    assert eval(c_expression) == getattr(mirror, name)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("SPREAD_MIN", 2**-30),
+        ("SPREAD_MAX", 2**-30),
+        ("STEP_MIN", 2**-30),
+        ("VOTES_MAX", 1),
+        ("VOTES_OF_MAX_GAIN", 1),
+        ("VOTES_MIN_WHILE_MOVING", 1),
+        ("TREND_SHIFT", 1),
+        ("TREND_MOVING_DOWN", 2**-16),
+        ("TREND_MOVING_UP", 2**-16),
+        ("REJECTED_SIGMAS_SQUARED", 1),
+        ("SENDERS_MIN", 1),
+        ("INFORMATIVE_G", 2**-32),
+    ],
+)
+def test_mirror_and_reference_have_the_same_constants(name: str, unit: float) -> None:
+    raw_value = 1 if name == "STEP_MIN" else getattr(mirror, name)
+    assert raw_value * unit == getattr(reference, name)
+
+
+# --- Memory of the C -------------------------------------------------------------------------------------
+
+
+def overwrite_freed_memory() -> None:
+    """Allocate and free arrays of the size of a table, which take the place of memory that was freed."""
     gc.collect()
-    _ = [ffi.new("uint32_t[]", [0xAAAAAAAA] * 40) for _ in range(1000)]  # takes what was freed
+    _ = [ffi.new("uint32_t[]", [0xAAAAAAAA] * 40) for _ in range(1000)]
+
+
+def test_the_c_config_lives_as_long_as_its_robot() -> None:
+    native = NativeRobot(Config(replace(TABLE), filter_period=7), OWN_ID, 0.8)
+    config_reference = weakref.ref(native._c_config)
+    overwrite_freed_memory()
     assert native.pointer.config.filter_period == 7
+    assert list(native._c_config._table)[: EXTRA_WORDS + TABLE.q] == list(TABLE.words())
+    del native
+    gc.collect()
+    assert config_reference() is None
+
+
+def test_a_table_in_c_has_zeros_up_to_the_longest_table() -> None:
+    """A damaged q may claim as many words, and the C reads them."""
+    native = NativeRobot(Config(TABLE), OWN_ID, 0.8)
     words = native._c_config._table
     assert native.pointer.config.table == words and len(words) == EXTRA_WORDS + MAX_Q
     assert list(words) == [*TABLE.words(), *[0] * (MAX_Q - TABLE.q)]
-    del native
-    gc.collect()
-    assert kept() is None

@@ -42,7 +42,7 @@ from mcp_asdf.reference import (
 )
 from mcp_asdf.robot import B_HAT_MARGIN, Config, Filter, FirmwareError, Observation, Status
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
-from robots import OWN_ID, TABLE, hear, status_of_receive, watch
+from robots import OWN_ID, TABLE, observe_tiles, receive_estimates, status_of_receive
 from support import draws
 
 TRACES = Path(__file__).parents[1] / "data" / "traces"
@@ -447,8 +447,8 @@ def test_an_equation_outside_its_domain_raises_and_names_the_value(
 
 def test_the_authors_robots_update_if_the_deviation_equals_the_interval() -> None:
     robot = ReferenceRobot(Config(filter_period=1), 0, 0.75, AUTHORS, omega=OMEGA)
-    watch(robot, 1, 0)
-    hear(robot, 1.0, 1.0, 1.0)
+    observe_tiles(robot, 1, 0)
+    receive_estimates(robot, 1.0, 1.0, 1.0)
     assert robot.settle() == Status.UPDATED
     assert robot.b_hat == 1 - 1e-6
 
@@ -459,8 +459,8 @@ def test_omega_comes_from_the_table_or_is_given_beside_it(omega: float, status: 
     with_table = ReferenceRobot(Config(table, filter_period=1), 0, 0.75)
     without_table = ReferenceRobot(Config(filter_period=1), 0, 0.75, omega=omega)
     for robot in (with_table, without_table):
-        watch(robot, 1, 0)  # x_hat = 1: the deviation is 2.5 S, the threshold 1.06 S or 5.5 S
-        hear(robot, 0.8, 0.9)
+        observe_tiles(robot, 1, 0)  # x_hat = 1: the deviation is 2.5 S, the threshold 1.06 S or 5.5 S
+        receive_estimates(robot, 0.8, 0.9)
         assert robot.settle() == status
 
 
