@@ -348,7 +348,7 @@ WRONG |= {
         "same sender",
         "def {_receive => _receive(self, *message: int) -> Status:\n        "
         "vars(self).setdefault('kept', {})[message[0]] = message; return Status.OK\n\n    "
-        "def _take}(self, sender: int, x_hat: int, alpha: int) -> Status:\n        s =",
+        'def _take}(self, sender: int, x_hat: int, alpha: int) -> Status:\n        """Add',
         "is_updated = False{ => ; [self._take(*m) for m in vars(self).pop('kept', {}).values()]}",
     ),
     "loses low bits of alpha": firmware("nothing seen", "units = alpha_units(alpha){ =>  >> 8 << 8}"),

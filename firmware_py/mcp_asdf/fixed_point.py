@@ -98,6 +98,7 @@ def add_estimate(sums: Sums, x_hat: int, alpha: int) -> None:
     units = alpha_units(alpha)
     if units == 0:
         return
+    # The products have 78 bits, so the C sums up those of both halves of the units.
     sums.alpha += units
     sums.alpha_x_low += (units & MAX_WORD) * x_hat
     sums.alpha_x_high += (units >> 32) * x_hat

@@ -1,9 +1,10 @@
 """The firmware in Python integers: after every call the same bits as ``c_ref/src/mcp_asdf.c``.
 
-Read it beside the C, function by function. Where the C needs several words for a number, or estimates a digit
-of a quotient and corrects it, here is the plain expression in Python's unbounded integers: where both agree,
-the C's shortcuts are right. Numbers are rounded down unless a comment says otherwise. ``docs/design.md``
-specifies every bit; "eq." is an equation of the paper.
+Read it beside the C, function by function; where the C has another name, the docstring says so. Where the C
+needs several words for a number, or estimates a digit of a quotient and corrects it, here is the plain
+expression in Python's unbounded integers: where both agree, the C's shortcuts are right. Numbers are rounded
+down unless a comment says otherwise. ``docs/design.md`` specifies every bit; "eq." means an equation of the
+paper.
 
 Formats are those of ``mcp_asdf.fixed_point``. A "word" is an integer of 32 bits, and MAX_WORD the largest.
 """
@@ -104,9 +105,10 @@ def square_of_ratio(g: int, p: int) -> int:
 
 
 def accuracy_of(b_hat: int) -> Accuracy:
-    """Return ``b_hat`` with the values that depend on it."""
+    """Return ``b_hat`` with the values that depend on it (in C ``set_b_hat``)."""
     c = min(b_hat, (1 << 32) - b_hat)
     g = (1 << 32) - 2 * c
+    # Shifted, so that the quotients keep 24 bits also where g or c is small.
     g_shift = leading_zeros(g)
     c_shift = leading_zeros(c)
     return Accuracy(
@@ -125,7 +127,7 @@ def accuracy_of(b_hat: int) -> Accuracy:
 def alpha_word_from_mantissa(mantissa: int, exponent: int) -> int:
     """Return the alpha word of the largest alpha not above mantissa * 2**exponent units of 2**-24.
 
-    The mantissa has 24 bits, its highest one is set.
+    The mantissa has 24 bits, of which the highest is set. In C this is ``alpha_word``.
     """
     if exponent > SHIFT_MAX:
         return ALPHA_MAX
@@ -140,7 +142,7 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
     This is rare_count (g / c)**2 + (t - rare_count) (g / (1 - c))**2.
     """
     weight = (t - rare_count) * accuracy.common
-    exponent = 24 - 30 - 2 * accuracy.g_shift
+    exponent = 24 - 30 - 2 * accuracy.g_shift  # from the weights' unit of 2**-30 to that of alpha
     if rare_count != 0:
         weight = rare_count * accuracy.rare + (weight >> accuracy.rare_shift)
         exponent += accuracy.rare_shift
@@ -159,7 +161,9 @@ def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, sh
     spread_shift = 64 - spread.bit_length()
     # 31 bits of either: the quotient has 24 or 25.
     mantissa = (((square << square_shift) >> 1) << 24) // ((spread << spread_shift) >> 33)
-    exponent = 32 + spread_shift - square_shift - 2 * accuracy.g_shift - shift
+    # 64 bits were dropped below the square and 32 below the divisor. Alpha's unit has 24 bits, and so has the
+    # quotient.
+    exponent = 64 - 32 + 24 - 24 + spread_shift - square_shift - 2 * accuracy.g_shift - shift
     excess_bits = mantissa >> 24
     return mantissa >> excess_bits, exponent + excess_bits
 
@@ -174,7 +178,7 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
     shift = leading_zeros(t)
     total = t << shift  # at least 2**31, so that products keep their upper bits
     rarer = rare_count << shift
-    # Without a tile of the rarer colour this number of observations would show it, by errors of the sensor.
+    # On a floor without the rarer colour so many observations would show it, by errors of the sensor.
     errors = accuracy.c * total >> 32
     x_hat = 0
     if rarer <= errors:
@@ -207,7 +211,8 @@ def informed_estimate(closed: Closed, x_hat: int, alpha: int) -> int:
 def asdf_test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
     """Return whether x_hat differs too much from the m >= 2 estimates of a round (eq. 12).
 
-    Squared and multiplied out this is (sum x - m x_hat)**2 > k_m (m sum x**2 - (sum x)**2).
+    Squared and multiplied out this is (sum x - m x_hat)**2 > k_m (m sum x**2 - (sum x)**2). In C it is
+    ``test_rejects``.
     """
     m = open_round.count
     difference = open_round.x - m * x_hat
@@ -222,7 +227,7 @@ def upper_quotient(numerator: int, denominator: int) -> int:
     """Return a quotient in units of 2**-32, computed from 32 bits of the denominator.
 
     These are its upper 32 bits, and the bits in the same places of the numerator. The denominator is rounded
-    up to an even number, so that the quotient is never too large.
+    up to an even number, so that the quotient is never too large. In C this is ``quotient``.
     """
     shift = denominator.bit_length() - 32
     if shift < 0:
@@ -233,7 +238,7 @@ def upper_quotient(numerator: int, denominator: int) -> int:
 
 
 def round_mean(closed: Closed) -> int:
-    """Return x_bar (eq. 5) of a round with confidence, as eq. 8 takes it: in units of 2**-32."""
+    """Return x_bar (eq. 5) of a round with confidence in units of 2**-32, for eq. 8 (in C ``mean``)."""
     return upper_quotient(closed.alpha_x, closed.alpha * ONE)
 
 
@@ -259,7 +264,8 @@ def update_crowd(crowd: Crowd, sender: int, x_hat: int) -> None:
     """Count a received x_hat as one vote: it moves the centre and the spread of the crowd, and the trend.
 
     The first votes move the centre by 1/8 of their distance. This share, the gain, falls with the number of
-    votes, so that centre and spread converge. Senders whose ids are equal modulo 32 count as one.
+    votes, so that centre and spread converge. Senders whose ids are equal modulo 32 count as one. In C this
+    is ``vote``.
     """
     crowd.voices |= 1 << (sender & 31)
     crowd.votes = min(crowd.votes + 1, VOTES_MAX)
@@ -286,7 +292,7 @@ def update_crowd(crowd: Crowd, sender: int, x_hat: int) -> None:
 
 
 def crowd_fill_ratio(crowd: Crowd) -> int:
-    """Return the crowd's centre in units of 2**-32, with the largest word for 1.0."""
+    """Return the crowd's centre in units of 2**-32, the largest word for 1.0 (in C ``crowd_mean``)."""
     return min(crowd.centre << 2, MAX_WORD)
 
 
@@ -295,7 +301,7 @@ def robust_test_rejects(crowd: Crowd, t: int, n: int) -> bool:
 
     If D is the difference between n / t and the share of black that the initial b_hat and the crowd's centre
     predict, the test rejects for D**2 > 12 (v / t + (g spread)**2): v / t is the variance of n / t, and
-    g spread, with g = |2 b_hat - 1|, the uncertainty of the prediction.
+    g spread, with g = |2 b_hat - 1|, the uncertainty of the prediction. In C this is ``deviates``.
     """
     # Shares are in units of 2**-32, their products and squares in units of 2**-64.
     initial_b_hat = crowd.first
@@ -324,6 +330,7 @@ def is_valid_estimate(s: State) -> bool:
     After an update of b_hat they still follow from the b_hat before it, which is not known.
     """
     if s.updated:
+        # An alpha word that a robot computes has the smallest shift, and bits 5 to 7 are 0.
         has_smallest_shift = s.alpha >> 31 == 1 or s.alpha & SHIFT_MAX == 0
         is_canonical = s.alpha & 0xE0 == 0 and has_smallest_shift
         return s.updated == 1 and s.t > 0 and s.x_hat <= ONE and is_canonical
@@ -434,6 +441,7 @@ class MirrorRobot(FixedPointView):
         self.config = config
         raw_b_hat = b_hat_to_raw(b_hat)
         self.s = State(index(robot_id), accuracy_of(raw_b_hat), index(config.filter_period))
+        # The robust filter's test is always about the b_hat of the start.
         if config.filter == Filter.ROBUST:
             self.s.crowd.first = raw_b_hat
 
@@ -446,6 +454,7 @@ class MirrorRobot(FixedPointView):
         s.t += 1
         s.n += colour
         if s.t >= self.config.memory:
+            # Halving keeps the share of black tiles, and lets new observations weigh more than old ones.
             s.t >>= 1
             s.n = (s.n + (s.n >> 1 & 1)) >> 1  # to nearest, ties to even
         s.x_hat, s.alpha = estimate(s.t, s.n, s.accuracy)
@@ -453,6 +462,7 @@ class MirrorRobot(FixedPointView):
         return Status.OK
 
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """Add a neighbour's estimate to the open round or, with the robust filter, to the crowd."""
         s = self.s
         status = self._check_message(sender, x_hat)
         if status != Status.OK:
@@ -460,6 +470,7 @@ class MirrorRobot(FixedPointView):
             return status
         word_index = sender >> 5
         sender_bit = 1 << (sender & 31)
+        # Clocks of robots are not aligned, so a sender may broadcast twice in a round of this robot.
         if s.heard[word_index] & sender_bit:
             s.repeated = (s.repeated + 1) & COUNTER_MASK
             return Status.REPEATED
@@ -662,16 +673,22 @@ class MirrorRobot(FixedPointView):
 
     @classmethod
     def restore(cls, config: Config, image: bytes) -> MirrorRobot:
-        """Make a robot from an image of ``save``; raise FirmwareError where ``mcp_asdf_restore`` fails."""
-        image_bytes = bytes(memoryview(image))
+        """Make a robot from an image of ``save``.
+
+        Raises FirmwareError for an invalid ``config``, and for an image that is damaged, of another version
+        or impossible with ``config``.
+        """
+        image_bytes = bytes(memoryview(image))  # memoryview refuses a number, of which bytes makes zeros
         check_config(config)
         words = (
             struct.unpack(f"<{IMAGE_WORDS}I", image_bytes) if len(image_bytes) == 4 * IMAGE_WORDS else (0,)
         )
+        # The magic word differs between versions of the image and with the robust filter.
         if words[0] != _image_magic(config) or checksum(words[:-1]) != words[-1]:
             raise FirmwareError(Status.ERR_IMAGE, "the image is damaged or of another version")
         if not B_HAT_MIN <= words[1] <= B_HAT_MAX:
             raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {words[1]} is out of range")
+        # Without __init__, which needs an id and a b_hat that are valid.
         robot = cls.__new__(cls)
         robot.config = config
         robot.s = _state_from_words(config, words)

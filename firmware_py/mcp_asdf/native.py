@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["NativeRobot", "ffi", "lib"]
 
 _MAX_BYTE = 2**8 - 1
+# A dictionary, since it is used at every call of the C, and Status(value) takes several times as long.
 _STATUS_BY_VALUE = {int(status): status for status in Status}
 
 _ERROR_MESSAGES = {
@@ -68,7 +69,11 @@ class NativeRobot(FixedPointView):
 
     @classmethod
     def restore(cls, config: Config, image: bytes) -> NativeRobot:
-        """Make a robot from an image of ``save``; raise FirmwareError where ``mcp_asdf_restore`` fails."""
+        """Make a robot from an image of ``save``.
+
+        Raises FirmwareError for an invalid ``config``, and for an image that is damaged, of another version
+        or impossible with ``config``.
+        """
         robot = cls.__new__(cls)
         robot._allocate(config)
         image_bytes = bytes(memoryview(image))
@@ -90,6 +95,7 @@ class NativeRobot(FixedPointView):
         return _STATUS_BY_VALUE[lib.mcp_asdf_observe(self.pointer, _fit_to_c_type(z, MAX_WORD))]
 
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """Add a neighbour's estimate to the open round or, with the robust filter, to the crowd."""
         try:
             return _STATUS_BY_VALUE[lib.mcp_asdf_receive(self.pointer, sender, x_hat, alpha)]
         except OverflowError:  # invalid in any case, so the C rejects and counts what fits its types
@@ -98,6 +104,7 @@ class NativeRobot(FixedPointView):
             return _STATUS_BY_VALUE[lib.mcp_asdf_receive(self.pointer, c_sender, c_x_hat, alpha)]
 
     def _receive_all(self, messages: NDArray[np.uint32]) -> int:
+        """Receive the rows of a valid array in order, and return how many were accepted."""
         c_messages = ffi.from_buffer("uint32_t[]", messages)
         return int(lib.mcp_asdf_receive_all(self.pointer, c_messages, len(messages)))
 
@@ -162,7 +169,7 @@ class NativeRobot(FixedPointView):
 
     def state(self) -> dict[str, int]:
         """Return every member of ``mcp_asdf_t`` but ``config``, by the names of ``MirrorRobot.state``."""
-        return dict(_iterate_numbers("", self.pointer[0], ffi.typeof("mcp_asdf_t")))
+        return dict(_named_numbers("", self.pointer[0], ffi.typeof("mcp_asdf_t")))
 
     def holds_invariants(self) -> bool:
         """Return whether calls alone could have led to this state (``docs/invariants.md``)."""
@@ -173,6 +180,7 @@ class _CConfig:
     """A config and its table in C memory, which lives for as long as this object."""
 
     def __init__(self, config: Config) -> None:
+        # Kept, as the struct's pointer does not keep the array alive. Only the adaptive filter reads it.
         self._table = ffi.NULL
         if config.filter == Filter.ADAPTIVE and config.table is not None:
             self._table = _allocate_table(config.table)
@@ -215,7 +223,7 @@ def _raise_for_error(status: int, **settings: object) -> None:
         raise FirmwareError(error, _ERROR_MESSAGES[error].format(**settings))
 
 
-def _iterate_numbers(name: str, value: Any, c_type: Any) -> Iterator[tuple[str, int]]:
+def _named_numbers(name: str, value: Any, c_type: Any) -> Iterator[tuple[str, int]]:
     """Yield the name and value of each number in a C value; those of nested structs as ``open_alpha``.
 
     Counters are named without their struct. Arrays are divided into words of 32 bits, as in an image,
@@ -224,8 +232,9 @@ def _iterate_numbers(name: str, value: Any, c_type: Any) -> Iterator[tuple[str, 
     if c_type.kind == "struct":
         prefix = f"{name}_" if name and c_type != ffi.typeof("mcp_asdf_counters_t") else ""
         for member, field in c_type.fields:
-            yield from _iterate_numbers(prefix + member, getattr(value, member), field.type)
+            yield from _named_numbers(prefix + member, getattr(value, member), field.type)
     elif c_type.kind in ("array", "union"):
+        # The only ones are bit masks of senders, which an image and the mirror have as words.
         words = struct.iter_unpack("<I", ffi.buffer(ffi.addressof(value)))
         for word_index, (word,) in enumerate(words):
             yield f"{name}_{word_index}", word

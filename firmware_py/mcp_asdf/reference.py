@@ -133,7 +133,7 @@ def local_confidence(n: int, t: int, b: Number, conventions: Conventions = PAPER
     if _carries_no_information(b, conventions):
         return number(conventions.zero_confidence)
     d = (2 * b - 1) ** 2
-    # In the first two cases the numerators are multiplied out, which leaves no difference to cancel:
+    # In the first two cases the printed numerators are multiplied out, which leaves no difference to cancel:
     # t w^2 - (2w - 1)(t - n) = n w^2 + (t - n)(1 - w)^2.
     if x_hat == 0:
         alpha = d * (n / (1 - b) ** 2 + (t - n) / b**2)
@@ -218,6 +218,7 @@ def asdf_test_rejects(
     m = len(neighbours)
     if m < 2:
         return False
+    # mean and stdev of `statistics` are exact before they are rounded: equal estimates have no deviation.
     deviation = abs(mean(neighbours) - x_hat)
     interval = (t_score(m, omega, conventions) / math.sqrt(m) + 1) * stdev(neighbours)
     return deviation > interval or (deviation == interval and not conventions.strict)
@@ -255,6 +256,7 @@ def crowd_after_vote(crowd: Crowd, sender: int, x_hat: float) -> Crowd:
     _check_is_in_unit_interval(x_hat, "x_hat")
     votes = min(crowd.votes + 1, VOTES_MAX)
     step, spread = step_and_spread_after_vote(votes, crowd.centre, crowd.spread, x_hat)
+    # The trend is a moving average of the directions, 1 for up and 0 for down.
     direction = float(step > 0) if abs(step) >= STEP_MIN else 0.5
     return Crowd(
         centre=crowd.centre + step,
@@ -339,6 +341,7 @@ def is_informative(p: float | Fraction) -> bool:
 
 
 def _carries_no_information(p: float | Fraction, conventions: Conventions) -> bool:
+    """Return whether ``p`` is to be treated as uninformative: never, if the conventions are not guarded."""
     return conventions.guarded and not is_informative(p)
 
 
@@ -426,6 +429,7 @@ class ReferenceRobot:
         self._t += 1
         self._n += z == Observation.BLACK
         if self._t == self._config.memory:
+            # Halving keeps the share of black tiles, and lets new observations weigh more than old ones.
             self._t //= 2
             self._n = round(self._n / 2)  # round() takes ties to even
         self._own_estimate = Estimate(
@@ -440,7 +444,7 @@ class ReferenceRobot:
         Raises FirmwareError if the message is invalid, and counts it as rejected.
         """
         sender = index(sender)
-        check_alpha(alpha)
+        check_alpha(alpha)  # first, since a wrong alpha is the caller's mistake and not counted
         status = self._check_message(sender, x_hat)
         if status < Status.OK:
             self._count("rejected")
@@ -465,6 +469,7 @@ class ReferenceRobot:
     def settle(self) -> Status:
         """Close the round, and run the filter if ``filter_period`` rounds have passed. O(m)."""
         estimates = () if self._is_robust else self._open_round.values()
+        # The filter, which runs below, and the social estimate are about the round that is closed now.
         self._closed_round = [estimate for estimate in estimates if estimate.alpha > 0]
         self._open_round = {}
         self._filter_left -= 1
@@ -500,7 +505,7 @@ class ReferenceRobot:
         return assumed_accuracy_update(self._n, self._t, self.x_bar, self._conventions)
 
     def _is_update_needed(self) -> bool:
-        """Return whether the paper's filter is to re-estimate b_hat: always, never, or by its test."""
+        """Return whether b_hat is to be re-estimated: by the filter's test, always or never."""
         if self._config.filter == Filter.OFF:
             return False
         if self._config.filter == Filter.ALWAYS:
@@ -532,9 +537,11 @@ class ReferenceRobot:
 
     @property
     def _is_robust(self) -> bool:
+        """Whether this robot has the robust filter."""
         return self._config.filter == Filter.ROBUST
 
     def _count(self, counter: str) -> None:
+        """Increment one of the counters, which wrap as the firmware's."""
         self._counts[counter] = (self._counts[counter] + 1) % COUNTER_MODULUS
 
     def __repr__(self) -> str:

@@ -309,6 +309,7 @@ def check_settings(config: Config) -> None:
         raise FirmwareError(
             Status.ERR_CONFIG, f"filter_period is {period} rounds; choose 1 .. {MAX_FILTER_PERIOD}"
         )
+    # Half of a multiple of 4 is even, so that exchanged colours stay mirror images when t is halved.
     if not MIN_MEMORY <= memory <= DEFAULT_MEMORY or memory % 4:
         raise FirmwareError(
             Status.ERR_CONFIG,
@@ -322,6 +323,7 @@ def check_table(table: Table | None) -> Table:
         raise FirmwareError(
             Status.ERR_TABLE, "the adaptive filter needs a table; make one with mcp-asdf table"
         )
+    # A table can be made of any numbers; this finds those that the firmware would not take.
     try:
         return Table.from_words(table.words())
     except TableError as error:

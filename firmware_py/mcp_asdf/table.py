@@ -73,6 +73,7 @@ class Table:
 
         Raises TableError, which names the wrong word, if the firmware would refuse the table.
         """
+        # Before anything is computed from them: the words may come from a damaged file.
         for index, word in enumerate(words):
             if not 0 <= word <= MAX_WORD:
                 raise TableError(f"word {index} is {word}, which is no 32-bit word")
@@ -80,6 +81,7 @@ class Table:
             raise TableError(f"a table has at least {EXTRA_WORDS + MIN_Q} words, not {len(words)}")
         magic_and_q, omega_word, *entries, stated_checksum = words
         q = magic_and_q & 0xFF
+        # Format and q are checked before the checksum, so that the message names what is wrong.
         if magic_and_q - q != MAGIC:
             raise TableError(f"word 0 is {magic_and_q:#010x}, a table starts with {MAGIC:#010x} plus q")
         if not MIN_Q <= q <= MAX_Q:

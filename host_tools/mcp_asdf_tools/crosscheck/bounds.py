@@ -48,6 +48,7 @@ def x_hat_bounds(n: int, t: int, b: Fraction) -> Bounds:
     exact = local_estimate(n, t, b)
     rarer = min(exact, 1 - exact)
     r = 1 / abs(2 * b - 1)
+    # At the end of the scale, where p <= c, x_hat is 0 exactly.
     largest_error = (1 - 2 * rarer) * r * Q31 if rarer else Fraction(0)
     lower = rarer // Q23 * Q23
     upper = (rarer + largest_error) // Q23 * Q23
@@ -127,6 +128,7 @@ def crowd_after_vote(votes: int, centre: Fraction, spread: Fraction, x_hat: Frac
     Both were multiples of 2**-30 before, and their changes are rounded towards 0 to such multiples.
     """
     step, exact_spread = step_and_spread_after_vote(votes, centre, spread, x_hat)
+    # int() rounds towards 0, as the firmware does: it shifts the distance and applies the sign afterwards.
     rounded_step = int(step / Q30) * Q30
     rounded_change = int((exact_spread - spread) / Q30) * Q30
     return centre + rounded_step, spread + rounded_change

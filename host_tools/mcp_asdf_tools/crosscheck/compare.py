@@ -53,11 +53,11 @@ class RobotUnderTest:
         self._firmware = firmware
         self._config = setup.config()
         self._robot: FixedPointRobot | None = None
-        self.last_result = self._run(lambda: self._make(setup))
+        self.last_result = self._run(lambda: self._make_robot(setup))
 
     def apply(self, call: Call) -> CallResult:
         """Make a call, and return its result."""
-        self.last_result = self._run(lambda: self._dispatch(call))
+        self.last_result = self._run(lambda: self._make_call(call))
         return self.last_result
 
     def _run(self, action: Callable[[], str]) -> CallResult:
@@ -74,12 +74,13 @@ class RobotUnderTest:
         except Exception as error:
             return CallResult(f"{type(error).__name__}: {error}", {}, b"")
 
-    def _make(self, setup: Setup) -> str:
+    def _make_robot(self, setup: Setup) -> str:
+        """Make the robot, and return the status."""
         self._robot = self._firmware(self._config, setup.robot_id, setup.b_hat / 2**32)
         return Status.OK.name
 
-    def _dispatch(self, call: Call) -> str:
-        """Make a call, which may replace the robot by one that is restored from its image."""
+    def _make_call(self, call: Call) -> str:
+        """Make a call, which may replace the robot by one restored from its image; return its status."""
         assert self._robot is not None
         if call.name not in REPLACING:
             return perform(self._robot, call).name
@@ -105,6 +106,7 @@ class RobotUnderTest:
         }
 
     def _image(self) -> bytes:
+        """Return the saved state, or nothing if there is no robot."""
         return b"" if self._robot is None else self._robot.save()
 
 
@@ -152,6 +154,7 @@ def compare_firmwares(
     problems = list(differences(first_robot.last_result, second_robot.last_result))
     if problems:
         return Failure(scenario.with_calls(()), tuple(problems))
+    # Both firmwares may refuse to make the robot; then there is nothing to call.
     is_made = bool(first_robot.last_result.state)
     for call_count, call in enumerate(scenario.calls if is_made else (), start=1):
         before = first_robot.last_result
@@ -209,6 +212,7 @@ def run_crosscheck(
     result = CrosscheckResult()
     try:
         while result.calls < calls and result.failure is None:
+            # The last scenario is cut short, so that exactly ``calls`` calls are made.
             whole_scenario = _generate_scenario(seed, result.scenarios)
             scenario = whole_scenario.with_calls(whole_scenario.calls[: calls - result.calls])
             result.failure = check_scenario(scenario)
@@ -235,6 +239,7 @@ def shrink(failure: Failure, check_scenario: CheckScenario) -> Failure:
     The result is minimal: without any one of its calls, or any one word that a restore replaces, the check
     passes. For a scenario of a hundred calls this takes a few hundred runs of the check.
     """
+    # Long runs of calls first, since most calls are not needed.
     run_length = len(failure.scenario.calls)
     while run_length:
         shorter_failures = filter(None, map(check_scenario, _shorter_scenarios(failure.scenario, run_length)))

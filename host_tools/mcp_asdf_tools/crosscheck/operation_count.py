@@ -71,6 +71,7 @@ def count_instructions(action: Callable[[], object]) -> int:
             raise _CutShortError
         return trace
 
+    # A debugger or a coverage tool may have set a trace function, too.
     previous_trace, is_collecting = sys.gettrace(), gc.isenabled()
     gc.disable()
     sys.settrace(trace)
@@ -176,7 +177,7 @@ def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection
         suffix = ", robust" if workload.robust else ""
         robot = workload.make_robot(firmware)
         for name, call in CALLS.items():
-            # A copy for each call, since calls change the robot.
+            # Each call is made on a copy, since calls change the robot.
             copied_robot = firmware.__new__(firmware)
             copied_robot.config = robot.config
             copied_robot.s = deepcopy(robot.s)
@@ -195,6 +196,7 @@ def find_growth(counts: Counts) -> list[str]:
     for name, count_by_axis in counts.items():
         for axis, count_by_value in count_by_axis.items():
             values = sorted(count_by_value)
+            # Maxima of halves: paths through a call differ in length, wherever on the axis they are taken.
             middle = len(values) // 2
             early_maximum = max((count_by_value[value] for value in values[:middle]), default=0)
             late_maximum = max((count_by_value[value] for value in values[middle:]), default=0)

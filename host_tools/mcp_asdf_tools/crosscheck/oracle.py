@@ -115,6 +115,7 @@ class Audit:
         alpha = Fraction(_alpha_units(state["alpha"]), 2**24)
         region = region_of(2 * b_hat - 1)
 
+        # Against float64, too, with which users compare the firmware.
         exact_error = x_hat - local_estimate(n, t, b_hat)
         self.errors["x_hat", region].add(exact_error, float(x_hat) - local_estimate(n, t, float(b_hat)))
         exact = exact_alpha(n, t, b_hat)
@@ -137,6 +138,7 @@ class Audit:
         if is_adaptive:
             assert setup.table is not None
             self.tests += 1
+            # Eq. 12 squared and multiplied out, which whole numbers decide exactly. Equality is no rejection.
             difference_squared = (old_state["open_x"] - m * new_state["x_hat"]) ** 2
             spread = m * old_state["open_x_squared"] - old_state["open_x"] ** 2
             if difference_squared << FRACTION_BITS <= setup.table.build().entry(m) * spread:
@@ -167,6 +169,7 @@ class Audit:
         votes = old_state["crowd_votes"]
         has_votes_to_halve = is_moving and votes >= 2 * VOTES_MIN_WHILE_MOVING
         problems = _check_exact(new_state, {"crowd_votes": votes // 2 if has_votes_to_halve else votes})
+        # Neither a test nor an update is due.
         if is_moving or old_state["crowd_voices"].bit_count() < SENDERS_MIN:
             self.robust["moving" if is_moving else "too few"] += 1
             problems += _check_exact(
@@ -200,6 +203,7 @@ class Audit:
         exact = assumed_accuracy_update(n, t, x_bar, UNGUARDED)
         assert exact is not None
         float64_b_hat = assumed_accuracy_update(n, t, float(x_bar))
+        # Next to 1/2 float64 may find x_bar uninformative, and has nothing to compare with.
         if float64_b_hat is not None:
             errors = self.errors["b_hat", region_of(2 * x_bar - 1)]
             errors.add(b_hat - exact, float(b_hat) - float64_b_hat)
