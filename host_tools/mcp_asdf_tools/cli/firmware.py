@@ -8,7 +8,7 @@ from pathlib import Path
 from mcp_asdf_tools.cli.again import json_report
 from mcp_asdf_tools.cli.table import add_table_options, table_of
 from mcp_asdf_tools.tables.firmware_folder import write_firmware
-from mcp_asdf_tools.tables.table_files import describe
+from mcp_asdf_tools.tables.table_files import describe_table
 
 EPILOG = """\
 examples:
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     """Write the files."""
     omega, q = table_of(args)
     files = [str(path) for path in write_firmware(omega, q, args.folder, args.force)]
-    symbol = describe(omega, q)["symbol"]
+    symbol = describe_table(omega, q)["symbol"]
     if args.json:
         print(json_report({"files": files, "symbol": symbol}))
     else:

@@ -33,7 +33,7 @@ GROUPS = {
     "Put the firmware into robots": {
         "firmware": "write the C firmware with a t-table and a CMake file into a project",
         "calibrate": "find a ground sensor's threshold and accuracy from readings over known tiles",
-        "table": "make t-tables, and check them in files and built images",
+        "table": "make t-tables, and check their files",
         "radio": "emulate the neighbours of one real controller on a CAN bus, and check its firmware",
         "node": "run one robot on a CAN bus",
         "dbc": "write a DBC file, so that CAN tools show the frames' content",

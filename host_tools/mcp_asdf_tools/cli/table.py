@@ -1,17 +1,15 @@
-"""``mcp-asdf table``: make t-tables, check generated files, verify built images."""
+"""``mcp-asdf table``: make t-tables, and check generated files."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import asdict
 from decimal import Decimal
 from pathlib import Path
 
 from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.tables.image_scan import verify_image
-from mcp_asdf_tools.tables.table_files import TableCheck, check_file, describe, write
+from mcp_asdf_tools.tables.table_files import TableCheck, check_file, describe_table, write_table
 from mcp_asdf_tools.tables.thresholds import MAX_MESSAGES, OMEGA_PLACES, parse_omega
 
 EPILOG = """\
@@ -19,20 +17,18 @@ examples:
   mcp-asdf table --output build/tables            # the paper's omega, any number of neighbours
   mcp-asdf table --omega 0.1 --neighbours 30 --output build/tables
   mcp-asdf table --check tables/*.c tables/*.json # are they what the generator makes?
-  mcp-asdf table --verify firmware.elf            # is it in the image? also Intel HEX, binary
 exit code: 0 done, 1 a table is not what it should be, 2 bad usage"""
 
 _OMEGA, _NEIGHBOURS = "0.05", 127
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options: exactly one of three jobs, and what the first one needs."""
+    """Declare the options: exactly one of two jobs, and what the first one needs."""
     job = parser.add_mutually_exclusive_group(required=True)
     job.add_argument("--output", metavar="DIR", type=Path, help="write a C and a JSON file into this folder")
     job.add_argument(
         "--check", metavar="FILE", type=Path, nargs="+", help="check generated .c or .json files"
     )
-    job.add_argument("--verify", metavar="FILE", type=Path, nargs="+", help="find and check tables in images")
     add_table_options(parser)
 
 
@@ -63,14 +59,12 @@ def run(args: argparse.Namespace) -> int:
         return _write(*table_of(args), args)
     if args.omega is not None or args.neighbours is not None:
         raise UsageError("--omega and --neighbours go with --output; a table to be checked states its own")
-    if args.check is not None:
-        return _report([check_file(path) for path in args.check], args.json)
-    return _report([finding for path in args.verify for finding in verify_image(path)], args.json)
+    return _report([check_file(path) for path in args.check], args.json)
 
 
 def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
-    files = [str(path) for path in write(omega, q, args.output)]
-    facts = describe(omega, q)
+    files = [str(path) for path in write_table(omega, q, args.output)]
+    facts = describe_table(omega, q)
     if args.json:
         print(json_report({"files": files} | facts))
         return 0
@@ -83,13 +77,16 @@ def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
     return 0
 
 
-def _report(findings: Sequence[TableCheck], as_json: bool) -> int:
-    ok = all(finding.problem is None for finding in findings)
+def _report(checks: Sequence[TableCheck], as_json: bool) -> int:
+    """Print the outcome of checks; return the exit code, 1 if a table is not what it should be."""
+    ok = all(check.problem is None for check in checks)
     if as_json:
-        tables = [asdict(each) | {"omega": each.omega and float(each.omega)} for each in findings]
+        tables = [
+            {"place": check.path, "omega": float(check.omega), "q": check.q, "problem": check.problem}
+            for check in checks
+        ]
         print(json_report({"ok": ok, "tables": tables}))
     else:
-        for finding in findings:
-            claim = f"omega {finding.omega:f}, q {finding.q}: " if finding.omega is not None else ""
-            print(f"{finding.place}: {claim}{finding.problem or 'ok'}")
+        for check in checks:
+            print(f"{check.path}: omega {check.omega:f}, q {check.q}: {check.problem or 'ok'}")
     return 0 if ok else 1

@@ -1,1 +1,1 @@
-"""T-tables: thresholds, files for deployment, and tables inside built images."""
+"""T-tables: thresholds, files for deployment, and the firmware as a folder."""

@@ -1,4 +1,4 @@
-"""The C firmware as a folder for other projects: sources, licence, one t-table and a CMake file."""
+"""Writing the C firmware as a folder for other projects: sources, licence, one t-table and a CMake file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mcp_asdf import _native
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import write_files
 from mcp_asdf_tools.common.versions import own_version
-from mcp_asdf_tools.tables.table_files import c_text, stem
+from mcp_asdf_tools.tables.table_files import format_c_source, table_name
 
 _CMAKE = """\
 # MCP-ASDF {version}, the firmware and the t-table of omega {omega}, q {q}: made by
@@ -50,41 +50,65 @@ if(NOT {table} IN_LIST tables)
     set_property(TARGET mcp_asdf APPEND PROPERTY MCP_ASDF_TABLES {table})
 endif()
 """
-_SUMS = "sha256sums.txt"
+_CHECKSUMS_FILE = "sha256sums.txt"
+"""Checksums of all other files as written, in sha256sum's format: they show what has been changed since."""
 
 
 def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) -> list[Path]:
-    """Write the firmware into ``folder``, which is made if need be; returns the paths written.
+    """Write the firmware's sources and one t-table into ``folder``, and return the paths of all files.
 
-    All files are written, or none; those of an earlier version are replaced, and other tables removed. Raises
-    UsageError if one cannot be written or, without ``force``, has been changed since it was written.
+    The folder is created if need be. All files are written, or none; those of an earlier version are
+    replaced, and other tables in the folder are deleted. Raises UsageError if a file cannot be written or,
+    without ``force``, if one has been changed since it was written.
     """
-    core = Path(_native.__file__).parent / "core"  # installed beside the compiled firmware
-    contents = {path.name: path.read_text(encoding="utf-8") for path in sorted(core.iterdir())}
-    sources = " ".join(sorted(name for name in contents if name.endswith(".c")))
-    table = f"{stem(omega, q)}.c"
-    contents[table] = c_text(omega, q)
-    contents["CMakeLists.txt"] = _CMAKE.format(
-        version=own_version(), omega=omega, q=q, sources=sources, table=table
-    )
-    sums = {name: sha256(text.encode()).hexdigest() for name, text in sorted(contents.items())}
-    others = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in contents]
+    texts = _folder_texts(omega, q)
+    checksums = {name: sha256(text.encode()).hexdigest() for name, text in sorted(texts.items())}
+    other_tables = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in texts]
     if not force:
-        _check_unchanged([*others, *(folder / name for name in contents)], folder / _SUMS, sums)
-    contents[_SUMS] = "".join(f"{each}  {name}\n" for name, each in sums.items())
-    paths = write_files(folder, contents)
-    for path in others:
+        old_checksums = _read_checksums(folder / _CHECKSUMS_FILE)
+        _check_unchanged([*other_tables, *(folder / name for name in texts)], old_checksums, checksums)
+    texts[_CHECKSUMS_FILE] = "".join(f"{checksum}  {name}\n" for name, checksum in checksums.items())
+    paths = write_files(folder, texts)
+    for path in other_tables:
         path.unlink()
     return paths
 
 
-def _check_unchanged(paths: Iterable[Path], before: Path, sums: Mapping[str, str]) -> None:
-    """Raises UsageError for a file that has neither its checksum in the file ``before`` nor the new one."""
-    text = before.read_text(encoding="utf-8", errors="replace") if before.is_file() else ""
-    known = {(name, each) for each, _, name in (line.partition("  ") for line in text.splitlines())}
+def _folder_texts(omega: Decimal, q: int) -> dict[str, str]:
+    """Return the text of each file of the folder, by name: the sources, the t-table and the CMake file."""
+    core_folder = Path(_native.__file__).parent / "core"  # installed beside the compiled firmware
+    texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(core_folder.iterdir())}
+    sources = sorted(name for name in texts if name.endswith(".c"))
+    table_file = f"{table_name(omega, q)}.c"
+    texts[table_file] = format_c_source(omega, q)
+    texts["CMakeLists.txt"] = _CMAKE.format(
+        version=own_version(), omega=omega, q=q, sources=" ".join(sources), table=table_file
+    )
+    return texts
+
+
+def _check_unchanged(
+    paths: Iterable[Path], old_checksums: Mapping[str, str], new_checksums: Mapping[str, str]
+) -> None:
+    """Raise UsageError for the first file whose checksum is neither the old nor the new one of its name.
+
+    Files that do not exist are unchanged.
+    """
     for path in paths:
-        if path.is_file() and (path.name, sha256(path.read_bytes()).hexdigest()) not in known | {
-            *sums.items()
-        }:
+        if not path.is_file():
+            continue
+        checksum = sha256(path.read_bytes()).hexdigest()
+        if checksum not in (old_checksums.get(path.name), new_checksums.get(path.name)):
             fix = "keep it elsewhere, or give --force to replace it"
             raise UsageError(f"{path} is not as mcp-asdf firmware wrote it; {fix}")
+
+
+def _read_checksums(path: Path) -> dict[str, str]:
+    """Return the checksums in a file of sha256sum's format by file name; none if there is no such file."""
+    if not path.is_file():
+        return {}
+    checksums = {}
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        checksum, _, name = line.partition("  ")
+        checksums[name] = checksum
+    return checksums

@@ -1,6 +1,6 @@
-"""A t-table as files: a C source for the firmware and JSON for machines, and checking them.
+"""Files of a t-table: a C source for the firmware, JSON for other programs, and checks of both.
 
-Both are a pure function of omega and q, byte for byte, so checking a file is making it again.
+Omega and q determine both files to the byte, so a file is checked by generating it again.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from mcp_asdf_tools.tables.thresholds import (
     worst_threshold_error,
 )
 
-_SYMBOL = re.compile(r"\bmcp_asdf_t_table_omega([0-9]{2,9})_q([0-9]{1,3})\b")
+_ARRAY_NAME = re.compile(r"\bmcp_asdf_t_table_omega([0-9]{2,9})_q([0-9]{1,3})\b")
 
 
-def stem(omega: Decimal, q: int) -> str:
-    """Return the file name without suffix, such as ``t_table_omega05_q127``.
+def table_name(omega: Decimal, q: int) -> str:
+    """Return the name of a table's files without suffix, such as ``t_table_omega05_q127``.
 
     After "omega" stand the decimal places of omega in its shortest form, at least two of them: 05 is
     0.05, 10 is 0.1, 125 is 0.125. No two tables share a name.
     """
-    places = f"{omega.normalize():f}".partition(".")[2]
-    return f"t_table_omega{places:0<2}_q{q}"
+    decimal_places = f"{omega.normalize():f}".partition(".")[2]
+    return f"t_table_omega{decimal_places:0<2}_q{q}"
 
 
-def describe(omega: Decimal, q: int) -> dict[str, Any]:
-    """Return the content of the JSON file: what the table is and its entries."""
+def describe_table(omega: Decimal, q: int) -> dict[str, Any]:
+    """Return what the JSON file of a table holds: its properties, its checksums and its entries."""
     table = generate(omega, q)
     words = table.words()
     error = worst_threshold_error(omega, table)
     return {
-        "symbol": f"mcp_asdf_{stem(omega, q)}",
+        "symbol": f"mcp_asdf_{table_name(omega, q)}",
         "omega": float(omega),
         "omega_word": table.omega_word,
         "q": q,
@@ -64,9 +64,9 @@ def describe(omega: Decimal, q: int) -> dict[str, Any]:
     }
 
 
-def json_text(omega: Decimal, q: int) -> str:
-    """Return the JSON file. Omega has at most 9 digits, so it reads back as the decimal it was."""
-    return json.dumps(describe(omega, q), indent=2) + "\n"
+def format_json(omega: Decimal, q: int) -> str:
+    """Return the text of a table's JSON file."""
+    return json.dumps(describe_table(omega, q), indent=2) + "\n"
 
 
 _C_FILE = """\
@@ -97,90 +97,100 @@ const uint32_t {symbol}[{words}] MCP_ASDF_ROM = {{
 """
 
 
-def c_text(omega: Decimal, q: int) -> str:
-    """Return the C99 source: one constant array, which needs ``mcp_asdf_rom.h`` and nothing else."""
-    facts = describe(omega, q)
-    error = facts["worst_threshold_error"]
-    beyond = f"at most {error['beyond_q']:.2%} for q < m <= {MAX_MESSAGES}"
-    return _C_FILE.format_map(
-        facts
-        | {
-            "omega": f"{omega:f}",
-            "stem": stem(omega, q),
-            "words": EXTRA_WORDS + q,
-            "rounding": f"{error['rounding']:.2e}",
-            "beyond_q": beyond if q < MAX_MESSAGES else f"there are never more than {MAX_MESSAGES} messages",
-            "body": _c_body(generate(omega, q)),
-        }
+def format_c_source(omega: Decimal, q: int) -> str:
+    """Return the C99 source of a table: one constant array, which needs only ``mcp_asdf_rom.h``."""
+    description = describe_table(omega, q)
+    error = description["worst_threshold_error"]
+    if q < MAX_MESSAGES:
+        error_beyond_q = f"at most {error['beyond_q']:.2%} for q < m <= {MAX_MESSAGES}"
+    else:
+        error_beyond_q = f"there are never more than {MAX_MESSAGES} messages"
+    texts = {
+        "omega": f"{omega:f}",
+        "stem": table_name(omega, q),
+        "words": EXTRA_WORDS + q,
+        "rounding": f"{error['rounding']:.2e}",
+        "beyond_q": error_beyond_q,
+        "body": _format_initializers(generate(omega, q)),
+    }
+    return _C_FILE.format_map(description | texts)
+
+
+def _format_initializers(table: Table) -> str:
+    """Return the lines of the C array: one word a line, with its meaning as a comment."""
+    thresholds = [entry / 2**FRACTION_BITS for entry in table.entries]
+    comments = ["magic, q", "omega * 2^32"]
+    comments += [f"m = {m}: {threshold:.9f}" for m, threshold in enumerate(thresholds[:-1], start=2)]
+    comments += [f"m > {table.q}: {thresholds[-1]:.9f}", "checksum"]
+    return "\n".join(
+        f"    0x{word:08X}U, /* {comment} */" for word, comment in zip(table.words(), comments, strict=True)
     )
 
 
-def _c_body(table: Table) -> str:
-    values = [entry / 2**FRACTION_BITS for entry in table.entries]
-    meanings = ["magic, q", "omega * 2^32"]
-    meanings += [f"m = {m}: {value:.9f}" for m, value in enumerate(values[:-1], start=2)]
-    meanings += [f"m > {table.q}: {values[-1]:.9f}", "checksum"]
-    lines = zip(table.words(), meanings, strict=True)
-    return "\n".join(f"    0x{word:08X}U, /* {meaning} */" for word, meaning in lines)
-
-
-def write(omega: Decimal, q: int, folder: Path) -> list[Path]:
-    """Write the C and the JSON file into ``folder``, which is made if need be; returns their paths.
+def write_table(omega: Decimal, q: int, folder: Path) -> list[Path]:
+    """Write a table's C and JSON file into ``folder``, which is created if need be; return their paths.
 
     Both are written, or neither. Raises UsageError if one cannot be.
     """
-    name = stem(omega, q)
-    return write_files(folder, {f"{name}.c": c_text(omega, q), f"{name}.json": json_text(omega, q)})
+    name = table_name(omega, q)
+    texts = {f"{name}.c": format_c_source(omega, q), f"{name}.json": format_json(omega, q)}
+    return write_files(folder, texts)
 
 
 @dataclass(frozen=True)
 class TableCheck:
-    """The outcome of checking one table.
+    """The outcome of checking one file.
 
     Attributes:
-        place: The file, and where in it if it is an image.
-        omega, q: The table that it claims to be; None if it is unknown.
-        problem: What is wrong; None if nothing is.
+        path: The file.
+        omega: Type II error probability of the table that the file claims to be.
+        q: Its number of neighbours.
+        problem: The first line that differs from the generated file; None if the files are equal.
     """
 
-    place: str
-    omega: Decimal | None = None
-    q: int | None = None
+    path: str
+    omega: Decimal
+    q: int
     problem: str | None = None
 
 
 def check_file(path: Path) -> TableCheck:
-    """Compare a generated ``.c`` or ``.json`` file with the one made anew, line ends aside.
+    """Compare a ``.c`` or ``.json`` file with the generated one, line ends aside.
 
-    The name of its array says which table it is. Raises UsageError if the file cannot be read or has no such
-    name.
+    The name of the array in it says which table it claims to be. Raises UsageError if the file cannot be
+    read or has no such name.
     """
-    makers = {".json": json_text, ".c": c_text}
-    if path.suffix not in makers:
-        raise UsageError(f"{path} is neither .c nor .json; for a built image use --verify")
+    formatters = {".json": format_json, ".c": format_c_source}
+    if path.suffix not in formatters:
+        raise UsageError(f"{path} is neither .c nor .json; give a file that --output has written")
     text = _read_text(path)
-    symbol = _SYMBOL.search(text)
-    if symbol is None:
+    match = _ARRAY_NAME.search(text)
+    if match is None:
         raise UsageError(f"{path} names no array mcp_asdf_t_table_omega.._q..; make it anew with --output")
     try:
-        omega, q = parse_omega(f"0.{symbol[1]}"), check_q(int(symbol[2]))
+        omega, q = parse_omega(f"0.{match[1]}"), check_q(int(match[2]))
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
-    return TableCheck(str(path), omega, q, _first_changed_line(text, makers[path.suffix](omega, q)))
+    generated_text = formatters[path.suffix](omega, q)
+    return TableCheck(str(path), omega, q, _describe_first_difference(text, generated_text))
 
 
 def _read_text(path: Path) -> str:
+    """Return the text of a file with Unix line ends. Raises UsageError if it is no text or too long."""
     try:
         return read_at_most(path).decode().replace("\r\n", "\n")
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
-    except ValueError:  # it is too long, or no UTF-8
-        raise UsageError(f"{path} is not a text file; for a built image use --verify") from None
+    except UnicodeDecodeError:
+        raise UsageError(f"{path} is not a text file; give a file that --output has written") from None
+    except ValueError as error:  # it is too long
+        raise UsageError(f"cannot read {path}: {error}; give a file that --output has written") from None
 
 
-def _first_changed_line(found: str, expected: str) -> str | None:
-    lines = zip_longest(found.split("\n"), expected.split("\n"))
-    for number, (left, right) in enumerate(lines, start=1):
-        if left != right:
-            return f"line {number}: found {left!r}, expected {right!r}"
+def _describe_first_difference(text: str, expected_text: str) -> str | None:
+    """Return the first line that differs, as found and as expected, or None if the texts are equal."""
+    line_pairs = zip_longest(text.split("\n"), expected_text.split("\n"))
+    for line_number, (line, expected_line) in enumerate(line_pairs, start=1):
+        if line != expected_line:
+            return f"line {line_number}: found {line!r}, expected {expected_line!r}"
     return None

@@ -1,9 +1,8 @@
-"""Making t-tables: the thresholds of the hypothesis test (eq. 12) for one omega and one bound q.
+"""Generating t-tables: the thresholds of the hypothesis test (eq. 12) for one omega and one q.
 
-With ``k_m = (t_{m-1,(1-omega)/2} / sqrt(m) + 1)**2 * m / (m - 1)`` the test needs no root and no
-division. Omega is a decimal with at most 9 places, so that the word that the table stores
-(omega in units of 2**-32, a finer grid) identifies it exactly, and a table found in an image can be
-compared with the one that it claims to be.
+With ``k_m = (t_{m-1,(1-omega)/2} / sqrt(m) + 1)**2 * m / (m - 1)`` the test needs no square root and no
+division. Omega is a decimal with at most 9 places, so the word that a table stores (omega in units of
+2**-32, a finer grid) identifies it exactly: a robot that has a table can name the omega that made it.
 """
 
 from __future__ import annotations
@@ -26,15 +25,19 @@ OMEGA_PLACES = 9
 MAX_MESSAGES = MAX_ID
 """Maximum number of messages in a round, for any q."""
 
-_DIGITS = 50
-"""Digits computed. They decide every entry that is not within 10^-30 of the middle between two multiples:
-that one of the 10^13 entries of all possible tables is so close has a probability of 10^-17."""
-_NOISE = mpf("1e-47")
-"""Steps so small are rounding noise."""
+_DECIMAL_DIGITS = 50
+"""Precision of the computation. It decides every entry that is not within 10^-30 of the middle between two
+multiples of 2^-26; that one of the 10^13 entries of all possible tables is so close has a probability of
+10^-17."""
+_NEGLIGIBLE_STEP = mpf("1e-47")
+"""A step of Newton's method that is not larger is rounding noise."""
 
 
 def parse_omega(text: str) -> Decimal:
-    """Read omega from decimal text, in its shortest form. Raises UsageError outside (0, 0.9]."""
+    """Return the omega that a decimal text gives, in its shortest form.
+
+    Raises UsageError for anything but a number above 0 and at most 0.9 with at most 9 decimal places.
+    """
     try:
         omega = Decimal(text)
     except InvalidOperation:
@@ -48,18 +51,22 @@ def parse_omega(text: str) -> Decimal:
 
 
 def omega_word(omega: Decimal) -> int:
-    """Omega in units of 2**-32, rounded to nearest (a tie cannot happen with 9 decimal places)."""
+    """Return omega in units of 2**-32, rounded to nearest, as a table stores it.
+
+    With 9 decimal places omega never lies in the middle between two units.
+    """
     return round(omega * 2**32)
 
 
 def omega_from_word(word: int) -> Decimal | None:
-    """Return the only omega with at most 9 decimal places that has this word; None if there is none."""
+    """Return the only omega with at most 9 decimal places that has this word, or None if there is none."""
     omega = round(Decimal(word) / 2**32, OMEGA_PLACES).normalize()
-    return omega if omega_word(omega) == word and 0 < omega <= MAX_OMEGA else None
+    is_exact = omega_word(omega) == word
+    return omega if is_exact and 0 < omega <= MAX_OMEGA else None
 
 
 def check_q(q: int) -> int:
-    """Return ``q``. Raises UsageError outside 2 .. 127."""
+    """Return ``q``, the number of neighbours. Raises UsageError unless it is 2 to 127."""
     if not MIN_Q <= q <= MAX_Q:
         raise UsageError(f"the number of neighbours is {q}; it must be {MIN_Q} to {MAX_Q}")
     return q
@@ -67,67 +74,74 @@ def check_q(q: int) -> int:
 
 @lru_cache(maxsize=16)
 def generate(omega: Decimal, q: int) -> Table:
-    """Return the table for ``omega`` (see ``parse_omega``) and ``q`` in 2 .. 127.
+    """Return the t-table for ``omega`` and for ``q`` neighbours with exact thresholds.
 
-    Every entry is the multiple of 2**-26 nearest to k_m. Takes about 0.1 s. Raises UsageError if ``omega`` or
-    ``q`` is out of range.
+    Every entry is the multiple of 2**-26 nearest to k_m. Takes about 0.1 s. Raises UsageError unless
+    ``parse_omega`` and ``check_q`` accept both.
     """
     omega, q = parse_omega(str(omega)), check_q(q)
-    with mp.workdps(_DIGITS):
-        beyond_q = _threshold(_normal_score(omega), q + 1)
-        thresholds = (*true_thresholds(omega)[: q - 1], beyond_q)
-        entries = tuple(int(mp.nint(mp.ldexp(k, FRACTION_BITS))) for k in thresholds)
-        return Table(omega_word(omega), entries)
+    with mp.workdps(_DECIMAL_DIGITS):
+        exact_thresholds = true_thresholds(omega)[: q - 1]  # for m = 2 .. q
+        common_threshold = _threshold(_normal_quantile(omega), q + 1)  # for all m above q
+        entries = [
+            int(mp.nint(mp.ldexp(threshold, FRACTION_BITS)))
+            for threshold in (*exact_thresholds, common_threshold)
+        ]
+        return Table(omega_word(omega), tuple(entries))
 
 
 @lru_cache(maxsize=16)
 def true_thresholds(omega: Decimal) -> tuple[mpf, ...]:
-    """Compute k_m for every m a round can hold, 2 .. 127; relative error below 10**-40."""
-    with mp.workdps(_DIGITS):
-        score = _normal_score(omega)
-        downward = []
+    """Return k_m for m = 2 .. 127, all that a round can hold, with a relative error below 10**-40."""
+    with mp.workdps(_DECIMAL_DIGITS):
+        # From many degrees of freedom to few the quantile grows, so each is a start below the next one.
+        quantile = _normal_quantile(omega)
+        thresholds = []
         for m in range(MAX_MESSAGES, 1, -1):
-            score = _t_score(mpf(str(omega)), m - 1, score)
-            downward.append(_threshold(score, m))
-        return tuple(reversed(downward))
+            quantile = _t_quantile(mpf(str(omega)), m - 1, quantile)
+            thresholds.append(_threshold(quantile, m))
+        return tuple(reversed(thresholds))
 
 
-def _normal_score(omega: Decimal) -> mpf:
-    """The quantile that t_{m-1,(1-omega)/2} falls to as m grows."""
+def _normal_quantile(omega: Decimal) -> mpf:
+    """Return the quantile of the normal distribution, which t_{m-1,(1-omega)/2} falls to as m grows."""
     return mp.sqrt(2) * mp.erfinv(mpf(str(omega)))
 
 
-def _threshold(score: mpf, m: int) -> mpf:
-    return (score / mp.sqrt(m) + 1) ** 2 * m / (m - 1)
+def _threshold(quantile: mpf, m: int) -> mpf:
+    """Return k_m from the quantile of eq. 12 for m messages."""
+    return (quantile / mp.sqrt(m) + 1) ** 2 * m / (m - 1)
 
 
-def _t_score(omega: mpf, freedom: int, start: mpf) -> mpf:
-    """Return t with P(|T| < t) = omega, that is P(T > t) = (1 - omega)/2; ``start`` lies at or below it.
+def _t_quantile(omega: mpf, degrees_of_freedom: int, start: mpf) -> mpf:
+    """Return t with P(|T| < t) = omega, that is P(T > t) = (1 - omega)/2; ``start`` must not lie above it.
 
-    P is concave for t > 0, so Newton's steps from below never pass the root: the first step that is
-    not upward is rounding noise. The score for more degrees of freedom is such a start.
+    P is concave for t > 0, so steps of Newton's method from below never pass the root: the first step that
+    is not upward is rounding noise.
     """
-    score, step = start, mp.inf
-    while step > _NOISE:
-        step = (omega - _central_probability(score, freedom)) / _density(score, freedom)
-        score += step
-    return score
+    quantile, step = start, mp.inf
+    while step > _NEGLIGIBLE_STEP:
+        missing_probability = omega - _central_probability(quantile, degrees_of_freedom)
+        step = missing_probability / _density(quantile, degrees_of_freedom)
+        quantile += step
+    return quantile
 
 
-def _central_probability(t: mpf, freedom: int) -> mpf:
-    """P(|T| < t) of Student's distribution."""
+def _central_probability(t: mpf, degrees_of_freedom: int) -> mpf:
+    """Return P(|T| < t), where T has Student's distribution."""
     square = t * t
-    return mp.betainc(mpf(1) / 2, mpf(freedom) / 2, 0, square / (freedom + square), regularized=True)
+    upper_limit = square / (degrees_of_freedom + square)
+    return mp.betainc(mpf(1) / 2, mpf(degrees_of_freedom) / 2, 0, upper_limit, regularized=True)
 
 
-def _density(t: mpf, freedom: int) -> mpf:
-    """Density of |T| at ``t``."""
-    scale = 2 / (mp.sqrt(freedom) * mp.beta(mpf(1) / 2, mpf(freedom) / 2))
-    return scale * (1 + t * t / freedom) ** (-mpf(freedom + 1) / 2)
+def _density(t: mpf, degrees_of_freedom: int) -> mpf:
+    """Return the probability density of |T| at ``t``, where T has Student's distribution."""
+    scale = 2 / (mp.sqrt(degrees_of_freedom) * mp.beta(mpf(1) / 2, mpf(degrees_of_freedom) / 2))
+    return scale * (1 + t * t / degrees_of_freedom) ** (-mpf(degrees_of_freedom + 1) / 2)
 
 
 class ThresholdError(NamedTuple):
-    """Largest relative error of a table's thresholds, as eq. 12 compares them: of sqrt(k_m).
+    """Largest relative errors of a table's thresholds as eq. 12 compares them: of sqrt(k_m).
 
     Attributes:
         rounding: For m = 2 .. q.
@@ -141,15 +155,19 @@ class ThresholdError(NamedTuple):
 
 
 def worst_threshold_error(omega: Decimal, table: Table) -> ThresholdError:
-    """Compare every threshold that ``table`` can give (m = 2 .. 127) with the true one."""
-    with mp.workdps(_DIGITS):
-        errors = [
-            abs(mp.sqrt(mp.ldexp(table.entry(m), -FRACTION_BITS) / true) - 1)
-            for m, true in enumerate(true_thresholds(omega), start=2)
-        ]
-        own = table.q - 1
-        return ThresholdError(_round_up(max(errors[:own])), _round_up(max(errors[own:], default=mpf(0))))
+    """Return the largest errors of the thresholds that ``table`` gives for m = 2 .. 127."""
+    with mp.workdps(_DECIMAL_DIGITS):
+        errors = []
+        for m, true_threshold in enumerate(true_thresholds(omega), start=2):
+            table_threshold = mp.ldexp(table.entry(m), -FRACTION_BITS)
+            errors.append(abs(mp.sqrt(table_threshold / true_threshold) - 1))
+        own_entries, shared_entry = errors[: table.q - 1], errors[table.q - 1 :]
+        return ThresholdError(
+            rounding=_round_up(max(own_entries)),
+            beyond_q=_round_up(max(shared_entry, default=mpf(0))),
+        )
 
 
 def _round_up(value: mpf) -> float:
+    """Return a value rounded up to three digits, so that a stated error is never exceeded."""
     return float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(str(value)))

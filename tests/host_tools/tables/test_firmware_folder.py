@@ -46,19 +46,28 @@ def build(project: Path, program: str, *settings: str, parts: tuple[str, ...] = 
     run(cmake, "--build", project / "build")
 
 
-def test_a_project_builds_what_it_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = tmp_path / "vendor/mcp_asdf"
-    command = ["firmware", str(folder), "--omega", "0.1", "--neighbours", "30"]
-    assert main(command) == 0
-    assert "The table is: extern const uint32_t mcp_asdf_t_table_omega10_q30[];" in capsys.readouterr().out
-    assert main([*command, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert sorted(told["files"]) == sorted(map(str, folder.iterdir()))
-    assert told["symbol"] == "mcp_asdf_t_table_omega10_q30"
-    for source in (ROOT / "c_ref/src").glob("*.[ch]"):
-        assert (folder / source.name).read_bytes() == source.read_bytes()
+def test_a_project_builds_the_folder_and_a_robot_starts(tmp_path: Path) -> None:
+    write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
     build(tmp_path, PROGRAM)
     run(tmp_path / "build/robot")
+
+
+def test_the_folder_has_all_sources_of_the_core_unchanged(tmp_path: Path) -> None:
+    write_folder(tmp_path)
+    for source in (ROOT / "c_ref/src").glob("*.[ch]"):
+        assert (tmp_path / source.name).read_bytes() == source.read_bytes()
+
+
+def test_firmware_names_the_array_of_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_folder(tmp_path, "--omega", "0.1", "--neighbours", "30")
+    assert "The table is: extern const uint32_t mcp_asdf_t_table_omega10_q30[];" in capsys.readouterr().out
+
+
+def test_firmware_reports_files_and_array_in_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_folder(tmp_path, "--omega", "0.1", "--neighbours", "30", "--json")
+    report = json.loads(capsys.readouterr().out)
+    assert sorted(report["files"]) == sorted(map(str, tmp_path.iterdir()))
+    assert report["symbol"] == "mcp_asdf_t_table_omega10_q30"
 
 
 def test_firmware_prints_a_line_for_each_filter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -156,26 +165,57 @@ def test_a_position_independent_library_goes_into_a_shared_one(tmp_path: Path) -
     assert all("-fPIC" in command for command in core)
 
 
-def test_what_somebody_has_changed_stays_without_force(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Its own files it replaces, and leaves one table; an earlier version is what its checksums say."""
-    folder, core = tmp_path / "mcp_asdf", tmp_path / "mcp_asdf/mcp_asdf.c"
+# --- Writing into a folder that has files already -------------------------------------------------------
 
-    def written(*options: str) -> list[str]:
-        code = main(["firmware", str(folder), *options])
-        assert code == 0 or "--force" in capsys.readouterr().err
-        return [path.name for path in folder.glob("t_table*.c")] if code == 0 else []
 
-    assert written() == ["t_table_omega05_q127.c"]
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder that ``mcp-asdf firmware`` has written."""
+    write_folder(tmp_path)
+    return tmp_path
+
+
+def tables_in(folder: Path) -> list[str]:
+    return [path.name for path in folder.glob("t_table*.c")]
+
+
+def test_sha256sum_finds_the_files_as_they_were_written(folder: Path) -> None:
     assert run("sha256sum", "--check", "--quiet", "sha256sums.txt", cwd=folder) == ""
-    assert written("--neighbours", "30") == ["t_table_omega05_q30.c"]
-    before, sums = core.read_bytes(), folder / "sha256sums.txt"
+
+
+def test_another_table_takes_the_place_of_the_first(folder: Path) -> None:
+    write_folder(folder, "--neighbours", "30")
+    assert tables_in(folder) == ["t_table_omega05_q30.c"]
+
+
+def test_a_changed_file_is_not_replaced(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    core = folder / "mcp_asdf.c"
     core.write_text("/* ours */")
-    assert written() == [] and core.read_text() == "/* ours */"
-    known = hashlib.sha256(before).hexdigest()
-    sums.write_text(sums.read_text().replace(known, hashlib.sha256(core.read_bytes()).hexdigest()))
-    assert written() == ["t_table_omega05_q127.c"] and core.read_bytes() == before
+    assert main(["firmware", str(folder)]) == 2
+    assert f"{core} is not as mcp-asdf firmware wrote it; keep it elsewhere" in capsys.readouterr().err
+    assert core.read_text() == "/* ours */"
+
+
+def test_a_file_of_an_earlier_version_is_replaced(folder: Path) -> None:
+    """Of an earlier version are files whose checksums stand in the folder."""
+    core, checksums = folder / "mcp_asdf.c", folder / "sha256sums.txt"
+    new_text = core.read_bytes()
+    core.write_text("/* earlier */")
+    new_checksum, old_checksum = (hashlib.sha256(text).hexdigest() for text in (new_text, core.read_bytes()))
+    checksums.write_text(checksums.read_text().replace(new_checksum, old_checksum))
+    write_folder(folder)
+    assert core.read_bytes() == new_text
+
+
+def test_a_table_of_somebody_else_is_not_deleted(folder: Path) -> None:
     (folder / "t_table_ours.c").write_text("/* ours */")
-    assert written() == []
-    assert written("--force") == ["t_table_omega05_q127.c"]
+    assert main(["firmware", str(folder)]) == 2
+    assert "t_table_ours.c" in tables_in(folder)
+
+
+def test_force_replaces_changed_files_and_deletes_other_tables(folder: Path) -> None:
+    (folder / "mcp_asdf.c").write_text("/* ours */")
+    (folder / "t_table_ours.c").write_text("/* ours */")
+    write_folder(folder, "--force")
+    assert tables_in(folder) == ["t_table_omega05_q127.c"]
+    assert (folder / "mcp_asdf.c").read_bytes() == (ROOT / "c_ref/src/mcp_asdf.c").read_bytes()

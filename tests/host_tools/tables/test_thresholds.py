@@ -29,17 +29,22 @@ EDGES = [("0.9", 127), ("0.9", 2), ("0.000000001", 127), ("0.000000001", 2), ("0
 
 
 def eq_12_multiple(omega: float, m: int) -> float:
-    """t/sqrt(m) + 1 in double precision by scipy."""
+    """Return t/sqrt(m) + 1 of eq. 12 in double precision, with SciPy's quantile."""
     return float(scipy.stats.t.isf((1 - omega) / 2, m - 1)) / math.sqrt(m) + 1
 
 
-def wrong_entries(table: Table, omega: Decimal) -> list[int]:
-    """Indices of the entries that are not k_m rounded to nearest; doubles are good for 10**-5 of a unit."""
+def wrongly_rounded_entries(table: Table, omega: Decimal) -> list[int]:
+    """Return the indices of entries that are not k_m rounded to nearest.
+
+    SciPy's doubles are good for 10**-5 of an entry's unit.
+    """
     multiples = [eq_12_multiple(float(omega), m) for m in range(2, table.q + 1)]
     m = table.q + 1
-    multiples.append(float(scipy.stats.norm.isf((1 - float(omega)) / 2)) / math.sqrt(m) + 1)
-    k = np.square(multiples) * [m / (m - 1) for m in range(2, table.q + 2)] * 2**FRACTION_BITS
-    return np.flatnonzero(abs(k - table.entries) > 0.5 + 1e-5).tolist()
+    normal_quantile = float(scipy.stats.norm.isf((1 - float(omega)) / 2))
+    multiples.append(normal_quantile / math.sqrt(m) + 1)
+    ratios = [m / (m - 1) for m in range(2, table.q + 2)]
+    expected_entries = np.square(multiples) * ratios * 2**FRACTION_BITS
+    return np.flatnonzero(abs(expected_entries - table.entries) > 0.5 + 1e-5).tolist()
 
 
 # --- The generator ------------------------------------------------------------------------------------
@@ -48,10 +53,15 @@ def wrong_entries(table: Table, omega: Decimal) -> list[int]:
 # design: R27
 @pytest.mark.parametrize(("omega", "q"), [*SHIPPED, *EDGES])
 def test_every_entry_is_correctly_rounded(omega: str, q: int) -> None:
-    """The firmware takes the table, too; omega 0.9 needs all 32 bits of its first entry."""
+    """Omega 0.9 needs all 32 bits of its first entry."""
     table = generate(Decimal(omega), q)
     assert table.q == q
-    assert wrong_entries(table, Decimal(omega)) == []
+    assert wrongly_rounded_entries(table, Decimal(omega)) == []
+
+
+@pytest.mark.parametrize(("omega", "q"), [*SHIPPED, *EDGES])
+def test_the_firmware_accepts_a_generated_table(omega: str, q: int) -> None:
+    table = generate(Decimal(omega), q)
     assert Table.from_words(table.words()) == table
     assert table.omega_word == int(Decimal(omega) * 2**32 + Decimal("0.5"))
 
@@ -62,7 +72,7 @@ def test_every_entry_is_correctly_rounded(omega: str, q: int) -> None:
 def test_every_entry_of_any_table_is_correctly_rounded(billionths: int, q: int) -> None:
     """SciPy's quantiles are too coarse to judge the smallest omega, which are next to the median."""
     omega = Decimal(billionths).scaleb(-9)
-    assert wrong_entries(generate(omega, q), omega) == []
+    assert wrongly_rounded_entries(generate(omega, q), omega) == []
 
 
 @pytest.mark.parametrize(("omega", "q"), [*SHIPPED, ("0.9", 2), ("0.5", 100), ("0.05", 126)])
@@ -77,27 +87,37 @@ def test_the_stated_error_is_the_worst_of_all_thresholds(omega: str, q: int) -> 
 
 
 @pytest.mark.parametrize("text", ["0.05", "0.050", ".05", "5e-2", " +0.05 ", "0.05000000000000000000000000"])
-def test_one_omega_in_many_spellings(text: str) -> None:
+def test_omega_is_the_same_in_any_spelling(text: str) -> None:
     assert str(parse_omega(text)) == "0.05"
 
 
-def test_an_omega_is_told_by_its_word() -> None:
+def omegas() -> list[Decimal]:
+    """Return the smallest and largest omegas of 9 places, and 2000 more, drawn with a fixed seed."""
     source = random.Random(4)
-    for digits in [1, 2, 899_999_999, 900_000_000, *(source.randint(1, 900_000_000) for _ in range(2000))]:
-        omega = Decimal(digits).scaleb(-9)
-        word = omega_word(omega)
-        assert omega_from_word(word) == omega, f"digits {digits}"
-        for other in (word - 1, word + 1):
-            assert omega_from_word(other) in (None, omega - Decimal("1e-9"), omega + Decimal("1e-9"))
-    for word in (0, 1, round(Decimal("0.900000001") * 2**32), 2**32 - 1):
-        assert omega_from_word(word) is None
+    billionths = [1, 2, 899_999_999, 900_000_000, *(source.randint(1, 900_000_000) for _ in range(2000))]
+    return [Decimal(number).scaleb(-9) for number in billionths]
+
+
+def test_the_word_of_an_omega_identifies_it() -> None:
+    assert [omega for omega in omegas() if omega_from_word(omega_word(omega)) != omega] == []
+
+
+def test_the_next_word_is_not_that_of_the_same_omega() -> None:
+    for omega in omegas():
+        for next_word in (omega_word(omega) - 1, omega_word(omega) + 1):
+            assert omega_from_word(next_word) in (None, omega - Decimal("1e-9"), omega + Decimal("1e-9"))
+
+
+@pytest.mark.parametrize("word", [0, 1, round(Decimal("0.900000001") * 2**32), 2**32 - 1])
+def test_a_word_that_no_omega_gives_has_none(word: int) -> None:
+    assert omega_from_word(word) is None
 
 
 # --- The page -----------------------------------------------------------------------------------------
 
 
 def page_rows(heading: str) -> list[dict[str, str]]:
-    """The rows of the first table below a heading of docs/tables.md, by column."""
+    """Return the rows of the first table below a heading of docs/tables.md, by column."""
     page = (ROOT / "docs" / "tables.md").read_text()
     below = page[page.index(f"## {heading}\n") :]
     lines = re.findall(r"(?:^\|.*\n)+", below, re.MULTILINE)[0].splitlines()
@@ -105,14 +125,14 @@ def page_rows(heading: str) -> list[dict[str, str]]:
     return [dict(zip(titles, row, strict=True)) for row in rows]
 
 
-def test_the_thresholds_on_the_page() -> None:
+def test_the_page_has_scipy_s_thresholds() -> None:
     for row in page_rows("Choosing omega"):
         m = int(row.pop("m"))
         for title, cell in row.items():
             assert cell == f"{eq_12_multiple(float(title.removeprefix('omega ')), m):.4f}", (m, title)
 
 
-def test_the_rejections_on_the_page() -> None:
+def test_the_page_has_the_rejection_rates_of_the_noncentral_t_distribution() -> None:
     """The mean minus an estimate at a distance, over S, has a noncentral t distribution."""
     for row in page_rows("What a choice means for one test"):
         m, omega = int(row.pop("m")), float(row.pop("omega"))
@@ -121,5 +141,5 @@ def test_the_rejections_on_the_page() -> None:
         assert row.pop("one of them") == f"{same:.1%}"
         for title, cell in row.items():
             away = float(Fraction(title.removesuffix(" sigma"))) * math.sqrt(m)
-            share = sum(scipy.stats.nct.sf(limit, m - 1, each) for each in (away, -away))
+            share = sum(scipy.stats.nct.sf(limit, m - 1, shift) for shift in (away, -away))
             assert cell == f"{share:.1%}", (m, omega, title)
