@@ -7,7 +7,7 @@ from typing import Any
 
 import msgpack  # type: ignore[import-untyped]
 
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
 from robots import ALPHA_ONE
 
 NAMES = (
@@ -25,7 +25,7 @@ VALUES: tuple[Any, ...] = (
 
 def fields(sender: int = 7) -> dict[str, Any]:
     """The fields of an estimate as python-can sends them, in its order."""
-    frame = encode(Message(sender, 1, ALPHA_ONE, 3), FrameFormat())
+    frame = encode_estimate(Estimate(sender, 1, ALPHA_ONE, 3), FrameFormat())
     return {name: bytes(frame.data) if name == "data" else getattr(frame, name) for name in NAMES}
 
 

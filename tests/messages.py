@@ -12,19 +12,8 @@ from hypothesis import strategies as st
 
 from mcp_asdf.fixed_point import alpha_units, alpha_word_from_units
 from mcp_asdf_tools.bus import frames
-from mcp_asdf_tools.bus.frames import (
-    EVERY_ROBOT,
-    MAX_B_HAT,
-    MIN_B_HAT,
-    Action,
-    Command,
-    FrameFormat,
-    Health,
-    Heartbeat,
-    Message,
-    Mode,
-    Telemetry,
-)
+from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, MAX_B_HAT, MIN_B_HAT, Action, Health, Mode
+from mcp_asdf_tools.bus.frames import Command, Estimate, FrameFormat, Heartbeat, Telemetry
 from support import ROOT
 
 DEFAULT = FrameFormat()
@@ -49,8 +38,11 @@ class Kind(NamedTuple):
 
 
 KINDS: dict[type, Kind] = {
-    Message: Kind(
-        3000, "estimate", lambda it: frames.encode(it, DEFAULT), lambda frame: frames.decode(frame, DEFAULT)
+    Estimate: Kind(
+        3000,
+        "estimate",
+        lambda it: frames.encode_estimate(it, DEFAULT),
+        lambda frame: frames.decode_estimate(frame, DEFAULT),
     ),
     Heartbeat: Kind(7509, "heartbeat", frames.encode_heartbeat, frames.decode_heartbeat),
     Telemetry: Kind(3001, "telemetry", frames.encode_telemetry, frames.decode_telemetry),
@@ -71,7 +63,7 @@ def drawn(beyond: int = 0) -> st.SearchStrategy[Any]:
     alphas = st.builds(lambda word, cut: word >> cut << 8 | word & 0xFF, words, st.integers(8, 32))
     b_hats, targets = up_to(MAX_B_HAT, beyond, MIN_B_HAT), nodes | st.just(EVERY_ROBOT)
     return st.one_of(
-        st.builds(Message, nodes, ratios, words | alphas, transfers),
+        st.builds(Estimate, nodes, ratios, words | alphas, transfers),
         st.builds(Heartbeat, nodes, words, transfers, st.sampled_from(Health), st.sampled_from(Mode), codes),
         st.builds(Telemetry, nodes, ratios, b_hats, codes, transfers),
         st.builds(Command, nodes, words, targets, st.sampled_from(Action), transfers),
@@ -80,15 +72,15 @@ def drawn(beyond: int = 0) -> st.SearchStrategy[Any]:
 
 def as_decoded(message: Any) -> Any:
     """The message with the smallest shift of alpha, as decoding gives it."""
-    if not isinstance(message, Message):
+    if not isinstance(message, Estimate):
         return message
-    return Message(
+    return Estimate(
         message.sender, message.x_hat, alpha_word_from_units(alpha_units(message.alpha)), message.transfer_id
     )
 
 
 messages = drawn().map(as_decoded)
-estimates = messages.filter(lambda message: isinstance(message, Message))
+estimates = messages.filter(lambda message: isinstance(message, Estimate))
 
 
 def encoded(message: Any) -> can.Message:

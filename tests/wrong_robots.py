@@ -18,19 +18,15 @@ from mcp_asdf.fixed_point import ONE
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf.table import Table
+from mcp_asdf_tools.bus.alpha_words import alpha_word_from_bits, float32_bits, float32_value
+from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Action, Rejection
 from mcp_asdf_tools.bus.frames import (
-    EVERY_ROBOT,
-    Action,
     Command,
+    Estimate,
     FrameFormat,
-    Message,
-    Rejection,
-    alpha_bits,
-    bits_of,
-    decode,
+    alpha_float32_bits,
     decode_command,
-    float_of,
-    word_of,
+    decode_estimate,
 )
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
@@ -188,7 +184,7 @@ def _(node: Any, right: Act, command: Command) -> list[can.Message]:
 
 
 @wrong("_receive", "among neighbours", "drops older transfer ids")
-def _(node: Any, right: Act, message: Message) -> None:
+def _(node: Any, right: Act, message: Estimate) -> None:
     last, number = vars(node).setdefault("last", {}), message.transfer_id
     if (number - last.get(message.sender, number - 1)) % 32 < 16:
         last[message.sender] = number
@@ -197,7 +193,7 @@ def _(node: Any, right: Act, message: Message) -> None:
 
 def is_estimate(frame: can.Message) -> bool:
     """True for a legal one."""
-    return isinstance(decode(frame, FrameFormat()), Message)
+    return isinstance(decode_estimate(frame, FrameFormat()), Estimate)
 
 
 def drops(is_dropped: Callable[[Any], bool]) -> Act:
@@ -219,7 +215,7 @@ def reads(reason: Rejection, mend: Callable[[can.Message], object]) -> Act:
     """Takes frames that are to be rejected for a reason as if they were mended: a check was left out."""
 
     def hear(node: Any, right: Act, frame: can.Message) -> Any:
-        if decode(frame, FrameFormat()) is reason:
+        if decode_estimate(frame, FrameFormat()) is reason:
             frame = copy(frame)
             frame.data = bytearray(frame.data)
             mend(frame)
@@ -232,10 +228,10 @@ def accepts(reason: Rejection) -> Act:
     """Reads an estimate out of anything that is to be rejected for a reason."""
 
     def hear(node: Any, right: Act, frame: can.Message) -> Any:
-        if decode(frame, FrameFormat()) is not reason:
+        if decode_estimate(frame, FrameFormat()) is not reason:
             return right(frame)
         content = int.from_bytes(frame.data.ljust(8, b"\0"), "little")
-        alpha = word_of(min(content >> 24 & 0x7FFF_FFFF, 0x7F7F_FFFF))
+        alpha = alpha_word_from_bits(min(content >> 24 & 0x7FFF_FFFF, 0x7F7F_FFFF))
         node.robot.receive_raw(frame.arbitration_id & 0x7F, min(content & 0xFF_FFFF, ONE), alpha)
         return []
 
@@ -244,11 +240,11 @@ def accepts(reason: Rejection) -> Act:
 
 def to_nearest(frame: can.Message) -> can.Message:
     """An estimate whose alpha is the nearest multiple of 2^-24."""
-    if not is_estimate(frame) or (value := float_of(alpha_bits(frame))) > 1:
+    if not is_estimate(frame) or (value := float32_value(alpha_float32_bits(frame))) > 1:
         return frame
     rounded = copy(frame)
     rounded.data = (
-        frame.data[:3] + bits_of(round(value * 2**24) / 2**24).to_bytes(4, "little") + frame.data[7:]
+        frame.data[:3] + float32_bits(round(value * 2**24) / 2**24).to_bytes(4, "little") + frame.data[7:]
     )
     return rounded
 
@@ -470,7 +466,8 @@ WRONG |= {
     "compares the priority of estimates": node("unusual identifiers", hear=compares(3000, 7 << 26)),
     "compares ignored bits of estimates": node("unusual identifiers", hear=compares(3000, 3 << 21)),
     "refuses large alphas": node(
-        "nothing seen", hear=drops(lambda frame: is_estimate(frame) and alpha_bits(frame) >= bits_of(2.0**31))
+        "nothing seen",
+        hear=drops(lambda frame: is_estimate(frame) and alpha_float32_bits(frame) >= float32_bits(2.0**31)),
     ),
     "rounds foreign alphas": node("nothing seen", hear=given(to_nearest)),
     "hears itself": node(

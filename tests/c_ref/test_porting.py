@@ -19,7 +19,7 @@ from mcp_asdf.fixed_point import alpha_word_from_float
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.bus import frames
-from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, Telemetry
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, Telemetry
 from simulated_avr import Board, require_simavr
 from support import CORE, ROOT, block_with, blocks, require, run, slow
 
@@ -68,13 +68,15 @@ def expected(ticks: Script) -> bytes:
                 lost += 1
                 continue
             identifier = int.from_bytes(content[:4], "little")
-            message = frames.decode(can.Message(arbitration_id=identifier, data=content[4:-1]), ESTIMATES)
-            if isinstance(message, Message):
+            message = frames.decode_estimate(
+                can.Message(arbitration_id=identifier, data=content[4:-1]), ESTIMATES
+            )
+            if isinstance(message, Estimate):
                 robot.receive_raw(message.sender, message.x_hat, message.alpha)
         if tile != NO_TILE:
             robot.observe(Observation(tile))
-        own = Message(ROBOT_ID, robot.x_hat_raw, robot.alpha_raw, (number - 1) % 32)
-        sent += packet(frames.encode(own, ESTIMATES))
+        own = Estimate(ROBOT_ID, robot.x_hat_raw, robot.alpha_raw, (number - 1) % 32)
+        sent += packet(frames.encode_estimate(own, ESTIMATES))
         robot.settle()
         if number % 10 == 0:
             seconds, count, updates = number // 10, (number // 10 - 1) % 32, robot.counters.updates % 256
@@ -105,7 +107,7 @@ def played(ticks: Script) -> bytes:
 def a_packet(stream: random.Random) -> bytes:
     sender, x_hat = stream.choice((1, 2, 3, ROBOT_ID, 127)), round(2**23 * stream.uniform(0.6, 0.8))
     alpha = alpha_word_from_float(stream.choice((0.0, 1.0, 1e3, 1e8)))
-    frame = frames.encode(Message(sender, x_hat, alpha, stream.randrange(32)), ESTIMATES)
+    frame = frames.encode_estimate(Estimate(sender, x_hat, alpha, stream.randrange(32)), ESTIMATES)
     if stream.random() < 0.1:  # off the grid, too large, too small, or none
         frame.data[3:7] = stream.randbytes(4)
     if stream.random() < 0.2:  # another subject, x_hat too large, no estimate at all
@@ -335,16 +337,16 @@ def test_two_kilobots_exchange_estimates(tmp_path: Path) -> None:
     ]
     for number in range(40):
         for (robot, mirror), (other, _) in (both, both[::-1]):
-            own = Message(mirror.id, mirror.x_hat_raw, mirror.alpha_raw, number % 32)
+            own = Estimate(mirror.id, mirror.x_hat_raw, mirror.alpha_raw, number % 32)
             assert robot.says() == said(own)
             ids = draw.sample(range(7, 40), draw.choice((0, 1, 9)))
-            strangers = [said(Message(each, draw.randrange(2**23), 0x80000001, 0)) for each in ids]
+            strangers = [said(Estimate(each, draw.randrange(2**23), 0x80000001, 0)) for each in ids]
             heard = [other.says(), *strangers, b"\xff" * 12]
             for message in heard:
                 robot.hears(message)
             for message in heard[:WAITING]:
-                found = frames.decode(frame_of(message), ESTIMATES)
-                if isinstance(found, Message):
+                found = frames.decode_estimate(frame_of(message), ESTIMATES)
+                if isinstance(found, Estimate):
                     mirror.receive_raw(found.sender, found.x_hat, found.alpha)
             assert robot.loops(ROUND * number + ROUND - 1, 0) == mirror.x_raw, "the round goes on"
             light = draw.choice((-1, 511, 511, 512, 1023))
@@ -355,13 +357,13 @@ def test_two_kilobots_exchange_estimates(tmp_path: Path) -> None:
     assert all(mirror.counters.repeated + mirror.counters.accepted > 40 for _, mirror in both)
 
 
-def said(message: Message) -> bytes:
+def said(message: Estimate) -> bytes:
     """What a Kilobot makes of an estimate: node id, data, type and checksum."""
-    frame = frames.encode(message, ESTIMATES)
+    frame = frames.encode_estimate(message, ESTIMATES)
     return bytes([frame.arbitration_id & 0x7F, *frame.data, 0, 0x34, 0x12])
 
 
 def frame_of(message: bytes) -> can.Message:
     """The estimate's frame of a message."""
-    empty = frames.encode(Message(0, 0, 0, 0), ESTIMATES)
+    empty = frames.encode_estimate(Estimate(0, 0, 0, 0), ESTIMATES)
     return can.Message(arbitration_id=empty.arbitration_id | message[0], data=message[1:9])

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
 from support import CORE, PAGES, PATIENCE, ROOT, TABLE, block_with, blocks, require, run
 from targets.c_node import CORTEX_A8, PLAIN, Kind, built
 from targets.test_khepera import LIBRARY
@@ -86,7 +86,8 @@ static long read_neighbours(int file, char *c, unsigned long size)
 def swarm_of_the_tutorial() -> str:
     """C code that takes the place of the tutorial's bus: five neighbours that see nine tiles in ten black."""
     frames = [
-        encode(Message(sender, 7_549_747 + 999 * sender, 0x8000000A, 0), FrameFormat()) for sender in range(5)
+        encode_estimate(Estimate(sender, 7_549_747 + 999 * sender, 0x8000000A, 0), FrameFormat())
+        for sender in range(5)
     ]
     lines = [f"T{frame.arbitration_id:08X}8{frame.data.hex().upper()}\\r" for frame in frames]
     return SWARM_OF_THE_TUTORIAL.format(lines="".join(lines))

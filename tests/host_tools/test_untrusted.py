@@ -24,7 +24,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.crosscheck.scenario import parse_scenario
 from mcp_asdf_tools.experiments import experiment_files
@@ -79,7 +79,7 @@ def log(suffix: str) -> bytes:
         path = Path(folder) / f"run{suffix}"
         with can.Logger(path) as take:
             for sender in range(5):
-                take(encode(Message(sender, 0x200000, 0x80000001, 3), FrameFormat(), sender * 0.1))
+                take(encode_estimate(Estimate(sender, 0x200000, 0x80000001, 3), FrameFormat(), sender * 0.1))
         return path.read_bytes()
 
 

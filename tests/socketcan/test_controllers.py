@@ -15,7 +15,7 @@ import can
 import pytest
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from robots import ALPHA_ONE
 from socketcan.test_socketcan import ESTIMATE, wait_for
@@ -60,7 +60,9 @@ def test_a_node_on_a_controller_has_the_bits_of_a_python_node(
             lockstep.observe({3: Observation(draw.randrange(2))})
             for robot in (0, 1, 2):
                 frames.append(
-                    encode(Message(robot, draw.randrange(2**23), ALPHA_ONE, tick % 32), FrameFormat())
+                    encode_estimate(
+                        Estimate(robot, draw.randrange(2**23), ALPHA_ONE, tick % 32), FrameFormat()
+                    )
                 )
                 wire.send(frames[-1], timeout=PATIENCE)
             lockstep.estimates([3])

@@ -11,7 +11,7 @@ from pathlib import Path
 import can
 import pytest
 
-from mcp_asdf_tools.bus.frames import Command, FrameFormat, Message, decode_command, encode
+from mcp_asdf_tools.bus.frames import Command, Estimate, FrameFormat, decode_command, encode_estimate
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 from robots import ALPHA_ONE
 from socketcan.candump import Candump
@@ -88,7 +88,7 @@ def is_command_to(robot: int, frame: can.Message) -> bool:
 # ---- What the kernel is asked for ----
 
 
-ESTIMATE = encode(Message(3, 2**22, ALPHA_ONE, 0), FrameFormat())
+ESTIMATE = encode_estimate(Estimate(3, 2**22, ALPHA_ONE, 0), FrameFormat())
 
 
 @pytest.fixture

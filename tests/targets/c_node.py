@@ -17,7 +17,7 @@ import pytest
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import DEFAULT_FILTER_PERIOD, Filter, Observation
-from mcp_asdf_tools.bus.frames import MAX_NODE_ID
+from mcp_asdf_tools.bus.frame_layout import MAX_NODE_ID
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega

@@ -21,8 +21,9 @@ import yaml
 
 from benchmarks.cost.images import TARGETS, Image
 from mcp_asdf.robot import Config, Filter
-from mcp_asdf_tools.bus.frames import Action, Heartbeat, decode_heartbeat
-from mcp_asdf_tools.bus.slcan_server import frame_of, line_of
+from mcp_asdf_tools.bus.frame_layout import Action
+from mcp_asdf_tools.bus.frames import Heartbeat, decode_heartbeat
+from mcp_asdf_tools.bus.slcan_server import format_frame_line, parse_frame
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.robots.record import RobotRecord
@@ -117,7 +118,7 @@ class Model:
         return sent
 
     def _line_ended(self, line: bytes) -> bytes:
-        frame = frame_of(line) if line[:1] in (b"t", b"T", b"r", b"R") else None
+        frame = parse_frame(line) if line[:1] in (b"t", b"T", b"r", b"R") else None
         if frame is None and (len(line) > _LONGEST or _COMMAND.fullmatch(line) is None):
             return self._drop()
         return self._command(line[:1]) if frame is None else self._frame(frame)
@@ -130,7 +131,7 @@ class Model:
         for answer in answers:
             if isinstance(decode_heartbeat(answer), Heartbeat):
                 answer.data[4] = is_unwell  # health: advisory
-        return (b"Z\r" if frame.is_extended_id else b"z\r") + b"".join(map(line_of, answers))
+        return (b"Z\r" if frame.is_extended_id else b"z\r") + b"".join(map(format_frame_line, answers))
 
     def _command(self, command: bytes) -> bytes:
         flags = b"F%02X\r" % (8 * (self.dropped > 0))
@@ -138,7 +139,7 @@ class Model:
         self.is_open = command == b"O" or (self.is_open and command != b"C")
         if command == b"O":
             self.node = switched_on(self._filters)
-            answer += b"".join(map(line_of, self.node.start()))
+            answer += b"".join(map(format_frame_line, self.node.start()))
         return answer
 
     def _drop(self) -> bytes:
@@ -154,7 +155,7 @@ REQUESTS = (b"\r", b"V\r", b"N\r", b"F\r", b"S8\r", b"s031C\r", b"z\r", b"Z\r", 
 
 def any_line(draw: random.Random) -> bytes:
     """A frame's, or one that is said twice, cut or spoilt, or garbage; no opening."""
-    line = line_of(any_frame(draw, IMAGE_ID, Subjects()))
+    line = format_frame_line(any_frame(draw, IMAGE_ID, Subjects()))
     at = draw.randrange(len(line) - 1)
     spoilt = line[:at] + bytes([line[at] ^ 1 << draw.randrange(8)]) + line[at + 1 :]
     cut, garbage = line[: max(at, 2)] + b"\r", draw.randbytes(draw.randrange(60)) + b"?\r"
@@ -178,7 +179,7 @@ def test_whatever_comes_in_the_robot_says_what_its_model_says(
     command = ["timeout", str(PATIENCE / 4), *(QEMU[target].split() + alone if target in QEMU else [])]
     command.append(str(image))
     ticks = [
-        line_of(command_frame(tick, IMAGE_ID, action, Subjects()))
+        format_frame_line(command_frame(tick, IMAGE_ID, action, Subjects()))
         for tick in range(11)
         for action in (Action.OBSERVE_BLACK, Action.SETTLE)
     ]

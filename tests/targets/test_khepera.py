@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
 from multicast import multicast
 from support import PATIENCE, ROOT, blocks, require, run
 from targets.c_node import CORTEX_A8
@@ -105,11 +105,11 @@ def test_the_page_makes_a_robot(tmp_path: Path) -> None:
         done = subprocess.run(
             command, shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE, check=True
         )
-        heard = [decode(frame, FrameFormat()) for frame in iter(lambda: bus.recv(1), None)]
+        heard = [decode_estimate(frame, FrameFormat()) for frame in iter(lambda: bus.recv(1), None)]
     figures = json.loads(done.stdout)
     assert (figures["ended"], figures["t"]) == ("observations", 200)
     assert figures["n"] == sum(reading < threshold for reading in readings)
-    estimates = [each for each in heard if isinstance(each, Message)]
+    estimates = [each for each in heard if isinstance(each, Estimate)]
     assert [each.sender for each in estimates] == [7] * figures["estimates"]
     assert (estimates[-1].x_hat, (tmp_path / "robot.state").exists()) == (figures["x_hat"], True)
 

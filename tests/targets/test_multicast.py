@@ -19,7 +19,7 @@ from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
 from datagrams import odd_datagrams
 from mcp_asdf_tools.bus.datagrams import unpack_data_frame
-from mcp_asdf_tools.bus.frames import Action
+from mcp_asdf_tools.bus.frame_layout import Action
 from mcp_asdf_tools.cli.main import main
 from multicast import multicast
 from support import PATIENCE, require, run, slow

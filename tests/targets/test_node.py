@@ -25,16 +25,15 @@ import can
 import pytest
 
 from mcp_asdf.robot import Config, Filter, Observation
+from mcp_asdf_tools.bus.frame_layout import Action, Health
 from mcp_asdf_tools.bus.frames import (
-    Action,
     Command,
+    Estimate,
     FrameFormat,
-    Health,
     Heartbeat,
-    Message,
     decode_heartbeat,
-    encode,
     encode_command,
+    encode_estimate,
 )
 from mcp_asdf_tools.radio.bench import BenchOptions
 from mcp_asdf_tools.radio.verification import Verification
@@ -150,7 +149,7 @@ def any_frame(draw: random.Random, own: int = ID, subjects: Subjects = SUBJECTS)
     """A frame that a robot may hear: legal, or with something wrong."""
     if draw.random() < 0.5:
         sender, alpha = draw.choice((own, *range(7))), draw.choice((0, 0xFF, draw.getrandbits(32)))
-        frame = encode(Message(sender, draw.randrange(2**23 + 1), alpha, 0), subjects.estimates)
+        frame = encode_estimate(Estimate(sender, draw.randrange(2**23 + 1), alpha, 0), subjects.estimates)
     else:
         target, action = draw.choice((own, own, 255, 4)), draw.choice(list(Action))
         frame = command_frame(draw.randrange(2), target, action, subjects)

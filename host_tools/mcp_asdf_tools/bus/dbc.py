@@ -1,109 +1,149 @@
-"""The frames as a DBC file, from which CAN tools decode them (``docs/frame.md`` is its source)."""
+"""The frames as a DBC file, from which CAN tools decode them. It is written from ``frame_layout``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from mcp_asdf_tools.bus.frames import COMMANDS, TELEMETRY, FrameFormat, Heartbeat, encode_heartbeat
+from mcp_asdf_tools.bus.frame_layout import (
+    COMMAND,
+    ESTIMATE,
+    FRAME_BYTES,
+    HEARTBEAT,
+    TELEMETRY,
+    Field,
+    FrameKind,
+)
+from mcp_asdf_tools.bus.frames import (
+    COMMAND_FORMAT,
+    TELEMETRY_FORMAT,
+    FrameFormat,
+    Heartbeat,
+    encode_heartbeat,
+)
 from mcp_asdf_tools.common.errors import UsageError
 
 ANY_NODE_MASK = 0x1FFF_FF00
 """Mask of the identifier bits to compare when one entry serves all nodes."""
 
-_EXTENDED = 1 << 31
-
-# Signals are first bit | bits @ little endian, sign (factor, offset) [least | most]; # is the identifier.
-_KINDS = {
-    "Estimate": """\
-CM_ BO_ # "A robot's broadcast";
-SG_ x_hat : 0|24@1+ (1.1920928955078125E-07,0) [0|1]
-CM_ SG_ # x_hat "local estimate (eq. 3)";
-SG_ alpha : 24|32@1- (1,0) [0|3.4028234663852886E+38]
-CM_ SG_ # alpha "local confidence (eq. 4)";
-SIG_VALTYPE_ # alpha : 1;
-""",
-    "Heartbeat": """\
-CM_ BO_ # "A node's heartbeat, once per second";
-SG_ uptime : 0|32@1+ (1,0) [0|4294967295]
-CM_ SG_ # uptime "seconds since start";
-SG_ health : 32|2@1+ (1,0) [0|3]
-CM_ SG_ # health "health of the node";
-VAL_ # health 0 "NOMINAL" 1 "ADVISORY" 2 "CAUTION" 3 "WARNING" ;
-SG_ mode : 40|3@1+ (1,0) [0|3]
-CM_ SG_ # mode "operating mode of the node";
-VAL_ # mode 0 "OPERATIONAL" 1 "INITIALIZATION" 2 "MAINTENANCE" 3 "SOFTWARE_UPDATE" ;
-SG_ vendor_status : 48|8@1+ (1,0) [0|255]
-CM_ SG_ # vendor_status "the application's own code";
-""",
-    "Telemetry": """\
-CM_ BO_ # "A robot's state for observers of the bus";
-SG_ x : 0|24@1+ (1.1920928955078125E-07,0) [0|1]
-CM_ SG_ # x "informed estimate (eq. 7)";
-SG_ b_hat : 24|24@1+ (5.960464477539063E-08,0) [9.5367431640625E-07|0.9999990463256836]
-CM_ SG_ # b_hat "assumed accuracy";
-SG_ updates : 48|8@1+ (1,0) [0|255]
-CM_ SG_ # updates "number of re-estimates of b_hat (eq. 8) modulo 256";
-""",
-    "Command": """\
-CM_ BO_ # "A simulator's order";
-SG_ tick : 0|32@1+ (1,0) [0|4294967295]
-CM_ SG_ # tick "number of the control tick";
-SG_ target : 32|8@1+ (1,0) [0|255]
-CM_ SG_ # target "id of the robot addressed";
-VAL_ # target 255 "EVERY_ROBOT" ;
-SG_ action : 40|8@1+ (1,0) [0|3]
-CM_ SG_ # action "half of a tick to do";
-VAL_ # action 0 "OBSERVE_WHITE" 1 "OBSERVE_BLACK" 2 "OBSERVE_NONE" 3 "SETTLE" ;
-""",
-}
-_TAIL = """\
-SG_ transfer_id : 56|5@1+ (1,0) [0|31]
-CM_ SG_ # transfer_id "number of the sender's messages of this kind modulo 32";
-SG_ start_end_toggle : 61|3@1+ (1,0) [7|7]
-CM_ SG_ # start_end_toggle "7: the transfer is this one frame";
-"""
+_EXTENDED_IDENTIFIER = 1 << 31
+"""Mark of a 29-bit identifier in a DBC file."""
 
 
-def dbc_text(estimates: FrameFormat, nodes: Sequence[int] | None = None) -> str:
-    """The text of a DBC file: all kinds from each of ``nodes`` or, if None, one entry a kind for any node.
+@dataclass(frozen=True)
+class _Entry:
+    """One kind of frame of one node in the file.
 
-    Entries for any node have the identifier of node 0. Raises UsageError if a node is not 0 .. 127 or listed
-    twice, or if the subject of ``estimates`` is that of telemetry or of commands. O(len(nodes)).
+    Attributes:
+        kind: The kind of frame.
+        identifier: Its identifier as the file has it, with the mark of a 29-bit one.
+        node_suffix: What follows the names of message and node: "" for any node, otherwise "_" and its id.
     """
-    if estimates.subject in (TELEMETRY.subject, COMMANDS.subject):
+
+    kind: FrameKind
+    identifier: int
+    node_suffix: str
+
+
+def dbc_text(estimate_format: FrameFormat, nodes: Sequence[int] | None = None) -> str:
+    """Return the text of a DBC file with all kinds of frames.
+
+    Each of ``nodes`` gets its own entries; if it is None, one entry for each kind serves any node and has the
+    identifier of node 0. Raises UsageError if a node is not 0 .. 127 or listed twice, or if the subject of
+    the estimates is that of telemetry or of commands. O(len(nodes)).
+    """
+    if estimate_format.subject in (TELEMETRY_FORMAT.subject, COMMAND_FORMAT.subject):
         raise UsageError(
-            f"subject {estimates.subject} is that of telemetry or commands; choose another for estimates"
+            f"subject {estimate_format.subject} is that of telemetry or commands; "
+            "choose another for estimates"
         )
-    if nodes is not None and len(set(nodes)) < len(nodes):
-        twice = next(node for node in nodes if nodes.count(node) > 1)
-        raise UsageError(f"node {twice} is listed twice; each id belongs to one node")
-    senders = [(0, "")] if nodes is None else [(node, f"_{node}") for node in nodes]
+    if nodes is None:
+        suffix_by_node = {0: ""}
+    else:
+        _check_unique(nodes)
+        suffix_by_node = {node: f"_{node}" for node in nodes}
     entries = [
-        (kind, suffix, identifier | _EXTENDED)
-        for node, suffix in senders
-        for kind, identifier in zip(_KINDS, _identifiers(estimates, node), strict=True)
+        _Entry(kind, identifier | _EXTENDED_IDENTIFIER, suffix)
+        for node, suffix in suffix_by_node.items()
+        for kind, identifier in _identified_kinds(estimate_format, node)
     ]
-    parts = [
-        'VERSION ""\n',
-        "NS_ :\n",
-        "BS_:\n",
-        f"BU_: {' '.join(f'Robot{suffix}' for _, suffix in senders)}\n",
+    node_names = " ".join(f"Robot{suffix}" for suffix in suffix_by_node.values())
+    sections = ['VERSION ""\n', "NS_ :\n", "BS_:\n", f"BU_: {node_names}\n"]
+    sections += [_message_section(entry) for entry in entries]
+    sections += [
+        "".join(line for entry in entries for line in lines_of_section(entry))
+        for lines_of_section in (_comments, _value_descriptions, _float_types)
     ]
-    for kind, suffix, identifier in entries:
-        signals = "".join(f' {line} "" Vector__XXX\n' for line in _lines(kind, identifier, "SG_"))
-        parts.append(f"BO_ {identifier} {kind}{suffix}: 8 Robot{suffix}\n{signals}")
-    for section in ("CM_", "VAL_", "SIG_VALTYPE_"):
-        lines = [line for kind, _, identifier in entries for line in _lines(kind, identifier, section)]
-        parts.append("".join(f"{line}\n" for line in lines))
-    return "\n".join(parts)
+    return "\n".join(sections)
 
 
-def _identifiers(estimates: FrameFormat, node: int) -> tuple[int, ...]:
-    heartbeat = encode_heartbeat(Heartbeat(node, 0, 0)).arbitration_id
-    return estimates.identifier(node), heartbeat, TELEMETRY.identifier(node), COMMANDS.identifier(node)
+def _check_unique(nodes: Sequence[int]) -> None:
+    for node in nodes:
+        if nodes.count(node) > 1:
+            raise UsageError(f"node {node} is listed twice; each id belongs to one node")
 
 
-def _lines(kind: str, identifier: int, keyword: str) -> list[str]:
-    """The lines of a message that begin with a keyword."""
-    text = (_KINDS[kind] + _TAIL).replace("#", str(identifier))
-    return [line for line in text.splitlines() if line.startswith(f"{keyword} ")]
+def _identified_kinds(estimate_format: FrameFormat, node: int) -> list[tuple[FrameKind, int]]:
+    """Return all kinds of frames, each with the 29-bit identifier that it has from a node."""
+    heartbeat = encode_heartbeat(Heartbeat(node, uptime=0, transfer_id=0))
+    return [
+        (ESTIMATE, estimate_format.identifier(node)),
+        (HEARTBEAT, heartbeat.arbitration_id),
+        (TELEMETRY, TELEMETRY_FORMAT.identifier(node)),
+        (COMMAND, COMMAND_FORMAT.identifier(node)),
+    ]
+
+
+def _message_section(entry: _Entry) -> str:
+    """Return a BO_ section: the message, its sender, and a line for each signal."""
+    node_name = f"Robot{entry.node_suffix}"
+    header = f"BO_ {entry.identifier} {entry.kind.name}{entry.node_suffix}: {FRAME_BYTES} {node_name}\n"
+    # "Vector__XXX" is DBC's word for "no particular receiver".
+    signals = [f' {_signal(field)} "" Vector__XXX\n' for field in entry.kind.fields_and_tail]
+    return header + "".join(signals)
+
+
+def _signal(field: Field) -> str:
+    """Return a signal's name, bits, scale and range: ``x : 0|24@1+ (1,0) [0|5]``; 1 is for little endian."""
+    sign = "-" if field.is_float else "+"
+    if field.is_float:
+        minimum, maximum = "0", "3.4028234663852886E+38"
+    else:
+        # The file has no way to describe a gap, so a special value belongs to the range.
+        largest = max(field.maximum, field.special_value or 0)
+        minimum, maximum = _number(field.minimum * field.unit), _number(largest * field.unit)
+    bits = f"{field.first_bit}|{field.bit_count}@1{sign}"
+    return f"SG_ {field.name} : {bits} ({_number(field.unit)},0) [{minimum}|{maximum}]"
+
+
+def _number(value: float) -> str:
+    """Return a number with all its digits, without a point if it is an integer."""
+    return str(int(value)) if value.is_integer() else repr(value).upper()
+
+
+def _comments(entry: _Entry) -> list[str]:
+    """Return the CM_ lines: the meaning of the message and of each signal."""
+    message_comment = f'CM_ BO_ {entry.identifier} "{entry.kind.meaning}";\n'
+    return [message_comment] + [
+        f'CM_ SG_ {entry.identifier} {field.name} "{field.meaning}";\n'
+        for field in entry.kind.fields_and_tail
+    ]
+
+
+def _value_descriptions(entry: _Entry) -> list[str]:
+    """Return the VAL_ lines: the names of the values of signals that have names."""
+    lines = []
+    for field in entry.kind.fields:
+        if field.value_names:
+            names = " ".join(f'{value} "{name}"' for value, name in field.value_names.items())
+            lines.append(f"VAL_ {entry.identifier} {field.name} {names} ;\n")
+    return lines
+
+
+def _float_types(entry: _Entry) -> list[str]:
+    """Return the SIG_VALTYPE_ lines: the signals that are binary32 numbers."""
+    return [
+        f"SIG_VALTYPE_ {entry.identifier} {field.name} : 1;\n"
+        for field in entry.kind.fields
+        if field.is_float
+    ]

@@ -1,4 +1,4 @@
-"""Load of a real CAN bus, at worst."""
+"""The load that frames put on a real CAN bus, in the worst case."""
 
 from __future__ import annotations
 
@@ -7,27 +7,30 @@ import can
 BIT_RATES = (125_000, 250_000, 500_000, 1_000_000)
 """Usual rates of classic CAN, bit/s."""
 
-LIMIT = 0.7
+HIGH_LOAD = 0.7
 """Share of a bus's time above which frames of low priority wait long."""
 
-_ERROR_BITS = 23
-"""An error frame at its longest, two superposed flags and the delimiter, with the gap to the next frame."""
+_ERROR_FRAME_BITS = 23
+"""An error frame at its longest: two superposed flags, the delimiter and the gap to the next frame."""
 
-_TRAILER = 13
-"""Bits that are never stuffed: delimiters, acknowledgement, end of frame and the gap to the next."""
+_UNSTUFFED_BITS = 13
+"""Bits at the end of a frame that are never stuffed: delimiters, acknowledgement, end and gap."""
 
 
-def worst_bits(frame: can.Message) -> int:
-    """Bits of a classic frame on the wire at worst, when a bit is stuffed after each run of the others.
+def worst_case_bits(frame: can.Message) -> int:
+    """Return how many bits a classic frame takes on the wire at most.
 
-    A frame of 8 bytes with a 29-bit identifier takes 160; on average it is 137.
+    CAN stuffs a bit after five equal ones. The stuffed bit counts towards the next five, so that in the worst
+    case one is stuffed after every four. A frame of 8 bytes with a 29-bit identifier takes 160 bits at most
+    and 137 on average.
     """
     if frame.is_error_frame:
-        return _ERROR_BITS
-    stuffable = (54 if frame.is_extended_id else 34) + 8 * len(frame.data)
-    return stuffable + (stuffable - 1) // 4 + _TRAILER
+        return _ERROR_FRAME_BITS
+    header_and_checksum_bits = 54 if frame.is_extended_id else 34
+    stuffable_bits = header_and_checksum_bits + 8 * len(frame.data)
+    return stuffable_bits + (stuffable_bits - 1) // 4 + _UNSTUFFED_BITS
 
 
 def bus_load(bits: float, seconds: float, bit_rate: float) -> float:
-    """Share of a bus's time that ``bits`` take in ``seconds``; above 1 they do not fit."""
+    """Return the share of a bus's time that ``bits`` take in ``seconds``; above 1 they do not fit."""
     return bits / (seconds * bit_rate)

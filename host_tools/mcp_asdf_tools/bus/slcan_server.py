@@ -19,108 +19,121 @@ from mcp_asdf_tools.common.errors import UsageError
 HOST = "127.0.0.1"
 
 _OK, _ERROR = b"\r", b"\a"
-_LONGEST_LINE = 32
-_TIMEOUT = 1.0
-_BUFFER_BYTES = 1 << 16
-# Bit rate, time stamps, filters, polling: accepted, without effect here.
-_SETTINGS = b"SsYZMmXWA"
+_MAX_LINE_BYTES = 32
+_SEND_TIMEOUT = 1.0
+_SEND_BUFFER_BYTES = 1 << 16
+# Bit rate, time stamps, filters, polling: an adapter accepts them, but they mean nothing on this bus.
+_IGNORED_COMMANDS = b"SsYZMmXWA"
 _ANSWERS = {b"V": b"V1013\r", b"v": b"v0100\r", b"N": b"N0001\r", b"F": b"F00\r"}
 
 
 class SlcanServer:
-    """An adapter for one program at a time. A context manager: leaving it closes port and bus.
+    """An slcan adapter for one client at a time. A context manager: leaving it closes port and bus.
 
-    Classic frames only: FD and error frames are not passed on.
+    It passes on classic frames only, no CAN FD and no error frames.
 
     Attributes:
         port: The TCP port it listens at.
-        dropped: Frames that the program was too slow to take.
+        dropped: Number of frames that the client was too slow to take.
     """
 
     def __init__(self, bus: can.BusABC, port: int = 0) -> None:
         """Listen at ``port`` of this machine, 1 .. 65535, or at a free one if 0.
 
-        ``bus`` is a connection of the server's own. Raises UsageError if the port is not available.
+        ``bus`` is a connection for the server alone. Raises UsageError if the port is not available.
         """
         self.dropped = 0
         self._bus = bus
-        self._program: socket.socket | None = None
-        self._is_open = self._is_closing = False
-        self._writing = threading.Lock()
+        self._client: socket.socket | None = None
+        self._is_channel_open = False
+        self._is_closing = False
+        self._write_lock = threading.Lock()
         try:
-            self._listener = _listener_at(port)
+            self._listener = _listen_at(port)
         except UsageError:
             bus.shutdown()
             raise
         self.port: int = self._listener.getsockname()[1]
-        self._notifier = can.Notifier(bus, [self._pass_on], timeout=0.1)
-        self._server = threading.Thread(target=self._serve, daemon=True)
-        self._server.start()
+        self._notifier = can.Notifier(bus, [self._forward_to_client], timeout=0.1)
+        self._server_thread = threading.Thread(target=self._serve_clients, daemon=True)
+        self._server_thread.start()
 
     def __enter__(self) -> SlcanServer:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._is_closing = True
-        for end in (self._listener, self._program):
-            if end is not None:
+        # A thread that blocks in accept() or recv() returns once its socket is shut down.
+        for blocking_socket in (self._listener, self._client):
+            if blocking_socket is not None:
                 with suppress(OSError):  # it may be closed, or not connected, by now
-                    end.shutdown(socket.SHUT_RDWR)
+                    blocking_socket.shutdown(socket.SHUT_RDWR)
         self._listener.close()
-        self._server.join()
+        self._server_thread.join()
         self._notifier.stop()
         self._bus.shutdown()
 
-    def _serve(self) -> None:
-        with suppress(OSError):  # the listener was closed
+    def _serve_clients(self) -> None:
+        """Serve one client after the other, until the listener is closed."""
+        with suppress(OSError):  # accept() fails once the listener is closed
             while True:
-                program, _ = self._listener.accept()
-                with program, suppress(ConnectionError):
-                    program.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
-                    program.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
-                    self._program = program
+                client, _ = self._listener.accept()
+                with client, suppress(ConnectionError):
+                    client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
+                    client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+                    self._client = client
                     if self._is_closing:
                         return
-                    self._talk(program)
-                self._is_open, self._program = False, None
+                    self._answer_lines(client)
+                self._is_channel_open, self._client = False, None
 
-    def _talk(self, program: socket.socket) -> None:
-        for line in _lines(program):
-            answer = self._obey(line)
-            with self._writing:
-                program.sendall(answer)
+    def _answer_lines(self, client: socket.socket) -> None:
+        """Answer each line of the client, until it leaves."""
+        for line in _read_lines(client):
+            answer = self._handle_line(line)
+            with self._write_lock:
+                client.sendall(answer)
 
-    def _obey(self, line: bytes) -> bytes:
-        """Do what a line asks for; returns the answer."""
+    def _handle_line(self, line: bytes) -> bytes:
+        """Do what a line without its end asks for, and return the answer."""
         command = line[:1]
         if command in (b"O", b"L", b"C"):
-            self._is_open = command != b"C"
+            self._is_channel_open = command != b"C"
             return _OK
         if command in (b"t", b"T", b"r", b"R"):
-            frame = frame_of(line)
-            return _ERROR if frame is None or not self._is_open else self._send(frame)
-        return _ANSWERS.get(command, _OK if command in _SETTINGS or not line else _ERROR)
+            frame = parse_frame(line)
+            if frame is None or not self._is_channel_open:
+                return _ERROR
+            return self._send_on_bus(frame)
+        if command in _ANSWERS:
+            return _ANSWERS[command]
+        is_accepted = not line or command in _IGNORED_COMMANDS
+        return _OK if is_accepted else _ERROR
 
-    def _send(self, frame: can.Message) -> bytes:
+    def _send_on_bus(self, frame: can.Message) -> bytes:
+        """Send a frame of the client on the bus, and return the answer."""
         try:
-            self._bus.send(frame, timeout=_TIMEOUT)
+            self._bus.send(frame, timeout=_SEND_TIMEOUT)
         except can.CanError:
             return _ERROR
         return b"Z\r" if frame.is_extended_id else b"z\r"
 
-    def _pass_on(self, frame: can.Message) -> None:
-        program = self._program
-        if program is None or not self._is_open or frame.is_fd or frame.is_error_frame:
+    def _forward_to_client(self, frame: can.Message) -> None:
+        """Write a frame of the bus to the client, or drop and count it if the client is too slow."""
+        client = self._client
+        if client is None or not self._is_channel_open or frame.is_fd or frame.is_error_frame:
             return
-        # A writable socket has room for a short line: a slow program loses whole frames only.
-        with self._writing, suppress(OSError, ValueError):  # the program may have left by now
-            if select.select([], [program], [], 0)[1]:
-                program.sendall(line_of(frame))
+        with self._write_lock, suppress(OSError, ValueError):  # the client may have left by now
+            # A socket that is writable has room for a short line, so that no line is cut in two.
+            _, writable, _ = select.select([], [client], [], 0)
+            if writable:
+                client.sendall(format_frame_line(frame))
             else:
                 self.dropped += 1
 
 
-def _listener_at(port: int) -> socket.socket:
+def _listen_at(port: int) -> socket.socket:
+    """Return a socket that listens at a port of this machine. Raises UsageError if that is impossible."""
     if not 0 <= port <= 65535:
         raise UsageError(f"slcan port is {port}; it must be 1 to 65535, or 0 for a free one")
     try:
@@ -129,42 +142,49 @@ def _listener_at(port: int) -> socket.socket:
         raise UsageError(f"cannot serve slcan at port {port}: {error}; choose another port") from error
 
 
-def line_of(frame: can.Message) -> bytes:
-    """A classic frame as a line."""
-    kind = "r" if frame.is_remote_frame else "t"
+def format_frame_line(frame: can.Message) -> bytes:
+    """Return the slcan line of a classic frame, with its end."""
+    command = "r" if frame.is_remote_frame else "t"
     identifier = f"{frame.arbitration_id:03X}"
     if frame.is_extended_id:
-        kind, identifier = kind.upper(), f"{frame.arbitration_id:08X}"
+        command, identifier = command.upper(), f"{frame.arbitration_id:08X}"
     data = "" if frame.is_remote_frame else frame.data.hex().upper()
-    return f"{kind}{identifier}{frame.dlc}{data}\r".encode()
+    return f"{command}{identifier}{frame.dlc}{data}\r".encode()
 
 
-def frame_of(line: bytes) -> can.Message | None:
-    """The frame of a line without its end; None if the line is malformed."""
-    kind, digits = line[:1], 8 if line[:1].isupper() else 3
-    if not line.isalnum():  # int() and fromhex() would take white space and signs
+def parse_frame(line: bytes) -> can.Message | None:
+    """Return the frame of an slcan line without its end, or None if the line is malformed."""
+    if not line.isalnum():  # int() and fromhex() would accept white space and signs
+        return None
+    command = line[:1]
+    is_extended = command.isupper()
+    is_remote = command in (b"r", b"R")
+    length_index = 1 + (8 if is_extended else 3)
+    data_digits = line[length_index + 1 :].decode("ascii", errors="replace")
+    if is_remote and data_digits:  # python-can would drop the data of a remote frame without a word
         return None
     try:
-        identifier, length = int(line[1 : 1 + digits], 16), int(line[1 + digits : 2 + digits])
-        data = bytes.fromhex(line[2 + digits :].decode("ascii"))
         return can.Message(
-            arbitration_id=identifier,
-            is_extended_id=digits == 8,
-            is_remote_frame=kind in (b"r", b"R"),
-            dlc=length,
-            data=data,
+            arbitration_id=int(line[1:length_index], 16),
+            is_extended_id=is_extended,
+            is_remote_frame=is_remote,
+            dlc=int(line[length_index : length_index + 1]),
+            data=bytes.fromhex(data_digits),
             check=True,
         )
     except ValueError:
         return None
 
 
-def _lines(program: socket.socket) -> Iterator[bytes]:
-    """Lines without their ends, until the program leaves; an endless one counts as malformed."""
-    rest = b""
-    while received := program.recv(4096):
-        *lines, rest = (rest + received).split(b"\r")
+def _read_lines(client: socket.socket) -> Iterator[bytes]:
+    """Yield the client's lines without their ends, until it leaves.
+
+    A line that grows beyond all bounds is dropped and yields ``b"?"``, which is no command.
+    """
+    unfinished_line = b""
+    while received := client.recv(4096):
+        *lines, unfinished_line = (unfinished_line + received).split(b"\r")
         yield from lines
-        if len(rest) > _LONGEST_LINE:
+        if len(unfinished_line) > _MAX_LINE_BYTES:
             yield b"?"
-            rest = b""
+            unfinished_line = b""

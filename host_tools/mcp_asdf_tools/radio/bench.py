@@ -17,16 +17,14 @@ import can
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import MAX_ID, Filter, Observation
+from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, TRANSFER_IDS, Action
 from mcp_asdf_tools.bus.frames import (
-    EVERY_ROBOT,
-    NODE_BITS,
-    TRANSFER_IDS,
-    Action,
+    NODE_ID_MASK,
     Command,
-    Message,
-    decode,
+    Estimate,
     decode_command,
-    encode,
+    decode_estimate,
+    encode_estimate,
 )
 from mcp_asdf_tools.radio.comparison import Comparison, Symptom, is_from
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings
@@ -227,8 +225,8 @@ class Bench:
 
     def _message(self, sender: int, x_hat: int, alpha: int) -> can.Message:
         self._numbers[sender] += 1
-        message = Message(sender, x_hat, alpha, (self._numbers[sender] - 1) % TRANSFER_IDS)
-        return encode(message, self.settings.subjects.estimates)
+        message = Estimate(sender, x_hat, alpha, (self._numbers[sender] - 1) % TRANSFER_IDS)
+        return encode_estimate(message, self.settings.subjects.estimates)
 
     # --- The filter's rounds ---
 
@@ -293,9 +291,9 @@ class Bench:
         subjects = self.settings.subjects
         command = decode_command(frame, subjects.commands)
         is_obeyed = isinstance(command, Command) and command.target in (self._id, EVERY_ROBOT)
-        if is_obeyed or isinstance(decode(frame, subjects.estimates), Message):
+        if is_obeyed or isinstance(decode_estimate(frame, subjects.estimates), Estimate):
             kind = "commands" if is_obeyed else "estimates"
             raise Disturbed(
-                f"node {frame.arbitration_id & NODE_BITS} sends {kind} on this bus, too, and the controller "
-                "hears them: take it off the bus, or give it other subjects"
+                f"node {frame.arbitration_id & NODE_ID_MASK} sends {kind} on this bus, too, and the "
+                "controller hears them: take it off the bus, or give it other subjects"
             )

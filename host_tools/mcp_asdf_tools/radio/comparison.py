@@ -9,15 +9,9 @@ from itertools import pairwise, zip_longest
 
 import can
 
-from mcp_asdf_tools.bus.frames import (
-    FRAME_BYTES,
-    HEARTBEAT_SUBJECT,
-    MAX_NODE_ID,
-    ONE,
-    Health,
-    float_of,
-    frame_as_text,
-)
+from mcp_asdf_tools.bus.alpha_words import float32_value
+from mcp_asdf_tools.bus.frame_layout import FRAME_BYTES, MAX_NODE_ID, Q23_ONE, Health
+from mcp_asdf_tools.bus.frames import HEARTBEAT_SUBJECT, format_frame
 from mcp_asdf_tools.robots.node import Subjects
 
 ESTIMATE, TELEMETRY, HEARTBEAT = "estimate", "telemetry", "heartbeat"
@@ -163,7 +157,7 @@ def _relation(kind: str, field: str, own: Sequence[can.Message], models: Sequenc
     digits = _significant(field, got)
     if digits != _significant(field, expected) or digits < _MANY_DIGITS:
         return ""
-    of = float_of if field == "alpha" else float
+    of = float32_value if field == "alpha" else float
     return f"it is {of(got) / of(expected):g} times what it should be"
 
 
@@ -207,7 +201,7 @@ def _texts(kind: str, frames: Sequence[can.Message]) -> str:
 def _text(kind: str, frame: can.Message) -> str:
     """The content of a frame, with its identifier."""
     if _what_is_odd(frame) is not None:
-        return frame_as_text(frame)
+        return format_frame(frame)
     values = {name: _bits(frame, *place) for name, *place in FIELDS[kind]}
     content = ", ".join(f"{name} {_value(name, value)}" for name, value in values.items())
     return f"{frame.arbitration_id:08X} {content}"
@@ -215,10 +209,10 @@ def _text(kind: str, frame: can.Message) -> str:
 
 def _value(name: str, value: int) -> str:
     if name in ("x_hat", "x"):
-        return f"{value:#08x} ({value / ONE:.7f})"
+        return f"{value:#08x} ({value / Q23_ONE:.7f})"
     if name == "b_hat":
         return f"{value:#08x} ({value / 2**24:.7f})"
-    return f"{value:#010x} ({float_of(value):g})" if name == "alpha" else str(value)
+    return f"{value:#010x} ({float32_value(value):g})" if name == "alpha" else str(value)
 
 
 def is_from(frame: can.Message, robot: int) -> bool:

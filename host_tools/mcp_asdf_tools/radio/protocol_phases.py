@@ -11,10 +11,8 @@ from typing import Any
 import can
 
 from mcp_asdf.robot import Filter, Observation
+from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Q23_ONE, Action
 from mcp_asdf_tools.bus.frames import (
-    EVERY_ROBOT,
-    ONE,
-    Action,
     Command,
     Heartbeat,
     Telemetry,
@@ -84,8 +82,8 @@ MALFORMED: dict[str, Spoil] = {
     "a tail byte without the start bit": partial(_clear, 7),
     "a tail byte without the end bit": partial(_clear, 6),
     "a tail byte without the toggle bit": partial(_clear, 5),
-    "x_hat above 1": _between(0, 3, ONE + 2, 0xFF_FFFF),
-    "x_hat one unit above 1": _between(0, 3, ONE + 1, ONE + 1),
+    "x_hat above 1": _between(0, 3, Q23_ONE + 2, 0xFF_FFFF),
+    "x_hat one unit above 1": _between(0, 3, Q23_ONE + 1, Q23_ONE + 1),
     "alpha infinite": _between(3, 4, 0x7F80_0000, 0x7F80_0000),
     "alpha not a number": _between(3, 4, 0x7F80_0001, 0x7FFF_FFFF),
     "alpha -0": _between(3, 4, 0x8000_0000, 0x8000_0000),
@@ -220,7 +218,7 @@ def unusual_commands(bench: Bench) -> None:
         bench.avoid_test(f"commands {name}", rounds=2)  # the last message is one of the next round
         other: dict[str, Any] = {"sender": _another_robot(bench)} if name == "of another node" else {}
         other |= {"target": EVERY_ROBOT} if name == "for every robot" else {}
-        _send(bench, replace(bench.command(Action.observing(bench.any_observation())), **other), change)
+        _send(bench, replace(bench.command(Action.to_observe(bench.any_observation())), **other), change)
         bench.observe(None)
         bench.send(bench.messages({robot: any_content(bench.draw) for robot in bench.others[:2]}))
         _send(bench, replace(bench.command(Action.SETTLE), **other), change)
@@ -266,7 +264,9 @@ def _other_kinds(bench: Bench) -> None:
     subjects, draw = bench.settings.subjects, bench.draw
     for sender in draw.sample(bench.others, 3):
         bench.avoid_test("telemetry and a heartbeat of another robot")
-        telemetry = Telemetry(sender, draw.randint(0, ONE), draw.randint(16, 1 << 23), draw.randrange(256), 0)
+        telemetry = Telemetry(
+            sender, draw.randint(0, Q23_ONE), draw.randint(16, 1 << 23), draw.randrange(256), 0
+        )
         beat = encode_heartbeat(Heartbeat(sender, draw.randrange(1 << 32), 0))
         frames = [encode_telemetry(telemetry, subjects.telemetry), beat]
         bench.round_of(frames + bench.messages({sender: any_content(draw)}))

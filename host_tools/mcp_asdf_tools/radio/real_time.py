@@ -9,7 +9,7 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus.frames import Message, decode
+from mcp_asdf_tools.bus.frames import Estimate, decode_estimate
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import BusLink, RunOutcome, Stopped
@@ -94,8 +94,8 @@ class RadioRun:
             self._take(frame)
 
     def _take(self, frame: can.Message) -> None:
-        estimate = decode(frame, self.neighbours.settings.subjects.estimates)
-        if not isinstance(estimate, Message):
+        estimate = decode_estimate(frame, self.neighbours.settings.subjects.estimates)
+        if not isinstance(estimate, Estimate):
             self.error_frames += frame.is_error_frame
             return
         if estimate.sender == self.neighbours.settings.controller.id:

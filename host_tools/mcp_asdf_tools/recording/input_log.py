@@ -34,7 +34,7 @@ from typing import Any
 import can
 
 from mcp_asdf.robot import MAX_ID
-from mcp_asdf_tools.bus.frames import FrameFormat, frame_as_text
+from mcp_asdf_tools.bus.frames import FrameFormat, format_frame
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.frame_logs import PART
@@ -137,7 +137,7 @@ class InputLogWriter:
 
     def injected(self, frame: can.Message) -> None:
         """``frame`` went over the bus, but no robot sent it."""
-        self._write(f'"{frame_as_text(frame)}"\n')
+        self._write(f'"{format_frame(frame)}"\n')
 
     def finish(self) -> None:
         """Pass on what robots have of ticks that are open."""

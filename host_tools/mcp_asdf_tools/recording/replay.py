@@ -12,17 +12,9 @@ import can
 import numpy as np
 
 from mcp_asdf.robot import Robot
-from mcp_asdf_tools.bus.frames import (
-    TRANSFER_IDS,
-    Action,
-    FrameFormat,
-    Message,
-    alpha_bits,
-    binary32_of,
-    decode,
-    float_of,
-    frame_as_text,
-)
+from mcp_asdf_tools.bus.alpha_words import alpha_word_to_bits, float32_value
+from mcp_asdf_tools.bus.frame_layout import TRANSFER_IDS, Action
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, alpha_float32_bits, decode_estimate, format_frame
 from mcp_asdf_tools.recording.input_log import InputLogReader
 from mcp_asdf_tools.robots.bus_robot import RESTART, SETTLE, BusRobot, Event
 from mcp_asdf_tools.robots.record import RobotRecord
@@ -81,7 +73,7 @@ class Rerun:
             self.robot.end()
         elif self.robot.begin(Action(event).observation):
             said = self.robot.estimate()
-            alpha = binary32_of(said.alpha)
+            alpha = alpha_word_to_bits(said.alpha)
             self.broadcasts.append(Broadcast(self.robot.ticks, said.transfer_id, said.x_hat, alpha))
 
     def _last(self, what: str) -> Broadcast:
@@ -172,13 +164,13 @@ class _Comparison:
 
     def take(self, number: int, frame: can.Message) -> None:
         """Compare frame ``number`` of the log."""
-        message = decode(frame, self._frames)
-        if not isinstance(message, Message) or message.sender not in self._robots:
+        message = decode_estimate(frame, self._frames)
+        if not isinstance(message, Estimate) or message.sender not in self._robots:
             self.verdict.other += 1
             return
         broadcasts = self._robots[message.sender].broadcasts
         place = _place_of(message, broadcasts)
-        bits, text = alpha_bits(frame), frame_as_text(frame)
+        bits, text = alpha_float32_bits(frame), format_frame(frame)
         is_own = place is not None and broadcasts[place][2:4] == (message.x_hat, bits)
         # A frame that strangers sent, too, is the robot's own only in its turn: a later match is chance.
         if self._foreign[text] and not (is_own and place == 0):
@@ -209,14 +201,15 @@ class _Comparison:
             self.verdict.reproduced += 1
 
 
-def _place_of(message: Message, broadcasts: deque[Broadcast]) -> int | None:
+def _place_of(message: Estimate, broadcasts: deque[Broadcast]) -> int | None:
     """Place of the broadcast with the message's transfer_id among the next; 0 in a log without gaps."""
     ahead = range(min(len(broadcasts), TRANSFER_IDS))
     return next((i for i in ahead if broadcasts[i].transfer_id == message.transfer_id), None)
 
 
-def _values(said: Message | Broadcast, bits: int) -> str:
+def _values(said: Estimate | Broadcast, bits: int) -> str:
     return (
-        f"x_hat {said.x_hat:#08x} ({said.x_hat / 2**23:.7f}), alpha {bits:#010x} ({float_of(bits):.7g}), "
+        f"x_hat {said.x_hat:#08x} ({said.x_hat / 2**23:.7f}), "
+        f"alpha {bits:#010x} ({float32_value(bits):.7g}), "
         f"transfer_id {said.transfer_id}"
     )

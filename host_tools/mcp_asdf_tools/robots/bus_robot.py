@@ -18,26 +18,28 @@ from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import alpha_from_word, alpha_word_from_float
 from mcp_asdf.robot import Counters, FirmwareError, FixedPointRobot, Observation, Robot, Status
-from mcp_asdf_tools.bus.estimates import decode_estimates
-from mcp_asdf_tools.bus.frames import (
+from mcp_asdf_tools.bus.frame_arrays import decode_estimates
+from mcp_asdf_tools.bus.frame_layout import (
     MAX_B_HAT,
     MAX_NODE_ID,
     MIN_B_HAT,
-    ONE,
-    TELEMETRY,
+    Q23_ONE,
     TRANSFER_IDS,
     Action,
-    Content,
+    Rejection,
+)
+from mcp_asdf_tools.bus.frames import (
+    TELEMETRY_FORMAT,
+    Estimate,
+    FrameContent,
     FrameFormat,
     Heartbeat,
-    Message,
-    Rejection,
     Telemetry,
-    decode_any,
-    encode,
+    decode_frame,
+    encode_estimate,
     encode_heartbeat,
     encode_telemetry,
-    frame_as_text,
+    format_frame,
 )
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.suspicion import Suspicion, Suspicions
@@ -52,7 +54,7 @@ _TICKS_BETWEEN_COUNTS = 64
 SETTLE = 3
 SILENT, RESTART = "silent", "restart"
 
-_OBSERVED = {z: str(Action.observing(z).value) for z in (None, *Observation)}
+_OBSERVED = {z: str(Action.to_observe(z).value) for z in (None, *Observation)}
 
 Event = int | str | list[int]
 """One event in a line."""
@@ -99,7 +101,7 @@ class Recorder:
 
     def foreign(self, frame: can.Message) -> None:
         """Another node sent ``frame`` under the robot's id."""
-        self._write(f'"{frame_as_text(frame)}"\n')
+        self._write(f'"{format_frame(frame)}"\n')
 
     def flush(self) -> None:
         """Write the events taken so far."""
@@ -184,7 +186,7 @@ class BusRobot:
         record: RobotRecord,
         estimates: FrameFormat,
         recorder: Recorder | None = None,
-        telemetry: FrameFormat = TELEMETRY,
+        telemetry: FrameFormat = TELEMETRY_FORMAT,
         make: Callable[[], Robot] | None = None,
     ) -> None:
         """Start the robot of ``record``, with the firmware that ``make`` returns in place of the record's.
@@ -250,7 +252,7 @@ class BusRobot:
 
     def broadcast(self, z: Observation | None, now: float) -> list[can.Message]:
         """Begin a tick; returns the frame of the estimate, stamped ``now`` (seconds), if one is due."""
-        return [encode(self.estimate(), self._estimates, now)] if self.begin(z) else []
+        return [encode_estimate(self.estimate(), self._estimates, now)] if self.begin(z) else []
 
     def end(self) -> None:
         """End the tick, and its round if that is due."""
@@ -271,11 +273,11 @@ class BusRobot:
 
     # --- The frames that it makes ---
 
-    def estimate(self) -> Message:
+    def estimate(self) -> Estimate:
         """The next broadcast, with the present estimate."""
         transfer_id = self.sent.estimates % TRANSFER_IDS
         self.sent.estimates += 1
-        return Message(self.id, self._port.x_hat_raw, self._port.alpha_raw, transfer_id)
+        return Estimate(self.id, self._port.x_hat_raw, self._port.alpha_raw, transfer_id)
 
     def is_heartbeat_due(self, ticks_per_second: int) -> bool:
         """Return whether a heartbeat goes before the next tick: at the start, and each second from then on.
@@ -297,18 +299,18 @@ class BusRobot:
         b_hat = min(max(int(self.robot.b_hat * 2**24), MIN_B_HAT), MAX_B_HAT)
         updates, transfer_id = self.robot.counters.updates % 256, self.sent.telemetry % TRANSFER_IDS
         self.sent.telemetry += 1
-        telemetry = Telemetry(self.id, int(self.robot.x * ONE), b_hat, updates, transfer_id)
+        telemetry = Telemetry(self.id, int(self.robot.x * Q23_ONE), b_hat, updates, transfer_id)
         return encode_telemetry(telemetry, self._telemetry, now)
 
     # --- The frames that it takes; a dead robot takes none ---
 
     def listen(self, frames: Sequence[can.Message]) -> None:
         """Take any frames of other nodes, in the order in which they came."""
-        words, is_estimate = decode_estimates(frames, self._estimates, np.zeros(len(frames), np.uint64))
-        self.receive(words[is_estimate])
-        for frame, known in zip(frames, is_estimate.tolist(), strict=True):
+        decoded = decode_estimates(frames, self._estimates, np.zeros(len(frames), np.uint64))
+        self.receive(decoded.rows[decoded.is_estimate])
+        for frame, known in zip(frames, decoded.is_estimate.tolist(), strict=True):
             if not known:
-                self.count(decode_any(frame, self._estimates))
+                self.count(decode_frame(frame, self._estimates))
 
     def receive(self, words: Words) -> None:
         """Hand estimates under allowed ids, and its own, to the firmware. O(estimates)."""
@@ -331,7 +333,7 @@ class BusRobot:
         if count:
             self.reception.events[Suspicion.CONFLICT, self.id] += count
 
-    def count(self, content: Content, frames: int = 1) -> None:
+    def count(self, content: FrameContent, frames: int = 1) -> None:
         """Count frames of one kind that are no estimates."""
         heard = self.reception
         if not self.is_alive:
@@ -347,8 +349,8 @@ class BusRobot:
 
     def hear_stranger(self, frame: can.Message) -> None:
         """Count a frame from outside the swarm; the firmware does not get it."""
-        content = decode_any(frame, self._estimates)
-        if not isinstance(content, Message):
+        content = decode_frame(frame, self._estimates)
+        if not isinstance(content, Estimate):
             self.count(content)
         elif self.is_alive:
             self.reception.strays += 1
@@ -367,7 +369,7 @@ class RoundingPort:
     @property
     def x_hat_raw(self) -> int:
         """Local estimate to broadcast."""
-        return round(self._robot.x_hat * ONE)
+        return round(self._robot.x_hat * Q23_ONE)
 
     @property
     def alpha_raw(self) -> int:
@@ -380,6 +382,6 @@ class RoundingPort:
 
     def _accepts(self, sender: int, x_hat: int, alpha: int) -> bool:
         try:
-            return self._robot.receive(sender, x_hat / ONE, alpha_from_word(alpha)) is Status.OK
+            return self._robot.receive(sender, x_hat / Q23_ONE, alpha_from_word(alpha)) is Status.OK
         except FirmwareError:
             return False

@@ -19,14 +19,13 @@ from typing import TypeVar
 import can
 
 from mcp_asdf.robot import Observation
+from mcp_asdf_tools.bus.frame_layout import TRANSFER_IDS, Action
 from mcp_asdf_tools.bus.frames import (
-    TRANSFER_IDS,
-    Action,
     Command,
+    Estimate,
     Heartbeat,
-    Message,
     Telemetry,
-    decode,
+    decode_estimate,
     decode_heartbeat,
     decode_telemetry,
     encode_command,
@@ -78,7 +77,7 @@ class Lockstep:
         self._watch = watch
         self._check = check
         self._commands = 0
-        self._estimates: dict[int, Message] = {}
+        self._estimates: dict[int, Estimate] = {}
         self._telemetry: dict[int, Telemetry] = {}
         self._turns: dict[int, int] = {}
         self._orders: Mapping[int, Action] = {}
@@ -102,10 +101,10 @@ class Lockstep:
         if DRIVER_ID in observations:
             raise UsageError(f"robot {DRIVER_ID} has the id of the simulator; give it another")
         self._estimates.clear()
-        self._orders = {robot: Action.observing(z) for robot, z in observations.items()}
+        self._orders = {robot: Action.to_observe(z) for robot, z in observations.items()}
         self._send(self._orders)
 
-    def estimates(self, robots: Collection[int]) -> dict[int, Message]:
+    def estimates(self, robots: Collection[int]) -> dict[int, Estimate]:
         """Estimates of ``robots`` in this tick, by id; the first one if a robot sends several.
 
         Raises LockstepError if one sends none within the time limit.
@@ -194,8 +193,8 @@ class Lockstep:
                 )
 
     def _take(self, frame: can.Message) -> None:
-        estimate = decode(frame, self._subjects.estimates)
-        if isinstance(estimate, Message):
+        estimate = decode_estimate(frame, self._subjects.estimates)
+        if isinstance(estimate, Estimate):
             self._estimates.setdefault(estimate.sender, estimate)
             return
         telemetry = decode_telemetry(frame, self._subjects.telemetry)

@@ -18,17 +18,15 @@ from can.typechecking import CanFilters
 
 from mcp_asdf.robot import FixedPointRobot, Observation, Robot
 from mcp_asdf_tools.bus.bus_errors import BusGoneError
+from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Action, Rejection
 from mcp_asdf_tools.bus.frames import (
-    COMMANDS,
-    EVERY_ROBOT,
-    TELEMETRY,
-    Action,
+    COMMAND_FORMAT,
+    TELEMETRY_FORMAT,
     Command,
+    Estimate,
     FrameFormat,
-    Message,
-    Rejection,
-    decode,
     decode_command,
+    decode_estimate,
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
@@ -68,8 +66,8 @@ class Subjects:
     """
 
     estimates: FrameFormat = field(default_factory=FrameFormat)
-    telemetry: FrameFormat = TELEMETRY
-    commands: FrameFormat = COMMANDS
+    telemetry: FrameFormat = TELEMETRY_FORMAT
+    commands: FrameFormat = COMMAND_FORMAT
 
     def __post_init__(self) -> None:
         chosen = [self.estimates.subject, self.telemetry.subject, self.commands.subject]
@@ -140,8 +138,8 @@ class RobotNode(BusRobot):
 
     def hear(self, frame: can.Message) -> list[can.Message]:
         """Take any frame that this node has not sent itself."""
-        message = decode(frame, self.subjects.estimates)
-        if isinstance(message, Message):
+        message = decode_estimate(frame, self.subjects.estimates)
+        if isinstance(message, Estimate):
             if message.sender == self.id and self.recorder is not None:
                 self.recorder.foreign(frame)
             self._receive(message)
@@ -169,7 +167,7 @@ class RobotNode(BusRobot):
             ],
         }
 
-    def _receive(self, message: Message) -> None:
+    def _receive(self, message: Estimate) -> None:
         if self._alpha_watch.is_jump(message.sender, message.alpha):
             self.reception.events[Suspicion.JUMP, message.sender] += 1
         self.receive(np.array([[message.sender, message.x_hat, message.alpha]], np.uint32))

@@ -15,7 +15,7 @@ from mcp_asdf.robot import (
     Robot,
     check_settings,
 )
-from mcp_asdf_tools.bus.frames import MAX_NODE_ID
+from mcp_asdf_tools.bus.frame_layout import MAX_NODE_ID
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.firmwares import load_firmware
 from mcp_asdf_tools.tables.thresholds import generate, omega_from_word

@@ -26,8 +26,9 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus.estimates import decode_estimates
-from mcp_asdf_tools.bus.frames import Content, FrameFormat, Rejection, decode_any
+from mcp_asdf_tools.bus.frame_arrays import decode_estimates
+from mcp_asdf_tools.bus.frame_layout import Rejection
+from mcp_asdf_tools.bus.frames import FrameContent, FrameFormat, decode_frame
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker
@@ -255,9 +256,10 @@ class Carrier:
     def _hand_over(self, arrivals: Paths) -> None:
         """Let each robot receive all of its estimates at once, decoded once for all, and count the rest."""
         sent = [each.frame for each in arrivals.sent]
-        words, is_estimate = decode_estimates(sent, self._frames, arrivals.flips)
+        decoded = decode_estimates(sent, self._frames, arrivals.flips)
+        is_estimate = decoded.is_estimate
         reach = arrivals.reach[is_estimate]
-        heard = words[is_estimate][reach.T.nonzero()[1]]
+        heard = decoded.rows[is_estimate][reach.T.nonzero()[1]]
         ends = np.count_nonzero(reach, axis=0).cumsum().tolist()
         for robot, start, end in zip(self._robots, [0, *ends], ends, strict=False):
             robot.receive(heard[start:end])
@@ -266,9 +268,9 @@ class Carrier:
 
     def _count(self, arrivals: Paths, others: NDArray[np.intp]) -> None:
         """Let each robot count the ``others`` among its frames, those that are no estimates."""
-        kinds: dict[Rejection | type, list[tuple[int, Content]]] = defaultdict(list)
+        kinds: dict[Rejection | type, list[tuple[int, FrameContent]]] = defaultdict(list)
         for number in others.tolist():
-            content = decode_any(arrivals.frame(number), self._frames)
+            content = decode_frame(arrivals.frame(number), self._frames)
             kinds[content if isinstance(content, Rejection) else type(content)].append((number, content))
         for found in kinds.values():
             heard = np.count_nonzero(arrivals.reach[[number for number, _ in found]], axis=0)

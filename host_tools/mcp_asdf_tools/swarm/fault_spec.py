@@ -11,7 +11,8 @@ from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Any, Literal
 
-from mcp_asdf_tools.bus.frames import MAX_NODE_ID, float_of
+from mcp_asdf_tools.bus.alpha_words import float32_value
+from mcp_asdf_tools.bus.frame_layout import MAX_NODE_ID
 from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.parameters import parameter, parameters_of
 from mcp_asdf_tools.robots.record import ids_of, text_of_ids
@@ -69,7 +70,7 @@ class Fault:
     frames: int = parameter("frames per tick", 0, 10_000, default=10)
     rejoin: Literal["new", "restored"] = parameter("new, or as it was when it crashed", default="new")
     x: float = parameter("estimate that is claimed", 0, 1, default=1.0)
-    alpha: float = parameter("confidence that is claimed", 0, float_of(0x7F7FFFFF), default=1e6)
+    alpha: float = parameter("confidence that is claimed", 0, float32_value(0x7F7FFFFF), default=1e6)
     id: int | None = parameter("id to send under, needed for collide", 0, MAX_NODE_ID, default=None)
     ids: frozenset[int] | None = None
     """Ids to send under, needed for sybil."""

@@ -29,17 +29,9 @@ from typing import Any
 import can
 import numpy as np
 
-from mcp_asdf_tools.bus.frames import (
-    FRAME_BYTES,
-    MAX_NODE_ID,
-    ONE,
-    TRANSFER_IDS,
-    FrameFormat,
-    Message,
-    bits_of,
-    decode,
-    encode,
-)
+from mcp_asdf_tools.bus.alpha_words import float32_bits
+from mcp_asdf_tools.bus.frame_layout import FRAME_BYTES, MAX_NODE_ID, Q23_ONE, TRANSFER_IDS
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate, encode_estimate
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.swarm.delivery import Mask, Paths, SentFrame
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind
@@ -94,13 +86,13 @@ class Babbler(Injector):
 
     def _estimates(self, tick: int, now: float) -> list[can.Message]:
         ids = sorted(self.fault.ids or ())
-        said = (Message(each, round(self.fault.x * ONE), 0, tick % TRANSFER_IDS) for each in ids)
-        return [claiming(self.fault.alpha, encode(each, self._frames, now)) for each in said]
+        said = (Estimate(each, round(self.fault.x * Q23_ONE), 0, tick % TRANSFER_IDS) for each in ids)
+        return [claiming(self.fault.alpha, encode_estimate(each, self._frames, now)) for each in said]
 
 
 def claiming(alpha: float, frame: can.Message) -> can.Message:
     """The estimate with ``alpha`` as claimed: the codec would round it to the firmware's grid."""
-    frame.data[3:7] = bits_of(alpha).to_bytes(4, "little")
+    frame.data[3:7] = float32_bits(alpha).to_bytes(4, "little")
     return frame
 
 
@@ -110,15 +102,15 @@ class SenderFault(Injector):
     def __init__(self, fault: Fault, draws: Draws, frames: FrameFormat) -> None:
         super().__init__(fault, draws)
         self._frames = frames
-        self._regular: dict[int, Message] = {}
+        self._regular: dict[int, Estimate] = {}
         """The last estimate of each sender that was not frozen."""
 
     def act(self, sent: SentFrame) -> SentFrame:
         """The frame that replaces ``sent``, which may be itself."""
         if self.fault.kind is FaultKind.COLLIDE:
             return self._collide(sent)
-        own = decode(sent.frame, self._frames)
-        if not isinstance(own, Message):
+        own = decode_estimate(sent.frame, self._frames)
+        if not isinstance(own, Estimate):
             return sent
         return self._lie(sent, own) if self.fault.kind is FaultKind.LIAR else self._freeze(sent, own)
 
@@ -129,14 +121,14 @@ class SenderFault(Injector):
         frame.arbitration_id = frame.arbitration_id & ~MAX_NODE_ID | self.fault.id
         return replace(sent, frame=frame)
 
-    def _lie(self, sent: SentFrame, own: Message) -> SentFrame:
+    def _lie(self, sent: SentFrame, own: Estimate) -> SentFrame:
         if not self._strikes(sent):
             return sent
-        lie = self._say(sent, replace(own, x_hat=round(self.fault.x * ONE), alpha=0))
+        lie = self._say(sent, replace(own, x_hat=round(self.fault.x * Q23_ONE), alpha=0))
         claiming(self.fault.alpha, lie.frame)
         return lie
 
-    def _freeze(self, sent: SentFrame, own: Message) -> SentFrame:
+    def _freeze(self, sent: SentFrame, own: Estimate) -> SentFrame:
         """Strikes only where there is an estimate to repeat."""
         held = self._regular.setdefault(sent.sender, own)
         if held is not own and self._strikes(sent):
@@ -144,8 +136,8 @@ class SenderFault(Injector):
         self._regular[sent.sender] = own
         return sent
 
-    def _say(self, sent: SentFrame, message: Message) -> SentFrame:
-        return replace(sent, frame=encode(message, self._frames, sent.frame.timestamp))
+    def _say(self, sent: SentFrame, message: Estimate) -> SentFrame:
+        return replace(sent, frame=encode_estimate(message, self._frames, sent.frame.timestamp))
 
 
 class Faults:

@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus.frames import FRAME_BYTES
+from mcp_asdf_tools.bus.frame_layout import FRAME_BYTES
 from mcp_asdf_tools.swarm.delivery import Paths, SentFrame
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind
 

@@ -12,15 +12,8 @@ from typing import cast
 import can
 
 from mcp_asdf.robot import Counters, Observation, Robot
-from mcp_asdf_tools.bus.frames import (
-    MAX_NODE_ID,
-    ONE,
-    FrameFormat,
-    Message,
-    Telemetry,
-    decode,
-    decode_telemetry,
-)
+from mcp_asdf_tools.bus.frame_layout import MAX_NODE_ID, Q23_ONE
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Telemetry, decode_estimate, decode_telemetry
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder, Words
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
@@ -98,13 +91,13 @@ class RemoteFirmware:
     def settle(self) -> None:
         """The robot was commanded to settle."""
 
-    def take_estimate(self, message: Message) -> None:
+    def take_estimate(self, message: Estimate) -> None:
         """Note the robot's broadcast."""
-        self.x_hat = message.x_hat / ONE
+        self.x_hat = message.x_hat / Q23_ONE
 
     def take_telemetry(self, telemetry: Telemetry) -> None:
         """Note the robot's answer to a *settle*."""
-        self.x, self.b_hat = telemetry.x / ONE, telemetry.b_hat / 2**24
+        self.x, self.b_hat = telemetry.x / Q23_ONE, telemetry.b_hat / 2**24
         # Telemetry has 8 bits of the count, and comes after every tick.
         updates = self.counters.updates
         self.counters = Counters(updates=updates + (telemetry.updates - updates) % 256)
@@ -198,7 +191,7 @@ class Driver:
             return
         if _sender(frame) not in self.nodes or isinstance(decode_telemetry(frame), Telemetry):
             return
-        if isinstance(decode(frame, self._frames), Message):
+        if isinstance(decode_estimate(frame, self._frames), Estimate):
             self._estimates.setdefault(_sender(frame), frame)
         else:
             self._held.append(frame)

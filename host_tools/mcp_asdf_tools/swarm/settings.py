@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Self, get_args
 
-from mcp_asdf_tools.bus.frames import TELEMETRY, FrameFormat
+from mcp_asdf_tools.bus.frames import TELEMETRY_FORMAT, FrameFormat
 from mcp_asdf_tools.common.parameters import ParameterError, parameter, value_of
 from mcp_asdf_tools.robots.clock import ClockKind
 from mcp_asdf_tools.robots.population import Population
@@ -61,9 +61,10 @@ class SwarmSettings(Population):
         if isinstance(self.faults, str):
             raise ParameterError("faults", f"faults is {self.faults!r}; give several in a list or tuple")
         object.__setattr__(self, "faults", tuple(parse_fault(str(each)) for each in self.faults))
-        if self.telemetry_period and self.frames.subject == TELEMETRY.subject:
+        if self.telemetry_period and self.frames.subject == TELEMETRY_FORMAT.subject:
             raise ParameterError(
-                "frames", f"subject {TELEMETRY.subject} is that of telemetry; choose another for estimates"
+                "frames",
+                f"subject {TELEMETRY_FORMAT.subject} is that of telemetry; choose another for estimates",
             )
         self._check_faults()
 

@@ -8,7 +8,7 @@ from typing import Any, get_args
 from rich.table import Table
 from rich.text import Text
 
-from mcp_asdf_tools.bus.load import LIMIT
+from mcp_asdf_tools.bus.load import HIGH_LOAD
 from mcp_asdf_tools.robots.population import FILTER_NAMES, Filtering
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import SwarmRun
@@ -88,12 +88,12 @@ def comparison(by_filter: dict[Filtering, dict[str, Any]], settings: SwarmSettin
 
 def load_warning(results: dict[str, Any]) -> str | None:
     """Warning about bit rates at which a real bus would be too busy; None if there are none."""
-    busy = [int(rate) for rate, share in results["bus_load"].items() if share["mean"] > LIMIT]
+    busy = [int(rate) for rate, share in results["bus_load"].items() if share["mean"] > HIGH_LOAD]
     if not busy:
         return None
     return (
-        f"a real bus at {_rate(max(busy))}bit/s or less would be busy for more than {LIMIT:.0%} of the time; "
-        "use a faster one, a longer comms-period, or fewer ticks per second"
+        f"a real bus at {_rate(max(busy))}bit/s or less would be busy for more than {HIGH_LOAD:.0%} of the "
+        "time; use a faster one, a longer comms-period, or fewer ticks per second"
     )
 
 

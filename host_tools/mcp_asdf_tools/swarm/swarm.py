@@ -17,7 +17,7 @@ from typing import Any
 import can
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, decode
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, alpha_float32_bits, decode_estimate
 from mcp_asdf_tools.bus.load import BIT_RATES, bus_load
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.input_log import InputLogWriter
@@ -144,7 +144,7 @@ class Swarm:
         """Let remote robots observe; yields what they send."""
         for driver in self._drivers:
             for node, frame in driver.observe({robot: seen[robot] for robot in driver.nodes}):
-                is_estimate = isinstance(decode(frame, self.settings.frames), Message)
+                is_estimate = isinstance(decode_estimate(frame, self.settings.frames), Estimate)
                 self.traffic.sent += is_estimate
                 self.traffic.heartbeats_sent += not is_estimate
                 yield node, frame
@@ -221,13 +221,18 @@ def _note_fate(
     after = leaving[0].frame if leaving else None
     if after is not None and content_of(after) == content_of(frame):
         return
-    own, said = (None if each is None else decode(each, frames) for each in (frame, after))
-    if after is not None and isinstance(own, Message) and isinstance(said, Message) and said.sender == robot:
-        input_log.robots[robot].falsified(said.x_hat, alpha_bits(after))
+    own, said = (None if each is None else decode_estimate(each, frames) for each in (frame, after))
+    if (
+        after is not None
+        and isinstance(own, Estimate)
+        and isinstance(said, Estimate)
+        and said.sender == robot
+    ):
+        input_log.robots[robot].falsified(said.x_hat, alpha_float32_bits(after))
         return
     if after is not None:
         input_log.injected(after)
-    if isinstance(own, Message):
+    if isinstance(own, Estimate):
         input_log.robots[robot].silent()
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus.frames import Rejection
-from mcp_asdf_tools.bus.load import worst_bits
+from mcp_asdf_tools.bus.frame_layout import Rejection
+from mcp_asdf_tools.bus.load import worst_case_bits
 from mcp_asdf_tools.robots.bus_robot import Reception
 
 
@@ -44,7 +44,7 @@ class Traffic:
 
     def add(self, frames: Sequence[can.Message]) -> None:
         """Count the frames that got onto the bus in one tick."""
-        bits = sum(map(worst_bits, frames))
+        bits = sum(map(worst_case_bits, frames))
         self.on_the_bus += len(frames)
         self.bits += bits
         self.peak_bits = max(self.peak_bits, bits)

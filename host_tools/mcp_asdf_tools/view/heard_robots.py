@@ -6,7 +6,8 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Message, Telemetry, decode_any
+from mcp_asdf_tools.bus.frame_layout import Q23_ONE
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Telemetry, decode_frame
 from mcp_asdf_tools.view.film import QUANTITIES, State
 from mcp_asdf_tools.view.roster import Roster
 
@@ -36,17 +37,17 @@ class HeardRobots:
 
     def receive(self, frame: can.Message, now: float) -> int | None:
         """Take a frame of any node at ``now`` seconds; return the id of a robot that is new. O(1)."""
-        content = decode_any(frame, self._frame_format)
+        content = decode_frame(frame, self._frame_format)
         self.roster.hear(frame, content, now)
-        if not isinstance(content, Message | Telemetry):
+        if not isinstance(content, Estimate | Telemetry):
             return None
         is_new = content.sender not in self._values
         values = self._values.setdefault(content.sender, self._unknown.copy())
-        if isinstance(content, Message):
-            values[_X_HAT] = content.x_hat / ONE
+        if isinstance(content, Estimate):
+            values[_X_HAT] = content.x_hat / Q23_ONE
         else:
             self.has_telemetry = True
-            values[_X], values[_B_HAT] = content.x / ONE, content.b_hat / 2**24
+            values[_X], values[_B_HAT] = content.x / Q23_ONE, content.b_hat / 2**24
         return content.sender if is_new else None
 
     def state(self, tick: int, now: float, robots: list[int], hears: NDArray[np.bool_]) -> State:

@@ -8,18 +8,9 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus.frames import (
-    ONE,
-    TRANSFER_IDS,
-    Content,
-    Heartbeat,
-    Message,
-    Rejection,
-    Telemetry,
-    binary32_of,
-    float_of,
-    frame_as_text,
-)
+from mcp_asdf_tools.bus.alpha_words import alpha_word_to_bits, float32_value
+from mcp_asdf_tools.bus.frame_layout import Q23_ONE, TRANSFER_IDS, Rejection
+from mcp_asdf_tools.bus.frames import Estimate, FrameContent, Heartbeat, Telemetry, format_frame
 from mcp_asdf_tools.robots.suspicion import AlphaWatch
 
 SILENT_SECONDS = 3.0
@@ -57,13 +48,13 @@ class RobotOnBus:
     _alpha_watch: AlphaWatch = field(default_factory=AlphaWatch)
     _transfer_ids: dict[type, int] = field(default_factory=dict)
 
-    def hear(self, content: Message | Heartbeat | Telemetry, now: float) -> None:
+    def hear(self, content: Estimate | Heartbeat | Telemetry, now: float) -> None:
         """Take one of its frames. O(1) on average."""
         if self.is_silent(now):
             self._transfer_ids.clear()  # they have gone round, nobody knows how often
         self.last = now
         self._count(content)
-        if isinstance(content, Message):
+        if isinstance(content, Estimate):
             self.estimates.append(now)
             self.alpha_jumps += self._alpha_watch.is_jump(content.sender, content.alpha)
         elif isinstance(content, Heartbeat):
@@ -72,7 +63,7 @@ class RobotOnBus:
         else:
             self.telemetry = content
 
-    def _count(self, content: Message | Heartbeat | Telemetry) -> None:
+    def _count(self, content: Estimate | Heartbeat | Telemetry) -> None:
         """Count what is missing before a frame: each kind has transfer ids of its own, modulo 32.
 
         A repeated id is no gap, since a frame may come twice.
@@ -120,7 +111,7 @@ class Roster:
         self.robots: dict[int, RobotOnBus] = {}
         self._frames: deque[tuple[float, int | None, str]] = deque(maxlen=_MOST_FRAMES)
 
-    def hear(self, frame: can.Message, content: Content, now: float) -> None:
+    def hear(self, frame: can.Message, content: FrameContent, now: float) -> None:
         """Take a frame that was decoded. O(1)."""
         robot = None if isinstance(content, Rejection) else content.sender
         self._frames.append((round(now, 3), robot, text_of(frame, content)))
@@ -146,22 +137,22 @@ def _row(robot: int, heard: RobotOnBus, now: float) -> dict[str, Any]:
         "rate": round(heard.rate(now), 1),
         "loss": heard.lost / (heard.lost + heard.received),
         "conflicts": heard.conflicts,
-        "x": None if telemetry is None else telemetry.x / ONE,
+        "x": None if telemetry is None else telemetry.x / Q23_ONE,
         "b_hat": None if telemetry is None else telemetry.b_hat / 2**24,
         "updates": None if telemetry is None else telemetry.updates,
         "jumps": heard.alpha_jumps,
     }
 
 
-def text_of(frame: can.Message, content: Content) -> str:
+def text_of(frame: can.Message, content: FrameContent) -> str:
     """A frame in words."""
-    if isinstance(content, Message):
-        alpha = float_of(binary32_of(content.alpha))
-        return f"estimate {content.transfer_id}: x_hat {content.x_hat / ONE:.4f}, alpha {alpha:.6g}"
+    if isinstance(content, Estimate):
+        alpha = float32_value(alpha_word_to_bits(content.alpha))
+        return f"estimate {content.transfer_id}: x_hat {content.x_hat / Q23_ONE:.4f}, alpha {alpha:.6g}"
     if isinstance(content, Heartbeat):
         state = f"{content.health.name.lower()}, {content.mode.name.lower().replace('_', ' ')}"
         return f"heartbeat {content.transfer_id}: {state}, up {content.uptime} s"
     if isinstance(content, Telemetry):
-        values = f"x {content.x / ONE:.4f}, b_hat {content.b_hat / 2**24:.4f}, updates {content.updates}"
+        values = f"x {content.x / Q23_ONE:.4f}, b_hat {content.b_hat / 2**24:.4f}, updates {content.updates}"
         return f"telemetry {content.transfer_id}: {values}"
-    return f"refused, {content.name.lower().replace('_', ' ')}: {frame_as_text(frame)}"
+    return f"refused, {content.name.lower().replace('_', ' ')}: {format_frame(frame)}"

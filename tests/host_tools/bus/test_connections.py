@@ -12,7 +12,7 @@ import pytest
 import serial  # type: ignore[import-untyped]
 
 from mcp_asdf_tools.bus.bus_errors import BusGoneError
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
 from mcp_asdf_tools.bus.interfaces import BusChoice, Connection
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
@@ -41,7 +41,7 @@ def test_a_damaged_line_is_one_error_frame_and_what_follows_is_heard(line: bytes
     with serial_adapter([line, GOOD_LINE]) as choice, choice.open() as bus:
         error_frame, frame = receive(bus), receive(bus)
     assert error_frame.is_error_frame
-    assert isinstance(decode(frame, FrameFormat()), Message)
+    assert isinstance(decode_estimate(frame, FrameFormat()), Estimate)
 
 
 def test_a_line_without_an_end_is_dropped() -> None:
@@ -50,7 +50,7 @@ def test_a_line_without_an_end_is_dropped() -> None:
         while frames[-1].is_error_frame:
             frames.append(receive(bus))
     assert len(frames) > 1
-    assert isinstance(decode(frames[-1], FrameFormat()), Message)
+    assert isinstance(decode_estimate(frames[-1], FrameFormat()), Estimate)
 
 
 def test_an_adapter_that_closes_is_a_bus_that_is_gone() -> None:

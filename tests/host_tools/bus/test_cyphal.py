@@ -15,19 +15,9 @@ from hypothesis import strategies as st
 
 from mcp_asdf.fixed_point import ALPHA_MAX, alpha_from_word, alpha_word_from_float
 from mcp_asdf_tools.bus import frames
-from mcp_asdf_tools.bus.frames import (
-    EVERY_ROBOT,
-    MAX_B_HAT,
-    Action,
-    Command,
-    Health,
-    Heartbeat,
-    Message,
-    Mode,
-    Rejection,
-    Telemetry,
-    float_of,
-)
+from mcp_asdf_tools.bus.alpha_words import float32_value
+from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, MAX_B_HAT, Action, Health, Mode, Rejection
+from mcp_asdf_tools.bus.frames import Command, Estimate, Heartbeat, Telemetry
 from messages import DEFAULT, KINDS, encoded, estimates, messages, write_regulated_types
 from support import PATIENCE, ROOT, draws
 
@@ -57,7 +47,7 @@ def types(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[type, Any]]
         patch.syspath_prepend(compiled)
         made, node = importlib.import_module("mcp_asdf_messages"), importlib.import_module("uavcan.node")
         yield {
-            Message: made.Estimate_1_0,
+            Estimate: made.Estimate_1_0,
             Telemetry: made.Telemetry_1_0,
             Command: made.Command_1_0,
             Heartbeat: node.Heartbeat_1_0,
@@ -86,7 +76,7 @@ def members(message: Any) -> tuple[Any, ...]:
     """What an object of the message's DSDL type holds, in its order."""
     names = [item.name for item in fields(message) if item.name not in ("sender", "transfer_id")]
     first, *rest = (plain(getattr(message, name)) for name in names)
-    return (first, alpha_from_word(*rest)) if isinstance(message, Message) else (first, *rest)
+    return (first, alpha_from_word(*rest)) if isinstance(message, Estimate) else (first, *rest)
 
 
 def plain(value: Any) -> Any:
@@ -95,8 +85,8 @@ def plain(value: Any) -> Any:
 
 @fixed
 @given(messages)
-@example(Message(0, 0, 0, 0))
-@example(Message(127, 2**23, ALPHA_MAX, 31))
+@example(Estimate(0, 0, 0, 0))
+@example(Estimate(127, 2**23, ALPHA_MAX, 31))
 @example(Heartbeat(127, 2**32 - 1, 31, Health.WARNING, Mode.SOFTWARE_UPDATE, 255))
 @example(Telemetry(127, 2**23, MAX_B_HAT, 255, 31))
 @example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))
@@ -109,7 +99,7 @@ def test_pycyphal_reads_our_frames(types: dict[type, Any], message: Any) -> None
 
 
 def test_units_and_names_of_the_dsdl_are_ours(types: dict[type, Any]) -> None:
-    command, estimate, telemetry = types[Command], types[Message], types[Telemetry]
+    command, estimate, telemetry = types[Command], types[Estimate], types[Telemetry]
     assert command.EVERY_ROBOT == EVERY_ROBOT
     assert all(getattr(command, each.name) == each.value for each in Action)
     assert (estimate.X_LSB, telemetry.X_LSB, telemetry.B_HAT_LSB) == (2**-23, 2**-23, 2**-24)
@@ -117,18 +107,18 @@ def test_units_and_names_of_the_dsdl_are_ours(types: dict[type, Any]) -> None:
 
 @fixed
 @given(estimates, st.integers(0, 28 + 64))
-def test_a_flipped_bit_is_seen_alike(message: Message, bit: int) -> None:
+def test_a_flipped_bit_is_seen_alike(message: Estimate, bit: int) -> None:
     """We and pycyphal take the same frames for estimates' transfers, but for the content."""
-    frame = frames.encode(message, DEFAULT)
+    frame = frames.encode_estimate(message, DEFAULT)
     if bit < 29:
         frame.arbitration_id ^= 1 << bit
     else:
         frame.data[(bit - 29) // 8] ^= 1 << (bit - 29) % 8
-    ours, seen = frames.decode(frame, DEFAULT), seen_by_pycyphal(frame)
+    ours, seen = frames.decode_estimate(frame, DEFAULT), seen_by_pycyphal(frame)
     subject, sender, transfer_id = (None, None, None) if seen is None else session_of(seen)
     is_theirs = subject == transport.MessageDataSpecifier(3000) and sender is not None
-    assert is_theirs == (isinstance(ours, Message) or ours in (Rejection.X_HAT, Rejection.ALPHA))
-    if isinstance(ours, Message):
+    assert is_theirs == (isinstance(ours, Estimate) or ours in (Rejection.X_HAT, Rejection.ALPHA))
+    if isinstance(ours, Estimate):
         assert (sender, transfer_id) == (ours.sender, ours.transfer_id)
 
 
@@ -156,13 +146,21 @@ async def sent_by_pycyphal(channel: str, subject: int, contents: Sequence[Any]) 
 
 def test_we_read_what_pycyphal_sends(types: dict[type, Any]) -> None:
     """Alpha may be any binary32 number, which need not be on the firmware's grid, and may be beyond it."""
-    alphas = (0.0, alpha_from_word(ALPHA_MAX), 2.0**-24, 1.0, float_of(0x7F7FFFFF), float_of(1), 3 * 2.0**-25)
+    alphas = (
+        0.0,
+        alpha_from_word(ALPHA_MAX),
+        2.0**-24,
+        1.0,
+        float32_value(0x7F7FFFFF),
+        float32_value(1),
+        3 * 2.0**-25,
+    )
     sent = [(2**23 - x, alpha) for x, alpha in enumerate(alphas * 5)]  # transfer ids wrap
-    contents = [types[Message](*each) for each in sent]
+    contents = [types[Estimate](*each) for each in sent]
     received = asyncio.run(sent_by_pycyphal("estimates", 3000, contents))
     for count, (frame, (x_hat, alpha)) in enumerate(zip(received, sent, strict=True)):
-        message = Message(42, x_hat, alpha_word_from_float(alpha), count % 32)
-        assert frames.decode(frame, DEFAULT) == message
+        message = Estimate(42, x_hat, alpha_word_from_float(alpha), count % 32)
+        assert frames.decode_estimate(frame, DEFAULT) == message
         assert frame.arbitration_id == encoded(message).arbitration_id
     beat = Heartbeat(42, 12345, 0, Health.CAUTION, Mode.INITIALIZATION, 77)
     others: list[tuple[Any, tuple[Any, ...]]] = [

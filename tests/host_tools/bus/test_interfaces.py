@@ -21,7 +21,8 @@ from can.interfaces.virtual import VirtualBus
 
 from datagrams import odd_datagrams, packed
 from mcp_asdf_tools.bus.datagrams import unpack_data_frame
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, Rejection, decode
+from mcp_asdf_tools.bus.frame_layout import Rejection
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
 from mcp_asdf_tools.bus.interfaces import BusChoice, Connection, add_arguments, choose_bus
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
@@ -35,7 +36,7 @@ GROUP = 30
 
 
 def test_a_malformed_datagram_is_one_damaged_frame_and_what_follows_is_heard() -> None:
-    choice, after = multicast(GROUP), Message(8, 1, ALPHA_ONE, 3)
+    choice, after = multicast(GROUP), Estimate(8, 1, ALPHA_ONE, 3)
     with choice.open() as bus, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, struct.pack("@I", 0))
         stranger.connect((str(choice.channel), int(choice.settings["port"])))
@@ -44,12 +45,12 @@ def test_a_malformed_datagram_is_one_damaged_frame_and_what_follows_is_heard() -
             stranger.send(data)
             stranger.send(packed(8, arbitration_id=5))  # which the filters leave out
             stranger.send(packed(8))
-            heard: list[Message | Rejection] = []
+            heard: list[Estimate | Rejection] = []
             while after not in heard:
                 frame = bus.recv(PATIENCE)
                 assert frame is not None and frame.dlc == len(frame.data)
                 assert frame.channel == choice.channel
-                heard.append(decode(frame, FrameFormat()))
+                heard.append(decode_estimate(frame, FrameFormat()))
             is_damaged = unpack_data_frame(data) is None
             assert len(heard) <= 2
             assert (heard[0] is Rejection.ERROR_FRAME) == is_damaged, data

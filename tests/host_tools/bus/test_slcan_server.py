@@ -13,7 +13,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mcp_asdf_tools.bus.slcan_server import SlcanServer, frame_of, line_of
+from mcp_asdf_tools.bus.slcan_server import SlcanServer, format_frame_line, parse_frame
 from mcp_asdf_tools.common.errors import UsageError
 from support import PATIENCE, draws, wait_until
 
@@ -30,7 +30,7 @@ def join() -> can.BusABC:
 def server() -> Iterator[SlcanServer]:
     with SlcanServer(join()) as running:
         yield running
-    assert not running._server.is_alive()
+    assert not running._server_thread.is_alive()
 
 
 FRAMES = [
@@ -58,7 +58,7 @@ def test_python_can_s_client_reads_and_writes(server: SlcanServer) -> None:
     where = f"socket://127.0.0.1:{server.port}"
     client = can.Bus(interface="slcan", channel=where, sleep_after_open=0, ignore_config=True)
     with join() as bus, client as program:
-        wait_until(lambda: server._is_open)
+        wait_until(lambda: server._is_channel_open)
         bus.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))  # stays where it is
         bus.send(can.Message(is_error_frame=True))
         for frame in FRAMES:
@@ -97,8 +97,8 @@ def test_a_program_that_comes_while_the_server_closes_does_not_keep_it() -> None
     with SlcanServer(join()) as server:
         server._is_closing = True
         with raw(server):
-            server._server.join(PATIENCE)
-            assert not server._server.is_alive()
+            server._server_thread.join(PATIENCE)
+            assert not server._server_thread.is_alive()
 
 
 def test_a_slow_program_loses_whole_frames_and_stops_no_other(server: SlcanServer) -> None:
@@ -106,7 +106,7 @@ def test_a_slow_program_loses_whole_frames_and_stops_no_other(server: SlcanServe
         program.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         program.connect(("127.0.0.1", server.port))
         program.sendall(b"O\r")
-        wait_until(lambda: server._is_open)
+        wait_until(lambda: server._is_channel_open)
 
         def flood() -> bool:
             for _ in range(1000):
@@ -120,7 +120,7 @@ def test_a_slow_program_loses_whole_frames_and_stops_no_other(server: SlcanServe
             while True:
                 text += program.recv(1 << 20)
     assert server.dropped > 0
-    assert set(text.removeprefix(b"\r").split(b"\r")) == {line_of(FRAMES[0])[:-1], b""}
+    assert set(text.removeprefix(b"\r").split(b"\r")) == {format_frame_line(FRAMES[0])[:-1], b""}
 
 
 @settings(derandomize=True, max_examples=draws(300), deadline=None)
@@ -130,9 +130,9 @@ def test_a_slow_program_loses_whole_frames_and_stops_no_other(server: SlcanServe
 @example(b"t 120")
 @example(b"t1231 7 ")
 def test_any_line_is_a_frame_or_none(line: bytes) -> None:
-    frame = frame_of(line)
+    frame = parse_frame(line)
     if frame is not None:
-        assert line_of(frame)[:-1] == line[:1] + line[1:].upper()
+        assert format_frame_line(frame)[:-1] == line[:1] + line[1:].upper()
 
 
 def test_a_taken_port_is_named(server: SlcanServer) -> None:

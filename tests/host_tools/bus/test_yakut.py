@@ -16,7 +16,7 @@ import pytest
 
 from mcp_asdf.fixed_point import alpha_word_from_float
 from mcp_asdf_tools.bus import frames
-from mcp_asdf_tools.bus.frames import Message
+from mcp_asdf_tools.bus.frames import Estimate
 from messages import DEFAULT, write_regulated_types
 from support import PATH, PATIENCE, ROOT, interruptible, require
 
@@ -63,14 +63,14 @@ def documented(port: str) -> list[str]:
     return command
 
 
-def message_of(estimate: dict[str, Any]) -> Message:
+def message_of(estimate: dict[str, Any]) -> Estimate:
     meta = estimate["_meta_"]
     assert meta["dtype"] == "mcp_asdf_messages.Estimate.1.0"
     alpha = alpha_word_from_float(estimate["alpha"])
-    return Message(meta["source_node_id"], estimate["x_q23"], alpha, meta["transfer_id"] % 32)
+    return Estimate(meta["source_node_id"], estimate["x_q23"], alpha, meta["transfer_id"] % 32)
 
 
-def logged(log: Path) -> set[Message]:
+def logged(log: Path) -> set[Estimate]:
     with can.LogReader(log) as reader:
-        found = (frames.decode(frame, DEFAULT) for frame in reader)
-        return {message for message in found if isinstance(message, Message)}
+        found = (frames.decode_estimate(frame, DEFAULT) for frame in reader)
+        return {message for message in found if isinstance(message, Estimate)}

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, Telemetry, encode, encode_heartbeat
+from mcp_asdf_tools.bus.frames import (
+    Estimate,
+    FrameFormat,
+    Heartbeat,
+    Telemetry,
+    encode_estimate,
+    encode_heartbeat,
+)
 from mcp_asdf_tools.bus.frames import encode_telemetry as encode_t
 from mcp_asdf_tools.radio.comparison import Comparison
 from mcp_asdf_tools.robots.node import Subjects
@@ -15,7 +22,7 @@ X, ALPHA = 0x123456, 0x9ABCDE05  # a word: 24 bits and a shift
 def told(got: tuple[int, int], expected: tuple[int, int]) -> str:
     """What is said of two estimates' x_hat and alpha."""
     judge = Comparison(Subjects(), encode_heartbeat(Heartbeat(5, 0, 0)))
-    own, model = (encode(Message(5, *each, 0), FrameFormat()) for each in (got, expected))
+    own, model = (encode_estimate(Estimate(5, *each, 0), FrameFormat()) for each in (got, expected))
     found = judge.check([model, own, own], [model] * 2)
     assert found is not None and str(found).endswith(f"; {found.relation}" if found.relation else found.got)
     return found.relation
@@ -43,7 +50,7 @@ def test_powers_of_two_in_binary32() -> None:
     """From the least exponent of a normal number to the largest; others have none."""
     tells = {(1, 2): "it is 0.5 times what", (254, 253): "it is 2 times what", (0, 1): "", (255, 254): ""}
     for exponents, words in tells.items():
-        own, model = (encode(Message(5, X, ALPHA, 0), FrameFormat()) for _ in exponents)
+        own, model = (encode_estimate(Estimate(5, X, ALPHA, 0), FrameFormat()) for _ in exponents)
         for frame, exponent in zip((own, model), exponents, strict=True):
             frame.data[3:7] = (exponent << 23 | 0x345678).to_bytes(4, "little")
         found = Comparison(Subjects(), encode_heartbeat(Heartbeat(5, 0, 0))).check([own], [model])

@@ -15,7 +15,7 @@ import pytest
 
 from host_tools.swarm.test_swarm_faults import REJOINING
 from mcp_asdf.robot import FixedPointRobot
-from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, decode_heartbeat, encode
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, decode_heartbeat, encode_estimate
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.radio.bench import Bench
@@ -117,8 +117,8 @@ def test_what_neighbours_hear_is_counted_by_its_sender(
     """Whether it comes at a tick or between two. And what the controller says reaches them."""
     monkeypatch.setattr(BusLink, "catch_up", catch_up)
     wire, others = Wire(), FrameFormat(17)
-    heard = [encode(Message(ID, 9, 0, 0), others)]  # another subject's
-    heard += [encode(Message(sender, 9, 0, 0), FrameFormat()) for sender in (ID, 1, 1, 100, 5, 6)]
+    heard = [encode_estimate(Estimate(ID, 9, 0, 0), others)]  # another subject's
+    heard += [encode_estimate(Estimate(sender, 9, 0, 0), FrameFormat()) for sender in (ID, 1, 1, 100, 5, 6)]
     wire._waiting.extend(heard)
     for frame in heard:
         frame.is_rx = True

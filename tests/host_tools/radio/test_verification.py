@@ -17,7 +17,8 @@ import can
 import pytest
 
 from mcp_asdf.robot import Filter, FixedPointRobot, Observation
-from mcp_asdf_tools.bus.frames import Action, Command, Heartbeat, Message, Telemetry, decode_command
+from mcp_asdf_tools.bus.frame_layout import Action
+from mcp_asdf_tools.bus.frames import Command, Estimate, Heartbeat, Telemetry, decode_command
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.radio import bench, robust_phases, rounds
 from mcp_asdf_tools.radio.bench import BenchOptions
@@ -338,7 +339,7 @@ def is_command(frame: can.Message) -> bool:
         (Heartbeat(40, 7, 0), None),
         (Telemetry(40, 7, 16, 0, 0), None),
         (Command(40, 1000, 77, Action.SETTLE, 0), None),
-        (Message(40, 1 << 22, 0x80000001, 0), "estimates"),
+        (Estimate(40, 1 << 22, 0x80000001, 0), "estimates"),
         (Command(40, 1000, ID, Action.OBSERVE_BLACK, 0), "commands"),
         (Command(40, 1000, 255, Action.SETTLE, 0), "commands"),
     ],

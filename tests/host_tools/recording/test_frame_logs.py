@@ -8,7 +8,7 @@ from pathlib import Path
 import can
 import pytest
 
-from mcp_asdf_tools.bus.frames import frame_as_text
+from mcp_asdf_tools.bus.frames import format_frame
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording import frame_logs
 from mcp_asdf_tools.recording.candump_lines import parse_line
@@ -36,14 +36,14 @@ FRAME = "186BB92A#0000603333F307E5"
 def test_all_forms_of_candump_give_the_same_frame(line: str) -> None:
     frame = parse_line(line)
     assert frame is not None
-    assert (frame.timestamp, frame.channel, frame_as_text(frame)) == (1.5, "vcan0", FRAME)
+    assert (frame.timestamp, frame.channel, format_frame(frame)) == (1.5, "vcan0", FRAME)
     assert frame.is_extended_id and frame.is_rx and not frame.is_fd
 
 
 def test_a_console_line_without_a_time_is_of_time_zero() -> None:
     frame = parse_line("  can1  123   [2]  01 FF")
     assert frame is not None
-    assert (frame.timestamp, frame.channel, frame_as_text(frame)) == (0.0, "can1", "123#01FF")
+    assert (frame.timestamp, frame.channel, format_frame(frame)) == (0.0, "can1", "123#01FF")
     assert not frame.is_extended_id
 
 

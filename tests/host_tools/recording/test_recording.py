@@ -24,7 +24,7 @@ import can
 import pytest
 
 from mcp_asdf.robot import Observation
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, encode
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording import recording as module
@@ -40,7 +40,7 @@ LOST = "mcp-asdf replay cannot check this log, as it needs the events, but mcp-a
 
 
 def frame(number: int) -> can.Message:
-    frame = encode(Message(5, number, ALPHA_ONE, number % 32), FrameFormat())
+    frame = encode_estimate(Estimate(5, number, ALPHA_ONE, number % 32), FrameFormat())
     frame.timestamp = 1e9 + number
     return frame
 

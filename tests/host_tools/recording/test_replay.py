@@ -19,7 +19,14 @@ from hypothesis import strategies as st
 
 from input_logs import input_log_in
 from mcp_asdf.robot import Config, Filter, Observation
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, alpha_bits, decode, encode, float_of
+from mcp_asdf_tools.bus.alpha_words import float32_value
+from mcp_asdf_tools.bus.frames import (
+    Estimate,
+    FrameFormat,
+    alpha_float32_bits,
+    decode_estimate,
+    encode_estimate,
+)
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, InputLogWriter, input_log_path
@@ -115,10 +122,11 @@ def test_what_faults_did_is_no_difference(options: str, tmp_path: Path) -> None:
 
 def values(frame: can.Message) -> str:
     """Values as a difference tells them."""
-    said, alpha = decode(frame, FrameFormat()), alpha_bits(frame)
-    assert isinstance(said, Message)
+    said, alpha = decode_estimate(frame, FrameFormat()), alpha_float32_bits(frame)
+    assert isinstance(said, Estimate)
     return (
-        f"x_hat {said.x_hat:#08x} ({said.x_hat / 2**23:.7f}), alpha {alpha:#010x} ({float_of(alpha):.7g}), "
+        f"x_hat {said.x_hat:#08x} ({said.x_hat / 2**23:.7f}), "
+        f"alpha {alpha:#010x} ({float32_value(alpha):.7g}), "
         f"transfer_id {said.transfer_id}"
     )
 
@@ -126,15 +134,17 @@ def values(frame: can.Message) -> str:
 @pytest.mark.parametrize("seed", range(20))
 def test_one_wrong_bit_is_found_where_it_is(seed: int, recorded: Path) -> None:
     frames, draw = list(read_log(recorded)), random.Random(seed)
-    estimates = [n for n, frame in enumerate(frames) if isinstance(decode(frame, FrameFormat()), Message)]
+    estimates = [
+        n for n, frame in enumerate(frames) if isinstance(decode_estimate(frame, FrameFormat()), Estimate)
+    ]
     place = draw.choice(estimates)
     right = copy(frames[place])
     bit = draw.randrange(55) if seed else 24  # of alpha's last bit robots make no use
     content = int.from_bytes(frames[place].data, "little") ^ 1 << bit
     frames[place].data = bytearray(content.to_bytes(8, "little"))
     verdict = check(frames, recorded)
-    said = decode(frames[place], FrameFormat())
-    if isinstance(said, Message):
+    said = decode_estimate(frames[place], FrameFormat())
+    if isinstance(said, Estimate):
         tick = 10 * (place // 44) + place % 44 // 4  # after 4 heartbeats
         told = f"robot {said.sender} broadcast {values(frames[place])}, but in tick {tick} it makes "
         assert verdict.difference is not None, f"replay: random.Random({seed})"
@@ -170,7 +180,7 @@ def test_every_settle_shows_its_robot(recorded: Path) -> None:
 
 def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
     log, robot = tmp_path / "x", BusRobot(record(5), FrameFormat())
-    stranger = encode(Message(5, 77, ALPHA_ONE, 1), FrameFormat())
+    stranger = encode_estimate(Estimate(5, 77, ALPHA_ONE, 1), FrameFormat())
     header = InputLogHeader([record(5)], None, FrameFormat())
     with input_log_in(input_log_path(log), header) as writer:
         writer.robots[5].observe(Observation.BLACK)
@@ -190,7 +200,7 @@ def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
     input_log_path(log).rename(input_log_path(log.with_name("x.part")))  # of a run that was cut off
     with input_log_path(log.with_name("x.part")).open("a") as part:
         part.write("[5,")
-    later = [encode(Message(5, 0, 0, turn), FrameFormat()) for turn in (1, 2, 3)]
+    later = [encode_estimate(Estimate(5, 0, 0, turn), FrameFormat()) for turn in (1, 2, 3)]
     assert check([own, *later], log.with_name("x.part")) == ReplayVerdict(reproduced=1, beyond=3)
 
 

@@ -17,7 +17,8 @@ import pytest
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation
 from mcp_asdf.table import Table
-from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, Rejection, Telemetry
+from mcp_asdf_tools.bus.frame_layout import Rejection
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, Telemetry
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception, Recorder
@@ -69,7 +70,7 @@ def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
 def test_a_line_has_all_that_befell_a_robot_in_a_tick() -> None:
     """And what is left when it ends. The dead hear nothing, and wake to an event if all was lost."""
     lines, beat = list[str](), encoded(Heartbeat(8, 1, 0))
-    own, *heard = (encoded(Message(sender, 9, 0, 0)) for sender in (5, 6, 7, 8))
+    own, *heard = (encoded(Estimate(sender, 9, 0, 0)) for sender in (5, 6, 7, 8))
     recorder = Recorder(5, lines.append, json.dumps)
     one = BusRobot(record(5), ESTIMATES, recorder)
     recorder.flush()
@@ -104,14 +105,14 @@ def test_a_line_has_all_that_befell_a_robot_in_a_tick() -> None:
 
 def test_what_is_no_estimate_is_counted_by_its_kind() -> None:
     one = BusRobot(record(5), ESTIMATES)
-    for content in (Heartbeat(8, 1, 0), Telemetry(8, 9, 1 << 23, 1, 0), Message(6, 9, 0, 0), *Rejection):
+    for content in (Heartbeat(8, 1, 0), Telemetry(8, 9, 1 << 23, 1, 0), Estimate(6, 9, 0, 0), *Rejection):
         one.count(content, 3)
     others = [each for each in Rejection if each is not Rejection.ERROR_FRAME]
     assert one.reception == Reception(
         heartbeats=3, telemetry=3, errors=3, rejected=Counter(dict.fromkeys(others, 3))
     )
     one.reception = Reception()
-    for said in (Message(5, 9, 0, 0), Message(6, 9, 0, 0), Heartbeat(8, 1, 0)):
+    for said in (Estimate(5, 9, 0, 0), Estimate(6, 9, 0, 0), Heartbeat(8, 1, 0)):
         one.hear_stranger(encoded(said))
     own = Counter({(Suspicion.CONFLICT, 5): 1})
     assert one.reception == Reception(strays=2, heartbeats=1, events=own)

@@ -17,9 +17,9 @@ import pytest
 
 from mcp_asdf.fixed_point import alpha_from_word, alpha_word_from_float
 from mcp_asdf.robot import Filter, Observation
+from mcp_asdf_tools.bus.frame_layout import Action
 from mcp_asdf_tools.bus.frames import (
-    COMMANDS,
-    Action,
+    COMMAND_FORMAT,
     Command,
     FrameFormat,
     Telemetry,
@@ -48,7 +48,7 @@ COLOURS = (*Observation, None)
 
 
 def decoded(frame: can.Message) -> Command:
-    order = decode_command(frame, COMMANDS)
+    order = decode_command(frame, COMMAND_FORMAT)
     assert isinstance(order, Command)
     return order
 

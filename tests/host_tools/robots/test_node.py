@@ -17,7 +17,8 @@ import can
 import pytest
 
 from mcp_asdf.robot import FixedPointRobot, Observation
-from mcp_asdf_tools.bus.frames import COMMANDS, FrameFormat, Message, bits_of, decode, encode, word_of
+from mcp_asdf_tools.bus.alpha_words import alpha_word_from_bits, float32_bits
+from mcp_asdf_tools.bus.frames import COMMAND_FORMAT, Estimate, FrameFormat, decode_estimate, encode_estimate
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS
 from mcp_asdf_tools.robots.lockstep import Lockstep
@@ -34,7 +35,7 @@ WHITE, BLACK = Observation
 def test_filters_pass_what_decoders_may_accept_and_nothing_else() -> None:
     """Their mask is the one of docs/frame.md."""
     draw = random.Random(6)
-    subjects = FrameFormat(3000), COMMANDS
+    subjects = FrameFormat(3000), COMMAND_FORMAT
     page = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
     assert f"mask `{filters_for(*subjects)[0]['can_mask']:#010X}`".replace("0X", "0x") in page
     with can.Bus(interface="virtual", channel="filters", ignore_config=True) as bus:
@@ -44,7 +45,7 @@ def test_filters_pass_what_decoders_may_accept_and_nothing_else() -> None:
             identifier = draw.choice([draw.randrange(1 << 29), 0x106BB82A ^ 1 << draw.randrange(29)])
             frame = can.Message(arbitration_id=identifier, data=b"\0\0\0\0\0\0\0\xe0")
             frame.is_extended_id = identifier > 0x7FF
-            wanted = any(isinstance(decode(frame, subject), Message) for subject in subjects)
+            wanted = any(isinstance(decode_estimate(frame, subject), Estimate) for subject in subjects)
             assert bus._matches_filters(frame) == wanted, "replay: random.Random(6)"
             passed += wanted
     assert passed > 1000
@@ -63,7 +64,7 @@ def test_a_node_s_frames_have_its_own_time_and_number_and_a_heartbeat_begins_eac
     assert found == expected
 
 
-FRAME = encode(Message(9, 1, 0, 0), FrameFormat())
+FRAME = encode_estimate(Estimate(9, 1, 0, 0), FrameFormat())
 FULL, DOWN = errno.ENOBUFS, errno.ENETDOWN
 
 
@@ -131,7 +132,7 @@ def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[s
             lockstep.observe({5: z})
             twin.observe(z)
             if tick in (7, 8, 9):
-                stranger = encode(Message(5, tick, 0, tick), FrameFormat())
+                stranger = encode_estimate(Estimate(5, tick, 0, tick), FrameFormat())
                 cut = can.Message(arbitration_id=stranger.arbitration_id, data=stranger.data[:7])
                 for frame in (stranger, cut):
                     bus.send(frame, timeout=1)
@@ -165,7 +166,7 @@ def test_suspicious_estimates_are_told_once_for_each_kind_and_sender(
 ) -> None:
     """Those of unknown ids are dropped; own ones are heard, whatever is allowed. A confidence may double when
     it is new or has fallen, but not after 32 rounds."""
-    few, twice, many = (bits_of(alpha) for alpha in (40.0, 80.0, 1e30))
+    few, twice, many = (float32_bits(alpha) for alpha in (40.0, 80.0, 1e30))
     alphas = {6: [*range(few, few + 32), twice + 31, *[few] * 33, twice - 1], 7: [few, *[twice] * 32, many]}
     alphas |= {8: [*[twice] * 33, *[few] * 32, twice], 9: [twice, *[few] * 33, twice]}
 
@@ -176,7 +177,12 @@ def test_suspicious_estimates_are_told_once_for_each_kind_and_sender(
             lockstep.observe({5: WHITE})
             said = {each: bits[tick] for each, bits in alphas.items() if tick < len(bits)}
             for sender, bits in (said | dict.fromkeys((5, 30, 127), many)).items():
-                bus.send(encode(Message(sender, 9, word_of(bits), tick % 32), FrameFormat()), timeout=1)
+                bus.send(
+                    encode_estimate(
+                        Estimate(sender, 9, alpha_word_from_bits(bits), tick % 32), FrameFormat()
+                    ),
+                    timeout=1,
+                )
             lockstep.settle({5})
 
     with join() as bus, meanwhile(lambda: drive(bus)):

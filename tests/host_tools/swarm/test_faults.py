@@ -16,7 +16,15 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mcp_asdf_tools.bus.frames import ONE, FrameFormat, Heartbeat, Message, decode, encode, encode_heartbeat
+from mcp_asdf_tools.bus.frame_layout import Q23_ONE
+from mcp_asdf_tools.bus.frames import (
+    Estimate,
+    FrameFormat,
+    Heartbeat,
+    decode_estimate,
+    encode_estimate,
+    encode_heartbeat,
+)
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
 from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind, parse_fault
@@ -133,7 +141,7 @@ class Reference:
         self.injected = [0] * len(faults)
         self.seed = seed
         self.left: dict[tuple[int, int], int] = {}
-        self.regular: dict[tuple[int, int], Message] = {}
+        self.regular: dict[tuple[int, int], Estimate] = {}
 
     def word(self, place: int, index: int, *key: int) -> int:
         """A word of the fault at ``place``: SHAKE-128 of seed, fault and key."""
@@ -174,7 +182,7 @@ class Reference:
                 words = [self.word(place, 1, tick, k, 0, node, 0, 0, 0) for k in range(fault.frames)]
                 frames = [(FORMAT.identifier(node), word.to_bytes(8, "little")) for word in words]
             else:
-                said = struct.pack("<I", round(fault.x * ONE))[:3] + struct.pack(
+                said = struct.pack("<I", round(fault.x * Q23_ONE))[:3] + struct.pack(
                     "<fB", fault.alpha, 224 + tick
                 )
                 frames = [(FORMAT.identifier(each), said) for each in range(128) if each in fault.ids]
@@ -185,20 +193,24 @@ class Reference:
     def leave(self, frame: Frame, node: int, tick: int, number: int) -> Frame:
         """What gets onto the bus of a frame, the ``number``-th with its identifier; the node is not off."""
         for place, fault in enumerate(self.faults):
-            said = decode(can.Message(arbitration_id=frame[0], data=frame[1]), FORMAT)
+            said = decode_estimate(can.Message(arbitration_id=frame[0], data=frame[1]), FORMAT)
             struck = self.word(place, 0, tick, number, frame[0], node, 0, 2, 0) < Fraction(fault.rate) * 2**64
             struck = struck and self.on(fault, tick, node)
             if fault.kind is FaultKind.COLLIDE and struck:
                 assert fault.id is not None
                 frame = (frame[0] // 128 * 128 + fault.id, frame[1])
-            elif fault.kind is FaultKind.LIAR and struck and isinstance(said, Message):
-                x = content(encode(Message(said.sender, round(fault.x * ONE), 0, said.transfer_id), FORMAT))
+            elif fault.kind is FaultKind.LIAR and struck and isinstance(said, Estimate):
+                x = content(
+                    encode_estimate(
+                        Estimate(said.sender, round(fault.x * Q23_ONE), 0, said.transfer_id), FORMAT
+                    )
+                )
                 frame = (frame[0], x[1][:3] + struct.pack("<f", fault.alpha) + x[1][7:])
-            elif fault.kind is FaultKind.FREEZE and isinstance(said, Message):
+            elif fault.kind is FaultKind.FREEZE and isinstance(said, Estimate):
                 held = self.regular.get((place, node))
                 if struck and held is not None:
-                    again = Message(said.sender, held.x_hat, held.alpha, said.transfer_id)
-                    frame = content(encode(again, FORMAT))
+                    again = Estimate(said.sender, held.x_hat, held.alpha, said.transfer_id)
+                    frame = content(encode_estimate(again, FORMAT))
                 else:
                     self.regular[place, node], struck = said, False
             else:
@@ -277,15 +289,15 @@ def test_every_frame_meets_the_fate_that_the_reference_says(
         for node in range(ROBOTS):
             lasting = faults.crash(node, tick)
             assert (lasting is not None) == reference.off(node, FaultKind.CRASH), replay
-            own = Message(node, int(chance.integers(ONE)), int(chance.integers(1, 1 << 24)), tick % 32)
+            own = Estimate(node, int(chance.integers(Q23_ONE)), int(chance.integers(1, 1 << 24)), tick % 32)
             early, late = (faults.babble(node, tick, tick / 10, is_early) for is_early in (True, False))
             heartbeat = encode_heartbeat(Heartbeat(node, tick, tick % 32))
-            before = [*early, encode(own, FORMAT), heartbeat, *late]
+            before = [*early, encode_estimate(own, FORMAT), heartbeat, *late]
             leaving = [each for frame in before for each in faults.leave(frame, node, tick)]
             first, last_ones = (
                 reference.babble(node, tick, kind) for kind in (FaultKind.SYBIL, FaultKind.BABBLE)
             )
-            frames = [*first, content(encode(own, FORMAT)), content(heartbeat), *last_ones]
+            frames = [*first, content(encode_estimate(own, FORMAT)), content(heartbeat), *last_ones]
             counts = Counter[int]()
             for frame in [] if reference.off(node) else frames:
                 expected.append(reference.leave(frame, node, tick, counts[frame[0]]))

@@ -16,7 +16,7 @@ from can.interfaces import virtual
 
 from host_tools.swarm.swarms import ON_OWN_BUSES, content, own_bus, record, small, states
 from host_tools.swarm.test_swarm_faults import MIX
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, decode
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
 from mcp_asdf_tools.cli import swarm
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
@@ -118,7 +118,9 @@ def test_robots_elsewhere_end_in_the_same_bits(
     # Liars and id collisions do not change what the robot itself puts on its bus.
     if not faults:
         said, expected = (
-            sorted(content([each for each in sent if isinstance(decode(each, FrameFormat()), Message)]))
+            sorted(
+                content([each for each in sent if isinstance(decode_estimate(each, FrameFormat()), Estimate)])
+            )
             for sent in (frames, same)  # in a round another may be first
         )
         assert said == expected

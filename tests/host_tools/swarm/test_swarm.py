@@ -14,17 +14,16 @@ from can.interfaces import virtual
 from host_tools.swarm.swarms import ON_ONE_BUS, content, one_bus, record, small, states
 from mcp_asdf.fixed_point import alpha_from_word
 from mcp_asdf.robot import FixedPointRobot
+from mcp_asdf_tools.bus.frame_layout import Q23_ONE, Rejection
 from mcp_asdf_tools.bus.frames import (
-    ONE,
+    Estimate,
     FrameFormat,
     Heartbeat,
-    Message,
-    Rejection,
     Telemetry,
-    decode,
-    decode_any,
+    decode_estimate,
+    decode_frame,
     decode_telemetry,
-    encode,
+    encode_estimate,
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.engine import native
@@ -82,15 +81,15 @@ def test_frames_have_their_turn_their_time_and_their_number(comms_period: int) -
     _, frames = record(small(steps_per_second=25, comms_period=comms_period))
     found: list[tuple[int, type, int, int]] = []
     for frame in frames:
-        said = decode_any(frame, FrameFormat())
-        assert isinstance(said, Message | Heartbeat) and frame.is_rx
+        said = decode_frame(frame, FrameFormat())
+        assert isinstance(said, Estimate | Heartbeat) and frame.is_rx
         found.append((round(frame.timestamp * 25), type(said), said.sender, said.transfer_id))
     expected: list[tuple[int, type, int, int]] = []
     for tick in range(60):
         beats = tick % 25 == 0
         expected += [(tick, Heartbeat, robot, tick // 25) for robot in range(5) if beats]
         due = tick % comms_period == comms_period - 1
-        expected += [(tick, Message, robot, tick // comms_period % 32) for robot in range(5) if due]
+        expected += [(tick, Estimate, robot, tick // comms_period % 32) for robot in range(5) if due]
     assert found == expected
 
 
@@ -105,13 +104,13 @@ def test_all_informed_estimates_are_the_same_to_the_bit(firmware: str) -> None:
 
     outcome, frames = record(small(firmware=firmware, steps=120), hooks=[note])
     assert outcome.results["updates"] > 0
-    decoded = [decode(frame, FrameFormat()) for frame in frames]
-    messages = iter([message for message in decoded if isinstance(message, Message)])
+    decoded = [decode_estimate(frame, FrameFormat()) for frame in frames]
+    messages = iter([message for message in decoded if isinstance(message, Estimate)])
     for found in estimates:
         in_round = list(islice(messages, 5))
         weights = [Fraction(alpha_from_word(message.alpha)) for message in in_round]
         products = [weight * message.x_hat for weight, message in zip(weights, in_round, strict=True)]
-        assert found == {sum(products) // sum(weights) if sum(weights) else ONE // 2}
+        assert found == {sum(products) // sum(weights) if sum(weights) else Q23_ONE // 2}
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
@@ -121,7 +120,7 @@ def test_telemetry_is_every_robots_state_and_changes_nothing(firmware: str) -> N
 
     def note(swarm: Swarm) -> None:
         robots = [node.robot for node in swarm.nodes]
-        held.append([(int(r.x * ONE), int(r.b_hat * 2**24), r.counters.updates) for r in robots])
+        held.append([(int(r.x * Q23_ONE), int(r.b_hat * 2**24), r.counters.updates) for r in robots])
 
     talkative = small(firmware=firmware, telemetry_period=7)
     with Swarm(talkative, Wiring()) as fresh:
@@ -180,7 +179,7 @@ def test_lost_frames_end_the_run_with_a_clear_reason(
 
 
 def estimate(sender: int, tick: int) -> SentFrame:
-    return SentFrame(encode(Message(sender, 0, tick, tick % 32), FrameFormat()), sender, tick)
+    return SentFrame(encode_estimate(Estimate(sender, 0, tick, tick % 32), FrameFormat()), sender, tick)
 
 
 def test_a_bus_that_is_never_quiet_does_not_keep_a_robot_listening(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -227,8 +226,8 @@ def test_foreign_traffic_is_counted_and_changes_nothing() -> None:
         can.Message(arbitration_id=0x106BB82A, is_remote_frame=True, dlc=8),
         can.Message(arbitration_id=0x106BB801, data=b"\xff" * 8),
         can.Message(arbitration_id=0x106BB801, data=b"\0" * 7),
-        encode(Message(99, ONE, 0x4F000000, 5), FrameFormat()),
-        encode(Message(1, ONE, 0x4F000000, 4), FrameFormat()),
+        encode_estimate(Estimate(99, Q23_ONE, 0x4F000000, 5), FrameFormat()),
+        encode_estimate(Estimate(1, Q23_ONE, 0x4F000000, 4), FrameFormat()),
         can.Message(arbitration_id=8, is_error_frame=True),
     ]
 

@@ -14,7 +14,7 @@ import pytest
 from can.interfaces import virtual
 
 from host_tools.swarm.swarms import ON_ONE_BUS, ON_OWN_BUSES, content, own_bus, record, small, states
-from mcp_asdf_tools.bus.frames import FrameFormat, Heartbeat, Message, decode, decode_heartbeat
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, decode_estimate, decode_heartbeat
 from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.recording.input_log import InputLogReader
 from mcp_asdf_tools.recording.replay import verify
@@ -88,8 +88,8 @@ def test_on_its_own_bus_a_robots_traffic_is_what_it_says_and_hears() -> None:
     with Swarm(small("loss,robots=1", steps=5), ON_OWN_BUSES) as swarm, own_bus(0) as spy:
         run_swarm(swarm)
         heard = [*iter(lambda: spy.recv(0), None)]
-    said = [decode(frame, FrameFormat()) for frame in heard]
-    assert Counter(each.sender for each in said if isinstance(each, Message)) == {0: 5, 2: 5, 3: 5, 4: 5}
+    said = [decode_estimate(frame, FrameFormat()) for frame in heard]
+    assert Counter(each.sender for each in said if isinstance(each, Estimate)) == {0: 5, 2: 5, 3: 5, 4: 5}
 
 
 SENT = 66
@@ -164,8 +164,8 @@ def test_a_crashed_robot_rejoins(rejoin: str) -> None:
     assert b_hat[44] > 0.9
     assert b_hat[47] == pytest.approx(0.55 if rejoin == "new" else b_hat[44], abs=1e-6)
     assert run.nodes[0].robot.t == (60 - 47 if rejoin == "new" else 60 - 2)
-    spoken = [decode(frame, FrameFormat()) for frame in frames]
-    numbers = [m.transfer_id for m in spoken if isinstance(m, Message) and m.sender == 0]
+    spoken = [decode_estimate(frame, FrameFormat()) for frame in frames]
+    numbers = [m.transfer_id for m in spoken if isinstance(m, Estimate) and m.sender == 0]
     assert numbers == [k % 32 for k in (*range(45), *(range(13) if rejoin == "new" else range(45, 58)))]
 
 

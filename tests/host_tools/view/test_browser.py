@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from browser import browser_page, until
-from mcp_asdf_tools.bus.frames import Health, Heartbeat, Message
+from mcp_asdf_tools.bus.frame_layout import Health
+from mcp_asdf_tools.bus.frames import Estimate, Heartbeat
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -106,7 +107,7 @@ def check_the_table(browser: Page, bus: Film) -> None:
     """A row for each robot, a silent one greyed, and frames through the filter."""
     roster, text = Roster(), "document.getElementById('frames').textContent"
     for robot, now in ((9, 0.0), (5, 9.0)):
-        for content in (Message(robot, 0, 0, 3), Heartbeat(robot, 60, 4, Health.WARNING)):
+        for content in (Estimate(robot, 0, 0, 3), Heartbeat(robot, 60, 4, Health.WARNING)):
             roster.hear(can.Message(), content, now)
     bus.report = roster.report(10.0)
     until(browser, "document.querySelectorAll('#roster tbody tr').length === 2")

@@ -19,7 +19,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus.frames import FrameFormat, Message, Telemetry, encode, encode_telemetry, frame_as_text
+from mcp_asdf_tools.bus.frames import (
+    Estimate,
+    FrameFormat,
+    Telemetry,
+    encode_estimate,
+    encode_telemetry,
+    format_frame,
+)
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -230,7 +237,7 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
     """The film takes a state every 1/8 s; frames come between."""
     frames = {
         0.0: encode_telemetry(Telemetry(7, 1 << 22, 1 << 23, 0, 0)),
-        0.1875: encode(Message(7, 1 << 21, 1, 0), FrameFormat()),
+        0.1875: encode_estimate(Estimate(7, 1 << 21, 1, 0), FrameFormat()),
         0.3125: encode_telemetry(Telemetry(3, 1 << 21, 1 << 22, 0, 0)),
     }
     now = [0.0]
@@ -263,7 +270,7 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
 
 def log_of(path: Path, frames: dict[float, can.Message], head: str = "") -> Path:
     """Write a log as candump does, with the frames by their times."""
-    lines = [f"({seconds:.6f}) can0 {frame_as_text(frame)}\n" for seconds, frame in frames.items()]
+    lines = [f"({seconds:.6f}) can0 {format_frame(frame)}\n" for seconds, frame in frames.items()]
     path.write_text(head + "".join(lines))
     return path
 
@@ -271,7 +278,7 @@ def log_of(path: Path, frames: dict[float, can.Message], head: str = "") -> Path
 def test_a_log_is_filmed_by_its_frames(tmp_path: Path) -> None:
     """Robot 7 comes first and falls silent after 3 s; robot 3 sends telemetry."""
     frames = {
-        1000.0: encode(Message(7, 1 << 21, 1, 0), FrameFormat()),
+        1000.0: encode_estimate(Estimate(7, 1 << 21, 1, 0), FrameFormat()),
         1000.25: encode_telemetry(Telemetry(3, 1 << 21, 1 << 22, 0, 0)),
         1003.5: encode_telemetry(Telemetry(3, 1 << 22, 1 << 23, 0, 1)),
     }
@@ -289,7 +296,7 @@ def test_a_log_is_filmed_by_its_frames(tmp_path: Path) -> None:
 
 
 def test_frames_of_a_long_log_make_a_film_of_bounded_length(tmp_path: Path) -> None:
-    frame = encode(Message(7, 1 << 21, 1, 0), FrameFormat())
+    frame = encode_estimate(Estimate(7, 1 << 21, 1, 0), FrameFormat())
     log = log_of(tmp_path / "real.log", {0.0: frame, 2e7: frame})
     assert len(film_of_frames(log, FrameFormat()).film.since()[2]) <= films.MAX_STATES + 1
 

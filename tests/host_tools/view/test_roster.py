@@ -7,16 +7,8 @@ from typing import Any
 import can
 import pytest
 
-from mcp_asdf_tools.bus.frames import (
-    FrameFormat,
-    Health,
-    Heartbeat,
-    Message,
-    Mode,
-    Rejection,
-    Telemetry,
-    encode,
-)
+from mcp_asdf_tools.bus.frame_layout import Health, Mode, Rejection
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, Telemetry, encode_estimate
 from mcp_asdf_tools.robots.suspicion import Suspicion
 from mcp_asdf_tools.view.roster import Roster
 from wire import node
@@ -28,7 +20,7 @@ class Heard(Roster):
     """A roster that hears what robots say."""
 
     def estimate(self, transfer_id: int, now: float, alpha: int = 1 << 30, robot: int = 3) -> None:
-        self.hear(FRAME, Message(robot, 1 << 22, alpha, transfer_id), now)
+        self.hear(FRAME, Estimate(robot, 1 << 22, alpha, transfer_id), now)
 
     def beat(self, uptime: int, transfer_id: int, now: float = 0.0, health: Health = Health.NOMINAL) -> None:
         self.hear(FRAME, Heartbeat(3, uptime, transfer_id, health, Mode.MAINTENANCE), now)
@@ -92,9 +84,9 @@ def test_a_rate_is_that_of_the_last_seconds_and_ends_with_silence() -> None:
 def test_the_page_counts_the_jumps_that_a_node_counts(alphas: list[int], jumps: int) -> None:
     heard, listener = Heard(), node(5)
     for tick, alpha in enumerate(alphas):
-        estimate = Message(3, 1 << 22, alpha << 8, tick % 32)
+        estimate = Estimate(3, 1 << 22, alpha << 8, tick % 32)
         heard.hear(FRAME, estimate, 0.0)
-        listener.hear(encode(estimate, FrameFormat()))
+        listener.hear(encode_estimate(estimate, FrameFormat()))
     assert heard.row(0.0)["jumps"] == listener.reception.events[Suspicion.JUMP, 3] == jumps
 
 

@@ -1,0 +1,74 @@
+"""The codec for many frames at once, for programs that receive what a swarm broadcasts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.bus.alpha_words import alpha_words_from_bits
+from mcp_asdf_tools.bus.frame_layout import ESTIMATE, FRAME_BYTES, START_END_TOGGLE
+from mcp_asdf_tools.bus.frames import (
+    IGNORED_IDENTIFIER_BITS,
+    NODE_ID_MASK,
+    SUBJECT_SHIFT,
+    FrameFormat,
+)
+
+_X_HAT, _ALPHA = ESTIMATE.field("x_hat"), ESTIMATE.field("alpha")
+_IDENTIFIER_OF_NO_SUBJECT = 0xFFFF_FFFF
+"""Stands for the identifier of a frame that cannot hold an estimate: its bits are those of no subject."""
+_COMPARED_IDENTIFIER_BITS = 0xFFFF_FFFF & ~IGNORED_IDENTIFIER_BITS
+
+
+@dataclass(frozen=True)
+class EstimateArray:
+    """Estimates of many frames; entry i of each array belongs to frame i.
+
+    Attributes:
+        rows: Sender, x_hat (unit 2**-23) and alpha (word) of each frame, shape (frames, 3), in the layout
+            that a robot's ``receive_all`` takes. Undefined where ``is_estimate`` is false.
+        is_estimate: Whether each frame holds an estimate, shape (frames,).
+    """
+
+    rows: NDArray[np.uint32]
+    is_estimate: NDArray[np.bool_]
+
+
+def decode_estimates(
+    frames: Sequence[can.Message], frame_format: FrameFormat, bit_flips: NDArray[np.uint64]
+) -> EstimateArray:
+    """Decode the estimates in many frames exactly as ``decode_estimate`` would one by one, in O(frames).
+
+    ``bit_flips``, shape (frames,), are the bits of each frame's data that are inverted before decoding;
+    bit 0 is the lowest of the first byte.
+    """
+    identifiers = np.array([_identifier_of_data_frame(frame) for frame in frames], np.uint32)
+    payloads = np.frombuffer(b"".join([_padded_data(frame) for frame in frames]), "<u8") ^ bit_flips
+    x_hat, alpha_bits = _X_HAT.extract_all(payloads), _ALPHA.extract_all(payloads)
+
+    is_estimate = identifiers & np.uint32(_COMPARED_IDENTIFIER_BITS) == frame_format.subject << SUBJECT_SHIFT
+    is_estimate &= START_END_TOGGLE.extract_all(payloads) == START_END_TOGGLE.maximum
+    is_estimate &= (x_hat <= _X_HAT.maximum) & (alpha_bits <= _ALPHA.maximum)
+
+    rows = np.empty((len(frames), 3), np.uint32)
+    rows[:, 0] = identifiers & np.uint32(NODE_ID_MASK)
+    rows[:, 1] = x_hat
+    rows[:, 2] = alpha_words_from_bits(alpha_bits.astype(np.int64))
+    return EstimateArray(rows, is_estimate)
+
+
+def _identifier_of_data_frame(frame: can.Message) -> int:
+    """Return a frame's identifier if it can hold an estimate, and otherwise one that is of no subject."""
+    is_special = frame.is_error_frame or frame.is_remote_frame or frame.is_fd or not frame.is_extended_id
+    if is_special or len(frame.data) != FRAME_BYTES:
+        return _IDENTIFIER_OF_NO_SUBJECT
+    return frame.arbitration_id
+
+
+def _padded_data(frame: can.Message) -> bytes:
+    """Return a frame's 8 bytes of data, or zeros for a frame of another length, which holds no estimate."""
+    return bytes(frame.data) if len(frame.data) == FRAME_BYTES else bytes(FRAME_BYTES)
