@@ -47,7 +47,7 @@ def find_failure(check_scenario: CheckScenario, calls: int = CALLS) -> Failure |
 
 FAULTS = {
     "estimate: what says nothing": "INFORMATIVE_G = 1 << {20 => 21}",
-    "estimate: c t": "errors = {accuracy.c => (accuracy.c ^ 1)} * total",
+    "estimate: c t": "errors = multiply_high({accuracy.c => (accuracy.c ^ 1)}, total)",
     "estimate: mirror image": "return {ONE => (ONE ^ 1)} - x_hat if is_mirrored",
     "alpha_word: cap": "if exponent > {SHIFT_MAX => SHIFT_MAX ^ 1}:",
     "mean": "// (closed.alpha + own_alpha{ =>  | 1})",

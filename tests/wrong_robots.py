@@ -386,7 +386,7 @@ WRONG |= {
     "re-estimates before it has observed": firmware("nothing seen", "if {s.t == 0 => False}:\n"),
     "no re-estimate without a black tile": firmware("all white", "if {s.t == 0 => s.n == 0}:\n"),
     "x_bar of 1 is 0": firmware(
-        "estimates of 0 and 1", "{x_bar < => (x_bar := x_bar * (x_bar < MAX_WORD - 9)) <} 1 << 31:"
+        "estimates of 0 and 1", "{x_bar < => (x_bar := x_bar * (x_bar < MAX_WORD - 9)) <} Q32_HALF:"
     ),
     "sums of alpha up to 2^45 in eq. 8": firmware(
         "threshold of 3 messages", "alpha_x, {closed.alpha => min(closed.alpha, 1 << 45)} *"

@@ -7,6 +7,7 @@ down unless a comment says otherwise. ``docs/design.md`` specifies every bit; "e
 paper.
 
 Formats are those of ``mcp_asdf.fixed_point``. A "word" is an integer of 32 bits, and MAX_WORD the largest.
+Names that begin with Q32 are numbers in units of 2**-32.
 """
 
 from __future__ import annotations
@@ -43,6 +44,10 @@ from mcp_asdf.robot import (
     check_table,
 )
 from mcp_asdf.table import FRACTION_BITS, MAX_WORD, Table, checksum
+
+Q32_HALF = 1 << 31
+Q32_ONE = 1 << 32
+"""1 in units of 2**-32, which no word holds; where a word is needed, MAX_WORD stands for it."""
 
 INFORMATIVE_G = 1 << 20
 """Where |2 p - 1| is below this, in units of 2**-32, an accuracy or estimate p carries no information."""
@@ -98,23 +103,28 @@ def leading_zeros(value: int) -> int:
     return 32 - max(value.bit_length(), 1)
 
 
+def multiply_high(a: int, b: int) -> int:
+    """Return a product without its lower 32 bits: of words its upper word, of numbers in 2**-32 likewise."""
+    return a * b >> 32
+
+
 def square_of_ratio(g: int, p: int) -> int:
     """Return (g / p)**2 in units of 2**-30, for g and p in [2**31, 2**32)."""
     ratio = (((g >> 1) << 24) // (p >> 1)) << 7  # in units of 2**-31, its upper 24 or 25 bits
-    return ratio * ratio >> 32
+    return multiply_high(ratio, ratio)
 
 
 def accuracy_of(b_hat: int) -> Accuracy:
     """Return ``b_hat`` with the values that depend on it (in C ``set_b_hat``)."""
-    c = min(b_hat, (1 << 32) - b_hat)
-    g = (1 << 32) - 2 * c
+    c = min(b_hat, Q32_ONE - b_hat)
+    g = Q32_ONE - 2 * c
     # Shifted, so that the quotients keep 24 bits also where g or c is small.
     g_shift = leading_zeros(g)
     c_shift = leading_zeros(c)
     return Accuracy(
         b_hat=b_hat,
         c=MAX_WORD if g < INFORMATIVE_G else c,
-        common=square_of_ratio(g << g_shift, (1 << 32) - c),
+        common=square_of_ratio(g << g_shift, Q32_ONE - c),
         rare=square_of_ratio(g << g_shift, c << c_shift),
         g_shift=g_shift,
         rare_shift=2 * c_shift,
@@ -155,7 +165,7 @@ def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, sh
 
     This is (g total)**2 total / (rarer (total - rarer)) / 2**shift, with ``scale`` for g total.
     """
-    square = (scale * scale >> 32) * total >> 32
+    square = multiply_high(multiply_high(scale, scale), total)
     spread = rarer * (total - rarer)
     square_shift = leading_zeros(square)
     spread_shift = 64 - spread.bit_length()
@@ -179,18 +189,19 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
     total = t << shift  # at least 2**31, so that products keep their upper bits
     rarer = rare_count << shift
     # On a floor without the rarer colour so many observations would show it, by errors of the sensor.
-    errors = accuracy.c * total >> 32
+    errors = multiply_high(accuracy.c, total)
     x_hat = 0
     if rarer <= errors:
-        if accuracy.c == MAX_WORD:
+        if accuracy.c == MAX_WORD:  # b_hat carries no information
             return HALF, 0
         mantissa, exponent = confidence_at_end(accuracy, t, rare_count)
     else:
-        scale = (total - 2 * errors) << accuracy.g_shift
-        x_hat = ((rarer - errors) << (accuracy.g_shift + 22)) // (scale >> 1)
+        scale = (total - 2 * errors) << accuracy.g_shift  # g total
+        x_hat = ((rarer - errors) << (accuracy.g_shift + 22)) // (scale >> 1)  # (p - c) / g
         mantissa, exponent = confidence_inside(accuracy, total, rarer, scale, shift)
+    # Black is the other colour if white is the rarer one, and once more if the sensor takes black for white.
     is_white_rarer = n >= t - n
-    is_mirrored = is_white_rarer == (accuracy.b_hat >= 1 << 31)
+    is_mirrored = is_white_rarer == (accuracy.b_hat >= Q32_HALF)
     return ONE - x_hat if is_mirrored else x_hat, alpha_word_from_mantissa(mantissa, exponent)
 
 
@@ -247,13 +258,14 @@ def reestimate(t: int, n: int, x_bar: int) -> int | None:
 
     ``x_bar`` is in units of 2**-32. Returns None if it is too near 1/2 to carry information.
     """
-    if x_bar < 1 << 31:  # exchange the colours
+    if x_bar < Q32_HALF:  # exchange the colours
         x_bar = MAX_WORD - x_bar
         n = t - n
-    g = 2 * x_bar - (1 << 32)
+    g = 2 * x_bar - Q32_ONE
     if g < INFORMATIVE_G:
         return None
-    b_hat = upper_quotient((n << 32) - t * ((1 << 32) - x_bar), t * g)  # may be below 0 or above 1
+    # With both sides of eq. 8 multiplied by t. The quotient may be below 0 or above 1.
+    b_hat = upper_quotient(n * Q32_ONE - t * (Q32_ONE - x_bar), t * g)
     return min(max(b_hat, B_HAT_MIN), B_HAT_MAX)
 
 
@@ -303,22 +315,22 @@ def robust_test_rejects(crowd: Crowd, t: int, n: int) -> bool:
     predict, the test rejects for D**2 > 12 (v / t + (g spread)**2): v / t is the variance of n / t, and
     g spread, with g = |2 b_hat - 1|, the uncertainty of the prediction. In C this is ``deviates``.
     """
-    # Shares are in units of 2**-32, their products and squares in units of 2**-64.
+    # Shares are in units of 2**-32, squares in units of 2**-64.
     initial_b_hat = crowd.first
     fill_ratio = crowd_fill_ratio(crowd)
-    black_seen_as_black = initial_b_hat * fill_ratio >> 32
-    white_seen_as_black = (MAX_WORD - initial_b_hat) * (MAX_WORD - fill_ratio) >> 32
+    black_seen_as_black = multiply_high(initial_b_hat, fill_ratio)
+    white_seen_as_black = multiply_high(MAX_WORD - initial_b_hat, MAX_WORD - fill_ratio)
     predicted_share = black_seen_as_black + white_seen_as_black
     observed_share = upper_quotient(n, t)
     # The larger of two estimates: either is 0 if its share is 0 or 1.
-    variance = max(share * ((1 << 32) - share) >> 32 for share in (observed_share, predicted_share))
+    variance = max(multiply_high(share, Q32_ONE - share) for share in (observed_share, predicted_share))
 
-    g = (1 << 32) - 2 * min(initial_b_hat, (1 << 32) - initial_b_hat)
-    g_spread = g * (crowd.spread << 2) >> 32
+    g = abs(2 * initial_b_hat - Q32_ONE)
+    g_spread = multiply_high(g, crowd.spread << 2)
     spread_limit = REJECTED_SIGMAS_SQUARED * (g_spread * g_spread)
     difference_squared = (observed_share - predicted_share) ** 2
     # Multiplied by t, so that v needs no division.
-    return t * (difference_squared - spread_limit) >> 32 > REJECTED_SIGMAS_SQUARED * variance
+    return multiply_high(t, difference_squared - spread_limit) > REJECTED_SIGMAS_SQUARED * variance
 
 
 # ---- The state ----
