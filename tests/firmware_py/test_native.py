@@ -10,6 +10,7 @@ from enum import IntEnum
 
 import pytest
 
+import mcp_asdf
 from mcp_asdf import fixed_point, mirror, reference, robot
 from mcp_asdf.mirror import IMAGE_MAGIC, IMAGE_WORDS
 from mcp_asdf.native import NativeRobot, ffi, lib
@@ -125,3 +126,15 @@ def test_a_table_in_c_has_zeros_up_to_the_longest_table() -> None:
     words = native._c_config._table
     assert native.pointer.config.table == words and len(words) == EXTRA_WORDS + MAX_Q
     assert list(words) == [*TABLE.words(), *[0] * (MAX_Q - TABLE.q)]
+
+
+# --- The package -----------------------------------------------------------------------------------------
+
+
+def test_the_package_offers_the_compiled_firmware() -> None:
+    assert mcp_asdf.NativeRobot is NativeRobot
+
+
+def test_the_package_has_no_other_attributes() -> None:
+    with pytest.raises(AttributeError, match="module 'mcp_asdf' has no attribute 'NoRobot'"):
+        mcp_asdf.NoRobot  # noqa: B018

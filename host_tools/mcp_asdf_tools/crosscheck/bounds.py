@@ -46,13 +46,13 @@ def x_hat_bounds(n: int, t: int, b: Fraction) -> Bounds:
     if not is_informative(b):
         return HALF, HALF
     exact = local_estimate(n, t, b)
-    rarer = min(exact, 1 - exact)
+    exact_of_rarer = min(exact, 1 - exact)
     r = 1 / abs(2 * b - 1)
     # At the end of the scale, where p <= c, x_hat is 0 exactly.
-    largest_error = (1 - 2 * rarer) * r * Q31 if rarer else Fraction(0)
-    lower = rarer // Q23 * Q23
-    upper = (rarer + largest_error) // Q23 * Q23
-    return (lower, upper) if exact == rarer else (1 - upper, 1 - lower)
+    largest_error = (1 - 2 * exact_of_rarer) * r * Q31 if exact_of_rarer else Fraction(0)
+    lower = _round_down(exact_of_rarer, Q23)
+    upper = _round_down(exact_of_rarer + largest_error, Q23)
+    return (lower, upper) if exact == exact_of_rarer else (1 - upper, 1 - lower)
 
 
 def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:
@@ -122,16 +122,24 @@ def b_hat_error(x_bar: Fraction) -> Fraction:
     return x_bar_error / abs(2 * x_bar - 1) + Q30 + Q31 + Q32
 
 
+def _round_down(value: Fraction, unit: Fraction) -> Fraction:
+    """Return the largest multiple of ``unit`` that is not above ``value``."""
+    return value // unit * unit
+
+
+def _round_towards_0(value: Fraction, unit: Fraction) -> Fraction:
+    """Return the multiple of ``unit`` next to ``value`` on the side of 0."""
+    return int(value / unit) * unit
+
+
 def crowd_after_vote(votes: int, centre: Fraction, spread: Fraction, x_hat: Fraction) -> Bounds:
     """Return the centre and the spread that the firmware must have after the ``votes``-th vote.
 
     Both were multiples of 2**-30 before, and their changes are rounded towards 0 to such multiples.
     """
     step, exact_spread = step_and_spread_after_vote(votes, centre, spread, x_hat)
-    # int() rounds towards 0, as the firmware does: it shifts the distance and applies the sign afterwards.
-    rounded_step = int(step / Q30) * Q30
-    rounded_change = int((exact_spread - spread) / Q30) * Q30
-    return centre + rounded_step, spread + rounded_change
+    # The firmware shifts distances, which are not negative, and applies the sign afterwards.
+    return centre + _round_towards_0(step, Q30), spread + _round_towards_0(exact_spread - spread, Q30)
 
 
 def robust_test_outcome(n: int, t: int, b: Fraction, centre: Fraction, spread: Fraction) -> bool | None:
