@@ -50,7 +50,7 @@ Q32_ONE = 1 << 32
 """1 in units of 2**-32, which no word holds; where a word is needed, MAX_WORD stands for it."""
 
 INFORMATIVE_G = 1 << 20
-"""Where |2 p - 1| is below this, in units of 2**-32, an accuracy or estimate p carries no information."""
+"""Smallest |2 p - 1|, in units of 2**-32, of an accuracy or an estimate p that carries information."""
 
 COUNTER_MASK = 0xFFFF
 
@@ -372,7 +372,9 @@ class Closed:
 
 @dataclass
 class Crowd:
-    """What a robot with the robust filter knows of the others; see ``mcp_asdf_crowd_t``.
+    """State of the robust filter: the centre of the estimates that a robot has received.
+
+    See ``mcp_asdf_crowd_t``.
 
     Attributes:
         centre: Centre of the received estimates.
@@ -392,7 +394,7 @@ class Crowd:
 
     @property
     def is_moving(self) -> bool:
-        """Whether more than 7 of 8 recent moves of the centre went the same way."""
+        """True if more than 7 of 8 recent moves of the centre went the same way."""
         return not TREND_MOVING_DOWN <= self.trend < TREND_MOVING_UP
 
     def is_valid(self, b_hat: int) -> bool:

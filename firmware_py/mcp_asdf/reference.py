@@ -43,7 +43,7 @@ Number = TypeVar("Number", float, Fraction)
 """The type in which an equation is computed."""
 
 INFORMATIVE_G = 2.0**-12
-"""Where |2 p - 1| is below this, an accuracy or a social estimate p carries no information."""
+"""Smallest |2 p - 1| of an accuracy, or a social estimate, p that carries information."""
 
 MAX_OMEGA = 0.9
 
@@ -98,7 +98,7 @@ AUTHORS = Conventions(
 
 
 class Estimate(NamedTuple, Generic[Number]):
-    """What a robot broadcasts: its local estimate in [0, 1], and its confidence, which is >= 0 and finite."""
+    """A robot's broadcast: its local estimate in [0, 1], and its confidence, which is >= 0 and finite."""
 
     x_hat: Number
     alpha: Number
@@ -229,7 +229,7 @@ def asdf_test_rejects(
 
 @dataclass(frozen=True)
 class Crowd:
-    """What a robot with the robust filter knows of the others.
+    """State of the robust filter: the centre of the estimates that a robot has received.
 
     Attributes:
         centre: Centre of the received estimates, in [0, 1].
@@ -247,7 +247,7 @@ class Crowd:
 
     @property
     def is_moving(self) -> bool:
-        """Whether 7 of 8 recent moves of the centre went the same way: it lags behind a changed floor."""
+        """True if 7 of 8 recent moves of the centre went the same way, as after a change of the floor."""
         return not TREND_MOVING_DOWN <= self.trend < TREND_MOVING_UP
 
 
@@ -537,7 +537,7 @@ class ReferenceRobot:
 
     @property
     def _is_robust(self) -> bool:
-        """Whether this robot has the robust filter."""
+        """True if this robot has the robust filter."""
         return self._config.filter == Filter.ROBUST
 
     def _count(self, counter: str) -> None:

@@ -1,4 +1,4 @@
-"""What robots refuse, and how: messages, observations, images, settings and tables. An error changes nothing.
+"""Robots refuse invalid messages, observations, images, settings and tables, and an error changes nothing.
 
 I1, I2, ... are the numbers of docs/invariants.md.
 """

@@ -383,7 +383,7 @@ def test_an_updated_accuracy_stays_off_zero_and_one(conventions: Conventions, ma
 
 
 def test_a_small_accuracy_is_clamped_by_the_paper_and_kept_by_the_authors() -> None:
-    """With x_bar = 1 eq. 8 is n / t."""
+    """Eq. 8 is n / t for x_bar = 1."""
     n, t = 1, 2**30
     assert assumed_accuracy_update(n, t, 1.0) == B_HAT_MARGIN
     assert assumed_accuracy_update(t - n, t, 1.0) == 1 - B_HAT_MARGIN
@@ -557,7 +557,7 @@ def test_the_robust_test_rejects_a_count_beyond_the_standard_deviations(n: int, 
 
 @dataclass
 class Tick:
-    """What both robots observe and receive in a tick: senders with their x_hat, and one alpha for all."""
+    """Inputs of both robots in a tick: an observation, and messages that all have the same alpha."""
 
     z: Observation
     x_hat_by_sender: list[tuple[int, float]]

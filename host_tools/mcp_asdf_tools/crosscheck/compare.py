@@ -11,7 +11,7 @@ from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario, robust_s
 from mcp_asdf_tools.crosscheck.scenario import IMAGE, REPLACING, Call, Scenario, Setup, edited_image, perform
 
 State = dict[str, int]
-"""All that can be observed of a robot after a call, by name."""
+"""Fields of a robot's state, and results of its methods, after a call, by name."""
 
 OUTCOMES = frozenset(Status.__members__)
 """Outcomes that a firmware may have."""
@@ -187,7 +187,7 @@ def differences(first: CallResult, second: CallResult) -> Iterator[str]:
 
 @dataclass
 class CrosscheckResult:
-    """What a cross-check has done.
+    """Result of a cross-check.
 
     Attributes:
         calls: Number of calls that were made and compared.

@@ -15,7 +15,7 @@ from mcp_asdf_tools.crosscheck.oracle import Audit
 
 @dataclass(frozen=True)
 class CrosscheckReport:
-    """All results of a cross-check.
+    """Results of a cross-check, to be shown.
 
     Attributes:
         seed: Seed of the scenarios.
@@ -45,7 +45,7 @@ class CrosscheckReport:
 
     @property
     def is_good(self) -> bool:
-        """Whether no scenario failed and all claims about time and memory hold."""
+        """True if no scenario failed and all claims about time and memory hold."""
         return self.result.failure is None and not self.problems
 
     def as_dict(self) -> dict[str, Any]:

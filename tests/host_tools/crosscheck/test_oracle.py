@@ -96,7 +96,7 @@ def test_bounds_of_alpha_have_room_for_an_alpha_word(case: AccuracyCase) -> None
     ("x_bar", "units"), [(Fraction(11, 20), 59), (Fraction(9, 20), 45), (Fraction(0), 9), (Fraction(1), 14)]
 )
 def test_the_error_of_b_hat_is_that_of_the_design(x_bar: Fraction, units: int) -> None:
-    """What eq. 8 makes of 4 x_bar + 3, or 4 x_bar + 2 below 1/2, and 7 for itself; in units of 2**-32."""
+    """It is (4 x_bar + 3) / |2 x_bar - 1| + 7 units of 2**-32; below 1/2 there is 2 in place of 3."""
     assert round(b_hat_error(x_bar) * 2**32) == units
 
 
@@ -128,7 +128,7 @@ def test_a_vote_moves_centre_and_spread_by_whole_units(x_hat: int, centre: int, 
 
 
 def test_changes_of_less_than_a_unit_are_rounded_away() -> None:
-    """With a gain of 2**-12 a distance of 3 * 2**12 - 1 units moves the centre by 2."""
+    """The gain is 2**-12, so a distance of a little less than 3 * 2**12 units moves the centre by 2."""
     distance = Fraction(3 * 2**12 - 128, 2**30)
     spread = Fraction(2**18 + 1, 2**30)
     centre_after, _ = crowd_after_vote(2**14, HALF, spread, HALF - distance)
@@ -353,7 +353,7 @@ def test_regions_cover_the_whole_range(value: float, region_index: int) -> None:
     ],
 )
 def test_errors_are_collected_by_region(b_hat: int, x_bar: int, own_region: str, update_region: str) -> None:
-    """Of a step after two black tiles and one message: a white tile is observed, and b_hat re-estimated."""
+    """The step after two black tiles and one message observes a white tile and re-estimates b_hat."""
     audit = Audit()
     text = f"robot:1:1:64:0:{b_hat},step:1,step:1,receive:1:{x_bar}:2147483649,step:0"
     for checked_call in check_calls(text, audit):
