@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,9 +14,8 @@ from mcp_asdf.robot import Config, Filter
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.cli.radio import add_arguments as add_radio_arguments
 from mcp_asdf_tools.cli.radio import settings_of
-from mcp_asdf_tools.robots.population import describe_filters
+from mcp_asdf_tools.robots.filters import describe_filters
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
-from wire import record
 
 SWARM = "--robots 4 --steps 40 --filter-period 10 --flawed 50%"
 ASDF_MINUS = "ASDF-: only the flawed robots recalibrate"
@@ -60,8 +58,7 @@ def test_without_flawed_robots_no_estimated_accuracy_changes_by_default() -> Non
     ],
 )
 def test_robots_are_described_by_the_filters_they_have(configs: list[Config], description: str) -> None:
-    records = [replace(record(number), config=config) for number, config in enumerate(configs)]
-    assert describe_filters(records) == description
+    assert describe_filters(config.filter for config in configs) == description
 
 
 @pytest.mark.parametrize("command", [f"swarm {SWARM}", f"simulate --trials 2 {SWARM}"])

@@ -21,6 +21,7 @@ from mcp_asdf_tools.common.signals import INTERRUPTED, has_ended, standard_input
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.frame_logs import add_log_option
 from mcp_asdf_tools.recording.input_log import InputLogHeader
+from mcp_asdf_tools.robots.filters import describe_filters
 from mcp_asdf_tools.robots.node import (
     BusLink,
     FrameTaker,
@@ -30,7 +31,7 @@ from mcp_asdf_tools.robots.node import (
     run_node,
     state_of,
 )
-from mcp_asdf_tools.robots.population import Population, describe_filters
+from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.record import ids_of
 from mcp_asdf_tools.robots.suspicion import MEANINGS, Suspicion
 
@@ -73,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     with recording as (log, events):
         node = RobotNode(record, subjects, rate, None if events is None else events.robots[record.id])
         outcome = _go(args, node, choice, log)
-    description = describe_filters([record])
+    description = describe_filters([record.config.filter])
     results = {
         "filter": description,
         "steps": node.ticks,

@@ -8,13 +8,14 @@ from typing import Any, TypeVar
 
 from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.parameters import Parameter, ParameterError, parameters_of
-from mcp_asdf_tools.robots.population import FILTER_MEANINGS, Population
+from mcp_asdf_tools.robots.filters import FILTERS
+from mcp_asdf_tools.robots.population import Population
 
 Settings = TypeVar("Settings", bound=Population)
 
 
 _FILTERS = "What --filter may be:\n" + "\n".join(
-    f"  {name:11} {text}" for name, text in FILTER_MEANINGS.items()
+    f"  {swarm_filter.name:11} {swarm_filter.meaning}" for swarm_filter in FILTERS.values()
 )
 
 

@@ -20,9 +20,9 @@ from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.robot_options import (
     add_robot_options,
     add_subject_options,
-    filtering_of,
     robot_of,
     subjects_of,
+    swarm_filter_of,
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, results_beside, write_atomically
@@ -34,8 +34,8 @@ from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.radio.verification import Verification, details, markdown
 from mcp_asdf_tools.recording.frame_logs import add_log_option
 from mcp_asdf_tools.recording.input_log import InputLogHeader
+from mcp_asdf_tools.robots.filters import FilteringRobots, describe_filters
 from mcp_asdf_tools.robots.node import BusLink, filters_for
-from mcp_asdf_tools.robots.population import describe_filters
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
@@ -155,7 +155,7 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
     ids = choose_ids(controller.id, world.robots - 1, args.first_id)
     b_hat = min(max(world.true_accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
     config = controller.config
-    if filtering_of(args) == "asdf-minus":
+    if swarm_filter_of(args).filtering_robots is FilteringRobots.FLAWED:
         # Of this swarm the controller alone is in doubt, so its neighbours do not recalibrate.
         config = replace(config, table=None, filter=Filter.OFF)
     neighbours = tuple(replace(controller, id=robot, b_hat=b_hat, config=config) for robot in ids)
@@ -168,9 +168,10 @@ def _report(
 ) -> dict[str, Any]:
     """Everything needed to repeat the run, as plain values."""
     own = ("verify", "steps", "timeout")
+    robots = [settings.controller, *settings.neighbours]
     return {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "filter": describe_filters([settings.controller, *settings.neighbours]),
+        "filter": describe_filters(robot.config.filter for robot in robots),
         "parameters": {
             "controller": settings.controller.plain(),
             "neighbours": [neighbour.plain() for neighbour in settings.neighbours],

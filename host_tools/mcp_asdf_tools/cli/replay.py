@@ -16,7 +16,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import PART, LogSummary, check_log, read_log
 from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
 from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
-from mcp_asdf_tools.robots.population import describe_filters
+from mcp_asdf_tools.robots.filters import describe_filters
 
 EPILOG = """\
 examples:
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         verdict = verify(frames, input_log)
         with suppress(UsageError):  # the rest of the log only tells its channels
             deque(frames, maxlen=0)
-    filters = describe_filters(input_log.header.robots)
+    filters = describe_filters(robot.config.filter for robot in input_log.header.robots)
     if args.json:
         print(json_report(_report(args, events, summary, verdict, filters)))
     else:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from typing import cast
 
 from mcp_asdf.robot import MAX_ID, FirmwareError
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.cli.parameter_options import add_parameters, settings_from
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import parameters_of
+from mcp_asdf_tools.robots.filters import FILTERS, SwarmFilter
 from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.node import Subjects
-from mcp_asdf_tools.robots.population import Filtering, Population
+from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.record import RobotRecord
 
 _OF_ROBOT = ("filter", "activation", "comms_period", "filter_period", "omega", "memory")
@@ -65,9 +65,9 @@ def robot_of(args: argparse.Namespace) -> RobotRecord:
     return record
 
 
-def filtering_of(args: argparse.Namespace) -> Filtering:
-    """Return the value of ``--filter``, or its default where it was not given."""
-    return cast(Filtering, args.filter or parameters_of(Population)["filter"].default)
+def swarm_filter_of(args: argparse.Namespace) -> SwarmFilter:
+    """Return the filter that ``--filter`` names, or the default where the option was not given."""
+    return FILTERS[args.filter or parameters_of(Population)["filter"].default]
 
 
 def add_subject_options(parser: argparse.ArgumentParser) -> None:

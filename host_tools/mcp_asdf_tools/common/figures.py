@@ -64,9 +64,6 @@ COLOURS = (
 FLAWED, OTHER, INK = COLOURS[1], COLOURS[0], COLOURS[7]
 """Flawed robots, healthy ones, the truth."""
 
-WITHOUT, ROBUST = COLOURS[8], COLOURS[2]
-"""Swarms without a filter, and with the robust one."""
-
 _LOW_TO_HIGH = LinearSegmentedColormap.from_list("low to high", ["#440154", "#31688e", "#35b779", "#d8c51c"])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Literal, cast, get_args
+from typing import Any, Literal, cast
 
 import numpy as np
 from matplotlib import colormaps
@@ -21,10 +21,8 @@ from mcp_asdf_tools.common.figures import (
     INK,
     MEDIUM,
     OTHER,
-    ROBUST,
     SMALL,
     WIDTH,
-    WITHOUT,
     add_caption,
     add_legend,
     clean,
@@ -36,7 +34,7 @@ from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import PAPERS, SCORES, Limits
-from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
+from mcp_asdf_tools.robots.filters import FILTERS
 
 _BOXES = (
     "a point is a trial; boxes from quartile to quartile with the median, whiskers to the last trial within "
@@ -96,7 +94,7 @@ def _handle(label: str, colour: str, marker: str = "o", line: Literal["", "-"] =
 
 def filter_name(experiment: Experiment) -> str:
     """The paper's name of who filters, or robust."""
-    return TYPESET_FILTER_NAMES[experiment.filter]
+    return experiment.swarm_filter.typeset_term
 
 
 def _share(experiment: Experiment) -> float:
@@ -148,12 +146,12 @@ def _has(experiment: Experiment, name: str) -> bool:
     """Whether a parameter means anything in an experiment: those of filters do not in all."""
     if name not in _FILTER_PARAMETERS:
         return True
-    return experiment.filter != "none" and name not in experiment.unused_parameters()
+    return experiment.swarm_filter.is_on and name not in experiment.unused_parameters()
 
 
 def _place(name: str, value: Any) -> Any:
     """What values of a parameter are sorted by."""
-    return get_args(Filtering).index(value) if name == "filter" else value
+    return list(FILTERS).index(value) if name == "filter" else value
 
 
 def _colours_of(series: dict[str, list[Trials]]) -> list[str]:
@@ -163,13 +161,15 @@ def _colours_of(series: dict[str, list[Trials]]) -> list[str]:
 
 
 def filter_colours(filters: Sequence[str]) -> list[str]:
-    """Grey for the first without a filter, green for the first robust one, otherwise one after the other."""
-    own = {"none": WITHOUT, "robust": ROBUST}
-    free, colours = iter([colour for colour in COLOURS if colour not in own.values()]), list[str]()
-    for each in filters:
-        colour = own.pop(each, None)
-        colours.append(next(free) if colour is None else colour)
-    return colours
+    """Return a colour for each series, by the name of its filter: the filter's colour for its first series,
+    otherwise the next free one of the palette. A name that is none, such as "", gets a free one, too."""
+    filter_colours = {name: known.colour for name, known in FILTERS.items() if known.colour is not None}
+    free_colours = iter([colour for colour in COLOURS if colour not in filter_colours.values()])
+    series_colours: list[str] = []
+    for name in filters:
+        colour = filter_colours.pop(name, None)
+        series_colours.append(next(free_colours) if colour is None else colour)
+    return series_colours
 
 
 def _caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> str:
@@ -455,7 +455,7 @@ def errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: Limits = PA
     """
     together = [trials for own in panels.values() for trials in own]
     filters = {trials.experiment.filter for trials in together}
-    all_looks = zip(TYPESET_FILTER_NAMES, filter_colours([*TYPESET_FILTER_NAMES]), strict=True)
+    all_looks = zip(FILTERS, filter_colours([*FILTERS]), strict=True)
     looks = [(each, colour) for each, colour in all_looks if each in filters]
     figure, grid = _panels_in_rows(len(panels), 1.9, len(looks))
     for axes, (title, own) in zip(grid, panels.items(), strict=True):
@@ -468,7 +468,7 @@ def errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: Limits = PA
                 _draw_band(axes, np.arange(found.shape[1]) * own[0].sampling_interval, found, colour)
         axes.set_yscale("log")
         clean(axes)
-    handles = [_handle(TYPESET_FILTER_NAMES[each], colour, "", "-") for each, colour in looks]
+    handles = [_handle(FILTERS[each].typeset_term, colour, "", "-") for each, colour in looks]
     words = f"lines are medians over the trials of a swarm's mean error, {_interval_words(together)}"
     return _finish(figure, ("step", "error |x \u2212 f|"), _caption(together, words, limits), handles)
 
@@ -569,7 +569,7 @@ def series_beside(runs: Sequence[Trials], number: int) -> Figure:
 
 def _title(experiment: Experiment, number: int) -> str:
     words = filter_name(experiment)
-    if experiment.filter != "none":
+    if experiment.swarm_filter.is_on:
         words += rf", $\tau$ = {experiment.filter_period}"
     robots = f"{experiment.robots} robots, {experiment.flawed} flawed"
     topology = experiment.parameters()["topology"]

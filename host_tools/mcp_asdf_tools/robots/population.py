@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
@@ -19,49 +18,11 @@ from mcp_asdf.robot import (
     Filter,
 )
 from mcp_asdf_tools.common.parameters import ParameterError, parameter, parameters_of, value_of
+from mcp_asdf_tools.robots.filters import FILTERS, Activation, SwarmFilter
 from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from mcp_asdf_tools.world.settings import MAX_PERIOD, WorldSettings
-
-Filtering = Literal["none", "asdf-minus", "asdf-plus", "robust"]
-"""Robots that re-estimate their assumed accuracy: none, the flawed ones (the paper's ASDF-), all (ASDF+), or
-all by the robust filter, which is not the paper's."""
-
-FILTER_NAMES: dict[Filtering, str] = {
-    "none": "no filter",
-    "asdf-minus": "ASDF-",
-    "asdf-plus": "ASDF+",
-    "robust": "robust",
-}
-"""Names in ASCII, the first three the paper's."""
-TYPESET_FILTER_NAMES = {key: name.replace("-", "\N{MINUS SIGN}") for key, name in FILTER_NAMES.items()}
-"""The same for pictures and pages."""
-
-FILTER_MEANINGS: dict[Filtering, str] = {
-    "none": "no robot recalibrates",
-    "asdf-minus": "the flawed robots do, by the paper's filter: for when one knows which they may be",
-    "asdf-plus": "all robots do, by the paper's filter, which may spoil healthy ones",
-    "robust": "all robots do, by this project's own filter: for when fewer than two in five may be wrong",
-}
-"""A line on each."""
-
-_FILTER_DESCRIPTIONS: dict[Filtering, str] = {
-    "none": "no filter: no robot recalibrates",
-    "asdf-minus": "ASDF-: only the flawed robots recalibrate",
-    "asdf-plus": "ASDF+: all robots recalibrate",
-    "robust": "robust: all robots recalibrate, by this project's own filter",
-}
-_ALWAYS_ACTIVE = ", in every filter step without a test"
-_DESCRIPTIONS_OF_ONE = {
-    Filter.OFF: "no filter: the robot does not recalibrate",
-    Filter.ADAPTIVE: "ASDF: the robot recalibrates, by the paper's filter",
-    Filter.ALWAYS: f"ASDF: the robot recalibrates, by the paper's filter{_ALWAYS_ACTIVE}",
-    Filter.ROBUST: "robust: the robot recalibrates, by this project's own filter",
-}
-
-Activation = Literal["adaptive", "always"]
-"""When a robot re-estimates, every ``filter_period`` steps: if the test rejects (eq. 12), or always."""
 
 Drifting = Literal["all", "flawed"]
 """Robots whose sensors drift."""
@@ -81,8 +42,10 @@ class Population(WorldSettings):
         "b_hat that unflawed robots assume at the start; 0: the true accuracy", 0, 1, default=0.0
     )
     drift_of: Drifting = parameter("robots whose sensors drift", default="all")
-    filter: Filtering = parameter(
-        "which robots recalibrate; robust: all, by a filter that is not the paper's", default="asdf-minus"
+    filter: str = parameter(
+        "which robots recalibrate; robust: all, by a filter that is not the paper's",
+        default="asdf-minus",
+        choices=tuple(FILTERS),
     )
     activation: Activation = parameter("recalibrate if the test rejects, or always", default="adaptive")
     comms_period: int = parameter("steps between broadcasts", 1, MAX_PERIOD, default=1)
@@ -120,7 +83,7 @@ class Population(WorldSettings):
 
     def unused_parameters(self) -> dict[str, str]:
         """Parameters without effect here, with the reason."""
-        return self._unused_of_drift() | self._unused_of_filter()
+        return self._unused_of_drift() | self.swarm_filter.unused_parameters_with(self.activation)
 
     def _unused_of_drift(self) -> dict[str, str]:
         """Parameters of drifts that this kind of drift does not have."""
@@ -132,42 +95,24 @@ class Population(WorldSettings):
             unused["lowest_accuracy"] = reason
         return unused
 
-    def _unused_of_filter(self) -> dict[str, str]:
-        """Parameters of filters that this filter does not have."""
-        if self.filter == "none":
-            return dict.fromkeys(("omega", "activation"), "filter is none")
-        if self.filter == "robust":
-            return dict.fromkeys(("omega", "activation"), "filter is robust, with a test of its own")
-        if self.activation == "always":
-            return {"omega": "activation is always, without a test"}
-        return {}
-
     @property
     def drifting(self) -> int:
         """How many of the first robots have sensors that drift."""
         return self.flawed if self.drift_of == "flawed" else self.robots
 
     @property
-    def filter_name(self) -> str:
-        """The paper's name of who filters, or robust, in ASCII."""
-        return FILTER_NAMES[self.filter]
+    def swarm_filter(self) -> SwarmFilter:
+        """The filter that ``filter`` names."""
+        return FILTERS[self.filter]
 
     @property
     def filter_description(self) -> str:
         """The filter for reports, in ASCII: its name, and which robots recalibrate."""
-        description = _FILTER_DESCRIPTIONS[self.filter]
-        is_untested = self.filter in ("asdf-minus", "asdf-plus") and self.activation == "always"
-        return description + _ALWAYS_ACTIVE if is_untested else description
+        return self.swarm_filter.describe(self.activation)
 
     def is_flawed(self, robot: int) -> bool:
         """True if a robot is among the flawed."""
         return bool(robot < self.flawed)
-
-    def filters(self, robot: int) -> bool:
-        """True if a robot re-estimates its accuracy."""
-        if self.filter == "asdf-minus":
-            return self.is_flawed(robot)
-        return self.filter != "none"
 
     def b_hat(self, robot: int) -> float:
         """Assumed accuracy of a robot at the start, within the firmware's [2**-20, 1 - 2**-20]."""
@@ -177,14 +122,12 @@ class Population(WorldSettings):
 
     def config(self, robot: int) -> Config:
         """Settings of a robot's firmware. The table covers N - 1 neighbours, 127 at most."""
-        kind = Filter.OFF
-        if self.filter == "robust":
-            kind = Filter.ROBUST
-        elif self.filters(robot):
-            kind = Filter.ADAPTIVE if self.activation == "adaptive" else Filter.ALWAYS
-        neighbours = min(max(2, self.robots - 1), MAX_ID)
-        table = generate(self.omega, neighbours) if kind is Filter.ADAPTIVE else None
-        return Config(table, kind, self.filter_period // self.comms_period, self.memory)
+        firmware_filter = self.swarm_filter.firmware_filter_of(self.is_flawed(robot), self.activation)
+        table = None
+        if firmware_filter is Filter.ADAPTIVE:
+            neighbours = min(max(2, self.robots - 1), MAX_ID)
+            table = generate(self.omega, neighbours)
+        return Config(table, firmware_filter, self.filter_period // self.comms_period, self.memory)
 
     def record(self, robot: int) -> RobotRecord:
         """How a robot starts."""
@@ -199,25 +142,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Decimal):
         return float(value)
     return value if isinstance(value, int | float) else str(value)
-
-
-def describe_filters(records: Sequence[RobotRecord]) -> str:
-    """Describe for reports which of these robots recalibrate, and by which filter, in ASCII.
-
-    A single robot has "ASDF", since only a swarm can have ASDF- or ASDF+.
-    """
-    if len(records) == 1:
-        return _DESCRIPTIONS_OF_ONE[records[0].config.filter]
-    filters = {record.config.filter for record in records}
-    if filters == {Filter.OFF}:
-        return _FILTER_DESCRIPTIONS["none"]
-    if filters == {Filter.ROBUST}:
-        return _FILTER_DESCRIPTIONS["robust"]
-    if Filter.ROBUST in filters:
-        names = sorted(kind.name.lower() for kind in filters)
-        return f"mixed: robots with the filters {', '.join(names)}"
-    description = _FILTER_DESCRIPTIONS["asdf-minus" if Filter.OFF in filters else "asdf-plus"]
-    return description + _ALWAYS_ACTIVE if Filter.ALWAYS in filters else description
 
 
 def flawed_count(given: Any, robots: int) -> int:

@@ -12,6 +12,7 @@ from typing import Any
 
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.bus.interfaces import BusChoice
+from mcp_asdf_tools.robots.filters import filter_of_one_robot
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import Subjects
 from mcp_asdf_tools.robots.record import RobotRecord
@@ -108,7 +109,7 @@ def _options(robot: RobotRecord, subjects: Subjects) -> list[str]:
     if filters is Filter.ALWAYS:
         plain["activation"] = "always"
     plain |= {
-        "filter": {Filter.OFF: "none", Filter.ROBUST: "robust"}.get(filters, "asdf-plus"),
+        "filter": filter_of_one_robot(filters).name,
         "subject": subjects.estimates.subject,
         "priority": subjects.estimates.priority,
         "telemetry_subject": subjects.telemetry.subject,

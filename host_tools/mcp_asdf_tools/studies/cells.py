@@ -14,7 +14,6 @@ from typing import Any
 
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
-from mcp_asdf_tools.robots.population import Filtering
 
 FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
 FLAWED_PERCENTS = (0, 10, 30, 50, 100)
@@ -55,7 +54,7 @@ class Cell:
     true_accuracy: float
     flawed_accuracy: float
     flawed_percent: int
-    filter: Filtering = "none"
+    filter: str = "none"
     filter_period: int = FILTER_PERIODS[0]
 
     @property

@@ -9,7 +9,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from mcp_asdf_tools.robots.population import FILTER_NAMES
+from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.studies.cells import (
     FILTER_PERIODS,
     FLAWED_ACCURACIES,
@@ -204,7 +204,7 @@ def labels_of(cell: Cell) -> dict[str, str]:
         "true_accuracy": f"b {cell.true_accuracy:g}",
         "flawed_accuracy": f"b_hat {cell.flawed_accuracy:g}",
         "flawed_percent": f"P {cell.flawed_percent} %",
-        "filter": FILTER_NAMES[cell.filter],
+        "filter": FILTERS[cell.filter].term,
         "filter_period": f"tau {cell.filter_period}",
     }
     if cell.flawed_percent == 0:

@@ -11,13 +11,13 @@ from mcp_asdf_tools.experiments import plots
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
+from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.studies.cells import FILTER_PERIODS, Cell, StudyPart, StudySize, experiment_of
 from mcp_asdf_tools.studies.study_results import StudyResults
 
-NONE: Filtering = "none"
-MINUS: Filtering = "asdf-minus"
-PLUS: Filtering = "asdf-plus"
+NONE: str = "none"
+MINUS: str = "asdf-minus"
+PLUS: str = "asdf-plus"
 
 SHORTEST_PERIOD = FILTER_PERIODS[0]
 SERIES_CELL = Cell(StudyPart.FULLY_CONNECTED, 0.95, 0.55, 0.95, 50)
@@ -98,7 +98,7 @@ def _number_of_paper(number: str) -> str:
 
 
 def _draw_boxes(
-    study_results: StudyResults, study_part: StudyPart, filter_name: Filtering, number: str = ""
+    study_results: StudyResults, study_part: StudyPart, filter_name: str, number: str = ""
 ) -> Picture:
     """Draw H without and with a filter."""
     experiments = _trials_with(study_results, study_part, NONE, filter_name)
@@ -107,7 +107,7 @@ def _draw_boxes(
         experiments = [
             trials for trials in experiments if trials.experiment.flawed < trials.experiment.robots
         ]
-    title = f"H of {study_part.label} swarms without filter and with {TYPESET_FILTER_NAMES[filter_name]}"
+    title = f"H of {study_part.label} swarms without filter and with {FILTERS[filter_name].typeset_term}"
     name = f"{study_part.value}_{filter_name}"
     return Picture(name, title + _number_of_paper(number), plots.boxes(experiments))
 
@@ -133,7 +133,7 @@ def _draw_bands(study_results: StudyResults, study_part: StudyPart) -> Picture:
     return Picture(f"{study_part.value}_bands", title, plots.bands(experiments))
 
 
-def _draw_topologies(study_results: StudyResults, filter_name: Filtering, number: str) -> Picture:
+def _draw_topologies(study_results: StudyResults, filter_name: str, number: str) -> Picture:
     """Draw H of dynamic swarms beside that of fully connected ones, without and with a filter."""
     experiments: list[Trials] = []
     for study_part in (StudyPart.DYNAMIC, StudyPart.FULLY_CONNECTED):
@@ -143,9 +143,9 @@ def _draw_topologies(study_results: StudyResults, filter_name: Filtering, number
 
     def series_name(experiment: Experiment) -> str:
         topology = "dynamic" if experiment.is_dynamic else "fully connected"
-        return f"{topology}, {TYPESET_FILTER_NAMES[experiment.filter]}"
+        return f"{topology}, {experiment.swarm_filter.typeset_term}"
 
-    with_filter = f"without filter and with {TYPESET_FILTER_NAMES[filter_name]}, tau = {SHORTEST_PERIOD}"
+    with_filter = f"without filter and with {FILTERS[filter_name].typeset_term}, tau = {SHORTEST_PERIOD}"
     title = f"H in both topologies {with_filter}{_number_of_paper(number)}"
     return Picture(f"topologies_{filter_name}", title, plots.boxes(experiments, name=series_name))
 

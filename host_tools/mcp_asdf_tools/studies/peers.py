@@ -18,7 +18,6 @@ from mcp_asdf.fixed_point import ALPHA_MAX
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import B_HAT_MARGIN, Filter, Observation
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.robots.population import FILTER_NAMES
 from mcp_asdf_tools.world.sensors import Accuracies, DriftingSensors
 from mcp_asdf_tools.world.settings import WorldSettings
 
@@ -48,7 +47,7 @@ def firmware_name(experiment: Experiment) -> str:
 def column_label(experiment: Experiment) -> str:
     """Return the head of an experiment's column: its filter, or the peer that stands for one."""
     name = firmware_name(experiment)
-    filter_name = FILTER_NAMES[experiment.filter]
+    filter_name = experiment.swarm_filter.term
     return f"{filter_name} with memory" if name == "RememberingRobot" else _LABELS.get(name, filter_name)
 
 

@@ -8,7 +8,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from mcp_asdf_tools.robots.population import FILTER_NAMES
+from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.swarm.swarm import Companions, Swarm, mean_error
 
 _NOTABLE = 0.002
@@ -61,7 +61,7 @@ class LiveView:
             figures = f"mean error {mean_error(swarm):.4f}"
             if self._companions is not None:
                 for other, error in self._companions.errors().items():
-                    figures += f", {FILTER_NAMES[other]} {error:.4f}"
+                    figures += f", {FILTERS[other].term} {error:.4f}"
             self._progress.update(
                 self._task,
                 total=steps,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, get_args
+from typing import Any
 
 from rich.table import Table
 from rich.text import Text
 
 from mcp_asdf_tools.bus.load import HIGH_LOAD
-from mcp_asdf_tools.robots.population import FILTER_NAMES, Filtering
+from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import SwarmRun
 
@@ -59,23 +59,30 @@ def one_line(run: SwarmRun) -> str:
     """Summary in one line, for quiet runs."""
     results = run.results
     return (
-        f"seed {run.settings.seed}: {run.settings.robots} robots, {run.settings.filter_name}, "
+        f"seed {run.settings.seed}: {run.settings.robots} robots, {run.settings.swarm_filter.term}, "
         f"{results['steps']} steps, mean error {results['mean_error']:.5f}, "
         f"spread {results['spread_x']:.5f}{_ending(run)}"
     )
 
 
-def comparison(by_filter: dict[Filtering, dict[str, Any]], settings: SwarmSettings) -> str:
+def comparison(by_filter: dict[str, dict[str, Any]], settings: SwarmSettings) -> str:
     """The difference that filters made on the same seed, from their results, in two sentences; a third if the
     swarm is one that needs none."""
-    found = sorted(by_filter.items(), key=lambda each: get_args(Filtering).index(each[0]))
-    errors = ", ".join(f"{FILTER_NAMES[each]} {results['mean_error']:.3f}" for each, results in found)
+    compared_filters = [swarm_filter for swarm_filter in FILTERS.values() if swarm_filter.name in by_filter]
+    errors = ", ".join(
+        f"{swarm_filter.term} {by_filter[swarm_filter.name]['mean_error']:.3f}"
+        for swarm_filter in compared_filters
+    )
     said = f"Mean error on the same seed: {errors}."
-    changes = [(each, results["b_hat"]["flawed"]) for each, results in found if each != "none"]
+    changes = [
+        (swarm_filter.term, by_filter[swarm_filter.name]["b_hat"]["flawed"])
+        for swarm_filter in compared_filters
+        if swarm_filter.is_on
+    ]
     if not changes[0][1]:
         return said
     before = f"{changes[0][1]['before']:.2f}"
-    after = ", ".join(f"{FILTER_NAMES[each]} {change['after']:.2f}" for each, change in changes)
+    after = ", ".join(f"{term} {change['after']:.2f}" for term, change in changes)
     said += f" The flawed robots took their sensors for {before} accurate, now: {after}."
     is_underconfident = abs(settings.flawed_accuracy - 0.5) < abs(settings.true_accuracy - 0.5)
     if settings.topology == "fully-connected" and is_underconfident:

@@ -23,9 +23,9 @@ from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.input_log import InputLogWriter
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
 from mcp_asdf_tools.robots.clock import RealTimeClock
+from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import FrameTaker
-from mcp_asdf_tools.robots.population import Filtering
 from mcp_asdf_tools.swarm.carrier import Carrier, SwarmError, Wiring
 from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame, content_of
 from mcp_asdf_tools.swarm.faults import Faults
@@ -92,7 +92,7 @@ class Swarm:
         away = [node for node in self.nodes if node.id in wiring.remote]
         groups = [away] if wiring.is_shared and away else [[node] for node in away]
         ends = self._carrier.ends
-        frames, in_turn = self.settings.frames, self.settings.filter == "robust"
+        frames, in_turn = self.settings.frames, self.settings.swarm_filter.order_matters
         return [Driver(ends[nodes[0].id].bus, nodes, frames, log, in_turn) for nodes in groups]
 
     def __enter__(self) -> Swarm:
@@ -294,10 +294,6 @@ def run_swarm(
     return outcome
 
 
-COMPARED: tuple[Filtering, ...] = ("none", "asdf-minus", "robust")
-"""Filters that a swarm is compared with, but for its own."""
-
-
 class Companions:
     """Hook that keeps the same swarm with other filters in step, so that all can be compared at any time.
 
@@ -311,9 +307,9 @@ class Companions:
     def __init__(self, settings: SwarmSettings) -> None:
         """Make the other swarms. Raises as ``Swarm``."""
         self.swarms = {
-            other: Swarm(replace(settings, filter=other, clock="lockstep"), Wiring())
-            for other in COMPARED
-            if other != settings.filter
+            baseline.name: Swarm(replace(settings, filter=baseline.name, clock="lockstep"), Wiring())
+            for baseline in FILTERS.values()
+            if baseline.is_baseline and baseline.name != settings.filter
         }
         self.seconds = 0.0
 
@@ -324,7 +320,7 @@ class Companions:
             other.tick()
         self.seconds += time.monotonic() - began
 
-    def errors(self) -> dict[Filtering, float]:
+    def errors(self) -> dict[str, float]:
         """The other swarms' mean errors at present."""
         return {each: mean_error(swarm) for each, swarm in self.swarms.items()}
 

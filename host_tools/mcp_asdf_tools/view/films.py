@@ -25,7 +25,7 @@ from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
 from mcp_asdf_tools.recording.replay import rerun
-from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Population
+from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.record import text_of_ids
 from mcp_asdf_tools.swarm.fault_spec import Fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -74,7 +74,7 @@ def _twin(settings: Population, trial: int) -> list[float]:
 
     Empty where they have none, and where it would take long.
     """
-    if settings.filter == "none" or settings.robots * settings.steps > _MOST_TWIN_WORK:
+    if not settings.swarm_filter.is_on or settings.robots * settings.steps > _MOST_TWIN_WORK:
         return []
     parameters = {name: getattr(settings, name) for name in parameters_of(Population)} | {"filter": "none"}
     experiment = Experiment(**parameters, trials=trial + 1)
@@ -94,8 +94,8 @@ def floor_of(arena: Arena) -> NDArray[np.bool_]:
 
 
 def _title(settings: Population, trial: int) -> str:
-    words = [f"{settings.robots} robots", f"{settings.flawed} flawed", TYPESET_FILTER_NAMES[settings.filter]]
-    if settings.filter != "none":
+    words = [f"{settings.robots} robots", f"{settings.flawed} flawed", settings.swarm_filter.typeset_term]
+    if settings.swarm_filter.is_on:
         words.append(f"\N{GREEK SMALL LETTER TAU} = {settings.filter_period}")
     words += [str(settings.topology).replace("-", " "), f"seed {settings.seed}"]
     return ", ".join([*words, f"trial {trial}"] if trial else words)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import COLOURS, FLAWED, INK, OTHER, ROBUST, WITHOUT, number_in_words
+from mcp_asdf_tools.common.figures import COLOURS, FLAWED, INK, OTHER, number_in_words
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.plots import (
     MEASURES,
@@ -30,12 +30,13 @@ from mcp_asdf_tools.experiments.results import Trials, table_of, write_tables
 from mcp_asdf_tools.experiments.scores import Limits
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.library import plot
-from mcp_asdf_tools.robots.population import TYPESET_FILTER_NAMES, Filtering
+from mcp_asdf_tools.robots.filters import FILTERS
 
 LIMITS = Limits(200, 0.4)
 BASE = Experiment(robots=4, flawed=0, steps=300, filter_period=100, trials=5, filter="none")
 CELLS = ((0, 0.95), (2, 0.55), (2, 0.75), (4, 0.55))
-MODES: tuple[tuple[Filtering, int], ...] = (("none", 100), ("asdf-plus", 100), ("asdf-plus", 150))
+WITHOUT, ROBUST = "#999999", "#009e73"
+MODES: tuple[tuple[str, int], ...] = (("none", 100), ("asdf-plus", 100), ("asdf-plus", 150))
 GRID = [
     replace(BASE, flawed=flawed, fill_ratio=f, flawed_accuracy=b_hat, filter=mode, filter_period=period)
     for f in (0.55, 0.95)
@@ -227,7 +228,7 @@ def test_errors_over_time_are_medians_of_the_swarms_means() -> None:
         ("flawed", ["0%", "50%", "100%"], [0, 0.5, 1]),
         ("filter", ["none", "asdf-plus"], ["none", "asdf-plus"]),
         ("graph", GRAPHS, [0, 1, 2]),
-        ("filter", ["robust", "asdf-plus", "asdf-minus", "none"], [*get_args(Filtering)]),
+        ("filter", ["robust", "asdf-plus", "asdf-minus", "none"], [*FILTERS]),
     ],
 )
 def test_any_parameter_can_be_along_the_axis(x: str, values: list[object], expected: list[object]) -> None:
@@ -243,10 +244,10 @@ def test_any_parameter_can_be_along_the_axis(x: str, values: list[object], expec
 def test_the_robust_filter_is_last_and_green() -> None:
     """Without omega, which its test has not: it neither varies nor stands in the caption for this filter."""
     common = replace(BASE, flawed=2, trials=1)
-    by_filter = {each: results_of(replace(common, filter=each)) for each in reversed(get_args(Filtering))}
+    by_filter = {each: results_of(replace(common, filter=each)) for each in reversed(FILTERS)}
     often = results_of(replace(common, filter="robust", filter_period=50))
     figure = boxes([often, *by_filter.values()])
-    names = [TYPESET_FILTER_NAMES[each] for each in get_args(Filtering)]
+    names = [swarm_filter.typeset_term for swarm_filter in FILTERS.values()]
     shown = [f"{each}, filter period 100" for each in names[1:]]
     assert legend_of(figure) == ["no filter", *shown[:2], "robust, filter period 50", shown[2]]
     colours = [handle.get_color() for handle in figure.legends[0].get_lines()]

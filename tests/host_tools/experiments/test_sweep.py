@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, get_args
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -31,14 +31,14 @@ from mcp_asdf_tools.experiments.results import Trials, experiments_at, experimen
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import jobs_of, run_sweep
 from mcp_asdf_tools.experiments.trials import Job
-from mcp_asdf_tools.robots.population import Filtering
+from mcp_asdf_tools.robots.filters import FILTERS
 from support import PATIENCE, ROOT, interruptible, slow, wait_until
 from trials import noted_jobs
 
 GRID = [
     Experiment(robots=4, flawed=flawed, filter=mode, steps=8000, trials=40)
     for flawed in (1, 2)
-    for mode in get_args(Filtering)
+    for mode in FILTERS
 ]
 
 

@@ -22,7 +22,8 @@ from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, Telemetr
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception, Recorder
-from mcp_asdf_tools.robots.population import Activation, Filtering, Population
+from mcp_asdf_tools.robots.filters import Activation
+from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.robots.suspicion import Suspicion
 from mcp_asdf_tools.tables.thresholds import generate
@@ -172,7 +173,7 @@ def test_flawed_robots_are_a_count_or_a_share() -> None:
 
 @pytest.mark.parametrize("filters", ["none", "asdf-minus", "asdf-plus", "robust"])
 @pytest.mark.parametrize("activation", ["adaptive", "always"])
-def test_a_population_has_a_record_of_each_robot(filters: Filtering, activation: Activation) -> None:
+def test_a_population_has_a_record_of_each_robot(filters: str, activation: Activation) -> None:
     periods: dict[str, Any] = {"comms_period": 2, "filter_period": 4, "memory": 64}
     accuracies: dict[str, Any] = {"robots": 4, "flawed": 2, "flawed_accuracy": 0.3, "true_accuracy": 1.0}
     drift: dict[str, Any] = {"drift": "linear", "drift_of": "flawed"}

@@ -132,7 +132,7 @@ def test_a_table_has_the_rows_and_columns_of_its_experiments() -> None:
         lambda group: str(len(group)),
     )
     assert table.splitlines() == [
-        "| trials | no filter | robust | ASDF+ |",
+        "| trials | no filter | robust | ASDF- |",
         "|---|---|---|---|",
         "| 4 robots | 1 | 1 |  |",
         "| 8 robots |  |  | 1 |",

@@ -9,7 +9,7 @@ import signal
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import can
 import numpy as np
@@ -21,7 +21,7 @@ from host_tools.swarm.swarms import content, record, small
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.robots.population import FILTER_NAMES, Filtering
+from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.swarm import carrier as connection
 from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -282,12 +282,12 @@ def test_the_other_runs_are_the_same_swarm_with_other_filters(
     said = capsys.readouterr().out.splitlines()[-1]
     report = json.loads(Path(f"{log}.json").read_text())
     found = {own: report["results"]} | report["compared"]
-    assert found.keys() == {"none", "asdf-minus", "robust", own} <= {*get_args(Filtering)}
+    assert found.keys() == {"none", "asdf-minus", "robust", own} <= {*FILTERS}
     for each, results in found.items():
         assert main([*COMPARED, "--filter", each, "--json"]) == 0
         assert results == json.loads(capsys.readouterr().out)["results"]
-        assert f"{FILTER_NAMES[each]} {results['mean_error']:.3f}" in said.split(": ")[1]
-        b_hat = f"{FILTER_NAMES[each]} {results['b_hat']['flawed']['after']:.2f}"
+        assert f"{FILTERS[each].term} {results['mean_error']:.3f}" in said.split(": ")[1]
+        b_hat = f"{FILTERS[each].term} {results['b_hat']['flawed']['after']:.2f}"
         assert (b_hat in said.split(": ")[2]) == (each != "none")
     assert said.split(": ")[2].startswith("ASDF- ") and said.endswith(".")
     assert "took their sensors for 0.55 accurate" in said

@@ -1,0 +1,201 @@
+"""The filters that a swarm can have: which robots re-estimate their assumed accuracy, and by which test.
+
+`FILTERS` holds one object a filter, with all that the tools know of it. To add a filter to the tools, add an
+object here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Literal
+
+from mcp_asdf.robot import Filter
+
+Activation = Literal["adaptive", "always"]
+"""When a robot re-estimates, every ``filter_period`` steps: if the test rejects (eq. 12), or always."""
+
+_WITHOUT_TEST = ", in every filter step without a test"
+"""What a description adds if ``activation`` is always."""
+
+
+class FilteringRobots(Enum):
+    """Robots of a swarm whose filter is on."""
+
+    NONE = "none"
+    FLAWED = "flawed"
+    ALL = "all"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwarmFilter:
+    """One choice of ``--filter``: its names, its meaning, and what it sets in the firmware of each robot.
+
+    Attributes:
+        name: Value of the option and of the parameter ``filter``.
+        term: Name in reports, in ASCII; the paper's where the paper has one.
+        meaning: Line of the command line's help: which robots recalibrate, and what speaks for or against it.
+        description: Line for reports: the term, and which robots of the swarm recalibrate.
+        robot_description: The same of a single robot, of which nobody knows whether it is flawed.
+        filtering_robots: The robots that re-estimate b_hat.
+        firmware_filter: The C's value in these robots, in the others it is off.
+        firmware_filter_without_test: The same if ``activation`` is always; None for a filter that has no such
+            mode.
+        order_matters: Whether a robot's state depends on the order in which it receives the messages of a
+            round.
+        colour: Colour of its first series in a picture, as ``#rrggbb``; None for the next free one of the
+            palette.
+        unused_parameters: Parameters of a population that have no effect, with the reason.
+        is_baseline: Whether ``swarm --compare`` runs the same swarm with it, too.
+    """
+
+    name: str
+    term: str
+    meaning: str
+    description: str
+    robot_description: str
+    filtering_robots: FilteringRobots
+    firmware_filter: Filter
+    firmware_filter_without_test: Filter | None = None
+    order_matters: bool = False
+    colour: str | None = None
+    unused_parameters: Mapping[str, str] = field(default_factory=dict)
+    is_baseline: bool = False
+
+    @property
+    def typeset_term(self) -> str:
+        """The term for pictures and pages, with a minus sign in place of the hyphen."""
+        return self.term.replace("-", "\N{MINUS SIGN}")
+
+    @property
+    def is_on(self) -> bool:
+        """Whether any robot re-estimates b_hat."""
+        return self.filtering_robots is not FilteringRobots.NONE
+
+    @property
+    def active_firmware_filters(self) -> set[Filter]:
+        """The C's values that the filter may set in the robots that it is on for."""
+        values = {self.firmware_filter}
+        if self.firmware_filter_without_test is not None:
+            values.add(self.firmware_filter_without_test)
+        return values
+
+    def applies_to(self, is_flawed: bool) -> bool:
+        """Return whether a robot re-estimates b_hat, by whether it is flawed."""
+        return self.filtering_robots is FilteringRobots.ALL or (
+            self.filtering_robots is FilteringRobots.FLAWED and is_flawed
+        )
+
+    def firmware_filter_of(self, is_flawed: bool, activation: Activation) -> Filter:
+        """Return the C's value of the filter in a robot, by whether the robot is flawed."""
+        if not self.applies_to(is_flawed):
+            return Filter.OFF
+        if activation == "always" and self.firmware_filter_without_test is not None:
+            return self.firmware_filter_without_test
+        return self.firmware_filter
+
+    def unused_parameters_with(self, activation: Activation) -> dict[str, str]:
+        """Return the parameters of filters that have no effect with this activation, with the reason."""
+        unused_parameters = dict(self.unused_parameters)
+        if activation == "always" and self.firmware_filter_without_test is not None:
+            unused_parameters["omega"] = "activation is always, without a test"
+        return unused_parameters
+
+    def describe(self, activation: Activation) -> str:
+        """Return the filter's line for reports, which says so if it re-estimates without a test."""
+        has_no_test = activation == "always" and self.firmware_filter_without_test is not None
+        return self.description + _WITHOUT_TEST if has_no_test else self.description
+
+
+_NO_FILTER = SwarmFilter(
+    name="none",
+    term="no filter",
+    meaning="no robot recalibrates",
+    description="no filter: no robot recalibrates",
+    robot_description="no filter: the robot does not recalibrate",
+    filtering_robots=FilteringRobots.NONE,
+    firmware_filter=Filter.OFF,
+    colour="#999999",
+    unused_parameters={"omega": "filter is none", "activation": "filter is none"},
+    is_baseline=True,
+)
+_ASDF_MINUS = SwarmFilter(
+    name="asdf-minus",
+    term="ASDF-",
+    meaning="the flawed robots do, by the paper's filter: for when one knows which they may be",
+    description="ASDF-: only the flawed robots recalibrate",
+    robot_description="ASDF: the robot recalibrates, by the paper's filter",
+    filtering_robots=FilteringRobots.FLAWED,
+    firmware_filter=Filter.ADAPTIVE,
+    firmware_filter_without_test=Filter.ALWAYS,
+    is_baseline=True,
+)
+_ASDF_PLUS = SwarmFilter(
+    name="asdf-plus",
+    term="ASDF+",
+    meaning="all robots do, by the paper's filter, which may spoil healthy ones",
+    description="ASDF+: all robots recalibrate",
+    robot_description="ASDF: the robot recalibrates, by the paper's filter",
+    filtering_robots=FilteringRobots.ALL,
+    firmware_filter=Filter.ADAPTIVE,
+    firmware_filter_without_test=Filter.ALWAYS,
+)
+_ROBUST = SwarmFilter(
+    name="robust",
+    term="robust",
+    meaning="all robots do, by this project's own filter: for when fewer than two in five may be wrong",
+    description="robust: all robots recalibrate, by this project's own filter",
+    robot_description="robust: the robot recalibrates, by this project's own filter",
+    filtering_robots=FilteringRobots.ALL,
+    firmware_filter=Filter.ROBUST,
+    order_matters=True,  # each message moves the centre that the next one is measured from
+    colour="#009e73",
+    unused_parameters={
+        "omega": "filter is robust, with a test of its own",
+        "activation": "filter is robust, with a test of its own",
+    },
+    is_baseline=True,
+)
+
+FILTERS: dict[str, SwarmFilter] = {
+    swarm_filter.name: swarm_filter for swarm_filter in (_NO_FILTER, _ASDF_MINUS, _ASDF_PLUS, _ROBUST)
+}
+"""The filters by name, in the order of legends and reports: from fewer robots that recalibrate to more."""
+
+
+def filter_of_one_robot(firmware_filter: Filter) -> SwarmFilter:
+    """Return the filter that gives every robot of a swarm this C value."""
+    for swarm_filter in FILTERS.values():
+        has_one_value = swarm_filter.filtering_robots is not FilteringRobots.FLAWED
+        if has_one_value and firmware_filter in swarm_filter.active_firmware_filters:
+            return swarm_filter
+    raise ValueError(f"no filter of a swarm sets {firmware_filter!r}; add it to FILTERS")
+
+
+def describe_filters(firmware_filters: Iterable[Filter]) -> str:
+    """Describe for reports, in ASCII, which robots recalibrate and how, from the C value of each robot.
+
+    A single robot has "ASDF", since only a swarm can have ASDF- or ASDF+.
+    """
+    values = list(firmware_filters)
+    # Only a filter with a mode without a test has Filter.ALWAYS among its values.
+    ending = _WITHOUT_TEST if Filter.ALWAYS in values else ""
+    if len(values) == 1:
+        return filter_of_one_robot(values[0]).robot_description + ending
+    for swarm_filter in FILTERS.values():
+        if _could_set(swarm_filter, set(values)):
+            return swarm_filter.description + ending
+    names = sorted({value.name.lower() for value in values})
+    return f"mixed: robots with the filters {', '.join(names)}"
+
+
+def _could_set(swarm_filter: SwarmFilter, values: Collection[Filter]) -> bool:
+    """Return whether the robots of a swarm with this filter may have these C values, and no others."""
+    active_values = set(values) - {Filter.OFF}
+    if not swarm_filter.is_on:
+        return not active_values
+    has_idle_robots = Filter.OFF in values
+    needs_idle_robots = swarm_filter.filtering_robots is FilteringRobots.FLAWED
+    is_set_by_filter = bool(active_values) and active_values <= swarm_filter.active_firmware_filters
+    return is_set_by_filter and has_idle_robots == needs_idle_robots

@@ -1,0 +1,75 @@
+"""The filters of a swarm: what each sets in the firmware, and how reports and pictures name it."""
+
+from __future__ import annotations
+
+import pytest
+
+from mcp_asdf.robot import Filter
+from mcp_asdf_tools.experiments.plots import filter_colours
+from mcp_asdf_tools.robots.filters import FILTERS, describe_filters, filter_of_one_robot
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+
+
+def test_filters_are_listed_from_fewer_recalibrating_robots_to_more() -> None:
+    assert [*FILTERS] == ["none", "asdf-minus", "asdf-plus", "robust"]
+
+
+def test_asdf_minus_is_on_for_flawed_robots_only() -> None:
+    asdf_minus = FILTERS["asdf-minus"]
+    assert asdf_minus.firmware_filter_of(is_flawed=True, activation="adaptive") is Filter.ADAPTIVE
+    assert asdf_minus.firmware_filter_of(is_flawed=False, activation="adaptive") is Filter.OFF
+
+
+def test_the_paper_s_filters_can_recalibrate_without_a_test() -> None:
+    for name in ("asdf-minus", "asdf-plus"):
+        assert FILTERS[name].firmware_filter_of(is_flawed=True, activation="always") is Filter.ALWAYS
+
+
+def test_the_robust_filter_always_tests() -> None:
+    assert FILTERS["robust"].firmware_filter_of(is_flawed=False, activation="always") is Filter.ROBUST
+
+
+def test_no_filter_leaves_flawed_robots_as_they_are() -> None:
+    assert FILTERS["none"].firmware_filter_of(is_flawed=True, activation="always") is Filter.OFF
+
+
+def test_only_the_robust_filter_depends_on_the_order_of_messages() -> None:
+    assert [name for name, swarm_filter in FILTERS.items() if swarm_filter.order_matters] == ["robust"]
+
+
+def test_pictures_and_pages_have_a_minus_sign_in_asdf_minus() -> None:
+    assert FILTERS["asdf-minus"].typeset_term == "ASDF\N{MINUS SIGN}"
+
+
+def test_the_first_series_of_a_filter_has_its_colour_and_the_next_one_another() -> None:
+    colours = filter_colours(["none", "none", "robust"])
+    assert colours == ["#999999", "#0072b2", "#009e73"]
+
+
+@pytest.mark.parametrize(
+    ("firmware_filter", "name"),
+    [
+        (Filter.OFF, "none"),
+        (Filter.ADAPTIVE, "asdf-plus"),
+        (Filter.ALWAYS, "asdf-plus"),
+        (Filter.ROBUST, "robust"),
+    ],
+)
+def test_a_robot_alone_is_started_with_the_filter_of_all_robots(firmware_filter: Filter, name: str) -> None:
+    assert filter_of_one_robot(firmware_filter).name == name
+
+
+def test_every_value_of_the_firmware_belongs_to_a_filter() -> None:
+    assert {filter_of_one_robot(value).name for value in Filter} == {"none", "asdf-plus", "robust"}
+
+
+def test_robots_with_two_filters_are_described_by_both() -> None:
+    mixture = describe_filters([Filter.ROBUST, Filter.ADAPTIVE])
+    assert mixture == "mixed: robots with the filters adaptive, robust"
+
+
+def test_a_swarm_with_an_unknown_filter_is_refused() -> None:
+    with pytest.raises(
+        ValueError, match="filter is 'asdf'; choose one of none, asdf-minus, asdf-plus, robust"
+    ):
+        SwarmSettings(filter="asdf")
