@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import struct
 
-import numpy as np
-from numpy.typing import NDArray
-
 from mcp_asdf.fixed_point import ALPHA_MAX, SHIFT_MAX
 
-_FRACTION_BITS = 23
-_FRACTION_MASK = (1 << _FRACTION_BITS) - 1
-_IMPLICIT_BIT = 1 << _FRACTION_BITS
+FRACTION_BITS = 23
+FRACTION_MASK = (1 << FRACTION_BITS) - 1
+IMPLICIT_BIT = 1 << FRACTION_BITS
 """Highest bit of a normal binary32 number's significand, which its bits leave out."""
-_MANTISSA_BITS = 24
-_UNIT_EXPONENT = 126
+MANTISSA_BITS = 24
+UNIT_EXPONENT = 126
 """Biased exponent of the binary32 numbers whose last bit is worth 2**-24, the unit of a word with shift 0."""
 
 
@@ -28,9 +25,9 @@ def alpha_word_to_bits(word: int) -> int:
     if mantissa == 0:
         return 0
     # A normal number has its highest bit at the place of the implicit one.
-    normalizing_shift = _MANTISSA_BITS - mantissa.bit_length()
-    biased_exponent = _UNIT_EXPONENT + shift - normalizing_shift
-    return (biased_exponent << _FRACTION_BITS) + (mantissa << normalizing_shift) - _IMPLICIT_BIT
+    normalizing_shift = MANTISSA_BITS - mantissa.bit_length()
+    biased_exponent = UNIT_EXPONENT + shift - normalizing_shift
+    return (biased_exponent << FRACTION_BITS) + (mantissa << normalizing_shift) - IMPLICIT_BIT
 
 
 def alpha_word_from_bits(bits: int) -> int:
@@ -39,21 +36,11 @@ def alpha_word_from_bits(bits: int) -> int:
     The inverse of ``alpha_word_to_bits``, except that the word has the smallest possible shift.
     Parts smaller than 2**-24 are lost; numbers above the largest confidence, 2**31 - 2**7, become that.
     """
-    mantissa = bits & _FRACTION_MASK | _IMPLICIT_BIT
-    shift = (bits >> _FRACTION_BITS) - _UNIT_EXPONENT
+    mantissa = bits & FRACTION_MASK | IMPLICIT_BIT
+    shift = (bits >> FRACTION_BITS) - UNIT_EXPONENT
     if shift < 0:  # a subnormal number has no implicit bit, but none of its bits is left here
         return mantissa >> -shift << 8
     return mantissa << 8 | shift if shift <= SHIFT_MAX else ALPHA_MAX
-
-
-def alpha_words_from_bits(bits: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return ``alpha_word_from_bits`` of all numbers in an array at once."""
-    mantissas = bits & _FRACTION_MASK | _IMPLICIT_BIT
-    shifts = (bits >> _FRACTION_BITS) - _UNIT_EXPONENT
-    # After 24 bits nothing of a mantissa is left, and NumPy shifts by no more than 63.
-    lost_bits = np.clip(-shifts, 0, _MANTISSA_BITS)
-    words = mantissas >> lost_bits << 8 | np.maximum(shifts, 0)
-    return np.where(shifts <= SHIFT_MAX, words, ALPHA_MAX)
 
 
 def float32_value(bits: int) -> float:

@@ -9,8 +9,15 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.bus.alpha_words import alpha_words_from_bits
-from mcp_asdf_tools.bus.frame_layout import ESTIMATE, FRAME_BYTES, START_END_TOGGLE
+from mcp_asdf.fixed_point import ALPHA_MAX, SHIFT_MAX
+from mcp_asdf_tools.bus.alpha_words import (
+    FRACTION_BITS,
+    FRACTION_MASK,
+    IMPLICIT_BIT,
+    MANTISSA_BITS,
+    UNIT_EXPONENT,
+)
+from mcp_asdf_tools.bus.frame_layout import ESTIMATE, FRAME_BYTES, START_END_TOGGLE, Field
 from mcp_asdf_tools.bus.frames import (
     IGNORED_IDENTIFIER_BITS,
     NODE_ID_MASK,
@@ -48,17 +55,32 @@ def decode_estimates(
     """
     identifiers = np.array([_identifier_of_data_frame(frame) for frame in frames], np.uint32)
     payloads = np.frombuffer(b"".join([_padded_data(frame) for frame in frames]), "<u8") ^ bit_flips
-    x_hat, alpha_bits = _X_HAT.extract_all(payloads), _ALPHA.extract_all(payloads)
+    x_hat, alpha_bits = _extract(_X_HAT, payloads), _extract(_ALPHA, payloads)
 
     is_estimate = identifiers & np.uint32(_COMPARED_IDENTIFIER_BITS) == frame_format.subject << SUBJECT_SHIFT
-    is_estimate &= START_END_TOGGLE.extract_all(payloads) == START_END_TOGGLE.maximum
+    is_estimate &= _extract(START_END_TOGGLE, payloads) == START_END_TOGGLE.maximum
     is_estimate &= (x_hat <= _X_HAT.maximum) & (alpha_bits <= _ALPHA.maximum)
 
     rows = np.empty((len(frames), 3), np.uint32)
     rows[:, 0] = identifiers & np.uint32(NODE_ID_MASK)
     rows[:, 1] = x_hat
-    rows[:, 2] = alpha_words_from_bits(alpha_bits.astype(np.int64))
+    rows[:, 2] = _alpha_words_from_bits(alpha_bits.astype(np.int64))
     return EstimateArray(rows, is_estimate)
+
+
+def _alpha_words_from_bits(bits: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return ``alpha_word_from_bits`` of all numbers in an array at once."""
+    mantissas = bits & FRACTION_MASK | IMPLICIT_BIT
+    shifts = (bits >> FRACTION_BITS) - UNIT_EXPONENT
+    # After 24 bits nothing of a mantissa is left, and NumPy shifts by no more than 63.
+    lost_bits = np.clip(-shifts, 0, MANTISSA_BITS)
+    words = mantissas >> lost_bits << 8 | np.maximum(shifts, 0)
+    return np.where(shifts <= SHIFT_MAX, words, ALPHA_MAX)
+
+
+def _extract(field: Field, payloads: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return a field's integers from the 64 bits of data of many frames."""
+    return payloads >> np.uint64(field.first_bit) & np.uint64(field.mask)
 
 
 def _identifier_of_data_frame(frame: can.Message) -> int:

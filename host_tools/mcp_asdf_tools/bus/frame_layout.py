@@ -11,9 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-import numpy as np
-from numpy.typing import NDArray
-
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.common.errors import UsageError
 
@@ -144,10 +141,6 @@ class Field:
     def extract(self, payload: int) -> int:
         """Return the field's integer from a frame's 64 bits of data."""
         return payload >> self.first_bit & self.mask
-
-    def extract_all(self, payloads: NDArray[np.uint64]) -> NDArray[np.uint64]:
-        """Return the field's integers from the 64 bits of data of many frames."""
-        return payloads >> np.uint64(self.first_bit) & np.uint64(self.mask)
 
     def is_legal(self, value: int) -> bool:
         """Return whether a frame may hold ``value`` in this field."""
