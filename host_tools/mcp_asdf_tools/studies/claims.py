@@ -9,6 +9,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from mcp_asdf_tools.experiments.experiment import combinations
 from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.studies.cells import (
     FILTER_PERIODS,
@@ -92,7 +93,7 @@ class Contrast:
 
     def _cells(self, study_part: StudyPart) -> list[Cell]:
         """Return all combinations of the contrast's values whose flawed robots are flawed."""
-        combinations = product(
+        value_combinations = product(
             _as_list(self.filters),
             _fill_ratios_and_accuracies(self.panels, study_part),
             _as_list(self.flawed_accuracies),
@@ -101,7 +102,7 @@ class Contrast:
         )
         return [
             Cell(study_part, fill_ratio, accuracy, flawed_accuracy, percent, filter_name, period)
-            for filter_name, (fill_ratio, accuracy), flawed_accuracy, percent, period in combinations
+            for filter_name, (fill_ratio, accuracy), flawed_accuracy, percent, period in value_combinations
             if flawed_accuracy != accuracy
         ]
 
@@ -112,12 +113,11 @@ class Contrast:
         if self.than == "next lower P":
             index = FLAWED_PERCENTS.index(cell.flawed_percent)
             return [replace(cell, flawed_percent=FLAWED_PERCENTS[index - 1])]
-        # A list among the values makes several reference cells.
-        changes = _FILE["than"][self.than] if isinstance(self.than, str) else self.than
-        values = [
-            _as_list(StudyPart(value) if name == "study_part" else value) for name, value in changes.items()
-        ]
-        return [replace(cell, **dict(zip(changes, choice, strict=True))) for choice in product(*values)]
+        changes = dict(_FILE["than"][self.than] if isinstance(self.than, str) else self.than)
+        if "study_part" in changes:
+            changes["study_part"] = StudyPart(changes["study_part"])
+        # A list among the values stands for several reference cells.
+        return [replace(cell, **change) for change in combinations(changes)]
 
     @property
     def size_in_points(self) -> float:
@@ -168,12 +168,14 @@ class PlannedComparison:
             difference -= study_results.measure(self.reference, contrast.than_measure or contrast.measure)
         elif contrast.level_in_points is not None:
             difference = difference.minus_constant(contrast.level_in_points)
+        row, column = self._row_and_column()
         return Comparison(
-            *self._row_and_column(),
+            row,
+            column,
             difference.interval(confidence),
-            Expectation(contrast.expected),
-            contrast.size_in_points,
-            contrast.size in STRONG_WORDS,
+            expectation=Expectation(contrast.expected),
+            size=contrast.size_in_points,
+            is_strong=contrast.size in STRONG_WORDS,
         )
 
     def _row_and_column(self) -> tuple[str, str]:

@@ -69,10 +69,10 @@ def write_report(
         f"figures/{picture.name}.png": image_of(picture.figure, Path(f"{picture.name}.png"))
         for picture in pictures
     }
+    markdown = render_markdown(study_results, decisions, study_size, pictures)
     make_folder(folder / "figures")
     for name, image in images.items():
         write_atomically(folder / name, image)
-    markdown = render_markdown(study_results, decisions, study_size, pictures)
     write_atomically(folder / "report.md", markdown)
     write_atomically(folder / "report.html", render_page(markdown, images))
     write_atomically(folder / "comparisons.csv", comparisons_as_csv(decisions, study_size))
@@ -137,6 +137,7 @@ def render_page(markdown: str, images: Mapping[str, bytes]) -> str:
     from markdown_it import MarkdownIt  # noqa: PLC0415 (loads slowly)
 
     def embed_image(source: re.Match[str]) -> str:
+        """Return the attribute of an image with its content in place of its link."""
         return f'src="data:image/png;base64,{base64.b64encode(images[source[1]]).decode()}"'
 
     body = MarkdownIt("commonmark", {"html": True}).enable("table").render(markdown)

@@ -84,12 +84,11 @@ class StudyResults:
 
     def largest_differences_between_robots(self, study_part: StudyPart) -> dict[str, float]:
         """Return by how much K and e of the robots of one trial differ at most, over all trials of a part."""
-        return {
-            "K": max(
-                float(np.ptp(trials.convergence_steps, axis=1).max()) for trials in self.trials_of(study_part)
-            ),
-            "e": max(float(np.ptp(trials.errors, axis=1).max()) for trials in self.trials_of(study_part)),
-        }
+        k_differences = [
+            np.ptp(trials.convergence_steps, axis=1).max() for trials in self.trials_of(study_part)
+        ]
+        e_differences = [np.ptp(trials.errors, axis=1).max() for trials in self.trials_of(study_part)]
+        return {"K": float(max(k_differences)), "e": float(max(e_differences))}
 
 
 def final_b_hat_of_healthy_robots(trials: Trials) -> Sample:
