@@ -62,11 +62,14 @@ class Cell:
         """The representative of all cells that are the same experiment as this one."""
         filter_name, flawed_accuracy, filter_period = self.filter, self.flawed_accuracy, self.filter_period
         if self.flawed_percent == 0:
+            # No robot starts with this value, so any one stands for all.
             flawed_accuracy = self.true_accuracy
             if filter_name == "asdf-minus":
-                filter_name = "none"  # only flawed robots would filter, and there are none
+                # Only flawed robots would filter, and there are none.
+                filter_name = "none"
         elif self.flawed_percent == 100 and filter_name == "asdf-minus":
-            filter_name = "asdf-plus"  # all robots are flawed, so all filter
+            # All robots are flawed, so all filter.
+            filter_name = "asdf-plus"
         if filter_name == "none":
             filter_period = FILTER_PERIODS[0]
         return replace(self, filter=filter_name, flawed_accuracy=flawed_accuracy, filter_period=filter_period)
@@ -106,6 +109,7 @@ def _shipped_experiments(study_part: StudyPart) -> list[Experiment]:
 @cache
 def cells_of(study_part: StudyPart) -> tuple[Cell, ...]:
     """Return the normal cells of a part, in the order in which its file has their experiments."""
+    # The files have some experiments more than once, as they are grids: see Cell.normal.
     cells = [cell_of(study_part, experiment) for experiment in _shipped_experiments(study_part)]
     return tuple(dict.fromkeys(cells))
 

@@ -111,6 +111,7 @@ class Contrast:
         if self.than is None:
             return [None]
         if self.than == "next lower P":
+            # Which P that is depends on the cell, so no table of changes can say it.
             index = FLAWED_PERCENTS.index(cell.flawed_percent)
             return [replace(cell, flawed_percent=FLAWED_PERCENTS[index - 1])]
         changes = dict(_FILE["than"][self.than] if isinstance(self.than, str) else self.than)
@@ -209,6 +210,7 @@ def labels_of(cell: Cell) -> dict[str, str]:
         "filter": FILTERS[cell.filter].term,
         "filter_period": f"tau {cell.filter_period}",
     }
+    # A label that means nothing would tell cells apart that are the same experiment.
     if cell.flawed_percent == 0:
         del labels["flawed_accuracy"]
     if cell.filter == "none":
@@ -245,6 +247,7 @@ class Claim:
 
 def _claim_from(name: str, row: Mapping[str, Any]) -> Claim:
     """Make a claim of its table in the file; a contrast with a list of measures stands for one with each."""
+    # One row of the file may ask for several measures, to say once which cells are compared.
     contrasts = [
         Contrast(**{**contrast, "measure": measure})
         for contrast in row.get("contrasts", [])
@@ -306,6 +309,7 @@ def parts_needed(claim: Claim, study_part: StudyPart | None) -> set[StudyPart]:
 
 def _compare(claim: Claim, study_part: StudyPart | None, study_results: StudyResults) -> list[Comparison]:
     """Make all comparisons of a claim, with intervals so wide that all are right together with CONFIDENCE."""
+    # Two kinds of claims have no contrasts: those of the equations, and the one about single robots.
     if study_part is None:
         return EQUATIONS[claim.name]()
     if claim.name == IDENTICAL_ROBOTS:

@@ -137,13 +137,14 @@ def low_b_hat_is_volatile() -> list[Comparison]:
 
 def physical_density() -> list[Comparison]:
     """Compare the density of eight robots with a radio range of 0.7 m on the platform with 1.3."""
+    # D = N pi r^2 / (width height)
     density = 8 * pi * 0.7**2 / (3.0353 * 3.0226)
     return [exact_comparison("", "D less 1.3", _rounded(density - 1.3), Expectation.SAME, 0.05)]
 
 
 def physical_observations() -> list[Comparison]:
     """Compare the number of observations of a simulation with that of 1000 s at 2 Hz."""
-    ratio = PAPER_STEPS / (1000 * 2)
+    ratio = PAPER_STEPS / (1000 * 2)  # a simulated robot observes in every step
     return [exact_comparison("", "ratio less 20", _rounded(ratio - 20), Expectation.SAME, 0.5)]
 
 

@@ -91,6 +91,7 @@ def late_errors(trials: Trials, honest: int | None = None, fill_ratio: float | N
 def harmed_shares(trials: Trials) -> Sample:
     """Return the share of the healthy robots whose b_hat ends wrong, of each trial; NaN if all are flawed."""
     experiment = trials.experiment
+    # Flawed robots come first; where all are flawed there is no mean over the others.
     if experiment.flawed == experiment.robots:
         return np.full(len(trials.numbers), np.nan)
     final_b_hat = trials.b_hat[:, -1, experiment.flawed :]
@@ -178,6 +179,7 @@ def markdown_table(
 
     Rows and columns are in the order of the experiments; ``head`` says what the numbers are.
     """
+    # Experiments that differ only in f, b or b_hat often share a cell.
     cells: dict[tuple[str, str], list[Trials]] = {}
     for trials in experiments:
         place = (row_of(trials.experiment), column_of(trials.experiment))

@@ -152,6 +152,7 @@ def _draw_topologies(study_results: StudyResults, filter_name: str, number: str)
 
 def _draw_series(study_size: StudySize) -> Picture:
     """Run one trial without and one with a filter again, recorded, and draw their values over time."""
+    # The study keeps no values over time, but trials are reproducible: two are enough to record again.
     unfiltered = experiment_of(SERIES_CELL, study_size)
     filtered = experiment_of(replace(SERIES_CELL, filter=PLUS), study_size)
     recorded = [run_trials(e, 0, 1, SERIES_SAMPLING_INTERVAL) for e in (unfiltered, filtered)]

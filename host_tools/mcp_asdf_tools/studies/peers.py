@@ -145,7 +145,7 @@ class BayesCpfRobot(ReferenceRobot):
         deviation = math.sqrt(self._variance)
         low, high = (0.5 - self._mean) / deviation, (1 - self._mean) / deviation
         mass = math.erf(high / math.sqrt(2)) - math.erf(low / math.sqrt(2))
-        if mass < 1e-12:
+        if mass < 1e-12:  # the quotient below would be noise
             return self._mean
         density_difference = math.exp(-(low**2) / 2) - math.exp(-(high**2) / 2)
         return self._mean + deviation * math.sqrt(2 / math.pi) / mass * density_difference

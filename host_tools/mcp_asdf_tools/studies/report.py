@@ -146,6 +146,7 @@ def render_page(markdown: str, images: Mapping[str, bytes]) -> str:
 
 def _decisions_by_part(decisions: Sequence[Decision]) -> dict[str, list[Decision]]:
     """Group decisions by the label of their part: the equations first, then the paper's order."""
+    # Jinja's groupby would sort by name; parts without decisions have no group.
     groups: dict[str, list[Decision]] = {}
     for study_part in (None, *StudyPart):
         decisions_of_part = [decision for decision in decisions if decision.study_part is study_part]
@@ -199,6 +200,7 @@ def _column_head(comparison: Comparison) -> str:
 def format_difference(comparison: Comparison) -> str:
     """Format a difference with its interval; a number that is not subject to chance has none."""
     interval = comparison.interval
+    # Scores have points and tenths; confidences, correlations and b_hat are small numbers of any size.
     layout = ".1f" if comparison.size >= SIZES["seen"] else ".3g"
     value, low, high = (format(number, layout).replace("-", "\N{MINUS SIGN}") for number in interval)
     return value if interval.low == interval.high else f"{value} [{low}, {high}]"
@@ -212,6 +214,7 @@ def summarize(decision: Decision) -> str:
         counts += f", {decision.count(False)} fail"
     if decision.count(None):
         counts += f", {decision.count(None)} open"
+    # Sizes make comparisons of different measures comparable.
     ranked = sorted(decision.comparisons, key=_favour)
     worst, best = format_difference(ranked[0]), format_difference(ranked[-1])
     return f"{counts}; {best}" if total == 1 else f"{counts}; best {best}, worst {worst}"
@@ -235,6 +238,7 @@ def comparisons_as_csv(decisions: Sequence[Decision], study_size: StudySize) -> 
     writer = csv.writer(csv_text, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
     for decision in decisions:
+        # The columns of the claim are repeated in each line, so that any line can be read alone.
         verdict = decision.verdict.value if study_size.allows_verdicts else ""
         claim_columns = (
             study_size.seed,

@@ -86,12 +86,14 @@ def peer_experiments() -> list[Experiment]:
 def world_experiments() -> list[Experiment]:
     """Return experiments with liars, with messages that are lost, and with a floor that changes."""
     common = {"steps": 20_000, "seed": 4713, "trials": 8, "flawed": "30%"}
+    # Where all hear all, one liar is enough to mislead everybody, so few cases tell enough.
     connected = m.grid(
         **{**common, "trials": 12},
         **UNDERCONFIDENT,
         firmware=[one_liar, five_liars],
         filter=["none", "asdf-plus", "robust"],
     )
+    # With the longest memory the old floor would be forgotten too slowly to see anything.
     changing = m.grid(
         **{**common, "steps": 40_000},
         **MOVING,

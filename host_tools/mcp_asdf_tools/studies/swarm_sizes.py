@@ -55,6 +55,7 @@ def processor_seconds(experiment: Experiment) -> float:
 def step_cost(trials: Trials) -> Sample:
     """Return the processor time in ns of one step of one robot; the same number for each trial."""
     robots = trials.experiment.robots
+    # Small swarms take more steps, so that every measurement is long enough for the clock.
     steps = max(FEWEST_TIMED_STEPS, TIMED_ROBOT_STEPS // robots)
     short_trial = replace(trials.experiment, steps=steps)
     long_trial = replace(trials.experiment, steps=2 * steps)
@@ -92,6 +93,7 @@ def draw_sizes(experiments: Sequence[Trials]) -> Figure:
         score_axes, error_axes, cost_axes = panels
         _draw_curve(score_axes, group, "H", label)
         score_axes.set(ylabel="score H", ylim=(0, 100))
+        # Errors of the filters differ by more than a factor of ten.
         _draw_curve(error_axes, group, late_errors, label)
         error_axes.set(ylabel="error of the last quarter", yscale="log")
         _draw_curve(cost_axes, group, step_cost, label)
