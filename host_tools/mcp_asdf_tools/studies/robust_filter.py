@@ -51,7 +51,7 @@ from mcp_asdf_tools.studies.peers import (
     two_liars,
 )
 
-FILTERS = ["none", "asdf-minus", "asdf-plus", "robust"]
+FILTER_CHOICES = ["none", "asdf-minus", "asdf-plus", "robust"]
 UNDERCONFIDENT = {"fill_ratio": 0.55, "true_accuracy": 0.95, "flawed_accuracy": 0.55}
 OVERCONFIDENT = {"fill_ratio": 0.95, "true_accuracy": 0.55, "flawed_accuracy": 0.95}
 MOVING = {"topology": "dynamic", "latency": 1}
@@ -78,7 +78,7 @@ def peer_experiments() -> list[Experiment]:
             {"firmware": RememberingRobot, "filter": ["none", "asdf-minus"]},
             {"firmware": BayesCpfRobot, "filter": "asdf-plus"},
             {"firmware": AllCountsRobot, "filter": "none"},
-            {"filter": FILTERS},
+            {"filter": FILTER_CHOICES},
         ],
     )
 
@@ -110,7 +110,7 @@ def world_experiments() -> list[Experiment]:
         **MOVING,
         sensors=[UNDERCONFIDENT, OVERCONFIDENT],
         firmware=[LossyRobot, one_liar, two_liars, five_liars],
-        filter=FILTERS,
+        filter=FILTER_CHOICES,
     )
     return [*connected, *changing, *moving]
 
