@@ -19,7 +19,7 @@ from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from mcp_asdf_tools.world.world import World
+from mcp_asdf_tools.world.world import SteppedWorld
 
 GROUP = BusChoice("udp_multicast", {"channel": "239.74.163.249", "port": 43449, "hop_limit": 0})
 
@@ -35,7 +35,7 @@ def shared(settings: SwarmSettings) -> tuple[float, list[float]]:
 
 def each(settings: SwarmSettings) -> tuple[float, list[float]]:
     """The same with a connection for each robot."""
-    world, robots = World(settings), [BusRobot(each, settings.frames) for each in settings.records()]
+    world, robots = SteppedWorld(settings), [BusRobot(each, settings.frames) for each in settings.records()]
     with ExitStack() as stack:
         buses = [stack.enter_context(GROUP.open()) for _ in robots]
         began = time.process_time()

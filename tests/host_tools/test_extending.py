@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mcp_asdf.mirror import MirrorRobot
@@ -19,6 +20,8 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.world.sensors import make_sensor_model
+from mcp_asdf_tools.world.settings import WorldSettings
 from support import ROOT, blocks, run
 from trials import images_by_message
 
@@ -82,7 +85,8 @@ def test_the_commands_of_the_page_find_the_extensions(package: Path) -> None:
         for command in commands
     ]
     assert found[0]["parameters"]["firmware"] == "beta"
-    assert (found[1]["parameters"]["topology"], found[1]["parameters"]["sensor"]) == ("geometric", "dazzled")
+    assert found[1]["parameters"]["topology"] == "geometric"
+    assert found[1]["parameters"]["sensor"] == "wandering"
     assert found[2]["results"]["steps"] == 200
     chosen = {
         tuple(each["parameters"][name] for name in ("firmware", "topology", "sensor"))
@@ -93,7 +97,7 @@ def test_the_commands_of_the_page_find_the_extensions(package: Path) -> None:
 
 @pytest.mark.usefixtures("installed")
 def test_a_swarm_with_extensions_is_trial_0_to_the_bit() -> None:
-    parameters = SHORT | {"firmware": "mirror", "topology": "geometric", "sensor": "dazzled"}
+    parameters = SHORT | {"firmware": "mirror", "topology": "geometric", "sensor": "wandering"}
     with Swarm(SwarmSettings(**parameters), Wiring()) as swarm:
         for _ in range(SHORT["steps"]):
             swarm.tick()
@@ -101,3 +105,21 @@ def test_a_swarm_with_extensions_is_trial_0_to_the_bit() -> None:
     assert all(isinstance(robot, MirrorRobot) for robot in robots)
     images = [robot.save() for robot in robots if isinstance(robot, MirrorRobot)]
     assert images == images_by_message(Experiment(**parameters, trials=1), 0)
+
+
+@pytest.mark.usefixtures("installed")
+def test_the_page_s_sensors_do_random_walks() -> None:
+    settings = WorldSettings(robots=100, true_accuracy=0.75, seed=3, sensor="wandering")
+    accuracies, _ = make_sensor_model(settings, 0).advance(400)
+    changes = np.diff(accuracies, axis=0)
+    assert changes.std() == pytest.approx(0.001, rel=0.02)
+    assert abs(np.corrcoef(changes[:, 0], changes[:, 1])[0, 1]) < 0.2
+
+
+@pytest.mark.usefixtures("installed")
+def test_the_page_s_sensors_are_the_same_however_many_steps_are_taken_at_once() -> None:
+    settings = WorldSettings(robots=6, seed=3, sensor="wandering")
+    whole, _ = make_sensor_model(settings, 0).advance(100)
+    in_parts = make_sensor_model(settings, 0)
+    parts = [in_parts.advance(steps)[0] for steps in (1, 7, 92)]
+    assert np.array_equal(np.concatenate(parts), whole)

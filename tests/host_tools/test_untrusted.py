@@ -42,7 +42,7 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.tables.table_files import check_file, format_c_source, format_json
-from mcp_asdf_tools.world.topology import graph_of
+from mcp_asdf_tools.world.topology import parse_graph
 from support import PATIENCE, draws
 from wire import record
 
@@ -122,7 +122,7 @@ PARSERS = {
     "input_log": Parser(".events", read_input_log, input_log),
     "TOML": Parser(".toml", read_experiments, (STUDIES / "physical.toml").read_bytes),
     "results": Parser(".parquet", read_results, results),
-    "graph": Parser(".txt", graph_of, lambda: b"3 5\n3 > 7 # one way\n"),
+    "graph": Parser(".txt", parse_graph, lambda: b"3 5\n3 > 7 # one way\n"),
     "fault": Parser(".txt", reader_of_text(parse_fault), lambda: b"delay=0.5,ticks=3,from=9,robots=0+3-5"),
     "scenario": Parser(".txt", reader_of_text(parse_scenario), lambda: SCENARIO),
 }

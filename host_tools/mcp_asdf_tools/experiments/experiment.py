@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from mcp_asdf_tools.common.parameters import ParameterError, parameter
 from mcp_asdf_tools.robots.population import Population
+from mcp_asdf_tools.world.sensors import has_one_accuracy
 from mcp_asdf_tools.world.topology import MAX_ON_BUS
 
 MAX_TRIALS = 10**6
@@ -48,7 +49,9 @@ class Experiment(Population):
         if self.firmware != "native":
             return "firmware"
         if self.topology == "dynamic":
-            return "sensor" if self.sensor else "white_offset" if self.white_offset else ""
+            if has_one_accuracy(self):
+                return ""
+            return "sensor" if self.sensor else "white_offset"
         if self.topology == "fully-connected":
             return "latency" if self.latency else ""
         return "" if self.topology == "graph" else "topology"
@@ -60,7 +63,7 @@ def grid(**parameters: Any) -> list[Experiment]:
 
     Raises ParameterError as Experiment, and for lists that are empty or make too many experiments.
     """
-    return [Experiment(**choice) for choice in combinations(parameters)]
+    return [Experiment.from_parameters(choice) for choice in combinations(parameters)]
 
 
 def combinations(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

@@ -56,7 +56,7 @@ def read_experiments(path: Path | str) -> list[Experiment]:
     for number, grid in enumerate(grids, start=1):
         try:
             for choice in combinations({**content, **grid}):
-                experiments.append(Experiment(**_from_folder(choice, path.parent)))
+                experiments.append(Experiment.from_parameters(_from_folder(choice, path.parent)))
                 if max(len(grids), len(experiments)) > MAX_EXPERIMENTS:
                     raise UsageError(f"{path} makes more than {MAX_EXPERIMENTS} experiments; give fewer")
         except ParameterError as error:

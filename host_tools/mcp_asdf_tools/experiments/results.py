@@ -40,6 +40,7 @@ from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.scores import DELTA, PAPERS, SCORES, Limits, score
+from mcp_asdf_tools.world.settings import FORMER_PARAMETERS
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
@@ -64,9 +65,9 @@ INDEX = (*_PARAMETERS, "trial")
 """Columns that say which trial a row is of."""
 
 _UNITS = {
-    **dict.fromkeys(("drift_rate", "drift_spread", "drift_diffusion"), "1/step"),
+    **dict.fromkeys(("drift_rate",), "1/step"),
     **dict.fromkeys(("width", "height", "radio_range", "tile"), "m"),
-    **dict.fromkeys(("drift_period", "observation_period", "steps", "comms_period"), "step"),
+    **dict.fromkeys(("observation_period", "steps", "comms_period"), "step"),
     **dict.fromkeys(("filter_period", "latency", "k"), "step"),
     **dict.fromkeys(SCORES, "point of 100"),
     "speed": "m/s",
@@ -379,6 +380,19 @@ def _row_group(path: Path, file: Any, group: int, columns: Sequence[str] | None)
     return table if columns is None else table.select(columns)
 
 
+def _check_former_parameters(path: Path, file: Any, group: int) -> None:
+    """Raise UsageError if a row group has a parameter of earlier versions with a value that had an effect."""
+    for name, value_without_effect in FORMER_PARAMETERS.items():
+        if name not in file.schema_arrow.names:
+            continue
+        with _reading(path):
+            values = file.read_row_group(group, columns=[name])[name].unique().to_pylist()
+        if values != [value_without_effect]:
+            raise UsageError(
+                f"{path} has results with {name}, a parameter of earlier versions; use one of these versions"
+            )
+
+
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
     """Turn what goes wrong while ``path`` is read into a UsageError that names it."""
@@ -458,6 +472,7 @@ class Pieces:
             self.column_names = list(_column_types())
             for group in range(file.num_row_groups):
                 table = _row_group(each, file, group, columns)
+                _check_former_parameters(each, file, group)
                 first = self.rows
                 self._pieces.append(_Piece(each, group, first))
                 self.rows += len(table)

@@ -197,7 +197,9 @@ class MessageSwarm:
         steps, none = self._experiment.steps, [None] * len(self.robots)
         for first in range(0, steps, _STEPS_AT_ONCE):
             scene = self._world.advance(min(_STEPS_AT_ONCE, steps - first))
-            for black, observes, hears in zip(scene.black.tolist(), scene.observes, scene.hears, strict=True):
+            for black, observes, hears in zip(
+                scene.black.tolist(), scene.observes, scene.neighbours, strict=True
+            ):
                 yield (
                     [_COLOURS[colour] for colour in black] if observes else none,
                     np.argwhere(hears).tolist(),

@@ -22,7 +22,7 @@ from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
 from mcp_asdf_tools.swarm.fault_spec import Fault
 from mcp_asdf_tools.swarm.faults import Faults
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
-from mcp_asdf_tools.world.world import World
+from mcp_asdf_tools.world.world import SteppedWorld
 
 
 def choose_ids(controller: int, count: int, first: int = 0) -> tuple[int, ...]:
@@ -77,14 +77,14 @@ class Neighbourhood:
         self.tick = 0
         self._steps_per_second = settings.swarm.steps_per_second
         self._ids = sorted([settings.controller.id, *self.nodes])
-        self._world = World(settings.swarm)
+        self._world = SteppedWorld(settings.swarm)
         self._delivery = Delivery(self._hears, self.faults.paths, settings.swarm.latency)
         self._sent: list[SentFrame] = []
 
     def _hears(self) -> NDArray[np.bool_]:
         """True if robot i hears j, by id; the world's are 0, 1, 2 ..."""
         hears = np.zeros((MAX_ID + 1, MAX_ID + 1), np.bool_)
-        hears[np.ix_(self._ids, self._ids)] = self._world.hears
+        hears[np.ix_(self._ids, self._ids)] = self._world.current_neighbours
         return hears
 
     def begin(self) -> Observation | None:

@@ -88,12 +88,7 @@ class Population(WorldSettings):
     def _unused_of_drift(self) -> dict[str, str]:
         """Parameters of drifts that this kind of drift does not have."""
         reason = f"drift is {self.drift}"
-        unused = {} if self.drift == "stepped" else {"drift_period": reason}
-        if self.drift != "wiener":
-            unused["drift_diffusion"] = reason
-        if self.drift == "none":
-            unused["lowest_accuracy"] = reason
-        return unused
+        return {"lowest_accuracy": reason} if self.drift == "none" else {}
 
     @property
     def drifting(self) -> int:

@@ -14,6 +14,11 @@ from mcp_asdf_tools.common.figures import save_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plots import errors_over_time
 from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.studies.ageing_sensors import (
+    SuddenlyWorseSensors,
+    UnequallyAgeingSensors,
+    WanderingSensors,
+)
 from mcp_asdf_tools.studies.error_tables import (
     late_error_text,
     markdown_table,
@@ -24,6 +29,7 @@ from mcp_asdf_tools.studies.error_tables import (
 from mcp_asdf_tools.studies.peers import (
     AgeingBayesCpfRobot,
     KnownSensors,
+    KnownWanderingSensors,
     MeanAccuracyRobot,
     OracleRobot,
     column_label,
@@ -32,6 +38,41 @@ from mcp_asdf_tools.studies.peers import (
 LONGEST_MEMORY = 2**31
 SHORT_MEMORY = 4096
 HEAD = "error of the last quarter (95 % interval)"
+
+
+def ageing_experiments() -> list[Experiment]:
+    """Return the study's experiments: sensors that age in six ways, and robots that are right at first."""
+    common = {
+        "topology": "dynamic",
+        "latency": 1,
+        "fill_ratio": [0.55, 0.75, 0.95],
+        "flawed_accuracy": 0.95,
+        "memory": [LONGEST_MEMORY, SHORT_MEMORY],
+        "steps": 40_000,
+        "trials": 30,
+        "seed": 90125,  # which no tuning has seen
+    }
+    all_robots = m.grid(
+        **common,
+        flawed="0%",
+        filter=["none", "asdf-plus", "robust"],
+        sensors=[
+            {"drift": "none"},
+            {"drift": "linear", "drift_rate": -1e-5},
+            {"sensor": SuddenlyWorseSensors},
+            {"sensor": UnequallyAgeingSensors},
+            {"sensor": WanderingSensors},
+        ],
+    )
+    some_robots = m.grid(
+        **common,
+        flawed="30%",
+        filter=["none", "asdf-minus", "asdf-plus", "robust"],
+        drift="linear",
+        drift_rate=-1e-5,
+        drift_of="flawed",
+    )
+    return [*all_robots, *some_robots]
 
 
 def peer_experiments() -> list[Experiment]:
@@ -43,13 +84,12 @@ def peer_experiments() -> list[Experiment]:
         flawed_accuracy=0.95,
         flawed="0%",
         memory=[LONGEST_MEMORY, SHORT_MEMORY],
-        sensor=KnownSensors,
         steps=40_000,
         trials=4,
         seed=90126,
-        drifts=[
-            {"drift": "linear", "drift_rate": -1e-5},  # all alike, all the time
-            {"drift": "wiener", "drift_diffusion": 0.001},  # each in its own way
+        sensors=[
+            {"sensor": KnownSensors, "drift": "linear", "drift_rate": -1e-5},  # all alike, all the time
+            {"sensor": KnownWanderingSensors},  # each in its own way
         ],
         peers=[
             {"firmware": [OracleRobot, MeanAccuracyRobot], "filter": "none"},
@@ -62,17 +102,17 @@ def way_of_ageing(experiment: Experiment) -> str:
     """Return in words how the sensors of an experiment age."""
     if experiment.drift_of == "flawed":
         return f"{experiment.flawed} of {experiment.robots} age alike"
-    if experiment.drift_spread:
-        return "all age, some faster"
-    match experiment.drift:
-        case "none":
-            return "none ages"
-        case "linear":
-            return "all age alike"
-        case "stepped":
+    if experiment.drift == "linear":
+        return "all age alike"
+    match experiment.sensor.rpartition(".")[2]:
+        case SuddenlyWorseSensors.__name__:
             return "all age at once"
-        case _:
+        case UnequallyAgeingSensors.__name__:
+            return "all age, some faster"
+        case WanderingSensors.__name__ | KnownWanderingSensors.__name__:
             return "each ages in its own way"
+        case _:
+            return "none ages"
 
 
 def row_label(experiment: Experiment) -> str:
@@ -98,7 +138,7 @@ def draw_errors(experiments: Sequence[Trials]) -> Figure:
 def main() -> None:
     """Run the experiments and write table and picture."""
     arguments = parse_arguments(__doc__)
-    ageing = run_experiments("ageing", m.read_experiments("ageing"), arguments)
+    ageing = run_experiments("ageing", ageing_experiments(), arguments)
     peers = run_experiments("ageing_peers", peer_experiments(), arguments)
     tables = {"filters": late_error_table(ageing), "peers": late_error_table(peers)}
     write_tables(arguments.folder / "ageing.md", "Sensors that age", tables)

@@ -18,7 +18,8 @@ from mcp_asdf.fixed_point import ALPHA_MAX
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import B_HAT_MARGIN, Filter, Observation
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.world.sensors import Accuracies, DriftingSensors
+from mcp_asdf_tools.studies.ageing_sensors import DIFFUSION, WanderingSensors
+from mcp_asdf_tools.world.sensors import Accuracies, DriftingSensors, SensorModel
 from mcp_asdf_tools.world.settings import WorldSettings
 
 ROBOTS_WITH_LIARS = 20
@@ -205,22 +206,32 @@ class AllCountsRobot(ReferenceRobot):
 # --- Robots that know how sensors age --------------------------------------------------------------------
 
 
-class KnownSensors(DriftingSensors):
-    """The built-in sensors, whose accuracies the robots of the newest trial may ask for."""
+class KnownSensors:
+    """The built-in sensors, whose accuracies the robots of the newest trial may ask for.
+
+    Attributes:
+        settings: The settings of the trial's world.
+        diffusion: Standard deviation of an accuracy's random change in one step.
+    """
 
     newest: ClassVar[KnownSensors]
+    diffusion = 0.0
 
     def __init__(self, settings: WorldSettings, trial: int) -> None:
-        super().__init__(settings, trial)
         self.settings = settings
+        self._sensors = self._make_sensors(trial)
         self._accuracies_by_step: list[list[float]] = []
         KnownSensors.newest = self
 
     def advance(self, steps: int) -> Accuracies:
         """Return the accuracies of the next steps, and keep those on black tiles."""
-        black, white = super().advance(steps)
+        black, white = self._sensors.advance(steps)
         self._accuracies_by_step += np.broadcast_to(black, (steps, black.shape[1])).tolist()
         return black, white
+
+    def _make_sensors(self, trial: int) -> SensorModel:
+        """Return the sensors that are known."""
+        return DriftingSensors(self.settings, trial)
 
     def true_accuracy(self, step: int, robot: int) -> float:
         """Return b of a robot in a step that has been reached."""
@@ -228,14 +239,24 @@ class KnownSensors(DriftingSensors):
         return accuracies[robot % len(accuracies)]  # one number stands for all robots
 
 
+class KnownWanderingSensors(KnownSensors):
+    """Sensors that age each in its own way, whose accuracies the robots of the newest trial may ask for."""
+
+    diffusion = DIFFUSION
+
+    def _make_sensors(self, trial: int) -> SensorModel:
+        """Return the sensors that are known."""
+        return WanderingSensors(self.settings, trial)
+
+
 class AgeingBayesCpfRobot(BayesCpfRobot):
     """BayesCPF as it is meant: the filter knows how sensors drift, but not how far they have."""
 
     def _predict(self, steps: int) -> None:
         """Move the mean by the drift's rate, and widen the variance by its diffusion."""
-        settings = KnownSensors.newest.settings
-        self._mean += settings.drift_rate * steps
-        self._variance += settings.drift_diffusion**2 * steps
+        sensors = KnownSensors.newest
+        self._mean += sensors.settings.drift_rate * steps
+        self._variance += sensors.diffusion**2 * steps
 
 
 class OracleRobot(ReferenceRobot):

@@ -17,6 +17,7 @@ from mcp_asdf_tools.common.figures import save_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plots import errors_over_time
 from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.studies.ageing_sensors import WanderingSensors
 from mcp_asdf_tools.studies.bootstrap import Interval, Sample
 from mcp_asdf_tools.studies.error_tables import (
     flawed_label,
@@ -63,6 +64,20 @@ POINTS_OF_A_CURVE = 16
 
 
 # --- Experiments -----------------------------------------------------------------------------------------
+
+
+def wandering_experiments() -> list[Experiment]:
+    """Return the experiments beyond the grid with sensors that age each in its own way."""
+    return m.grid(
+        **MOVING,
+        steps=20_000,
+        trials=30,
+        seed=4712,
+        fill_ratio=0.75,
+        flawed="0%",
+        filter=["none", "asdf-plus", "robust"],
+        sensor=WanderingSensors,
+    )
 
 
 def peer_experiments() -> list[Experiment]:
@@ -135,7 +150,7 @@ def beyond_row(experiment: Experiment) -> str:
         labels.append("latency 0")
     if experiment.white_offset:
         labels.append(f"b {experiment.white_offset:+g} on white")
-    if experiment.drift == "wiener":
+    if experiment.sensor:
         labels.append("sensors age each in its own way")
     if experiment.drift == "linear":
         labels.append("sensors age alike")
@@ -255,6 +270,8 @@ def main() -> None:
     arguments = parse_arguments(__doc__)
     grid = run_experiments("robust_grid", m.read_experiments("robust_grid"), arguments)
     beyond = run_experiments("robust_beyond", m.read_experiments("robust_beyond"), arguments)
+    # Apart, since sensors of this package run in one process.
+    beyond += run_experiments("robust_wandering", wandering_experiments(), arguments)
     peers = run_experiments("robust_peers", peer_experiments(), arguments, record=500)
     worlds = run_experiments("robust_worlds", world_experiments(), arguments, record=500)
     write_tables(

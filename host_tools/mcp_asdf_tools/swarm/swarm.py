@@ -32,7 +32,7 @@ from mcp_asdf_tools.swarm.faults import Faults
 from mcp_asdf_tools.swarm.remote_robot import Driver, RemoteFirmware, check_remote, remote_robot
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.traffic import Traffic
-from mcp_asdf_tools.world.world import World
+from mcp_asdf_tools.world.world import SteppedWorld
 
 
 class Swarm:
@@ -64,7 +64,7 @@ class Swarm:
         """
         self.settings = settings
         self.ticks = 0
-        self.world = World(settings)
+        self.world = SteppedWorld(settings)
         self.faults = Faults(settings.faults, settings.seed, settings.frames)
         is_lockstep = settings.clock == "lockstep"
         self.clock = None if is_lockstep else RealTimeClock(settings.steps_per_second)
@@ -81,7 +81,7 @@ class Swarm:
         self.b_hat_at_start = [node.robot.b_hat for node in self.nodes]
         self._here = [node for node in self.nodes if node.id not in wiring.remote]
         self.traffic = Traffic([node.reception for node in self.nodes])
-        self._delivery = Delivery(lambda: self.world.hears, self.faults.paths, settings.latency)
+        self._delivery = Delivery(lambda: self.world.current_neighbours, self.faults.paths, settings.latency)
         taker = None if log is None else _as_received(log, wiring)
         self._carrier = Carrier(self.nodes, self._delivery, settings.frames, self.clock)
         self._carrier.join(wiring, taker)

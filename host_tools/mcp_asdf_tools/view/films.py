@@ -33,7 +33,7 @@ from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.film import MAX_STATES, QUANTITIES, Film, Stage, State
 from mcp_asdf_tools.view.heard_robots import HeardRobots
 from mcp_asdf_tools.world.arena import Arena
-from mcp_asdf_tools.world.floor_code import code
+from mcp_asdf_tools.world.floor_code import make_floor_code
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.topology import MAX_ON_BUS
 from mcp_asdf_tools.world.world import World
@@ -89,7 +89,7 @@ def floor_of(arena: Arena) -> NDArray[np.bool_]:
     """The floor, a pixel for each tile, or as many as a page shows. O(pixels)."""
     settings = arena.settings
     if settings.floor == "code":
-        return code(settings.fill_ratio)
+        return make_floor_code(settings.fill_ratio)
     return arena.pixels(*(min(math.ceil(side / settings.tile), _MOST_PIXELS) for side in settings.sides))
 
 
@@ -219,7 +219,9 @@ def _in_the_world(
             world.skip(tick - step - 1)
         if tick > step:
             scene, step = world.advance(1), tick
-        hears = scene.hears[0].copy() if settings.robots <= MAX_ON_BUS else np.argwhere(scene.hears[0])
+        hears = (
+            scene.neighbours[0].copy() if settings.robots <= MAX_ON_BUS else np.argwhere(scene.neighbours[0])
+        )
         positions = None if scene.positions is None else scene.positions[0]
         yield State(tick, np.vstack([values, scene.accuracy[0]]), hears, positions)
 
@@ -256,7 +258,7 @@ class SwarmCamera:
             estimates = _estimates(node.robot for node in swarm.nodes)
             estimates[:, [not node.is_alive for node in swarm.nodes]] = np.nan
             values = np.vstack([estimates, world.accuracy])
-            self.film.add(State(swarm.ticks, values, world.hears.copy(), world.positions))
+            self.film.add(State(swarm.ticks, values, world.current_neighbours.copy(), world.positions))
 
 
 STATES_PER_SECOND = 10

@@ -1,1 +1,1 @@
-"""Ground truth: arena, floor, sensors, who hears whom, and every random number."""
+"""Ground truth: arena, floor, sensors, which robots receive from which, and every random number."""

@@ -1,4 +1,4 @@
-"""The floor of the physical experiments: like a QR code, with exactly the wanted share of black."""
+"""The floor of the physical experiments: a pattern like a QR code's with an exact share of black."""
 
 from __future__ import annotations
 
@@ -10,53 +10,63 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.common.parameters import ParameterError
 
 CODE_MODULES = 100
-"""Modules along a side of ``code``."""
+"""Modules along a side of the pattern; a module is its smallest square."""
 
-_FINDER, _LOGO = 7, 32
+_FINDER_MODULES, _LOGO_MODULES = 7, 32
+"""Modules along a side of a finder pattern and of the logo."""
 _SEED = 448
 
 
 @lru_cache(maxsize=8)
-def code(fill_ratio: float) -> NDArray[np.bool_]:
-    """A pattern like a QR code's, True where black, shape (CODE_MODULES, CODE_MODULES).
+def make_floor_code(fill_ratio: float) -> NDArray[np.bool_]:
+    """Return a pattern like a QR code's, True where black, shape (CODE_MODULES, CODE_MODULES).
 
     It has finder patterns in three corners, timing lines between them and a white logo in the middle, so
     large that half of the other modules are black where ``fill_ratio`` is 0.448. Of all modules exactly the
-    share ``fill_ratio`` is black, at places that are always the same. Raises
-    ParameterError if that is no whole number of modules or leaves nothing to chance. O(modules).
+    share ``fill_ratio`` is black, always the same ones. Raises ParameterError if that is no whole number of
+    modules, or fewer or more than the fixed patterns leave open. O(modules).
     """
-    size = CODE_MODULES**2
-    blacks = round(fill_ratio * size)
-    if abs(blacks - fill_ratio * size) > 1e-9 * size:
+    modules = CODE_MODULES**2
+    black_modules = round(fill_ratio * modules)
+    if abs(black_modules - fill_ratio * modules) > 1e-9 * modules:
         raise ParameterError(
             "fill_ratio",
-            f"fill_ratio is {fill_ratio}; a floor of {size} modules needs a multiple of {1 / size:g}",
+            f"fill_ratio is {fill_ratio}; a floor of {modules} modules needs a multiple of {1 / modules:g}",
         )
     pattern, is_fixed = _fixed_patterns()
-    free = np.flatnonzero(~is_fixed)
-    missing = blacks - int(pattern.sum())
-    if not 0 <= missing <= len(free):
-        least, most = pattern.sum() / size, (pattern.sum() + len(free)) / size
-        message = f"fill_ratio is {fill_ratio}; this floor can have {least:g} to {most:g}"
+    free_modules = np.flatnonzero(~is_fixed)
+    fixed_black_modules = int(pattern.sum())
+    missing_modules = black_modules - fixed_black_modules
+    if not 0 <= missing_modules <= len(free_modules):
+        minimum = fixed_black_modules / modules
+        maximum = (fixed_black_modules + len(free_modules)) / modules
+        message = f"fill_ratio is {fill_ratio}; this floor can have {minimum:g} to {maximum:g}"
         raise ParameterError("fill_ratio", message)
-    chosen = np.random.Generator(np.random.PCG64(_SEED)).permutation(free)[:missing]
-    pattern.flat[chosen] = True
+    generator = np.random.Generator(np.random.PCG64(_SEED))
+    pattern.flat[generator.permutation(free_modules)[:missing_modules]] = True
     return pattern
 
 
 def _fixed_patterns() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Patterns that every code has, and their places."""
-    n, far = CODE_MODULES, CODE_MODULES - _FINDER
-    black, fixed = np.zeros((n, n), np.bool_), np.zeros((n, n), np.bool_)
-    finder = np.ones((_FINDER, _FINDER), np.bool_)
+    """Return which modules are black in the patterns that every code has, and which belong to them."""
+    side, last_corner = CODE_MODULES, CODE_MODULES - _FINDER_MODULES
+    is_black, is_fixed = np.zeros((side, side), np.bool_), np.zeros((side, side), np.bool_)
+
+    # A finder pattern is a black frame around a black square, with a white margin of one module.
+    finder = np.ones((_FINDER_MODULES, _FINDER_MODULES), np.bool_)
     finder[1:-1, 1:-1] = False
     finder[2:-2, 2:-2] = True
-    for row, column in ((0, 0), (0, far), (far, 0)):
-        black[row : row + _FINDER, column : column + _FINDER] = finder
-        fixed[max(0, row - 1) : row + _FINDER + 1, max(0, column - 1) : column + _FINDER + 1] = True
-    line, between = _FINDER - 1, slice(_FINDER + 1, far - 1)
-    black[line, between] = black[between, line] = np.arange(between.stop - between.start) % 2 == 0
-    fixed[line, between] = fixed[between, line] = True
-    middle = slice((n - _LOGO) // 2, (n + _LOGO) // 2)
-    fixed[middle, middle] = True
-    return black, fixed
+    for row, column in ((0, 0), (0, last_corner), (last_corner, 0)):
+        end_row, end_column = row + _FINDER_MODULES, column + _FINDER_MODULES
+        is_black[row:end_row, column:end_column] = finder
+        is_fixed[max(0, row - 1) : end_row + 1, max(0, column - 1) : end_column + 1] = True
+
+    # The timing lines alternate between black and white.
+    line, between_finders = _FINDER_MODULES - 1, slice(_FINDER_MODULES + 1, last_corner - 1)
+    is_even = np.arange(between_finders.stop - between_finders.start) % 2 == 0
+    is_black[line, between_finders] = is_black[between_finders, line] = is_even
+    is_fixed[line, between_finders] = is_fixed[between_finders, line] = True
+
+    middle = slice((side - _LOGO_MODULES) // 2, (side + _LOGO_MODULES) // 2)
+    is_fixed[middle, middle] = True
+    return is_black, is_fixed

@@ -1,4 +1,4 @@
-"""Sensors: the probability that each robot sees a tile's colour correctly, step by step."""
+"""Sensors: the probability that each robot names a tile's colour correctly, step by step."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.world.philox import CERTAIN, MOVES, Stream
+from mcp_asdf_tools.world.philox import CERTAIN
 from mcp_asdf_tools.world.settings import WorldSettings
 
 Accuracies = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -19,109 +19,114 @@ means that values do not change along it."""
 
 
 class SensorModel(Protocol):
-    """True accuracies over time; an extension in the entry point group ``mcp_asdf.sensors`` makes one."""
+    """True accuracies over time; an extension in the entry point group ``mcp_asdf.sensors`` makes one.
+
+    An extension that has an attribute ``has_one_accuracy``, true, promises that accuracies are always the
+    same on black and on white tiles: trials of moving robots then run in C.
+    """
 
     def advance(self, steps: int) -> Accuracies:
-        """Accuracies in the next steps, 0 .. 1."""
+        """Return the accuracies, 0 .. 1, in the next ``steps`` steps."""
 
 
 class DriftingSensors:
-    """The built-in model: b as ``settings.drift`` moves it, on white tiles ``white_offset`` more."""
+    """The built-in sensor model: b as ``settings.drift`` changes it, and ``white_offset`` more on white."""
 
     def __init__(self, settings: WorldSettings, trial: int) -> None:
+        """Start before the first step. The trial makes no difference, as in the model nothing is random."""
         self._settings = settings
-        self._moves = Stream(MOVES, settings.seed, trial, settings.robots)
-        self._step = 0
-        self._wiener = np.zeros(settings.robots)
+        self._next_step = 0
 
     def advance(self, steps: int) -> Accuracies:
-        """The next steps. O(steps) or, where robots differ, O(steps robots)."""
-        black = self._black(steps)
-        self._step += steps
+        """Return the accuracies in the next steps. O(steps), or O(steps robots) where some alone drift."""
+        accuracies_on_black = self._accuracies_on_black(steps)
+        self._next_step += steps
         offset = self._settings.white_offset
-        return black, np.clip(black + offset, 0.0, 1.0) if offset else black
+        if not offset:
+            return accuracies_on_black, accuracies_on_black
+        return accuracies_on_black, np.clip(accuracies_on_black + offset, 0.0, 1.0)
 
-    def _black(self, steps: int) -> NDArray[np.float64]:
+    def _accuracies_on_black(self, steps: int) -> NDArray[np.float64]:
+        """Return the accuracies on black tiles in the next steps, in a column for all robots or for each."""
         settings = self._settings
         if settings.drift == "none":
             return np.full((1, 1), settings.true_accuracy)
-        step = np.arange(self._step, self._step + steps, dtype=np.float64)[:, np.newaxis]
-        if settings.drift == "stepped":
-            step -= step % settings.drift_period
-        path = settings.true_accuracy + self._rates() * step
-        if settings.drift == "wiener":
-            path = path + settings.drift_diffusion * self._wiener_paths(steps)
-        path = np.clip(path, settings.lowest_accuracy, 1.0)
+        step = np.arange(self._next_step, self._next_step + steps, dtype=np.float64)[:, np.newaxis]
+        drifted = settings.true_accuracy + settings.drift_rate * step
+        drifted = np.clip(drifted, settings.lowest_accuracy, 1.0)
         if settings.drifting == settings.robots:
-            return path
-        return np.where(np.arange(settings.robots) < settings.drifting, path, settings.true_accuracy)
-
-    def _rates(self) -> NDArray[np.float64]:
-        """Change per step, shape (1, 1) or, where robots differ, (1, robots): step 0 has no other use for its
-        draws."""
-        settings = self._settings
-        common = np.full((1, 1), settings.drift_rate)
-        return common + settings.drift_spread * self._normals(1, 0) if settings.drift_spread else common
-
-    def _normals(self, steps: int, first: int) -> NDArray[np.float64]:
-        from scipy.special import ndtri  # type: ignore[import-untyped] # noqa: PLC0415 (loads slowly)
-
-        return cast(NDArray[np.float64], ndtri(self._moves.uniforms(steps, first)))
-
-    def _wiener_paths(self, steps: int) -> NDArray[np.float64]:
-        """Standard Wiener processes, 0 in the first step of all, shape (steps, robots)."""
-        moves = self._normals(steps, self._step)
-        if self._step == 0:
-            moves[0] = 0.0
-        moves[0] += self._wiener
-        paths: NDArray[np.float64] = np.cumsum(moves, axis=0)
-        self._wiener = paths[-1]
-        return paths
+            return drifted
+        return np.where(np.arange(settings.robots) < settings.drifting, drifted, settings.true_accuracy)
 
 
 class CheckedSensors:
-    """The sensors of an extension, whose answers are checked."""
+    """The sensor model of an extension, whose answers are checked."""
 
-    def __init__(self, model: SensorModel, settings: WorldSettings) -> None:
+    def __init__(self, model: SensorModel, settings: WorldSettings, has_one_accuracy: bool = False) -> None:
+        """Take a model for robots with these settings, and what its class promises."""
         self._model, self._settings = model, settings
+        self._has_one_accuracy = has_one_accuracy
 
     def advance(self, steps: int) -> Accuracies:
-        """The next steps. Raises UsageError unless they are what ``SensorModel`` says. O(steps N)."""
+        """Return the model's accuracies in the next steps. O(steps robots).
+
+        Raises UsageError unless they are as ``SensorModel`` states, and as its class promises.
+        """
+        on_black, on_white = self._model.advance(steps)
+        on_black, on_white = self._checked(on_black, steps), self._checked(on_white, steps)
+        if self._has_one_accuracy and not np.array_equal(on_black, on_white):
+            raise UsageError(
+                f"sensor {self._settings.sensor} gives accuracies on white tiles that differ from those on "
+                "black ones; remove has_one_accuracy"
+            )
+        return on_black, on_white
+
+    def _checked(self, accuracies: object, steps: int) -> NDArray[np.float64]:
+        """Return an answer of the model as an array of numbers, if it is one of the right shape and range."""
         name, robots = self._settings.sensor, self._settings.robots
-        black, white = (np.asarray(each, dtype=np.float64) for each in self._model.advance(steps))
-        for values in (black, white):
-            if values.ndim != 2 or values.shape[0] not in (1, steps) or values.shape[1] not in (1, robots):
-                raise UsageError(
-                    f"sensor {name} gives shape {values.shape}; return ({steps} or 1, {robots} or 1)"
-                )
-            if not ((values >= 0) & (values <= 1)).all():
-                raise UsageError(f"sensor {name} gives an accuracy outside 0 to 1; clip it")
-        return black, white
+        values = np.asarray(accuracies, dtype=np.float64)
+        if values.ndim != 2 or values.shape[0] not in (1, steps) or values.shape[1] not in (1, robots):
+            raise UsageError(
+                f"sensor {name} gives shape {values.shape}; return ({steps} or 1, {robots} or 1)"
+            )
+        if not ((values >= 0) & (values <= 1)).all():
+            raise UsageError(f"sensor {name} gives an accuracy outside 0 to 1; clip it")
+        return values
 
 
-def sensor_model(settings: WorldSettings, trial: int) -> SensorModel:
-    """The sensors that settings ask for. Raises UsageError if their extension cannot be loaded."""
+def has_one_accuracy(settings: WorldSettings) -> bool:
+    """Return whether accuracies are the same on black and on white tiles. Raises UsageError as ``load``."""
+    if not settings.sensor:
+        return not settings.white_offset
+    extension = extensions.load(extensions.SENSORS, settings.sensor)
+    return bool(getattr(extension, "has_one_accuracy", False))
+
+
+def make_sensor_model(settings: WorldSettings, trial: int) -> SensorModel:
+    """Return the sensor model that settings ask for. Raises UsageError if an extension cannot be loaded."""
     if not settings.sensor:
         return DriftingSensors(settings, trial)
-    make = cast(
+    make_extension = cast(
         Callable[[WorldSettings, int], SensorModel], extensions.load(extensions.SENSORS, settings.sensor)
     )
-    return CheckedSensors(make(settings, trial), settings)
+    return CheckedSensors(make_extension(settings, trial), settings, has_one_accuracy(settings))
 
 
 def black_probabilities(
     accuracies: Accuracies, fill_ratio: float | None
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """p(z = 1) on black and on white tiles, in units of 2**-31, shapes as the accuracies.
+    """Return p(z = 1) on black and on white tiles in units of 2**-31, in the shapes of the accuracies.
 
-    With a ``fill_ratio`` f the colour below is part of the chance: both are f b + (1 - f)(1 - w) (eq. 1).
+    With a ``fill_ratio`` f a robot does not stand on a tile of a known colour, but on one that is black with
+    probability f: both probabilities are then f b + (1 - f)(1 - w) (eq. 1), w being the accuracy on white.
     """
     b, w = accuracies
     if fill_ratio is not None:
-        both = _in_units(fill_ratio * b + (1 - fill_ratio) * (1 - w))
-        return both, both
-    return _in_units(b), np.uint32(CERTAIN) - _in_units(w)
+        probability = _to_integer_units(fill_ratio * b + (1 - fill_ratio) * (1 - w))
+        return probability, probability
+    return _to_integer_units(b), np.uint32(CERTAIN) - _to_integer_units(w)
 
 
-def _in_units(probabilities: NDArray[np.float64]) -> NDArray[np.uint32]:
+def _to_integer_units(probabilities: NDArray[np.float64]) -> NDArray[np.uint32]:
+    """Return probabilities in units of 2**-31, rounded to the nearest, as the engine in C takes them."""
     return np.rint(probabilities * CERTAIN).astype(np.uint32)

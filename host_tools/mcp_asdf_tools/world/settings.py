@@ -1,4 +1,4 @@
-"""The world of a swarm: floor, motion, sensors and who hears whom, as one set of parameters."""
+"""The parameters of a swarm's world: floor, motion, sensors, and which robots receive from which."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, Self
 
 from mcp_asdf_tools.common import extensions
-from mcp_asdf_tools.common.errors import UsageError, offer
+from mcp_asdf_tools.common.errors import offer
 from mcp_asdf_tools.common.parameters import (
     ParameterError,
     check_parameters,
@@ -16,31 +16,33 @@ from mcp_asdf_tools.common.parameters import (
     parameters_of,
     value_of,
 )
-from mcp_asdf_tools.world.floor_code import code
-from mcp_asdf_tools.world.topology import MAX_ON_BUS, MAX_ROBOTS, Graph, graph_of, graph_of_edges
+from mcp_asdf_tools.world.floor_code import make_floor_code
+from mcp_asdf_tools.world.topology import MAX_ON_BUS, MAX_ROBOTS, Graph, parse_edges, parse_graph
 
 MAX_STEPS = 10**9
 MAX_PERIOD = 2**32 - 1
-"""Steps."""
+"""Longest period, in steps."""
 MAX_SIDE = 1000.0
-"""Metres."""
+"""Longest side of an arena, in metres."""
 
 _BODY_DIAMETER = 0.1408
+"""Diameter of a Khepera IV, in metres."""
 _WHEEL_DISTANCE = 0.1054
-_MOST_CROWDED = 0.4
-"""Largest share of the arena under robots with which a place for each is found."""
-_LARGEST_TURN = 1.6
-"""Radians in one step."""
-_MOST_TILES = 100_000
-"""Most tiles along a side."""
-_FARTHEST = 1.42
-"""Radio range in metres with which a robot hears at most 127 others, a round of the firmware. Of two that it
-hears, the nearer one must not stand in the other's way, so their directions differ by arcsin(radius / range)
-at least."""
+"""Distance between its wheels, in metres."""
+_MAX_COVERED_SHARE = 0.4
+"""Largest share of the arena under robots with which a place is found for each robot."""
+_MAX_TURN_PER_STEP = 1.6
+"""Angle in radians up to which the arena's sine is accurate."""
+_MAX_TILES_PER_SIDE = 100_000
+_MAX_RANGE_OF_MANY = 1.42
+"""Radio range in metres with which a robot has at most 127 neighbours, as many as a round of the firmware
+holds. Of two neighbours the nearer one must not stand in the other's line of sight, so their directions
+differ by arcsin(radius / range) at least."""
 
 
 TOPOLOGIES = ("fully-connected", "dynamic", "graph")
-"""Who hears whom: all; those nearby, while robots move through an arena; along the edges of a graph."""
+"""Which robots receive from which: from all others; from those nearby, while robots move through an arena;
+along the edges of a graph."""
 
 Floor = Literal["tiles", "code"]
 """The floor that moving robots observe.
@@ -49,32 +51,34 @@ tiles: square tiles, each black with probability f; every trial has its own.
 code: a pattern like a QR code's of which exactly the share f is black, the same in all trials.
 """
 
-Drift = Literal["none", "linear", "stepped", "wiener"]
-"""How the true accuracy changes, from b at the first step; ``k`` counts steps from 0.
+Drift = Literal["none", "linear"]
+"""How the true accuracy changes in step k, counted from 0: not at all, or as b + drift_rate k.
 
-linear: b + rate k.
-stepped: b + rate k, with k rounded down to a multiple of drift_period.
-wiener: b + rate k + drift_diffusion W(k): a Wiener process with drift of its own for every robot.
-
-All robots have drift_rate in common; each has its own deviation from it, normal with drift_spread.
+docs/extending.md shows how to write sensors that change otherwise.
 """
 
+FORMER_PARAMETERS = {"drift_spread": 0.0}
+"""Parameters of earlier versions that old recordings and results may state, with the value that had no
+effect. (drift_period and drift_diffusion had one only with kinds of drift that are refused today.)"""
 
-_OBJECTS = {
+_EXTENSION_GROUPS = {
     "firmware": extensions.FIRMWARES,
     "sensor": extensions.SENSORS,
     "topology": extensions.TOPOLOGIES,
 }
-"""Parameters that may be objects, and the groups of extensions that they stand for."""
+"""Parameters that may be objects instead of names, and the groups of extensions that these belong to."""
+
+_ARENA_PARAMETERS = ("density", "width", "height", "speed", "radio_range", "floor", "tile")
+"""Parameters that are for moving robots alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorldSettings:
-    """Ground truth around N robots; equal settings give equal worlds.
+    """Parameters of the ground truth around N robots; equal settings give equal worlds.
 
     Robots that do not move observe a black tile with probability f in every step anew, as in the paper's
     fully connected experiments; ``density`` to ``tile`` are for moving robots alone. Raises
-    ParameterError, naming the field, for a value that is wrong or has no effect.
+    ParameterError, naming the parameter, for a value that is wrong or has no effect.
     """
 
     robots: int = parameter("number of robots N", 1, MAX_ROBOTS, default=20)
@@ -92,9 +96,6 @@ class WorldSettings:
     sensor: str = parameter("installed sensor model, in place of the built-in one", default="")
     drift: Drift = parameter("how the true accuracy changes", default="none")
     drift_rate: float = parameter("change of the true accuracy per step", -1, 1, default=0.0)
-    drift_spread: float = parameter("standard deviation of robots' rates around it", 0, 1, default=0.0)
-    drift_period: int = parameter("steps between the changes of a stepped drift", 1, MAX_PERIOD, default=1000)
-    drift_diffusion: float = parameter("standard deviation of a Wiener drift per step", 0, 1, default=0.0)
     lowest_accuracy: float = parameter("lower limit of a drifting accuracy", 0, 1, default=0.5)
     density: float = parameter("swarm density D = N pi r^2 / L^2 of a square arena", 1e-6, 1e6, default=1.0)
     width: float = parameter(
@@ -112,25 +113,15 @@ class WorldSettings:
     steps: int = parameter("length of a run", 1, MAX_STEPS, default=10_000)
     seed: int = parameter("seed of everything random", 0, 2**64 - 1, default=1)
 
-    def __new__(cls, *args: Any, **given: Any) -> Self:
-        """Refuse names that are no parameters as values out of range are."""
-        known = cls.__dataclass_fields__
-        for name in given:
-            if name not in known:
-                fix = offer(name, known) or f"; known are {', '.join(known)}"
-                raise ParameterError(name, f"unknown key {name!r}{fix}")
-        if args:
-            raise UsageError(f"{args[0]!r} has no name; give parameters by name, such as robots=20")
-        return super().__new__(cls)
-
     def __post_init__(self) -> None:
-        for name, group in _OBJECTS.items():
+        """Bring each value to its type, and check the values that must fit together."""
+        for name, group in _EXTENSION_GROUPS.items():
             if hasattr(self, name):
-                object.__setattr__(self, name, extensions.name_of(group, getattr(self, name)))
+                self._replace_value(name, extensions.name_of(group, getattr(self, name)))
         check_parameters(self)
         if not isinstance(self.graph, Graph) and not (isinstance(self.graph, str) and self.graph == ""):
             with value_of("graph"):
-                object.__setattr__(self, "graph", graph_of(self.graph))
+                self._replace_value("graph", parse_graph(self.graph))
         self._check_topology()
         self._check_sensor()
         if self.is_dynamic:
@@ -138,31 +129,54 @@ class WorldSettings:
             _check_arena(self)
             _check_floor(self)
         if self.robots > MAX_ON_BUS:
-            _check_many(self)
+            _check_neighbours_of_many(self)
+
+    def _replace_value(self, name: str, value: Any) -> None:
+        """Set a value of this frozen dataclass while it is being made."""
+        object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_parameters(cls, parameters: Mapping[str, Any]) -> Self:
+        """Make settings of values by name, such as those of a file that somebody has written.
+
+        Raises ParameterError as the class, and for a name that is no parameter, with the nearest one that is.
+        """
+        known_names = cls.__dataclass_fields__
+        for name in parameters:
+            if name not in known_names:
+                fix = offer(name, known_names) or f"; known are {', '.join(known_names)}"
+                raise ParameterError(name, f"unknown key {name!r}{fix}")
+        return cls(**parameters)
 
     @classmethod
     def from_recording(cls, recorded: Mapping[str, Any]) -> Self:
         """Make settings of the parameters that a recording or a file of results states.
 
         A parameter that it lacks has its default: an older program wrote it. Other entries are left out.
-        Raises ParameterError as the class, and for a graph that is not a text of edges: what others have
-        written must not make this program open a file.
+        Raises ParameterError as the class, for a parameter of an older program that had an effect, and for a
+        graph that is not a text of edges: what others have written must not make this program open a file.
         """
+        for name, value_without_effect in FORMER_PARAMETERS.items():
+            value = recorded.get(name, value_without_effect)
+            if value != value_without_effect:
+                raise ParameterError(
+                    name, f"{name} is {value}, a parameter of earlier versions; use one of these versions"
+                )
         parameters = {name: recorded[name] for name in parameters_of(cls) if name in recorded}
         graph = parameters.get("graph", "")
         if graph != "":
             with value_of("graph"):
-                parameters["graph"] = graph_of_edges(graph)
+                parameters["graph"] = parse_edges(graph)
         return cls(**parameters)
 
     @property
     def is_dynamic(self) -> bool:
-        """True if the robots move."""
+        """Whether the robots move."""
         return self.topology == "dynamic"
 
     @property
     def drifting(self) -> int:
-        """How many of the first robots have sensors that drift."""
+        """Number of robots whose sensors drift, if any do: those with the lowest ids."""
         return self.robots
 
     @property
@@ -174,11 +188,13 @@ class WorldSettings:
         return side, side
 
     def _check_topology(self) -> None:
-        for name in () if self.is_dynamic else _OF_ARENA:
-            value = getattr(self, name)
-            if value != default_of(self, name):
-                message = f"{name} is {value} but robots do not move; choose topology dynamic"
-                raise ParameterError(name, message)
+        """Raise ParameterError for a parameter of arenas or graphs that this topology does not have."""
+        if not self.is_dynamic:
+            for name in _ARENA_PARAMETERS:
+                value = getattr(self, name)
+                if value != _default_of(self, name):
+                    message = f"{name} is {value} but robots do not move; choose topology dynamic"
+                    raise ParameterError(name, message)
         if (self.topology == "graph") != isinstance(self.graph, Graph):
             fix = "give its edges" if self.topology == "graph" else "choose topology graph"
             raise ParameterError("graph", f"graph is {str(self.graph)!r}: {fix}")
@@ -187,48 +203,48 @@ class WorldSettings:
                 self.graph.check(self.robots)
 
     def _check_sensor(self) -> None:
+        """Raise ParameterError for a sensor that is not installed, or a drift that contradicts itself."""
         if self.sensor and self.sensor not in extensions.names(extensions.SENSORS):
             installed = ", ".join(extensions.names(extensions.SENSORS)) or "none is installed"
             raise ParameterError("sensor", f"sensor is {self.sensor!r}; choose an extension: {installed}")
-        if self.drift == "none":
-            for name in ("drift_rate", "drift_spread", "drift_diffusion"):
-                if getattr(self, name):
-                    raise ParameterError(
-                        name, f"{name} is {getattr(self, name)} but drift is none; choose a drift"
-                    )
-        elif self.lowest_accuracy > self.true_accuracy:
+        if self.drift == "none" and self.drift_rate:
+            message = f"drift_rate is {self.drift_rate} but drift is none; choose a drift"
+            raise ParameterError("drift_rate", message)
+        if self.drift != "none" and self.lowest_accuracy > self.true_accuracy:
             lowest, start = self.lowest_accuracy, self.true_accuracy
             message = f"lowest_accuracy is {lowest}; it must be at most true_accuracy, {start}"
             raise ParameterError("lowest_accuracy", message)
 
 
-def _check_many(settings: WorldSettings) -> None:
-    """Refuse worlds in which a robot could hear more than 127 others."""
+def _check_neighbours_of_many(settings: WorldSettings) -> None:
+    """Raise ParameterError for a swarm of more than 128 robots if one could have more than 127 neighbours."""
+    if settings.is_dynamic:
+        if settings.radio_range > _MAX_RANGE_OF_MANY:
+            raise ParameterError(
+                "radio_range",
+                f"robots is {settings.robots}, but with radio_range {settings.radio_range:g} some could hear "
+                f"more than {MAX_ON_BUS - 1} others; give at most {_MAX_RANGE_OF_MANY}",
+            )
+        return
+    if settings.topology == "graph":
+        return  # the graph itself has been checked
     if settings.topology == "fully-connected":
         others = settings.robots - 1
-        why = f"each would hear {others} others, and a round of the firmware holds {MAX_ON_BUS - 1}"
-    elif settings.topology not in TOPOLOGIES:
-        why = "an extension says who hears whom by a matrix of them for every step"
-    elif settings.is_dynamic and settings.radio_range > _FARTHEST:
-        why = f"with radio_range {settings.radio_range:g} some could hear more than {MAX_ON_BUS - 1} others"
-        message = f"robots is {settings.robots}, but {why}; give at most {_FARTHEST}"
-        raise ParameterError("radio_range", message)
+        reason = f"each would hear {others} others, and a round of the firmware holds {MAX_ON_BUS - 1}"
     else:
-        return
+        reason = "an extension says who hears whom by a matrix of them for every step"
     fix = f"choose topology dynamic or graph, or at most {MAX_ON_BUS} robots"
-    raise ParameterError("robots", f"robots is {settings.robots}, but {why}; {fix}")
+    raise ParameterError("robots", f"robots is {settings.robots}, but {reason}; {fix}")
 
 
-_OF_ARENA = ("density", "width", "height", "speed", "radio_range", "floor", "tile")
-
-
-def default_of(settings: Any, name: str) -> Any:
-    """The default of a parameter."""
+def _default_of(settings: Any, name: str) -> Any:
+    """Return the default of a parameter of ``settings``."""
     return parameters_of(type(settings))[name].default
 
 
 def _check_sides(settings: WorldSettings) -> None:
-    if settings.width and settings.density != default_of(settings, "density"):
+    """Raise ParameterError unless either the density or both sides say how large the arena is."""
+    if settings.width and settings.density != _default_of(settings, "density"):
         raise ParameterError("density", "density and width say how large the arena is; give one of them")
     if (settings.width == 0) != (settings.height == 0):
         message = f"the arena is {settings.width} x {settings.height} m; give width and height, or neither"
@@ -236,28 +252,34 @@ def _check_sides(settings: WorldSettings) -> None:
 
 
 def _check_arena(settings: WorldSettings) -> None:
+    """Raise ParameterError for an arena that is too small or large, or motion too fast for its steps."""
     width, height = settings.sides
     size = f"{width:.4g} x {height:.4g} m"
-    key = "width" if settings.width else "density"
-    bodies = settings.robots * math.pi * (_BODY_DIAMETER / 2) ** 2
-    if min(width, height) <= _BODY_DIAMETER or bodies > _MOST_CROWDED * width * height:
+    size_parameter = "width" if settings.width else "density"
+    covered_area = settings.robots * math.pi * (_BODY_DIAMETER / 2) ** 2
+    if min(width, height) <= _BODY_DIAMETER or covered_area > _MAX_COVERED_SHARE * width * height:
         message = (
             f"{settings.robots} robots of {_BODY_DIAMETER} m are too many for {size}; take a larger arena"
         )
-        raise ParameterError(key, message)
+        raise ParameterError(size_parameter, message)
     if max(width, height) > MAX_SIDE:
-        raise ParameterError(key, f"the arena is {size}; its sides may be up to {MAX_SIDE:g} m")
-    if settings.tile * _MOST_TILES < max(width, height):
-        message = f"tile is {settings.tile}; choose one with at most {_MOST_TILES} along {size}"
+        message = f"the arena is {size}; its sides may be up to {MAX_SIDE:g} m"
+        raise ParameterError(size_parameter, message)
+    if settings.tile * _MAX_TILES_PER_SIDE < max(width, height):
+        message = f"tile is {settings.tile}; choose one with at most {_MAX_TILES_PER_SIDE} along {size}"
         raise ParameterError("tile", message)
-    if 2 * settings.speed / _WHEEL_DISTANCE > _LARGEST_TURN * settings.steps_per_second:
-        least = math.ceil(2 * settings.speed / _WHEEL_DISTANCE / _LARGEST_TURN)
-        message = f"steps_per_second is {settings.steps_per_second}; at this speed it must be {least} or more"
+    turns_per_second = 2 * settings.speed / _WHEEL_DISTANCE  # in radians, on the spot
+    if turns_per_second > _MAX_TURN_PER_STEP * settings.steps_per_second:
+        minimum = math.ceil(turns_per_second / _MAX_TURN_PER_STEP)
+        message = (
+            f"steps_per_second is {settings.steps_per_second}; at this speed it must be {minimum} or more"
+        )
         raise ParameterError("steps_per_second", message)
 
 
 def _check_floor(settings: WorldSettings) -> None:
+    """Raise ParameterError for a floor of code with tiles, or with a fill ratio that it cannot have."""
     if settings.floor == "code":
-        if settings.tile != default_of(settings, "tile"):
+        if settings.tile != _default_of(settings, "tile"):
             raise ParameterError("tile", f"tile is {settings.tile} but floor is code, without tiles")
-        code(settings.fill_ratio)
+        make_floor_code(settings.fill_ratio)

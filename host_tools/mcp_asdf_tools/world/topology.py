@@ -1,4 +1,4 @@
-"""Who hears whom: every robot every other, or the edges of a graph. Moving robots are in ``world.arena``."""
+"""Which robots receive from which, where robots do not move: all from all, or along the edges of a graph."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mcp_asdf.robot import MAX_ID
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import read_at_most
 
-_EDGES = re.compile(r"[0-9>;\s]*")
+_EDGES_IN_ONE_LINE = re.compile(r"[0-9>;\s]*")
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 # Behind an edge other tools write a weight, or its attributes in braces as networkx does.
 _EDGE = re.compile(rf"([0-9]{{1,5}})(?:\s*(>)\s*|\s+)([0-9]{{1,5}})(?:\s+(?:{_NUMBER}|\{{.*\}}))?", re.ASCII)
@@ -25,44 +25,54 @@ _EDGE = re.compile(rf"([0-9]{{1,5}})(?:\s*(>)\s*|\s+)([0-9]{{1,5}})(?:\s+(?:{_NU
 MAX_ROBOTS = 2**16
 """Largest number of robots without a bus: ids have 16 bits."""
 MAX_ON_BUS = MAX_ID + 1
-"""Largest number of robots on a bus, and of those that can all hear each other."""
+"""Largest number of robots on a bus, and of those that can all receive from each other."""
 
 
 class Topology(Protocol):
-    """Who hears whom, step by step. Extensions make one: entry point group ``mcp_asdf.topologies``."""
+    """Neighbours over time; an extension in the entry point group ``mcp_asdf.topologies`` makes one."""
 
     def advance(self, steps: int) -> NDArray[np.bool_]:
-        """The next steps, shape (steps, N, N): ``[k, i, j]`` is True if i hears j in step k."""
+        """Return the neighbours in the next steps, shape (steps, N, N).
+
+        ``[k, i, j]`` is True if robot i receives from robot j in step k.
+        """
 
 
-class Static:
-    """A topology that never changes."""
+class FixedTopology:
+    """A topology in which the neighbours never change."""
 
-    def __init__(self, hears: NDArray[np.bool_]) -> None:
-        """Take who hears whom, shape (N, N)."""
-        self._hears = hears
+    def __init__(self, neighbours: NDArray[np.bool_]) -> None:
+        """Take the neighbours, shape (N, N): whether robot i receives from robot j."""
+        self._neighbours = neighbours
 
     def advance(self, steps: int) -> NDArray[np.bool_]:
-        """The next steps. O(1)."""
-        return np.broadcast_to(self._hears, (steps, *self._hears.shape))
+        """Return the neighbours in the next steps, shape (steps, N, N). O(1)."""
+        return np.broadcast_to(self._neighbours, (steps, *self._neighbours.shape))
 
 
-class Checked:
+class CheckedTopology:
     """The topology of an extension, whose answers are checked."""
 
     def __init__(self, topology: Topology, name: str, robots: int) -> None:
+        """Take the topology of ``robots`` robots that is installed under ``name``."""
         self._topology, self._name, self._robots = topology, name, robots
 
     def advance(self, steps: int) -> NDArray[np.bool_]:
-        """The next steps. Raises UsageError unless they are what ``Topology`` says. O(steps N^2)."""
-        hears, shape = np.asarray(self._topology.advance(steps)), (steps, self._robots, self._robots)
-        if hears.shape != shape or hears.dtype != np.bool_:
+        """Return the extension's answer for the next steps, shape (steps, N, N). O(steps N^2).
+
+        Raises UsageError unless it has the type and shape that ``Topology`` states, and no robot is its own
+        neighbour.
+        """
+        neighbours = np.asarray(self._topology.advance(steps))
+        shape = (steps, self._robots, self._robots)
+        if neighbours.shape != shape or neighbours.dtype != np.bool_:
             raise UsageError(
-                f"topology {self._name} gives {hears.dtype} of shape {hears.shape}; return bool of {shape}"
+                f"topology {self._name} gives {neighbours.dtype} of shape {neighbours.shape}; "
+                f"return bool of {shape}"
             )
-        if hears.diagonal(axis1=1, axis2=2).any():
+        if neighbours.diagonal(axis1=1, axis2=2).any():
             raise UsageError(f"in topology {self._name} a robot hears itself; clear the diagonal")
-        return hears
+        return neighbours
 
 
 @dataclass(frozen=True)
@@ -70,41 +80,45 @@ class Graph:
     """Directed links between robots.
 
     Attributes:
-        links: (sender, receiver) of every way that a message can go.
+        links: (sender, receiver) for each pair of robots of which one receives from the other.
         source: The file that they come from, if any; graphs with the same links are equal.
     """
 
     links: frozenset[tuple[int, int]]
     source: str = field(default="graph", compare=False)
 
-    def topology(self, robots: int) -> Static:
-        """Who hears whom among ``robots`` robots. Raises UsageError for a link to any other."""
+    def topology(self, robots: int) -> FixedTopology:
+        """Return the topology of ``robots`` robots with these links. Raises UsageError as ``check``."""
         self.check(robots)
-        hears = np.zeros((robots, robots), np.bool_)
+        neighbours = np.zeros((robots, robots), np.bool_)
         for sender, receiver in self.links:
-            hears[receiver, sender] = True
-        return Static(hears)
+            neighbours[receiver, sender] = True
+        return FixedTopology(neighbours)
 
     def __str__(self) -> str:
-        """The edges in one line, which ``graph_of`` takes back: ``3 5; 5 > 7``."""
-        both = {link for link in self.links if link[::-1] in self.links}
-        return "; ".join(
-            f"{a} {b}" if (a, b) in both else f"{a} > {b}"
-            for a, b in sorted(self.links)
-            if (a, b) not in both or a < b
-        )
+        """Return the edges in one line, which ``parse_graph`` takes back: ``3 5; 5 > 7``."""
+        edges = []
+        for sender, receiver in sorted(self.links):
+            if (receiver, sender) not in self.links:
+                edges.append(f"{sender} > {receiver}")
+            elif sender < receiver:  # an edge of both directions is written once
+                edges.append(f"{sender} {receiver}")
+        return "; ".join(edges)
 
     def check(self, robots: int) -> None:
-        """Raises UsageError unless all ids are among ``0 .. robots - 1``, and no robot hears more others than
-        a round of the firmware holds. O(links)."""
-        unknown = sorted({robot for link in self.links for robot in link if robot >= robots})
-        if unknown:
+        """Check that the graph is one of ``robots`` robots. O(links).
+
+        Raises UsageError unless all ids are among 0 .. robots - 1, and no robot has more neighbours than a
+        round of the firmware holds messages.
+        """
+        unknown_ids = {robot for link in self.links for robot in link if robot >= robots}
+        if unknown_ids:
             raise UsageError(
-                f"{self.source} names robot {unknown[0]}, but the ids of {robots} robots are 0 to "
+                f"{self.source} names robot {min(unknown_ids)}, but the ids of {robots} robots are 0 to "
                 f"{robots - 1}; take more robots or remove the edge"
             )
-        heard = Counter(receiver for _, receiver in self.links)
-        for receiver, count in heard.most_common(1):
+        neighbour_counts = Counter(receiver for _, receiver in self.links)
+        for receiver, count in sorted(neighbour_counts.items()):
             if count > MAX_ID:
                 raise UsageError(
                     f"in {self.source} robot {receiver} hears {count} others, but a round of the firmware "
@@ -112,7 +126,7 @@ class Graph:
                 )
 
 
-def graph_of(given: Any) -> Graph:
+def parse_graph(description: Any) -> Graph:
     """Return the graph that a file, a text or an object describes.
 
     A text has edges in one line, separated by semicolons; any other text is the path of a file. An object is
@@ -123,23 +137,25 @@ def graph_of(given: Any) -> Graph:
     An edge without ``>`` may be listed in both directions. Raises UsageError, naming the line, for anything
     else, for ids outside 0 .. 65535, for repeated edges and for a graph without edges. O(lines).
     """
-    if not isinstance(given, str | Path):
-        return _parse_graph(_edges_of(given), "edge", "graph")
-    if isinstance(given, str) and is_text_of_edges(given):
-        return _parse_graph(given.split(";"), "edge", "graph")
+    if not isinstance(description, str | Path):
+        return _parse_lines(_format_edges(description), "edge", "graph")
+    if isinstance(description, str) and is_text_of_edges(description):
+        return _parse_lines(description.split(";"), "edge", "graph")
     try:
-        lines = read_at_most(given).decode("utf-8-sig").splitlines()
+        lines = read_at_most(description).decode("utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
-        raise UsageError(f"cannot read the graph {given}: {error}; give a text file of edges") from error
-    return _parse_graph(lines, "line", str(given))
+        raise UsageError(
+            f"cannot read the graph {description}: {error}; give a text file of edges"
+        ) from error
+    return _parse_lines(lines, "line", str(description))
 
 
 def is_text_of_edges(text: str) -> bool:
     """Return whether a text holds edges in one line, or nothing, and is no path of a file."""
-    return _EDGES.fullmatch(text) is not None
+    return _EDGES_IN_ONE_LINE.fullmatch(text) is not None
 
 
-def graph_of_edges(text: Any) -> Graph:
+def parse_edges(text: Any) -> Graph:
     """Return the graph of edges in one line, such as ``3 5; 5 > 7``, and never open a file.
 
     For the graphs in recordings and results, which come from others. Raises UsageError for anything else.
@@ -149,25 +165,28 @@ def graph_of_edges(text: Any) -> Graph:
             f"graph is {text!r}, but a recording or a file of results has to hold the edges themselves, such "
             "as '3 5; 5 > 7': it may not name a file"
         )
-    return graph_of(text)
+    return parse_graph(text)
 
 
-def _edges_of(given: Any) -> list[str]:
-    """An object's edges as lines. Raises UsageError if it has none that can be read."""
-    sign = ""
-    if isinstance(given, np.ndarray) and given.dtype == np.bool_:
-        if given.ndim != 2 or given.shape[0] != given.shape[1]:
-            raise UsageError(f"graph has shape {given.shape}; give a square array, [receiver, sender]")
-        pairs, sign = [(sender, receiver) for receiver, sender in np.argwhere(given)], "> "
-    elif hasattr(given, "is_directed") and hasattr(given, "edges"):
-        pairs, sign = list(given.edges()), "> " if given.is_directed() else ""
-    else:
-        pairs = given
+def _format_edges(graph: Any) -> list[str]:
+    """Return the edges of an object, each as a line of a file. Raises UsageError if they cannot be read.
+
+    The object is as ``parse_graph`` takes it: pairs, a boolean array, or a graph of networkx.
+    """
+    pairs, is_directed = graph, False
+    if isinstance(graph, np.ndarray) and graph.dtype == np.bool_:
+        if graph.ndim != 2 or graph.shape[0] != graph.shape[1]:
+            raise UsageError(f"graph has shape {graph.shape}; give a square array, [receiver, sender]")
+        pairs = [(sender, receiver) for receiver, sender in np.argwhere(graph)]
+        is_directed = True
+    elif hasattr(graph, "is_directed") and hasattr(graph, "edges"):
+        pairs, is_directed = list(graph.edges()), graph.is_directed()
+    sign = "> " if is_directed else ""
     try:
         return [f"{index(first)} {sign}{index(second)}" for first, second in pairs]
     except (TypeError, ValueError):
         fix = "give a file, edges such as '3 5; 5 > 7', pairs of ids, a boolean array, or a networkx graph"
-        raise UsageError(f"graph is {given!r}; {fix}") from None
+        raise UsageError(f"graph is {graph!r}; {fix}") from None
 
 
 @dataclass(frozen=True)
@@ -186,13 +205,17 @@ class _Edge:
         return [link] if self.is_one_way else [link, link[::-1]]
 
     def is_reverse_of(self, other: _Edge) -> bool:
-        """Whether both say the same of two robots that hear each other, in either direction."""
+        """Whether both are the same edge of both directions, written from either end."""
         is_reversed = (self.sender, self.receiver) == (other.receiver, other.sender)
         return is_reversed and not self.is_one_way and not other.is_one_way
 
 
-def _parse_graph(lines: Iterable[str], unit: str, source: str) -> Graph:
-    """Return the graph of the edges in ``lines``. Errors name ``source`` and the number of the ``unit``."""
+def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
+    """Return the graph of the edges in ``lines``.
+
+    Raises UsageError, naming ``source`` and the number of the ``unit`` (edge or line), for a line that is no
+    edge and for an edge that is there already, and if there is none at all.
+    """
     edge_of_link: dict[tuple[int, int], _Edge] = {}
     for line_number, line in enumerate(lines, start=1):
         text = line.partition("#")[0].strip()

@@ -11,7 +11,7 @@ import sysconfig
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -23,6 +23,7 @@ from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.studies.ageing_sensors import UnequallyAgeingSensors, WanderingSensors
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_spec import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
@@ -81,8 +82,8 @@ EDGES: dict[str, dict[str, Any]] = {
     "one step": {"steps": 1},
     "no observation": {"observation_period": 900},
     "linear drift": {"drift": "linear", "drift_rate": -5e-4},
-    "stepped drift": {"drift": "stepped", "drift_rate": -5e-4, "drift_period": 150},
-    "drift of each robot's own": {"drift": "wiener", "drift_diffusion": 0.01},
+    "sensors that age each in its own way": {"sensor": WanderingSensors},
+    "sensors that age at rates of their own": {"sensor": UnequallyAgeingSensors},
 }
 FULL_EDGES: dict[str, dict[str, Any]] = {
     "confidence at its largest": RARE,
@@ -98,7 +99,7 @@ MOVING_EDGES: dict[str, dict[str, Any]] = {
 
 ROBUST_EDGES: dict[str, dict[str, Any]] = {
     "most votes": {"robots": 40, "steps": 600},
-    "a floor that seems to change": {"drift": "stepped", "drift_rate": -2e-3, "drift_period": 150},
+    "a floor that seems to change": {"drift": "linear", "drift_rate": -2e-3},
     "two robots, too few for a test": {"robots": 2, "flawed": 1},
     "nobody to hear": {"robots": 1, "flawed": 1},
 }
@@ -257,7 +258,7 @@ def test_robots_move_in_vectors_as_one_by_one(tmp_path: Path, monkeypatch: pytes
         SHORT,
         replace(SHORT, comms_period=5, filter="asdf-minus", observation_period=3),
         replace(SHORT, activation="always", memory=64, robots=4),
-        replace(SHORT, drift="wiener", drift_diffusion=0.02, drift_rate=-1e-4),
+        replace(SHORT, sensor=cast(Any, WanderingSensors)),
         replace(SHORT, robots=1, flawed=0),
         MOVING,
         LATE,
@@ -267,7 +268,7 @@ def test_robots_move_in_vectors_as_one_by_one(tmp_path: Path, monkeypatch: pytes
         replace(LATE, floor="code", fill_ratio=0.448, observation_period=5, speed=0.1),
         ROBUST,
         replace(ROBUST, fill_ratio=0.95, true_accuracy=0.55, flawed_accuracy=0.95, memory=64, comms_period=5),
-        replace(ROBUST, drift="stepped", drift_rate=-2e-3, drift_period=150, observation_period=2),
+        replace(ROBUST, drift="linear", drift_rate=-1e-3, observation_period=2),
         ROBUST_MOVING,
         replace(ROBUST_MOVING, latency=1, density=8),
         replace(ROBUST_MOVING, latency=1, comms_period=5, observation_period=2),

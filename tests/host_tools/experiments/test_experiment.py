@@ -23,7 +23,7 @@ from support import ROOT, blocks
 def test_parameters_come_back() -> None:
     changes: dict[str, Any] = {
         "filter": "asdf-minus",
-        "drift": "stepped",
+        "drift": "linear",
         "drift_rate": -1e-4,
         "seed": 2**64 - 1,
     }

@@ -186,6 +186,24 @@ def test_results_of_before_a_parameter_stand_beside_newer_ones(tmp_path: Path) -
     assert read_table(tmp_path)["latency"].to_pylist() == [0, 0, 0, 0]
 
 
+def results_with_drift_spread(value: float) -> Any:
+    """Return results of an earlier version, which had this parameter."""
+    table = table_of(run_trials(SHORT, 0, 2))
+    return table.append_column("drift_spread", pa.array([value] * len(table)))
+
+
+def test_results_with_a_former_parameter_that_had_no_effect_are_read(path: Path) -> None:
+    pq.write_table(results_with_drift_spread(0.0), path)
+    (trials,) = experiments_at(path)
+    assert trials.experiment == SHORT
+
+
+def test_results_with_a_former_parameter_that_had_an_effect_are_refused(path: Path) -> None:
+    pq.write_table(results_with_drift_spread(1e-6), path)
+    with pytest.raises(UsageError, match="has results with drift_spread, a parameter of earlier versions"):
+        list(experiments_at(path))
+
+
 def test_results_may_not_name_a_file_as_their_graph(path: Path, tmp_path: Path) -> None:
     """Opening this one, a pipe that nobody writes, would wait for ever."""
     os.mkfifo(tmp_path / "pipe")

@@ -195,8 +195,7 @@ def test_a_population_has_a_record_of_each_robot(filters: str, activation: Activ
         Population(memory=66)
     both = {"omega", "activation"}
     unused = {"none": both, "robust": both}.get(filters, {"omega"} if activation == "always" else set())
-    of_other_drifts = {"drift_period", "drift_diffusion"}
-    assert set(some.unused_parameters()) == unused | of_other_drifts
+    assert set(some.unused_parameters()) == unused
 
 
 def test_a_table_is_for_as_many_neighbours_as_a_round_can_have() -> None:

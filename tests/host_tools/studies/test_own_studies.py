@@ -18,6 +18,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import ageing, error_tables, peers, robust_filter, swarm_sizes
+from mcp_asdf_tools.studies.ageing_sensors import WanderingSensors
 from mcp_asdf_tools.studies.bootstrap import Interval
 from support import ROOT
 
@@ -167,7 +168,7 @@ MOVING: dict[str, Any] = {"topology": "dynamic", "latency": 1, "robots": 20, "fl
         ({"density": 3}, "moving, density 3"),
         ({"latency": 0}, "moving, latency 0"),
         ({"white_offset": -0.1}, "moving, b -0.1 on white"),
-        ({"drift": "wiener"}, "moving, sensors age each in its own way"),
+        ({"sensor": WanderingSensors}, "moving, sensors age each in its own way"),
         ({"drift": "linear"}, "moving, sensors age alike"),
     ],
 )
@@ -241,14 +242,14 @@ def test_the_page_has_what_few_trials_of_another_seed_give(share: str, filter_na
 
 
 def test_each_way_to_age_has_a_row_for_each_memory() -> None:
-    rows = {ageing.row_label(experiment) for experiment in m.read_experiments("ageing")}
+    rows = {ageing.row_label(experiment) for experiment in ageing.ageing_experiments()}
     assert len(rows) == 12
 
 
 def test_the_ageing_picture_has_a_panel_for_each_way() -> None:
     experiments = [
         run_trials(replace(experiment, steps=4000), 0, 1, 1000)
-        for experiment in m.read_experiments("ageing")[:38:5]
+        for experiment in ageing.ageing_experiments()[:38:5]
     ]
     lasting = [each.experiment for each in experiments if each.experiment.memory == ageing.LONGEST_MEMORY]
     titles = [axes.get_title("left") for axes in ageing.draw_errors(experiments).axes if axes.axison]

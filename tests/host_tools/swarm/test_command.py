@@ -127,7 +127,7 @@ def test_a_summary_is_a_table_with_bold_names() -> None:
 def test_parameters_without_an_option_are_listed_and_set(capsys: pytest.CaptureFixture[str]) -> None:
     assert command("--set", "help") == 0
     listed = dict(line.split("=", 1) for line in capsys.readouterr().out.splitlines())
-    assert listed["drift"] == "none,linear,stepped,wiener\thow the true accuracy changes (default none)"
+    assert listed["drift"] == "none,linear\thow the true accuracy changes (default none)"
     assert listed["allow"] == "\tids whose estimates robots take, such as 0-19+30; any if not given"
     values = {"latency": 1, "omega": 0.125, "flawed-accuracy": 0.5, "activation": "always"}
     assert values.keys() | {"subject", "priority", "telemetry-period"} <= listed.keys()

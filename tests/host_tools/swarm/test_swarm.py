@@ -43,7 +43,7 @@ COMMON: dict[str, Any] = {"robots": 6, "flawed": "50%", "steps": 250, "filter_pe
 CASES: dict[str, dict[str, Any]] = {
     "fully connected": {},
     "no filter": {"filter": "none"},
-    "always, drifting": {"activation": "always", "drift": "wiener", "drift_diffusion": 1e-3},
+    "always, drifting": {"activation": "always", "drift": "linear", "drift_rate": -1e-3},
     "dynamic": {"topology": "dynamic"},
     "dynamic, late, rare broadcasts": {"topology": "dynamic", "latency": 1, "comms_period": 5},
     "dynamic, rare observations": {"topology": "dynamic", "observation_period": 3, "memory": 64},

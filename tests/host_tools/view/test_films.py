@@ -48,7 +48,7 @@ PARAMETERS: dict[str, Any] = {
     **{"robots": 7, "flawed": "50%", "steps": 250, "filter": "asdf-minus", "filter_period": 50, "seed": 3}
 }
 WORLDS: list[dict[str, Any]] = [
-    {"topology": "dynamic", "drift": "wiener", "drift_diffusion": 1e-3},
+    {"topology": "dynamic", "drift": "linear", "drift_rate": -1e-3},
     {"topology": "graph", "graph": "0 1; 1 > 2; 3 6"},
     {},
     {"filter": "robust", "topology": "dynamic", "density": 8, "fill_ratio": 0.95, "flawed": 2},

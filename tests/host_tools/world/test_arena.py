@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.world import _arena
-from mcp_asdf_tools.world.arena import Arena, Motion, config_values, memory_of
-from mcp_asdf_tools.world.floor_code import code
+from mcp_asdf_tools.world.arena import Arena, Motion, allocate_memory, make_config
+from mcp_asdf_tools.world.floor_code import make_floor_code
 from mcp_asdf_tools.world.settings import WorldSettings
 
 RADIUS, WHEELS_APART, TICK = 0.0704, 0.1054, 0.1
@@ -156,11 +156,11 @@ def test_the_grid_of_many_robots_finds_the_pairs_of_all_compared(density: float)
 
 
 def test_memory_grows_linearly_with_the_robots() -> None:
-    assert [memory_of(size).nbytes for size in (1, 8, 9)] == [8, 8, 16]
+    assert [allocate_memory(size).nbytes for size in (1, 8, 9)] == [8, 8, 16]
     few, many = (
         _arena.lib.mcp_asdf_arena_bytes(_arena.ffi.new("mcp_asdf_arena_config_t *", values)) / robots
         for robots in (1000, 10_000)
-        for values in [config_values(world(robots), 0, _arena.ffi)[0]]
+        for values in [make_config(world(robots), 0, _arena.ffi)[0]]
     )
     assert 1000 < many < 2000 and few == pytest.approx(many, rel=0.01)
 
@@ -238,7 +238,7 @@ def test_a_tile_has_one_colour_and_the_seed_decides_it() -> None:
 
 
 def test_a_code_lies_with_its_first_row_in_the_north() -> None:
-    pattern, arena = code(0.448), Arena(world(1, 3, 2, floor="code", fill_ratio=0.448))
+    pattern, arena = make_floor_code(0.448), Arena(world(1, 3, 2, floor="code", fill_ratio=0.448))
     assert np.array_equal(arena.pixels(*pattern.shape[::-1]), pattern)
     rows, columns = np.indices(pattern.shape)
     middles = np.stack([(columns + 0.5) / 100 * 3 - 1.5, 1 - (rows + 0.5) / 100 * 2], axis=2)

@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.world.topology import Graph, graph_of
+from mcp_asdf_tools.world.topology import Graph, parse_graph
 
 
 def read(text: str, folder: Path) -> Graph:
     path = folder / "edges.txt"
     path.write_text(text)
-    return graph_of(path)
+    return parse_graph(path)
 
 
 def heard_in(graph: Graph, robots: int) -> list[list[int]]:
@@ -42,7 +42,7 @@ def test_a_graph_file_without_edges_is_refused(text: str, tmp_path: Path) -> Non
 @pytest.mark.parametrize("nothing", [[], "", " ; ", np.zeros((3, 3), np.bool_)])
 def test_an_object_or_a_text_without_edges_is_refused(nothing: object) -> None:
     with pytest.raises(UsageError, match="graph has no edge"):
-        graph_of(nothing)
+        parse_graph(nothing)
 
 
 @pytest.mark.parametrize(
@@ -71,10 +71,10 @@ def test_a_weight_may_follow_an_edge_of_one_direction(tmp_path: Path) -> None:
     )
 )
 def test_any_graph_reads_back(links: frozenset[tuple[int, int]]) -> None:
-    graph = graph_of("; ".join(f"{a} > {b}" for a, b in links))
+    graph = parse_graph("; ".join(f"{a} > {b}" for a, b in links))
     assert graph.links == links
     assert heard_in(graph, 128) == [sorted(a for a, b in links if b == robot) for robot in range(128)]
-    assert graph_of(str(graph)) == graph
+    assert parse_graph(str(graph)) == graph
 
 
 @pytest.mark.parametrize(
@@ -114,17 +114,17 @@ def test_a_graph_must_be_text_about_these_robots(tmp_path: Path) -> None:
     Graph(frozenset((sender, 5) for sender in range(6, 133))).check(133)
     (tmp_path / "edges.txt").write_bytes(b"\xff\xfe\0")
     with pytest.raises(UsageError, match="cannot read the graph"):
-        graph_of(tmp_path / "edges.txt")
+        parse_graph(tmp_path / "edges.txt")
 
 
 def test_a_graph_may_be_an_object() -> None:
     """Pairs, which hear each other, an array, or a graph of networkx, which knows its edges and direction."""
     heard, edges = np.zeros((4, 4), np.bool_), [(1, 3), (3, np.int64(65535))]
     heard[3, 1] = heard[0, 3] = True
-    assert graph_of(heard).links == {(1, 3), (3, 0)}
-    assert graph_of(Mock(edges=lambda: edges, is_directed=lambda: True)).links == {*edges}
+    assert parse_graph(heard).links == {(1, 3), (3, 0)}
+    assert parse_graph(Mock(edges=lambda: edges, is_directed=lambda: True)).links == {*edges}
     for each in (edges, Mock(edges=lambda: edges, is_directed=lambda: False)):
-        assert graph_of(each).links == {*edges, *(edge[::-1] for edge in edges)}
+        assert parse_graph(each).links == {*edges, *(edge[::-1] for edge in edges)}
     for wrong in (heard[:3], heard[0], [(1, 2, 3)], [("1", 2)], Mock(spec=["edges"])):
         with pytest.raises(UsageError, match=r"graph (is|has) .*; give a"):
-            graph_of(wrong)
+            parse_graph(wrong)

@@ -12,120 +12,201 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.special import ndtri  # type: ignore[import-untyped]
 
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.world import _arena
-from mcp_asdf_tools.world.arena import Arena, config_values
-from mcp_asdf_tools.world.floor_code import CODE_MODULES, code
-from mcp_asdf_tools.world.philox import MOVES, OBSERVATIONS, Stream, philox, world_seed
-from mcp_asdf_tools.world.sensors import CheckedSensors, sensor_model
+from mcp_asdf_tools.world.arena import Arena, make_config
+from mcp_asdf_tools.world.floor_code import CODE_MODULES, make_floor_code
+from mcp_asdf_tools.world.philox import OBSERVATION_STREAM, SENSOR_STREAM, Stream, arena_seed, philox
+from mcp_asdf_tools.world.sensors import CheckedSensors, make_sensor_model
 from mcp_asdf_tools.world.settings import WorldSettings
-from mcp_asdf_tools.world.topology import Checked
-from mcp_asdf_tools.world.world import Scene, World
+from mcp_asdf_tools.world.topology import CheckedTopology
+from mcp_asdf_tools.world.world import Scene, SteppedWorld, World
 
 SEED = 20241029
-KINDS: dict[str, dict[str, Any]] = {
+WORLDS: dict[str, dict[str, Any]] = {
     "fully connected": {},
     "graph": {"topology": "graph", "graph": "0 1; 1 > 2"},
     "dynamic": {"topology": "dynamic"},
-    "wiener": {"drift": "wiener", "drift_diffusion": 0.01},
-    "moving wiener": {"topology": "dynamic", "drift": "wiener", "drift_diffusion": 0.01},
-    "stepped": {"drift": "stepped", "drift_rate": -1e-3, "drift_period": 7},
-    "now and then": {"observation_period": 3, "white_offset": -0.2},
+    "drifting": {"drift": "linear", "drift_rate": -1e-3},
+    "moving, drifting": {"topology": "dynamic", "drift": "linear", "drift_rate": -1e-3},
+    "rare observations": {"observation_period": 3, "white_offset": -0.2},
 }
+in_each_world = pytest.mark.parametrize("changes", WORLDS.values(), ids=WORLDS)
 
 
-def make(**given: Any) -> World:
-    return World(WorldSettings(**{"robots": 4, "steps": 200, "seed": SEED} | given))
+def make_settings(**changes: Any) -> WorldSettings:
+    return WorldSettings(**{"robots": 4, "steps": 200, "seed": SEED} | changes)
 
 
-def seen(scene: Scene) -> list[list[Observation | None]]:
+def make_world(**changes: Any) -> World:
+    return World(make_settings(**changes))
+
+
+# --- Draws -----------------------------------------------------------------------------------------------
+
+KEY = (0xA4093822, 0x299F31D0)
+
+
+def philox_words(counter: tuple[int, int, int, int], key: tuple[int, int]) -> list[int]:
+    c0, c1, c2, c3 = (np.array([word], np.uint64) for word in counter)
+    return [int(word[0]) for word in philox((c0, c1, c2, c3), key)]
+
+
+@pytest.mark.parametrize(
+    ("counter", "key", "words"),
+    [
+        ((0, 0, 0, 0), (0, 0), [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8]),
+        (
+            (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344),
+            KEY,
+            [0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1],
+        ),
+    ],
+)
+def test_draws_are_those_of_philox_4x32_10(
+    counter: tuple[int, int, int, int], key: tuple[int, int], words: list[int]
+) -> None:
+    """The known answers are those of its authors (Random123)."""
+    assert philox_words(counter, key) == words
+
+
+def test_the_counter_of_a_draw_is_step_robot_trial_and_stream() -> None:
+    low, high = KEY
+    stream = Stream(1, high << 32 | low, trial=7, robots=3)
+    assert stream.draw_words(4)[:, 2].tolist() == philox_words((0, 2, 7, 1), KEY)
+
+
+@pytest.mark.parametrize("first_step", [0, 1, 3, 4, 6])
+def test_draws_do_not_depend_on_where_one_begins(first_step: int) -> None:
+    stream = Stream(OBSERVATION_STREAM, SEED, trial=0, robots=3)
+    assert np.array_equal(stream.draw_words(9, first_step), stream.draw_words(20)[first_step:][:9])
+
+
+def test_uniform_draws_are_the_middles_of_equal_intervals() -> None:
+    stream = Stream(SENSOR_STREAM, SEED, trial=0, robots=3)
+    assert np.array_equal(stream.draw_uniforms(5) * 2.0**32, stream.draw_words(5) + 0.5)
+
+
+# --- Observations ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("white_offset", "white"), [(0.0, Fraction(7, 10)), (-0.125, Fraction(23, 40))])
+def test_observations_follow_eq_1_draw_by_draw(white_offset: float, white: Fraction) -> None:
+    world = make_world(fill_ratio=0.4, true_accuracy=0.7, white_offset=white_offset)
+    probability = Fraction(2, 5) * Fraction(7, 10) + Fraction(3, 5) * (1 - white)
+    draws = Stream(OBSERVATION_STREAM, SEED, 0, 4).draw_words(200) >> 1
+    expected = [[Fraction(draw, 2**31) < probability for draw in row] for row in draws.tolist()]
+    assert world.advance(200).black.tolist() == expected
+
+
+def test_the_accuracy_of_a_scene_is_the_mean_of_both_colours() -> None:
+    world = make_world(true_accuracy=0.7, white_offset=-0.125)
+    assert world.advance(200).accuracy == pytest.approx((0.7 + 0.575) / 2)
+
+
+def test_robots_that_move_see_the_floor_through_their_sensors() -> None:
+    """Black is observed with probability b, and white taken for black with 1 - w."""
+    settings = make_settings(topology="dynamic", fill_ratio=0.4, true_accuracy=0.75, white_offset=0.125)
+    is_black_floor = Arena(settings, 0).record(200).black.astype(bool)
+    draws = Stream(OBSERVATION_STREAM, SEED, 0, 4).draw_words(200) >> 1
+    limits = np.where(is_black_floor, 2**31 * 3 // 4, 2**31 // 8)
+    assert np.array_equal(World(settings).advance(200).black, draws < limits)
+
+
+@pytest.mark.parametrize("changes", [{}, {"topology": "dynamic"}])
+def test_a_draw_equal_to_the_probability_is_not_below_it(
+    changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    three_quarters = 3 * 2**29  # in units of 2**-31
+    monkeypatch.setattr(
+        Stream,
+        "draw_words",
+        lambda self, steps, first_step=0: np.full((steps, self.robots), 2 * three_quarters, np.uint32),
+    )
+    changes = changes | {"fill_ratio": 1.0}
+    assert not make_world(**changes, true_accuracy=0.75).advance(20).black.any()
+    assert make_world(**changes, true_accuracy=0.75 + 2**-31).advance(20).black.all()
+
+
+def test_trials_seeds_and_robots_differ() -> None:
+    settings = make_settings()
+    worlds = [World(settings, 0), World(settings, 1), World(replace(settings, seed=SEED + 1), 0)]
+    columns = np.concatenate([world.advance(200).black for world in worlds], axis=1).T
+    assert len({column.tobytes() for column in columns}) == 12
+
+
+def test_what_a_robot_observes_does_not_depend_on_the_size_of_the_swarm() -> None:
+    small, large = make_world(robots=4).advance(200), make_world(robots=30).advance(200)
+    assert np.array_equal(small.black, large.black[:, :4])
+
+
+# --- Steps -----------------------------------------------------------------------------------------------
+
+
+@in_each_world
+def test_robots_observe_in_every_observation_period(changes: dict[str, Any]) -> None:
+    period = changes.get("observation_period", 1)
+    observes = make_world(**changes).advance(200).observes
+    assert np.flatnonzero(observes).tolist() == list(range(period - 1, 200, period))
+
+
+@in_each_world
+def test_how_many_steps_are_taken_at_once_changes_nothing(changes: dict[str, Any]) -> None:
+    whole, world = make_world(**changes).advance(200), make_world(**changes)
+    scenes = [world.advance(steps) for steps in (7, 1, 130, 62)]
+    for name in ("black", "observes", "neighbours", "accuracy"):
+        joined = np.concatenate([getattr(scene, name) for scene in scenes])
+        assert np.array_equal(joined, getattr(whole, name)), name
+
+
+@in_each_world
+def test_steps_that_are_skipped_have_passed(changes: dict[str, Any]) -> None:
+    whole, world = make_world(**changes).advance(200), make_world(**changes)
+    world.skip(7)
+    world.skip(130)
+    assert np.array_equal(world.advance(63).black, whole.black[137:])
+
+
+def observations_in(scene: Scene) -> list[list[Observation | None]]:
     colours = (Observation.WHITE, Observation.BLACK)
     return [
-        [colours[black] if observes else None for black in row]
+        [colours[is_black] if observes else None for is_black in row]
         for row, observes in zip(scene.black.tolist(), scene.observes.tolist(), strict=True)
     ]
 
 
-def test_draws_are_those_of_philox_4x32_10() -> None:
-    """The known answers of its authors (Random123), and a seed's words as its key."""
-
-    def drawn(counter: tuple[int, int, int, int], key: tuple[int, int]) -> list[int]:
-        c0, c1, c2, c3 = (np.array([word], np.uint64) for word in counter)
-        return [int(word[0]) for word in philox((c0, c1, c2, c3), key)]
-
-    digits = (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344)
-    low, high = 0xA4093822, 0x299F31D0
-    assert drawn((0, 0, 0, 0), (0, 0)) == [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8]
-    assert drawn(digits, (low, high)) == [0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1]
-    assert Stream(1, high << 32 | low, 7, 3).words(4)[:, 2].tolist() == drawn((0, 2, 7, 1), (low, high))
+@in_each_world
+def test_a_stepped_world_observes_what_a_scene_says(changes: dict[str, Any]) -> None:
+    scene, stepped = make_world(**changes).advance(200), SteppedWorld(make_settings(**changes))
+    assert [list(stepped.step()) for _ in range(200)] == observations_in(scene)
 
 
-@pytest.mark.parametrize(("white_offset", "white"), [(0.0, Fraction(7, 10)), (-0.125, Fraction(23, 40))])
-def test_observations_follow_the_stated_scheme(white_offset: float, white: Fraction) -> None:
-    """Draw by draw against the exact probability of eq. 1."""
-    world = make(fill_ratio=0.4, true_accuracy=0.7, white_offset=white_offset)
-    chance = Fraction(2, 5) * Fraction(7, 10) + Fraction(3, 5) * (1 - white)
-    draws = Stream(OBSERVATIONS, SEED, 0, 4).words(200) >> 1
-    exact = [[Fraction(draw, 2**31) < chance for draw in row] for row in draws.tolist()]
-    scene = world.advance(200)
-    assert scene.black.tolist() == exact
-    assert scene.accuracy == pytest.approx(float(Fraction(7, 10) + white) / 2)
+@in_each_world
+def test_a_stepped_world_shows_the_present_step_of_a_scene(changes: dict[str, Any]) -> None:
+    scene, stepped = make_world(**changes).advance(200), SteppedWorld(make_settings(**changes))
+    for step in range(200):
+        stepped.step()
+        assert np.array_equal(stepped.current_neighbours, scene.neighbours[step])
+        assert np.array_equal(stepped.accuracy, scene.accuracy[step])
+        if scene.positions is None:
+            assert stepped.positions is None
+        else:
+            assert stepped.positions is not None
+            assert np.array_equal(stepped.positions, scene.positions[step])
 
 
-def test_robots_that_move_see_the_floor_through_their_sensors() -> None:
-    """Against an arena of the same seed: black is seen with b, white taken for black with 1 - w."""
-    world = make(topology="dynamic", fill_ratio=0.4, true_accuracy=0.75, white_offset=0.125)
-    below = Arena(world.settings, 0).record(200).black.tolist()
-    draws = (Stream(OBSERVATIONS, SEED, 0, 4).words(200) >> 1).tolist()
-    for black, drawn, reported in zip(below, draws, world.advance(200).black.tolist(), strict=True):
-        chances = [Fraction(3, 4) if each else Fraction(1, 8) for each in black]
-        assert reported == [Fraction(d, 2**31) < p for d, p in zip(drawn, chances, strict=True)]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_how_many_steps_are_taken_at_once_changes_nothing(kind: str) -> None:
-    """Also not if it is one by one, with what the world then shows."""
-    whole, pieces, world = make(**KINDS[kind]).advance(200), make(**KINDS[kind]), make(**KINDS[kind])
-    scenes, late = [pieces.advance(steps) for steps in (7, 1, 130, 62)], make(**KINDS[kind])
-    late.skip(7)
-    late.skip(130)
-    assert np.array_equal(late.advance(63).black, whole.black[137:])
-    for name in ("black", "observes", "hears", "accuracy"):
-        joined = np.concatenate([getattr(scene, name) for scene in scenes])
-        assert np.array_equal(joined, getattr(whole, name)), name
-    period = world.settings.observation_period
-    assert np.flatnonzero(whole.observes).tolist() == list(range(period - 1, 200, period))
-    for step, expected in enumerate(seen(whole)):
-        assert list(world.step()) == expected
-        assert [list(world.neighbours(i)) for i in range(4)] == [
-            np.flatnonzero(row).tolist() for row in whole.hears[step]
-        ]
-        assert np.array_equal(world.accuracy, whole.accuracy[step])
-        assert (world.positions is None) == (whole.positions is None)
-        if whole.positions is not None and world.positions is not None:
-            assert np.array_equal(world.positions, whole.positions[step])
-
-
-def test_trials_seeds_and_robots_differ_and_a_swarm_s_size_does_not_matter() -> None:
-    settings = make().settings
-    worlds = [World(settings, 0), World(settings, 1), World(replace(settings, seed=SEED + 1), 0)]
-    columns = np.concatenate([world.advance(200).black for world in worlds], axis=1).T
-    assert len({column.tobytes() for column in columns}) == 12
-    large = make(robots=30).advance(200).black
-    assert np.array_equal(columns[:4].T, large[:, :4])
-
+# --- Settings that are refused ---------------------------------------------------------------------------
 
 MOVING_SWARM: dict[str, Any] = {"robots": 9, "topology": "dynamic", "density": 3}
 CODE: dict[str, Any] = {**MOVING_SWARM, "floor": "code"}
 
 
 @pytest.mark.parametrize(
-    ("given", "key", "message"),
+    ("changes", "parameter", "message"),
     [
         ({"fill_ratio": math.nan}, "fill_ratio", "fill_ratio is nan; give a number"),
         ({"robots": 2.5}, "robots", "robots is 2.5; give a whole number"),
@@ -137,9 +218,8 @@ CODE: dict[str, Any] = {**MOVING_SWARM, "floor": "code"}
         ({"topology": "graph", "graph": 5}, "graph", "graph is 5; give a file, edges such as"),
         ({"density": 2}, "density", "density is 2.0 but robots do not move; choose topology dynamic"),
         ({"sensor": "absent"}, "sensor", "sensor is 'absent'; choose an extension: "),
-        ({"drift": "sideways"}, "drift", "choose one of none, linear, stepped, wiener"),
+        ({"drift": "sideways"}, "drift", "choose one of none, linear"),
         ({"drift_rate": 0.1}, "drift_rate", "drift_rate is 0.1 but drift is none; choose a drift"),
-        ({"drift_diffusion": 0.1}, "drift_diffusion", "but drift is none; choose a drift"),
         (
             {"drift": "linear", "true_accuracy": 0.6, "lowest_accuracy": 0.7},
             *("lowest_accuracy", "lowest_accuracy is 0.7; it must be at most true_accuracy, 0.6"),
@@ -153,7 +233,6 @@ CODE: dict[str, Any] = {**MOVING_SWARM, "floor": "code"}
         ({**MOVING_SWARM, "speed": 0.9}, "speed", "1e-06 to 0.814"),
         ({**MOVING_SWARM, "speed": 0.8, "steps_per_second": 9}, "steps_per_second", "must be 10 or more"),
         ({**MOVING_SWARM, "density": 1, "width": 5.0, "height": 1.0, "tile": 2e-5}, "tile", "at most 100000"),
-        ({"robotz": 3}, "robotz", "unknown key 'robotz'; did you mean robots"),
         ({**CODE, "tile": 0.02}, "tile", "without tiles"),
         ({**CODE, "fill_ratio": 0.44801}, "fill_ratio", "multiple of 0.0001"),
         ({**CODE, "fill_ratio": 0.88}, "fill_ratio", "can have 0.0183 to 0.8799"),
@@ -170,22 +249,59 @@ CODE: dict[str, Any] = {**MOVING_SWARM, "floor": "code"}
         ({**MOVING_SWARM, "width": 0.591, "height": 0.591, "density": 1}, "width", "too many for 0.591 x"),
     ],
 )
-def test_what_cannot_be_is_refused(given: dict[str, Any], key: str, message: str) -> None:
+def test_settings_that_contradict_each_other_are_refused(
+    changes: dict[str, Any], parameter: str, message: str
+) -> None:
     with pytest.raises(ParameterError) as caught:
-        WorldSettings(**{"robots": 4} | given)
-    assert caught.value.key == key
+        WorldSettings(**{"robots": 4} | changes)
+    assert caught.value.key == parameter
     assert message in str(caught.value)
 
 
-def test_what_is_just_possible_is_taken() -> None:
-    WorldSettings(robots=128)
-    WorldSettings(robots=129, topology="graph", graph="0 128")
-    WorldSettings(robots=129, topology="dynamic", radio_range=1.42)
-    for side in (0.593, 1000.0):
-        WorldSettings(**MOVING_SWARM | {"density": 1, "width": side, "height": side})
-    WorldSettings(**MOVING_SWARM, speed=0.8, steps_per_second=10)
-    for fill_ratio in (0.0183, 0.8799):
-        WorldSettings(**CODE, fill_ratio=fill_ratio)
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"robots": 128},
+        {"robots": 129, "topology": "graph", "graph": "0 128"},
+        {"robots": 129, "topology": "dynamic", "radio_range": 1.42},
+        {**MOVING_SWARM, "density": 1, "width": 0.593, "height": 0.593},
+        {**MOVING_SWARM, "density": 1, "width": 1000.0, "height": 1000.0},
+        {**MOVING_SWARM, "speed": 0.8, "steps_per_second": 10},
+        {**CODE, "fill_ratio": 0.0183},
+        {**CODE, "fill_ratio": 0.8799},
+    ],
+)
+def test_settings_at_a_limit_are_accepted(changes: dict[str, Any]) -> None:
+    WorldSettings(**changes)
+
+
+def test_an_unknown_parameter_is_refused_with_the_nearest_known_one() -> None:
+    with pytest.raises(ParameterError, match="unknown key 'robotz'; did you mean robots"):
+        WorldSettings.from_parameters({"robotz": 3})
+
+
+def test_a_name_that_resembles_no_parameter_is_refused_with_all_of_them() -> None:
+    with pytest.raises(ParameterError, match="unknown key 'zzz'; known are robots, topology, "):
+        WorldSettings.from_parameters({"zzz": 3})
+
+
+# --- Recordings of earlier versions ----------------------------------------------------------------------
+
+
+def test_a_recording_with_former_parameters_that_had_no_effect_opens() -> None:
+    recorded = {"robots": 4, "drift_spread": 0.0, "drift_period": 1000, "drift_diffusion": 0.0}
+    assert WorldSettings.from_recording(recorded) == WorldSettings(robots=4)
+
+
+def test_a_recording_with_a_former_parameter_that_had_an_effect_is_refused() -> None:
+    recorded = {"drift": "linear", "drift_rate": -1e-5, "drift_spread": 1e-6}
+    with pytest.raises(ParameterError, match="drift_spread is 1e-06, a parameter of earlier versions"):
+        WorldSettings.from_recording(recorded)
+
+
+def test_a_recording_with_a_former_kind_of_drift_is_refused() -> None:
+    with pytest.raises(ParameterError, match="drift is 'wiener'; choose one of none, linear"):
+        WorldSettings.from_recording({"drift": "wiener", "drift_diffusion": 0.001})
 
 
 # --- Moving worlds ---------------------------------------------------------------------------------------
@@ -198,15 +314,15 @@ def test_the_density_makes_the_square() -> None:
 
 
 def test_every_setting_reaches_the_arena() -> None:
-    given = {"robots": 2, "width": 2.0, "height": 1.5, "speed": 0.1, "tile": 0.02, "fill_ratio": 0.4}
-    settings = make(**given, topology="dynamic", radio_range=0.5, steps_per_second=20).settings
-    values, _ = config_values(settings, 0, _arena.ffi)
-    assert values == {**given, "range": 0.5, "tick": 1 / 20, "seed": world_seed(SEED, 0)}
+    members = {"robots": 2, "width": 2.0, "height": 1.5, "speed": 0.1, "tile": 0.02, "fill_ratio": 0.4}
+    settings = make_settings(**members, topology="dynamic", radio_range=0.5, steps_per_second=20)
+    config, _ = make_config(settings, 0, _arena.ffi)
+    assert config == {**members, "range": 0.5, "tick": 1 / 20, "seed": arena_seed(SEED, 0)}
 
 
 @pytest.mark.parametrize("fill_ratio", [0.448, 0.1, 0.5, 0.5001, 0.8, 3 * 33e-4 + 2 * 42e-4])
 def test_a_code_has_exactly_its_share_of_black(fill_ratio: float) -> None:
-    pattern = code(fill_ratio)
+    pattern = make_floor_code(fill_ratio)
     assert pattern.shape == (CODE_MODULES, CODE_MODULES)
     assert pattern.sum() == round(fill_ratio * CODE_MODULES**2)
     assert not pattern[34:66, 34:66].any(), "the logo is white"
@@ -217,120 +333,122 @@ def test_a_code_has_exactly_its_share_of_black(fill_ratio: float) -> None:
 
 
 def test_the_code_is_always_the_same() -> None:
-    digest = hashlib.sha256(np.packbits(code(0.448)).tobytes()).hexdigest()
+    digest = hashlib.sha256(np.packbits(make_floor_code(0.448)).tobytes()).hexdigest()
     assert digest[:16] == "0f663b83c29ac0ea"
 
 
-# --- Edges -----------------------------------------------------------------------------------------------
+# --- Extensions ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("given", [{}, {"topology": "dynamic"}])
-def test_a_draw_equal_to_the_probability_is_not_below_it(
-    given: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    chance = 3 * 2**29  # b = 3/4 in units of 2**-31
-    monkeypatch.setattr(
-        Stream, "words", lambda self, steps, first=0: np.full((steps, self.robots), 2 * chance, np.uint32)
-    )
-    assert not make(**given, fill_ratio=1.0, true_accuracy=0.75).advance(20).black.any()
-    assert make(**given, fill_ratio=1.0, true_accuracy=0.75 + 2**-31).advance(20).black.all()
-
-
-def model(answer: object) -> Any:
-    """An extension that answers this."""
+def extension_that_answers(answer: object) -> Any:
+    """Return a sensor model or a topology that gives this answer for any number of steps."""
     return SimpleNamespace(advance=lambda steps: answer)
 
 
-def test_answers_of_installed_sensors_are_checked() -> None:
-    right, settings = np.full((1, 1), 0.5), make().settings
-    answers: list[Any] = [np.full((5, 4), 0.5), np.ones((1, 1)), np.zeros((1, 4))]
-    for given in answers:
-        found = CheckedSensors(model((right, given)), settings).advance(5)
-        assert found[0] is right and found[1] is given
-    wrong: list[Any] = [np.full(shape, 0.5) for shape in ((4,), (2, 4), (5, 3))]
-    wrong += [np.full((5, 4), value) for value in (1.01, -0.01, math.nan)]
-    for given in wrong:
-        words = (
-            "outside 0 to 1; clip" if given.shape == (5, 4) else r"gives shape .*; return \(5 or 1, 4 or 1\)"
-        )
-        for pair in ((right, given), (given, right)):
-            with pytest.raises(UsageError, match=words):
-                CheckedSensors(model(pair), settings).advance(5)
+VALID_ACCURACIES = np.full((1, 1), 0.5)
 
 
-def test_an_installed_sensor_takes_the_place_of_the_built_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    settings, pair = make().settings, (np.full((1, 1), 0.25), np.full((1, 1), 0.75))
-    object.__setattr__(settings, "sensor", "mine")
-    monkeypatch.setattr("mcp_asdf_tools.common.extensions.load", lambda group, name: lambda *_: model(pair))
-    assert sensor_model(settings, 0).advance(5) == pair
+@pytest.mark.parametrize("accuracies", [np.full((5, 4), 0.5), np.ones((1, 1)), np.zeros((1, 4))])
+def test_accuracies_of_an_extension_may_be_alike_for_all_steps_or_robots(
+    accuracies: NDArray[np.float64],
+) -> None:
+    sensors = CheckedSensors(extension_that_answers((VALID_ACCURACIES, accuracies)), make_settings())
+    on_black, on_white = sensors.advance(5)
+    assert on_black is VALID_ACCURACIES and on_white is accuracies
 
 
-def test_answers_of_installed_topologies_are_checked() -> None:
-    hears = np.zeros((5, 4, 4), np.bool_)
-    assert Checked(model(hears), "mine", 4).advance(5) is hears
-    for wrong, words in (
-        (hears[:4], "gives bool of shape"),
-        (hears.astype(int), "gives int64 of shape"),
-        (hears | np.eye(4, dtype=np.bool_), "a robot hears itself"),
-    ):
-        with pytest.raises(UsageError, match=words):
-            Checked(model(wrong), "mine", 4).advance(5)
+@pytest.mark.parametrize(
+    ("accuracies", "message"),
+    [
+        *(
+            (np.full(shape, 0.5), r"gives shape .*; return \(5 or 1, 4 or 1\)")
+            for shape in ((4,), (2, 4), (5, 3))
+        ),
+        *((np.full((5, 4), value), "outside 0 to 1; clip") for value in (1.01, -0.01, math.nan)),
+    ],
+)
+def test_wrong_accuracies_of_an_extension_are_refused(accuracies: NDArray[np.float64], message: str) -> None:
+    for answer in ((VALID_ACCURACIES, accuracies), (accuracies, VALID_ACCURACIES)):
+        with pytest.raises(UsageError, match=message):
+            CheckedSensors(extension_that_answers(answer), make_settings()).advance(5)
+
+
+def test_an_installed_sensor_takes_the_place_of_the_built_in_one() -> None:
+    accuracies = (np.full((1, 1), 0.25), np.full((1, 1), 0.75))
+
+    def make_extension(settings: WorldSettings, trial: int) -> Any:
+        return extension_that_answers(accuracies)
+
+    settings = make_settings(sensor=make_extension)
+    assert make_sensor_model(settings, 0).advance(5) == accuracies
+
+
+def test_a_sensor_that_breaks_its_promise_of_one_accuracy_is_refused() -> None:
+    class Sensors:
+        has_one_accuracy = True
+
+        def __init__(self, settings: WorldSettings, trial: int) -> None:
+            pass
+
+        def advance(self, steps: int) -> Any:
+            return np.full((1, 1), 0.9), np.full((1, 1), 0.8)
+
+    sensors = make_sensor_model(make_settings(sensor=Sensors), 0)
+    with pytest.raises(UsageError, match="on white tiles that differ from those on black ones; remove has_"):
+        sensors.advance(5)
+
+
+NO_NEIGHBOURS = np.zeros((5, 4, 4), np.bool_)
+
+
+def test_neighbours_of_an_extension_are_taken_as_they_are() -> None:
+    topology = CheckedTopology(extension_that_answers(NO_NEIGHBOURS), "mine", 4)
+    assert topology.advance(5) is NO_NEIGHBOURS
+
+
+@pytest.mark.parametrize(
+    ("neighbours", "message"),
+    [
+        (NO_NEIGHBOURS[:4], "gives bool of shape"),
+        (NO_NEIGHBOURS.astype(int), "gives int64 of shape"),
+        (NO_NEIGHBOURS | np.eye(4, dtype=np.bool_), "a robot hears itself"),
+    ],
+)
+def test_wrong_neighbours_of_an_extension_are_refused(neighbours: NDArray[Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        CheckedTopology(extension_that_answers(neighbours), "mine", 4).advance(5)
 
 
 # --- Drifting sensors ------------------------------------------------------------------------------------
 
 
-def true_accuracies(settings: WorldSettings, trial: int) -> NDArray[np.float64]:
-    black, white = sensor_model(settings, trial).advance(settings.steps)
+def true_accuracies(settings: WorldSettings) -> NDArray[np.float64]:
+    black, white = make_sensor_model(settings, 0).advance(settings.steps)
     assert white is black
     return black
 
 
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        ({}, {0: 0.95}),
-        (
-            {"drift": "linear", "drift_rate": -1e-3, "lowest_accuracy": 0.6},
-            {0: 0.95, 100: 0.85, 349: 0.601, 999: 0.6},
-        ),
-        ({"drift": "linear", "true_accuracy": 0.6, "lowest_accuracy": 0.6}, {0: 0.6, 999: 0.6}),
-        (
-            {"drift": "stepped", "drift_rate": -1e-4, "drift_period": 300},
-            {0: 0.95, 299: 0.95, 300: 0.92, 599: 0.92, 600: 0.89, 899: 0.89, 900: 0.86, 999: 0.86},
-        ),
-    ],
-)
-def test_accuracy_drifts_as_stated(given: dict[str, Any], expected: dict[int, float]) -> None:
-    path = true_accuracies(WorldSettings(steps=1000, **given), 0)
-    assert path.shape == (1000 if given else 1, 1)
-    assert {step: path[step, 0] for step in expected} == pytest.approx(expected)
+def test_without_drift_the_accuracy_is_one_number() -> None:
+    assert true_accuracies(WorldSettings(steps=1000)).tolist() == [[0.95]]
 
 
-def test_robots_deviate_from_the_common_drift_by_rates_of_their_own() -> None:
-    given: dict[str, Any] = {"drift": "stepped", "drift_rate": -1e-4, "drift_period": 10}
-    settings = WorldSettings(robots=100, true_accuracy=0.75, steps=200, drift_spread=1e-5, **given)
-    paths = np.stack([true_accuracies(settings, trial) for trial in range(5)])
-    assert (paths[:, :10] == 0.75).all()
-    rates = (paths[:, 10] - 0.75) / 10
-    normal = ndtri([Stream(MOVES, 1, trial, 100).uniforms(1)[0] for trial in range(5)])
-    assert rates == pytest.approx(-1e-4 + 1e-5 * normal)
-    assert rates.std() == pytest.approx(1e-5, rel=0.1)
-    assert paths[:, 195] == pytest.approx(0.75 + 190 * rates)
+def test_a_linear_drift_ends_at_the_lowest_accuracy() -> None:
+    settings = WorldSettings(steps=1000, drift="linear", drift_rate=-1e-3, lowest_accuracy=0.6)
+    accuracies = true_accuracies(settings)
+    assert accuracies.shape == (1000, 1)
+    assert accuracies[[0, 100, 349, 999], 0] == pytest.approx([0.95, 0.85, 0.601, 0.6])
 
 
-def test_of_the_flawed_robots_alone_the_sensors_drift() -> None:
-    given: dict[str, Any] = {"drift": "linear", "drift_rate": -1e-3, "steps": 100}
-    population = Population(robots=4, flawed=1, drift_of="flawed", **given)
-    path = true_accuracies(population, 0)
-    assert path[99].tolist() == pytest.approx([0.95 - 0.099, 0.95, 0.95, 0.95])
-    assert (true_accuracies(Population(robots=4, flawed=1, **given), 0)[99] < 0.9).all()
+def test_a_drift_may_start_at_the_lowest_accuracy() -> None:
+    settings = WorldSettings(steps=1000, drift="linear", true_accuracy=0.6, lowest_accuracy=0.6)
+    assert true_accuracies(settings)[[0, 999], 0].tolist() == [0.6, 0.6]
 
 
-def test_wiener_drift_adds_up_moves_of_its_own_for_every_robot() -> None:
-    given: dict[str, Any] = {"drift": "wiener", "drift_rate": 1e-5, "drift_diffusion": 1e-3}
-    path = true_accuracies(WorldSettings(robots=100, true_accuracy=0.75, steps=400, **given), 3)
-    moves = np.diff(path, axis=0)
-    assert (path[0] == 0.75).all()
-    assert moves == pytest.approx(1e-5 + 1e-3 * ndtri(Stream(MOVES, 1, 3, 100).uniforms(399, 1)))
-    assert moves.std() == pytest.approx(1e-3, rel=0.01)
+def test_sensors_may_drift_in_flawed_robots_alone() -> None:
+    settings = Population(robots=4, flawed=1, drift_of="flawed", drift="linear", drift_rate=-1e-3, steps=100)
+    assert true_accuracies(settings)[99].tolist() == pytest.approx([0.95 - 0.099, 0.95, 0.95, 0.95])
+
+
+def test_sensors_drift_in_all_robots_by_default() -> None:
+    settings = Population(robots=4, flawed=1, drift="linear", drift_rate=-1e-3, steps=100)
+    assert true_accuracies(settings)[99].tolist() == pytest.approx([0.95 - 0.099])

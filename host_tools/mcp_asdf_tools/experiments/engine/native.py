@@ -12,8 +12,8 @@ from mcp_asdf.robot import Config, FirmwareError, Status
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.world.arena import Arena, config_values, memory_of
-from mcp_asdf_tools.world.sensors import black_probabilities, sensor_model
+from mcp_asdf_tools.world.arena import Arena, allocate_memory, make_config
+from mcp_asdf_tools.world.sensors import black_probabilities, make_sensor_model
 from mcp_asdf_tools.world.topology import Graph
 
 RECORD = np.dtype(
@@ -63,7 +63,7 @@ class EngineTrials:
         for name, stride, size in zip(names, black.strides, black.shape, strict=True):
             members[name] = stride // black.itemsize if size > 1 else 0
         if experiment.is_dynamic:
-            arenas = [config_values(experiment, first + index, ffi) for index in range(trials)]
+            arenas = [make_config(experiment, first + index, ffi) for index in range(trials)]
             self._kept.append(arenas)
             members["arenas"] = self._array("mcp_asdf_arena_config_t", [values for values, _ in arenas])
         if isinstance(experiment.graph, Graph):
@@ -82,7 +82,7 @@ class EngineTrials:
         self.x = np.empty((of_trials.trials, columns, of_trials.steps + 1), np.uint32)
         x, b_hat = (self._array("uint32_t", values) for values in (self.x, self.b_hat))
         results = (self.robots, x, b_hat, self._array("mcp_asdf_record_t", self.records))
-        memory = _engine.ffi.from_buffer(memory_of(engine.mcp_asdf_engine_bytes(of_trials)))
+        memory = _engine.ffi.from_buffer(allocate_memory(engine.mcp_asdf_engine_bytes(of_trials)))
         outcome = _engine.ffi.new("mcp_asdf_outcome_t *", results)
         return Status(engine.mcp_asdf_engine_run(of_trials, lanes, outcome, memory))
 
@@ -129,12 +129,11 @@ def run(
 
 
 def _probabilities(experiment: Experiment, first: int, trials: int) -> NDArray[np.uint32]:
-    """The engine's ``black``, with axes of length 1 where all are alike: of trials, unless sensors move at
-    random."""
-    is_random = experiment.drift == "wiener" or experiment.drift_spread or experiment.sensor
-    worlds = range(trials if is_random else 1)
+    """The engine's ``black``, with axes of length 1 where all are alike: of trials, unless sensors are an
+    extension's."""
+    worlds = range(trials if experiment.sensor else 1)
     ratio = None if experiment.is_dynamic else experiment.fill_ratio
-    models = [sensor_model(experiment, first + index) for index in worlds]
+    models = [make_sensor_model(experiment, first + index) for index in worlds]
     return np.stack([black_probabilities(model.advance(experiment.steps), ratio)[0] for model in models])
 
 

@@ -1,0 +1,94 @@
+"""Sensors that age otherwise than the built-in ones; docs/extending.md says how to write some.
+
+Each starts at ``true_accuracy`` and stays within ``lowest_accuracy`` and 1.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri  # type: ignore[import-untyped]
+
+from mcp_asdf_tools.world.philox import SENSOR_STREAM, Stream
+from mcp_asdf_tools.world.sensors import Accuracies
+from mcp_asdf_tools.world.settings import WorldSettings
+
+STEPS_BEFORE_LOSS = 20_000
+LOSS_AT_ONCE = 0.2
+
+MEAN_RATE = -5e-6
+RATE_DEVIATION = 5e-6
+
+DIFFUSION = 0.001
+"""Standard deviation of a wandering accuracy's change in one step."""
+
+
+class AgeingSensors(ABC):
+    """A sensor model whose accuracies, the same on black and on white, a subclass computes."""
+
+    has_one_accuracy = True
+
+    def __init__(self, settings: WorldSettings, trial: int) -> None:
+        """Start before the first step of a trial."""
+        self._settings = settings
+        self._draws = Stream(SENSOR_STREAM, settings.seed, trial, settings.robots)
+        self._next_step = 0
+
+    def advance(self, steps: int) -> Accuracies:
+        """Return the accuracies in the next steps."""
+        unlimited = self._settings.true_accuracy + self._changes(steps)
+        self._next_step += steps
+        accuracies = np.clip(unlimited, self._settings.lowest_accuracy, 1.0)
+        return accuracies, accuracies
+
+    @abstractmethod
+    def _changes(self, steps: int) -> NDArray[np.float64]:
+        """Return the changes of the accuracies since the start, in the next steps, shape (steps, 1 or N)."""
+
+    def _step_numbers(self, steps: int) -> NDArray[np.float64]:
+        """Return the numbers of the next steps, counted from 0, in a column."""
+        return np.arange(self._next_step, self._next_step + steps, dtype=np.float64)[:, np.newaxis]
+
+    def _normal_draws(self, steps: int, first_step: int) -> NDArray[np.float64]:
+        """Return a normally distributed number for each of some steps and each robot."""
+        draws: NDArray[np.float64] = ndtri(self._draws.draw_uniforms(steps, first_step))
+        return draws
+
+
+class SuddenlyWorseSensors(AgeingSensors):
+    """Sensors that all lose accuracy at once, in the middle of the study's runs."""
+
+    def _changes(self, steps: int) -> NDArray[np.float64]:
+        """Return no change before the loss, and the whole loss after it."""
+        return np.where(self._step_numbers(steps) < STEPS_BEFORE_LOSS, 0.0, -LOSS_AT_ONCE)
+
+
+class UnequallyAgeingSensors(AgeingSensors):
+    """Sensors that age at rates of their own around a common mean."""
+
+    def _changes(self, steps: int) -> NDArray[np.float64]:
+        """Return each robot's rate, times the steps so far."""
+        rates = MEAN_RATE + RATE_DEVIATION * self._normal_draws(1, first_step=0)
+        return rates * self._step_numbers(steps)
+
+
+class WanderingSensors(AgeingSensors):
+    """Sensors whose accuracies change at random, each in its own way: a Wiener process of every robot."""
+
+    def __init__(self, settings: WorldSettings, trial: int) -> None:
+        """Start at the true accuracy."""
+        super().__init__(settings, trial)
+        self._last_sums = np.zeros(settings.robots)
+
+    def _changes(self, steps: int) -> NDArray[np.float64]:
+        """Return the sums of all random changes so far, times the diffusion."""
+        normal_draws = self._normal_draws(steps, self._next_step)
+        if self._next_step == 0:
+            normal_draws[0] = 0.0  # the first step has the true accuracy
+        # The first row continues the sums, so how many steps are taken at once does not change a bit.
+        normal_draws[0] += self._last_sums
+        sums: NDArray[np.float64] = np.cumsum(normal_draws, axis=0)
+        self._last_sums = sums[-1]
+        return DIFFUSION * sums
