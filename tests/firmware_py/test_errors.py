@@ -75,6 +75,12 @@ def test_a_message_of_an_invalid_sender_is_rejected(firmware: Firmware, sender: 
     check_rejection(firmware, sender, 0.5, Status.ERR_SENDER, f"sender is {sender};")
 
 
+@for_every_firmware
+@pytest.mark.parametrize("sender", [0, 127])
+def test_the_smallest_and_the_largest_id_may_send(firmware: Firmware, sender: int) -> None:
+    assert make_robot(firmware).receive(sender, 0.5, 1.0) == Status.OK
+
+
 # design: R5
 @for_every_firmware
 @pytest.mark.parametrize("x_hat", [ABOVE_1, BELOW_0, math.nan, math.inf, 2.0])

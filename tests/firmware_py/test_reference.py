@@ -364,6 +364,10 @@ def test_before_the_first_observation_nothing_is_known(conventions: Conventions)
     assert assumed_accuracy_update(0, 0, 0.9, conventions) is None
 
 
+def test_the_confidence_of_no_neighbours_is_a_float() -> None:
+    assert repr(social_confidence([])) == "0.0"
+
+
 def test_without_confidence_the_informed_estimate_is_the_own_one() -> None:
     assert (social_estimate([]), social_confidence([])) == (0.5, 0.0)
     assert informed_estimate(Estimate(0.7, 0.0), [Estimate(0.2, 0.0)]) == 0.7
@@ -515,6 +519,15 @@ def test_a_step_of_less_than_a_unit_of_the_firmware_is_no_move(distance: float, 
 )
 def test_the_crowd_moves_if_seven_of_eight_moves_go_one_way(trend: float, is_moving: bool) -> None:
     assert Crowd(trend=trend).is_moving == is_moving
+
+
+@pytest.mark.parametrize(("votes", "votes_afterwards"), [(512, 256), (511, 511)])
+def test_votes_are_halved_while_the_crowd_moves_down_to_256(votes: int, votes_afterwards: int) -> None:
+    robot = ReferenceRobot(Config(filter=Filter.ROBUST, filter_period=1), OWN_ID, 0.75)
+    observe_tiles(robot, 1, 0)
+    robot._crowd = Crowd(trend=1.0, votes=votes)
+    robot.settle()
+    assert robot._crowd.votes == votes_afterwards
 
 
 def test_votes_in_float64_are_right_to_the_last_bits() -> None:
