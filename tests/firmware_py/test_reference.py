@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import random
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -466,6 +467,13 @@ def test_omega_comes_from_the_table_or_is_given_beside_it(omega: float, status: 
         observe_tiles(robot, 1, 0)  # x_hat = 1: the deviation is 2.5 S, the threshold 1.06 S or 5.5 S
         receive_estimates(robot, 0.8, 0.9)
         assert robot.settle() == status
+
+
+def test_a_missing_scipy_is_noticed_when_the_robot_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "scipy.special", None)
+    t_score.cache_clear()
+    with pytest.raises(ImportError):
+        ReferenceRobot(Config(TABLE), OWN_ID, 0.75)
 
 
 @pytest.mark.parametrize("omega", [0.0, -0.1, 0.91, math.nan])
