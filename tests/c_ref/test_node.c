@@ -35,9 +35,9 @@ static void set_usual(void)
     settings = (node_settings_t){.comms_period = 2,
                                  .filter_period = 6,
                                  .memory = MCP_ASDF_MEMORY_MAX,
-                                 .estimate = MCP_ASDF_FORMAT_ESTIMATE,
-                                 .telemetry = MCP_ASDF_FORMAT_TELEMETRY,
-                                 .command = MCP_ASDF_FORMAT_COMMAND,
+                                 .estimate_format = MCP_ASDF_FORMAT_ESTIMATE,
+                                 .telemetry_format = MCP_ASDF_FORMAT_TELEMETRY,
+                                 .command_format = MCP_ASDF_FORMAT_COMMAND,
                                  .b_hat = 0xC0000000,
                                  .ticks_per_second = 4,
                                  .telemetry_period = 3,
@@ -117,15 +117,15 @@ static void what_is_not_sent_is_counted(void)
     node_start(&node);
     node_observe(&node, MCP_ASDF_OBSERVE_WHITE);
     node_observe(&node, MCP_ASDF_OBSERVE_WHITE);
-    CHECK(node.counts.unsent == 2 && node.counts.heartbeats == 1 && node.counts.estimates == 1);
-    settings.estimate.subject = settings.telemetry.subject = MCP_ASDF_SUBJECT_MAX + 1;
+    CHECK(node.counts.unsent_frames == 2 && node.counts.heartbeats == 1 && node.counts.estimates == 1);
+    settings.estimate_format.subject = settings.telemetry_format.subject = MCP_ASDF_SUBJECT_MAX + 1;
     make();
     node.health = MCP_ASDF_HEALTH_WARNING + 1;
     for (uint32_t i = 0; i < 6; ++i) {
         node_observe(&node, MCP_ASDF_OBSERVE_WHITE);
         node_settle(&node);
     }
-    CHECK(bus.sent == 0 && node.counts.unsent == 0);
+    CHECK(bus.sent == 0 && node.counts.unsent_frames == 0);
     CHECK(node.counts.estimates == 3 && node.counts.telemetry == 2 && node.counts.heartbeats == 1);
 }
 
@@ -151,21 +151,22 @@ static void frames_are_taken_or_counted(void)
     mcp_asdf_frame_t of_other = estimate_of(9), own = estimate_of(OWN_ID);
     mcp_asdf_frame_t command = command_to(OWN_ID, MCP_ASDF_OBSERVE_BLACK, 0);
     make_usual();
-    node_hear(&node, &of_other);
-    CHECK(node.counts.heard == 1 && node.counts.collisions == 0);
-    node_hear(&node, &own);
-    CHECK(node.counts.heard == 2 && node.counts.collisions == 1);
+    node_handle_frame(&node, &of_other);
+    CHECK(node.counts.received_estimates == 1 && node.counts.id_collisions == 0);
+    node_handle_frame(&node, &own);
+    CHECK(node.counts.received_estimates == 2 && node.counts.id_collisions == 1);
     CHECK(mcp_asdf_counters(&node.robot).accepted == 1 && mcp_asdf_counters(&node.robot).rejected == 1);
-    node_hear(&node, &command);
-    CHECK(node.counts.others == 1 && node.counts.refused == 0 && node.ticks == 0);
+    node_handle_frame(&node, &command);
+    CHECK(node.counts.other_frames == 1 && node.counts.rejected_frames == 0 && node.ticks == 0);
     of_other.data[2] = 0xFF; /* an x_hat above 1 */
-    node_hear(&node, &of_other);
-    CHECK(node.counts.others == 1 && node.counts.refused == 1 && node.counts.heard == 2);
+    node_handle_frame(&node, &of_other);
+    CHECK(node.counts.other_frames == 1 && node.counts.rejected_frames == 1 &&
+          node.counts.received_estimates == 2);
     settings.lockstep = true;
     make();
     command.length = 7;
-    node_hear(&node, &command);
-    CHECK(node.counts.others == 0 && node.counts.refused == 1 && node.ticks == 0);
+    node_handle_frame(&node, &command);
+    CHECK(node.counts.other_frames == 0 && node.counts.rejected_frames == 1 && node.ticks == 0);
 }
 
 static void commands_are_followed_in_their_order(void)
@@ -191,13 +192,13 @@ static void commands_are_followed_in_their_order(void)
     make();
     for (size_t i = 0; i < COUNT(orders); ++i) {
         const mcp_asdf_frame_t frame = command_to(orders[i].target, orders[i].action, orders[i].number);
-        GIVEN(i, node.counts.obeyed, node.counts.disobeyed);
-        node_hear(&node, &frame);
-        CHECK_EQUAL(node.counts.obeyed, orders[i].obeyed);
-        CHECK_EQUAL(node.counts.disobeyed, orders[i].disobeyed);
+        GIVEN(i, node.counts.followed_commands, node.counts.refused_commands);
+        node_handle_frame(&node, &frame);
+        CHECK_EQUAL(node.counts.followed_commands, orders[i].obeyed);
+        CHECK_EQUAL(node.counts.refused_commands, orders[i].disobeyed);
         CHECK_EQUAL(node.ticks, orders[i].ticks);
     }
-    CHECK(node.counts.unsettled == 1 && mcp_asdf_t_count(&node.robot) == 2);
+    CHECK(node.counts.unsettled_ticks == 1 && mcp_asdf_t_count(&node.robot) == 2);
     CHECK_EQUAL(sent_on(3001), 1); /* every settle is answered */
 }
 
@@ -207,15 +208,16 @@ static void ids_to_ignore_do_not_reach_the_firmware(void)
     mcp_asdf_frame_t of_last = estimate_of(127), of_9 = estimate_of(9), own = estimate_of(OWN_ID);
     set_usual();
     for (int i = 0; i < 16; ++i) {
-        settings.ignore[i] = i == 1 ? 0xFD : 0xFF; /* all but 9 */
+        settings.ignored_senders[i] = i == 1 ? 0xFD : 0xFF; /* all but 9 */
     }
     make();
-    node_hear(&node, &of_9);
-    CHECK(node.counts.heard == 1 && node.counts.unknown == 0);
-    node_hear(&node, &of_last);
-    CHECK(node.counts.heard == 1 && node.counts.unknown == 1);
-    node_hear(&node, &own);
-    CHECK(node.counts.heard == 2 && node.counts.unknown == 1 && node.counts.collisions == 1);
+    node_handle_frame(&node, &of_9);
+    CHECK(node.counts.received_estimates == 1 && node.counts.ignored_estimates == 0);
+    node_handle_frame(&node, &of_last);
+    CHECK(node.counts.received_estimates == 1 && node.counts.ignored_estimates == 1);
+    node_handle_frame(&node, &own);
+    CHECK(node.counts.received_estimates == 2 && node.counts.ignored_estimates == 1 &&
+          node.counts.id_collisions == 1);
     CHECK(mcp_asdf_counters(&node.robot).accepted == 1 && mcp_asdf_counters(&node.robot).rejected == 1);
 }
 
@@ -228,12 +230,12 @@ static uint32_t jumps_after(uint32_t times, uint8_t exponent, uint8_t rest)
     senders[9] = (node_sender_t){0};
     node.senders = senders;
     for (uint32_t i = 0; i < times; ++i) {
-        node_hear(&node, &frame);
+        node_handle_frame(&node, &frame);
     }
     frame.data[6] = exponent;
     frame.data[5] = rest;
-    node_hear(&node, &frame);
-    return node.counts.jumps;
+    node_handle_frame(&node, &frame);
+    return node.counts.alpha_jumps;
 }
 
 static void an_alpha_that_doubles_late_is_a_jump(void)
@@ -245,8 +247,8 @@ static void an_alpha_that_doubles_late_is_a_jump(void)
     CHECK_EQUAL(jumps_after(enough, 63, 127), 0);     /* 0.998 */
     CHECK_EQUAL(jumps_after(enough, 127, 127), 1);    /* the largest */
     CHECK_EQUAL(jumps_after(enough, 62, 128), 0);     /* half as much: anew */
-    node_hear(&node, &frame);                         /* twice as much again */
-    CHECK_EQUAL(node.counts.jumps, 0);
+    node_handle_frame(&node, &frame);                 /* twice as much again */
+    CHECK_EQUAL(node.counts.alpha_jumps, 0);
     CHECK_EQUAL(jumps_after(3 * enough, 0, 0), 0);
 }
 

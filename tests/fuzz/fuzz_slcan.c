@@ -13,9 +13,9 @@ static const node_settings_t settings = {.table = mcp_asdf_t_table_omega05_q30,
                                          .comms_period = 1,
                                          .filter_period = 3,
                                          .memory = 64,
-                                         .estimate = MCP_ASDF_FORMAT_ESTIMATE,
-                                         .telemetry = MCP_ASDF_FORMAT_TELEMETRY,
-                                         .command = MCP_ASDF_FORMAT_COMMAND,
+                                         .estimate_format = MCP_ASDF_FORMAT_ESTIMATE,
+                                         .telemetry_format = MCP_ASDF_FORMAT_TELEMETRY,
+                                         .command_format = MCP_ASDF_FORMAT_COMMAND,
                                          .b_hat = UINT32_C(0xC0000000),
                                          .ticks_per_second = 3,
                                          .id = 5,
@@ -23,20 +23,20 @@ static const node_settings_t settings = {.table = mcp_asdf_t_table_omega05_q30,
 
 static bool send(void *link, const mcp_asdf_frame_t *frame)
 {
-    char line[SLCAN_LONGEST];
+    char line[SLCAN_LINE_MAX];
     mcp_asdf_frame_t read;
-    const uint8_t length = slcan_write(line, frame);
-    MUST(length == 26 && slcan_read(&read, line, length));
+    const uint8_t length = slcan_format_frame(line, frame);
+    MUST(length == 26 && slcan_parse_frame(&read, line, length));
     MUST(same_frame(&read, frame));
-    return slcan_send(link, frame);
+    return slcan_send_frame(link, frame);
 }
 
 /* A line that was taken is what is written of its frame, but for the size of letters. */
 static void check_line(const char *line, uint8_t length, const mcp_asdf_frame_t *frame)
 {
-    char again[SLCAN_LONGEST];
+    char again[SLCAN_LINE_MAX];
     MUST(frame->id >> (frame->flags & MCP_ASDF_FRAME_STANDARD ? 11 : 29) == 0);
-    MUST(slcan_write(again, frame) == length);
+    MUST(slcan_format_frame(again, frame) == length);
     for (uint8_t i = 0; i < length; ++i) {
         MUST(((line[i] ^ again[i]) & ~0x20) == 0);
     }
@@ -47,11 +47,11 @@ static void any_byte(slcan_link_t *link, node_t *node, int byte)
     const mcp_asdf_frame_t before = {.id = UINT32_C(0xA5A5A5A5), .length = 8};
     mcp_asdf_frame_t frame = before;
     const slcan_link_t then = *link;
-    const slcan_event_t event = slcan_take(link, byte, &frame);
-    MUST(link->length <= SLCAN_LONGEST && link->outbox.waiting <= OUTBOX_SIZE);
+    const slcan_event_t event = slcan_handle_byte(link, byte, &frame);
+    MUST(link->line_length <= SLCAN_LINE_MAX && link->outbox.byte_count <= OUTBOX_SIZE);
     if (event == SLCAN_FRAME) {
-        check_line(then.line, then.length, &frame);
-        node_hear(node, &frame);
+        check_line(then.line, then.line_length, &frame);
+        node_handle_frame(node, &frame);
         MUST(mcp_asdf_invariants_hold(&node->robot));
     } else if (event == SLCAN_OPENED) {
         node_start(node);
@@ -62,15 +62,15 @@ static void any_byte(slcan_link_t *link, node_t *node, int byte)
 /* Any frame, legal or not, is either refused or written as a line that reads as it. */
 static void any_frame(input_t in)
 {
-    char line[SLCAN_LONGEST];
+    char line[SLCAN_LINE_MAX];
     mcp_asdf_frame_t read, frame = {.id = input_take(&in, 4),
                                     .flags = input_take(&in, 1) & 15,
                                     .length = (uint8_t)input_take(&in, 1)};
     for (int i = 0; i < 8 && i < frame.length && (frame.flags & MCP_ASDF_FRAME_REMOTE) == 0; ++i) {
         frame.data[i] = (uint8_t)input_take(&in, 1);
     }
-    const uint8_t length = slcan_write(line, &frame);
-    MUST(length == 0 || (slcan_read(&read, line, length) && same_frame(&read, &frame)));
+    const uint8_t length = slcan_format_frame(line, &frame);
+    MUST(length == 0 || (slcan_parse_frame(&read, line, length) && same_frame(&read, &frame)));
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
@@ -83,7 +83,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     MUST(node_init(&node, &settings, (node_output_t){send, &link}) == MCP_ASDF_OK);
     for (size_t i = 0; i < size; ++i) {
         if (data[i] == 0xFE) { /* the host takes what has waited */
-            while (link.outbox.waiting > 0) {
+            while (link.outbox.byte_count > 0) {
                 (void)outbox_take(&link.outbox);
             }
         } else {

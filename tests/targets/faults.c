@@ -85,19 +85,19 @@ static void a_bus_asks_for_what_it_needs_and_nothing_else(void)
 
 static void a_clock_counts_what_it_leaves_out(void)
 {
-    ticker_t clock = {.period = 1000, .next = 5000};
+    periodic_timer_t clock = {.period = 1000, .next_expiry = 5000};
     uint64_t ticks = 0;
     int64_t worst = 0;
     for (int64_t now = 4000; now < 4000000; now += check_random_word() % 4096) {
-        const int64_t late = now - clock.next;
-        const bool is_tick = is_due(&clock, now);
+        const int64_t late = now - clock.next_expiry;
+        const bool is_tick = has_expired(&clock, now);
         ticks += is_tick;
         worst = is_tick && late > worst ? late : worst;
         GIVEN(now, ticks, clock.skipped);
         CHECK_EQUAL(is_tick, late >= 0);
         CHECK_EQUAL(ticks + clock.skipped, now < 5000 ? 0 : (now - 5000) / 1000 + 1);
-        CHECK(clock.next > now && clock.next % 1000 == 0);
-        CHECK_EQUAL(clock.worst, worst);
+        CHECK(clock.next_expiry > now && clock.next_expiry % 1000 == 0);
+        CHECK_EQUAL(clock.worst_lateness, worst);
     }
 }
 

@@ -13,9 +13,9 @@ from targets.c_node import WARNINGS
 LINUX = ROOT / "c_ref/ports/linux"
 WRAPPED = ("if_nametoindex", "socket", "setsockopt", "bind")
 PLANTED = (
-    ("main.c", "(uint32_t)(late / ticker->period);", "(uint32_t)(late / ticker->period) + 1U;"),
-    ("main.c", "(late / ticker->period + 1)", "(late / ticker->period + 2)"),
-    ("bus.c", "errors = ERRORS_HEARD", "errors = CAN_ERR_MASK"),
+    ("main.c", "(uint32_t)(lateness / timer->period);", "(uint32_t)(lateness / timer->period) + 1U;"),
+    ("main.c", "(lateness / timer->period + 1)", "(lateness / timer->period + 2)"),
+    ("bus.c", "errors = REPORTED_ERRORS", "errors = CAN_ERR_MASK"),
     ("bus.c", "MCP_ASDF_FRAME_MASK | CAN_EFF_FLAG | CAN_RTR_FLAG", "MCP_ASDF_FRAME_MASK"),
 )
 """Faults of the node: a file, a text in it, and what stands there instead."""

@@ -16,22 +16,28 @@
 
 #define UNIX_PREFIX "unix:"
 #define MULTICAST_PREFIX "udp:"
-#define ADDRESS_SIZE offsetof(struct sockaddr_in6, sin6_scope_id) /* and all of an IPv4 one */
-#define ERRORS_HEARD                                                                                         \
+/* Bytes in which addresses of senders are compared: an IPv6 address without its scope, an IPv4 one as a
+ * whole. */
+#define COMPARED_ADDRESS_SIZE offsetof(struct sockaddr_in6, sin6_scope_id)
+/* Errors of which the controller sends reports. */
+#define REPORTED_ERRORS                                                                                      \
     (CAN_ERR_TX_TIMEOUT | CAN_ERR_CRTL | CAN_ERR_BUSOFF | CAN_ERR_BUSERROR | CAN_ERR_RESTARTED)
-#define PASSIVE (CAN_ERR_CRTL_RX_PASSIVE | CAN_ERR_CRTL_TX_PASSIVE)
-#define WARNING (CAN_ERR_CRTL_RX_WARNING | CAN_ERR_CRTL_TX_WARNING)
+/* States of the controller in a report of CAN_ERR_CRTL. */
+#define ERROR_PASSIVE (CAN_ERR_CRTL_RX_PASSIVE | CAN_ERR_CRTL_TX_PASSIVE)
+#define ERROR_WARNING (CAN_ERR_CRTL_RX_WARNING | CAN_ERR_CRTL_TX_WARNING)
 
-/* ---- Joining ---------------------------------------------------------------------------------------- */
+/* ---- Opening ---------------------------------------------------------------------------------------- */
 
+/* Whether the name of the bus begins with a prefix. */
 static bool has_prefix(const bus_t *bus, const char *prefix)
 {
     return strncmp(bus->name, prefix, strlen(prefix)) == 0;
 }
 
-/* Ask the kernel for room, and for counts of what it had none for. Here and below: what is refused (user-mode
- * emulation knows none of it) costs wake-ups or counts, but no correctness. */
-static void set_buffer(const bus_t *bus)
+/* Set the size of the receive buffer, and ask the kernel to count the frames for which it has no room. Here
+ * and in set_filters() a refusal is ignored, as it costs only counts or wake-ups: user-mode emulation knows
+ * none of these options. */
+static void set_receive_buffer(const bus_t *bus)
 {
     const int on = 1, size = bus->receive_buffer / 2; /* the kernel doubles it */
     (void)setsockopt(bus->fd, SOL_SOCKET, SO_RXQ_OVFL, &on, sizeof on);
@@ -40,11 +46,11 @@ static void set_buffer(const bus_t *bus)
     }
 }
 
-/* Ask the kernel for nothing but frames that this node needs, and reports of errors. */
+/* Ask the kernel to deliver only frames of the bus's subjects, and reports of errors. */
 static void set_filters(bus_t *bus)
 {
     struct can_filter filters[2];
-    const can_err_mask_t errors = ERRORS_HEARD;
+    const can_err_mask_t errors = REPORTED_ERRORS;
     for (int i = 0; i < 2; ++i) {
         filters[i].can_id = MCP_ASDF_FRAME_FILTER(bus->subjects[i]) | CAN_EFF_FLAG;
         filters[i].can_mask = MCP_ASDF_FRAME_MASK | CAN_EFF_FLAG | CAN_RTR_FLAG;
@@ -53,8 +59,8 @@ static void set_filters(bus_t *bus)
     (void)setsockopt(bus->fd, SOL_CAN_RAW, CAN_RAW_ERR_FILTER, &errors, sizeof errors);
 }
 
-/* Filters go before bind(), so that nothing else can slip in. */
-static int join_can(bus_t *bus)
+/* Open a socket on the CAN interface. Returns 0 or an errno. */
+static int open_can(bus_t *bus)
 {
     struct sockaddr_can address = {.can_family = AF_CAN, .can_ifindex = (int)if_nametoindex(bus->name)};
     if (address.can_ifindex == 0) {
@@ -64,12 +70,14 @@ static int join_can(bus_t *bus)
     if (bus->fd < 0) {
         return errno;
     }
+    /* Filters are set before bind(), so that no other frame can be queued in between. */
     set_filters(bus);
-    set_buffer(bus);
+    set_receive_buffer(bus);
     return bind(bus->fd, (const struct sockaddr *)&address, sizeof address) == 0 ? 0 : errno;
 }
 
-static int join_unix(bus_t *bus)
+/* Connect to the Unix socket. Returns 0 or an errno. */
+static int open_unix(bus_t *bus)
 {
     const char *path = bus->name + strlen(UNIX_PREFIX);
     struct sockaddr_un address = {.sun_family = AF_UNIX};
@@ -84,37 +92,41 @@ static int join_unix(bus_t *bus)
     return connect(bus->fd, (const struct sockaddr *)&address, sizeof address) == 0 ? 0 : errno;
 }
 
-static int join_multicast(bus_t *bus)
+/* Join the multicast group. Returns 0 or an errno. */
+static int open_multicast(bus_t *bus)
 {
     const int error = multicast_open(&bus->group, bus->name + strlen(MULTICAST_PREFIX));
-    bus->fd = bus->group.in;
+    bus->fd = bus->group.receive_fd;
     if (error == 0) {
-        set_buffer(bus);
+        set_receive_buffer(bus);
     }
     return error;
 }
 
-static int join(bus_t *bus)
+/* Open the socket of the kind that the name asks for. Returns 0 or an errno. */
+static int open_socket(bus_t *bus)
 {
     if (bus->is_multicast) {
-        return join_multicast(bus);
+        return open_multicast(bus);
     }
-    return has_prefix(bus, UNIX_PREFIX) ? join_unix(bus) : join_can(bus);
+    return has_prefix(bus, UNIX_PREFIX) ? open_unix(bus) : open_can(bus);
 }
 
+/* Open the bus anew: its counts go on. Returns 0, or an errno with the bus closed. */
 int bus_open(bus_t *bus)
 {
     bus->fd = -1;
     bus->is_multicast = has_prefix(bus, MULTICAST_PREFIX);
     bus->health = MCP_ASDF_HEALTH_NOMINAL;
     bus->overflowed_before = bus->counts.overflowed;
-    const int error = join(bus);
+    const int error = open_socket(bus);
     if (error != 0) {
         bus_close(bus);
     }
     return error;
 }
 
+/* Close the sockets, if there are any. */
 void bus_close(bus_t *bus)
 {
     if (bus->is_multicast) {
@@ -127,15 +139,17 @@ void bus_close(bus_t *bus)
 
 /* ---- Receiving -------------------------------------------------------------------------------------- */
 
-static uint8_t health_of(uint8_t controller)
+/* Health that corresponds to a controller's state, a set of CAN_ERR_CRTL_... bits. */
+static uint8_t health_of_controller(uint8_t state)
 {
-    if ((controller & PASSIVE) != 0) {
+    if ((state & ERROR_PASSIVE) != 0) {
         return MCP_ASDF_HEALTH_CAUTION;
     }
-    return (controller & WARNING) != 0 ? MCP_ASDF_HEALTH_ADVISORY : MCP_ASDF_HEALTH_NOMINAL;
+    return (state & ERROR_WARNING) != 0 ? MCP_ASDF_HEALTH_ADVISORY : MCP_ASDF_HEALTH_NOMINAL;
 }
 
-static void note_error_frame(bus_t *bus, const struct canfd_frame *frame)
+/* Count an error frame, and update the health by what it reports. */
+static void handle_error_frame(bus_t *bus, const struct canfd_frame *frame)
 {
     ++bus->counts.error_frames;
     if ((frame->can_id & CAN_ERR_BUSOFF) != 0) {
@@ -144,45 +158,50 @@ static void note_error_frame(bus_t *bus, const struct canfd_frame *frame)
     } else if ((frame->can_id & CAN_ERR_RESTARTED) != 0) {
         bus->health = MCP_ASDF_HEALTH_NOMINAL;
     } else if ((frame->can_id & CAN_ERR_CRTL) != 0) {
-        bus->health = health_of(frame->data[1]);
+        bus->health = health_of_controller(frame->data[1]);
     }
 }
 
-/* The kernel tells with a frame how many it had dropped on this socket before. */
-static void note_overflow(bus_t *bus, struct msghdr *message)
+/* Update the number of overflowed frames: with a packet the kernel delivers how many it has dropped on this
+ * socket so far. */
+static void read_overflow_count(bus_t *bus, struct msghdr *message)
 {
-    for (struct cmsghdr *each = CMSG_FIRSTHDR(message); each != NULL; each = CMSG_NXTHDR(message, each)) {
-        if (each->cmsg_level == SOL_SOCKET && each->cmsg_type == SO_RXQ_OVFL) {
-            uint32_t since_open;
-            memcpy(&since_open, CMSG_DATA(each), sizeof since_open);
-            bus->counts.overflowed = bus->overflowed_before + since_open;
+    for (struct cmsghdr *header = CMSG_FIRSTHDR(message); header != NULL;
+         header = CMSG_NXTHDR(message, header)) {
+        if (header->cmsg_level == SOL_SOCKET && header->cmsg_type == SO_RXQ_OVFL) {
+            uint32_t dropped_since_open;
+            memcpy(&dropped_since_open, CMSG_DATA(header), sizeof dropped_since_open);
+            bus->counts.overflowed = bus->overflowed_before + dropped_since_open;
         }
     }
 }
 
-static void copy_in(mcp_asdf_frame_t *to, const struct canfd_frame *from, bool is_fd)
+/* Convert the kernel's frame to one of the codec. Of an FD frame only the first 8 bytes are copied. */
+static void convert_frame(mcp_asdf_frame_t *frame, const struct canfd_frame *raw, bool is_fd)
 {
-    const bool is_extended = (from->can_id & CAN_EFF_FLAG) != 0;
-    to->id = from->can_id & (is_extended ? CAN_EFF_MASK : CAN_SFF_MASK);
-    to->flags = (uint8_t)((is_extended ? 0 : MCP_ASDF_FRAME_STANDARD) |
-                          ((from->can_id & CAN_RTR_FLAG) != 0 ? MCP_ASDF_FRAME_REMOTE : 0) |
-                          (is_fd ? MCP_ASDF_FRAME_FD : 0));
-    to->length = from->len;
-    memcpy(to->data, from->data, sizeof to->data);
+    const bool is_extended = (raw->can_id & CAN_EFF_FLAG) != 0;
+    frame->id = raw->can_id & (is_extended ? CAN_EFF_MASK : CAN_SFF_MASK);
+    frame->flags = (uint8_t)((is_extended ? 0 : MCP_ASDF_FRAME_STANDARD) |
+                             ((raw->can_id & CAN_RTR_FLAG) != 0 ? MCP_ASDF_FRAME_REMOTE : 0) |
+                             (is_fd ? MCP_ASDF_FRAME_FD : 0));
+    frame->length = raw->len;
+    memcpy(frame->data, raw->data, sizeof frame->data);
 }
 
-/* An interface that vanishes goes down first. */
-static void note_down(bus_t *bus)
+/* Mark the interface as down. Counts it once: an interface that vanishes goes down first. */
+static void mark_down(bus_t *bus)
 {
     bus->counts.downs += !bus->is_down;
     bus->is_down = true;
 }
 
-static bus_event_t note_failure(bus_t *bus)
+/* Handle a failure to receive, by errno: mark an interface as down, and close one that has vanished. Returns
+ * BUS_CLOSED if the other side has closed a Unix socket. */
+static bus_event_t handle_receive_error(bus_t *bus)
 {
     const int error = errno;
     if (error == ENETDOWN || error == ENODEV) {
-        note_down(bus);
+        mark_down(bus);
     }
     if (error == ENODEV) {
         bus_close(bus);
@@ -190,8 +209,9 @@ static bus_event_t note_failure(bus_t *bus)
     return error == ECONNRESET ? BUS_CLOSED : BUS_NOTHING;
 }
 
-/* Make a frame of a packet of `size` bytes, 0 for one that is longer than any frame. */
-static bus_event_t read_packet(bus_t *bus, mcp_asdf_frame_t *frame, const uint8_t *packet, size_t size)
+/* Decode a packet of `size` bytes, which is 0 for one that is longer than any frame. Writes *frame for
+ * BUS_FRAME; counts error frames and packets that are no frame, and returns BUS_OTHER for them. */
+static bus_event_t decode_packet(bus_t *bus, mcp_asdf_frame_t *frame, const uint8_t *packet, size_t size)
 {
     struct canfd_frame raw = {0};
     const bool is_fd = !bus->is_multicast && size == CANFD_MTU;
@@ -200,47 +220,52 @@ static bus_event_t read_packet(bus_t *bus, mcp_asdf_frame_t *frame, const uint8_
         return BUS_OTHER;
     }
     if (!bus->is_multicast) {
-        memcpy(&raw, packet, size);
+        memcpy(&raw, packet, size); /* a classic frame is the beginning of an FD frame */
     }
     if ((raw.can_id & CAN_ERR_FLAG) != 0) {
-        note_error_frame(bus, &raw);
+        handle_error_frame(bus, &raw);
         return BUS_OTHER;
     }
-    copy_in(frame, &raw, is_fd);
+    convert_frame(frame, &raw, is_fd);
     return BUS_FRAME;
 }
 
+/* Read one packet without waiting, and count it. Own datagrams, which a multicast group returns, are skipped.
+ */
 bus_event_t bus_receive(bus_t *bus, mcp_asdf_frame_t *frame)
 {
     uint8_t packet[MULTICAST_SIZE];
-    struct sockaddr_storage from = {0};
+    struct sockaddr_storage sender = {0};
     union {
         struct cmsghdr align;
         char bytes[CMSG_SPACE(sizeof(uint32_t))];
     } control;
-    struct iovec part = {.iov_base = packet, .iov_len = sizeof packet};
-    struct msghdr message = {.msg_name = &from,
-                             .msg_namelen = sizeof from,
-                             .msg_iov = &part,
+    struct iovec packet_buffer = {.iov_base = packet, .iov_len = sizeof packet};
+    struct msghdr message = {.msg_name = &sender,
+                             .msg_namelen = sizeof sender,
+                             .msg_iov = &packet_buffer,
                              .msg_iovlen = 1,
                              .msg_control = control.bytes,
                              .msg_controllen = sizeof control.bytes};
     const ssize_t size = recvmsg(bus->fd, &message, MSG_DONTWAIT);
     if (size < 0 || (size == 0 && !bus->is_multicast)) { /* a datagram may be empty */
-        return size == 0 ? BUS_CLOSED : note_failure(bus);
+        return size == 0 ? BUS_CLOSED : handle_receive_error(bus);
     }
-    if (bus->is_multicast && memcmp(&from, &bus->group.own, ADDRESS_SIZE) == 0) {
+    if (bus->is_multicast && memcmp(&sender, &bus->group.own_address, COMPARED_ADDRESS_SIZE) == 0) {
         return BUS_OTHER;
     }
     ++bus->counts.received;
     bus->is_down = false;
-    note_overflow(bus, &message);
-    return read_packet(bus, frame, packet, (message.msg_flags & MSG_TRUNC) != 0 ? 0 : (size_t)size);
+    read_overflow_count(bus, &message);
+    const bool is_too_long = (message.msg_flags & MSG_TRUNC) != 0;
+    return decode_packet(bus, frame, packet, is_too_long ? 0 : (size_t)size);
 }
 
 /* ---- Sending ---------------------------------------------------------------------------------------- */
 
-static ssize_t transmit(const bus_t *bus, const struct can_frame *frame)
+/* Try once to send a frame, without waiting. Returns a negative number, with errno set, if it was not sent.
+ */
+static ssize_t try_send(const bus_t *bus, const struct can_frame *frame)
 {
     uint8_t datagram[MULTICAST_SIZE];
     struct timespec now;
@@ -249,36 +274,32 @@ static ssize_t transmit(const bus_t *bus, const struct can_frame *frame)
     }
     (void)clock_gettime(CLOCK_REALTIME, &now);
     const size_t size = multicast_pack(datagram, frame, (double)now.tv_sec + (double)now.tv_nsec * 1e-9);
-    return send(bus->group.out, datagram, size, MSG_DONTWAIT | MSG_NOSIGNAL);
+    return send(bus->group.send_fd, datagram, size, MSG_DONTWAIT | MSG_NOSIGNAL);
 }
 
-/* A group that cannot be reached is left, and joined again when there may be another address. */
-static bool give_up(bus_t *bus, bool is_full)
-{
-    if (bus->is_multicast && !is_full) {
-        note_down(bus);
-        bus_close(bus);
-    }
-    return false;
-}
-
+/* Send a frame; while the send queue is full, wait a millisecond and try again, until the timeout. */
 bool bus_send(void *context, const mcp_asdf_frame_t *frame)
 {
     bus_t *bus = context;
-    const struct timespec pause = {.tv_nsec = 1000000};
+    const struct timespec millisecond = {.tv_nsec = 1000000};
     struct can_frame raw = {.can_id = frame->id | CAN_EFF_FLAG, .can_dlc = frame->length};
     memcpy(raw.data, frame->data, sizeof raw.data);
-    for (int wait = 0; bus->fd >= 0; ++wait) {
-        if (transmit(bus, &raw) >= 0) { /* frames go whole or not at all */
+    for (int waited_ms = 0; bus->fd >= 0; ++waited_ms) {
+        if (try_send(bus, &raw) >= 0) { /* a frame is never sent in part */
             bus->is_down = false;
             return true;
         }
-        const bool is_full = errno == ENOBUFS || errno == EAGAIN;
-        if (!is_full || wait == BUS_PATIENCE_MS) {
-            return give_up(bus, is_full);
+        const bool is_queue_full = errno == ENOBUFS || errno == EAGAIN;
+        if (!is_queue_full && bus->is_multicast) {
+            /* The group cannot be reached: it is joined again when there may be another address. */
+            mark_down(bus);
+            bus_close(bus);
+        }
+        if (!is_queue_full || waited_ms == BUS_SEND_TIMEOUT_MS) {
+            return false;
         }
         ++bus->counts.queue_full;
-        (void)nanosleep(&pause, NULL);
+        (void)nanosleep(&millisecond, NULL);
     }
     return false;
 }

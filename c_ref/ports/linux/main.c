@@ -13,72 +13,89 @@
 #include <string.h>
 #include <time.h>
 
-#define MOST_PACKETS 256 /* taken in a row, so that a babbling node cannot keep us from ticking */
-#define SECOND INT64_C(1000000000)
+/* Packets that are received in a row, so that a flood of frames cannot keep the node from its ticks. */
+#define PACKETS_IN_A_ROW 256
+#define NS_PER_SECOND INT64_C(1000000000)
 
-/* A clock that ticks at a steady rate, and how late its owner was. Times are nanoseconds.
- *   period    between ticks
- *   next      when the next tick is due; the first is due at once
- *   worst     how late a tick was at most
- *   skipped   ticks left out, since a node that is a period late or more must not catch up in a burst */
+/* A timer that expires periodically. Times are nanoseconds of the monotonic clock.
+ *   period           from one expiry to the next
+ *   next_expiry      the next one
+ *   worst_lateness   longest time from an expiry until has_expired() noticed it
+ *   skipped          expiries that were left out: one that is noticed a period late or more is not made up
+ *                    for in a burst */
 typedef struct {
-    int64_t period, next, worst;
+    int64_t period, next_expiry, worst_lateness;
     uint32_t skipped;
-} ticker_t;
+} periodic_timer_t;
 
+/* Everything about the run of this program.
+ *   senders             the node's memory of its neighbours
+ *   handled_ticks       ticks whose end handle_end_of_tick() has handled
+ *   tick_timer          control ticks; not used in lockstep
+ *   reopen_timer        attempts to open a closed bus again
+ *   start_timer         repetitions of the first heartbeat
+ *   signals_when_idle   signal mask while waiting, see catch_signals()
+ *   end_reason          why the run has ended; NULL while it goes on
+ *   save_error          errno of the last failure to save the state, or 0
+ *   exit_status         status with which the program will end */
 typedef struct {
     options_t options;
     node_t node;
     node_sender_t senders[MCP_ASDF_MAX_ID + 1];
-    uint32_t seen; /* ticks whose end note_progress() has seen */
+    uint32_t handled_ticks;
     bus_t bus;
     source_t source;
-    ticker_t clock, reopening, greeting;
-    sigset_t when_waiting; /* signals blocked then */
-    const char *ended;     /* why, or NULL */
-    int save_error;        /* the last one, as an errno */
-    int status;
+    periodic_timer_t tick_timer, reopen_timer, start_timer;
+    sigset_t signals_when_idle;
+    const char *end_reason;
+    int save_error;
+    int exit_status;
 } run_t;
 
 /* ---- Signals ---------------------------------------------------------------------------------------- */
 
 static volatile sig_atomic_t is_interrupted;
 
-static void interrupt(int signal)
+/* Signal handler: only note the signal, as little else is allowed in one. */
+static void handle_signal(int signal)
 {
     (void)signal;
     is_interrupted = 1;
 }
 
-/* Signals come through only while we wait, so none can slip in between a check and the wait. */
+/* Handle the signals that end a program, and block them except while the program waits, so that none is
+ * missed between a check of is_interrupted and the wait. */
 static void catch_signals(run_t *run)
 {
-    static const int signals[] = {SIGINT, SIGTERM, SIGHUP};
-    const struct sigaction action = {.sa_handler = interrupt};
-    struct sigaction before;
-    sigset_t caught;
-    (void)sigemptyset(&caught);
-    (void)sigprocmask(SIG_BLOCK, NULL, &run->when_waiting);
-    for (size_t i = 0; i < sizeof signals / sizeof signals[0]; ++i) {
-        (void)sigaddset(&caught, signals[i]);
-        (void)sigdelset(&run->when_waiting, signals[i]);
-        /* One that this program was started to ignore (nohup, a shell's background) stays ignored. */
-        if (sigaction(signals[i], NULL, &before) == 0 && before.sa_handler != SIG_IGN) {
-            (void)sigaction(signals[i], &action, NULL);
+    static const int ending_signals[] = {SIGINT, SIGTERM, SIGHUP};
+    const struct sigaction action = {.sa_handler = handle_signal};
+    struct sigaction old_action;
+    sigset_t blocked_signals;
+    (void)sigemptyset(&blocked_signals);
+    (void)sigprocmask(SIG_BLOCK, NULL, &run->signals_when_idle);
+    for (size_t i = 0; i < sizeof ending_signals / sizeof ending_signals[0]; ++i) {
+        const int signal = ending_signals[i];
+        (void)sigaddset(&blocked_signals, signal);
+        (void)sigdelset(&run->signals_when_idle, signal);
+        /* A signal that this program was started to ignore (nohup, a shell's background) stays ignored. */
+        if (sigaction(signal, NULL, &old_action) == 0 && old_action.sa_handler != SIG_IGN) {
+            (void)sigaction(signal, &action, NULL);
         }
     }
-    (void)sigprocmask(SIG_BLOCK, &caught, NULL);
+    (void)sigprocmask(SIG_BLOCK, &blocked_signals, NULL);
 }
 
-/* ---- Setting up: what is wrong ends the program with a message that names the value and the fix ------ */
+/* ---- Setting up ------------------------------------------------------------------------------------- */
 
-static void fail(const char *what, const char *which, const char *why, const char *fix)
+/* End the program with a message: what it cannot do, with which value, the reason, and the fix. */
+static void fail(const char *action, const char *value, const char *reason, const char *fix)
 {
-    (void)fprintf(stderr, "mcp_asdf_node: %s %s: %s; %s\n", what, which, why, fix);
+    (void)fprintf(stderr, "mcp_asdf_node: %s %s: %s; %s\n", action, value, reason, fix);
     exit(EXIT_USAGE);
 }
 
-static void join(bus_t *bus)
+/* Open the bus, or end the program with a message that names the fix. */
+static void open_bus(bus_t *bus)
 {
     const int error = bus_open(bus);
     if (error != 0 && bus->is_multicast) {
@@ -99,74 +116,89 @@ static void join(bus_t *bus)
     }
 }
 
-static void set_up(run_t *run)
+/* Make the node, with the state of its file if there is one. Ends the program with a message on failure. */
+static void set_up_node(run_t *run)
 {
     const options_t *options = &run->options;
     const node_output_t output = {bus_send, &run->bus};
-    const bool in_lockstep = options->node.lockstep;
-    run->bus.name = options->interface;
-    run->bus.group.network = options->network;
-    run->bus.group.hops = (int)options->hops;
-    run->bus.receive_buffer = (int)options->receive_buffer;
-    run->bus.subjects[0] = options->node.estimate.subject;
-    run->bus.subjects[1] = (in_lockstep ? options->node.command : options->node.estimate).subject;
-    run->source.is_sensor = options->sensor != NULL;
-    run->source.path = options->sensor != NULL ? options->sensor : options->observations;
     if (node_init(&run->node, &options->node, output) != MCP_ASDF_OK) {
         fail("cannot make the robot", "of these options", "refused by the firmware", "see --help");
     }
     run->node.senders = run->senders;
     if (options->state != NULL) {
-        const char *why = state_load(options->state, &run->node.robot, &run->node.config);
-        if (why != NULL) {
-            fail("cannot use the state", options->state, why,
+        const char *reason = state_load(options->state, &run->node.robot, &run->node.config);
+        if (reason != NULL) {
+            fail("cannot use the state", options->state, reason,
                  "choose another --state, or move this one away");
         }
     }
-    if (!in_lockstep) {
-        const int error = source_open(&run->source);
-        if (error != 0) {
-            fail("cannot open", run->source.path, strerror(error), "choose a file that can be read");
-        }
+}
+
+/* Open the source of observations. Ends the program with a message on failure. */
+static void set_up_source(run_t *run)
+{
+    const options_t *options = &run->options;
+    run->source.is_sensor = options->sensor != NULL;
+    run->source.path = options->sensor != NULL ? options->sensor : options->observations;
+    const int error = source_open(&run->source);
+    if (error != 0) {
+        fail("cannot open", run->source.path, strerror(error), "choose a file that can be read");
     }
-    join(&run->bus);
+}
+
+/* Open the bus that the options name. Ends the program with a message on failure. */
+static void set_up_bus(run_t *run)
+{
+    const options_t *options = &run->options;
+    const node_settings_t *node = &options->node;
+    run->bus.name = options->interface;
+    run->bus.group.network = options->network;
+    run->bus.group.hop_limit = (int)options->hop_limit;
+    run->bus.receive_buffer = (int)options->receive_buffer;
+    run->bus.subjects[0] = node->estimate_format.subject;
+    /* Commands are received in lockstep only. */
+    run->bus.subjects[1] = (node->lockstep ? node->command_format : node->estimate_format).subject;
+    open_bus(&run->bus);
 }
 
 /* ---- The clock -------------------------------------------------------------------------------------- */
 
-/* Time since some moment in the past that no one sets back. */
+/* Time in nanoseconds since some moment in the past; nobody sets this clock back. */
 static int64_t now_ns(void)
 {
     struct timespec now;
     (void)clock_gettime(CLOCK_MONOTONIC, &now);
-    return (int64_t)now.tv_sec * SECOND + now.tv_nsec;
+    return (int64_t)now.tv_sec * NS_PER_SECOND + now.tv_nsec;
 }
 
-/* Whether a tick is due; says so once for each. */
-static bool is_due(ticker_t *ticker, int64_t now)
+/* Whether a timer has expired since the last call. Starts it anew then, and records how late the call is; if
+ * several periods have passed, all expiries but one count as skipped. */
+static bool has_expired(periodic_timer_t *timer, int64_t now)
 {
-    const int64_t late = now - ticker->next;
-    if (late < 0) {
+    const int64_t lateness = now - timer->next_expiry;
+    if (lateness < 0) {
         return false;
     }
-    if (late > ticker->worst) {
-        ticker->worst = late;
+    if (lateness > timer->worst_lateness) {
+        timer->worst_lateness = lateness;
     }
-    ticker->skipped += (uint32_t)(late / ticker->period);
-    ticker->next += (late / ticker->period + 1) * ticker->period;
+    timer->skipped += (uint32_t)(lateness / timer->period);
+    timer->next_expiry += (lateness / timer->period + 1) * timer->period;
     return true;
 }
 
 /* ---- Running ---------------------------------------------------------------------------------------- */
 
-static void end(run_t *run, const char *why, int status)
+/* Let the run end, for a reason that the summary shows. */
+static void end_run(run_t *run, const char *reason, int exit_status)
 {
-    run->ended = why;
-    run->status = status;
+    run->end_reason = reason;
+    run->exit_status = exit_status;
 }
 
-/* A full disk must not stop the robot: the state saved last stays, and the status tells in the end. */
-static void save(run_t *run)
+/* Save the state. A failure must not stop the robot: the state saved last stays, a message is printed once
+ * for each reason, and the program will end with status 1. */
+static void save_state(run_t *run)
 {
     const int error = state_save(run->options.state, &run->node.robot);
     if (error != 0 && error != run->save_error) {
@@ -175,197 +207,221 @@ static void save(run_t *run)
     }
     if (error != 0) {
         run->save_error = error;
-        run->status = EXIT_FAILURE;
+        run->exit_status = EXIT_FAILURE;
     }
 }
 
-/* Called after whatever may have ended a tick. */
-static void note_progress(run_t *run)
+/* Handle the end of a tick, if one has ended since the last call: save the state if it is time, and end the
+ * run after its last tick. */
+static void handle_end_of_tick(run_t *run)
 {
-    const uint32_t ticks = run->node.ticks, period = run->options.save_period;
-    if (!run->node.is_settled || ticks == run->seen) {
+    const uint32_t ticks = run->node.ticks, save_period = run->options.save_period;
+    if (!run->node.is_settled || ticks == run->handled_ticks) {
         return;
     }
-    run->seen = ticks;
-    if (run->options.state != NULL && period != 0 && ticks % period == 0) {
-        save(run);
+    run->handled_ticks = ticks;
+    if (run->options.state != NULL && save_period != 0 && ticks % save_period == 0) {
+        save_state(run);
     }
     if (run->options.ticks != 0 && ticks == run->options.ticks) {
-        end(run, "ticks", run->status);
+        end_run(run, "ticks", run->exit_status);
     }
 }
 
-static void take(run_t *run, const mcp_asdf_frame_t *frame)
+/* Pass a frame to the node, which in lockstep may end a tick. The first frame under the node's own id prints
+ * a warning. */
+static void handle_frame(run_t *run, const mcp_asdf_frame_t *frame)
 {
-    const bool is_first = run->node.counts.collisions == 0;
-    node_hear(&run->node, frame);
-    if (is_first && run->node.counts.collisions != 0) {
+    const bool had_no_collision = run->node.counts.id_collisions == 0;
+    node_handle_frame(&run->node, frame);
+    if (had_no_collision && run->node.counts.id_collisions != 0) {
         (void)fprintf(stderr,
                       "mcp_asdf_node: another node sends under this node's own id: %u; "
                       "give one of them another\n",
                       run->options.node.id);
     }
-    note_progress(run);
+    handle_end_of_tick(run);
 }
 
-static void hear(run_t *run)
+/* Receive and handle the packets that are waiting, and pass the health of the bus to the node. Ends the run
+ * if the bus has been closed for good. */
+static void receive_frames(run_t *run)
 {
     mcp_asdf_frame_t frame;
     bus_event_t event = BUS_FRAME;
-    for (int i = 0; i < MOST_PACKETS && run->ended == NULL && run->bus.fd >= 0; ++i) {
+    for (int i = 0; i < PACKETS_IN_A_ROW && run->end_reason == NULL && run->bus.fd >= 0; ++i) {
         event = bus_receive(&run->bus, &frame);
         if (event == BUS_NOTHING || event == BUS_CLOSED) {
             break;
         }
-        run->node.health = run->bus.health;
+        run->node.health = run->bus.health; /* before the frame, which may be answered with a heartbeat */
         if (event == BUS_FRAME) {
-            take(run, &frame);
+            handle_frame(run, &frame);
         }
     }
     if (event == BUS_CLOSED) {
-        end(run, "bus closed", EXIT_FAILURE);
+        end_run(run, "bus closed", EXIT_FAILURE);
     }
     run->node.health = run->bus.health;
 }
 
-/* Take an observation; returns whether the run goes on. */
-static bool look(run_t *run, mcp_asdf_action_t *seen)
+/* Read the tick's observation, MCP_ASDF_OBSERVE_NONE if there is none. Returns false, and ends the run with a
+ * message, if the source is at its end or has failed. */
+static bool read_observation(run_t *run, mcp_asdf_action_t *observation)
 {
     source_t *source = &run->source;
-    const bool has_come = source_next(source, seen);
-    if (source->odd != 0) {
+    const bool is_read = source_next(source, observation);
+    if (source->invalid_character != 0) {
         (void)fprintf(stderr, "mcp_asdf_node: character %lu of %s is no observation; write 0, 1 or -\n",
-                      (unsigned long)source->taken + 1, source->path);
-        end(run, "observations not valid", EXIT_FAILURE);
+                      (unsigned long)source->characters_read + 1, source->path);
+        end_run(run, "observations not valid", EXIT_FAILURE);
     } else if (source->error != 0) {
         (void)fprintf(stderr, "mcp_asdf_node: cannot read %s: %s\n", source->path, strerror(source->error));
-        end(run, "observations not readable", EXIT_FAILURE);
-    } else if (source->has_ended && !has_come) {
-        end(run, "observations", run->status);
+        end_run(run, "observations not readable", EXIT_FAILURE);
+    } else if (source->has_ended && !is_read) {
+        end_run(run, "observations", run->exit_status);
     }
-    return run->ended == NULL;
+    return run->end_reason == NULL;
 }
 
-/* A tick lasts until the next begins: what is heard meanwhile belongs to its round. */
-static void tick(run_t *run)
+/* End the last tick and begin the next. So a tick lasts until the next one begins, and the frames that arrive
+ * in between belong to its round. */
+static void run_tick(run_t *run)
 {
-    mcp_asdf_action_t seen;
+    mcp_asdf_action_t observation;
     if (!run->node.is_settled) {
         node_settle(&run->node);
-        note_progress(run);
+        handle_end_of_tick(run);
     }
-    if (run->ended == NULL && look(run, &seen)) {
-        node_observe(&run->node, seen);
+    if (run->end_reason == NULL && read_observation(run, &observation)) {
+        node_observe(&run->node, observation);
     }
 }
 
-/* Sleep until there is a frame, a tick is due, or a signal comes. */
-static void wait_for_work(run_t *run)
+/* Sleep until a packet arrives, a timer expires, or a signal comes. */
+static void wait_for_event(run_t *run)
 {
-    const bool is_joined = run->bus.fd >= 0, in_lockstep = run->options.node.lockstep;
-    struct pollfd bus = {.fd = run->bus.fd, .events = POLLIN}; /* one below 0 is not waited for */
-    int64_t until = in_lockstep ? INT64_MAX : run->clock.next;
+    const bool is_bus_open = run->bus.fd >= 0, in_lockstep = run->options.node.lockstep;
+    struct pollfd bus = {.fd = run->bus.fd, .events = POLLIN}; /* ppoll() ignores a negative fd */
+    int64_t wake_time = in_lockstep ? INT64_MAX : run->tick_timer.next_expiry;
     if (in_lockstep && run->node.ticks == 0) {
-        until = run->greeting.next;
+        wake_time = run->start_timer.next_expiry;
     }
-    if (!is_joined && run->reopening.next < until) {
-        until = run->reopening.next;
+    if (!is_bus_open && run->reopen_timer.next_expiry < wake_time) {
+        wake_time = run->reopen_timer.next_expiry;
     }
-    const int64_t now = now_ns(), left = until > now ? until - now : 0;
-    const struct timespec timeout = {.tv_sec = (time_t)(left / SECOND), .tv_nsec = (long)(left % SECOND)};
-    (void)ppoll(&bus, 1, until == INT64_MAX ? NULL : &timeout, &run->when_waiting);
+    const int64_t now = now_ns(), duration = wake_time > now ? wake_time - now : 0;
+    const struct timespec timeout = {.tv_sec = (time_t)(duration / NS_PER_SECOND),
+                                     .tv_nsec = (long)(duration % NS_PER_SECOND)};
+    (void)ppoll(&bus, 1, wake_time == INT64_MAX ? NULL : &timeout, &run->signals_when_idle);
 }
 
-static void run_until_ended(run_t *run)
+/* Run the node until its last tick, the end of its observations, a signal, or a failure. */
+static void run_until_end(run_t *run)
 {
-    run->reopening = (ticker_t){.period = SECOND, .next = now_ns()};
-    run->clock = (ticker_t){.period = SECOND / run->options.node.ticks_per_second, .next = now_ns()};
-    run->greeting = run->reopening;
-    while (run->ended == NULL) {
-        if (run->node.ticks == 0 && is_due(&run->greeting, now_ns())) {
-            node_start(&run->node); /* again while no one commands it: who does may not have been there */
+    const bool in_lockstep = run->options.node.lockstep;
+    const int64_t tick_duration = NS_PER_SECOND / run->options.node.ticks_per_second;
+    run->reopen_timer = (periodic_timer_t){.period = NS_PER_SECOND, .next_expiry = now_ns()};
+    run->tick_timer = (periodic_timer_t){.period = tick_duration, .next_expiry = now_ns()};
+    run->start_timer = run->reopen_timer;
+    while (run->end_reason == NULL) {
+        /* The first heartbeat is repeated until the first tick: whoever commands this node in lockstep may
+         * have joined the bus later. */
+        if (run->node.ticks == 0 && has_expired(&run->start_timer, now_ns())) {
+            node_start(&run->node);
         }
-        wait_for_work(run);
-        if (run->bus.fd < 0 && is_due(&run->reopening, now_ns())) {
+        wait_for_event(run);
+        if (run->bus.fd < 0 && has_expired(&run->reopen_timer, now_ns())) {
             (void)bus_open(&run->bus);
         }
-        hear(run);
-        if (run->ended == NULL && !run->options.node.lockstep && is_due(&run->clock, now_ns())) {
-            tick(run);
+        receive_frames(run);
+        if (run->end_reason == NULL && !in_lockstep && has_expired(&run->tick_timer, now_ns())) {
+            run_tick(run);
         }
-        if (run->ended == NULL && is_interrupted) {
-            end(run, "signal", run->status);
+        if (run->end_reason == NULL && is_interrupted) {
+            end_run(run, "signal", run->exit_status);
         }
     }
 }
 
 /* ---- The summary: a line of JSON, whose members docs/socketcan.md explains ---------------------------- */
 
-#define NUMBER(name, value) (void)printf(", \"%s\": %" PRIu64, name, (uint64_t)(value))
+/* Print a member of the summary, a number. */
+static void print_number(const char *name, uint64_t value)
+{
+    (void)printf(", \"%s\": %" PRIu64, name, value);
+}
 
-/* Returns whether the standard output took it. Estimates and accuracies are the firmware's integers. */
+/* Print the summary; estimates and accuracies are the integers of mcp_asdf.h. Returns whether the standard
+ * output accepted it. */
 static bool print_summary(const run_t *run)
 {
     const mcp_asdf_t *robot = &run->node.robot;
     const mcp_asdf_counters_t counters = mcp_asdf_counters(robot);
     const node_counts_t *counts = &run->node.counts;
     const bus_counts_t *bus = &run->bus.counts;
-    (void)printf("{\"id\": %u, \"ended\": \"%s\"", run->options.node.id, run->ended);
-    NUMBER("ticks", run->node.ticks);
-    NUMBER("t", mcp_asdf_t_count(robot));
-    NUMBER("n", mcp_asdf_n_count(robot));
-    NUMBER("b_hat", mcp_asdf_b_hat(robot));
-    NUMBER("x_hat", mcp_asdf_x_hat(robot));
-    NUMBER("alpha", mcp_asdf_alpha(robot));
-    NUMBER("x_bar", mcp_asdf_x_bar(robot));
+    (void)printf("{\"id\": %u, \"ended\": \"%s\"", run->options.node.id, run->end_reason);
+    print_number("ticks", run->node.ticks);
+    print_number("t", mcp_asdf_t_count(robot));
+    print_number("n", mcp_asdf_n_count(robot));
+    print_number("b_hat", mcp_asdf_b_hat(robot));
+    print_number("x_hat", mcp_asdf_x_hat(robot));
+    print_number("alpha", mcp_asdf_alpha(robot));
+    print_number("x_bar", mcp_asdf_x_bar(robot));
 #if MCP_ASDF_WITH_ASDF
-    NUMBER("beta", mcp_asdf_beta(robot));
+    print_number("beta", mcp_asdf_beta(robot));
 #endif
-    NUMBER("x", mcp_asdf_x(robot));
-    NUMBER("accepted", counters.accepted);
-    NUMBER("repeated", counters.repeated);
-    NUMBER("rejected", counters.rejected);
-    NUMBER("tests", counters.tests);
-    NUMBER("updates", counters.updates);
-    NUMBER("estimates", counts->estimates);
-    NUMBER("heartbeats", counts->heartbeats);
-    NUMBER("telemetry", counts->telemetry);
-    NUMBER("unsent", counts->unsent);
-    NUMBER("heard", counts->heard);
-    NUMBER("unknown", counts->unknown);
-    NUMBER("jumps", counts->jumps);
-    NUMBER("collisions", counts->collisions);
-    NUMBER("refused", counts->refused);
-    NUMBER("others", counts->others);
-    NUMBER("obeyed", counts->obeyed);
-    NUMBER("disobeyed", counts->disobeyed);
-    NUMBER("unsettled", counts->unsettled);
+    print_number("x", mcp_asdf_x(robot));
+    print_number("accepted", counters.accepted);
+    print_number("repeated", counters.repeated);
+    print_number("rejected", counters.rejected);
+    print_number("tests", counters.tests);
+    print_number("updates", counters.updates);
+    print_number("estimates", counts->estimates);
+    print_number("heartbeats", counts->heartbeats);
+    print_number("telemetry", counts->telemetry);
+    print_number("unsent", counts->unsent_frames);
+    print_number("heard", counts->received_estimates);
+    print_number("unknown", counts->ignored_estimates);
+    print_number("jumps", counts->alpha_jumps);
+    print_number("collisions", counts->id_collisions);
+    print_number("refused", counts->rejected_frames);
+    print_number("others", counts->other_frames);
+    print_number("obeyed", counts->followed_commands);
+    print_number("disobeyed", counts->refused_commands);
+    print_number("unsettled", counts->unsettled_ticks);
     (void)printf(", \"filtered_by\": \"%s\"", run->bus.is_filtered ? "kernel" : "node");
-    NUMBER("received", bus->received);
-    NUMBER("overflowed", bus->overflowed);
-    NUMBER("queue_full", bus->queue_full);
-    NUMBER("error_frames", bus->error_frames);
-    NUMBER("bus_off", bus->bus_off);
-    NUMBER("downs", bus->downs);
-    NUMBER("odd_packets", bus->odd_packets);
-    NUMBER("missing", run->source.missing);
-    NUMBER("skipped", run->clock.skipped);
-    NUMBER("worst_lateness_us", run->clock.worst / 1000);
+    print_number("received", bus->received);
+    print_number("overflowed", bus->overflowed);
+    print_number("queue_full", bus->queue_full);
+    print_number("error_frames", bus->error_frames);
+    print_number("bus_off", bus->bus_off);
+    print_number("downs", bus->downs);
+    print_number("odd_packets", bus->odd_packets);
+    print_number("missing", run->source.missing);
+    print_number("skipped", run->tick_timer.skipped);
+    print_number("worst_lateness_us", (uint64_t)run->tick_timer.worst_lateness / 1000);
     (void)printf("}\n");
     return fflush(stdout) == 0 && ferror(stdout) == 0;
 }
 
-int main(int count, char *arguments[])
+/* Set up, run, save the state, and print the summary. Status 0: the run ended as it should; 1: the bus, the
+ * observations or the saving failed; 2: the program could not start. */
+int main(int argument_count, char *arguments[])
 {
     static run_t run;
-    options_read(&run.options, count, arguments);
+    options_read(&run.options, argument_count, arguments);
     catch_signals(&run);
-    set_up(&run);
-    run_until_ended(&run);
-    if (run.options.state != NULL) {
-        save(&run);
+    set_up_node(&run);
+    if (!run.options.node.lockstep) {
+        set_up_source(&run);
     }
-    const bool is_told = print_summary(&run);
+    set_up_bus(&run);
+    run_until_end(&run);
+    if (run.options.state != NULL) {
+        save_state(&run);
+    }
+    const bool is_printed = print_summary(&run);
     bus_close(&run.bus);
-    return is_told ? run.status : EXIT_FAILURE;
+    return is_printed ? run.exit_status : EXIT_FAILURE;
 }

@@ -11,86 +11,112 @@
 
 /* ---- Joining ---------------------------------------------------------------------------------------- */
 
-/* An address of either family. */
+/* An address of either family, which any.sa_family names. */
 typedef union {
     struct sockaddr any;
-    struct sockaddr_in four;
-    struct sockaddr_in6 six;
+    struct sockaddr_in ipv4;
+    struct sockaddr_in6 ipv6;
     struct sockaddr_storage storage;
 } address_t;
 
-static bool read_name(address_t *address, const char *name)
+/* Read the name of a group, GROUP:PORT or [GROUP]:PORT, into *address. Returns whether it is a multicast
+ * address with a port from 1 to 65535; if not, *address is of no use. */
+static bool parse_group_name(address_t *address, const char *name)
 {
-    char host[INET6_ADDRSTRLEN] = {0}, *end = NULL;
-    const bool is_six = name[0] == '[';
-    const char *const first = name + is_six, *const after = strstr(first, is_six ? "]:" : ":");
-    if (after == NULL || (size_t)(after - first) >= sizeof host) {
+    char host[INET6_ADDRSTRLEN] = {0}, *end_of_port = NULL;
+    const bool is_ipv6 = name[0] == '[';
+    const char *const host_start = name + is_ipv6;
+    const char *const host_end = strstr(host_start, is_ipv6 ? "]:" : ":");
+    if (host_end == NULL || (size_t)(host_end - host_start) >= sizeof host) {
         return false;
     }
-    memcpy(host, first, (size_t)(after - first));
-    const unsigned long port = strtoul(after + 1 + is_six, &end, 10); /* "-1" is too large */
+    memcpy(host, host_start, (size_t)(host_end - host_start));
+    /* strtoul() reads a negative number as a very large one, which is refused below. */
+    const unsigned long port = strtoul(host_end + 1 + is_ipv6, &end_of_port, 10);
+    if (*end_of_port != '\0' || port == 0 || port > UINT16_MAX) {
+        return false;
+    }
     memset(address, 0, sizeof *address);
-    address->six.sin6_family = is_six ? AF_INET6 : AF_INET;
-    address->six.sin6_port = htons((uint16_t)port); /* where IPv4 has it, too */
-    return *end == '\0' && port != 0 && port <= UINT16_MAX &&
-           (is_six ? inet_pton(AF_INET6, host, &address->six.sin6_addr) == 1 &&
-                         IN6_IS_ADDR_MULTICAST(&address->six.sin6_addr)
-                   : inet_pton(AF_INET, host, &address->four.sin_addr) == 1 &&
-                         IN_MULTICAST(ntohl(address->four.sin_addr.s_addr)));
+    if (is_ipv6) {
+        address->ipv6.sin6_family = AF_INET6;
+        address->ipv6.sin6_port = htons((uint16_t)port);
+        return inet_pton(AF_INET6, host, &address->ipv6.sin6_addr) == 1 &&
+               IN6_IS_ADDR_MULTICAST(&address->ipv6.sin6_addr);
+    }
+    address->ipv4.sin_family = AF_INET;
+    address->ipv4.sin_port = htons((uint16_t)port);
+    return inet_pton(AF_INET, host, &address->ipv4.sin_addr) == 1 &&
+           IN_MULTICAST(ntohl(address->ipv4.sin_addr.s_addr));
 }
 
-static socklen_t size_of(const address_t *address)
+/* Size of an address in bytes, by its family. */
+static socklen_t address_size(const address_t *address)
 {
-    return address->any.sa_family == AF_INET6 ? sizeof address->six : sizeof address->four;
+    return address->any.sa_family == AF_INET6 ? sizeof address->ipv6 : sizeof address->ipv4;
 }
 
-/* Bound to the group's own address, so that no other group's datagrams come with them. */
-static bool listen_to(int fd, const address_t *address, unsigned index)
+/* Let a socket receive the group's datagrams from the interface of that index, 0: any. Returns whether the
+ * kernel agreed, else errno says why not. */
+static bool prepare_to_receive(int fd, const address_t *address, unsigned interface_index)
 {
-    const struct ipv6_mreq six = {.ipv6mr_multiaddr = address->six.sin6_addr, .ipv6mr_interface = index};
-    const struct ip_mreqn four = {.imr_multiaddr = address->four.sin_addr, .imr_ifindex = (int)index};
+    const struct ipv6_mreq ipv6_request = {.ipv6mr_multiaddr = address->ipv6.sin6_addr,
+                                           .ipv6mr_interface = interface_index};
+    const struct ip_mreqn ipv4_request = {.imr_multiaddr = address->ipv4.sin_addr,
+                                          .imr_ifindex = (int)interface_index};
     const int on = 1;
+    /* Bound to the group's own address, the socket receives no datagrams of other groups on the same port. */
     if (setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) != 0 ||
-        bind(fd, &address->any, size_of(address)) != 0) {
+        bind(fd, &address->any, address_size(address)) != 0) {
         return false;
     }
-    return (address->any.sa_family == AF_INET6
-                ? setsockopt(fd, IPPROTO_IPV6, IPV6_JOIN_GROUP, &six, sizeof six)
-                : setsockopt(fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &four, sizeof four)) == 0;
+    if (address->any.sa_family == AF_INET6) {
+        return setsockopt(fd, IPPROTO_IPV6, IPV6_JOIN_GROUP, &ipv6_request, sizeof ipv6_request) == 0;
+    }
+    return setsockopt(fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &ipv4_request, sizeof ipv4_request) == 0;
 }
 
-/* Connected, so that the kernel settles where datagrams come from. */
-static bool speak_to(int fd, const address_t *address, unsigned index, int hops)
+/* Let a socket send datagrams to the group, through the interface of that index, 0: the kernel's choice.
+ * Returns whether the kernel agreed, else errno says why not. */
+static bool prepare_to_send(int fd, const address_t *address, unsigned interface_index, int hop_limit)
 {
-    const struct ip_mreqn four = {.imr_ifindex = (int)index};
-    const bool is_six = address->any.sa_family == AF_INET6;
-    if (index != 0 && (is_six ? setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_IF, &index, sizeof index)
-                              : setsockopt(fd, IPPROTO_IP, IP_MULTICAST_IF, &four, sizeof four)) != 0) {
-        return false;
+    const struct ip_mreqn ipv4_interface = {.imr_ifindex = (int)interface_index};
+    const bool is_ipv6 = address->any.sa_family == AF_INET6;
+    if (interface_index != 0) {
+        const int error =
+            is_ipv6
+                ? setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_IF, &interface_index, sizeof interface_index)
+                : setsockopt(fd, IPPROTO_IP, IP_MULTICAST_IF, &ipv4_interface, sizeof ipv4_interface);
+        if (error != 0) {
+            return false;
+        }
     }
-    return (is_six ? setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_HOPS, &hops, sizeof hops)
-                   : setsockopt(fd, IPPROTO_IP, IP_MULTICAST_TTL, &hops, sizeof hops)) == 0 &&
-           connect(fd, &address->any, size_of(address)) == 0;
+    const int error = is_ipv6
+                          ? setsockopt(fd, IPPROTO_IPV6, IPV6_MULTICAST_HOPS, &hop_limit, sizeof hop_limit)
+                          : setsockopt(fd, IPPROTO_IP, IP_MULTICAST_TTL, &hop_limit, sizeof hop_limit);
+    /* By connect() the kernel chooses the sender's address now, so that own datagrams can be recognised. */
+    return error == 0 && connect(fd, &address->any, address_size(address)) == 0;
 }
 
+/* Open both sockets, and find out the address of this node's datagrams. Returns 0 or an errno. */
 int multicast_open(multicast_t *group, const char *name)
 {
     address_t address;
-    socklen_t size = sizeof group->own;
-    const unsigned index = group->network != NULL ? if_nametoindex(group->network) : 0;
-    group->in = group->out = -1;
-    if (!read_name(&address, name)) {
+    socklen_t own_address_size = sizeof group->own_address;
+    const unsigned interface_index = group->network != NULL ? if_nametoindex(group->network) : 0;
+    group->receive_fd = group->send_fd = -1;
+    if (!parse_group_name(&address, name)) {
         return EINVAL;
     }
-    if (group->network != NULL && index == 0) {
+    if (group->network != NULL && interface_index == 0) {
         return ENODEV;
     }
-    group->in = socket(address.any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-    group->out = socket(address.any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-    memset(&group->own, 0, sizeof group->own);
-    if (group->in < 0 || group->out < 0 || !listen_to(group->in, &address, index) ||
-        !speak_to(group->out, &address, index, group->hops) ||
-        getsockname(group->out, (struct sockaddr *)&group->own, &size) != 0) {
+    group->receive_fd = socket(address.any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    group->send_fd = socket(address.any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    memset(&group->own_address, 0, sizeof group->own_address);
+    if (group->receive_fd < 0 || group->send_fd < 0 ||
+        !prepare_to_receive(group->receive_fd, &address, interface_index) ||
+        !prepare_to_send(group->send_fd, &address, interface_index, group->hop_limit) ||
+        getsockname(group->send_fd, (struct sockaddr *)&group->own_address, &own_address_size) != 0) {
         const int error = errno;
         multicast_close(group);
         return error;
@@ -98,150 +124,205 @@ int multicast_open(multicast_t *group, const char *name)
     return 0;
 }
 
+/* Close the sockets that are open. */
 void multicast_close(multicast_t *group)
 {
-    if (group->in >= 0) {
-        (void)close(group->in);
+    if (group->receive_fd >= 0) {
+        (void)close(group->receive_fd);
     }
-    if (group->out >= 0) {
-        (void)close(group->out);
+    if (group->send_fd >= 0) {
+        (void)close(group->send_fd);
     }
-    group->in = group->out = -1;
+    group->receive_fd = group->send_fd = -1;
 }
 
-/* ---- Datagrams: what python-can writes, in its order ------------------------------------------------- */
+/* ---- Datagrams -------------------------------------------------------------------------------------- */
 
-#define TIME "\x8B\xA9timestamp"
-#define ID                                                                                                   \
+/* A datagram is a msgpack map of 11 fields in python-can's order. These strings are the bytes between the
+ * values that vary: names of fields, each after a byte with its length, and values that are always the same.
+ * Some strings are split, since a hexadecimal escape would take the letters that follow for digits. */
+#define BEFORE_TIME "\x8B\xA9timestamp"
+#define BEFORE_ID                                                                                            \
     "\xAE"                                                                                                   \
     "arbitration_id"
-#define EXTENDED "\xAEis_extended_id"
-#define KIND                                                                                                 \
+#define BEFORE_EXTENDED "\xAEis_extended_id"
+#define BEFORE_CHANNEL                                                                                       \
     "\xAFis_remote_frame\xC2\xAEis_error_frame\xC2\xA7"                                                      \
     "channel"
-#define LENGTH                                                                                               \
+#define BEFORE_LENGTH                                                                                        \
     "\xA3"                                                                                                   \
     "dlc"
-#define DATA                                                                                                 \
+#define BEFORE_DATA                                                                                          \
     "\xA4"                                                                                                   \
     "data\xC4"
-#define CLASSIC                                                                                              \
+#define AFTER_DATA                                                                                           \
     "\xA5is_fd\xC2\xAE"                                                                                      \
     "bitrate_switch\xC2\xB5"                                                                                 \
     "error_state_indicator\xC2"
 
-static uint8_t *put(uint8_t *to, const void *bytes, size_t size)
+/* First bytes of msgpack values: these are whole values, */
+#define MSGPACK_NIL 0xC0
+#define MSGPACK_FALSE 0xC2
+#define MSGPACK_TRUE 0xC3
+/* and after these the value follows, big-endian. */
+#define MSGPACK_FLOAT32 0xCA
+#define MSGPACK_FLOAT64 0xCB
+#define MSGPACK_UINT8 0xCC
+#define MSGPACK_UINT32 0xCE
+#define MSGPACK_STRING8 0xD9 /* a byte with the length, then the text */
+
+/* Append bytes to a datagram. Returns where it goes on. */
+static uint8_t *put_bytes(uint8_t *end, const void *bytes, size_t size)
 {
-    memcpy(to, bytes, size);
-    return to + size;
+    memcpy(end, bytes, size);
+    return end + size;
 }
 
-static uint8_t *put_number(uint8_t *to, uint64_t number, int bytes)
+/* Append a text to a datagram, without its terminating zero. Returns where it goes on. */
+static uint8_t *put_text(uint8_t *end, const char *text) { return put_bytes(end, text, strlen(text)); }
+
+/* Append the lowest bytes of a number to a datagram, big-endian. Returns where it goes on. */
+static uint8_t *put_number(uint8_t *end, uint64_t number, int byte_count)
 {
-    for (int i = bytes - 1; i >= 0; --i) {
-        *to++ = (uint8_t)(number >> 8 * i);
+    for (int i = byte_count - 1; i >= 0; --i) {
+        *end++ = (uint8_t)(number >> 8 * i);
     }
-    return to;
+    return end;
 }
 
+/* Pack a frame as python-can does, with nil as the channel. Returns the size of the datagram. */
 size_t multicast_pack(uint8_t datagram[MULTICAST_SIZE], const struct can_frame *frame, double time)
 {
-    const uint8_t length = frame->can_dlc <= CAN_MAX_DLEN ? frame->can_dlc : CAN_MAX_DLEN;
-    uint64_t bits;
-    memcpy(&bits, &time, sizeof bits);
-    uint8_t *to = put(datagram, TIME "\xCB", sizeof TIME);
-    to = put(put_number(to, bits, 8), ID "\xCE", sizeof ID);
-    to = put_number(to, frame->can_id & CAN_EFF_MASK, 4);
-    to = put(to, EXTENDED "\xC3" KIND "\xC0" LENGTH, sizeof(EXTENDED KIND LENGTH) + 1);
-    *to++ = length;
-    to = put(to, DATA, sizeof DATA - 1);
-    *to++ = length;
-    to = put(put(to, frame->data, length), CLASSIC, sizeof CLASSIC - 1);
-    return (size_t)(to - datagram);
+    const uint8_t data_length = frame->can_dlc <= CAN_MAX_DLEN ? frame->can_dlc : CAN_MAX_DLEN;
+    uint64_t time_bits;
+    memcpy(&time_bits, &time, sizeof time_bits);
+    uint8_t *end = put_text(datagram, BEFORE_TIME);
+    *end++ = MSGPACK_FLOAT64;
+    end = put_number(end, time_bits, 8);
+    end = put_text(end, BEFORE_ID);
+    *end++ = MSGPACK_UINT32; /* the shortest form of an id of 2^16 or more */
+    end = put_number(end, frame->can_id & CAN_EFF_MASK, 4);
+    end = put_text(end, BEFORE_EXTENDED);
+    *end++ = MSGPACK_TRUE;
+    end = put_text(end, BEFORE_CHANNEL);
+    *end++ = MSGPACK_NIL;
+    end = put_text(end, BEFORE_LENGTH);
+    *end++ = data_length; /* a number below 128 is its own first byte */
+    end = put_text(end, BEFORE_DATA);
+    *end++ = data_length;
+    end = put_bytes(end, frame->data, data_length);
+    end = put_text(end, AFTER_DATA);
+    return (size_t)(end - datagram);
 }
 
+/* The rest of a datagram that is being read. */
 typedef struct {
-    const uint8_t *at;
-    size_t left;
+    const uint8_t *next;
+    size_t bytes_left;
 } reader_t;
 
-static bool skip(reader_t *in, uint64_t size)
+/* Skip bytes. Returns false if there are fewer. */
+static bool skip(reader_t *reader, uint64_t size)
 {
-    if (in->left < size) {
+    if (reader->bytes_left < size) {
         return false;
     }
-    in->at += size;
-    in->left -= (size_t)size;
+    reader->next += size;
+    reader->bytes_left -= (size_t)size;
     return true;
 }
 
-static bool skip_text(reader_t *in, const char *text)
+/* Read one byte into *byte. Returns false if there is none. */
+static bool read_byte(reader_t *reader, uint8_t *byte)
 {
-    const uint8_t *const at = in->at;
-    return skip(in, strlen(text)) && memcmp(at, text, strlen(text)) == 0;
+    const uint8_t *const start = reader->next;
+    if (!skip(reader, 1)) {
+        return false;
+    }
+    *byte = *start;
+    return true;
 }
 
-/* A whole number, in 1 byte or up to 5. */
-static bool take_number(reader_t *in, uint32_t *number)
+/* Skip a text. Returns false if something else is there. */
+static bool skip_text(reader_t *reader, const char *text)
 {
-    const uint8_t *at = in->at;
-    if (!skip(in, 1)) {
+    const uint8_t *const start = reader->next;
+    return skip(reader, strlen(text)) && memcmp(start, text, strlen(text)) == 0;
+}
+
+/* Read an unsigned number of up to 32 bits, in any of the forms that msgpack has for it. Returns false if
+ * something else is there. */
+static bool read_number(reader_t *reader, uint32_t *number)
+{
+    uint8_t first_byte, next_byte;
+    if (!read_byte(reader, &first_byte)) {
         return false;
     }
-    *number = *at;
-    if (*at < 0x80) {
-        return true;
+    *number = first_byte;
+    if (first_byte < 0x80) {
+        return true; /* a number below 128 is its own first byte */
     }
-    size_t size = (size_t)1 << (*at & 3);
-    if (*at < 0xCC || *at > 0xCE || !skip(in, size)) {
+    if (first_byte < MSGPACK_UINT8 || first_byte > MSGPACK_UINT32) {
         return false;
     }
-    for (*number = 0; size > 0; --size) {
-        *number = *number << 8 | *++at;
+    *number = 0;
+    /* 1, 2 or 4 bytes follow. */
+    for (int bytes_left = 1 << (first_byte - MSGPACK_UINT8); bytes_left > 0; --bytes_left) {
+        if (!read_byte(reader, &next_byte)) {
+            return false;
+        }
+        *number = *number << 8 | next_byte;
     }
     return true;
 }
 
-/* A time or the name of a channel: nil, a number or a text. */
-static bool skip_value(reader_t *in)
+/* Skip a time or the name of a channel: nil, a number or a text. Returns false if something else is there. */
+static bool skip_value(reader_t *reader)
 {
-    const uint8_t first = in->left > 0 ? *in->at : 0xC1; /* one that msgpack never uses */
-    if ((first & 0xE0) == 0xA0) {
-        return skip(in, 1 + (first & 0x1FU));
+    if (reader->bytes_left == 0) {
+        return false;
     }
-    if (first == 0xCA || first == 0xCB) {
-        return skip(in, first == 0xCA ? 5 : 9);
+    const uint8_t first_byte = *reader->next;
+    if ((first_byte & 0xE0) == 0xA0) {
+        return skip(reader, 1 + (first_byte & 0x1FU)); /* a text of up to 31 bytes */
     }
-    if (first == 0xD9) {
-        return in->left > 1 && skip(in, 2U + in->at[1]);
+    if (first_byte == MSGPACK_FLOAT32 || first_byte == MSGPACK_FLOAT64) {
+        return skip(reader, first_byte == MSGPACK_FLOAT32 ? 5 : 9);
+    }
+    if (first_byte == MSGPACK_STRING8) {
+        return reader->bytes_left > 1 && skip(reader, 2U + reader->next[1]);
     }
     uint32_t number;
-    return first == 0xC0 ? skip(in, 1) : take_number(in, &number);
+    return first_byte == MSGPACK_NIL ? skip(reader, 1) : read_number(reader, &number);
 }
 
+/* Read the datagram field by field. Returns false at the first byte that python-can would not have written
+ * for a classic data frame. */
 bool multicast_unpack(struct canfd_frame *frame, const uint8_t *datagram, size_t size)
 {
-    reader_t in = {datagram, size};
-    uint32_t id, length;
+    reader_t reader = {datagram, size};
+    uint32_t id, data_length;
+    uint8_t extended, byte_count;
     if (size > MULTICAST_SIZE) {
         return false;
     }
-    if (!skip_text(&in, TIME) || !skip_value(&in) || !skip_text(&in, ID) || !take_number(&in, &id) ||
-        !skip_text(&in, EXTENDED) || !skip(&in, 1)) {
+    if (!skip_text(&reader, BEFORE_TIME) || !skip_value(&reader) || !skip_text(&reader, BEFORE_ID) ||
+        !read_number(&reader, &id) || !skip_text(&reader, BEFORE_EXTENDED) ||
+        !read_byte(&reader, &extended) || !skip_text(&reader, BEFORE_CHANNEL) || !skip_value(&reader) ||
+        !skip_text(&reader, BEFORE_LENGTH) || !read_number(&reader, &data_length) ||
+        !skip_text(&reader, BEFORE_DATA) || !read_byte(&reader, &byte_count)) {
         return false;
     }
-    const uint8_t extended = in.at[-1];
-    if (!skip_text(&in, KIND) || !skip_value(&in) || !skip_text(&in, LENGTH) || !take_number(&in, &length) ||
-        !skip_text(&in, DATA) || !skip(&in, 1)) {
+    const bool is_extended = extended == MSGPACK_TRUE;
+    if ((!is_extended && extended != MSGPACK_FALSE) || id > (is_extended ? CAN_EFF_MASK : CAN_SFF_MASK) ||
+        data_length != byte_count || data_length > CAN_MAX_DLEN) {
         return false;
     }
-    const uint8_t bytes = in.at[-1];
-    if ((extended & 0xFE) != 0xC2 || id > (extended == 0xC3 ? CAN_EFF_MASK : CAN_SFF_MASK) ||
-        length != bytes || length > CAN_MAX_DLEN || !skip(&in, length) || !skip_text(&in, CLASSIC) ||
-        in.left != 0) {
+    const uint8_t *const data = reader.next;
+    if (!skip(&reader, data_length) || !skip_text(&reader, AFTER_DATA) || reader.bytes_left != 0) {
         return false;
     }
-    *frame = (struct canfd_frame){.can_id = id | (extended == 0xC3 ? CAN_EFF_FLAG : 0), .len = bytes};
-    memcpy(frame->data, in.at - (sizeof CLASSIC - 1) - length, length);
+    *frame = (struct canfd_frame){.can_id = id | (is_extended ? CAN_EFF_FLAG : 0), .len = byte_count};
+    memcpy(frame->data, data, data_length);
     return true;
 }

@@ -9,33 +9,37 @@
 #include <stdint.h>
 #include <sys/socket.h>
 
-/* Size of the longest datagram that is read; a longer one is refused. python-can's have 164 bytes, and the
- * name of a channel. mcp_asdf_tools/bus/datagrams.py has the same limit. */
+/* Size in bytes of the longest datagram that is read; a longer one is refused. python-can's have 164 bytes,
+ * and the name of a channel. mcp_asdf_tools/bus/datagrams.py has the same limit. */
 #define MULTICAST_SIZE 400
 
-/*   network    interface that leads to the group, such as wlan0; NULL: the one of the kernel's route
- *   hops       networks that a datagram may cross; 0: it stays in this computer, 1: in its network
- *   in, out    sockets to hear and to send on; -1 while there is none
- *   own        where this node's datagrams come from; the kernel hands them back with the others' */
+/* A multicast group. The caller sets the first two members.
+ *   network       name of the interface that leads to the group, such as wlan0; NULL: the kernel's route
+ *   hop_limit     number of networks that a datagram may cross; 0: it stays in this computer, 1: in its
+ *                 network
+ *   receive_fd    socket to receive datagrams; -1 while the group is not joined
+ *   send_fd       socket to send datagrams; -1 likewise
+ *   own_address   sender of this node's datagrams. The kernel delivers them to the node, too */
 typedef struct {
     const char *network;
-    int hops, in, out;
-    struct sockaddr_storage own;
+    int hop_limit, receive_fd, send_fd;
+    struct sockaddr_storage own_address;
 } multicast_t;
 
-/* Join the group `name`: "239.74.163.2:43113" or "[ff15::6173]:43113". Returns 0, or what went wrong as an
- * errno, EINVAL for a name that is none of these; then there are no sockets. */
+/* Join the group `name`: "239.74.163.2:43113" or "[ff15::6173]:43113". Returns 0, or an errno, which is
+ * EINVAL for any other name; then both sockets are -1. */
 int multicast_open(multicast_t *group, const char *name);
 
+/* Leave the group: close its sockets, if they are open. */
 void multicast_close(multicast_t *group);
 
-/* Pack a data frame with a 29-bit id of 2^16 or more, sent `time` seconds after 1970. Returns the size, at
- * most 164. */
+/* Pack a data frame with a 29-bit id of 2^16 or more, sent `time` seconds after 1970. Returns the size of the
+ * datagram in bytes, at most 164. */
 size_t multicast_pack(uint8_t datagram[MULTICAST_SIZE], const struct can_frame *frame, double time);
 
-/* Read a datagram; returns whether it is one classic data frame as python-can writes it, field by field in
- * its order, and nothing else. If not, *frame is of no use. mcp_asdf_tools/bus/datagrams.py accepts and
- * refuses the same datagrams. */
+/* Read a frame from a datagram. Returns whether the datagram is one classic data frame as python-can writes
+ * it, field by field in its order, and nothing else. If not, *frame is of no use.
+ * mcp_asdf_tools/bus/datagrams.py accepts and refuses the same datagrams. */
 bool multicast_unpack(struct canfd_frame *frame, const uint8_t *datagram, size_t size);
 
 #endif

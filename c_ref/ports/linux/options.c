@@ -8,24 +8,22 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define LARGEST UINT32_MAX
-
 extern const uint32_t MCP_ASDF_NODE_TABLE[];
 
-/* Every option: its index, name, what stands for it if it is not given, and its range. Numbers come first,
- * then texts, then what takes no argument. */
+/* All options: index, name, default value or NULL, and for numbers the range. Options with an argument come
+ * first, then those without. */
 #define OPTIONS(X)                                                                                           \
-    X(COMMS_PERIOD, "comms-period", "1", 1, LARGEST)                                                         \
-    X(FILTER_PERIOD, "filter-period", "1000", 1, LARGEST)                                                    \
+    X(COMMS_PERIOD, "comms-period", "1", 1, UINT32_MAX)                                                      \
+    X(FILTER_PERIOD, "filter-period", "1000", 1, UINT32_MAX)                                                 \
     X(MEMORY, "memory", "2147483648", MCP_ASDF_MEMORY_MIN, MCP_ASDF_MEMORY_MAX)                              \
     X(RATE, "steps-per-second", "10", 1, 1000)                                                               \
-    X(TICKS, "steps", "0", 0, LARGEST)                                                                       \
-    X(TELEMETRY_PERIOD, "telemetry-period", "0", 0, LARGEST)                                                 \
+    X(TICKS, "steps", "0", 0, UINT32_MAX)                                                                    \
+    X(TELEMETRY_PERIOD, "telemetry-period", "0", 0, UINT32_MAX)                                              \
     X(SUBJECT, "subject", "3000", 0, MCP_ASDF_SUBJECT_MAX)                                                   \
     X(TELEMETRY_SUBJECT, "telemetry-subject", "3001", 0, MCP_ASDF_SUBJECT_MAX)                               \
     X(COMMAND_SUBJECT, "command-subject", "3002", 0, MCP_ASDF_SUBJECT_MAX)                                   \
     X(RECEIVE_BUFFER, "receive-buffer", "0", 0, INT32_MAX)                                                   \
-    X(SAVE_PERIOD, "save-period", "0", 0, LARGEST)                                                           \
+    X(SAVE_PERIOD, "save-period", "0", 0, UINT32_MAX)                                                        \
     X(HOP_LIMIT, "hop-limit", "1", 0, 255)                                                                   \
     X(ID, "id", NULL, 0, MCP_ASDF_MAX_ID)                                                                    \
     X(ALLOW, "allow", NULL, 0, 0)                                                                            \
@@ -41,17 +39,21 @@ extern const uint32_t MCP_ASDF_NODE_TABLE[];
     X(HELP, "help", NULL, 0, 0)                                                                              \
     X(VERSION, "version", NULL, 0, 0)
 
-#define INDEX(index, ...) index,
-#define ROW(index, ...) {__VA_ARGS__},
+#define OPTION_INDEX(index, ...) index,
+#define OPTION_ROW(index, ...) {__VA_ARGS__},
 
-enum option_index { OPTIONS(INDEX) ALL };
+enum option_index { OPTIONS(OPTION_INDEX) OPTION_COUNT };
 
 static const struct {
-    const char *name, *usual;
-    uint32_t least, most;
-} table[ALL] = {OPTIONS(ROW)};
+    const char *name, *default_text;
+    uint32_t minimum, maximum;
+} option_table[OPTION_COUNT] = {OPTIONS(OPTION_ROW)};
 
-#define WITH_ARGUMENT LOCKSTEP
+#define FIRST_WITHOUT_ARGUMENT LOCKSTEP
+
+/* Text of each option on the command line, or its default: "" for one without an argument that is there, NULL
+ * for one that is missing and has no default. */
+typedef const char *option_texts_t[OPTION_COUNT];
 
 /* ---- Help ------------------------------------------------------------------------------------------- */
 
@@ -91,213 +93,234 @@ static const char usage[] =
     "SIGTERM;\n"
     "1: the bus or the observations failed; 2: it could not start.\n";
 
-/* ---- Values ----------------------------------------------------------------------------------------- */
+/* ---- Conversion of single options ------------------------------------------------------------------- */
 
-static void fail(enum option_index which, const char *value, const char *fix)
+/* End the program with a message that names the option, its value and the fix. */
+static void fail(enum option_index option, const char *value, const char *fix)
 {
-    (void)fprintf(stderr, "mcp_asdf_node: --%s is %s; %s\n", table[which].name, value, fix);
+    (void)fprintf(stderr, "mcp_asdf_node: --%s is %s; %s\n", option_table[option].name, value, fix);
     exit(EXIT_USAGE);
 }
 
-static uint32_t number(const char *const given[ALL], enum option_index which)
+/* Value of a numeric option. Ends the program if it is no whole number or out of the option's range. */
+static uint32_t parse_number(const option_texts_t texts, enum option_index option)
 {
-    const char *const text = given[which];
+    const uint32_t minimum = option_table[option].minimum, maximum = option_table[option].maximum;
+    const char *const text = texts[option];
     char *end = NULL;
     errno = 0;
     const unsigned long long value = strtoull(text, &end, 10);
-    if (errno != 0 || end == text || *end != '\0' || strchr(text, '-') != NULL ||
-        value < table[which].least || value > table[which].most) {
+    /* strtoull() would read -1 as a large number. */
+    if (errno != 0 || end == text || *end != '\0' || strchr(text, '-') != NULL || value < minimum ||
+        value > maximum) {
         char fix[64];
-        (void)snprintf(fix, sizeof fix, "choose a whole number, %lu to %lu",
-                       (unsigned long)table[which].least, (unsigned long)table[which].most);
-        fail(which, text, fix);
+        (void)snprintf(fix, sizeof fix, "choose a whole number, %lu to %lu", (unsigned long)minimum,
+                       (unsigned long)maximum);
+        fail(option, text, fix);
     }
     return (uint32_t)value;
 }
 
-/* Read an id; returns what follows it, or NULL if there is none. */
-static const char *read_id(const char *text, unsigned long *id)
+/* Read an id at the beginning of a text. Returns the text behind it, or NULL if there is no id. */
+static const char *parse_id(const char *text, unsigned long *id)
 {
     char *end = NULL;
     *id = strtoul(text, &end, 10);
     return *text >= '0' && *text <= '9' && *id <= MCP_ASDF_MAX_ID ? end : NULL;
 }
 
-/* Mark all ids but those of `text`, such as 0-19+30. */
-static void ignore_others(uint8_t ignore[], const char *text)
+/* Set the bits of all ids but those in a list of ids and ranges, such as 0-19+30. Ends the program if the
+ * list is malformed. */
+static void parse_allowed_senders(uint8_t ignored_senders[], const char *list)
 {
-    const char *at = text;
-    memset(ignore, 0xFF, (MCP_ASDF_MAX_ID + 1) / 8);
+    const char *position = list;
+    memset(ignored_senders, 0xFF, (MCP_ASDF_MAX_ID + 1) / 8);
     do {
-        unsigned long first = 0, last = 0;
-        at = read_id(at, &first);
-        last = first;
-        if (at != NULL && *at == '-') {
-            at = read_id(at + 1, &last);
+        unsigned long id = 0, last_id = 0;
+        position = parse_id(position, &id);
+        last_id = id;
+        if (position != NULL && *position == '-') {
+            position = parse_id(position + 1, &last_id);
         }
-        if (at == NULL || last < first || (*at != '+' && *at != '\0')) {
-            fail(ALLOW, text, "give ids, 0 to 127, such as 0-19+30");
+        if (position == NULL || last_id < id || (*position != '+' && *position != '\0')) {
+            fail(ALLOW, list, "give ids, 0 to 127, such as 0-19+30");
         }
-        for (; first <= last; ++first) {
-            ignore[first / 8] &= (uint8_t)~(1U << first % 8);
+        for (; id <= last_id; ++id) {
+            ignored_senders[id / 8] &= (uint8_t)~(1U << id % 8);
         }
-    } while (*at++ == '+');
+    } while (*position++ == '+');
 }
 
-static uint32_t b_hat(const char *text)
+/* Convert an accuracy such as 0.95 to units of 2^-32. Ends the program if it is no number or out of range. */
+static uint32_t parse_b_hat(const char *text)
 {
-    const double unit = 4294967296.0;
+    const double units_of_one = 4294967296.0;
     char *end = NULL;
-    const double value = strtod(text, &end) * unit;
+    const double value = strtod(text, &end) * units_of_one;
+    /* Written so that NaN is out of range, too. */
     if (end == text || *end != '\0' || !(value >= MCP_ASDF_B_HAT_MIN && value <= MCP_ASDF_B_HAT_MAX)) {
         fail(B_HAT, text, "choose 2^-20 to 1 - 2^-20, for example 0.95");
     }
     return (uint32_t)llrint(value);
 }
 
-static bool is_given(const char *const given[ALL], enum option_index which, const char *word)
+/* Whether an option has a certain value. */
+static bool has_value(const option_texts_t texts, enum option_index option, const char *value)
 {
-    return strcmp(given[which], word) == 0;
+    return strcmp(texts[option], value) == 0;
 }
 
-static uint8_t filter(const char *const given[ALL])
+/* The mcp_asdf_filter_t that --filter and --activation ask for. Ends the program if either is unknown. */
+static uint8_t parse_filter(const option_texts_t texts)
 {
-    const bool always = is_given(given, ACTIVATION, "always");
-    if (!always && !is_given(given, ACTIVATION, "adaptive")) {
-        fail(ACTIVATION, given[ACTIVATION], "choose adaptive or always");
+    const bool is_always_active = has_value(texts, ACTIVATION, "always");
+    if (!is_always_active && !has_value(texts, ACTIVATION, "adaptive")) {
+        fail(ACTIVATION, texts[ACTIVATION], "choose adaptive or always");
     }
-    if (is_given(given, FILTER, "none")) {
+    if (has_value(texts, FILTER, "none")) {
         return MCP_ASDF_OFF;
     }
-    if (is_given(given, FILTER, "robust")) {
+    if (has_value(texts, FILTER, "robust")) {
         return MCP_ASDF_ROBUST;
     }
-    if (!is_given(given, FILTER, "asdf-plus")) {
-        fail(FILTER, given[FILTER], "choose none, asdf-plus or robust");
+    if (!has_value(texts, FILTER, "asdf-plus")) {
+        fail(FILTER, texts[FILTER], "choose none, asdf-plus or robust");
     }
-    return always ? MCP_ASDF_ALWAYS : MCP_ASDF_ADAPTIVE;
+    return is_always_active ? MCP_ASDF_ALWAYS : MCP_ASDF_ADAPTIVE;
 }
 
-/* ---- What is given ---------------------------------------------------------------------------------- */
+/* ---- The command line ------------------------------------------------------------------------------- */
 
-/* Remember what is given for each option; of one given twice the last counts. */
-static void collect(const char *given[ALL], int count, char *const arguments[])
+/* Find the text of each option on the command line, or its default; of a repeated option the last one counts.
+ * Ends the program if there is an unknown option, or an argument that belongs to none. */
+static void collect_texts(option_texts_t texts, int argument_count, char *const arguments[])
 {
-    enum { FIRST = 256 }; /* beyond what getopt_long() returns by itself */
-    struct option known[ALL + 1] = {0};
-    for (int i = 0; i < ALL; ++i) {
-        given[i] = table[i].usual;
-        known[i].name = table[i].name;
-        known[i].has_arg = i < WITH_ARGUMENT ? required_argument : no_argument;
-        known[i].val = FIRST + i;
+    enum { FIRST_CODE = 256 }; /* above all characters, one of which getopt_long() returns for an error */
+    struct option options[OPTION_COUNT + 1] = {0};
+    for (int i = 0; i < OPTION_COUNT; ++i) {
+        texts[i] = option_table[i].default_text;
+        options[i].name = option_table[i].name;
+        options[i].has_arg = i < FIRST_WITHOUT_ARGUMENT ? required_argument : no_argument;
+        options[i].val = FIRST_CODE + i;
     }
-    for (int found = 0; (found = getopt_long(count, arguments, "", known, NULL)) != -1;) {
-        if (found < FIRST) {
-            exit(EXIT_USAGE); /* getopt_long() has said why */
+    int code;
+    while ((code = getopt_long(argument_count, arguments, "", options, NULL)) != -1) {
+        if (code < FIRST_CODE) {
+            exit(EXIT_USAGE); /* getopt_long() has printed the reason */
         }
-        given[found - FIRST] = optarg != NULL ? optarg : "";
+        texts[code - FIRST_CODE] = optarg != NULL ? optarg : "";
     }
-    if (optind < count) {
+    if (optind < argument_count) {
         (void)fprintf(stderr, "mcp_asdf_node: %s belongs to no option; see --help\n", arguments[optind]);
         exit(EXIT_USAGE);
     }
 }
 
-static void answer_questions(const char *const given[ALL])
+/* Print the help or the version and end the program, if the command line asks for it. */
+static void print_help_or_version(const option_texts_t texts)
 {
-    if (given[HELP] != NULL) {
+    if (texts[HELP] != NULL) {
         (void)fputs(usage, stdout);
         exit(EXIT_SUCCESS);
     }
-    if (given[VERSION] != NULL) {
+    if (texts[VERSION] != NULL) {
         (void)printf("mcp_asdf_node %d.%d.%d\n", MCP_ASDF_VERSION_MAJOR, MCP_ASDF_VERSION_MINOR,
                      MCP_ASDF_VERSION_PATCH);
         exit(EXIT_SUCCESS);
     }
 }
 
-/* ---- Checks that need more than one option ---------------------------------------------------------- */
+/* ---- Checks: each ends the program if options do not fit together ----------------------------------- */
 
-static void check_needed(const char *const given[ALL])
+/* Check that the required options are there, and exactly one source of observations. */
+static void check_required_options(const option_texts_t texts)
 {
-    if (given[INTERFACE] == NULL) {
+    if (texts[INTERFACE] == NULL) {
         fail(INTERFACE, "missing", "see --help");
     }
-    if (given[ID] == NULL) {
+    if (texts[ID] == NULL) {
         fail(ID, "missing", "see --help");
     }
-    if ((given[LOCKSTEP] != NULL) + (given[OBSERVATIONS] != NULL) + (given[SENSOR] != NULL) != 1) {
-        fail(LOCKSTEP, given[LOCKSTEP] == NULL ? "not given" : "given",
+    if ((texts[LOCKSTEP] != NULL) + (texts[OBSERVATIONS] != NULL) + (texts[SENSOR] != NULL) != 1) {
+        fail(LOCKSTEP, texts[LOCKSTEP] == NULL ? "not given" : "given",
              "choose one of --lockstep, --observations, --sensor");
     }
 }
 
-static void check_values(const node_settings_t *node, const char *const given[ALL])
+/* Check that the periods, the memory and the subjects are what the node accepts. */
+static void check_node_settings(const node_settings_t *settings, const option_texts_t texts)
 {
-    const uint16_t estimate = node->estimate.subject, telemetry = node->telemetry.subject;
-    const uint16_t command = node->command.subject;
-    if (node->filter_period % node->comms_period != 0) {
-        fail(FILTER_PERIOD, given[FILTER_PERIOD], "choose a multiple of --comms-period");
+    const uint16_t estimate_subject = settings->estimate_format.subject;
+    const uint16_t telemetry_subject = settings->telemetry_format.subject;
+    const uint16_t command_subject = settings->command_format.subject;
+    if (settings->filter_period % settings->comms_period != 0) {
+        fail(FILTER_PERIOD, texts[FILTER_PERIOD], "choose a multiple of --comms-period");
     }
-    if (node->memory % 4 != 0) {
-        fail(MEMORY, given[MEMORY], "choose a multiple of 4");
+    if (settings->memory % 4 != 0) {
+        fail(MEMORY, texts[MEMORY], "choose a multiple of 4");
     }
-    if (estimate == telemetry || estimate == command || telemetry == command) {
-        fail(SUBJECT, given[SUBJECT],
+    if (estimate_subject == telemetry_subject || estimate_subject == command_subject ||
+        telemetry_subject == command_subject) {
+        fail(SUBJECT, texts[SUBJECT],
              "choose three different subjects for estimates, telemetry and commands");
     }
 }
 
-static void check_multicast(const char *const given[ALL])
+/* Check that options of multicast come with a multicast interface. */
+static void check_multicast_options(const option_texts_t texts)
 {
-    static const enum option_index only[] = {NETWORK, HOP_LIMIT};
-    for (size_t i = 0; i < sizeof only / sizeof only[0]; ++i) {
-        if (given[only[i]] != table[only[i]].usual && strncmp(given[INTERFACE], "udp:", 4) != 0) {
-            fail(only[i], given[only[i]], "leave it out, or choose an --interface udp:GROUP:PORT");
+    static const enum option_index multicast_options[] = {NETWORK, HOP_LIMIT};
+    const bool is_multicast = strncmp(texts[INTERFACE], "udp:", 4) == 0;
+    for (size_t i = 0; i < sizeof multicast_options / sizeof multicast_options[0]; ++i) {
+        const enum option_index option = multicast_options[i];
+        if (texts[option] != option_table[option].default_text && !is_multicast) {
+            fail(option, texts[option], "leave it out, or choose an --interface udp:GROUP:PORT");
         }
     }
 }
 
-/* ---- All of it -------------------------------------------------------------------------------------- */
+/* ---- All options ------------------------------------------------------------------------------------ */
 
-static node_settings_t node_settings(const char *const given[ALL])
+/* Convert the options that are settings of the node. Ends the program if one is malformed. */
+static node_settings_t parse_node_settings(const option_texts_t texts)
 {
     node_settings_t settings = {.table = MCP_ASDF_NODE_TABLE,
-                                .comms_period = number(given, COMMS_PERIOD),
-                                .filter_period = number(given, FILTER_PERIOD),
-                                .memory = number(given, MEMORY),
-                                .filter = filter(given),
-                                .estimate = {(uint16_t)number(given, SUBJECT), 4},
-                                .telemetry = {(uint16_t)number(given, TELEMETRY_SUBJECT), 6},
-                                .command = {(uint16_t)number(given, COMMAND_SUBJECT), 3},
-                                .b_hat = b_hat(given[B_HAT]),
-                                .ticks_per_second = number(given, RATE),
-                                .telemetry_period = number(given, TELEMETRY_PERIOD),
-                                .id = (uint8_t)number(given, ID),
-                                .lockstep = given[LOCKSTEP] != NULL};
-    if (given[ALLOW] != NULL) {
-        ignore_others(settings.ignore, given[ALLOW]);
+                                .comms_period = parse_number(texts, COMMS_PERIOD),
+                                .filter_period = parse_number(texts, FILTER_PERIOD),
+                                .memory = parse_number(texts, MEMORY),
+                                .filter = parse_filter(texts),
+                                .estimate_format = {(uint16_t)parse_number(texts, SUBJECT), 4},
+                                .telemetry_format = {(uint16_t)parse_number(texts, TELEMETRY_SUBJECT), 6},
+                                .command_format = {(uint16_t)parse_number(texts, COMMAND_SUBJECT), 3},
+                                .b_hat = parse_b_hat(texts[B_HAT]),
+                                .ticks_per_second = parse_number(texts, RATE),
+                                .telemetry_period = parse_number(texts, TELEMETRY_PERIOD),
+                                .id = (uint8_t)parse_number(texts, ID),
+                                .lockstep = texts[LOCKSTEP] != NULL};
+    if (texts[ALLOW] != NULL) {
+        parse_allowed_senders(settings.ignored_senders, texts[ALLOW]);
     }
     return settings;
 }
 
-void options_read(options_t *options, int count, char *const arguments[])
+/* Parse the command line, and check it. Ends the program after --help, --version, and errors. */
+void options_read(options_t *options, int argument_count, char *const arguments[])
 {
-    const char *given[ALL];
-    collect(given, count, arguments);
-    answer_questions(given);
-    check_needed(given);
-    const options_t read = {.node = node_settings(given),
-                            .interface = given[INTERFACE],
-                            .network = given[NETWORK],
-                            .observations = given[OBSERVATIONS],
-                            .sensor = given[SENSOR],
-                            .state = given[STATE],
-                            .save_period = number(given, SAVE_PERIOD),
-                            .ticks = number(given, TICKS),
-                            .receive_buffer = number(given, RECEIVE_BUFFER),
-                            .hops = number(given, HOP_LIMIT)};
-    check_multicast(given);
-    check_values(&read.node, given);
-    *options = read;
+    option_texts_t texts;
+    collect_texts(texts, argument_count, arguments);
+    print_help_or_version(texts);
+    check_required_options(texts);
+    const options_t parsed = {.node = parse_node_settings(texts),
+                              .interface = texts[INTERFACE],
+                              .network = texts[NETWORK],
+                              .observations = texts[OBSERVATIONS],
+                              .sensor = texts[SENSOR],
+                              .state = texts[STATE],
+                              .save_period = parse_number(texts, SAVE_PERIOD),
+                              .ticks = parse_number(texts, TICKS),
+                              .receive_buffer = parse_number(texts, RECEIVE_BUFFER),
+                              .hop_limit = parse_number(texts, HOP_LIMIT)};
+    check_multicast_options(texts);
+    check_node_settings(&parsed.node, texts);
+    *options = parsed;
 }

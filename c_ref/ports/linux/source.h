@@ -1,4 +1,5 @@
-/* Where observations come from: a stream that is read on, or a file that is read anew in every tick. */
+/* Source of a robot's observations: a stream that is read on, or a sensor's file that is read anew in every
+ * tick. */
 #ifndef MCP_ASDF_LINUX_SOURCE_H
 #define MCP_ASDF_LINUX_SOURCE_H
 
@@ -7,31 +8,36 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-/*   path        of the file; "-": the standard input
- *   is_sensor   read anew in every tick, as a GPIO's value file: "0" is white and "1" black, and what follows
- *               is ignored. Otherwise a stream of 0 (white), 1 (black) and - (nothing seen); white space is
- *               ignored
- *   has_ended   a stream has come to its end
- *   odd         a character of a stream that is none of these, or 0; the stream stops before it
- *   error       what a read of the stream failed with, as an errno, or 0; the stream stops there
- *   taken       characters of the stream used so far
- *   missing     ticks without an observation: the stream had none ready, the sensor could not be read */
+/* A source. The caller sets the first two members, and 0 for all else; then it calls source_open().
+ *   path                of the file; "-": the standard input
+ *   is_sensor           read anew in every tick, as a GPIO's value file: "0" is white and "1" black, and what
+ *                       follows is ignored. Otherwise a stream of 0 (white), 1 (black) and - (no
+ *                       observation); white space is ignored
+ *   has_ended           whether the stream has come to its end
+ *   invalid_character   a character of the stream that is none of these, or 0; the stream stops before it
+ *   characters_read     characters of the stream used so far
+ *   missing             ticks without an observation: the stream had none ready, the sensor could not be read
+ *   error               errno of a failed read of the stream, or 0; the stream stops there
+ *   fd                  of the stream
+ *   next_index          position of the next character in the buffer
+ *   buffer_length       characters in the buffer */
 typedef struct {
     const char *path;
     bool is_sensor;
     bool has_ended;
-    char odd;
-    uint32_t taken, missing;
+    char invalid_character;
+    uint32_t characters_read, missing;
     int error, fd;
-    size_t at, filled;
+    size_t next_index, buffer_length;
     char buffer[256];
 } source_t;
 
-/* Returns 0, or what went wrong as an errno. */
+/* Open the source. Returns 0 or an errno. */
 int source_open(source_t *source);
 
-/* Take the observation of the tick that begins, MCP_ASDF_OBSERVE_WHITE, BLACK or NONE; returns whether one
- * has come, else it is NONE. Does not wait. */
-bool source_next(source_t *source, mcp_asdf_action_t *seen);
+/* Read the observation of the tick that begins, without waiting: MCP_ASDF_OBSERVE_WHITE, BLACK or NONE.
+ * Returns whether there was one; if not, *observation is NONE, and counts as missing unless the stream has
+ * ended. */
+bool source_next(source_t *source, mcp_asdf_action_t *observation);
 
 #endif

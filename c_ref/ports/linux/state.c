@@ -8,21 +8,23 @@
 #include <string.h>
 #include <unistd.h>
 
-/* Read to the end, at most so many bytes: a read may bring fewer than there are. Returns how many, or -1. */
-static ssize_t read_file(int fd, uint8_t *bytes, size_t most)
+/* Read a file to its end, but at most `maximum` bytes. Returns the number of bytes, or -1 with errno set. */
+static ssize_t read_file(int fd, uint8_t *bytes, size_t maximum)
 {
-    size_t filled = 0;
+    size_t total = 0;
     ssize_t size = 1;
-    while (size > 0 && filled < most) {
-        size = read(fd, bytes + filled, most - filled);
-        filled += size > 0 ? (size_t)size : 0;
+    /* One read() may return fewer bytes than there are. */
+    while (size > 0 && total < maximum) {
+        size = read(fd, bytes + total, maximum - total);
+        total += size > 0 ? (size_t)size : 0;
     }
-    return size < 0 ? -1 : (ssize_t)filled;
+    return size < 0 ? -1 : (ssize_t)total;
 }
 
+/* Restore the robot from its file. Returns NULL, also if there is no file, or why it cannot be used. */
 const char *state_load(const char *path, mcp_asdf_t *robot, const mcp_asdf_config_t *config)
 {
-    uint8_t image[MCP_ASDF_IMAGE_SIZE + 1];
+    uint8_t image[MCP_ASDF_IMAGE_SIZE + 1]; /* a file with one byte more is not an image */
     mcp_asdf_t loaded;
     const int fd = open(path, O_RDONLY | O_CLOEXEC);
     if (fd < 0) {
@@ -44,6 +46,7 @@ const char *state_load(const char *path, mcp_asdf_t *robot, const mcp_asdf_confi
     return NULL;
 }
 
+/* Write an image to a new file, and wait until it is on the disk. Returns 0 or an errno. */
 static int write_file(const char *path, const uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
     int error = 0;
@@ -51,48 +54,51 @@ static int write_file(const char *path, const uint8_t image[MCP_ASDF_IMAGE_SIZE]
     if (fd < 0) {
         return errno;
     }
-    errno = ENOSPC; /* what a short write means */
+    errno = ENOSPC; /* for a short write, which sets no errno */
     if (write(fd, image, MCP_ASDF_IMAGE_SIZE) != MCP_ASDF_IMAGE_SIZE || fsync(fd) != 0) {
         error = errno;
     }
     return close(fd) == 0 || error != 0 ? error : errno;
 }
 
-/* Put the names in the folder of `path`, which is cut, on the disk. What cannot be synced has nothing to
- * sync. */
+/* Wait until the names in the folder of `path` are on the disk, so that a renamed file has its new name. Cuts
+ * `path` at the folder's end. Returns 0 or an errno. */
 static int sync_folder(char *path)
 {
-    char *slash = strrchr(path, '/');
+    char *last_slash = strrchr(path, '/');
     const char *folder = ".";
-    if (slash != NULL) {
-        slash[slash == path ? 1 : 0] = 0; /* "/" stays */
+    if (last_slash != NULL) {
+        const bool is_root = last_slash == path;
+        last_slash[is_root ? 1 : 0] = 0;
         folder = path;
     }
     const int fd = open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (fd < 0) {
         return errno;
     }
+    /* EINVAL: this file system has nothing to sync. */
     const int error = fsync(fd) == 0 || errno == EINVAL ? 0 : errno;
     (void)close(fd);
     return error;
 }
 
+/* Save the robot in another file, which then takes the place of the old one. Returns 0 or an errno. */
 int state_save(const char *path, const mcp_asdf_t *robot)
 {
-    char temporary[PATH_MAX];
+    char new_path[PATH_MAX];
     uint8_t image[MCP_ASDF_IMAGE_SIZE];
-    const int length = snprintf(temporary, sizeof temporary, "%s.new", path);
-    if (length < 0 || (size_t)length >= sizeof temporary) {
+    const int length = snprintf(new_path, sizeof new_path, "%s.new", path);
+    if (length < 0 || (size_t)length >= sizeof new_path) {
         return ENAMETOOLONG;
     }
     mcp_asdf_save(robot, image);
-    int error = write_file(temporary, image);
-    if (error == 0 && rename(temporary, path) != 0) {
+    int error = write_file(new_path, image);
+    if (error == 0 && rename(new_path, path) != 0) {
         error = errno;
     }
     if (error != 0) {
-        (void)unlink(temporary);
+        (void)unlink(new_path);
         return error;
     }
-    return sync_folder(temporary);
+    return sync_folder(new_path);
 }

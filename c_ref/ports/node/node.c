@@ -5,185 +5,216 @@
 
 #define HEARTBEAT_PRIORITY 4
 
-/* Frames refused before their content is looked at: kernel filters keep those frames away. */
-#define IS_OTHER(status) ((status) >= MCP_ASDF_FRAME_ERR_SUBJECT)
-
+/* Check that the periods fit together, and initialise the node and its robot. */
 mcp_asdf_status_t node_init(node_t *node, const node_settings_t *settings, node_output_t output)
 {
-    const uint32_t period = settings->comms_period, tau = settings->filter_period;
-    if (period == 0 || tau % period != 0) {
+    const uint32_t comms_period = settings->comms_period, filter_period = settings->filter_period;
+    if (comms_period == 0 || filter_period % comms_period != 0) {
         return MCP_ASDF_ERR_CONFIG;
     }
-    *node = (node_t){.settings = settings, .output = output, .comms_left = period, .is_settled = true};
-    node->config = (mcp_asdf_config_t){settings->table, tau / period, settings->memory, settings->filter};
+    *node = (node_t){
+        .settings = settings, .output = output, .ticks_until_broadcast = comms_period, .is_settled = true};
+    /* The firmware counts rounds, each of which lasts comms_period ticks. */
+    node->config = (mcp_asdf_config_t){.table = settings->table,
+                                       .filter_period = filter_period / comms_period,
+                                       .memory = settings->memory,
+                                       .filter = settings->filter};
     return mcp_asdf_init(&node->robot, &node->config, settings->id, settings->b_hat);
 }
 
-/* ---- Saying how things are now ---------------------------------------------------------------------- */
+/* ---- Sending ---------------------------------------------------------------------------------------- */
 
-static void send(node_t *node, const mcp_asdf_frame_t *frame)
+/* Send a frame to the node's output. Counts it as unsent if the bus does not accept it. */
+static void send_frame(node_t *node, const mcp_asdf_frame_t *frame)
 {
     if (!node->output.send(node->output.context, frame)) {
-        ++node->counts.unsent;
+        ++node->counts.unsent_frames;
     }
 }
 
+/* Send a heartbeat with the present health, and count it. */
 static void send_heartbeat(node_t *node)
 {
-    const mcp_asdf_heartbeat_t message = {.node = node->settings->id,
-                                          .transfer_id = (uint8_t)node->counts.heartbeats++,
-                                          .health = node->health,
-                                          .mode = MCP_ASDF_MODE_OPERATIONAL,
-                                          .uptime = node->ticks / node->settings->ticks_per_second};
+    const mcp_asdf_heartbeat_t heartbeat = {.node = node->settings->id,
+                                            .transfer_id = (uint8_t)node->counts.heartbeats++,
+                                            .health = node->health,
+                                            .mode = MCP_ASDF_MODE_OPERATIONAL,
+                                            .uptime = node->ticks / node->settings->ticks_per_second};
     mcp_asdf_frame_t frame;
-    if (mcp_asdf_encode_heartbeat(&frame, HEARTBEAT_PRIORITY, &message) == MCP_ASDF_FRAME_OK) {
-        send(node, &frame);
+    if (mcp_asdf_encode_heartbeat(&frame, HEARTBEAT_PRIORITY, &heartbeat) == MCP_ASDF_FRAME_OK) {
+        send_frame(node, &frame);
     }
 }
 
+/* Send x_hat and alpha to the neighbours, and count the estimate. */
+static void send_estimate(node_t *node)
+{
+    const mcp_asdf_estimate_t estimate = {.node = node->settings->id,
+                                          .transfer_id = (uint8_t)node->counts.estimates++,
+                                          .x_hat = mcp_asdf_x_hat(&node->robot),
+                                          .alpha = mcp_asdf_alpha(&node->robot)};
+    mcp_asdf_frame_t frame;
+    if (mcp_asdf_encode_estimate(&frame, &node->settings->estimate_format, &estimate) == MCP_ASDF_FRAME_OK) {
+        send_frame(node, &frame);
+    }
+}
+
+/* Send x, b_hat and the number of updates to observers of the bus, and count the telemetry. */
+static void send_telemetry(node_t *node)
+{
+    const mcp_asdf_telemetry_t telemetry = {.node = node->settings->id,
+                                            .transfer_id = (uint8_t)node->counts.telemetry++,
+                                            .updates = (uint8_t)mcp_asdf_counters(&node->robot).updates,
+                                            .x = mcp_asdf_x(&node->robot),
+                                            .b_hat = mcp_asdf_b_hat(&node->robot) >> 8}; /* Q32 to Q24 */
+    mcp_asdf_frame_t frame;
+    if (mcp_asdf_encode_telemetry(&frame, &node->settings->telemetry_format, &telemetry) ==
+        MCP_ASDF_FRAME_OK) {
+        send_frame(node, &frame);
+    }
+}
+
+/* Send the first heartbeat. */
 void node_start(node_t *node)
 {
-    node->counts.heartbeats = 0;
+    node->counts.heartbeats = 0; /* a repeated first heartbeat has the same transfer id */
     send_heartbeat(node);
 }
 
-static void send_estimate(node_t *node)
-{
-    const mcp_asdf_estimate_t message = {.node = node->settings->id,
-                                         .transfer_id = (uint8_t)node->counts.estimates++,
-                                         .x_hat = mcp_asdf_x_hat(&node->robot),
-                                         .alpha = mcp_asdf_alpha(&node->robot)};
-    mcp_asdf_frame_t frame;
-    if (mcp_asdf_encode_estimate(&frame, &node->settings->estimate, &message) == MCP_ASDF_FRAME_OK) {
-        send(node, &frame);
-    }
-}
+/* ---- Ticks ------------------------------------------------------------------------------------------ */
 
-static void send_telemetry(node_t *node)
-{
-    const mcp_asdf_telemetry_t message = {.node = node->settings->id,
-                                          .transfer_id = (uint8_t)node->counts.telemetry++,
-                                          .updates = (uint8_t)mcp_asdf_counters(&node->robot).updates,
-                                          .x = mcp_asdf_x(&node->robot),
-                                          .b_hat = mcp_asdf_b_hat(&node->robot) >> 8};
-    mcp_asdf_frame_t frame;
-    if (mcp_asdf_encode_telemetry(&frame, &node->settings->telemetry, &message) == MCP_ASDF_FRAME_OK) {
-        send(node, &frame);
-    }
-}
-
-/* ---- Ticking ---------------------------------------------------------------------------------------- */
-
+/* End the tick: in a broadcast tick close the round, and begin to count down to the next broadcast. */
 static void end_tick(node_t *node)
 {
-    if (node->comms_left == 0) {
+    if (node->ticks_until_broadcast == 0) {
         (void)mcp_asdf_settle(&node->robot);
-        node->comms_left = node->settings->comms_period;
+        node->ticks_until_broadcast = node->settings->comms_period;
     }
     node->is_settled = true;
 }
 
-void node_observe(node_t *node, mcp_asdf_action_t seen)
+/* Begin a tick: heartbeat if due, observation, broadcast if due. Ends a tick that is still open. */
+void node_observe(node_t *node, mcp_asdf_action_t observation)
 {
     if (!node->is_settled) {
-        ++node->counts.unsettled;
+        ++node->counts.unsettled_ticks;
         end_tick(node);
     }
+    /* node_start() has sent the heartbeat that belongs to the first tick. */
     if (node->ticks != 0 && node->ticks % node->settings->ticks_per_second == 0) {
         send_heartbeat(node);
     }
-    if (seen != MCP_ASDF_OBSERVE_NONE) {
-        (void)mcp_asdf_observe(&node->robot, (mcp_asdf_observation_t)seen);
+    if (observation != MCP_ASDF_OBSERVE_NONE) {
+        (void)mcp_asdf_observe(&node->robot, (mcp_asdf_observation_t)observation);
     }
-    if (--node->comms_left == 0) {
+    if (--node->ticks_until_broadcast == 0) {
         send_estimate(node);
     }
     ++node->ticks;
     node->is_settled = false;
 }
 
+/* End the tick, and send telemetry if due; in lockstep it is due in every tick. */
 void node_settle(node_t *node)
 {
-    const uint32_t period = node->settings->lockstep ? 1 : node->settings->telemetry_period;
+    const uint32_t telemetry_period = node->settings->lockstep ? 1 : node->settings->telemetry_period;
     end_tick(node);
-    if (period != 0 && node->ticks % period == 0) {
+    if (telemetry_period != 0 && node->ticks % telemetry_period == 0) {
         send_telemetry(node);
     }
 }
 
-/* ---- Hearing ---------------------------------------------------------------------------------------- */
+/* ---- Receiving -------------------------------------------------------------------------------------- */
 
-static void obey(node_t *node, const mcp_asdf_command_t *command)
+/* Carry out a command: observe or settle. Counts it as followed, or as refused if it came in a wrong order; a
+ * command for another robot changes nothing. */
+static void handle_command(node_t *node, const mcp_asdf_command_t *command)
 {
-    const bool settles = command->action == MCP_ASDF_SETTLE;
-    const bool is_open = !node->is_settled && command->tick == node->number;
+    const bool is_settle = command->action == MCP_ASDF_SETTLE;
+    const bool is_for_open_tick = !node->is_settled && command->tick == node->tick_of_command;
     if (command->target != node->settings->id && command->target != MCP_ASDF_EVERY_ROBOT) {
         return;
     }
-    if (settles != is_open) {
-        ++node->counts.disobeyed;
+    /* A settle command must be for the open tick. An observe command for the open tick is a repetition. */
+    if (is_settle != is_for_open_tick) {
+        ++node->counts.refused_commands;
         return;
     }
-    ++node->counts.obeyed;
-    if (settles) {
+    ++node->counts.followed_commands;
+    if (is_settle) {
         node_settle(node);
     } else {
-        node->number = command->tick;
+        node->tick_of_command = command->tick;
         node_observe(node, (mcp_asdf_action_t)command->action);
     }
 }
 
-/* The word alpha in units of 2^-24: below 2^24 2^31. */
-static uint64_t units(uint32_t alpha) { return (uint64_t)(alpha >> 8) << (alpha & 31U); }
+/* Value of an alpha word in units of 2^-24, below 2^55. */
+static uint64_t alpha_to_units(uint32_t alpha_word)
+{
+    return (uint64_t)(alpha_word >> 8) << (alpha_word & 31U);
+}
 
-static void watch(node_t *node, const mcp_asdf_estimate_t *estimate)
+/* Compare an estimate's alpha with the sender's last one, and remember it as the last one. Counts a jump if
+ * the sender is watched and alpha has at least doubled; a sender whose alpha has halved is watched anew. */
+static void check_alpha_jump(node_t *node, const mcp_asdf_estimate_t *estimate)
 {
     node_sender_t *sender = &node->senders[estimate->node];
-    const uint64_t before = units(sender->alpha), now = units(estimate->alpha);
-    const bool is_watched = sender->heard == NODE_WATCHED_AFTER;
-    /* After an alpha of 0 nobody is watched. */
-    node->counts.jumps += is_watched && now >= 2 * before;
-    if (2 * now <= before) { /* it has begun anew */
-        sender->heard = 0;
+    const uint64_t last_alpha = alpha_to_units(sender->last_alpha), alpha = alpha_to_units(estimate->alpha);
+    const bool is_watched = sender->estimate_count == NODE_WATCHED_AFTER;
+    /* The last alpha of a watched sender is not 0: an alpha of 0 ends the watch below. */
+    node->counts.alpha_jumps += is_watched && alpha >= 2 * last_alpha;
+    if (2 * alpha <= last_alpha) {
+        sender->estimate_count = 0; /* the sender has started again, with few observations */
     } else if (!is_watched) {
-        ++sender->heard;
+        ++sender->estimate_count;
     }
-    sender->alpha = estimate->alpha;
+    sender->last_alpha = estimate->alpha;
 }
 
-static void take(node_t *node, const mcp_asdf_estimate_t *estimate)
+/* Pass an estimate to the firmware, unless its sender is ignored. Counts it as received or ignored, and as a
+ * jump or an id collision if it is one. */
+static void receive_estimate(node_t *node, const mcp_asdf_estimate_t *estimate)
 {
-    const uint8_t id = estimate->node;
-    const bool is_own = id == node->settings->id;
+    const uint8_t sender = estimate->node;
+    const bool has_own_id = sender == node->settings->id;
     if (node->senders != NULL) {
-        watch(node, estimate);
+        check_alpha_jump(node, estimate);
     }
-    if (!is_own && (node->settings->ignore[id / 8] >> id % 8 & 1) != 0) {
-        ++node->counts.unknown;
+    if (!has_own_id && (node->settings->ignored_senders[sender / 8] >> sender % 8 & 1) != 0) {
+        ++node->counts.ignored_estimates;
         return;
     }
-    ++node->counts.heard;
-    node->counts.collisions += is_own;
-    (void)mcp_asdf_receive(&node->robot, id, estimate->x_hat, estimate->alpha);
+    ++node->counts.received_estimates;
+    /* A node does not receive its own frames, so another node uses its id. The firmware rejects the estimate.
+     */
+    node->counts.id_collisions += has_own_id;
+    (void)mcp_asdf_receive(&node->robot, sender, estimate->x_hat, estimate->alpha);
 }
 
-void node_hear(node_t *node, const mcp_asdf_frame_t *frame)
+/* Whether a decoder refused a frame before it looked at the content: the frame is not of the decoder's kind.
+ * A bus whose kernel filters frames does not deliver such frames. */
+static bool is_other_kind(mcp_asdf_frame_status_t status) { return status >= MCP_ASDF_FRAME_ERR_SUBJECT; }
+
+/* Receive an estimate, carry out a command in lockstep, and count any other frame. */
+void node_handle_frame(node_t *node, const mcp_asdf_frame_t *frame)
 {
     mcp_asdf_estimate_t estimate;
     mcp_asdf_command_t command;
     mcp_asdf_frame_status_t status =
-        mcp_asdf_decode_estimate(&estimate, node->settings->estimate.subject, frame);
+        mcp_asdf_decode_estimate(&estimate, node->settings->estimate_format.subject, frame);
     if (status == MCP_ASDF_FRAME_OK) {
-        take(node, &estimate);
+        receive_estimate(node, &estimate);
         return;
     }
+    /* A sound frame of another subject may be a command. */
     if (status == MCP_ASDF_FRAME_ERR_SUBJECT && node->settings->lockstep) {
-        status = mcp_asdf_decode_command(&command, node->settings->command.subject, frame);
+        status = mcp_asdf_decode_command(&command, node->settings->command_format.subject, frame);
         if (status == MCP_ASDF_FRAME_OK) {
-            obey(node, &command);
+            handle_command(node, &command);
             return;
         }
     }
-    node->counts.others += IS_OTHER(status);
-    node->counts.refused += !IS_OTHER(status);
+    node->counts.other_frames += is_other_kind(status);
+    node->counts.rejected_frames += !is_other_kind(status);
 }

@@ -3,37 +3,42 @@
 
 #include "../port.h"
 
-#define LONG_DIGITS 8U
-#define SHORT_DIGITS 3U
-#define LONG_MAX UINT32_C(0x1FFFFFFF)
-#define SHORT_MAX UINT32_C(0x7FF)
-#define DATA_MAX 8U
+#define EXTENDED_ID_DIGITS 8U
+#define STANDARD_ID_DIGITS 3U
+#define EXTENDED_ID_MAX UINT32_C(0x1FFFFFFF)
+#define STANDARD_ID_MAX UINT32_C(0x7FF)
+#define DATA_LENGTH_MAX 8U
 #define NO_DIGIT 16U
 
 /* ---- Lines of frames -------------------------------------------------------------------------------- */
 
-static char *put_hex(char *to, uint32_t value, uint8_t digits)
+/* Write the lowest hexadecimal digits of a value, the highest of them first. Returns where the text goes on.
+ */
+static char *write_hex(char *text, uint32_t value, uint8_t digit_count)
 {
-    for (uint8_t left = digits; left > 0; --left) {
-        *to++ = "0123456789ABCDEF"[value >> 4 * (left - 1U) & 15];
+    for (uint8_t digits_left = digit_count; digits_left > 0; --digits_left) {
+        *text++ = "0123456789ABCDEF"[value >> 4 * (digits_left - 1U) & 15];
     }
-    return to;
+    return text;
 }
 
-static uint8_t digit_of(char letter)
+/* Value of a hexadecimal digit, 0 .. 15, or NO_DIGIT for any other character. */
+static uint8_t parse_digit(char letter)
 {
     if (letter >= '0' && letter <= '9') {
         return (uint8_t)(letter - '0');
     }
-    const char capital = (char)(letter & ~0x20);
+    const char capital = (char)(letter & ~0x20); /* small letters have one bit more */
     return capital >= 'A' && capital <= 'F' ? (uint8_t)(capital - 'A' + 10) : NO_DIGIT;
 }
 
-static bool take_hex(uint32_t *value, const char *from, uint8_t digits)
+/* Read a number of up to 8 hexadecimal digits into *value. Returns false if a character is no digit; *value
+ * is then of no use. */
+static bool parse_hex(uint32_t *value, const char *text, uint8_t digit_count)
 {
     *value = 0;
-    for (uint8_t i = 0; i < digits; ++i) {
-        const uint8_t digit = digit_of(from[i]);
+    for (uint8_t i = 0; i < digit_count; ++i) {
+        const uint8_t digit = parse_digit(text[i]);
         if (digit == NO_DIGIT) {
             return false;
         }
@@ -42,63 +47,69 @@ static bool take_hex(uint32_t *value, const char *from, uint8_t digits)
     return true;
 }
 
-uint8_t slcan_write(char line[SLCAN_LONGEST], const mcp_asdf_frame_t *frame)
+/* Convert a frame to a line. Returns its length, 0 if the frame has no line. */
+uint8_t slcan_format_frame(char line[SLCAN_LINE_MAX], const mcp_asdf_frame_t *frame)
 {
-    const bool is_short = (frame->flags & MCP_ASDF_FRAME_STANDARD) != 0;
+    const bool is_standard = (frame->flags & MCP_ASDF_FRAME_STANDARD) != 0;
     const bool is_remote = (frame->flags & MCP_ASDF_FRAME_REMOTE) != 0;
-    if ((frame->flags & (MCP_ASDF_FRAME_FD | MCP_ASDF_FRAME_ERROR)) != 0 || frame->length > DATA_MAX ||
-        frame->id > (is_short ? SHORT_MAX : LONG_MAX)) {
+    if ((frame->flags & (MCP_ASDF_FRAME_FD | MCP_ASDF_FRAME_ERROR)) != 0 || frame->length > DATA_LENGTH_MAX ||
+        frame->id > (is_standard ? STANDARD_ID_MAX : EXTENDED_ID_MAX)) {
         return 0;
     }
-    char *to = line;
-    *to++ = (is_short ? "tr" : "TR")[is_remote];
-    to = put_hex(to, frame->id, is_short ? SHORT_DIGITS : LONG_DIGITS);
-    to = put_hex(to, frame->length, 1);
+    char *end = line;
+    *end++ = (is_standard ? "tr" : "TR")[is_remote]; /* t and T: data frame; r and R: remote frame */
+    end = write_hex(end, frame->id, is_standard ? STANDARD_ID_DIGITS : EXTENDED_ID_DIGITS);
+    end = write_hex(end, frame->length, 1);
     for (uint8_t i = 0; i < frame->length && !is_remote; ++i) {
-        to = put_hex(to, frame->data[i], 2);
+        end = write_hex(end, frame->data[i], 2);
     }
-    return (uint8_t)(to - line);
+    return (uint8_t)(end - line);
 }
 
-bool slcan_read(mcp_asdf_frame_t *frame, const char *line, uint8_t length)
+/* Convert a line to a frame. Returns false, and leaves *frame as it was, if the line is no frame. */
+bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length)
 {
     if (length == 0) {
         return false;
     }
-    mcp_asdf_frame_t found = {0, 0, 0, {0}};
+    mcp_asdf_frame_t parsed = {0, 0, 0, {0}};
     const char kind = line[0];
-    const bool is_short = kind == 't' || kind == 'r', is_remote = kind == 'r' || kind == 'R';
-    const uint8_t head = 2 + (is_short ? SHORT_DIGITS : LONG_DIGITS);
-    if (!(is_short || is_remote || kind == 'T') || length < head ||
-        !take_hex(&found.id, line + 1, head - 2) || found.id > (is_short ? SHORT_MAX : LONG_MAX)) {
+    const bool is_standard = kind == 't' || kind == 'r', is_remote = kind == 'r' || kind == 'R';
+    /* The header is the kind, the identifier, and one digit for the length of the data. */
+    const uint8_t header_length = 2 + (is_standard ? STANDARD_ID_DIGITS : EXTENDED_ID_DIGITS);
+    if (!(is_standard || is_remote || kind == 'T') || length < header_length ||
+        !parse_hex(&parsed.id, line + 1, header_length - 2) ||
+        parsed.id > (is_standard ? STANDARD_ID_MAX : EXTENDED_ID_MAX)) {
         return false;
     }
-    found.flags = (is_short ? MCP_ASDF_FRAME_STANDARD : 0) | (is_remote ? MCP_ASDF_FRAME_REMOTE : 0);
-    found.length = digit_of(line[head - 1]);
-    const uint8_t bytes = is_remote ? 0 : found.length;
-    if (found.length > DATA_MAX || length != head + 2 * bytes) {
+    parsed.flags = (is_standard ? MCP_ASDF_FRAME_STANDARD : 0) | (is_remote ? MCP_ASDF_FRAME_REMOTE : 0);
+    parsed.length = parse_digit(line[header_length - 1]);
+    const uint8_t byte_count = is_remote ? 0 : parsed.length; /* remote frames have a length, but no data */
+    if (parsed.length > DATA_LENGTH_MAX || length != header_length + 2 * byte_count) {
         return false;
     }
-    for (uint8_t i = 0; i < bytes; ++i) {
+    for (uint8_t i = 0; i < byte_count; ++i) {
         uint32_t byte;
-        if (!take_hex(&byte, &line[head + 2U * i], 2)) {
+        if (!parse_hex(&byte, &line[header_length + 2U * i], 2)) {
             return false;
         }
-        found.data[i] = (uint8_t)byte;
+        parsed.data[i] = (uint8_t)byte;
     }
-    *frame = found;
+    *frame = parsed;
     return true;
 }
 
 /* ---- Sending ---------------------------------------------------------------------------------------- */
 
-static void count(uint16_t *counter) { *counter = (uint16_t)(*counter + (*counter < UINT16_MAX)); }
+/* Increment a counter, which stops at its largest value. */
+static void increment(uint16_t *counter) { *counter = (uint16_t)(*counter + (*counter < UINT16_MAX)); }
 
-static bool put(slcan_link_t *link, const char *text, uint8_t length)
+/* Add a text to the outbox. Returns false, and counts an unsent line, if there is no room for it. */
+static bool queue_text(slcan_link_t *link, const char *text, uint8_t length)
 {
     const bool has_room = outbox_put(&link->outbox, text, length);
     if (!has_room) {
-        count(&link->unsent);
+        increment(&link->unsent_lines);
     }
     return has_room;
 }
@@ -106,129 +117,136 @@ static bool put(slcan_link_t *link, const char *text, uint8_t length)
 void slcan_start(slcan_link_t *link)
 {
     *link = (slcan_link_t){.is_open = false};
-    (void)put(link, "\r", 1);
+    (void)queue_text(link, "\r", 1);
 }
 
-bool slcan_send(slcan_link_t *link, const mcp_asdf_frame_t *frame)
+/* Queue a frame as a line, if the bus is open. Returns whether it was queued. */
+bool slcan_send_frame(slcan_link_t *link, const mcp_asdf_frame_t *frame)
 {
-    char line[SLCAN_LONGEST + 1];
-    const uint8_t length = slcan_write(line, frame);
+    char line[SLCAN_LINE_MAX + 1];
+    const uint8_t length = slcan_format_frame(line, frame);
     line[length] = '\r';
-    return link->is_open && length > 0 && put(link, line, length + 1);
+    return link->is_open && length > 0 && queue_text(link, line, length + 1);
 }
 
 /* ---- Commands ---------------------------------------------------------------------------------------- */
 
-static void answer(slcan_link_t *link, const char *text)
+/* Queue a text that ends with a zero, as the answer to a line. */
+static void send_answer(slcan_link_t *link, const char *text)
 {
     uint8_t length = 0;
     while (text[length] != '\0') {
         ++length;
     }
-    (void)put(link, text, length);
+    (void)queue_text(link, text, length);
 }
 
-/* Count the line that has come as dropped, and tell the host. */
-static void drop(slcan_link_t *link)
+/* Count the received line as dropped, and answer with the bell that means an error. */
+static void drop_line(slcan_link_t *link)
 {
-    count(&link->dropped);
-    answer(link, "\a");
+    increment(&link->dropped_lines);
+    send_answer(link, "\a");
 }
 
-/* Bit 1: lines unsent; bit 3: lines dropped. */
-static void answer_flags(slcan_link_t *link)
+/* Answer with the status flags: bit 1 is set if lines were unsent, bit 3 if lines were dropped. */
+static void send_status_flags(slcan_link_t *link)
 {
-    const char *const unsent = link->dropped > 0 ? "F0A\r" : "F02\r";
-    const char *const sent = link->dropped > 0 ? "F08\r" : "F00\r";
-    answer(link, link->unsent > 0 ? unsent : sent);
+    const char *const with_unsent = link->dropped_lines > 0 ? "F0A\r" : "F02\r";
+    const char *const without_unsent = link->dropped_lines > 0 ? "F08\r" : "F00\r";
+    send_answer(link, link->unsent_lines > 0 ? with_unsent : without_unsent);
 }
 
-/* The line's first character if its length is right: noise turns a T into a V by one bit. */
-static char command_on(const slcan_link_t *link)
+/* Letter of the command on the received line; '\r' for an empty line, and '?' if the line is too long or too
+ * short for its letter. Noise that flips one bit makes a V of a T: the length tells them apart. */
+static char parse_command(const slcan_link_t *link)
 {
-    if (link->length == 0) {
+    if (link->line_length == 0) {
         return '\r';
     }
-    const char first = link->line[0];
-    uint8_t right = 1;
-    if (first == 'S' || first == 's') {
-        right = first == 'S' ? 2 : 5;
+    const char letter = link->line[0];
+    uint8_t command_length = 1;
+    if (letter == 'S' || letter == 's') {
+        command_length = letter == 'S' ? 2 : 5; /* a bit rate follows: its number, or its registers */
     }
-    if (link->length == right) {
-        return first;
+    if (link->line_length == command_length) {
+        return letter;
     }
     return '?';
 }
 
-static slcan_event_t obey(slcan_link_t *link)
+/* Carry out the command on the received line, and answer it. Returns SLCAN_OPENED if it opens the bus. */
+static slcan_event_t handle_command(slcan_link_t *link)
 {
-    switch (command_on(link)) {
+    switch (parse_command(link)) {
     case 'O':
-        answer(link, "\r");
+        send_answer(link, "\r");
         link->is_open = true;
         return SLCAN_OPENED;
     case 'C':
         link->is_open = false;
-        answer(link, "\r");
+        send_answer(link, "\r");
         break;
-    case 'S': /* bit rates are granted: there is no wire that they would matter to */
+    case 'S': /* any bit rate will do: there is no CAN wire */
     case 's':
-    case '\r': /* an empty line, with which hosts end what stood there before */
-        answer(link, "\r");
+    case '\r': /* an empty line, with which hosts end whatever was on the line before */
+        send_answer(link, "\r");
         break;
     case 'V':
-        answer(link, "V1001\r");
+        send_answer(link, "V1001\r");
         break;
     case 'N':
-        answer(link, "NASDF\r");
+        send_answer(link, "NASDF\r");
         break;
     case 'F':
-        answer_flags(link);
+        send_status_flags(link);
         break;
     default:
-        drop(link);
+        drop_line(link);
     }
     return SLCAN_NOTHING;
 }
 
-/* ---- Taking what comes in --------------------------------------------------------------------------- */
+/* ---- Receiving -------------------------------------------------------------------------------------- */
 
-static slcan_event_t take_line(slcan_link_t *link, mcp_asdf_frame_t *frame)
+/* Handle a line that is complete: a frame, which is written to *frame, or a command. Damaged lines are
+ * dropped; frames on a closed bus are refused. */
+static slcan_event_t handle_line(slcan_link_t *link, mcp_asdf_frame_t *frame)
 {
-    if (link->is_spoilt) {
-        drop(link);
+    if (link->is_line_damaged) {
+        drop_line(link);
         return SLCAN_NOTHING;
     }
-    if (!slcan_read(frame, link->line, link->length)) {
-        return obey(link);
+    if (!slcan_parse_frame(frame, link->line, link->line_length)) {
+        return handle_command(link);
     }
     if (!link->is_open) {
-        answer(link, "\a");
+        send_answer(link, "\a");
         return SLCAN_NOTHING;
     }
-    answer(link, (frame->flags & MCP_ASDF_FRAME_STANDARD) != 0 ? "z\r" : "Z\r");
+    send_answer(link, (frame->flags & MCP_ASDF_FRAME_STANDARD) != 0 ? "z\r" : "Z\r");
     return SLCAN_FRAME;
 }
 
-slcan_event_t slcan_take(slcan_link_t *link, int byte, mcp_asdf_frame_t *frame)
+/* Collect received bytes, and handle the line at its end. Returns what the line brought. */
+slcan_event_t slcan_handle_byte(slcan_link_t *link, int byte, mcp_asdf_frame_t *frame)
 {
     slcan_event_t event = SLCAN_NOTHING;
     if (byte == PORT_NOTHING) {
         return event;
     }
     if (byte != '\r' && byte != '\a') {
-        link->is_spoilt |= byte == PORT_LOST || link->length == SLCAN_LONGEST;
-        if (!link->is_spoilt) {
-            link->line[link->length++] = (char)byte;
+        link->is_line_damaged |= byte == PORT_LOST || link->line_length == SLCAN_LINE_MAX;
+        if (!link->is_line_damaged) {
+            link->line[link->line_length++] = (char)byte;
         }
         return event;
     }
     if (byte == '\r') {
-        event = take_line(link, frame);
-    } else { /* a bell, which no host sends */
-        drop(link);
+        event = handle_line(link, frame);
+    } else { /* a bell, which no host sends: noise */
+        drop_line(link);
     }
-    link->length = 0;
-    link->is_spoilt = false;
+    link->line_length = 0;
+    link->is_line_damaged = false;
     return event;
 }

@@ -5,8 +5,9 @@
 #include "../node/node.h"
 #include "../port.h"
 
-/* Chosen when it is built: robot and node, 0 .. 125; assumed accuracy at the start, 2^-20 .. 1 - 2^-20, a
- * fraction that only the compiler sees; a mcp_asdf_filter_t; tau in ticks. */
+/* Settings of the build: id of robot and node, 0 .. 125; assumed accuracy at the start, 2^-20 .. 1 - 2^-20,
+ * which the compiler converts, so that the robot needs no floating point; a mcp_asdf_filter_t; the filter's
+ * period tau in ticks. */
 #ifndef ROBOT_ID
 #define ROBOT_ID 0
 #endif
@@ -34,9 +35,9 @@ static const node_settings_t settings = {
     .filter_period = ROBOT_FILTER_PERIOD,
     .memory = MCP_ASDF_MEMORY_MAX,
     .filter = ROBOT_FILTER,
-    .estimate = MCP_ASDF_FORMAT_ESTIMATE,
-    .telemetry = MCP_ASDF_FORMAT_TELEMETRY,
-    .command = MCP_ASDF_FORMAT_COMMAND,
+    .estimate_format = MCP_ASDF_FORMAT_ESTIMATE,
+    .telemetry_format = MCP_ASDF_FORMAT_TELEMETRY,
+    .command_format = MCP_ASDF_FORMAT_COMMAND,
     .b_hat = (uint32_t)(ROBOT_B_HAT * 4294967296.0 + 0.5),
     .ticks_per_second = 10,
     .id = ROBOT_ID,
@@ -46,45 +47,53 @@ static const node_settings_t settings = {
 static slcan_link_t serial;
 static node_t node;
 
-static bool send(void *context, const mcp_asdf_frame_t *frame) { return slcan_send(context, frame); }
-
-static const node_output_t output = {.send = send, .context = &serial};
-
-static void hear(const mcp_asdf_frame_t *frame)
+/* Send a frame of the node over the serial line. Returns whether it is on its way. */
+static bool send_to_serial(void *context, const mcp_asdf_frame_t *frame)
 {
-    const bool is_well = serial.dropped == 0 && serial.unsent == 0 && node.counts.unsettled == 0;
-    node.health = is_well ? MCP_ASDF_HEALTH_NOMINAL : MCP_ASDF_HEALTH_ADVISORY;
-    node_hear(&node, frame);
+    return slcan_send_frame(context, frame);
 }
 
-/* One byte goes out, or one comes in. */
-static slcan_event_t turn(mcp_asdf_frame_t *frame)
+static const node_output_t output = {.send = send_to_serial, .context = &serial};
+
+/* Pass a frame to the node. Its next heartbeat then says whether the serial line has lost anything, or a tick
+ * was left without a settle. */
+static void handle_frame(const mcp_asdf_frame_t *frame)
 {
-    if (serial.outbox.waiting > 0 && port_has_room()) {
+    const bool is_nominal =
+        serial.dropped_lines == 0 && serial.unsent_lines == 0 && node.counts.unsettled_ticks == 0;
+    node.health = is_nominal ? MCP_ASDF_HEALTH_NOMINAL : MCP_ASDF_HEALTH_ADVISORY;
+    node_handle_frame(&node, frame);
+}
+
+/* Send one byte of the outbox, or else receive one; sleep if there is nothing to send or receive. Returns
+ * what the byte brought, and writes *frame if it completes one. */
+static slcan_event_t exchange_byte(mcp_asdf_frame_t *frame)
+{
+    if (serial.outbox.byte_count > 0 && port_has_room()) {
         port_put(outbox_take(&serial.outbox));
         return SLCAN_NOTHING;
     }
     const int byte = port_get();
-    if (byte == PORT_NOTHING && serial.outbox.waiting == 0) {
+    if (byte == PORT_NOTHING && serial.outbox.byte_count == 0) {
         port_sleep();
     }
-    return slcan_take(&serial, byte, frame);
+    return slcan_handle_byte(&serial, byte, frame);
 }
 
-/* A host that opens the bus finds a robot that has just been switched on. Ends, with status 1, only if it was
- * built with settings that the firmware refuses. */
+/* Run the robot for ever. A host that opens the bus finds a robot that has just been switched on. Ends, with
+ * status 1, only if the firmware refuses the settings of the build. */
 int main(void)
 {
     slcan_start(&serial);
-    bool runs = node_init(&node, &settings, output) == MCP_ASDF_OK;
-    while (runs) {
+    bool is_running = node_init(&node, &settings, output) == MCP_ASDF_OK;
+    while (is_running) {
         mcp_asdf_frame_t frame;
-        const slcan_event_t event = turn(&frame);
+        const slcan_event_t event = exchange_byte(&frame);
         if (event == SLCAN_OPENED) {
-            runs = node_init(&node, &settings, output) == MCP_ASDF_OK;
+            is_running = node_init(&node, &settings, output) == MCP_ASDF_OK;
             node_start(&node);
         } else if (event == SLCAN_FRAME) {
-            hear(&frame);
+            handle_frame(&frame);
         }
     }
     return 1;
