@@ -1,15 +1,22 @@
 /* The robust filter, which is this project's own and not the paper's. Private: a part of mcp_asdf.c, which
- * gives it eq. 8. docs/robust.md explains it, docs/design.md, section 13, states every bit.
- * Every message is one vote, whatever its alpha. Votes move the centre of the crowd, a Huber M-estimate of
- * where the estimates lie, and the spread, the median of their distances from it: by stochastic approximation
- * with a gain of 4 / votes to 8 / votes, at least 2^-12. Against the centre a robot tests its own count. */
+ * provides eq. 8. docs/robust.md explains the filter, docs/design.md, section 13, states every bit.
+ *
+ * A robot with this filter keeps no sums of rounds. It follows the centre of all estimates that it receives,
+ * and tests its own observations against that centre:
+ *   - Every estimate with confidence is one vote, however large its alpha. A vote moves the centre towards
+ * its x_hat, by a limited distance, so that a liar's vote moves it no farther than another's (a Huber
+ *     M-estimate).
+ *   - The spread is the median distance of the estimates from the centre.
+ *   - Both move by a share of the distance, the gain, which falls from 1/8 to 2^-12 as votes are counted
+ *     (stochastic approximation). In between it is 4 / votes to 8 / votes. */
 #ifndef MCP_ASDF_ROBUST_H
 #define MCP_ASDF_ROBUST_H
 
 #include "mcp_asdf.h"
 #include "mcp_asdf_arithmetic.h"
 
-static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t a); /* eq. 8; 0 where a, as Q32, says nothing */
+/* Eq. 8 for x_bar as Q32: the new b_hat, or 0 if x_bar carries no information. */
+static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t x_bar);
 
 #if MCP_ASDF_WITH_ROBUST
 /* Fewer votes count as so many: the gain is at most 2^-3. */
@@ -24,7 +31,17 @@ static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t a); /* eq. 8; 0 whe
 /* The test rejects beyond sqrt(12) standard deviations, where a sound robot is in 1 of 2000 tests. */
 #define REJECTED_SIGMAS_SQUARED 12U
 
-ALWAYS_INLINE void start_crowd(mcp_asdf_t *robot, uint32_t b_hat)
+/* Formats: x_hat is Q23, in units of 2^-23; positions (centre, spread, distances) are Q30; probabilities and
+ * shares of observations are Q32. 1.0 is 2^30 as Q30, and has no Q32. */
+ALWAYS_INLINE uint32_t q30_from_q23(uint32_t x_hat) { return x_hat << 7; }
+ALWAYS_INLINE uint32_t q23_from_q30(uint32_t position) { return position >> 7; }
+
+/* -number if the mask is all ones, number if it is 0: without a branch, modulo 2^32. */
+ALWAYS_INLINE uint32_t negate_if(uint32_t number, uint32_t mask) { return (number ^ mask) - mask; }
+
+/* Initialise the crowd of a new robot, whose other members are 0. The initial b_hat is kept for the tests; it
+ * is 0 with other filters. */
+ALWAYS_INLINE void init_crowd(mcp_asdf_t *robot, uint32_t b_hat)
 {
     robot->crowd.first = mcp_asdf_is_robust(robot->config) ? b_hat : 0U;
     robot->crowd.centre = MCP_ASDF_CENTRE_START;
@@ -32,121 +49,143 @@ ALWAYS_INLINE void start_crowd(mcp_asdf_t *robot, uint32_t b_hat)
     robot->crowd.trend = MCP_ASDF_TREND_START;
 }
 
-/* What a vote moves: members of mcp_asdf_crowd_t. */
+/* The members of mcp_asdf_crowd_t that a vote changes whoever its sender is, in full words. */
 typedef struct {
-    uint32_t centre, spread, votes, trend;
-} middle_t;
+    uint32_t centre, spread; /* Q30 */
+    uint32_t votes;
+    uint32_t trend; /* Q16 */
+} crowd_statistics_t;
 
-/* The middle after a vote for x_hat, which is at most 1.0: the centre moves towards it, by at most a spread
- * times the gain and never beyond it. */
-ALWAYS_INLINE middle_t middle_after(middle_t middle, uint32_t x_hat)
+/* The statistics after a vote for x_hat, Q23 and at most 1.0. The centre moves towards it, by at most a
+ * spread times the gain and never beyond it. */
+ALWAYS_INLINE crowd_statistics_t statistics_after_vote(crowd_statistics_t statistics, uint32_t x_hat)
 {
-    const uint32_t centre = middle.centre, spread = middle.spread;
-    const uint32_t votes = middle.votes + (middle.votes < MCP_ASDF_VOTES_MAX ? 1U : 0U);
-    const uint32_t shift = 29U - leading_zeros(votes | VOTES_OF_MAX_GAIN); /* log2(votes) - 2: [3, 12] */
-    const uint32_t change = shift_right(spread, shift + 1U);
-    const uint32_t away = centre - (x_hat << 7); /* Q30, modulo 2^32: within 2^30 of 0 */
-    const uint32_t up = 0U - (away >> 31);       /* all ones where the vote is above the centre, else 0 */
-    const uint32_t distance = (away ^ up) - up;  /* abs(away) */
-    uint32_t pull = distance, width = spread - change; /* change <= spread / 16 */
+    const uint32_t centre = statistics.centre, spread = statistics.spread;
+    const uint32_t votes = statistics.votes + (statistics.votes < MCP_ASDF_VOTES_MAX ? 1U : 0U);
+    /* The gain is 2^-gain_shift: only the highest bit of the number counts, which the OR keeps from being
+     * below that of VOTES_OF_MAX_GAIN. */
+    const uint32_t gain_shift = 29U - leading_zeros(votes | VOTES_OF_MAX_GAIN); /* log2(votes) - 2: [3, 12] */
+    const uint32_t spread_step = shift_right(spread, gain_shift + 1U);          /* <= spread / 16 */
+    const uint32_t difference = centre - q30_from_q23(x_hat); /* modulo 2^32: within 2^30 of 0 */
+    const uint32_t is_up_mask =
+        0U - (difference >> 31); /* all ones if the vote is above the centre, else 0 */
+    const uint32_t distance = negate_if(difference, is_up_mask);
+    /* Votes outside the spread widen it, votes inside narrow it: it converges to the median distance. */
+    uint32_t limited_distance = distance, new_spread = spread - spread_step;
     if (distance > spread) {
-        pull = spread;
-        width = spread + change; /* < 2^29 */
-        width = width < MCP_ASDF_SPREAD_MAX ? width : MCP_ASDF_SPREAD_MAX;
+        limited_distance = spread;
+        new_spread = spread + spread_step; /* < 2^29 */
+        new_spread = new_spread < MCP_ASDF_SPREAD_MAX ? new_spread : MCP_ASDF_SPREAD_MAX;
     } else {
-        width = width > MCP_ASDF_SPREAD_MIN ? width : MCP_ASDF_SPREAD_MIN;
+        new_spread = new_spread > MCP_ASDF_SPREAD_MIN ? new_spread : MCP_ASDF_SPREAD_MIN;
     }
-    const uint32_t step = shift_right(pull, shift);
-    const uint32_t way = step == 0U ? TREND_STEP_EVEN : up & TREND_STEP_UP; /* neither way without a move */
-    const uint32_t trend = middle.trend - (middle.trend >> 8) + way;        /* < 2^16 */
-    const middle_t moved = {centre - ((step ^ up) - up), width, votes, trend}; /* the centre modulo 2^32 */
-    return moved;
+    const uint32_t step = shift_right(limited_distance, gain_shift);
+    /* A vote that does not move the centre counts as half up, half down. */
+    const uint32_t trend_step = step == 0U ? TREND_STEP_EVEN : is_up_mask & TREND_STEP_UP;
+    const uint32_t trend = statistics.trend - (statistics.trend >> 8) + trend_step; /* < 2^16 */
+    const crowd_statistics_t result = {centre - negate_if(step, is_up_mask), new_spread, votes, trend};
+    return result;
 }
 
-HOT void vote(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
+/* Count a received x_hat, Q23, as one vote, and remember that its sender has voted. */
+HOT void update_crowd(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
 {
     mcp_asdf_crowd_t *const crowd = &robot->crowd;
-    const middle_t middle = {crowd->centre, crowd->spread, crowd->votes, crowd->trend};
-    const middle_t moved = middle_after(middle, x_hat);
-    crowd->trend = (uint16_t)moved.trend;
-    crowd->votes = (uint16_t)moved.votes;
+    const crowd_statistics_t old_statistics = {crowd->centre, crowd->spread, crowd->votes, crowd->trend};
+    const crowd_statistics_t statistics = statistics_after_vote(old_statistics, x_hat);
+    crowd->trend = (uint16_t)statistics.trend;
+    crowd->votes = (uint16_t)statistics.votes;
     crowd->voices |= shift_left(1, sender & 31U);
-    crowd->centre = moved.centre;
-    crowd->spread = moved.spread;
+    crowd->centre = statistics.centre;
+    crowd->spread = statistics.spread;
 }
 
-/* The centre as x_hat; before the first vote `alone`. */
-ALWAYS_INLINE uint32_t crowd_x(const mcp_asdf_t *robot, uint32_t alone)
+/* The centre as Q23, or x_hat, the caller's own estimate, before the first vote. */
+ALWAYS_INLINE uint32_t crowd_estimate(const mcp_asdf_t *robot, uint32_t x_hat)
 {
-    return robot->crowd.votes == 0U ? alone : robot->crowd.centre >> 7;
+    return robot->crowd.votes == 0U ? x_hat : q23_from_q30(robot->crowd.centre);
 }
 
-/* The centre as Q32, 1.0 as 2^32 - 1. */
-ALWAYS_INLINE uint32_t crowd_mean(const mcp_asdf_t *robot)
+/* The centre as Q32, with 2^32 - 1 for 1.0. */
+ALWAYS_INLINE uint32_t crowd_fill_ratio(const mcp_asdf_t *robot)
 {
     return robot->crowd.centre >> 30 == 0U ? robot->crowd.centre << 2 : UINT32_MAX;
 }
 
-/* Whether three robots were heard, of whom one that is wrong can be outvoted. Of robots whose ids are equal
- * modulo 32 one counts. */
-ALWAYS_INLINE bool is_crowd(uint32_t voices)
+/* Whether at least three bits of a set of senders are set: of three robots one that is wrong can be outvoted.
+ * Robots whose ids are equal modulo 32 have the same bit. */
+ALWAYS_INLINE bool has_three_senders(uint32_t senders)
 {
-    const uint32_t without_one = voices & (voices - 1U);
+    /* senders & (senders - 1) clears the lowest bit that is set. */
+    const uint32_t without_one = senders & (senders - 1U);
     return (without_one & (without_one - 1U)) != 0U;
 }
 
-/* Whether the crowd is on its way elsewhere, as after a change of the floor: more than 7 of 8 moves of the
- * centre went one way. It then lags behind, and a robot that runs ahead of it is not wrong. */
-ALWAYS_INLINE bool is_moving(uint32_t trend)
+/* Whether the crowd is moving, as after a change of the floor: more than 7 of 8 recent moves of the centre
+ * went the same way. Its centre then lags behind, and a robot that is ahead of it is not wrong. */
+ALWAYS_INLINE bool is_crowd_moving(uint32_t trend)
 {
+    /* Below TREND_MOVING_DOWN, or as far below 2^16: added modulo 2^16, one comparison covers both. */
     return ((trend + TREND_MOVING_DOWN) & 0xFFFFU) < 2U * TREND_MOVING_DOWN;
 }
 
-/* Whether n / t deviates by more than sqrt(12) standard deviations from what the first b_hat and the centre r
- * predict, for t > 0: D^2 > 12 (v / t + g^2 spread^2). D = n / t - p, p = b_hat r + (1 - b_hat)(1 - r),
- * g = 2 b_hat - 1, and v is the larger of p (1 - p) and n / t (1 - n / t). */
-static bool deviates(const mcp_asdf_t *robot)
+/* Whether n black observations of t > 0 contradict the initial b_hat, if the crowd's centre r is right: n / t
+ * deviates by more than sqrt(12) standard deviations from the share p = b_hat r + (1 - b_hat)(1 - r) that
+ * they predict. With D = n / t - p this is D^2 > 12 (v / t + (g spread)^2): v / t is the variance of n / t,
+ * for the larger v of p (1 - p) and n / t (1 - n / t), and g spread, g = |2 b_hat - 1|, the uncertainty of p.
+ */
+static bool robust_test_rejects(const mcp_asdf_t *robot)
 {
-    const uint32_t b_hat = robot->crowd.first, r = crowd_mean(robot);
-    const uint32_t p = multiply_high(b_hat, r) + multiply_high(~b_hat, ~r); /* Q32, as all here: < 2^32 - 1 */
-    const uint32_t seen = quotient(robot->n, robot->t);
-    const uint32_t d = seen > p ? seen - p : p - seen;
-    const uint32_t v_seen = multiply_high(seen, 0U - seen), v_p = multiply_high(p, 0U - p); /* <= 2^30 */
-    const uint32_t g = b_hat >> 31 == 0U ? 0U - 2U * b_hat : 2U * b_hat;           /* abs(2 b_hat - 1) */
-    const uint32_t g_spread = multiply_high(g, robot->crowd.spread << 2);          /* < 2^30 */
-    const uint64_t least = REJECTED_SIGMAS_SQUARED * multiply(g_spread, g_spread); /* Q64: < 12 2^60 */
-    const uint64_t square = multiply(d, d), excess = square - least; /* used where it is positive */
-    /* t excess as Q32: below 2^64 */
-    const uint64_t above =
+    /* Shares are Q32, their squares Q64. 1 - x is 0U - x, or ~x, which is 2^-32 less and never out of range.
+     */
+    const uint32_t b_hat = robot->crowd.first, r = crowd_fill_ratio(robot);
+    const uint32_t p = multiply_high(b_hat, r) + multiply_high(~b_hat, ~r); /* < 2^32 - 1 */
+    const uint32_t share = quotient(robot->n, robot->t);                    /* n / t */
+    const uint32_t d = share > p ? share - p : p - share;                   /* |D| */
+    const uint32_t v_share = multiply_high(share, 0U - share), v_p = multiply_high(p, 0U - p); /* <= 2^30 */
+    const uint32_t g = b_hat >> 31 == 0U ? 0U - 2U * b_hat : 2U * b_hat;
+    const uint32_t g_spread = multiply_high(g, robot->crowd.spread << 2);                 /* < 2^30 */
+    const uint64_t spread_limit = REJECTED_SIGMAS_SQUARED * multiply(g_spread, g_spread); /* < 12 2^60 */
+    const uint64_t square = multiply(d, d), excess = square - spread_limit; /* used where it is positive */
+    /* t excess as Q32, below 2^64: multiplied by t, so that v needs no division */
+    const uint64_t t_excess =
         multiply(robot->t, high_word(excess)) + high_word(multiply(robot->t, low_word(excess)));
-    return square > least && above > multiply(REJECTED_SIGMAS_SQUARED, v_seen > v_p ? v_seen : v_p);
+    return square > spread_limit &&
+           t_excess > multiply(REJECTED_SIGMAS_SQUARED, v_share > v_p ? v_share : v_p);
 }
 
-/* What b_hat becomes after a round, for t > 0, or 0: the first one, unless the test rejects it. So a robot
- * that was wronged by the crowd comes back. */
-static uint32_t crowd_b_hat(mcp_asdf_t *robot)
+/* Run the robust filter at the end of a round, for t > 0. Returns the new b_hat, or 0 if it stays.
+ *
+ * Nothing is tested while the crowd moves, nor before three senders have voted. Otherwise the initial b_hat
+ * is tested: if it is rejected, b_hat is re-estimated from the centre; if not, b_hat is the initial one
+ * again. So a robot that was misled by the crowd comes back. */
+static uint32_t run_robust_filter(mcp_asdf_t *robot)
 {
     mcp_asdf_crowd_t *const crowd = &robot->crowd;
-    if (is_moving(crowd->trend)) {
-        if (crowd->votes >= 2U * VOTES_MIN_WHILE_MOVING) { /* twice the gain, test after test */
+    if (is_crowd_moving(crowd->trend)) {
+        /* With half as many votes the gain is twice as large, and the centre follows faster. */
+        if (crowd->votes >= 2U * VOTES_MIN_WHILE_MOVING) {
             crowd->votes = (uint16_t)(crowd->votes >> 1);
         }
         return 0;
     }
-    if (!is_crowd(crowd->voices)) {
+    if (!has_three_senders(crowd->voices)) {
         return 0;
     }
     ++robot->counters.tests;
-    if (deviates(robot)) {
-        return reestimate(robot, crowd_mean(robot));
+    if (robust_test_rejects(robot)) {
+        return reestimate(robot, crowd_fill_ratio(robot));
     }
     return robot->accuracy.b_hat != crowd->first ? crowd->first : 0U;
 }
 
 #else /* without it: calls of what follows disappear */
-ALWAYS_INLINE void start_crowd(const mcp_asdf_t *robot, uint32_t b_hat) { (void)robot, (void)b_hat; }
-ALWAYS_INLINE void vote(const mcp_asdf_t *robot, uint8_t id, uint32_t x) { (void)robot, (void)id, (void)x; }
-ALWAYS_INLINE uint32_t crowd_x(const mcp_asdf_t *robot, uint32_t alone) { return (void)robot, alone; }
-ALWAYS_INLINE uint32_t crowd_b_hat(const mcp_asdf_t *robot) { return (void)robot, 0; }
+ALWAYS_INLINE void init_crowd(const mcp_asdf_t *robot, uint32_t b_hat) { (void)robot, (void)b_hat; }
+ALWAYS_INLINE void update_crowd(const mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
+{
+    (void)robot, (void)sender, (void)x_hat;
+}
+ALWAYS_INLINE uint32_t crowd_estimate(const mcp_asdf_t *robot, uint32_t x_hat) { return (void)robot, x_hat; }
+ALWAYS_INLINE uint32_t run_robust_filter(const mcp_asdf_t *robot) { return (void)robot, 0; }
 #endif
 #endif

@@ -66,7 +66,7 @@ def _alpha_inside(given: dict[str, Any], shift: Any, total: Any, rarer: Any, sca
     ratio = call("divide_24", half(dividend), half(divisor))
     excess = z3.LShR(ratio, 24) & 1
     exponent = 32 - 2 * given["g_shift"] - shift + spread_shift - square_shift + excess
-    return call("alpha_word", z3.LShR(ratio, excess), exponent)
+    return call("alpha_word_from_mantissa", z3.LShR(ratio, excess), exponent)
 
 
 def _alpha_at_an_end(given: dict[str, Any], common: Any, rare: Any) -> Any:
@@ -79,7 +79,7 @@ def _alpha_at_an_end(given: dict[str, Any], common: Any, rare: Any) -> Any:
     long = z3.If(is_short, call("join", call("low_word", total), z3.BitVecVal(0, 32)), total)
     sum_shift = call("leading_zeros", call("high_word", long))
     exponent = 34 - 2 * given["g_shift"] + moved - z3.If(is_short, z3.BitVecVal(32, 32), 0) - sum_shift
-    return call("alpha_word", z3.LShR(call("upper", long, sum_shift), 8), exponent)
+    return call("alpha_word_from_mantissa", z3.LShR(call("upper", long, sum_shift), 8), exponent)
 
 
 # design: R17
@@ -131,7 +131,7 @@ def of_square_of_ratio(program: Program) -> Iterator[Claim]:
 def of_reestimate(program: Program) -> Iterator[Claim]:
     """Which quotient is b_hat, and when there is none."""
     given, (found, _) = formed(program, "reestimate")
-    t, n, mean = (given[name] for name in ("t", "n", "a"))
+    t, n, mean = (given[name] for name in ("t", "n", "x_bar"))
     is_below = z3.ULT(mean, 2**31)
     a, black = z3.If(is_below, ~mean, mean), z3.If(is_below, t - n, n)
     says_something = z3.UGE(2 * a, 2**20)

@@ -148,7 +148,7 @@ def _received(status: Any, after: Any, robot: Any, *message: Any) -> Any:
         },
     }
     says_something = z3.And(is_accepted, units(alpha) != 0)
-    voted = computed("vote crowd", robot["crowd"], robot["crowd"], sender, x_hat)
+    voted = computed("update_crowd crowd", robot["crowd"], robot["crowd"], sender, x_hat)
     has_crowd = is_robust(robot["config"])
     expected = {
         **{name: each for name, each in robot.items() if name != "heard"},
@@ -187,7 +187,7 @@ RECEIVE = Contract(
     instead={
         **BY_LEMMA,
         **opaque_all("multiply"),
-        "vote": opaque("vote", "crowd", requires=VOTE.requires, reads="crowd"),
+        "update_crowd": opaque("update_crowd", "crowd", requires=VOTE.requires, reads="crowd"),
     },
 )
 
@@ -226,11 +226,11 @@ def _settled(status: Any, after: Any, robot: Any) -> Any:
         "closed": {name: robot["open"][name] for name in robot["closed"]},
         "filter_left": period,
     }
-    found = {name: computed(f"filter {name}", robot[name], ended) for name in FILTER_CHANGES}
+    found = {name: computed(f"update_b_hat {name}", robot[name], ended) for name in FILTER_CHANGES}
     expected = chosen(runs, {**ended, **found}, {**ended, "filter_left": left})
     nothing = {name: z3.BitVecVal(0, each.size()) for name, each in robot["open"].items()}
     nobody = {index: z3.BitVecVal(0, 8) for index in robot["heard"]["of"]}
-    status_of_filter = computed("filter", status, ended)
+    status_of_filter = computed("update_b_hat", status, ended)
     return z3.And(
         status == z3.If(runs, status_of_filter, z3.BitVecVal(0, status.size())),
         same(after, {**expected, "open": nothing, "heard": {"of": nobody}}),
@@ -238,7 +238,7 @@ def _settled(status: Any, after: Any, robot: Any) -> Any:
 
 
 # design: R4, R8, R9, R10
-SETTLE = Contract(_settled, instead={"filter": opaque("filter", *FILTER_CHANGES)})
+SETTLE = Contract(_settled, instead={"update_b_hat": opaque("update_b_hat", *FILTER_CHANGES)})
 
 # --- The test --------------------------------------------------------------------------------------------
 
@@ -289,7 +289,7 @@ CONTRACTS = {
     "mcp_asdf_observe": OBSERVE,
     "mcp_asdf_receive": RECEIVE,
     "mcp_asdf_settle": SETTLE,
-    "test_rejects": TEST,
+    "asdf_test_rejects": TEST,
 }
 
 

@@ -22,8 +22,9 @@ C_MOST = (1 << 31) - (1 << 19)
 RESULTS = {
     **dict.fromkeys(("multiply", "shift_right_64", "join"), 64),
     **dict.fromkeys(("leading_zeros", "shift_left", "upper", "high_word", "low_word", "multiply_high"), 32),
-    **dict.fromkeys(("divide_24", "alpha_word", "square_of_ratio", "mean", "quotient", "reestimate"), 32),
-    **dict.fromkeys(("test_rejects", "deviates"), 1),
+    **dict.fromkeys(("divide_24", "alpha_word_from_mantissa", "square_of_ratio", "round_mean"), 32),
+    **dict.fromkeys(("quotient", "reestimate"), 32),
+    **dict.fromkeys(("asdf_test_rejects", "robust_test_rejects"), 1),
 }
 """Called functions, of which nothing is known here, and bits of their results."""
 Claim = tuple[str, Any, list[Any]]
@@ -63,7 +64,7 @@ def _exactly(name: str) -> Summary:
 
 BY_LEMMA: dict[str, Summary] = {
     **{name: _exactly(name) for name in ("join", "high_word", "low_word")},
-    "units": _in_words,
+    "alpha_units": _in_words,
 }
 """Functions that are known by their lemmas, where they are not opaque."""
 
@@ -87,7 +88,7 @@ def returns(status: Any, *cases: tuple[Any, int]) -> Any:
 
 
 def _keep_b_hat(machine: Machine, robot: Place, b_hat: Number) -> None:
-    """set_b_hat(), as far as filter() is concerned."""
+    """set_b_hat(), as far as update_b_hat() is concerned."""
     machine.store(Place(robot.variable, (*robot.path, "accuracy", "b_hat")), b_hat)
 
 
@@ -124,4 +125,7 @@ def _is_on_grid(found: Any, mantissa: Any, exponent: Any) -> Any:
     return z3.If(exponent > 31, found == largest, found == z3.If(exponent >= 0, exact, below))
 
 
-CONTRACTS = {"units": Contract(_are_units), "alpha_word": Contract(_is_on_grid, requires=_is_normal)}
+CONTRACTS = {
+    "alpha_units": Contract(_are_units),
+    "alpha_word_from_mantissa": Contract(_is_on_grid, requires=_is_normal),
+}

@@ -120,9 +120,9 @@ VOTE = Contract(
 
 
 # design: R38
-def of_deviates(program: Program) -> Iterator[Claim]:
+def of_robust_test(program: Program) -> Iterator[Claim]:
     """The section's test in words, of products and a quotient that may be any."""
-    given, (found, _) = formed(program, "deviates")
+    given, (found, _) = formed(program, "robust_test_rejects")
     crowd, t, product = given["crowd"], given["t"], partial(call, "multiply")
     first, centre, upper = crowd["first"], crowd["centre"], partial(call, "multiply_high")
     r = z3.If(z3.LShR(centre, 30) == 0, centre << 2, z3.BitVecVal(2**32 - 1, 32))
@@ -150,9 +150,9 @@ def of_deviates(program: Program) -> Iterator[Claim]:
 def _of_round(robot: dict[str, Any]) -> tuple[Any, Any]:
     """What b_hat becomes by the paper's filters, 0 if it stays; and whether a test is counted."""
     closed, count, mode = robot["closed"], robot["open"]["count"], robot["config"]["filter"]
-    mean = call("mean", *(closed[name] for name in ("alpha", "alpha_x_low", "alpha_x_high")))
+    mean = call("round_mean", *(closed[name] for name in ("alpha", "alpha_x_low", "alpha_x_high")))
     is_tested = z3.And(mode == 0, z3.UGE(count, 2))
-    runs = z3.Or(z3.And(is_tested, call("test_rejects") != 0), z3.And(mode == 1, z3.UGE(count, 1)))
+    runs = z3.Or(z3.And(is_tested, call("asdf_test_rejects") != 0), z3.And(mode == 1, z3.UGE(count, 1)))
     return z3.If(runs, call("reestimate", mean), 0), is_tested
 
 
@@ -164,7 +164,7 @@ def _of_crowd(robot: dict[str, Any]) -> tuple[Any, Any, Any]:
     is_tested = z3.And(z3.Not(is_moving), z3.UGE(voices, 3))
     first = crowd["first"]
     kept = z3.If(robot["accuracy"]["b_hat"] == first, z3.BitVecVal(0, 32), first)
-    b_hat = z3.If(is_tested, z3.If(call("deviates") != 0, _anew(crowd), kept), z3.BitVecVal(0, 32))
+    b_hat = z3.If(is_tested, z3.If(call("robust_test_rejects") != 0, _anew(crowd), kept), z3.BitVecVal(0, 32))
     halved = z3.And(is_moving, z3.UGE(crowd["votes"], 2**9))
     return b_hat, is_tested, z3.If(halved, z3.LShR(crowd["votes"], 1), crowd["votes"])
 
@@ -178,7 +178,7 @@ def _anew(crowd: dict[str, Any]) -> Any:
 def of_filter(program: Program) -> Iterator[Claim]:
     """If there was an observation, what the robot's own filter finds becomes b_hat, unless it is 0; nothing
     else changes but what counts it."""
-    given, (found, after) = formed(program, "filter")
+    given, (found, after) = formed(program, "update_b_hat")
     counters, crowd, accuracy = (given[name] for name in ("counters", "crowd", "accuracy"))
     some, is_robust = given["t"] != 0, given["config"]["filter"] == 3
     (of_round, is_round_tested), (of_crowd, is_crowd_tested, votes) = _of_round(given), _of_crowd(given)
@@ -319,6 +319,6 @@ def of_the_formed() -> Iterator[Claim]:
     yield "below", formed_d * formed_d < formed, [*known, d * d + lost < limit]
 
 
-CONTRACTS = {"vote": VOTE}
-OF_THE_CODE = (of_deviates, of_filter)
+CONTRACTS = {"update_crowd": VOTE}
+OF_THE_CODE = (of_robust_test, of_filter)
 OF_THE_NUMBERS = (of_integers, of_errors, of_the_decision, of_the_formed)

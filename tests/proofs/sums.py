@@ -21,7 +21,7 @@ high_word, low_word = EXACT["high_word"], EXACT["low_word"]
 def of_mean(program: Program) -> Iterator[Claim]:
     """The sums are divided as they are, less a fraction below 2^-32 of alpha; a short alpha with 32 bits
     more, and no fraction lost. What quotient() requires holds."""
-    given, (found, _) = formed(program, "mean", ["quotient"])
+    given, (found, _) = formed(program, "round_mean", ["quotient"])
     alpha, low, high = (given[name] for name in ("alpha", "alpha_x_low", "alpha_x_high"))
     wide_alpha, wide_low, wide_high = (z3.ZeroExt(32, each) for each in (alpha, low, high))
     total = (wide_high << 32) + wide_low
@@ -43,13 +43,13 @@ def of_mean(program: Program) -> Iterator[Claim]:
 # design: R21
 def of_informed_estimate(program: Program) -> Iterator[Claim]:
     """Eq. 7, the own message included, and a correction by the rest of the division, modulo 2^64."""
-    given, (found, _) = formed(program, "informed_estimate", ["mean", "multiply"])
+    given, (found, _) = formed(program, "informed_estimate", ["round_mean", "multiply"])
     x_hat, own_alpha = given["x_hat"], given["own_alpha"]
     own = units(own_alpha)
     alpha = given["alpha"] + own
     low = given["alpha_x_low"] + call("multiply", low_word(own), x_hat)
     high = given["alpha_x_high"] + call("multiply", high_word(own), x_hat)
-    x = z3.LShR(call("mean", alpha, low, high), 9)
+    x = z3.LShR(call("round_mean", alpha, low, high), 9)
     product = call("multiply", x, low_word(alpha)) + z3.Concat(x * high_word(alpha), z3.BitVecVal(0, 32))
     rest = low + z3.Concat(low_word(high), z3.BitVecVal(0, 32)) - product
     one_more = z3.If(z3.UGE(rest, alpha), z3.BitVecVal(1, 32), z3.BitVecVal(0, 32))

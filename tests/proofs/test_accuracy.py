@@ -20,9 +20,9 @@ OF_THE_NUMBERS = (*accuracy.OF_THE_NUMBERS, *sums.OF_THE_NUMBERS, *robust.OF_THE
 
 FORMED = {
     **dict.fromkeys(("estimate", "set_b_hat", "square_of_ratio"), tuple(RESULTS)),
-    **dict.fromkeys(("reestimate", "filter", "deviates"), tuple(RESULTS)),
-    "mean": ("quotient",),
-    "informed_estimate": ("mean", "multiply"),
+    **dict.fromkeys(("reestimate", "update_b_hat", "robust_test_rejects"), tuple(RESULTS)),
+    "round_mean": ("quotient",),
+    "informed_estimate": ("round_mean", "multiply"),
 }
 """Functions that claims are about, and those that they call, of which nothing is known."""
 

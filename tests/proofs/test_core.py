@@ -31,7 +31,7 @@ FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c")
 
 
 LEMMAS = [*formulas.CONTRACTS, *robust.CONTRACTS, *calls.CONTRACTS, *images.CONTRACTS]
-LONG = ("vote", "mcp_asdf_receive", "test_rejects")
+LONG = ("update_crowd", "mcp_asdf_receive", "asdf_test_rejects")
 
 
 @pytest.mark.parametrize("name", [*(each for each in LEMMAS if each not in LONG), *slow(LONG)])
@@ -62,9 +62,9 @@ def prove_ends(code: Program, name: str, loop: Any) -> None:
         return
     machine = Machine(code, Words)
     for declaration in nodes(code.functions[name].body, c_ast.Decl):
-        if (name, declaration.name) == ("table_valid", "end"):
+        if (name, declaration.name) == ("is_valid_table", "hash_index"):
             machine.declare(declaration)
-            machine.know(z3.ULE(machine.load(machine.variable("end")).term, 129))
+            machine.know(z3.ULE(machine.load(machine.variable("hash_index")).term, 129))
     machine.execute(c_ast.For(loop.init, loop.cond, loop.next, c_ast.EmptyStatement(), loop.coord))
     prove_obligations(machine, name)
 
@@ -83,11 +83,11 @@ def test_every_loop_ends(path: Path) -> None:
 
 
 def test_a_table_that_is_read_has_at_most_129_words() -> None:
-    """As table_valid() refuses any other head before its loop."""
+    """As is_valid_table() refuses any other head before its loop."""
     head, magic = z3.BitVec("head", 32), 0x4D435400
     accepted = z3.And(z3.UGE(head, magic + 2), z3.ULE(head, magic + 127))
     prove(z3.ULE(z3.Extract(7, 0, head + 2), 129), accepted, about="q + 2")
     text = CORE.read_text(encoding="utf-8")
     refusal = text.index("if (head < TABLE_MAGIC + 2U || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {")
-    assert refusal < text.index("for (uint8_t i = 0; i < end; ++i)")
-    assert "const uint8_t end = (uint8_t)(head + 2U);" in text[:refusal]
+    assert refusal < text.index("for (uint8_t i = 0; i < hash_index; ++i)")
+    assert "const uint8_t hash_index = (uint8_t)(head + 2U);" in text[:refusal]

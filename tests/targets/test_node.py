@@ -547,7 +547,7 @@ def test_the_state_s_file_holds_the_last_state_or_the_one_before(
 NOT_EXECUTED = {
     "configurations that the node refuses before it is there": r"mcp_asdf\.c: (.*config->(filter|memory).*"
     r"|return (MCP_ASDF_ERR_(CONFIG|TABLE|ID)|false);|if \((id|head|word|status) .*|: MCP_ASDF_OK;"
-    r"|.*(K_ONE|TABLE_OMEGA_MAX).*)",
+    r"|.*(THRESHOLD_ONE|TABLE_OMEGA_MAX).*)",
     "arguments that its codec refuses before": r"mcp_asdf\.c: (if \((\(uint32_t\)z|x_hat|sender) .*"
     r"|return MCP_ASDF_ERR_(OBSERVATION|X_HAT);|\+\+robot->counters\.rejected;)",
     "error frames, CAN FD, and frames that no node makes": r"mcp_asdf_frame\.c: (return status;"
@@ -556,7 +556,7 @@ NOT_EXECUTED = {
     r"|return MCP_ASDF_FRAME_ERR_(ACTION|B_HAT|ERROR_FRAME|FD_FRAME|HEALTH|MODE|NODE|TARGET|X|X_HAT);)",
     "step(), which the node does not call": r"mcp_asdf\.c: (.*_(step|observe)\(.*|return status == .*)",
     "other configurations: another filter, table or memory, b_hat below 1/2": r"mcp_asdf\.c: "
-    r"(if \(mode == .*|const uint32_t k = .*|if \(t >= robot->config->memory.*|t >>= 1;|n = \(n .*)"
+    r"(if \(filter == .*|const uint32_t k = .*|if \(t >= robot->config->memory.*|t >>= 1;|n = \(n .*)"
     r"|mcp_asdf_robust\.h: const uint32_t g = .*",
     "46,341 observations or more: the largest alpha": r"mcp_asdf\.c: return exponent <= ALPHA_SHIFT_MAX .*"
     r"|mcp_asdf_arithmetic\.h: (if \(\(count & 32U\).*|value = high_word\(value\);)",

@@ -103,7 +103,7 @@ def measure(target: Target, level: str, folder: Path, of: Build = PAPER) -> Figu
     bound = {}
     if target != AVR:
         bound = {name: paths.longest(f"mcp_asdf_{name}") for name in ("receive", "x")}
-        bound["step"] = paths.longest("mcp_asdf_step", without="filter")
+        bound["step"] = paths.longest("mcp_asdf_step", without="update_b_hat")
         bound[UPDATED] = paths.longest("mcp_asdf_step")
     kinds = ("float",) if target == AVR else ("double", "float")  # avr-gcc 5 has no double of 64 bits
     return Figures(

@@ -17,7 +17,7 @@
 /* The sums of lane l's message alone. */
 ALWAYS_INLINE void say(lanes_t *row, size_t l)
 {
-    const word_pair_t alpha = units(row->alpha[l]);
+    const word_pair_t alpha = alpha_units(row->alpha[l]);
     row->said.alpha[l] = join(alpha.high, alpha.low);
     row->said.alpha_x_low[l] = multiply(alpha.low, row->x_hat[l]);
     row->said.alpha_x_high[l] = multiply(alpha.high, row->x_hat[l]);
@@ -49,7 +49,7 @@ FOR_EACH_TARGET void lanes_observe(lanes_t *rows, uint32_t count, uint32_t t, ui
         for (uint32_t l = 0; l < LANES; ++l) {
             const mcp_asdf_accuracy_t accuracy = {row->b_hat[l], row->c[l],       row->common[l],
                                                   row->rare[l],  row->g_shift[l], row->rare_shift[l]};
-            const message_t own = estimate(t, row->n[l] += lanes_black(row, l, k), &accuracy);
+            const estimate_t own = estimate(t, row->n[l] += lanes_black(row, l, k), &accuracy);
             row->x_hat[l] = own.x_hat;
             row->alpha[l] = own.alpha;
             say(row, l);
@@ -73,8 +73,8 @@ FOR_EACH_TARGET void lanes_inform(lanes_t *rows, uint32_t count, uint32_t kept)
 /* A vote of `sender` in lane l, if its alpha is not 0: both ways are computed. */
 ALWAYS_INLINE void vote_in_lane(lanes_t *row, size_t l, uint32_t sender, uint32_t x_hat, uint32_t alpha)
 {
-    const middle_t before = {row->centre[l], row->spread[l], row->votes[l], row->trend[l]};
-    const middle_t after = middle_after(before, x_hat);
+    const crowd_statistics_t before = {row->centre[l], row->spread[l], row->votes[l], row->trend[l]};
+    const crowd_statistics_t after = statistics_after_vote(before, x_hat);
     const bool counts = alpha >> 8 != 0U;
     row->centre[l] = counts ? after.centre : before.centre;
     row->spread[l] = counts ? after.spread : before.spread;
@@ -107,7 +107,7 @@ FOR_EACH_TARGET void lanes_centre(lanes_t *rows, uint32_t count, uint32_t kept)
         SIDE_BY_SIDE
         for (uint32_t l = 0; l < LANES; ++l) {
             const mcp_asdf_t robot = {.crowd = {.centre = row->centre[l], .votes = (uint16_t)row->votes[l]}};
-            row->x[kept][l] = crowd_x(&robot, row->x_hat[l]);
+            row->x[kept][l] = crowd_estimate(&robot, row->x_hat[l]);
         }
     }
 }
