@@ -1,5 +1,6 @@
-/* A whole robot without an operating system: in every tick it looks at the floor, tells its neighbours what
- * it thinks, and settles what it has heard from them. docs/porting.md goes through it. */
+/* A whole robot without an operating system: in every tick it reads its ground sensor, sends its estimate to
+ * its neighbours, and settles the round of what it has received from them. docs/porting.md goes through it.
+ */
 #include "demo.h"
 
 #include "mcp_asdf_image.h"
@@ -17,66 +18,78 @@
  * robots whose sensors you doubt, MCP_ASDF_CONFIG_OFF for robots whose sensors are calibrated. */
 #define DEMO_CONFIG MCP_ASDF_CONFIG_ROBUST
 #endif
-#define B_HAT MCP_ASDF_PROBABILITY(95, 100) /* we believe that the sensor is right 95 times out of 100 */
+#define B_HAT MCP_ASDF_PROBABILITY(95, 100) /* the sensor is taken to be right 95 times out of 100 */
 #define TICKS_PER_SECOND 10
 
 extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
 static const mcp_asdf_config_t config = DEMO_CONFIG;
-static const mcp_asdf_frame_format_t estimates = MCP_ASDF_FORMAT_ESTIMATE,
-                                     reports = MCP_ASDF_FORMAT_TELEMETRY;
+static const mcp_asdf_frame_format_t estimate_format = MCP_ASDF_FORMAT_ESTIMATE,
+                                     telemetry_format = MCP_ASDF_FORMAT_TELEMETRY;
 static mcp_asdf_t robot;
 
-static void listen(void)
+/* Pass all estimates that have arrived to the firmware; other frames are ignored. */
+static void receive(void)
 {
     mcp_asdf_frame_t frame;
-    mcp_asdf_estimate_t heard;
-    while (radio_take(&frame)) {
-        if (mcp_asdf_decode_estimate(&heard, estimates.subject, &frame) == MCP_ASDF_FRAME_OK) {
-            mcp_asdf_receive(&robot, heard.node, heard.x_hat, heard.alpha);
+    mcp_asdf_estimate_t estimate;
+    while (radio_next_frame(&frame)) {
+        if (mcp_asdf_decode_estimate(&estimate, estimate_format.subject, &frame) == MCP_ASDF_FRAME_OK) {
+            mcp_asdf_receive(&robot, estimate.node, estimate.x_hat, estimate.alpha);
         }
     }
 }
 
+/* Send x_hat and alpha to the neighbours. */
 static void broadcast(void)
 {
-    static uint8_t count;
+    static uint8_t transfer_id;
     mcp_asdf_frame_t frame;
-    const mcp_asdf_estimate_t own = {DEMO_ID, count++, mcp_asdf_x_hat(&robot), mcp_asdf_alpha(&robot)};
-    if (mcp_asdf_encode_estimate(&frame, &estimates, &own) == MCP_ASDF_FRAME_OK) {
+    const mcp_asdf_estimate_t estimate = {DEMO_ID, transfer_id++, mcp_asdf_x_hat(&robot),
+                                          mcp_asdf_alpha(&robot)};
+    if (mcp_asdf_encode_estimate(&frame, &estimate_format, &estimate) == MCP_ASDF_FRAME_OK) {
         radio_send(&frame);
     }
 }
 
-/* Once a second: a sign of life, with the number of lost packets as its status, and what is worth a log. */
+/* Send a heartbeat, with the number of lost packets as its vendor status, and telemetry for observers. Called
+ * once a second. */
 static void report(void)
 {
     static uint32_t seconds;
-    const uint8_t count = (uint8_t)seconds++;
+    const uint8_t transfer_id = (uint8_t)seconds++;
     const uint8_t health =
         mcp_asdf_invariants_hold(&robot) ? MCP_ASDF_HEALTH_NOMINAL : MCP_ASDF_HEALTH_WARNING;
     const uint8_t updates = (uint8_t)mcp_asdf_counters(&robot).updates;
-    const mcp_asdf_heartbeat_t beat = {DEMO_ID,      count,  health, MCP_ASDF_MODE_OPERATIONAL,
-                                       radio_lost(), seconds};
-    const mcp_asdf_telemetry_t state = {DEMO_ID, count, updates, mcp_asdf_x(&robot),
-                                        mcp_asdf_b_hat(&robot) >> 8};
+    const mcp_asdf_heartbeat_t heartbeat = {.node = DEMO_ID,
+                                            .transfer_id = transfer_id,
+                                            .health = health,
+                                            .mode = MCP_ASDF_MODE_OPERATIONAL,
+                                            .vendor_status = radio_lost_packets(),
+                                            .uptime = seconds};
+    const mcp_asdf_telemetry_t telemetry = {.node = DEMO_ID,
+                                            .transfer_id = transfer_id,
+                                            .updates = updates,
+                                            .x = mcp_asdf_x(&robot),
+                                            .b_hat = mcp_asdf_b_hat(&robot) >> 8}; /* Q32 to Q24 */
     mcp_asdf_frame_t frame;
-    if (mcp_asdf_encode_heartbeat(&frame, estimates.priority, &beat) == MCP_ASDF_FRAME_OK) {
+    if (mcp_asdf_encode_heartbeat(&frame, estimate_format.priority, &heartbeat) == MCP_ASDF_FRAME_OK) {
         radio_send(&frame);
     }
-    if (mcp_asdf_encode_telemetry(&frame, &reports, &state) == MCP_ASDF_FRAME_OK) {
+    if (mcp_asdf_encode_telemetry(&frame, &telemetry_format, &telemetry) == MCP_ASDF_FRAME_OK) {
         radio_send(&frame);
     }
 }
 
+/* Run a control tick: observe, broadcast, receive, settle; report once a second. */
 static void tick(void)
 {
     static uint8_t ticks;
     mcp_asdf_observation_t tile;
-    if (board_sees(&tile)) {
+    if (board_read_tile(&tile)) {
         mcp_asdf_observe(&robot, tile);
     }
     broadcast();
-    listen();
+    receive();
     mcp_asdf_settle(&robot);
     if (++ticks == TICKS_PER_SECOND) {
         ticks = 0;
@@ -84,6 +97,7 @@ static void tick(void)
     }
 }
 
+/* Run the robot for ever. Ends with status 1 only if the firmware refuses its configuration. */
 int main(void)
 {
     if (mcp_asdf_init(&robot, &config, DEMO_ID, B_HAT) != MCP_ASDF_OK) {
@@ -91,8 +105,8 @@ int main(void)
     }
     board_start();
     for (;;) {
-        listen();
-        if (board_tick()) {
+        receive();
+        if (board_has_tick_begun()) {
             tick();
         }
     }

@@ -5,13 +5,14 @@
 
 #include "mcp_asdf.h"
 
-/* Switch on sensor, clock and the receiving side of the serial line, whose bytes go to radio_hear(). */
+/* Switch on the sensor, the clock and the receiving side of the serial line. From now on the board passes
+ * received bytes to radio_receive_byte(). */
 void board_start(void);
 
 /* Whether a control tick, a tenth of a second, has begun since the last call. Does not wait. */
-bool board_tick(void);
+bool board_has_tick_begun(void);
 
-/* Look at the floor: whether the ground sensor can tell the colour of the tile, which then is in *tile. */
-bool board_sees(mcp_asdf_observation_t *tile);
+/* Read the ground sensor. Returns whether it recognises the colour of the tile, which is then in *tile. */
+bool board_read_tile(mcp_asdf_observation_t *tile);
 
 #endif

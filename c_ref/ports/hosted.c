@@ -9,6 +9,7 @@ void port_put(char byte) { (void)putchar(byte); }
 
 bool port_has_room(void) { return true; }
 
+/* Wait for a byte of the standard input. All output is flushed before, as the other side may wait for it. */
 int port_get(void)
 {
     (void)fflush(stdout);

@@ -1,89 +1,99 @@
-/* Frames as packets of 14 bytes on a serial line: a mark, identifier (little-endian) and data of a frame, and
- * a checksum, CRC-8 with the polynomial 0x07. The queue lets an interrupt receive while the robot computes.
+/* Frames as packets of 14 bytes on a serial line: a mark, the identifier (little-endian) and the data of a
+ * frame, and a checksum, CRC-8 with the polynomial 0x07. The queue lets an interrupt receive while the robot
+ * computes.
  */
 #include "radio.h"
 
 #include "port.h"
 
 #define MARK 0x7E
-#define IDENTIFIER 4U
-#define FRAME (IDENTIFIER + 8U)
-#define PACKET (FRAME + 1U) /* without the mark */
-#define SLOTS 8U            /* packets that may wait; a power of two */
+#define ID_BYTES 4U
+#define DATA_BYTES 8U
+#define FRAME_BYTES (ID_BYTES + DATA_BYTES)
+#define PACKET_BYTES (FRAME_BYTES + 1U) /* with the checksum, without the mark */
+#define QUEUE_SLOTS 8U                  /* packets that may wait; a power of two */
+#define CRC_POLYNOMIAL 0x07
 
-/* Each side writes only one of the two counts, and every processor reads and writes a byte in one piece:
- * nothing has to be masked. A packet that finds the queue full is lost. */
-static volatile uint8_t queue[SLOTS][PACKET];
-static volatile uint8_t filled, emptied; /* packets since start, modulo 256 */
-static volatile uint8_t refused;         /* written by the receiving side */
-static uint8_t damaged;                  /* by the other */
+/* The receiving side writes to the queue, the other one reads it. Each writes only one of the two counts, and
+ * every processor reads and writes a byte in one piece: no interrupt has to be masked. */
+static volatile uint8_t queue[QUEUE_SLOTS][PACKET_BYTES];
+static volatile uint8_t received_packets, taken_packets; /* put into the queue and taken out, modulo 256 */
+static volatile uint8_t
+    rejected_packets;           /* lost since the queue was full, modulo 256; by the receiving side */
+static uint8_t damaged_packets; /* with a wrong checksum, modulo 256; written by the other side */
 
-void radio_hear(uint8_t byte)
+/* Collect the bytes of a packet, and add the packet to the queue. Bytes before a mark are skipped. */
+void radio_receive_byte(uint8_t byte)
 {
-    static uint8_t count; /* bytes of this packet so far, its mark included */
-    static bool has_room;
-    if (count == 0) {
-        has_room = (uint8_t)(filled - emptied) < SLOTS;
-        count = byte == MARK;
+    static uint8_t byte_count; /* bytes of this packet so far, with its mark */
+    static bool has_room;      /* whether this packet has a slot in the queue */
+    if (byte_count == 0) {
+        has_room = (uint8_t)(received_packets - taken_packets) < QUEUE_SLOTS;
+        byte_count = byte == MARK;
         return;
     }
     if (has_room) {
-        queue[filled % SLOTS][count - 1] = byte;
+        queue[received_packets % QUEUE_SLOTS][byte_count - 1] = byte;
     }
-    if (count++ == PACKET) {
-        count = 0;
-        filled = (uint8_t)(filled + has_room);
-        refused = (uint8_t)(refused + !has_room);
+    if (byte_count++ == PACKET_BYTES) {
+        byte_count = 0;
+        received_packets = (uint8_t)(received_packets + has_room);
+        rejected_packets = (uint8_t)(rejected_packets + !has_room);
     }
 }
 
-static uint8_t checksum(const uint8_t *bytes)
+/* CRC-8 of a packet without its last byte. */
+static uint8_t checksum(const uint8_t *packet)
 {
     uint8_t crc = 0;
-    for (uint8_t i = 0; i < FRAME; ++i) {
-        crc ^= bytes[i];
+    for (uint8_t i = 0; i < FRAME_BYTES; ++i) {
+        crc ^= packet[i];
         for (uint8_t bit = 0; bit < 8; ++bit) {
-            crc = (uint8_t)(crc << 1 ^ (crc & 0x80 ? 0x07 : 0));
+            crc = (uint8_t)(crc << 1 ^ (crc & 0x80 ? CRC_POLYNOMIAL : 0));
         }
     }
     return crc;
 }
 
-bool radio_take(mcp_asdf_frame_t *frame)
+/* Take packets out of the queue until one is undamaged, and read its frame. Returns false if there is none.
+ */
+bool radio_next_frame(mcp_asdf_frame_t *frame)
 {
-    while (emptied != filled) {
-        uint8_t packet[PACKET];
-        for (uint8_t i = 0; i < PACKET; ++i) {
-            packet[i] = queue[emptied % SLOTS][i];
+    while (taken_packets != received_packets) {
+        /* Copied first: the slot is free as soon as the packet counts as taken. */
+        uint8_t packet[PACKET_BYTES];
+        for (uint8_t i = 0; i < PACKET_BYTES; ++i) {
+            packet[i] = queue[taken_packets % QUEUE_SLOTS][i];
         }
-        emptied = (uint8_t)(emptied + 1);
-        if (packet[FRAME] != checksum(packet)) {
-            damaged = (uint8_t)(damaged + 1);
+        taken_packets = (uint8_t)(taken_packets + 1);
+        if (packet[FRAME_BYTES] != checksum(packet)) {
+            damaged_packets = (uint8_t)(damaged_packets + 1);
             continue;
         }
-        *frame = (mcp_asdf_frame_t){.length = 8};
-        for (uint8_t i = 0; i < IDENTIFIER; ++i) {
+        *frame = (mcp_asdf_frame_t){.length = DATA_BYTES};
+        for (uint8_t i = 0; i < ID_BYTES; ++i) {
             frame->id |= (uint32_t)packet[i] << 8 * i;
         }
-        for (uint8_t i = 0; i < 8; ++i) {
-            frame->data[i] = packet[IDENTIFIER + i];
+        for (uint8_t i = 0; i < DATA_BYTES; ++i) {
+            frame->data[i] = packet[ID_BYTES + i];
         }
         return true;
     }
     return false;
 }
 
+/* Send a frame as a packet, after a mark. */
 void radio_send(const mcp_asdf_frame_t *frame)
 {
-    uint8_t packet[PACKET];
-    for (uint8_t i = 0; i < FRAME; ++i) {
-        packet[i] = i < IDENTIFIER ? (uint8_t)(frame->id >> 8 * i) : frame->data[i - IDENTIFIER];
+    uint8_t packet[PACKET_BYTES];
+    for (uint8_t i = 0; i < FRAME_BYTES; ++i) {
+        packet[i] = i < ID_BYTES ? (uint8_t)(frame->id >> 8 * i) : frame->data[i - ID_BYTES];
     }
-    packet[FRAME] = checksum(packet);
+    packet[FRAME_BYTES] = checksum(packet);
     port_put(MARK);
-    for (uint8_t i = 0; i < PACKET; ++i) {
+    for (uint8_t i = 0; i < PACKET_BYTES; ++i) {
         port_put((char)packet[i]);
     }
 }
 
-uint8_t radio_lost(void) { return (uint8_t)(refused + damaged); }
+uint8_t radio_lost_packets(void) { return (uint8_t)(rejected_packets + damaged_packets); }

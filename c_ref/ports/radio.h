@@ -6,16 +6,18 @@
 
 #include <stdbool.h>
 
-/* Send a frame; waits until the serial line has taken it. */
+/* Send a frame. Waits until the serial line has accepted all of it. */
 void radio_send(const mcp_asdf_frame_t *frame);
 
-/* Called by the board for every byte that the serial line receives, from an interrupt if it likes. */
-void radio_hear(uint8_t byte);
+/* Handle a byte that the serial line has received. The board calls this for each one, also from an interrupt.
+ */
+void radio_receive_byte(uint8_t byte);
 
-/* Take the oldest frame that is waiting; returns whether there was one. Not from an interrupt. */
-bool radio_take(mcp_asdf_frame_t *frame);
+/* Remove the oldest received frame from the queue, and write it to *frame. Returns whether there was one. Not
+ * for interrupts. */
+bool radio_next_frame(mcp_asdf_frame_t *frame);
 
-/* Packets lost so far, modulo 256: damaged, or come while the queue was full. */
-uint8_t radio_lost(void);
+/* Number of packets lost so far, modulo 256: damaged, or received while the queue was full. */
+uint8_t radio_lost_packets(void);
 
 #endif

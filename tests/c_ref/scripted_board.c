@@ -20,7 +20,7 @@ static uint8_t next_byte(void)
 
 void board_start(void) { port_put('?'); } /* what came before is lost on some machines */
 
-bool board_tick(void)
+bool board_has_tick_begun(void)
 {
     const uint8_t byte = next_byte();
     if (byte <= NO_TILE) {
@@ -28,12 +28,12 @@ bool board_tick(void)
         return true;
     }
     for (uint8_t left = byte - NO_TILE; left > 0; --left) {
-        radio_hear(next_byte());
+        radio_receive_byte(next_byte());
     }
     return false;
 }
 
-bool board_sees(mcp_asdf_observation_t *tile)
+bool board_read_tile(mcp_asdf_observation_t *tile)
 {
     *tile = now == MCP_ASDF_BLACK ? MCP_ASDF_BLACK : MCP_ASDF_WHITE;
     return now != NO_TILE;

@@ -26,7 +26,7 @@ static void hear_frame(input_t *in, mcp_asdf_frame_t *frame)
     radio_send(frame);
     MUST(put == PACKET);
     for (int i = 0; i < PACKET; ++i) {
-        radio_hear(sent[i]);
+        radio_receive_byte(sent[i]);
     }
 }
 
@@ -35,9 +35,9 @@ static void settle_down(void)
 {
     mcp_asdf_frame_t frame;
     for (int i = 0; i < PACKET; ++i) {
-        radio_hear(0);
+        radio_receive_byte(0);
     }
-    while (radio_take(&frame)) {
+    while (radio_next_frame(&frame)) {
     }
 }
 
@@ -48,27 +48,27 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     mcp_asdf_frame_t frame, heard;
     size_t came = 0, taken = 0;
     settle_down();
-    const uint8_t lost = radio_lost();
+    const uint8_t lost = radio_lost_packets();
     while (in.left > 0) {
         const uint32_t byte = input_take(&in, 1);
         if (byte == 0xFE) {
             frame = heard = (mcp_asdf_frame_t){.id = 0xA5, .length = 1};
-            const bool found = radio_take(&frame);
+            const bool found = radio_next_frame(&frame);
             MUST(found != same_frame(&frame, &heard));
             MUST(!found || (frame.length == 8 && frame.flags == 0));
             taken += found;
         } else {
-            radio_hear((uint8_t)byte);
+            radio_receive_byte((uint8_t)byte);
             ++came;
         }
     }
-    while (radio_take(&frame)) {
+    while (radio_next_frame(&frame)) {
         ++taken;
     }
-    MUST((taken + (uint8_t)(radio_lost() - lost)) * PACKET <= came + PACKET - 1);
+    MUST((taken + (uint8_t)(radio_lost_packets() - lost)) * PACKET <= came + PACKET - 1);
     settle_down();
     in = (input_t){data, size};
     hear_frame(&in, &frame);
-    MUST(radio_take(&heard) && same_frame(&heard, &frame) && !radio_take(&heard));
+    MUST(radio_next_frame(&heard) && same_frame(&heard, &frame) && !radio_next_frame(&heard));
     return 0;
 }

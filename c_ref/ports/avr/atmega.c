@@ -11,35 +11,38 @@
 #define UART_DIVISOR (*(volatile uint8_t *)0xC4)
 #define UART_DATA (*(volatile uint8_t *)0xC6)
 
-#define SENT 0x40 /* in UART_STATE */
-#define ROOM 0x20
+#define ALL_SENT 0x40 /* in UART_STATE */
+#define HAS_ROOM 0x20
 #define DOUBLE_SPEED 0x02
-#define SEND 0x08 /* in UART_CONTROL */
-#define POWER_DOWN 0x05
+#define ENABLE_SENDER 0x08 /* in UART_CONTROL */
+#define POWER_DOWN 0x05    /* in SLEEP_CONTROL */
 
 static void uart_start(void) __attribute__((constructor));
 
+/* Set the speed of the serial line, and switch on its sender. avr-libc calls this before main(). */
 static void uart_start(void)
 {
     UART_STATE = DOUBLE_SPEED;
     UART_DIVISOR = BAUD_DIVISOR - 1;
-    UART_CONTROL = SEND;
+    UART_CONTROL = ENABLE_SENDER;
 }
 
+/* Wait for room in the UART, and send a byte. */
 void port_put(char byte)
 {
-    while ((UART_STATE & ROOM) == 0) {
+    while ((UART_STATE & HAS_ROOM) == 0) {
     }
-    UART_STATE = SENT | DOUBLE_SPEED; /* cleared by writing 1 */
+    UART_STATE = ALL_SENT | DOUBLE_SPEED; /* writing 1 clears ALL_SENT */
     UART_DATA = (uint8_t)byte;
 }
 
-/* Asleep without interrupts nothing can wake it, which simavr takes for the end. There is no exit status. */
+/* Wait until all bytes have been sent, then sleep with interrupts off: nothing can wake the processor, which
+ * simavr takes for the end of the program. There is no exit status. */
 void port_exit(int status)
 {
     (void)status;
-    port_put('\n'); /* so that there is something to wait for */
-    while ((UART_STATE & SENT) == 0) {
+    port_put('\n'); /* if nothing has been sent, ALL_SENT would never be set */
+    while ((UART_STATE & ALL_SENT) == 0) {
     }
     SLEEP_CONTROL = POWER_DOWN;
     __asm__ volatile("cli\n"

@@ -9,9 +9,12 @@
 
 #define PRESCALER 64
 #define TICKS_PER_SECOND 10
+#define ADC_HALF 512 /* half of the supply */
 
-ISR(USART_RX_vect) { radio_hear(UDR0); }
+/* A byte has been received. */
+ISR(USART_RX_vect) { radio_receive_byte(UDR0); }
 
+/* Switch on the receiver, timer 1, and the converter of the ground sensor. */
 void board_start(void)
 {
     UCSR0B |= _BV(RXEN0) | _BV(RXCIE0); /* atmega.c has set the speed */
@@ -22,7 +25,8 @@ void board_start(void)
     sei();
 }
 
-bool board_tick(void)
+/* Whether the timer has reached its end since the last call. */
+bool board_has_tick_begun(void)
 {
     const bool has_begun = (TIFR1 & _BV(OCF1A)) != 0;
     if (has_begun) {
@@ -31,11 +35,12 @@ bool board_tick(void)
     return has_begun;
 }
 
-bool board_sees(mcp_asdf_observation_t *tile)
+/* Measure the ground sensor: it always recognises a colour. */
+bool board_read_tile(mcp_asdf_observation_t *tile)
 {
     ADCSRA |= _BV(ADSC);
-    while ((ADCSRA & _BV(ADSC)) != 0) {
+    while ((ADCSRA & _BV(ADSC)) != 0) { /* until the conversion has ended */
     }
-    *tile = ADC < 512 ? MCP_ASDF_BLACK : MCP_ASDF_WHITE;
+    *tile = ADC < ADC_HALF ? MCP_ASDF_BLACK : MCP_ASDF_WHITE;
     return true;
 }

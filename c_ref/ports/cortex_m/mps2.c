@@ -17,24 +17,27 @@ typedef struct {
     uint32_t divisor;
 } uart_t;
 
-#define NO_ROOM 1U   /* in state */
-#define LOST 8U      /* cleared by writing 1 */
-#define SEND 1U      /* in control */
-#define RECEIVE 0xAU /* with an interrupt */
-#define RECEIVER 2U  /* in interrupt: cleared by writing 1 */
-#define KEPT 128U    /* bytes in the queue: a power of two */
+#define NO_ROOM 1U            /* in state */
+#define HAS_LOST 8U           /* in state: cleared by writing 1 */
+#define ENABLE_SENDER 1U      /* in control */
+#define ENABLE_RECEIVER 0xAU  /* in control: the receiver, and its interrupt */
+#define RECEIVER_INTERRUPT 2U /* in interrupt: cleared by writing 1 */
+#define QUEUE_SIZE 128U       /* a power of two */
 
 #define UART ((volatile uart_t *)0x40004000)
-#define INTERRUPTS_ON (*(volatile uint32_t *)0xE000E100) /* bits that are 0 do nothing */
-#define INTERRUPTS_OFF (*(volatile uint32_t *)0xE000E180)
+/* In both registers a bit that is written as 0 does nothing. Bit 0 is the UART's receiver. */
+#define ENABLE_INTERRUPTS (*(volatile uint32_t *)0xE000E100)
+#define DISABLE_INTERRUPTS (*(volatile uint32_t *)0xE000E180)
 #define VECTORS (*(volatile uint32_t *)0xE000ED08)
 
-/* The queue from interrupt to program. Each side writes only its own count; counts go around at 256. */
-static volatile int16_t queue[KEPT];
-static volatile uint8_t filled, emptied;
+/* Received bytes, and PORT_LOST, on their way from the interrupt to the program. Each side writes only its
+ * own count of entries, modulo 256. */
+static volatile int16_t queue[QUEUE_SIZE];
+static volatile uint8_t entries_put, entries_taken;
 
 bool port_has_room(void) { return (UART->state & NO_ROOM) == 0; }
 
+/* Wait for room in the UART, and send a byte. */
 void port_put(char byte)
 {
     while (!port_has_room()) {
@@ -42,53 +45,74 @@ void port_put(char byte)
     UART->data = (uint8_t)byte;
 }
 
-/* While the queue is full, bytes stay in the UART. It keeps one, and then says that it has lost some. */
-static void received(void)
+/* Interrupt: a byte has been received. Puts it into the queue, after PORT_LOST if the UART has lost bytes. If
+ * there is no room for two entries, the interrupt is disabled until port_get() has taken one: the UART keeps
+ * one byte, and reports that it has lost those which follow. */
+static void handle_received_byte(void)
 {
-    if ((uint8_t)(filled - emptied) > KEPT - 2) {
-        INTERRUPTS_OFF = 1;
+    if ((uint8_t)(entries_put - entries_taken) > QUEUE_SIZE - 2) {
+        DISABLE_INTERRUPTS = 1;
         return;
     }
-    UART->interrupt = RECEIVER;
-    if ((UART->state & LOST) != 0) {
-        UART->state = LOST;
-        queue[filled++ % KEPT] = PORT_LOST;
+    UART->interrupt = RECEIVER_INTERRUPT;
+    if ((UART->state & HAS_LOST) != 0) {
+        UART->state = HAS_LOST;
+        queue[entries_put++ % QUEUE_SIZE] = PORT_LOST;
     }
-    queue[filled++ % KEPT] = (uint8_t)UART->data;
+    queue[entries_put++ % QUEUE_SIZE] = (uint8_t)UART->data;
 }
 
+/* Any other exception ends the program. */
 static void fault(void) { port_exit(1); }
 
-/* The start-up's table ends before the chip's own interrupts. */
+/* The vector table of start.c has no interrupts of the chip; this one has the first of them, entry 16. */
 typedef void (*handler_t)(void);
 static const handler_t vectors[] __attribute__((aligned(128))) = {
-    fault, fault, fault, fault, fault, fault, fault, fault,    fault,
-    fault, fault, fault, fault, fault, fault, fault, received,
+    fault,
+    fault,
+    fault,
+    fault,
+    fault,
+    fault,
+    fault,
+    fault,
+    fault,
+    fault,
+    fault,
+    fault,
+    fault,
+    fault,
+    fault,
+    fault,
+    handle_received_byte,
 };
 
+/* Set the speed of the serial line, and switch on sender, receiver and interrupt. */
 void uart_start(void)
 {
     UART->divisor = CLOCK / BAUD;
     VECTORS = (uint32_t)(uintptr_t)vectors;
-    INTERRUPTS_ON = 1;
-    UART->control = SEND | RECEIVE;
+    ENABLE_INTERRUPTS = 1;
+    UART->control = ENABLE_SENDER | ENABLE_RECEIVER;
 }
 
+/* Take the oldest entry out of the queue, and enable the interrupt again, as there is room now. */
 int port_get(void)
 {
-    if (emptied == filled) {
+    if (entries_taken == entries_put) {
         return PORT_NOTHING;
     }
-    const int byte = queue[emptied++ % KEPT];
-    INTERRUPTS_ON = 1;
+    const int byte = queue[entries_taken++ % QUEUE_SIZE];
+    ENABLE_INTERRUPTS = 1;
     return byte;
 }
 
-/* A byte that comes after the look at the queue wakes the processor, too: masked interrupts do. */
+/* Sleep if the queue is empty. Interrupts are masked meanwhile, so that none can come between the check and
+ * the sleep; a masked interrupt ends the sleep, too. */
 void port_sleep(void)
 {
     __asm__ volatile("cpsid i");
-    if (emptied == filled) {
+    if (entries_taken == entries_put) {
         __asm__ volatile("wfi");
     }
     __asm__ volatile("cpsie i");

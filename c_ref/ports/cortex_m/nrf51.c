@@ -6,12 +6,13 @@
 #include <stdint.h>
 
 #define START_TX (*(volatile uint32_t *)0x40002008)
-#define SENT (*(volatile uint32_t *)0x4000211C)
+#define IS_SENT (*(volatile uint32_t *)0x4000211C)
 #define ENABLE (*(volatile uint32_t *)0x40002500)
 #define PIN_TX (*(volatile uint32_t *)0x4000250C)
 #define DATA (*(volatile uint32_t *)0x4000251C)
 #define BAUD (*(volatile uint32_t *)0x40002524)
 
+/* Choose pin and speed of the serial line, and switch on its sender. */
 void uart_start(void)
 {
     PIN_TX = 24;       /* the line to the interface chip's USB port */
@@ -20,10 +21,11 @@ void uart_start(void)
     START_TX = 1;
 }
 
+/* Send a byte, and wait until it has been sent. */
 void port_put(char byte)
 {
-    SENT = 0;
+    IS_SENT = 0;
     DATA = (uint8_t)byte;
-    while (SENT == 0) {
+    while (IS_SENT == 0) {
     }
 }

@@ -11,6 +11,7 @@ extern uint32_t stack_top[], data_image[], data_start[], data_end[], bss_start[]
 int main(void);
 void reset(void);
 
+/* First function after a reset: initialise all variables, run the program, and end with its status. */
 void reset(void)
 {
     const uint32_t *from = data_image;
@@ -24,9 +25,10 @@ void reset(void)
     port_exit(main());
 }
 
+/* Any exception ends the program. */
 static void fault(void) { port_exit(1); }
 
-/* The processor takes its stack and its first instruction from here. Any exception ends the program. */
+/* The vector table: the processor reads its stack and its first instruction from it. */
 typedef struct {
     uint32_t *stack;
     void (*handlers[15])(void);
@@ -38,7 +40,8 @@ const vectors_t vectors = {
     {reset, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault},
 };
 
-/* Semihosting's SYS_EXIT_EXTENDED (0x20) with the reason "application exit" (0x20026) and the status. */
+/* End the program by a call of the debugger: semihosting's SYS_EXIT_EXTENDED (0x20) with the reason
+ * "application exit" (0x20026) and the status. */
 __attribute__((naked)) void port_exit(int status __attribute__((unused))) /* in r0 */
 {
     __asm__("mov r2, r0\n"

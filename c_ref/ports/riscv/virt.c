@@ -17,8 +17,9 @@ void fault(void);
 /* Set by virt.ld. */
 extern uint32_t bss_start[], bss_end[];
 
-/* The first instructions. All memory is RAM and holds the image, data included. The number is
- * "csrw mtvec, t0": assemblers differ in the extension they want to be told for the name. */
+/* The first instructions: set global pointer, stack and trap handler. All memory is RAM and holds the image,
+ * data included. The number is "csrw mtvec, t0": assemblers differ in the extension that they need for its
+ * name. */
 __attribute__((naked, section(".start"))) void start(void)
 {
     __asm__(".option push\n"
@@ -31,6 +32,7 @@ __attribute__((naked, section(".start"))) void start(void)
             "j begin\n");
 }
 
+/* Initialise all variables that are 0, run the program, and end with its status. */
 __attribute__((used)) void begin(void)
 {
     for (uint32_t *to = bss_start; to < bss_end; ++to) {
@@ -40,8 +42,10 @@ __attribute__((used)) void begin(void)
     port_exit(main());
 }
 
+/* Trap handler: any exception ends the program. */
 __attribute__((used, aligned(4))) void fault(void) { port_exit(1); }
 
+/* End the emulation with a status. */
 void port_exit(int status)
 {
     TEST = status == 0 ? TEST_PASS : (uint32_t)status << 16 | TEST_FAIL;
