@@ -5,32 +5,43 @@
 #include "mcp_asdf_arithmetic.h"
 
 #define FRAME_BYTES 8U
-/* Of a binary32 number: from here on infinity, then NaN, then all with the sign bit set. */
-#define BINARY32_INFINITE UINT32_C(0x7F800000)
-#define BINARY32_FRACTION UINT32_C(0x007FFFFF)
-#define BINARY32_IMPLICIT UINT32_C(0x00800000)
-#define BINARY32_UNIT 126U                  /* biased exponent of numbers whose last bit is worth 2^-24 */
-#define IDENTIFIER_ONES (UINT32_C(3) << 21) /* sent as 1, ignored */
-#define SERVICE (UINT32_C(1) << 25)
-#define ANONYMOUS (UINT32_C(1) << 24)
-#define RESERVED (UINT32_C(1) << 23 | UINT32_C(1) << 7)
-#define NOT_IN_IDENTIFIER UINT32_C(0xE0000000) /* a set bit here must not pass for a legal frame */
-#define NODE_BITS 0x7FU
-#define SINGLE_FRAME 0xE0U /* start, end and toggle of the tail byte */
-#define TRANSFER_BITS 0x1FU
+
+/* Parts of a binary32 number. Numbers from infinity on are infinity, NaN, and all with the sign bit set. */
+#define BINARY32_INFINITY UINT32_C(0x7F800000)
+#define BINARY32_FRACTION_MASK UINT32_C(0x007FFFFF)
+#define BINARY32_IMPLICIT_BIT UINT32_C(0x00800000)
+#define BINARY32_UNIT_EXPONENT 126U /* biased exponent of numbers whose last bit is worth 2^-24 */
+
+/* Bits of the identifier beside priority, subject and node. */
+#define ID_BITS_SENT_AS_ONE (UINT32_C(3) << 21) /* receivers ignore them */
+#define ID_SERVICE (UINT32_C(1) << 25)
+#define ID_ANONYMOUS (UINT32_C(1) << 24)
+#define ID_RESERVED (UINT32_C(1) << 23 | UINT32_C(1) << 7)
+#define ID_NODE_MASK 0x7FU
+#define NOT_IN_ID UINT32_C(0xE0000000) /* more than 29 bits: such a number must not pass for an identifier   \
+                                        */
+
+/* The tail byte. */
+#define TAIL_SINGLE_FRAME 0xE0U /* start, end and toggle bit */
+#define TAIL_TRANSFER_ID_MASK 0x1FU
+
 #define ANY_FLAG (MCP_ASDF_FRAME_STANDARD | MCP_ASDF_FRAME_REMOTE | MCP_ASDF_FRAME_ERROR | MCP_ASDF_FRAME_FD)
 
 typedef mcp_asdf_frame_status_t status_t;
 
-/* ---- Words in frames -------------------------------------------------------------------------------- */
+/* ---- Little-endian numbers --------------------------------------------------------------------------------
+ */
 
+/* Read a number from 3 bytes. */
 static uint32_t read_24(const uint8_t *bytes)
 {
     return bytes[0] | (uint32_t)bytes[1] << 8 | (uint32_t)bytes[2] << 16;
 }
 
+/* Read a number from 4 bytes. */
 static uint32_t read_32(const uint8_t *bytes) { return read_24(bytes) | (uint32_t)bytes[3] << 24; }
 
+/* Write the lowest 24 bits of a number to 3 bytes. */
 static void write_24(uint8_t *bytes, uint32_t value)
 {
     bytes[0] = (uint8_t)value;
@@ -38,15 +49,17 @@ static void write_24(uint8_t *bytes, uint32_t value)
     bytes[2] = (uint8_t)(value >> 16);
 }
 
+/* Write a number to 4 bytes. */
 static void write_32(uint8_t *bytes, uint32_t value)
 {
     write_24(bytes, value);
     bytes[3] = (uint8_t)(value >> 24);
 }
 
-/* ---- The envelope of all messages ------------------------------------------------------------------- */
+/* ---- What all messages have in common --------------------------------------------------------------- */
 
-static status_t check_format(const mcp_asdf_frame_format_t *format, uint8_t node)
+/* Whether a node may send frames of a format: OK, or the first error. */
+static status_t check_sender_and_format(const mcp_asdf_frame_format_t *format, uint8_t node)
 {
     if (node > MCP_ASDF_NODE_MAX) {
         return MCP_ASDF_FRAME_ERR_NODE;
@@ -56,17 +69,19 @@ static status_t check_format(const mcp_asdf_frame_format_t *format, uint8_t node
                : MCP_ASDF_FRAME_OK;
 }
 
-static void seal(mcp_asdf_frame_t *frame, uint8_t priority, uint16_t subject, uint8_t node,
-                 uint8_t transfer_id)
+/* Write all of a frame but the first 7 bytes of its data: identifier, flags, length and tail byte. */
+static void write_envelope(mcp_asdf_frame_t *frame, uint8_t priority, uint16_t subject, uint8_t node,
+                           uint8_t transfer_id)
 {
-    frame->id = (uint32_t)priority << 26 | IDENTIFIER_ONES | MCP_ASDF_FRAME_FILTER(subject) | node;
+    frame->id = (uint32_t)priority << 26 | ID_BITS_SENT_AS_ONE | MCP_ASDF_FRAME_FILTER(subject) | node;
     frame->flags = 0;
     frame->length = FRAME_BYTES;
-    frame->data[7] = (uint8_t)(SINGLE_FRAME | (transfer_id & TRANSFER_BITS));
+    frame->data[7] = (uint8_t)(TAIL_SINGLE_FRAME | (transfer_id & TAIL_TRANSFER_ID_MASK));
 }
 
-/* Why a frame with a flag or of another identifier is none of ours. */
-static status_t what_is_special(const mcp_asdf_frame_t *frame)
+/* First reason to refuse a frame that has a flag, or not the expected identifier. If nothing else is wrong
+ * with the identifier, its subject is. */
+static status_t explain_refusal(const mcp_asdf_frame_t *frame)
 {
     if ((frame->flags & MCP_ASDF_FRAME_ERROR) != 0U) {
         return MCP_ASDF_FRAME_ERR_ERROR_FRAME;
@@ -80,72 +95,79 @@ static status_t what_is_special(const mcp_asdf_frame_t *frame)
     if ((frame->flags & MCP_ASDF_FRAME_STANDARD) != 0U) {
         return MCP_ASDF_FRAME_ERR_STANDARD_ID;
     }
-    if ((frame->id & SERVICE) != 0U) {
+    if ((frame->id & ID_SERVICE) != 0U) {
         return MCP_ASDF_FRAME_ERR_SERVICE;
     }
-    if ((frame->id & ANONYMOUS) != 0U) {
+    if ((frame->id & ID_ANONYMOUS) != 0U) {
         return MCP_ASDF_FRAME_ERR_ANONYMOUS;
     }
-    return (frame->id & RESERVED) != 0U ? MCP_ASDF_FRAME_ERR_RESERVED_BITS : MCP_ASDF_FRAME_ERR_SUBJECT;
+    return (frame->id & ID_RESERVED) != 0U ? MCP_ASDF_FRAME_ERR_RESERVED_BITS : MCP_ASDF_FRAME_ERR_SUBJECT;
 }
 
-static status_t open_envelope(const mcp_asdf_frame_t *frame, uint16_t subject)
+/* Whether a frame is a message of a subject, whatever its content: OK, or the first reason to refuse it. */
+static status_t check_envelope(const mcp_asdf_frame_t *frame, uint16_t subject)
 {
     if ((frame->flags & ANY_FLAG) != 0U ||
-        (frame->id & (MCP_ASDF_FRAME_MASK | NOT_IN_IDENTIFIER)) != MCP_ASDF_FRAME_FILTER(subject)) {
-        return what_is_special(frame);
+        (frame->id & (MCP_ASDF_FRAME_MASK | NOT_IN_ID)) != MCP_ASDF_FRAME_FILTER(subject)) {
+        return explain_refusal(frame);
     }
     if (frame->length != FRAME_BYTES) {
         return MCP_ASDF_FRAME_ERR_LENGTH;
     }
-    return (frame->data[7] & SINGLE_FRAME) == SINGLE_FRAME ? MCP_ASDF_FRAME_OK
-                                                           : MCP_ASDF_FRAME_ERR_MULTI_FRAME;
+    return (frame->data[7] & TAIL_SINGLE_FRAME) == TAIL_SINGLE_FRAME ? MCP_ASDF_FRAME_OK
+                                                                     : MCP_ASDF_FRAME_ERR_MULTI_FRAME;
 }
 
-static uint8_t node_of(const mcp_asdf_frame_t *frame) { return (uint8_t)(frame->id & NODE_BITS); }
+/* Id of the node that sent a frame, 0 .. 127. */
+static uint8_t read_node(const mcp_asdf_frame_t *frame) { return (uint8_t)(frame->id & ID_NODE_MASK); }
 
-static uint8_t transfer_id_of(const mcp_asdf_frame_t *frame)
+/* Number of the message among those of its sender, 0 .. 31. */
+static uint8_t read_transfer_id(const mcp_asdf_frame_t *frame)
 {
-    return (uint8_t)(frame->data[7] & TRANSFER_BITS);
+    return (uint8_t)(frame->data[7] & TAIL_TRANSFER_ID_MASK);
 }
 
-/* ---- Confidence: the core's word and binary32 ------------------------------------------------------- */
+/* ---- Confidence: alpha words and binary32 ----------------------------------------------------------- */
 
-/* Exact for every word. */
-static uint32_t binary32_of(uint32_t alpha)
+/* The binary32 number of an alpha word: exact for every word. */
+static uint32_t binary32_from_alpha_word(uint32_t alpha)
 {
-    uint32_t mantissa = alpha >> 8, exponent = BINARY32_UNIT + (alpha & ALPHA_SHIFT_MAX);
+    uint32_t mantissa = alpha >> 8, exponent = BINARY32_UNIT_EXPONENT + (alpha & ALPHA_SHIFT_MAX);
     if (mantissa == 0U) {
         return 0;
     }
-    while (mantissa < BINARY32_IMPLICIT) { /* at most 23 turns, so the exponent stays above 102 */
+    /* Shift until the highest bit of the mantissa is where binary32 leaves it out. */
+    while (mantissa < BINARY32_IMPLICIT_BIT) { /* at most 23 turns, so the exponent stays above 102 */
         mantissa <<= 1;
         --exponent;
     }
-    return exponent << 23 | (mantissa & BINARY32_FRACTION);
+    return exponent << 23 | (mantissa & BINARY32_FRACTION_MASK);
 }
 
-/* The word of the largest confidence not above a binary32 number >= 0; exact for what binary32_of() returned.
- */
-static uint32_t word_of(uint32_t binary32)
+/* The word of the largest alpha not above a binary32 number >= 0; exact for what binary32_from_alpha_word()
+ * returned. */
+static uint32_t alpha_word_from_binary32(uint32_t binary32)
 {
     const uint32_t exponent = binary32 >> 23;
-    const uint32_t mantissa = (binary32 & BINARY32_FRACTION) | BINARY32_IMPLICIT;
-    if (exponent < BINARY32_UNIT) { /* subnormal numbers lose everything, too */
-        const uint32_t lost = BINARY32_UNIT - exponent;
-        return lost < 24U ? mantissa >> lost << 8 : 0U;
+    const uint32_t mantissa = (binary32 & BINARY32_FRACTION_MASK) | BINARY32_IMPLICIT_BIT;
+    if (exponent < BINARY32_UNIT_EXPONENT) {
+        /* Bits below the unit are lost; all of them in subnormal numbers, too, which lack the implicit bit.
+         */
+        const uint32_t lost_bits = BINARY32_UNIT_EXPONENT - exponent;
+        return lost_bits < 24U ? mantissa >> lost_bits << 8 : 0U;
     }
-    const uint32_t shift = exponent - BINARY32_UNIT;
+    const uint32_t shift = exponent - BINARY32_UNIT_EXPONENT;
     return shift <= ALPHA_SHIFT_MAX ? mantissa << 8 | shift : ALPHA_MAX;
 }
 
 /* ---- Estimate --------------------------------------------------------------------------------------- */
 
+/* Write an estimate to a frame, if it is valid. */
 mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,
                                                  const mcp_asdf_frame_format_t *format,
                                                  const mcp_asdf_estimate_t *message)
 {
-    const status_t status = check_format(format, message->node);
+    const status_t status = check_sender_and_format(format, message->node);
     if (status != MCP_ASDF_FRAME_OK) {
         return status;
     }
@@ -153,39 +175,42 @@ mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,
         return MCP_ASDF_FRAME_ERR_X_HAT;
     }
     write_24(&frame->data[0], message->x_hat);
-    write_32(&frame->data[3], binary32_of(message->alpha));
-    seal(frame, format->priority, format->subject, message->node, message->transfer_id);
+    write_32(&frame->data[3], binary32_from_alpha_word(message->alpha));
+    write_envelope(frame, format->priority, format->subject, message->node, message->transfer_id);
     return MCP_ASDF_FRAME_OK;
 }
 
+/* Read an estimate from a frame, if it is a valid one. */
 mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, uint16_t subject,
                                                  const mcp_asdf_frame_t *frame)
 {
-    const status_t status = open_envelope(frame, subject);
+    const status_t status = check_envelope(frame, subject);
     if (status != MCP_ASDF_FRAME_OK) {
         return status;
     }
-    const uint32_t x_hat = read_24(&frame->data[0]), alpha = read_32(&frame->data[3]);
+    const uint32_t x_hat = read_24(&frame->data[0]), alpha_binary32 = read_32(&frame->data[3]);
     if (x_hat > MCP_ASDF_ONE) {
         return MCP_ASDF_FRAME_ERR_X_HAT;
     }
-    if (alpha >= BINARY32_INFINITE) {
+    if (alpha_binary32 >= BINARY32_INFINITY) {
         return MCP_ASDF_FRAME_ERR_ALPHA;
     }
-    message->node = node_of(frame);
-    message->transfer_id = transfer_id_of(frame);
+    message->node = read_node(frame);
+    message->transfer_id = read_transfer_id(frame);
     message->x_hat = x_hat;
-    message->alpha = word_of(alpha);
+    message->alpha = alpha_word_from_binary32(alpha_binary32);
     return MCP_ASDF_FRAME_OK;
 }
 
 /* ---- Heartbeat -------------------------------------------------------------------------------------- */
 
+/* Write a heartbeat to a frame, if it is valid. */
 mcp_asdf_frame_status_t mcp_asdf_encode_heartbeat(mcp_asdf_frame_t *frame, uint8_t priority,
                                                   const mcp_asdf_heartbeat_t *message)
 {
-    const mcp_asdf_frame_format_t format = {0, priority};
-    const status_t status = check_format(&format, message->node);
+    const mcp_asdf_frame_format_t format = {
+        0, priority}; /* of any valid subject: only the priority is checked */
+    const status_t status = check_sender_and_format(&format, message->node);
     if (status != MCP_ASDF_FRAME_OK) {
         return status;
     }
@@ -199,17 +224,18 @@ mcp_asdf_frame_status_t mcp_asdf_encode_heartbeat(mcp_asdf_frame_t *frame, uint8
     frame->data[4] = message->health;
     frame->data[5] = message->mode;
     frame->data[6] = message->vendor_status;
-    seal(frame, priority, MCP_ASDF_SUBJECT_HEARTBEAT, message->node, message->transfer_id);
+    write_envelope(frame, priority, MCP_ASDF_SUBJECT_HEARTBEAT, message->node, message->transfer_id);
     return MCP_ASDF_FRAME_OK;
 }
 
 /* ---- Telemetry -------------------------------------------------------------------------------------- */
 
+/* Write telemetry to a frame, if it is valid. */
 mcp_asdf_frame_status_t mcp_asdf_encode_telemetry(mcp_asdf_frame_t *frame,
                                                   const mcp_asdf_frame_format_t *format,
                                                   const mcp_asdf_telemetry_t *message)
 {
-    const status_t status = check_format(format, message->node);
+    const status_t status = check_sender_and_format(format, message->node);
     if (status != MCP_ASDF_FRAME_OK) {
         return status;
     }
@@ -222,16 +248,17 @@ mcp_asdf_frame_status_t mcp_asdf_encode_telemetry(mcp_asdf_frame_t *frame,
     write_24(&frame->data[0], message->x);
     write_24(&frame->data[3], message->b_hat);
     frame->data[6] = message->updates;
-    seal(frame, format->priority, format->subject, message->node, message->transfer_id);
+    write_envelope(frame, format->priority, format->subject, message->node, message->transfer_id);
     return MCP_ASDF_FRAME_OK;
 }
 
 /* ---- Command ---------------------------------------------------------------------------------------- */
 
+/* Read a command from a frame, if it is a valid one. */
 mcp_asdf_frame_status_t mcp_asdf_decode_command(mcp_asdf_command_t *message, uint16_t subject,
                                                 const mcp_asdf_frame_t *frame)
 {
-    const status_t status = open_envelope(frame, subject);
+    const status_t status = check_envelope(frame, subject);
     if (status != MCP_ASDF_FRAME_OK) {
         return status;
     }
@@ -242,8 +269,8 @@ mcp_asdf_frame_status_t mcp_asdf_decode_command(mcp_asdf_command_t *message, uin
     if (action > MCP_ASDF_SETTLE) {
         return MCP_ASDF_FRAME_ERR_ACTION;
     }
-    message->node = node_of(frame);
-    message->transfer_id = transfer_id_of(frame);
+    message->node = read_node(frame);
+    message->transfer_id = read_transfer_id(frame);
     message->tick = read_32(&frame->data[0]);
     message->target = target;
     message->action = action;

@@ -8,17 +8,18 @@
 #include "mcp_asdf_arithmetic.h"
 
 #define IMAGE_MAGIC (UINT32_C(0x4D435300) | MCP_ASDF_IMAGE_VERSION)
-#define ROBUST_IMAGE UINT32_C(0x80)               /* added to it where the filter is the robust one */
-#define ALPHA_MOST ((uint64_t)ALPHA_MANTISSA_MAX) /* times 2^31 units */
+#define ROBUST_IMAGE UINT32_C(0x80) /* added to the magic word if the filter is the robust one */
+/* The largest alpha is ALPHA_MANTISSA times 2^31 units. */
+#define ALPHA_MANTISSA ((uint64_t)ALPHA_MANTISSA_MAX)
 
 /* ---- Invariants ---- */
 
-/* A robot like this one that has just formed x_hat and alpha from the same t, n and b_hat. False if there can
- * be none. */
-static bool form_anew(const mcp_asdf_t *robot, const mcp_asdf_config_t *unfiltered, mcp_asdf_t *fresh)
+/* Make *fresh a robot that has just formed x_hat and alpha from the t, n and b_hat of `robot`: one with an
+ * observation less observes once more. Returns false if there can be no such robot. */
+static bool recompute_estimate(const mcp_asdf_t *robot, const mcp_asdf_config_t *config, mcp_asdf_t *fresh)
 {
     if (robot->n > robot->t ||
-        mcp_asdf_init(fresh, unfiltered, robot->id, robot->accuracy.b_hat) != MCP_ASDF_OK) {
+        mcp_asdf_init(fresh, config, robot->id, robot->accuracy.b_hat) != MCP_ASDF_OK) {
         return false;
     }
     if (robot->t != 0U) {
@@ -30,22 +31,25 @@ static bool form_anew(const mcp_asdf_t *robot, const mcp_asdf_config_t *unfilter
     return true;
 }
 
-/* A word that a robot forms: bits 7..5 zero, and the smallest shift. */
+/* Whether an alpha word is one that a robot forms: bits 7..5 are 0, and the shift is the smallest. */
 static bool is_canonical(uint32_t alpha)
 {
     return (alpha & 0xE0U) == 0U && (alpha >> 31 != 0U || (alpha & 0x1FU) == 0U);
 }
 
-/* I4 and I5, with room for another robot: the caller's, since a stack may have room for few. */
-static bool estimate_current(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
+/* Whether accuracy, x_hat and alpha follow from t, n and b_hat (I4 and I5). After a re-estimate of b_hat,
+ * x_hat and alpha still follow from the old one, which is not known. *fresh is memory for another robot,
+ * which the caller has, since a stack may have room for few. */
+static bool is_valid_estimate(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
-    const mcp_asdf_accuracy_t *const held = &robot->accuracy;
-    mcp_asdf_config_t unfiltered = *robot->config; /* a constant would take RAM on an AVR */
-    unfiltered.filter = MCP_ASDF_WITH_ASDF ? MCP_ASDF_OFF : MCP_ASDF_ROBUST;
-    return robot->t < unfiltered.memory && form_anew(robot, &unfiltered, fresh) &&
-           held->c == fresh->accuracy.c && held->common == fresh->accuracy.common &&
-           held->rare == fresh->accuracy.rare && held->g_shift == fresh->accuracy.g_shift &&
-           held->rare_shift == fresh->accuracy.rare_shift &&
+    const mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
+    /* The other robot needs no filter, and so no table. A constant config would take RAM on an AVR. */
+    mcp_asdf_config_t config = *robot->config;
+    config.filter = MCP_ASDF_WITH_ASDF ? MCP_ASDF_OFF : MCP_ASDF_ROBUST;
+    return robot->t < config.memory && recompute_estimate(robot, &config, fresh) &&
+           accuracy->c == fresh->accuracy.c && accuracy->common == fresh->accuracy.common &&
+           accuracy->rare == fresh->accuracy.rare && accuracy->g_shift == fresh->accuracy.g_shift &&
+           accuracy->rare_shift == fresh->accuracy.rare_shift &&
            ((robot->updated == 1U && robot->t != 0U && robot->x_hat <= MCP_ASDF_ONE &&
              is_canonical(robot->alpha)) ||
             (robot->updated == 0U && robot->x_hat == fresh->x_hat && robot->alpha == fresh->alpha));
@@ -53,50 +57,54 @@ static bool estimate_current(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 
 #if MCP_ASDF_WITH_ASDF
 
-/* Whether sums of alpha and of alpha x_hat are in range and give a mean of at most 1.0. */
-static bool mean_possible(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
+/* Whether sums of alpha and of alpha x_hat are in their ranges and give a mean of at most 1.0. */
+static bool is_valid_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
-    const uint64_t middle = alpha_x_high + (alpha_x_low >> 32); /* may wrap, but not within the limits */
-    const uint64_t most = alpha >> 9;                           /* of middle, where the mean is 1.0 */
-    return alpha <= MCP_ASDF_MAX_ID * ALPHA_MOST << 31 && alpha_x_low < UINT64_C(1) << 62 &&
+    /* The sum of alpha x_hat from bit 32 up: may wrap, but not within the limits below. */
+    const uint64_t upper_sum = alpha_x_high + (alpha_x_low >> 32);
+    const uint64_t upper_limit = alpha >> 9; /* the same where the mean is 1.0: 2^23 alpha / 2^32 */
+    return alpha <= MCP_ASDF_MAX_ID * ALPHA_MANTISSA << 31 && alpha_x_low < UINT64_C(1) << 62 &&
            alpha_x_high < UINT64_C(1) << 53 &&
-           (middle < most || (middle == most && (uint32_t)alpha_x_low <= (uint32_t)alpha << 23));
+           (upper_sum < upper_limit ||
+            (upper_sum == upper_limit && (uint32_t)alpha_x_low <= (uint32_t)alpha << 23));
 }
 
-/* Whether `count` messages can have given these sums: each alpha at least one unit, none too large, no mean
- * above 1.0, no variance below 0. */
-static bool open_possible(const mcp_asdf_open_t *open)
+/* Whether `count` estimates can have these sums: each alpha at least one unit, none too large, no mean above
+ * 1.0, no variance below 0. */
+static bool are_valid_sums(const mcp_asdf_open_t *open)
 {
     const uint32_t m = open->count;
     return m <= MCP_ASDF_MAX_ID && open->x <= m * MCP_ASDF_ONE && /* < 2^30 */
            open->x_squared <= (uint64_t)open->x * MCP_ASDF_ONE &&
-           m * open->x_squared >= (uint64_t)open->x * open->x &&      /* < 2^60 */
-           open->alpha >= m && open->alpha <= m * ALPHA_MOST << 31 && /* < 2^62 */
+           m * open->x_squared >= (uint64_t)open->x * open->x &&          /* < 2^60 */
+           open->alpha >= m && open->alpha <= m * ALPHA_MANTISSA << 31 && /* < 2^62 */
            open->alpha_x_low <= (uint64_t)open->x * UINT32_MAX &&
-           open->alpha_x_high <= open->x * (ALPHA_MOST >> 1) &&
-           mean_possible(open->alpha, open->alpha_x_low, open->alpha_x_high);
+           open->alpha_x_high <= open->x * (ALPHA_MANTISSA >> 1) &&
+           is_valid_mean(open->alpha, open->alpha_x_low, open->alpha_x_high);
 }
 
-/* Whether both rounds can have come about; with the robust filter they are empty. */
-static bool rounds_possible(const mcp_asdf_t *robot)
+/* Whether estimates can have led to the sums of both rounds; with the robust filter all are 0. */
+static bool are_valid_rounds(const mcp_asdf_t *robot)
 {
-    return mean_possible(robot->closed.alpha, robot->closed.alpha_x_low, robot->closed.alpha_x_high) &&
-           open_possible(&robot->open) &&
+    return is_valid_mean(robot->closed.alpha, robot->closed.alpha_x_low, robot->closed.alpha_x_high) &&
+           are_valid_sums(&robot->open) &&
            (!mcp_asdf_is_robust(robot->config) || (robot->open.count == 0U && robot->closed.alpha == 0U));
 }
 
-static uint32_t messages(const mcp_asdf_t *robot) { return robot->open.count; }
+/* Number of estimates in the sums of the open round. */
+static uint32_t count_of_open_round(const mcp_asdf_t *robot) { return robot->open.count; }
 
 #else
 
-static bool rounds_possible(const mcp_asdf_t *robot) { return (void)robot, true; }
-static uint32_t messages(const mcp_asdf_t *robot) { return (void)robot, 0; }
+static bool are_valid_rounds(const mcp_asdf_t *robot) { return (void)robot, true; }
+static uint32_t count_of_open_round(const mcp_asdf_t *robot) { return (void)robot, 0; }
 
 #endif
 #if MCP_ASDF_WITH_ROBUST
 
-/* Whether votes can have made a crowd so; other filters have none. */
-static bool crowd_possible(const mcp_asdf_t *robot)
+/* Whether votes can have led to this crowd. Before the first vote, and with other filters, it is as in a new
+ * robot. */
+static bool is_valid_crowd(const mcp_asdf_t *robot)
 {
     const mcp_asdf_crowd_t *const crowd = &robot->crowd;
     const bool is_new = crowd->centre == MCP_ASDF_CENTRE_START && crowd->spread == MCP_ASDF_SPREAD_MAX &&
@@ -114,73 +122,84 @@ static bool crowd_possible(const mcp_asdf_t *robot)
 
 #else
 
-static bool crowd_possible(const mcp_asdf_t *robot) { return (void)robot, true; }
+static bool is_valid_crowd(const mcp_asdf_t *robot) { return (void)robot, true; }
 
 #endif
 
-/* At least as many senders as messages with alpha > 0, none of them the robot itself. */
-static bool senders_possible(const mcp_asdf_t *robot)
+/* Whether the senders of the open round are at least as many as its estimates with alpha > 0, and the robot
+ * is not among them. */
+static bool are_valid_senders(const mcp_asdf_t *robot)
 {
-    uint32_t heard = 0;
+    uint32_t sender_count = 0;
     for (uint8_t id = 0; id <= MCP_ASDF_MAX_ID; ++id) { /* at most 128 turns */
-        heard += robot->heard.of[id >> 3] >> (id & 7) & 1;
+        sender_count += robot->heard.of[id >> 3] >> (id & 7) & 1;
     }
-    return messages(robot) <= heard && (robot->heard.of[robot->id >> 3] >> (robot->id & 7) & 1) == 0;
+    return count_of_open_round(robot) <= sender_count &&
+           (robot->heard.of[robot->id >> 3] >> (robot->id & 7) & 1) == 0;
 }
 
-static bool state_possible(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
+/* Whether calls of the firmware can have led to this state. *fresh is memory for another robot. */
+static bool is_valid_state(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
     const mcp_asdf_config_t *const config = robot->config;
-    return estimate_current(robot, fresh) && /* checks the id, too */
-           rounds_possible(robot) && crowd_possible(robot) && senders_possible(robot) &&
+    return is_valid_estimate(robot, fresh) && /* checks the id, too */
+           are_valid_rounds(robot) && is_valid_crowd(robot) && are_valid_senders(robot) &&
            robot->filter_left != 0U && robot->filter_left <= config->filter_period;
 }
 
+/* Whether calls of the firmware can have led to this state. */
 bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)
 {
     mcp_asdf_t fresh;
-    return state_possible(robot, &fresh);
+    return is_valid_state(robot, &fresh);
 }
 
 /* ---- Save and restore ---- */
 
-/* An image on its way out of a robot, into `target`, or into one, from `source`; the other is null. */
+/* An image that is written from a robot or read into one. One list of members serves for both directions:
+ * every pass_...() function passes members through the image, which writes them, or replaces them by what it
+ * reads.
+ *   source   where the image is read from; null if it is written
+ *   target   where the image is written to; null if it is read
+ *   hash     FNV-1a over the words so far */
 typedef struct {
     const uint8_t *source;
     uint8_t *target;
-    uint32_t hash; /* FNV-1a over the words so far */
+    uint32_t hash;
 } image_t;
 
-/* Pass a word through the image: writing returns value itself, reading the image's next word. */
-static uint32_t pass(image_t *image, uint32_t value)
+/* Pass a word through the image, little-endian. Returns the value itself if the image is written, and its
+ * next word if it is read. */
+static uint32_t pass_word(image_t *image, uint32_t value)
 {
-    uint32_t passed = image->target == NULL ? 0U : value;
+    uint32_t word = image->target == NULL ? 0U : value;
     for (uint8_t shift = 0; shift < 32U; shift = (uint8_t)(shift + 8U)) { /* at most 4 turns */
         if (image->target == NULL) {
-            passed |= (uint32_t)*image->source++ << shift;
+            word |= (uint32_t)*image->source++ << shift;
         } else {
             *image->target++ = (uint8_t)(value >> shift);
         }
     }
-    image->hash = hash_word(image->hash, passed);
-    return passed;
+    image->hash = hash_word(image->hash, word);
+    return word;
 }
 
-static void pass_pair(image_t *image, uint16_t *first, uint16_t *second)
+/* Pass two half words as one word, the first in its lower half. */
+static void pass_half_words(image_t *image, uint16_t *first, uint16_t *second)
 {
-    const uint32_t both = pass(image, (uint32_t)*second << 16 | *first);
-    *first = (uint16_t)both;
-    *second = (uint16_t)(both >> 16);
+    const uint32_t word = pass_word(image, (uint32_t)*second << 16 | *first);
+    *first = (uint16_t)word;
+    *second = (uint16_t)(word >> 16);
 }
 
-/* Four bytes as the word of which they are the little-endian bytes. */
+/* Pass four bytes as the word of which they are the little-endian bytes. */
 static void pass_bytes(image_t *image, uint8_t *bytes)
 {
     uint32_t word = 0;
     for (uint8_t i = 0; i < 4U; ++i) { /* at most 4 turns */
         word |= (uint32_t)bytes[i] << 8 * i;
     }
-    word = pass(image, word);
+    word = pass_word(image, word);
     for (uint8_t i = 0; i < 4U; ++i) { /* at most 4 turns */
         bytes[i] = (uint8_t)(word >> 8 * i);
     }
@@ -188,23 +207,25 @@ static void pass_bytes(image_t *image, uint8_t *bytes)
 
 #if MCP_ASDF_WITH_ASDF
 
-static void pass_double(image_t *image, uint64_t *value)
+/* Pass a 64-bit sum as two words, the lower one first. */
+static void pass_sum(image_t *image, uint64_t *sum)
 {
-    const uint32_t low = pass(image, (uint32_t)*value);
-    *value = (uint64_t)pass(image, (uint32_t)(*value >> 32)) << 32 | low;
+    const uint32_t low = pass_word(image, (uint32_t)*sum);
+    *sum = (uint64_t)pass_word(image, (uint32_t)(*sum >> 32)) << 32 | low;
 }
 
+/* Pass the sums of both rounds: 16 words. */
 static void pass_rounds(image_t *image, mcp_asdf_t *robot)
 {
-    pass_double(image, &robot->closed.alpha);
-    pass_double(image, &robot->closed.alpha_x_low);
-    pass_double(image, &robot->closed.alpha_x_high);
-    pass_double(image, &robot->open.alpha);
-    pass_double(image, &robot->open.alpha_x_low);
-    pass_double(image, &robot->open.alpha_x_high);
-    pass_double(image, &robot->open.x_squared);
-    robot->open.x = pass(image, robot->open.x);
-    robot->open.count = pass(image, robot->open.count);
+    pass_sum(image, &robot->closed.alpha);
+    pass_sum(image, &robot->closed.alpha_x_low);
+    pass_sum(image, &robot->closed.alpha_x_high);
+    pass_sum(image, &robot->open.alpha);
+    pass_sum(image, &robot->open.alpha_x_low);
+    pass_sum(image, &robot->open.alpha_x_high);
+    pass_sum(image, &robot->open.x_squared);
+    robot->open.x = pass_word(image, robot->open.x);
+    robot->open.count = pass_word(image, robot->open.count);
 }
 
 #else
@@ -214,42 +235,43 @@ static void pass_rounds(image_t *image, mcp_asdf_t *robot) { (void)image, (void)
 #endif
 #if MCP_ASDF_WITH_ROBUST
 
-/* The crowd in place of the rounds. What is left of their words is 0: no robot has a crowd with more. */
+/* Pass the crowd in place of the rounds: 5 words, and zeros for the 11 that are left. If an image has
+ * anything else there, the crowd is made invalid, so that the image is refused. */
 static void pass_crowd(image_t *image, mcp_asdf_t *robot)
 {
     mcp_asdf_crowd_t *const crowd = &robot->crowd;
-    uint32_t rest = 0;
-    crowd->centre = pass(image, crowd->centre);
-    crowd->spread = pass(image, crowd->spread);
-    crowd->voices = pass(image, crowd->voices);
-    crowd->first = pass(image, crowd->first);
-    pass_pair(image, &crowd->votes, &crowd->trend);
+    uint32_t unused_words = 0;
+    crowd->centre = pass_word(image, crowd->centre);
+    crowd->spread = pass_word(image, crowd->spread);
+    crowd->voices = pass_word(image, crowd->voices);
+    crowd->first = pass_word(image, crowd->first);
+    pass_half_words(image, &crowd->votes, &crowd->trend);
     for (uint8_t i = 0; i < 11U; ++i) { /* at most 11 turns */
-        rest |= pass(image, 0);
+        unused_words |= pass_word(image, 0);
     }
-    crowd->spread = rest == 0U ? crowd->spread : 0U; /* which no crowd has */
+    crowd->spread = unused_words == 0U ? crowd->spread : 0U; /* no crowd has a spread of 0 */
 }
 
-/* Images of other filters hold no crowd: it is as in a new robot. */
-static void keep_crowd(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { robot->crowd = fresh->crowd; }
+/* Give a robot the crowd of a new one: images of other filters have none. */
+static void copy_crowd(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { robot->crowd = fresh->crowd; }
 
 #else
 
 static void pass_crowd(image_t *image, mcp_asdf_t *robot) { (void)image, (void)robot; }
-static void keep_crowd(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { (void)robot, (void)fresh; }
+static void copy_crowd(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { (void)robot, (void)fresh; }
 
 #endif
 
-/* The one list of what an image holds, for both directions; what follows from b_hat alone is left out. */
-static void pass_state(image_t *image, mcp_asdf_t *robot, bool robust)
+/* Pass all members of a robot, except the config and what follows from b_hat alone. */
+static void pass_state(image_t *image, mcp_asdf_t *robot, bool is_robust)
 {
-    robot->accuracy.b_hat = pass(image, robot->accuracy.b_hat);
-    robot->t = pass(image, robot->t);
-    robot->n = pass(image, robot->n);
-    robot->x_hat = pass(image, robot->x_hat);
-    robot->alpha = pass(image, robot->alpha);
-    robot->filter_left = pass(image, robot->filter_left);
-    if (robust) {
+    robot->accuracy.b_hat = pass_word(image, robot->accuracy.b_hat);
+    robot->t = pass_word(image, robot->t);
+    robot->n = pass_word(image, robot->n);
+    robot->x_hat = pass_word(image, robot->x_hat);
+    robot->alpha = pass_word(image, robot->alpha);
+    robot->filter_left = pass_word(image, robot->filter_left);
+    if (is_robust) {
         pass_crowd(image, robot);
     } else {
         pass_rounds(image, robot);
@@ -257,51 +279,55 @@ static void pass_state(image_t *image, mcp_asdf_t *robot, bool robust)
     for (uint8_t i = 0; i < 16U; i = (uint8_t)(i + 4U)) { /* at most 4 turns */
         pass_bytes(image, &robot->heard.of[i]);
     }
-    pass_pair(image, &robot->counters.accepted, &robot->counters.repeated);
-    pass_pair(image, &robot->counters.rejected, &robot->counters.tests);
-    const uint32_t rest =
-        pass(image, robot->counters.updates | (uint32_t)robot->updated << 16 | (uint32_t)robot->id << 24);
-    robot->counters.updates = (uint16_t)rest;
-    robot->updated = (uint8_t)(rest >> 16);
-    robot->id = (uint8_t)(rest >> 24);
+    pass_half_words(image, &robot->counters.accepted, &robot->counters.repeated);
+    pass_half_words(image, &robot->counters.rejected, &robot->counters.tests);
+    const uint32_t last_word = pass_word(image, robot->counters.updates | (uint32_t)robot->updated << 16 |
+                                                    (uint32_t)robot->id << 24);
+    robot->counters.updates = (uint16_t)last_word;
+    robot->updated = (uint8_t)(last_word >> 16);
+    robot->id = (uint8_t)(last_word >> 24);
 }
 
-static uint32_t magic(bool robust) { return robust ? IMAGE_MAGIC | ROBUST_IMAGE : IMAGE_MAGIC; }
+/* First word of an image. Images with the robust filter have another one. */
+static uint32_t magic_word(bool is_robust) { return is_robust ? IMAGE_MAGIC | ROBUST_IMAGE : IMAGE_MAGIC; }
 
+/* Write the image of a robot: the magic word, the state, and the hash of both. */
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    image_t out = {NULL, image, HASH_START};
-    mcp_asdf_t copy = *robot;
-    const bool robust = mcp_asdf_is_robust(robot->config);
-    (void)pass(&out, magic(robust));
-    pass_state(&out, &copy, robust);
-    (void)pass(&out, out.hash);
+    image_t output = {NULL, image, HASH_START};
+    mcp_asdf_t copy = *robot; /* pass_state() may write to its robot */
+    const bool is_robust = mcp_asdf_is_robust(robot->config);
+    (void)pass_word(&output, magic_word(is_robust));
+    pass_state(&output, &copy, is_robust);
+    (void)pass_word(&output, output.hash);
 }
 
+/* Read a robot from an image, check it, and only then write *robot. */
 mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *config,
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    image_t in = {image, NULL, HASH_START};
-    mcp_asdf_t read = {0}, fresh;
-    const bool robust = mcp_asdf_is_robust(config), known = pass(&in, 0) == magic(robust);
-    pass_state(&in, &read, robust);
-    const uint32_t hash = in.hash;
-    const bool sound = known && pass(&in, 0) == hash;
-    const mcp_asdf_status_t status = mcp_asdf_init(&fresh, config, read.id, read.accuracy.b_hat);
+    image_t input = {image, NULL, HASH_START};
+    mcp_asdf_t restored = {0}, fresh;
+    const bool is_robust = mcp_asdf_is_robust(config);
+    const bool has_magic_word = pass_word(&input, 0) == magic_word(is_robust);
+    pass_state(&input, &restored, is_robust);
+    const uint32_t hash = input.hash;
+    const bool is_undamaged = has_magic_word && pass_word(&input, 0) == hash;
+    const mcp_asdf_status_t status = mcp_asdf_init(&fresh, config, restored.id, restored.accuracy.b_hat);
     if (status == MCP_ASDF_ERR_CONFIG || status == MCP_ASDF_ERR_TABLE) {
         return status;
     }
-    if (!sound || status != MCP_ASDF_OK) {
+    if (!is_undamaged || status != MCP_ASDF_OK) {
         return MCP_ASDF_ERR_IMAGE;
     }
-    if (!robust) {
-        keep_crowd(&read, &fresh);
+    if (!is_robust) {
+        copy_crowd(&restored, &fresh);
     }
-    read.config = config;
-    read.accuracy = fresh.accuracy;
-    if (!state_possible(&read, &fresh)) {
+    restored.config = config;
+    restored.accuracy = fresh.accuracy;
+    if (!is_valid_state(&restored, &fresh)) {
         return MCP_ASDF_ERR_IMAGE;
     }
-    *robot = read;
+    *robot = restored;
     return MCP_ASDF_OK;
 }

@@ -121,7 +121,7 @@ def _restored(status: Any, after: Any, *of: Any) -> Any:
     fresh = computed("fresh", {name: each for name, each in robot.items() if name != "config"}, *given)
     fresh = {name: fresh.get(name, config) for name in robot}
     read = read_from(said, robot, config, fresh)
-    possible = computed("state_possible", z3.BitVecVal(0, 1), read, fresh) != 0
+    possible = computed("is_valid_state", z3.BitVecVal(0, 1), read, fresh) != 0
     is_set_up = z3.And(of_init != ERR_CONFIG, of_init != ERR_TABLE)
     is_accepted = z3.And(is_whole(said, config), of_init == 0, possible)
     refused = z3.And(status == of_init, same(after, robot))
@@ -136,7 +136,7 @@ def is_whole(said: Any, config: Any) -> Any:
 
 
 # design: R30, R31
-RESTORE = Contract(_restored, instead={**opaque_all("hash_word", "state_possible"), "mcp_asdf_init": _init})
+RESTORE = Contract(_restored, instead={**opaque_all("hash_word", "is_valid_state"), "mcp_asdf_init": _init})
 
 
 # design: R29, R30

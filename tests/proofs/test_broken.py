@@ -76,9 +76,9 @@ BROKEN = (
     ("asdf_test_rejects", "1000", "m <= q ? m", "m < q ? m"),
     ("asdf_test_rejects", "1000", "> upper_part", ">= upper_part"),
     ("mcp_asdf_save", "1000", "(uint32_t)robot->updated << 16", "(uint32_t)robot->updated << 15"),
-    ("mcp_asdf_save", "1000", "pass(image, robot->t)", "pass(image, robot->n)"),
-    ("mcp_asdf_restore", "1000", "known && pass(&in, 0) == hash", "known || pass(&in, 0) == hash"),
-    ("mcp_asdf_restore", "1000", "    *robot = read;", "    *robot = fresh;"),
+    ("mcp_asdf_save", "1000", "pass_word(image, robot->t)", "pass_word(image, robot->n)"),
+    ("mcp_asdf_restore", "1000", "has_magic_word && pass_word(&input", "has_magic_word || pass_word(&input"),
+    ("mcp_asdf_restore", "1000", "    *robot = restored;", "    *robot = fresh;"),
     ("mcp_asdf_restore", "1000", "status != MCP_ASDF_OK", "status == MCP_ASDF_ERR_ID"),
 )
 """A function that loses its lemma, or none where the numbers change that the code forms; a variant; what is
