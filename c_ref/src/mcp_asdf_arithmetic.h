@@ -19,15 +19,17 @@ ALWAYS_INLINE uint32_t low_word(uint64_t value) { return (uint32_t)value; }
 /* floor(value / 2^count), count in [0, 63]; of other counts the lower 6 bits. Lemma shift_right_64. */
 ALWAYS_INLINE uint64_t shift_right_64(uint64_t value, uint32_t count)
 {
-    if ((count & 32U) != 0U) {
+    if ((count & 32U) != 0U) { /* by a whole word, then by the rest */
         value = high_word(value);
     }
     count &= 31U;
+    /* The lowest bits of the upper word cross into the lower one: high 2^(32 - count), in two shifts, as no
+     * count may be 32. */
     const uint32_t high = high_word(value), crossing = shift_left(high << 1, count ^ 31U);
     return join(shift_right(high, count), shift_right(low_word(value), count) | crossing);
 }
 
-/* high 2^32 + low, in words apart, which gcc multiplies with fewer instructions. */
+/* high 2^32 + low, as two words: gcc multiplies them with fewer instructions than a uint64_t. */
 typedef struct {
     uint32_t high, low;
 } word_pair_t;
@@ -49,8 +51,8 @@ ALWAYS_INLINE uint32_t upper(uint64_t value, uint32_t count)
 
 /* ---- Sums and quotients -------------------------------------------------------------------------------- */
 
-/* *sum += term, in memory before anything further begins: the sums of a round, which a compiler would gladly
- * add side by side, are more than a small core has registers for. Lemma add. */
+/* *sum += term, written to memory before anything further begins. Else a compiler would add all sums of a
+ * round side by side, for which a small core has too few registers. Lemma add. */
 ALWAYS_INLINE void add(uint64_t *sum, uint64_t term)
 {
     *sum += term;
@@ -67,15 +69,15 @@ ALWAYS_INLINE word_pair_t ratio(uint64_t a, uint64_t d)
         d = join(low_word(d), 0);
     }
     const uint32_t shift = leading_zeros(high_word(d));
-    const word_pair_t found = {upper(a, shift), (upper(d, shift) >> 1) + 1U};
-    return found;
+    const word_pair_t words = {upper(a, shift), (upper(d, shift) >> 1) + 1U};
+    return words;
 }
 
 /* a / d as Q32, for d > 0 and 0 <= a <= d: at most 7 units too small, never too large. Lemma quotient. */
 SHARED uint32_t quotient(uint64_t a, uint64_t d)
 {
-    const word_pair_t found = ratio(a, d);
-    return divide_31(found.high, found.low);
+    const word_pair_t words = ratio(a, d);
+    return divide_31(words.high, words.low);
 }
 
 /* ---- Hash --------------------------------------------------------------------------------------------- */
@@ -89,7 +91,7 @@ ALWAYS_INLINE uint32_t hash_word(uint32_t hash, uint32_t word)
 
 /* ---- Alpha -------------------------------------------------------------------------------------------- */
 
-/* The word of the largest alpha: mantissa ALPHA_MANTISSA_MAX, shift ALPHA_SHIFT_MAX. */
+/* The largest mantissa and shift of an alpha word, and the word of the largest alpha. */
 #define ALPHA_MANTISSA_MAX UINT32_C(0xFFFFFF)
 #define ALPHA_SHIFT_MAX 31U
 #define ALPHA_MAX (ALPHA_MANTISSA_MAX << 8 | ALPHA_SHIFT_MAX)

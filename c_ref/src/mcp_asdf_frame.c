@@ -18,8 +18,9 @@
 #define ID_ANONYMOUS (UINT32_C(1) << 24)
 #define ID_RESERVED (UINT32_C(1) << 23 | UINT32_C(1) << 7)
 #define ID_NODE_MASK 0x7FU
-#define NOT_IN_ID UINT32_C(0xE0000000) /* more than 29 bits: such a number must not pass for an identifier   \
-                                        */
+#define NOT_IN_ID                                                                                            \
+    UINT32_C(0xE0000000) /* more than 29 bits: such a number must not pass for an identifier                 \
+                          */
 
 /* The tail byte. */
 #define TAIL_SINGLE_FRAME 0xE0U /* start, end and toggle bit */
@@ -208,8 +209,8 @@ mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, u
 mcp_asdf_frame_status_t mcp_asdf_encode_heartbeat(mcp_asdf_frame_t *frame, uint8_t priority,
                                                   const mcp_asdf_heartbeat_t *message)
 {
-    const mcp_asdf_frame_format_t format = {
-        0, priority}; /* of any valid subject: only the priority is checked */
+    /* Only the priority has to be checked: any valid subject will do. */
+    const mcp_asdf_frame_format_t format = {0, priority};
     const status_t status = check_sender_and_format(&format, message->node);
     if (status != MCP_ASDF_FRAME_OK) {
         return status;

@@ -146,9 +146,10 @@ ALWAYS_INLINE uint32_t multiply_high(uint32_t a, uint32_t b) { return high_word(
  * d is the divisor, and prepare(d) what they share: d is in [2^29, 2^31], or in [2^30, 2^31] where prepare()
  * takes a reciprocal from the table. Lemmas prepare, estimate_digit. */
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_HARDWARE
-ALWAYS_INLINE uint32_t prepare(uint32_t d) { return (d >> 15) + 1U; } /* > d / 2^15 */
+/* What estimate_digit() divides by: a number above d / 2^15, so that no digit is too large. */
+ALWAYS_INLINE uint32_t prepare(uint32_t d) { return (d >> 15) + 1U; }
 
-/* rest 2^bits / d, as (rest / 2^(15 - bits)) / (d / 2^15). */
+/* The next digit of a quotient, rest 2^bits / d, as (rest / 2^(15 - bits)) / (d / 2^15). */
 ALWAYS_INLINE uint32_t estimate_digit(uint32_t rest, uint32_t prepared, uint32_t bits)
 {
     return (rest >> (15U - bits)) / prepared;
@@ -156,7 +157,8 @@ ALWAYS_INLINE uint32_t estimate_digit(uint32_t rest, uint32_t prepared, uint32_t
 #endif
 
 #if MCP_ASDF_DIVIDE != MCP_ASDF_DIVIDE_BY_BITS
-/* The next `bits` <= 12 bits of a quotient; the rest is below 2 d before and after. Lemma take_digit. */
+/* Return the next `bits` <= 12 bits of a quotient, and leave in *rest what is to be divided after them: below
+ * 2 d, before and after. Lemma take_digit. */
 ALWAYS_INLINE uint32_t take_digit(uint32_t *rest, uint32_t d, uint32_t prepared, uint32_t bits)
 {
     const uint32_t digit = estimate_digit(*rest, prepared, bits);
@@ -169,7 +171,7 @@ ALWAYS_INLINE uint32_t take_digit(uint32_t *rest, uint32_t d, uint32_t prepared,
 SHARED uint32_t divide_24(uint32_t a, uint32_t d)
 {
     if (MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE && d >> 30 == 0U) {
-        a <<= 1;
+        a <<= 1; /* the same quotient */
         d <<= 1;
     }
     const uint32_t prepared = prepare(d), first = take_digit(&a, d, prepared, 12);

@@ -9,12 +9,14 @@ typedef union {
     uint32_t word[2];
 } words_t;
 
+/* high 2^32 + low. */
 static inline uint64_t join(uint32_t high, uint32_t low)
 {
     const words_t words = {.word = {low, high}};
     return words.both;
 }
 
+/* floor(value / 2^32). */
 static inline uint32_t high_word(uint64_t value)
 {
     const words_t words = {.both = value};
@@ -22,13 +24,13 @@ static inline uint32_t high_word(uint64_t value)
 }
 
 #if !MCP_ASDF_SPLIT_MULTIPLY
-/* No part of its callers: inlining it, avr-gcc often multiplies 64 by 64 bits. */
+/* a b. Not inlined: avr-gcc would then often multiply 64 by 64 bits. */
 NOINLINE uint64_t multiply(uint32_t a, uint32_t b) { return (uint64_t)a * b; }
 #endif
 #endif
 
 #if MCP_ASDF_SHIFT_BYTES
-/* shift_left() and shift_right(), in counts of a byte. Lemmas shift_left_by, shift_right_by. */
+/* value 2^count modulo 2^32, count in [0, 31], first by whole bytes. Lemma shift_left_by. */
 NOINLINE uint32_t shift_left_by(uint32_t value, uint8_t count)
 {
     for (; count >= 8U; count = (uint8_t)(count - 8U)) { /* at most 3 turns */
@@ -37,6 +39,7 @@ NOINLINE uint32_t shift_left_by(uint32_t value, uint8_t count)
     return value << count; /* a shift by at most 7 */
 }
 
+/* floor(value / 2^count), count in [0, 31], first by whole bytes. Lemma shift_right_by. */
 NOINLINE uint32_t shift_right_by(uint32_t value, uint8_t count)
 {
     for (; count >= 8U; count = (uint8_t)(count - 8U)) { /* at most 3 turns */
@@ -45,17 +48,20 @@ NOINLINE uint32_t shift_right_by(uint32_t value, uint8_t count)
     return value >> count; /* a shift by at most 7 */
 }
 
+/* shift_left_by(), with a count in a word as on other targets. */
 static inline uint32_t shift_left(uint32_t value, uint32_t count)
 {
     return shift_left_by(value, (uint8_t)count);
 }
 
+/* shift_right_by(), likewise. */
 static inline uint32_t shift_right(uint32_t value, uint32_t count)
 {
     return shift_right_by(value, (uint8_t)count);
 }
 
 #if !MCP_ASDF_HAS_CLZ && MCP_ASDF_DIVIDE != MCP_ASDF_DIVIDE_BY_INCLUDER
+/* Leading zeros of value > 0, 31 for 0: first of whole bytes, then of bits in the byte that is not 0. */
 WARM uint32_t leading_zeros(uint32_t value)
 {
     uint8_t zeros = 0;
@@ -71,12 +77,13 @@ WARM uint32_t leading_zeros(uint32_t value)
 #endif
 
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_BITS
-/* floor(2^bits a / d) for bits 24 and 31, a < 2 d and d <= 2^31, which keeps a below 2^32. Each byte of the
- * quotient is collected by itself: a shift of one takes a quarter of the time. Lemma divide_by_bits. */
+/* floor(2^bits a / d) for bits 24 and 31, a < 2 d and d <= 2^31, which keeps a below 2^32: long division bit
+ * by bit, from the highest. The quotient has bits + 1 bits, which are collected in bytes: to shift a byte
+ * takes a quarter of the time of a word. Lemma divide_by_bits. */
 NOINLINE uint32_t divide_by_bits(uint32_t a, uint32_t d, uint8_t bits)
 {
     uint32_t quotient = 0;
-    uint8_t turns = (uint8_t)((bits & 7U) + 1U);
+    uint8_t turns = (uint8_t)((bits & 7U) + 1U);                            /* bits of the first byte */
     for (uint8_t bytes = (uint8_t)(bits / 8U + 1U); bytes != 0U; --bytes) { /* at most 4 */
         uint8_t byte = 0;
         for (; turns != 0U; --turns) { /* at most 8 */

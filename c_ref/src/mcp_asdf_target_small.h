@@ -4,6 +4,7 @@
 #define MCP_ASDF_TARGET_SMALL_H
 
 #if MCP_ASDF_SPLIT_MULTIPLY
+/* a b, by long multiplication with digits of 16 bits: a = 2^16 a1 + a0, b likewise. */
 WARM uint64_t multiply(uint32_t a, uint32_t b)
 {
     const uint32_t a0 = a & 0xFFFFU, a1 = a >> 16, b0 = b & 0xFFFFU, b1 = b >> 16;
@@ -14,6 +15,7 @@ WARM uint64_t multiply(uint32_t a, uint32_t b)
     return (uint64_t)high << 32 | middle2 << 16 | (low & 0xFFFFU);
 }
 
+/* The upper word of a b, in the same way; the lower one is not put together. */
 WARM uint32_t multiply_high(uint32_t a, uint32_t b)
 {
     const uint32_t a1 = a >> 16, b1 = b >> 16;
@@ -26,11 +28,12 @@ WARM uint32_t multiply_high(uint32_t a, uint32_t b)
 #endif
 
 #if !MCP_ASDF_HAS_CLZ && !MCP_ASDF_SHIFT_BYTES && MCP_ASDF_DIVIDE != MCP_ASDF_DIVIDE_BY_INCLUDER
-#if MCP_ASDF_SPLIT_MULTIPLY /* few registers */
+#if MCP_ASDF_SPLIT_MULTIPLY /* such cores have few registers, and better call the function */
 #define ZEROS WARM
 #else
 #define ZEROS HOT
 #endif
+/* Leading zeros of value > 0, 31 for 0, by bisection: halve the places in which the highest bit can be. */
 ZEROS uint32_t leading_zeros(uint32_t value)
 {
     uint32_t zeros = 0;
@@ -50,7 +53,7 @@ ZEROS uint32_t leading_zeros(uint32_t value)
         value <<= 2;
         zeros += 2U;
     }
-    return zeros + (~value >> 31);
+    return zeros + (~value >> 31); /* one more if the highest bit is not set */
 }
 #endif
 
@@ -62,8 +65,9 @@ static const uint8_t reciprocals[65] MCP_ASDF_ROM = {
     78,  74,  71,  68,  65,  62,  59,  56,  53,  50,  47,  44,  42,  39,  36,  34,  31,
     29,  26,  24,  22,  19,  17,  15,  12,  10,  8,   6,   4,   2,   1};
 
-/* 2^46 / d, at most 0.71 2^-13 of it too small, never too large: [2^15 - 4, 2^16]. One Newton step r (2 - y
- * r) from below, as y = d / 2^31 is rounded up. */
+/* 2^46 / d for d in [2^30, 2^31], at most 0.71 2^-13 of it too small, never too large: [2^15 - 4, 2^16]. The
+ * reciprocal r of y = d / 2^31 from the table is improved by one Newton step, r (2 - y r). It comes from
+ * below, as y is rounded up. */
 ALWAYS_INLINE uint32_t prepare(uint32_t d)
 {
     const uint32_t step = (d >> 24) - 64U; /* above 64 only where memory is damaged */
@@ -74,7 +78,8 @@ ALWAYS_INLINE uint32_t prepare(uint32_t d)
 #endif
 
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE || MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_INCLUDER
-/* rest 2^bits / d, as (rest / 2^15) (2^46 / d) / 2^(31 - bits); the product is < 2^32 for rest < 2 d. */
+/* The next digit of a quotient, rest 2^bits / d, from prepare(d) = 2^46 / d: as (rest / 2^15) (2^46 / d) /
+ * 2^(31 - bits). The product is < 2^32 for rest < 2 d. */
 ALWAYS_INLINE uint32_t estimate_digit(uint32_t rest, uint32_t prepared, uint32_t bits)
 {
     return ((rest >> 15) * prepared) >> (31U - bits);

@@ -25,7 +25,7 @@ BROKEN = (
     ("divide_by_bits", "3000", "if (a >= d)", "if (a > d)"),
     ("divide_24", "1000", "second + (uint32_t)(a >= d)", "second + (uint32_t)(a > d)"),
     ("ratio", "1000", "(upper(d, shift) >> 1) + 1U", "(upper(d, shift) >> 1)"),
-    ("quotient", "1000", "divide_31(found.high", "divide_31(found.high / 2"),
+    ("quotient", "1000", "divide_31(words.high", "divide_31(words.high / 2"),
     ("alpha_units", "1000", "alpha >> 8, alpha)", "alpha >> 7, alpha)"),
     ("alpha_word_from_mantissa", "1000", "(0U - exponent) & 31U", "(1U - exponent) & 31U"),
     ("", "1000", "g < INFORMATIVE_G ? UINT32_MAX", "g < INFORMATIVE_G / 2 ? UINT32_MAX"),
