@@ -1,10 +1,11 @@
 /* The two functions that a compiler may call by itself, for images without a C library. The pointers are
- * volatile so that it does not make a call of memcpy() out of the loop inside memcpy(). */
+ * volatile: else a compiler could replace the loop inside memcpy() by a call of memcpy(). */
 #include <stddef.h>
 
 void *memcpy(void *restrict to, const void *restrict from, size_t size);
 void *memset(void *to, int value, size_t size);
 
+/* Copy `size` bytes, byte by byte; see the C standard. */
 void *memcpy(void *restrict to, const void *restrict from, size_t size)
 {
     volatile unsigned char *target = to;
@@ -14,6 +15,7 @@ void *memcpy(void *restrict to, const void *restrict from, size_t size)
     return to;
 }
 
+/* Fill `size` bytes with a value; see the C standard. */
 void *memset(void *to, int value, size_t size)
 {
     for (volatile unsigned char *target = to; size > 0; --size) {

@@ -77,16 +77,17 @@ HOT uint32_t alpha_word_from_mantissa(uint32_t mantissa, uint32_t exponent)
     return exponent <= ALPHA_SHIFT_MAX ? mantissa << 8 | exponent : ALPHA_MAX;
 }
 
-/* Alpha where x_hat is 0 or 1 (eq. 4, first two cases), after rare_count observations of the rarer colour
- * among t: rare_count (g / c)^2 + (t - rare_count) (g / (1 - c))^2. */
-ALWAYS_INLINE confidence_t confidence_at_end(uint32_t t, uint32_t rare_count, uint32_t g_shift,
+/* Alpha where x_hat is 0 or 1 (eq. 4, first two cases), after rare_observations observations of the rarer
+ * colour among t: rare_observations (g / c)^2 + (t - rare_observations) (g / (1 - c))^2. */
+ALWAYS_INLINE confidence_t confidence_at_end(uint32_t t, uint32_t rare_observations, uint32_t g_shift,
                                              const mcp_asdf_accuracy_t *accuracy)
 {
-    uint64_t sum = multiply(t - rare_count, accuracy->common); /* < 2^63 */
+    uint64_t sum = multiply(t - rare_observations, accuracy->common); /* < 2^63 */
     /* 40 bits below the mantissa + 24 of alpha - 30 of the weights */
     uint32_t exponent = 34U - 2U * g_shift;
-    if (rare_count != 0U) {
-        sum = multiply(rare_count, accuracy->rare) + shift_right_64(sum, accuracy->rare_shift); /* < 2^64 */
+    if (rare_observations != 0U) {
+        sum = multiply(rare_observations, accuracy->rare) +
+              shift_right_64(sum, accuracy->rare_shift); /* < 2^64 */
         exponent += accuracy->rare_shift;
     }
     if (high_word(sum) == 0U) {
@@ -123,11 +124,11 @@ ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uin
 HOT estimate_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accuracy)
 {
     const uint32_t g_shift = accuracy->g_shift & 31U; /* whatever damaged memory holds */
-    const uint32_t white = t - n, rare_count = n < white ? n : white;
+    const uint32_t white = t - n, rare_observations = n < white ? n : white;
     /* Both are shifted, so that t has 32 bits. */
     const uint32_t shift = leading_zeros(t);
-    const uint32_t total = shift_left(t, shift);          /* [2^31, 2^32) */
-    const uint32_t rarer = shift_left(rare_count, shift); /* <= total / 2 */
+    const uint32_t total = shift_left(t, shift);                 /* [2^31, 2^32) */
+    const uint32_t rarer = shift_left(rare_observations, shift); /* <= total / 2 */
     /* On a floor without the rarer colour the sensor would show it so often, by its errors. */
     const uint32_t errors = multiply_high(accuracy->c, total); /* c t */
     uint32_t x = 0;
@@ -137,7 +138,7 @@ HOT estimate_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accur
             const estimate_t no_information = {MCP_ASDF_HALF, 0};
             return no_information;
         }
-        alpha = confidence_at_end(t, rare_count, g_shift, accuracy);
+        alpha = confidence_at_end(t, rare_observations, g_shift, accuracy);
     } else {
         /* x = (p - c) / g, with both sides multiplied by t */
         const uint32_t scale = shift_left(total - 2U * errors, g_shift); /* g t: [2^30, 2^32) */

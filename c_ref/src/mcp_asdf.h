@@ -12,7 +12,7 @@
  *         mcp_asdf_settle(&robot);                                   closes the round
  *     }
  *
- * A round is what a robot hears from one settle to the next, so the caller's broadcast timer sets its
+ * A round is what a robot receives from one settle to the next, so the caller's broadcast timer sets its
  * length. mcp_asdf_x() is the answer, at any time; mcp_asdf_thousandths() makes it fit for printing.
  *
  * The functions marked MCP_ASDF_INLINE are compiled into their callers. mcp_asdf_accessors.c has them as
@@ -76,7 +76,7 @@ extern "C" {
 
 typedef enum {
     MCP_ASDF_OK = 0,
-    MCP_ASDF_REPEATED = 1, /* receive: this sender was heard in this round already; counted, ignored */
+    MCP_ASDF_REPEATED = 1, /* receive: not the sender's first message in this round; counted, ignored */
     MCP_ASDF_UPDATED = 2,  /* settle, step: b_hat was re-estimated */
     MCP_ASDF_ERR_CONFIG = -1,
     MCP_ASDF_ERR_TABLE = -2,
@@ -104,9 +104,9 @@ typedef enum { MCP_ASDF_WHITE = 0, MCP_ASDF_BLACK = 1 } mcp_asdf_observation_t;
 #endif
 
 /* When b_hat is re-estimated, every filter_period rounds: if the test of eq. 12 rejects (ASDF); without a
- * test; never. Or the robust filter, which is not the paper's: it has a memory for what it hears in place of
- * rounds, and needs neither a table nor to know which robots are doubtful (docs/robust.md). Where it alone is
- * built, it is the only choice. */
+ * test; never. Or the robust filter, which is not the paper's: it remembers what it receives for
+ * longer than a round, and needs neither a table nor to know which robots are doubtful (docs/robust.md).
+ * Where it alone is built, it is the only choice. */
 typedef enum {
     MCP_ASDF_ADAPTIVE = 0,
     MCP_ASDF_ALWAYS = 1,
@@ -172,10 +172,10 @@ typedef struct {
  * g = 1 - 2c. */
 typedef struct {
     uint32_t b_hat;      /* unit 2^-32 */
-    uint32_t c;          /* unit 2^-32; 2^32 - 1 where b_hat says nothing, |2 b_hat - 1| < 2^-12 */
+    uint32_t c;          /* unit 2^-32; 2^32 - 1 if |2 b_hat - 1| < 2^-12: no information */
     uint32_t common;     /* (g / (1 - c))^2, unit 2^(-30 - 2 g_shift): weight of the common colour in eq. 4 */
     uint32_t rare;       /* (g / c)^2, unit 2^(rare_shift - 30 - 2 g_shift): weight of the rare colour */
-    uint32_t g_shift;    /* 0 .. 31; above 11 only where b_hat says nothing */
+    uint32_t g_shift;    /* 0 .. 31; above 11 only without information */
     uint32_t rare_shift; /* even, 0 .. 38 */
 } mcp_asdf_accuracy_t;
 
@@ -205,12 +205,12 @@ typedef struct {
 } mcp_asdf_open_t;
 
 /* What a robot with the robust filter knows of the others.
- *   centre      of the x_hat heard, unit 2^-30              0 .. 2^30; MCP_ASDF_CENTRE_START before any
+ *   centre      of the x_hat received, unit 2^-30           0 .. 2^30; MCP_ASDF_CENTRE_START before any
  *   spread      their median distance from it, unit 2^-30   2^18 .. 2^28
  *   voices      bit (id mod 32) of every sender of a message with alpha > 0
  *   votes       weight of these two against the next message, which adds 1, up to 2^14; halved while the
  *               centre moves one way
- *   trend       share of the centre's late moves that went up, unit 2^-16
+ *   trend       share of the centre's recent moves that went up, unit 2^-16
  *   first       b_hat at the start, unit 2^-32: what the test is about; 0 with other filters */
 typedef struct {
     uint32_t centre;
@@ -266,10 +266,10 @@ mcp_asdf_status_t mcp_asdf_init(mcp_asdf_t *robot, const mcp_asdf_config_t *conf
  * Fails if z is neither MCP_ASDF_WHITE nor MCP_ASDF_BLACK (ERR_OBSERVATION). */
 mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observation_t z);
 
-/* Take a neighbour's message into the open round, at any time. A message with alpha = 0 is accepted and
- * enters no sum: it says nothing. Returns MCP_ASDF_REPEATED, and counts `repeated`, for a sender heard in
- * this round already; this is normal where clocks are not aligned. Fails if sender > 127 or is the robot's
- * own id (ERR_SENDER), or x_hat > 1.0 (ERR_X_HAT): counts `rejected`. */
+/* Add a neighbour's message to the open round, at any time. A message with alpha = 0 is accepted, but enters
+ * no sum: it carries no information. Returns MCP_ASDF_REPEATED, and counts `repeated`, for all but the first
+ * message of a sender in a round; this is normal where clocks are not aligned. Fails if sender > 127 or is
+ * the robot's own id (ERR_SENDER), or x_hat > 1.0 (ERR_X_HAT): counts `rejected`. */
 mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha);
 
 /* Close the open round; the next one starts empty. Every filter_period rounds, run the filter: test the round
@@ -288,7 +288,7 @@ uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot);
 
 /* Informed estimate (eq. 7) of the present x_hat and alpha and the last closed round, unit 2^-23: the exact
  * quotient of the sums, rounded down; x_hat if both confidences are 0. Formed when asked for, at the price of
- * one division. With the robust filter the centre, rounded down; x_hat before anyone was heard. */
+ * one division. With the robust filter the centre, rounded down; x_hat before the first message. */
 uint32_t mcp_asdf_x(const mcp_asdf_t *robot);
 
 /* Own id, 0 .. 127. */

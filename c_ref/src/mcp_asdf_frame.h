@@ -9,20 +9,20 @@
  *   telemetry   x, b_hat and the number of updates, for watchers (optional)
  *   command     a simulator's order to observe or to settle, for lockstep (optional)
  *
- * Here is what a robot does with them: it sends the first three and takes estimates and commands. Tools read
- * and write all four (docs/frame.md).
+ * A robot sends the first three, and receives estimates and commands. Tools read and write all four
+ * (docs/frame.md).
  *
  * When its broadcast timer expires, a robot sends
  *
- *     const mcp_asdf_estimate_t own = {id, count++, mcp_asdf_x_hat(&robot), mcp_asdf_alpha(&robot)};
- *     if (mcp_asdf_encode_estimate(&frame, &format, &own) == MCP_ASDF_FRAME_OK)
+ *     const mcp_asdf_estimate_t estimate = {id, count++, mcp_asdf_x_hat(&robot), mcp_asdf_alpha(&robot)};
+ *     if (mcp_asdf_encode_estimate(&frame, &format, &estimate) == MCP_ASDF_FRAME_OK)
  *         driver_send(&frame);
  *
  * with `mcp_asdf_frame_format_t format = MCP_ASDF_FORMAT_ESTIMATE` and a uint8_t count, and for every frame
  * that the driver receives
  *
- *     if (mcp_asdf_decode_estimate(&heard, format.subject, &frame) == MCP_ASDF_FRAME_OK)
- *         mcp_asdf_receive(&robot, heard.node, heard.x_hat, heard.alpha);
+ *     if (mcp_asdf_decode_estimate(&estimate, format.subject, &frame) == MCP_ASDF_FRAME_OK)
+ *         mcp_asdf_receive(&robot, estimate.node, estimate.x_hat, estimate.alpha);
  *
  * What holds for every function
  *   - C99, freestanding. No floating point, heap, recursion, static data that changes or libc call; O(1). int
@@ -41,7 +41,7 @@
 extern "C" {
 #endif
 
-/* A CAN frame, as far as the codec cares. A driver's frame is copied into one and out of one.
+/* A CAN frame. A driver's frame is copied into one before it is decoded, and out of one after encoding.
  *   id       identifier without flags: 29 bits, or 11 with MCP_ASDF_FRAME_STANDARD
  *   flags    MCP_ASDF_FRAME_...; 0 for a classic data frame with a 29-bit identifier, which all of ours are.
  *            Other bits are ignored
@@ -87,7 +87,7 @@ typedef enum {
     MCP_ASDF_FRAME_ERR_HEALTH = -40         /* encoders only: not a mcp_asdf_health_t */
 } mcp_asdf_frame_status_t;
 
-/* Where one kind of message is on the bus; the same on all nodes.
+/* Subject and priority of one kind of message, the same on all nodes.
  *   subject    Cyphal subject identifier, 0 .. 6143
  *   priority   0 (wins arbitration) .. 7; receivers ignore it */
 typedef struct {
@@ -169,7 +169,8 @@ typedef struct {
 
 #define MCP_ASDF_EVERY_ROBOT 255U
 
-/* Which half of a control tick to do. The first three numbers are those of mcp_asdf_observation_t. */
+/* What a command asks for: to begin a control tick with an observation or without, or to end it. The first
+ * three numbers are those of mcp_asdf_observation_t. */
 typedef enum {
     MCP_ASDF_OBSERVE_WHITE = 0,
     MCP_ASDF_OBSERVE_BLACK = 1,
@@ -177,8 +178,8 @@ typedef enum {
     MCP_ASDF_SETTLE = 3
 } mcp_asdf_action_t;
 
-/* A simulator's order.
- *   target   the robot that is meant, 0 .. 127, or MCP_ASDF_EVERY_ROBOT
+/* A simulator's command.
+ *   target   id of the robot that is to follow it, 0 .. 127, or MCP_ASDF_EVERY_ROBOT
  *   action   a mcp_asdf_action_t
  *   tick     number of the control tick, any */
 typedef struct {
@@ -189,8 +190,8 @@ typedef struct {
     uint32_t tick;
 } mcp_asdf_command_t;
 
-/* Make the frame of a message. All fail if node or format is out of range (ERR_NODE, ERR_FORMAT), and as
- * listed, with the first reason in this order. The heartbeat's subject is fixed. */
+/* Write a message to a frame. All encoders fail if node or format is out of range (ERR_NODE, ERR_FORMAT), and
+ * as listed, with the first reason in this order. The heartbeat's subject is fixed. */
 
 /* Fails if x_hat is out of range (ERR_X_HAT); every alpha is valid. */
 mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,
@@ -206,12 +207,12 @@ mcp_asdf_frame_status_t mcp_asdf_encode_telemetry(mcp_asdf_frame_t *frame,
                                                   const mcp_asdf_frame_format_t *format,
                                                   const mcp_asdf_telemetry_t *message);
 
-/* Read a message from a frame. `subject` is that of the kind, 0 .. 6143; no frame has a larger one. Both fail
- * with what the frame lacks first, in the order of mcp_asdf_frame_status_t. */
+/* Read an estimate from a frame. `subject` is that of estimates, 0 .. 6143; no frame has a larger one. Fails
+ * with the first reason to refuse the frame, in the order of mcp_asdf_frame_status_t. */
 mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, uint16_t subject,
                                                  const mcp_asdf_frame_t *frame);
 
-/* The spare byte is ignored, as Cyphal asks. */
+/* Read a command from a frame, likewise. The spare byte is ignored, as Cyphal asks. */
 mcp_asdf_frame_status_t mcp_asdf_decode_command(mcp_asdf_command_t *message, uint16_t subject,
                                                 const mcp_asdf_frame_t *frame);
 

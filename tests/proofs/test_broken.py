@@ -33,7 +33,7 @@ BROKEN = (
     ("", "1000", "- shift + spread_shift", "+ shift + spread_shift"),
     ("", "1000", "(n - white) ^", "(n + white) ^"),
     ("", "1000", "exponent -= 32U", "exponent -= 31U"),
-    ("", "1000", "multiply(t - rare_count, accuracy->common)", "multiply(t, accuracy->common)"),
+    ("", "1000", "multiply(t - rare_observations, accuracy->common)", "multiply(t, accuracy->common)"),
     ("", "1000", "2U * c_shift", "c_shift"),
     ("", "1000", "multiply_high(ratio, ratio)", "multiply_high(ratio, g)"),
     ("", "1000", "x_bar = ~x_bar;", "x_bar = 0U - x_bar;"),

@@ -114,6 +114,7 @@ static bool queue_text(slcan_link_t *link, const char *text, uint8_t length)
     return has_room;
 }
 
+/* Initialise the adapter, and queue an empty line. */
 void slcan_start(slcan_link_t *link)
 {
     *link = (slcan_link_t){.is_open = false};
