@@ -137,7 +137,7 @@ def accuracy_of(b_hat: int) -> Accuracy:
 def alpha_word_from_mantissa(mantissa: int, exponent: int) -> int:
     """Return the alpha word of the largest alpha not above mantissa * 2**exponent units of 2**-24.
 
-    The mantissa has 24 bits, of which the highest is set. In C this is ``alpha_word``.
+    The mantissa has 24 bits, of which the highest is set.
     """
     if exponent > SHIFT_MAX:
         return ALPHA_MAX
@@ -222,8 +222,7 @@ def informed_estimate(closed: Closed, x_hat: int, alpha: int) -> int:
 def asdf_test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
     """Return whether x_hat differs too much from the m >= 2 estimates of a round (eq. 12).
 
-    Squared and multiplied out this is (sum x - m x_hat)**2 > k_m (m sum x**2 - (sum x)**2). In C it is
-    ``test_rejects``.
+    Squared and multiplied out this is (sum x - m x_hat)**2 > k_m (m sum x**2 - (sum x)**2).
     """
     m = open_round.count
     difference = open_round.x - m * x_hat
@@ -249,7 +248,7 @@ def upper_quotient(numerator: int, denominator: int) -> int:
 
 
 def round_mean(closed: Closed) -> int:
-    """Return x_bar (eq. 5) of a round with confidence in units of 2**-32, for eq. 8 (in C ``mean``)."""
+    """Return x_bar (eq. 5) of a round with confidence in units of 2**-32, for eq. 8."""
     return upper_quotient(closed.alpha_x, closed.alpha * ONE)
 
 
@@ -276,8 +275,7 @@ def update_crowd(crowd: Crowd, sender: int, x_hat: int) -> None:
     """Count a received x_hat as one vote: it moves the centre and the spread of the crowd, and the trend.
 
     The first votes move the centre by 1/8 of their distance. This share, the gain, falls with the number of
-    votes, so that centre and spread converge. Senders whose ids are equal modulo 32 count as one. In C this
-    is ``vote``.
+    votes, so that centre and spread converge. Senders whose ids are equal modulo 32 count as one.
     """
     crowd.voices |= 1 << (sender & 31)
     crowd.votes = min(crowd.votes + 1, VOTES_MAX)
@@ -304,7 +302,7 @@ def update_crowd(crowd: Crowd, sender: int, x_hat: int) -> None:
 
 
 def crowd_fill_ratio(crowd: Crowd) -> int:
-    """Return the crowd's centre in units of 2**-32, the largest word for 1.0 (in C ``crowd_mean``)."""
+    """Return the crowd's centre in units of 2**-32, the largest word for 1.0."""
     return min(crowd.centre << 2, MAX_WORD)
 
 
@@ -313,7 +311,7 @@ def robust_test_rejects(crowd: Crowd, t: int, n: int) -> bool:
 
     If D is the difference between n / t and the share of black that the initial b_hat and the crowd's centre
     predict, the test rejects for D**2 > 12 (v / t + (g spread)**2): v / t is the variance of n / t, and
-    g spread, with g = |2 b_hat - 1|, the uncertainty of the prediction. In C this is ``deviates``.
+    g spread, with g = |2 b_hat - 1|, the uncertainty of the prediction.
     """
     # Shares are in units of 2**-32, squares in units of 2**-64.
     initial_b_hat = crowd.first
