@@ -7,11 +7,14 @@ line, whose modules stand in this package, too, loads only what a command needs.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from mcp_asdf_tools.common.extras import naming_extras
+
 if TYPE_CHECKING:
     from mcp_asdf_tools.common.errors import UsageError
     from mcp_asdf_tools.experiments.experiment import Experiment, grid
     from mcp_asdf_tools.experiments.experiment_files import read_experiments
-    from mcp_asdf_tools.experiments.results import experiments_in, read_table
+    from mcp_asdf_tools.experiments.result_files import read_table
+    from mcp_asdf_tools.experiments.result_tables import experiments_in
     from mcp_asdf_tools.library import emulate, plot, score, simulate, start_swarm
     from mcp_asdf_tools.swarm.settings import SwarmSettings
     from mcp_asdf_tools.view.inline import show
@@ -20,7 +23,8 @@ _HOMES = {
     "common.errors": ["UsageError"],
     "experiments.experiment": ["Experiment", "grid"],
     "experiments.experiment_files": ["read_experiments"],
-    "experiments.results": ["experiments_in", "read_table"],
+    "experiments.result_files": ["read_table"],
+    "experiments.result_tables": ["experiments_in"],
     "library": ["emulate", "plot", "score", "simulate", "start_swarm"],
     "swarm.settings": ["SwarmSettings"],
     "view.inline": ["show"],
@@ -43,7 +47,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    """Import a name when it is first used. Raises UsageError, with the fix, if a library is missing."""
     for module, names in _HOMES.items():
         if name in names:
-            return getattr(import_module(f"{__name__}.{module}"), name)
+            with naming_extras():
+                return getattr(import_module(f"{__name__}.{module}"), name)
     raise AttributeError(f"module {__name__} has no attribute {name}")

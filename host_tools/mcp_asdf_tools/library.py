@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,10 +12,9 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials, experiments_in, matching, only, rescored
+from mcp_asdf_tools.experiments.results import Trials, select_experiments, single_experiment
 from mcp_asdf_tools.experiments.scores import E_MAX, PAPERS, SCORES, Limits
-from mcp_asdf_tools.experiments.store import Store
-from mcp_asdf_tools.experiments.sweep import run_sweep
+from mcp_asdf_tools.experiments.sweep import run_in_memory, run_sweep
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
@@ -58,34 +56,62 @@ def simulate(
     record: int = 0,
     quiet: bool = False,
 ) -> pa.Table:
-    """Run all trials of one or many experiments; returns a table with a row for each trial.
+    """Run all trials of one or many experiments, and return a table with a row for each trial.
 
-    With an ``output`` file finished trials are kept, and the same call resumes where it was interrupted. With
-    ``record`` the robots' values are kept every so many steps. A terminal shows progress unless ``quiet``. In
-    a script, code that asks for several ``workers`` belongs under ``if __name__ == "__main__":``, since they
-    are processes that import it. Raises UsageError for what cannot be run or written.
+    With an ``output`` file finished trials are kept, and the same call resumes where it was interrupted;
+    without one, nothing is written. With ``record`` the robots' values are kept every so many steps. A
+    terminal shows progress unless ``quiet``. In a script, code that asks for several ``workers`` belongs
+    under ``if __name__ == "__main__":``, since they are processes that import it. Raises UsageError for what
+    cannot be run or written.
     """
-    given = [experiments] if isinstance(experiments, Experiment) else list(experiments)
-    for each in given:
-        if not isinstance(each, Experiment):
-            raise UsageError(f"{each!r} is no experiment; give what Experiment or grid makes")
-        if not 0 <= record <= each.steps:
-            raise UsageError(f"record is {record}; choose 1 to {each.steps} steps, or 0 for none")
+    experiment_list = [experiments] if isinstance(experiments, Experiment) else list(experiments)
+    _check_run(experiment_list, workers, record)
+    if output is None:
+        return _simulate_in_memory(experiment_list, workers, record, quiet)
+
+    from mcp_asdf_tools.experiments.result_files import read_table  # noqa: PLC0415 (pyarrow loads slowly)
+    from mcp_asdf_tools.experiments.store import Store  # noqa: PLC0415
+
+    store = Store(Path(output), experiment_list, record)
+    with progress("trials", store.missing_count, quiet) as report:
+        run_sweep(store, workers, report)
+    return read_table(output)
+
+
+def _check_run(experiments: list[Experiment], workers: int, record: int) -> None:
+    """Raise UsageError, with the fix, for arguments of ``simulate`` that cannot be run."""
+    if not experiments:
+        raise UsageError("there is no experiment to run; give one or more")
+    for experiment in experiments:
+        if not isinstance(experiment, Experiment):
+            raise UsageError(f"{experiment!r} is no experiment; give what Experiment or grid makes")
+        if not 0 <= record <= experiment.steps:
+            raise UsageError(f"record is {record}; choose 1 to {experiment.steps} steps, or 0 for none")
     if workers < 1:
         raise UsageError(f"workers is {workers}; give 1 or more")
-    with tempfile.TemporaryDirectory() as folder:
-        store = Store(Path(output or Path(folder, "results.parquet")), given, record)
-        with progress("trials", store.left, quiet) as report:
-            return run_sweep(store, workers, report)
+
+
+def _simulate_in_memory(experiments: list[Experiment], workers: int, record: int, quiet: bool) -> pa.Table:
+    """Run experiments, and return the table of their trials without a file."""
+    import pyarrow as pa  # noqa: PLC0415 (loads slowly)
+
+    from mcp_asdf_tools.experiments.result_tables import trials_to_table  # noqa: PLC0415
+
+    trial_count = sum(experiment.trials for experiment in dict.fromkeys(experiments))
+    with progress("trials", trial_count, quiet) as report:
+        results = run_in_memory(experiments, record, workers, report)
+    return pa.concat_tables([trials_to_table(trials) for trials in results]).combine_chunks()
 
 
 @naming_extras()
 def score(table: pa.Table, k_max: float | None = None, e_max: float | None = None) -> pa.Table:
-    """The table with H, h_K and h_e for other limits; by default they are the paper's, T and 0.45.
+    """Return the table with H, h_K and h_e for other limits; by default they are the paper's, T and 0.45.
 
     Raises UsageError for limits of 0 or less.
     """
-    return rescored(table, Limits(k_max, E_MAX if e_max is None else e_max))
+    from mcp_asdf_tools.experiments.result_tables import score_table  # noqa: PLC0415 (pyarrow loads slowly)
+
+    return score_table(table, Limits(k_max, E_MAX if e_max is None else e_max))
 
 
 PLOTS: dict[str, tuple[str, ...]] = {
@@ -141,9 +167,7 @@ def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
     """
     from mcp_asdf_tools.experiments import plots  # noqa: PLC0415 (matplotlib loads slowly)
 
-    experiments = matching(results if isinstance(results, list) else experiments_in(results), where or {})
-    if not experiments:
-        raise UsageError("there is no experiment to draw; give results of one or more")
+    experiments = _experiments_to_plot(results, where)
     options = {"trial": trial, "x": x, "hue": hue, "y": y, "facet": facet, "ax": ax, "limits": limits}
     given_names = [name for name, value in options.items() if value is not None and value != ""]
     check_plot_options(kind, [(name, name) for name in given_names], y)
@@ -158,4 +182,21 @@ def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
         case "bands":
             return plots.bands(experiments)
         case _:
-            return plots.series_beside([only(experiments)], trial or 0)
+            return plots.series_beside([single_experiment(experiments)], trial or 0)
+
+
+def _experiments_to_plot(results: pa.Table | list[Trials], where: Mapping[str, Any] | None) -> list[Trials]:
+    """Return the experiments of results whose parameters have the values in ``where``.
+
+    Raises UsageError if there is none.
+    """
+    if isinstance(results, list):
+        experiments = results
+    else:
+        from mcp_asdf_tools.experiments.result_tables import experiments_in  # noqa: PLC0415
+
+        experiments = experiments_in(results)
+    selected = select_experiments(experiments, where or {})
+    if not selected:
+        raise UsageError("there is no experiment to draw; give results of one or more")
+    return selected

@@ -30,13 +30,8 @@ from mcp_asdf_tools.crosscheck.scenario import parse_scenario
 from mcp_asdf_tools.experiments import experiment_files
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
-from mcp_asdf_tools.experiments.results import (
-    experiments_at,
-    experiments_in,
-    metadata_of,
-    read_table,
-    table_of,
-)
+from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
+from mcp_asdf_tools.experiments.result_tables import experiments_in, read_metadata, trials_to_table
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
@@ -94,15 +89,15 @@ def results() -> bytes:
 def sound_results() -> pa.Table:
     short = Experiment(robots=4, flawed=1, filter="asdf-plus", steps=30, filter_period=10, trials=2)
     both = (short, replace(short, filter="robust"))
-    return pa.concat_tables([table_of(run_trials(each, 0, 2, sampling_interval=10), 10) for each in both])
+    return pa.concat_tables([trials_to_table(run_trials(each, 0, 2, sampling_interval=10)) for each in both])
 
 
 def read_results(path: Path) -> object:
     """All that commands take from results."""
     table = read_table(path)
     at_once = [[*trials.scores().values()] for trials in experiments_in(table)]
-    assert np.array_equal(at_once, [[*trials.scores().values()] for trials in experiments_at(path)])
-    return metadata_of(table)["versions"]
+    assert np.array_equal(at_once, [[*trials.scores().values()] for trials in stream_experiments(path)])
+    return read_metadata(table)["versions"]
 
 
 def read_logged(path: Path) -> list[object]:

@@ -13,7 +13,7 @@ import pytest
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import EXTRAS, install_command, install_instruction
 from mcp_asdf_tools.experiments import trials
-from mcp_asdf_tools.experiments.cluster import cluster
+from mcp_asdf_tools.experiments.cluster import connect_cluster
 from mcp_asdf_tools.robots.firmwares import load_firmware
 from support import ROOT, run
 
@@ -111,8 +111,8 @@ def test_what_is_pinned_by_a_tag_or_half_a_hash_is_refused(pin: str) -> None:
     ("module", "call", "extra"),
     [
         ("mcp_asdf.native", lambda: load_firmware("native"), ""),
-        ("mcp_asdf_tools.experiments.engine.native", trials._engine, ""),
-        ("distributed", lambda: cluster("tcp://head:8786").__enter__(), "cluster"),
+        ("mcp_asdf_tools.experiments.engine.native", trials._load_engine, ""),
+        ("distributed", lambda: connect_cluster("tcp://head:8786").__enter__(), "cluster"),
     ],
 )
 def test_what_cannot_be_loaded_says_how_to_install_it(

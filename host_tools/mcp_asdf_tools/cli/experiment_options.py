@@ -14,7 +14,7 @@ from mcp_asdf_tools.cli.parameter_options import add_parameters, settings_from
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import read_experiments
-from mcp_asdf_tools.experiments.results import Trials, differing, experiments_in, matching, read_table
+from mcp_asdf_tools.experiments.results import Trials, describe_differences, select_experiments
 from mcp_asdf_tools.experiments.scores import E_MAX, Limits
 from mcp_asdf_tools.experiments.sweep import default_workers
 
@@ -85,18 +85,23 @@ def add_where(parser: argparse._ActionsContainer) -> None:
 
 
 def chosen(args: argparse.Namespace) -> list[Trials]:
-    """The experiments of the file ``args.file`` that meet all conditions.
+    """Return the experiments of the file ``args.file`` that meet all conditions.
 
-    Raises UsageError, with what there is, for a condition on no parameter and one that nothing meets.
+    Raises UsageError, with the existing values, for a condition on no parameter and one that nothing meets.
     """
-    found = experiments_in(read_table(args.file))
+    from mcp_asdf_tools.experiments.result_files import read_table  # noqa: PLC0415 (pyarrow loads slowly)
+    from mcp_asdf_tools.experiments.result_tables import experiments_in  # noqa: PLC0415
+
+    experiments = experiments_in(read_table(args.file))
     for condition in args.where:
         name, equals, value = condition.partition("=")
         if not equals:
-            there = differing(found)
-            raise UsageError(f"--where {condition}: write NAME=VALUE; the experiments differ in {there}")
-        found = matching(found, {name: value})
-    return found
+            differences = describe_differences(experiments)
+            raise UsageError(
+                f"--where {condition}: write NAME=VALUE; the experiments differ in {differences}"
+            )
+        experiments = select_experiments(experiments, {name: value})
+    return experiments
 
 
 def summary(experiments: Iterable[Trials], limits: Limits) -> list[dict[str, Any]]:

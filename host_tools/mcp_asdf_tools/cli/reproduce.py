@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.again import json_report, print_again
@@ -13,8 +14,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import make_folder
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.common.progress_bar import progress
-from mcp_asdf_tools.experiments.results import Trials, experiments_in
-from mcp_asdf_tools.experiments.store import Store
+from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.sweep import run_sweep
 from mcp_asdf_tools.studies.cells import (
     FILTER_PERIODS,
@@ -30,6 +30,9 @@ from mcp_asdf_tools.studies.study_results import StudyResults
 
 PAPER_SIZE = StudySize()
 QUICK_SIZE = StudySize(trials=10, steps=10_000)
+
+if TYPE_CHECKING:
+    from mcp_asdf_tools.experiments.store import Store
 
 EPILOG = """\
 examples:
@@ -70,15 +73,17 @@ def run(args: argparse.Namespace) -> int:
     folder = args.output or Path("reproduction-quick" if args.quick else "reproduction")
     stores = open_stores(folder, parts, study_size)
     if not args.json:
-        print(f"{sum(store.left for store in stores.values())} trials to run", file=sys.stderr)
+        print(f"{sum(store.missing_count for store in stores.values())} trials to run", file=sys.stderr)
+
+    from mcp_asdf_tools.experiments.result_files import stream_experiments  # noqa: PLC0415
 
     trials_by_cell: dict[Cell, Trials] = {}
     with telling_what_is_left(list(stores.values())):
         for study_part, store in stores.items():
-            with progress(f"{study_part.value}: trials", store.left, args.json) as bar:
-                table = run_sweep(store, workers, bar, args.scheduler)
+            with progress(f"{study_part.value}: trials", store.missing_count, args.json) as bar:
+                run_sweep(store, workers, bar, args.scheduler)
             trials_by_cell |= {
-                cell_of(study_part, trials.experiment): trials for trials in experiments_in(table)
+                cell_of(study_part, trials.experiment): trials for trials in stream_experiments(store.output)
             }
 
     study_results = StudyResults(trials_by_cell)
@@ -125,6 +130,8 @@ def open_stores(folder: Path, parts: list[StudyPart], study_size: StudySize) -> 
         }
     except ParameterError as error:
         raise UsageError(f"--{error.key}: {error}") from error
+    from mcp_asdf_tools.experiments.store import Store  # noqa: PLC0415 (pyarrow loads slowly)
+
     make_folder(folder)
     return {
         study_part: Store(folder / f"{study_part.value}.parquet", experiments[study_part])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.again import json_report
-from mcp_asdf_tools.experiments.results import experiments_at, metadata_of, read_table, write_csv
+from mcp_asdf_tools.experiments.results import write_csv
 
 EPILOG = """\
 examples:
@@ -26,13 +26,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Score, keep and print."""
-    said = metadata_of(read_table(args.file, ["trial"]))
+    from mcp_asdf_tools.experiments.result_files import (  # noqa: PLC0415 (pyarrow loads slowly)
+        read_table,
+        stream_experiments,
+    )
+    from mcp_asdf_tools.experiments.result_tables import read_metadata  # noqa: PLC0415
+
+    metadata = read_metadata(read_table(args.file, ["trial"]))
     limits = options.limits_of(args)
     if args.csv is not None:
-        write_csv(args.csv, experiments_at(args.file), limits)
-    rows = options.summary(experiments_at(args.file), limits)
+        write_csv(args.csv, stream_experiments(args.file), limits)
+    rows = options.summary(stream_experiments(args.file), limits)
     if args.json:
-        print(json_report({**said, "experiments": rows}))
+        print(json_report({**metadata, "experiments": rows}))
     else:
         options.show(rows, str(args.file))
     return 0

@@ -8,7 +8,6 @@ from pathlib import Path
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments.results import experiments_in, metadata_of
 from mcp_asdf_tools.library import simulate
 
 EPILOG = """\
@@ -30,6 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the experiment, keep and print what came out."""
+    from mcp_asdf_tools.experiments.result_tables import (  # noqa: PLC0415 (pyarrow loads slowly)
+        experiments_in,
+        read_metadata,
+    )
+
     experiment, *more = options.experiments_of(args)
     if more:
         raise UsageError(f"{args.file} describes {len(more) + 1} experiments; run it with mcp-asdf sweep")
@@ -41,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     table = simulate(experiment, output, workers=few, record=args.record, quiet=args.json)
     results = experiments_in(table)
     if args.json:
-        print(json_report({**metadata_of(table), **options.summary(results, limits)[0]}))
+        print(json_report({**read_metadata(table), **options.summary(results, limits)[0]}))
     else:
         options.show(options.summary(results, limits), "one experiment")
         print_again(args, seed=experiment.seed)

@@ -7,13 +7,15 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.cli import experiment_options as options
 from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.common.progress_bar import progress
-from mcp_asdf_tools.experiments.results import experiments_at, metadata_of, read_table
-from mcp_asdf_tools.experiments.store import Store
-from mcp_asdf_tools.experiments.sweep import run_missing
+from mcp_asdf_tools.experiments.sweep import run_sweep
+
+if TYPE_CHECKING:
+    from mcp_asdf_tools.experiments.store import Store
 
 EPILOG = """\
 examples:
@@ -42,29 +44,35 @@ def add_scheduler(parser: argparse.ArgumentParser) -> None:
 @contextmanager
 def telling_what_is_left(stores: Sequence[Store]) -> Iterator[None]:
     """If interrupted say how many trials are left."""
-    missing = sum(store.left for store in stores)
+    missing = sum(store.missing_count for store in stores)
     try:
         yield
     except KeyboardInterrupt:
-        left = sum(store.left for store in stores)
+        left = sum(store.missing_count for store in stores)
         print(f"{left} of {missing} trials left; the same command goes on", file=sys.stderr)
         raise
 
 
 def run(args: argparse.Namespace) -> int:
     """Run what is missing, keep and print what came out."""
+    from mcp_asdf_tools.experiments.result_files import (  # noqa: PLC0415 (pyarrow loads slowly)
+        read_table,
+        stream_experiments,
+    )
+    from mcp_asdf_tools.experiments.result_tables import read_metadata  # noqa: PLC0415
+    from mcp_asdf_tools.experiments.store import Store  # noqa: PLC0415
+
     workers, limits = options.check_workers(args.workers), options.limits_of(args)
     given = options.experiments_of(args)
     output = options.checked_output(args.output or args.file.with_suffix(".parquet"))
     store = Store(output, given, args.record)
-    missing = store.left
+    missing = store.missing_count
     with telling_what_is_left([store]), progress("trials", missing, args.json) as report:
-        run_missing(store, workers, report, args.scheduler)
-        store.finish()
-    rows = options.summary(experiments_at(output), limits)
+        run_sweep(store, workers, report, args.scheduler)
+    rows = options.summary(stream_experiments(output), limits)
     if args.json:
-        said = metadata_of(read_table(output, ["trial"]))
-        result = {**said, "run": missing, "output": str(output), "experiments": rows}
+        metadata = read_metadata(read_table(output, ["trial"]))
+        result = {**metadata, "run": missing, "output": str(output), "experiments": rows}
         print(json_report(result))
     else:
         options.show(rows, str(output))

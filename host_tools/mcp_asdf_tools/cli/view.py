@@ -98,11 +98,11 @@ def _check_recording_options(args: argparse.Namespace) -> None:
 
 
 def _film_of(args: argparse.Namespace) -> Film:
-    from mcp_asdf_tools.experiments import results  # noqa: PLC0415 (the tables' library loads slowly)
+    from mcp_asdf_tools.experiments.results import single_experiment  # noqa: PLC0415
     from mcp_asdf_tools.view.films import film_of_log, film_of_trial  # noqa: PLC0415
 
     if args.file.suffix.lower() in _RESULTS:
-        return film_of_trial(results.only(chosen(args)), args.trial)
+        return film_of_trial(single_experiment(chosen(args)), args.trial)
     if args.trial or args.where:
         raise UsageError(f"--trial and --where choose from results (.parquet), but {args.file} is a log")
     if not args.file.exists():

@@ -1,4 +1,4 @@
-"""Output that no reader meets half of, nor one of a pair without the other; input that is bounded."""
+"""Atomic writes of one or several files, and reads with a limit on size."""
 
 from __future__ import annotations
 
@@ -13,15 +13,18 @@ from pathlib import Path
 from mcp_asdf_tools.common.errors import UsageError
 
 LONGEST_TEXT = 2**24
-"""Bytes of a text that people write; a device has more, without an end."""
+"""Bytes of the longest text that people write. A device such as /dev/zero has no end."""
 
 
-def read_at_most(path: Path | str, most: int = LONGEST_TEXT) -> bytes:
-    """All bytes of a file. Raises OSError if it cannot be read, ValueError if it has more than ``most``."""
+def read_at_most(path: Path | str, max_bytes: int = LONGEST_TEXT) -> bytes:
+    """Return all bytes of a file.
+
+    Raises OSError if it cannot be read, ValueError if it has more than ``max_bytes``.
+    """
     with Path(path).open("rb") as file:
-        data = file.read(most + 1)
-    if len(data) > most:
-        raise ValueError(f"it has more than {most} bytes")
+        data = file.read(max_bytes + 1)
+    if len(data) > max_bytes:
+        raise ValueError(f"it has more than {max_bytes} bytes")
     return data
 
 
@@ -54,23 +57,48 @@ def _read_standard_input() -> bytes:
 
 
 def write_together(contents: Mapping[Path, bytes | str]) -> None:
-    """Write files by their paths, texts as UTF-8: once all are complete they take their names, or none does.
+    """Write files by their paths, texts as UTF-8; they take their names once all are complete, or none does.
 
-    Each replaces what stood under its name, a symbolic link being followed. Raises UsageError if one cannot
-    be written.
+    Each replaces the file of its name; a symbolic link is followed. Raises UsageError if one cannot be
+    written.
+    """
+    with replace_together(contents) as drafts:
+        for path, data in contents.items():
+            with explaining(path), drafts[path].open("wb") as file:
+                file.write(data.encode() if isinstance(data, str) else data)
+
+
+@contextmanager
+def replace_when_complete(path: Path) -> Iterator[Path]:
+    """Yield the name of a draft, which takes the place of ``path`` when this context ends without an error.
+
+    It is for files that are too large to be written at once. Raises UsageError if it cannot be written.
+    """
+    with explaining(path), replace_together([path]) as drafts:
+        yield drafts[path]
+
+
+@contextmanager
+def replace_together(paths: Iterable[Path]) -> Iterator[dict[Path, Path]]:
+    """Yield names of drafts by path, which take the places of ``paths`` together.
+
+    They do so when this context ends without an error; otherwise they are removed. Raises UsageError if a
+    path cannot be written.
     """
     drafts: dict[Path, Path] = {}
     try:
-        for path, data in contents.items():
+        for path in paths:
             drafts[path] = check_target(path).with_name(f".{secrets.token_hex(8)}.tmp")
-            with explaining(path), drafts[path].open("wb") as file:
-                file.write(data.encode() if isinstance(data, str) else data)
-                file.flush()
-                os.fsync(file.fileno())  # the disk must have it before it has its name: the power may fail
-        # What can be known to fail is looked for again before the first file is replaced.
-        for path, target in [(path, check_target(path)) for path in drafts]:
+        yield drafts
+        # The disk must have each file before the file has its name: the power may fail.
+        for path, draft in drafts.items():
             with explaining(path):
-                os.replace(drafts[path], target)
+                sync_file(draft)
+        # What can be known to fail is checked again before the first file is replaced.
+        targets = {path: check_target(path) for path in drafts}
+        for path, draft in drafts.items():
+            with explaining(path):
+                os.replace(draft, targets[path])
         sync_folders(drafts)
     finally:
         for draft in drafts.values():
@@ -78,44 +106,31 @@ def write_together(contents: Mapping[Path, bytes | str]) -> None:
                 draft.unlink()
 
 
-@contextmanager
-def draft_of(path: Path) -> Iterator[Path]:
-    """The name of a file that takes the place of ``path`` when this is left, unless by an error.
-
-    For what is too large to be written at once. Raises UsageError if it cannot be written.
-    """
-    draft = check_target(path).with_name(f".{secrets.token_hex(8)}.tmp")
+def sync_file(path: Path) -> None:
+    """Wait until the disk has the content of a file or folder. Raises OSError if that fails."""
+    descriptor = os.open(path, os.O_RDONLY)
     try:
-        with explaining(path):
-            yield draft
-            with draft.open("rb+") as file:
-                os.fsync(file.fileno())
-            os.replace(draft, check_target(path))
-            sync_folders([path])
+        os.fsync(descriptor)
     finally:
-        draft.unlink(missing_ok=True)
+        os.close(descriptor)
 
 
 def sync_folders(paths: Iterable[Path]) -> None:
-    """Put the names of files on the disk, where their folders can be read and synced."""
+    """Wait until the disk has the names of files; nothing is done for folders that cannot be synced."""
     for folder in {path.resolve().parent for path in paths}:
         with suppress(OSError):
-            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                os.fsync(handle)
-            finally:
-                os.close(handle)
+            sync_file(folder)
 
 
 def write_atomically(path: Path | str, data: bytes | str) -> None:
-    """Write one file as ``write_together`` does."""
+    """Write a file, a text as UTF-8, that takes its name when it is complete. Raises UsageError."""
     write_together({Path(path): data})
 
 
 def write_files(folder: Path, contents: Mapping[str, str]) -> list[Path]:
-    """Write texts by file name into ``folder``, which is made if need be; returns their paths.
+    """Write all texts, or none, by file name into ``folder``, which is made if need be; return their paths.
 
-    All are written, or none. Raises UsageError if one cannot be.
+    Raises UsageError if one cannot be written.
     """
     make_folder(folder)
     write_together({folder / name: text for name, text in contents.items()})
@@ -129,7 +144,7 @@ def make_folder(folder: Path) -> None:
 
 
 def check_target(path: Path | str) -> Path:
-    """The file that ``path`` leads to, links followed.
+    """Return the file that is to be written for ``path``, with links followed.
 
     Raises UsageError if it is a folder or a device, or has no folder that may be written to.
     """
@@ -145,7 +160,7 @@ def check_target(path: Path | str) -> Path:
 
 
 def results_beside(path: Path | str) -> Path:
-    """Where parameters and results go that belong to the output file ``path``.
+    """Return the file for the parameters and results that belong to the output file ``path``.
 
     Raises UsageError if either of the two cannot be written.
     """
@@ -157,7 +172,7 @@ def results_beside(path: Path | str) -> Path:
 
 @contextmanager
 def explaining(path: Path | str) -> Iterator[None]:
-    """Turn what goes wrong while ``path`` is written, an OSError, into a UsageError that names it."""
+    """Turn an OSError while ``path`` is written into a UsageError that names it, with a fix."""
     try:
         yield
     except OSError as error:

@@ -16,16 +16,17 @@ from typing import Any
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import install_instruction
 
-_PATIENCE = 30
+_TIMEOUT = 30
 """Seconds to wait for the scheduler, and then for a first worker."""
 
 
 @contextmanager
-def cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]]:
-    """The cluster whose scheduler is at ``address``: what runs jobs, and how many threads it has now.
+def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]]:
+    """Connect to the cluster whose scheduler is at ``address``, until this context ends.
 
-    Workers may come and go. Raises UsageError if the cluster cannot be reached, has no worker or is lost, or
-    if a job keeps killing its workers.
+    Yields an executor for jobs, and a function that returns how many threads the cluster has at present,
+    since workers may come and go. Raises UsageError if the cluster cannot be reached, has no worker or is
+    lost, or if a job keeps killing its workers.
     """
     try:
         import distributed as dask  # noqa: PLC0415
@@ -33,10 +34,11 @@ def cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]]:
     except ImportError as error:
         message = f"Dask cannot be loaded ({error}); to install it, {install_instruction('cluster')}"
         raise UsageError(message) from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is raised
-    client = _client(dask, address)
+    # Whatever matters in Dask's log is raised as well.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    client = _connect_client(dask, address)
     try:
-        client.wait_for_workers(1, timeout=_PATIENCE)
+        client.wait_for_workers(1, timeout=_TIMEOUT)
         yield client.get_executor(pure=False), lambda: max(1, sum(client.nthreads().values()))
     except TimeoutError as error:
         message = f"the cluster at {address} has no workers; start some: dask worker {address}"
@@ -49,24 +51,29 @@ def cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]]:
         client.close()
 
 
-def _client(dask: Any, address: str) -> Any:
-    """A client that is connected; made when the scheduler has exchanged first messages with us.
+def _connect_client(dask: Any, address: str) -> Any:
+    """Return a Dask client that is connected, once the scheduler has answered a first message of ours.
 
-    A client exchanges them too, but without a limit in time: it would wait forever for a server that is
+    A client exchanges messages too, but without a limit in time: it would wait forever for a server that is
     silent. And one that fails is left to the garbage collector, which closes it in any thread; in the one
-    that the next client has just started, the two wait for each other.
+    that the next client has just started, the two wait for each other. Raises UsageError if nobody answers.
     """
     from distributed.comm import connect  # noqa: PLC0415
 
-    async def greet() -> None:
+    async def exchange_first_messages() -> None:
         security = dask.Security().get_connection_args("client")
-        connection = await connect(address, timeout=_PATIENCE, **security)
+        connection = await connect(address, timeout=_TIMEOUT, **security)
         await connection.close()
 
     try:
-        dask.utils.LoopRunner().run_sync(greet, callback_timeout=_PATIENCE + 1)
-        return dask.Client(address, timeout=_PATIENCE, set_as_default=False)
-    except (OSError, ValueError, TypeError, MemoryError) as error:
-        # A timeout may say nothing; where memory runs out, another server's words were taken for a length.
-        reason = "another server answers" if isinstance(error, MemoryError) else str(error) or "timed out"
-        raise UsageError(f"no Dask scheduler at {address}: {reason}; start one: dask scheduler") from error
+        dask.utils.LoopRunner().run_sync(exchange_first_messages, callback_timeout=_TIMEOUT + 1)
+        return dask.Client(address, timeout=_TIMEOUT, set_as_default=False)
+    except MemoryError as error:
+        # Another kind of server answered, and Dask took what it sent for the length of a message.
+        raise _no_scheduler_error(address, "another server answers") from error
+    except (OSError, ValueError, TypeError) as error:
+        raise _no_scheduler_error(address, str(error) or "timed out") from error
+
+
+def _no_scheduler_error(address: str, reason: str) -> UsageError:
+    return UsageError(f"no Dask scheduler at {address}: {reason}; start one: dask scheduler")

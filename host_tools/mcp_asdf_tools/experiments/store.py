@@ -1,157 +1,143 @@
 """The results of a sweep on disk, finished or not, so that no finished trial is lost or run twice.
 
-Results are gathered into parts in the folder ``OUTPUT.parts``, the newest written at least every second, and
-joined until each has ``_ROWS`` rows. Once all trials are there, the parts become the row groups of the file
-OUTPUT, and the folder is removed. An interrupted sweep therefore resumes where it stopped, and a larger one
-runs only the trials that are new. Nothing that is on disk is kept in memory but where each trial's row is.
+Results are gathered in memory and written as parts into the folder ``OUTPUT.parts``. Once all trials are
+there, they are written to the file OUTPUT in the order of the experiments, and the folder is removed; a sweep
+that ends before its first part is due writes that file alone. A sweep that was interrupted therefore resumes
+where it stopped, and a larger one runs only the trials that are new.
 """
 
 from __future__ import annotations
 
-import errno
-import json
-import os
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import (
-    INDEX,
-    Pieces,
-    Trials,
-    metadata_of,
-    parts_of,
-    read_table,
-    require_arrow,
-    stretches_of,
-    table_of,
-    write_tables,
+from mcp_asdf_tools.experiments.output_lock import lock_file, unlock_file
+from mcp_asdf_tools.experiments.result_files import RowGroups, parts_folder, write_tables
+from mcp_asdf_tools.experiments.result_tables import (
+    INDEX_COLUMNS,
+    read_metadata,
+    rows_by_experiment,
+    trials_to_table,
 )
+from mcp_asdf_tools.experiments.results import Trials
 
-if TYPE_CHECKING:
-    import pyarrow as pa  # type: ignore[import-untyped]
-else:
-    from mcp_asdf_tools.experiments import arrow as pa
-
-_ROWS = 20_000
+_MAX_ROWS = 20_000
 """Rows of a part, and of a row group of the output."""
 
-_BYTES = 50_000_000
-"""Most bytes of a part's lists, where those of so many rows would be more."""
+_MAX_BYTES = 50_000_000
+"""Size of the lists in a part, where those of so many rows would be larger."""
 
-_SMALL_PARTS = 200
-"""Most parts that wait to be joined."""
+_SECONDS_BETWEEN_PARTS = 1.0
+_SHARE_BETWEEN_PARTS = 0.01
+"""Work that may be lost when the process is killed: this time, or this share of the sweep's time so far if
+that is more. So a sweep of a day writes hundreds of parts, not tens of thousands."""
 
-_SECONDS = 1.0
-"""Work that may be lost when the process is killed."""
+_ResultKey = tuple[Any, ...]
+"""The parameters that decide the results of a trial, so all but the number of trials."""
 
 
-def _once(experiment: Experiment) -> tuple[Any, ...]:
-    """What decides the results of an experiment's trials: all but how many there are."""
-    return tuple((experiment.parameters() | {"trials": 1}).values())
+def _result_key(experiment: Experiment) -> _ResultKey:
+    return tuple(value for name, value in experiment.parameters().items() if name != "trials")
 
 
 class Store:
-    """The results of a sweep on disk, finished or not, with values over time if it has a
-    ``sampling_interval``."""
+    """The results of a sweep on disk, finished or not.
 
-    def __init__(
-        self, output: Path, experiments: Iterable[Experiment], sampling_interval: int = 0, most: int = 0
-    ) -> None:
-        """Find the results of ``experiments`` that exist already, also of further trials up to ``most``.
+    Attributes:
+        output: The file of a finished sweep.
+        parts: The folder of an unfinished one.
+        experiments: What the sweep consists of, without repetitions.
+        sampling_interval: Steps between recorded values; 0 for none.
+    """
 
-        Raises UsageError if the files hold other results, which would be lost, or cannot be written, or
+    def __init__(self, output: Path, experiments: Iterable[Experiment], sampling_interval: int = 0) -> None:
+        """Open the results of ``experiments`` that exist already.
+
+        Raises UsageError if the files contain other results, which would be lost, or cannot be written, or
         another process is at work on them.
         """
-        require_arrow()  # before anything is run
         self.output = output
-        self.parts = parts_of(output)
+        self.parts = parts_folder(output)
+        self.experiments = list(dict.fromkeys(experiments))
         self.sampling_interval = sampling_interval
-        self._most = most
-        self._rows: dict[tuple[Any, ...], NDArray[np.int64]] = {}  # of each trial; -1 if it has none
-        self.want(experiments)
-        self._pieces = Pieces()
-        self._fresh: list[pa.Table] = []  # not yet written
-        self._small: list[Path] = []  # parts that are to be joined
-        self._written = time.monotonic()
+        self._rows_per_part = min([_MAX_ROWS, *map(self._rows_that_fit, self.experiments)])
+        self._row_groups = RowGroups()
+        self._unwritten: list[pa.Table] = []
+        self._started = self._last_written = time.monotonic()
+        # For each trial the number of its row, or -1. Rows are numbered through files, then unwritten tables.
+        self._row_of_trial: dict[_ResultKey, NDArray[np.int64]] = {}
+        for experiment in self.experiments:
+            key = _result_key(experiment)
+            trial_count = max(experiment.trials, len(self._row_of_trial.get(key, ())))
+            self._row_of_trial[key] = np.full(trial_count, -1)
         check_target(output)
         if self.parts.is_dir():
             self.reserve()
         for path in [output, *sorted(self.parts.glob("*.parquet"))]:
             if path.exists():
-                self._take_file(path)
+                self._row_groups.add(path)
+        self._find_existing_trials()
 
-    # --- What is there -----------------------------------------------------------------------------------
-
-    def want(self, experiments: Iterable[Experiment]) -> None:
-        """Choose the experiments whose results it is for."""
-        self.experiments = list(dict.fromkeys(experiments))
-        self._size = max(1, min([_ROWS, *(_BYTES // self._bytes_of(each) for each in self.experiments)]))
-        self._keys = {each: _once(each) for each in self.experiments}
-        for experiment, key in self._keys.items():
-            known = self._rows.get(key, np.empty(0, np.int64))
-            more = max(self._most, experiment.trials) - len(known)
-            self._rows[key] = np.concatenate([known, np.full(max(0, more), -1)])
-
-    def _bytes_of(self, experiment: Experiment) -> int:
-        """Size of the lists in a row."""
-        values = 4 + experiment.steps // experiment.filter_period
+    def _rows_that_fit(self, experiment: Experiment) -> int:
+        """Return how many trials of an experiment have lists of at most _MAX_BYTES; at least 1."""
+        values_of_robot = 4 + experiment.steps // experiment.filter_period  # K, e, tests, updates and b_hat
         if self.sampling_interval:
-            values += 8 * (1 + experiment.steps // self.sampling_interval)
-        return 8 * experiment.robots * values
+            values_of_robot += 8 * (1 + experiment.steps // self.sampling_interval)
+        return max(1, _MAX_BYTES // (8 * experiment.robots * values_of_robot))
+
+    # --- Existing results --------------------------------------------------------------------------------
+
+    def _find_existing_trials(self) -> None:
+        """Set the row of each trial in the files. Raises UsageError if they have results of others."""
+        for row_group in self._row_groups:
+            table = row_group.read(INDEX_COLUMNS)
+            numbers = table["trial"].to_numpy()
+            metadata = read_metadata(table)
+            is_like_ours = (
+                metadata["sampling_interval"] == self.sampling_interval
+                and metadata["versions"]["mcp-asdf"] == software_versions()["mcp-asdf"]
+            )
+            for experiment, rows in rows_by_experiment(table).items():
+                row_of_trial = self._row_of_trial.get(_result_key(experiment), np.empty(0, np.int64))
+                if not is_like_ours or numbers[rows].max() >= len(row_of_trial):
+                    raise UsageError(
+                        f"{self.output} or its parts hold results of other experiments, recordings or "
+                        "versions; choose another name or move it away"
+                    )
+                row_of_trial[numbers[rows]] = row_group.first_row + rows
 
     def missing(self, experiment: Experiment) -> list[int]:
-        """The trials of an experiment that have no results yet."""
-        found: list[int] = np.flatnonzero(self._wanted(experiment) < 0).tolist()
-        return found
+        """Return the numbers of the trials of an experiment that have no results yet."""
+        trial_numbers: list[int] = np.flatnonzero(self._rows_of(experiment) < 0).tolist()
+        return trial_numbers
 
     @property
-    def left(self) -> int:
-        """How many trials have no results yet."""
-        return sum(int((self._wanted(experiment) < 0).sum()) for experiment in self.experiments)
+    def missing_count(self) -> int:
+        """Return how many trials of all experiments have no results yet."""
+        return sum(int((self._rows_of(experiment) < 0).sum()) for experiment in self.experiments)
 
-    def _wanted(self, experiment: Experiment) -> NDArray[np.int64]:
-        """The rows of an experiment's trials."""
-        return self._rows[self._keys[experiment]][: experiment.trials]
+    def _rows_of(self, experiment: Experiment) -> NDArray[np.int64]:
+        """Return the row of each trial of an experiment, -1 for those without results."""
+        return self._row_of_trial[_result_key(experiment)][: experiment.trials]
 
-    def _take_file(self, path: Path) -> None:
-        """Find the trials of a file."""
-        none = np.empty(0, np.int64)
-        known: dict[str, tuple[Any, ...]] = {}
-        for first, table in self._pieces.add(path, INDEX):
-            said = metadata_of(table)
-            is_own = (
-                said["sampling_interval"] == self.sampling_interval
-                and said["versions"]["mcp-asdf"] == software_versions()["mcp-asdf"]
-            )
-            trials = table["trial"].to_numpy()
-            for parameters, start, stop in stretches_of(table):
-                if parameters not in known:
-                    known[parameters] = _once(Experiment.from_recording(json.loads(parameters)))
-                rows, numbers = self._rows.get(known[parameters], none), trials[start:stop]
-                if not is_own or numbers.max() >= len(rows):
-                    raise UsageError(
-                        f"{path} holds results of other experiments, recordings or versions; "
-                        "choose another name or move it away"
-                    )
-                rows[numbers] = np.arange(first + start, first + stop)
-
-    # --- What is added -----------------------------------------------------------------------------------
+    # --- New results -------------------------------------------------------------------------------------
 
     def reserve(self) -> None:
         """Keep other processes from this output until it is finished. Raises UsageError if one has it."""
         try:
             self.parts.mkdir(exist_ok=True)
-            holder = _lock(self.parts.resolve() / ".lock")
+            holder = lock_file(self._lock_path)
         except OSError as error:
             raise UsageError(f"cannot make the folder {self.parts}: {error.strerror}") from error
         if holder is not None:
@@ -159,108 +145,70 @@ class Store:
                 f"process {holder} is at work on {self.output}; wait for it or choose another name"
             )
 
+    @property
+    def _lock_path(self) -> Path:
+        return self.parts.resolve() / ".lock"
+
     def add(self, trials: Trials) -> None:
-        """Take a job's results, and write them to disk soon. Raises UsageError if that fails."""
-        table = table_of(trials, self.sampling_interval)
-        first = self._pieces.rows + sum(map(len, self._fresh))
-        self._rows[self._keys[trials.experiment]][trials.numbers] = np.arange(first, first + len(table))
-        self._fresh.append(table)
-        waiting = first + len(table) - self._pieces.rows
-        if waiting >= self._size or time.monotonic() - self._written >= _SECONDS:
+        """Add the results of a job; a part is written if there is enough for one, or the last is long ago.
+
+        Raises UsageError if a part cannot be written.
+        """
+        table = trials_to_table(trials)
+        first_row = self._row_groups.row_count + self._unwritten_row_count()
+        new_rows = np.arange(first_row, first_row + len(table))
+        self._row_of_trial[_result_key(trials.experiment)][trials.numbers] = new_rows
+        self._unwritten.append(table)
+        if self._unwritten_row_count() >= self._rows_per_part or self._is_part_due():
             self.flush()
 
+    def _unwritten_row_count(self) -> int:
+        return sum(len(table) for table in self._unwritten)
+
+    def _is_part_due(self) -> bool:
+        """Return whether more work would be lost in a kill than the constants above allow."""
+        now = time.monotonic()
+        allowed_seconds = max(_SECONDS_BETWEEN_PARTS, _SHARE_BETWEEN_PARTS * (now - self._started))
+        return now - self._last_written >= allowed_seconds
+
     def flush(self) -> None:
-        """Write what has not been written. Raises UsageError if that fails."""
-        if self._fresh:
+        """Write all that has not been written as a part. Raises UsageError if that fails."""
+        if self._unwritten:
             self.reserve()
-            self._small.append(self._part(self._pieces.rows, self._fresh))
-            self._pieces.append(self._small[-1], sum(map(len, self._fresh)))
-            self._fresh = []
-            waiting = self._pieces.rows_of_last(len(self._small))
-            if waiting >= self._size or len(self._small) >= _SMALL_PARTS:
-                self._join()
-        self._written = time.monotonic()
+            table = pa.concat_tables(self._unwritten)
+            # By name, parts are in the order of their rows.
+            part = self.parts / f"{self._row_groups.row_count:012}-{len(table)}.parquet"
+            write_tables(part, [table])
+            self._row_groups.add(part)
+            self._unwritten = []
+        self._last_written = time.monotonic()
 
-    def _join(self) -> None:
-        """Make one part of those that are small."""
-        if len(self._small) > 1:
-            first = self._pieces.rows - self._pieces.rows_of_last(len(self._small))
-            path = self._part(first, [read_table(each) for each in self._small])
-            self._pieces.join(len(self._small), path)
-            for each in self._small:
-                each.unlink()
-        self._small = []
-
-    def _part(self, first: int, tables: Sequence[pa.Table]) -> Path:
-        """Write a part, under a name by which parts are in the order of their rows."""
-        table = pa.concat_tables(tables)
-        path = self.parts / f"{first:012}-{len(table)}.parquet"
-        write_tables(path, [table])
-        return path
-
-    # --- What comes out ----------------------------------------------------------------------------------
-
-    def table(self) -> pa.Table:
-        """All trials, in the order of the experiments. Needs all of them."""
-        return pa.concat_tables(list(self._batches())).combine_chunks()
-
-    def _batches(self) -> Iterator[pa.Table]:
-        """The table, a row group at a time."""
-        self.flush()
-        rows = np.concatenate([self._wanted(experiment) for experiment in self.experiments])
-        counts = [experiment.trials for experiment in self.experiments]
-        trials = np.repeat(np.array(counts, np.uint64), counts)  # fewer, perhaps, when a row was made
-        for start in range(0, len(rows), self._size):
-            table = self._pieces.take(rows[start : start + self._size])
-            place = table.column_names.index("trials")
-            yield table.set_column(place, "trials", pa.array(trials[start : start + self._size]))
+    # --- The finished file -------------------------------------------------------------------------------
 
     def finish(self) -> None:
-        """Write the one file and remove the parts. Needs all trials."""
-        write_tables(self.output, self._batches())
-        for path in [*self.parts.glob("*.parquet"), *self.parts.glob(".*.tmp")]:  # halves that a kill left
+        """Write the output file and remove the parts; nothing can be added after that.
+
+        All trials have to be there. Raises UsageError if the file cannot be written.
+        """
+        write_tables(self.output, self._tables_in_order())
+        self._unwritten = []
+        unfinished_files = self.parts.glob(".*.tmp")  # left by a process that was killed
+        for path in [*self.parts.glob("*.parquet"), *unfinished_files]:
             path.unlink(missing_ok=True)
-        _unlock(self.parts.resolve() / ".lock")
-        with suppress(OSError):  # absent, or it holds other files
+        unlock_file(self._lock_path)
+        with suppress(OSError):  # there is no folder, or it has files of others
             self.parts.rmdir()
-        self._pieces, self._small = Pieces(), []
-        for rows in self._rows.values():
-            rows[:] = -1
-        self._take_file(self.output)
 
-
-# --- One process at a time -------------------------------------------------------------------------------
-
-_LOCKS: dict[Path, int] = {}
-"""Descriptors of the files that this process has locked; they unlock when it ends, however it does."""
-
-
-def _lock(path: Path) -> str | None:
-    """Lock a file for this process; returns the number of the one that has locked it, if another has."""
-    try:
-        import fcntl  # noqa: PLC0415
-    except ImportError:  # Windows
-        return None
-    while path not in _LOCKS:
-        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            holder = os.read(file, 20).decode("ascii", "replace")
-            os.close(file)
-            is_held = error.errno in (errno.EACCES, errno.EAGAIN)  # or else the file system has no locks
-            return holder if is_held else None
-        if not path.exists() or not os.path.samestat(os.fstat(file), path.stat()):
-            os.close(file)  # who had it has removed it
-            continue
-        os.ftruncate(file, 0)
-        os.write(file, str(os.getpid()).encode())
-        _LOCKS[path] = file
-    return None
-
-
-def _unlock(path: Path) -> None:
-    """Remove a lock of this process."""
-    if path in _LOCKS:
-        path.unlink(missing_ok=True)
-        os.close(_LOCKS.pop(path))
+    def _tables_in_order(self) -> Iterator[pa.Table]:
+        """Yield all rows in the order of experiments and trials, as tables of the size of a row group."""
+        if self._unwritten:
+            self._row_groups.add_table(pa.concat_tables(self._unwritten))
+        rows = np.concatenate([self._rows_of(experiment) for experiment in self.experiments])
+        # A row that was made for a smaller sweep states fewer trials than its experiment has now.
+        counts = [experiment.trials for experiment in self.experiments]
+        stated_trials = np.repeat(np.array(counts, np.uint64), counts)
+        for start in range(0, len(rows), self._rows_per_part):
+            stop = start + self._rows_per_part
+            table = self._row_groups.take(rows[start:stop])
+            column_index = table.column_names.index("trials")
+            yield table.set_column(column_index, "trials", pa.array(stated_trials[start:stop]))

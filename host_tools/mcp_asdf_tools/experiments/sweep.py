@@ -1,113 +1,163 @@
-"""Run many experiments on all cores, in jobs whose results a store keeps as they come."""
+"""Run many experiments on all processors or a cluster, in jobs whose results come in as they are finished."""
 
 from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from itertools import groupby, islice
+from itertools import islice
 from multiprocessing import active_children, get_context, parent_process
 from threading import Thread
 from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS, stopping
-from mcp_asdf_tools.experiments.results import Trials, read_table
-from mcp_asdf_tools.experiments.store import Store
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import Job
 
 if TYPE_CHECKING:
-    import pyarrow as pa  # type: ignore[import-untyped]
+    from mcp_asdf_tools.experiments.store import Store
 
-_TRIALS = 32, 1000
-"""Most trials of a job: twice as many as the engine runs side by side; more if they are short, as each job
-has its price."""
+_TRIALS_OF_LONG_JOB = 32
+"""Trials of a job whose trials are long: twice as many as the engine runs side by side."""
+
+_MAX_TRIALS_OF_JOB = 1000
+"""Trials of a job whose trials are short: more than those of a long job, as each job has its price."""
 
 _SHORT_ROBOT_STEPS = 1_000_000
 """Steps of all robots in a job up to which its trials are short."""
 
-_MOST_ROBOT_STEPS = 20_000_000
-"""Most steps of all robots in a job of several trials, which bounds its memory."""
+_MAX_ROBOT_STEPS = 20_000_000
+"""Steps of all robots in a job of several trials, which bounds its memory."""
 
 Report = Callable[[int], None]
 """Called with the number of trials that have just been finished."""
 
 
-def jobs_of(store: Store) -> Iterator[Job]:
-    """Jobs for the trials that are missing."""
-    for experiment in store.experiments:
-        is_native = experiment.firmware == "native"
-        robot_steps = experiment.robots * experiment.steps
-        few, many = _TRIALS
-        size = min(max(few, _SHORT_ROBOT_STEPS // robot_steps), many, _MOST_ROBOT_STEPS // robot_steps)
-        # Numbers less their places are equal within a run without gaps.
-        for _, gapless in groupby(enumerate(store.missing(experiment)), lambda pair: pair[1] - pair[0]):
-            trials = (trial for _, trial in gapless)
-            while batch := list(islice(trials, max(1, size) if is_native else 1)):
-                yield Job(experiment, batch[0], len(batch), store.sampling_interval)
+def _ignore_progress(finished_trials: int) -> None:
+    """Do nothing: the Report of those who want none."""
 
 
 def run_sweep(
-    store: Store,
-    workers: int,
-    report: Report = lambda trials: None,
-    scheduler: str | None = None,
-) -> pa.Table:
-    """Run what is missing, as ``run_missing``, and return the finished table."""
-    run_missing(store, workers, report, scheduler)
-    store.finish()
-    return read_table(store.output)
-
-
-def run_missing(
-    store: Store,
-    workers: int,
-    report: Report = lambda trials: None,
-    scheduler: str | None = None,
+    store: Store, workers: int, report: Report = _ignore_progress, scheduler: str | None = None
 ) -> None:
-    """Run what is missing on ``workers`` processes, 1 being this one. With the address of a ``scheduler`` run
-    it on that Dask cluster instead.
+    """Run the trials that are missing in the store, and write its output file.
 
-    KeyboardInterrupt ends it at once; what was finished is on disk. Raises UsageError if a job cannot be run,
-    a worker process of this machine dies, or another process is at work on the output.
+    They run on ``workers`` processes, 1 being this one, or with the address of a ``scheduler`` on that Dask
+    cluster. KeyboardInterrupt ends it at once; what was finished is on disk. Raises UsageError if a job
+    cannot be run, a worker process of this machine dies, or another process is at work on the output.
     """
-    if not store.left:
-        return
-    store.reserve()
     try:
-        for trials in _results_of(jobs_of(store), workers, scheduler):
-            with _interrupts_held():
-                store.add(trials)
-            report(len(trials.numbers))
-    finally:
-        with _interrupts_held():
+        if store.missing_count:
+            store.reserve()
+            for trials in run_jobs(jobs_of(store), workers, scheduler):
+                with _interrupts_delayed():
+                    store.add(trials)
+                report(len(trials.numbers))
+        store.finish()
+    except BaseException:
+        with _interrupts_delayed():
             store.flush()
+        raise
 
 
-def _results_of(jobs: Iterator[Job], workers: int, scheduler: str | None) -> Iterator[Trials]:
-    """Results as they come."""
+def run_in_memory(
+    experiments: Iterable[Experiment],
+    sampling_interval: int = 0,
+    workers: int = 1,
+    report: Report = _ignore_progress,
+) -> list[Trials]:
+    """Run all trials of experiments and return them in order, several Trials for an experiment of many.
+
+    Nothing is written. Raises UsageError if a job cannot be run.
+    """
+    unique_experiments = list(dict.fromkeys(experiments))
+    jobs = (
+        job
+        for experiment in unique_experiments
+        for job in jobs_of_experiment(experiment, range(experiment.trials), sampling_interval)
+    )
+    results = []
+    for trials in run_jobs(jobs, workers):
+        results.append(trials)
+        report(len(trials.numbers))
+    position = {experiment: index for index, experiment in enumerate(unique_experiments)}
+    return sorted(results, key=lambda trials: (position[trials.experiment], trials.numbers[0]))
+
+
+# --- Jobs ------------------------------------------------------------------------------------------------
+
+
+def jobs_of(store: Store) -> Iterator[Job]:
+    """Yield jobs for the trials that are missing in the store."""
+    for experiment in store.experiments:
+        yield from jobs_of_experiment(experiment, store.missing(experiment), store.sampling_interval)
+
+
+def jobs_of_experiment(
+    experiment: Experiment, trial_numbers: Sequence[int], sampling_interval: int
+) -> Iterator[Job]:
+    """Yield jobs that together run the trials of these numbers, which are ascending."""
+    max_count = _max_trials_of_job(experiment)
+    for first, end in _gapless_ranges(trial_numbers):
+        for job_first in range(first, end, max_count):
+            yield Job(experiment, job_first, min(max_count, end - job_first), sampling_interval)
+
+
+def _max_trials_of_job(experiment: Experiment) -> int:
+    """Return how many trials of an experiment one job runs at most."""
+    if experiment.firmware != "native":
+        return 1  # each takes long, in Python
+    robot_steps = experiment.robots * experiment.steps
+    trial_count = max(_TRIALS_OF_LONG_JOB, _SHORT_ROBOT_STEPS // robot_steps)
+    return max(1, min(trial_count, _MAX_TRIALS_OF_JOB, _MAX_ROBOT_STEPS // robot_steps))
+
+
+def _gapless_ranges(numbers: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """Yield first and end (exclusive) of each range without a gap in ascending numbers."""
+    start = 0
+    for index in range(1, len(numbers) + 1):
+        is_end = index == len(numbers) or numbers[index] != numbers[index - 1] + 1
+        if is_end:
+            yield numbers[start], numbers[index - 1] + 1
+            start = index
+
+
+def run_jobs(jobs: Iterator[Job], workers: int, scheduler: str | None = None) -> Iterator[Trials]:
+    """Run jobs in this process, on ``workers`` processes or on a cluster, and yield results as they come.
+
+    Raises UsageError as ``run_sweep``.
+    """
     if scheduler is not None:
-        from mcp_asdf_tools.experiments.cluster import cluster  # noqa: PLC0415 (Dask loads slowly)
+        from mcp_asdf_tools.experiments.cluster import connect_cluster  # noqa: PLC0415 (Dask loads slowly)
 
-        with cluster(scheduler) as (executor, threads):
-            yield from _run_on(executor, threads, jobs)
+        with connect_cluster(scheduler) as (executor, count_threads):
+            yield from _run_on_executor(executor, count_threads, jobs)
     elif workers == 1:
-        yield from (job.run() for job in jobs)
+        for job in jobs:
+            yield job.run()
     else:
-        with _processes(workers) as executor:
-            yield from _run_on(executor, lambda: workers, jobs)
+        with _worker_processes(workers) as executor:
+            yield from _run_on_executor(executor, lambda: workers, jobs)
 
 
-def _run_on(executor: Executor, width: Callable[[], int], jobs: Iterator[Job]) -> Iterator[Trials]:
-    """Run jobs on an executor that runs ``width`` at once; one for each of these is queued."""
+def _run_on_executor(
+    executor: Executor, count_workers: Callable[[], int], jobs: Iterator[Job]
+) -> Iterator[Trials]:
+    """Run jobs on an executor and yield results as they come.
+
+    ``count_workers`` returns how many jobs run at once at present; as many again are queued, so that no
+    worker waits for the next job.
+    """
     running: set[Future[Trials]] = set()
     while True:
-        with _interrupts_held():
-            more = zip(range(len(running), 2 * width()), jobs, strict=False)
-            running |= {executor.submit(job.run) for _, job in more}
+        with _interrupts_delayed():
+            free_slots = max(0, 2 * count_workers() - len(running))
+            running |= {executor.submit(job.run) for job in islice(jobs, free_slots)}
         if not running:
             return
         done, running = wait(running, return_when=FIRST_COMPLETED)
@@ -115,10 +165,16 @@ def _run_on(executor: Executor, width: Callable[[], int], jobs: Iterator[Job]) -
             yield future.result()
 
 
+# --- Processes -------------------------------------------------------------------------------------------
+
+
 @contextmanager
-def _processes(workers: int) -> Iterator[Executor]:
-    """Processes of this machine, which end when this is left, or with this process however that dies."""
-    others = set(active_children())
+def _worker_processes(workers: int) -> Iterator[Executor]:
+    """Start processes of this machine, which end with this context, or with this process however it dies.
+
+    Raises UsageError if one of them is killed.
+    """
+    other_children = set(active_children())
     pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent)
     try:
         yield pool
@@ -127,8 +183,9 @@ def _processes(workers: int) -> Iterator[Executor]:
             "a worker process was killed; what was finished is kept: run the same again"
         ) from error
     finally:
-        for process in set(active_children()) - others:
-            process.kill()  # the signal of terminate() is among those held back; it has nothing to save
+        for process in set(active_children()) - other_children:
+            # terminate() would send a signal that workers delay; they have nothing to save.
+            process.kill()
         pool.shutdown(cancel_futures=True)
 
 
@@ -137,31 +194,30 @@ def end_with_parent() -> None:
     parent = parent_process()
     assert parent is not None
 
-    def watch() -> None:
+    def wait_for_parent() -> None:
         parent.join()
         os._exit(1)
 
-    Thread(target=watch, daemon=True).start()
+    Thread(target=wait_for_parent, daemon=True).start()
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Keep Ctrl-C and the like from what is done in here, and from processes that are started in here; this
-    process handles them afterwards.
+def _interrupts_delayed() -> Iterator[None]:
+    """Delay Ctrl-C and the like until this context ends, and keep them from processes that start in it.
 
     Processes inherit the signal mask before Python starts in them. In this process another thread may still
-    receive the signal, so its handler waits, too.
+    receive the signal, so that its handler has to wait, too.
     """
-    with stopping() as is_asked:
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
+    with stopping() as is_stop_requested:
+        previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
         try:
             yield
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-    if is_asked():
+            signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
+    if is_stop_requested():
         signal.raise_signal(signal.SIGINT)
 
 
 def default_workers() -> int:
-    """Number of processors that this process may use."""
+    """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0))

@@ -30,61 +30,69 @@ from mcp_asdf_tools.world.world import World
 
 Floats = NDArray[np.float64]
 
-
 TRIALS_AT_ONCE = 8
-"""Trials of moving swarms that the engine runs side by side."""
+"""Trials of moving swarms, and of graphs, that the engine runs side by side."""
 
 SERIES_BYTES = 32 << 20
-"""Of their estimates together, unless one trial has more."""
+"""Size of the series of x of the trials that run side by side, unless one trial has more."""
 
 
 def run_trials(experiment: Experiment, first: int, trials: int, sampling_interval: int = 0) -> Trials:
-    """Run ``trials`` trials from ``first`` on, recorded every ``sampling_interval`` steps unless that is 0.
+    """Run ``trials`` trials from number ``first`` on, recorded every ``sampling_interval`` steps (0: never).
 
-    Raises UsageError if the firmware cannot be had. O(trials steps robots), robots squared where not native.
+    Raises UsageError if the firmware cannot be loaded. O(trials steps robots), robots squared where the C
+    engine cannot run the experiment.
     """
     numbers = range(first, first + trials)
-    if not experiment.lacking_in_c:
-        if experiment.topology == "fully-connected":
-            return _run_native(experiment, first, trials, sampling_interval)
-        # Elsewhere a trial has a series of x for each robot: a few at a time bound the memory.
-        few = min(max(SERIES_BYTES // (4 * experiment.robots * (experiment.steps + 1)), 1), TRIALS_AT_ONCE)
-        parts = (numbers[start : start + few] for start in range(0, trials, few))
-        return _joined([_run_native(experiment, part[0], len(part), sampling_interval) for part in parts])
-    return _joined([_run_by_message(experiment, number, sampling_interval) for number in numbers])
+    if experiment.lacking_in_c:
+        return _concatenate([_run_by_message(experiment, number, sampling_interval) for number in numbers])
+    if experiment.topology == "fully-connected":
+        return _run_native(experiment, numbers, sampling_interval)
+    # Elsewhere a trial has a series of x for each robot: a few trials at a time bound the memory.
+    bytes_of_trial = 4 * experiment.robots * (experiment.steps + 1)
+    batch_size = min(max(SERIES_BYTES // bytes_of_trial, 1), TRIALS_AT_ONCE)
+    batches = [numbers[start : start + batch_size] for start in range(0, trials, batch_size)]
+    return _concatenate([_run_native(experiment, batch, sampling_interval) for batch in batches])
 
 
-def _joined(parts: Sequence[Trials]) -> Trials:
-    """Trials of one experiment together."""
+def _concatenate(batches: Sequence[Trials]) -> Trials:
+    """Return the trials of all batches, which are of one experiment, as one."""
     arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts])
+        name: np.concatenate([getattr(trials, name) for trials in batches])
         for name in ("convergence_steps", "errors", "b_hat", "tests", "updates")
     }
-    return replace(
-        parts[0],
-        numbers=[number for part in parts for number in part.numbers],
-        **arrays,
-        records={name: np.concatenate([part.records[name] for part in parts]) for name in parts[0].records},
-    )
+    records = {
+        name: np.concatenate([trials.records[name] for trials in batches]) for name in batches[0].records
+    }
+    numbers = [number for trials in batches for number in trials.numbers]
+    return replace(batches[0], numbers=numbers, records=records, **arrays)
 
 
-def _measured(experiment: Experiment, x: NDArray[Any], unit: float) -> tuple[NDArray[np.int64], Floats]:
-    """K and e of each robot from the series of x in units of ``unit``, shape (trials, N or 1, steps + 1).
+def _convergence_and_errors(
+    experiment: Experiment, x_series: NDArray[Any], unit: float
+) -> tuple[NDArray[np.int64], Floats]:
+    """Return K and e of each robot, shape (trials, N) each.
 
-    One series stands for all robots of its trial.
+    ``x_series`` is x in units of ``unit``, shape (trials, N or 1, steps + 1): one series stands for all
+    robots of its trial.
     """
-    steps = np.array([[convergence_step(series, DELTA / unit) for series in trial] for trial in x])
-    settled = np.take_along_axis(x, steps[..., np.newaxis], 2)[..., 0]
-    errors = abs(settled.astype(np.float64) * unit - experiment.fill_ratio)
-    shape = (len(x), experiment.robots)
+    steps = np.array(
+        [[convergence_step(series, DELTA / unit) for series in trial_series] for trial_series in x_series]
+    )
+    x_at_convergence = np.take_along_axis(x_series, steps[..., np.newaxis], 2)[..., 0]
+    errors = abs(x_at_convergence.astype(np.float64) * unit - experiment.fill_ratio)
+    shape = (len(x_series), experiment.robots)
     return np.broadcast_to(steps, shape).astype(np.int64), np.broadcast_to(errors, shape).copy()
 
 
 # --- In the C engine -------------------------------------------------------------------------------------
 
 
-def _engine() -> ModuleType:
-    """The engine, loaded when first needed: other firmwares run where nothing has been built."""
+def _load_engine() -> ModuleType:
+    """Load the C engine when it is first needed, since other firmwares run where nothing has been built.
+
+    Raises UsageError if it cannot be loaded.
+    """
     try:
         from mcp_asdf_tools.experiments.engine import native  # noqa: PLC0415
     except ImportError as error:
@@ -95,143 +103,183 @@ def _engine() -> ModuleType:
     return native
 
 
-def _run_native(experiment: Experiment, first: int, trials: int, sampling_interval: int) -> Trials:
-    raw = _engine().run(experiment, first, trials, sampling_interval)
-    counted = raw.counters
+def _run_native(experiment: Experiment, numbers: range, sampling_interval: int) -> Trials:
+    """Run trials of consecutive numbers in the C engine, and convert its integers to the paper's units."""
+    engine_trials = _load_engine().run(experiment, numbers[0], len(numbers), sampling_interval)
+    convergence_steps, errors = _convergence_and_errors(experiment, engine_trials.x, 1 / ONE)
+    counters = engine_trials.counters
     return Trials(
         experiment,
-        list(range(first, first + trials)),
-        *_measured(experiment, raw.x, 1 / ONE),
-        raw.b_hat / 2.0**32,
-        counted["tests"],
-        counted["updates"],
-        _records_of(experiment, raw.records) if sampling_interval else {},
+        list(numbers),
+        convergence_steps,
+        errors,
+        engine_trials.b_hat / 2.0**32,
+        counters["tests"],
+        counters["updates"],
+        _records_in_paper_units(experiment, engine_trials.records) if sampling_interval else {},
         sampling_interval,
     )
 
 
-def _records_of(experiment: Experiment, raw: NDArray[Any]) -> dict[str, Floats]:
-    """The engine's records as floats, with step 0 before them."""
-    b_hat = [b_hat_to_raw(experiment.b_hat(robot)) / 2**32 for robot in range(experiment.robots)]
-    start: dict[str, Any] = {"x_hat": 0.5, "x_bar": 0.5, "x": 0.5, "b_hat": b_hat}
-    units = {"x_hat": ONE, "x_bar": ONE, "x": ONE, "beta": UNITS_PER_ALPHA, "b_hat": 2**32}
+def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -> dict[str, Floats]:
+    """Return the engine's records as floats by quantity, with step 0, which it does not record, before them.
+
+    ``raw_records`` has the engine's dtype RECORD and shape (trials, samples, N).
+    """
+    initial_b_hat = [b_hat_to_raw(experiment.b_hat(robot)) / 2**32 for robot in range(experiment.robots)]
+    initial_values: dict[str, Any] = {"x_hat": 0.5, "x_bar": 0.5, "x": 0.5, "b_hat": initial_b_hat}
+    raw_units = {"x_hat": ONE, "x_bar": ONE, "x": ONE, "beta": UNITS_PER_ALPHA, "b_hat": 2**32}
+    trial_count, sample_count, robots = raw_records.shape
     records = {}
     for name in QUANTITIES:
-        values = records[name] = np.empty((len(raw), raw.shape[1] + 1, experiment.robots))
-        values[:, 0] = start.get(name, 0.0)
-        values[:, 1:] = _confidences(raw[name]) if name == "alpha" else raw[name] / units.get(name, 1)
+        raw_values = raw_records[name]
+        values = np.empty((trial_count, sample_count + 1, robots))
+        values[:, 0] = initial_values.get(name, 0.0)
+        if name == "alpha":
+            values[:, 1:] = _alpha_of_words(raw_values)
+        else:
+            values[:, 1:] = raw_values / raw_units.get(name, 1)
+        records[name] = values
     return records
 
 
-def _confidences(words: NDArray[np.uint32]) -> Floats:
-    """The values of alpha words, exactly."""
-    return np.ldexp((words >> 8) / UNITS_PER_ALPHA, (words & SHIFT_MAX).astype(np.int32))
+def _alpha_of_words(alpha_words: NDArray[np.uint32]) -> Floats:
+    """Return the exact values of alpha words: a mantissa above a shift of 5 bits."""
+    mantissas = alpha_words >> 8
+    shifts = (alpha_words & SHIFT_MAX).astype(np.int32)
+    return np.ldexp(mantissas / UNITS_PER_ALPHA, shifts)
 
 
 # --- Message by message ----------------------------------------------------------------------------------
 
 _STEPS_AT_ONCE = 512
+"""Steps that the world is asked for at a time."""
+
 _COLOURS = (Observation.WHITE, Observation.BLACK)
 
 Pairs = Sequence[Sequence[int]]
 """Receiver and sender of each message."""
 
 
-def _run_by_message(experiment: Experiment, trial: int, sampling_interval: int) -> Trials:
-    swarm = MessageSwarm(experiment, trial)
-    x, b_hat, records = [swarm.all("x")], [], [swarm.snapshot()]
+def _run_by_message(experiment: Experiment, number: int, sampling_interval: int) -> Trials:
+    """Run one trial in Python, message by message."""
+    swarm = MessageSwarm(experiment, number)
+    x_by_step = [swarm.values_of("x")]
+    b_hat_by_filter_step = []
+    snapshots = [swarm.snapshot()]
     for step in swarm.steps():
-        x.append(swarm.all("x"))
+        x_by_step.append(swarm.values_of("x"))
         if step % experiment.filter_period == 0:
-            b_hat.append(swarm.all("b_hat"))
+            b_hat_by_filter_step.append(swarm.values_of("b_hat"))
         if sampling_interval and step % sampling_interval == 0:
-            records.append(swarm.snapshot())
+            snapshots.append(swarm.snapshot())
+    x_series = np.array(x_by_step).T  # shape (N, steps + 1)
+    convergence_steps, errors = _convergence_and_errors(experiment, x_series[np.newaxis], 1.0)
     counters = [robot.counters for robot in swarm.robots]
     return Trials(
         experiment,
-        [trial],
-        *_measured(experiment, np.array(x).T[np.newaxis], 1.0),
-        np.reshape(b_hat, (1, -1, experiment.robots)),
-        np.array([[each.tests for each in counters]]),
-        np.array([[each.updates for each in counters]]),
-        dict(zip(QUANTITIES, np.array(records).swapaxes(0, 1)[:, np.newaxis], strict=True))
-        if sampling_interval
-        else {},
+        [number],
+        convergence_steps,
+        errors,
+        np.reshape(b_hat_by_filter_step, (1, -1, experiment.robots)),
+        np.array([[robot_counters.tests for robot_counters in counters]]),
+        np.array([[robot_counters.updates for robot_counters in counters]]),
+        _records_of_snapshots(snapshots) if sampling_interval else {},
         sampling_interval,
     )
 
 
-class MessageSwarm:
-    """A trial in Python on any firmware: all robots observe, hear their pairs' messages, and settle.
+def _records_of_snapshots(snapshots: list[list[list[float]]]) -> dict[str, Floats]:
+    """Return the records of one trial by quantity, shape (1, samples, N) each."""
+    values = np.array(snapshots)  # shape (samples, quantities, N)
+    return {name: values[np.newaxis, :, index] for index, name in enumerate(QUANTITIES)}
 
-    Robots broadcast in every ``comms_period``-th step. With a latency messages reach the robots that hear
-    their sender in the step after the one that they were said in: until a robot observes again its values
-    are those it said.
+
+class MessageSwarm:
+    """A trial in Python on any firmware: all robots observe, receive their neighbours' messages, and settle.
+
+    Robots broadcast in every ``comms_period``-th step. With a latency, messages reach the robots in range of
+    their sender one step after the broadcast: until a robot observes again, its values are those that it
+    broadcast.
+
+    Attributes:
+        robots: The robots, by id.
     """
 
     def __init__(self, experiment: Experiment, trial: int) -> None:
-        self._experiment, self._world = experiment, World(experiment, trial)
+        """Make the world of a trial and its robots. Raises UsageError if the firmware cannot be loaded."""
+        self._experiment = experiment
+        self._world = World(experiment, trial)
         self.robots = _make_robots(experiment)
         # An extension may mix robots of both kinds, and then all of them exchange floats.
         have_raw_values = all(isinstance(robot, FixedPointRobot) for robot in self.robots)
-        self._deliver = self._send_raw if have_raw_values else self._send
+        self._deliver = self._deliver_raw if have_raw_values else self._deliver_floats
 
     def steps(self) -> Iterator[int]:
-        """Take every step of the trial; yields its number, from 1, when it is over."""
-        period, is_late = self._experiment.comms_period, self._experiment.latency > 0
-        for step, (seen, pairs) in enumerate(self._scenes(), start=1):
-            if is_late and step > 1 and (step - 1) % period == 0:
+        """Take all steps of the trial, and yield the number of each, from 1, when it is over."""
+        comms_period = self._experiment.comms_period
+        is_late = self._experiment.latency > 0
+        for step, (observations, pairs) in enumerate(self._observations_and_pairs(), start=1):
+            was_broadcast_step = step > 1 and (step - 1) % comms_period == 0
+            if is_late and was_broadcast_step:
                 self._deliver(pairs)
-            for robot, observation in zip(self.robots, seen, strict=True):
+            for robot, observation in zip(self.robots, observations, strict=True):
                 if observation is not None:
                     robot.observe(observation)
-            if step % period == 0:
+            if step % comms_period == 0:
                 if not is_late:
                     self._deliver(pairs)
                 for robot in self.robots:
                     robot.settle()
             yield step
 
-    def _scenes(self) -> Iterator[tuple[Sequence[Observation | None], Pairs]]:
-        """The observation of each robot in every step, None where it makes none, and the pairs in range."""
-        steps, none = self._experiment.steps, [None] * len(self.robots)
+    def _observations_and_pairs(self) -> Iterator[tuple[Sequence[Observation | None], Pairs]]:
+        """Yield for each step the observation of each robot, None where it makes none, and pairs in range."""
+        steps = self._experiment.steps
+        no_observations = [None] * len(self.robots)
         for first in range(0, steps, _STEPS_AT_ONCE):
             scene = self._world.advance(min(_STEPS_AT_ONCE, steps - first))
-            for black, observes, hears in zip(
-                scene.black.tolist(), scene.observes, scene.neighbours, strict=True
-            ):
-                yield (
-                    [_COLOURS[colour] for colour in black] if observes else none,
-                    np.argwhere(hears).tolist(),
-                )
+            steps_of_scene = zip(scene.black.tolist(), scene.observes, scene.neighbours, strict=True)
+            for is_black_by_robot, is_observation_step, in_range in steps_of_scene:
+                pairs = np.argwhere(in_range).tolist()
+                if is_observation_step:
+                    yield [_COLOURS[is_black] for is_black in is_black_by_robot], pairs
+                else:
+                    yield no_observations, pairs
 
-    def _send(self, pairs: Pairs) -> None:
-        said = [(robot.x_hat, robot.alpha) for robot in self.robots]
+    def _deliver_floats(self, pairs: Pairs) -> None:
+        """Let each receiver receive its sender's estimate as floats."""
+        estimates = [(robot.x_hat, robot.alpha) for robot in self.robots]
         for receiver, sender in pairs:
-            self.robots[receiver].receive(sender, *said[sender])
+            x_hat, alpha = estimates[sender]
+            self.robots[receiver].receive(sender, x_hat, alpha)
 
-    def _send_raw(self, pairs: Pairs) -> None:
+    def _deliver_raw(self, pairs: Pairs) -> None:
+        """Let each receiver receive its sender's estimate in the firmware's integers."""
         robots = cast(Sequence[FixedPointRobot], self.robots)
-        said = [(robot.x_hat_raw, robot.alpha_raw) for robot in robots]
+        estimates = [(robot.x_hat_raw, robot.alpha_raw) for robot in robots]
         for receiver, sender in pairs:
-            robots[receiver].receive_raw(sender, *said[sender])
+            x_hat_raw, alpha_raw = estimates[sender]
+            robots[receiver].receive_raw(sender, x_hat_raw, alpha_raw)
 
-    def all(self, quantity: str) -> list[float]:
-        """A value of each robot now."""
+    def values_of(self, quantity: str) -> list[float]:
+        """Return a quantity of each robot at present."""
         return [getattr(robot, quantity) for robot in self.robots]
 
     def snapshot(self) -> list[list[float]]:
-        """QUANTITIES of each robot now."""
-        return [self.all(quantity) for quantity in QUANTITIES]
+        """Return all QUANTITIES of each robot at present, in their order."""
+        return [self.values_of(quantity) for quantity in QUANTITIES]
 
 
 def _make_robots(experiment: Experiment) -> list[Robot]:
-    make: RobotMaker = load_firmware(experiment.firmware)
+    """Make the robots of an experiment, by id. Raises UsageError if the firmware cannot be loaded."""
+    make_robot: RobotMaker = load_firmware(experiment.firmware)
     if experiment.firmware == "reference":
         conventions = AUTHORS if experiment.conventions == "authors" else PAPER
-        make = partial(ReferenceRobot, conventions=conventions, omega=float(experiment.omega))
+        make_robot = partial(ReferenceRobot, conventions=conventions, omega=float(experiment.omega))
     return [
-        make(experiment.config(robot), robot, experiment.b_hat(robot)) for robot in range(experiment.robots)
+        make_robot(experiment.config(robot), robot, experiment.b_hat(robot))
+        for robot in range(experiment.robots)
     ]
 
 
@@ -240,7 +288,15 @@ def _make_robots(experiment: Experiment) -> list[Robot]:
 
 @dataclass(frozen=True)
 class Job:
-    """Arguments of ``run_trials`` for a worker process, which must have this version of the program."""
+    """Arguments of ``run_trials`` that can be sent to a worker process.
+
+    Attributes:
+        experiment: What to run.
+        first: Number of the first trial.
+        count: How many trials to run.
+        sampling_interval: Steps between recorded values; 0 for none.
+        version: Version of the program that made the job; its worker has to have the same.
+    """
 
     experiment: Experiment
     first: int
@@ -249,7 +305,13 @@ class Job:
     version: str = field(default_factory=own_version)
 
     def run(self) -> Trials:
-        """The job's results. Raises UsageError in a program of another version, and as ``run_trials``."""
-        if self.version != (own := own_version()):
-            raise UsageError(f"a worker has mcp-asdf {own}, this is {self.version}; install the same on all")
+        """Run the job and return its results.
+
+        Raises UsageError in a worker of another version of the program, and as ``run_trials``.
+        """
+        worker_version = own_version()
+        if self.version != worker_version:
+            raise UsageError(
+                f"a worker has mcp-asdf {worker_version}, this is {self.version}; install the same on all"
+            )
         return run_trials(self.experiment, self.first, self.count, self.sampling_interval)

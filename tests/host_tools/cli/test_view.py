@@ -19,7 +19,8 @@ import pytest
 from mcp_asdf_tools.cli import view
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import table_of, write_tables
+from mcp_asdf_tools.experiments.result_files import write_tables
+from mcp_asdf_tools.experiments.result_tables import trials_to_table
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.view.films import BusFilm
 
@@ -38,7 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for fill in (0.55, 0.95)
         for name in ("none", "asdf-plus")
     ]
-    tables = [table_of(run_trials(each, 0, 2, 20)) for each in experiments]
+    tables = [trials_to_table(run_trials(each, 0, 2, 20)) for each in experiments]
     write_tables(path / "grid.parquet", [pa.concat_tables(tables)])
     swarm = "swarm --robots 5 --filter asdf-plus --steps 60 --filter-period 20 --quiet --log"
     assert main([*swarm.split(), str(path / "run.log")]) == 0

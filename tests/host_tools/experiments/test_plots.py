@@ -26,7 +26,9 @@ from mcp_asdf_tools.experiments.plots import (
     scatter,
     series_beside,
 )
-from mcp_asdf_tools.experiments.results import Trials, table_of, write_tables
+from mcp_asdf_tools.experiments.result_files import write_tables
+from mcp_asdf_tools.experiments.result_tables import trials_to_table
+from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import Limits
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.library import plot
@@ -376,7 +378,7 @@ def test_what_cannot_be_drawn_is_told(
 def test_the_command_draws(suffix: str, start: bytes, tmp_path: Path) -> None:
     """Equal results give equal files."""
     found, picture = tmp_path / "run.parquet", tmp_path / f"picture.{suffix}"
-    write_tables(found, [table_of(run_trials(BASE, 0, 1))])
+    write_tables(found, [trials_to_table(run_trials(BASE, 0, 1))])
     written = []
     for _ in range(2):
         assert cli.main(["plot", str(found), str(picture)]) == 0

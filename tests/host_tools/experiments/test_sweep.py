@@ -17,17 +17,19 @@ from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common import progress_bar
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.experiments import results as results_module
+from mcp_asdf_tools.experiments import result_files, sweep
 from mcp_asdf_tools.experiments import store as store_module
-from mcp_asdf_tools.experiments import sweep
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials, experiments_at, experiments_in, read_table
+from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
+from mcp_asdf_tools.experiments.result_tables import experiments_in, trials_to_table
+from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import jobs_of, run_sweep
 from mcp_asdf_tools.experiments.trials import Job
@@ -60,14 +62,28 @@ def test_jobs_are_every_trial_once(output: Path) -> None:
     jobs = list(jobs_of(Store(output, GRID, 7)))
     trials = [(job.experiment, job.first + i) for job in jobs for i in range(job.count)]
     assert trials == [(experiment, trial) for experiment in GRID for trial in range(40)]
-    assert {job.count for job in jobs} == {32, 8}
     assert {job.sampling_interval for job in jobs} == {7}
-    for alone in (replace(GRID[0], firmware="mirror"), replace(GRID[0], steps=10**7)):
-        assert {job.count for job in jobs_of(Store(output, [alone]))} == {1}
-    tiny = Store(output, [replace(GRID[0], steps=300, filter_period=100, trials=1200)])
-    assert [job.count for job in jobs_of(tiny)] == [833, 367]
-    few = replace(GRID[0], steps=2_500_000)
-    assert [job.count for job in jobs_of(Store(output, [replace(few, trials=3)]))] == [2, 1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "counts"),
+    [
+        ({}, [32, 8]),
+        ({"firmware": "mirror", "trials": 2}, [1, 1]),
+        ({"steps": 10**7, "trials": 2}, [1, 1]),
+        ({"steps": 300, "filter_period": 100, "trials": 1200}, [833, 367]),
+        ({"steps": 2_500_000, "trials": 3}, [2, 1]),
+    ],
+)
+def test_jobs_have_more_trials_the_shorter_these_are(changes: dict[str, Any], counts: list[int]) -> None:
+    experiment = replace(GRID[0], **changes)
+    jobs = sweep.jobs_of_experiment(experiment, range(experiment.trials), 0)
+    assert [job.count for job in jobs] == counts
+
+
+def test_jobs_leave_out_the_trials_between_missing_ones() -> None:
+    jobs = sweep.jobs_of_experiment(GRID[0], [0, 1, 5, 7, 8, 9], 0)
+    assert [(job.first, job.count) for job in jobs] == [(0, 2), (5, 1), (7, 3)]
 
 
 def test_a_job_of_another_version_is_refused() -> None:
@@ -78,72 +94,120 @@ def test_a_job_of_another_version_is_refused() -> None:
 # --- Nothing lost, nothing twice ---------------------------------------------------------------------------
 
 
-def test_a_sweep_that_was_interrupted_can_be_read_and_goes_on(
-    output: Path, tmp_path: Path, jobs_run: list[Job], capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def interrupted_sweep(output: Path, jobs_run: list[Job]) -> Store:
+    """A sweep of three experiments whose last job was interrupted, opened again."""
     with pytest.raises(KeyboardInterrupt):
         run_sweep(Store(output, GRID[:3]), 1)
-    assert not output.exists()
-    store = Store(output, GRID[:3])
-    assert cli.main(["score", str(store.parts)]) == 0
-    assert "32 of 40" in capsys.readouterr().out
-    assert cli.main(["score", str(output)]) == 2
-    assert f"its sweep is not finished, partial data is in {store.parts}" in capsys.readouterr().err
-    (store.parts / ".x-0-32.parquet.0123abcd.tmp").write_bytes(b"PAR1")  # half a file that a kill left
     jobs_run.clear()
-    table = run_sweep(store, 1)
+    return Store(output, GRID[:3])
+
+
+def test_the_parts_of_an_interrupted_sweep_can_be_scored(
+    interrupted_sweep: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["score", str(interrupted_sweep.parts)]) == 0
+    assert "32 of 40" in capsys.readouterr().out
+
+
+def test_the_missing_output_of_an_interrupted_sweep_is_explained(
+    interrupted_sweep: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["score", str(interrupted_sweep.output)]) == 2
+    parts = interrupted_sweep.parts
+    assert f"its sweep is not finished, partial data is in {parts}" in capsys.readouterr().err
+
+
+def test_an_interrupted_sweep_runs_only_what_is_missing(
+    interrupted_sweep: Store, jobs_run: list[Job]
+) -> None:
+    run_sweep(interrupted_sweep, 1)
     assert [(job.first, job.count) for job in jobs_run] == [(32, 8)]
+    experiments = experiments_in(read_table(interrupted_sweep.output))
+    for trials, uninterrupted in zip(experiments, [Job(each, 0, 40).run() for each in GRID[:3]], strict=True):
+        assert trials.experiment == uninterrupted.experiment
+        assert (trials.errors == uninterrupted.errors).all()
+
+
+def test_a_finished_sweep_leaves_its_output_alone_in_the_folder(
+    interrupted_sweep: Store, tmp_path: Path
+) -> None:
+    cut_off_draft = interrupted_sweep.parts / ".0123abcd.tmp"
+    cut_off_draft.write_bytes(b"PAR1")
+    run_sweep(interrupted_sweep, 1)
     assert [path.name for path in tmp_path.iterdir()] == ["grid.parquet"]
-    whole = [Job(each, 0, 40).run() for each in GRID[:3]]
-    for trials, expected in zip(experiments_in(table), whole, strict=True):
-        assert trials.experiment == expected.experiment
-        assert (trials.errors == expected.errors).all()
-    assert read_table(output).equals(table)
 
 
-def test_more_trials_and_experiments_run_what_is_new(output: Path, jobs_run: list[Job]) -> None:
+def test_a_sweep_with_gaps_runs_the_trials_in_the_gaps(output: Path, jobs_run: list[Job]) -> None:
     store = Store(output, GRID[:1])
     for first, count in ((2, 3), (7, 1)):
         store.add(Job(GRID[0], first, count).run())
     store.flush()
     jobs_run.clear()
-    few = [replace(GRID[0], trials=10)]
-    first = run_sweep(Store(output, few), 1)
+    run_sweep(Store(output, [replace(GRID[0], trials=10)]), 1)
     assert [(job.first, job.count) for job in jobs_run] == [(0, 2), (5, 2), (8, 2)]
-    assert run_sweep(Store(output, few), 1).equals(first)
-    jobs_run[:] = []
-    more = [replace(GRID[0], trials=15), replace(GRID[1], trials=33)]
-    table = run_sweep(Store(output, more), 1)
+
+
+def test_a_finished_sweep_is_not_run_again(output: Path, jobs_run: list[Job]) -> None:
+    run_sweep(Store(output, GRID[:1]), 1)
+    table = read_table(output)
+    jobs_run.clear()
+    run_sweep(Store(output, GRID[:1]), 1)
+    assert jobs_run == [] and read_table(output).equals(table)
+
+
+def test_a_larger_sweep_runs_only_new_trials_and_experiments(output: Path, jobs_run: list[Job]) -> None:
+    run_sweep(Store(output, [replace(GRID[0], trials=10)]), 1)
+    jobs_run.clear()
+    larger = [replace(GRID[0], trials=15), replace(GRID[1], trials=33)]
+    run_sweep(Store(output, larger), 1)
     assert [(job.first, job.count) for job in jobs_run] == [(10, 5), (0, 32), (32, 1)]
-    assert [trials.experiment for trials in experiments_in(table)] == more
-    store = Store(output, [replace(each, trials=2) for each in more], most=33)
-    assert store.left == 0
-    store.finish()
-    store.want(more)
-    assert store.left == 13 + 31, "of the others there is nothing any more"
+    assert [trials.experiment for trials in experiments_in(read_table(output))] == larger
 
 
-def test_results_of_others_are_never_overwritten(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("experiments", "sampling_interval"),
+    [
+        (GRID[:1], 0),
+        ([replace(experiment, seed=2) for experiment in GRID[:2]], 0),
+        ([replace(GRID[0], trials=39), GRID[1]], 0),
+        (GRID[:2], 5),
+    ],
+    ids=["fewer experiments", "another seed", "fewer trials", "with records"],
+)
+def test_results_of_another_sweep_are_never_overwritten(
+    experiments: list[Experiment], sampling_interval: int, output: Path
+) -> None:
     run_sweep(Store(output, GRID[:2]), 1)
     before = output.read_bytes()
-    fewer = [replace(GRID[0], trials=39), GRID[1]]
-    seeds = [replace(each, seed=2) for each in GRID[:2]]
-    for others, interval in ((GRID[:1], 0), (seeds, 0), (fewer, 0), (GRID[:2], 5)):
-        with pytest.raises(UsageError, match="choose another name"):
-            Store(output, others, interval)
-    monkeypatch.setattr(store_module, "software_versions", lambda: {"mcp-asdf": "9.9.9"})
-    with pytest.raises(UsageError, match="other experiments, recordings or versions"):
-        Store(output, GRID[:2])
+    with pytest.raises(UsageError, match="choose another name"):
+        Store(output, experiments, sampling_interval)
     assert output.read_bytes() == before
 
 
+def test_results_of_another_version_are_never_overwritten(
+    output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_sweep(Store(output, GRID[:2]), 1)
+    monkeypatch.setattr(store_module, "software_versions", lambda: {"mcp-asdf": "9.9.9"})
+    with pytest.raises(UsageError, match="other experiments, recordings or versions"):
+        Store(output, GRID[:2])
+
+
 def test_workers_give_what_one_process_gives(output: Path, tmp_path: Path) -> None:
-    """Started from another thread, too."""
+    """They may be started from another thread, too."""
     reported: list[int] = []
     with ThreadPoolExecutor(1) as thread:
-        many = thread.submit(run_sweep, Store(output, GRID), 2, report=reported.append).result()
-    assert many.equals(run_sweep(Store(tmp_path / "one.parquet", GRID), 1))
+        thread.submit(run_sweep, Store(output, GRID), 2, report=reported.append).result()
+    run_sweep(Store(tmp_path / "one.parquet", GRID), 1)
+    assert read_table(output).equals(read_table(tmp_path / "one.parquet"))
     assert sum(reported) == 40 * len(GRID)
+
+
+def test_results_in_memory_are_those_of_a_file(output: Path) -> None:
+    run_sweep(Store(output, GRID[:2]), 1)
+    tables = [trials_to_table(trials) for trials in sweep.run_in_memory(GRID[:2])]
+    assert pa.concat_tables(tables).combine_chunks().equals(read_table(output).combine_chunks())
 
 
 class Deadly(Job):
@@ -154,87 +218,137 @@ class Deadly(Job):
         raise AssertionError
 
 
-def test_a_dead_worker_is_told(output: Path) -> None:
+def test_a_worker_that_is_killed_ends_the_sweep_with_an_error(output: Path) -> None:
     deadly = (Deadly(job.experiment, job.first, job.count) for job in jobs_of(Store(output, GRID)))
-    with pytest.raises(UsageError, match="a worker process was killed"), sweep._processes(2) as executor:
-        list(sweep._run_on(executor, lambda: 2, deadly))
+    with pytest.raises(UsageError, match="a worker process was killed"):
+        list(sweep.run_jobs(deadly, workers=2))
 
 
 # --- The store -------------------------------------------------------------------------------------------
 
 
-def test_parts_are_joined_and_each_is_read_once(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Written in pieces of 7, joined from 50 rows on; in row groups, whatever the order of the trials."""
-    monkeypatch.setattr(store_module, "_ROWS", 50)
-    monkeypatch.setattr(store_module, "_SECONDS", 0.0)
-    store = Store(output, GRID[:2])
-    jobs = [Job(each, first, min(7, 40 - first)) for first in range(0, 40, 7) for each in GRID[:2]]
-    for job in jobs[:-1]:
-        store.add(job.run())
-    sizes = [len(read_table(path)) for path in sorted(store.parts.glob("*.parquet"))]
-    assert sizes == [56, 7, 7, 5]
-    opened: list[Path] = []
-    once = results_module._open
-
-    def noted(path: Path) -> Any:
-        opened.append(path)
-        return once(path)
-
-    monkeypatch.setattr(results_module, "_open", noted)
-    resumed = Store(output, GRID[:2])
-    assert opened == sorted(store.parts.glob("*.parquet"))
-    assert [resumed.missing(each) for each in GRID[:2]] == [[], list(range(35, 40))]
-    table = run_sweep(resumed, 1)
-    file = pq.ParquetFile(output)
-    assert [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)] == [50, 30]
-    assert table.equals(run_sweep(Store(output.with_name("other.parquet"), GRID[:2]), 1))
-    for one, other in zip(experiments_at(output), experiments_in(table), strict=True):
-        assert (one.experiment, one.numbers) == (other.experiment, other.numbers)
-        assert (one.errors == other.errors).all()
-    monkeypatch.setattr(store_module, "_SECONDS", 1e9)
-    held = Store(output.with_name("held.parquet"), GRID[:2])
-    for number, job in enumerate(jobs[:8], start=1):
-        held.add(job.run())
-        assert len(list(held.parts.glob("*.parquet"))) == (number == 8), "before 50 rows only time writes"
+def row_counts(folder: Path) -> list[int]:
+    return [pq.read_metadata(path).num_rows for path in sorted(folder.glob("*.parquet"))]
 
 
-def test_parts_are_small_and_written_every_second(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three are joined; their size is that of all values in their lists, or one row, if that is more."""
+def test_a_short_sweep_is_written_once(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[str] = []
+    write_tables = result_files.write_tables
+
+    def noted(path: Path, tables: Any) -> None:
+        written.append(path.name)
+        write_tables(path, tables)
+
+    monkeypatch.setattr(store_module, "write_tables", noted)
+    monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 1e9)
+    run_sweep(Store(output, GRID[:2]), 1)
+    assert written == ["grid.parquet"]
+
+
+def test_a_part_is_written_when_the_last_one_is_a_second_old(
+    output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     now = 100.0
     monkeypatch.setattr(store_module, "time", SimpleNamespace(monotonic=lambda: now))
-    monkeypatch.setattr(store_module, "_SMALL_PARTS", 3)
-    store, sizes = Store(output, GRID[:1], 400), list[list[int]]()
-    for now in (100.9, 101.0, 101.9, 102.0, 103.0):  # noqa: B007 (the clock)
-        store.add(Job(GRID[0], len(sizes), 1, 400).run())
-        sizes.append([len(read_table(path)) for path in sorted(store.parts.glob("*.parquet"))])
-    assert sizes == [[], [2], [2], [2, 2], [5]]
-    (row,) = read_table(store.parts).slice(0, 1).to_pylist()
-    values = sum(len(each) for each in row.values() if isinstance(each, list))
-    monkeypatch.setattr(store_module, "_BYTES", 1000 * 8 * values)
-    for experiment, size in ((replace(GRID[0], trials=5), 1000), (replace(GRID[0], steps=10**7), 1)):
-        store.want([experiment])
-        assert store._size == size
+    store = Store(output, GRID[:1])
+    counts = []
+    for trial, now in enumerate((100.9, 101.0, 101.9, 102.0)):  # noqa: B007 (the clock)
+        store.add(Job(GRID[0], trial, 1).run())
+        counts.append(row_counts(store.parts))
+    assert counts == [[], [2], [2], [2, 2]]
 
 
-def test_a_second_process_on_one_output_is_refused(output: Path) -> None:
-    """As long as the first is alive; within a process there is one user."""
-    (asked, told), (released, release) = os.pipe(), os.pipe()
+def test_parts_of_a_long_sweep_are_a_hundredth_of_its_time_apart(
+    output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 0.0
+    monkeypatch.setattr(store_module, "time", SimpleNamespace(monotonic=lambda: now))
+    store = Store(output, GRID[:1])
+    counts = []
+    for trial, now in enumerate((1000.0, 1009.0, 1011.0)):  # noqa: B007 (the clock)
+        store.add(Job(GRID[0], trial, 1).run())
+        counts.append(row_counts(store.parts))
+    assert counts == [[1], [1], [1, 2]]
+
+
+def test_a_part_is_written_when_there_are_rows_enough(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 1e9)
+    monkeypatch.setattr(store_module, "_MAX_ROWS", 10)
+    store = Store(output, GRID[:1])
+    store.add(Job(GRID[0], 0, 9).run())
+    assert row_counts(store.parts) == []
+    store.add(Job(GRID[0], 9, 1).run())
+    assert row_counts(store.parts) == [10]
+
+
+def test_the_output_has_row_groups_in_the_order_of_the_experiments(
+    output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The jobs of two experiments come in turn, and their parts are of other sizes."""
+    monkeypatch.setattr(store_module, "_MAX_ROWS", 50)
+    monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 0.0)
+    store = Store(output, GRID[:2])
+    for first in range(0, 40, 10):
+        for experiment in GRID[:2]:
+            store.add(Job(experiment, first, 10).run())
+    store.finish()
+    metadata = pq.read_metadata(output)
+    assert [metadata.row_group(i).num_rows for i in range(metadata.num_row_groups)] == [50, 30]
+    table = read_table(output)
+    assert table["trial"].to_pylist() == [*range(40), *range(40)]
+    for streamed, at_once in zip(stream_experiments(output), experiments_in(table), strict=True):
+        assert (streamed.experiment, streamed.numbers) == (at_once.experiment, at_once.numbers)
+        assert (streamed.errors == at_once.errors).all()
+
+
+def test_the_rows_of_a_part_fit_the_size_of_their_lists(
+    output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (row,) = trials_to_table(Job(GRID[0], 0, 1, 400).run()).to_pylist()
+    value_count = sum(len(values) for values in row.values() if isinstance(values, list))
+    monkeypatch.setattr(store_module, "_MAX_BYTES", 1000 * 8 * value_count)
+    assert Store(output, GRID[:1], 400)._rows_per_part == 1000
+    assert Store(output, [replace(GRID[0], steps=10**7)], 400)._rows_per_part == 1
+
+
+@pytest.fixture
+def other_process(output: Path) -> Iterator[int]:
+    """A process that works on the output until this fixture ends."""
+    (is_ready, report_ready), (released, release) = os.pipe(), os.pipe()
     child = os.fork()
     if child == 0:
         Store(output, GRID).reserve()
-        os.write(told, b"x")
+        os.write(report_ready, b"x")
         os.close(release)
         os.read(released, 1)
         os._exit(0)
-    os.read(asked, 1)
-    with pytest.raises(UsageError, match=rf"process {child} is at work on {output}; wait for it"):
-        Store(output, GRID)
+    os.read(is_ready, 1)
+    yield child
     os.close(release)
+    os.waitpid(child, 0)
+
+
+def test_a_second_process_on_one_output_is_refused(output: Path, other_process: int) -> None:
+    with pytest.raises(UsageError, match=rf"process {other_process} is at work on {output}; wait for it"):
+        Store(output, GRID)
+
+
+def test_an_output_can_be_continued_when_the_other_process_has_ended(output: Path) -> None:
+    child = os.fork()
+    if child == 0:
+        Store(output, GRID).reserve()
+        os._exit(0)
     os.waitpid(child, 0)
     run_sweep(Store(output, GRID[:1]), 1)
     assert [path.name for path in output.parent.iterdir()] == ["grid.parquet"]
+
+
+def test_one_process_may_open_an_output_twice(output: Path) -> None:
     Store(output, GRID).reserve()
-    assert Store(output, GRID).left == 40 * len(GRID) - 40
+    assert Store(output, GRID).missing_count == 40 * len(GRID)
+
+
+# --- Progress --------------------------------------------------------------------------------------------
 
 
 def test_progress_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -408,22 +522,23 @@ def test_a_signal_keeps_what_is_finished(
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
     done = sum(len(read_table(path)) for path in parts.glob("*.parquet"))
-    assert 0 < done == 400 - Store(tmp_path / "slow.parquet", [SLOW]).left
+    assert 0 < done == 400 - Store(tmp_path / "slow.parquet", [SLOW]).missing_count
 
 
-def test_ctrl_c_while_a_part_is_noted_loses_nothing(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store, usual = Store(output, [SMALL]), results_module.Pieces.append
+def test_ctrl_c_while_a_part_is_written_loses_nothing(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store(output, [SMALL])
+    write_tables = result_files.write_tables
 
-    def append(self: results_module.Pieces, path: Path, rows: int) -> None:
-        if not self.rows:
+    def interrupted(path: Path, tables: Any) -> None:
+        write_tables(path, tables)
+        if path != output and len(row_counts(store.parts)) == 1:
             signal.raise_signal(signal.SIGINT)
-        usual(self, path, rows)
 
-    monkeypatch.setattr(store_module, "_SECONDS", 0.0)
-    monkeypatch.setattr(results_module.Pieces, "append", append)
+    monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 0.0)
+    monkeypatch.setattr(store_module, "write_tables", interrupted)
     with interruptible(), pytest.raises(KeyboardInterrupt):
-        sweep.run_missing(store, workers=1)
-    assert 0 < Store(output, [SMALL]).left == store.left < SMALL.trials
+        run_sweep(store, workers=1)
+    assert 0 < Store(output, [SMALL]).missing_count == store.missing_count < SMALL.trials
 
 
 def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen[str]) -> None:

@@ -18,7 +18,7 @@ from mcp_asdf_tools.common import versions
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import cluster as cluster_module
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import read_table
+from mcp_asdf_tools.experiments.result_files import read_table
 from mcp_asdf_tools.experiments.store import Store
 from mcp_asdf_tools.experiments.sweep import jobs_of, run_sweep
 from support import ROOT
@@ -81,10 +81,10 @@ def test_the_cluster_runs_what_is_missing_and_keeps_it_when_lost(
             with pytest.raises(UsageError, match="install the same on all"):
                 run_sweep(store, 1, scheduler=address)
         long = replace(SLOW, trials=500)
-        store.want([long])
+        long_sweep = Store(tmp_path / "long.parquet", [long])
         with pytest.raises(UsageError, match="what was finished is kept"):
-            run_sweep(store, 1, report=lambda _: end.close(), scheduler=address)
-    assert 0 < Store(store.output, [long]).left == store.left < long.trials
+            run_sweep(long_sweep, 1, report=lambda _: end.close(), scheduler=address)
+    assert 0 < Store(long_sweep.output, [long]).missing_count == long_sweep.missing_count < long.trials
 
 
 @pytest.mark.parametrize(
@@ -92,13 +92,13 @@ def test_the_cluster_runs_what_is_missing_and_keeps_it_when_lost(
     ["tcp://127.0.0.1:1", "nonsense://x", "", "127.0.0.1:b", "tls://127.0.0.1:1", "inproc://x"],
 )
 def test_no_scheduler_is_told(address: str, store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster_module, "_PATIENCE", 1)
+    monkeypatch.setattr(cluster_module, "_TIMEOUT", 1)
     with pytest.raises(UsageError, match="no Dask scheduler at"):
         run_sweep(store, 1, scheduler=address)
 
 
 def test_no_workers_are_told(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster_module, "_PATIENCE", 1)
+    monkeypatch.setattr(cluster_module, "_TIMEOUT", 1)
     with cluster_of(0, tmp_path) as (address, _):
         words = f"at {address} has no workers; start some: dask worker {address}"
         with pytest.raises(UsageError, match=words):

@@ -30,7 +30,8 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of
+from mcp_asdf_tools.experiments.result_tables import experiments_in, trials_to_table
+from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.library import simulate
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -78,7 +79,7 @@ def states(film: Film) -> dict[int, list[Any]]:
 
 def trials_of(**more: Any) -> Trials:
     experiment = Experiment(**PARAMETERS | more, trials=2)
-    return experiments_in(table_of(run_trials(experiment, 0, 2)))[0]
+    return experiments_in(trials_to_table(run_trials(experiment, 0, 2)))[0]
 
 
 def plain(stage: Stage) -> dict[str, Any]:

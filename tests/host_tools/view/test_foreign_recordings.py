@@ -15,7 +15,8 @@ import pytest
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials, experiments_in, table_of
+from mcp_asdf_tools.experiments.result_tables import experiments_in, trials_to_table
+from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.input_log import input_log_path
 from mcp_asdf_tools.robots.population import Population
@@ -119,7 +120,7 @@ def test_a_running_swarm_of_a_billion_steps_is_filmed_at_once() -> None:
 
 
 def test_a_trial_of_a_billion_steps_is_refused() -> None:
-    (short,) = experiments_in(table_of(run_trials(Experiment(robots=2, steps=10, trials=1), 0, 1)))
+    (short,) = experiments_in(trials_to_table(run_trials(Experiment(robots=2, steps=10, trials=1), 0, 1)))
     long: Trials = replace(short, experiment=replace(short.experiment, steps=10**9))
     with pytest.raises(UsageError, match=r"too long to be run again, .* at most 100000000 steps"):
         film_of_trial(long, 0)

@@ -1,0 +1,270 @@
+"""Parquet files of results: writing them, reading them with checks, and reading them a few rows at a time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import chain
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import replace_when_complete
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.result_tables import (
+    FORMAT,
+    METADATA_KEY,
+    add_missing_parameters,
+    column_types,
+    rows_by_experiment,
+    trials_from_rows,
+)
+from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, Trials
+from mcp_asdf_tools.world.settings import FORMER_PARAMETERS
+
+_ROW_GROUPS_IN_MEMORY = 4
+"""Row groups that are kept: rows that are taken together stand close to each other."""
+
+
+def write_tables(path: Path, tables: Iterable[pa.Table]) -> None:
+    """Write tables of the same columns, at least one, as the row groups of one Parquet file.
+
+    The file takes its name when it is complete. Raises UsageError if it cannot be written.
+    """
+    remaining_tables = iter(tables)
+    first_table = next(remaining_tables)
+    with (
+        replace_when_complete(path) as draft,
+        pq.ParquetWriter(draft, first_table.schema, compression="zstd") as writer,
+    ):
+        for table in chain([first_table], remaining_tables):
+            writer.write_table(table, row_group_size=len(table))
+
+
+def parts_folder(output: Path) -> Path:
+    """Return the folder of the parts of a sweep that writes to ``output`` and is not finished."""
+    return output.with_name(f"{output.name}.parts")
+
+
+def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Table:
+    """Read a file that ``write_tables`` wrote, or all files of a folder, such as the parts of a sweep.
+
+    Returns all columns if ``columns`` is None. Raises UsageError for any other file.
+    """
+    row_groups = RowGroups()
+    row_groups.add(Path(path))
+    return pa.concat_tables([row_group.read(columns) for row_group in row_groups])
+
+
+def stream_experiments(path: Path) -> Iterator[Trials]:
+    """Yield the experiments of a file, or of a folder of files, with only one of them in memory.
+
+    They come in the order of their first rows. Raises UsageError as ``read_table``.
+    """
+    row_groups = RowGroups()
+    row_groups.add(path)
+    rows: dict[Experiment, list[NDArray[np.int64]]] = {}
+    for row_group in row_groups:
+        parameters = row_group.read(PARAMETER_NAMES)
+        for experiment, rows_in_group in rows_by_experiment(parameters).items():
+            rows.setdefault(experiment, []).append(row_group.first_row + rows_in_group)
+    result_columns = [name for name in column_types() if name not in PARAMETER_NAMES]
+    for experiment, row_lists in rows.items():
+        yield trials_from_rows(experiment, row_groups.take(np.concatenate(row_lists), result_columns))
+
+
+# --- Rows of many files ----------------------------------------------------------------------------------
+
+
+class _Rows(Protocol):
+    """Rows that stand one after the other in ``RowGroups``, the first at ``first_row``."""
+
+    @property
+    def first_row(self) -> int: ...
+
+    @property
+    def row_count(self) -> int: ...
+
+    def read(self, columns: Sequence[str] | None = None) -> pa.Table: ...
+
+
+@dataclass(frozen=True)
+class RowGroup:
+    """A row group of a file.
+
+    Attributes:
+        path: The file.
+        index: Position of the row group in the file.
+        first_row: Number of rows before it in ``RowGroups``.
+        row_count: Its number of rows.
+    """
+
+    path: Path
+    index: int
+    first_row: int
+    row_count: int
+
+    def read(self, columns: Sequence[str] | None = None) -> pa.Table:
+        """Read some columns, or all; a parameter without a column has its default.
+
+        Raises UsageError if the file cannot be read.
+        """
+        file = _open_checked(self.path)
+        stored_columns = None
+        if columns is not None:
+            stored_columns = [name for name in columns if name in file.schema_arrow.names]
+        with _name_file_in_errors(self.path):
+            table = file.read_row_group(self.index, columns=stored_columns)
+            table.validate(full=True)
+        # A file has its metadata twice, and these are the ones that were checked.
+        table = table.replace_schema_metadata(file.schema_arrow.metadata)
+        table = add_missing_parameters(table, self.row_count)
+        return table if columns is None else table.select(columns)
+
+
+@dataclass(frozen=True)
+class RowsInMemory:
+    """A table that has not been written, as part of ``RowGroups``."""
+
+    table: pa.Table
+    first_row: int
+
+    @property
+    def row_count(self) -> int:
+        """Return the number of rows."""
+        return len(self.table)
+
+    def read(self, columns: Sequence[str] | None = None) -> pa.Table:
+        """Return some columns, or all."""
+        return self.table if columns is None else self.table.select(columns)
+
+
+class RowGroups:
+    """The rows of many files as one sequence, of which only a few row groups are in memory."""
+
+    def __init__(self) -> None:
+        self._row_groups: list[_Rows] = []
+        self._read_cached = lru_cache(maxsize=_ROW_GROUPS_IN_MEMORY)(self._read)
+        self.row_count = 0
+
+    def __iter__(self) -> Iterator[_Rows]:
+        return iter(self._row_groups)
+
+    def add(self, path: Path) -> None:
+        """Append the rows of a file, or of the Parquet files in a folder, in the order of their names.
+
+        Raises UsageError as ``read_table``.
+        """
+        for file_path in sorted(path.glob("*.parquet")) or [path]:
+            file = _open_checked(file_path)
+            for index in range(file.num_row_groups):
+                _check_former_parameters(file_path, file, index)
+                row_count = file.metadata.row_group(index).num_rows
+                self._append(RowGroup(file_path, index, self.row_count, row_count))
+
+    def add_table(self, table: pa.Table) -> None:
+        """Append the rows of a table."""
+        self._append(RowsInMemory(table, self.row_count))
+
+    def _append(self, rows: _Rows) -> None:
+        self._row_groups.append(rows)
+        self.row_count += rows.row_count
+
+    def take(self, rows: NDArray[np.int64], columns: Sequence[str] | None = None) -> pa.Table:
+        """Return rows by their numbers, in the order of ``rows``, with some columns or all."""
+        first_rows = [row_group.first_row for row_group in self._row_groups]
+        group_of_each_row = np.searchsorted(first_rows, rows, side="right") - 1
+        tables, positions = [], []
+        for group_index in np.unique(group_of_each_row):
+            positions_in_group = np.flatnonzero(group_of_each_row == group_index)
+            rows_in_group = rows[positions_in_group] - first_rows[group_index]
+            table = self._read_cached(group_index, None if columns is None else tuple(columns))
+            tables.append(table.take(rows_in_group))
+            positions.append(positions_in_group)
+        # The tables follow the row groups; the rows have to follow the request.
+        requested_order = np.argsort(np.concatenate(positions))
+        return pa.concat_tables(tables).combine_chunks().take(requested_order)
+
+    def _read(self, group_index: int, columns: tuple[str, ...] | None) -> pa.Table:
+        """Read a row group for ``_read_cached``, in one chunk: to take rows from many chunks is slow."""
+        return self._row_groups[group_index].read(columns).combine_chunks()
+
+
+# --- Checks ----------------------------------------------------------------------------------------------
+
+
+def _open_checked(path: Path) -> Any:
+    """Open a file that ``write_tables`` wrote. Raises UsageError for any other."""
+    with _name_file_in_errors(path):
+        file = pq.ParquetFile(path)
+        _check_metadata(path, file.schema_arrow.metadata or {})
+        _check_schema(path, file.schema_arrow)
+        if not file.metadata.num_rows:
+            raise UsageError(f"{path} holds no trials; run mcp-asdf sweep again")
+    return file
+
+
+@contextmanager
+def _name_file_in_errors(path: Path) -> Iterator[None]:
+    """Turn what goes wrong while ``path`` is read into a UsageError that names it."""
+    try:
+        yield
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
+        parts = parts_folder(path)
+        hint = f"; its sweep is not finished, partial data is in {parts}" if parts.is_dir() else ""
+        reason = error if path.exists() else "there is no such file"
+        raise UsageError(f"cannot read {path}: {reason}{hint}") from error
+
+
+def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> None:
+    """Raise UsageError unless a file's metadata are those of results in the present format."""
+    try:
+        metadata = json.loads(file_metadata.get(METADATA_KEY, b"{}"))
+    except (ValueError, RecursionError):  # another program may use the same key
+        metadata = {}
+    if not isinstance(metadata, dict) or "format" not in metadata:
+        raise UsageError(f"{path} holds no results; format {FORMAT} is needed: run mcp-asdf sweep again")
+    if metadata["format"] != FORMAT:
+        content = f"results in format {metadata['format']}"
+        raise UsageError(f"{path} holds {content}; format {FORMAT} is needed: run mcp-asdf sweep again")
+    interval = metadata.get("sampling_interval")
+    has_interval = isinstance(interval, int) and interval >= 0
+    if not (has_interval and isinstance(metadata.get("versions"), dict)):
+        raise UsageError(f"{path} is damaged: its metadata lack versions or sampling_interval; run it again")
+
+
+def _check_former_parameters(path: Path, file: Any, row_group_index: int) -> None:
+    """Raise UsageError if a row group has a parameter of earlier versions with a value that had an effect."""
+    for name, value_without_effect in FORMER_PARAMETERS.items():
+        if name not in file.schema_arrow.names:
+            continue
+        with _name_file_in_errors(path):
+            values = file.read_row_group(row_group_index, columns=[name])[name].unique().to_pylist()
+        if values != [value_without_effect]:
+            raise UsageError(
+                f"{path} has results with {name}, a parameter of earlier versions; use one of these versions"
+            )
+
+
+def _check_schema(path: Path, schema: Any) -> None:
+    """Raise UsageError if columns are missing, double or of another type than results have.
+
+    A parameter may be missing: it is newer than the file.
+    """
+    missing_columns = set(column_types()) - set(PARAMETER_NAMES) - set(schema.names)
+    if missing_columns:
+        names = ", ".join(sorted(missing_columns))
+        raise UsageError(f"{path} is damaged: it has no {names}; run mcp-asdf sweep again")
+    for name, column_type in column_types().items():
+        count = schema.names.count(name)
+        if count > 1 or (count == 1 and schema.field(name).type != column_type):
+            problem = f"column {name} is not {column_type}"
+            raise UsageError(f"{path} is damaged: {problem}; run mcp-asdf sweep again")

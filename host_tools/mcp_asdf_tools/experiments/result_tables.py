@@ -1,0 +1,253 @@
+"""Results of trials as tables of pyarrow.
+
+A table has a row for each trial: the experiment's parameters, a column each, and
+
+- ``trial``, its number;
+- ``H``, ``h_K`` and ``h_e``, its scores with the paper's K_max and e_max;
+- ``k`` and ``e``, lists over the robots: convergence steps and errors;
+- ``b_hat``, the assumed accuracies after each filter step, one robot after the other within a step;
+- ``tests`` and ``updates``, lists over the robots;
+- ``record_t`` to ``record_b_hat``, lists in the same order: values at step 0 and every ``sampling_interval``
+  steps, where recorded.
+
+The metadata hold, under the key ``mcp-asdf``, JSON with the format's version, the versions of the software,
+the threshold delta, ``sampling_interval``, and unit and meaning of each of ``columns``. Rows of equal
+parameters belong to one experiment. A parameter without a column has its default: a table from before there
+was such a parameter can be read.
+"""
+
+from __future__ import annotations
+
+import json
+from decimal import Decimal
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.compute as pc  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.parameters import parameters_of
+from mcp_asdf_tools.common.versions import software_versions
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, QUANTITIES, Trials
+from mcp_asdf_tools.experiments.scores import DELTA, SCORES, Limits, score
+
+FORMAT = 5
+METADATA_KEY = b"mcp-asdf"
+
+_LIST_COLUMNS = {
+    "k": ("convergence_steps", "int32"),
+    "e": ("errors", "float64"),
+    "b_hat": ("b_hat", "float64"),
+    "tests": ("tests", "int32"),
+    "updates": ("updates", "int32"),
+}
+"""Columns of lists: the attribute of ``Trials`` that each column contains, and the type of its elements."""
+
+INDEX_COLUMNS = (*PARAMETER_NAMES, "trial")
+"""Columns that identify the trial of a row."""
+
+_UNITS = {
+    **dict.fromkeys(("width", "height", "radio_range", "tile"), "m"),
+    **dict.fromkeys(("observation_period", "steps", "comms_period"), "step"),
+    **dict.fromkeys(("filter_period", "latency", "k"), "step"),
+    **dict.fromkeys(SCORES, "point of 100"),
+    "drift_rate": "1/step",
+    "speed": "m/s",
+    "steps_per_second": "1/s",
+}
+"""Units of the columns that have one."""
+
+_MEANINGS = {
+    "trial": "number of the trial, from 0",
+    "H": "score, mean of h_K and h_e, with the paper's K_max and e_max",
+    "h_K": "score of convergence",
+    "h_e": "score of accuracy",
+    "k": "K: step from which on x stays within delta, by robot",
+    "e": "|x - f| at K, by robot",
+    "b_hat": "assumed accuracy after each filter step, robot by robot within a step",
+    "tests": "hypothesis tests modulo 65536, by robot",
+    "updates": "re-estimates of b_hat modulo 65536, by robot",
+    **{f"record_{name}": f"{name} every sampling_interval steps, robot by robot" for name in QUANTITIES},
+}
+"""Meanings of the columns that are not parameters."""
+
+
+# --- Columns ---------------------------------------------------------------------------------------------
+
+
+@cache
+def describe_columns() -> dict[str, dict[str, str]]:
+    """Return unit and meaning of each column, by its name; the unit is "1" where there is none."""
+    meanings = {name: declared.text for name, declared in parameters_of(Experiment).items()} | _MEANINGS
+    return {name: {"unit": _UNITS.get(name, "1"), "meaning": meaning} for name, meaning in meanings.items()}
+
+
+@cache
+def column_types() -> dict[str, Any]:
+    """Return the pyarrow type of each column by its name, in the order of a table's columns."""
+    number_types = {int: pa.uint64(), float: pa.float64(), Decimal: pa.float64()}
+    default_experiment = Experiment()
+    types = {
+        name: number_types.get(type(getattr(default_experiment, name)), pa.string())
+        for name in PARAMETER_NAMES
+    }
+    types["trial"] = pa.int64()
+    types |= dict.fromkeys(SCORES, pa.float64())
+    element_types = {name: getattr(pa, type_name)() for name, (_, type_name) in _LIST_COLUMNS.items()}
+    element_types |= {f"record_{name}": pa.float64() for name in QUANTITIES}
+    for name, element_type in element_types.items():
+        # Elements are named as in a file that was read, so that equal rows give equal files.
+        types[name] = pa.list_(pa.field("element", element_type))
+    return types
+
+
+def add_missing_parameters(table: pa.Table, row_count: int) -> pa.Table:
+    """Return the table with its columns in order, where a parameter that it lacks has its default.
+
+    ``row_count`` is given apart, since a table without columns does not know it.
+    """
+    defaults = Experiment().parameters()
+    columns = {}
+    for name, column_type in column_types().items():
+        if name in table.column_names:
+            columns[name] = table[name]
+        elif name in defaults:
+            columns[name] = pa.repeat(pa.scalar(defaults[name], column_type), row_count)
+    columns |= {name: table[name] for name in table.column_names if name not in column_types()}
+    return pa.table(columns, metadata=table.schema.metadata)
+
+
+def read_metadata(table: pa.Table) -> dict[str, Any]:
+    """Return format, versions, delta and sampling interval of a table, without the columns' descriptions."""
+    metadata: dict[str, Any] = json.loads(table.schema.metadata[METADATA_KEY])
+    metadata.pop("columns", None)
+    return metadata
+
+
+# --- Trials as rows, and back ----------------------------------------------------------------------------
+
+
+def trials_to_table(trials: Trials) -> pa.Table:
+    """Return the trials of an experiment as rows."""
+    trial_count = len(trials.numbers)
+    columns: dict[str, Any] = {
+        name: [value] * trial_count for name, value in trials.experiment.parameters().items()
+    }
+    columns |= {"trial": trials.numbers, **trials.scores()}
+    for name, (attribute, _) in _LIST_COLUMNS.items():
+        columns[name] = _flatten_each_trial(getattr(trials, attribute))
+    nothing_recorded = np.empty((trial_count, 0))
+    for name in QUANTITIES:
+        columns[f"record_{name}"] = _flatten_each_trial(trials.records.get(name, nothing_recorded))
+    metadata = {
+        "format": FORMAT,
+        "versions": software_versions(),
+        "delta": DELTA,
+        "sampling_interval": trials.sampling_interval,
+        "columns": describe_columns(),
+    }
+    arrays = {name: pa.array(columns[name], column_type) for name, column_type in column_types().items()}
+    return pa.table(arrays, metadata={METADATA_KEY: json.dumps(metadata)})
+
+
+def _flatten_each_trial(values: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return a flat array for each trial, which is the first axis of ``values``."""
+    return [values_of_trial.ravel() for values_of_trial in values]
+
+
+def experiments_in(table: pa.Table) -> list[Trials]:
+    """Return the experiments of a table in the order of their first rows. O(rows)."""
+    complete_table = add_missing_parameters(table, len(table)).combine_chunks()
+    return [
+        trials_from_rows(experiment, complete_table.take(rows))
+        for experiment, rows in rows_by_experiment(complete_table).items()
+    ]
+
+
+def rows_by_experiment(table: pa.Table) -> dict[Experiment, NDArray[np.int64]]:
+    """Return the rows of each experiment in a table, in the order of the experiments' first rows. O(rows).
+
+    The table needs all columns of parameters. Raises ParameterError for a value that no experiment has.
+    """
+    parameters = table.select(PARAMETER_NAMES)
+    numbered_rows = parameters.append_column("row", pa.array(np.arange(len(table))))
+    # Groups keep the order of their first rows only without threads.
+    groups = numbered_rows.group_by([*PARAMETER_NAMES], use_threads=False).aggregate([("row", "list")])
+    rows: dict[Experiment, list[NDArray[np.int64]]] = {}
+    for group in groups.to_pylist():
+        experiment = Experiment.from_recording(group)
+        rows.setdefault(experiment, []).append(np.array(group["row_list"]))
+    return {experiment: np.concatenate(row_lists) for experiment, row_lists in rows.items()}
+
+
+def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
+    """Return the trials in the rows of a table, all of ``experiment``, in the order of their numbers.
+
+    Raises UsageError if a list has not the length that the experiment gives it.
+    """
+    _check_list_lengths(experiment, table)
+    table = table.sort_by("trial")
+
+    def read_lists(column: str, *shape: int) -> NDArray[Any]:
+        flat_values: NDArray[Any] = pc.list_flatten(table[column]).to_numpy()
+        return flat_values.reshape(len(table), *shape)
+
+    records = {}
+    for name in QUANTITIES:
+        is_recorded = len(table[f"record_{name}"][0]) > 0
+        if is_recorded:
+            records[name] = read_lists(f"record_{name}", -1, experiment.robots)
+    return Trials(
+        experiment,
+        table["trial"].to_pylist(),
+        convergence_steps=read_lists("k", -1),
+        errors=read_lists("e", -1),
+        b_hat=read_lists("b_hat", -1, experiment.robots),
+        tests=read_lists("tests", -1),
+        updates=read_lists("updates", -1),
+        records=records,
+        sampling_interval=read_metadata(table)["sampling_interval"],
+    )
+
+
+def _check_list_lengths(experiment: Experiment, table: pa.Table) -> None:
+    """Raise UsageError if a column has gaps, or lists of a length that the experiment does not give them.
+
+    O(values).
+    """
+    robots = experiment.robots
+    lengths = dict.fromkeys(_LIST_COLUMNS, robots)
+    lengths["b_hat"] = robots * (experiment.steps // experiment.filter_period)
+    # How often robots were recorded is not a parameter: the first list sets the length for all of them.
+    recorded_values = pc.list_value_length(table["record_t"])[0].as_py() or 0
+    whole_samples = recorded_values - recorded_values % robots
+    lengths |= {f"record_{name}": whole_samples for name in QUANTITIES}
+    for name, length in lengths.items():
+        list_lengths = pc.list_value_length(table[name])
+        gap_count = list_lengths.null_count + pc.list_flatten(table[name]).null_count
+        gap_count += table["trial"].null_count
+        if gap_count or set(list_lengths.unique().to_pylist()) != {length}:
+            problem = f"column {name} has gaps, or lists that have not {length} values"
+            raise UsageError(f"the results are damaged: {problem}; run mcp-asdf sweep again")
+
+
+def score_table(table: pa.Table, limits: Limits) -> pa.Table:
+    """Return the table with H, h_K and h_e for other limits. O(rows)."""
+    table = add_missing_parameters(table, len(table))
+    rows = table.select([*PARAMETER_NAMES, "k", "e"]).to_pylist()
+    scores_by_row = [_score_row(row, limits) for row in rows]
+    for name in SCORES:
+        scores = pa.array([scores[name] for scores in scores_by_row], pa.float64())
+        table = table.set_column(table.column_names.index(name), name, scores)
+    return table
+
+
+def _score_row(row: dict[str, Any], limits: Limits) -> dict[str, float]:
+    """Return the scores of the trial in a row, by their names."""
+    k_max, e_max = limits.of(Experiment.from_recording(row))
+    scores = score([row["k"]], [row["e"]], k_max, e_max)
+    return {name: float(values[0]) for name, values in scores.items()}
