@@ -458,8 +458,6 @@ def test_a_thousand_robots_are_simulated_where_they_move_or_are_in_a_graph(
         (f"simulate {MANY} --topology dynamic --white-offset 0.1", "--white-offset: robots is 1000, but"),
         ("simulate --filter none --omega 0.1", "--omega would do nothing: filter is none"),
         ("simulate --lowest-accuracy 0.4", "--lowest-accuracy would do nothing: drift is none"),
-        ("simulate --drift linear --drift-period 9", "--drift-period would do nothing: drift is linear"),
-        ("simulate --drift linear --drift-diffusion 0.1", "--drift-diffusion would do nothing: drift is"),
         ("simulate --workers 0", "--workers is 0"),
         ("simulate --workers 1025", "--workers is 1025"),
         ("simulate --record -1", "--record is -1"),
