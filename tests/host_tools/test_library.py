@@ -166,8 +166,7 @@ def test_objects_of_this_process_stand_for_extensions(monkeypatch: pytest.Monkey
 @pytest.mark.parametrize(
     "wrong",
     [
-        lambda m, table: m.Experiment(robot=3),
-        lambda m, table: m.Experiment(7),
+        lambda m, table: m.grid(robot=3),
         lambda m, table: m.Experiment(firmware=7),
         lambda m, table: m.simulate([7]),
         lambda m, table: m.simulate(SHORT, workers=0),
