@@ -21,7 +21,7 @@ LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)")
 
 SHOWN = (
     "FAILED at call",
-    "FAILED: 26 of 42",
+    "FAILED: 30 of 45",
     "(0.000000) vcan0",
     "PASS scenarios",
     "call 0 status",

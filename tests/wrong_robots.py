@@ -12,6 +12,8 @@ from functools import partial
 from typing import Any
 
 import can
+from mcp_asdf_tools.bus.alpha_words import alpha_word_from_bits, float32_bits, float32_value
+from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Action, Rejection
 
 from crosschecks import mirror_with
 from mcp_asdf.fixed_point import ONE
@@ -109,6 +111,47 @@ VOTES: dict[str, Any] = {"filter": Filter.ROBUST, "table": None}
 def robust(phase: str, *changes: str) -> Wrong:
     """The same with the robust filter."""
     return firmware(phase, *changes, config=VOTES)
+
+
+ALWAYS: dict[str, Any] = {"filter": Filter.ALWAYS, "table": None}
+
+
+def always(phase: str, *changes: str) -> Wrong:
+    """A controller that re-estimates without a test, with other text in some places of its firmware."""
+    return firmware(phase, *changes, config=ALWAYS)
+
+
+def robust_in_floats(phase: str, number_format: str) -> Wrong:
+    """A controller whose robust filter tests in floating point: ``number_format`` is that of ``struct``."""
+    return robust(
+        phase,
+        f"""def {{robust_test_rejects => robust_test_rejects(crowd, t, n):
+    def fit(value):
+        return struct.unpack({number_format!r}, struct.pack({number_format!r}, value))[0]
+    r, b_hat, spread = fit(crowd.centre / 2**30), fit(crowd.first / 2**32), fit(crowd.spread / 2**30)
+    p = fit(fit(b_hat * r) + fit(fit(1 - b_hat) * fit(1 - r)))
+    seen = fit(n / t)
+    variance = max(fit(seen * fit(1 - seen)), fit(p * fit(1 - p)))
+    g_spread = fit(fit(fit(2 * b_hat) - 1) * spread)
+    limit = fit(12 * fit(fit(variance / t) + fit(g_spread * g_spread)))
+    return fit(fit(seen - p) * fit(seen - p)) > limit
+
+def deviates_in_integers}}(crowd: Crowd, t""",
+    )
+
+
+def takes_messages(most: int) -> Act:
+    """Takes no more than so many estimates in a tick."""
+
+    def hear(node: Any, right: Act, frame: can.Message) -> Any:
+        if not is_estimate(frame):
+            return right(frame)
+        tick, count = vars(node).get("taken", (None, 0))
+        count = count + 1 if tick == node.ticks else 1
+        node.taken = node.ticks, count
+        return right(frame) if count <= most else []
+
+    return hear
 
 
 def node(phase: str, **acts: Act) -> Wrong:
@@ -307,7 +350,7 @@ WRONG |= {
     "filters though it should not": set_up(
         "no filter", {"filter": Filter.OFF, "table": None}, filter=Filter.ALWAYS
     ),
-    "memory 8192": set_up("threshold of 5 messages", memory=8192),
+    "memory 8192": set_up("threshold of 10 messages", memory=8192),
     "memory 64": set_up("alone", memory=64),
     "t-table of omega 0.04": set_up("threshold of 2 messages", table=generate(parse_omega("0.04"), 127)),
     **{
@@ -317,7 +360,7 @@ WRONG |= {
     "threshold of many messages wrong": set_up("threshold of 30 messages", table=table_wrong_at(30)),
     # The method
     "rejects its own estimate": firmware("own estimate", "return {diff => difference == 0 or diff}erence *"),
-    "tests its informed estimate": firmware("no information", "s.open, {s.x_hat => self.x_raw})"),
+    "tests its informed estimate": firmware("few observations", "s.open, {s.x_hat => self.x_raw})"),
     "tests one message": firmware(
         "rounds without a test",
         "= {2 => 1} if config.filter ==",
@@ -325,9 +368,9 @@ WRONG |= {
     ),
     "never updates": firmware("all white", "return {reestimate(s.t, s.n, round_mean(s.closed)) => None}"),
     "x_bar not weighted in eq. 8": firmware(
-        "no information", "s.n, round_mean({s.closed => Closed(s.open.count << 24, s.open.x << 24)}))"
+        "few observations", "s.n, round_mean({s.closed => Closed(s.open.count << 24, s.open.x << 24)}))"
     ),
-    "eq. 8 in float32": firmware("no information", "min(max({b_hat => b_hat >> 10 << 10}, B_HAT_MIN)"),
+    "eq. 8 in float32": firmware("few observations", "min(max({b_hat => b_hat >> 10 << 10}, B_HAT_MIN)"),
     "b_hat clamped elsewhere": firmware(
         "all white", "max(b_hat, {B_HAT_MIN), B_HAT_MAX => 42950), 2**32 - 42950})"
     ),
@@ -337,7 +380,7 @@ WRONG |= {
     ),
     "divides by 2 b - 1 = 0": firmware("no information", "return {HALF => ONE}, 0"),
     "keeps x_bar in silence": firmware("nothing seen", "{ => if s.open.count: }s.closed = Closed(s."),
-    "a bitmap of 32 senders": firmware("alike ids", "word_index = {sender >> 5 => 0}"),
+    "a bitmap of 32 senders": firmware("all white", "word_index = {sender >> 5 => 0}"),
     "does not hear robot 127": firmware("every sender", "0 <= sender {<= => <} MAX_ID"),
     "at most 100 messages": firmware("growing rounds", "status != Status.OK{ =>  or s.open.count > 99}:"),
     "takes the last message of a sender": firmware(
@@ -352,8 +395,8 @@ WRONG |= {
     "colours exchanged": firmware("alone", "colour = {index(z) => 1 - index(z)}"),
     "rounds x_hat up": firmware("first black tiles", "s.updated = 0{ => ; s.x_hat += 0 < s.x_hat < HALF}"),
     "alpha of 20 bits": firmware("alone", "s.updated = 0{ => ; s.alpha &= 0xFFFF_F01F}"),
-    "halves down": firmware("no information", "s.n + {(s.n >> 1 & 1) => 0}) >> 1", config=HALVED),
-    "halves up": firmware("threshold of 10 messages", "s.n + {(s.n >> 1 & 1) => 1}) >> 1", config=HALVED),
+    "halves down": firmware("stray commands", "s.n + {(s.n >> 1 & 1) => 0}) >> 1", config=HALVED),
+    "halves up": firmware("threshold of 5 messages", "s.n + {(s.n >> 1 & 1) => 1}) >> 1", config=HALVED),
     "broadcasts x": firmware("nothing seen", "return {self.s.x_hat => self.x_raw}\n"),
     # Ends of ranges
     "x_hat at least 0.01": firmware("alone", "is_mirrored else {x_hat => max(x_hat, ONE // 100)}, alpha"),
@@ -364,7 +407,7 @@ WRONG |= {
         "alone", "from_mantissa({mantissa => mantissa ^ (n == 0)}, exp"
     ),
     "alpha wrong where x_hat is clamped": firmware(
-        "no information", "accuracy.rare + {(weight => 0 * (weight} >> acc"
+        "few observations", "accuracy.rare + {(weight => 0 * (weight} >> acc"
     ),
     "alpha wrong there after 100 tiles": firmware(
         "all white", "at_end(accuracy, {t => t ^ (t > 100)}, rare_count)"
@@ -389,15 +432,50 @@ WRONG |= {
         "estimates of 0 and 1", "{x_bar < => (x_bar := x_bar * (x_bar < MAX_WORD - 9)) <} Q32_HALF:"
     ),
     "sums of alpha up to 2^45 in eq. 8": firmware(
-        "threshold of 3 messages", "alpha_x, {closed.alpha => min(closed.alpha, 1 << 45)} *"
+        "few observations", "alpha_x, {closed.alpha => min(closed.alpha, 1 << 45)} *"
     ),
     "sums of alpha from 2^32 in eq. 8": firmware(
-        "no information", "alpha_x, {closed.alpha => max(closed.alpha, 1 << 32)} *"
+        "few observations", "alpha_x, {closed.alpha => max(closed.alpha, 1 << 32)} *"
     ),
     "a square of 54 bits": firmware(
         "threshold of 126 messages", "return {difference => (1 << 54) - 1 & difference} * difference >"
     ),
     "a spread of 56 bits": firmware("large sums", "open_round.x * open_round.x{ =>  & (1 << 56) - 1}"),
+    "b_hat wrong for t below 500": firmware(
+        "few observations", "return b_hat_from(t, n{ =>  + (t < 500)}, upper"
+    ),
+    "b_hat wrong for t from 100 to 500": firmware(
+        "few observations", "return b_hat_from(t, n{ =>  + (100 < t < 500)}, upper"
+    ),
+    "eq. 8 wrong for sums of alpha below 1": firmware(
+        "few observations",
+        "return b_hat_from(t, n, upper_quotient(closed.alpha_x(){ =>  + ((closed.alpha < 1 << 24) << 22)}, ",
+    ),
+    "eq. 8 never shifts up": firmware(
+        "no information",
+        "denominator.bit_length() - 32{ => \n    if shift < 0:\n"
+        "        return (numerator << 16) // denominator << 16}",
+    ),
+    "t of 14 bits in eq. 8": firmware("re-estimates", "return b_hat_from(t{ =>  % (1 << 14)}, n, upper"),
+    "an update counter of 5 bits": firmware("many updates", "(s.updates + 1) & {COUNTER_MASK => 31}"),
+    "tests in float64": firmware(
+        "threshold of 126 messages",
+        "return {difference * difference => float(difference) * difference} > table",
+        "> {table.entry(m) * spread >> FRACTION_BITS => table.entry(m) / 2**FRACTION_BITS * float(spread)}",
+    ),
+    "thresholds of 23 fraction bits": firmware(
+        "threshold of 10 messages", "{table.entry(m) => (table.entry(m) & ~7)} * spread"
+    ),
+    "tests though it should not": set_up(
+        "re-estimates without a test", ALWAYS, filter=Filter.ADAPTIVE, table=DEFAULT["table"]
+    ),
+    "needs two messages without a test": always(
+        "re-estimates without a test", "if mode == Filter.ADAPTIVE else {1 => 2})"
+    ),
+    **{
+        f"{most} messages in a tick": node("a crowded tick", hear=takes_messages(most))
+        for most in (200, 256, 500)
+    },
     # The robust filter: votes
     "takes a large alpha for two votes": robust(
         "few voices",
@@ -410,7 +488,7 @@ WRONG |= {
     "does not clamp": robust("few voices", "{min(distance, crowd.spread) => distance} >> gain_shift"),
     "clamps at 2 s": robust("few voices", "min(distance, { => 2 * }crowd.spread) >> gain_shift"),
     "constant gain": robust(
-        "stray commands", "gain_shift = {max(crowd.votes, VOTES_OF_MAX_GAIN).bit_length() - 3 => 3}"
+        "few voices", "gain_shift = {max(crowd.votes, VOTES_OF_MAX_GAIN).bit_length() - 3 => 3}"
     ),
     "gain without end": robust("many votes", "VOTES_MAX = 1 << {14 => 15}"),
     "starts at the first vote": robust(
@@ -437,7 +515,7 @@ WRONG |= {
     "two voices are enough": robust("few voices", "SENDERS_MIN = {3 => 2}"),
     "three voices are too few": robust("few voices", "SENDERS_MIN = {3 => 4}"),
     "rejects at 3 sigma": robust("test of a moderate spread", "SIGMAS_SQUARED = {12 => 9}"),
-    "forgets the spread in its test": robust("moving up", "{(g_spread * g_spread) => 0}"),
+    "forgets the spread in its test": robust("test of a moderate spread", "{(g_spread * g_spread) => 0}"),
     "variance of the prediction alone": robust(
         "test of a moderate spread", "for share in ({observed_share, predicted_share => predicted_share,}))"
     ),
@@ -450,18 +528,63 @@ WRONG |= {
     ),
     "no way back": robust("moving up", "return {crowd.first => None} if s.accuracy"),
     # A crowd that moves
-    "does not see that the crowd moves": robust("moving up", "if {crowd.is_moving => False}:"),
-    "tests while the crowd moves": robust("moving down", "votes >>= 1\n            {return None => pass}"),
-    "keeps its gain when the crowd moves": robust("moving up", "votes >>= {1 => 0}\n"),
+    "does not see that the crowd moves": robust("few voices", "if {crowd.is_moving => False}:"),
+    "tests while the crowd moves": robust(
+        "limits of the trend", "votes >>= 1\n            {return None => pass}"
+    ),
+    "keeps its gain when the crowd moves": robust("few voices", "votes >>= {1 => 0}\n"),
     "sees only a crowd that moves up": robust(
-        "moving down", "not {TREND_MOVING_DOWN <= self => self}.trend < TREND"
+        "few voices", "not {TREND_MOVING_DOWN <= self => self}.trend < TREND"
     ),
     "a trend of 512 moves": robust(
-        "moving up",
+        "few voices",
         "TREND_SHIFT = {8 => 9}",
         "TREND_STEP_UP = {255 => 127}",
         "TREND_STEP_EVEN = {128 => 64}",
     ),
+    "halves below the floor": robust(
+        "few voices", "if crowd.votes {>= 2 * VOTES_MIN_WHILE_MOVING => >= VOTES_MIN_WHILE_MOVING}:"
+    ),
+    "does not halve to the floor": robust(
+        "few voices", "if crowd.votes {>= => >} 2 * VOTES_MIN_WHILE_MOVING:"
+    ),
+    "halves from 511 votes on": robust(
+        "moving up", "if crowd.votes >= 2 * VOTES_MIN_WHILE_MOVING{ =>  - 1}:"
+    ),
+    "halves by rounding up": robust("moving down", "crowd.votes {>>= 1 => = crowd.votes + 1 >> 1}"),
+    "throws the trend back": robust("few voices", "crowd.votes >>= 1{ => ; crowd.trend = 1 << 15}"),
+    "halves only with three voices": robust(
+        "few voices",
+        "s, crowd = self.s, self.s.crowd\n        if {crowd.is_moving => "
+        "crowd.voices.bit_count() < 3:\n            return None\n        if crowd.is_moving}:",
+    ),
+    "voices modulo 16": robust("few voices", "crowd.voices |= 1 << (sender & {31 => 15})"),
+    "voices of 31 bits": robust(
+        "few voices", "crowd.voices |= {1 << (sender & 31) => (1 << (sender & 31)) & 0x7FFF_FFFF}"
+    ),
+    "a trend of 2^13 moves": robust("limits of the trend", "TREND_MOVING_DOWN {<= => <} self.trend"),
+    "a trend of 2^13 - 1 stays": robust("limits of the trend", "TREND_MOVING_DOWN = {1 << 13 => (1 << 13) - 1}"),
+    "a trend of 7/8 - 2^-16 moves": robust("limits of the trend", "TREND_MOVING_UP = {7 << 13 => (7 << 13) - 1}"),
+    "a trend of 7/8 stays": robust("limits of the trend", "self.trend {< => <=} TREND_MOVING_UP"),
+    "r uninformative from 2^-11 on": robust(
+        "centre at 1/2", "    if g < {INFORMATIVE_G => INFORMATIVE_G << 1}:"
+    ),
+    "r uninformative to 2^-13": robust("centre at 1/2", "    if g < {INFORMATIVE_G => INFORMATIVE_G >> 1}:"),
+    "r uninformative at 2^-12": robust("centre at 1/2", "    if g {< => <=} INFORMATIVE_G:"),
+    "robust test in float32": robust_in_floats("test of the least spread", "<f"),
+    "robust test in float64": robust_in_floats("test of the least spread", "<d"),
+    **{
+        f"{what} of 23 bits": robust("test of the least spread", f"{place}{{ =>  >> 9 << 9}}")
+        for what, place in (
+            ("n/t", "observed_share = upper_quotient(n, t)"),
+            ("r", "fill_ratio = crowd_fill_ratio(crowd)"),
+            ("p", "predicted_share = black_seen_as_black + white_seen_as_black"),
+        )
+    },
+    "t of 14 bits in the test": robust(
+        "test of the least spread", "return multiply_high({t => t % (1 << 14)}, difference_squared"
+    ),
+    "an update counter of 5 bits, robust": robust("many rejections", "(s.updates + 1) & {COUNTER_MASK => 31}"),
     # What it hears
     "compares the priority of estimates": node("unusual identifiers", hear=compares(3000, 7 << 26)),
     "compares ignored bits of estimates": node("unusual identifiers", hear=compares(3000, 3 << 21)),

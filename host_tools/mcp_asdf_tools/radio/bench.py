@@ -15,20 +15,22 @@ from dataclasses import dataclass
 
 import can
 
-from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import MAX_ID, Filter, Observation
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, TRANSFER_IDS, Action
 from mcp_asdf_tools.bus.frames import (
     NODE_ID_MASK,
     Command,
     Estimate,
+    Telemetry,
     decode_command,
     decode_estimate,
+    decode_telemetry,
     encode_estimate,
 )
 from mcp_asdf_tools.radio.comparison import Comparison, Symptom, is_from
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings
 from mcp_asdf_tools.radio.rounds import Content, Situation
+from mcp_asdf_tools.radio.suspects import FollowedRobot, Lineup
 from mcp_asdf_tools.robots.bus_robot import Recorder
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, send_all
@@ -44,8 +46,10 @@ _AFTERMATH = 0.1
 class Differs(Exception):  # noqa: N818 (an outcome, no error)
     """The controller differs from the model."""
 
-    def __init__(self, symptom: Symptom) -> None:
-        super().__init__(str(symptom))
+    def __init__(self, symptom: Symptom, mistakes: Sequence[str] = ()) -> None:
+        """Take the difference, and what controllers do that would have sent the same telemetry."""
+        also = f"; so would answer a controller that {', or one that '.join(mistakes)}" if mistakes else ""
+        super().__init__(f"{symptom}{also}")
         self.symptom = symptom
 
 
@@ -87,6 +91,7 @@ class Bench:
         config: Its configuration.
         options: Connection, time limits and observers.
         firmware: The firmware that the controller must equal, bit for bit.
+        lineup: Models with a mistake that no frame has told apart from the firmware.
         model: The node around it, which says what the controller must say.
         neighbours: Emulated robots around the controller, for phases that want them.
         draw: Random numbers, the same in every run with this seed.
@@ -100,7 +105,8 @@ class Bench:
         own, subjects = settings.controller, settings.subjects
         self.settings, self.record, self.options = settings, own, options
         self.config = own.config
-        self.firmware = MirrorRobot(own.config, own.id, own.b_hat)
+        self.firmware = FollowedRobot(own.config, own.id, own.b_hat)
+        self.lineup = self.firmware.lineup = Lineup.beside(self.firmware, own)
         self.model = RobotNode(
             own, subjects, settings.swarm.steps_per_second, options.recorder, lambda: self.firmware
         )
@@ -148,11 +154,18 @@ class Bench:
     def observe(self, z: Observation | None) -> None:
         """Begin a tick, and hear the broadcast if it is due."""
         self._check_stop()
-        broadcasts = self.model.sent.estimates
         self.place = self.ticks
-        self.lockstep.observe({self._id: z})
-        if self.model.sent.estimates != broadcasts:
+        if self._begin_tick(z):
             self.lockstep.estimates({self._id})
+
+    def _begin_tick(self, z: Observation | None) -> bool:
+        """Command an observation; returns whether a broadcast is due."""
+        broadcasts = self.model.sent.estimates
+        self.lockstep.observe({self._id: z})
+        is_due = self.model.sent.estimates != broadcasts
+        if is_due:
+            self.lineup.note_broadcast(self.firmware)
+        return is_due
 
     def send(self, frames: Sequence[can.Message]) -> None:
         """Let the controller and the model hear frames, in order."""
@@ -194,7 +207,7 @@ class Bench:
         while ticks > 0:
             burst = min(ticks, BURST)
             for _ in range(burst - 1):
-                self.lockstep.observe({self._id: observe()})
+                self._begin_tick(observe())
                 self.leave_open()
             self.tick(observe())
             ticks -= burst
@@ -249,10 +262,23 @@ class Bench:
     # --- Comparing ---
 
     def compare(self) -> None:
-        """Compare all frames since the last comparison. Raises Differs."""
+        """Compare all frames since the last comparison. Raises Differs.
+
+        If they are equal, what has shown in them is no mistake of the controller, and leaves the lineup.
+        """
+        telemetry = self._telemetry_fields()
         symptom = self.symptom()
         if symptom is not None:
-            raise Differs(symptom)
+            raise Differs(symptom, self.lineup.answers_like(telemetry, self.firmware))
+        self.lineup.drop_different(self.firmware)
+
+    def _telemetry_fields(self) -> tuple[int, int, int] | None:
+        """Return x, b_hat and updates of the controller's last telemetry; None if none has come."""
+        for frame in reversed(self._said):
+            telemetry = decode_telemetry(frame, self.settings.subjects.telemetry)
+            if isinstance(telemetry, Telemetry):
+                return telemetry.x, telemetry.b_hat, telemetry.updates
+        return None
 
     def symptom(self) -> Symptom | None:
         """The first difference among the frames since the last comparison."""

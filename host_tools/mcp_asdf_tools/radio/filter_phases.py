@@ -9,6 +9,7 @@ from mcp_asdf.robot import Filter, Observation
 from mcp_asdf_tools.radio.bench import BURST, Bench
 from mcp_asdf_tools.radio.rounds import (
     CRAFTED_SIZES,
+    SCALES,
     Content,
     Update,
     any_content,
@@ -18,9 +19,17 @@ from mcp_asdf_tools.radio.rounds import (
     scaled_alphas,
     with_large_sums,
 )
+from mcp_asdf_tools.robots.record import RobotRecord
 
-LONG_RUN = 10_000
-"""Observations after which a controller must not have forgotten any, unless its memory is shorter."""
+LONG_RUN = 20_000
+"""Observations after which a controller must not have forgotten any, unless its memory is shorter: more than
+2**14, so that narrower counts show."""
+WHITE_TILES = 60
+"""Tiles before the re-estimate without a black one, beside those of earlier phases."""
+FEW_OBSERVATIONS = (250, 350, 480)
+"""Observations after which b_hat is re-estimated early."""
+FREQUENT_TESTS = 50
+"""Rounds between tests with which there is time for 2**8 updates."""
 
 _WANTED = (Update.ABOVE, Update.BELOW, Update.MAXIMUM, Update.MINIMUM, Update.ABOVE, Update.BELOW)
 """Updates of the rounds just outside their thresholds."""
@@ -48,8 +57,10 @@ def no_information(bench: Bench) -> None:
 
 def all_white(bench: Bench) -> None:
     """A re-estimate before the first black tile."""
-    bench.doing = "white tiles until the test"
-    bench.to_test(lambda: Observation.WHITE)
+    bench.doing = "white tiles, and then none until the test"
+    # So few that t is still small in the next phases.
+    bench.skip(WHITE_TILES, lambda: Observation.WHITE)
+    bench.to_test()
     bench.doing = "a re-estimate without a black tile"
     _crafted(bench, [(HALF // 2 + each, alpha) for each, alpha in enumerate(scaled_alphas(bench.draw, 5))])
 
@@ -97,6 +108,50 @@ def own_estimate(bench: Bench) -> None:
     _crafted(bench, [(bench.situation.x_hat, alpha) for alpha in scaled_alphas(bench.draw, 5)])
 
 
+def without_test(bench: Bench) -> None:
+    """Play rounds from which only a robot without a test re-estimates: one message, and its own estimate."""
+    _to_test(bench)
+    bench.doing = "a re-estimate from a single message"
+    bench.round(*far_away(bench.situation, bench.draw, m=1))
+    _to_test(bench)
+    bench.doing = "a re-estimate from messages equal to its own estimate"
+    bench.round(*((bench.situation.x_hat, alpha) for alpha in scaled_alphas(bench.draw, 5)))
+
+
+def few_observations(bench: Bench) -> None:
+    """Re-estimate b_hat after few observations, whose share of black tiles leaves b_hat off its limits."""
+    s = bench.firmware.s
+    for t in FEW_OBSERVATIONS:
+        if s.t > t:
+            continue
+        bench.doing = f"{t} observations"
+        bench.skip(t - s.t, lambda: Observation(5 * s.n < 3 * s.t))
+        for wanted in (Update.ABOVE, Update.BELOW):
+            bench.to_test()
+            contents = for_update(bench.situation, wanted, bench.draw)
+            if contents is not None:
+                bench.doing = f"a re-estimate after {s.t} observations"
+                bench.round(*contents)
+                bench.tick(None)
+
+
+def updates_to_see(record: RobotRecord) -> int:
+    """Return how often a run re-estimates: beyond 2**8 times where tests are frequent, else beyond 2**5."""
+    return 257 if record.filter_period <= FREQUENT_TESTS else 33
+
+
+def many_updates(bench: Bench) -> None:
+    """Re-estimate until a counter of too few bits shows, and from confidences of every scale."""
+    count = max(updates_to_see(bench.record) - bench.firmware.s.updates, len(SCALES))
+    for number in range(count):
+        bench.to_test(bench.any_observation)
+        bench.doing = "one of many re-estimates"
+        x_hats = [x_hat for x_hat, _ in far_away(bench.situation, bench.draw)]
+        alphas = scaled_alphas(bench.draw, len(x_hats), SCALES[number % len(SCALES)])
+        bench.round(*zip(x_hats, alphas, strict=True))
+        bench.tick(bench.any_observation())
+
+
 def no_test(bench: Bench) -> None:
     """Rounds before and after a test that it would reject, and one at the test with a single message."""
     _to_test(bench, before=1)
@@ -113,6 +168,10 @@ def no_test(bench: Bench) -> None:
 
 def updates(bench: Bench) -> None:
     """Re-estimates of each kind but the one that a phase of its own makes."""
+    s = bench.firmware.s
+    bench.doing = "more black tiles, for a b_hat that is off 1/2"
+    while 20 * s.n < 11 * s.t:
+        bench.skip(BURST, lambda: Observation.BLACK)
     for wanted in Update:
         if wanted not in (Update.HALF, Update.FAINT):
             _update(bench, wanted)

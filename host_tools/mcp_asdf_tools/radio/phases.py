@@ -60,6 +60,7 @@ def _has(filters: Collection[Filter], record: RobotRecord) -> bool:
 
 
 _tests, _votes = partial(_has, {Filter.ADAPTIVE}), partial(_has, {Filter.ROBUST})
+_always = partial(_has, {Filter.ALWAYS})
 _re_estimates = partial(_has, {Filter.ADAPTIVE, Filter.ALWAYS})
 
 PHASES: tuple[Phase, ...] = (
@@ -67,6 +68,7 @@ PHASES: tuple[Phase, ...] = (
     Phase("alone", protocol.alone),
     Phase("all white", filtering.all_white, applies=_re_estimates),
     Phase("first black tiles", protocol.first_black_tiles),
+    Phase("few observations", filtering.few_observations, applies=_re_estimates),
     Phase("few voices", robust.few_voices, applies=_votes),
     Phase("messages and silence", protocol.messages_and_silence),
     Phase("lost commands", protocol.lost_settles),
@@ -79,6 +81,7 @@ PHASES: tuple[Phase, ...] = (
     Phase("unusual commands", protocol.unusual_commands),
     Phase("extreme messages", protocol.extremes),
     Phase("same sender", protocol.same_sender),
+    Phase("a crowded tick", protocol.crowded_tick),
     Phase("its own id", protocol.own_id),
     Phase("unusual identifiers", protocol.unusual_messages),
     Phase("invalid frames", protocol.invalid),
@@ -87,17 +90,22 @@ PHASES: tuple[Phase, ...] = (
     Phase("rounds without a test", filtering.no_test, applies=_re_estimates),
     *(Phase(f"threshold of {m} messages", play, applies=_tests) for m, play in filtering.THRESHOLDS.items()),
     Phase("large sums", filtering.large_sums, applies=_tests),
+    Phase("re-estimates without a test", filtering.without_test, applies=_always),
     Phase("own estimate", filtering.own_estimate, applies=_tests),
     Phase("re-estimates", filtering.updates, applies=_re_estimates),
     Phase("estimates of 0 and 1", filtering.ends, applies=_re_estimates),
+    Phase("many updates", filtering.many_updates, applies=_re_estimates),
     Phase("votes", robust.votes, applies=_votes),
     Phase("moving up", robust.moving(ONE), applies=_votes),
     Phase("test of a moderate spread", robust.thresholds(robust.MODERATE), applies=_votes),
-    Phase("test of the least spread", robust.thresholds(robust.NARROW), applies=_votes),
+    Phase("centre at 1/2", robust.uninformative, applies=_votes),
+    Phase("limits of the trend", robust.trend_limits, applies=_votes),
     Phase("moving down", robust.moving(0), applies=_votes),
-    Phase("many votes", robust.many_votes, applies=_votes),
     Phase("halvings", filtering.halvings, applies=is_halved),
     Phase("long run", filtering.long_run, applies=lambda record: not is_halved(record)),
+    Phase("test of the least spread", robust.thresholds(robust.NARROW), applies=_votes),
+    Phase("many rejections", robust.many_updates, applies=_votes),
+    Phase("many votes", robust.many_votes, applies=_votes),
     Phase("among neighbours"),
     Phase("loss", fault="loss=0.5,receivers={me}"),
     Phase("delay", fault="delay=0.5,ticks=3,receivers={me}"),

@@ -10,7 +10,7 @@ from typing import Any
 
 import can
 
-from mcp_asdf.robot import Filter, Observation
+from mcp_asdf.robot import MAX_ID, Filter, Observation
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Q23_ONE, Action
 from mcp_asdf_tools.bus.frames import (
     Command,
@@ -30,6 +30,10 @@ ALONE_TICKS = 72
 STRAY_REPEATS = 3
 SIZES = (2, 3, 5, 10, 30, 33, 64, 126)
 """Messages of growing rounds."""
+CROWDED_REPEATS = 4
+"""Messages of each sender but the last one in the tick with most messages."""
+CROWDED_MESSAGES = CROWDED_REPEATS * (MAX_ID - 1) + 1
+"""Messages of that tick."""
 
 
 Change = Callable[[can.Message], object]
@@ -294,6 +298,17 @@ def growing_rounds(bench: Bench) -> None:
     for size in SIZES:
         bench.avoid_test(f"a round of {size} messages")
         bench.round(*(any_content(bench.draw) for _ in range(size)))
+
+
+def crowded_tick(bench: Bench) -> None:
+    """Send hundreds of messages in a tick, most of them repeated ones; the last counts: its sender is new."""
+    *senders, last_sender = bench.others
+    bench.avoid_test(f"a tick with {CROWDED_MESSAGES} messages")
+    sequence = senders * CROWDED_REPEATS + [last_sender]
+    frames = bench.messages([(sender, any_content(bench.draw)) for sender in sequence])
+    bench.skip(-bench.model.ticks % bench.record.comms_period)
+    bench.tick(bench.any_observation(), frames)
+    bench.skip(-bench.model.ticks % bench.record.comms_period)
 
 
 def extremes(bench: Bench) -> None:

@@ -8,7 +8,15 @@ from dataclasses import dataclass
 from enum import Enum
 from math import isqrt
 
-from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, HALF, ONE, add_estimate
+from mcp_asdf.fixed_point import (
+    ALPHA_MAX,
+    B_HAT_MAX,
+    B_HAT_MIN,
+    HALF,
+    ONE,
+    add_estimate,
+    alpha_word_from_units,
+)
 from mcp_asdf.mirror import Closed, asdf_test_rejects, reestimate, round_mean
 from mcp_asdf.robot import Sums
 from mcp_asdf.table import FRACTION_BITS, Table
@@ -51,8 +59,45 @@ _TARGETS = {
 }
 """x_bar for each update where a bit more than half of the observations are black; exactly half for HALF, and
 nearly half for FAINT."""
-_SCALES = ((0, 4), (1, 17), (24, 31))
-"""Shifts of the confidences of a round: with sums below 2**32 units, those of robots, and above 2**45."""
+SCALES = ((1, 4), (10, 20), (24, 28), (25, 41), (48, 55))
+"""Bits of the confidences of a round, in units of 2**-24.
+
+Five of them have sums below 2**9 units, where eq. 8 shifts up instead of down, below 2**24 (alpha = 1), below
+2**32, sums as robots have them, and above 2**45.
+"""
+_LEAST_PAIRED = 4
+"""Messages from which on a round at a threshold has pairs of nearly equal estimates."""
+_TRIES_FOR_FLOATS, _LARGE_ROUND = 60, 100
+"""Rounds that are drawn to find one about which a test in float64 errs, below so many messages."""
+_LARGE_TRIES = 1500
+"""The same from there on, where sums have more bits than a float64: of a hundred draws one or two serve."""
+_LEAST_DISTANCE = 1 << 15
+"""Between own estimate and mean at a threshold, so that one unit is at most a ten-thousandth of k_m."""
+_LEAST_SPREAD, _MOST_SKEW = 0.05, 6
+"""Estimates at a threshold are spread over this share of the room and more, most of them near its beginning:
+around their mean they would not fit where the own estimate is 0 or 1."""
+_TARGETS = {
+    Update.ABOVE: (0.65, 0.98),
+    Update.BELOW: (0.02, 0.35),
+    Update.MAXIMUM: (0.51, 0.58),
+    Update.MINIMUM: (0.42, 0.49),
+    Update.HALF: (0.7, 0.95),
+    Update.KEPT: (0.5, 0.5),
+    Update.FAINT: (0.7, 0.95),
+}
+"""x_bar for each update where a bit more than half of the observations are black; exactly half for HALF, and
+nearly half for FAINT."""
+SCALES = ((1, 4), (10, 20), (24, 28), (25, 41), (48, 55))
+"""Bits of the confidences of a round, in units of 2**-24.
+
+Five of them have sums below 2**9 units, where eq. 8 shifts up instead of down, below 2**24 (alpha = 1), below
+2**32, sums as robots have them, and above 2**45.
+"""
+_LEAST_PAIRED = 4
+"""Messages from which on a round at a threshold has pairs of nearly equal estimates."""
+_TRIES_FOR_FLOATS, _LARGE_ROUND = 60, 100
+"""Rounds that are drawn to find one about which a test in float64 errs, below so many messages. Larger rounds
+have sums of more bits than a float64, so that more draws are worth their time."""
 
 
 @dataclass(frozen=True)
@@ -98,10 +143,11 @@ def ordinary_alpha(draw: random.Random, most: int = 17) -> int:
     return (1 << 23 | draw.getrandbits(23)) << 8 | draw.randint(1, most)
 
 
-def scaled_alphas(draw: random.Random, m: int) -> list[int]:
-    """Confidences of a round, all of one scale: small, as robots have them, or large."""
-    least, most = draw.choice(_SCALES)
-    return [(1 << 23 | draw.getrandbits(23)) << 8 | draw.randint(least, most) for _ in range(m)]
+def scaled_alphas(draw: random.Random, m: int, scale: tuple[int, int] | None = None) -> list[int]:
+    """Return the alpha words of a round, all of one scale: by default any of ``SCALES``."""
+    least, most = draw.choice(SCALES) if scale is None else scale
+    bit_lengths = [draw.randint(least, most) for _ in range(m)]
+    return [alpha_word_from_units(1 << bits - 1 | draw.getrandbits(bits - 1)) for bits in bit_lengths]
 
 
 def any_content(draw: random.Random, most: int = 17) -> Content:
@@ -112,47 +158,112 @@ def any_content(draw: random.Random, most: int = 17) -> Content:
 def at_threshold(
     situation: Situation, m: int, wanted: Update, draw: random.Random
 ) -> tuple[list[Content], list[Content]]:
-    """Two rounds of ``m`` messages, of which the test passes one and rejects the other.
+    """Return two rounds of ``m`` messages as close to the threshold as estimates of 2**-23 can be.
 
-    They differ in one unit of 2**-23 of every estimate. The update of the second is the ``wanted`` one if
-    confidences can be found for it.
+    The test passes the first one and rejects the second. Rounds about which a test in floating point errs are
+    preferred, and among them those whose re-estimate is the ``wanted`` one.
     """
-    found: tuple[list[Content], list[Content]] | None = None
-    for _ in range(_TRIES):
+    best: tuple[list[Content], list[Content]] | None = None
+    best_rank = (-1, False)
+    most_tries, tries_for_floats = _TRIES, _TRIES_FOR_FLOATS
+    if m >= _LARGE_ROUND:
+        most_tries = tries_for_floats = _LARGE_TRIES
+    for tries in range(most_tries):
         values = _values_at_threshold(situation, m, draw)
         if values is None:
             continue
         alphas = scaled_alphas(draw, m)
-        inside, outside = (list(zip(each, alphas, strict=True)) for each in values)
+        inside, outside = (list(zip(estimates, alphas, strict=True)) for estimates in values)
         update = situation.update(outside)
-        if update is wanted or (found is None and update is not Update.KEPT):
-            found = inside, outside
-        if update is wanted:
+        if update is Update.KEPT:
+            continue  # would not show that the test has rejected
+        rank = (_misled_float_tests(situation, values), update is wanted)
+        if rank > best_rank:
+            best, best_rank = (inside, outside), rank
+        if best_rank == (2, True) or (best_rank[1] and tries >= tries_for_floats):
             break
-    assert found is not None, f"no round of {m} messages lies at the threshold of {situation}"
-    return found
+    assert best is not None, f"no round of {m} messages lies at the threshold of {situation}"
+    return best
 
 
 def _values_at_threshold(
     situation: Situation, m: int, draw: random.Random
 ) -> tuple[list[int], list[int]] | None:
-    """Estimates just inside and just outside the threshold; None if those drawn do not fit into [0, 1]."""
+    """Return estimates just inside and just outside the threshold; None if those drawn leave [0, 1]."""
     assert situation.table is not None
     own = situation.x_hat
+    entry = situation.table.entry(m)
     is_above = own < HALF or (own == HALF and draw.random() < 0.5)
     step = 1 if is_above else -1
-    width, power = max(own, ONE - own) * draw.uniform(_LEAST_SPREAD, 1), draw.uniform(1, _MOST_SKEW)
-    spread = [step * round(width * draw.random() ** power) for _ in range(m)]
-    total = sum(spread)
-    square = m * sum(each * each for each in spread) - total * total
-    least = isqrt(situation.table.entry(m) * square >> FRACTION_BITS) + 1  # of |Sum x - m x_hat| that rejects
+    # Rounds with the largest sums are those of which floats lose bits.
+    least_spread = 0.8 if m >= _LARGE_ROUND else _LEAST_SPREAD
+    width, power = max(own, ONE - own) * draw.uniform(least_spread, 1), draw.uniform(1, _MOST_SKEW)
+    # Of many estimates most are equal in pairs: moving such a pair apart changes the scatter in fine steps.
+    distinct = m if m < _LEAST_PAIRED else (m + 1) // 2
+    distances = [step * round(width * draw.random() ** power) for _ in range(distinct)]
+    spread = sorted(distances + distances[: m - distinct])
+    least = isqrt(entry * _scatter(spread) >> FRACTION_BITS) + 1  # of |Sum x - m x_hat| that rejects
     if least < m * _LEAST_DISTANCE:
         return None
     # The smallest shift whose sum is far enough from the own estimate, upwards or downwards.
+    total = sum(spread)
     shift = -((total - least) // m) if is_above else (-least - total) // m
-    outside = [own + each + shift for each in spread]
-    inside = [each - step for each in outside]
-    return (inside, outside) if all(0 <= each <= ONE for each in (*inside, *outside)) else None
+    values = [own + distance + shift for distance in spread]
+    difference = sum(values) - m * own
+    # Eq. 12 rejects while entry * scatter < difference**2 * 2**FRACTION_BITS.
+    largest_rejected = ((difference * difference << FRACTION_BITS) - 1) // entry
+    missing = largest_rejected - _scatter(values)
+    if missing < 0:
+        return None
+    outside = _with_scatter(values, largest_rejected, False)
+    inside = _with_scatter(values, largest_rejected + 1, True)
+    if not all(0 <= x <= ONE for x in (*inside, *outside)):
+        return None
+    return inside, outside
+
+
+def _scatter(values: Sequence[int]) -> int:
+    """Return m Sum x^2 - (Sum x)^2, which is m (m - 1) times the variance of ``values``."""
+    total = sum(values)
+    return len(values) * sum(x * x for x in values) - total * total
+
+
+def _with_scatter(values: Sequence[int], wanted: int, is_at_least: bool) -> list[int]:
+    """Move estimates apart in pairs, so that their sum stays, until their scatter just reaches ``wanted``.
+
+    The scatter ends at ``wanted`` or slightly above with ``is_at_least``, else there or slightly below. It
+    must not be above before. Each pair takes nearly all of what the pairs before it have left.
+    """
+    m = len(values)
+    changed, missing = list(values), wanted - _scatter(values)
+    last_pair = m // 2 * 2 - 2
+    for low in range(0, last_pair + 2, 2):
+        # Moving two estimates apart by ``move`` each adds 2 m move (gap + move) to the scatter.
+        gap = changed[low + 1] - changed[low]
+        move = (isqrt(gap * gap + 2 * missing // m) - gap) // 2
+        if is_at_least and low == last_pair:
+            while 2 * m * move * (gap + move) < missing:
+                move += 1
+        changed[low] -= move
+        changed[low + 1] += move
+        missing -= 2 * m * move * (gap + move)
+    return changed
+
+
+def _misled_float_tests(situation: Situation, rounds: Sequence[Sequence[int]]) -> int:
+    """Return how many of two tests in float64 do not tell a round inside the threshold from one outside.
+
+    The first computes all of eq. 12 in float64, the second its right side alone.
+    """
+    assert situation.table is not None
+    factor = situation.table.entry(len(rounds[0])) / 2**FRACTION_BITS
+    first_test, second_test = [], []
+    for values in rounds:
+        difference = sum(values) - len(values) * situation.x_hat
+        limit = factor * float(_scatter(values))
+        first_test.append(float(difference) * float(difference) > limit)
+        second_test.append(difference * difference > int(limit))
+    return (first_test != [False, True]) + (second_test != [False, True])
 
 
 def for_update(situation: Situation, wanted: Update, draw: random.Random, m: int = 5) -> list[Content] | None:

@@ -16,8 +16,10 @@ import can
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.radio.bench import Bench, BenchOptions, Differs, Disturbed
+from mcp_asdf_tools.radio.filter_phases import updates_to_see
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, is_halved, is_in_reach
+from mcp_asdf_tools.radio.protocol_phases import CROWDED_MESSAGES
 from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.record import RobotRecord
@@ -144,6 +146,12 @@ def not_checked(record: RobotRecord) -> list[str]:
         (record.comms_period == 1, "rounds longer than a tick: it broadcasts in each"),
         (not is_halved(record), f"forgetting: its memory is {config.memory}, too long for a run"),
         (filters and config.filter is not Filter.ROBUST, "a re-estimate before its first white tile"),
+        (filters, f"a counter of more than {updates_to_see(record)} updates"),
+        (
+            filters and config.filter is not Filter.ROBUST,
+            "a re-estimate from tiles of both colours before some 200 observations",
+        ),
+        (True, f"more than {CROWDED_MESSAGES} messages in a tick"),
         (True, "its own clock, sensor and telemetry period: commands replace them"),
         (True, "saving and restoring of its state"),
         (True, "its behaviour on a bus with error frames, CAN FD frames or a bus-off of its own"),
@@ -180,6 +188,12 @@ class Verification:
                 self._run_phase(phase, result)
             bench.listen_on()
             verdict.not_exercised = self._not_exercised()
+            counts = bench.firmware.s
+            verdict.not_checked.append(f"counts above t = {counts.t} and n = {counts.n}")
+            verdict.not_checked += [
+                f"whether it {mistake}: no frame of this run would have shown it"
+                for mistake in bench.lineup.models
+            ]
         except KeyboardInterrupt:
             verdict.is_interrupted = True
         except (Disturbed, can.CanError) as error:
