@@ -128,7 +128,7 @@ class WrongRobust(MirrorRobot):
             self.senders |= {sender % self.rules.voice_modulus}
         return status
 
-    def _crowd_b_hat(self) -> int | None:
+    def _run_robust_filter(self) -> int | None:
         s, crowd, rules = self.s, self.s.crowd, self.rules
         has_voices = len(self.senders) >= 3
         if not rules.least_trend <= crowd.trend <= rules.largest_trend:
@@ -152,7 +152,7 @@ class WrongRobust(MirrorRobot):
 class FloatAdaptive(MirrorRobot):
     """The firmware's model with the paper's test in float64."""
 
-    def _round_b_hat(self) -> int | None:
+    def _run_asdf_filter(self) -> int | None:
         table, sums = self.config.table, self.s.open
         if table is None or sums.count < 2 or not rejects_in_float64(table, sums, self.s.x_hat):
             return None
@@ -161,7 +161,7 @@ class FloatAdaptive(MirrorRobot):
     def _always_b_hat(self) -> int | None:
         """Return the b_hat of a re-estimate without a test."""
         always = model_of(MirrorRobot, self, replace(self.config, filter=Filter.ALWAYS))
-        return always._round_b_hat()
+        return always._run_asdf_filter()
 
 
 def rejects_in_float64(table: Table, sums: Sums, x_hat: int) -> bool:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mcp_asdf.fixed_point import ONE
-from mcp_asdf.mirror import Crowd, vote
+from mcp_asdf.mirror import Crowd, update_crowd
 from mcp_asdf_tools.radio.robust_phases import moves_to_trend, votes_to_centre
 
 
@@ -23,7 +23,7 @@ def test_votes_move_the_centre_to_the_unit_that_is_asked_for(centre: int, offset
     values = votes_to_centre(crowd, centre + offset)
     assert values is not None
     for value in values:
-        vote(crowd, 0, value)
+        update_crowd(crowd, 0, value)
     assert crowd.centre == centre + offset
 
 
@@ -45,7 +45,7 @@ def test_moves_bring_the_trend_to_each_of_its_limits(target: int) -> None:
     moves = moves_to_trend(crowd.trend, target)
     assert moves is not None
     for move in moves:
-        vote(crowd, 0, {1: ONE, 0: crowd.centre >> 7, -1: 0}[move])
+        update_crowd(crowd, 0, {1: ONE, 0: crowd.centre >> 7, -1: 0}[move])
     assert crowd.trend == target
 
 
