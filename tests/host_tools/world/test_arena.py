@@ -128,7 +128,7 @@ def test_links_are_those_of_the_definition(settings: WorldSettings) -> None:
     assert 0 < linked < near * (0.8 if settings is CROWD else 1.1), "a body between does cut links"
 
 
-def watched_by_definition(arena: Arena) -> list[list[int]]:
+def candidates_by_definition(arena: Arena) -> list[list[int]]:
     """All pairs that could hear, see or touch each other within 12 ticks, in order."""
     settings = arena.settings
     limit = max(settings.radio_range, 2 * RADIUS + max(0.12, 2 * settings.speed * TICK))
@@ -148,8 +148,8 @@ def test_the_grid_of_many_robots_finds_the_pairs_of_all_compared(density: float)
         )
         arena = Arena(settings, 1)
         for _ in range(2):
-            watched = arena._arena.watched[0 : arena._arena.watched_count]
-            assert [[pair.a, pair.b] for pair in watched] == watched_by_definition(arena), settings
+            candidates = arena._arena.candidates[0 : arena._arena.candidate_count]
+            assert [[pair.a, pair.b] for pair in candidates] == candidates_by_definition(arena), settings
             arena.step(13)  # to the next look
     motion = arena.record(1)
     assert np.array_equal(motion.adjacency[-1], links_by_definition(motion.position[-1], settings))
@@ -198,7 +198,7 @@ def test_wheels_follow_the_rules_with_their_two_thresholds() -> None:
     for bearing, length in zip(np.radians(bearings), lengths, strict=True):
         ahead, left = float(length * np.cos(bearing)), float(length * np.sin(bearing))
         _arena.lib.mcp_asdf_arena_steer(arena._arena, 0, ahead, left)
-        found = arena._arena.wanted_speed[0], arena._arena.wanted_spin[0]
+        found = arena._arena.target_speed[0], arena._arena.target_spin[0]
         expected = rules.steer(ahead, left, 0.1414)
         assert found == pytest.approx(expected, abs=1e-12), f"{ahead}, {left}, {rules.state}"
         states.add((rules.state, arena._arena.wheels[0]))

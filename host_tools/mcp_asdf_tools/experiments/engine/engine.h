@@ -1,15 +1,16 @@
 /* Many robots, driven through the firmware's own functions. For PCs only.
  *
- * A trial is N robots that take T steps together: all observe, each hears others, all settle. In a fully
- * connected swarm each hears all others (latency 0 of Algorithm 1); in a moving world, arena.h, those that
- * are linked in this step; in a graph, those from which an arc leads to it. A trial depends on the
+ * A trial is N robots that take T steps together: all observe, each receives from others, all settle. In a
+ * fully connected swarm each receives from all others (latency 0 of Algorithm 1); in a moving world, arena.h,
+ * those that are linked in this step; in a graph, those from which an arc leads to it. A trial depends on the
  * experiment, the seed and its number alone, not on the other trials of a call or on how they are run;
  * docs/experiments.md describes the draws. Nothing here is static or shared: any number of threads may run
  * trials at once.
  *
- * Ids have 16 bits here, 7 in the firmware, whose rounds end at 127 messages: no robot may hear more than 127
- * others in a step. Where there are more than 128 robots, one hears another under its id modulo 128, without
- * the check for repeats, as nothing arrives twice; the robust filter looks at the id modulo 32 alone.
+ * Ids have 16 bits here, 7 in the firmware, whose rounds end at 127 messages: no robot may receive from
+ * more than 127 others in a step. Where there are more than 128 robots, one receives from another under its
+ * id modulo 128, without the check for repeats, as nothing arrives twice; the robust filter looks at the id
+ * modulo 32 alone.
  *
  * The engine draws observations, carries messages and keeps results. All estimates come from the core, which
  * is compiled into it (lanes.c).
@@ -23,7 +24,7 @@
 #include "mcp_asdf.h"
 
 #define MCP_ASDF_ENGINE_MAX_ROBOTS MCP_ASDF_ARENA_MAX_ROBOTS
-#define MCP_ASDF_ENGINE_MAX_CONNECTED 128           /* robots, where each hears all others */
+#define MCP_ASDF_ENGINE_MAX_CONNECTED 128           /* robots, where each receives from all others */
 #define MCP_ASDF_ENGINE_CERTAIN (UINT32_C(1) << 31) /* probability 1 of an observation */
 
 /* A run of trials, which must be in these ranges: the tools check them (experiment.py).
@@ -42,7 +43,7 @@
  *   sampling_interval  record every robot each `sampling_interval` steps; 0 for never
  *   observation_period  steps between observations, the first in step `observation_period`; 1 or more
  *   arenas        NULL where nobody moves; otherwise [trials] worlds of `robots` robots that differ in seeds
- *   arcs          NULL unless a graph says who hears whom: `arc_count` pairs, b hears a, by rising a
+ *   arcs          NULL unless there is a graph: `arc_count` pairs, b receives from a, in ascending order of a
  *   latency       0: a message reaches the robots linked to its sender in its step; 1: in the next. Fully
  *                 connected 0
  *   liars         number of robots that broadcast a lie in place of their estimates, 0 .. N: the last ones

@@ -14,16 +14,16 @@
 
 #include "lanes.h"
 
-/* The sums of lane l's message alone. */
-ALWAYS_INLINE void say(lanes_t *row, size_t l)
+/* Form the sums of a round in which the message of lane l is the only one. */
+ALWAYS_INLINE void form_message_sums(lanes_t *row, size_t l)
 {
     const word_pair_t alpha = alpha_units(row->alpha[l]);
-    row->said.alpha[l] = join(alpha.high, alpha.low);
-    row->said.alpha_x_low[l] = multiply(alpha.low, row->x_hat[l]);
-    row->said.alpha_x_high[l] = multiply(alpha.high, row->x_hat[l]);
+    row->message_sums.alpha[l] = join(alpha.high, alpha.low);
+    row->message_sums.alpha_x_low[l] = multiply(alpha.low, row->x_hat[l]);
+    row->message_sums.alpha_x_high[l] = multiply(alpha.high, row->x_hat[l]);
 }
 
-void lanes_load(lanes_t *row, uint32_t l, const mcp_asdf_t *robot)
+void lanes_load_robot(lanes_t *row, uint32_t l, const mcp_asdf_t *robot)
 {
     row->n[l] = robot->n;
     row->x_hat[l] = robot->x_hat;
@@ -39,7 +39,7 @@ void lanes_load(lanes_t *row, uint32_t l, const mcp_asdf_t *robot)
     row->voices[l] = robot->crowd.voices;
     row->votes[l] = robot->crowd.votes;
     row->trend[l] = robot->crowd.trend;
-    say(row, l);
+    form_message_sums(row, l);
 }
 
 FOR_EACH_TARGET void lanes_observe(lanes_t *rows, uint32_t count, uint32_t t, uint32_t k)
@@ -49,28 +49,29 @@ FOR_EACH_TARGET void lanes_observe(lanes_t *rows, uint32_t count, uint32_t t, ui
         for (uint32_t l = 0; l < LANES; ++l) {
             const mcp_asdf_accuracy_t accuracy = {row->b_hat[l], row->c[l],       row->common[l],
                                                   row->rare[l],  row->g_shift[l], row->rare_shift[l]};
-            const estimate_t own = estimate(t, row->n[l] += lanes_black(row, l, k), &accuracy);
-            row->x_hat[l] = own.x_hat;
-            row->alpha[l] = own.alpha;
-            say(row, l);
+            const estimate_t message = estimate(t, row->n[l] += lanes_is_black(row, l, k), &accuracy);
+            row->x_hat[l] = message.x_hat;
+            row->alpha[l] = message.alpha;
+            form_message_sums(row, l);
         }
     }
 }
 
-FOR_EACH_TARGET void lanes_inform(lanes_t *rows, uint32_t count, uint32_t kept)
+FOR_EACH_TARGET void lanes_settle_sums(lanes_t *rows, uint32_t count, uint32_t x_row)
 {
     for (lanes_t *row = rows; row < rows + count; ++row) {
         SIDE_BY_SIDE
         for (uint32_t l = 0; l < LANES; ++l) {
-            const mcp_asdf_closed_t closed = {row->heard.alpha[l], row->heard.alpha_x_low[l],
-                                              row->heard.alpha_x_high[l]};
-            row->x[kept][l] = informed_estimate(&closed, row->x_hat[l], row->alpha[l]);
-            row->heard.alpha[l] = row->heard.alpha_x_low[l] = row->heard.alpha_x_high[l] = 0;
+            const mcp_asdf_closed_t closed = {row->round_sums.alpha[l], row->round_sums.alpha_x_low[l],
+                                              row->round_sums.alpha_x_high[l]};
+            row->x[x_row][l] = informed_estimate(&closed, row->x_hat[l], row->alpha[l]);
+            row->round_sums.alpha[l] = row->round_sums.alpha_x_low[l] = row->round_sums.alpha_x_high[l] = 0;
         }
     }
 }
 
-/* A vote of `sender` in lane l, if its alpha is not 0: both ways are computed. */
+/* Count the message of robot `sender` as a vote in lane l, unless its alpha is 0. Both outcomes are computed
+ * and one is selected: vectors have no branches. */
 ALWAYS_INLINE void vote_in_lane(lanes_t *row, size_t l, uint32_t sender, uint32_t x_hat, uint32_t alpha)
 {
     const crowd_statistics_t before = {row->centre[l], row->spread[l], row->votes[l], row->trend[l]};
@@ -83,12 +84,13 @@ ALWAYS_INLINE void vote_in_lane(lanes_t *row, size_t l, uint32_t sender, uint32_
     row->voices[l] |= (uint32_t)counts << (sender & 31U);
 }
 
-void lanes_vote(lanes_t *row, uint32_t receiver, const lanes_t *other, uint32_t sender)
+void lanes_receive_vote(lanes_t *row, uint32_t receiver, const lanes_t *sender_row, uint32_t sender)
 {
-    vote_in_lane(row, receiver, other->robot[sender], other->x_hat[sender], other->alpha[sender]);
+    vote_in_lane(row, receiver, sender_row->robot[sender], sender_row->x_hat[sender],
+                 sender_row->alpha[sender]);
 }
 
-FOR_EACH_TARGET void lanes_vote_all(lanes_t *rows, uint32_t robots)
+FOR_EACH_TARGET void lanes_receive_all_votes(lanes_t *rows, uint32_t robots)
 {
     for (uint32_t sender = 0; sender < robots; ++sender) {
         const lanes_t *const from = &rows[sender];
@@ -101,18 +103,18 @@ FOR_EACH_TARGET void lanes_vote_all(lanes_t *rows, uint32_t robots)
     }
 }
 
-FOR_EACH_TARGET void lanes_centre(lanes_t *rows, uint32_t count, uint32_t kept)
+FOR_EACH_TARGET void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t x_row)
 {
     for (lanes_t *row = rows; row < rows + count; ++row) {
         SIDE_BY_SIDE
         for (uint32_t l = 0; l < LANES; ++l) {
             const mcp_asdf_t robot = {.crowd = {.centre = row->centre[l], .votes = (uint16_t)row->votes[l]}};
-            row->x[kept][l] = crowd_estimate(&robot, row->x_hat[l]);
+            row->x[x_row][l] = crowd_estimate(&robot, row->x_hat[l]);
         }
     }
 }
 
-void lanes_unload(const lanes_t *row, uint32_t l, mcp_asdf_t *robot)
+void lanes_store_filter(const lanes_t *row, uint32_t l, mcp_asdf_t *robot)
 {
     robot->crowd.centre = row->centre[l];
     robot->crowd.spread = row->spread[l];

@@ -8,7 +8,7 @@
 #include "targets.h"
 
 #define LANES 16 /* side by side */
-#define STEPS_KEPT 32
+#define STEPS_IN_ROW 32
 
 /* The sums of a message or of a round, as in mcp_asdf_closed_t, by lane. */
 typedef struct {
@@ -17,15 +17,15 @@ typedef struct {
     uint64_t alpha_x_high[LANES];
 } lanes_sums_t;
 
-/* Robots side by side, by lane.
- *   n .. trend     members of mcp_asdf_t, of its accuracy and of its crowd
- *   trial, robot   whose draws it has
- *   words          draws of four steps
- *   limit          of a draw for black; 0 for idle lanes, whose n must not pass t
- *   messages       how many it heard from its neighbours since the last step of the firmware
- *   said           its message alone
- *   heard          its round so far
- *   x              informed estimates of the last steps */
+/* A row of robots side by side: entry l of each array describes lane l.
+ *   n .. trend      members of mcp_asdf_t, of its accuracy and of its robust filter
+ *   trial, robot    numbers of the trial and the robot, which decide the draws
+ *   draws           random words of four steps
+ *   black_limit     black is observed if the draw is below this; 0 for idle lanes, whose n must not pass t
+ *   message_count   messages from linked robots since the last step of the firmware
+ *   message_sums    sums of the robot's own message alone
+ *   round_sums      sums of the messages received in this round
+ *   x               informed estimates of the last steps, Q23 */
 typedef struct {
     uint32_t n[LANES];
     uint32_t x_hat[LANES];
@@ -43,40 +43,42 @@ typedef struct {
     uint32_t trend[LANES];
     uint32_t trial[LANES];
     uint32_t robot[LANES];
-    uint32_t words[4][LANES];
-    uint32_t limit[LANES];
-    uint32_t messages[LANES];
-    lanes_sums_t said;
-    lanes_sums_t heard;
-    uint32_t x[STEPS_KEPT][LANES];
+    uint32_t draws[4][LANES];
+    uint32_t black_limit[LANES];
+    uint32_t message_count[LANES];
+    lanes_sums_t message_sums;
+    lanes_sums_t round_sums;
+    uint32_t x[STEPS_IN_ROW][LANES];
 } lanes_t;
 
 /* Whether lane l observes black in step k: 1 or 0. */
-IN_LOOPS uint32_t lanes_black(const lanes_t *row, uint32_t l, uint32_t k)
+IN_LOOPS uint32_t lanes_is_black(const lanes_t *row, uint32_t l, uint32_t k)
 {
-    return row->words[k % 4][l] >> 1 < row->limit[l];
+    return row->draws[k % 4][l] >> 1 < row->black_limit[l];
 }
 
-/* Copy a robot's values into lane l, which says what the robot says. */
-void lanes_load(lanes_t *row, uint32_t l, const mcp_asdf_t *robot);
+/* Copy a robot's values into lane l, and form the sums of its message. */
+void lanes_load_robot(lanes_t *row, uint32_t l, const mcp_asdf_t *robot);
 
-/* What the lanes of `count` rows observe in step k is their t-th observation: they estimate, and say so. */
+/* Let the robots of `count` rows make their t-th observation, in step k: n, x_hat, alpha and the sums of the
+ * message change. */
 void lanes_observe(lanes_t *rows, uint32_t count, uint32_t t, uint32_t k);
 
-/* The informed estimates after a round are x[kept]; the next round is empty. */
-void lanes_inform(lanes_t *rows, uint32_t count, uint32_t kept);
+/* End the round of robots with the paper's filter or none: informed estimates go to x[x_row], and the next
+ * round is empty. */
+void lanes_settle_sums(lanes_t *rows, uint32_t count, uint32_t x_row);
 
-/* With the robust filter: the message of lane `sender` of `other` is a vote in lane `receiver`. */
-void lanes_vote(lanes_t *row, uint32_t receiver, const lanes_t *other, uint32_t sender);
+/* Let the message of lane `sender` of `sender_row` be a vote in the robust filter of lane `receiver`. */
+void lanes_receive_vote(lanes_t *row, uint32_t receiver, const lanes_t *sender_row, uint32_t sender);
 
-/* The same of all messages of fully connected swarms, LANES of them side by side with a row for each robot:
- * senders in ascending order. */
-void lanes_vote_all(lanes_t *rows, uint32_t robots);
+/* Let all messages in fully connected swarms be votes, senders in ascending order. LANES swarms run side by
+ * side, with a row for each robot. */
+void lanes_receive_all_votes(lanes_t *rows, uint32_t robots);
 
-/* With the robust filter: the informed estimates are x[kept]. */
-void lanes_centre(lanes_t *rows, uint32_t count, uint32_t kept);
+/* End the round of robots with the robust filter: informed estimates go to x[x_row]. */
+void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t x_row);
 
-/* Bring a robot's crowd to that of lane l. */
-void lanes_unload(const lanes_t *row, uint32_t l, mcp_asdf_t *robot);
+/* Copy the robust filter's values of lane l into a robot. */
+void lanes_store_filter(const lanes_t *row, uint32_t l, mcp_asdf_t *robot);
 
 #endif

@@ -10,20 +10,21 @@
 
 #define PHILOX_ROUNDS 10
 
+/* Four words: a counter, or what is drawn for it. */
 typedef struct {
     uint32_t word[4];
 } philox_t;
 
-/* One round on counter `c`; the key's words grow by the last two constants from round to round. Products are
- * exact. */
-IN_LOOPS philox_t philox_round(philox_t c, uint32_t k0, uint32_t k1)
+/* One round on a counter, with the round's key. Products are exact. */
+IN_LOOPS philox_t philox_round(philox_t counter, uint32_t k0, uint32_t k1)
 {
-    const uint64_t first = (uint64_t)c.word[0] * UINT32_C(0xD2511F53);
-    const uint64_t second = (uint64_t)c.word[2] * UINT32_C(0xCD9E8D57);
-    return (philox_t){{(uint32_t)(second >> 32) ^ c.word[1] ^ k0, (uint32_t)second,
-                       (uint32_t)(first >> 32) ^ c.word[3] ^ k1, (uint32_t)first}};
+    const uint64_t product0 = (uint64_t)counter.word[0] * UINT32_C(0xD2511F53);
+    const uint64_t product2 = (uint64_t)counter.word[2] * UINT32_C(0xCD9E8D57);
+    return (philox_t){{(uint32_t)(product2 >> 32) ^ counter.word[1] ^ k0, (uint32_t)product2,
+                       (uint32_t)(product0 >> 32) ^ counter.word[3] ^ k1, (uint32_t)product0}};
 }
 
+/* Four random words, a function of counter and key alone. The key grows by constants from round to round. */
 IN_LOOPS philox_t philox(philox_t counter, uint32_t k0, uint32_t k1)
 {
 #if defined(__GNUC__) && !defined(__clang__)

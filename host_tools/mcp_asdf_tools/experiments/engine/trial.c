@@ -1,8 +1,8 @@
-/* One trial of robots that are the firmware: start, tick, and what is kept of each step. */
+/* One trial of robots that are the firmware: its start, its steps, and the results of each. */
 #include "trial.h"
 
-/* Ticks from one run of the filter to the next. */
-static uint64_t filter_ticks(const mcp_asdf_experiment_t *experiment)
+/* Steps from one test of the filter to the next. */
+static uint64_t steps_between_tests(const mcp_asdf_experiment_t *experiment)
 {
     return (uint64_t)experiment->configs[0]->filter_period * experiment->comms_period;
 }
@@ -16,19 +16,20 @@ uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment)
     return is_same ? 1 : experiment->robots;
 }
 
-trial_t trial_part(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome, uint32_t index)
+trial_t trial_outcome(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome,
+                      uint32_t index)
 {
     const size_t count = experiment->robots, steps = experiment->steps;
-    const size_t records =
-        experiment->sampling_interval == 0 ? 0 : steps / experiment->sampling_interval * count;
+    const uint32_t interval = experiment->sampling_interval;
+    const size_t records = interval == 0 ? 0 : steps / interval * count;
     return (trial_t){outcome->robots + index * count,
                      outcome->x + (size_t)index * mcp_asdf_engine_columns(experiment) * (steps + 1),
-                     outcome->b_hat + index * (steps / filter_ticks(experiment)) * count,
+                     outcome->b_hat + index * (steps / steps_between_tests(experiment)) * count,
                      records == 0 ? 0 : outcome->records + index * records};
 }
 
 /* Sums of all messages but one: exact, so equal to adding the others. */
-static mcp_asdf_open_t without(mcp_asdf_open_t all, const mcp_asdf_open_t *one)
+static mcp_asdf_open_t subtract_message(mcp_asdf_open_t all, const mcp_asdf_open_t *one)
 {
     all.alpha -= one->alpha;
     all.alpha_x_low -= one->alpha_x_low;
@@ -39,103 +40,108 @@ static mcp_asdf_open_t without(mcp_asdf_open_t all, const mcp_asdf_open_t *one)
     return all;
 }
 
-/* A robot takes what robot `from` broadcasts: its estimate, or, from one of the last robots, a lie. Among
- * many robots ids repeat, so the firmware must take none for its own or for one that it heard already. */
-static void receive(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots, mcp_asdf_t *robot,
-                    uint32_t from)
+/* Let a robot receive what robot `from` broadcasts: its estimate or, from one of the last robots, a lie.
+ * Among many robots ids repeat, so the firmware must not take an id for its own, or for that of a sender
+ * which it has received from in this round. */
+static void receive_from(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots, mcp_asdf_t *robot,
+                         uint32_t from)
 {
-    const uint8_t own = robot->id, id = mcp_asdf_id(&robots[from]);
+    const uint8_t own_id = robot->id, sender_id = mcp_asdf_id(&robots[from]);
     const bool lies = from >= experiment->robots - experiment->liars;
     if (experiment->robots > MCP_ASDF_ENGINE_MAX_CONNECTED) {
         robot->heard.all[0] = robot->heard.all[1] = 0;
-        robot->id = id ^ 1;
+        robot->id = sender_id ^ 1;
     }
-    (void)mcp_asdf_receive(robot, id, lies ? experiment->lie[0] : mcp_asdf_x_hat(&robots[from]),
+    (void)mcp_asdf_receive(robot, sender_id, lies ? experiment->lie[0] : mcp_asdf_x_hat(&robots[from]),
                            lies ? experiment->lie[1] : mcp_asdf_alpha(&robots[from]));
-    robot->id = own;
+    robot->id = own_id;
 }
 
-/* The sums of what robots first .. end - 1 say: the round of a neighbour that hears nothing else. */
-static mcp_asdf_open_t sums_of(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots,
-                               uint32_t first, uint32_t end)
+/* The sums of the messages of robots first .. end - 1: the open round of a neighbour that receives nothing
+ * else. */
+static mcp_asdf_open_t sum_messages(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots,
+                                    uint32_t first, uint32_t end)
 {
-    const mcp_asdf_config_t sums = {NULL, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
-    mcp_asdf_t neighbour = {.config = &sums};
+    const mcp_asdf_config_t config_without_filter = {NULL, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
+    mcp_asdf_t neighbour = {.config = &config_without_filter};
     for (uint32_t j = first; j < end; ++j) {
         neighbour.id = mcp_asdf_id(&robots[j]) ^ 1;
-        receive(experiment, robots, &neighbour, j);
+        receive_from(experiment, robots, &neighbour, j);
     }
     return neighbour.open;
 }
 
-/* Every robot hears every other: with the robust filter one by one, in ascending order of ids; for the rest
- * the open rounds, still empty, become what receiving message by message makes of them, without marks of the
- * senders, since the rounds close at once. */
-static void exchange(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots)
+/* Deliver all messages to all other robots. Those with the robust filter receive one by one, in ascending
+ * order of ids. The open rounds of the others, still empty, become what receiving message by message would
+ * make of them; marks of the senders are left out, since the rounds close at once. */
+static void deliver_to_all(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots)
 {
     const uint32_t count = experiment->robots;
-    const mcp_asdf_open_t all = sums_of(experiment, robots, 0, count);
+    const mcp_asdf_open_t all = sum_messages(experiment, robots, 0, count);
     for (uint32_t j = 0; j < count; ++j) {
         if (!mcp_asdf_is_robust(experiment->configs[j])) {
-            const mcp_asdf_open_t own = sums_of(experiment, robots, j, j + 1);
-            robots[j].open = without(all, &own);
+            const mcp_asdf_open_t own_message = sum_messages(experiment, robots, j, j + 1);
+            robots[j].open = subtract_message(all, &own_message);
             robots[j].counters.accepted = (uint16_t)(robots[j].counters.accepted + count - 1);
             continue;
         }
         for (uint32_t i = 0; i < count; ++i) {
             if (i != j) {
-                receive(experiment, robots, &robots[j], i);
+                receive_from(experiment, robots, &robots[j], i);
             }
         }
     }
 }
 
-/* The last message of each robot reaches the robots that are linked to it now: in ascending order of ids,
- * which is that of links and arcs, as votes of the robust filter do not commute. */
-static void deliver(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots,
-                    const mcp_asdf_arena_t *arena)
+/* Deliver the last message of each robot to the robots that are linked to it now. The order of links and arcs
+ * gives each robot its messages by ascending ids: votes of the robust filter do not commute. */
+static void deliver_along_links(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots,
+                                const mcp_asdf_arena_t *arena)
 {
     for (uint32_t p = 0; arena != NULL && p < arena->link_count; ++p) {
-        receive(experiment, robots, &robots[arena->links[p].a], arena->links[p].b);
-        receive(experiment, robots, &robots[arena->links[p].b], arena->links[p].a);
+        receive_from(experiment, robots, &robots[arena->links[p].a], arena->links[p].b);
+        receive_from(experiment, robots, &robots[arena->links[p].b], arena->links[p].a);
     }
     for (size_t p = 0; experiment->arcs != NULL && p < experiment->arc_count; ++p) {
-        receive(experiment, robots, &robots[experiment->arcs[p].b], experiment->arcs[p].a);
+        receive_from(experiment, robots, &robots[experiment->arcs[p].b], experiment->arcs[p].a);
     }
 }
 
-static void hear(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots, const mcp_asdf_arena_t *arena)
+/* Deliver the messages of one step. */
+static void deliver_messages(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots,
+                             const mcp_asdf_arena_t *arena)
 {
     if (trial_is_linked(experiment)) {
-        deliver(experiment, robots, arena);
+        deliver_along_links(experiment, robots, arena);
     } else {
-        exchange(experiment, robots);
+        deliver_to_all(experiment, robots);
     }
 }
 
-/* Before a robot observes, its x_hat and alpha are still those that it said in the step before. */
 void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, const mcp_asdf_arena_t *arena,
-                uint32_t k, trial_eyes_t eyes)
+                uint32_t k, trial_observations_t observations)
 {
     const uint32_t count = experiment->robots;
-    const bool is_late = experiment->latency != 0, closes = trial_closes(experiment, k);
-    if (is_late && k > 0 && trial_closes(experiment, k - 1)) {
-        hear(experiment, trial->robots, arena);
+    const bool is_late = experiment->latency != 0, closes_round = trial_closes_round(experiment, k);
+    /* Before robots observe, their x_hat and alpha are still the messages of the step before. */
+    if (is_late && k > 0 && trial_closes_round(experiment, k - 1)) {
+        deliver_messages(experiment, trial->robots, arena);
     }
     for (uint32_t j = 0; j < count && trial_observes(experiment, k); ++j) {
-        const uint32_t c = eyes.first + j * eyes.side;
-        const uint32_t black = lanes_black(&eyes.lanes[c / LANES], c % LANES, k);
+        const uint32_t lane = observations.first_lane + j * observations.parallel_trials;
+        const uint32_t black = lanes_is_black(&observations.lanes[lane / LANES], lane % LANES, k);
         (void)mcp_asdf_observe(&trial->robots[j], (mcp_asdf_observation_t)black);
     }
-    if (!is_late && closes) {
-        hear(experiment, trial->robots, arena);
+    if (!is_late && closes_round) {
+        deliver_messages(experiment, trial->robots, arena);
     }
-    for (uint32_t j = 0; j < count && closes; ++j) {
+    for (uint32_t j = 0; j < count && closes_round; ++j) {
         (void)mcp_asdf_settle(&trial->robots[j]);
     }
 }
 
-static void keep_x(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
+/* Record the informed estimates after a step, one for each series. */
+static void record_x(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
 {
     const uint32_t columns = mcp_asdf_engine_columns(experiment);
     for (uint32_t column = 0; column < columns; ++column) {
@@ -143,11 +149,11 @@ static void keep_x(const mcp_asdf_experiment_t *experiment, const trial_t *trial
     }
 }
 
-void trial_keep(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
+void trial_record(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
 {
     const uint32_t count = experiment->robots, interval = experiment->sampling_interval;
-    const uint64_t period = filter_ticks(experiment);
-    keep_x(experiment, trial, step);
+    const uint64_t period = steps_between_tests(experiment);
+    record_x(experiment, trial, step);
     for (uint32_t j = 0; j < count && step % period == 0; ++j) {
         trial->b_hat[(step / period - 1) * count + j] = mcp_asdf_b_hat(&trial->robots[j]);
     }
@@ -169,6 +175,6 @@ mcp_asdf_status_t trial_start(const mcp_asdf_experiment_t *experiment, const tri
             return status;
         }
     }
-    keep_x(experiment, trial, 0);
+    record_x(experiment, trial, 0);
     return MCP_ASDF_OK;
 }

@@ -3,7 +3,7 @@
  *
  *   arena.c        robots are placed and the floor coloured; a tick
  *   motion.c       bodies move as their motors and contacts drive them
- *   links.c        which pairs are near, and which hear each other
+ *   links.c        which pairs are near, and which receive from each other
  *   steering.c     proximity sensors, and wheels that turn the robot away from obstacles
  *   elementary.h   sines, angles and exponentials without a mathematics library
  *   targets.h      loops that become vector instructions
@@ -21,7 +21,7 @@ IN_LOOPS uint64_t splitmix(uint64_t z)
     return z ^ (z >> 31);
 }
 
-/* The next number, uniform in [0, 1), of 53 bits. */
+/* The next random number, uniform in [0, 1), of 53 bits. Moves the counter on. */
 static inline double splitmix_uniform(uint64_t *counter)
 {
     *counter += 0x9E3779B97F4A7C15U;
@@ -33,11 +33,12 @@ static inline double splitmix_uniform(uint64_t *counter)
  * A tile's colour is a hash of the seed and the tile's column and row, so that no floor is stored however
  * large it is; a picture is read from the caller's memory. */
 
-/* Place of the ground sensor, from the centre. */
+/* Position of the ground sensor, from the centre. */
 #define SENSOR_FORWARD 0.0614
 #define SENSOR_RIGHT 0.01
 
-/* A point on the edge of the floor, or beyond by rounding, belongs to the nearest pixel. */
+/* Whether the picture is black at (x, y). A point on the edge of the floor, or beyond it by rounding, belongs
+ * to the nearest pixel. */
 static bool pixel_is_black(const mcp_asdf_arena_config_t *config, double x, double y)
 {
     const double across = (x / config->width + 0.5) * config->columns;
@@ -48,12 +49,13 @@ static bool pixel_is_black(const mcp_asdf_arena_config_t *config, double x, doub
     return config->image[line * config->columns + (column < last_column ? column : last_column)] != 0;
 }
 
+/* Whether the tile at (x, y) is black. */
 IN_LOOPS bool tile_is_black(const mcp_asdf_arena_t *arena, double x, double y)
 {
-    /* Processors have an instruction for signed numbers. */
+    /* By way of signed numbers, for which processors have an instruction. */
     const uint64_t column = (uint64_t)(int64_t)((x + arena->config.width / 2) * arena->tiles_per_metre);
     const uint64_t row = (uint64_t)(int64_t)((y + arena->config.height / 2) * arena->tiles_per_metre);
-    return (double)(int64_t)(splitmix(arena->colours + (column << 32 | row)) >> 11) < arena->colour_limit;
+    return (double)(int64_t)(splitmix(arena->colour_seed + (column << 32 | row)) >> 11) < arena->black_limit;
 }
 
 int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y)
@@ -61,25 +63,27 @@ int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y)
     return arena->config.image != NULL ? pixel_is_black(&arena->config, x, y) : tile_is_black(arena, x, y);
 }
 
-/* Place of robot i's ground sensor. */
-IN_LOOPS double sensor_x(const mcp_asdf_arena_t *arena, size_t i)
+/* Coordinates of robot i's ground sensor. */
+IN_LOOPS double ground_sensor_x(const mcp_asdf_arena_t *arena, size_t i)
 {
     return arena->x[i] + SENSOR_FORWARD * arena->cx[i] + SENSOR_RIGHT * arena->cy[i];
 }
 
-IN_LOOPS double sensor_y(const mcp_asdf_arena_t *arena, size_t i)
+IN_LOOPS double ground_sensor_y(const mcp_asdf_arena_t *arena, size_t i)
 {
     return arena->y[i] + SENSOR_FORWARD * arena->cy[i] - SENSOR_RIGHT * arena->cx[i];
 }
 
-/* Whether tiles are black under all robots. Indices that cannot wrap around become vectors. */
-FOR_EACH_TARGET static void see_tiles(const mcp_asdf_arena_t *arena)
+/* Store whether tiles are black under all robots. Indices are size_t, as loops whose index cannot wrap around
+ * become vectors. */
+FOR_EACH_TARGET static void read_tiles(const mcp_asdf_arena_t *arena)
 {
     for (size_t first = 0; first < arena->config.robots; first += VECTOR) {
         uint64_t is_black[VECTOR];
         SIDE_BY_SIDE
         for (size_t i = 0; i < VECTOR; ++i) {
-            is_black[i] = tile_is_black(arena, sensor_x(arena, first + i), sensor_y(arena, first + i));
+            is_black[i] =
+                tile_is_black(arena, ground_sensor_x(arena, first + i), ground_sensor_y(arena, first + i));
         }
         for (size_t i = 0; i < VECTOR; ++i) {
             arena->black[first + i] = (uint8_t)is_black[i];
@@ -87,109 +91,124 @@ FOR_EACH_TARGET static void see_tiles(const mcp_asdf_arena_t *arena)
     }
 }
 
-static void see_floor(const mcp_asdf_arena_t *arena)
+/* Store whether the floor is black under each robot. */
+static void read_floor(const mcp_asdf_arena_t *arena)
 {
     if (arena->config.image == NULL) {
-        see_tiles(arena);
+        read_tiles(arena);
         return;
     }
     for (uint32_t i = 0; i < arena->config.robots; ++i) {
-        arena->black[i] = pixel_is_black(&arena->config, sensor_x(arena, i), sensor_y(arena, i));
+        arena->black[i] =
+            pixel_is_black(&arena->config, ground_sensor_x(arena, i), ground_sensor_y(arena, i));
     }
 }
 
 /* ---- Memory -----------------------------------------------------------------------------------------------
  */
 
-/* The next `count` entries of `size` bytes, and room to whole vectors, so that they can be read to their end.
- */
-static void *take(uint8_t *memory, size_t *used, size_t count, size_t size)
+/* Reserve the next `count` entries of `size` bytes, rounded up to whole vectors, so that these can be read to
+ * their end. Returns their address, NULL if `memory` is, and adds their bytes to `used`. */
+static void *allocate(uint8_t *memory, size_t *used, size_t count, size_t size)
 {
-    void *const taken = memory == NULL ? NULL : memory + *used;
+    void *const entries = memory == NULL ? NULL : memory + *used;
     *used += (count * size + VECTOR_BYTES - 1) / VECTOR_BYTES * VECTOR_BYTES;
-    return taken;
+    return entries;
 }
 
-/* Most centres of other bodies within `distance` of one. A disc that holds them all has room for the area of
- * each; bodies fill nine tenths of it at most, so the little by which they may overlap does no harm. */
-static uint32_t most_within(const mcp_asdf_arena_config_t *config, double distance)
+/* Largest number of other bodies whose centres can be within `distance` of one. A disc that holds them all
+ * has room for the area of each. Circles fill nine tenths of a disc at most, so the little by which bodies
+ * may overlap does no harm. */
+static uint32_t max_neighbours_within(const mcp_asdf_arena_config_t *config, double distance)
 {
     const double bodies = (distance / BODY_RADIUS + 1) * (distance / BODY_RADIUS + 1) - 1;
     return bodies < config->robots ? (uint32_t)bodies : config->robots - 1;
 }
 
-static mcp_asdf_pair_t *take_pairs(const mcp_asdf_arena_config_t *config, double distance, uint8_t *memory,
-                                   size_t *used)
+/* Reserve memory for all pairs of robots that can be within `distance` of each other. */
+static mcp_asdf_pair_t *allocate_pairs(const mcp_asdf_arena_config_t *config, double distance,
+                                       uint8_t *memory, size_t *used)
 {
-    const size_t most = (size_t)config->robots * most_within(config, distance) / 2;
-    return take(memory, used, most + 1, sizeof(mcp_asdf_pair_t)); /* one that is written and not kept */
+    const size_t max_pairs = (size_t)config->robots * max_neighbours_within(config, distance) / 2;
+    return allocate(memory, used, max_pairs + 1, sizeof(mcp_asdf_pair_t)); /* loops write one beyond */
 }
 
-/* Point the arena's arrays into its memory, or to nowhere if that is NULL; returns the bytes that it takes.
- */
-static size_t lay_out(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, uint8_t *memory)
+/* Point the arena's arrays into its memory, or to NULL if that is NULL. Returns the number of bytes that they
+ * take, with those that align the first one. */
+static size_t lay_out_memory(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, uint8_t *memory)
 {
     const uint32_t robots = config->robots;
-    mcp_asdf_bodies_t *const crowd = &arena->crowd;
-    double **const numbers[] = {&arena->x,           &arena->y,        &arena->cx,       &arena->cy,
-                                &arena->vx,          &arena->vy,       &arena->spin,     &arena->wanted_speed,
-                                &arena->wanted_spin, &crowd->wanted_x, &crowd->wanted_y, &crowd->given_x,
-                                &crowd->given_y};
+    mcp_asdf_bodies_t *const bodies = &arena->touching;
+    double **const numbers[] = {&arena->x,
+                                &arena->y,
+                                &arena->cx,
+                                &arena->cy,
+                                &arena->vx,
+                                &arena->vy,
+                                &arena->spin,
+                                &arena->target_speed,
+                                &arena->target_spin,
+                                &bodies->target_vx,
+                                &bodies->target_vy,
+                                &bodies->motor_change_x,
+                                &bodies->motor_change_y};
     uint8_t **const flags[] = {&arena->black, &arena->wheels, &arena->avoids};
     size_t used =
         memory == NULL ? VECTOR_BYTES - 1 : -(uintptr_t)memory % VECTOR_BYTES; /* to align vectors */
     for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) {
-        *numbers[k] = take(memory, &used, robots, sizeof(double));
+        *numbers[k] = allocate(memory, &used, robots, sizeof(double));
     }
     for (size_t k = 0; k < sizeof flags / sizeof *flags; ++k) {
-        *flags[k] = take(memory, &used, robots, 1);
+        *flags[k] = allocate(memory, &used, robots, 1);
     }
-    arena->may_touch = take(memory, &used, robots, sizeof *arena->may_touch);
-    arena->looks = take(memory, &used, robots, sizeof *arena->looks);
-    arena->clear = take(memory, &used, (size_t)robots * SENSORS, sizeof *arena->clear);
-    arena->in_range = take(memory, &used, robots, sizeof *arena->in_range);
-    arena->links = take_pairs(config, config->range, memory, &used);
-    arena->near = take_pairs(config, SEEING_DISTANCE, memory, &used);
-    arena->close = take_pairs(config, touching_distance(config), memory, &used);
-    arena->watched = take_pairs(config, watching_distance(config), memory, &used);
-    const size_t most_around = (size_t)robots * most_within(config, watching_distance(config));
-    arena->first_around = take(memory, &used, (size_t)robots + 1, sizeof *arena->first_around);
-    arena->around = take(memory, &used, most_around, sizeof *arena->around);
-    arena->grid.first = take(memory, &used, (size_t)robots + 1, sizeof *arena->grid.first);
-    arena->grid.robots = take(memory, &used, robots, sizeof *arena->grid.robots);
-    arena->grid.cell = take(memory, &used, robots, sizeof *arena->grid.cell);
-    crowd->member = take(memory, &used, robots, sizeof *crowd->member);
-    crowd->contacts = take(memory, &used, (size_t)robots * CONTACTS_OF_A_BODY, sizeof *crowd->contacts);
+    arena->may_touch = allocate(memory, &used, robots, sizeof *arena->may_touch);
+    arena->needs_steering = allocate(memory, &used, robots, sizeof *arena->needs_steering);
+    arena->free_distance = allocate(memory, &used, (size_t)robots * SENSORS, sizeof *arena->free_distance);
+    arena->in_range = allocate(memory, &used, robots, sizeof *arena->in_range);
+    arena->links = allocate_pairs(config, config->range, memory, &used);
+    arena->visible = allocate_pairs(config, SEEING_DISTANCE, memory, &used);
+    arena->touchable = allocate_pairs(config, touching_distance(config), memory, &used);
+    arena->candidates = allocate_pairs(config, candidate_distance(config), memory, &used);
+    const size_t most_entries = (size_t)robots * max_neighbours_within(config, candidate_distance(config));
+    arena->first_candidate = allocate(memory, &used, (size_t)robots + 1, sizeof *arena->first_candidate);
+    arena->candidates_of = allocate(memory, &used, most_entries, sizeof *arena->candidates_of);
+    arena->grid.first_of_cell =
+        allocate(memory, &used, (size_t)robots + 1, sizeof *arena->grid.first_of_cell);
+    arena->grid.robots_by_cell = allocate(memory, &used, robots, sizeof *arena->grid.robots_by_cell);
+    arena->grid.cell_of_robot = allocate(memory, &used, robots, sizeof *arena->grid.cell_of_robot);
+    bodies->robot = allocate(memory, &used, robots, sizeof *bodies->robot);
+    bodies->contacts = allocate(memory, &used, (size_t)robots * CONTACTS_PER_BODY, sizeof *bodies->contacts);
     return used;
 }
 
 size_t mcp_asdf_arena_bytes(const mcp_asdf_arena_config_t *config)
 {
     mcp_asdf_arena_t arena;
-    return lay_out(&arena, config, NULL);
+    return lay_out_memory(&arena, config, NULL);
 }
 
 /* ---- The start ----------------------------------------------------------------------------------------- */
 
-static void look(mcp_asdf_arena_t *arenas, uint32_t count)
+/* Let robots find their neighbours, set their wheels and read the floor where they are now. */
+static void sense_surroundings(mcp_asdf_arena_t *arenas, uint32_t count)
 {
     for (uint32_t a = 0; a < count; ++a) {
         arena_find_links(&arenas[a]);
     }
     arena_set_wheels(arenas, count);
     for (uint32_t a = 0; a < count; ++a) {
-        see_floor(&arenas[a]);
+        read_floor(&arenas[a]);
     }
 }
 
 #define PLACING_ATTEMPTS 100000
 
-/* Different draws for places and colours from one seed. */
-#define PLACES 0x706C616365U
-#define COLOURS 0x636F6C6F7572U
+/* Mixed into the seed, so that positions and colours have different draws. */
+#define POSITION_STREAM 0x706C616365U
+#define COLOUR_STREAM 0x636F6C6F7572U
 
-/* Whether body i overlaps one that was placed before. */
-static bool overlaps(const mcp_asdf_arena_t *arena, uint32_t i)
+/* Whether body i overlaps one with a lower number, which was placed before. */
+static bool overlaps_earlier_robot(const mcp_asdf_arena_t *arena, uint32_t i)
 {
     for (uint32_t j = 0; j < i; ++j) {
         if (squared_distance(arena, i, j) < DIAMETER * DIAMETER) {
@@ -199,20 +218,22 @@ static bool overlaps(const mcp_asdf_arena_t *arena, uint32_t i)
     return false;
 }
 
-static bool place(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
+/* Put robot i at a random position without overlap. Returns whether one was found. */
+static bool place_robot(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
 {
     for (int attempt = 0; attempt < PLACING_ATTEMPTS; ++attempt) {
         arena->x[i] = (splitmix_uniform(counter) - 0.5) * (arena->config.width - DIAMETER);
         arena->y[i] = (splitmix_uniform(counter) - 0.5) * (arena->config.height - DIAMETER);
-        if (!overlaps(arena, i)) {
+        if (!overlaps_earlier_robot(arena, i)) {
             return true;
         }
     }
     return false;
 }
 
-/* The direction of a point that is uniform in a disc is uniform as well, and needs no sine. */
-static void face_anywhere(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
+/* Turn robot i to a random heading. The direction of a point that is uniform in a disc is uniform as well,
+ * and needs no sine. */
+static void draw_heading(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
 {
     double x, y, squared;
     do {
@@ -224,31 +245,31 @@ static void face_anywhere(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter
     arena->cy[i] = y / sqrt(squared);
 }
 
-/* Everything that follows from the settings alone. */
-static void prepare(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, void *memory)
+/* Set all that follows from the configuration alone, and the rest to 0. */
+static void set_constants(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, void *memory)
 {
     memset(arena, 0, sizeof *arena);
-    memset(memory, 0, lay_out(arena, config, memory));
+    memset(memory, 0, lay_out_memory(arena, config, memory));
     arena->config = *config;
-    arena->colours = splitmix(config->seed ^ COLOURS);
-    arena->colour_limit = config->fill_ratio * 0x1p53;
+    arena->colour_seed = splitmix(config->seed ^ COLOUR_STREAM);
+    arena->black_limit = config->fill_ratio * 0x1p53;
     arena->tiles_per_metre = 1 / config->tile;
-    arena->part = config->tick / PARTS;
-    arena->motor = ACCELERATION * arena->part;
+    arena->substep = config->tick / SUBSTEPS;
+    arena->max_motor_change = ACCELERATION * arena->substep;
 }
 
 int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, void *memory)
 {
-    uint64_t counter = splitmix(config->seed ^ PLACES);
-    prepare(arena, config, memory);
+    uint64_t counter = splitmix(config->seed ^ POSITION_STREAM);
+    set_constants(arena, config, memory);
     for (uint32_t i = 0; i < config->robots; ++i) {
-        if (!place(arena, i, &counter)) {
+        if (!place_robot(arena, i, &counter)) {
             return 0;
         }
-        face_anywhere(arena, i, &counter);
+        draw_heading(arena, i, &counter);
         mcp_asdf_arena_steer(arena, i, 0, 0);
     }
-    look(arena, 1);
+    sense_surroundings(arena, 1);
     return 1;
 }
 
@@ -257,5 +278,5 @@ int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *
 void mcp_asdf_arena_step(mcp_asdf_arena_t *arenas, uint32_t count)
 {
     arena_move(arenas, count);
-    look(arenas, count);
+    sense_surroundings(arenas, count);
 }

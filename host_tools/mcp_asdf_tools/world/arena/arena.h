@@ -1,5 +1,6 @@
 /* A moving world for swarms. Robots the size of a Khepera IV diffuse through a walled arena with a black and
- * white floor, avoid what their proximity sensors see, and hear every robot within range and line of sight.
+ * white floor, avoid what their proximity sensors see, and receive from every robot within range and line of
+ * sight.
  * For PCs only.
  *
  * The model is that of the paper's dynamic experiments, written anew from the authors' controller, the ARGoS3
@@ -26,7 +27,7 @@
 typedef enum { MCP_ASDF_STRAIGHT = 0, MCP_ASDF_SOFT_TURN = 1, MCP_ASDF_HARD_TURN = 2 } mcp_asdf_wheels_t;
 
 /* Settings of a world, which must be in these ranges: the tools check them (settings.py).
- *   seed         for the robots' places and the colours of the tiles
+ *   seed         for the robots' positions and the colours of the tiles
  *   robots       1 .. MCP_ASDF_ARENA_MAX_ROBOTS
  *   width        inner side along x: above 0.1408, the diameter of a body, up to 1000
  *   height       inner side along y, same range
@@ -64,45 +65,47 @@ typedef struct {
 } mcp_asdf_pair_t;
 
 /* Private: a grid of at most as many cells as robots, row by row from the south-west.
- *   columns, rows   of cells
- *   first           [cells + 1] where the robots of each cell begin
- *   robots          by cells, and in each in ascending order
- *   cell            of each robot */
+ *   columns, rows    numbers of cells
+ *   first_of_cell    [cells + 1] where the robots of each cell begin in robots_by_cell
+ *   robots_by_cell   the robots sorted by cells, and in each cell in ascending order
+ *   cell_of_robot    the cell that each robot is in */
 typedef struct {
     uint32_t columns;
     uint32_t rows;
-    uint32_t *first;
-    uint16_t *robots;
-    uint32_t *cell;
+    uint32_t *first_of_cell;
+    uint16_t *robots_by_cell;
+    uint32_t *cell_of_robot;
 } mcp_asdf_grid_t;
 
-/* Private: a place where a body may touch something within a part of a tick.
- *   a, b        bodies; b is -1 for a wall
- *   nx, ny      normal, away from a
- *   gap         distance that is left
- *   push, rub   changes of velocity so far along the normal and across it */
+/* Private: a point at which a body may touch another body or a wall within a substep.
+ *   a, b                 bodies; b is -1 for a wall
+ *   normal_x, normal_y   unit vector away from a
+ *   gap                  distance that is left
+ *   normal_change        change of velocity along the normal that the contact has made in this substep
+ *   tangent_change       the same across the normal: friction */
 typedef struct {
     int a;
     int b;
-    double nx;
-    double ny;
+    double normal_x;
+    double normal_y;
     double gap;
-    double push;
-    double rub;
+    double normal_change;
+    double tangent_change;
 } mcp_asdf_contact_t;
 
-/* Private: bodies that may touch something, and their contacts in the present part.
- *   member             the bodies' numbers in the arena
- *   wanted_x, wanted_y velocities that the wheels ask for, by member
- *   given_x, given_y   changes of velocity by the motors so far, by member */
+/* Private: bodies that may touch something within a tick, and their contacts in the present substep. Entry m
+ * of each array describes the m-th of these bodies.
+ *   robot                            number of the body in the arena
+ *   target_vx, target_vy             velocity that the wheels ask for
+ *   motor_change_x, motor_change_y   change of velocity that the motors have made so far in this substep */
 typedef struct {
     uint32_t count;
     uint32_t contact_count;
-    uint16_t *member;
-    double *wanted_x;
-    double *wanted_y;
-    double *given_x;
-    double *given_y;
+    uint16_t *robot;
+    double *target_vx;
+    double *target_vy;
+    double *motor_change_x;
+    double *motor_change_y;
     mcp_asdf_contact_t *contacts;
 } mcp_asdf_bodies_t;
 
@@ -113,25 +116,28 @@ typedef struct {
  *   black        1 if the floor under the ground sensor is black
  *   wheels       mcp_asdf_wheels_t for the coming tick
  *   avoids       1 if the robot heads away from an obstacle
- *   links        the link_count pairs a < b that hear each other, in ascending order of a, then of b: so the
- *                neighbours of each robot come in ascending order
+ *   links        the link_count pairs a < b that receive from each other, in ascending order of a, then of b:
+ *                so the neighbours of each robot come in ascending order
  * Private, below links:
- *   vx, vy, spin                velocities now
- *   wanted_speed, wanted_spin   what the wheels ask for
- *   in_range                    a set of those in range of each: bit j % 64 if robot j is among them
- *   near                        pairs close enough to see each other
- *   may_touch, close            robots and pairs that could touch something within a tick
- *   looks                       robots that may sense something, or turn or avoid something
- *   clear                       free distances along the rays of the sensors of each robot that looks
- *   watched, ticks_to_watch     pairs that could matter in the coming ticks, and how many ticks that holds
- *   first_around, around        the robots watched with robot i: around[first_around[i]] and on, up to those
- * of the next robot grid                        robots by cells of the floor, to find the pairs to watch
- *   crowd                       the robots that may touch something, as motion.c needs them
- *   tiles_per_metre             number of tiles per metre
- *   colours                     base of the hashes that decide the tiles' colours
- *   colour_limit                a tile is black if its 53-bit hash is below this
- *   part                        seconds in one part of a tick
- *   motor                       maximum change of velocity by the motors in a part */
+ *   vx, vy, spin                  present velocities
+ *   target_speed, target_spin     velocities that the wheels ask for
+ *   in_range                      a set of the robots in range of each: bit j % 64 if robot j is among them
+ *   may_touch                     1 for each robot that could touch something within a tick
+ *   needs_steering                1 for each robot that may sense something, or turns or avoids something
+ *   free_distance                 [robots * 8] distance to the nearest body along each sensor's ray
+ *   visible                       the visible_count pairs close enough to see each other
+ *   touchable                     the touchable_count pairs that could touch within a tick
+ *   candidates                    the candidate_count pairs that could be linked, visible or touchable in the
+ *                                 coming ticks, which are searched again after ticks_to_search ticks
+ *   first_candidate, candidates_of   the robots in a candidate pair with robot i: candidates_of from
+ *                                 first_candidate[i] to below first_candidate[i + 1]
+ *   grid                          robots by cells of the floor, to find the candidates
+ *   touching                      the robots that may touch something, as motion.c needs them
+ *   tiles_per_metre               number of tiles per metre
+ *   colour_seed                   base of the hashes that decide the tiles' colours
+ *   black_limit                   a tile is black if its 53-bit hash is below this
+ *   substep                       seconds in a substep of a tick
+ *   max_motor_change              maximum change of velocity by the motors in a substep */
 typedef struct {
     mcp_asdf_arena_config_t config;
     double *x;
@@ -148,38 +154,38 @@ typedef struct {
     double *vx;
     double *vy;
     double *spin;
-    double *wanted_speed;
-    double *wanted_spin;
+    double *target_speed;
+    double *target_spin;
     uint64_t *in_range;
     uint64_t *may_touch;
-    uint64_t *looks;
-    double *clear;
-    uint32_t near_count;
-    uint32_t close_count;
-    uint32_t watched_count;
-    uint32_t ticks_to_watch;
-    mcp_asdf_pair_t *near;
-    mcp_asdf_pair_t *close;
-    mcp_asdf_pair_t *watched;
-    uint32_t *first_around;
-    uint16_t *around;
+    uint64_t *needs_steering;
+    double *free_distance;
+    uint32_t visible_count;
+    uint32_t touchable_count;
+    uint32_t candidate_count;
+    uint32_t ticks_to_search;
+    mcp_asdf_pair_t *visible;
+    mcp_asdf_pair_t *touchable;
+    mcp_asdf_pair_t *candidates;
+    uint32_t *first_candidate;
+    uint16_t *candidates_of;
     mcp_asdf_grid_t grid;
-    mcp_asdf_bodies_t crowd;
+    mcp_asdf_bodies_t touching;
     double tiles_per_metre;
-    uint64_t colours;
-    double colour_limit;
-    double part;
-    double motor;
+    uint64_t colour_seed;
+    double black_limit;
+    double substep;
+    double max_motor_change;
 } mcp_asdf_arena_t;
 
 /* Bytes of memory that an arena needs: about 1.7 KB a robot with a range of 0.7 at the usual speed, less for
  * few robots. O(1). */
 size_t mcp_asdf_arena_bytes(const mcp_asdf_arena_config_t *config);
 
-/* Place the robots at random without overlap, with headings uniform too, and let them look around: tick 0,
- * everybody at rest. `memory`, of mcp_asdf_arena_bytes() and aligned for doubles, belongs to the arena from
- * now on. Returns 1, or 0 if they find no room: the arena must then not be used. O(robots^2) where there is
- * room to spare, otherwise up to 10^5 attempts per robot. */
+/* Place the robots at random without overlap, with headings uniform too, and let them sense their
+ * surroundings: tick 0, all at rest. `memory`, of mcp_asdf_arena_bytes() and aligned for doubles, belongs to
+ * the arena from now on. Returns 1, or 0 if they find no room: the arena must then not be used. O(robots^2)
+ * where there is room to spare, otherwise up to 10^5 attempts per robot. */
 int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, void *memory);
 
 /* One tick of `count` arenas side by side, which is faster than one by one: bodies move as their wheels were

@@ -20,11 +20,11 @@ static const double INVERSE[] = {0,       1,       1. / 2,  1. / 3,  1. / 4,  1.
  * series up to angle^17. The last lines are a Newton step that keeps the length at 1. */
 IN_LOOPS void arena_rotate(double *cx, double *cy, double angle)
 {
-    const double q = angle * angle;
+    const double square = angle * angle;
     double sine = 1, cosine = 1;
     for (int n = 17; n >= 3; n -= 2) {
-        sine = 1 - sine * q * (INVERSE[n] * INVERSE[n - 1]);
-        cosine = 1 - cosine * q * (INVERSE[n - 1] * INVERSE[n - 2]);
+        sine = 1 - sine * square * (INVERSE[n] * INVERSE[n - 1]);
+        cosine = 1 - cosine * square * (INVERSE[n - 1] * INVERSE[n - 2]);
     }
     sine *= angle;
     const double x = *cx * cosine - *cy * sine, y = *cx * sine + *cy * cosine;
@@ -33,16 +33,17 @@ IN_LOOPS void arena_rotate(double *cx, double *cy, double angle)
     *cy = angle != 0 ? y * scale : *cy;
 }
 
-/* For z in [0, 1]. Halving the angle twice brings it below 0.2, where the series is good to 1e-16. */
+/* Arc tangent in radians of z in [0, 1]. Halving the angle twice brings it below 0.2, where the series is
+ * good to 1e-16. */
 IN_LOOPS double arc_tangent(double z)
 {
     for (int halving = 0; halving < 2; ++halving) {
         z = z / (1 + sqrt(1 + z * z));
     }
-    const double q = z * z;
+    const double square = z * z;
     double sum = 0;
     for (int n = 21; n >= 1; n -= 2) {
-        sum = INVERSE[n] - q * sum;
+        sum = INVERSE[n] - square * sum;
     }
     return 4 * z * sum;
 }
@@ -59,10 +60,10 @@ IN_LOOPS double arena_bearing(double x, double y)
 /* exp(-x) for x in [0, 4]. Relative error below 1e-12: the 16th power of the series for x / 16. */
 IN_LOOPS double arena_fading(double x)
 {
-    const double part = x / 16;
+    const double sixteenth = x / 16;
     double sum = 1;
     for (int n = 10; n >= 1; --n) {
-        sum = 1 - sum * part * INVERSE[n];
+        sum = 1 - sum * sixteenth * INVERSE[n];
     }
     sum *= sum;
     sum *= sum;

@@ -1,19 +1,20 @@
-/* Who is near whom: links between robots that hear each other, bodies near enough to be seen or touched. All
- * pairs are compared once in a while only; a pair too far apart to matter until the next time is skipped,
- * because no robot is faster than its wheels. Where robots are many, a grid finds the pairs to compare.
+/* Links between robots that receive from each other, and pairs near enough to see or touch each other. The
+ * candidates for these are searched among all pairs once in several ticks only: a pair too far apart to
+ * matter before the next search is left out, because no robot is faster than its wheels. Where robots are
+ * many, a grid finds the candidates.
  */
 #include "arena_private.h"
 
-#define FEW 128 /* robots up to which comparing all pairs is fastest */
+#define MAX_ROBOTS_WITHOUT_GRID 128 /* up to which comparing all pairs is fastest */
 
-/* Pairs of all robots near enough, in ascending order. */
-static uint32_t watch_all(mcp_asdf_arena_t *arena, double limit)
+/* List all pairs closer than `limit` as candidates, in ascending order. Returns their number. */
+static uint32_t find_candidates_among_all(mcp_asdf_arena_t *arena, double limit)
 {
     uint32_t count = 0;
     for (uint32_t i = 0; i < arena->config.robots; ++i) {
         for (uint32_t j = i + 1; j < arena->config.robots; ++j) {
-            /* Written always, kept if near: a branch here could not be predicted. */
-            arena->watched[count] = (mcp_asdf_pair_t){(uint16_t)i, (uint16_t)j};
+            /* Written always, and overwritten unless near: a branch could not be predicted. */
+            arena->candidates[count] = (mcp_asdf_pair_t){(uint16_t)i, (uint16_t)j};
             count += squared_distance(arena, i, j) < limit * limit;
         }
     }
@@ -23,84 +24,87 @@ static uint32_t watch_all(mcp_asdf_arena_t *arena, double limit)
 /* ---- A grid for many robots ------------------------------------------------------------------------------
  */
 
-static uint32_t cells_along(double side, double cell, uint32_t most)
+/* Number of cells of about this size along a side, 1 .. max_cells. */
+static uint32_t count_cells(double side, double cell_size, uint32_t max_cells)
 {
-    return (uint32_t)clamp(side / cell, 1, most);
+    return (uint32_t)clamp(side / cell_size, 1, max_cells);
 }
 
-/* Cell of a place among `cells` along a side whose middle is 0. */
-static uint32_t cell_at(double place, double side, uint32_t cells)
+/* Index of the cell of a coordinate, among `cells` along a side whose middle is 0. */
+static uint32_t cell_index(double coordinate, double side, uint32_t cells)
 {
-    return (uint32_t)clamp((place / side + 0.5) * cells, 0, cells - 1);
+    return (uint32_t)clamp((coordinate / side + 0.5) * cells, 0, cells - 1);
 }
 
-/* Sort the robots into cells whose sides are above `limit`, by counting. The cells are no more than robots.
- */
-static void fill_grid(mcp_asdf_arena_t *arena, double limit)
+/* Sort the robots into cells whose sides are above `limit`, by counting. There are at most as many cells as
+ * robots. */
+static void sort_robots_into_cells(mcp_asdf_arena_t *arena, double limit)
 {
     mcp_asdf_grid_t *const grid = &arena->grid;
     const double width = arena->config.width, height = arena->config.height;
     const uint32_t robots = arena->config.robots;
-    const double cell = larger(1.000001 * limit, sqrt(width * height / robots));
-    grid->columns = cells_along(width, cell, robots);
-    grid->rows = cells_along(height, cell, robots);
+    const double cell_size = max_of(1.000001 * limit, sqrt(width * height / robots));
+    grid->columns = count_cells(width, cell_size, robots);
+    grid->rows = count_cells(height, cell_size, robots);
     const uint32_t cells = grid->columns * grid->rows;
-    memset(grid->first, 0, cells * sizeof *grid->first);
+    memset(grid->first_of_cell, 0, cells * sizeof *grid->first_of_cell);
     for (uint32_t i = 0; i < robots; ++i) {
-        const uint32_t row = cell_at(arena->y[i], height, grid->rows);
-        grid->cell[i] = row * grid->columns + cell_at(arena->x[i], width, grid->columns);
-        ++grid->first[grid->cell[i]];
+        const uint32_t row = cell_index(arena->y[i], height, grid->rows);
+        grid->cell_of_robot[i] = row * grid->columns + cell_index(arena->x[i], width, grid->columns);
+        ++grid->first_of_cell[grid->cell_of_robot[i]];
     }
     for (uint32_t c = 1; c < cells; ++c) {
-        grid->first[c] += grid->first[c - 1]; /* the end of each cell */
+        grid->first_of_cell[c] += grid->first_of_cell[c - 1]; /* the end of each cell in robots_by_cell */
     }
-    grid->first[cells] = robots;
-    for (uint32_t i = robots; i-- > 0;) { /* which moves to its beginning as it fills */
-        grid->robots[--grid->first[grid->cell[i]]] = (uint16_t)i;
+    grid->first_of_cell[cells] = robots;
+    for (uint32_t i = robots; i-- > 0;) { /* filled from its end, which so becomes its beginning */
+        grid->robots_by_cell[--grid->first_of_cell[grid->cell_of_robot[i]]] = (uint16_t)i;
     }
 }
 
-/* List robot i's pairs with higher robots near enough of three cells or, at a wall, two in a row; returns how
- * many pairs there are now. */
-static uint32_t watch_row(mcp_asdf_arena_t *arena, uint32_t i, uint32_t row, double limit, uint32_t count)
+/* List as candidates robot i's pairs with higher robots, closer than `limit`, in the cells of a row around
+ * its column: three cells or, at a wall, two. Returns how many candidates there are now, of `count` before.
+ */
+static uint32_t add_candidates_of_row(mcp_asdf_arena_t *arena, uint32_t i, uint32_t row, double limit,
+                                      uint32_t count)
 {
     const mcp_asdf_grid_t *const grid = &arena->grid;
-    const uint32_t column = grid->cell[i] % grid->columns, start = row * grid->columns;
+    const uint32_t column = grid->cell_of_robot[i] % grid->columns, start = row * grid->columns;
     const uint32_t from = column == 0 ? 0 : column - 1,
                    last = column + 1 < grid->columns ? column + 1 : column;
-    for (uint32_t k = grid->first[start + from]; k < grid->first[start + last + 1]; ++k) {
-        const uint32_t j = grid->robots[k];
-        arena->watched[count] = (mcp_asdf_pair_t){(uint16_t)i, (uint16_t)j};
+    for (uint32_t k = grid->first_of_cell[start + from]; k < grid->first_of_cell[start + last + 1]; ++k) {
+        const uint32_t j = grid->robots_by_cell[k];
+        arena->candidates[count] = (mcp_asdf_pair_t){(uint16_t)i, (uint16_t)j};
         count += (j > i) & (squared_distance(arena, i, j) < limit * limit);
     }
     return count;
 }
 
-/* Bring pairs of one robot into ascending order: they are few. */
-static void sort_pairs(mcp_asdf_pair_t *pairs, uint32_t count)
+/* Bring pairs of one first robot into ascending order of the second, by insertion: they are few. */
+static void sort_by_second_robot(mcp_asdf_pair_t *pairs, uint32_t count)
 {
     for (uint32_t p = 1; p < count; ++p) {
         const mcp_asdf_pair_t pair = pairs[p];
-        uint32_t place = p;
-        for (; place > 0 && pairs[place - 1].b > pair.b; --place) {
-            pairs[place] = pairs[place - 1];
+        uint32_t index = p;
+        for (; index > 0 && pairs[index - 1].b > pair.b; --index) {
+            pairs[index] = pairs[index - 1];
         }
-        pairs[place] = pair;
+        pairs[index] = pair;
     }
 }
 
-/* The same pairs as watch_all(), found by cells. */
-static uint32_t watch_cells(mcp_asdf_arena_t *arena, double limit)
+/* List the same pairs as find_candidates_among_all(), found by cells. Returns their number. */
+static uint32_t find_candidates_in_cells(mcp_asdf_arena_t *arena, double limit)
 {
     const mcp_asdf_grid_t *const grid = &arena->grid;
     uint32_t count = 0;
-    fill_grid(arena, limit);
+    sort_robots_into_cells(arena, limit);
     for (uint32_t i = 0; i < arena->config.robots; ++i) {
-        const uint32_t row = grid->cell[i] / grid->columns, before = count;
+        const uint32_t row = grid->cell_of_robot[i] / grid->columns, before = count;
         for (uint32_t r = row == 0 ? 0 : row - 1; r <= row + 1 && r < grid->rows; ++r) {
-            count = watch_row(arena, i, r, limit, count);
+            count = add_candidates_of_row(arena, i, r, limit, count);
         }
-        sort_pairs(arena->watched + before, count - before);
+        sort_by_second_robot(arena->candidates + before, count - before);
     }
     return count;
 }
@@ -108,91 +112,99 @@ static uint32_t watch_cells(mcp_asdf_arena_t *arena, double limit)
 /* ---- Links -----------------------------------------------------------------------------------------------
  */
 
-/* The watched robots of each, from the pairs. */
-static void list_watched(mcp_asdf_arena_t *arena)
+/* List the other robot of each candidate pair for either robot, from the pairs, by counting. */
+static void list_candidates_by_robot(mcp_asdf_arena_t *arena)
 {
-    const mcp_asdf_pair_t *const pairs = arena->watched;
-    uint32_t *const first = arena->first_around, robots = arena->config.robots;
+    const mcp_asdf_pair_t *const pairs = arena->candidates;
+    uint32_t *const first = arena->first_candidate, robots = arena->config.robots;
     memset(first, 0, (robots + 1) * sizeof *first);
-    for (uint32_t p = 0; p < arena->watched_count; ++p) {
+    for (uint32_t p = 0; p < arena->candidate_count; ++p) {
         ++first[pairs[p].a];
         ++first[pairs[p].b];
     }
     for (uint32_t i = 0; i < robots; ++i) {
-        first[i + 1] += first[i]; /* the end of each list, which moves to its beginning */
+        first[i + 1] += first[i]; /* the end of each list, which moves to its beginning as it fills */
     }
-    for (uint32_t p = 0; p < arena->watched_count; ++p) {
-        arena->around[--first[pairs[p].a]] = pairs[p].b;
-        arena->around[--first[pairs[p].b]] = pairs[p].a;
+    for (uint32_t p = 0; p < arena->candidate_count; ++p) {
+        arena->candidates_of[--first[pairs[p].a]] = pairs[p].b;
+        arena->candidates_of[--first[pairs[p].b]] = pairs[p].a;
     }
 }
 
-/* List the pairs that could matter before the next look at all of them. */
-static void watch(mcp_asdf_arena_t *arena)
+/* List the pairs that could be linked, visible or touchable before the next search. */
+static void find_candidates(mcp_asdf_arena_t *arena)
 {
-    const double limit = watching_distance(&arena->config);
-    arena->watched_count = arena->config.robots <= FEW ? watch_all(arena, limit) : watch_cells(arena, limit);
-    list_watched(arena);
-    arena->ticks_to_watch = TICKS_BETWEEN_LOOKS;
+    const double limit = candidate_distance(&arena->config);
+    arena->candidate_count = arena->config.robots <= MAX_ROBOTS_WITHOUT_GRID
+                                 ? find_candidates_among_all(arena, limit)
+                                 : find_candidates_in_cells(arena, limit);
+    list_candidates_by_robot(arena);
+    arena->ticks_to_search = TICKS_BETWEEN_SEARCHES;
 }
 
-FOR_EACH_TARGET static void forget_pairs(mcp_asdf_arena_t *arena)
+/* Forget the pairs and sets of the tick before. What remains of may_touch and needs_steering is for walls,
+ * and for robots that turn. */
+FOR_EACH_TARGET static void reset_tick(mcp_asdf_arena_t *arena)
 {
     const uint32_t robots = arena->config.robots;
     const double distance = arena->config.speed * arena->config.tick;
-    const double touch_x = place_before_wall(arena->config.width, distance);
-    const double touch_y = place_before_wall(arena->config.height, distance);
-    const double see_x = place_before_wall(arena->config.width, SENSOR_REACH);
-    const double see_y = place_before_wall(arena->config.height, SENSOR_REACH);
+    const double touch_x = position_before_wall(arena->config.width, distance);
+    const double touch_y = position_before_wall(arena->config.height, distance);
+    const double see_x = position_before_wall(arena->config.width, SENSOR_REACH);
+    const double see_y = position_before_wall(arena->config.height, SENSOR_REACH);
     const double *const x = arena->x, *const y = arena->y;
-    uint64_t *const may_touch = arena->may_touch, *const looks = arena->looks;
+    uint64_t *const may_touch = arena->may_touch, *const needs_steering = arena->needs_steering;
     memset(arena->in_range, 0, robots * sizeof *arena->in_range);
     SIDE_BY_SIDE
     for (uint32_t i = 0; i < WHOLE_VECTORS(robots); ++i) {
         may_touch[i] = (fabs(x[i]) > touch_x) | (fabs(y[i]) > touch_y);
-        looks[i] |= (fabs(x[i]) > see_x) | (fabs(y[i]) > see_y);
+        needs_steering[i] |= (fabs(x[i]) > see_x) | (fabs(y[i]) > see_y);
     }
-    arena->link_count = arena->near_count = arena->close_count = 0;
+    arena->link_count = arena->visible_count = arena->touchable_count = 0;
 }
 
-static void note_near(mcp_asdf_arena_t *arena, mcp_asdf_pair_t pair, double squared)
+/* Note that a pair, whose squared distance is `squared`, is visible or touchable. */
+static void add_near_pair(mcp_asdf_arena_t *arena, mcp_asdf_pair_t pair, double squared)
 {
     const double touching = touching_distance(&arena->config);
     if (squared < SEEING_DISTANCE * SEEING_DISTANCE) {
-        arena->looks[pair.a] = arena->looks[pair.b] = 1;
-        arena->near[arena->near_count++] = pair;
+        arena->needs_steering[pair.a] = arena->needs_steering[pair.b] = 1;
+        arena->visible[arena->visible_count++] = pair;
     }
     if (squared < touching * touching) {
         arena->may_touch[pair.a] = arena->may_touch[pair.b] = 1;
-        arena->close[arena->close_count++] = pair;
+        arena->touchable[arena->touchable_count++] = pair;
     }
 }
 
-static void note_pairs(mcp_asdf_arena_t *arena)
+/* Find the candidates in range of each other, which are links unless a body is between, and those that are
+ * visible or touchable. */
+static void classify_candidates(mcp_asdf_arena_t *arena)
 {
     const double range = arena->config.range;
-    const double matters = larger(touching_distance(&arena->config), SEEING_DISTANCE);
-    const mcp_asdf_pair_t *const watched = arena->watched;
+    const double near_distance = max_of(touching_distance(&arena->config), SEEING_DISTANCE);
+    const mcp_asdf_pair_t *const candidates = arena->candidates;
     mcp_asdf_pair_t *const links = arena->links;
-    const uint32_t count = arena->watched_count;
+    const uint32_t count = arena->candidate_count;
     uint64_t *const in_range = arena->in_range;
-    uint32_t linked = 0;
+    uint32_t link_count = 0;
     for (uint32_t p = 0; p < count; ++p) {
-        const double squared = squared_distance(arena, watched[p].a, watched[p].b);
+        const double squared = squared_distance(arena, candidates[p].a, candidates[p].b);
         const uint64_t is_linked = squared < range * range;
-        links[linked] = watched[p]; /* kept if so: half of them are, which no branch could predict */
-        linked += (uint32_t)is_linked;
-        in_range[watched[p].a] |= is_linked << watched[p].b % 64;
-        in_range[watched[p].b] |= is_linked << watched[p].a % 64;
-        if (squared < matters * matters) {
-            note_near(arena, watched[p], squared);
+        links[link_count] =
+            candidates[p]; /* overwritten if not: half of them are, which no branch could predict */
+        link_count += (uint32_t)is_linked;
+        in_range[candidates[p].a] |= is_linked << candidates[p].b % 64;
+        in_range[candidates[p].b] |= is_linked << candidates[p].a % 64;
+        if (squared < near_distance * near_distance) {
+            add_near_pair(arena, candidates[p], squared);
         }
     }
-    arena->link_count = linked;
+    arena->link_count = link_count;
 }
 
-/* Whether body k reaches into the line from i to j. */
-static bool stands_between(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j, uint32_t k)
+/* Whether body k reaches into the line between the centres of i and j. */
+static bool blocks_line(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j, uint32_t k)
 {
     const double dx = arena->x[j] - arena->x[i], dy = arena->y[j] - arena->y[i];
     const double mx = arena->x[k] - arena->x[i], my = arena->y[k] - arena->y[i];
@@ -200,39 +212,41 @@ static bool stands_between(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j
     return (along > 0) & (along < squared) & (across * across < BODY_RADIUS * BODY_RADIUS * squared);
 }
 
-/* Bodies do not overlap, so one between two others is closer to each than they are to each other: it is
- * in range of both, which the sets show without a doubt where they have no robot in common. */
+/* Whether a body is on the line between robots i and j. Bodies do not overlap, so one between two others is
+ * closer to each than they are to each other, and in range of both. Sets without a common bit show that there
+ * is none; with one, as a bit stands for several robots, each candidate is tried. */
 static bool is_blocked(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
 {
     if ((arena->in_range[i] & arena->in_range[j]) == 0) {
         return false;
     }
     bool blocked = false;
-    for (uint32_t k = arena->first_around[i]; k < arena->first_around[i + 1]; ++k) {
-        blocked |= stands_between(arena, i, j, arena->around[k]); /* j itself does not */
+    for (uint32_t k = arena->first_candidate[i]; k < arena->first_candidate[i + 1]; ++k) {
+        blocked |= blocks_line(arena, i, j, arena->candidates_of[k]); /* j itself does not block */
     }
     return blocked;
 }
 
-static void drop_blocked_links(mcp_asdf_arena_t *arena)
+/* Remove the links whose line a body blocks, and keep the order of the others. */
+static void remove_blocked_links(mcp_asdf_arena_t *arena)
 {
-    uint32_t kept = 0;
+    uint32_t kept_count = 0;
     for (uint32_t p = 0; p < arena->link_count; ++p) {
         if (!is_blocked(arena, arena->links[p].a, arena->links[p].b)) {
-            arena->links[kept++] = arena->links[p];
+            arena->links[kept_count++] = arena->links[p];
         }
     }
-    arena->link_count = kept;
+    arena->link_count = kept_count;
 }
 
 void arena_find_links(mcp_asdf_arena_t *arena)
 {
-    if (arena->ticks_to_watch == 0) {
-        watch(arena);
+    if (arena->ticks_to_search == 0) {
+        find_candidates(arena);
     } else {
-        --arena->ticks_to_watch;
+        --arena->ticks_to_search;
     }
-    forget_pairs(arena);
-    note_pairs(arena);
-    drop_blocked_links(arena);
+    reset_tick(arena);
+    classify_candidates(arena);
+    remove_blocked_links(arena);
 }

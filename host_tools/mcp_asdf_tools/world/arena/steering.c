@@ -8,76 +8,81 @@
 #define HALF_ROOT 0.70710678118654752440 /* cosine and sine of 45 degrees */
 
 /* Directions of the sensors in the robot's own frame, from straight ahead counterclockwise. */
-static const double AHEAD[SENSORS] = {1, HALF_ROOT, 0, -HALF_ROOT, -1, -HALF_ROOT, 0, HALF_ROOT};
-static const double LEFT[SENSORS] = {0, HALF_ROOT, 1, HALF_ROOT, 0, -HALF_ROOT, -1, -HALF_ROOT};
+static const double SENSOR_AHEAD[SENSORS] = {1, HALF_ROOT, 0, -HALF_ROOT, -1, -HALF_ROOT, 0, HALF_ROOT};
+static const double SENSOR_LEFT[SENSORS] = {0, HALF_ROOT, 1, HALF_ROOT, 0, -HALF_ROOT, -1, -HALF_ROOT};
 
 /* Component along x of the direction on the floor of sensor k, with heading (cx, cy); along y with (cy, -cx).
  */
-IN_LOOPS double ray(double cx, double cy, uint32_t k) { return cx * AHEAD[k] - cy * LEFT[k]; }
+IN_LOOPS double ray_component(double cx, double cy, uint32_t k)
+{
+    return cx * SENSOR_AHEAD[k] - cy * SENSOR_LEFT[k];
+}
 
-/* Shorten the rays of robot i that meet robot j. */
-IN_LOOPS void meet_body(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
+/* Shorten the rays of robot i that meet robot j: a ray that passes its centre at less than a radius ends at
+ * the near side of the circle. */
+IN_LOOPS void shorten_rays_at_body(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
 {
     const double mx = arena->x[j] - arena->x[i], my = arena->y[j] - arena->y[i];
     const double cx = arena->cx[i], cy = arena->cy[i];
     const double radius_squared = BODY_RADIUS * BODY_RADIUS, squared = mx * mx + my * my;
-    double *const clear = arena->clear + (size_t)i * SENSORS;
+    double *const free_distance = arena->free_distance + (size_t)i * SENSORS;
     SIDE_BY_SIDE
     for (uint32_t k = 0; k < SENSORS; ++k) {
-        const double along = mx * ray(cx, cy, k) + my * ray(cy, -cx, k);
+        const double along = mx * ray_component(cx, cy, k) + my * ray_component(cy, -cx, k);
         const double inside = radius_squared - (squared - along * along);
-        const double distance = along - BODY_RADIUS - sqrt(larger(inside, 0));
-        const bool meets = (along > 0) & (inside >= 0) & (distance < clear[k]);
-        clear[k] = meets ? distance : clear[k];
+        const double distance = along - BODY_RADIUS - sqrt(max_of(inside, 0));
+        const bool meets = (along > 0) & (inside >= 0) & (distance < free_distance[k]);
+        free_distance[k] = meets ? distance : free_distance[k];
     }
 }
 
-/* Shorten the rays of all robots that meet others. */
-FOR_EACH_TARGET static void meet_bodies(const mcp_asdf_arena_t *arena)
+/* Form the free distances along the rays of all robots, as other bodies leave them. */
+FOR_EACH_TARGET static void shorten_rays_at_bodies(const mcp_asdf_arena_t *arena)
 {
-    double *const clear = arena->clear;
+    double *const free_distance = arena->free_distance;
     for (size_t r = 0; r < (size_t)arena->config.robots * SENSORS; ++r) {
-        clear[r] = 2 * SENSOR_REACH;
+        free_distance[r] = 2 * SENSOR_REACH;
     }
-    for (uint32_t p = 0; p < arena->near_count; ++p) {
-        meet_body(arena, arena->near[p].a, arena->near[p].b);
-        meet_body(arena, arena->near[p].b, arena->near[p].a);
+    for (uint32_t p = 0; p < arena->visible_count; ++p) {
+        shorten_rays_at_body(arena, arena->visible[p].a, arena->visible[p].b);
+        shorten_rays_at_body(arena, arena->visible[p].b, arena->visible[p].a);
     }
 }
 
-/* Shorten the rays that meet one of the two walls across an axis. The walls are `room` from the middle of the
- * floor, the robot is at `place`, and (cx, cy) is as ray() has it for the axis. */
-IN_LOOPS void meet_walls(double *clear, double cx, double cy, double room, double place)
+/* Shorten the rays that meet one of the two walls across an axis. The walls are `wall_coordinate` from the
+ * middle of the floor, the robot is at `position`, and (cx, cy) is as ray_component() has it for the axis. */
+IN_LOOPS void shorten_rays_at_walls(double *free_distance, double cx, double cy, double wall_coordinate,
+                                    double position)
 {
     const double reach = BODY_RADIUS + SENSOR_REACH;
-    if (fabs(place) < room - reach) {
+    if (fabs(position) < wall_coordinate - reach) {
         return;
     }
     SIDE_BY_SIDE
     for (uint32_t k = 0; k < SENSORS; ++k) {
-        const double direction = ray(cx, cy, k), slope = fabs(direction);
-        const double gap = direction > 0 ? room - place : room + place;
+        const double direction = ray_component(cx, cy, k), slope = fabs(direction);
+        const double gap = direction > 0 ? wall_coordinate - position : wall_coordinate + position;
         const double distance = gap / slope - BODY_RADIUS;
-        const bool meets = (gap < reach * slope) & (distance < clear[k]);
-        clear[k] = meets ? distance : clear[k];
+        const bool meets = (gap < reach * slope) & (distance < free_distance[k]);
+        free_distance[k] = meets ? distance : free_distance[k];
     }
 }
 
-/* Reading, 0 .. 1, of a sensor whose ray meets something at `distance` from the edge of the body, within its
- * reach. */
-IN_LOOPS double reading(double distance)
+/* Reading, 0 .. 1, of a sensor whose ray meets something at `distance` from the edge of the body,
+ * within its reach. */
+IN_LOOPS double sensor_reading(double distance)
 {
     const double far = clamp(4.14 * arena_fading(33 * distance) - 0.085, 0, 1);
     return distance < 0.04 ? 1 : far;
 }
 
 #define DEGREE (PI / 180)
-#define WEAK 0.1 /* a shorter obstacle vector is ignored if it points ahead, within 5 degrees */
+#define WEAK_OBSTACLE 0.1 /* a shorter obstacle vector is ignored if it points ahead, within 5 degrees */
 #define TAN_5_DEGREES 0.08748866352592400522
 
-/* State of the wheels after `state`, with the wanted heading `angle` away. A turn on the spot begins at 90
- * degrees and ends at 70. Exactly 90 is no rare tie: it is what a side sensor alone gives. It counts as a
- * turn on the spot because it does so in the physics simulation. */
+/* State of the wheels after `state`, where the heading to turn to is `angle` away. A turn on the spot begins
+ * at 90 degrees and ends at 70. Exactly 90 is no rare tie: it is what a side sensor alone gives. It counts as
+ * a turn on the spot because it does so in the physics simulation. */
 IN_LOOPS uint8_t next_wheels(uint8_t state, double angle)
 {
     if (angle >= PI / 2 || (state == MCP_ASDF_HARD_TURN && angle > 70 * DEGREE)) {
@@ -98,16 +103,17 @@ IN_LOOPS double inner_speed(uint8_t wheels, double speed, double angle)
 /* Set the wheels of a robot with an obstacle vector whose opposite is `angle` from straight ahead. */
 IN_LOOPS void steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, double left, double away)
 {
-    const bool weak = ahead * ahead + left * left < WEAK * WEAK && fabs(left) <= ahead * TAN_5_DEGREES;
-    const double angle = weak ? 0 : away;
+    const bool is_weak =
+        ahead * ahead + left * left < WEAK_OBSTACLE * WEAK_OBSTACLE && fabs(left) <= ahead * TAN_5_DEGREES;
+    const double angle = is_weak ? 0 : away;
     const uint8_t wheels = next_wheels(arena->wheels[robot], angle);
     const double outer = arena->config.speed, inner = inner_speed(wheels, outer, angle);
-    arena->avoids[robot] = !weak;
+    arena->avoids[robot] = !is_weak;
     arena->wheels[robot] = wheels;
-    arena->looks[robot] = wheels != MCP_ASDF_STRAIGHT || !weak;
-    arena->wanted_speed[robot] = (outer + inner) / 2;
+    arena->needs_steering[robot] = wheels != MCP_ASDF_STRAIGHT || !is_weak;
+    arena->target_speed[robot] = (outer + inner) / 2;
     /* To the right, away from an obstacle on the left, unless it is on the right. */
-    arena->wanted_spin[robot] = (left < 0 ? outer - inner : inner - outer) / WHEEL_DISTANCE;
+    arena->target_spin[robot] = (left < 0 ? outer - inner : inner - outer) / WHEEL_DISTANCE;
 }
 
 void mcp_asdf_arena_steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, double left)
@@ -115,79 +121,80 @@ void mcp_asdf_arena_steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead,
     steer(arena, robot, ahead, left, arena_bearing(-ahead, -left));
 }
 
-/* Robots whose wheels may change, of one arena or several, and what they sense.
- *   ahead, left     obstacle vector of each in its own frame
+/* A batch of robots whose wheels may change, of one arena or several, and what they sense.
+ *   ahead, left     obstacle vector in the robot's own frame: the sum of rays weighted by readings
  *   away            angle of its opposite from straight ahead
- *   ray, distance   of the `seen` rays that meet something within reach: sensor ray % SENSORS of busy robot
- *                   ray / SENSORS */
+ *   ray, distance   of the `hit_count` rays that meet something within reach: that of sensor ray % SENSORS of
+ *                   the robot in entry ray / SENSORS */
 typedef struct {
     uint32_t count;
-    uint32_t seen;
-    mcp_asdf_arena_t *arena[AT_ONCE];
-    uint32_t robot[AT_ONCE];
-    double ahead[AT_ONCE], left[AT_ONCE], away[AT_ONCE];
-    uint32_t ray[AT_ONCE * SENSORS + 1];
-    double distance[AT_ONCE * SENSORS + 1];
-} busy_t;
+    uint32_t hit_count;
+    mcp_asdf_arena_t *arena[BATCH];
+    uint32_t robot[BATCH];
+    double ahead[BATCH], left[BATCH], away[BATCH];
+    uint32_t ray[BATCH * SENSORS + 1];
+    double distance[BATCH * SENSORS + 1];
+} steered_t;
 
-/* Look along the rays of the n-th busy robot. */
-IN_LOOPS void look_around(busy_t *busy, uint32_t n)
+/* Look along the rays of the n-th robot of a batch, and append those that meet something within reach. */
+IN_LOOPS void cast_rays(steered_t *batch, uint32_t n)
 {
-    const mcp_asdf_arena_t *const arena = busy->arena[n];
-    const uint32_t i = busy->robot[n];
-    double *const clear = arena->clear + (size_t)i * SENSORS;
-    meet_walls(clear, arena->cx[i], arena->cy[i], arena->config.width / 2, arena->x[i]);
-    meet_walls(clear, arena->cy[i], -arena->cx[i], arena->config.height / 2, arena->y[i]);
-    for (uint32_t k = 0; k < SENSORS; ++k) { /* written always, kept if seen */
-        busy->ray[busy->seen] = n * SENSORS + k;
-        busy->distance[busy->seen] = clear[k];
-        busy->seen += clear[k] <= SENSOR_REACH;
+    const mcp_asdf_arena_t *const arena = batch->arena[n];
+    const uint32_t i = batch->robot[n];
+    double *const free_distance = arena->free_distance + (size_t)i * SENSORS;
+    shorten_rays_at_walls(free_distance, arena->cx[i], arena->cy[i], arena->config.width / 2, arena->x[i]);
+    shorten_rays_at_walls(free_distance, arena->cy[i], -arena->cx[i], arena->config.height / 2, arena->y[i]);
+    for (uint32_t k = 0; k < SENSORS; ++k) { /* written always, and overwritten unless hit */
+        batch->ray[batch->hit_count] = n * SENSORS + k;
+        batch->distance[batch->hit_count] = free_distance[k];
+        batch->hit_count += free_distance[k] <= SENSOR_REACH;
     }
-    busy->ahead[n] = busy->left[n] = 0;
+    batch->ahead[n] = batch->left[n] = 0;
 }
 
-FOR_EACH_TARGET static void steer_busy(busy_t *busy)
+/* Set the wheels of the robots of a batch from what their sensors read, and empty the batch. */
+FOR_EACH_TARGET static void steer_batch(steered_t *batch)
 {
-    double weight[AT_ONCE * SENSORS];
-    busy->seen = 0;
-    for (uint32_t n = 0; n < busy->count; ++n) {
-        look_around(busy, n);
+    double weight[BATCH * SENSORS];
+    batch->hit_count = 0;
+    for (uint32_t n = 0; n < batch->count; ++n) {
+        cast_rays(batch, n);
     }
     SIDE_BY_SIDE
-    for (uint32_t r = 0; r < busy->seen; ++r) {
-        weight[r] = reading(busy->distance[r]);
+    for (uint32_t r = 0; r < batch->hit_count; ++r) {
+        weight[r] = sensor_reading(batch->distance[r]);
     }
-    for (uint32_t r = 0; r < busy->seen; ++r) {
-        const uint32_t n = busy->ray[r] / SENSORS, k = busy->ray[r] % SENSORS;
-        busy->ahead[n] += weight[r] * AHEAD[k];
-        busy->left[n] += weight[r] * LEFT[k];
+    for (uint32_t r = 0; r < batch->hit_count; ++r) {
+        const uint32_t n = batch->ray[r] / SENSORS, k = batch->ray[r] % SENSORS;
+        batch->ahead[n] += weight[r] * SENSOR_AHEAD[k];
+        batch->left[n] += weight[r] * SENSOR_LEFT[k];
     }
     SIDE_BY_SIDE
-    for (uint32_t n = 0; n < busy->count; ++n) {
-        busy->away[n] = arena_bearing(-busy->ahead[n], -busy->left[n]);
+    for (uint32_t n = 0; n < batch->count; ++n) {
+        batch->away[n] = arena_bearing(-batch->ahead[n], -batch->left[n]);
     }
-    for (uint32_t n = 0; n < busy->count; ++n) {
-        steer(busy->arena[n], busy->robot[n], busy->ahead[n], busy->left[n], busy->away[n]);
+    for (uint32_t n = 0; n < batch->count; ++n) {
+        steer(batch->arena[n], batch->robot[n], batch->ahead[n], batch->left[n], batch->away[n]);
     }
-    busy->count = 0;
+    batch->count = 0;
 }
 
-/* The wheels of robots with nothing near that drive straight on are set already. */
+/* Robots that drive straight on with nothing near keep their wheels, which are set already. */
 void arena_set_wheels(mcp_asdf_arena_t *arenas, uint32_t count)
 {
-    busy_t busy;
-    busy.count = 0;
+    steered_t batch;
+    batch.count = 0;
     for (uint32_t a = 0; a < count; ++a) {
         mcp_asdf_arena_t *const arena = &arenas[a];
-        meet_bodies(arena);
+        shorten_rays_at_bodies(arena);
         for (uint32_t i = 0; i < arena->config.robots; ++i) {
-            busy.arena[busy.count] = arena; /* written always, kept if busy */
-            busy.robot[busy.count] = i;
-            busy.count += (uint32_t)arena->looks[i];
-            if (busy.count == AT_ONCE) {
-                steer_busy(&busy);
+            batch.arena[batch.count] = arena; /* written always, and overwritten unless it counts */
+            batch.robot[batch.count] = i;
+            batch.count += (uint32_t)arena->needs_steering[i];
+            if (batch.count == BATCH) {
+                steer_batch(&batch);
             }
         }
     }
-    steer_busy(&busy);
+    steer_batch(&batch);
 }

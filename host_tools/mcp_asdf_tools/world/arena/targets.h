@@ -29,9 +29,10 @@
 #define SIDE_BY_SIDE
 #endif
 
-/* Numbers in a vector, its bytes, and the next multiple: the arena's memory has room for so many robots. */
-#define VECTOR 8U
+#define VECTOR 8U /* doubles in a vector */
 #define VECTOR_BYTES 64U
+
+/* The next multiple of a vector: the arena's memory has room for so many robots. */
 #define WHOLE_VECTORS(count) (((count) + VECTOR - 1) / VECTOR * VECTOR)
 
 #endif
