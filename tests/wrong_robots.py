@@ -32,7 +32,7 @@ from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.swarm.fault_spec import parse_fault
+from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from wire import record

@@ -16,8 +16,9 @@ from mcp_asdf_tools.experiments.results import Trials, select_experiments, singl
 from mcp_asdf_tools.experiments.scores import E_MAX, PAPERS, SCORES, Limits
 from mcp_asdf_tools.experiments.sweep import run_in_memory, run_sweep
 from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
+from mcp_asdf_tools.swarm.swarm import Swarm
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]

@@ -35,7 +35,7 @@ from mcp_asdf_tools.experiments.result_tables import experiments_in, read_metada
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
-from mcp_asdf_tools.swarm.fault_spec import parse_fault
+from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.tables.table_files import check_file, format_c_source, format_json
 from mcp_asdf_tools.world.topology import parse_graph
 from support import PATIENCE, draws

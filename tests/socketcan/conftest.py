@@ -46,7 +46,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     monkeypatch.setattr(swarm_command, "_STARTING_TIMEOUT", PATIENCE)
     monkeypatch.setattr(remote_robot, "ANSWER_TIMEOUT", PATIENCE)
-    monkeypatch.setattr(carrier, "TIMEOUT", PATIENCE)
+    monkeypatch.setattr(carrier, "FRAME_TIMEOUT", PATIENCE)
 
 
 @pytest.fixture

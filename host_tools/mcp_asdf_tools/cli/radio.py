@@ -36,7 +36,7 @@ from mcp_asdf_tools.recording.frame_logs import add_log_option
 from mcp_asdf_tools.recording.input_log import InputLogHeader
 from mcp_asdf_tools.robots.filters import FilteringRobots, describe_filters
 from mcp_asdf_tools.robots.node import BusLink, filters_for
-from mcp_asdf_tools.swarm.fault_spec import parse_fault
+from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 EPILOG = """\
@@ -232,8 +232,9 @@ def _emulate(
             link = BusLink(bus, should_stop, endures=True, log=log)
             run = RadioRun(Neighbourhood(settings), link, args.steps)
             with console.status("") as status:
-                run.watch = lambda: status.update(
-                    f"tick {run.neighbours.tick}   frames sent {run.sent}, estimates heard {run.heard}"
+                run.on_tick = lambda: status.update(
+                    f"tick {run.neighbours.tick}   frames sent {run.sent_count}, "
+                    f"estimates heard {run.estimate_count}"
                 )
                 run.run()
             report = _report(args, settings, choice) | {"results": run.figures()}

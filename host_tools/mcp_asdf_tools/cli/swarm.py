@@ -29,9 +29,10 @@ from mcp_asdf_tools.robots.node import Subjects
 from mcp_asdf_tools.robots.processes import NodeProcesses
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.live_view import LiveView
+from mcp_asdf_tools.swarm.run import Baselines, SwarmRun, results_of, run_swarm
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
 from mcp_asdf_tools.swarm.summary import comparison, load_warning, one_line, summary, summary_table
-from mcp_asdf_tools.swarm.swarm import Companions, Swarm, SwarmRun, results_of, run_swarm
+from mcp_asdf_tools.swarm.swarm import Swarm
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.view.films import SwarmCamera
@@ -137,7 +138,7 @@ def _emulate(
     Raises LockstepError if robots elsewhere do not start, can.CanError if their bus fails before they have.
     """
     settings, began = plan.settings, time.monotonic()
-    companions = Companions(settings) if plan.args.compare else None
+    baselines = Baselines(settings) if plan.args.compare else None
     with ExitStack() as stack:
         port = _admit(plan, stack)
         swarm = stack.enter_context(Swarm(settings, plan.wiring, *outputs))
@@ -149,17 +150,17 @@ def _emulate(
             with plan.console.status("waiting for robots elsewhere"):
                 swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
         # A signal counts between two ticks, so that log and results end on a whole one.
-        with LiveView(plan.console, companions) as live, stopping() as should_stop:
-            hooks = [each for each in (companions, camera, live) if each is not None]
+        with LiveView(plan.console, baselines) as live, stopping() as should_stop:
+            hooks = [each for each in (baselines, camera, live) if each is not None]
             outcome = run_swarm(swarm, hooks, should_stop)
     choice = plan.choice
     report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": port})
     report["processes"] = {str(robot): each for robot, each in sorted(nodes.reports.items())}
     seconds = time.monotonic() - began
-    if companions is not None:
-        seconds -= companions.seconds
+    if baselines is not None:
+        seconds -= baselines.seconds
         if outcome.failure is None:
-            report["compared"] = {each: results_of(other) for each, other in companions.swarms.items()}
+            report["compared"] = {each: results_of(other) for each, other in baselines.swarms.items()}
     return outcome, report, seconds
 
 

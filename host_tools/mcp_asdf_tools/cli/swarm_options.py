@@ -15,7 +15,7 @@ from mcp_asdf_tools.common.parameters import Parameter, parameters_of
 from mcp_asdf_tools.recording.frame_logs import add_log_option
 from mcp_asdf_tools.robots.clock import ClockKind
 from mcp_asdf_tools.swarm.carrier import Wiring
-from mcp_asdf_tools.swarm.fault_spec import FaultKind
+from mcp_asdf_tools.swarm.fault_injection.kinds import FAULT_KINDS
 from mcp_asdf_tools.swarm.remote_robot import check_remote
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
@@ -45,8 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_faults(parser: argparse.ArgumentParser) -> None:
     kinds = "\n".join(
-        f"  {kind.value:10}{kind.text}" + "".join(f"; {option}=" for option in kind.options)
-        for kind in FaultKind
+        f"  {kind.name:10}{kind.summary}" + "".join(f"; {option}=" for option in kind.own_options())
+        for kind in FAULT_KINDS
     )
     group = parser.add_argument_group(
         "faults and clock",

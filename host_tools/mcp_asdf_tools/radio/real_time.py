@@ -21,39 +21,44 @@ class RadioRun:
     Attributes:
         neighbours: The neighbours.
         link: The connection to the controller.
-        outcome: How the run ended, once it is over.
-        sent: Frames sent to the controller.
-        heard: Estimates heard from it.
-        strangers: Legal estimates from nodes that are neither the controller nor emulated.
-        error_frames: Error frames, and what could not be decoded.
-        id_conflicts: Estimates of other nodes under ids of emulated robots, by id.
-        watch: Called after each tick.
+        outcome: How the run has ended.
+        sent_count: Frames sent to the controller.
+        estimate_count: Estimates received from the controller.
+        foreign_count: Estimates of nodes that are neither the controller nor emulated.
+        error_frame_count: Error frames, and what could not be decoded.
+        id_conflicts: Number of estimates that other nodes sent under ids of emulated robots, by id.
+        on_tick: Called after each tick.
     """
 
     def __init__(self, neighbours: Neighbourhood, link: BusLink, ticks: int | None = None) -> None:
-        """Prepare for ``ticks`` ticks, or for any number if None."""
+        """Prepare a run of ``ticks`` ticks; None for one that goes on until it is stopped."""
         self.neighbours = neighbours
         self.link = link
         self.outcome = RunOutcome("all ticks done")
-        self.sent = self.heard = self.strangers = self.error_frames = 0
+        self.sent_count = 0
+        self.estimate_count = 0
+        self.foreign_count = 0
+        self.error_frame_count = 0
         self.id_conflicts = Counter[int]()
-        self.watch: Callable[[], None] = lambda: None
+        self.on_tick: Callable[[], None] = lambda: None
         self._ticks = ticks
-        self._said: list[can.Message] = []
+        self._controller_frames: list[can.Message] = []
+        """Estimates of the controller that its neighbours receive in the next tick."""
 
     def run(self) -> None:
-        """Tick until all ticks are done, until asked to stop, or until the bus is gone.
+        """Run until all ticks are done, the link asks to stop, or the bus is gone; sets ``outcome``.
 
-        Frames of the controller are heard at the next tick, and it is sent frames at ticks. The bus may fail
-        meanwhile, but a run has failed if the last attempt to use the bus did.
+        Neighbours receive the controller's frames, and it receives theirs, at the beginning of ticks. The
+        bus may fail in between: the run has failed only if the last attempt to use the bus did.
         """
-        clock = RealTimeClock(self.neighbours.settings.swarm.steps_per_second, sleep=self._listen)
+        settings = self.neighbours.settings
+        clock = RealTimeClock(settings.swarm.steps_per_second, sleep=self._receive_while_waiting)
         try:
             while self._ticks is None or self.neighbours.tick < self._ticks:
                 clock.begin(self.neighbours.tick)
-                self.link.catch_up(self._take)
-                self._tick()
-                self.watch()
+                self.link.catch_up(self._handle_frame)
+                self._take_tick()
+                self.on_tick()
         except (Stopped, KeyboardInterrupt):
             self.outcome.ending = "stopped"
             self.outcome.is_interrupted = self._ticks is not None
@@ -66,15 +71,15 @@ class RadioRun:
             self.outcome.has_failed = True
 
     def figures(self) -> dict[str, Any]:
-        """Results as plain values, for JSON."""
+        """Return the results as plain values, for JSON."""
         x = [node.robot.x for node in self.neighbours.nodes.values()]
         return {
             "steps": self.neighbours.tick,
             **vars(self.outcome),
-            "frames_sent": self.sent,
-            "estimates_heard": self.heard,
-            "strangers": self.strangers,
-            "error_frames": self.error_frames,
+            "frames_sent": self.sent_count,
+            "estimates_heard": self.estimate_count,
+            "strangers": self.foreign_count,
+            "error_frames": self.error_frame_count,
             "id_conflicts": {str(sender): count for sender, count in self.id_conflicts.items()},
             "bus_failures": self.link.failures,
             "faults": self.neighbours.faults.figures(),
@@ -82,26 +87,28 @@ class RadioRun:
             "spread_x": max(x) - min(x),
         }
 
-    def _tick(self) -> None:
+    def _take_tick(self) -> None:
+        """Let the neighbours take a tick, and send the controller what it receives of them."""
         self.neighbours.begin()
-        for frame in self.neighbours.finish(self._said):
-            self.sent += self.link.send(frame)
-        self._said = []
+        for frame in self.neighbours.finish(self._controller_frames):
+            self.sent_count += self.link.send(frame)
+        self._controller_frames = []
 
-    def _listen(self, seconds: float) -> None:
+    def _receive_while_waiting(self, seconds: float) -> None:
+        """Wait for a frame, but at most ``seconds``, and handle it."""
         frame = self.link.receive(seconds)
         if frame is not None:
-            self._take(frame)
+            self._handle_frame(frame)
 
-    def _take(self, frame: can.Message) -> None:
+    def _handle_frame(self, frame: can.Message) -> None:
+        """Keep an estimate of the controller for its neighbours, and count other nodes' frames."""
         estimate = decode_estimate(frame, self.neighbours.settings.subjects.estimates)
         if not isinstance(estimate, Estimate):
-            self.error_frames += frame.is_error_frame
-            return
-        if estimate.sender == self.neighbours.settings.controller.id:
-            self.heard += 1
-            self._said.append(frame)
+            self.error_frame_count += frame.is_error_frame
+        elif estimate.sender == self.neighbours.settings.controller.id:
+            self.estimate_count += 1
+            self._controller_frames.append(frame)
         elif estimate.sender in self.neighbours.nodes:
             self.id_conflicts[estimate.sender] += 1
         else:
-            self.strangers += 1
+            self.foreign_count += 1

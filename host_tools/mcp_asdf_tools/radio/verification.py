@@ -23,7 +23,8 @@ from mcp_asdf_tools.radio.protocol_phases import CROWDED_MESSAGES
 from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.swarm.fault_spec import Fault, parse_fault
+from mcp_asdf_tools.swarm.fault_injection.fault import Fault
+from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 
 PASSED, FAILED, NOT_EXERCISED, NOT_RUN = "passed", "failed", "not exercised", "not run"
 DISTURBED = "disturbed"
@@ -124,7 +125,7 @@ def planned(settings: RadioSettings, phases: Sequence[Phase], ticks: int) -> tup
     names = {"me": settings.controller.id, "them": "+".join(ids), "one": ids[0]}
     applying = [phase for phase in phases if phase.applies(settings.controller)]
     plan = [replace(phase, fault=phase.fault.format(**names)) for phase in applying]
-    plan += [Phase(fault.kind.value, fault=str(fault)) for fault in settings.faults]
+    plan += [Phase(fault.name, fault=str(fault)) for fault in settings.faults]
     faults = [
         replace(parse_fault(text), start=place * ticks, stop=(place + 1) * ticks)
         for place, phase in enumerate(each for each in plan if each.play is None)

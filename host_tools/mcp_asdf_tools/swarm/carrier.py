@@ -1,24 +1,25 @@
-"""Carrier of frames from robot to robot, over python-can buses or inside this process.
+"""Transport of frames from robot to robot, over python-can buses or inside this process.
 
-``Delivery`` decides which frames each robot hears, and when. The ``Carrier`` brings them there:
+A ``DeliveryQueue`` decides which robot receives which frame, and when. The ``Carrier`` gets the frames there
+in one of three ways:
 
-- inside this process where no other program can listen;
-- over one bus: what robots send is on it, and comes back to the one connection of all. Another program on the
-  bus sees the frames sent;
-- over a bus for every robot: the carrier reads there what the robot sends, and writes what it hears. Another
-  program on that bus sees what this robot sees.
+- Inside this process, where no other program can listen.
+- Over one bus for all robots. The carrier reads back from the bus what robots send. Another program on the
+  bus sees the frames sent.
+- Over a bus for each robot. The carrier reads there what the robot sends, and writes there what the robot
+  receives. Another program on that bus sees what this robot sees.
 
-Robots may also run elsewhere, on any of these buses. However frames are carried, a robot hears the same ones
-in the same order.
+On any of these buses robots may also be remote. However frames are carried, a robot receives the same ones in
+the same order.
 """
 
 from __future__ import annotations
 
 import time
-from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 
@@ -32,35 +33,39 @@ from mcp_asdf_tools.bus.frames import FrameContent, FrameFormat, decode_frame
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker
-from mcp_asdf_tools.swarm.delivery import Delivery, Paths, SentFrame, content_of
+from mcp_asdf_tools.swarm.delivery import Deliveries, DeliveryQueue, SentFrame
 
-TIMEOUT = 2.0
-"""Seconds after which a frame that has not come counts as lost."""
+FRAME_TIMEOUT = 2.0
+"""Seconds after which a frame that has not arrived counts as lost."""
 
-_BATCH = 64
+_BATCH_SIZE = 64
 """Frames sent between two reads: a socket of usual size holds more than 200."""
 
-_MOST_LATE = 4096
-"""Frames read once the time is over: the queue counts, but a flood must not keep the swarm listening."""
+_MAX_READS_AFTER_DEADLINE = 4096
+"""What waits in the receive buffer at the deadline is still read, but a flood that keeps filling the buffer
+must not hold up the swarm."""
+
+_MAX_FRAMES_IN_ERROR = 8
+"""Missing frames that an error names."""
 
 OpenBus = Callable[[int], can.BusABC]
-"""Joins the bus of a robot, by id."""
+"""Opens a connection to the bus of a robot, by id."""
 
 
 class SwarmError(RuntimeError):
-    """The swarm cannot go on: the bus lost a frame."""
+    """The swarm cannot go on, because the bus has lost a frame."""
 
 
 @dataclass(frozen=True)
 class Wiring:
-    """Assignment of robots to buses.
+    """Which robots are on which bus.
 
     Attributes:
-        open_bus: Joins the bus of a robot. A connection to one bus for all returns what it sends, unless the
-            robots run elsewhere. None for no bus: robots of this process that nothing else hears.
-        is_shared: Whether that is one bus for all, else every robot has its own.
-        remote: Robots that run elsewhere: all of those on a shared bus, or any that have their own.
-        channel: Name of the bus in logs where there is none.
+        open_bus: Opens a connection to the bus of a robot. On a shared bus the connection returns what it
+            sends, unless the robots are remote. None if there is no bus.
+        is_shared: Whether all robots share one bus. Otherwise each has its own.
+        remote: Remote robots: all robots on a shared bus, or any of those that have their own.
+        channel: Name of the bus in logs if there is no bus.
     """
 
     open_bus: OpenBus | None = None
@@ -69,219 +74,312 @@ class Wiring:
     channel: str = ""
 
 
-class Connection:
-    """Bus connection that tracks the frames it expects.
+class ExpectingConnection:
+    """Bus connection that waits for frames which are known to be on their way.
 
     Attributes:
-        bus: The connection.
-        missed: Expected frames that were late or lost so far.
+        bus: The python-can bus.
+        missed_count: Expected frames that were late or lost so far.
     """
 
     def __init__(
         self,
         bus: can.BusABC,
-        who: str,
-        stranger: FrameTaker = lambda frame: None,
-        every: FrameTaker | None = None,
+        listener: str,
+        on_unexpected: FrameTaker = lambda frame: None,
+        on_frame: FrameTaker | None = None,
     ) -> None:
-        """``stranger`` takes each unexpected frame, ``every`` all frames; errors name ``who`` listens."""
+        """Wrap a bus.
+
+        Args:
+            bus: The python-can bus.
+            listener: Who reads from it, for errors.
+            on_unexpected: Called with each frame that was not expected.
+            on_frame: Called with every frame, before ``on_unexpected``.
+        """
         self.bus = bus
-        self.missed = 0
-        self._who = who
-        self._stranger = stranger
-        self._every = every
-        self._late: list[SentFrame] = []
+        self.missed_count = 0
+        self._listener = listener
+        self._on_unexpected = on_unexpected
+        self._on_frame = on_frame
+        self._overdue: list[SentFrame] = []
+        """Frames that earlier calls have missed. They may still arrive."""
 
-    def take(self, expected: Sequence[SentFrame], patience: float | None) -> Sequence[SentFrame]:
-        """Read until all ``expected`` have come, or for ``patience`` seconds; returns those that have.
+    def receive_expected(self, expected: Sequence[SentFrame], timeout: float | None) -> list[SentFrame]:
+        """Read until all expected and overdue frames have arrived, and return them as they were received.
 
-        They are in the order given, after late ones of earlier calls. Raises SwarmError if one is missing
-        after TIMEOUT seconds and ``patience`` is None. O(frames on the bus).
+        Overdue frames come first, then the others in the order of ``expected``, whatever the order in which
+        they arrive. Frames that do not arrive in time count as missed, and are overdue in the next call.
+
+        Args:
+            expected: The frames to wait for.
+            timeout: Seconds to wait; None if no frame may be missing.
+
+        Raises:
+            SwarmError: If ``timeout`` is None, and a frame is missing after FRAME_TIMEOUT seconds.
         """
-        wanted = [*self._late, *expected]
-        self._late = self._read(wanted, TIMEOUT if patience is None else patience)
-        if not self._late:
-            return wanted
-        if patience is None:
-            raise self._error(self._late)
-        self.missed += sum(each in expected for each in self._late)
-        return [each for each in wanted if each not in self._late]
+        awaited = [*self._overdue, *expected]
+        received = self._read_awaited(awaited, FRAME_TIMEOUT if timeout is None else timeout)
+        missing_indices = [index for index in range(len(awaited)) if index not in received]
+        missing = [awaited[index] for index in missing_indices]
+        if missing and timeout is None:
+            raise self._loss_error(missing)
+        # Frames that were overdue already have been counted by an earlier call.
+        self.missed_count += sum(index >= len(self._overdue) for index in missing_indices)
+        self._overdue = missing
+        return [received[index] for index in sorted(received)]
 
-    def _read(self, wanted: Sequence[SentFrame], seconds: float) -> list[SentFrame]:
-        """Read until all ``wanted`` have come or the time is over; returns those that are missing.
+    def _read_awaited(self, awaited: Sequence[SentFrame], seconds: float) -> dict[int, SentFrame]:
+        """Read until all awaited frames have arrived, or the time is over.
 
-        Of frames that are the same those sent last are.
+        Returns those that have arrived, with the frame as it was received, by their index in ``awaited``.
+        Others that arrive meanwhile are reported as unexpected. Of frames that are alike, those sent first
+        count as received first.
         """
-        left, deadline, late = list(wanted), time.monotonic() + seconds, 0
-        while left and late < _MOST_LATE:
-            seconds = max(0.0, deadline - time.monotonic())
-            late += seconds == 0.0
-            frame = self.bus.recv(seconds)
+        pending: defaultdict[tuple[int, bytes], deque[int]] = defaultdict(deque)
+        for index, sent_frame in enumerate(awaited):
+            pending[_identifier_and_data(sent_frame.frame)].append(index)
+
+        received: dict[int, SentFrame] = {}
+        deadline = time.monotonic() + seconds
+        reads_after_deadline = 0
+        while len(received) < len(awaited) and reads_after_deadline < _MAX_READS_AFTER_DEADLINE:
+            seconds_left = max(0.0, deadline - time.monotonic())
+            if seconds_left == 0.0:
+                reads_after_deadline += 1
+            frame = self._read_frame(seconds_left)
             if frame is None:
                 break
-            self._sort(frame, left)
-        return left
+            indices = pending.get(_identifier_and_data(frame))
+            if indices:
+                index = indices.popleft()
+                received[index] = replace(awaited[index], frame=frame)
+            else:
+                self._on_unexpected(frame)
+        return received
 
-    def _sort(self, frame: can.Message, left: list[SentFrame]) -> None:
-        """Take a frame off ``left``, or hand over a stranger. It is mostly the first."""
-        if self._every is not None:
-            self._every(frame)
-        for place, each in enumerate(left):
-            if each.frame is frame or content_of(each.frame) == content_of(frame):
-                del left[place]
-                return
-        self._stranger(frame)
+    def discard_echoes(self) -> None:
+        """Empty the receive buffer while nothing is expected.
 
-    def drain(self) -> None:
-        """Read a frame that nothing waits for, if one has come, and the echoes of sent ones before it."""
-        frame = self.bus.recv(0)
+        One read is enough: it skips the echoes of frames sent here, which are what fills the buffer. If
+        there is another frame behind them, it is reported as unexpected.
+        """
+        frame = self._read_frame(0)
         if frame is not None:
-            self._sort(frame, [])
+            self._on_unexpected(frame)
 
-    def _error(self, missing: Sequence[SentFrame]) -> SwarmError:
-        names = ", ".join(dict.fromkeys(f"frame {each.frame.arbitration_id:08X}" for each in missing[:8]))
+    def _read_frame(self, timeout: float) -> can.Message | None:
+        """Return the next frame, reported to ``on_frame``; None if there is none in time."""
+        frame = self.bus.recv(timeout)
+        if frame is not None and self._on_frame is not None:
+            self._on_frame(frame)
+        return frame
+
+    def _loss_error(self, missing: Sequence[SentFrame]) -> SwarmError:
+        """Return an error that names some of the missing frames, each identifier once."""
+        identifiers = [sent_frame.frame.arbitration_id for sent_frame in missing[:_MAX_FRAMES_IN_ERROR]]
+        names = [f"frame {identifier:08X}" for identifier in dict.fromkeys(identifiers)]
+        if len(missing) > _MAX_FRAMES_IN_ERROR:
+            names.append("...")
         return SwarmError(
-            f"{self._who} did not hear {names}{', ...' * (len(missing) > 8)} within {TIMEOUT:g} s on "
+            f"{self._listener} did not hear {', '.join(names)} within {FRAME_TIMEOUT:g} s on "
             f"{self.bus.channel_info}: the bus loses frames; use a faster bus or fewer robots"
         )
 
 
+def _identifier_and_data(frame: can.Message) -> tuple[int, bytes]:
+    """Return what a bus preserves of a frame, and what tells it from others."""
+    return frame.arbitration_id, bytes(frame.data)
+
+
 class Carrier:
-    """Carries frames.
+    """Transport of the frames of a swarm: in each tick ``send`` for every frame, then ``deliver``.
 
     Attributes:
-        ends: The carrier's own connection to the bus of each robot, by id; none without a bus.
+        bus_connections: The connection over which the carrier reads and writes on the bus of each robot, by
+            robot id. On a shared bus it is the same one for all robots. Empty without a bus.
     """
 
     def __init__(
-        self, robots: Sequence[BusRobot], delivery: Delivery, frames: FrameFormat, clock: RealTimeClock | None
+        self,
+        robots: Iterable[BusRobot],
+        delivery_queue: DeliveryQueue,
+        frame_format: FrameFormat,
+        clock: RealTimeClock | None,
     ) -> None:
-        """Carry between these robots, which hear ``frames`` as estimates; without a clock wait for all."""
-        self.ends: dict[int, Connection] = {}
-        self._robots = robots
-        self._delivery = delivery
-        self._frames = frames
+        """Create a carrier without a bus.
+
+        Args:
+            robots: The robots between which it carries frames, by rising id.
+            delivery_queue: Decides which robot receives which frame, and when.
+            frame_format: Format of the robots' estimates.
+            clock: Limits how long a tick waits for frames; without a clock it waits for all of them.
+        """
+        self.bus_connections: dict[int, ExpectingConnection] = {}
+        self._robots = {robot.id: robot for robot in robots}
+        self._delivery_queue = delivery_queue
+        self._frame_format = frame_format
         self._clock = clock
-        self._log: FrameTaker = lambda frame: None
-        self._has_own_buses = False
-        self._radios: dict[int, Connection] = {}
-        self._sent: list[SentFrame] = []
-        self._come: list[SentFrame] = []
-        self._stack = ExitStack()
+        self._on_unread_frame: FrameTaker = lambda frame: None
+        """Called with frames that are sent without a bus; those on a bus are reported when they are read."""
+        self._has_bus_per_robot = False
+        self._robot_connections: dict[int, ExpectingConnection] = {}
+        """The connections of robots in this process, by id: on a shared bus that of the carrier."""
+        self._unread_frames: list[SentFrame] = []
+        """Frames of this tick that are on their buses, and that the carrier has not read yet."""
+        self._read_frames: list[SentFrame] = []
+        """Frames of this tick that the carrier has read."""
+        self._open_buses = ExitStack()
 
-    def join(self, wiring: Wiring, log: FrameTaker | None = None) -> None:
-        """Join the buses, for the robots here and for the carrier. Fails as ``wiring.open_bus``.
+    def join(self, wiring: Wiring, on_frame: FrameTaker | None = None) -> None:
+        """Open the buses, for the carrier and for the robots in this process.
 
-        ``log`` takes every frame that robots send.
+        ``on_frame`` is called with every frame that a robot sends. Raises what ``wiring.open_bus`` raises;
+        no bus is left open then.
         """
-        everyone = range(len(self._robots))
-        if wiring.open_bus is None:
-            self._log = log or self._log
+        open_bus = wiring.open_bus
+        if open_bus is None:
+            if on_frame is not None:
+                self._on_unread_frame = on_frame
             return
-        self._has_own_buses = not wiring.is_shared
-        with ExitStack() as stack:
-            for members in [everyone] if wiring.is_shared else [[robot] for robot in everyone]:
-                first = members[0]
-                bus = stack.enter_context(wiring.open_bus(first))
-                end = Connection(bus, "the carrier", partial(self._meet, members), log)
-                self.ends |= dict.fromkeys(members, end)
-                if first not in wiring.remote:
-                    own = None if wiring.is_shared else stack.enter_context(wiring.open_bus(first))
-                    radio = end if own is None else Connection(own, f"robot {first}")
-                    self._radios |= dict.fromkeys(members, radio)
-            self._stack = stack.pop_all()
+        self._has_bus_per_robot = not wiring.is_shared
+        all_robots = list(self._robots)
+        with ExitStack() as open_buses:
+            if wiring.is_shared:
+                bus = open_buses.enter_context(open_bus(all_robots[0]))
+                self._connect_carrier(all_robots, bus, on_frame)
+                if not wiring.remote:
+                    self._robot_connections = dict(self.bus_connections)
+            else:
+                for robot in all_robots:
+                    self._connect_carrier([robot], open_buses.enter_context(open_bus(robot)), on_frame)
+                    if robot not in wiring.remote:
+                        robot_bus = open_buses.enter_context(open_bus(robot))
+                        self._robot_connections[robot] = ExpectingConnection(robot_bus, f"robot {robot}")
+            # All could be opened: from here on close() closes them, not the end of this block.
+            self._open_buses = open_buses.pop_all()
 
-    def _meet(self, robots: Sequence[int], stranger: can.Message) -> None:
-        """Let these robots hear a frame from outside the swarm."""
+    def _connect_carrier(self, robots: Sequence[int], bus: can.BusABC, on_frame: FrameTaker | None) -> None:
+        """Connect the carrier to the bus of ``robots``, which count what others send there."""
+        on_unexpected = partial(self._count_foreign_frame, robots)
+        connection = ExpectingConnection(bus, "the carrier", on_unexpected, on_frame)
         for robot in robots:
-            self._robots[robot].hear_stranger(stranger)
+            self.bus_connections[robot] = connection
 
-    def send(self, sent: SentFrame) -> None:
-        """Let the sender put a frame on its bus; that of a robot elsewhere is there already.
+    def _count_foreign_frame(self, robots: Sequence[int], frame: can.Message) -> None:
+        """Let robots count a frame from outside the swarm."""
+        for robot in robots:
+            self._robots[robot].hear_stranger(frame)
 
-        Raises can.CanError if the bus does not take it, and as ``carry``.
+    def send(self, sent_frame: SentFrame) -> None:
+        """Put a frame on the bus of its sender, unless the sender is remote and has done so itself.
+
+        After some frames those sent so far are read back, before receive buffers overflow; ``deliver`` reads
+        the others. Raises can.CanError if the bus does not take the frame, and SwarmError as ``deliver``.
         """
-        self._log(sent.frame)
-        radio = self._radios.get(sent.sender)
-        if radio is not None:
-            radio.bus.send(sent.frame, timeout=TIMEOUT)
-        self._sent.append(sent)
-        if len(self._sent) == _BATCH:
-            self._read(sent.tick)
-            if radio is not None:
-                radio.drain()
+        self._on_unread_frame(sent_frame.frame)
+        robot_connection = self._robot_connections.get(sent_frame.sender)
+        if robot_connection is not None:
+            robot_connection.bus.send(sent_frame.frame, timeout=FRAME_TIMEOUT)
+        self._unread_frames.append(sent_frame)
+        if len(self._unread_frames) == _BATCH_SIZE:
+            self._read_back(sent_frame.tick)
+            if robot_connection is not None:
+                robot_connection.discard_echoes()
 
-    def _read(self, tick: int) -> None:
-        """Let the carrier read the frames sent, in order, from all buses of robots that are here."""
-        sent, self._sent = self._sent, []
-        for end, frames in groupby(sent, self._end_of):
-            expected = list(frames)
-            self._come += end.take(expected, self._patience(tick)) if end is not None else expected
+    def _read_back(self, tick: int) -> None:
+        """Read the frames that are on the buses, in the order in which they were sent.
 
-    def _patience(self, tick: int) -> float | None:
+        Frames that are late are left out, and follow in a later call.
+        """
+        unread_frames = self._unread_frames
+        self._unread_frames = []
+        for connection, frames in groupby(unread_frames, self._connection_to_read):
+            if connection is None:
+                self._read_frames += frames
+            else:
+                self._read_frames += connection.receive_expected(list(frames), self._timeout(tick))
+
+    def _connection_to_read(self, sent_frame: SentFrame) -> ExpectingConnection | None:
+        """Return where the carrier has to read a frame; None without a bus, or if it has read it already."""
+        is_sent_from_here = sent_frame.sender in self._robot_connections
+        return self.bus_connections[sent_frame.sender] if is_sent_from_here else None
+
+    def _timeout(self, tick: int) -> float | None:
+        """Return how many seconds to wait for frames of this tick; None if all must arrive."""
         return None if self._clock is None else self._clock.patience(tick)
 
-    def _end_of(self, sent: SentFrame) -> Connection | None:
-        """The connection at which the carrier hears the sender; None where it knows the frame already."""
-        return self.ends[sent.sender] if sent.sender in self._radios else None
+    def deliver(self, tick: int) -> Deliveries:
+        """Let each robot receive its frames of this tick, after all have been sent; returns the deliveries.
 
-    def carry(self, tick: int) -> None:
-        """Let every robot hear its frames of this tick, after all have sent.
-
-        Raises SwarmError if a bus loses a frame and the clock waits for it.
+        Raises SwarmError if a bus loses a frame, and no clock limits the wait.
         """
-        self._read(tick)
-        come, self._come = self._come, []
-        arrivals = self._delivery.arrivals(tick, come)
-        if not self._has_own_buses:
-            self._hand_over(arrivals)
-            return
-        for robot, hearer in enumerate(self._robots):
-            frames = arrivals.of(robot)
-            for start in range(0, len(frames), _BATCH):
-                hearer.listen(self._pass_on(robot, frames[start : start + _BATCH], tick))
+        self._read_back(tick)
+        sent_frames = self._read_frames
+        self._read_frames = []
+        deliveries = self._delivery_queue.deliver(tick, sent_frames)
+        if self._has_bus_per_robot:
+            for robot_id, robot in self._robots.items():
+                frames = deliveries.frames_for(robot_id)
+                for start in range(0, len(frames), _BATCH_SIZE):
+                    batch = frames[start : start + _BATCH_SIZE]
+                    robot.listen(self._pass_over_bus(robot_id, batch, tick))
+        else:
+            self._deliver_in_process(deliveries)
+        return deliveries
 
-    def _pass_on(self, robot: int, frames: Sequence[can.Message], tick: int) -> Sequence[can.Message]:
-        """Put ``frames`` on the robot's bus; returns what it reads there."""
-        radio, end = self._radios.get(robot), self.ends[robot]
+    def _pass_over_bus(self, robot: int, frames: Sequence[can.Message], tick: int) -> Sequence[can.Message]:
+        """Write ``frames`` on the bus of a robot, and return those that it reads there.
+
+        Late ones are missing, and follow in a later call. A remote robot reads for itself: for its local half
+        all of ``frames`` are returned.
+        """
+        carrier_connection = self.bus_connections[robot]
         for frame in frames:
-            end.bus.send(frame, timeout=TIMEOUT)
-        if radio is None:
+            carrier_connection.bus.send(frame, timeout=FRAME_TIMEOUT)
+        robot_connection = self._robot_connections.get(robot)
+        if robot_connection is None:
             return frames
-        heard = radio.take([SentFrame(frame, robot, tick) for frame in frames], self._patience(tick))
-        if len(frames) == _BATCH:
-            end.drain()
-        return [each.frame for each in heard]
+        expected = [SentFrame(frame, robot, tick) for frame in frames]
+        received = robot_connection.receive_expected(expected, self._timeout(tick))
+        if len(frames) == _BATCH_SIZE:
+            carrier_connection.discard_echoes()
+        return [sent_frame.frame for sent_frame in received]
 
-    def _hand_over(self, arrivals: Paths) -> None:
-        """Let each robot receive all of its estimates at once, decoded once for all, and count the rest."""
-        sent = [each.frame for each in arrivals.sent]
-        decoded = decode_estimates(sent, self._frames, arrivals.flips)
-        is_estimate = decoded.is_estimate
-        reach = arrivals.reach[is_estimate]
-        heard = decoded.rows[is_estimate][reach.T.nonzero()[1]]
-        ends = np.count_nonzero(reach, axis=0).cumsum().tolist()
-        for robot, start, end in zip(self._robots, [0, *ends], ends, strict=False):
-            robot.receive(heard[start:end])
-        if not is_estimate.all():
-            self._count(arrivals, np.flatnonzero(~is_estimate))
+    def _deliver_in_process(self, deliveries: Deliveries) -> None:
+        """Hand each robot its estimates in one array, and let it count its other frames.
 
-    def _count(self, arrivals: Paths, others: NDArray[np.intp]) -> None:
-        """Let each robot count the ``others`` among its frames, those that are no estimates."""
-        kinds: dict[Rejection | type, list[tuple[int, FrameContent]]] = defaultdict(list)
-        for number in others.tolist():
-            content = decode_frame(arrivals.frame(number), self._frames)
-            kinds[content if isinstance(content, Rejection) else type(content)].append((number, content))
-        for found in kinds.values():
-            heard = np.count_nonzero(arrivals.reach[[number for number, _ in found]], axis=0)
-            for robot in heard.nonzero()[0].tolist():
-                self._robots[robot].count(found[0][1], int(heard[robot]))
+        A frame is decoded once, however many robots receive it.
+        """
+        frames = [sent_frame.frame for sent_frame in deliveries.sent_frames]
+        decoded = decode_estimates(frames, self._frame_format, deliveries.bit_flips)
+        estimates = decoded.rows[decoded.is_estimate]
+        receivers_of_estimates = deliveries.receivers[decoded.is_estimate]
+        for robot in self._robots.values():
+            robot.receive(estimates[receivers_of_estimates[:, robot.id]])
+        self._count_other_frames(deliveries, np.flatnonzero(~decoded.is_estimate))
+
+    def _count_other_frames(self, deliveries: Deliveries, indices: NDArray[np.intp]) -> None:
+        """Let each robot count its frames at ``indices``, those that hold no estimate."""
+        content_of_kind: dict[Rejection | type, FrameContent] = {}
+        counts_of_kind: dict[Rejection | type, NDArray[np.int64]] = {}
+        for index in indices.tolist():
+            content = decode_frame(deliveries.received_frame(index), self._frame_format)
+            kind = content if isinstance(content, Rejection) else type(content)
+            content_of_kind[kind] = content
+            counts_of_kind[kind] = counts_of_kind.get(kind, 0) + deliveries.receivers[index].astype(np.int64)
+        for kind, frame_counts in counts_of_kind.items():
+            for robot in self._robots.values():
+                if frame_counts[robot.id]:
+                    robot.count(content_of_kind[kind], int(frame_counts[robot.id]))
 
     @property
-    def missed(self) -> int:
-        """Frames that a bus did not bring in time so far."""
-        return sum(each.missed for each in {*self._radios.values(), *self.ends.values()})
+    def missed_count(self) -> int:
+        """Frames so far that a bus did not carry in time."""
+        # On a shared bus all robots have the same connection, which counts once.
+        connections = {*self._robot_connections.values(), *self.bus_connections.values()}
+        return sum(connection.missed_count for connection in connections)
 
     def close(self) -> None:
-        """Leave the buses."""
-        self._stack.close()
+        """Close all buses."""
+        self._open_buses.close()

@@ -1,118 +1,158 @@
-"""Delivery: the frames that each robot hears, and when, by topology, latency and faults."""
+"""Which robots receive which frames, and when: by topology, latency and faults of the links."""
 
 from __future__ import annotations
 
 import copy
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import can
 import numpy as np
 from numpy.typing import NDArray
 
-Mask = NDArray[np.bool_]
-"""One value for each frame of a tick and each receiver, by id, shape (frames, receivers)."""
+from mcp_asdf_tools.bus.frames import sender_of
+
+ReceiverMask: TypeAlias = NDArray[np.bool_]
+"""Whether a robot receives a frame, shape (frames, robots); a robot's column is its id."""
 
 
 @dataclass(frozen=True)
 class SentFrame:
-    """A frame that has got onto the bus.
+    """A frame that a node has put on the bus.
 
     Attributes:
-        frame: As it is there.
-        sender: The node that has sent it, which may differ from the id in the frame.
-        tick: When.
-        number: Frames with its identifier that the node has sent before in this tick.
+        frame: The frame as it is on the bus.
+        sender: The node that sent it. A faulty node may send under another node's id.
+        tick: The tick in which it was sent.
+        repetition: Number of frames with the same identifier that the node sent earlier in this tick.
+        is_falsified: Whether a fault has put another estimate in place of the robot's own.
     """
 
     frame: can.Message
     sender: int
     tick: int
-    number: int = 0
+    repetition: int = 0
+    is_falsified: bool = False
 
+    @property
+    def is_under_own_id(self) -> bool:
+        """Whether the node sent the frame under its own id."""
+        return sender_of(self.frame) == self.sender
 
-def content_of(frame: can.Message) -> tuple[int, bytes]:
-    """What tells a frame on a bus from others: identifier and data."""
-    return frame.arbitration_id, bytes(frame.data)
+    def with_false_estimate(self, frame: can.Message) -> SentFrame:
+        """Return this frame with the estimate of ``frame`` in its place; an equal one falsifies nothing."""
+        is_different = frame.data != self.frame.data
+        return replace(self, frame=frame, is_falsified=self.is_falsified or is_different)
 
 
 @dataclass(frozen=True)
-class Paths:
-    """Frames of one tick on paths of one kind to robots, in an order that is right for each of them.
+class Deliveries:
+    """Frames on their way to robots, in the order in which robots receive them.
+
+    Entry i of ``sent_frames``, ``receivers`` and ``bit_flips`` describes frame i. A frame that is corrupted
+    differently for each receiver has an entry for each of them.
 
     Attributes:
-        sent: The frames; one that arrives damaged is here once for each receiver.
-        reach: True for the robots that hear a frame, shape (frames, robots).
-        flips: Bits of the data that arrive flipped, the lowest that of the first byte, shape (frames,).
-        delay: Ticks that they take.
-        version: Number that tells copies for one receiver apart.
+        sent_frames: The frames as they were sent.
+        receivers: The robots that receive each frame.
+        bit_flips: Bits of a frame's data that are flipped on the way, shape (frames,); bit 0 is the lowest of
+            the first byte.
+        delay: Ticks by which faults delay all of these frames.
+        copy_number: Distinguishes copies of one frame for the same receiver.
     """
 
-    sent: Sequence[SentFrame]
-    reach: Mask
-    flips: NDArray[np.uint64]
+    sent_frames: Sequence[SentFrame]
+    receivers: ReceiverMask
+    bit_flips: NDArray[np.uint64]
     delay: int = 0
-    version: int = 0
+    copy_number: int = 0
 
-    def frame(self, number: int) -> can.Message:
-        """A frame as it arrives."""
-        frame, flips = self.sent[number].frame, int(self.flips[number])
-        if not flips:
-            return frame
-        damaged, data = copy.copy(frame), int.from_bytes(frame.data, "little") ^ flips
-        damaged.data = bytearray(data.to_bytes(len(frame.data), "little"))
-        return damaged
+    def received_frame(self, index: int) -> can.Message:
+        """Return frame ``index`` as its receivers get it, with bits flipped."""
+        sent_frame = self.sent_frames[index].frame
+        bit_flips = int(self.bit_flips[index])
+        if bit_flips == 0:
+            return sent_frame
+        data = int.from_bytes(sent_frame.data, "little") ^ bit_flips
+        corrupted_frame = copy.copy(sent_frame)
+        corrupted_frame.data = bytearray(data.to_bytes(len(sent_frame.data), "little"))
+        return corrupted_frame
 
-    def of(self, robot: int) -> list[can.Message]:
-        """The frames that ``robot`` hears, in order."""
-        return [self.frame(number) for number in self.reach[:, robot].nonzero()[0].tolist()]
+    def frames_for(self, robot: int) -> list[can.Message]:
+        """Return the frames that a robot receives, in order."""
+        indices = np.flatnonzero(self.receivers[:, robot])
+        return [self.received_frame(index) for index in indices.tolist()]
 
 
-Links: TypeAlias = Callable[[int, Sequence[SentFrame], Mask], list[Paths]]
-"""``Faults.paths``: those of frames that arrive in a tick, if undisturbed, at the receivers in range."""
+LinkFaults: TypeAlias = Callable[[Sequence[SentFrame], ReceiverMask], list[Deliveries]]
+"""Applies the faults of links to frames and the robots in range of their senders: ``Faults.on_delivery``."""
 
 
-class Delivery:
-    """The frames that each robot hears of those sent.
+class DeliveryQueue:
+    """Frames between senders and receivers: they wait here for latency and delays to pass.
 
     Attributes:
-        in_range: Frames sent so far, counted once for each neighbour in range.
-        arrived: Frames heard so far.
+        in_range_count: Frames sent so far, counted once for each robot in range of the sender.
+        delivered_count: Frames delivered so far, counted once for each receiver.
     """
 
-    def __init__(self, hears: Callable[[], NDArray[np.bool_]], paths: Links, latency: int) -> None:
-        """Bring frames in ``latency`` steps, 0 or 1, to robots that are in range when these have passed.
+    def __init__(
+        self, current_neighbours: Callable[[], NDArray[np.bool_]], apply_link_faults: LinkFaults, latency: int
+    ) -> None:
+        """Create an empty queue.
 
-        ``hears`` returns whether robot i hears j at present, by id; never itself.
+        Args:
+            current_neighbours: Returns a matrix whose entry (i, j) is whether robot i receives from robot j
+                at present; the diagonal is false.
+            apply_link_faults: Turns frames and the robots in range into deliveries.
+            latency: Ticks from sending to delivery, 0 or 1. Who is in range is decided at delivery.
         """
-        self.in_range = self.arrived = 0
-        self._hears, self._paths = hears, paths
-        self._is_late = latency > 0
-        self._held: Sequence[SentFrame] = ()
-        self._due: defaultdict[int, list[Paths]] = defaultdict(list)
+        self.in_range_count = 0
+        self.delivered_count = 0
+        self._current_neighbours = current_neighbours
+        self._apply_link_faults = apply_link_faults
+        self._has_latency = latency > 0
+        self._frames_of_last_tick: Sequence[SentFrame] = ()
+        self._pending: defaultdict[int, list[Deliveries]] = defaultdict(list)
+        """Deliveries by the tick in which they arrive."""
 
-    def arrivals(self, tick: int, sent: Sequence[SentFrame]) -> Paths:
-        """The frames that robots hear in this tick, of those ``sent`` in it and late ones.
+    def deliver(self, tick: int, sent_frames: Sequence[SentFrame]) -> Deliveries:
+        """Take the frames sent in ``tick``, and return what robots receive in it; both counters rise.
 
-        Call once per tick, and pass no frame twice. O(faults frames robots).
+        Without latency these frames go to the robots in range, with latency those of the last tick, while
+        these wait. Faults may take some away, delay or duplicate them. Call this once per tick, in order.
+        O(faults frames robots).
         """
-        if self._is_late:
-            sent, self._held = self._held, sent
-        in_range = self._hears()[:, np.array([each.sender for each in sent], np.intp)].T
-        for paths in self._paths(tick, sent, in_range):
-            self._due[tick + paths.delay].append(paths)
-        due = _joined(self._due.pop(tick, []), in_range.shape[1])
-        self.in_range += int(np.count_nonzero(in_range))
-        self.arrived += int(np.count_nonzero(due.reach))
-        return due
+        arriving_frames = self._exchange_for_arriving(sent_frames)
+        senders = np.array([sent_frame.sender for sent_frame in arriving_frames], np.intp)
+        neighbours = self._current_neighbours()
+        in_range = neighbours[:, senders].transpose()  # from (robots, frames) to (frames, robots)
+        self.in_range_count += int(np.count_nonzero(in_range))
+        for deliveries in self._apply_link_faults(arriving_frames, in_range):
+            self._pending[tick + deliveries.delay].append(deliveries)
+
+        arriving_now = _concatenate(self._pending.pop(tick, []), robot_count=len(neighbours))
+        self.delivered_count += int(np.count_nonzero(arriving_now.receivers))
+        return arriving_now
+
+    def _exchange_for_arriving(self, sent_frames: Sequence[SentFrame]) -> Sequence[SentFrame]:
+        """Return ``sent_frames``; with latency keep them for the next tick, and return those of the last."""
+        if not self._has_latency:
+            return sent_frames
+        frames_of_last_tick = self._frames_of_last_tick
+        self._frames_of_last_tick = sent_frames
+        return frames_of_last_tick
 
 
-def _joined(due: Sequence[Paths], robots: int) -> Paths:
-    """All of these, in this order."""
-    return Paths(
-        [each for paths in due for each in paths.sent],
-        np.concatenate([np.zeros((0, robots), np.bool_), *(paths.reach for paths in due)]),
-        np.concatenate([np.zeros(0, np.uint64), *(paths.flips for paths in due)]),
+def _concatenate(parts: Sequence[Deliveries], robot_count: int) -> Deliveries:
+    """Return several deliveries as one, in order, without their delays and copy numbers."""
+    # With the empty arrays at the front the result has its shape and type even if there are no parts.
+    no_receivers = np.zeros((0, robot_count), np.bool_)
+    no_bit_flips = np.zeros(0, np.uint64)
+    return Deliveries(
+        sent_frames=[sent_frame for part in parts for sent_frame in part.sent_frames],
+        receivers=np.concatenate([no_receivers, *(part.receivers for part in parts)]),
+        bit_flips=np.concatenate([no_bit_flips, *(part.bit_flips for part in parts)]),
     )

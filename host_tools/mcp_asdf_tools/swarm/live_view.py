@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from types import TracebackType
 
@@ -9,23 +10,25 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from mcp_asdf_tools.robots.filters import FILTERS
-from mcp_asdf_tools.swarm.swarm import Companions, Swarm, mean_error
+from mcp_asdf_tools.swarm.run import Baselines, mean_error
+from mcp_asdf_tools.swarm.swarm import Swarm
 
-_NOTABLE = 0.002
-"""Change of b_hat below which nothing is said: a robot that is right and tests again."""
-_SECONDS_BETWEEN_PICTURES = 0.25
-_LINES_OF_A_RUN = 20
+_MIN_CHANGE_SHOWN = 0.002
+"""Change of b_hat from which on it is shown; a robot whose b_hat is right changes it by less."""
+_SECONDS_BETWEEN_REFRESHES = 0.25
+_LINES_PER_RUN = 20
+"""About how many lines with the mean error a run prints."""
 
 
 class LiveView:
     """Hook that shows a run while it goes on: a bar on a terminal, lines in a pipe, nothing if quiet."""
 
-    def __init__(self, console: Console, companions: Companions | None = None) -> None:
-        """Show on ``console`` a swarm, and beside it those with other filters that run along, if any."""
+    def __init__(self, console: Console, baselines: Baselines | None = None) -> None:
+        """Show a swarm on ``console``, and the mean errors of ``baselines`` if there are any."""
         self._console = console
-        self._companions = companions
+        self._baselines = baselines
         self._has_bar = console.is_terminal and not console.is_dumb_terminal and not console.quiet
-        # Refreshed from the run itself: no second thread, no half-done tick on the screen.
+        # Refreshed by the run itself: there is no second thread, and no half-done tick on the screen.
         self._progress = Progress(
             TextColumn("{task.completed:.0f}/{task.total:.0f}"),
             BarColumn(10),
@@ -36,8 +39,8 @@ class LiveView:
             disable=not self._has_bar,
         )
         self._task = self._progress.add_task("", visible=False)
-        self._next = 0.0
-        self._b_hat: list[float] = []
+        self._next_refresh = 0.0
+        self._last_b_hat: list[float] = []
 
     def __enter__(self) -> LiveView:
         self._progress.start()
@@ -49,44 +52,49 @@ class LiveView:
         self._progress.stop()
 
     def __call__(self, swarm: Swarm) -> None:
-        """Show the present state, if it is due. O(robots)."""
+        """Show the state of the swarm after a tick, unless it is too early for a refresh. O(robots)."""
         if self._has_bar:
-            self._show(swarm)
+            if time.monotonic() >= self._next_refresh or swarm.ticks == swarm.settings.steps:
+                self._refresh_bar(swarm)
+                self._next_refresh = time.monotonic() + _SECONDS_BETWEEN_REFRESHES
         elif not self._console.quiet:
-            self._print_lines(swarm)
+            self._print_updates(swarm)
+            ticks_between_lines = math.ceil(swarm.settings.steps / _LINES_PER_RUN)
+            if swarm.ticks % ticks_between_lines == 0:
+                self._print_mean_errors(swarm)
 
-    def _show(self, swarm: Swarm) -> None:
-        steps = swarm.settings.steps
-        if time.monotonic() >= self._next or swarm.ticks == steps:
-            figures = f"mean error {mean_error(swarm):.4f}"
-            if self._companions is not None:
-                for other, error in self._companions.errors().items():
-                    figures += f", {FILTERS[other].term} {error:.4f}"
-            self._progress.update(
-                self._task,
-                total=steps,
-                completed=swarm.ticks,
-                description=figures,
-                visible=True,
-                refresh=True,
-            )
-            self._next = time.monotonic() + _SECONDS_BETWEEN_PICTURES
+    def _refresh_bar(self, swarm: Swarm) -> None:
+        """Draw the bar anew, with the present mean errors beside it."""
+        mean_errors = f"mean error {mean_error(swarm):.4f}"
+        if self._baselines is not None:
+            for baseline_filter, error in self._baselines.mean_errors().items():
+                mean_errors += f", {FILTERS[baseline_filter].term} {error:.4f}"
+        self._progress.update(
+            self._task,
+            total=swarm.settings.steps,
+            completed=swarm.ticks,
+            description=mean_errors,
+            visible=True,
+            refresh=True,
+        )
 
-    def _print_lines(self, swarm: Swarm) -> None:
-        """A line for each robot that has recalibrated, and now and then one with the mean error."""
-        before = self._b_hat or swarm.b_hat_at_start
-        self._b_hat = [node.robot.b_hat for node in swarm.nodes]
-        for robot, (old, new) in enumerate(zip(before, self._b_hat, strict=True)):
-            if abs(new - old) > _NOTABLE:
-                self._print("robot", robot, "step", swarm.ticks, "b_hat", f"{old:.4f}", f"{new:.4f}")
-        if swarm.ticks % -(-swarm.settings.steps // _LINES_OF_A_RUN) == 0:
-            fields = ["step", swarm.ticks, "mean_error", f"{mean_error(swarm):.5f}"]
-            if self._companions is not None:
-                for other, error in self._companions.errors().items():
-                    fields += [other, f"{error:.5f}"]
-            self._print(*fields)
+    def _print_updates(self, swarm: Swarm) -> None:
+        """Print a line for each robot that has re-estimated its b_hat in this tick."""
+        b_hat_before = self._last_b_hat or swarm.b_hat_at_start
+        self._last_b_hat = [node.robot.b_hat for node in swarm.nodes]
+        for robot, (before, after) in enumerate(zip(b_hat_before, self._last_b_hat, strict=True)):
+            if abs(after - before) > _MIN_CHANGE_SHOWN:
+                self._print("robot", robot, "step", swarm.ticks, "b_hat", f"{before:.4f}", f"{after:.4f}")
+
+    def _print_mean_errors(self, swarm: Swarm) -> None:
+        """Print a line with the present mean errors of the swarm and its baselines."""
+        fields = ["step", swarm.ticks, "mean_error", f"{mean_error(swarm):.5f}"]
+        if self._baselines is not None:
+            for baseline_filter, error in self._baselines.mean_errors().items():
+                fields += [baseline_filter, f"{error:.5f}"]
+        self._print(*fields)
 
     def _print(self, *fields: object) -> None:
-        """One line with tabs between its fields, which is passed on at once."""
+        """Print a line with tabs between its fields, and pass it on at once."""
         self._console.file.write("\t".join(map(str, fields)) + "\n")
         self._console.file.flush()

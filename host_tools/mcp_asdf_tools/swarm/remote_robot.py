@@ -1,7 +1,7 @@
-"""Robots of a swarm that run elsewhere, in a process or a controller of their own, driven in lockstep.
+"""Robots of a swarm whose firmware runs in another process or on a controller, driven in lockstep.
 
-A robot's half here follows its state from its frames (``RemoteFirmware``). ``Driver`` commands those on one
-bus.
+In this process a remote robot has a half, whose state follows from commands and from the frames that the
+robot sends (``RemoteFirmware``). A ``Driver`` commands the remote robots on one bus.
 """
 
 from __future__ import annotations
@@ -12,23 +12,32 @@ from typing import cast
 import can
 
 from mcp_asdf.robot import Counters, Observation, Robot
-from mcp_asdf_tools.bus.frame_layout import MAX_NODE_ID, Q23_ONE
-from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Telemetry, decode_estimate, decode_telemetry
+from mcp_asdf_tools.bus.frame_layout import Q23_ONE
+from mcp_asdf_tools.bus.frames import (
+    Estimate,
+    FrameFormat,
+    Telemetry,
+    decode_estimate,
+    decode_telemetry,
+    sender_of,
+)
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder, Words
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
-from mcp_asdf_tools.robots.node import Subjects
+from mcp_asdf_tools.robots.node import FrameTaker, Subjects
 from mcp_asdf_tools.robots.record import RobotRecord
 from mcp_asdf_tools.swarm.carrier import Wiring
-from mcp_asdf_tools.swarm.fault_spec import FaultKind
+from mcp_asdf_tools.swarm.fault_injection.kinds import Crash
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
 
 ANSWER_TIMEOUT = 10.0
 """Seconds that a robot has to answer."""
 
+_HOW_TO_HAVE_A_BUS_EACH = "write {robot} where the id stands in the channel, such as --channel 'vcan{robot}'"
+
 
 def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
-    """Raises UsageError if a swarm with these remote robots is impossible."""
+    """Raise UsageError if a swarm of these settings cannot have the remote robots of ``wiring``."""
     remote = wiring.remote
     if not remote:
         return
@@ -37,165 +46,188 @@ def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
             f"robots is {settings.robots}; with robots elsewhere take at most {MAX_ROBOTS_AND_TOOLS}, since "
             f"id {DRIVER_ID} commands them"
         )
-    if not set(remote) <= set(range(settings.robots)):
+    all_robots = set(range(settings.robots))
+    if not remote <= all_robots:
         raise UsageError(f"robot {max(remote)} is to run elsewhere, but ids are 0 to {settings.robots - 1}")
-    Subjects(estimates=settings.frames)
+    Subjects(estimates=settings.frames)  # raises UsageError if commands or telemetry have this subject
     for fault in settings.faults:
-        if fault.kind is FaultKind.CRASH and not set(remote).isdisjoint(fault.robots or remote):
+        crashing_robots = fault.robots or all_robots
+        if isinstance(fault, Crash) and not remote.isdisjoint(crashing_robots):
             raise UsageError(
                 f"fault {fault} cannot affect robots that run elsewhere; name others, or use busoff"
             )
-    if not wiring.is_shared:
-        return
-    if set(remote) != set(range(settings.robots)):
-        raise UsageError(f"robots here and elsewhere need a bus each: {EACH_A_BUS}")
-    is_plain = settings.topology == "fully-connected" and settings.latency == 0
-    if settings.faults or not is_plain:
+    if wiring.is_shared:
+        _check_remote_on_shared_bus(settings, is_every_robot_remote=remote == all_robots)
+
+
+def _check_remote_on_shared_bus(settings: SwarmSettings, *, is_every_robot_remote: bool) -> None:
+    """Raise UsageError if the robots cannot share one bus, on which all receive all frames at once."""
+    if not is_every_robot_remote:
+        raise UsageError(f"robots here and elsewhere need a bus each: {_HOW_TO_HAVE_A_BUS_EACH}")
+    is_undisturbed = not settings.faults and settings.latency == 0
+    if not is_undisturbed or settings.topology != "fully-connected":
         raise UsageError(
-            f"robots elsewhere on one bus all hear each other; for faults, latency or a topology {EACH_A_BUS}"
+            "robots elsewhere on one bus all hear each other; for faults, latency or a topology "
+            f"{_HOW_TO_HAVE_A_BUS_EACH}"
         )
 
 
-EACH_A_BUS = "write {robot} where the id stands in the channel, such as --channel 'vcan{robot}'"
-
-
 class RemoteFirmware:
-    """State of a robot elsewhere, as far as commands and its frames reveal it. b_hat has 24 bits, x 23.
+    """State of a remote robot as far as its commands and frames reveal it, in place of a firmware.
 
-    It takes the place of a firmware in the robot's half here.
+    b_hat is known to 24 bits and x to 23, as telemetry has them.
 
     Attributes:
         id: Robot id.
-        t: Observations commanded.
+        t: Number of observations that it was commanded to make.
         b_hat: Assumed accuracy.
         x: Informed estimate.
-        x_hat: Local estimate of the last broadcast.
-        counters: Only that of updates is known.
+        x_hat: Local estimate, as of the last broadcast.
+        counters: Diagnostics, of which only the number of updates is known.
     """
 
     def __init__(self, record: RobotRecord) -> None:
         self.id = record.id
         self.t = 0
         self.b_hat = record.b_hat
-        self.x = self.x_hat = 0.5
+        self.x = 0.5
+        self.x_hat = 0.5
         self.counters = Counters()
 
     def observe(self, z: Observation) -> None:
-        """The robot was commanded to observe."""
+        """Count an observation that the robot was commanded to make."""
         self.t += 1
 
     def receive_all(self, words: Words) -> int:
-        """The robot hears these by itself."""
+        """Return the number of estimates as that of accepted ones; the robot itself receives them."""
         return len(words)
 
     def settle(self) -> None:
-        """The robot was commanded to settle."""
+        """Do nothing: the robot was commanded to settle."""
 
-    def take_estimate(self, message: Estimate) -> None:
-        """Note the robot's broadcast."""
-        self.x_hat = message.x_hat / Q23_ONE
+    def update_from_estimate(self, estimate: Estimate) -> None:
+        """Keep what a broadcast of the robot reveals."""
+        self.x_hat = estimate.x_hat / Q23_ONE
 
-    def take_telemetry(self, telemetry: Telemetry) -> None:
-        """Note the robot's answer to a *settle*."""
-        self.x, self.b_hat = telemetry.x / Q23_ONE, telemetry.b_hat / 2**24
-        # Telemetry has 8 bits of the count, and comes after every tick.
+    def update_from_telemetry(self, telemetry: Telemetry) -> None:
+        """Keep what the robot's answer to *settle* reveals. Call this in every tick."""
+        self.x = telemetry.x / Q23_ONE
+        self.b_hat = telemetry.b_hat / 2**24
+        # Telemetry has the lowest 8 bits of the number of updates, which rises by one at most in a tick.
         updates = self.counters.updates
-        self.counters = Counters(updates=updates + (telemetry.updates - updates) % 256)
+        new_updates = (telemetry.updates - updates) % 256
+        self.counters = Counters(updates=updates + new_updates)
 
 
 def remote_robot(record: RobotRecord, frames: FrameFormat, recorder: Recorder | None = None) -> BusRobot:
-    """The half here of a robot whose firmware runs elsewhere; ``recorder`` takes its events."""
+    """Create the half in this process of a remote robot; ``recorder`` takes its events."""
     return BusRobot(record, frames, recorder, make=lambda: cast(Robot, RemoteFirmware(record)))
 
 
 class Driver:
-    """Commands the robots on one bus.
+    """Commands the remote robots on one bus, tick by tick: ``observe``, then ``settle``.
 
     Attributes:
-        nodes: Their local halves, by id.
+        nodes: The halves of the robots in this process, by id.
     """
 
     def __init__(
         self,
         bus: can.BusABC,
         nodes: Sequence[BusRobot],
-        frames: FrameFormat,
-        log: Callable[[can.Message], None] | None = None,
-        in_turn: bool = False,
+        frame_format: FrameFormat,
+        on_frame: FrameTaker | None = None,
+        order_matters: bool = False,
     ) -> None:
-        """Prepare; ``log`` takes every frame that comes over ``bus``, which is left open at the end.
+        """Prepare to command robots; nothing is sent yet.
 
-        ``in_turn``: a robot is not commanded to observe before those of lower ids have sent their estimates,
-        since with the robust filter the order of messages matters.
+        Args:
+            bus: A connection to their bus, which is left open at the end.
+            nodes: The halves of the robots in this process.
+            frame_format: Format of their estimates.
+            on_frame: Called with every frame that comes over the bus, and with every command.
+            order_matters: Whether robots have to broadcast by rising id, as the robust filter needs it. A
+                robot is commanded to observe only when those of lower ids have broadcast.
         """
         self.nodes = {node.id: node for node in nodes}
-        self._frames = frames
-        self._log = log
-        self._in_turn = in_turn
+        self._frame_format = frame_format
+        self._on_frame = on_frame
+        self._order_matters = order_matters
         self._check: Callable[[], None] = lambda: None
-        self._held: list[can.Message] = []
-        self._estimates: dict[int, can.Message] = {}
+        self._frames_for_next_tick: list[can.Message] = []
+        """Frames of the robots that are neither estimates nor answers to commands."""
+        self._estimate_frames: dict[int, can.Message] = {}
+        """Frames of the estimates of this tick, by sender."""
         self._lockstep = Lockstep(
-            bus, Subjects(estimates=frames), ANSWER_TIMEOUT, watch=self._see, check=self._look_after
+            bus,
+            Subjects(estimates=frame_format),
+            ANSWER_TIMEOUT,
+            watch=self._handle_frame,
+            check=self._call_check,
         )
 
     def wait_until_up(self, timeout: float, check: Callable[[], None]) -> None:
-        """Return when all robots have sent a heartbeat.
+        """Wait until all robots have sent a heartbeat.
 
-        From now on ``check`` is called while waiting; it may raise an error that ends it. Raises
+        ``check`` is called during this wait and all later ones; it may raise an error that ends them. Raises
         LockstepError after ``timeout`` seconds.
         """
         self._check = check
         self._lockstep.wait_until_up(self.nodes, timeout)
 
     def observe(self, observations: Mapping[int, Observation | None]) -> list[tuple[BusRobot, can.Message]]:
-        """Let robots observe, by id; returns the frames that they send in this tick, by rising id.
+        """Let robots observe, by id, and return the frames that count as sent in this tick, with the sender.
 
-        Other frames than estimates count in the next tick, since their time is unpredictable.
-        Raises as ``Lockstep``.
+        These are the estimates of this tick, by rising id, after all other frames of the last tick: it is
+        unpredictable when those come. Raises as ``Lockstep``.
         """
-        self._estimates = {}
-        sent, self._held = self._held, []
-        turns = [{robot: observations[robot]} for robot in sorted(observations)]
-        for turn in turns if self._in_turn else [observations]:
-            self._lockstep.observe(turn)
-            due = [robot for robot, z in turn.items() if self.nodes[robot].begin(z)]
-            for robot, message in self._lockstep.estimates(due).items():
-                self._firmware(robot).take_estimate(message)
-        return [(self.nodes[_sender(f)], f) for f in sent] + [
-            (self.nodes[robot], frame) for robot, frame in sorted(self._estimates.items())
-        ]
+        other_frames = self._frames_for_next_tick
+        self._frames_for_next_tick = []
+        self._estimate_frames = {}
+        if self._order_matters:
+            for robot in sorted(observations):
+                self._observe_at_once({robot: observations[robot]})
+        else:
+            self._observe_at_once(observations)
+        frames = [*other_frames, *(frame for _, frame in sorted(self._estimate_frames.items()))]
+        return [(self.nodes[sender_of(frame)], frame) for frame in frames]
+
+    def _observe_at_once(self, observations: Mapping[int, Observation | None]) -> None:
+        """Let robots observe, and wait for the estimates of those whose round is over."""
+        self._lockstep.observe(observations)
+        broadcasting = [robot for robot, z in observations.items() if self.nodes[robot].begin(z)]
+        for robot, estimate in self._lockstep.estimates(broadcasting).items():
+            self._firmware(robot).update_from_estimate(estimate)
 
     def settle(self, robots: Collection[int]) -> None:
         """Let ``robots`` settle. Raises as ``Lockstep``."""
         for robot, telemetry in self._lockstep.settle(robots).items():
-            self._firmware(robot).take_telemetry(telemetry)
+            self._firmware(robot).update_from_telemetry(telemetry)
             self.nodes[robot].end()
-        self._held.sort(key=_sender)
+        self._frames_for_next_tick.sort(key=sender_of)
 
-    def _look_after(self) -> None:
+    def _call_check(self) -> None:
+        """Call what the last ``wait_until_up`` has set."""
         self._check()
 
     def _firmware(self, robot: int) -> RemoteFirmware:
+        """Return the known state of a robot."""
         firmware = self.nodes[robot].robot
         assert isinstance(firmware, RemoteFirmware)
         return firmware
 
-    def _see(self, frame: can.Message) -> None:
-        """Keep the robots' frames except their answers."""
-        if self._log is not None:
-            self._log(frame)
-        if frame.is_error_frame:  # its identifier describes the error, and is none of a robot's
+    def _handle_frame(self, frame: can.Message) -> None:
+        """Report a frame on the bus, and keep it if one of the robots sent it and it is no answer."""
+        if self._on_frame is not None:
+            self._on_frame(frame)
+        if frame.is_error_frame:  # its identifier describes the error, and has no sender
             for node in self.nodes.values():
                 node.hear_stranger(frame)
             return
-        if _sender(frame) not in self.nodes or isinstance(decode_telemetry(frame), Telemetry):
+        sender = sender_of(frame)
+        if sender not in self.nodes or isinstance(decode_telemetry(frame), Telemetry):
             return
-        if isinstance(decode_estimate(frame, self._frames), Estimate):
-            self._estimates.setdefault(_sender(frame), frame)
+        if isinstance(decode_estimate(frame, self._frame_format), Estimate):
+            self._estimate_frames.setdefault(sender, frame)
         else:
-            self._held.append(frame)
-
-
-def _sender(frame: can.Message) -> int:
-    return frame.arbitration_id & MAX_NODE_ID
+            self._frames_for_next_tick.append(frame)

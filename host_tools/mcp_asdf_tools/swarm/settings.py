@@ -11,7 +11,8 @@ from mcp_asdf_tools.common.parameters import ParameterError, parameter, value_of
 from mcp_asdf_tools.robots.clock import ClockKind
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.record import RobotRecord, ids_of, text_of_ids
-from mcp_asdf_tools.swarm.fault_spec import parse_fault
+from mcp_asdf_tools.swarm.fault_injection.kinds import LinkFault
+from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.world.settings import MAX_PERIOD
 from mcp_asdf_tools.world.topology import MAX_ON_BUS
 
@@ -21,14 +22,16 @@ MAX_ROBOTS_AND_TOOLS = 126
 
 @dataclass(frozen=True, kw_only=True)
 class SwarmSettings(Population):
-    """Parameters of a run; equal settings give equal runs. Raises ParameterError, naming the field.
+    """Parameters of a swarm on a bus; equal settings give equal runs.
+
+    Raises ParameterError, naming the field, for a value that it cannot have.
 
     Attributes:
-        telemetry_period: Steps between telemetry frames of a robot; 0 for none.
-        allow: Ids whose estimates robots take, as ``ids_of`` reads them; empty for all.
+        telemetry_period: Ticks between two telemetry frames of a robot; 0 for none.
+        allow: Ids whose estimates robots accept, such as ``0-19+30``; empty for all.
         frames: Format of estimates.
         faults: Faults in the order in which they act; texts such as ``loss=0.1`` are parsed.
-        clock: Clock that ends steps.
+        clock: Clock that ends ticks.
     """
 
     robots: int = parameter("number of robots N", 1, MAX_ON_BUS, default=20)
@@ -42,9 +45,10 @@ class SwarmSettings(Population):
 
     @classmethod
     def from_recording(cls, recorded: Mapping[str, Any]) -> Self:
-        """Make settings of what ``plain`` returned, as ``WorldSettings.from_recording``, faults included.
+        """Return the settings that ``plain`` has written, faults included.
 
-        How frames looked and what ended steps is left out: both have passed.
+        The format of frames and the clock have their defaults: they do not matter to a run that is over.
+        Raises as ``WorldSettings.from_recording``.
         """
         faults = recorded.get("faults", [])
         if not isinstance(faults, list):
@@ -57,34 +61,37 @@ class SwarmSettings(Population):
         if self.clock not in get_args(ClockKind):
             raise ParameterError("clock", f"clock is {self.clock!r}; choose lockstep or real-time")
         with value_of("allow"):
+            # The same ids have the same text, in rising order.
             object.__setattr__(self, "allow", self.allow and text_of_ids(ids_of(self.allow, "allow")))
         if isinstance(self.faults, str):
             raise ParameterError("faults", f"faults is {self.faults!r}; give several in a list or tuple")
-        object.__setattr__(self, "faults", tuple(parse_fault(str(each)) for each in self.faults))
+        object.__setattr__(self, "faults", tuple(parse_fault(str(fault)) for fault in self.faults))
         if self.telemetry_period and self.frames.subject == TELEMETRY_FORMAT.subject:
             raise ParameterError(
                 "frames",
                 f"subject {TELEMETRY_FORMAT.subject} is that of telemetry; choose another for estimates",
             )
-        self._check_faults()
+        self._check_fault_ids()
 
-    def _check_faults(self) -> None:
+    def _check_fault_ids(self) -> None:
+        """Raise ParameterError if a fault names a robot that the swarm does not have."""
         for fault in self.faults:
-            named = {*(fault.robots or ()), *(fault.receivers or ())}
-            if named and max(named) >= self.robots:
+            receivers = fault.receivers if isinstance(fault, LinkFault) else None
+            named_robots = (fault.robots or frozenset()) | (receivers or frozenset())
+            if named_robots and max(named_robots) >= self.robots:
                 raise ParameterError(
                     "faults",
-                    f"fault {fault} names robot {max(named)}, but the ids of {self.robots} robots are 0 to "
-                    f"{self.robots - 1}; take more robots or name another",
+                    f"fault {fault} names robot {max(named_robots)}, but the ids of {self.robots} robots are "
+                    f"0 to {self.robots - 1}; take more robots or name another",
                 )
 
     def records(self) -> list[RobotRecord]:
-        """Initial state of each robot, by id."""
-        allow = ids_of(self.allow, "allow") if self.allow else None
-        return [replace(self.record(robot), allow=allow) for robot in range(self.robots)]
+        """Return the initial state of each robot, by id."""
+        allowed_ids = ids_of(self.allow, "allow") if self.allow else None
+        return [replace(self.record(robot), allow=allowed_ids) for robot in range(self.robots)]
 
     def plain(self) -> dict[str, Any]:
-        """All settings as plain values, for JSON."""
+        """Return all settings as plain values, for JSON."""
         return self.parameters() | {
             "frames": {"subject": self.frames.subject, "priority": self.frames.priority},
             "faults": [str(fault) for fault in self.faults],

@@ -10,16 +10,17 @@ from rich.text import Text
 
 from mcp_asdf_tools.bus.load import HIGH_LOAD
 from mcp_asdf_tools.robots.filters import FILTERS
+from mcp_asdf_tools.swarm.run import SwarmRun
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import SwarmRun
 
-Rows = Sequence[tuple[str, str]]
-"""A name and a text each."""
+Row = tuple[str, str]
+"""The name of a line of a summary, and its text."""
 
 
-def summary(run: SwarmRun, bus: str, seconds: float) -> Rows:
-    """Summary of ``run``, which took so many seconds on ``bus``."""
+def summary(run: SwarmRun, bus: str, seconds: float) -> list[Row]:
+    """Return the lines of a summary of a run on ``bus`` that took this time."""
     results, settings, frames = run.results, run.settings, run.results["frames"]
+    b_hat, b = results["b_hat"], settings.true_accuracy
     tests = "an unknown number of" if results["tests"] is None else results["tests"]
     return [
         ("run", f"{results['steps']} of {settings.steps} steps in {seconds:.1f} s{_ending(run)}"),
@@ -29,10 +30,8 @@ def summary(run: SwarmRun, bus: str, seconds: float) -> Rows:
             f"{results['mean_error']:.5f}, spread of x {results['spread_x']:.5f}, of x_hat "
             f"{results['spread_x_hat']:.5f}",
         ),
-        *(
-            (f"b_hat, {name}", _change(results["b_hat"][name], settings.true_accuracy))
-            for name in ("flawed", "other")
-        ),
+        ("b_hat, flawed", _b_hat_change(b_hat["flawed"], b)),
+        ("b_hat, other", _b_hat_change(b_hat["other"], b)),
         ("filter", f"{settings.filter_description}; {tests} tests, {results['updates']} updates"),
         (
             "frames",
@@ -40,23 +39,25 @@ def summary(run: SwarmRun, bus: str, seconds: float) -> Rows:
             f"{frames['delivered']} messages delivered, {sum(frames['rejected'].values())} frames rejected, "
             f"{frames['refused']} messages refused, {frames['strays']} strays",
         ),
-        *_troubles(results),
-        ("bus load", _loads(results)),
+        *_fault_lines(results),
+        *_reception_lines(results),
+        *_clock_lines(results),
+        ("bus load", _bus_loads(results)),
     ]
 
 
-def summary_table(rows: Rows) -> Table:
-    """A summary as a table of two columns, the second as wide as there is room."""
+def summary_table(rows: Sequence[Row]) -> Table:
+    """Return a summary as a table of two columns, the second as wide as there is room."""
     table = Table(box=None, show_header=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
-    for row in rows:
-        table.add_row(*(Text(each) for each in row))
+    for name, text in rows:
+        table.add_row(Text(name), Text(text))
     return table
 
 
 def one_line(run: SwarmRun) -> str:
-    """Summary in one line, for quiet runs."""
+    """Return a summary in one line, for quiet runs."""
     results = run.results
     return (
         f"seed {run.settings.seed}: {run.settings.robots} robots, {run.settings.swarm_filter.term}, "
@@ -65,91 +66,117 @@ def one_line(run: SwarmRun) -> str:
     )
 
 
-def comparison(by_filter: dict[str, dict[str, Any]], settings: SwarmSettings) -> str:
-    """The difference that filters made on the same seed, from their results, in two sentences; a third if the
-    swarm is one that needs none."""
-    compared_filters = [swarm_filter for swarm_filter in FILTERS.values() if swarm_filter.name in by_filter]
-    errors = ", ".join(
-        f"{swarm_filter.term} {by_filter[swarm_filter.name]['mean_error']:.3f}"
+def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSettings) -> str:
+    """Return in two sentences what difference filters made on the same seed.
+
+    A third sentence follows if the swarm is one that needs no filter.
+    """
+    compared_filters = [item for item in FILTERS.values() if item.name in results_by_filter]
+    errors = [
+        f"{swarm_filter.term} {results_by_filter[swarm_filter.name]['mean_error']:.3f}"
         for swarm_filter in compared_filters
-    )
-    said = f"Mean error on the same seed: {errors}."
-    changes = [
-        (swarm_filter.term, by_filter[swarm_filter.name]["b_hat"]["flawed"])
+    ]
+    text = f"Mean error on the same seed: {', '.join(errors)}."
+    b_hat_changes = {
+        swarm_filter.term: results_by_filter[swarm_filter.name]["b_hat"]["flawed"]
         for swarm_filter in compared_filters
         if swarm_filter.is_on
-    ]
-    if not changes[0][1]:
-        return said
-    before = f"{changes[0][1]['before']:.2f}"
-    after = ", ".join(f"{term} {change['after']:.2f}" for term, change in changes)
-    said += f" The flawed robots took their sensors for {before} accurate, now: {after}."
+    }
+    first_change = next(iter(b_hat_changes.values()))
+    if first_change is None:  # there are no flawed robots
+        return text
+    changes = [f"{term} {change['after']:.2f}" for term, change in b_hat_changes.items()]
+    text += (
+        f" The flawed robots took their sensors for {first_change['before']:.2f} accurate, now: "
+        f"{', '.join(changes)}."
+    )
     is_underconfident = abs(settings.flawed_accuracy - 0.5) < abs(settings.true_accuracy - 0.5)
     if settings.topology == "fully-connected" and is_underconfident:
-        said += (
+        text += (
             " This swarm needs no filter: where all hear all, robots that trust their sensors too little are "
             "outvoted anyway; with --topology dynamic they do harm (docs/advice.md)."
         )
-    return said
+    return text
 
 
 def load_warning(results: dict[str, Any]) -> str | None:
-    """Warning about bit rates at which a real bus would be too busy; None if there are none."""
-    busy = [int(rate) for rate, share in results["bus_load"].items() if share["mean"] > HIGH_LOAD]
-    if not busy:
+    """Return a warning about bit rates at which a real bus would be too busy; None if there are none."""
+    bus_loads = results["bus_load"].items()
+    busy_bit_rates = [int(bit_rate) for bit_rate, load in bus_loads if load["mean"] > HIGH_LOAD]
+    if not busy_bit_rates:
         return None
     return (
-        f"a real bus at {_rate(max(busy))}bit/s or less would be busy for more than {HIGH_LOAD:.0%} of the "
-        "time; use a faster one, a longer comms-period, or fewer ticks per second"
+        f"a real bus at {_bit_rate_text(max(busy_bit_rates))}bit/s or less would be busy for more than "
+        f"{HIGH_LOAD:.0%} of the time; use a faster one, a longer comms-period, or fewer ticks per second"
     )
 
 
 def _ending(run: SwarmRun) -> str:
+    """Return what ended the run early, to be appended to a sentence; empty if it was complete."""
     if run.failure is not None:
         return f"; failed in {run.failure}"
     return "; interrupted" if run.interrupted else ""
 
 
-def _change(group: dict[str, float] | None, truth: float) -> str:
-    if group is None:
+def _b_hat_change(change: dict[str, float] | None, true_accuracy: float) -> str:
+    """Return the text about b_hat of a group of robots at the start and the end; None is an empty group."""
+    if change is None:
         return "no such robots"
     return (
-        f"{group['before']:.4f} -> {group['after']:.4f} ({group['after_min']:.4f} to "
-        f"{group['after_max']:.4f}, {group['robots']} robots; b {truth:g})"
+        f"{change['before']:.4f} -> {change['after']:.4f} ({change['after_min']:.4f} to "
+        f"{change['after_max']:.4f}, {change['robots']} robots; b {true_accuracy:g})"
     )
 
 
-def _troubles(results: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Faults, what robots rejected, conflicts of ids, and how late ticks were, as far as there is any."""
-    frames, clock = results["frames"], results["clock"]
-    if results["faults"]:
-        arrived, in_range = frames["arrived"], frames["in_range"]
-        share = arrived / in_range if in_range else 0.0
-        yield "arrived", f"{arrived} of {in_range} frames, {share:.1%}; {frames['on_the_bus']} on the bus"
+def _fault_lines(results: dict[str, Any]) -> Iterator[Row]:
+    """Yield how much of the traffic arrived, and how often each fault hit; nothing without faults."""
+    if not results["faults"]:
+        return
+    frames = results["frames"]
+    arrived, in_range = frames["arrived"], frames["in_range"]
+    share = arrived / in_range if in_range else 0.0
+    yield "arrived", f"{arrived} of {in_range} frames, {share:.1%}; {frames['on_the_bus']} on the bus"
     for fault in results["faults"]:
         yield "fault", f"{fault['fault']}: {fault['injected']} injected"
+
+
+def _reception_lines(results: dict[str, Any]) -> Iterator[Row]:
+    """Yield what robots rejected or refused, and which ids had two nodes; nothing if all was well."""
     for robot in results["robots"]:
         reasons = [f"{count} {reason}" for reason, count in robot["rejected"].items()]
-        reasons += [f"{robot['refused']} refused"] if robot["refused"] else []
+        if robot["refused"]:
+            reasons.append(f"{robot['refused']} refused")
         if reasons:
             yield f"robot {robot['id']}", f"{robot['delivered']} messages delivered; {', '.join(reasons)}"
-    for robot, number in frames["id_conflicts"].items():
-        yield "node-id conflict", f"another node sent {number} messages as robot {robot}; give it a free id"
-    if clock is not None:
-        mean, most, drift = (1e3 * clock[name] for name in ("mean_lateness", "max_lateness", "drift"))
-        yield (
-            "clock",
-            f"ticks began {mean:.3f} ms late on average, {most:.3f} ms at most, {clock['late_ticks']} of "
-            f"them by more than half a tick; drift {drift:.3f} ms; {frames['missed']} frames late or lost",
-        )
+    for robot_id, count in results["frames"]["id_conflicts"].items():
+        text = f"another node sent {count} messages as robot {robot_id}; give it a free id"
+        yield "node-id conflict", text
 
 
-def _loads(results: dict[str, Any]) -> str:
-    return ", ".join(
-        f"{_rate(int(rate))}bit/s {share['mean']:.1%} (peak {share['peak']:.0%})"
-        for rate, share in results["bus_load"].items()
+def _clock_lines(results: dict[str, Any]) -> Iterator[Row]:
+    """Yield how late ticks and frames were in real time; nothing in lockstep."""
+    clock = results["clock"]
+    if clock is None:
+        return
+    mean_ms, maximum_ms = 1e3 * clock["mean_lateness"], 1e3 * clock["max_lateness"]
+    drift_ms = 1e3 * clock["drift"]
+    yield (
+        "clock",
+        f"ticks began {mean_ms:.3f} ms late on average, {maximum_ms:.3f} ms at most, {clock['late_ticks']} "
+        f"of them by more than half a tick; drift {drift_ms:.3f} ms; {results['frames']['missed']} frames "
+        "late or lost",
     )
 
 
-def _rate(bit_rate: int) -> str:
+def _bus_loads(results: dict[str, Any]) -> str:
+    """Return the text about the load of a real bus at each bit rate."""
+    loads = [
+        f"{_bit_rate_text(int(bit_rate))}bit/s {load['mean']:.1%} (peak {load['peak']:.0%})"
+        for bit_rate, load in results["bus_load"].items()
+    ]
+    return ", ".join(loads)
+
+
+def _bit_rate_text(bit_rate: int) -> str:
+    """Return a bit rate with the prefix of its unit, such as ``500 k``."""
     return f"{bit_rate // 10**6} M" if bit_rate % 10**6 == 0 else f"{bit_rate // 1000} k"

@@ -16,18 +16,18 @@ from mcp_asdf_tools.robots.bus_robot import Reception
 
 @dataclass
 class Traffic:
-    """Frames on the bus, counted.
+    """Counts of the frames that robots have sent and received.
 
     Attributes:
-        receptions: Frames that each robot heard, by id.
-        sent: Messages that robots sent.
-        heartbeats_sent: Heartbeats.
-        telemetry_sent: Telemetry.
+        receptions: Frames that each robot received, by id.
+        sent: Estimates that robots sent.
+        heartbeats_sent: Heartbeats that robots sent.
+        telemetry_sent: Telemetry frames that robots sent.
         on_the_bus: All frames that got onto the bus, after the faults of their senders.
-        in_range: Those, counted once for each robot in range of their senders.
-        arrived: Frames that robots heard of those, late ones and copies included.
-        missed: Frames that the bus lost or delivered after their tick; none in lockstep.
-        bits: Length of all frames on a bus shared by all, at worst.
+        in_range: The same frames, counted once for each robot in range of the sender.
+        arrived: The same frames, counted once for each robot that received them; copies count, too.
+        missed: Frames that the bus lost, or carried after their tick; none in lockstep.
+        bits: Length of all frames in bits on one bus, with as many stuff bits as possible.
         peak_bits: The same in the busiest tick.
     """
 
@@ -43,22 +43,26 @@ class Traffic:
     peak_bits: int = 0
 
     def add(self, frames: Sequence[can.Message]) -> None:
-        """Count the frames that got onto the bus in one tick."""
-        bits = sum(map(worst_case_bits, frames))
+        """Count the frames that got onto the bus in one tick, and their bits."""
+        bits = sum(worst_case_bits(frame) for frame in frames)
         self.on_the_bus += len(frames)
         self.bits += bits
         self.peak_bits = max(self.peak_bits, bits)
 
-    def total(self, name: str) -> int:
-        """The sum over robots of one of the numbers in ``Reception``."""
-        return sum(getattr(each, name) for each in self.receptions)
+    def total(self, count_name: str) -> int:
+        """Return the sum over all robots of one of the counts in ``Reception``, given its name."""
+        return sum(getattr(reception, count_name) for reception in self.receptions)
 
     def figures(self) -> dict[str, Any]:
-        """The counts as plain values, for JSON."""
-        own = {name: value for name, value in vars(self).items() if name != "receptions"}
-        rejected = sum((each.rejected for each in self.receptions), Counter[Rejection]())
-        conflicts = {str(robot): each.id_conflicts for robot, each in enumerate(self.receptions)}
-        return own | {
+        """Return the counts as plain values, for JSON."""
+        counts = {name: value for name, value in vars(self).items() if name != "receptions"}
+        rejected = Counter[Rejection]()
+        id_conflicts = {}
+        for robot, reception in enumerate(self.receptions):
+            rejected += reception.rejected
+            if reception.id_conflicts:
+                id_conflicts[str(robot)] = reception.id_conflicts
+        return counts | {
             "delivered": self.total("delivered"),
             "heartbeats_heard": self.total("heartbeats"),
             "telemetry_heard": self.total("telemetry"),
@@ -66,6 +70,6 @@ class Traffic:
             "refused": self.total("refused"),
             "unknown": self.total("unknown"),
             "strays": self.total("strays"),
-            "id_conflicts": {robot: count for robot, count in conflicts.items() if count},
+            "id_conflicts": id_conflicts,
             "rejected": {reason.name: count for reason, count in rejected.items()},
         }

@@ -27,7 +27,7 @@ from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, i
 from mcp_asdf_tools.recording.replay import rerun
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.record import text_of_ids
-from mcp_asdf_tools.swarm.fault_spec import Fault
+from mcp_asdf_tools.swarm.fault_injection.fault import Fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.film import MAX_STATES, QUANTITIES, Film, Stage, State

@@ -25,9 +25,10 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies.ageing_sensors import UnequallyAgeingSensors, WanderingSensors
 from mcp_asdf_tools.swarm.carrier import Wiring
-from mcp_asdf_tools.swarm.fault_spec import parse_fault
+from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
+from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
+from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world import arena
 from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.settings import WorldSettings

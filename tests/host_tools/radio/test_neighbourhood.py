@@ -23,9 +23,10 @@ from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, cho
 from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.robots.node import BusLink, RobotNode, Subjects
 from mcp_asdf_tools.swarm.carrier import Wiring
-from mcp_asdf_tools.swarm.fault_spec import parse_fault
+from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
+from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
+from mcp_asdf_tools.swarm.swarm import Swarm
 from wire import Wire, join
 from wrong_robots import ID, surroundings
 
@@ -139,7 +140,7 @@ def test_neighbours_stop_when_asked_to(ticks: int | None) -> None:
         Neighbourhood(surroundings(steps_per_second=1000)), BusLink(Wire(), lambda: done > []), ticks
     )
     done: list[int] = []
-    run.watch = lambda: done.append(run.neighbours.tick) if run.neighbours.tick == 3 else None
+    run.on_tick = lambda: done.append(run.neighbours.tick) if run.neighbours.tick == 3 else None
     run.run()
     assert (done, run.outcome.ending, run.outcome.is_interrupted) == ([3], "stopped", ticks is not None)
     assert run.outcome.lateness is not None
@@ -191,7 +192,7 @@ def test_bad_usage(
     arguments: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """All of it is told before the first tick."""
-    monkeypatch.setattr(RadioRun, "_tick", lambda self: pytest.fail("it ran"))
+    monkeypatch.setattr(RadioRun, "_take_tick", lambda self: pytest.fail("it ran"))
     monkeypatch.setattr(Bench, "settle", lambda self: pytest.fail("it ran"))
     monkeypatch.chdir(tmp_path)
     assert radio(arguments) == 2

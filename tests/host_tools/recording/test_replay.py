@@ -33,7 +33,7 @@ from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, I
 from mcp_asdf_tools.recording.replay import ReplayVerdict, rerun, verify
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.record import RobotRecord
-from mcp_asdf_tools.swarm.fault_spec import FaultKind
+from mcp_asdf_tools.swarm.fault_injection.kinds import FAULT_KINDS
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import FRAMES
 from robots import ALPHA_ONE
@@ -101,7 +101,7 @@ def test_every_robot_is_reproduced_and_gaps_are_no_difference(options: str, tmp_
 
 
 NEEDED = {"collide": ",id=2", "sybil": ",ids=2+100", "crash": ",rejoin=restored --fault crash=0.01"}
-FAULTS = " ".join(f"--fault {kind.value}=0.3{NEEDED.get(kind.value, '')}" for kind in FaultKind)
+FAULTS = " ".join(f"--fault {kind.name}=0.3{NEEDED.get(kind.name, '')}" for kind in FAULT_KINDS)
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,9 @@ from mcp_asdf.robot import FixedPointRobot
 from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogWriter
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.run import SwarmHook, SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm, SwarmHook, SwarmRun, run_swarm
+from mcp_asdf_tools.swarm.swarm import Swarm
 
 
 def one_bus(robot: int = 0) -> can.BusABC:

@@ -250,7 +250,7 @@ def test_a_failing_bus_gives_exit_code_1_and_saves_what_is_done(
 def test_a_bus_that_takes_no_more_frames_does_not_block_for_ever(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connection, "TIMEOUT", 0.05)
+    monkeypatch.setattr(connection, "FRAME_TIMEOUT", 0.05)
     assert command("--bus-kwargs", "rx_queue_size=2") == 1
     assert "failed in tick 1: Could not send" in capsys.readouterr().err
 

@@ -1,4 +1,7 @@
-"""Faults are what their texts say, and strike as a reference says that takes one frame at a time."""
+"""Faults are read from text, and disturb frames and nodes as a plain reference computes it.
+
+The reference takes one frame, node and receiver at a time, in whole numbers and lists.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ import itertools
 import re
 import struct
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -26,10 +31,27 @@ from mcp_asdf_tools.bus.frames import (
     encode_heartbeat,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.swarm.delivery import Delivery, SentFrame
-from mcp_asdf_tools.swarm.fault_spec import Fault, FaultKind, parse_fault
-from mcp_asdf_tools.swarm.faults import Faults
-from mcp_asdf_tools.swarm.link_faults import choices
+from mcp_asdf_tools.swarm.delivery import DeliveryQueue, SentFrame
+from mcp_asdf_tools.swarm.fault_injection.fault import Fault
+from mcp_asdf_tools.swarm.fault_injection.faults import Faults
+from mcp_asdf_tools.swarm.fault_injection.kinds import (
+    FAULT_KINDS,
+    Babble,
+    BusOff,
+    Collide,
+    Corrupt,
+    Crash,
+    Delay,
+    Duplicate,
+    Freeze,
+    Liar,
+    LinkFault,
+    Loss,
+    OutageFault,
+    Sybil,
+)
+from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
+from mcp_asdf_tools.swarm.fault_injection.random_words import choose_bits
 from support import draws
 
 pytestmark = pytest.mark.random
@@ -41,16 +63,29 @@ ROBOTS, TICKS = 4, 12
 # Texts
 
 
-def test_a_text_may_have_spaces_and_lists_of_ids() -> None:
-    fault = Fault(FaultKind.DELAY, 0.5, 100, 500, frozenset({0, 7, 8}), frozenset({1}), ticks=3)
-    assert parse_fault("delay=0.5, from=100,to=500, ticks=3,robots=0+7-8,receivers=1") == fault
-    assert parse_fault("loss") == Fault(FaultKind.LOSS, 1.0)
-    assert parse_fault("corrupt=0,robots=126-127,bits=64") == Fault(
-        FaultKind.CORRUPT, 0.0, robots=frozenset({126, 127}), bits=64
+def test_a_fault_has_the_options_of_its_text() -> None:
+    fault = parse_fault("delay=0.5,from=100,to=500,ticks=3,robots=0+7-8,receivers=1")
+    assert fault == Delay(
+        rate=0.5, start=100, stop=500, robots=frozenset({0, 7, 8}), receivers=frozenset({1}), ticks=3
     )
 
 
-BAD = {
+def test_a_fault_without_a_rate_is_certain() -> None:
+    assert parse_fault("loss") == Loss(rate=1.0)
+
+
+def test_a_text_may_have_spaces_after_commas() -> None:
+    assert parse_fault("corrupt=0, robots=126-127, bits=64") == Corrupt(
+        rate=0.0, robots=frozenset({126, 127}), bits=64
+    )
+
+
+def test_the_text_of_a_fault_has_its_rate_and_what_is_no_default() -> None:
+    fault = Sybil(rate=0.1, start=5, robots=frozenset({4}), x=0.0, ids=frozenset({30, 31}))
+    assert str(fault) == "sybil=0.1,from=5,robots=4,x=0.0,ids=30-31"
+
+
+BAD_TEXTS = {
     "": "no kind is called ''; choose one of loss, delay, duplicate",
     "lose=0.2": "no kind is called 'lose'; did you mean loss?",
     "loss=2": "rate is '2'; it must be a number, 0 to 1",
@@ -60,7 +95,7 @@ BAD = {
     "loss,from=5,to=5": "to is 5; it must be above from, 5",
     "loss,from=-1": "from is '-1'; it must be a whole number, 0 to",
     "delay,ticks=1.5": "ticks is '1.5'; it must be a whole number",
-    "delay,ticks=0": "ticks is 0; it must be at least 1",
+    "delay,ticks=0": "ticks is '0'; it must be a whole number, 1 to",
     "loss,robots=5-3": "robots is '5-3'; it must be ids 0 to 127 such as 0+3-5",
     "loss,robots=128": "robots is '128'",
     "corrupt,bits=65": "bits is '65'; it must be a whole number, 1 to 64",
@@ -71,48 +106,41 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("text", BAD)
-def test_bad_texts_get_a_clear_error(text: str) -> None:
-    with pytest.raises(UsageError, match=re.escape(BAD[text])):
+@pytest.mark.parametrize("text", BAD_TEXTS)
+def test_an_error_in_a_text_is_named_with_its_fix(text: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(BAD_TEXTS[text])):
         parse_fault(text)
 
 
-def test_time_does_not_run_backwards() -> None:
-    faults = Faults([parse_fault("crash=0.1")], 5, FORMAT)
-    faults.crash(0, 10)
-    faults.crash(1, 5)
-    with pytest.raises(ValueError, match="tick 9 comes after tick 10"):
-        faults.crash(0, 9)
-
-
-def ids(most: int) -> st.SearchStrategy[frozenset[int]]:
-    return st.frozensets(st.integers(0, most), min_size=1)
+def sets_of_ids(maximum: int) -> st.SearchStrategy[frozenset[int]]:
+    return st.frozensets(st.integers(0, maximum), min_size=1)
 
 
 @st.composite
-def any_fault(draw: st.DrawFn, most: int = 127, ticks: int = 2**32 - 1) -> Fault:
-    """A fault of any kind, of robots up to ``most`` in ticks up to ``ticks``."""
-    options = {
-        "receivers": ids(most),
-        "ticks": st.integers(1, min(ticks, 5)),
+def any_fault(draw: st.DrawFn, max_robot: int = 127, last_tick: int = 2**32 - 1) -> Fault:
+    """A fault of any kind, of robots up to ``max_robot`` in ticks up to ``last_tick``."""
+    strategies = {
+        "receivers": sets_of_ids(max_robot),
+        "ticks": st.integers(1, min(last_tick, 5)),
         "bits": st.integers(1, 64),
         "frames": st.integers(0, 3),
         "rejoin": st.sampled_from(["new", "restored"]),
         "x": st.floats(0, 1),
         "alpha": st.floats(0, 1e38),
         "id": st.integers(0, 127),
-        "ids": ids(127),
+        "ids": sets_of_ids(127),
     }
-    kind = draw(st.sampled_from(list(FaultKind)))
-    chosen: dict[str, Any] = {
-        name: draw(options[name])
-        for name in kind.options
+    kind = draw(st.sampled_from(FAULT_KINDS))
+    options: dict[str, Any] = {
+        name: draw(strategies[name])
+        for name in kind.own_options()
         if name in ("id", "ids", "frames") or draw(st.booleans())
     }
-    start = draw(st.integers(0, ticks - 1))
-    stop = draw(st.none() | st.integers(start + 1, ticks))
+    start = draw(st.integers(0, last_tick - 1))
+    stop = draw(st.none() | st.integers(start + 1, last_tick))
     rate = draw(st.sampled_from([0.0, 1.0]) | st.floats(0, 1))
-    return Fault(kind, rate, start, stop, robots=draw(st.none() | ids(most)), **chosen)
+    robots = draw(st.none() | sets_of_ids(max_robot))
+    return kind(rate=rate, start=start, stop=stop, robots=robots, **options)
 
 
 @settings(max_examples=draws(200), derandomize=True, database=None)
@@ -121,147 +149,172 @@ def test_the_text_of_a_fault_reads_back(fault: Fault) -> None:
     assert parse_fault(str(fault)) == fault
 
 
-# What strikes whom, and when
+# What is hit, and when
 
 Frame = tuple[int, bytes]
 """Identifier and data."""
 
 
-def content(frame: can.Message) -> Frame:
+def identifier_and_data(frame: can.Message) -> Frame:
     return frame.arbitration_id, bytes(frame.data)
 
 
+def claim(x: float, alpha: float, tail: int) -> bytes:
+    """The data of an estimate with these numbers and this tail byte."""
+    return struct.pack("<I", round(x * Q23_ONE))[:3] + struct.pack("<fB", alpha, tail)
+
+
+@dataclass(frozen=True)
+class Copy:
+    """A copy of a frame on its way to one receiver.
+
+    ``path`` has a number for each fault, 0 spared, 1 hit, 2 a duplicate: copies that arrive in one tick are
+    ordered by it.
+    """
+
+    data: bytes
+    path: tuple[int, ...] = ()
+    delay: int = 0
+    copy_number: int = 0
+
+
 class Reference:
-    """The documented scheme, in whole numbers and lists: one frame, node and receiver at a time."""
+    """All faults of a run, as docs/swarm.md describes them."""
 
     def __init__(self, faults: list[Fault], seed: int) -> None:
-        kinds = [fault.kind for fault in faults]
+        kinds = [fault.name for fault in faults]
         self.faults = faults
-        self.numbers = [kinds[:place].count(kind) for place, kind in enumerate(kinds)]
-        self.injected = [0] * len(faults)
+        self.fault_numbers = [kinds[:index].count(kind) for index, kind in enumerate(kinds)]
+        self.hit_counts = [0] * len(faults)
         self.seed = seed
-        self.left: dict[tuple[int, int], int] = {}
-        self.regular: dict[tuple[int, int], Estimate] = {}
+        self.ticks_left: dict[tuple[int, int], int] = {}
+        self.last_regular: dict[tuple[int, int], Estimate] = {}
 
-    def word(self, place: int, index: int, *key: int) -> int:
-        """A word of the fault at ``place``: SHAKE-128 of seed, fault and key."""
-        name = f"{self.faults[place].kind.value} {self.numbers[place]}".encode()
-        seeded = self.seed.to_bytes(16, "little") + name + struct.pack("<IIIBBBB", *key)
-        return int.from_bytes(hashlib.shake_128(seeded).digest(8 * index + 8)[8 * index :], "little")
+    def random_word(self, fault_index: int, word_index: int, *key: int) -> int:
+        """A word of a fault: SHAKE-128 of seed, fault and key."""
+        name = f"{self.faults[fault_index].name} {self.fault_numbers[fault_index]}".encode()
+        hashed = self.seed.to_bytes(16, "little") + name + struct.pack("<IIIBBBB", *key)
+        digest = hashlib.shake_128(hashed).digest(8 * word_index + 8)
+        return int.from_bytes(digest[8 * word_index :], "little")
 
-    def begin(self, tick: int) -> None:
-        """Begin and end the spells of all nodes; to be called for every tick."""
-        for place, fault in enumerate(self.faults):
-            for node in range(ROBOTS) if fault.kind in (FaultKind.CRASH, FaultKind.BUSOFF) else ():
-                left = max(self.left.get((place, node), 0) - 1, 0)
-                word = self.word(place, 0, tick, 0, 0, node, 0, 0, 0)
-                if left == 0 and self.on(fault, tick, node) and word < Fraction(fault.rate) * 2**64:
-                    left = fault.ticks
-                self.left[place, node] = left
-                self.injected[place] += left > 0
+    def is_hit(self, fault_index: int, tick: int, sender: int, word: int) -> bool:
+        """Whether a fault is active for a sender, and the word hits at its rate."""
+        fault = self.faults[fault_index]
+        has_ended = fault.stop is not None and tick >= fault.stop
+        is_active = tick >= fault.start and not has_ended
+        is_affected = fault.robots is None or sender in fault.robots
+        return is_active and is_affected and word < Fraction(fault.rate) * 2**64
 
-    def on(self, fault: Fault, tick: int, node: int) -> bool:
-        stop = 2**40 if fault.stop is None else fault.stop
-        return fault.start <= tick < stop and (fault.robots is None or node in fault.robots)
-
-    def off(self, node: int, kind: FaultKind | None = None) -> bool:
-        """Whether a spell of this kind, or any, lasts for a node."""
-        return any(
-            left and self.faults[place].kind in ([kind] if kind else list(FaultKind))
-            for (place, who), left in self.left.items()
-            if who == node
+    def is_node_hit(self, fault_index: int, tick: int, node: int) -> bool:
+        return self.is_hit(
+            fault_index, tick, node, self.random_word(fault_index, 0, tick, 0, 0, node, 0, 0, 0)
         )
 
-    def babble(self, node: int, tick: int, kind: FaultKind) -> list[Frame]:
-        found = []
-        for place, fault in enumerate([] if self.off(node) else self.faults):
-            struck = self.word(place, 0, tick, 0, 0, node, 0, 0, 0) < Fraction(fault.rate) * 2**64
-            if fault.kind is not kind or not (self.on(fault, tick, node) and struck):
+    def begin_tick(self, tick: int) -> None:
+        """Begin and end the outages of all nodes."""
+        for index, fault in enumerate(self.faults):
+            if not isinstance(fault, OutageFault):
                 continue
-            if fault.ids is None:
-                words = [self.word(place, 1, tick, k, 0, node, 0, 0, 0) for k in range(fault.frames)]
+            for node in range(ROBOTS):
+                ticks_left = max(self.ticks_left.get((index, node), 0) - 1, 0)
+                if ticks_left == 0 and self.is_node_hit(index, tick, node):
+                    ticks_left = fault.ticks
+                self.ticks_left[index, node] = ticks_left
+                self.hit_counts[index] += ticks_left > 0
+
+    def is_off(self, node: int, kind: type[OutageFault] = OutageFault) -> bool:
+        """Whether an outage of this kind, or of any, keeps a node off the bus."""
+        return any(
+            ticks_left > 0 and off_node == node and isinstance(self.faults[index], kind)
+            for (index, off_node), ticks_left in self.ticks_left.items()
+        )
+
+    def extra_frames(self, node: int, tick: int, kind: type[Fault]) -> list[Frame]:
+        """Frames that a node sends besides its own because of faults of this kind."""
+        all_frames = []
+        for index, fault in enumerate(self.faults):
+            if self.is_off(node) or not isinstance(fault, kind) or not self.is_node_hit(index, tick, node):
+                continue
+            if isinstance(fault, Babble):
+                words = [self.random_word(index, 1, tick, k, 0, node, 0, 0, 0) for k in range(fault.frames)]
                 frames = [(FORMAT.identifier(node), word.to_bytes(8, "little")) for word in words]
             else:
-                said = struct.pack("<I", round(fault.x * Q23_ONE))[:3] + struct.pack(
-                    "<fB", fault.alpha, 224 + tick
-                )
-                frames = [(FORMAT.identifier(each), said) for each in range(128) if each in fault.ids]
-            found += frames
-            self.injected[place] += len(frames)
-        return found
+                assert isinstance(fault, Sybil) and fault.ids is not None
+                data = claim(fault.x, fault.alpha, 224 + tick)
+                frames = [(FORMAT.identifier(robot), data) for robot in range(128) if robot in fault.ids]
+            all_frames += frames
+            self.hit_counts[index] += len(frames)
+        return all_frames
 
-    def leave(self, frame: Frame, node: int, tick: int, number: int) -> Frame:
-        """What gets onto the bus of a frame, the ``number``-th with its identifier; the node is not off."""
-        for place, fault in enumerate(self.faults):
-            said = decode_estimate(can.Message(arbitration_id=frame[0], data=frame[1]), FORMAT)
-            struck = self.word(place, 0, tick, number, frame[0], node, 0, 2, 0) < Fraction(fault.rate) * 2**64
-            struck = struck and self.on(fault, tick, node)
-            if fault.kind is FaultKind.COLLIDE and struck:
+    def sent(self, frame: Frame, node: int, tick: int, repetition: int) -> Frame:
+        """What gets onto the bus of a frame when the node is on it."""
+        for index, fault in enumerate(self.faults):
+            word = self.random_word(index, 0, tick, repetition, frame[0], node, 0, 2, 0)
+            is_hit = self.is_hit(index, tick, node, word)
+            estimate = decode_estimate(can.Message(arbitration_id=frame[0], data=frame[1]), FORMAT)
+            if isinstance(fault, Collide) and is_hit:
                 assert fault.id is not None
                 frame = (frame[0] // 128 * 128 + fault.id, frame[1])
-            elif fault.kind is FaultKind.LIAR and struck and isinstance(said, Estimate):
-                x = content(
-                    encode_estimate(
-                        Estimate(said.sender, round(fault.x * Q23_ONE), 0, said.transfer_id), FORMAT
-                    )
-                )
-                frame = (frame[0], x[1][:3] + struct.pack("<f", fault.alpha) + x[1][7:])
-            elif fault.kind is FaultKind.FREEZE and isinstance(said, Estimate):
-                held = self.regular.get((place, node))
-                if struck and held is not None:
-                    again = Estimate(said.sender, held.x_hat, held.alpha, said.transfer_id)
-                    frame = content(encode_estimate(again, FORMAT))
+            elif isinstance(fault, Liar) and is_hit and isinstance(estimate, Estimate):
+                frame = (frame[0], claim(fault.x, fault.alpha, frame[1][7]))
+            elif isinstance(fault, Freeze) and isinstance(estimate, Estimate):
+                last_regular = self.last_regular.get((index, node))
+                if is_hit and last_regular is not None:
+                    repeated = replace(last_regular, sender=estimate.sender, transfer_id=estimate.transfer_id)
+                    frame = identifier_and_data(encode_estimate(repeated, FORMAT))
                 else:
-                    self.regular[place, node], struck = said, False
+                    self.last_regular[index, node], is_hit = estimate, False
             else:
-                struck = False
-            self.injected[place] += struck
+                is_hit = False
+            self.hit_counts[index] += is_hit
         return frame
 
-    def ways(self, frame: Frame, sent: SentFrame, receiver: int) -> list[tuple[tuple[int, ...], int, bytes]]:
-        """Turn, delay and data of each copy that reaches a receiver."""
-        copies = [((), 0, 0, frame[1])]
-        for place, fault in enumerate(self.faults):
-            after: list[Any] = []
-            for turn, delay, version, data in copies:
-                words = 1 + (fault.bits if fault.kind is FaultKind.CORRUPT else 0)
-                key = (sent.tick, sent.number, frame[0], sent.sender, version % 256, 3, 0)
-                first = self.word(place, receiver * words, *key)
-                is_on = self.on(fault, sent.tick, sent.sender)
-                is_for = fault.receivers is None or receiver in fault.receivers
-                hit = is_on and is_for and first < Fraction(fault.rate) * 2**64
-                spared, struck = ((*turn, 0), delay, version, data), (*turn, 1)
-                if not hit:
-                    after.append(spared)
-                elif fault.kind is FaultKind.DELAY:
-                    after.append((struck, delay + fault.ticks, version, data))
-                elif fault.kind is FaultKind.DUPLICATE:
-                    copy = version | 1 << self.numbers[place]
-                    after += [(struck, delay, version, data)]
-                    after += [((*turn, 2), delay + fault.ticks, copy, data)]
-                elif fault.kind is FaultKind.CORRUPT:
-                    flips = [self.word(place, receiver * words + 1 + k, *key) for k in range(fault.bits)]
-                    after.append((struck, delay, version, flipped(data, flips)))
-                elif fault.kind is not FaultKind.LOSS:
-                    after.append(spared)
-                    hit = False
-                self.injected[place] += hit
-            copies = after
-        return [(turn, delay, data) for turn, delay, _, data in copies]
+    def copies_received(self, frame: Frame, sent_frame: SentFrame, receiver: int) -> list[Copy]:
+        """The copies of a sent frame that reach a receiver."""
+        copies = [Copy(frame[1])]
+        for index, fault in enumerate(self.faults):
+            if isinstance(fault, LinkFault):
+                after_fault = [self.after_link_fault(index, copy, sent_frame, receiver) for copy in copies]
+                copies = list(itertools.chain(*after_fault))
+        return copies
+
+    def after_link_fault(self, index: int, copy: Copy, sent_frame: SentFrame, receiver: int) -> list[Copy]:
+        """What a fault makes of one copy."""
+        fault = self.faults[index]
+        assert isinstance(fault, LinkFault)
+        frame_key = (sent_frame.tick, sent_frame.repetition, sent_frame.frame.arbitration_id)
+        key = (*frame_key, sent_frame.sender, copy.copy_number % 256, 3, 0)
+        word_count = 1 + (fault.bits if isinstance(fault, Corrupt) else 0)
+        words = [self.random_word(index, receiver * word_count + k, *key) for k in range(word_count)]
+        is_for_receiver = fault.receivers is None or receiver in fault.receivers
+        if not is_for_receiver or not self.is_hit(index, sent_frame.tick, sent_frame.sender, words[0]):
+            return [replace(copy, path=(*copy.path, 0))]
+        self.hit_counts[index] += 1
+        hit = replace(copy, path=(*copy.path, 1))
+        if isinstance(fault, Loss):
+            return []
+        if isinstance(fault, Delay):
+            return [replace(hit, delay=copy.delay + fault.ticks)]
+        if isinstance(fault, Corrupt):
+            return [replace(hit, data=with_bits_flipped(copy.data, words[1:]))]
+        assert isinstance(fault, Duplicate)
+        copy_number = copy.copy_number | 1 << self.fault_numbers[index]
+        return [hit, Copy(copy.data, (*copy.path, 2), copy.delay + fault.ticks, copy_number)]
 
 
-def flipped(data: bytes, words: list[int]) -> bytes:
+def with_bits_flipped(data: bytes, words: list[int]) -> bytes:
     """The data with a bit more flipped for each word: Floyd's choice of some of all bits."""
-    width, chosen = 8 * len(data), set[int]()
-    for to_come, word in zip(range(len(words), 0, -1), words, strict=True):
-        if width >= to_come:
-            bit = word % (width - to_come + 1)
-            chosen.add(width - to_come if bit in chosen else bit)
-    number = int.from_bytes(data, "little") ^ sum(1 << bit for bit in chosen)
+    bit_count, flipped = 8 * len(data), set[int]()
+    for turns_left, word in zip(range(len(words), 0, -1), words, strict=True):
+        if bit_count >= turns_left:
+            top_bit = bit_count - turns_left
+            bit = word % (top_bit + 1)
+            flipped.add(top_bit if bit in flipped else bit)
+    number = int.from_bytes(data, "little") ^ sum(1 << bit for bit in flipped)
     return number.to_bytes(len(data), "little")
 
 
-EVERY_KIND = (
+ALL_KINDS = (
     *("loss=0.1", "delay=0.5", "duplicate=0.5,ticks=2", "corrupt=0.5,bits=3", "babble=0.5,frames=2"),
     *("crash=0.1", "freeze=0.5", "liar=0.3", "collide=0.2,id=3", "busoff=0.1,ticks=2", "sybil=0.2,ids=4-6"),
 )
@@ -269,63 +322,123 @@ EVERY_KIND = (
 
 @settings(max_examples=draws(400), derandomize=True, database=None, deadline=None)
 @given(st.lists(any_fault(ROBOTS - 1, TICKS), max_size=6), st.integers(0, 2**128 - 1), st.booleans())
-@example([parse_fault(text) for text in EVERY_KIND], 7, False)
+@example([parse_fault(text) for text in ALL_KINDS], 7, False)
 @example([parse_fault("duplicate=0.9,from=3,to=4,robots=0,receivers=1")] * 9, 7, False)
-def test_every_frame_meets_the_fate_that_the_reference_says(
-    kinds: list[Fault], seed: int, is_late: bool
+def test_faults_send_and_deliver_what_the_reference_does(
+    all_faults: list[Fault], seed: int, has_latency: bool
 ) -> None:
-    """All that is sent, all that each robot hears in each tick, in order, and all counts."""
-    replay = f"{[str(fault) for fault in kinds]}, seed {seed}, late {is_late}"
-    chance = np.random.default_rng(seed % 2**32)
-    faults, reference = Faults(kinds, seed, FORMAT), Reference(kinds, seed)
-    delivery = Delivery(lambda: hears, faults.paths, int(is_late))
-    under_way: list[tuple[int, int, tuple[int, ...], int, int, Frame]] = []
-    last: list[tuple[SentFrame, Frame]] = []
+    """All frames sent, all that each robot receives in each tick, in order, and all counts of hits."""
+    replay = f"{[str(fault) for fault in all_faults]}, seed {seed}, latency {has_latency}"
+    random = np.random.default_rng(seed % 2**32)
+    faults, reference = Faults(all_faults, seed, FORMAT), Reference(all_faults, seed)
+    neighbours = np.zeros((ROBOTS, ROBOTS), np.bool_)
+    queue = DeliveryQueue(lambda: neighbours, faults.on_delivery, int(has_latency))
+    arrivals: list[tuple[int, int, tuple[int, ...], int, int, Frame]] = []
+    waiting: list[tuple[SentFrame, Frame]] = []
     for tick in range(TICKS):
-        hears = (chance.random((ROBOTS, ROBOTS)) < 0.8) & ~np.eye(ROBOTS, dtype=np.bool_)
-        reference.begin(tick)
-        sent: list[SentFrame] = []
-        expected: list[Frame] = []
-        for node in range(ROBOTS):
-            lasting = faults.crash(node, tick)
-            assert (lasting is not None) == reference.off(node, FaultKind.CRASH), replay
-            own = Estimate(node, int(chance.integers(Q23_ONE)), int(chance.integers(1, 1 << 24)), tick % 32)
-            early, late = (faults.babble(node, tick, tick / 10, is_early) for is_early in (True, False))
-            heartbeat = encode_heartbeat(Heartbeat(node, tick, tick % 32))
-            before = [*early, encode_estimate(own, FORMAT), heartbeat, *late]
-            leaving = [each for frame in before for each in faults.leave(frame, node, tick)]
-            first, last_ones = (
-                reference.babble(node, tick, kind) for kind in (FaultKind.SYBIL, FaultKind.BABBLE)
-            )
-            frames = [*first, content(encode_estimate(own, FORMAT)), content(heartbeat), *last_ones]
-            counts = Counter[int]()
-            for frame in [] if reference.off(node) else frames:
-                expected.append(reference.leave(frame, node, tick, counts[frame[0]]))
-                counts[frame[0]] += 1
-            assert [each.tick for each in leaving] == [tick] * len(leaving)
-            sent += leaving
-        assert [content(each.frame) for each in sent] == expected, replay
-        pairs = list(zip(sent, expected, strict=True))
-        pairs, last = (last, pairs) if is_late else (pairs, last)
-        for (place, (each, frame)), receiver in itertools.product(enumerate(pairs), range(ROBOTS)):
-            if hears[receiver, each.sender] and not reference.off(receiver):
-                for turn, delay, data in reference.ways(frame, each, receiver):
-                    under_way.append((tick + delay, tick, turn, place, receiver, (frame[0], data)))
-        arrivals = delivery.arrivals(tick, sent)
+        neighbours[:] = (random.random((ROBOTS, ROBOTS)) < 0.8) & ~np.eye(ROBOTS, dtype=np.bool_)
+        faults.begin_tick(tick, range(ROBOTS))
+        reference.begin_tick(tick)
+        sent, expected = frames_of_tick(faults, reference, tick, random)
+        assert [identifier_and_data(sent_frame.frame) for sent_frame in sent] == expected, replay
+        arriving = list(zip(sent, expected, strict=True))
+        if has_latency:
+            arriving, waiting = waiting, arriving
+        for (index, (sent_frame, frame)), receiver in itertools.product(enumerate(arriving), range(ROBOTS)):
+            if neighbours[receiver, sent_frame.sender] and not reference.is_off(receiver):
+                for copy in reference.copies_received(frame, sent_frame, receiver):
+                    received = (frame[0], copy.data)
+                    arrivals.append((tick + copy.delay, tick, copy.path, index, receiver, received))
+        deliveries = queue.deliver(tick, sent)
         for receiver in range(ROBOTS):
-            due = sorted(each for each in under_way if each[0] == tick and each[4] == receiver)
-            assert list(map(content, arrivals.of(receiver))) == [each[-1] for each in due], replay
-    assert [each["injected"] for each in faults.figures()] == reference.injected, replay
-    assert all(reference.injected) or len(kinds) < len(EVERY_KIND), replay
-    assert delivery.arrived == sum(due < TICKS for due, *_ in under_way)
+            received_frames = [identifier_and_data(frame) for frame in deliveries.frames_for(receiver)]
+            due = sorted(arrival for arrival in arrivals if arrival[0] == tick and arrival[4] == receiver)
+            assert received_frames == [arrival[-1] for arrival in due], replay
+    assert [figure["injected"] for figure in faults.figures()] == reference.hit_counts, replay
+    assert all(reference.hit_counts) or len(all_faults) < len(ALL_KINDS), replay
+    assert queue.delivered_count == sum(arrival_tick < TICKS for arrival_tick, *_ in arrivals)
+
+
+def frames_of_tick(
+    faults: Faults, reference: Reference, tick: int, random: np.random.Generator
+) -> tuple[list[SentFrame], list[Frame]]:
+    """The frames of all nodes that get onto the bus in a tick, and those that the reference expects there.
+
+    Each node sends an estimate, a heartbeat, and what its faults add.
+    """
+    sent: list[SentFrame] = []
+    expected: list[Frame] = []
+    for node in range(ROBOTS):
+        assert (faults.robot_outage(node) is not None) == reference.is_off(node, Crash)
+        x_hat, alpha = int(random.integers(Q23_ONE)), int(random.integers(1, 1 << 24))
+        estimate = encode_estimate(Estimate(node, x_hat, alpha, tick % 32), FORMAT)
+        heartbeat = encode_heartbeat(Heartbeat(node, tick, tick % 32))
+        first = faults.extra_frames(node, tick / 10, before_others=True)
+        last = faults.extra_frames(node, tick / 10, before_others=False)
+        outcomes = [faults.on_send(frame, node) for frame in [*first, estimate, heartbeat, *last]]
+        sent += [sent_frame for sent_frame in outcomes if sent_frame is not None]
+        frames = [
+            *reference.extra_frames(node, tick, Sybil),
+            *(identifier_and_data(estimate), identifier_and_data(heartbeat)),
+            *reference.extra_frames(node, tick, Babble),
+        ]
+        repetitions = Counter[int]()
+        for frame in [] if reference.is_off(node) else frames:
+            expected.append(reference.sent(frame, node, tick, repetitions[frame[0]]))
+            repetitions[frame[0]] += 1
+    assert all(sent_frame.tick == tick for sent_frame in sent)
+    return sent, expected
+
+
+# What a fault reports of a frame that it has changed
+
+
+def send_estimate(texts: Sequence[str], x_hat: int = 5) -> SentFrame | None:
+    """What faults make of an estimate of robot 3."""
+    faults = Faults([parse_fault(text) for text in texts], seed=1, frame_format=FORMAT)
+    faults.begin_tick(0, range(ROBOTS))
+    return faults.on_send(encode_estimate(Estimate(3, x_hat, 0, 0), FORMAT), 3)
+
+
+def test_a_lie_is_reported() -> None:
+    sent_frame = send_estimate(["liar"])
+    assert sent_frame is not None
+    assert sent_frame.is_falsified
+    assert sent_frame.is_under_own_id
+
+
+def test_a_lie_that_is_the_truth_is_not_reported() -> None:
+    sent_frame = send_estimate(["liar,x=0,alpha=0"], x_hat=0)
+    assert sent_frame is not None
+    assert not sent_frame.is_falsified
+
+
+def test_a_frame_under_another_id_is_reported() -> None:
+    sent_frame = send_estimate(["collide,id=2"])
+    assert sent_frame is not None
+    assert not sent_frame.is_under_own_id
+
+
+def test_a_node_that_is_off_the_bus_sends_nothing() -> None:
+    assert send_estimate(["busoff"]) is None
+
+
+def test_a_bus_that_is_off_does_not_stop_its_robot() -> None:
+    faults = Faults([BusOff()], seed=1, frame_format=FORMAT)
+    faults.begin_tick(0, [3])
+    assert faults.is_off_bus(3)
+    assert faults.robot_outage(3) is None
+
+
+# Bits
 
 
 @pytest.mark.parametrize(("width", "count"), [(5, 1), (5, 2), (6, 3), (5, 4), (4, 4), (3, 5), (0, 2)])
 def test_all_choices_of_bits_are_equally_likely(width: int, count: int) -> None:
     """Each remainder of each word once."""
-    divisors = [max(width - to_come + 1, 1) for to_come in range(count, 0, -1)]
+    divisors = [max(width - turns_left + 1, 1) for turns_left in range(count, 0, -1)]
     words = np.array(list(itertools.product(*map(range, divisors))), np.uint64)
-    found = Counter(choices(np.full(len(words), width), words).tolist())
+    times_chosen = Counter(choose_bits(np.full(len(words), width), words).tolist())
     subsets = itertools.combinations(range(width), min(count, width))
-    expected = [sum(1 << bit for bit in subset) for subset in subsets]
-    assert found == dict.fromkeys(expected, len(words) // len(expected))
+    masks = [sum(1 << bit for bit in subset) for subset in subsets]
+    assert times_chosen == dict.fromkeys(masks, len(words) // len(masks))

@@ -16,8 +16,9 @@ from rich.console import Console
 
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.live_view import LiveView
+from mcp_asdf_tools.swarm.run import Baselines, mean_error, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Companions, Swarm, mean_error, run_swarm
+from mcp_asdf_tools.swarm.swarm import Swarm
 
 MOVING = SwarmSettings(
     robots=8, flawed="50%", steps=400, filter="asdf-minus", filter_period=50, topology="dynamic", density=4
@@ -27,18 +28,18 @@ MOVING = SwarmSettings(
 def shown(steps: int, compare: bool, **options: Any) -> tuple[str, list[str], NDArray[np.float64]]:
     """All that a run writes on a console, the mean errors and b_hat after each tick, and at the start."""
     settings, out = replace(MOVING, steps=steps), io.StringIO()
-    companions = Companions(settings) if compare else None
+    baselines = Baselines(settings) if compare else None
     errors, b_hat, began = [""], list[list[float]](), time.monotonic()
 
     def note(swarm: Swarm) -> None:
-        found = [mean_error(each) for each in (swarm, *(companions.swarms.values() if companions else ()))]
+        found = [mean_error(each) for each in (swarm, *(baselines.swarms.values() if baselines else ()))]
         errors.append("\t".join(f"{each:.5f}" for each in found))
         b_hat.append([node.robot.b_hat for node in swarm.nodes])
 
-    with Swarm(settings, Wiring()) as swarm, LiveView(Console(file=out, **options), companions) as live:
+    with Swarm(settings, Wiring()) as swarm, LiveView(Console(file=out, **options), baselines) as live:
         b_hat.append(swarm.b_hat_at_start)
-        run_swarm(swarm, [*([companions] if companions else []), note, live])
-    assert companions is None or 0 < companions.seconds < time.monotonic() - began
+        run_swarm(swarm, [*([baselines] if baselines else []), note, live])
+    assert baselines is None or 0 < baselines.seconds < time.monotonic() - began
     return out.getvalue(), errors, np.array(b_hat)
 
 
@@ -83,5 +84,5 @@ def test_a_quiet_console_stays_empty(is_terminal: bool) -> None:
 
 
 def test_the_other_swarms_keep_step_and_have_no_clock() -> None:
-    swarms = Companions(replace(MOVING, clock="real-time")).swarms
+    swarms = Baselines(replace(MOVING, clock="real-time")).swarms
     assert [*swarms] == ["none", "robust"] and all(each.clock is None for each in swarms.values())

@@ -23,8 +23,9 @@ from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
 from mcp_asdf_tools.robots.node import BusLink, RobotNode, run_node
 from mcp_asdf_tools.swarm import remote_robot
 from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
+from mcp_asdf_tools.swarm.swarm import Swarm
 from multicast import multicast
 from support import slow
 from wire import meanwhile
@@ -190,6 +191,6 @@ def test_an_error_frame_is_counted_and_is_no_robot_s_frame() -> None:
     """The identifier of an error frame, 8 for damaged input, is no node id."""
     robot = remote_robot.remote_robot(robot_record(8), FrameFormat())
     driver = remote_robot.Driver(Mock(), [robot], FrameFormat())
-    driver._see(can.Message(arbitration_id=8, is_error_frame=True))
-    assert driver._held == []
+    driver._handle_frame(can.Message(arbitration_id=8, is_error_frame=True))
+    assert driver._frames_for_next_tick == []
     assert robot.reception.errors == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from itertools import islice
 from typing import Any
@@ -30,10 +31,11 @@ from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.robots.firmwares import FIRMWARES
 from mcp_asdf_tools.swarm import carrier as connection
-from mcp_asdf_tools.swarm.carrier import Connection, Wiring
+from mcp_asdf_tools.swarm.carrier import ExpectingConnection, Wiring
 from mcp_asdf_tools.swarm.delivery import SentFrame
+from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
+from mcp_asdf_tools.swarm.swarm import Swarm
 from trials import images_by_message
 
 pytestmark = pytest.mark.usefixtures("private_setup")
@@ -166,7 +168,7 @@ def test_lost_frames_end_the_run_with_a_clear_reason(
 ) -> None:
     """From the third round on."""
     usual = virtual.VirtualBus.recv
-    monkeypatch.setattr(connection, "TIMEOUT", 0.05)
+    monkeypatch.setattr(connection, "FRAME_TIMEOUT", 0.05)
     with Swarm(small(robots=robots), ON_ONE_BUS) as swarm:
         monkeypatch.setattr(
             virtual.VirtualBus, "recv", lambda bus, seconds: usual(bus, seconds) if swarm.ticks < 2 else None
@@ -191,31 +193,74 @@ def test_a_bus_that_is_never_quiet_does_not_keep_a_robot_listening(monkeypatch: 
         return babble
 
     with virtual.VirtualBus() as bus:
-        own = Connection(bus, "robot 7")
+        connection = ExpectingConnection(bus, "robot 7")
         monkeypatch.setattr(bus, "recv", receive)
-        assert own.take([estimate(1, 0)], 0.02) == []
-        assert own.missed == 1 and waits[True] > 0 and waits[False] == 4096
+        assert connection.receive_expected([estimate(1, 0)], 0.02) == []
+        assert connection.missed_count == 1
+        assert waits[True] > 0
+        assert waits[False] == 4096
 
 
-def test_what_comes_late_is_had_with_the_next() -> None:
-    strangers: list[can.Message] = []
+Pair = tuple[can.BusABC, ExpectingConnection, list[can.Message]]
+
+
+@pytest.fixture
+def pair() -> Iterator[Pair]:
+    """A bus, a connection to it that expects frames, and the frames that it did not expect."""
+    unexpected: list[can.Message] = []
     with virtual.VirtualBus("pair") as other, virtual.VirtualBus("pair") as bus:
-        own = Connection(bus, "robot 7", strangers.append)
-        first, second, third, following = (estimate(1, 0), estimate(2, 0), estimate(3, 0), estimate(1, 1))
-        for come, waited, found in (
-            ([second], [first, second, third], [second]),
-            ([first], [], [first]),
-            ([third, following], [following], [third, following]),
-        ):
-            for each in come:
-                other.send(each.frame, timeout=1)
-            assert own.take(waited, 0.01) == found
-            assert own.missed == 2
-        assert strangers == []
-        other.send(first.frame, timeout=1)
-        for _ in range(2):
-            own.drain()
-    assert content(strangers) == content([first.frame])
+        yield other, ExpectingConnection(bus, "robot 7", unexpected.append), unexpected
+
+
+def received(connection: ExpectingConnection, expected: Sequence[SentFrame]) -> list[tuple[int, bytes]]:
+    """Identifier and data of the frames that a connection receives within 10 ms."""
+    return content([sent_frame.frame for sent_frame in connection.receive_expected(expected, 0.01)])
+
+
+def test_frames_are_received_in_the_order_in_which_they_were_sent(pair: Pair) -> None:
+    bus, connection, _ = pair
+    first, second = estimate(1, 0), estimate(2, 0)
+    for sent_frame in (second, first):
+        bus.send(sent_frame.frame)
+    assert received(connection, [first, second]) == content([first.frame, second.frame])
+
+
+def test_what_is_received_is_what_came_over_the_bus(pair: Pair) -> None:
+    bus, connection, _ = pair
+    sent_frame = estimate(1, 0)
+    bus.send(sent_frame.frame)
+    (received_frame,) = connection.receive_expected([sent_frame], 0.01)
+    assert received_frame.frame is not sent_frame.frame
+    assert received_frame.frame.is_rx
+
+
+def test_a_late_frame_is_received_with_the_next_ones_and_counted_once(pair: Pair) -> None:
+    bus, connection, unexpected = pair
+    late, following = estimate(1, 0), estimate(1, 1)
+    assert received(connection, [late]) == []
+    assert received(connection, []) == []
+    for sent_frame in (following, late):
+        bus.send(sent_frame.frame)
+    assert received(connection, [following]) == content([late.frame, following.frame])
+    assert connection.missed_count == 1
+    assert unexpected == []
+
+
+def test_of_frames_that_are_alike_each_is_received_once(pair: Pair) -> None:
+    bus, connection, unexpected = pair
+    for _ in range(3):
+        bus.send(estimate(1, 0).frame)
+    assert len(received(connection, [estimate(1, 0), estimate(1, 0)])) == 2
+    connection.discard_echoes()
+    assert content(unexpected) == content([estimate(1, 0).frame])
+
+
+def test_a_frame_that_nobody_expects_is_reported(pair: Pair) -> None:
+    bus, connection, unexpected = pair
+    bus.send(estimate(1, 0).frame)
+    for _ in range(2):
+        connection.discard_echoes()
+    assert content(unexpected) == content([estimate(1, 0).frame])
 
 
 def test_foreign_traffic_is_counted_and_changes_nothing() -> None:

@@ -19,8 +19,9 @@ from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.recording.input_log import InputLogReader
 from mcp_asdf_tools.recording.replay import verify
 from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm, SwarmRun, run_swarm
+from mcp_asdf_tools.swarm.swarm import Swarm
 from multicast import multicast
 from support import ROOT, slow
 

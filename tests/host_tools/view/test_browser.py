@@ -16,8 +16,9 @@ from mcp_asdf_tools.bus.frames import Estimate, Heartbeat
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
+from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.film import Film, Stage, State
 from mcp_asdf_tools.view.films import SwarmCamera, film_of_trial
 from mcp_asdf_tools.view.page import page

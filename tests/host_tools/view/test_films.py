@@ -35,8 +35,9 @@ from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.library import simulate
 from mcp_asdf_tools.swarm.carrier import Wiring
+from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
+from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view import film as films
 from mcp_asdf_tools.view.film import Film, Stage, State
 from mcp_asdf_tools.view.films import BusFilm, SwarmCamera, film_of_log, film_of_trial, spacing_of

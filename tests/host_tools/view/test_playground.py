@@ -16,7 +16,8 @@ from mcp_asdf_tools.cli import swarm_options
 from mcp_asdf_tools.cli.experiment_options import experiments_of
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.swarm.carrier import Wiring
-from mcp_asdf_tools.swarm.swarm import Swarm, run_swarm
+from mcp_asdf_tools.swarm.run import run_swarm
+from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.page import page, playground
 from mcp_asdf_tools.world.arena import Arena
 from support import ROOT, require, run

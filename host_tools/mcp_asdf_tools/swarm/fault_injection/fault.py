@@ -1,0 +1,170 @@
+"""What all kinds of faults have in common: rate and schedule, and the points at which they act."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.common.parameters import parameter
+from mcp_asdf_tools.robots.record import text_of_ids
+from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
+from mcp_asdf_tools.swarm.fault_injection.random_words import FaultRandom, RandomWords, hit_threshold
+
+MAX_TICK = 2**32 - 1
+
+OPTION_OF_FIELD = {"start": "from", "stop": "to"}
+"""Options of a fault's text whose names differ from the field's: ``from`` is a word of Python."""
+
+
+@dataclass(frozen=True)
+class Outage:
+    """State of a node in a tick in which a fault keeps it off the bus.
+
+    Attributes:
+        stops_robot: Whether the robot is dead, too. Otherwise it goes on, and only its bus is cut.
+        loses_state: Whether a dead robot starts anew when it rejoins.
+    """
+
+    stops_robot: bool
+    loses_state: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """A configured disturbance of nodes or frames; each kind is a subclass.
+
+    A fault never changes. What it needs to remember in a run is in its ``FaultRun``. A kind overrides one or
+    two of the methods ``on_tick``, ``extra_frames``, ``on_send`` and ``on_delivery``, which do nothing here.
+
+    Attributes:
+        rate: Probability of a hit at each occasion: a tick of a node, or a frame, or a frame at a receiver.
+        start: First tick in which it is active.
+        stop: First tick in which it is not active any more; None if it does not end.
+        robots: Nodes that it affects, or the senders of the frames, under any id they use; None for all.
+        name: Name of the kind in texts.
+        summary: What one hit does, for the help.
+        sends_before_others: Whether ``extra_frames`` precede all other frames of a tick, or follow them.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    sends_before_others: ClassVar[bool] = False
+
+    rate: float = parameter("probability at each occasion", 0, 1, default=1.0)
+    start: int = parameter("first tick", 0, MAX_TICK, default=0)
+    stop: int | None = parameter("first tick after, if it ends", 0, MAX_TICK, default=None)
+    robots: frozenset[int] | None = None
+
+    def check(self) -> None:
+        """Raise UsageError if the options do not make a fault together."""
+
+    def on_tick(self, node: int, tick: int, run: FaultRun) -> Outage | None:
+        """Return how the fault keeps ``node`` off the bus in this tick; None if it does not.
+
+        Called once for each node and tick, with rising ticks.
+        """
+        return None
+
+    def extra_frames(self, node: int, tick: int, timestamp: float, run: FaultRun) -> list[can.Message]:
+        """Return frames that ``node`` sends in this tick besides its own, stamped ``timestamp`` (seconds).
+
+        Called once for each tick and node that is on the bus.
+        """
+        return []
+
+    def on_send(self, sent_frame: SentFrame, run: FaultRun) -> SentFrame:
+        """Return the frame that gets onto the bus in place of ``sent_frame``, or ``sent_frame`` itself.
+
+        Called once for each frame, in the order in which they are sent.
+        """
+        return sent_frame
+
+    def on_delivery(self, deliveries: Deliveries, run: FaultRun) -> list[Deliveries]:
+        """Return the deliveries that take the place of ``deliveries``."""
+        return [deliveries]
+
+    def is_active(self, tick: int, node: int) -> bool:
+        """Return whether the fault may hit ``node`` in this tick."""
+        has_ended = self.stop is not None and tick >= self.stop
+        is_affected = self.robots is None or node in self.robots
+        return tick >= self.start and not has_ended and is_affected
+
+    @classmethod
+    def own_options(cls) -> list[str]:
+        """Return the names of the options that this kind has besides those of all faults."""
+        common_fields = {item.name for item in fields(Fault)}
+        return [item.name for item in fields(cls) if item.name not in common_fields]
+
+    def __str__(self) -> str:
+        """Return the text that ``parse_fault`` reads back: the rate, and all options but the defaults."""
+        items = [f"{self.name}={self.rate!r}"]
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name != "rate" and value != item.default:
+                items.append(f"{OPTION_OF_FIELD.get(item.name, item.name)}={_option_text(value)}")
+        return ",".join(items)
+
+
+def _option_text(value: object) -> str:
+    """Return the value of an option as a fault's text has it."""
+    if isinstance(value, frozenset):
+        return text_of_ids(value)
+    return value if isinstance(value, str) else repr(value)
+
+
+@dataclass(kw_only=True)
+class FaultRun:
+    """One fault in one run: decides when it hits, and remembers what the fault needs from call to call.
+
+    Attributes:
+        fault: The fault.
+        random: Its random words.
+        frame_format: Format of the robots' estimates.
+        hit_count: Hits so far: ticks for outages, frames for all other kinds.
+        memory: What the kind of fault remembers of each node, by id.
+    """
+
+    fault: Fault
+    random: FaultRandom
+    frame_format: FrameFormat
+    hit_count: int = 0
+    memory: dict[int, Any] = field(default_factory=dict)
+
+    def hits_node(self, node: int, tick: int) -> bool:
+        """Return whether the fault is active for a node and hits it in this tick. Counts nothing."""
+        if not self.fault.is_active(tick, node):
+            return False
+        random_word, _ = self.random.words_for_node(node, tick)
+        return random_word <= hit_threshold(self.fault.rate)
+
+    def hits_frame(self, sent_frame: SentFrame) -> bool:
+        """Return whether the fault is active for a frame's sender and hits the frame, and count the hit."""
+        if not self.fault.is_active(sent_frame.tick, sent_frame.sender):
+            return False
+        is_hit = self.random.word_for_frame(sent_frame) <= hit_threshold(self.fault.rate)
+        self.hit_count += is_hit
+        return is_hit
+
+    def active_frames(self, sent_frames: Sequence[SentFrame]) -> NDArray[np.bool_]:
+        """Return for which frames the fault is active, shape (frames,)."""
+        is_active = [self.fault.is_active(sent_frame.tick, sent_frame.sender) for sent_frame in sent_frames]
+        return np.array(is_active, np.bool_)
+
+    def words_for_deliveries(self, deliveries: Deliveries, words_per_receiver: int) -> RandomWords:
+        """Draw random words for each frame and receiver, shape (frames, receivers, words per receiver).
+
+        Frames for which the fault is not active get zeros.
+        """
+        frame_count, receiver_count = deliveries.receivers.shape
+        random_words = np.zeros((frame_count, receiver_count, words_per_receiver), np.uint64)
+        for index in np.flatnonzero(self.active_frames(deliveries.sent_frames)).tolist():
+            random_words[index] = self.random.words_for_receivers(
+                deliveries.sent_frames[index], deliveries.copy_number, receiver_count, words_per_receiver
+            )
+        return random_words

@@ -1,0 +1,126 @@
+"""All faults of a run, applied where nodes and frames pass.
+
+``Faults`` stands between nodes and the carrier of their frames. In every tick it is used as follows::
+
+    faults.begin_tick(tick, nodes)
+    for node in nodes:
+        if not faults.is_robot_stopped(node): ...                # it observes, and settles later
+        for frame in frames_of(node):
+            sent_frame = faults.on_send(frame, node)             # None: nothing gets onto the bus
+    deliveries = faults.on_delivery(sent_frames, in_range)       # what becomes of them at each receiver
+
+Faults act in the order in which they are given, each on what those before it have left.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import can
+import numpy as np
+
+from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.swarm.delivery import Deliveries, ReceiverMask, SentFrame
+from mcp_asdf_tools.swarm.fault_injection.fault import Fault, FaultRun, Outage
+from mcp_asdf_tools.swarm.fault_injection.random_words import FaultRandom
+
+
+class Faults:
+    """The faults of one run.
+
+    Attributes:
+        faults: The faults, in the order in which they act.
+    """
+
+    def __init__(self, faults: Sequence[Fault], seed: int, frame_format: FrameFormat) -> None:
+        """Prepare the faults; ``seed`` has up to 128 bits, ``frame_format`` is that of estimates."""
+        self.faults = tuple(faults)
+        self._runs: list[FaultRun] = []
+        faults_of_kind = Counter[str]()
+        for fault in self.faults:
+            random = FaultRandom(seed, fault.name, faults_of_kind[fault.name])
+            faults_of_kind[fault.name] += 1
+            self._runs.append(FaultRun(fault=fault, random=random, frame_format=frame_format))
+        self._tick = -1
+        self._outages: dict[int, list[Outage]] = {}
+        """The outages of this tick, by node; nodes that are on the bus have none."""
+        self._frames_sent = Counter[tuple[int, int]]()
+        """Frames sent in this tick, by sender and identifier."""
+
+    def begin_tick(self, tick: int, nodes: Iterable[int]) -> None:
+        """Begin a tick: decide which of all ``nodes`` are off the bus in it. Ticks must rise one by one."""
+        self._tick = tick
+        self._frames_sent.clear()
+        self._outages.clear()
+        if not self._runs:
+            return
+        for node in nodes:
+            # Every fault is asked, also if another one has hit the node: each counts its own ticks.
+            outages = [run.fault.on_tick(node, tick, run) for run in self._runs]
+            present_outages = [outage for outage in outages if outage is not None]
+            if present_outages:
+                self._outages[node] = present_outages
+
+    def robot_outage(self, node: int) -> Outage | None:
+        """Return the outage that keeps a node's robot dead in this tick; None while it lives."""
+        outages = self._outages.get(node, [])
+        return next((outage for outage in outages if outage.stops_robot), None)
+
+    def is_off_bus(self, node: int) -> bool:
+        """Return whether a node neither sends nor receives in this tick: crashed, or cut off from the bus."""
+        return node in self._outages
+
+    def extra_frames(self, node: int, timestamp: float, *, before_others: bool) -> list[can.Message]:
+        """Return the frames that a node sends in this tick besides its own, stamped ``timestamp`` (seconds).
+
+        ``before_others`` asks for those that precede the frames of all robots, otherwise for those that
+        follow them. Call this once per tick for either, and pass each frame to ``on_send``.
+        """
+        if self.is_off_bus(node):
+            return []
+        frames: list[can.Message] = []
+        for run in self._runs:
+            if run.fault.sends_before_others == before_others:
+                frames += run.fault.extra_frames(node, self._tick, timestamp, run)
+        return frames
+
+    def on_send(self, frame: can.Message, sender: int) -> SentFrame | None:
+        """Return what gets onto the bus when a node sends ``frame`` in this tick; None while it is off.
+
+        Call this once per frame, in the order in which they are sent.
+        """
+        if not self._runs:
+            return SentFrame(frame, sender, self._tick)
+        if self.is_off_bus(sender):
+            return None
+        repetition = self._frames_sent[sender, frame.arbitration_id]
+        self._frames_sent[sender, frame.arbitration_id] += 1
+        sent_frame = SentFrame(frame, sender, self._tick, repetition)
+        for run in self._runs:
+            sent_frame = run.fault.on_send(sent_frame, run)
+        return sent_frame
+
+    def on_delivery(self, sent_frames: Sequence[SentFrame], in_range: ReceiverMask) -> list[Deliveries]:
+        """Return what becomes of frames at the receivers that are in range in this tick.
+
+        Some may be lost, or delayed to a later tick. Call this once per tick with all frames.
+        O(faults frames receivers).
+        """
+        receivers = in_range.copy()
+        receivers[:, list(self._outages)] = False
+        deliveries = [Deliveries(sent_frames, receivers, np.zeros(len(sent_frames), np.uint64))]
+        for run in self._runs:
+            changed: list[Deliveries] = []
+            for part in deliveries:
+                changed += run.fault.on_delivery(part, run)
+            deliveries = [part for part in changed if part.receivers.any()]
+        return deliveries
+
+    def figures(self) -> list[dict[str, Any]]:
+        """Return each fault's text and its hits as plain values, for JSON.
+
+        Outages count ticks of a robot, all other kinds frames.
+        """
+        return [{"fault": str(run.fault), "injected": run.hit_count} for run in self._runs]

@@ -1,0 +1,355 @@
+"""The kinds of faults, a class for each. A new kind is a class here, and its entry in ``FAULT_KINDS``."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
+
+import can
+import numpy as np
+
+from mcp_asdf_tools.bus.alpha_words import float32_bits, float32_value
+from mcp_asdf_tools.bus.frame_layout import (
+    ESTIMATE,
+    FRAME_BYTES,
+    MAX_FLOAT32_BITS,
+    MAX_NODE_ID,
+    Q23_ONE,
+    TRANSFER_IDS,
+)
+from mcp_asdf_tools.bus.frames import Estimate, decode_estimate, encode_estimate
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.parameters import parameter
+from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
+from mcp_asdf_tools.swarm.fault_injection.fault import MAX_TICK, Fault, FaultRun, Outage
+from mcp_asdf_tools.swarm.fault_injection.random_words import RandomWords, choose_bits, hit_threshold
+
+# --- Links: a frame on its way to one receiver ---
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkFault(Fault):
+    """A fault of frames on their way: each receiver of a frame is hit or spared by itself.
+
+    Attributes:
+        receivers: The receivers that it affects; None for all.
+    """
+
+    receivers: frozenset[int] | None = None
+
+    def on_delivery(self, deliveries: Deliveries, run: FaultRun) -> list[Deliveries]:
+        """Return the deliveries that are spared, and what ``change`` makes of those that are hit.
+
+        The hits are counted. O(frames receivers).
+        """
+        random_words = run.words_for_deliveries(deliveries, 1 + self.extra_words)
+        hit_words, extra_words = random_words[:, :, 0], random_words[:, :, 1:]
+        is_frame_active = run.active_frames(deliveries.sent_frames)[:, np.newaxis]
+        hits = deliveries.receivers & is_frame_active & (hit_words <= hit_threshold(self.rate))
+        if self.receivers is not None:
+            all_receivers = np.arange(hits.shape[1])
+            hits &= np.isin(all_receivers, list(self.receivers))
+        run.hit_count += int(np.count_nonzero(hits))
+        spared = replace(deliveries, receivers=deliveries.receivers & ~hits)
+        hit = replace(deliveries, receivers=hits)
+        return [spared, *self.change(hit, extra_words, run)]
+
+    @property
+    def extra_words(self) -> int:
+        """Number of random words that ``change`` needs for each frame and receiver."""
+        return 0
+
+    def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
+        """Return what becomes of deliveries that are hit.
+
+        ``extra_words`` has shape (frames, receivers, self.extra_words).
+        """
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loss(LinkFault):
+    """A frame does not reach a receiver."""
+
+    name = "loss"
+    summary = "a frame does not reach a neighbour"
+
+    def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
+        """Return nothing: the frames are lost."""
+        return []
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delay(LinkFault):
+    """A frame reaches a receiver some ticks later."""
+
+    name = "delay"
+    summary = "a frame reaches a neighbour ticks later"
+
+    ticks: int = parameter("how late", 1, MAX_TICK, default=1)
+
+    def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
+        """Return the deliveries, later by ``ticks``."""
+        return [replace(hit, delay=hit.delay + self.ticks)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Duplicate(LinkFault):
+    """A frame reaches a receiver, and once more some ticks later or in the same tick."""
+
+    name = "duplicate"
+    summary = "a frame comes once more, ticks later"
+
+    ticks: int = parameter("by how much the copy is later", 0, MAX_TICK, default=1)
+
+    def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
+        """Return the deliveries, and copies of them that are later by ``ticks``."""
+        # A bit for each duplicate fault, so that copies made by different faults have different numbers.
+        copy_number = hit.copy_number | 1 << run.random.fault_number
+        copies = replace(hit, delay=hit.delay + self.ticks, copy_number=copy_number)
+        return [hit, copies]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Corrupt(LinkFault):
+    """Bits of a frame's data are flipped on the way to a receiver, other ones for each receiver."""
+
+    name = "corrupt"
+    summary = "bits of the data are flipped, unseen by the bus's checksum"
+
+    bits: int = parameter("different bits of a frame that are flipped", 1, 64, default=1)
+
+    @property
+    def extra_words(self) -> int:
+        """One random word chooses one bit to flip."""
+        return self.bits
+
+    def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
+        """Return the deliveries with bits flipped, one entry for each frame and receiver."""
+        # Entry i of the result is the frame of index frame_indices[i] for the receiver receivers[i] alone.
+        frame_indices, receivers = hit.receivers.nonzero()
+        entry_count, receiver_count = len(frame_indices), hit.receivers.shape[1]
+        single_receivers = np.zeros((entry_count, receiver_count), np.bool_)
+        single_receivers[np.arange(entry_count), receivers] = True
+
+        sent_frames = [hit.sent_frames[index] for index in frame_indices.tolist()]
+        byte_counts = [min(len(sent_frame.frame.data), FRAME_BYTES) for sent_frame in sent_frames]
+        new_flips = choose_bits(8 * np.array(byte_counts, np.int64), extra_words[frame_indices, receivers])
+        # A bit that an earlier fault has flipped is flipped back.
+        bit_flips = hit.bit_flips[frame_indices] ^ new_flips
+        return [replace(hit, sent_frames=sent_frames, receivers=single_receivers, bit_flips=bit_flips)]
+
+
+# --- Outages: a node that is off the bus for some ticks ---
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutageFault(Fault):
+    """A fault that takes a node off the bus for some ticks."""
+
+    ticks: int = parameter("how long", 1, MAX_TICK, default=1)
+
+    @property
+    def outage(self) -> Outage:
+        """State of a node that is hit."""
+        raise NotImplementedError
+
+    def on_tick(self, node: int, tick: int, run: FaultRun) -> Outage | None:
+        """Return the outage while one lasts or if one begins, and count the tick."""
+        # The memory of a node is the number of ticks that its outage lasted on, the last tick included.
+        ticks_left = max(run.memory.get(node, 0) - 1, 0)
+        if ticks_left == 0 and run.hits_node(node, tick):
+            ticks_left = self.ticks
+        run.memory[node] = ticks_left
+        if ticks_left == 0:
+            return None
+        run.hit_count += 1
+        return self.outage
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crash(OutageFault):
+    """A node is dead for some ticks, with its robot."""
+
+    name = "crash"
+    summary = "a node is dead for ticks, then rejoins new or restored"
+
+    rejoin: Literal["new", "restored"] = parameter("new, or as it was when it crashed", default="new")
+
+    @property
+    def outage(self) -> Outage:
+        """State of a node that is hit."""
+        return Outage(stops_robot=True, loses_state=self.rejoin == "new")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BusOff(OutageFault):
+    """A node is cut off from the bus for some ticks, while its robot goes on."""
+
+    name = "busoff"
+    summary = "a node neither sends nor hears for ticks, while its robot goes on"
+
+    @property
+    def outage(self) -> Outage:
+        """State of a node that is hit."""
+        return Outage(stops_robot=False)
+
+
+# --- Senders: a robot's frame that is changed before it is on the bus ---
+
+
+@dataclass(frozen=True, kw_only=True)
+class Freeze(Fault):
+    """A robot's estimate is replaced by the last one that was not frozen."""
+
+    name = "freeze"
+    summary = "a broadcast repeats the estimate of the robot's last regular one"
+
+    def on_send(self, sent_frame: SentFrame, run: FaultRun) -> SentFrame:
+        """Return the frame with the old estimate if it is hit; frames that are no estimate are spared."""
+        estimate = decode_estimate(sent_frame.frame, run.frame_format)
+        if not isinstance(estimate, Estimate):
+            return sent_frame
+        last_regular = run.memory.get(sent_frame.sender)
+        if last_regular is None or not run.hits_frame(sent_frame):
+            run.memory[sent_frame.sender] = estimate
+            return sent_frame
+        repeated = replace(estimate, x_hat=last_regular.x_hat, alpha=last_regular.alpha)
+        frame = encode_estimate(repeated, run.frame_format, sent_frame.frame.timestamp)
+        return sent_frame.with_false_estimate(frame)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Liar(Fault):
+    """A robot's estimate is replaced by a false one.
+
+    Attributes:
+        x: Estimate that is claimed.
+        alpha: Confidence that is claimed.
+    """
+
+    name = "liar"
+    summary = "a broadcast carries x and alpha instead of the robot's own"
+
+    x: float = parameter("estimate that is claimed", 0, 1, default=1.0)
+    alpha: float = parameter("confidence that is claimed", 0, float32_value(MAX_FLOAT32_BITS), default=1e6)
+
+    def on_send(self, sent_frame: SentFrame, run: FaultRun) -> SentFrame:
+        """Return the frame with the false estimate if it is hit; frames that are no estimate are spared."""
+        estimate = decode_estimate(sent_frame.frame, run.frame_format)
+        if not isinstance(estimate, Estimate) or not run.hits_frame(sent_frame):
+            return sent_frame
+        identifier = run.frame_format.identifier(estimate.sender)
+        data = _encode_claim(self.x, self.alpha, estimate.transfer_id)
+        return sent_frame.with_false_estimate(_make_frame(identifier, data, sent_frame.frame.timestamp))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collide(Fault):
+    """A node sends a frame under another node's id.
+
+    Attributes:
+        id: The other node's id.
+    """
+
+    name = "collide"
+    summary = "a node sends under another's id"
+
+    id: int | None = parameter("id to send under, must be given", 0, MAX_NODE_ID, default=None)
+
+    def check(self) -> None:
+        """Raise UsageError if there is no id."""
+        if self.id is None:
+            raise UsageError(f"fault {self.name} needs the id to send under, such as id=3")
+
+    def on_send(self, sent_frame: SentFrame, run: FaultRun) -> SentFrame:
+        """Return the frame under the other id if it is hit."""
+        if self.id is None or not run.hits_frame(sent_frame):
+            return sent_frame
+        frame = copy.copy(sent_frame.frame)
+        frame.arbitration_id = frame.arbitration_id & ~MAX_NODE_ID | self.id
+        return replace(sent_frame, frame=frame)
+
+
+# --- Extra frames: a node that sends more than its robot does ---
+
+
+@dataclass(frozen=True, kw_only=True)
+class Babble(Fault):
+    """A node sends frames of random content under its own identifier, after those of all robots.
+
+    Attributes:
+        frames: How many.
+    """
+
+    name = "babble"
+    summary = "a node sends frames of random content besides its own, each tick"
+
+    frames: int = parameter("frames per tick", 0, 10_000, default=10)
+
+    def extra_frames(self, node: int, tick: int, timestamp: float, run: FaultRun) -> list[can.Message]:
+        """Return the random frames if the node is hit, and count them."""
+        if not run.hits_node(node, tick):
+            return []
+        run.hit_count += self.frames
+        identifier = run.frame_format.identifier(node)
+        frames = []
+        for repetition in range(self.frames):
+            _, content = run.random.words_for_node(node, tick, repetition)
+            frames.append(_make_frame(identifier, content.to_bytes(FRAME_BYTES, "little"), timestamp))
+        return frames
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sybil(Fault):
+    """A node sends false estimates under several other ids, before the robots send theirs.
+
+    Attributes:
+        x: Estimate that is claimed.
+        alpha: Confidence that is claimed.
+        ids: The other ids.
+    """
+
+    name = "sybil"
+    summary = "a node sends estimates under other ids, too, before all others"
+    sends_before_others: ClassVar[bool] = True
+
+    x: float = parameter("estimate that is claimed", 0, 1, default=1.0)
+    alpha: float = parameter("confidence that is claimed", 0, float32_value(MAX_FLOAT32_BITS), default=1e6)
+    ids: frozenset[int] | None = None
+
+    def check(self) -> None:
+        """Raise UsageError if there are no ids."""
+        if self.ids is None:
+            raise UsageError(f"fault {self.name} needs the ids to send under, such as ids=30-39")
+
+    def extra_frames(self, node: int, tick: int, timestamp: float, run: FaultRun) -> list[can.Message]:
+        """Return an estimate under each of the ids if the node is hit, and count them."""
+        if self.ids is None or not run.hits_node(node, tick):
+            return []
+        run.hit_count += len(self.ids)
+        data = _encode_claim(self.x, self.alpha, tick % TRANSFER_IDS)
+        identifiers = [run.frame_format.identifier(robot) for robot in sorted(self.ids)]
+        return [_make_frame(identifier, data, timestamp) for identifier in identifiers]
+
+
+def _make_frame(identifier: int, data: bytes, timestamp: float) -> can.Message:
+    """Return a frame that a node is about to send."""
+    return can.Message(timestamp=timestamp, arbitration_id=identifier, data=data, is_rx=False)
+
+
+def _encode_claim(x: float, alpha: float, transfer_id: int) -> bytes:
+    """Return the data of an estimate that claims exactly ``x`` and ``alpha``.
+
+    The codec of estimates does not serve here: it rounds alpha to the numbers that the firmware can have.
+    """
+    payload = ESTIMATE.pack(transfer_id, {"x_hat": round(x * Q23_ONE), "alpha": float32_bits(alpha)})
+    return payload.to_bytes(FRAME_BYTES, "little")
+
+
+FAULT_KINDS: tuple[type[Fault], ...] = (
+    *(Loss, Delay, Duplicate, Corrupt),
+    *(Babble, Crash, Freeze, Liar, Collide, Sybil, BusOff),
+)
+"""All kinds of faults, in the order of the help."""

@@ -1,0 +1,179 @@
+"""A run of a swarm from start to end, and its results."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from statistics import fmean
+from typing import Any
+
+import can
+
+from mcp_asdf_tools.bus.load import BIT_RATES, bus_load
+from mcp_asdf_tools.common.versions import software_versions
+from mcp_asdf_tools.robots.bus_robot import BusRobot
+from mcp_asdf_tools.robots.filters import FILTERS
+from mcp_asdf_tools.robots.lockstep import LockstepError
+from mcp_asdf_tools.swarm.carrier import SwarmError, Wiring
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.swarm import Swarm
+
+SwarmHook = Callable[[Swarm], None]
+"""Called after every tick."""
+
+
+@dataclass
+class SwarmRun:
+    """A run of a swarm that has ended, after all its ticks or before.
+
+    Attributes:
+        settings: Parameters of the swarm.
+        nodes: The robots in their last state.
+        results: Results as plain values, for JSON.
+        interrupted: Whether the run was asked to stop before its end.
+        failure: Why the bus or a remote robot ended the run, with the tick; None if it did not.
+    """
+
+    settings: SwarmSettings
+    nodes: Sequence[BusRobot]
+    results: dict[str, Any] = field(default_factory=dict)
+    interrupted: bool = False
+    failure: str | None = None
+
+    def report(self, bus: dict[str, Any]) -> dict[str, Any]:
+        """Return the results with all that is needed to repeat the run, as plain values for JSON.
+
+        Equal runs have equal reports. ``bus`` describes the bus.
+        """
+        return {
+            "parameters": self.settings.plain(),
+            "bus": bus,
+            "versions": software_versions(),
+            "interrupted": self.interrupted,
+            "failure": self.failure,
+            "results": self.results,
+        }
+
+
+def run_swarm(
+    swarm: Swarm, hooks: Sequence[SwarmHook] = (), should_stop: Callable[[], bool] = lambda: False
+) -> SwarmRun:
+    """Run ``swarm`` for as many ticks as its settings have, and call every hook after each tick.
+
+    ``should_stop``, asked after each tick, KeyboardInterrupt and a failing bus end the run early. The results
+    are those of the ticks that were done.
+    """
+    run = SwarmRun(swarm.settings, swarm.nodes)
+    try:
+        while swarm.ticks < swarm.settings.steps and not run.interrupted:
+            swarm.tick()
+            for hook in hooks:
+                hook(swarm)
+            run.interrupted = should_stop()
+    except KeyboardInterrupt:
+        run.interrupted = True
+    except (SwarmError, LockstepError, can.CanError) as error:
+        run.failure = f"tick {swarm.ticks + 1}: {error}"
+    run.results = results_of(swarm)
+    return run
+
+
+class Baselines:
+    """Hook that runs the same swarm with other filters beside it, so that all can be compared at any time.
+
+    The baselines have no bus, which makes no difference to their robots.
+
+    Attributes:
+        swarms: The baselines by filter.
+        seconds: Time spent on them so far.
+    """
+
+    def __init__(self, settings: SwarmSettings) -> None:
+        """Create the baselines of a swarm with these settings. Raises as ``Swarm``."""
+        self.swarms: dict[str, Swarm] = {}
+        self.seconds = 0.0
+        for swarm_filter in FILTERS.values():
+            if swarm_filter.is_baseline and swarm_filter.name != settings.filter:
+                baseline = replace(settings, filter=swarm_filter.name, clock="lockstep")
+                self.swarms[swarm_filter.name] = Swarm(baseline, Wiring())
+
+    def __call__(self, swarm: Swarm) -> None:
+        """Let all baselines take a tick."""
+        start = time.monotonic()
+        for baseline in self.swarms.values():
+            baseline.tick()
+        self.seconds += time.monotonic() - start
+
+    def mean_errors(self) -> dict[str, float]:
+        """Return the present mean error of each baseline, by filter."""
+        return {baseline_filter: mean_error(swarm) for baseline_filter, swarm in self.swarms.items()}
+
+
+def results_of(swarm: Swarm) -> dict[str, Any]:
+    """Return the results of a swarm's ticks so far as plain values, for JSON."""
+    settings, nodes, traffic = swarm.settings, swarm.nodes, swarm.traffic
+    x = [node.robot.x for node in nodes]
+    x_hat = [node.robot.x_hat for node in nodes]
+    # Remote robots do not report how many tests they have made.
+    total_tests = None if swarm.remote_robots else sum(node.counters.tests for node in nodes)
+    seconds_per_tick = 1 / settings.steps_per_second
+    bus_loads = {}
+    for bit_rate in BIT_RATES:
+        mean_load = bus_load(traffic.bits, swarm.ticks * seconds_per_tick, bit_rate) if swarm.ticks else 0.0
+        peak_load = bus_load(traffic.peak_bits, seconds_per_tick, bit_rate)
+        bus_loads[str(bit_rate)] = {"mean": mean_load, "peak": peak_load}
+    return {
+        "filter": settings.filter_description,
+        "steps": swarm.ticks,
+        "mean_x": fmean(x),
+        "mean_error": mean_error(swarm),
+        "spread_x": max(x) - min(x),
+        "spread_x_hat": max(x_hat) - min(x_hat),
+        "tests": total_tests,
+        "updates": sum(node.counters.updates for node in nodes),
+        "b_hat": {
+            "flawed": _b_hat_before_and_after(swarm, range(settings.flawed)),
+            "other": _b_hat_before_and_after(swarm, range(settings.flawed, settings.robots)),
+        },
+        "frames": traffic.figures(),
+        "faults": swarm.faults.figures(),
+        "bus_load": bus_loads,
+        "clock": None if swarm.clock is None else swarm.clock.figures(),
+        "robots": [_robot_results(swarm, node) for node in nodes],
+    }
+
+
+def mean_error(swarm: Swarm) -> float:
+    """Return the present mean of |x - f| over the robots."""
+    return fmean(abs(node.robot.x - swarm.settings.fill_ratio) for node in swarm.nodes)
+
+
+def _b_hat_before_and_after(swarm: Swarm, robots: Sequence[int]) -> dict[str, Any] | None:
+    """Return the mean b_hat of some robots at the start and at present; None if there are no such robots."""
+    if not robots:
+        return None
+    b_hat_now = [swarm.nodes[robot].robot.b_hat for robot in robots]
+    return {
+        "robots": len(robots),
+        "before": fmean(swarm.b_hat_at_start[robot] for robot in robots),
+        "after": fmean(b_hat_now),
+        "after_min": min(b_hat_now),
+        "after_max": max(b_hat_now),
+    }
+
+
+def _robot_results(swarm: Swarm, node: BusRobot) -> dict[str, Any]:
+    """Return the results of one robot as plain values."""
+    reception, counters = node.reception, node.counters
+    return {
+        "id": node.id,
+        "delivered": reception.delivered,
+        "refused": reception.refused,
+        "rejected": {reason.name: count for reason, count in reception.rejected.items()},
+        "tests": None if node.id in swarm.remote_robots else counters.tests,
+        "updates": counters.updates,
+        "t": node.robot.t,
+        "b_hat": node.robot.b_hat,
+        "x": node.robot.x,
+    }
