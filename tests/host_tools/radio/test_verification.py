@@ -101,7 +101,7 @@ def seen_by(wire: Wire, plan: RadioSettings, phases: Sequence[Phase]) -> tuple[V
 
 @pytest.mark.parametrize(
     ("config", "digest"),
-    [({"memory": 64}, "75a442b8e38367cd"), (VOTES, "596753270b49d8d8"), *slow([({}, "d3392c56f63b709f")])],
+    [({"memory": 64}, "8495000e3ba89d71"), (VOTES, "c2723280b25b31c7"), *slow([({}, "c39a85be9037444b")])],
     ids=str,
 )
 def test_a_right_controller_passes_every_phase(config: dict[str, Any], digest: str) -> None:
