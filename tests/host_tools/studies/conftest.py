@@ -1,4 +1,4 @@
-"""What tests of the studies share: fewer resamples, and results that are planted instead of run."""
+"""What tests of the studies share: fewer resamples, planted results, and short trials."""
 
 from __future__ import annotations
 
@@ -8,10 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+import mcp_asdf_tools as m
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import bootstrap
 from mcp_asdf_tools.studies.bootstrap import Sample
 from mcp_asdf_tools.studies.cells import Cell, StudyPart, cells_of
 from mcp_asdf_tools.studies.study_results import SAMPLES, StudyResults
+
+UNDERCONFIDENT = {"fill_ratio": 0.55, "true_accuracy": 0.95, "flawed_accuracy": 0.55}
+OVERCONFIDENT = {"fill_ratio": 0.95, "true_accuracy": 0.55, "flawed_accuracy": 0.95}
 
 PLANTED_TRIALS = 30
 STUDY_CELLS = {cell for study_part in StudyPart for cell in cells_of(study_part)}
@@ -61,3 +67,9 @@ class PlantedResults(StudyResults):
         # Cells with another P have another order of trials, so that differences vary.
         order = np.random.default_rng(cell.flawed_percent).permutation(PLANTED_TRIALS)
         return np.asarray(median + 2 * spread * (order / (PLANTED_TRIALS - 1) - 0.5))
+
+
+def short_trials(**parameters: Any) -> list[Trials]:
+    """Run the experiments of a grid for two short trials, recorded every 100 steps."""
+    settings: dict[str, Any] = {"robots": 4, "flawed": 1, "steps": 400, "filter_period": 100, "trials": 2}
+    return [run_trials(experiment, 0, 2, 100) for experiment in m.grid(**settings | parameters)]
