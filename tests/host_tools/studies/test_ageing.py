@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
+
+import pytest
 
 import mcp_asdf_tools as m
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import ageing
 
@@ -22,3 +26,39 @@ def test_the_ageing_picture_has_a_panel_for_each_way() -> None:
     lasting = [each.experiment for each in experiments if each.experiment.memory == ageing.LONGEST_MEMORY]
     titles = [axes.get_title("left") for axes in ageing.draw_errors(experiments).axes if axes.axison]
     assert titles == list(dict.fromkeys(ageing.way_of_ageing(experiment) for experiment in lasting))
+
+
+def test_robots_that_know_the_drift_are_12_experiments() -> None:
+    experiments = ageing.peer_experiments()
+    rows = {ageing.row_label(experiment) for experiment in experiments}
+    assert rows == {
+        "all age alike, longest memory",
+        "all age alike, short memory",
+        "each ages in its own way, longest memory",
+        "each ages in its own way, short memory",
+    }
+    assert len(experiments) == len(rows) * 3  # three columns of the table
+
+
+def test_robots_that_know_the_drift_start_with_the_right_b_hat() -> None:
+    experiments = ageing.peer_experiments()
+    assert {experiment.flawed for experiment in experiments} == {0}
+    assert {(experiment.fill_ratio, experiment.trials, experiment.seed) for experiment in experiments} == {
+        (0.75, 4, 90126)
+    }
+    assert {experiment.drift_rate for experiment in experiments} == {-1e-5, 0}
+
+
+@pytest.mark.parametrize(
+    ("changes", "label"),
+    [
+        ({}, "none ages"),
+        ({"drift": "linear", "drift_rate": -1e-5}, "all age alike"),
+        ({"drift": "stepped", "drift_rate": -1e-5, "drift_period": 20_000}, "all age at once"),
+        ({"drift": "linear", "drift_rate": -5e-6, "drift_spread": 5e-6}, "all age, some faster"),
+        ({"drift": "wiener", "drift_diffusion": 0.001}, "each ages in its own way"),
+        ({"drift": "linear", "drift_rate": -1e-5, "drift_of": "flawed"}, "6 of 20 age alike"),
+    ],
+)
+def test_a_way_to_age_has_a_name(changes: dict[str, Any], label: str) -> None:
+    assert ageing.way_of_ageing(Experiment(robots=20, flawed=6, **changes)) == label

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
 from host_tools.studies.conftest import OVERCONFIDENT, UNDERCONFIDENT, short_trials
@@ -177,6 +178,36 @@ def test_robots_of_the_package_run_in_one_process(tmp_path: Path, monkeypatch: p
     error_tables.run_experiments("plain", plain, arguments)
     error_tables.run_experiments("peer", peer, arguments)
     assert chosen_workers == [7, 1]
+
+
+@pytest.mark.parametrize(
+    ("study", "name", "marks"),
+    [
+        (robust_filter, "robust", ["grid", "beyond", "peers", "worlds"]),
+        (ageing, "ageing", ["filters", "peers"]),
+        (swarm_sizes, "scale", ["scale"]),
+    ],
+)
+def test_a_program_writes_its_tables_and_its_picture(
+    study: Any, name: str, marks: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tiny = m.grid(robots=3, flawed=1, steps=1000, filter_period=100, trials=2, filter=["none", "robust"])
+    monkeypatch.setattr(m, "read_experiments", lambda file_name: tiny)
+    for function in ("peer_experiments", "world_experiments"):
+        monkeypatch.setattr(study, function, lambda: tiny, raising=False)
+    for function in ("draw_errors", "draw_sizes"):
+        monkeypatch.setattr(study, function, lambda *experiments: Figure(), raising=False)
+    monkeypatch.setattr(swarm_sizes, "TIMED_ROBOT_STEPS", 1000)
+    monkeypatch.setattr("sys.argv", [name, str(tmp_path)])
+    study.main()
+    tables = re.findall(r"<!-- (\w+) -->\n(\|.*?)\n<!-- end -->", read(tmp_path / f"{name}.md"), re.DOTALL)
+    assert [mark for mark, _ in tables] == marks
+    assert all(table.splitlines()[0].endswith("| no filter | robust |") for _, table in tables)
+    assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def read(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

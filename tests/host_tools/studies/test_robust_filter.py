@@ -124,3 +124,41 @@ def test_a_curve_leaves_out_liars_and_most_of_the_values() -> None:
     assert thinned.records["x"].shape == (2, 17, 15)
     assert thinned.sampling_interval == 200
     assert thinned.records["x"][:, -1].tolist() == trials.records["x"][:, -1, :15].tolist()
+
+
+# --- Experiments -----------------------------------------------------------------------------------------
+
+
+def test_peers_meet_each_filter_in_three_worlds_and_two_ways_to_be_wrong() -> None:
+    experiments = robust_filter.peer_experiments()
+    rows = {robust_filter.peer_row(experiment) for experiment in experiments}
+    assert rows == {
+        "moving, 0 % flawed",
+        "moving, 30 % flawed",
+        "fully connected, 30 % flawed, 10,000 steps",
+    }
+    assert len(experiments) == len(rows) * 2 * 8  # eight columns of the table
+
+
+def test_peers_and_worlds_have_a_seed_and_trials_of_their_own() -> None:
+    experiments = [*robust_filter.peer_experiments(), *robust_filter.world_experiments()]
+    assert {experiment.seed for experiment in experiments} == {4713}
+    assert {experiment.trials for experiment in experiments} == {8, 12}
+    assert {experiment.steps for experiment in experiments} == {10_000, 20_000, 40_000}
+
+
+def test_hard_worlds_are_45_experiments() -> None:
+    experiments = robust_filter.world_experiments()
+    assert len(experiments) == 2 * 3 + (3 + 2 * 2) + 2 * 4 * 4
+    assert {experiment.flawed for experiment in experiments} == {6}
+
+
+def test_the_floor_changes_for_robots_with_a_short_memory() -> None:
+    changing = [experiment for experiment in robust_filter.world_experiments() if experiment.sensor]
+    assert {(experiment.memory, experiment.steps) for experiment in changing} == {(4096, 40_000)}
+
+
+def test_a_swarm_has_parameters_if_all_are_equal() -> None:
+    (experiment,) = m.grid(**UNDERCONFIDENT)
+    assert robust_filter.has_parameters(experiment, UNDERCONFIDENT)
+    assert not robust_filter.has_parameters(experiment, {**UNDERCONFIDENT, "fill_ratio": 0.95})

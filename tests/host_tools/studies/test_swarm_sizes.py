@@ -75,3 +75,16 @@ def test_the_size_picture_draws_medians(trials_of_two_sizes: list[Trials]) -> No
         if trials.experiment.filter == "none" and trials.experiment.true_accuracy == 0.95
     ]
     assert error_axes.lines[0].get_ydata() == pytest.approx(unfiltered)
+
+
+def test_the_first_trial_is_not_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    events: list[str] = []
+    monkeypatch.setattr(swarm_sizes, "run_trials", lambda *arguments: events.append("trial"))
+
+    def note_clock() -> float:
+        events.append("clock")
+        return 0.0
+
+    monkeypatch.setattr(swarm_sizes, "process_time", note_clock)
+    swarm_sizes.processor_seconds(Experiment(robots=2, steps=10, filter_period=10, seed=78))
+    assert events == ["trial", *["clock", "trial", "clock"] * 3]
