@@ -158,7 +158,8 @@ def test_the_quick_form_has_few_and_short_trials(tmp_path: Path) -> None:
 
 def test_the_full_form_is_that_of_the_experiments(tmp_path: Path) -> None:
     experiments = m.grid(robots=3, flawed=1, steps=400, filter_period=100, trials=3)
-    (trials,) = error_tables.run_experiments("a", experiments, arguments_for(tmp_path, False), record=50)
+    new_folder = tmp_path / "not there yet"
+    (trials,) = error_tables.run_experiments("a", experiments, arguments_for(new_folder, False), record=50)
     assert trials.experiment == experiments[0]
     assert trials.sampling_interval == 50
 
@@ -180,6 +181,19 @@ def test_robots_of_the_package_run_in_one_process(tmp_path: Path, monkeypatch: p
     assert chosen_workers == [7, 1]
 
 
+def run_tiny_program(study: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run a study's program with two short experiments in place of each of its sets, and without plots."""
+    tiny = m.grid(robots=3, flawed=1, steps=1000, filter_period=100, trials=2, filter=["none", "robust"])
+    monkeypatch.setattr(m, "read_experiments", lambda file_name: tiny)
+    for function in ("peer_experiments", "world_experiments"):
+        monkeypatch.setattr(study, function, lambda: tiny, raising=False)
+    for function in ("draw_errors", "draw_sizes"):
+        monkeypatch.setattr(study, function, lambda *experiments: Figure(), raising=False)
+    monkeypatch.setattr(swarm_sizes, "TIMED_ROBOT_STEPS", 1000)
+    monkeypatch.setattr("sys.argv", ["study", str(folder)])
+    study.main()
+
+
 @pytest.mark.parametrize(
     ("study", "name", "marks"),
     [
@@ -191,23 +205,34 @@ def test_robots_of_the_package_run_in_one_process(tmp_path: Path, monkeypatch: p
 def test_a_program_writes_its_tables_and_its_picture(
     study: Any, name: str, marks: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tiny = m.grid(robots=3, flawed=1, steps=1000, filter_period=100, trials=2, filter=["none", "robust"])
-    monkeypatch.setattr(m, "read_experiments", lambda file_name: tiny)
-    for function in ("peer_experiments", "world_experiments"):
-        monkeypatch.setattr(study, function, lambda: tiny, raising=False)
-    for function in ("draw_errors", "draw_sizes"):
-        monkeypatch.setattr(study, function, lambda *experiments: Figure(), raising=False)
-    monkeypatch.setattr(swarm_sizes, "TIMED_ROBOT_STEPS", 1000)
-    monkeypatch.setattr("sys.argv", [name, str(tmp_path)])
-    study.main()
-    tables = re.findall(r"<!-- (\w+) -->\n(\|.*?)\n<!-- end -->", read(tmp_path / f"{name}.md"), re.DOTALL)
+    run_tiny_program(study, tmp_path, monkeypatch)
+    text = (tmp_path / f"{name}.md").read_text(encoding="utf-8")
+    tables = re.findall(r"<!-- (\w+) -->\n(\|.*?)\n<!-- end -->", text, re.DOTALL)
     assert [mark for mark, _ in tables] == marks
     assert all(table.splitlines()[0].endswith("| no filter | robust |") for _, table in tables)
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
-def read(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
+@pytest.mark.parametrize(
+    ("study", "intervals"),
+    [
+        (
+            robust_filter,
+            {"robust_grid": 1000, "robust_beyond": 1000, "robust_peers": 500, "robust_worlds": 500},
+        ),
+        (ageing, {"ageing": 1000, "ageing_peers": 1000}),
+        (swarm_sizes, {"scale": 1000}),
+    ],
+)
+def test_a_program_keeps_its_results_with_values_over_time(
+    study: Any, intervals: dict[str, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_tiny_program(study, tmp_path, monkeypatch)
+    assert {path.stem: sampling_interval(path) for path in tmp_path.glob("*.parquet")} == intervals
+
+
+def sampling_interval(path: Path) -> int:
+    return m.experiments_in(m.read_table(path))[0].sampling_interval
 
 
 @pytest.mark.slow

@@ -156,6 +156,14 @@ def test_messages_without_confidence_are_not_remembered() -> None:
     assert robot.x == robot.x_hat == 0.5
 
 
+def test_a_repeated_message_is_not_remembered() -> None:
+    robot = peers.RememberingRobot(WITHOUT_FILTER, 0, 0.9)
+    robot.receive(1, 0.2, 8.0)
+    weight = robot._weight
+    assert robot.receive(1, 0.9, 8.0) is Status.REPEATED
+    assert robot._weight == weight
+
+
 def test_the_gain_of_a_remembering_robot_falls_from_the_64th_message() -> None:
     robot = peers.RememberingRobot(WITHOUT_FILTER, 127, 0.9)
     robot.observe(Observation.BLACK)
