@@ -7,21 +7,26 @@ from typing import Any
 
 import pytest
 
-import mcp_asdf_tools as m
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import ageing
+from mcp_asdf_tools.studies.ageing_sensors import (
+    SuddenlyWorseSensors,
+    UnequallyAgeingSensors,
+    WanderingSensors,
+)
+from mcp_asdf_tools.studies.peers import KnownWanderingSensors
 
 
 def test_each_way_to_age_has_a_row_for_each_memory() -> None:
-    rows = {ageing.row_label(experiment) for experiment in m.read_experiments("ageing")}
+    rows = {ageing.row_label(experiment) for experiment in ageing.ageing_experiments()}
     assert len(rows) == 12
 
 
 def test_the_ageing_picture_has_a_panel_for_each_way() -> None:
     experiments = [
         run_trials(replace(experiment, steps=4000), 0, 1, 1000)
-        for experiment in m.read_experiments("ageing")[:38:5]
+        for experiment in ageing.ageing_experiments()[:38:5]
     ]
     lasting = [each.experiment for each in experiments if each.experiment.memory == ageing.LONGEST_MEMORY]
     titles = [axes.get_title("left") for axes in ageing.draw_errors(experiments).axes if axes.axison]
@@ -54,9 +59,10 @@ def test_robots_that_know_the_drift_start_with_the_right_b_hat() -> None:
     [
         ({}, "none ages"),
         ({"drift": "linear", "drift_rate": -1e-5}, "all age alike"),
-        ({"drift": "stepped", "drift_rate": -1e-5, "drift_period": 20_000}, "all age at once"),
-        ({"drift": "linear", "drift_rate": -5e-6, "drift_spread": 5e-6}, "all age, some faster"),
-        ({"drift": "wiener", "drift_diffusion": 0.001}, "each ages in its own way"),
+        ({"sensor": SuddenlyWorseSensors}, "all age at once"),
+        ({"sensor": UnequallyAgeingSensors}, "all age, some faster"),
+        ({"sensor": WanderingSensors}, "each ages in its own way"),
+        ({"sensor": KnownWanderingSensors}, "each ages in its own way"),
         ({"drift": "linear", "drift_rate": -1e-5, "drift_of": "flawed"}, "6 of 20 age alike"),
     ],
 )

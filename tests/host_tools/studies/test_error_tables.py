@@ -185,8 +185,8 @@ def run_tiny_program(study: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) 
     """Run a study's program with two short experiments in place of each of its sets, and without plots."""
     tiny = m.grid(robots=3, flawed=1, steps=1000, filter_period=100, trials=2, filter=["none", "robust"])
     monkeypatch.setattr(m, "read_experiments", lambda file_name: tiny)
-    for function in ("peer_experiments", "world_experiments"):
-        monkeypatch.setattr(study, function, lambda: tiny, raising=False)
+    for function in ("ageing", "peer", "wandering", "world"):
+        monkeypatch.setattr(study, f"{function}_experiments", lambda: tiny, raising=False)
     for function in ("draw_errors", "draw_sizes"):
         monkeypatch.setattr(study, function, lambda *experiments: Figure(), raising=False)
     monkeypatch.setattr(swarm_sizes, "TIMED_ROBOT_STEPS", 1000)
@@ -218,7 +218,13 @@ def test_a_program_writes_its_tables_and_its_picture(
     [
         (
             robust_filter,
-            {"robust_grid": 1000, "robust_beyond": 1000, "robust_peers": 500, "robust_worlds": 500},
+            {
+                "robust_grid": 1000,
+                "robust_beyond": 1000,
+                "robust_wandering": 1000,
+                "robust_peers": 500,
+                "robust_worlds": 500,
+            },
         ),
         (ageing, {"ageing": 1000, "ageing_peers": 1000}),
         (swarm_sizes, {"scale": 1000}),

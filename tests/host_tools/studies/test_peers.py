@@ -18,6 +18,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.firmwares import RobotMaker
 from mcp_asdf_tools.studies import ageing, peers, robust_filter
+from mcp_asdf_tools.studies.ageing_sensors import WanderingSensors
 from mcp_asdf_tools.world.sensors import DriftingSensors
 
 
@@ -243,28 +244,41 @@ def test_an_estimate_far_outside_stays_where_it_is() -> None:
     assert robot._truncated_mean() == 3.0
 
 
-KNOWN_DRIFT = Experiment(
-    robots=2, flawed=0, steps=200, filter_period=100, drift="wiener", drift_rate=-1e-3, drift_diffusion=0.02
-)
+KNOWN_DRIFT = Experiment(robots=2, flawed=0, steps=200, filter_period=100, drift="linear", drift_rate=-1e-3)
+WANDERING = replace(KNOWN_DRIFT, drift="none", drift_rate=0)
 
 
 def test_bayescpf_for_ageing_sensors_moves_its_estimate_by_the_drift() -> None:
     peers.KnownSensors(KNOWN_DRIFT, 0)
     robot = bayescpf_robot(peers.AgeingBayesCpfRobot)
-    assert robot.reestimate_b_hat() == pytest.approx(posterior_b_hat(0.7, 0.04 + 100 * 0.02**2))
+    assert robot.reestimate_b_hat() == pytest.approx(posterior_b_hat(0.7, 0.04))
+
+
+def test_bayescpf_for_ageing_sensors_is_less_certain_where_they_wander() -> None:
+    peers.KnownWanderingSensors(WANDERING, 0)
+    robot = bayescpf_robot(peers.AgeingBayesCpfRobot)
+    assert robot.reestimate_b_hat() == pytest.approx(posterior_b_hat(0.8, 0.04 + 100 * 0.001**2))
 
 
 def test_known_sensors_have_the_accuracy_of_each_robot_and_step() -> None:
-    sensors, built_in = peers.KnownSensors(KNOWN_DRIFT, 3), DriftingSensors(KNOWN_DRIFT, 3)
+    sensors = peers.KnownWanderingSensors(WANDERING, 3)
+    wandering = WanderingSensors(WANDERING, 3)
     for _ in range(2):
         sensors.advance(50)
-    black, _ = built_in.advance(100)
+    black, _ = wandering.advance(100)
     assert peers.KnownSensors.newest is sensors
     assert [sensors.true_accuracy(70, robot) for robot in (0, 1)] == black[70].tolist()
 
 
+def test_known_sensors_are_the_built_in_ones() -> None:
+    sensors, built_in = peers.KnownSensors(KNOWN_DRIFT, 3), DriftingSensors(KNOWN_DRIFT, 3)
+    black, _ = built_in.advance(100)
+    sensors.advance(100)
+    assert sensors.true_accuracy(70, 1) == black[70, 0]
+
+
 def test_one_accuracy_stands_for_all_robots() -> None:
-    sensors = peers.KnownSensors(replace(KNOWN_DRIFT, drift="none", drift_rate=0, drift_diffusion=0), 0)
+    sensors = peers.KnownSensors(WANDERING, 0)
     sensors.advance(1)
     assert sensors.true_accuracy(0, 1) == sensors.true_accuracy(0, 0) == KNOWN_DRIFT.true_accuracy
 

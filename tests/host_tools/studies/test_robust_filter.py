@@ -15,6 +15,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import error_tables, peers, robust_filter
+from mcp_asdf_tools.studies.ageing_sensors import WanderingSensors
 from support import ROOT
 
 MOVING: dict[str, Any] = {"topology": "dynamic", "latency": 1, "robots": 20, "flawed": 6}
@@ -29,7 +30,7 @@ MOVING: dict[str, Any] = {"topology": "dynamic", "latency": 1, "robots": 20, "fl
         ({"density": 3}, "moving, density 3"),
         ({"latency": 0}, "moving, latency 0"),
         ({"white_offset": -0.1}, "moving, b -0.1 on white"),
-        ({"drift": "wiener"}, "moving, sensors age each in its own way"),
+        ({"sensor": WanderingSensors}, "moving, sensors age each in its own way"),
         ({"drift": "linear"}, "moving, sensors age alike"),
     ],
 )
@@ -162,3 +163,13 @@ def test_a_swarm_has_parameters_if_all_are_equal() -> None:
     (experiment,) = m.grid(**UNDERCONFIDENT)
     assert robust_filter.has_parameters(experiment, UNDERCONFIDENT)
     assert not robust_filter.has_parameters(experiment, {**UNDERCONFIDENT, "fill_ratio": 0.95})
+
+
+def test_robots_beyond_the_grid_also_have_sensors_that_wander() -> None:
+    experiments = robust_filter.wandering_experiments()
+    rows = {robust_filter.beyond_row(experiment) for experiment in experiments}
+    assert rows == {"moving, sensors age each in its own way"}
+    assert [experiment.filter for experiment in experiments] == ["none", "asdf-plus", "robust"]
+    assert {(experiment.seed, experiment.trials, experiment.steps) for experiment in experiments} == {
+        (4712, 30, 20_000)
+    }
