@@ -43,7 +43,7 @@ def table_name(omega: Decimal, q: int) -> str:
 def describe_table(omega: Decimal, q: int) -> dict[str, Any]:
     """Return what the JSON file of a table holds: its properties, its checksums and its entries."""
     table = generate(omega, q)
-    words = table.words()
+    table_words = table.words()
     error = worst_threshold_error(omega, table)
     return {
         "symbol": f"mcp_asdf_{table_name(omega, q)}",
@@ -54,11 +54,11 @@ def describe_table(omega: Decimal, q: int) -> dict[str, Any]:
         "format_version": FORMAT_VERSION,
         "generator": "mcp-asdf table",
         "generator_version": GENERATOR_VERSION,
-        "bytes": 4 * len(words),
+        "bytes": 4 * len(table_words),
         "bytes_formula": "12 + 4 q",
         "worst_threshold_error": {"rounding": error.rounding, "beyond_q": error.beyond_q},
-        "checksum": words[-1],
-        "sha256": hashlib.sha256(struct.pack(f"<{len(words)}I", *words)).hexdigest(),
+        "checksum": table_words[-1],
+        "sha256": hashlib.sha256(struct.pack(f"<{len(table_words)}I", *table_words)).hexdigest(),
         "fraction_bits": FRACTION_BITS,
         "entries": list(table.entries),
     }
@@ -163,8 +163,8 @@ def check_file(path: Path) -> TableCheck:
     formatters = {".json": format_json, ".c": format_c_source}
     if path.suffix not in formatters:
         raise UsageError(f"{path} is neither .c nor .json; give a file that --output has written")
-    text = _read_text(path)
-    match = _ARRAY_NAME.search(text)
+    file_text = _read_text(path)
+    match = _ARRAY_NAME.search(file_text)
     if match is None:
         raise UsageError(f"{path} names no array mcp_asdf_t_table_omega.._q..; make it anew with --output")
     try:
@@ -172,7 +172,7 @@ def check_file(path: Path) -> TableCheck:
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
     generated_text = formatters[path.suffix](omega, q)
-    return TableCheck(str(path), omega, q, _describe_first_difference(text, generated_text))
+    return TableCheck(str(path), omega, q, _describe_first_difference(file_text, generated_text))
 
 
 def _read_text(path: Path) -> str:
@@ -187,9 +187,9 @@ def _read_text(path: Path) -> str:
         raise UsageError(f"cannot read {path}: {error}; give a file that --output has written") from None
 
 
-def _describe_first_difference(text: str, expected_text: str) -> str | None:
+def _describe_first_difference(file_text: str, expected_text: str) -> str | None:
     """Return the first line that differs, as found and as expected, or None if the texts are equal."""
-    line_pairs = zip_longest(text.split("\n"), expected_text.split("\n"))
+    line_pairs = zip_longest(file_text.split("\n"), expected_text.split("\n"))
     for line_number, (line, expected_line) in enumerate(line_pairs, start=1):
         if line != expected_line:
             return f"line {line_number}: found {line!r}, expected {expected_line!r}"

@@ -33,18 +33,18 @@ _NEGLIGIBLE_STEP = mpf("1e-47")
 """A step of Newton's method that is not larger is rounding noise."""
 
 
-def parse_omega(text: str) -> Decimal:
+def parse_omega(omega_text: str) -> Decimal:
     """Return the omega that a decimal text gives, in its shortest form.
 
     Raises UsageError for anything but a number above 0 and at most 0.9 with at most 9 decimal places.
     """
     try:
-        omega = Decimal(text)
+        omega = Decimal(omega_text)
     except InvalidOperation:
-        raise UsageError(f"omega is {text!r}, not a decimal number; give one such as 0.05") from None
+        raise UsageError(f"omega is {omega_text!r}, not a decimal number; give one such as 0.05") from None
     if not (omega.is_finite() and 0 < omega <= MAX_OMEGA and omega == round(omega, OMEGA_PLACES)):
         raise UsageError(
-            f"omega is {text}; it must be above 0 and at most {MAX_OMEGA}, "
+            f"omega is {omega_text}; it must be above 0 and at most {MAX_OMEGA}, "
             f"with no more than {OMEGA_PLACES} decimal places, for example 0.05"
         )
     return omega.normalize()

@@ -52,6 +52,7 @@ class DriftingSensors:
         if settings.drift == "none":
             return np.full((1, 1), settings.true_accuracy)
         step = np.arange(self._next_step, self._next_step + steps, dtype=np.float64)[:, np.newaxis]
+        # Step 0 has the true accuracy: the drift starts there.
         drifted = settings.true_accuracy + settings.drift_rate * step
         drifted = np.clip(drifted, settings.lowest_accuracy, 1.0)
         if settings.drifting == settings.robots:
@@ -95,7 +96,10 @@ class CheckedSensors:
 
 
 def has_one_accuracy(settings: WorldSettings) -> bool:
-    """Return whether accuracies are the same on black and on white tiles. Raises UsageError as ``load``."""
+    """Return whether the sensors name black and white equally well at any time.
+
+    Raises UsageError if they are an extension that cannot be loaded.
+    """
     if not settings.sensor:
         return not settings.white_offset
     extension = extensions.load(extensions.SENSORS, settings.sensor)
@@ -124,6 +128,7 @@ def black_probabilities(
     if fill_ratio is not None:
         probability = _to_integer_units(fill_ratio * b + (1 - fill_ratio) * (1 - w))
         return probability, probability
+    # On white a robot reports black by mistake: with the probability that is left.
     return _to_integer_units(b), np.uint32(CERTAIN) - _to_integer_units(w)
 
 

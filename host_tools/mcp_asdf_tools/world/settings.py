@@ -115,6 +115,7 @@ class WorldSettings:
 
     def __post_init__(self) -> None:
         """Bring each value to its type, and check the values that must fit together."""
+        # An object is replaced by a name for it first, so that all checks see names.
         for name, group in _EXTENSION_GROUPS.items():
             if hasattr(self, name):
                 self._replace_value(name, extensions.name_of(group, getattr(self, name)))
@@ -229,8 +230,10 @@ def _check_neighbours_of_many(settings: WorldSettings) -> None:
     if settings.topology == "graph":
         return  # the graph itself has been checked
     if settings.topology == "fully-connected":
-        others = settings.robots - 1
-        reason = f"each would hear {others} others, and a round of the firmware holds {MAX_ON_BUS - 1}"
+        neighbour_count = settings.robots - 1
+        reason = (
+            f"each would hear {neighbour_count} others, and a round of the firmware holds {MAX_ON_BUS - 1}"
+        )
     else:
         reason = "an extension says who hears whom by a matrix of them for every step"
     fix = f"choose topology dynamic or graph, or at most {MAX_ON_BUS} robots"

@@ -182,6 +182,7 @@ def _format_edges(graph: Any) -> list[str]:
     elif hasattr(graph, "is_directed") and hasattr(graph, "edges"):
         pairs, is_directed = list(graph.edges()), graph.is_directed()
     sign = "> " if is_directed else ""
+    # operator.index takes integers of any kind, and refuses all that is none.
     try:
         return [f"{index(first)} {sign}{index(second)}" for first, second in pairs]
     except (TypeError, ValueError):
@@ -223,6 +224,7 @@ def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
             continue
         edge = _parse_edge(text, f"{source}, {unit} {line_number}", line_number)
         for link in edge.links:
+            # The first edge with this link stays in the dictionary.
             earlier_edge = edge_of_link.setdefault(link, edge)
             if earlier_edge is not edge and not edge.is_reverse_of(earlier_edge):
                 sender, receiver = link

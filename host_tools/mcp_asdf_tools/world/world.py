@@ -59,9 +59,10 @@ class World:
         self._topology = Arena(settings, trial) if settings.is_dynamic else _make_topology(settings, trial)
 
     def advance(self, steps: int) -> Scene:
-        """Let ``steps`` steps pass, and return what happens in them. O(steps N^2)."""
+        """Let ``steps`` steps pass; return the observations, neighbours and more in each. O(steps N^2)."""
         settings, first_step = self.settings, self._next_step
         self._next_step += steps
+        # The last bit is left out, as probabilities have units of 2**-31.
         draws = self._observation_draws.draw_words(steps, first_step) >> np.uint32(1)
         accuracies = self._sensors.advance(steps)
         mean_accuracy = np.broadcast_to((accuracies[0] + accuracies[1]) / 2, draws.shape)
@@ -78,7 +79,7 @@ class World:
         return Scene(draws < black_probability, observes, neighbours, positions, mean_accuracy)
 
     def skip(self, steps: int) -> None:
-        """Let 1 or more steps pass without saying what happens in them.
+        """Let 1 or more steps pass of which nobody wants to know anything.
 
         O(steps N), or O(steps N^2) with the topology of an extension.
         """
@@ -105,6 +106,7 @@ class SteppedWorld:
         if self._scene is None or self._row + 1 == len(self._scene.black):
             self._scene, self._row = self._world.advance(_STEPS_AT_ONCE), -1
         self._row += 1
+        # In some steps robots make no observation, by observation_period.
         if not self._scene.observes[self._row]:
             return [None] * self.settings.robots
         return [_OBSERVATION_OF_COLOUR[is_black] for is_black in self._scene.black[self._row].tolist()]

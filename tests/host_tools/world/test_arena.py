@@ -26,12 +26,12 @@ DATA = Path(__file__).parents[2] / "data/motion_statistics.json"
 REFERENCE = json.loads(DATA.read_text(encoding="utf-8"))["statistics"]
 
 
-def world(robots: int, width: float = 0, height: float = 0, **more: Any) -> WorldSettings:
+def moving(robots: int, width: float = 0, height: float = 0, **more: Any) -> WorldSettings:
     return WorldSettings(topology="dynamic", robots=robots, width=width, height=height, **more)
 
 
-PAPER = world(20, fill_ratio=0.5)
-CROWD = world(60, 1.7, 1.6, radio_range=0.5, fill_ratio=0.5)
+PAPER = moving(20, fill_ratio=0.5)
+CROWD = moving(60, 1.7, 1.6, radio_range=0.5, fill_ratio=0.5)
 """A third of the floor is robots: contacts everywhere."""
 
 
@@ -42,8 +42,8 @@ def distances(position: NDArray[np.float64]) -> NDArray[np.float64]:
     return apart
 
 
-def test_too_little_room_is_named() -> None:
-    crowded = world(60, 3, 3)
+def test_robots_without_room_are_refused() -> None:
+    crowded = moving(60, 3, 3)
     for side in ("width", "height"):
         object.__setattr__(crowded, side, 0.6)  # which settings would have refused
     with pytest.raises(UsageError, match=r"60 robots found no room in 0\.6 x 0\.6 m; take fewer or a larger"):
@@ -55,7 +55,11 @@ def test_too_little_room_is_named() -> None:
 
 @pytest.mark.parametrize(
     ("settings", "expected"),
-    [(PAPER, "9da4ac4df8883d84"), (CROWD, "b076104f7f9d6271"), (world(127, density=4.0), "036003a4cf6e9dcc")],
+    [
+        (PAPER, "9da4ac4df8883d84"),
+        (CROWD, "b076104f7f9d6271"),
+        (moving(127, density=4.0), "036003a4cf6e9dcc"),
+    ],
 )
 def test_a_seed_gives_the_same_bits_everywhere(settings: WorldSettings, expected: str) -> None:
     """The digest stands for every machine: the arena uses only operations that IEEE 754 rounds correctly."""
@@ -69,16 +73,21 @@ def test_a_seed_gives_the_same_bits_everywhere(settings: WorldSettings, expected
     assert digest.hexdigest()[:16] == expected
 
 
-def test_seeds_differ_and_time_may_pass_in_any_portions() -> None:
-    whole, parts = Arena(CROWD, 7), Arena(CROWD, 7)
-    assert not np.array_equal(whole.positions, Arena(CROWD, 8).positions)
-    motion = whole.record(500)
-    for portion in (0, 1, 2, 97):
-        parts.step(portion)
-    rest = parts.record(400)
-    for name, values in vars(rest).items():
+def test_trials_differ() -> None:
+    assert not np.array_equal(Arena(CROWD, 7).positions, Arena(CROWD, 8).positions)
+
+
+def test_time_may_pass_in_any_portions() -> None:
+    motion, arena = Arena(CROWD, 7).record(500), Arena(CROWD, 7)
+    for ticks in (0, 1, 2, 97):
+        arena.step(ticks)
+    for name, values in vars(arena.record(400)).items():
         assert np.array_equal(values, getattr(motion, name)[100:]), name
-    assert np.array_equal(whole.positions, motion.position[-1])
+
+
+def test_the_positions_are_those_after_the_last_tick() -> None:
+    arena = Arena(CROWD, 7)
+    assert np.array_equal(arena.record(50).position[-1], arena.positions)
 
 
 # ---------------------------------------------------------------- bodies
@@ -115,7 +124,7 @@ def links_by_definition(position: NDArray[np.float64], settings: WorldSettings) 
 
 
 @pytest.mark.parametrize(
-    "settings", [PAPER, CROWD, world(128, 6.0, 5.0, speed=0.4), world(40, 2.0, 2.0, radio_range=0.17)]
+    "settings", [PAPER, CROWD, moving(128, 6.0, 5.0, speed=0.4), moving(40, 2.0, 2.0, radio_range=0.17)]
 )
 def test_links_are_those_of_the_definition(settings: WorldSettings) -> None:
     arena, linked, near = Arena(settings, 11), 0, 0
@@ -143,7 +152,7 @@ def test_the_grid_of_many_robots_finds_the_pairs_of_all_compared(density: float)
     for _ in range(2):
         robots, aspect = int(rng.integers(129, 400)), rng.uniform(0.05, 1)
         side = 0.7 * math.sqrt(robots * math.pi / density / aspect)
-        settings = world(
+        settings = moving(
             robots, side, aspect * side, speed=rng.choice([0.1414, 0.6]), radio_range=rng.choice([0.3, 0.7])
         )
         arena = Arena(settings, 1)
@@ -160,7 +169,7 @@ def test_memory_grows_linearly_with_the_robots() -> None:
     few, many = (
         _arena.lib.mcp_asdf_arena_bytes(_arena.ffi.new("mcp_asdf_arena_config_t *", values)) / robots
         for robots in (1000, 10_000)
-        for values in [make_config(world(robots), 0, _arena.ffi)[0]]
+        for values in [make_config(moving(robots), 0, _arena.ffi)[0]]
     )
     assert 1000 < many < 2000 and few == pytest.approx(many, rel=0.01)
 
@@ -191,7 +200,7 @@ class Wheels:
 
 
 def test_wheels_follow_the_rules_with_their_two_thresholds() -> None:
-    arena, rules, rng = Arena(world(1, 5, 5), 0), Wheels(), np.random.default_rng(6)
+    arena, rules, rng = Arena(moving(1, 5, 5), 0), Wheels(), np.random.default_rng(6)
     bearings = np.cumsum(rng.normal(0, 25, 20000)) + rng.choice([0, 180], 20000)
     states = set()
     lengths = rng.choice([0.05, 0.0999, 0.1001, 1.7], 20000)
@@ -219,7 +228,7 @@ def tile_middles(settings: WorldSettings, side: float) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("fill_ratio", [0.0, 0.05, 0.55, 0.95, 1.0])
 def test_tiles_are_black_by_chance_and_independent(fill_ratio: float) -> None:
-    settings = world(1, 2, 1.5, fill_ratio=fill_ratio)
+    settings = moving(1, 2, 1.5, fill_ratio=fill_ratio)
     grid = tile_middles(settings, 0.01)
     black = colours(Arena(settings, 3), grid.reshape(-1, 2)).reshape(grid.shape[:2])
     variance = fill_ratio * (1 - fill_ratio)
@@ -229,7 +238,7 @@ def test_tiles_are_black_by_chance_and_independent(fill_ratio: float) -> None:
 
 
 def test_a_tile_has_one_colour_and_the_seed_decides_it() -> None:
-    settings = world(1, 2, 1.5, fill_ratio=0.5)
+    settings = moving(1, 2, 1.5, fill_ratio=0.5)
     middles = tile_middles(settings, 0.01).reshape(-1, 2)[::7]
     first = colours(Arena(settings, 3), middles)
     moved = middles + np.random.default_rng(1).uniform(-0.0049, 0.0049, middles.shape)
@@ -238,7 +247,7 @@ def test_a_tile_has_one_colour_and_the_seed_decides_it() -> None:
 
 
 def test_a_code_lies_with_its_first_row_in_the_north() -> None:
-    pattern, arena = make_floor_code(0.448), Arena(world(1, 3, 2, floor="code", fill_ratio=0.448))
+    pattern, arena = make_floor_code(0.448), Arena(moving(1, 3, 2, floor="code", fill_ratio=0.448))
     assert np.array_equal(arena.pixels(*pattern.shape[::-1]), pattern)
     rows, columns = np.indices(pattern.shape)
     middles = np.stack([(columns + 0.5) / 100 * 3 - 1.5, 1 - (rows + 0.5) / 100 * 2], axis=2)
@@ -249,7 +258,7 @@ def test_a_code_lies_with_its_first_row_in_the_north() -> None:
 
 @pytest.mark.parametrize("floor", [{"fill_ratio": 0.4, "tile": 0.02}, {"fill_ratio": 0.448, "floor": "code"}])
 def test_robots_look_at_the_floor_before_their_right_front(floor: dict[str, Any]) -> None:
-    arena = Arena(world(20, 3, 2, **floor), 9)
+    arena = Arena(moving(20, 3, 2, **floor), 9)
     motion = arena.record(150)
     for position, ahead, black in zip(motion.position, motion.heading, motion.black, strict=True):
         right = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)

@@ -75,6 +75,7 @@ class Arena:
 
     def step(self, ticks: int = 1) -> None:
         """Let ticks pass. O(ticks robots)."""
+        # The engine in C steps several arenas side by side; this is one.
         for _ in range(ticks):
             _arena.lib.mcp_asdf_arena_step(self._arena, 1)
 
