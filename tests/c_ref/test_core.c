@@ -1,7 +1,8 @@
-/* White box, of the core with its static functions in reach: what the independent implementation
- * (tests/third) cannot see, since a later step corrects it, only damaged memory asks for it, or few arguments
- * do. Everything else is proved for all arguments (tests/proofs) and compared there. Expected values come
- * from formulas of docs/design.md, computed plainly in the widest type at hand, never from the core. */
+/* Static functions of the core, and invariants that need damaged memory: what a comparison with the
+ * independent implementation (tests/third) cannot find, since a later step corrects it, only damaged memory
+ * or few arguments show it. Everything else is proved for all arguments (tests/proofs) and compared there.
+ * Expected values come from formulas of docs/design.md, computed in the widest type at hand, never from the
+ * core. */
 #include "check.h"
 
 #include "mcp_asdf.c"
@@ -10,7 +11,7 @@
 
 /* ---- Arithmetic ---- */
 
-static void shifts_by_any_count(void)
+static void only_the_lower_6_bits_of_a_shift_count(void)
 {
     static const uint64_t values[] = {UINT64_C(0x8123456789ABCDEF), 1, UINT64_MAX};
     for (size_t i = 0; i < COUNT(values); ++i) {
@@ -21,7 +22,7 @@ static void shifts_by_any_count(void)
     }
 }
 
-static void zeros_lead_in_every_word(void)
+static void leading_zeros_are_counted_for_every_highest_bit(void)
 {
     CHECK_EQUAL(leading_zeros(0), 31);
     for (uint32_t bit = 0; bit < 32; ++bit) {
@@ -44,7 +45,7 @@ static void products_are_exact(void)
 
 /* Divisors where one unit more or less, or another entry, makes another reciprocal; and those of damaged
  * memory. */
-static void reciprocals_are_pinned(void)
+static void reciprocals_follow_their_formula(void)
 {
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE
     /* Entry i is 1 + 256 (1 / y - 1), rounded, at y = (129 + 2 i) / 256, and at y = 1. */
@@ -71,7 +72,7 @@ static void reciprocals_are_pinned(void)
 
 /* upper(N, D) of docs/design.md, section 8, for divisors of every length, where the dividend is the divisor,
  * 1 less, or next to nothing. */
-static void quotients_at_their_ends(void)
+static void quotients_follow_their_formula_for_divisors_of_every_length(void)
 {
     for (uint32_t i = 0; i < 64 * 64; ++i) {
         const uint32_t highest = i % 64, widen = highest < 32 ? 32 : 0, s = highest + widen - 31;
@@ -86,13 +87,13 @@ static void quotients_at_their_ends(void)
     }
 }
 
-/* ---- A robot: its size, tables, and what is changed behind its back (docs/invariants.md) ---- */
+/* ---- Size of a robot, tables, and invariants of damaged robots (docs/invariants.md) ---- */
 
 /* The budget of RAM, where a pointer has 32 bits. */
 typedef char robot_is_small[sizeof(void *) != 4 || sizeof(mcp_asdf_t) <= 160 ? 1 : -1];
 
-/* Its last word: FNV-1a over those before. */
-static void seal(uint32_t *table, uint32_t words)
+/* Write the last word of a table: FNV-1a over those before. */
+static void write_table_hash(uint32_t *table, uint32_t words)
 {
     table[words - 1] = UINT32_C(0x811C9DC5);
     for (uint32_t i = 0; i < words - 1; ++i) {
@@ -109,7 +110,7 @@ static void a_table_has_entries_for_2_to_127(void)
         for (uint32_t m = 2; m <= q + 1; ++m) {
             table[m] = (UINT32_C(63) << 26) - m;
         }
-        seal(table, q + 3);
+        write_table_hash(table, q + 3);
         const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ASDF(table);
         mcp_asdf_t robot;
         CHECK(config.filter_period == 1000 && config.memory == MCP_ASDF_MEMORY_MAX);
@@ -121,13 +122,13 @@ static void a_table_has_entries_for_2_to_127(void)
 }
 
 static const mcp_asdf_config_t config = {0, 6, 1000, MCP_ASDF_OFF};
-static const mcp_asdf_config_t robust = {0, 6, 1000, MCP_ASDF_ROBUST};
+static const mcp_asdf_config_t robust_config = {0, 6, 1000, MCP_ASDF_ROBUST};
 
-/* A robot in the middle of things: observations, a closed round, an open round with a silent message. */
-static mcp_asdf_t busy_robot(const mcp_asdf_config_t *its_config)
+/* A robot with observations, a closed round, and an open round in which one message has no confidence. */
+static mcp_asdf_t make_busy_robot(const mcp_asdf_config_t *robot_config)
 {
     mcp_asdf_t robot;
-    CHECK_EQUAL(mcp_asdf_init(&robot, its_config, 40, 0xC1000000), MCP_ASDF_OK);
+    CHECK_EQUAL(mcp_asdf_init(&robot, robot_config, 40, 0xC1000000), MCP_ASDF_OK);
     for (uint32_t tick = 0; tick < 38; ++tick) {
         for (uint8_t sender = 0; sender < 5; ++sender) {
             (void)mcp_asdf_receive(&robot, sender, 0x200000 + sender, sender == 2 ? 0 : 0x8123450A);
@@ -140,67 +141,78 @@ static mcp_asdf_t busy_robot(const mcp_asdf_config_t *its_config)
     return robot;
 }
 
-/* Whether the invariants hold after `change` of a busy robot. */
-#define IS_SOUND(change, expected) IS_SOUND_WITH(&config, change, expected)
-#define IS_SOUND_WITH(config, change, expected)                                                              \
+/* Check whether the invariants hold after a change of a busy robot. */
+#define CHECK_INVARIANTS(change, expected) CHECK_INVARIANTS_WITH(&config, change, expected)
+#define CHECK_INVARIANTS_WITH(robot_config, change, expected)                                                \
     do {                                                                                                     \
-        mcp_asdf_t robot = busy_robot(config);                                                               \
+        mcp_asdf_t robot = make_busy_robot(robot_config);                                                    \
         change;                                                                                              \
         CHECK_EQUAL(mcp_asdf_invariants_hold(&robot), expected);                                             \
     } while (0)
 
-/* The same once b_hat was updated, which leaves x_hat and alpha as they were formed under the old one. */
-#define IS_SOUND_UPDATED(change, expected) IS_SOUND((robot.updated = 1, change), expected)
+/* The same if b_hat was updated before: x_hat and alpha then need not follow from t, n and b_hat. */
+#define CHECK_INVARIANTS_UPDATED(change, expected) CHECK_INVARIANTS((robot.updated = 1, change), expected)
 
-/* The longest memory there is: a t beyond it was never counted, whatever the configuration. The table is not
- * looked at, which would take a time that grows with its length. */
-static void configurations_may_be_damaged(void)
+/* Whatever memory a damaged configuration has. */
+static void a_t_beyond_the_longest_memory_breaks_an_invariant(void)
 {
-    static const uint32_t nonsense[] = {1, 2, 3};
     static const mcp_asdf_config_t longest = {0, 6, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
     static const mcp_asdf_config_t damaged = {0, 6, UINT32_MAX, MCP_ASDF_OFF};
-    static const mcp_asdf_config_t bad_table = {nonsense, 6, 1000, MCP_ASDF_ADAPTIVE};
-    IS_SOUND_UPDATED((robot.config = &longest, robot.t = MCP_ASDF_MEMORY_MAX - 1), true);
-    IS_SOUND_UPDATED((robot.config = &longest, robot.t = MCP_ASDF_MEMORY_MAX), false);
-    IS_SOUND_UPDATED((robot.config = &damaged, robot.t = MCP_ASDF_MEMORY_MAX), false);
-    IS_SOUND(robot.config = &bad_table, true);
+    CHECK_INVARIANTS_UPDATED((robot.config = &longest, robot.t = MCP_ASDF_MEMORY_MAX - 1), true);
+    CHECK_INVARIANTS_UPDATED((robot.config = &longest, robot.t = MCP_ASDF_MEMORY_MAX), false);
+    CHECK_INVARIANTS_UPDATED((robot.config = &damaged, robot.t = MCP_ASDF_MEMORY_MAX), false);
 }
 
-/* Every member of the cache, and b_hat under it, bit by bit. */
+/* To read it would take a time that grows with its length. */
+static void a_check_of_the_invariants_does_not_read_the_table(void)
+{
+    static const uint32_t invalid_table[] = {1, 2, 3};
+    static const mcp_asdf_config_t with_invalid_table = {invalid_table, 6, 1000, MCP_ASDF_ADAPTIVE};
+    CHECK_INVARIANTS(robot.config = &with_invalid_table, true);
+}
+
 /* design: R17, R32 */
-static void cache_follows_from_b_hat(void)
+static void a_flipped_bit_of_the_accuracy_breaks_an_invariant(void)
 {
     for (uint32_t bit = 0; bit < 32; ++bit) {
         const uint32_t flip = UINT32_C(1) << bit;
         GIVEN(bit, 0, 0);
-        IS_SOUND_UPDATED(robot.accuracy.b_hat ^= flip, false);
-        IS_SOUND_UPDATED(robot.accuracy.c ^= flip, false);
-        IS_SOUND_UPDATED(robot.accuracy.common ^= flip, false);
-        IS_SOUND_UPDATED(robot.accuracy.rare ^= flip, false);
-        IS_SOUND_UPDATED(robot.accuracy.g_shift ^= flip, false);
-        IS_SOUND_UPDATED(robot.accuracy.rare_shift ^= flip, false);
+        CHECK_INVARIANTS_UPDATED(robot.accuracy.b_hat ^= flip, false);
+        CHECK_INVARIANTS_UPDATED(robot.accuracy.c ^= flip, false);
+        CHECK_INVARIANTS_UPDATED(robot.accuracy.common ^= flip, false);
+        CHECK_INVARIANTS_UPDATED(robot.accuracy.rare ^= flip, false);
+        CHECK_INVARIANTS_UPDATED(robot.accuracy.g_shift ^= flip, false);
+        CHECK_INVARIANTS_UPDATED(robot.accuracy.rare_shift ^= flip, false);
     }
-    IS_SOUND(set_b_hat(&robot, 0xC1000000 - 4096), false); /* sound in itself, but x_hat is of another */
 }
 
-/* Rounds of a robust robot are empty, and another robot's crowd is as in a new robot; images hold neither. */
-static void only_one_filter_has_a_memory(void)
+static void an_estimate_that_does_not_follow_from_b_hat_breaks_an_invariant(void)
 {
-    mcp_asdf_open_t open = {1, 0, 0, 0, 0, 1};
-    IS_SOUND_WITH(&robust, (void)robot, true);
-    IS_SOUND_WITH(&robust, robot.open = open, false);
-    IS_SOUND_WITH(&robust, robot.closed.alpha = 1, false);
-    IS_SOUND_WITH(&robust, robot.config = &config, false);
-    IS_SOUND(robot.config = &robust, false);
-    IS_SOUND(robot.crowd.first = robot.accuracy.b_hat, false);
-    IS_SOUND(++robot.crowd.votes, false);
-    IS_SOUND(robot.crowd.voices = 1, false);
-    IS_SOUND(++robot.crowd.centre, false);
-    IS_SOUND(--robot.crowd.spread, false);
-    IS_SOUND(++robot.crowd.trend, false);
+    CHECK_INVARIANTS(set_b_hat(&robot, 0xC1000000 - 4096), false);
 }
 
-/* ---- What the header computes for its users ---- */
+static void a_robust_robot_with_sums_breaks_an_invariant(void)
+{
+    const mcp_asdf_open_t open = {1, 0, 0, 0, 0, 1};
+    CHECK_INVARIANTS_WITH(&robust_config, (void)robot, true);
+    CHECK_INVARIANTS_WITH(&robust_config, robot.open = open, false);
+    CHECK_INVARIANTS_WITH(&robust_config, robot.closed.alpha = 1, false);
+    CHECK_INVARIANTS(robot.config = &robust_config, false);
+}
+
+/* Without the robust filter a crowd is as in a new robot: images do not hold it. */
+static void a_crowd_without_the_robust_filter_breaks_an_invariant(void)
+{
+    CHECK_INVARIANTS_WITH(&robust_config, robot.config = &config, false);
+    CHECK_INVARIANTS(robot.crowd.first = robot.accuracy.b_hat, false);
+    CHECK_INVARIANTS(++robot.crowd.votes, false);
+    CHECK_INVARIANTS(robot.crowd.voices = 1, false);
+    CHECK_INVARIANTS(++robot.crowd.centre, false);
+    CHECK_INVARIANTS(--robot.crowd.spread, false);
+    CHECK_INVARIANTS(++robot.crowd.trend, false);
+}
+
+/* ---- Numbers and configurations that the header offers ---- */
 
 /* Against 64-bit arithmetic, for every x_hat, x_bar and x. */
 static void thousandths_are_rounded_to_nearest(void)
@@ -233,7 +245,7 @@ static void probabilities_are_rounded_to_nearest(void)
     CHECK_EQUAL(probabilities[6], UINT32_MAX);
 }
 
-static void no_probability_of_one_is_an_accuracy(void)
+static void certainty_is_refused_as_an_accuracy(void)
 {
     mcp_asdf_t robot;
     CHECK_EQUAL(mcp_asdf_init(&robot, &config, 0, MCP_ASDF_PROBABILITY(1, 1)), MCP_ASDF_ERR_B_HAT);
@@ -257,16 +269,19 @@ int main(void)
 {
     thousandths_are_rounded_to_nearest();
     probabilities_are_rounded_to_nearest();
-    no_probability_of_one_is_an_accuracy();
+    certainty_is_refused_as_an_accuracy();
     configurations_have_the_filter_that_their_name_says();
-    shifts_by_any_count();
-    zeros_lead_in_every_word();
+    only_the_lower_6_bits_of_a_shift_count();
+    leading_zeros_are_counted_for_every_highest_bit();
     products_are_exact();
-    reciprocals_are_pinned();
-    quotients_at_their_ends();
+    reciprocals_follow_their_formula();
+    quotients_follow_their_formula_for_divisors_of_every_length();
     a_table_has_entries_for_2_to_127();
-    configurations_may_be_damaged();
-    cache_follows_from_b_hat();
-    only_one_filter_has_a_memory();
+    a_t_beyond_the_longest_memory_breaks_an_invariant();
+    a_check_of_the_invariants_does_not_read_the_table();
+    a_flipped_bit_of_the_accuracy_breaks_an_invariant();
+    an_estimate_that_does_not_follow_from_b_hat_breaks_an_invariant();
+    a_robust_robot_with_sums_breaks_an_invariant();
+    a_crowd_without_the_robust_filter_breaks_an_invariant();
     return check_report();
 }

@@ -1,4 +1,4 @@
-/* Black box: the frame codec. The rules are those of docs/frame.md, written once more with division,
+/* The frame codec against the rules of docs/frame.md, which are written here once more: with division,
  * remainder and floating point instead of masks and shifts. tests/host_tools/bus compares any frame, and the
  * acceptance filter, with the codec in Python. */
 #include "mcp_asdf_frame.h"
@@ -7,19 +7,21 @@
 
 #include <string.h>
 
-#define KINDS 2 /* that a robot decodes: estimate, command */
+/* The kinds of frames that a robot decodes. */
+enum { ESTIMATE, COMMAND, KIND_COUNT };
 
-static const uint16_t subjects[KINDS] = {3000, 3002};
+static const uint16_t subjects[KIND_COUNT] = {3000, 3002};
 
 /* From node 42 with transfer id 5. */
-static const mcp_asdf_frame_t legal_estimate = {
+static const mcp_asdf_frame_t valid_estimate = {
     UINT32_C(0x106BB82A), 0, 8, {0x00, 0x00, 0x40, 0x00, 0x00, 0x80, 0x3F, 0xE5}};
-static const mcp_asdf_frame_t legal_command = {
+static const mcp_asdf_frame_t valid_command = {
     UINT32_C(0x0C6BBA2A), 0, 8, {0x04, 0x03, 0x02, 0x01, 0x11, 0x03, 0x00, 0xE5}};
 
-static mcp_asdf_frame_t legal(int kind) { return kind == 0 ? legal_estimate : legal_command; }
+static mcp_asdf_frame_t valid_frame(int kind) { return kind == ESTIMATE ? valid_estimate : valid_command; }
 
-static uint64_t number(const uint8_t *bytes, int count)
+/* Value of little-endian bytes. */
+static uint64_t read_number(const uint8_t *bytes, int count)
 {
     uint64_t value = 0;
     while (count > 0) {
@@ -28,10 +30,10 @@ static uint64_t number(const uint8_t *bytes, int count)
     return value;
 }
 
-/* ---- Confidences: the core's word in memory, binary32 in the frame ---- */
+/* ---- Confidences: alpha words in memory, binary32 numbers in frames ---- */
 
-/* Exact, as a mantissa has 24 bits. */
-static uint32_t binary32_by_the_text(uint32_t word)
+/* Bits of the float that an alpha word is: exact, as a mantissa has 24 bits. */
+static uint32_t expected_binary32(uint32_t word)
 {
     const float value = (float)((double)(word / 256) * (double)(UINT32_C(1) << word % 32) / 16777216);
     uint32_t bits;
@@ -40,7 +42,7 @@ static uint32_t binary32_by_the_text(uint32_t word)
 }
 
 /* The word of the largest confidence not above a finite number, with the smallest shift. */
-static uint32_t word_by_the_text(uint32_t binary32)
+static uint32_t expected_alpha_word(uint32_t binary32)
 {
     float value;
     memcpy(&value, &binary32, sizeof value);
@@ -57,8 +59,9 @@ static uint32_t word_by_the_text(uint32_t binary32)
 
 /* ---- Decoders ---- */
 
-/* What a kind's decoder says, and whether it read every member, or nothing on failure. */
-static mcp_asdf_frame_status_t decode(int kind, const mcp_asdf_frame_t *frame)
+/* Decode a frame as one of this kind, and return the status. Checks that all members were read, or after an
+ * error none was written. */
+static mcp_asdf_frame_status_t decode_and_check_members(int kind, const mcp_asdf_frame_t *frame)
 {
     union {
         mcp_asdf_estimate_t estimate;
@@ -68,25 +71,25 @@ static mcp_asdf_frame_status_t decode(int kind, const mcp_asdf_frame_t *frame)
     memset(&message, 0xA5, sizeof message);
     before = message;
     const mcp_asdf_frame_status_t status =
-        kind == 0 ? mcp_asdf_decode_estimate(&message.estimate, subjects[0], frame)
-                  : mcp_asdf_decode_command(&message.command, subjects[1], frame);
+        kind == ESTIMATE ? mcp_asdf_decode_estimate(&message.estimate, subjects[ESTIMATE], frame)
+                         : mcp_asdf_decode_command(&message.command, subjects[COMMAND], frame);
     const uint32_t node = frame->id % 128, transfer_id = frame->data[7] % 32;
     if (status != MCP_ASDF_FRAME_OK) {
         CHECK(memcmp(&message, &before, sizeof message) == 0);
-    } else if (kind == 0) {
+    } else if (kind == ESTIMATE) {
         CHECK(message.estimate.node == node && message.estimate.transfer_id == transfer_id);
-        CHECK_EQUAL(message.estimate.x_hat, number(frame->data, 3));
-        CHECK_EQUAL(message.estimate.alpha, word_by_the_text((uint32_t)number(frame->data + 3, 4)));
+        CHECK_EQUAL(message.estimate.x_hat, read_number(frame->data, 3));
+        CHECK_EQUAL(message.estimate.alpha, expected_alpha_word((uint32_t)read_number(frame->data + 3, 4)));
     } else {
         CHECK(message.command.node == node && message.command.transfer_id == transfer_id);
         CHECK(message.command.target == frame->data[4] && message.command.action == frame->data[5]);
-        CHECK_EQUAL(message.command.tick, number(frame->data, 4));
+        CHECK_EQUAL(message.command.tick, read_number(frame->data, 4));
     }
     return status;
 }
 
-/* The status by the text of docs/frame.md, for the envelope, in the order of the header. */
-static mcp_asdf_frame_status_t envelope_by_the_text(const mcp_asdf_frame_t *frame, uint32_t subject)
+/* Status of a frame by docs/frame.md, whatever its content: the first error in the order of the header. */
+static mcp_asdf_frame_status_t expected_envelope_status(const mcp_asdf_frame_t *frame, uint32_t subject)
 {
     const uint32_t id = frame->id;
     if (frame->flags / 4 % 2 == 1)
@@ -110,50 +113,65 @@ static mcp_asdf_frame_status_t envelope_by_the_text(const mcp_asdf_frame_t *fram
     return frame->data[7] / 32 == 7 ? MCP_ASDF_FRAME_OK : MCP_ASDF_FRAME_ERR_MULTI_FRAME;
 }
 
-static mcp_asdf_frame_status_t by_the_text(int kind, const mcp_asdf_frame_t *frame)
+/* Status of a frame of this kind by docs/frame.md. */
+static mcp_asdf_frame_status_t expected_status(int kind, const mcp_asdf_frame_t *frame)
 {
-    const mcp_asdf_frame_status_t envelope = envelope_by_the_text(frame, subjects[kind]);
+    const mcp_asdf_frame_status_t envelope = expected_envelope_status(frame, subjects[kind]);
     const uint8_t *const data = frame->data;
     if (envelope != MCP_ASDF_FRAME_OK) {
         return envelope;
     }
-    if (kind == 0) { /* the exponent of a finite number is below 255; the sign is the highest bit */
-        if (number(data, 3) > 8388608)
+    if (kind == ESTIMATE) { /* the exponent of a finite number is below 255; the sign is the highest bit */
+        if (read_number(data, 3) > 8388608)
             return MCP_ASDF_FRAME_ERR_X_HAT;
-        return number(data + 3, 4) / 8388608 < 255 ? MCP_ASDF_FRAME_OK : MCP_ASDF_FRAME_ERR_ALPHA;
+        return read_number(data + 3, 4) / 8388608 < 255 ? MCP_ASDF_FRAME_OK : MCP_ASDF_FRAME_ERR_ALPHA;
     }
     if (data[4] >= 128 && data[4] < 255)
         return MCP_ASDF_FRAME_ERR_TARGET;
     return data[5] <= 3 ? MCP_ASDF_FRAME_OK : MCP_ASDF_FRAME_ERR_ACTION;
 }
 
-static void agrees(const mcp_asdf_frame_t *frame)
+/* Check that both decoders return what docs/frame.md says. */
+static void check_decoders(const mcp_asdf_frame_t *frame)
 {
-    for (int kind = 0; kind < KINDS; ++kind) {
-        GIVEN(kind, frame->id, number(frame->data, 8));
-        CHECK_EQUAL(-decode(kind, frame), -by_the_text(kind, frame));
+    for (int kind = 0; kind < KIND_COUNT; ++kind) {
+        GIVEN(kind, frame->id, read_number(frame->data, 8));
+        CHECK_EQUAL(-decode_and_check_members(kind, frame), -expected_status(kind, frame));
     }
 }
 
-/* Every bit of an identifier, every value of every byte. */
-static void each_part_of_a_legal_frame(void)
+static void decoders_check_every_bit_of_the_identifier(void)
 {
-    for (int kind = 0; kind < KINDS; ++kind) {
+    for (int kind = 0; kind < KIND_COUNT; ++kind) {
         for (int bit = 0; bit < 32; ++bit) {
-            mcp_asdf_frame_t frame = legal(kind);
+            mcp_asdf_frame_t frame = valid_frame(kind);
             frame.id ^= UINT32_C(1) << bit;
-            agrees(&frame);
+            check_decoders(&frame);
         }
+    }
+}
+
+static void decoders_check_flags_and_length(void)
+{
+    for (int kind = 0; kind < KIND_COUNT; ++kind) {
         for (int value = 0; value < 256; ++value) {
-            mcp_asdf_frame_t flagged = legal(kind), sized = flagged;
+            mcp_asdf_frame_t flagged = valid_frame(kind), sized = valid_frame(kind);
             flagged.flags = (uint8_t)value;
             sized.length = (uint8_t)value;
-            agrees(&flagged);
-            agrees(&sized);
-            for (int at = 0; at < 8; ++at) {
-                mcp_asdf_frame_t frame = legal(kind);
-                frame.data[at] = (uint8_t)value;
-                agrees(&frame);
+            check_decoders(&flagged);
+            check_decoders(&sized);
+        }
+    }
+}
+
+static void decoders_read_or_refuse_every_value_of_each_byte(void)
+{
+    for (int kind = 0; kind < KIND_COUNT; ++kind) {
+        for (int value = 0; value < 256; ++value) {
+            for (int index = 0; index < 8; ++index) {
+                mcp_asdf_frame_t frame = valid_frame(kind);
+                frame.data[index] = (uint8_t)value;
+                check_decoders(&frame);
             }
         }
     }
@@ -161,88 +179,147 @@ static void each_part_of_a_legal_frame(void)
 
 /* Numbers of any kind: one unit, too large for a word, not finite, negative, and beside these. */
 /* design: R16 */
-static void confidences_are_read(void)
+static void decoders_round_any_binary32_number_to_an_alpha_word(void)
 {
     static const uint32_t ends[] = {0x33800000, 0x4F000000, 0x7F800000, 0x80000000};
     for (uint32_t i = 0; i < 100000; ++i) {
-        mcp_asdf_frame_t frame = legal_estimate;
+        mcp_asdf_frame_t frame = valid_estimate;
         const uint32_t binary32 = i % 2 == 0 ? check_random_word() : ends[i / 2 % 4] - 3 + i % 7;
-        for (int at = 0; at < 4; ++at) {
-            frame.data[3 + at] = (uint8_t)(binary32 >> 8 * at);
+        for (int index = 0; index < 4; ++index) {
+            frame.data[3 + index] = (uint8_t)(binary32 >> 8 * index);
         }
-        agrees(&frame);
+        check_decoders(&frame);
     }
 }
 
 /* ---- Encoders ---- */
 
-static uint32_t any(void)
+/* A limit of some member, or a number beside one. */
+static uint32_t random_limit(void)
 {
-    static const uint32_t ends[] = {0,   1,   3,    4,    7,    8,       15,      16,       127,
-                                    128, 255, 3000, 6143, 6144, 8388608, 8388609, 16777200, 16777201};
-    return ends[check_random_word() % COUNT(ends)];
+    static const uint32_t limits[] = {0,   1,   3,    4,    7,    8,       15,      16,       127,
+                                      128, 255, 3000, 6143, 6144, 8388608, 8388609, 16777200, 16777201};
+    return limits[check_random_word() % COUNT(limits)];
 }
 
-/* A frame that was made is that of these bytes; one that was refused is as it was. */
-static void check_frame(const mcp_asdf_frame_t *frame, int status, int expected, uint32_t id, uint64_t data)
+static uint8_t random_byte(void) { return (uint8_t)random_limit(); }
+
+/* A frame before it is encoded, and what the encoder should make of it.
+ *   status   of the encoder; the first error counts
+ *   id       identifier without the subject
+ *   tail     the last byte of the data, in its place */
+typedef struct {
+    mcp_asdf_frame_t frame;
+    mcp_asdf_frame_format_t format;
+    uint8_t node, transfer_id;
+    mcp_asdf_frame_status_t status;
+    uint32_t id;
+    uint64_t tail;
+} encoding_t;
+
+/* An encoding by some node in some format, either of which may be invalid. */
+static encoding_t random_encoding(void)
 {
-    mcp_asdf_frame_t blank;
-    memset(&blank, 0x5A, sizeof blank);
-    CHECK_EQUAL(-status, -expected);
-    if (expected == MCP_ASDF_FRAME_OK) {
-        CHECK(frame->id == id && frame->flags == 0 && frame->length == 8);
-        CHECK_EQUAL(number(frame->data, 8), data);
-    } else {
-        CHECK(memcmp(frame, &blank, sizeof blank) == 0);
+    encoding_t encoding = {.format = {(uint16_t)random_limit(), random_byte()},
+                           .node = random_byte(),
+                           .transfer_id = random_byte(),
+                           .status = MCP_ASDF_FRAME_OK};
+    memset(&encoding.frame, 0x5A, sizeof encoding.frame);
+    if (encoding.node > 127) {
+        encoding.status = MCP_ASDF_FRAME_ERR_NODE;
+    } else if (encoding.format.subject > 6143 || encoding.format.priority > 7) {
+        encoding.status = MCP_ASDF_FRAME_ERR_FORMAT;
+    }
+    encoding.id = encoding.format.priority * 67108864U + 6291456U + encoding.node;
+    encoding.tail = (uint64_t)(224 + encoding.transfer_id % 32) << 56;
+    GIVEN(encoding.node, encoding.format.subject, encoding.format.priority);
+    return encoding;
+}
+
+/* Expect an error of a member, unless there is an earlier one. */
+static void expect_error_if(encoding_t *encoding, bool is_invalid, mcp_asdf_frame_status_t error)
+{
+    if (is_invalid && encoding->status == MCP_ASDF_FRAME_OK) {
+        encoding->status = error;
     }
 }
 
-/* The first complaint counts. */
-static void encoders_refuse_or_write_every_member(void)
+/* Check status and frame of an encoder: a frame of these 7 bytes, or after an error the frame as it was. */
+static void check_encoding(const encoding_t *encoding, mcp_asdf_frame_status_t status, uint32_t subject,
+                           uint64_t content)
 {
-    for (uint32_t i = 0; i < 100000; ++i) {
-        const mcp_asdf_frame_format_t format = {(uint16_t)any(), (uint8_t)any()};
-        const uint8_t node = (uint8_t)any(), transfer = (uint8_t)any();
-        const mcp_asdf_estimate_t estimate = {node, transfer, any(), check_random_word()};
-        const mcp_asdf_heartbeat_t beat = {node,           transfer,       (uint8_t)any(),
-                                           (uint8_t)any(), (uint8_t)any(), check_random_word()};
-        const mcp_asdf_telemetry_t telemetry = {node, transfer, (uint8_t)any(), any(), any()};
-        const int of_node = node > 127 ? MCP_ASDF_FRAME_ERR_NODE : MCP_ASDF_FRAME_OK;
-        const int of_priority = format.priority > 7 && of_node == 0 ? MCP_ASDF_FRAME_ERR_FORMAT : of_node;
-        const int of_format = format.subject > 6143 && of_node == 0 ? MCP_ASDF_FRAME_ERR_FORMAT : of_priority;
-        const uint32_t id = format.priority * 67108864U + 6291456U + node;
-        const uint64_t tail = (uint64_t)(224 + transfer % 32) << 56, one = 1;
-        mcp_asdf_frame_t made[3];
-        memset(made, 0x5A, sizeof made);
-        GIVEN(i, node, format.subject);
-        check_frame(&made[0], mcp_asdf_encode_estimate(&made[0], &format, &estimate),
-                    of_format != 0             ? of_format
-                    : estimate.x_hat > 8388608 ? MCP_ASDF_FRAME_ERR_X_HAT
-                                               : MCP_ASDF_FRAME_OK,
-                    id + format.subject * 256U,
-                    tail + estimate.x_hat + (one << 24) * binary32_by_the_text(estimate.alpha));
-        check_frame(&made[1], mcp_asdf_encode_heartbeat(&made[1], format.priority, &beat),
-                    of_priority != 0  ? of_priority
-                    : beat.health > 3 ? MCP_ASDF_FRAME_ERR_HEALTH
-                    : beat.mode > 3   ? MCP_ASDF_FRAME_ERR_MODE
-                                      : MCP_ASDF_FRAME_OK,
-                    id + 7509U * 256U,
-                    tail + beat.uptime + (one << 32) * beat.health + (one << 40) * beat.mode +
-                        (one << 48) * beat.vendor_status);
-        check_frame(&made[2], mcp_asdf_encode_telemetry(&made[2], &format, &telemetry),
-                    of_format != 0                                       ? of_format
-                    : telemetry.x > 8388608                              ? MCP_ASDF_FRAME_ERR_X
-                    : telemetry.b_hat < 16 || telemetry.b_hat > 16777200 ? MCP_ASDF_FRAME_ERR_B_HAT
-                                                                         : MCP_ASDF_FRAME_OK,
-                    id + format.subject * 256U,
-                    tail + telemetry.x + (one << 24) * telemetry.b_hat + (one << 48) * telemetry.updates);
+    mcp_asdf_frame_t unchanged;
+    memset(&unchanged, 0x5A, sizeof unchanged);
+    CHECK_EQUAL(-status, -encoding->status);
+    if (encoding->status == MCP_ASDF_FRAME_OK) {
+        CHECK_EQUAL(encoding->frame.id, encoding->id + subject * 256U);
+        CHECK(encoding->frame.flags == 0 && encoding->frame.length == 8);
+        CHECK_EQUAL(read_number(encoding->frame.data, 8), content + encoding->tail);
+    } else {
+        CHECK(memcmp(&encoding->frame, &unchanged, sizeof unchanged) == 0);
+    }
+}
+
+#define ENCODINGS 100000
+
+static void estimates_are_written_or_refused(void)
+{
+    for (uint32_t i = 0; i < ENCODINGS; ++i) {
+        encoding_t encoding = random_encoding();
+        const mcp_asdf_estimate_t estimate = {encoding.node, encoding.transfer_id, random_limit(),
+                                              check_random_word()};
+        expect_error_if(&encoding, estimate.x_hat > 8388608, MCP_ASDF_FRAME_ERR_X_HAT);
+        const mcp_asdf_frame_status_t status =
+            mcp_asdf_encode_estimate(&encoding.frame, &encoding.format, &estimate);
+        const uint64_t alpha = expected_binary32(estimate.alpha);
+        check_encoding(&encoding, status, encoding.format.subject, estimate.x_hat + (alpha << 24));
+    }
+}
+
+static void heartbeats_are_written_or_refused(void)
+{
+    for (uint32_t i = 0; i < ENCODINGS; ++i) {
+        encoding_t encoding = random_encoding();
+        const mcp_asdf_heartbeat_t heartbeat = {encoding.node, encoding.transfer_id, random_byte(),
+                                                random_byte(), random_byte(),        check_random_word()};
+        if (encoding.node <= 127 && encoding.format.priority <= 7) {
+            encoding.status = MCP_ASDF_FRAME_OK; /* the subject is fixed, and not that of the format */
+        }
+        expect_error_if(&encoding, heartbeat.health > 3, MCP_ASDF_FRAME_ERR_HEALTH);
+        expect_error_if(&encoding, heartbeat.mode > 3, MCP_ASDF_FRAME_ERR_MODE);
+        const mcp_asdf_frame_status_t status =
+            mcp_asdf_encode_heartbeat(&encoding.frame, encoding.format.priority, &heartbeat);
+        const uint64_t health = heartbeat.health, mode = heartbeat.mode, vendor = heartbeat.vendor_status;
+        check_encoding(&encoding, status, 7509,
+                       heartbeat.uptime + (health << 32) + (mode << 40) + (vendor << 48));
+    }
+}
+
+static void telemetry_is_written_or_refused(void)
+{
+    for (uint32_t i = 0; i < ENCODINGS; ++i) {
+        encoding_t encoding = random_encoding();
+        const mcp_asdf_telemetry_t telemetry = {encoding.node, encoding.transfer_id, random_byte(),
+                                                random_limit(), random_limit()};
+        expect_error_if(&encoding, telemetry.x > 8388608, MCP_ASDF_FRAME_ERR_X);
+        expect_error_if(&encoding, telemetry.b_hat < 16 || telemetry.b_hat > 16777200,
+                        MCP_ASDF_FRAME_ERR_B_HAT);
+        const mcp_asdf_frame_status_t status =
+            mcp_asdf_encode_telemetry(&encoding.frame, &encoding.format, &telemetry);
+        const uint64_t b_hat = telemetry.b_hat, updates = telemetry.updates;
+        check_encoding(&encoding, status, encoding.format.subject,
+                       telemetry.x + (b_hat << 24) + (updates << 48));
     }
 }
 
 int main(void)
 {
-    each_part_of_a_legal_frame();
-    confidences_are_read();
-    encoders_refuse_or_write_every_member();
+    decoders_check_every_bit_of_the_identifier();
+    decoders_check_flags_and_length();
+    decoders_read_or_refuse_every_value_of_each_byte();
+    decoders_round_any_binary32_number_to_an_alpha_word();
+    estimates_are_written_or_refused();
+    heartbeats_are_written_or_refused();
+    telemetry_is_written_or_refused();
     return check_report();
 }

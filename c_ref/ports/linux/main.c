@@ -156,7 +156,7 @@ static void set_up_bus(run_t *run)
     run->bus.group.hop_limit = (int)options->hop_limit;
     run->bus.receive_buffer = (int)options->receive_buffer;
     run->bus.subjects[0] = node->estimate_format.subject;
-    /* Commands are received in lockstep only. */
+    /* Commands are received in lockstep only; else both subjects are the same. */
     run->bus.subjects[1] = (node->lockstep ? node->command_format : node->estimate_format).subject;
     open_bus(&run->bus);
 }
