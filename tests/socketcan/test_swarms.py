@@ -18,7 +18,7 @@ from targets.c_node import PLAIN, CNode, built, content
 pytestmark = pytest.mark.socketcan
 
 
-PERIODS = ("--filter-period", "4", "--set", "telemetry-period=4")
+PERIODS = ("--filter-period", "4", "--telemetry-period", "4")
 FAULTS = ("--fault=loss=0.2", "--fault=delay=0.2", "--fault=corrupt=0.1", "--fault=liar=0.1")
 SWARM = ("swarm", "--robots", "20", "--steps", "5", *PERIODS, *FAULTS, "--quiet")
 

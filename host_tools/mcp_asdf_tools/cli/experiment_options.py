@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from mcp_asdf_tools.cli.parameter_options import add_parameters, settings_from
+from mcp_asdf_tools.cli.parameter_options import add_common_parameters, add_further_parameters, settings_from
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import read_experiments
@@ -24,9 +24,10 @@ def add_run(parser: argparse.ArgumentParser, output: str) -> None:
     parser.add_argument("--output", metavar="FILE", type=Path, help=output)
     record = "also keep every robot's values, every STEPS steps (default: only the scores)"
     parser.add_argument("--record", metavar="STEPS", type=int, default=0, help=record)
-    add_parameters(parser, Experiment, "experiment (values replace those of FILE)")
-    add_limits(parser)
     add_workers(parser)
+    add_common_parameters(parser, Experiment, "experiment (values replace those of FILE)")
+    add_limits(parser)
+    add_further_parameters(parser, Experiment)
 
 
 def experiments_of(args: argparse.Namespace) -> list[Experiment]:

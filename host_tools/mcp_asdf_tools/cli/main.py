@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import Protocol, cast
 
 from mcp_asdf_tools.cli.failures import report_failure
-from mcp_asdf_tools.cli.parsing import HelpAll, Parser
+from mcp_asdf_tools.cli.parsing import Parser
 from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.signals import INTERRUPTED, interruptible, stopping
@@ -137,9 +137,8 @@ def _load(name: str) -> Command:
 
 def _parser_for(name: str, command: Command) -> Parser:
     parser = Parser(f"{PROGRAM} {name}", COMMANDS[name], command.EPILOG)
-    parser.add_argument("--help-all", action=HelpAll, nargs=0, help="show all options and exit")
-    command.add_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, for machines")
+    command.add_arguments(parser)
     return parser
 
 

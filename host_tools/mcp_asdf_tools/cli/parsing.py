@@ -1,65 +1,45 @@
-"""Parser of a command line: a short help and a full one, and errors that offer what was probably meant."""
+"""Parser of a command line: its errors offer what was probably meant, and its usage line is short."""
 
 from __future__ import annotations
 
 import argparse
-import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
 from mcp_asdf_tools.common.errors import UsageError, offer
 
-_FEW, _FIRST = 4, 5
-"""Options that are not worth hiding; examples of a short help."""
-
 
 class Parser(argparse.ArgumentParser):
-    """ArgumentParser of a command. ``--help`` shows some examples and their options."""
+    """ArgumentParser of one command, which raises UsageError where argparse's own ends the program."""
 
     def __init__(self, prog: str, description: str, epilog: str | None = None) -> None:
-        raw = argparse.RawDescriptionHelpFormatter
-        super().__init__(prog, None, description, epilog, formatter_class=raw, allow_abbrev=False)
+        super().__init__(
+            prog=prog,
+            description=description,
+            epilog=epilog,
+            formatter_class=_HelpFormatter,
+            allow_abbrev=False,
+        )
 
     def parsed(self, words: Sequence[str]) -> argparse.Namespace:
-        """The options; what was typed is in ``command_line``, program first."""
-        found, unknown = self.parse_known_args(words)
-        if unknown:
-            first = next((word for word in unknown if word.startswith("-")), unknown[0])
-            options = [option for action in self._actions for option in action.option_strings]
-            kind = "option" if first.startswith("-") else "argument"
-            self.error(f"no such {kind}: {first}{offer(first.partition('=')[0], options)}")
-        found.command_line = [self.prog, *words]
-        return found
+        """Parse the words behind the command's name, and return the values of its options and arguments.
 
-    def format_help(self) -> str:
-        """What ``--help`` shows."""
-        lines = (self.epilog or "").splitlines()
-        more = [line for line in lines if line.startswith(f"  {self.prog} ")][_FIRST:]
-        epilog = "\n".join(line for line in lines if line not in more)
-        words = set(re.findall(r"--?[a-z][a-z-]*", epilog)) | {"--help", "--help-all", "--json"}
-        shown = [
-            each
-            for each in self._actions
-            if each.required or not each.option_strings or words & {*each.option_strings}
-        ]
-        hidden = len(self._actions) - len(shown)
-        if hidden < _FEW:
-            return super().format_help()
-        formatter = self._get_formatter()
-        formatter.add_usage(None, [each for each in shown if not each.option_strings], [])
-        formatter.add_text(self.description)
-        for group in self._action_groups:
-            own = [each for each in group._group_actions if each in shown]
-            formatter.start_section(group.title)
-            formatter.add_text(group.description if own else None)
-            formatter.add_arguments(own)
-            formatter.end_section()
-        formatter.add_text(f"{hidden} options more, and examples: {self.prog} --help-all")
-        formatter.add_text(epilog)
-        return formatter.format_help().replace(self.prog, f"{self.prog} [OPTION ...]", 1)
+        The attribute ``command_line`` of the result is what the user typed, with the program's name in front.
+        Raises UsageError, with the nearest option's name, for a word that belongs to no option.
+        """
+        args, unknown_words = self.parse_known_args(words)
+        if unknown_words:
+            # An unknown option explains the words that follow it, so it is the one to report.
+            unknown_options = [word for word in unknown_words if word.startswith("-")]
+            first = (unknown_options or unknown_words)[0]
+            kind = "option" if unknown_options else "argument"
+            options = [option for action in self._actions for option in action.option_strings]
+            self.error(f"no such {kind}: {first}{offer(first.partition('=')[0], options)}")
+        args.command_line = [self.prog, *words]
+        return args
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Offer the nearest choice; argparse's own message has none."""
+        """Raise ArgumentError, with the nearest choice, for a value that is none of an option's choices."""
         if action.choices is not None and value not in action.choices:
             known = ", ".join(map(str, action.choices))
             raise argparse.ArgumentError(
@@ -71,10 +51,25 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(message)
 
 
-class HelpAll(argparse.Action):
-    """Print the whole help, and end the program."""
+class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Formatter whose usage line names only what a command cannot do without.
 
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        """Find ``--help-all``."""
-        print(argparse.ArgumentParser.format_help(parser), end="")
-        parser.exit()
+    All other options are ``[OPTION ...]`` there: swarm has so many that they would fill a screen.
+    """
+
+    def add_usage(
+        self,
+        usage: str | None,
+        actions: Iterable[argparse.Action],
+        groups: Iterable[argparse._MutuallyExclusiveGroup],
+        prefix: str | None = None,
+    ) -> None:
+        """Add the usage line of a parser with these actions and mutually exclusive groups."""
+        alternatives = [action for group in groups if group.required for action in group._group_actions]
+        needed = [
+            action
+            for action in actions
+            if action.required or not action.option_strings or action in alternatives
+        ]
+        other_options = argparse.Action([], "options", metavar="[OPTION ...]")
+        super().add_usage(usage, [other_options, *needed], groups, prefix)

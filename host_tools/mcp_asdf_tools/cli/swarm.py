@@ -45,7 +45,7 @@ examples:
   mcp-asdf swarm --filter none                      # the same without the filter
   mcp-asdf swarm --topology dynamic --flawed 50% --filter robust --compare   # with other filters, too
   mcp-asdf swarm --topology dynamic --view          # in a browser, as it goes
-  mcp-asdf swarm --flawed 0.5 --set omega=0.1 --seed 7 --log run.log --json
+  mcp-asdf swarm --flawed 0.5 --omega 0.1 --seed 7 --log run.log --json
   mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
   mcp-asdf swarm --slcan 20000                      # others join at socket://127.0.0.1:20000
   mcp-asdf swarm --fault loss=0.5 --fault liar,robots=3,x=1,alpha=1e6

@@ -11,7 +11,6 @@ from mcp_asdf_tools.bus import interfaces
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.cli import parameter_options, view
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.parameters import Parameter, parameters_of
 from mcp_asdf_tools.recording.frame_logs import add_log_option
 from mcp_asdf_tools.robots.clock import ClockKind
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -23,24 +22,15 @@ PACE = 500.0
 """Steps a second with ``--view``, unless another number is given."""
 
 _DEFAULTS = SwarmSettings()
-_OPTIONS = (
-    *("robots", "topology", "graph", "fill_ratio", "sensor", "density", "steps_per_second", "steps", "seed"),
-    *("flawed", "filter", "filter_period", "firmware"),
-)
-"""Parameters that have options of their own; ``--set`` has all others."""
-_FRAMES = (
-    Parameter("subject", int, (), _DEFAULTS.frames.subject, "Cyphal subject of estimates", 0, 6143),
-    Parameter("priority", int, (), _DEFAULTS.frames.priority, "priority of estimates, 0 (first) to 7", 0, 7),
-)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parameter_options.add_parameters(parser, SwarmSettings, "swarm and world", _OPTIONS)
-    others = [each for name, each in parameters_of(SwarmSettings).items() if name not in _OPTIONS]
-    parameter_options.add_set(parser, (*others, *_FRAMES))
+    parameter_options.add_common_parameters(parser, SwarmSettings, "swarm and world")
     _add_faults(parser)
     _add_bus_and_output(parser)
+    parameter_options.add_further_parameters(parser, SwarmSettings)
+    _add_frame_options(parser)
 
 
 def _add_faults(parser: argparse.ArgumentParser) -> None:
@@ -72,17 +62,18 @@ def _add_faults(parser: argparse.ArgumentParser) -> None:
 
 def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
     interfaces.add_arguments(parser)
-    parser.add_argument(
+    elsewhere = parser.add_argument_group("robots and programs elsewhere")
+    elsewhere.add_argument(
         "--slcan",
         metavar="PORT",
         type=int,
         help="let other programs join the bus as an slcan adapter at this TCP port (0: any free one)",
     )
-    elsewhere = parser.add_mutually_exclusive_group()
-    elsewhere.add_argument(
+    remote_robots = elsewhere.add_mutually_exclusive_group()
+    remote_robots.add_argument(
         "--processes", action="store_true", help="run each robot as a process with a connection of its own"
     )
-    elsewhere.add_argument(
+    remote_robots.add_argument(
         "--device",
         metavar="ID=INTERFACE:CHANNEL",
         action="append",
@@ -106,11 +97,35 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_frame_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the format of estimates."""
+    default_format = _DEFAULTS.frames
+    group = parser.add_argument_group("frames")
+    group.add_argument(
+        "--subject",
+        type=int,
+        metavar="N",
+        default=default_format.subject,
+        help="Cyphal subject of estimates, 0 to 6143 (default %(default)s)",
+    )
+    group.add_argument(
+        "--priority",
+        type=int,
+        metavar="N",
+        default=default_format.priority,
+        help="priority of estimates, 0 (first) to 7 (default %(default)s)",
+    )
+
+
 def settings_of(args: argparse.Namespace) -> SwarmSettings:
     """Settings from parsed arguments. Raises UsageError for a value out of range."""
-    frames = FrameFormat(*(getattr(args, each.name, each.default) for each in _FRAMES))
-    own = {"frames": frames, "faults": args.faults, "clock": args.clock}
-    return parameter_options.settings_from(args, SwarmSettings, **own)
+    return parameter_options.settings_from(
+        args,
+        SwarmSettings,
+        frames=FrameFormat(args.subject, args.priority),
+        faults=args.faults,
+        clock=args.clock,
+    )
 
 
 def wiring_of(args: argparse.Namespace, settings: SwarmSettings, choice: interfaces.BusChoice) -> Wiring:

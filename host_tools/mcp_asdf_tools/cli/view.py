@@ -40,7 +40,7 @@ extra; {install_instruction("view")}
 exit code: 0 done, 1 the bus failed, 2 bad usage, 130 interrupted"""
 
 _NAP = 0.2
-_NO_TELEMETRY = "no robot sent telemetry, which has x and b_hat: see mcp-asdf swarm --set telemetry-period=1"
+_NO_TELEMETRY = "no robot sent telemetry, which has x and b_hat: see mcp-asdf swarm --telemetry-period 1"
 _RESULTS = (".parquet", ".pq")
 
 

@@ -34,7 +34,7 @@ def test_it_prints_what_the_robots_broadcast(tmp_path: Path) -> None:
     log, wanted = tmp_path / "run.log", ["sub", "3000:mcp_asdf_messages.estimate"]
     assert " ".join(["yakut", *wanted]) in PAGE
     running = f"--robots {ROBOTS} --steps 100000000 --clock real-time --steps-per-second 200"
-    settings = "--set comms-period=20 --filter-period 1000"
+    settings = "--comms-period 20 --filter-period 1000"
     command = f"{require('mcp-asdf')} swarm {running} {settings} --slcan 0 --log {log}"
     quiet, told = subprocess.DEVNULL, subprocess.PIPE
     with interruptible():

@@ -84,8 +84,8 @@ def test_every_format_is_reproduced(
     [
         "--firmware mirror",
         "--firmware reference",
-        "--set comms-period=5",
-        "--filter none --set subject=9",
+        "--comms-period 5",
+        "--filter none --subject 9",
         "--filter robust",
         "--filter robust --firmware mirror --topology dynamic --density 2",
     ],
@@ -106,7 +106,7 @@ FAULTS = " ".join(f"--fault {kind.name}=0.3{NEEDED.get(kind.name, '')}" for kind
 
 @pytest.mark.parametrize(
     "options",
-    ["--seed 1", "--seed 4 --set comms-period=5", "--topology dynamic --density 2 --channel 'bus{robot}'"],
+    ["--seed 1", "--seed 4 --comms-period 5", "--topology dynamic --density 2 --channel 'bus{robot}'"],
 )
 def test_what_faults_did_is_no_difference(options: str, tmp_path: Path) -> None:
     """Among so many frames of strangers some equal a broadcast that is still to come."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import signal
 from dataclasses import replace
@@ -19,6 +20,7 @@ from rich.console import Console
 
 from host_tools.swarm.swarms import content, record, small
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.robots.filters import FILTERS
@@ -124,19 +126,25 @@ def test_a_summary_is_a_table_with_bold_names() -> None:
     )
 
 
-def test_parameters_without_an_option_are_listed_and_set(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command("--set", "help") == 0
-    listed = dict(line.split("=", 1) for line in capsys.readouterr().out.splitlines())
-    assert listed["drift"] == "none,linear\thow the true accuracy changes (default none)"
-    assert listed["allow"] == "\tids whose estimates robots take, such as 0-19+30; any if not given"
-    values = {"latency": 1, "omega": 0.125, "flawed-accuracy": 0.5, "activation": "always"}
-    assert values.keys() | {"subject", "priority", "telemetry-period"} <= listed.keys()
-    del values["omega"]
-    words = [f"--set={name.replace('-', '_')}={value}" for name, value in values.items()]
-    assert command("--json", *words, "--set", "priority=6") == 0
+def test_swarm_has_an_option_for_every_parameter(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command("--help") == 0
+    options = re.findall(r"^  (--[a-z-]+)", capsys.readouterr().out, re.MULTILINE)
+    assert {f"--{name.replace('_', '-')}" for name in parameters_of(SwarmSettings)} <= set(options)
+
+
+def test_swarm_reports_the_parameters_that_its_options_set(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command("--latency", "1", "--flawed-accuracy", "0.5", "--activation=always", "--json") == 0
     parameters = json.loads(capsys.readouterr().out)["parameters"]
-    assert {name: parameters[name.replace("-", "_")] for name in values} == values
-    assert parameters["frames"] == {"subject": 3000, "priority": 6}
+    assert parameters["latency"] == 1
+    assert parameters["flawed_accuracy"] == 0.5
+    assert parameters["activation"] == "always"
+
+
+def test_swarm_sends_estimates_in_the_format_that_its_options_set(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert command("--subject", "17", "--priority", "6", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["parameters"]["frames"] == {"subject": 17, "priority": 6}
 
 
 def test_a_free_port_is_told_beside_the_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -158,13 +166,13 @@ DEVICE, MULTICAST = "--device 1=virtual:a --channel v{robot}", "--processes --in
 BAD = {
     "--robots 127 --slcan 0": "with --slcan take at most 126",
     "--slcan 0 --channel vcan{robot}": "--slcan needs one bus for all",
-    "--set radio-range=1": "--set radio-range is 1.0 but robots do not move; choose topology dynamic",
-    "--set subject=6144": "subject is 6144",
-    "--set latency": "'latency': no value; --set help lists all names",
-    "--set omga=0.1": "no parameter is called 'omga'; did you mean omega?; --set help lists all names",
-    "--set robots=3": "no parameter is called 'robots'",
-    "--set latency=one": "'latency=one': give a whole number",
-    "--set speed=fast": "'speed=fast': give a number",
+    "--radio-range 1": "--radio-range is 1.0 but robots do not move; choose topology dynamic",
+    "--subject 6144": "subject is 6144",
+    "--latency": "argument --latency: expected one argument",
+    "--omga=0.1": "no such option: --omga=0.1; did you mean --omega?",
+    "--latency one": "argument --latency: invalid int value: 'one'",
+    "--speed fast": "argument --speed: invalid float value: 'fast'",
+    "--set omega=0.1": "no such option: --set",
     f"{MULTICAST} --compare": "but robots elsewhere run once; leave it out",
     "--log no/such/folder/run.log": "cannot write no/such/folder/run.log: its folder does not exist",
     "--interface nonsense": "nonsense",
@@ -176,13 +184,13 @@ BAD = {
     "--device one=virtual:a": "device is 'one=virtual",
     "--device 1=virtual:a": "robots here and elsewhere need a bus each: write {robot}",
     f"{DEVICE} --device 1=virtual:b": "two devices are one robot",
-    f"{DEVICE} --set subject=3002": "choose three different ones",
+    f"{DEVICE} --subject 3002": "choose three different ones",
     f"{DEVICE} --robots 127": "at most 126, since id 126 commands",
     f"{DEVICE} --device 7=virtual:a": "robot 7 is to run elsewhere, but ids are 0 to 3",
     f"{DEVICE} --fault crash,robots=1+2": "cannot affect robots that run elsewhere",
     "--device 1=slcan:socket://127.0.0.1:1 --channel v{robot}": "cannot open the bus slcan socket://127.0.0.1",
     f"{MULTICAST} --fault loss": "for faults, latency or a topology write {robot}",
-    f"{MULTICAST} --set latency=1": "for faults, latency or a topology write {robot}",
+    f"{MULTICAST} --latency 1": "for faults, latency or a topology write {robot}",
     f"{MULTICAST} --topology dynamic": "for faults, latency or a topology write {robot}",
 }
 
@@ -295,7 +303,7 @@ def test_the_other_runs_are_the_same_swarm_with_other_filters(
 
 
 def test_a_comparison_without_flawed_robots_has_errors_alone(capsys: pytest.CaptureFixture[str]) -> None:
-    options = ("--set", "omega=0.1", "--flawed", "0", "--compare", "--steps", "100")
+    options = ("--omega", "0.1", "--flawed", "0", "--compare", "--steps", "100")
     assert main([*COMPARED, *options, "--quiet"]) == 0
     assert "flawed" not in capsys.readouterr().out.splitlines()[-1]
     assert main([*COMPARED, *options, "--json"]) == 0
@@ -304,7 +312,7 @@ def test_a_comparison_without_flawed_robots_has_errors_alone(capsys: pytest.Capt
 
 def test_a_comparison_says_where_no_filter_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
     """As docs/advice.md has it: fully connected and underconfident."""
-    overconfident = "--set true-accuracy=0.55 --set flawed-accuracy=0.9"
+    overconfident = "--true-accuracy 0.55 --flawed-accuracy 0.9"
     for options, needs_none in (("", True), ("--topology dynamic", False), (overconfident, False)):
         assert main([*COMPARED, "--steps", "100", *options.split(), "--compare", "--quiet"]) == 0
         assert ("This swarm needs no filter" in capsys.readouterr().out) == needs_none, options

@@ -160,7 +160,7 @@ def test_processes_end_in_the_same_bits(
     log, other = tmp_path / "run.log", tmp_path / "other.log"
     bus = ["--interface", "udp_multicast", "--channel", "239.74.163.{robot}"]
     bus += ["--bus-kwargs", f"port={UDP_PORT}", "--processes", "--log", str(log)]
-    faults = ("--fault", "loss=0.2", "--fault", "corrupt=0.1", "--filter", filtering, "--set", "allow=0+2")
+    faults = ("--fault", "loss=0.2", "--fault", "corrupt=0.1", "--filter", filtering, "--allow", "0+2")
     assert main([*SMALL, *bus, *faults]) == 0
     elsewhere = json.loads(capsys.readouterr().out)
     assert main([*SMALL, *faults, "--log", str(other)]) == 0

@@ -67,8 +67,7 @@ def filmed(**more: Any) -> Film:
 
 def logged(log: Path, **more: Any) -> Film:
     """The film of the log of the same swarm."""
-    words = [f"{name.replace('_', '-')}={value}" for name, value in (PARAMETERS | more).items()]
-    options = [f"--set={each}" if "drift" in each else f"--{each}" for each in words]
+    options = [f"--{name.replace('_', '-')}={value}" for name, value in (PARAMETERS | more).items()]
     assert main(["swarm", *options, "--log", str(log), "--quiet"]) == 0
     return film_of_log(log)
 

@@ -58,9 +58,8 @@ function commandOf(settings) {
   const topology = everybody ? "fully-connected" : `dynamic --density ${density}`;
   const swarm = `--seed ${seed} --robots ${robots} --topology ${topology} --filter ${filter}`;
   const options = `${swarm} --flawed ${flawedCount} --fill-ratio ${fill} --steps ${job.steps}`;
-  if (job.liars === 0)
-    return `mcp-asdf simulate ${options} --flawed-accuracy ${job.wrong} --true-accuracy ${job.accuracy}`;
-  const accuracies = `--set flawed_accuracy=${job.wrong} --set true_accuracy=${job.accuracy}`;
+  const accuracies = `--flawed-accuracy ${job.wrong} --true-accuracy ${job.accuracy}`;
+  if (job.liars === 0) return `mcp-asdf simulate ${options} ${accuracies}`;
   const fault = `liar,robots=${robots - job.liars}-${robots - 1},x=0,alpha=1e6`;
   return `mcp-asdf swarm ${options} ${accuracies} --fault ${fault}`;
 }
