@@ -150,6 +150,7 @@ class ExpectingConnection:
             frame = self._read_frame(seconds_left)
             if frame is None:
                 break
+            # get() does not add an entry for a frame that nobody expects, of which there may be many.
             indices = pending.get(_identifier_and_data(frame))
             if indices:
                 index = indices.popleft()
@@ -294,6 +295,7 @@ class Carrier:
         """
         unread_frames = self._unread_frames
         self._unread_frames = []
+        # Frames that follow each other on one bus are awaited together; the order of all frames is kept.
         for connection, frames in groupby(unread_frames, self._connection_to_read):
             if connection is None:
                 self._read_frames += frames
@@ -343,6 +345,7 @@ class Carrier:
         expected = [SentFrame(frame, robot, tick) for frame in frames]
         received = robot_connection.receive_expected(expected, self._timeout(tick))
         if len(frames) == _BATCH_SIZE:
+            # The bus returns what the carrier sends there, too: after a full batch its buffer is emptied.
             carrier_connection.discard_echoes()
         return [sent_frame.frame for sent_frame in received]
 
@@ -361,17 +364,19 @@ class Carrier:
 
     def _count_other_frames(self, deliveries: Deliveries, indices: NDArray[np.intp]) -> None:
         """Let each robot count its frames at ``indices``, those that hold no estimate."""
-        content_of_kind: dict[Rejection | type, FrameContent] = {}
-        counts_of_kind: dict[Rejection | type, NDArray[np.int64]] = {}
+        # Robots count frames by kind. Counting all frames of one kind at once is faster in a flood of them.
+        content_by_kind: dict[Rejection | type, FrameContent] = {}
+        indices_by_kind: defaultdict[Rejection | type, list[int]] = defaultdict(list)
         for index in indices.tolist():
             content = decode_frame(deliveries.received_frame(index), self._frame_format)
             kind = content if isinstance(content, Rejection) else type(content)
-            content_of_kind[kind] = content
-            counts_of_kind[kind] = counts_of_kind.get(kind, 0) + deliveries.receivers[index].astype(np.int64)
-        for kind, frame_counts in counts_of_kind.items():
+            content_by_kind[kind] = content
+            indices_by_kind[kind].append(index)
+        for kind, indices_of_kind in indices_by_kind.items():
+            frame_counts = np.count_nonzero(deliveries.receivers[indices_of_kind], axis=0)  # by robot id
             for robot in self._robots.values():
                 if frame_counts[robot.id]:
-                    robot.count(content_of_kind[kind], int(frame_counts[robot.id]))
+                    robot.count(content_by_kind[kind], int(frame_counts[robot.id]))
 
     @property
     def missed_count(self) -> int:

@@ -130,6 +130,7 @@ class DeliveryQueue:
         neighbours = self._current_neighbours()
         in_range = neighbours[:, senders].transpose()  # from (robots, frames) to (frames, robots)
         self.in_range_count += int(np.count_nonzero(in_range))
+        # Faults may delay frames: everything goes through the queue, also what arrives in this tick.
         for deliveries in self._apply_link_faults(arriving_frames, in_range):
             self._pending[tick + deliveries.delay].append(deliveries)
 
@@ -146,13 +147,13 @@ class DeliveryQueue:
         return frames_of_last_tick
 
 
-def _concatenate(parts: Sequence[Deliveries], robot_count: int) -> Deliveries:
+def _concatenate(all_deliveries: Sequence[Deliveries], robot_count: int) -> Deliveries:
     """Return several deliveries as one, in order, without their delays and copy numbers."""
-    # With the empty arrays at the front the result has its shape and type even if there are no parts.
+    # With the empty arrays at the front the result has its shape and type even if nothing is delivered.
     no_receivers = np.zeros((0, robot_count), np.bool_)
     no_bit_flips = np.zeros(0, np.uint64)
     return Deliveries(
-        sent_frames=[sent_frame for part in parts for sent_frame in part.sent_frames],
-        receivers=np.concatenate([no_receivers, *(part.receivers for part in parts)]),
-        bit_flips=np.concatenate([no_bit_flips, *(part.bit_flips for part in parts)]),
+        sent_frames=[sent_frame for deliveries in all_deliveries for sent_frame in deliveries.sent_frames],
+        receivers=np.concatenate([no_receivers, *(deliveries.receivers for deliveries in all_deliveries)]),
+        bit_flips=np.concatenate([no_bit_flips, *(deliveries.bit_flips for deliveries in all_deliveries)]),
     )

@@ -82,9 +82,10 @@ class LiveView:
         """Print a line for each robot that has re-estimated its b_hat in this tick."""
         b_hat_before = self._last_b_hat or swarm.b_hat_at_start
         self._last_b_hat = [node.robot.b_hat for node in swarm.nodes]
-        for robot, (before, after) in enumerate(zip(b_hat_before, self._last_b_hat, strict=True)):
-            if abs(after - before) > _MIN_CHANGE_SHOWN:
-                self._print("robot", robot, "step", swarm.ticks, "b_hat", f"{before:.4f}", f"{after:.4f}")
+        for robot, (old_b_hat, new_b_hat) in enumerate(zip(b_hat_before, self._last_b_hat, strict=True)):
+            if abs(new_b_hat - old_b_hat) > _MIN_CHANGE_SHOWN:
+                b_hat_change = (f"{old_b_hat:.4f}", f"{new_b_hat:.4f}")
+                self._print("robot", robot, "step", swarm.ticks, "b_hat", *b_hat_change)
 
     def _print_mean_errors(self, swarm: Swarm) -> None:
         """Print a line with the present mean errors of the swarm and its baselines."""

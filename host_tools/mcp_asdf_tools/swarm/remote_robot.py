@@ -98,9 +98,9 @@ class RemoteFirmware:
         """Count an observation that the robot was commanded to make."""
         self.t += 1
 
-    def receive_all(self, words: Words) -> int:
+    def receive_all(self, estimates: Words) -> int:
         """Return the number of estimates as that of accepted ones; the robot itself receives them."""
-        return len(words)
+        return len(estimates)
 
     def settle(self) -> None:
         """Do nothing: the robot was commanded to settle."""
@@ -113,7 +113,7 @@ class RemoteFirmware:
         """Keep what the robot's answer to *settle* reveals. Call this in every tick."""
         self.x = telemetry.x / Q23_ONE
         self.b_hat = telemetry.b_hat / 2**24
-        # Telemetry has the lowest 8 bits of the number of updates, which rises by one at most in a tick.
+        # Telemetry has the lowest 8 bits of the number of updates. That suffices as it comes in every tick.
         updates = self.counters.updates
         new_updates = (telemetry.updates - updates) % 256
         self.counters = Counters(updates=updates + new_updates)

@@ -103,6 +103,7 @@ class Swarm:
         self.remote_robots = wiring.remote
         self._external_robot = members.external_robot
 
+        # The world counts robots from 0 by rising id, whatever their ids are.
         records = sorted(members.records, key=lambda record: record.id)
         self._ids = [record.id for record in records]
         self.nodes = [self._create_robot(record) for record in records if record.id != self._external_robot]
@@ -131,7 +132,9 @@ class Swarm:
     def _create_drivers(self, wiring: Wiring, on_frame: FrameTaker | None) -> list[Driver]:
         """Create the drivers of remote robots, one for each bus."""
         remote_nodes = [node for node in self.nodes if node.id in wiring.remote]
-        groups = [remote_nodes] if wiring.is_shared and remote_nodes else [[node] for node in remote_nodes]
+        groups = [[node] for node in remote_nodes]
+        if wiring.is_shared and remote_nodes:
+            groups = [remote_nodes]
         order_matters = self.settings.swarm_filter.order_matters
         drivers = []
         for nodes in groups:
@@ -171,6 +174,7 @@ class Swarm:
         self.faults.begin_tick(self.ticks, self._ids)
         self._alive_nodes = [node for node in self._local_nodes if self._survives(node)]
 
+        # Telemetry has the state before this tick, so that it is made before robots observe.
         reports = list(self._reports())
         estimates = [*self._local_estimates(observations), *self._remote_frames(observations)]
         # To the robust filter the order of estimates matters: by rising id, wherever the robots run.
@@ -255,16 +259,17 @@ class Swarm:
         self, input_log: InputLogWriter, robot: int, frame: can.Message, sent_frame: SentFrame | None
     ) -> None:
         """Record how ``sent_frame``, None if nothing was sent, differs from the robot's own ``frame``."""
-        is_foreign = sent_frame is not None and not sent_frame.is_under_own_id
-        if sent_frame is not None and is_foreign:
+        if sent_frame is not None and sent_frame.is_under_own_id:
+            if sent_frame.is_falsified:
+                estimate = decode_estimate(sent_frame.frame, self.settings.frames)
+                assert isinstance(estimate, Estimate)
+                input_log.robots[robot].falsified(estimate.x_hat, alpha_float32_bits(sent_frame.frame))
+            return
+        # Nothing was sent under the robot's id: in a replay its frame is missing, and another may be extra.
+        if sent_frame is not None:
             input_log.injected(sent_frame.frame)
-        if sent_frame is None or is_foreign:
-            if isinstance(decode_estimate(frame, self.settings.frames), Estimate):
-                input_log.robots[robot].silent()
-        elif sent_frame.is_falsified:
-            estimate = decode_estimate(sent_frame.frame, self.settings.frames)
-            assert isinstance(estimate, Estimate)
-            input_log.robots[robot].falsified(estimate.x_hat, alpha_float32_bits(sent_frame.frame))
+        if isinstance(decode_estimate(frame, self.settings.frames), Estimate):
+            input_log.robots[robot].silent()
 
     def _send_extra_frames(self, *, before_others: bool) -> None:
         """Send the frames that faulty robots send besides their own, before or after those of all robots."""

@@ -112,10 +112,11 @@ class Faults:
         receivers[:, list(self._outages)] = False
         deliveries = [Deliveries(sent_frames, receivers, np.zeros(len(sent_frames), np.uint64))]
         for run in self._runs:
-            changed: list[Deliveries] = []
-            for part in deliveries:
-                changed += run.fault.on_delivery(part, run)
-            deliveries = [part for part in changed if part.receivers.any()]
+            changed_deliveries: list[Deliveries] = []
+            for unchanged in deliveries:
+                changed_deliveries += run.fault.on_delivery(unchanged, run)
+            # Each fault splits what it gets: without this step many of the pieces would soon be empty.
+            deliveries = [changed for changed in changed_deliveries if changed.receivers.any()]
         return deliveries
 
     def figures(self) -> list[dict[str, Any]]:

@@ -45,7 +45,8 @@ class LinkFault(Fault):
         """
         random_words = run.words_for_deliveries(deliveries, 1 + self.extra_words)
         hit_words, extra_words = random_words[:, :, 0], random_words[:, :, 1:]
-        is_frame_active = run.active_frames(deliveries.sent_frames)[:, np.newaxis]
+        # The words of inactive frames are zeros, which would be hits.
+        is_frame_active = run.active_frames(deliveries.sent_frames)[:, np.newaxis]  # for all receivers
         hits = deliveries.receivers & is_frame_active & (hit_words <= hit_threshold(self.rate))
         if self.receivers is not None:
             all_receivers = np.arange(hits.shape[1])
@@ -211,6 +212,7 @@ class Freeze(Fault):
         estimate = decode_estimate(sent_frame.frame, run.frame_format)
         if not isinstance(estimate, Estimate):
             return sent_frame
+        # The memory of a node is its last estimate that was not frozen. The first one has none to repeat.
         last_regular = run.memory.get(sent_frame.sender)
         if last_regular is None or not run.hits_frame(sent_frame):
             run.memory[sent_frame.sender] = estimate
@@ -268,7 +270,7 @@ class Collide(Fault):
         if self.id is None or not run.hits_frame(sent_frame):
             return sent_frame
         frame = copy.copy(sent_frame.frame)
-        frame.arbitration_id = frame.arbitration_id & ~MAX_NODE_ID | self.id
+        frame.arbitration_id = frame.arbitration_id & ~MAX_NODE_ID | self.id  # the lowest seven bits
         return replace(sent_frame, frame=frame)
 
 
@@ -293,6 +295,7 @@ class Babble(Fault):
         if not run.hits_node(node, tick):
             return []
         run.hit_count += self.frames
+        # Of the two words of a node the first has decided on the hit; the second is the frame's content.
         identifier = run.frame_format.identifier(node)
         frames = []
         for repetition in range(self.frames):

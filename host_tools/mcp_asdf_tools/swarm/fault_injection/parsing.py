@@ -20,48 +20,48 @@ _FIELD_OF_OPTION = {option: name for name, option in OPTION_OF_FIELD.items()}
 _COMMON_OPTIONS = ("from", "to", "robots")
 
 
-def parse_fault(text: str) -> Fault:
+def parse_fault(fault_text: str) -> Fault:
     """Read a fault such as ``delay=0.5,ticks=3,from=100,to=500,robots=0+3-5``.
 
     The first item is the kind and its rate (1 if left out); ``robots``, ``receivers`` and ``ids`` take ids
     and ranges of ids, separated by +. Raises UsageError that names the error and the fix.
     """
-    first_item, *items = (item.strip() for item in text.split(","))
+    first_item, *items = (item.strip() for item in fault_text.split(","))
     name, equals_sign, rate = first_item.partition("=")
     if name not in _KINDS_BY_NAME:
         fix = offer(name, _KINDS_BY_NAME) or f"; choose one of {', '.join(_KINDS_BY_NAME)}"
-        raise UsageError(f"fault {text!r}: no kind is called {name!r}{fix}")
+        raise UsageError(f"fault {fault_text!r}: no kind is called {name!r}{fix}")
     kind = _KINDS_BY_NAME[name]
 
     options = [*_COMMON_OPTIONS, *kind.own_options()]
     values: dict[str, Any] = {}
     if equals_sign:
-        values["rate"] = _parse_option(text, kind, "rate", rate)
+        values["rate"] = _parse_option(fault_text, kind, "rate", rate)
     for item in items:
         option, _, value = item.partition("=")
         if option not in options:
             fix = offer(option, options) or f"; its options are {', '.join(options)}"
-            raise UsageError(f"fault {text!r}: {name} has no option {option!r}{fix}")
+            raise UsageError(f"fault {fault_text!r}: {name} has no option {option!r}{fix}")
         field_name = _FIELD_OF_OPTION.get(option, option)
         if field_name in values:
-            raise UsageError(f"fault {text!r}: {option} is given twice; give it once")
-        values[field_name] = _parse_option(text, kind, option, value)
+            raise UsageError(f"fault {fault_text!r}: {option} is given twice; give it once")
+        values[field_name] = _parse_option(fault_text, kind, option, value)
 
     fault = kind(**values)
     fault.check()
     if fault.stop is not None and fault.stop <= fault.start:
-        raise _option_error(text, "to", fault.stop, f"above from, {fault.start}")
+        raise _option_error(fault_text, "to", fault.stop, f"above from, {fault.start}")
     return fault
 
 
-def _parse_option(text: str, kind: type[Fault], option: str, value: str) -> Any:
-    """Return the value of an option of the fault ``text``. Raises UsageError if it is not a legal one."""
+def _parse_option(fault_text: str, kind: type[Fault], option: str, value: str) -> Any:
+    """Return the value of an option of a fault. Raises UsageError if it is not a legal one."""
     declared = parameters_of(kind).get(_FIELD_OF_OPTION.get(option, option))
     if declared is None:  # all options that are no declared parameters are sets of ids
-        return ids_of(value, f"fault {text!r}: {option}")
+        return ids_of(value, f"fault {fault_text!r}: {option}")
     if declared.choices:
         if value not in declared.choices:
-            raise _option_error(text, option, value, " or ".join(declared.choices))
+            raise _option_error(fault_text, option, value, " or ".join(declared.choices))
         return value
     number_type = float if declared.kind is float else int
     limits = f"{declared.least:g} to {declared.most:g}"
@@ -69,12 +69,12 @@ def _parse_option(text: str, kind: type[Fault], option: str, value: str) -> Any:
     try:
         number = number_type(value)
     except ValueError:
-        raise _option_error(text, option, value, requirement) from None
+        raise _option_error(fault_text, option, value, requirement) from None
     if not declared.least <= number <= declared.most:  # also if it is not a number
-        raise _option_error(text, option, value, requirement)
+        raise _option_error(fault_text, option, value, requirement)
     return number
 
 
-def _option_error(text: str, option: str, value: object, requirement: str) -> UsageError:
-    """Return the error for a value that an option of the fault ``text`` cannot have."""
-    return UsageError(f"fault {text!r}: {option} is {value!r}; it must be {requirement}")
+def _option_error(fault_text: str, option: str, value: object, requirement: str) -> UsageError:
+    """Return the error for a value that an option cannot have."""
+    return UsageError(f"fault {fault_text!r}: {option} is {value!r}; it must be {requirement}")

@@ -103,7 +103,7 @@ def choose_bits(bit_counts: NDArray[np.int64], random_words: RandomWords) -> NDA
         The masks of the chosen bits, shape (words,). Where more bits are to be chosen than there are, it has
         all of them. All choices are equally likely up to 2**-52.
     """
-    one = np.uint64(1)
+    lowest_bit = np.uint64(1)
     chosen_bits = np.zeros(len(bit_counts), np.uint64)
     bits_to_choose = random_words.shape[1]
     for turn in range(bits_to_choose):
@@ -111,9 +111,9 @@ def choose_bits(bit_counts: NDArray[np.int64], random_words: RandomWords) -> NDA
         # higher than in the turn before and so cannot have been drawn yet.
         turns_left = bits_to_choose - turn
         top_bit = np.maximum(bit_counts - turns_left, 0).astype(np.uint64)
-        drawn_bit = one << (random_words[:, turn] % (top_bit + one))
+        drawn_bit = lowest_bit << (random_words[:, turn] % (top_bit + lowest_bit))
         is_chosen_already = chosen_bits & drawn_bit
-        new_bit = np.where(is_chosen_already, one << top_bit, drawn_bit)
+        new_bit = np.where(is_chosen_already, lowest_bit << top_bit, drawn_bit)
         has_top_bit = bit_counts >= turns_left
         chosen_bits |= np.where(has_top_bit, new_bit, np.uint64(0))
     return chosen_bits
