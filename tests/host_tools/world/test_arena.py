@@ -93,31 +93,62 @@ def test_the_positions_are_those_after_the_last_tick() -> None:
 # ---------------------------------------------------------------- bodies
 
 
-@pytest.mark.parametrize(("settings", "seed"), [(PAPER, 3), (CROWD, 4), (replace(CROWD, speed=0.8), 5)])
-def test_bodies_are_rigid_stay_inside_and_keep_the_speed_limit(settings: WorldSettings, seed: int) -> None:
-    motion = Arena(settings, seed).record(3000)
-    room = np.array(settings.sides) / 2 - RADIUS
-    assert np.all(np.abs(motion.position) <= room + 1e-6)
-    nearest = np.array([distances(position).min() for position in motion.position[::3]])
-    assert nearest.min() >= 2 * RADIUS - 5e-4
-    if settings is CROWD:  # they do touch, and do not freeze
-        assert (nearest < 2 * RADIUS + 1e-3).sum() > 20
-        assert np.median(np.linalg.norm(motion.position[-1] - motion.position[-600], axis=1)) > 0.1
-    steps = np.linalg.norm(np.diff(motion.position, axis=0), axis=2)
-    assert steps.max() <= settings.speed * TICK * (1 + 1e-9)
+FAST_CROWD = replace(CROWD, speed=0.8)
+
+
+@pytest.fixture(
+    scope="module", params=[(PAPER, 3), (CROWD, 4), (FAST_CROWD, 5)], ids=["paper", "crowd", "fast"]
+)
+def run(request: pytest.FixtureRequest) -> tuple[WorldSettings, Motion]:
+    """The settings of an arena, and its motion in 3000 ticks."""
+    settings, trial = request.param
+    return settings, Arena(settings, trial).record(3000)
+
+
+def nearest_distances(motion: Motion) -> NDArray[np.float64]:
+    """Return the distance of the two nearest centres, in every third tick."""
+    return np.array([distances(position).min() for position in motion.position[::3]])
+
+
+def test_bodies_stay_inside_the_walls(run: tuple[WorldSettings, Motion]) -> None:
+    settings, motion = run
+    assert np.all(np.abs(motion.position) <= np.array(settings.sides) / 2 - RADIUS + 1e-6)
+
+
+def test_bodies_do_not_overlap(run: tuple[WorldSettings, Motion]) -> None:
+    _, motion = run
+    assert nearest_distances(motion).min() >= 2 * RADIUS - 5e-4
+
+
+def test_no_body_is_faster_than_its_wheels(run: tuple[WorldSettings, Motion]) -> None:
+    settings, motion = run
+    distances_in_tick = np.linalg.norm(np.diff(motion.position, axis=0), axis=2)
+    assert distances_in_tick.max() <= settings.speed * TICK * (1 + 1e-9)
+
+
+def test_headings_keep_their_length(run: tuple[WorldSettings, Motion]) -> None:
+    _, motion = run
     assert np.abs(np.linalg.norm(motion.heading, axis=2) - 1).max() < 1e-9
 
 
-# ---------------------------------------------------------------- who hears whom
+def test_robots_in_a_crowd_touch_and_go_on() -> None:
+    motion = Arena(CROWD, 4).record(3000)
+    assert (nearest_distances(motion) < 2 * RADIUS + 1e-3).sum() > 20
+    distances_in_a_minute = np.linalg.norm(motion.position[-1] - motion.position[-600], axis=1)
+    assert np.median(distances_in_a_minute) > 0.1
+
+
+# ---------------------------------------------------------------- links
 
 
 def links_by_definition(position: NDArray[np.float64], settings: WorldSettings) -> NDArray[np.bool_]:
-    """Every pair against every third body, by the distance of its centre from the line between the two."""
+    """Return which pairs are linked: those in range without a third body on the line between them."""
     linked = distances(position) < settings.radio_range
     for i, j in np.argwhere(np.triu(linked)):
-        span = position[j] - position[i]
-        shares = np.clip((position - position[i]) @ span / (span @ span), 0, 1)
-        gaps = np.linalg.norm(position[i] + shares[:, None] * span - position, axis=1)
+        line = position[j] - position[i]
+        shares = np.clip((position - position[i]) @ line / (line @ line), 0, 1)
+        nearest_points = position[i] + shares[:, None] * line
+        gaps = np.linalg.norm(nearest_points - position, axis=1)
         gaps[[i, j]] = np.inf
         linked[i, j] = linked[j, i] = gaps.min() >= RADIUS
     return linked
@@ -127,51 +158,71 @@ def links_by_definition(position: NDArray[np.float64], settings: WorldSettings) 
     "settings", [PAPER, CROWD, moving(128, 6.0, 5.0, speed=0.4), moving(40, 2.0, 2.0, radio_range=0.17)]
 )
 def test_links_are_those_of_the_definition(settings: WorldSettings) -> None:
-    arena, linked, near = Arena(settings, 11), 0, 0
-    for portion in (*itertools.repeat(1, 14), *itertools.repeat(37, 10)):
-        motion = arena.record(portion)
+    """Before and after several searches for candidates, which come every 13 ticks."""
+    arena, link_count = Arena(settings, 11), 0
+    for ticks in (*itertools.repeat(1, 14), *itertools.repeat(37, 10)):
+        motion = arena.record(ticks)
         expected = links_by_definition(motion.position[-1], settings)
-        assert np.array_equal(motion.adjacency[-1], expected), f"seed 11, after {portion} ticks"
-        linked += int(expected.sum())
-        near += int((distances(motion.position[-1]) < settings.radio_range).sum())
-    assert 0 < linked < near * (0.8 if settings is CROWD else 1.1), "a body between does cut links"
+        assert np.array_equal(motion.adjacency[-1], expected)
+        link_count += int(expected.sum())
+    assert link_count > 0
+
+
+def test_bodies_cut_links_in_a_crowd() -> None:
+    motion = Arena(CROWD, 11).record(200)
+    in_range = distances(motion.position[-1]) < CROWD.radio_range
+    assert 0 < motion.adjacency[-1].sum() < 0.8 * in_range.sum()
 
 
 def candidates_by_definition(arena: Arena) -> list[list[int]]:
-    """All pairs that could hear, see or touch each other within 12 ticks, in order."""
+    """Return all pairs that could be linked, or see or touch each other, within 12 ticks, in order."""
     settings = arena.settings
-    limit = max(settings.radio_range, 2 * RADIUS + max(0.12, 2 * settings.speed * TICK))
-    near = distances(arena.positions) < limit + 12 * 2 * settings.speed * TICK
-    pairs: list[list[int]] = np.argwhere(np.triu(near)).tolist()
+    distance = max(settings.radio_range, 2 * RADIUS + max(0.12, 2 * settings.speed * TICK))
+    is_candidate = distances(arena.positions) < distance + 12 * 2 * settings.speed * TICK
+    pairs: list[list[int]] = np.argwhere(np.triu(is_candidate)).tolist()
     return pairs
 
 
+def random_large_arena(density: float, seed: int) -> Arena:
+    """Return an arena of so many robots that candidates are searched in a grid."""
+    rng = np.random.default_rng([round(100 * density), seed])
+    robots, aspect = int(rng.integers(129, 400)), rng.uniform(0.05, 1)
+    side = 0.7 * math.sqrt(robots * math.pi / density / aspect)
+    speed, radio_range = rng.choice([0.1414, 0.6]), rng.choice([0.3, 0.7])
+    return Arena(moving(robots, side, aspect * side, speed=speed, radio_range=radio_range), 1)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("density", [0.02, 0.3, 1.0, 4.0, 10.0])
-def test_the_grid_of_many_robots_finds_the_pairs_of_all_compared(density: float) -> None:
-    rng = np.random.default_rng(round(100 * density))
+def test_the_grid_of_many_robots_finds_the_pairs_of_all_compared(density: float, seed: int) -> None:
+    arena = random_large_arena(density, seed)
     for _ in range(2):
-        robots, aspect = int(rng.integers(129, 400)), rng.uniform(0.05, 1)
-        side = 0.7 * math.sqrt(robots * math.pi / density / aspect)
-        settings = moving(
-            robots, side, aspect * side, speed=rng.choice([0.1414, 0.6]), radio_range=rng.choice([0.3, 0.7])
-        )
-        arena = Arena(settings, 1)
-        for _ in range(2):
-            candidates = arena._arena.candidates[0 : arena._arena.candidate_count]
-            assert [[pair.a, pair.b] for pair in candidates] == candidates_by_definition(arena), settings
-            arena.step(13)  # to the next look
-    motion = arena.record(1)
-    assert np.array_equal(motion.adjacency[-1], links_by_definition(motion.position[-1], settings))
+        candidates = arena._arena.candidates[0 : arena._arena.candidate_count]
+        assert [[pair.a, pair.b] for pair in candidates] == candidates_by_definition(arena), arena.settings
+        arena.step(13)  # to the next search
+
+
+@pytest.mark.parametrize("density", [0.3, 4.0])
+def test_links_of_many_robots_are_those_of_the_definition(density: float) -> None:
+    arena = random_large_arena(density, seed=0)
+    motion = arena.record(27)
+    assert np.array_equal(motion.adjacency[-1], links_by_definition(motion.position[-1], arena.settings))
+
+
+@pytest.mark.parametrize(("size", "allocated"), [(1, 8), (8, 8), (9, 16)])
+def test_memory_is_allocated_in_doubles(size: int, allocated: int) -> None:
+    assert allocate_memory(size).nbytes == allocated
+
+
+def bytes_per_robot(robots: int) -> float:
+    members, _ = make_config(moving(robots), 0, _arena.ffi)
+    config = _arena.ffi.new("mcp_asdf_arena_config_t *", members)
+    return float(_arena.lib.mcp_asdf_arena_bytes(config)) / robots
 
 
 def test_memory_grows_linearly_with_the_robots() -> None:
-    assert [allocate_memory(size).nbytes for size in (1, 8, 9)] == [8, 8, 16]
-    few, many = (
-        _arena.lib.mcp_asdf_arena_bytes(_arena.ffi.new("mcp_asdf_arena_config_t *", values)) / robots
-        for robots in (1000, 10_000)
-        for values in [make_config(moving(robots), 0, _arena.ffi)[0]]
-    )
-    assert 1000 < many < 2000 and few == pytest.approx(many, rel=0.01)
+    assert 1000 < bytes_per_robot(10_000) < 2000
+    assert bytes_per_robot(1000) == pytest.approx(bytes_per_robot(10_000), rel=0.01)
 
 
 # ---------------------------------------------------------------- wheels
@@ -184,34 +235,38 @@ class Wheels:
         self.state = "none"
 
     def steer(self, ahead: float, left: float, speed: float) -> tuple[float, float]:
-        """Speed and spin."""
-        weak = abs(math.degrees(math.atan2(left, ahead))) <= 5 and math.hypot(ahead, left) < 0.1
-        heading = 0.0 if weak else math.degrees(math.atan2(-left, -ahead))
+        """Return speed and spin for an obstacle vector, after the transitions of the state."""
+        is_weak = abs(math.degrees(math.atan2(left, ahead))) <= 5 and math.hypot(ahead, left) < 0.1
+        heading = 0.0 if is_weak else math.degrees(math.atan2(-left, -ahead))
         angle = abs(heading)
         if self.state == "hard" and angle <= 70:
             self.state = "soft"
-        if self.state == "soft":
-            self.state = "hard" if angle > 90 else "none" if angle <= 10 else "soft"
-        if self.state == "none":
-            self.state = "hard" if angle > 90 else "soft" if angle > 10 else "none"
-        inner, outer = {"none": (1.0, 1.0), "soft": (1 - angle / 90, 1.0), "hard": (-1.0, 1.0)}[self.state]
-        to_the_left = 1 if heading > 0 else -1
-        return speed * (inner + outer) / 2, to_the_left * speed * (outer - inner) / WHEELS_APART
+        if self.state in ("none", "soft"):
+            self.state = self._state_without_hysteresis(angle)
+        factors = {"none": (1.0, 1.0), "soft": (1 - angle / 90, 1.0), "hard": (-1.0, 1.0)}
+        inner, outer = factors[self.state]
+        side = 1 if heading > 0 else -1
+        return speed * (inner + outer) / 2, side * speed * (outer - inner) / WHEELS_APART
+
+    @staticmethod
+    def _state_without_hysteresis(angle: float) -> str:
+        if angle > 90:
+            return "hard"
+        return "soft" if angle > 10 else "none"
 
 
 def test_wheels_follow_the_rules_with_their_two_thresholds() -> None:
     arena, rules, rng = Arena(moving(1, 5, 5), 0), Wheels(), np.random.default_rng(6)
-    bearings = np.cumsum(rng.normal(0, 25, 20000)) + rng.choice([0, 180], 20000)
-    states = set()
+    bearings = np.radians(np.cumsum(rng.normal(0, 25, 20000)) + rng.choice([0, 180], 20000))
     lengths = rng.choice([0.05, 0.0999, 0.1001, 1.7], 20000)
-    for bearing, length in zip(np.radians(bearings), lengths, strict=True):
+    pairs_of_states = set()
+    for bearing, length in zip(bearings, lengths, strict=True):
         ahead, left = float(length * np.cos(bearing)), float(length * np.sin(bearing))
         _arena.lib.mcp_asdf_arena_steer(arena._arena, 0, ahead, left)
-        found = arena._arena.target_speed[0], arena._arena.target_spin[0]
-        expected = rules.steer(ahead, left, 0.1414)
-        assert found == pytest.approx(expected, abs=1e-12), f"{ahead}, {left}, {rules.state}"
-        states.add((rules.state, arena._arena.wheels[0]))
-    assert states == {("none", 0), ("soft", 1), ("hard", 2)}
+        speed, spin = arena._arena.target_speed[0], arena._arena.target_spin[0]
+        assert (speed, spin) == pytest.approx(rules.steer(ahead, left, 0.1414), abs=1e-12), (ahead, left)
+        pairs_of_states.add((rules.state, arena._arena.wheels[0]))
+    assert pairs_of_states == {("none", 0), ("soft", 1), ("hard", 2)}
 
 
 # ---------------------------------------------------------------- floor
@@ -222,42 +277,69 @@ def colours(arena: Arena, points: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def tile_middles(settings: WorldSettings, side: float) -> NDArray[np.float64]:
+    """Return the middles of all tiles, shape (columns, rows, 2)."""
     middles = [np.arange(side / 2, length, side) - length / 2 for length in settings.sides]
     return np.stack(np.meshgrid(*middles, indexing="ij"), axis=2)
 
 
-@pytest.mark.parametrize("fill_ratio", [0.0, 0.05, 0.55, 0.95, 1.0])
-def test_tiles_are_black_by_chance_and_independent(fill_ratio: float) -> None:
+def tile_colours(fill_ratio: float) -> NDArray[np.bool_]:
+    """Return whether the tiles of a floor of 2 x 1.5 m are black, shape (columns, rows)."""
     settings = moving(1, 2, 1.5, fill_ratio=fill_ratio)
-    grid = tile_middles(settings, 0.01)
-    black = colours(Arena(settings, 3), grid.reshape(-1, 2)).reshape(grid.shape[:2])
-    variance = fill_ratio * (1 - fill_ratio)
-    assert abs(black.mean() - fill_ratio) <= 4 * math.sqrt(variance / black.size)
-    for near in (black[1:] & black[:-1], black[:, 1:] & black[:, :-1], black[1:, 1:] & black[:-1, :-1]):
-        assert abs(near.mean() - fill_ratio**2) <= 5 * math.sqrt(variance / near.size)
+    middles = tile_middles(settings, 0.01)
+    return colours(Arena(settings, 3), middles.reshape(-1, 2)).reshape(middles.shape[:2])
 
 
-def test_a_tile_has_one_colour_and_the_seed_decides_it() -> None:
-    settings = moving(1, 2, 1.5, fill_ratio=0.5)
-    middles = tile_middles(settings, 0.01).reshape(-1, 2)[::7]
-    first = colours(Arena(settings, 3), middles)
-    moved = middles + np.random.default_rng(1).uniform(-0.0049, 0.0049, middles.shape)
-    assert np.array_equal(first, colours(Arena(settings, 3), moved))
-    assert (first == colours(Arena(settings, 4), middles)).mean() == pytest.approx(0.5, abs=0.05)
+@pytest.mark.parametrize("fill_ratio", [0.0, 0.05, 0.55, 0.95, 1.0])
+def test_a_share_of_the_tiles_as_large_as_the_fill_ratio_is_black(fill_ratio: float) -> None:
+    black = tile_colours(fill_ratio)
+    deviation = math.sqrt(fill_ratio * (1 - fill_ratio) / black.size)
+    assert abs(black.mean() - fill_ratio) <= 4 * deviation
+
+
+@pytest.mark.parametrize("fill_ratio", [0.05, 0.55, 0.95])
+def test_neighbouring_tiles_are_independent(fill_ratio: float) -> None:
+    black = tile_colours(fill_ratio)
+    deviation = math.sqrt(fill_ratio * (1 - fill_ratio) / black.size)
+    for both_black in (black[1:] & black[:-1], black[:, 1:] & black[:, :-1], black[1:, 1:] & black[:-1, :-1]):
+        assert abs(both_black.mean() - fill_ratio**2) <= 5 * deviation
+
+
+MIXED_FLOOR = moving(1, 2, 1.5, fill_ratio=0.5)
+SOME_MIDDLES = tile_middles(MIXED_FLOOR, 0.01).reshape(-1, 2)[::7]
+
+
+def test_a_tile_has_one_colour() -> None:
+    arena = Arena(MIXED_FLOOR, 3)
+    points = SOME_MIDDLES + np.random.default_rng(1).uniform(-0.0049, 0.0049, SOME_MIDDLES.shape)
+    assert np.array_equal(colours(arena, SOME_MIDDLES), colours(arena, points))
+
+
+def test_the_seed_decides_the_colours() -> None:
+    first, second = (colours(Arena(MIXED_FLOOR, trial), SOME_MIDDLES) for trial in (3, 4))
+    assert (first == second).mean() == pytest.approx(0.5, abs=0.05)
+
+
+CODE = make_floor_code(0.448)
+CODE_FLOOR = moving(1, 3, 2, floor="code", fill_ratio=0.448)
+
+
+def test_a_picture_of_the_floor_has_its_first_row_in_the_north() -> None:
+    assert np.array_equal(Arena(CODE_FLOOR).pixels(*CODE.shape[::-1]), CODE)
 
 
 def test_a_code_lies_with_its_first_row_in_the_north() -> None:
-    pattern, arena = make_floor_code(0.448), Arena(moving(1, 3, 2, floor="code", fill_ratio=0.448))
-    assert np.array_equal(arena.pixels(*pattern.shape[::-1]), pattern)
-    rows, columns = np.indices(pattern.shape)
+    rows, columns = np.indices(CODE.shape)
     middles = np.stack([(columns + 0.5) / 100 * 3 - 1.5, 1 - (rows + 0.5) / 100 * 2], axis=2)
-    assert np.array_equal(colours(arena, middles.reshape(-1, 2)), pattern.ravel())
+    assert np.array_equal(colours(Arena(CODE_FLOOR), middles.reshape(-1, 2)), CODE.ravel())
+
+
+def test_the_edge_of_the_floor_has_the_colour_of_the_nearest_pixel() -> None:
     corners = np.array([(-1.5, 1), (1.5, -1), (1.5, 1), (-1.5, -1)])
-    assert colours(arena, corners).tolist() == pattern[[0, -1, 0, -1], [0, -1, -1, 0]].tolist()
+    assert colours(Arena(CODE_FLOOR), corners).tolist() == CODE[[0, -1, 0, -1], [0, -1, -1, 0]].tolist()
 
 
 @pytest.mark.parametrize("floor", [{"fill_ratio": 0.4, "tile": 0.02}, {"fill_ratio": 0.448, "floor": "code"}])
-def test_robots_look_at_the_floor_before_their_right_front(floor: dict[str, Any]) -> None:
+def test_the_ground_sensor_is_in_the_right_front_of_a_robot(floor: dict[str, Any]) -> None:
     arena = Arena(moving(20, 3, 2, **floor), 9)
     motion = arena.record(150)
     for position, ahead, black in zip(motion.position, motion.heading, motion.black, strict=True):
