@@ -573,6 +573,12 @@ def test_the_robust_test_rejects_a_count_beyond_the_standard_deviations(n: int, 
     assert robust_test_rejects(n, 1000, 0.75, 0.5, 2**-5) == rejects
 
 
+def test_the_robust_test_rejects_nothing_where_its_sides_are_equal() -> None:
+    """With b = 1/2 the limit of D**2 is 12 * 0.25/12, and D is 1/2."""
+    assert robust_test_sides(12, 12, 0.5, 0.3, 0.01) == (0.25, 0.25)
+    assert not robust_test_rejects(12, 12, 0.5, 0.3, 0.01)
+
+
 # --- Whole lives -----------------------------------------------------------------------------------------
 
 
