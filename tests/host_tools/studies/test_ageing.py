@@ -68,3 +68,15 @@ def test_robots_that_know_the_drift_start_with_the_right_b_hat() -> None:
 )
 def test_a_way_to_age_has_a_name(changes: dict[str, Any], label: str) -> None:
     assert ageing.way_of_ageing(Experiment(robots=20, flawed=6, **changes)) == label
+
+
+def test_the_study_has_its_own_seed_and_30_long_trials() -> None:
+    experiments = ageing.ageing_experiments()
+    assert len(experiments) == 3 * 2 * (5 * 3 + 4)  # fill ratios, memories, ways to age and filters
+    assert {(experiment.seed, experiment.trials, experiment.steps) for experiment in experiments} == {
+        (90125, 30, 40_000)
+    }
+    assert {experiment.fill_ratio for experiment in experiments} == {0.55, 0.75, 0.95}
+    assert {(experiment.true_accuracy, experiment.flawed_accuracy) for experiment in experiments} == {
+        (0.95, 0.95)
+    }
