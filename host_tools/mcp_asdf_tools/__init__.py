@@ -15,7 +15,17 @@ if TYPE_CHECKING:
     from mcp_asdf_tools.experiments.experiment_files import read_experiments
     from mcp_asdf_tools.experiments.result_files import read_table
     from mcp_asdf_tools.experiments.result_tables import experiments_in
-    from mcp_asdf_tools.library import emulate, plot, score, simulate, start_swarm
+    from mcp_asdf_tools.library import (
+        emulate,
+        plot_bands,
+        plot_boxes,
+        plot_curve,
+        plot_scatter,
+        plot_series,
+        score,
+        simulate,
+        start_swarm,
+    )
     from mcp_asdf_tools.swarm.settings import SwarmSettings
     from mcp_asdf_tools.view.inline import show
 
@@ -25,7 +35,17 @@ _HOMES = {
     "experiments.experiment_files": ["read_experiments"],
     "experiments.result_files": ["read_table"],
     "experiments.result_tables": ["experiments_in"],
-    "library": ["emulate", "plot", "score", "simulate", "start_swarm"],
+    "library": [
+        "emulate",
+        "plot_bands",
+        "plot_boxes",
+        "plot_curve",
+        "plot_scatter",
+        "plot_series",
+        "score",
+        "simulate",
+        "start_swarm",
+    ],
     "swarm.settings": ["SwarmSettings"],
     "view.inline": ["show"],
 }
@@ -36,7 +56,11 @@ __all__ = [
     "emulate",
     "experiments_in",
     "grid",
-    "plot",
+    "plot_bands",
+    "plot_boxes",
+    "plot_curve",
+    "plot_scatter",
+    "plot_series",
     "read_experiments",
     "read_table",
     "score",

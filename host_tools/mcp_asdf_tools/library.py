@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import can
 
@@ -25,7 +25,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from mcp_asdf_tools.experiments.plots import Measure
+    from mcp_asdf_tools.experiments.curve_plot import Measure
+
+    Results: TypeAlias = pa.Table | list[Trials]
+    """What pictures are drawn of: a table of trials, or experiments from ``experiments_in``."""
 
 
 @naming_extras()
@@ -115,75 +118,96 @@ def score(table: pa.Table, k_max: float | None = None, e_max: float | None = Non
     return score_table(table, Limits(k_max, E_MAX if e_max is None else e_max))
 
 
-PLOTS: dict[str, tuple[str, ...]] = {
-    "boxes": ("limits",),
-    "scatter": ("limits",),
-    "curve": ("x", "hue", "y", "facet", "ax", "limits"),
-    "bands": (),
-    "series": ("trial",),
-}
-"""The options that each kind of picture has. Series are of one experiment."""
-
-
-def check_plot_options(kind: str, options: Iterable[tuple[str, str]], y: str | Measure | None = None) -> None:
-    """Refuse options that a kind of picture does not have, and limits of what has none.
-
-    Each option is its name in ``plot`` and what the user knows it as. Raises UsageError, naming the first
-    option that would do nothing.
-    """
-    if kind not in PLOTS:
-        raise UsageError(f"kind is {kind!r}; choose one of {', '.join(PLOTS)}")
-    for name, shown_name in options:
-        if name not in PLOTS[kind]:
-            kinds = " and ".join(other for other, names in PLOTS.items() if name in names)
-            raise UsageError(
-                f"{shown_name} would do nothing: it is for {kinds}, and kind is {kind}; leave it out"
-            )
-        if name == "limits" and kind == "curve" and y not in (None, *SCORES):
-            raise UsageError(f"{shown_name} would do nothing: it is for scores, and y is none; leave it out")
+# --- Pictures --------------------------------------------------------------------------------------------
 
 
 @naming_extras()
-def plot(  # noqa: PLR0913 (each is given by name, and most pictures need none)
-    results: pa.Table | list[Trials],
-    kind: str = "boxes",
-    *,
-    trial: int | None = None,
+def plot_boxes(
+    results: Results, *, where: Mapping[str, Any] | None = None, limits: Limits = PAPERS
+) -> Figure:
+    """Plot boxes of the score H by the share of flawed robots and their accuracy, a panel for each f and b.
+
+    Scores are relative to ``limits``, by default the paper's. As in all pictures, ``where`` chooses
+    experiments by their parameters, and the figure's method ``savefig`` writes a file. Raises UsageError if
+    no experiment is left, or there are more than fit a picture.
+    """
+    from mcp_asdf_tools.experiments import score_plots  # noqa: PLC0415 (matplotlib loads slowly)
+
+    return score_plots.plot_boxes(_experiments_to_plot(results, where), limits)
+
+
+@naming_extras()
+def plot_scatter(
+    results: Results, *, where: Mapping[str, Any] | None = None, limits: Limits = PAPERS
+) -> Figure:
+    """Plot the score h_e against h_K with a point for each trial, a row for each f, a column for each P.
+
+    Raises UsageError as ``plot_boxes``.
+    """
+    from mcp_asdf_tools.experiments import score_plots  # noqa: PLC0415 (matplotlib loads slowly)
+
+    return score_plots.plot_scatter(_experiments_to_plot(results, where), limits)
+
+
+@naming_extras()
+def plot_curve(  # noqa: PLR0913 (each is given by name)
+    results: Results,
     x: str = "",
+    y: str | Measure = "H",
+    *,
     hue: str = "",
-    y: str | Measure | None = None,
     facet: str = "",
-    where: Mapping[str, Any] | None = None,
     ax: Axes | None = None,
+    where: Mapping[str, Any] | None = None,
     limits: Limits | None = None,
 ) -> Figure:
-    """A picture of results; its method ``savefig`` writes a file.
+    """Plot medians of the measure ``y`` over the parameter ``x``, with their 95 % intervals.
 
-    Kinds: ``boxes`` and ``scatter`` show scores relative to ``limits``, by default the paper's; ``curve``
-    the measure ``y`` (H by default, h_K, h_e, K, e, or a function of ``Trials`` with a number for each trial)
-    over a parameter ``x``, with a curve for each value of a parameter ``hue`` and a panel for each of
-    ``facet``, or into the axes ``ax``; ``bands`` b_hat of all trials over time; ``series`` a ``trial``, by
-    default 0, over time, which needs ``record``. ``where`` chooses experiments by their parameters. Raises
-    UsageError if the results do not have what it shows, and for an option that the kind does not have.
+    ``y`` is H, h_K, h_e, K, e, or a function of ``Trials`` that returns a number for each trial. There is a
+    curve for each value of the parameter ``hue``, and a panel for each value of ``facet``, or the curves are
+    drawn into the axes ``ax``. Scores are relative to ``limits``, by default the paper's. Raises UsageError
+    for a name that is no parameter, if the experiments differ in what is not shown, and for limits where
+    ``y`` is no score.
     """
-    from mcp_asdf_tools.experiments import plots  # noqa: PLC0415 (matplotlib loads slowly)
+    from mcp_asdf_tools.experiments import curve_plot  # noqa: PLC0415 (matplotlib loads slowly)
 
+    if limits is not None and y not in SCORES:
+        raise UsageError("limits would do nothing: they are for scores, and y is none; leave them out")
     experiments = _experiments_to_plot(results, where)
-    options = {"trial": trial, "x": x, "hue": hue, "y": y, "facet": facet, "ax": ax, "limits": limits}
-    given_names = [name for name, value in options.items() if value is not None and value != ""]
-    check_plot_options(kind, [(name, name) for name in given_names], y)
-    score_limits = limits or PAPERS
-    match kind:
-        case "boxes":
-            return plots.boxes(experiments, score_limits)
-        case "scatter":
-            return plots.scatter(experiments, score_limits)
-        case "curve":
-            return plots.curve(experiments, x, hue, y or "H", score_limits, facet=facet, ax=ax)
-        case "bands":
-            return plots.bands(experiments)
-        case _:
-            return plots.series_beside([single_experiment(experiments)], trial or 0)
+    return curve_plot.plot_curve(experiments, x, hue, y, limits or PAPERS, facet=facet, ax=ax)
+
+
+@naming_extras()
+def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> Figure:
+    """Plot b_hat of all robots of all trials over time: medians and the middle 90 %, a panel an experiment.
+
+    Raises UsageError as ``plot_boxes``, and for trials that are too short for a filter step.
+    """
+    from mcp_asdf_tools.experiments import time_plots  # noqa: PLC0415 (matplotlib loads slowly)
+
+    return time_plots.plot_accuracy_bands(_experiments_to_plot(results, where))
+
+
+@naming_extras()
+def plot_series(results: Results, *, trial: int = 0, where: Mapping[str, Any] | None = None) -> Figure:
+    """Plot b_hat, x_hat and x of every robot over time in one recorded trial of one experiment.
+
+    Raises UsageError if several experiments are left, there is no such trial, or it was not recorded.
+    """
+    from mcp_asdf_tools.experiments import time_plots  # noqa: PLC0415 (matplotlib loads slowly)
+
+    experiment = single_experiment(_experiments_to_plot(results, where))
+    return time_plots.plot_series([experiment], trial)
+
+
+PLOTS: dict[str, Callable[..., Figure]] = {
+    "boxes": plot_boxes,
+    "scatter": plot_scatter,
+    "curve": plot_curve,
+    "bands": plot_bands,
+    "series": plot_series,
+}
+"""The pictures by their kind on the command line, which takes the options of each from its function."""
 
 
 def _experiments_to_plot(results: pa.Table | list[Trials], where: Mapping[str, Any] | None) -> list[Trials]:

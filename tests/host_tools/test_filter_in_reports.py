@@ -130,5 +130,5 @@ def test_neighbours_of_a_controller_filter_with_asdf_plus_alone(option: str, nei
 
 def test_a_picture_of_curves_names_the_filter() -> None:
     table = m.simulate(m.grid(robots=4, flawed=1, steps=40, trials=1, density=[1.0, 2.0], topology="dynamic"))
-    figure = m.plot(table, "curve", x="density")
+    figure = m.plot_curve(table, "density")
     assert any("ASDF\N{MINUS SIGN}" in text.get_text() for text in figure.texts)

@@ -50,7 +50,7 @@ def test_an_experiment_gives_the_table_of_its_trials_and_the_same_call_resumes(
     assert m.simulate(SHORT).equals(expected)
     assert m.simulate([SHORT], output, workers=2).equals(expected)
     assert m.score(m.read_table(output)).equals(expected)
-    assert isinstance(m.plot(m.read_table(output)), Figure)
+    assert isinstance(m.plot_boxes(m.read_table(output)), Figure)
     monkeypatch.setattr("mcp_asdf_tools.experiments.sweep.jobs_of", lambda store: iter([]))
     assert m.simulate(SHORT, str(output)).equals(expected), "nothing was left to run"
     with pytest.raises(m.UsageError, match="results of other experiments"):
@@ -172,12 +172,9 @@ def test_objects_of_this_process_stand_for_extensions(monkeypatch: pytest.Monkey
         lambda m, table: m.simulate(SHORT, workers=0),
         lambda m, table: m.simulate(SHORT, record=SHORT.steps + 1),
         lambda m, table: m.simulate(SHORT, record=-1),
-        lambda m, table: m.plot([]),
-        lambda m, table: m.plot(table, "curve", x="flawed", y=lambda trials: [1.0]),
-        lambda m, table: m.plot(table, "boxes", facet="robots"),
-        lambda m, table: m.plot(table, "boxes", ax=object()),
-        lambda m, table: m.plot(table, "pie"),
-        lambda m, table: m.plot(table, where={"filtr": "none"}),
+        lambda m, table: m.plot_boxes([]),
+        lambda m, table: m.plot_curve(table, "flawed", lambda trials: [1.0]),
+        lambda m, table: m.plot_boxes(table, where={"filtr": "none"}),
         lambda m, table: m.show(table, trial=99),
         lambda m, table: m.show(SHORT, where={"robots": 99}, trial=-1),
         lambda m, table: m.read_experiments("none.toml"),
@@ -202,11 +199,11 @@ def test_a_legend_has_the_columns_that_fit() -> None:
 def test_a_curve_is_of_the_chosen_and_goes_into_axes_of_ones_own() -> None:
     table = m.simulate(m.grid(flawed=[1, 2], filter=["none", "asdf-plus"], robots=4, steps=60, trials=2))
     figure, where = Figure(), {"filter": "none"}
-    drawn = m.plot(
-        table, "curve", x="flawed", y=lambda each: each.errors[:, 0], where=where, ax=figure.subplots()
+    drawn = m.plot_curve(
+        table, "flawed", lambda trials: trials.errors[:, 0], where=where, ax=figure.subplots()
     )
     assert drawn is figure and len(figure.axes[0].lines) == 1
-    both: Any = m.plot(table, "curve", x="flawed", facet="filter")
+    both: Any = m.plot_curve(table, "flawed", facet="filter")
     first = both.axes[0]  # light lines behind the curves, small figures and no frame
     assert first.get_axisbelow() and first.yaxis.get_gridlines()[0].get_visible()
     assert first.yaxis.get_ticklabels()[0].get_fontsize() == 8 and not first.spines["top"].get_visible()

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
 from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.library import PLOTS, check_plot_options, plot
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.scores import SCORES
+from mcp_asdf_tools.library import PLOTS
 
 EPILOG = """\
 examples:
@@ -39,24 +42,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw."""
+    """Draw the picture, and print its path."""
     from mcp_asdf_tools.common.figures import check_plot_path, save_figure  # noqa: PLC0415
 
     check_plot_path(args.picture)
-    given: dict[str, Any] = {
+    plot_options: dict[str, Any] = {
         name: getattr(args, name)
         for name in ("trial", "x", "hue", "y", "facet")
         if getattr(args, name) is not None
     }
-    shown_names = [(name, f"--{name}") for name in given]
-    shown_names += [("limits", option) for option in options.limits_given(args)]
-    check_plot_options(args.kind, shown_names, args.y)
-    if options.limits_given(args):
-        given["limits"] = options.limits_of(args)
-    found = options.chosen(args)
-    save_figure(plot(found, args.kind, **given), args.picture)
+    typed_limits = options.limits_given(args)
+    _check_options(args.kind, plot_options, typed_limits)
+    if typed_limits:
+        plot_options["limits"] = options.limits_of(args)
+    experiments = options.chosen(args)
+    save_figure(PLOTS[args.kind](experiments, **plot_options), args.picture)
     if args.json:
-        print(json.dumps({"picture": str(args.picture), "kind": args.kind, "experiments": len(found)}))
+        report = {"picture": str(args.picture), "kind": args.kind, "experiments": len(experiments)}
+        print(json.dumps(report))
     else:
         print(args.picture)
     return 0
+
+
+def _check_options(kind: str, plot_options: dict[str, Any], typed_limits: list[str]) -> None:
+    """Raise UsageError for the first option that would do nothing in a picture of this kind."""
+    typed_options = [(name, f"--{name}") for name in plot_options]
+    typed_options += [("limits", option) for option in typed_limits]
+    for name, option in typed_options:
+        kinds = [other for other, plot in PLOTS.items() if name in signature(plot).parameters]
+        if kind not in kinds:
+            message = f"it is for {' and '.join(kinds)}, and kind is {kind}"
+            raise UsageError(f"{option} would do nothing: {message}; leave it out")
+        if name == "limits" and plot_options.get("y", "H") not in SCORES:
+            raise UsageError(f"{option} would do nothing: it is for scores, and y is none; leave it out")

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 import mcp_asdf_tools as m
 from mcp_asdf_tools.common.figures import save_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plots import errors_over_time
 from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.time_plots import plot_errors_over_time
 from mcp_asdf_tools.studies.ageing_sensors import (
     SuddenlyWorseSensors,
     UnequallyAgeingSensors,
@@ -132,7 +132,7 @@ def draw_errors(experiments: Sequence[Trials]) -> Figure:
     for trials in experiments:
         if trials.experiment.memory == LONGEST_MEMORY:
             panels.setdefault(way_of_ageing(trials.experiment), []).append(trials)
-    return errors_over_time(panels)
+    return plot_errors_over_time(panels)
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from matplotlib.figure import Figure
 
-from mcp_asdf_tools.experiments import plots
+from mcp_asdf_tools.experiments import score_plots, time_plots
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
@@ -109,7 +109,7 @@ def _draw_boxes(
         ]
     title = f"H of {study_part.label} swarms without filter and with {FILTERS[filter_name].typeset_term}"
     name = f"{study_part.value}_{filter_name}"
-    return Picture(name, title + _number_of_paper(number), plots.boxes(experiments))
+    return Picture(name, title + _number_of_paper(number), score_plots.plot_boxes(experiments))
 
 
 def _draw_scatter(study_results: StudyResults, study_part: StudyPart, number: str = "") -> Picture:
@@ -118,7 +118,7 @@ def _draw_scatter(study_results: StudyResults, study_part: StudyPart, number: st
     experiments += _ends_of_asdf_minus(study_results, study_part)
     title = f"Accuracy against convergence of {study_part.label} swarms, tau = {SHORTEST_PERIOD}"
     return Picture(
-        f"{study_part.value}_scatter", title + _number_of_paper(number), plots.scatter(experiments)
+        f"{study_part.value}_scatter", title + _number_of_paper(number), score_plots.plot_scatter(experiments)
     )
 
 
@@ -130,7 +130,7 @@ def _draw_bands(study_results: StudyResults, study_part: StudyPart) -> Picture:
         if 0 < trials.experiment.flawed < trials.experiment.robots
     ]
     title = f"b_hat of all robots of {study_part.label} swarms with ASDF+, tau = {SHORTEST_PERIOD}"
-    return Picture(f"{study_part.value}_bands", title, plots.bands(experiments))
+    return Picture(f"{study_part.value}_bands", title, time_plots.plot_accuracy_bands(experiments))
 
 
 def _draw_topologies(study_results: StudyResults, filter_name: str, number: str) -> Picture:
@@ -147,7 +147,9 @@ def _draw_topologies(study_results: StudyResults, filter_name: str, number: str)
 
     with_filter = f"without filter and with {FILTERS[filter_name].typeset_term}, tau = {SHORTEST_PERIOD}"
     title = f"H in both topologies {with_filter}{_number_of_paper(number)}"
-    return Picture(f"topologies_{filter_name}", title, plots.boxes(experiments, name=series_name))
+    return Picture(
+        f"topologies_{filter_name}", title, score_plots.plot_boxes(experiments, series_name=series_name)
+    )
 
 
 def _draw_series(study_size: StudySize) -> Picture:
@@ -157,4 +159,4 @@ def _draw_series(study_size: StudySize) -> Picture:
     filtered = experiment_of(replace(SERIES_CELL, filter=PLUS), study_size)
     recorded = [run_trials(e, 0, 1, SERIES_SAMPLING_INTERVAL) for e in (unfiltered, filtered)]
     title = "A trial without filter and one with ASDF+: f = 0.95, b = 0.55, b_hat = 0.95, P = 50 %"
-    return Picture("series", title + _number_of_paper("6"), plots.series_beside(recorded, 0))
+    return Picture("series", title + _number_of_paper("6"), time_plots.plot_series(recorded, 0))

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 import mcp_asdf_tools as m
 from mcp_asdf_tools.common.figures import save_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plots import errors_over_time
 from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.time_plots import plot_errors_over_time
 from mcp_asdf_tools.studies.ageing_sensors import WanderingSensors
 from mcp_asdf_tools.studies.bootstrap import Interval, Sample
 from mcp_asdf_tools.studies.error_tables import (
@@ -244,7 +244,7 @@ def draw_errors(grid: Sequence[Trials], worlds: Sequence[Trials]) -> Figure:
                 and belongs_to_column(trials.experiment)
                 and not has_changing_floor(trials.experiment)
             ]
-    figure = errors_over_time(panels)
+    figure = plot_errors_over_time(panels)
     figure.supxlabel("step")  # instead of the caption, which the page has
     for axes in figure.axes:
         axes.minorticks_off()

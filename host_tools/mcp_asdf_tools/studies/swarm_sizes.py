@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
 from mcp_asdf_tools.common.figures import WIDTH, empty_figure, save_figure
+from mcp_asdf_tools.experiments.curve_plot import plot_curve
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plots import curve
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies.bootstrap import Sample
@@ -103,7 +103,7 @@ def draw_sizes(experiments: Sequence[Trials]) -> Figure:
 
 def _draw_curve(axes: Axes, experiments: Sequence[Trials], measure: str | Measure, title: str) -> None:
     """Draw a measure over the number of robots, a curve for each filter."""
-    curve(experiments, "robots", "filter", measure, ax=axes)
+    plot_curve(experiments, "robots", "filter", measure, ax=axes)
     axes.set(xscale="log", title=title)
 
 

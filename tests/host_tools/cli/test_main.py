@@ -260,7 +260,7 @@ def test_a_missing_extra_is_named_in_one_line(tmp_path: Path) -> None:
 def test_the_library_names_a_missing_extra_as_the_command_does(tmp_path: Path) -> None:
     calls = (
         "m.simulate(m.Experiment(steps=1000, trials=1))",
-        "m.plot([])",
+        "m.plot_boxes([])",
         "m.read_table('x.parquet')",
         "m.emulate(m.SwarmSettings(firmware='reference', steps=10))",
     )

@@ -11,27 +11,20 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from mcp_asdf_tools import library
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOURS, FLAWED, INK, OTHER, number_in_words
+from mcp_asdf_tools.experiments.curve_plot import MEASURES, plot_curve
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
-from mcp_asdf_tools.experiments.plots import (
-    MEASURES,
-    bands,
-    boxes,
-    curve,
-    errors_over_time,
-    filter_colours,
-    median_interval,
-    scatter,
-    series_beside,
-)
+from mcp_asdf_tools.experiments.plot_panels import colours_of_filters, median_interval
 from mcp_asdf_tools.experiments.result_files import write_tables
 from mcp_asdf_tools.experiments.result_tables import trials_to_table
 from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.score_plots import plot_boxes, plot_scatter
 from mcp_asdf_tools.experiments.scores import Limits
+from mcp_asdf_tools.experiments.time_plots import plot_accuracy_bands, plot_errors_over_time, plot_series
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.library import plot
 from mcp_asdf_tools.robots.filters import FILTERS
 
 LIMITS = Limits(200, 0.4)
@@ -92,7 +85,7 @@ def caption_of(figure: Figure) -> str:
 
 def test_boxes_are_where_and_what_they_should_be(results: list[Trials]) -> None:
     """Points are the trials' scores beside each other, lines their medians; grey without a filter."""
-    figure = boxes(results, LIMITS)
+    figure = plot_boxes(results, LIMITS)
     assert legend_of(figure) == ["no filter", "ASDF+, filter period 100", "ASDF+, filter period 150"]
     for f, axes in zip((0.55, 0.95), figure.axes, strict=True):
         assert axes.get_title() == f"$f = {f}$, $b = 0.95$"
@@ -125,13 +118,13 @@ def test_boxes_are_where_and_what_they_should_be(results: list[Trials]) -> None:
     assert words.startswith(r"$\hat{b} - b$ of flawed robots")
     assert "robots 4, topology fully-connected, steps 300, seed 1, omega 0.05, 5 trials of each" in words
     assert "$K_{max}$ = 200, $e_{max}$ = 0.4; a point is a trial" in words
-    assert legend_of(boxes(results, name=lambda _: "all of them")) == ["all of them"]
+    assert legend_of(plot_boxes(results, series_name=lambda _: "all of them")) == ["all of them"]
 
 
 def test_points_are_the_trials_in_the_papers_colours(results: list[Trials]) -> None:
     """Rows are series and f, columns P; underconfident swarms are red, overconfident ones blue."""
     over = results_of(replace(BASE, flawed=2, true_accuracy=0.55, flawed_accuracy=0.95))
-    figure = scatter([*results, over], LIMITS)
+    figure = plot_scatter([*results, over], LIMITS)
     check_panels(figure, 6, 3, 1.7)
     found = {axes.get_title(): axes for axes in figure.axes}
     own = [t for t in results if t.experiment.fill_ratio == 0.95 and t.experiment.filter == "none"]
@@ -155,14 +148,14 @@ def test_points_are_the_trials_in_the_papers_colours(results: list[Trials]) -> N
 
 def test_what_does_not_fit_a_picture_is_refused(results: list[Trials]) -> None:
     many = [replace(results[0], experiment=replace(GRID[0], seed=seed)) for seed in range(9)]
-    for picture in (boxes, scatter, lambda each: curve(each, "omega", "seed")):
+    for plot in (plot_boxes, plot_scatter, lambda each: plot_curve(each, "omega", "seed")):
         with pytest.raises(UsageError, match="9 series do not fit"):
-            picture(many)
-    assert len(boxes(many[:8]).legends[0].get_texts()) == 8
+            plot(many)
+    assert len(plot_boxes(many[:8]).legends[0].get_texts()) == 8
     many = [replace(results[0], experiment=replace(GRID[0], fill_ratio=f / 40)) for f in range(33)]
-    assert len(boxes(many[:32]).axes) == 32
+    assert len(plot_boxes(many[:32]).axes) == 32
     with pytest.raises(UsageError, match="33 panels"):
-        boxes(many)
+        plot_boxes(many)
 
 
 @pytest.mark.parametrize("y", MEASURES)
@@ -171,7 +164,7 @@ def test_points_are_medians_and_bands_their_intervals(y: str) -> None:
     omegas, densities = [0.05, 0.9, 0.02], [2.0, 0.5]
     many = grid(**MOVING, density=densities, omega=omegas)
     swept = [results_of(each) for each in many]
-    figure = curve(swept, "omega", "density", y)
+    figure = plot_curve(swept, "omega", "density", y)
     (axes,) = figure.axes
     for line, band, density in zip(axes.lines, axes.collections, sorted(densities), strict=True):
         own = {float(each.experiment.omega): each for each in swept if each.experiment.density == density}
@@ -185,7 +178,7 @@ def test_curves_have_panels_or_go_into_axes_of_ones_own() -> None:
     varied: dict[str, Any] = {"flawed": [1, 2], "filter": ["none", "robust"], "steps": 60}
     many = grid(robots=[4, 5, 6], trials=2, **varied) + grid(robots=7, trials=7, **varied)
     swept = [results_of(each) for each in many if (each.robots, each.filter) != (6, "robust")]
-    figure = curve(swept, "flawed", "filter", facet="robots")
+    figure = plot_curve(swept, "flawed", "filter", facet="robots")
     check_panels(figure, 2, 3, 2.6, *(f"robots {robots}" for robots in (4, 5, 6, 7)))
     for axes, robots in zip(figure.axes, (4, 5, 6, 7), strict=False):
         own = [each.measures()["H"] for each in swept if each.experiment.robots == robots]
@@ -195,15 +188,15 @@ def test_curves_have_panels_or_go_into_axes_of_ones_own() -> None:
     assert "2 to 7 trials of each" in caption_of(figure) and "fewer than 6, else 95 %" in caption_of(figure)
     whole: Any = Figure()
     axes = whole.subfigures().subplots()
-    assert curve(swept[:4:2], "flawed", y=lambda each: each.errors[:, 0], ax=axes) is whole
+    assert plot_curve(swept[:4:2], "flawed", y=lambda each: each.errors[:, 0], ax=axes) is whole
     assert np.array_equal(axes.lines[0].get_ydata(), [np.median(each.errors[:, 0]) for each in swept[:4:2]])
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("share of flawed robots", "<lambda>")
     assert axes.get_legend() is None
-    curve(swept[:4], "flawed", "filter", ax=axes)
+    plot_curve(swept[:4], "flawed", "filter", ax=axes)
     assert [each.get_text() for each in axes.get_legend().get_texts()] == legend_of(figure)
     assert not axes.get_legend().get_frame_on()
     with pytest.raises(UsageError, match="give one of them"):
-        curve(swept[:4], "flawed", "filter", facet="robots", ax=axes)
+        plot_curve(swept[:4], "flawed", "filter", facet="robots", ax=axes)
 
 
 def test_errors_over_time_are_medians_of_the_swarms_means() -> None:
@@ -212,7 +205,7 @@ def test_errors_over_time_are_medians_of_the_swarms_means() -> None:
     many = [replace(common, filter=name, fill_ratio=f) for name in ("none", "robust") for f in (0.55, 0.95)]
     swarms = [results_of(each, 50) for each in many]
     panels = {"both": swarms, "none": swarms[:2], "robust": swarms[2:], "one": swarms[:1]}
-    figure = errors_over_time(panels)
+    figure = plot_errors_over_time(panels)
     check_panels(figure, 2, 3, 1.9, *panels)
     both, _, robust, *_ = figure.axes
     for line, band, own in zip(both.lines, both.collections, (swarms[:2], swarms[2:]), strict=True):
@@ -236,7 +229,7 @@ def test_errors_over_time_are_medians_of_the_swarms_means() -> None:
 def test_any_parameter_can_be_along_the_axis(x: str, values: list[object], expected: list[object]) -> None:
     given = MOVING | {x: values} | ({"topology": "graph", "robots": 12} if x == "graph" else {})
     many = grid(**given)
-    (axes,) = curve([results_of(each) for each in many], x).axes
+    (axes,) = plot_curve([results_of(each) for each in many], x).axes
     assert np.asarray(axes.lines[0].get_xdata()).tolist() == expected
     if x == "graph":
         shown = ["0 1", "0 1; 0 2; 0 10; 0 11", "0 1; 0 2; 0 3; 1 2;  ..."]
@@ -248,24 +241,24 @@ def test_the_robust_filter_is_last_and_green() -> None:
     common = replace(BASE, flawed=2, trials=1)
     by_filter = {each: results_of(replace(common, filter=each)) for each in reversed(FILTERS)}
     often = results_of(replace(common, filter="robust", filter_period=50))
-    figure = boxes([often, *by_filter.values()])
+    figure = plot_boxes([often, *by_filter.values()])
     names = [swarm_filter.typeset_term for swarm_filter in FILTERS.values()]
     shown = [f"{each}, filter period 100" for each in names[1:]]
     assert legend_of(figure) == ["no filter", *shown[:2], "robust, filter period 50", shown[2]]
     colours = [handle.get_color() for handle in figure.legends[0].get_lines()]
     assert colours == [WITHOUT, COLOURS[0], COLOURS[1], ROBUST, COLOURS[3]]
     assert "omega 0.05" in caption_of(figure)
-    assert "omega" not in caption_of(boxes([often, by_filter["none"]]))
-    (axes,) = curve([*by_filter.values()], "flawed", "filter").axes
+    assert "omega" not in caption_of(plot_boxes([often, by_filter["none"]]))
+    (axes,) = plot_curve([*by_filter.values()], "flawed", "filter").axes
     assert [line.get_color() for line in axes.lines] == [WITHOUT, COLOURS[0], COLOURS[1], ROBUST]
-    alike = filter_colours(["none", "none", "asdf-plus", "robust", "robust"])
+    alike = colours_of_filters(["none", "none", "asdf-plus", "robust", "robust"])
     assert (alike[0], alike[3]) == (WITHOUT, ROBUST) and len({*alike}) == 5, "each can be told apart"
     strict = replace(by_filter["asdf-plus"].experiment, omega=0.1)
     mixed = [*(by_filter | {"asdf-plus": replace(by_filter["asdf-plus"], experiment=strict)}).values()]
-    assert [axes.get_title().split("\n")[0] for axes in bands(mixed).axes] == names
-    assert len(curve(mixed[:2], "filter").axes[0].lines) == 1
+    assert [axes.get_title().split("\n")[0] for axes in plot_accuracy_bands(mixed).axes] == names
+    assert len(plot_curve(mixed[:2], "filter").axes[0].lines) == 1
     with pytest.raises(UsageError, match="the results differ in omega too"):
-        curve(mixed, "filter")
+        plot_curve(mixed, "filter")
 
 
 @pytest.mark.parametrize(("trials", "beyond"), [(5, 1), (6, 1), (30, 10), (100, 40)])
@@ -278,7 +271,7 @@ def test_intervals_of_medians_are_those_of_the_tables(trials: int, beyond: int) 
 
 def test_bands_hold_all_robots_of_all_trials(results: list[Trials]) -> None:
     (trials,) = [each for each in results if each.experiment == replace(GRID[4], fill_ratio=0.55)]
-    figure = bands([trials] * 5)
+    figure = plot_accuracy_bands([trials] * 5)
     assert [axes.axison for axes in figure.axes] == [True] * 5 + [False]
     flawed, healthy, truth = figure.axes[0].lines
     assert (flawed.get_color(), healthy.get_color()) == (FLAWED, OTHER)
@@ -296,20 +289,23 @@ def test_bands_hold_all_robots_of_all_trials(results: list[Trials]) -> None:
     assert words == f"{off:.0%} of healthy robots"
     check_panels(figure, 2, 3, 2.1)
     whole = results_of(replace(trials.experiment, flawed=4))
-    four = bands([trials, trials, trials, whole])
+    four = plot_accuracy_bands([trials, trials, trials, whole])
     check_panels(four, 2, 2, 2.1)
     assert len(four.axes[3].lines) == 2 and four.axes[3].get_title().endswith("off: -")
     other = results_of(replace(trials.experiment, filter="none"))
-    assert [axes.get_title().split("\n")[0] for axes in bands([trials, other]).axes] == ["no filter", "ASDF+"]
+    assert [axes.get_title().split("\n")[0] for axes in plot_accuracy_bands([trials, other]).axes] == [
+        "no filter",
+        "ASDF+",
+    ]
     with pytest.raises(UsageError, match="these trials have no filter step"):
-        bands([trials, results_of(replace(BASE, filter_period=1000))])
+        plot_accuracy_bands([trials, results_of(replace(BASE, filter_period=1000))])
 
 
 def test_series_beside_each_other_show_their_records() -> None:
     """Room is for all but the first moments, which are wild, and the longest; flawed robots lie on top."""
     one = replace(BASE, flawed=1, trials=1)
     runs = [results_of(one, 2), results_of(replace(one, filter="asdf-plus", steps=200), 30)]
-    figure = series_beside(runs, 0)
+    figure = plot_series(runs, 0)
     panels = np.array(figure.axes).reshape(3, 2)
     for row, name, truth in zip(panels, ("b_hat", "x_hat", "x"), (0.95, 0.55, 0.55), strict=True):
         settled = np.concatenate([runs[0].records[name][0][3:], runs[1].records[name][0], [[truth] * 4]])
@@ -334,9 +330,9 @@ def test_series_beside_each_other_show_their_records() -> None:
     ]
     assert [axes.get_xlabel() for axes in panels.flat] == [""] * 4 + ["step"] * 2
     assert legend_of(figure) == ["flawed robots", "healthy robots", "true value"]
-    assert series_beside(runs[:1], 0).axes[0].get_title("left") == titles[0]
+    assert plot_series(runs[:1], 0).axes[0].get_title("left") == titles[0]
     with pytest.raises(UsageError, match=r"there is no trial 1; choose one of 0 \.\. 0"):
-        series_beside(runs, 1)
+        plot_series(runs, 1)
 
 
 def test_numbers_in_words() -> None:
@@ -346,32 +342,26 @@ def test_numbers_in_words() -> None:
 
 
 @pytest.mark.parametrize(
-    ("shown", "given", "words"),
+    ("kind", "chosen", "options", "words"),
     [
-        ([0, 1], {"kind": "pie"}, "kind is 'pie'; choose one of boxes, scatter, curve, bands, series"),
-        ([0], {"x": "omega"}, "x would do nothing: it is for curve, and kind is boxes; leave it out"),
-        ([0], {"kind": "scatter", "hue": "filter"}, "hue would do nothing: it is for curve"),
-        ([0], {"kind": "series", "y": "H"}, "y would do nothing: it is for curve"),
-        ([0], {"facet": "omega"}, "facet would do nothing: it is for curve"),
-        ([0], {"kind": "bands", "ax": object()}, "ax would do nothing: it is for curve"),
-        ([0], {"kind": "boxes", "trial": 0}, "trial would do nothing: it is for series"),
-        ([0], {"kind": "bands", "limits": Limits()}, "limits would do nothing: it is for boxes and scatter"),
-        ([0], {"kind": "curve", "x": "omega", "y": "e", "limits": Limits()}, "limits would do nothing"),
-        ([0, 1], {"kind": "series"}, "2 experiments match; choose one with where filter="),
-        ([0], {"kind": "series"}, "nothing was recorded over time"),
-        ([0, 1], {"kind": "curve", "x": "omega"}, "the results differ in filter too"),
-        ([0, 3], {"kind": "curve", "x": "omega"}, "the results differ in flawed_accuracy, flawed too"),
-        ([0], {"kind": "curve"}, "x is ''; choose a parameter: robots, topology"),
-        ([0], {"kind": "curve", "x": "omega", "hue": "tao"}, "hue is 'tao'; choose"),
-        ([0], {"kind": "curve", "x": "omega", "y": "h"}, "y is 'h'; choose one of H,"),
-        ([0], {"kind": "curve", "x": "omega", "y": lambda each: each.errors}, r"y gives shape \(5, 4\)"),
+        ("series", [0, 1], {}, "2 experiments match; choose one with where filter="),
+        ("series", [0], {}, "nothing was recorded over time"),
+        ("curve", [0, 1], {"x": "omega"}, "the results differ in filter too"),
+        ("curve", [0, 3], {"x": "omega"}, "the results differ in flawed_accuracy, flawed too"),
+        ("curve", [0], {}, "x is ''; choose a parameter: robots, topology"),
+        ("curve", [0], {"x": "omega", "hue": "tao"}, "hue is 'tao'; choose"),
+        ("curve", [0], {"x": "omega", "y": "h"}, "y is 'h'; choose one of H,"),
+        ("curve", [0], {"x": "omega", "y": lambda trials: trials.errors}, r"y gives shape \(5, 4\)"),
+        ("curve", [0], {"x": "omega", "y": "e", "limits": Limits()}, "limits would do nothing"),
+        ("curve", [0], {"x": "omega", "facet": "flawed", "ax": object()}, "facet makes panels and ax is one"),
+        ("boxes", [], {}, "there is no experiment to draw"),
     ],
 )
-def test_what_cannot_be_drawn_is_told(
-    shown: list[int], given: dict[str, Any], words: str, results: list[Trials]
+def test_a_picture_that_cannot_be_drawn_is_refused(
+    kind: str, chosen: list[int], options: dict[str, Any], words: str, results: list[Trials]
 ) -> None:
     with pytest.raises(UsageError, match=words):
-        plot([results[index] for index in shown], **given)
+        library.PLOTS[kind]([results[index] for index in chosen], **options)
 
 
 @pytest.mark.parametrize(("suffix", "start"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")])

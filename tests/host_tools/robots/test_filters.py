@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mcp_asdf.robot import Filter
-from mcp_asdf_tools.experiments.plots import filter_colours
+from mcp_asdf_tools.experiments.plot_panels import colours_of_filters
 from mcp_asdf_tools.robots.filters import FILTERS, describe_filters, filter_of_one_robot
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
@@ -42,7 +42,7 @@ def test_pictures_and_pages_have_a_minus_sign_in_asdf_minus() -> None:
 
 
 def test_the_first_series_of_a_filter_has_its_colour_and_the_next_one_another() -> None:
-    colours = filter_colours(["none", "none", "robust"])
+    colours = colours_of_filters(["none", "none", "robust"])
     assert colours == ["#999999", "#0072b2", "#009e73"]
 
 

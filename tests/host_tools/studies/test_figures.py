@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from mcp_asdf_tools.experiments import plots
+from mcp_asdf_tools.experiments import score_plots, time_plots
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of
 from mcp_asdf_tools.studies.figures import draw_pictures
@@ -50,7 +50,9 @@ class DrawnSwarms:
 
 
 def note_swarms(
-    experiments: Sequence[Any], trial: int = 0, name: Callable[[Experiment], str] = lambda experiment: ""
+    experiments: Sequence[Any],
+    trial: int = 0,
+    series_name: Callable[[Experiment], str] = lambda experiment: "",
 ) -> DrawnSwarms:
     swarms = [trials.experiment for trials in experiments]
     percents = [round(100 * swarm.flawed / swarm.robots) for swarm in swarms]
@@ -59,15 +61,20 @@ def note_swarms(
         set(filters),
         {swarm.filter_period for swarm in swarms},
         set(percents),
-        {name(swarm) for swarm in swarms},
+        {series_name(swarm) for swarm in swarms},
         set(zip(filters, percents, strict=True)),
     )
 
 
 @pytest.fixture(autouse=True)
 def plots_that_note_swarms(monkeypatch: pytest.MonkeyPatch) -> None:
-    for kind in ("boxes", "scatter", "bands", "series_beside"):
-        monkeypatch.setattr(plots, kind, note_swarms)
+    for module, function in (
+        (score_plots, "plot_boxes"),
+        (score_plots, "plot_scatter"),
+        (time_plots, "plot_accuracy_bands"),
+        (time_plots, "plot_series"),
+    ):
+        monkeypatch.setattr(module, function, note_swarms)
 
 
 def pictures_of(*parts: StudyPart) -> dict[str, Any]:
@@ -145,7 +152,7 @@ def test_asdf_minus_has_its_ends_where_it_is_another_filter(name: str) -> None:
 
 def test_series_are_recorded_trials(monkeypatch: pytest.MonkeyPatch) -> None:
     recorded: list[Any] = []
-    monkeypatch.setattr(plots, "series_beside", lambda runs, trial: recorded.extend(runs))
+    monkeypatch.setattr(time_plots, "plot_series", lambda runs, trial: recorded.extend(runs))
     pictures_of(StudyPart.FULLY_CONNECTED)
     assert [sorted(trials.records) for trials in recorded] == [sorted(recorded[0].records)] * 2
     assert [trials.numbers for trials in recorded] == [[0], [0]]

@@ -107,7 +107,7 @@ def test_the_robust_picture_has_a_panel_for_each_world(monkeypatch: pytest.Monke
         shown.update(panels)
         return Figure()
 
-    monkeypatch.setattr(robust_filter, "errors_over_time", note_panels)
+    monkeypatch.setattr(robust_filter, "plot_errors_over_time", note_panels)
     common: dict[str, Any] = {**MOVING, "filter": "none", "sensors": [UNDERCONFIDENT, OVERCONFIDENT]}
     grid = short_trials(**{**common, "flawed": [6, 10]})
     worlds = short_trials(**common, firmware=peers.five_liars)

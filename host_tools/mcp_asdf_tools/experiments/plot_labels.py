@@ -1,0 +1,110 @@
+"""Text in pictures of results: names of series, parameters with their values, and captions."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from mcp_asdf_tools.common.figures import number_in_words
+from mcp_asdf_tools.common.parameters import parameters_of
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.scores import Limits
+from mcp_asdf_tools.robots.filters import FILTERS
+
+MAX_LABEL_LENGTH = 20
+"""Characters of a value that fit into a legend: the edges of a graph do not."""
+
+CELL_PARAMETERS = ("fill_ratio", "true_accuracy", "flawed_accuracy", "flawed", "trials", "filter")
+"""Parameters that pictures show by their axes, titles and series, without the parameter's name."""
+
+_FILTER_PARAMETERS = ("filter_period", "omega", "activation")
+_CAPTION_PARAMETERS = ("robots", "topology", "steps", "seed", "filter_period", "omega")
+
+
+def filter_name(experiment: Experiment) -> str:
+    """Return the name of the experiment's filter, as the paper typesets it."""
+    return experiment.swarm_filter.typeset_term
+
+
+def flawed_share(experiment: Experiment) -> float:
+    """Return P, the share of flawed robots."""
+    return float(experiment.flawed / experiment.robots)
+
+
+def sort_key(parameter_name: str, value: Any) -> Any:
+    """Return what the values of a parameter are sorted by: filters by their order, others by value."""
+    return list(FILTERS).index(value) if parameter_name == "filter" else value
+
+
+def has_effect(experiment: Experiment, name: str) -> bool:
+    """Return whether a parameter has an effect in an experiment: those of filters have none without one."""
+    if name not in _FILTER_PARAMETERS:
+        return True
+    return experiment.swarm_filter.is_on and name not in experiment.unused_parameters()
+
+
+def varying_parameters(experiments: Sequence[Trials], excluded: Collection[str]) -> list[str]:
+    """Return the parameters, but for those excluded, that have different effects in the experiments."""
+    return [
+        name
+        for name in parameters_of(Experiment)
+        if name not in excluded and len(_effective_values(experiments, name)) > 1
+    ]
+
+
+def _effective_values(experiments: Sequence[Trials], name: str) -> set[Any]:
+    """Return the values of a parameter in those experiments in which it has an effect."""
+    return {
+        trials.experiment.parameters()[name] for trials in experiments if has_effect(trials.experiment, name)
+    }
+
+
+def name_series(experiment: Experiment, varying_names: Sequence[str]) -> str:
+    """Return the filter's name, and the values of the varying parameters that have an effect."""
+    names = [filter_name(experiment)]
+    for name in varying_names:
+        if has_effect(experiment, name):
+            names.append(f"{name.replace('_', ' ')} {number_in_words(experiment.parameters()[name])}")
+    return ", ".join(names)
+
+
+def parameter_in_words(name: str) -> str:
+    """Return the name of a parameter as pictures show it."""
+    return "share of flawed robots" if name == "flawed" else name.replace("_", " ")
+
+
+def parameter_with_value(name: str, value: Any) -> str:
+    """Return a parameter with its value, such as "filter period 100"."""
+    return f"{parameter_in_words(name)} {shorten(number_in_words(value))}"
+
+
+def shorten(text: str) -> str:
+    """Return the text, cut to MAX_LABEL_LENGTH characters and dots if it is longer."""
+    return text if len(text) <= MAX_LABEL_LENGTH else f"{text[:MAX_LABEL_LENGTH]} ..."
+
+
+def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> str:
+    """Return a sentence with what all experiments of a picture have in common.
+
+    It names the filter, parameters, number of trials and limits of the scores, and ends with ``marks``, which
+    says what the picture's points, lines and areas mean.
+    """
+    details: list[str] = []
+    filter_names = {filter_name(trials.experiment) for trials in experiments}
+    if len(filter_names) == 1:
+        details += filter_names
+    for name in _CAPTION_PARAMETERS:
+        values = _effective_values(experiments, name)
+        if len(values) == 1:
+            details.append(f"{name.replace('_', ' ')} {number_in_words(values.pop())}")
+    trial_counts = {len(trials.numbers) for trials in experiments}
+    extreme_counts = sorted({min(trial_counts), max(trial_counts)})
+    details.append(f"{' to '.join(map(str, extreme_counts))} trials of each experiment")
+    limits_by_experiment = [limits.of(trials.experiment) for trials in experiments]
+    k_limits = {k_max for k_max, _ in limits_by_experiment}
+    e_limits = {e_max for _, e_max in limits_by_experiment}
+    for symbol, values in (("K", k_limits), ("e", e_limits)):
+        values_in_words = " and ".join(number_in_words(value) for value in sorted(values))
+        details.append(f"${symbol}_{{max}}$ = {values_in_words}")
+    return f"{', '.join(details)}; {marks}."

@@ -1,0 +1,127 @@
+"""Layout of pictures of results: grids of panels, legends, colours of series, and lines in a band."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.figures import COLOURS, MEDIUM, WIDTH, add_caption, add_legend, empty_figure
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.robots.filters import FILTERS
+
+MIN_TRIALS_OF_INTERVAL = 6
+"""Trials from which on a median has a 95 % interval."""
+
+_MAX_SERIES = 8
+_MAX_PANELS = 32
+_LEGEND_AND_CAPTION_HEIGHT = 1.4  # inches
+
+
+def create_panel_grid(
+    row_count: int, column_count: int, panel_height: float, series_count: int, sharex: bool = True
+) -> tuple[Figure, NDArray[Any]]:
+    """Create a figure with rows and columns of empty panels, each ``panel_height`` inches high.
+
+    They have the same y axis, and unless ``sharex`` is false the same x axis. Raises UsageError if so many
+    panels, or series in them, do not fit a picture.
+    """
+    panel_count = row_count * column_count
+    if panel_count > _MAX_PANELS or series_count > _MAX_SERIES:
+        raise UsageError(
+            f"{panel_count} panels with {series_count} series do not fit a picture; plot at most "
+            f"{_MAX_PANELS} with {_MAX_SERIES}, or a parameter along an axis: --kind curve --x NAME"
+        )
+    width = WIDTH if column_count > 1 else 0.7 * WIDTH
+    figure = empty_figure(width, _LEGEND_AND_CAPTION_HEIGHT + panel_height * row_count)
+    return figure, figure.subplots(row_count, column_count, sharex=sharex, sharey=True, squeeze=False)
+
+
+def create_panels(
+    count: int, panel_height: float, series_count: int = 1, max_columns: int = 3
+) -> tuple[Figure, list[Axes]]:
+    """Create a figure with this number of empty panels in rows, of which the last may be shorter.
+
+    Raises UsageError as ``create_panel_grid``.
+    """
+    column_count = min(count, max_columns)
+    row_count = -(-count // column_count)  # rounded up
+    figure, grid = create_panel_grid(row_count, column_count, panel_height, series_count)
+    for unused_axes in grid.flat[count:]:
+        unused_axes.set_axis_off()
+    return figure, [*grid.flat[:count]]
+
+
+def label_figure(
+    figure: Figure, x_label: str, y_label: str, caption: str, legend_handles: Sequence[Line2D]
+) -> Figure:
+    """Add labels of the axes, a caption and a legend to a figure, and return it."""
+    figure.supylabel(y_label, fontsize=MEDIUM)
+    add_caption(figure, x_label, caption)
+    add_legend(figure, legend_handles)
+    return figure
+
+
+def legend_handle(label: str, colour: str, marker: str = "o", line: Literal["", "-"] = "") -> Line2D:
+    """Return an entry of a legend: a marker, a line or both."""
+    return Line2D([], [], linestyle=line, marker=marker, color=colour, label=label)
+
+
+def colours_of_filters(filter_names: Sequence[str]) -> list[str]:
+    """Return a colour for each series, by the name of its filter.
+
+    The first series of a filter has the filter's colour, if it has one; every other series has the next free
+    colour of the palette. A name that is no filter's, such as "", is allowed.
+    """
+    remaining_colours = {
+        name: swarm_filter.colour for name, swarm_filter in FILTERS.items() if swarm_filter.colour is not None
+    }
+    free_colours = iter([colour for colour in COLOURS if colour not in remaining_colours.values()])
+    colours: list[str] = []
+    for name in filter_names:
+        colour = remaining_colours.pop(name, None)
+        colours.append(next(free_colours) if colour is None else colour)
+    return colours
+
+
+# --- Medians in their intervals --------------------------------------------------------------------------
+
+
+def median_interval(sample: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Return the median of a sample with its 95 % interval from order statistics, exact for any distribution.
+
+    The interval of fewer than MIN_TRIALS_OF_INTERVAL values is their range.
+    """
+    from scipy.stats import quantile_test  # type: ignore[import-untyped]  # noqa: PLC0415 (loads slowly)
+
+    low, high = quantile_test(sample, p=0.5).confidence_interval(0.95)
+    has_interval = low <= high  # both are NaN where there is none
+    if not has_interval:
+        low, high = sample.min(), sample.max()
+    return float(np.median(sample)), float(low), float(high)
+
+
+def median_intervals(samples: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return the medians of samples, and the lower and upper ends of their intervals, shape (3, samples)."""
+    return np.array([median_interval(sample) for sample in samples]).T
+
+
+def describe_intervals(experiments: Sequence[Trials]) -> str:
+    """Return what the band around a median covers, for a caption."""
+    if min(len(trials.numbers) for trials in experiments) < MIN_TRIALS_OF_INTERVAL:
+        condition = f"where there are fewer than {MIN_TRIALS_OF_INTERVAL}"
+        return f"bands all trials {condition}, else 95 % intervals of the medians"
+    return "bands their 95 % intervals"
+
+
+def draw_band(axes: Axes, x: Any, band: NDArray[np.float64], colour: str, style: str = "-") -> None:
+    """Draw a line in a translucent band, whose ``band`` is line, lower and upper edge, shape (3, points)."""
+    line, lower_edge, upper_edge = band
+    axes.fill_between(x, lower_edge, upper_edge, facecolor=colour, alpha=0.2)
+    axes.plot(x, line, style, color=colour, markersize=3.5, linewidth=1.4)
