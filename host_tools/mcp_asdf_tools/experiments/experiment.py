@@ -17,7 +17,7 @@ from mcp_asdf_tools.world.topology import MAX_ON_BUS
 
 MAX_TRIALS = 10**6
 MAX_EXPERIMENTS = 100_000
-"""Most experiments of one file."""
+"""Number of experiments that one file or grid may make."""
 
 
 Convention = Literal["paper", "authors"]
@@ -26,9 +26,10 @@ Convention = Literal["paper", "authors"]
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment(Population):
-    """A definition; equal ones give equal results. Raises ParameterError, naming the field.
+    """The parameters of a swarm that is run many times; equal experiments give equal results.
 
     Trial i of two experiments with one seed sees the same draws, and the same motion in the same arena.
+    Raises ParameterError, naming the field, for values that are wrong or do not fit together.
     """
 
     trials: int = parameter("number of trials", 1, MAX_TRIALS, default=30)
@@ -45,7 +46,10 @@ class Experiment(Population):
 
     @property
     def lacking_in_c(self) -> str:
-        """The parameter whose value the engine in C lacks, so that trials run message by message, or none."""
+        """Return the parameter whose value the engine in C lacks, so that trials run message by message.
+
+        It is empty if the engine can run the experiment.
+        """
         if self.firmware != "native":
             return "firmware"
         if self.topology == "dynamic":
@@ -58,32 +62,47 @@ class Experiment(Population):
 
 
 def grid(**parameters: Any) -> list[Experiment]:
-    """Experiments with all combinations of parameters, of which lists have several values, or several tables
-    of parameters that vary together.
+    """Return experiments with all combinations of parameters.
 
-    Raises ParameterError as Experiment, and for lists that are empty or make too many experiments.
+    A parameter may have a list of values. A list of tables, under any name, holds parameters that vary
+    together. Raises ParameterError as Experiment, and for lists that are empty or make too many experiments.
     """
-    return [Experiment.from_parameters(choice) for choice in combinations(parameters)]
+    return [Experiment.from_parameters(combination) for combination in combinations(parameters)]
 
 
 def combinations(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """One dictionary for each combination of the values in lists. A list of tables, under a name of its own,
-    is a choice among them: each in turn stands in its place. Raises ParameterError as ``grid``."""
-    tables = {
-        key: value
-        for key, value in parameters.items()
-        if isinstance(value, list | tuple) and value and all(isinstance(each, dict) for each in value)
-    }
-    if tables:
-        others = {key: value for key, value in parameters.items() if key not in tables}
-        for chosen in product(*tables.values()):
-            together = {key: value for table in chosen for key, value in table.items()}
-            yield from combinations({**others, **together})
+    """Yield a dictionary for each combination of the values in lists, the last parameter varying fastest.
+
+    A list of tables, under a name of its own, is a choice among them, which vary slowest: the parameters of
+    the chosen table stand in its place. Raises ParameterError as ``grid``.
+    """
+    table_lists = {key: value for key, value in parameters.items() if _is_list_of_tables(value)}
+    plain_parameters = {key: value for key, value in parameters.items() if key not in table_lists}
+    if not table_lists:
+        yield from _combine_values(plain_parameters)
         return
-    axes = [value if isinstance(value, list | tuple) else [value] for value in parameters.values()]
-    size = 1
-    for key, axis in zip(parameters, axes, strict=True):
-        size *= len(axis)
-        if not 0 < size <= MAX_EXPERIMENTS:
-            raise ParameterError(key, f"{key} makes {size} experiments; give 1 to {MAX_EXPERIMENTS}")
-    yield from (dict(zip(parameters, values, strict=True)) for values in product(*axes))
+    for chosen_tables in product(*table_lists.values()):
+        combined = dict(plain_parameters)
+        for table in chosen_tables:
+            combined |= table
+        # A table may have lists of values, or of tables, itself.
+        yield from combinations(combined)
+
+
+def _is_list_of_tables(value: Any) -> bool:
+    """Return whether a value is a list of at least one table and of nothing else."""
+    is_list = isinstance(value, list | tuple) and len(value) > 0
+    return is_list and all(isinstance(element, dict) for element in value)
+
+
+def _combine_values(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield all combinations of parameters of which some have lists of values."""
+    value_lists = [value if isinstance(value, list | tuple) else [value] for value in parameters.values()]
+    combination_count = 1
+    for key, values in zip(parameters, value_lists, strict=True):
+        combination_count *= len(values)
+        if not 0 < combination_count <= MAX_EXPERIMENTS:
+            message = f"{key} makes {combination_count} experiments; give 1 to {MAX_EXPERIMENTS}"
+            raise ParameterError(key, message)
+    for chosen_values in product(*value_lists):
+        yield dict(zip(parameters, chosen_values, strict=True))

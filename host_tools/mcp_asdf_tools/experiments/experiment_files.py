@@ -30,71 +30,97 @@ _KEY = re.compile(r"""(?:^|[{,])\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
 
 
 def read_experiments(path: Path | str) -> list[Experiment]:
-    """Return the experiments of a file, in its order.
+    """Return the experiments of a TOML file, in its order.
 
     Raises UsageError, naming the line, for anything invalid, and for a file that names no parameter.
     """
     path = Path(path)
     if not path.suffix and not path.exists():
-        path = _shipped(path)
+        path = _shipped_file(path)
     if path.suffix != ".toml":
         raise UsageError(f"{path}: unknown format; describe experiments in TOML and name it .toml")
-    try:
-        text = read_at_most(path).decode("utf-8-sig")
-        content = tomllib.loads(text)
-    except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:  # bad UTF-8, a number with thousands of digits, deep lists
-        raise UsageError(f"{path}: {error}") from error
-    grids = content.pop(GRID, [{}])
-    if not (isinstance(grids, list) and grids and all(isinstance(grid, dict) for grid in grids)):
-        raise UsageError(f"{path}: grid is not a table; write [[grid]] above its keys")
-    if not content and not any(grids):
-        raise UsageError(f"{path} names no parameter; give at least one, such as trials = 30")
-    lines = _TomlLines(path, text)
+    text = _read_toml_text(path)
+    common_parameters, grids = _parse_grids(path, text)
+    key_lines = _KeyLines(path, text)
     experiments: list[Experiment] = []
-    for number, grid in enumerate(grids, start=1):
+    for grid_number, grid in enumerate(grids, start=1):
         try:
-            for choice in combinations({**content, **grid}):
-                experiments.append(Experiment.from_parameters(_from_folder(choice, path.parent)))
+            for combination in combinations({**common_parameters, **grid}):
+                parameters = _with_graph_from_folder(combination, path.parent)
+                experiments.append(Experiment.from_parameters(parameters))
                 if max(len(grids), len(experiments)) > MAX_EXPERIMENTS:
                     raise UsageError(f"{path} makes more than {MAX_EXPERIMENTS} experiments; give fewer")
         except ParameterError as error:
-            raise lines.error(number, error.key, str(error)) from error
+            raise key_lines.error_at(grid_number, error.key, str(error)) from error
     return experiments
 
 
-def _shipped(name: Path) -> Path:
-    shipped = {path.stem: path for path in sorted(STUDIES.glob("*.toml"))}
-    if str(name) not in shipped:
-        raise UsageError(
-            f"there is no file {name}; those that come with the program are {', '.join(shipped)}"
-        )
-    return shipped[str(name)]
+def _read_toml_text(path: Path) -> str:
+    """Return the text of a file. Raises UsageError if it cannot be read or is not UTF-8."""
+    try:
+        return read_at_most(path).decode("utf-8-sig")
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}") from error
+    except ValueError as error:  # bad UTF-8, or too long
+        raise UsageError(f"{path}: {error}") from error
 
 
-class _TomlLines:
-    """Line numbers of the keys in a file."""
+def _parse_grids(path: Path, text: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return the parameters above the grids of a file, and those of each grid, at least one.
+
+    Raises UsageError for what is no TOML, and for a file that names no parameter.
+    """
+    try:
+        content = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # a number with thousands of digits, deep lists
+        raise UsageError(f"{path}: {error}") from error
+    grids = content.pop(GRID, [{}])
+    is_list_of_tables = isinstance(grids, list) and all(isinstance(grid, dict) for grid in grids)
+    if not (is_list_of_tables and grids):
+        raise UsageError(f"{path}: grid is not a table; write [[grid]] above its keys")
+    if not content and not any(grids):
+        raise UsageError(f"{path} names no parameter; give at least one, such as trials = 30")
+    return content, grids
+
+
+def _shipped_file(name: Path) -> Path:
+    """Return the file of that name that comes with the program. Raises UsageError if there is none."""
+    shipped_files = {path.stem: path for path in sorted(STUDIES.glob("*.toml"))}
+    if str(name) not in shipped_files:
+        names = ", ".join(shipped_files)
+        raise UsageError(f"there is no file {name}; those that come with the program are {names}")
+    return shipped_files[str(name)]
+
+
+class _KeyLines:
+    """Line numbers of the keys in a TOML file, for error messages.
+
+    They are found by a search for ``key =``, so a key in a string may be taken for one, too.
+    """
 
     def __init__(self, path: Path, text: str) -> None:
-        self.path = path
-        self._of: dict[tuple[int, str], list[str]] = {}
-        grid = 0
-        for number, line in enumerate(text.splitlines(), start=1):
-            grid += bool(_HEADER.match(line))
+        """Find the lines of each key. Grids are numbered from 1; keys above them are in grid 0."""
+        self._path = path
+        self._lines: dict[tuple[int, str], list[str]] = {}
+        grid_number = 0
+        for line_number, line in enumerate(text.splitlines(), start=1):
+            if _HEADER.match(line):
+                grid_number += 1
             for key in _KEY.findall(line):
-                self._of.setdefault((grid, key), []).append(f"{number}")
+                self._lines.setdefault((grid_number, key), []).append(str(line_number))
 
-    def error(self, grid: int, key: str, message: str) -> UsageError:
-        """An error at ``key`` of the ``grid``-th grid, or above the grids if it stands there."""
-        lines = " or ".join(self._of.get((grid, key), self._of.get((0, key), ())))
-        return UsageError(f"{self.path}{lines and f', line {lines}'}: {message}")
+    def error_at(self, grid_number: int, key: str, message: str) -> UsageError:
+        """Return an error that names the lines of ``key`` in a grid, or above the grids if it stands there."""
+        lines = self._lines.get((grid_number, key)) or self._lines.get((0, key), [])
+        place = f", line {' or '.join(lines)}" if lines else ""
+        return UsageError(f"{self._path}{place}: {message}")
 
 
-def _from_folder(parameters: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the parameters, a graph that is a file with its path from where this process runs.
+def _with_graph_from_folder(parameters: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the parameters, with the path of a graph's file from where this process runs.
 
-    Raises ParameterError for a path that leads to no regular file: a pipe or a device might never end.
+    Paths in a file of experiments are relative to its folder. Raises ParameterError for a path that leads to
+    no regular file: a pipe or a device might never end.
     """
     graph = parameters.get("graph", "")
     if not isinstance(graph, str) or is_text_of_edges(graph):
