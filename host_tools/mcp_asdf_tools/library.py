@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import can
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.extensions import check_for_workers
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -93,6 +94,18 @@ def _check_run(experiments: list[Experiment], workers: int, record: int) -> None
             raise UsageError(f"record is {record}; choose 1 to {experiment.steps} steps, or 0 for none")
     if workers < 1:
         raise UsageError(f"workers is {workers}; give 1 or more")
+    _check_extension_objects(experiments, workers)
+
+
+def _check_extension_objects(experiments: list[Experiment], workers: int) -> None:
+    """Raise UsageError for objects that results could not tell apart, or that workers could not import."""
+    names: dict[str, str] = {}
+    for experiment in experiments:
+        for name in (experiment.firmware, experiment.sensor, experiment.topology):
+            if names.setdefault(str(name), name) != name:
+                raise UsageError(f"two objects are called {name}; give them different names")
+            if workers > 1:
+                check_for_workers(name)
 
 
 def _simulate_in_memory(experiments: list[Experiment], workers: int, record: int, quiet: bool) -> pa.Table:

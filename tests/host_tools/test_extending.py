@@ -56,7 +56,7 @@ def test_a_name_that_two_packages_offer_is_refused(package: Path, installed: Non
     (ours,) = package.glob("*.dist-info")
     shutil.copytree(ours, package / "their_swarm-1.0.dist-info")
     (package / "their_swarm-1.0.dist-info/METADATA").write_text("Name: their-swarm\nVersion: 1.0\n")
-    (name, *_) = extensions.names(extensions.FIRMWARES)
+    (name, *_) = extensions.installed_names(extensions.FIRMWARES)
     with pytest.raises(
         UsageError, match=f"'{name}' is offered by .*swarm .* and .*swarm .*; uninstall all but"
     ):
@@ -67,9 +67,9 @@ def test_a_name_that_two_packages_offer_is_refused(package: Path, installed: Non
 def installed(package: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The same, found by this process."""
     monkeypatch.syspath_prepend(str(package))
-    extensions._points.cache_clear()
+    extensions._entry_points.cache_clear()
     yield
-    extensions._points.cache_clear()
+    extensions._entry_points.cache_clear()
     for name in [name for name in sys.modules if name.split(".")[0] == "my_swarm"]:
         del sys.modules[name]
 

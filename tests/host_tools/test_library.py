@@ -136,6 +136,13 @@ def test_an_extension_with_some_of_the_raw_values_is_refused() -> None:
         m.emulate(settings)
 
 
+class DataSheetRobot(ReferenceRobot):
+    """A robot that takes the accuracy of the data sheet where the test rejects."""
+
+    def reestimate_b_hat(self) -> float | None:
+        return 0.95
+
+
 def always(accuracy: float) -> Any:
     class Always(ReferenceRobot):
         def reestimate_b_hat(self) -> float | None:
@@ -144,9 +151,8 @@ def always(accuracy: float) -> Any:
     return Always
 
 
-def test_objects_of_this_process_stand_for_extensions(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two that are called alike are told apart, and one has one name."""
-    monkeypatch.setattr("mcp_asdf_tools.common.extensions._HERE", {})
+def test_objects_of_this_process_stand_for_extensions() -> None:
+    """Two that are called alike are told apart."""
     low, high = always(0.7), always(0.9)
     common = replace(SHORT, trials=1, activation="always")
     experiments = [replace(common, firmware=each) for each in (low, high, low)]
@@ -161,6 +167,40 @@ def test_objects_of_this_process_stand_for_extensions(monkeypatch: pytest.Monkey
     given: Any = {"sensor": dazzled}
     blind = replace(SHORT, **given)
     assert blind.sensor.endswith("dazzled") and len(m.simulate(blind)) == 3
+
+
+def test_objects_that_are_called_alike_are_refused_in_one_table() -> None:
+    experiments = [replace(SHORT, firmware=always(accuracy)) for accuracy in (0.7, 0.9)]
+    with pytest.raises(UsageError, match=r"two objects are called .*Always; give them different names"):
+        m.simulate(experiments)
+
+
+def test_an_object_that_workers_cannot_import_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"Always cannot be sent to worker processes: .*take one worker"):
+        m.simulate(replace(SHORT, firmware=always(0.7)), workers=2)
+
+
+def test_a_class_of_a_notebook_is_refused_for_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    class OfNotebook(ReferenceRobot):
+        pass
+
+    OfNotebook.__module__, OfNotebook.__qualname__ = "__main__", "OfNotebook"
+    monkeypatch.setattr(sys.modules["__main__"], "OfNotebook", OfNotebook, raising=False)
+    monkeypatch.delattr(sys.modules["__main__"], "__file__", raising=False)
+    with pytest.raises(UsageError, match="OfNotebook exists in this session only"):
+        m.simulate(replace(SHORT, firmware=cast(Any, OfNotebook)), workers=2)
+
+
+def test_a_class_of_a_module_is_sent_to_workers() -> None:
+    experiment = replace(SHORT, firmware=cast(Any, ReferenceRobot))
+    assert m.simulate(experiment, workers=2).equals(m.simulate(experiment))
+
+
+def test_results_of_an_extension_that_is_not_installed_can_be_read_but_not_run() -> None:
+    (trials,) = m.experiments_in(m.simulate(replace(SHORT, firmware=cast(Any, DataSheetRobot))))
+    assert trials.experiment.firmware.endswith("test_library.DataSheetRobot")
+    with pytest.raises(UsageError, match=r"no extension '.*DataSheetRobot' is installed"):
+        m.simulate(trials.experiment)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Extensions: objects that other distributions offer through entry points.
+"""Extensions: objects of other distributions, offered through entry points, and objects of this process.
 
 Entry points are read from what is installed, so worker processes find the same ones. docs/extending.md has an
 example of each group.
@@ -6,10 +6,11 @@ example of each group.
 
 from __future__ import annotations
 
+import pickle
+import sys
 from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib import metadata
-from itertools import count
 from typing import Any
 
 from mcp_asdf_tools.common.errors import UsageError
@@ -22,58 +23,104 @@ SENSORS = "mcp_asdf.sensors"
 """Callables ``(WorldSettings, trial) -> mcp_asdf_tools.world.sensors.SensorModel``."""
 
 
+class ObjectName(str):
+    """Name of a class or function that is used in place of an installed extension, together with that object.
+
+    It is a text as the names of installed extensions are, so reports and results show it. Two are equal if
+    they are of the same object. Pickle sends the object by its module and name, so that another process can
+    have it if it can import it.
+    """
+
+    extension: Any
+
+    def __new__(cls, extension: Any) -> ObjectName:
+        """Name an object by its module and qualified name, or by those of its class."""
+        qualified_name = getattr(extension, "__qualname__", type(extension).__qualname__)
+        name = super().__new__(cls, f"{extension.__module__}.{qualified_name}")
+        name.extension = extension
+        return name
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, ObjectName):
+            return self.extension is other.extension
+        return str.__eq__(self, other) if isinstance(other, str) else NotImplemented
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other  # str has a comparison of its own
+
+    __hash__ = str.__hash__
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return ObjectName, (self.extension,)
+
+
+class RecordedName(str):
+    """Name of an extension in a recording or in results, which can be read where it is not installed."""
+
+
 class Names:
     """Names that come with the project, then those of a group's extensions, which are sought when needed."""
 
-    def __init__(self, own: Iterable[str], group: str) -> None:
-        self._own, self._group = list(own), group
+    def __init__(self, built_in_names: Iterable[str], group: str) -> None:
+        self._built_in_names = list(built_in_names)
+        self._group = group
 
     def __contains__(self, name: object) -> bool:
-        return name in self._own or name in names(self._group)
+        if isinstance(name, ObjectName | RecordedName):
+            return True
+        return name in self._built_in_names or name in installed_names(self._group)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._own + names(self._group))
+        return iter(self._built_in_names + installed_names(self._group))
 
 
-_HERE: dict[tuple[str, str], Any] = {}
-"""Objects that this process uses under names, by group and name."""
+def name_object(value: Any) -> Any:
+    """Return the name of an object that may be an extension; a text, and what cannot be called, as it is."""
+    if isinstance(value, str) or not callable(value):
+        return value
+    return ObjectName(value)
 
 
-def name_of(group: str, given: Any) -> Any:
-    """The name under which an object serves as an extension of this process; what cannot be one stays.
-
-    Another process does not know it: where there are workers an extension has to be installed.
-    """
-    if isinstance(given, str) or not callable(given):
-        return given
-    plain = f"{given.__module__}.{getattr(given, '__qualname__', type(given).__qualname__)}"
-    tries = (plain if number == 1 else f"{plain}#{number}" for number in count(1))
-    name = next(each for each in tries if _HERE.get((group, each), given) is given)
-    _HERE[group, name] = given
-    return name
+def check_for_workers(name: str) -> None:
+    """Raise UsageError if the extension of this name is an object that worker processes cannot import."""
+    if not isinstance(name, ObjectName):
+        return
+    fix = "put it at the top level of a module that can be imported, install it, or take one worker"
+    try:
+        pickle.dumps(name.extension)
+    except Exception as error:  # pickle raises errors of many kinds
+        raise UsageError(f"{name} cannot be sent to worker processes: {error}; {fix}") from error
+    is_of_session = name.extension.__module__ == "__main__" and not hasattr(
+        sys.modules["__main__"], "__file__"
+    )
+    if is_of_session:
+        raise UsageError(f"{name} exists in this session only, and not in worker processes; {fix}")
 
 
 @cache
-def _points(group: str) -> dict[str, metadata.EntryPoint]:
-    """Entry points of a group by name. Reading all that is installed takes a tenth of a second."""
+def _entry_points(group: str) -> dict[str, metadata.EntryPoint]:
+    """Return a group's entry points by name. Reading all that is installed takes a tenth of a second."""
     return {point.name: point for point in metadata.entry_points(group=group)}
 
 
-def names(group: str) -> list[str]:
-    """Names of the extensions of a group, sorted: installed ones and those of this process."""
-    return sorted({*_points(group), *(name for own, name in _HERE if own == group)})
+def installed_names(group: str) -> list[str]:
+    """Return the names of the installed extensions of a group, sorted."""
+    return sorted(_entry_points(group))
 
 
 def load(group: str, name: str) -> Any:
-    """The object of that name. Raises UsageError unless one is installed and can be imported."""
-    if (group, name) in _HERE:
-        return _HERE[group, name]
-    point = _points(group).get(name)
+    """Return the extension of that name.
+
+    Raises UsageError unless it is an object of this process, or exactly one is installed and can be imported.
+    """
+    if isinstance(name, ObjectName):
+        return name.extension
+    point = _entry_points(group).get(name)
     if point is None:
         raise UsageError(f"no extension {name!r} is installed in the entry point group {group}")
     offers = [
-        f"{each.dist.name if each.dist else '?'} ({each.value})"
-        for each in metadata.entry_points(group=group, name=name)
+        f"{offer.dist.name if offer.dist else '?'} ({offer.value})"
+        for offer in metadata.entry_points(group=group, name=name)
     ]
     if len(offers) > 1:
         raise UsageError(

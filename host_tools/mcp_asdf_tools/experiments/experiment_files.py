@@ -110,7 +110,7 @@ class _KeyLines:
                 self._lines.setdefault((grid_number, key), []).append(str(line_number))
 
     def error_at(self, grid_number: int, key: str, message: str) -> UsageError:
-        """Return an error that names the lines of ``key`` in a grid, or above the grids if it stands there."""
+        """Return an error that names the lines of ``key`` in a grid, or else above the grids."""
         lines = self._lines.get((grid_number, key)) or self._lines.get((0, key), [])
         place = f", line {' or '.join(lines)}" if lines else ""
         return UsageError(f"{self._path}{place}: {message}")

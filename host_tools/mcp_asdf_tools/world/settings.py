@@ -116,9 +116,9 @@ class WorldSettings:
     def __post_init__(self) -> None:
         """Bring each value to its type, and check the values that must fit together."""
         # An object is replaced by a name for it first, so that all checks see names.
-        for name, group in _EXTENSION_GROUPS.items():
+        for name in _EXTENSION_GROUPS:
             if hasattr(self, name):
-                self._replace_value(name, extensions.name_of(group, getattr(self, name)))
+                self._replace_value(name, extensions.name_object(getattr(self, name)))
         check_parameters(self)
         if not isinstance(self.graph, Graph) and not (isinstance(self.graph, str) and self.graph == ""):
             with value_of("graph"):
@@ -164,6 +164,14 @@ class WorldSettings:
                     name, f"{name} is {value}, a parameter of earlier versions; use one of these versions"
                 )
         parameters = {name: recorded[name] for name in parameters_of(cls) if name in recorded}
+        for name, group in _EXTENSION_GROUPS.items():
+            value = parameters.get(name, "")
+            if not isinstance(value, str) or value == "":
+                continue
+            known_names = parameters_of(cls)[name].choices or extensions.Names((), group)
+            if value not in known_names:
+                # The extension that the recording was made with may not be installed here.
+                parameters[name] = extensions.RecordedName(value)
         graph = parameters.get("graph", "")
         if graph != "":
             with value_of("graph"):
@@ -205,8 +213,8 @@ class WorldSettings:
 
     def _check_sensor(self) -> None:
         """Raise ParameterError for a sensor that is not installed, or a drift that contradicts itself."""
-        if self.sensor and self.sensor not in extensions.names(extensions.SENSORS):
-            installed = ", ".join(extensions.names(extensions.SENSORS)) or "none is installed"
+        if self.sensor and self.sensor not in extensions.Names((), extensions.SENSORS):
+            installed = ", ".join(extensions.installed_names(extensions.SENSORS)) or "none is installed"
             raise ParameterError("sensor", f"sensor is {self.sensor!r}; choose an extension: {installed}")
         if self.drift == "none" and self.drift_rate:
             message = f"drift_rate is {self.drift_rate} but drift is none; choose a drift"
