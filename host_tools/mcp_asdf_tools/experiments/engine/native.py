@@ -1,4 +1,4 @@
-"""The C engine's Python side: trials on the native firmware, outside the interpreter's lock."""
+"""Trials on the native firmware in the C engine, which runs outside the interpreter's lock."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ COUNTERS = ("tests", "updates")
 
 
 class EngineTrials:
-    """Some trials: what the engine takes, and the results, in the firmware's units.
+    """Trials of one experiment as the C engine takes them, and their results, in the firmware's units.
 
     Attributes:
         experiment: The C struct that describes them.
@@ -39,71 +39,95 @@ class EngineTrials:
     """
 
     def __init__(self, experiment: Experiment, first: int, trials: int, sampling_interval: int) -> None:
-        """Describe them. Results are valid after ``execute``."""
-        ffi, count, steps = _engine.ffi, experiment.robots, experiment.steps
-        configs = [experiment.config(robot) for robot in range(count)]
-        made = {config: _config(config) for config in set(configs)}
-        black = _probabilities(experiment, first, trials)
-        self._kept: list[Any] = [made]
-        members = {
+        """Describe the trials in C. Results are valid after ``execute``."""
+        ffi = _engine.ffi
+        robots, steps = experiment.robots, experiment.steps
+        # C structs hold addresses only: what they point to has to live as long as this object.
+        self._referenced_memory: list[Any] = []
+        members: dict[str, Any] = {
             "seed": experiment.seed,
             "first_trial": first,
             "trials": trials,
-            "robots": count,
+            "robots": robots,
             "steps": steps,
             "sampling_interval": sampling_interval,
             "comms_period": experiment.comms_period,
             "observation_period": experiment.observation_period,
             "latency": experiment.latency,
-            "configs": self._array("mcp_asdf_config_t *", [made[config][0] for config in configs]),
-            "b_hat": self._array("uint32_t", [b_hat_to_raw(experiment.b_hat(j)) for j in range(count)]),
-            "black": self._array("uint32_t", black),
+            "configs": self._make_configs(experiment),
+            "b_hat": self._array("uint32_t", [b_hat_to_raw(experiment.b_hat(j)) for j in range(robots)]),
         }
-        names = ("trial_stride", "step_stride", "robot_stride")
-        for name, stride, size in zip(names, black.strides, black.shape, strict=True):
-            members[name] = stride // black.itemsize if size > 1 else 0
+        members |= self._make_probabilities(experiment, first, trials)
         if experiment.is_dynamic:
             arenas = [make_config(experiment, first + index, ffi) for index in range(trials)]
-            self._kept.append(arenas)
+            self._referenced_memory.append(arenas)
             members["arenas"] = self._array("mcp_asdf_arena_config_t", [values for values, _ in arenas])
         if isinstance(experiment.graph, Graph):
             arcs = self._array("mcp_asdf_pair_t", sorted(experiment.graph.links))
             members |= {"arcs": arcs, "arc_count": len(arcs)}
         self.experiment = ffi.new("mcp_asdf_experiment_t *", members)
-        self.robots = ffi.new("mcp_asdf_t[]", trials * count)
-        self.b_hat = np.empty((trials, steps // experiment.filter_period, count), np.uint32)
+        self.robots = ffi.new("mcp_asdf_t[]", trials * robots)
+        self.b_hat = np.empty((trials, steps // experiment.filter_period, robots), np.uint32)
         samples = steps // sampling_interval if sampling_interval else 0
-        self.records = np.empty((trials, samples, count), RECORD)
+        self.records = np.empty((trials, samples, robots), RECORD)
+
+    def _make_configs(self, experiment: Experiment) -> Any:
+        """Return the C array of pointers to each robot's config; robots with equal ones share it."""
+        configs = [experiment.config(robot) for robot in range(experiment.robots)]
+        c_configs = {config: _make_c_config(config) for config in set(configs)}
+        self._referenced_memory.append(c_configs)
+        pointers = [c_configs[config][0] for config in configs]
+        return self._array("mcp_asdf_config_t *", pointers)
+
+    def _make_probabilities(self, experiment: Experiment, first: int, trials: int) -> dict[str, Any]:
+        """Return the C struct's array ``black`` and its strides, 0 along axes whose values are alike."""
+        black = _black_probabilities(experiment, first, trials)
+        members = {"black": self._array("uint32_t", black)}
+        stride_names = ("trial_stride", "step_stride", "robot_stride")
+        for name, bytes_to_next, length in zip(stride_names, black.strides, black.shape, strict=True):
+            members[name] = bytes_to_next // black.itemsize if length > 1 else 0
+        return members
 
     def execute(self, lanes: bool) -> Status:
-        """Run them, with ``lanes`` in the faster of two engines with equal results."""
-        engine, of_trials = _engine.lib, self.experiment
-        columns = engine.mcp_asdf_engine_columns(of_trials)
-        self.x = np.empty((of_trials.trials, columns, of_trials.steps + 1), np.uint32)
-        x, b_hat = (self._array("uint32_t", values) for values in (self.x, self.b_hat))
-        results = (self.robots, x, b_hat, self._array("mcp_asdf_record_t", self.records))
-        memory = _engine.ffi.from_buffer(allocate_memory(engine.mcp_asdf_engine_bytes(of_trials)))
-        outcome = _engine.ffi.new("mcp_asdf_outcome_t *", results)
-        return Status(engine.mcp_asdf_engine_run(of_trials, lanes, outcome, memory))
+        """Run the trials and fill in the results; ``lanes`` chooses the faster of two equal engines."""
+        engine = _engine.lib
+        columns = engine.mcp_asdf_engine_columns(self.experiment)
+        self.x = np.empty((self.experiment.trials, columns, self.experiment.steps + 1), np.uint32)
+        result_arrays = (
+            self.robots,
+            self._array("uint32_t", self.x),
+            self._array("uint32_t", self.b_hat),
+            self._array("mcp_asdf_record_t", self.records),
+        )
+        outcome = _engine.ffi.new("mcp_asdf_outcome_t *", result_arrays)
+        memory_size = engine.mcp_asdf_engine_bytes(self.experiment)
+        memory = _engine.ffi.from_buffer(allocate_memory(memory_size))
+        return Status(engine.mcp_asdf_engine_run(self.experiment, lanes, outcome, memory))
 
     @property
     def counters(self) -> dict[str, NDArray[np.int64]]:
-        """Tests and updates of each robot, shape (trials, N) each, modulo 65536."""
-        counted = {name: [getattr(each.counters, name) for each in self.robots] for name in COUNTERS}
-        return {name: np.array(values).reshape(len(self.x), -1) for name, values in counted.items()}
+        """Return tests and updates of each robot, shape (trials, N) each, modulo 65536."""
+        counters = {}
+        for name in COUNTERS:
+            values = [getattr(robot.counters, name) for robot in self.robots]
+            counters[name] = np.array(values).reshape(len(self.x), -1)
+        return counters
 
     def images(self) -> list[bytes]:
-        """State of each robot at the end as the firmware saves it."""
+        """Return the state of each robot at the end, as the firmware saves it."""
         images = [_engine.ffi.new("uint8_t[]", _engine.lib.MCP_ASDF_IMAGE_SIZE) for _ in self.robots]
         for index, image in enumerate(images):
             _engine.lib.mcp_asdf_save(_engine.ffi.addressof(self.robots, index), image)
         return [bytes(image) for image in images]
 
-    def _array(self, kind: str, values: Any) -> Any:
-        """An array of C that lives as long as this: of listed values, or in the memory of one of numpy."""
-        make = _engine.ffi.from_buffer if isinstance(values, np.ndarray) else _engine.ffi.new
-        self._kept.append(make(f"{kind}[]", values))
-        return self._kept[-1]
+    def _array(self, c_type: str, values: Any) -> Any:
+        """Return a C array that lives as long as this object: a copy of a list, or a NumPy array's memory."""
+        if isinstance(values, np.ndarray):
+            array = _engine.ffi.from_buffer(f"{c_type}[]", values)
+        else:
+            array = _engine.ffi.new(f"{c_type}[]", values)
+        self._referenced_memory.append(array)
+        return array
 
 
 def run(
@@ -116,30 +140,39 @@ def run(
     ``lacking_in_c`` or as ``Arena``, FirmwareError as the firmware's init. O(trials steps robots), and four
     bytes for each estimate.
     """
-    if key := experiment.lacking_in_c:
-        raise UsageError(f"the engine in C lacks this {key}, {getattr(experiment, key)}; use run_trials")
-    made = EngineTrials(experiment, first, trials, sampling_interval)
-    has_lanes = _engine.lib.mcp_asdf_engine_has_lanes(made.experiment)
-    status = made.execute(has_lanes if lanes is None else lanes)
+    if experiment.lacking_in_c:
+        name = experiment.lacking_in_c
+        raise UsageError(f"the engine in C lacks this {name}, {getattr(experiment, name)}; use run_trials")
+    engine_trials = EngineTrials(experiment, first, trials, sampling_interval)
+    if lanes is None:
+        lanes = _engine.lib.mcp_asdf_engine_has_lanes(engine_trials.experiment)
+    status = engine_trials.execute(lanes)
     if status is not Status.OK:
-        for index in range(trials if experiment.is_dynamic else 0):
-            Arena(experiment, first + index)  # says so where robots find no room
+        if experiment.is_dynamic:
+            for index in range(trials):
+                Arena(experiment, first + index)  # raises UsageError where robots find no room
         raise FirmwareError(status, "the firmware refuses the experiment's settings")
-    return made
+    return engine_trials
 
 
-def _probabilities(experiment: Experiment, first: int, trials: int) -> NDArray[np.uint32]:
-    """The engine's ``black``, with axes of length 1 where all are alike: of trials, unless sensors are an
-    extension's."""
-    worlds = range(trials if experiment.sensor else 1)
-    ratio = None if experiment.is_dynamic else experiment.fill_ratio
-    models = [make_sensor_model(experiment, first + index) for index in worlds]
-    return np.stack([black_probabilities(model.advance(experiment.steps), ratio)[0] for model in models])
+def _black_probabilities(experiment: Experiment, first: int, trials: int) -> NDArray[np.uint32]:
+    """Return the probabilities of a black observation, by trial, step and robot, in the engine's unit.
+
+    An axis along which all values are alike has the length 1. That of trials has, unless an extension makes
+    the sensors.
+    """
+    distinct_trials = range(trials if experiment.sensor else 1)
+    fill_ratio = None if experiment.is_dynamic else experiment.fill_ratio
+    probabilities = []
+    for index in distinct_trials:
+        accuracies = make_sensor_model(experiment, first + index).advance(experiment.steps)
+        probabilities.append(black_probabilities(accuracies, fill_ratio)[0])
+    return np.stack(probabilities)
 
 
-def _config(config: Config) -> tuple[Any, Any]:
-    """The C struct of a config and its table."""
+def _make_c_config(config: Config) -> tuple[Any, Any]:
+    """Return the C struct of a config, and its table, which has to live as long as the struct."""
     ffi = _engine.ffi
     table = ffi.NULL if config.table is None else ffi.new("uint32_t[]", list(config.table.words()))
-    values = (table, config.filter_period, config.memory, int(config.filter))
-    return ffi.new("mcp_asdf_config_t *", values), table
+    members = (table, config.filter_period, config.memory, int(config.filter))
+    return ffi.new("mcp_asdf_config_t *", members), table
