@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 _LONGEST = 800
+"""Characters of a message; of a longer one the middle is left out."""
 
 
 class UsageError(ValueError):
@@ -14,17 +15,19 @@ class UsageError(ValueError):
     """
 
     def __init__(self, message: str) -> None:
-        shown = "".join(each if each.isprintable() else _escaped(each) for each in " ".join(message.split()))
+        line = " ".join(message.split())
+        shown = "".join(char if char.isprintable() else _escape(char) for char in line)
         if len(shown) > _LONGEST:
             shown = f"{shown[: _LONGEST // 2]} ... {shown[-_LONGEST // 2 :]}"
         super().__init__(shown)
 
 
 def offer(word: str, known: Iterable[str]) -> str:
-    """A question that offers the nearest of the ``known`` words; nothing if none is near."""
-    near = get_close_matches(word, list(known), n=1)
-    return f"; did you mean {near[0]}?" if near else ""
+    """Return a question that offers the nearest of the ``known`` words; an empty text if none is near."""
+    nearest_words = get_close_matches(word, list(known), n=1)
+    return f"; did you mean {nearest_words[0]}?" if nearest_words else ""
 
 
-def _escaped(character: str) -> str:
+def _escape(character: str) -> str:
+    """Return a character that does not print as Python writes it in a text."""
     return character.encode("unicode_escape").decode("ascii")

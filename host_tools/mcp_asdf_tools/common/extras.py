@@ -38,7 +38,10 @@ def install_instruction(extra: str = "") -> str:
 
 @contextmanager
 def naming_extras() -> Iterator[None]:
-    """Raises UsageError, which names the extra, where one is missing; around code, or as a decorator."""
+    """Turn the failure to import a module of an extra into a UsageError that names the extra.
+
+    It serves as a context manager and as a decorator.
+    """
     try:
         yield
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Pictures as files: formats by suffix, whole or not at all, the same figure always the same bytes."""
+"""Figures: their common style, and files of them, in which equal figures give equal bytes."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ def check_plot_path(path: Path) -> Path:
 
 
 def _format_of(path: Path) -> str:
+    """Return the suffix of a picture's file, in lower case. Raises UsageError for any other suffix."""
     suffix = path.suffix.lower()
     if suffix not in _STAMPS:
         raise UsageError(f"cannot plot to {path.name}: choose a name that ends in {', '.join(_STAMPS)}")
@@ -41,7 +42,10 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def image_of(figure: Figure, path: Path) -> bytes:
-    """Content of the file ``path`` for a figure. Raises UsageError if its name is not that of a picture."""
+    """Return the content of the file ``path`` for a figure.
+
+    Raises UsageError if its name is not that of a picture.
+    """
     image, suffix = io.BytesIO(), _format_of(path)
     with rc_context({"svg.hashsalt": "mcp-asdf", "svg.fonttype": "path"}):
         figure.savefig(image, format=suffix[1:], dpi=150, metadata=_STAMPS[suffix])
@@ -68,7 +72,7 @@ _LOW_TO_HIGH = LinearSegmentedColormap.from_list("low to high", ["#440154", "#31
 
 
 def ordered_colours(count: int) -> list[str]:
-    """Colours from dark to light for values in order."""
+    """Return colours from dark to light for values in order."""
     return [to_hex(_LOW_TO_HIGH(index / max(1, count - 1))) for index in range(count)]
 
 
@@ -81,14 +85,14 @@ class Drawing(Figure):
 
 
 def empty_figure(width: float, height: float) -> Figure:
-    """A figure of this size in inches, which needs no display."""
+    """Return a figure of this size in inches, which needs no display."""
     figure = Drawing(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def clean(axes: Axes) -> None:
-    """Light lines to read values by, and no frame."""
+    """Give a panel light lines to read values by, small letters, and no frame."""
     axes.grid(axis="y", color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=SMALL)
@@ -100,7 +104,7 @@ _MOST_COLUMNS = 6
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """A legend above everything, in as many columns as the figure's width has room for."""
+    """Add a legend above the panels, in as many columns as the figure's width has room for."""
     for columns in range(min(len(handles), _MOST_COLUMNS), 0, -1):
         legend = figure.legend(
             handles=handles, loc="outside upper center", ncols=columns, frameon=False, fontsize=SMALL
@@ -111,25 +115,29 @@ def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
 
 
 def add_caption(figure: Figure, axis: str, words: str) -> None:
-    """The name of the common x axis, and below it what one has to know to read the figure."""
-    together = words.replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}")
-    lines = textwrap.wrap(together, round(_LETTERS_PER_INCH * figure.get_figwidth()))
-    figure.supxlabel("\n".join([axis, *lines] if axis else lines), fontsize=SMALL)
+    """Add the name of the common x axis, if any, and below it what a reader of the figure has to know."""
+    # A symbol and its value stay on one line.
+    text = words.replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}")
+    lines = textwrap.wrap(text, round(_LETTERS_PER_INCH * figure.get_figwidth()))
+    if axis:
+        lines.insert(0, axis)
+    figure.supxlabel("\n".join(lines), fontsize=SMALL)
 
 
 _LETTERS_PER_INCH = 15.5
 
 
 def number_in_words(value: float | str) -> str:
-    """A value for a legend or title: whole numbers in full, large powers of two as such."""
+    """Return a value for a legend or title: whole numbers in full, large powers of two as such."""
     if isinstance(value, str):
         return value.replace("_", " ")
     if value != int(value):
         return f"{value:g}"
-    whole = int(value)
-    if whole >= _LARGE and whole & (whole - 1) == 0:
-        return f"2^{whole.bit_length() - 1}"
-    return f"{whole}"
+    integer = int(value)
+    is_power_of_two = integer & (integer - 1) == 0
+    if integer >= _LARGE and is_power_of_two:
+        return f"2^{integer.bit_length() - 1}"
+    return f"{integer}"
 
 
 _LARGE = 1 << 16

@@ -27,7 +27,7 @@ class ParameterError(UsageError):
 
 @contextmanager
 def value_of(key: str) -> Iterator[None]:
-    """Raises ParameterError where what reads the value of this parameter raises UsageError."""
+    """Turn a UsageError about the value of this parameter into a ParameterError."""
     try:
         yield
     except UsageError as error:
@@ -57,7 +57,7 @@ class Parameter:
     most: float
 
     def checked(self, value: Any) -> Any:
-        """``value`` as the field holds it. Raises ParameterError if it is not one, or out of range."""
+        """Return ``value`` in the field's type. Raises ParameterError for what is none, or out of range."""
         if self.kind in (int, float):
             return self._number(value)
         if self.choices and not (isinstance(value, str) and value in self.choices):
@@ -67,7 +67,7 @@ class Parameter:
         return value
 
     def _number(self, value: Any) -> float:
-        """The number; one that is written as a float may stand for a whole one."""
+        """Return a value as a number of the field's type; a float may stand for a whole number."""
         try:
             is_number = not isinstance(value, bool | str | bytes) and math.isfinite(value)
             number: float = self.kind(value) if is_number else math.nan
@@ -97,28 +97,34 @@ def parameter(
     default: Any,
     choices: Collection[str] | Names = (),
 ) -> Any:
-    """A dataclass field with its meaning in one line, its default, and its range or what it may be."""
+    """Declare a field of a dataclass with its meaning in one line, its default, and its range or choices."""
     return field(default=default, metadata={"choices": choices, "parameter": (text, least, most)})
 
 
 def parameters_of(kind: Any) -> dict[str, Parameter]:
-    """The declared parameters of a class, by name, in order."""
+    """Return the declared parameters of a class, by name, in order."""
     return _declared(kind)
 
 
 @cache
 def _declared(kind: Any) -> dict[str, Parameter]:
+    """Read the declarations from the fields of a dataclass."""
     types = get_type_hints(kind)
-    found = {}
-    for each in fields(kind):
-        if "parameter" in each.metadata:
-            held = types[each.name]
-            choices = get_args(held) if get_origin(held) is Literal else each.metadata["choices"]
-            found[each.name] = Parameter(each.name, held, choices, each.default, *each.metadata["parameter"])
-    return found
+    parameters = {}
+    for declared_field in fields(kind):
+        metadata = declared_field.metadata
+        if "parameter" not in metadata:
+            continue
+        name, field_type = declared_field.name, types[declared_field.name]
+        is_literal = get_origin(field_type) is Literal
+        choices = get_args(field_type) if is_literal else metadata["choices"]
+        text, least, most = metadata["parameter"]
+        parameters[name] = Parameter(name, field_type, choices, declared_field.default, text, least, most)
+    return parameters
 
 
 def check_parameters(settings: Any) -> None:
     """Check every parameter of an instance. Raises ParameterError for the first that is wrong."""
-    for name, each in parameters_of(type(settings)).items():
-        object.__setattr__(settings, name, each.checked(getattr(settings, name)))
+    for name, declared in parameters_of(type(settings)).items():
+        # Settings are frozen, but for this moment of their making.
+        object.__setattr__(settings, name, declared.checked(getattr(settings, name)))

@@ -68,17 +68,21 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    heeded = [each for each in ENDING_SIGNALS if signal.getsignal(each) not in (signal.SIG_IGN, None)]
-    previous = [signal.signal(each, handler) for each in heeded]
+    ignored_handlers = (signal.SIG_IGN, None)
+    previous_handlers = {
+        signum: signal.signal(signum, handler)
+        for signum in ENDING_SIGNALS
+        if signal.getsignal(signum) not in ignored_handlers
+    }
     try:
         yield
     finally:
-        for each, before in zip(heeded, previous, strict=True):
-            signal.signal(each, before)
+        for signum, previous_handler in previous_handlers.items():
+            signal.signal(signum, previous_handler)
 
 
 def standard_input() -> int:
-    """The file descriptor of standard input. Raises UsageError if there is none."""
+    """Return the file descriptor of standard input. Raises UsageError if there is none."""
     try:
         if sys.stdin is not None:
             return sys.stdin.fileno()
@@ -88,5 +92,6 @@ def standard_input() -> int:
 
 
 def has_ended(fd: int) -> bool:
-    """True at the end of the input from ``fd``; input that is there is read and dropped. Does not wait."""
-    return bool(select.select([fd], [], [], 0)[0]) and not os.read(fd, 1 << 16)
+    """Return whether the input from ``fd`` has ended, without waiting; input that is there is discarded."""
+    is_readable = bool(select.select([fd], [], [], 0)[0])
+    return is_readable and not os.read(fd, 1 << 16)

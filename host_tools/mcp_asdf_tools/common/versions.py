@@ -8,12 +8,12 @@ from importlib import metadata
 
 
 def own_version() -> str:
-    """The installed version of this project."""
+    """Return the installed version of this project."""
     return metadata.version("mcp-asdf")
 
 
 def software_versions() -> dict[str, str]:
-    """Versions of the software that results may depend on, by name."""
+    """Return the versions of the software that results may depend on, by name."""
     return {name: _version(name) for name in ("mcp-asdf", "numpy", "python-can")} | {
         "python": platform.python_version()
     }
