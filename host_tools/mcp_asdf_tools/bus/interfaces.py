@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import configparser
 import errno
+import logging
 import math
 import time
 from collections import deque
@@ -22,6 +23,8 @@ from can.util import load_environment_config, load_file_config
 from mcp_asdf_tools.bus.bus_errors import failure_of_bus
 from mcp_asdf_tools.bus.datagrams import unpack_data_frame
 from mcp_asdf_tools.common.errors import UsageError
+
+_logger = logging.getLogger(__name__)
 
 DEFAULT_INTERFACE = "virtual"
 
@@ -104,6 +107,8 @@ class BusChoice:
             raise UsageError(f"cannot open the bus {self}: {self._explain(error)}") from error
         if bus.channel_info == can.BusABC.channel_info:
             bus.channel_info = self.channel or self.interface
+        _logger.info("opened the bus %s", self)
+        _logger.debug("the bus is a %s with the settings %s", type(bus).__name__, self.settings)
         connection = {"udp_multicast": Multicast, "slcan": SerialAdapter}.get(self.interface, Connection)
         return connection(bus, returns_own)
 

@@ -7,7 +7,10 @@ written, 128 + signal if one interrupted it (130 Ctrl-C, 143 SIGTERM, 129 SIGHUP
 from __future__ import annotations
 
 import argparse
+import logging
+import shlex
 import sys
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
@@ -15,10 +18,13 @@ from typing import Protocol, cast
 
 from mcp_asdf_tools.cli.failures import report_failure
 from mcp_asdf_tools.cli.parsing import Parser
+from mcp_asdf_tools.cli.verbosity import add_verbosity_option, log_to_standard_error
 from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.signals import INTERRUPTED, interruptible, stopping
 from mcp_asdf_tools.common.standard_streams import OutputError, checked_streams
+
+_logger = logging.getLogger("mcp_asdf_tools.cli")
 
 PROGRAM = "mcp-asdf"
 _BROKEN_PIPE = 128 + 13
@@ -56,8 +62,8 @@ class Command(Protocol):
     """Module of a command.
 
     ``EPILOG`` holds the examples that ``--help`` ends with, one a line, indented, starting with the
-    program's name, explained behind a ``#`` if need be. The option ``--json`` is added to every command
-    here, and ``run`` finds it as ``args.json``.
+    program's name, explained behind a ``#`` if need be. The options ``--json`` and ``--verbose`` are added
+    to every command here, and ``run`` finds the former as ``args.json``.
     """
 
     EPILOG: str
@@ -121,9 +127,32 @@ def _flush() -> int:
 
 
 def _run_command(name: str, arguments: Sequence[str]) -> int:
-    """Import and run one command only: the others' libraries stay unloaded."""
+    """Import and run one command only, so that the others' libraries stay unloaded; return its exit code."""
     command = _load(name)
-    return command.run(_parser_for(name, command).parsed(arguments))
+    args = _parser_for(name, command).parsed(arguments)
+    with log_to_standard_error(args.verbose):
+        if args.verbose:
+            _log_start(args)
+        start_time = time.monotonic()
+        try:
+            code = command.run(args)
+        except BaseException as error:
+            # The error itself is printed later in one line; a bug report needs the place that raised it.
+            _logger.debug("ended by %s", type(error).__name__, exc_info=True)
+            raise
+        _logger.info("exit code %d after %.1f s", code, time.monotonic() - start_time)
+        return code
+
+
+def _log_start(args: argparse.Namespace) -> None:
+    """Log versions and command line, and in detail the value of every option."""
+    from mcp_asdf_tools.common.versions import software_versions  # noqa: PLC0415 (it loads slowly)
+
+    versions = ", ".join(f"{software} {version}" for software, version in software_versions().items())
+    _logger.info("%s, on %s", versions, sys.platform)
+    (program, *words) = args.command_line
+    _logger.info("command line: %s %s", program, shlex.join(words))
+    _logger.debug("options: %s", vars(args))
 
 
 def _load(name: str) -> Command:
@@ -138,6 +167,7 @@ def _load(name: str) -> Command:
 def _parser_for(name: str, command: Command) -> Parser:
     parser = Parser(f"{PROGRAM} {name}", COMMANDS[name], command.EPILOG)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, for machines")
+    add_verbosity_option(parser)
     command.add_arguments(parser)
     return parser
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, replace
@@ -42,6 +43,9 @@ examples:
 The robot observes and settles as command frames tell it (docs/frame.md): try "mcp-asdf radio --verify" on
 it. The C node, mcp_asdf_node, runs by a clock of its own, too, and reads a sensor (docs/socketcan.md).
 exit code: 0 done, 1 the bus failed, 2 bad usage, 128 + signal if one came before --steps were done"""
+
+
+_logger = logging.getLogger(__name__)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -109,6 +113,7 @@ def _go(
         is_asked = stack.enter_context(stopping())
         fd = standard_input() if args.until_eof else None
         link = BusLink(bus, lambda: is_asked() or (fd is not None and has_ended(fd)), log=log)
+        _logger.info("robot %d is up", node.id)
         return run_node(node, link, args.steps, _watching(node, console))
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from pathlib import Path
 
 from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.recording.input_log import InputLogHeader
 from mcp_asdf_tools.recording.recording import NoRecording, Recording
+
+_logger = logging.getLogger(__name__)
 
 
 def recording_for(
@@ -20,6 +23,7 @@ def recording_for(
 
     if path is None:
         return NoRecording()
+    _logger.info("recording the frames in %s", path)
     return Recording(path, header, warn, choice.channel or choice.interface)
 
 

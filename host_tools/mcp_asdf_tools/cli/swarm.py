@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 import time
 from contextlib import ExitStack
@@ -57,6 +58,8 @@ With {robot} in the channel each robot has a bus of its own, and frames are carr
 settings give the same run to the bit, and the same log, on every bus. docs/swarm.md says more.
 exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 128 + signal
 if interrupted (what was done is saved)"""
+
+_logger = logging.getLogger(__name__)
 
 _STARTING_TIMEOUT = 60.0
 """Seconds that robots elsewhere have to say that they are there."""
@@ -149,6 +152,8 @@ def _emulate(
         if plan.wiring.remote:
             with plan.console.status("waiting for robots elsewhere"):
                 swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
+        remote_count = len(plan.wiring.remote)
+        _logger.info("%d robots are up, %d of them elsewhere", settings.robots, remote_count)
         # A signal counts between two ticks, so that log and results end on a whole one.
         with LiveView(plan.console, baselines) as live, stopping() as should_stop:
             hooks = [each for each in (baselines, camera, live) if each is not None]

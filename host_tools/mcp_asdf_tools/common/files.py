@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import logging
 import os
 import secrets
 import sys
@@ -11,6 +12,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mcp_asdf_tools.common.errors import UsageError
+
+_logger = logging.getLogger(__name__)
 
 LONGEST_TEXT = 2**24
 """Bytes of the longest text that people write. A device such as /dev/zero has no end."""
@@ -99,6 +102,7 @@ def replace_together(paths: Iterable[Path]) -> Iterator[dict[Path, Path]]:
         for path, draft in drafts.items():
             with explaining(path):
                 os.replace(draft, targets[path])
+            _logger.info("wrote %s", path)
         sync_folders(drafts)
     finally:
         for draft in drafts.values():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -21,6 +22,8 @@ from mcp_asdf_tools.experiments.trials import Job
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.experiments.store import Store
+
+_logger = logging.getLogger(__name__)
 
 _TRIALS_OF_LONG_JOB = 32
 """Trials of a job whose trials are long: twice as many as the engine runs side by side."""
@@ -53,10 +56,21 @@ def run_sweep(
     """
     try:
         if store.missing_count:
+            _logger.info(
+                "%d trials to run on %s",
+                store.missing_count,
+                f"{workers} processes" if scheduler is None else f"the cluster {scheduler}",
+            )
             store.reserve()
             for trials in run_jobs(jobs_of(store), workers, scheduler):
                 with _interrupts_delayed():
                     store.add(trials)
+                _logger.debug(
+                    "finished trials %d to %d of %s",
+                    trials.numbers[0],
+                    trials.numbers[-1],
+                    trials.experiment.filter_description,
+                )
                 report(len(trials.numbers))
         store.finish()
     except BaseException:

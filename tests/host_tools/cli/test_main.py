@@ -342,3 +342,60 @@ def test_the_line_is_the_same_run(
     assert cli.main([*again, "--json"]) == 0
     out = capsys.readouterr().out
     assert out.startswith('{\n  "') and "again: " not in out
+
+
+QUIET_SWARM = ["swarm", "--robots", "3", "--steps", "5", "--filter-period", "1", "--quiet"]
+
+
+def messages_of(err: str) -> list[str]:
+    """Return the lines that are logged on standard error, without their times."""
+    return [line.split(maxsplit=2)[2] for line in err.splitlines() if line[:2] == "20"]
+
+
+def test_a_command_logs_nothing_unless_asked_to(capsys: Capture) -> None:
+    assert cli.main([*QUIET_SWARM, "--slcan", "0"]) == 0
+    assert messages_of(capsys.readouterr().err) == []
+
+
+def test_v_logs_versions_command_line_bus_files_and_exit_code(tmp_path: Path, capsys: Capture) -> None:
+    log = tmp_path / "run.log"
+    assert cli.main([*QUIET_SWARM, "--channel", "v{robot}", "--log", str(log), "-v"]) == 0
+    messages = messages_of(capsys.readouterr().err)
+    assert messages[0].startswith("INFO mcp_asdf_tools.cli: mcp-asdf ")
+    assert messages[1].startswith("INFO mcp_asdf_tools.cli: command line: mcp-asdf swarm --robots 3")
+    assert "INFO mcp_asdf_tools.bus.interfaces: opened the bus virtual v0" in messages
+    assert "INFO mcp_asdf_tools.cli.swarm: 3 robots are up, 0 of them elsewhere" in messages
+    assert f"INFO mcp_asdf_tools.common.files: wrote {log}.json" in messages
+    assert messages[-1].startswith("INFO mcp_asdf_tools.cli: exit code 0 after ")
+
+
+def test_vv_logs_all_options_too(capsys: Capture) -> None:
+    assert cli.main([*QUIET_SWARM, "-vv"]) == 0
+    options = [line for line in messages_of(capsys.readouterr().err) if " options: " in line]
+    assert len(options) == 1
+    assert "'filter_period': 1," in options[0]
+
+
+def test_vv_logs_where_an_error_was_raised(capsys: Capture) -> None:
+    assert cli.main(["table", "--output", "nowhere/tables", "--omega", "3", "-vv"]) == 2
+    err = capsys.readouterr().err
+    assert "ended by UsageError\nTraceback (most recent call last):" in err
+    assert err.splitlines()[-1] == "See 'mcp-asdf table --help'."
+
+
+def test_v_leaves_the_json_of_a_result_alone(capsys: Capture) -> None:
+    assert cli.main(["table", "--check", "tables/t_table_omega05_q30.c", "-v", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["ok"] is True
+
+
+def test_v_ends_with_its_command(capsys: Capture) -> None:
+    assert cli.main([*QUIET_SWARM, "-v"]) == 0
+    capsys.readouterr()
+    assert cli.main(QUIET_SWARM) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_the_library_is_silent_where_logging_is_not_configured() -> None:
+    code = "import mcp_asdf_tools as m; m.emulate(m.SwarmSettings(robots=3, steps=5, filter_period=1))"
+    done = python("-c", code)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
