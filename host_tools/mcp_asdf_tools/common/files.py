@@ -93,21 +93,28 @@ def replace_together(paths: Iterable[Path]) -> Iterator[dict[Path, Path]]:
         for path in paths:
             drafts[path] = check_target(path).with_name(f".{secrets.token_hex(8)}.tmp")
         yield drafts
-        # The disk must have each file before the file has its name: the power may fail.
-        for path, draft in drafts.items():
-            with explaining(path):
-                sync_file(draft)
-        # What can be known to fail is checked again before the first file is replaced.
-        targets = {path: check_target(path) for path in drafts}
-        for path, draft in drafts.items():
-            with explaining(path):
-                os.replace(draft, targets[path])
-            _logger.info("wrote %s", path)
-        sync_folders(drafts)
+        put_in_place(drafts)
     finally:
         for draft in drafts.values():
             with suppress(OSError):
                 draft.unlink()
+
+
+def put_in_place(draft_by_path: Mapping[Path, Path]) -> None:
+    """Give complete drafts their names, in this order, each in place of the file that has the name.
+
+    Raises UsageError if a path cannot be written; what can be known to fail does so before the first rename.
+    """
+    # The disk must have each file before the file has its name: the power may fail.
+    for path, draft in draft_by_path.items():
+        with explaining(path):
+            sync_file(draft)
+    targets = {path: check_target(path) for path in draft_by_path}
+    for path, draft in draft_by_path.items():
+        with explaining(path):
+            os.replace(draft, targets[path])
+        _logger.info("wrote %s", path)
+    sync_folders(draft_by_path)
 
 
 def sync_file(path: Path) -> None:
