@@ -20,7 +20,7 @@ from mcp_asdf_tools.bus.frames import Heartbeat, encode_heartbeat
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.robots import lockstep
 from mcp_asdf_tools.robots.node import RobotNode
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import PATIENCE
 
@@ -103,12 +103,12 @@ class EndlessWire(Wire):
         return encode_heartbeat(Heartbeat(40, 0, 0))
 
 
-def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotRecord:
+def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotSetup:
     """Initial state of a robot; by default it filters every 10 ticks."""
     usual: dict[str, Any] = {"table": TABLE, "filter_period": 10, "comms_period": 1} | config
     comms_period = usual.pop("comms_period")
     usual["filter_period"] //= comms_period
-    return RobotRecord(robot, firmware, b_hat, Config(**usual), comms_period)
+    return RobotSetup(robot, firmware, b_hat, Config(**usual), comms_period)
 
 
 def node(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotNode:

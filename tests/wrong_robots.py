@@ -31,7 +31,7 @@ from mcp_asdf_tools.bus.frames import (
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
@@ -44,12 +44,12 @@ Act = Callable[..., Any]
 """What a method does instead: it takes the object, the right method and the arguments."""
 
 
-def right(**config: Any) -> RobotRecord:
+def right(**config: Any) -> RobotSetup:
     """The controller as the verification is told that it is."""
     return record(**{"robot": ID, "firmware": "mirror", "b_hat": B_HAT, **config})
 
 
-def surroundings(controller: RobotRecord | None = None, faults: str = "", **world: Any) -> RadioSettings:
+def surroundings(controller: RobotSetup | None = None, faults: str = "", **world: Any) -> RadioSettings:
     """A controller, robot 3, among robots 0, 1, 2 and 4."""
     own = controller or right()
     neighbours = tuple(replace(own, id=robot, b_hat=0.95) for robot in choose_ids(own.id, 4))

@@ -35,7 +35,8 @@ def shared(settings: SwarmSettings) -> tuple[float, list[float]]:
 
 def each(settings: SwarmSettings) -> tuple[float, list[float]]:
     """The same with a connection for each robot."""
-    world, robots = SteppedWorld(settings), [BusRobot(each, settings.frames) for each in settings.records()]
+    world = SteppedWorld(settings)
+    robots = [BusRobot(setup, settings.frames) for setup in settings.robot_setups()]
     with ExitStack() as stack:
         buses = [stack.enter_context(GROUP.open()) for _ in robots]
         began = time.process_time()
@@ -43,15 +44,15 @@ def each(settings: SwarmSettings) -> tuple[float, list[float]]:
             now, seen = tick / settings.steps_per_second, world.step()
             sent = [robot.heartbeat(now) for robot in robots] if tick % settings.steps_per_second == 0 else []
             heard: list[list[can.Message]] = [[] for _ in robots]
-            frames = [*sent, *(frame for robot in robots for frame in robot.broadcast(seen[robot.id], now))]
+            frames = [*sent, *(robot.broadcast(now) for robot in robots if robot.observe(seen[robot.id]))]
             for start in range(0, len(frames), len(robots)):  # a socket holds about 200
                 for bus, frame in zip(buses, frames[start : start + len(robots)], strict=True):
                     bus.send(frame)
                 for bus, own in zip(buses, heard, strict=True):
                     own += [come for _ in robots[1:] if (come := bus.recv(2)) is not None]
             for robot, own in zip(robots, heard, strict=True):
-                robot.listen(own)
-                robot.end()
+                robot.receive_frames(own)
+                robot.settle()
         return time.process_time() - began, [robot.robot.x for robot in robots]
 
 

@@ -33,8 +33,8 @@ from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiment
 from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
 from mcp_asdf_tools.experiments.result_tables import experiments_in, read_metadata, trials_to_table
 from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.recording.events import EventsHeader, EventsReader
 from mcp_asdf_tools.recording.frame_logs import read_log
-from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.tables.table_files import check_file, format_c_source, format_json
 from mcp_asdf_tools.world.topology import parse_graph
@@ -57,15 +57,15 @@ class Parser(NamedTuple):
     sound: Callable[[], bytes]
 
 
-def read_input_log(path: Path) -> list[object]:
-    with InputLogReader(path) as reader:
-        return list(reader.lines())
+def read_events(path: Path) -> list[object]:
+    with EventsReader(path) as reader:
+        return list(reader.entries())
 
 
-def input_log() -> bytes:
-    header = InputLogHeader((record(0, "native", 0.95), record(7, "mirror")), 5, FrameFormat(17, 2), {"a": 1})
-    events = '[0,1,[7,5000,2147483649],3]\n"186BB92A#0000603333F307E5"\n'
-    return (header.line() + events).encode()
+def events() -> bytes:
+    header = EventsHeader((record(0, "native", 0.95), record(7, "mirror")), 5, FrameFormat(17, 2), {"a": 1})
+    lines = '[0,1,[7,5000,2147483649],3]\n"186BB92A#0000603333F307E5"\n'
+    return (header.to_line() + lines).encode()
 
 
 def log(suffix: str) -> bytes:
@@ -114,7 +114,8 @@ PARSERS = {
     "table in C": Parser(".c", check_file, lambda: format_c_source(*TABLE).encode()),
     **{f"log {each}": Parser(each, read_logged, partial(log, each)) for each in LOGS},
     "log .log.gz": Parser(".log.gz", read_logged, lambda: gzip.compress(log(".log"), mtime=0)),
-    "input_log": Parser(".events", read_input_log, input_log),
+    "events": Parser(".events", read_events, events),
+    "compressed events": Parser(".events", read_events, lambda: gzip.compress(events(), mtime=0)),
     "TOML": Parser(".toml", read_experiments, (STUDIES / "physical.toml").read_bytes),
     "results": Parser(".parquet", read_results, results),
     "graph": Parser(".txt", parse_graph, lambda: b"3 5\n3 > 7 # one way\n"),

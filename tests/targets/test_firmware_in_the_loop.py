@@ -26,7 +26,7 @@ from mcp_asdf_tools.bus.frames import Heartbeat, decode_heartbeat
 from mcp_asdf_tools.bus.slcan_server import format_frame_line, parse_frame
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.tables.thresholds import generate
 from support import CORE, PATIENCE, ROOT, blocks, made_once, require, run, slow
 from targets.c_node import SANITIZERS, WARNINGS
@@ -81,7 +81,7 @@ TABLE = generate(Decimal("0.05"), 30)
 
 def switched_on(filters: Filter) -> RobotNode:
     """The image's robot, in plain integers."""
-    return RobotNode(RobotRecord(IMAGE_ID, "mirror", B_HAT, Config(TABLE, filters, FILTER_PERIOD)))
+    return RobotNode(RobotSetup(IMAGE_ID, "mirror", B_HAT, Config(TABLE, filters, FILTER_PERIOD)))
 
 
 # ---- The image once more, from the documents: the tools' server reads lines, the robot is the mirror ----

@@ -39,7 +39,7 @@ from mcp_asdf_tools.radio.bench import BenchOptions
 from mcp_asdf_tools.radio.verification import Verification
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from support import PATIENCE, interruptible, require, slow
 from targets.c_node import (
     CORTEX_A8,
@@ -574,7 +574,7 @@ def test_a_verification_executes_every_line_and_branch_of_the_core(
     for chosen, config in (("asdf-plus", Config(TABLE)), ("robust", Config(filter=Filter.ROBUST))):
         with CNode(command, bus.channel_info, ID, "--lockstep", "--filter", chosen) as node:
             bus.accept()
-            own = RobotRecord(ID, "mirror", 0.95, config)
+            own = RobotSetup(ID, "mirror", 0.95, config)
             verdict = Verification(surroundings(own), BenchOptions(bus, 25, PATIENCE)).run()
             assert verdict.has_passed, verdict.headline
             node.stop()

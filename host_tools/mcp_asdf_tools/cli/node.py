@@ -20,8 +20,8 @@ from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_opti
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import INTERRUPTED, has_ended, standard_input, stopping
 from mcp_asdf_tools.common.versions import software_versions
+from mcp_asdf_tools.recording.events import EventsHeader
 from mcp_asdf_tools.recording.frame_logs import add_log_option
-from mcp_asdf_tools.recording.input_log import InputLogHeader
 from mcp_asdf_tools.robots.filters import describe_filters
 from mcp_asdf_tools.robots.node import (
     BusLink,
@@ -33,7 +33,7 @@ from mcp_asdf_tools.robots.node import (
     state_of,
 )
 from mcp_asdf_tools.robots.population import Population
-from mcp_asdf_tools.robots.record import ids_of
+from mcp_asdf_tools.robots.robot_setup import parse_ids
 from mcp_asdf_tools.robots.suspicion import MEANINGS, Suspicion
 
 EPILOG = """\
@@ -65,20 +65,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the node until it ends, and print what came out."""
-    record, subjects, choice = robot_of(args), subjects_of(args), interfaces.choose_bus(args)
+    setup, subjects, choice = robot_of(args), subjects_of(args), interfaces.choose_bus(args)
     if args.allow is not None:
-        record = replace(record, allow=ids_of(args.allow, "--allow"))
+        setup = replace(setup, allow=parse_ids(args.allow, "--allow"))
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     own = argparse.Namespace(steps_per_second=args.steps_per_second)
     rate = settings_from(own, Population).steps_per_second
     parameters = {"steps_per_second": rate, "steps": args.steps}
-    header = InputLogHeader([record], None, subjects.estimates, parameters)
+    header = EventsHeader([setup], None, subjects.estimates, parameters)
     recording = recording_for("node", args.log, header, choice)
     with recording as (log, events):
-        node = RobotNode(record, subjects, rate, None if events is None else events.robots[record.id])
+        node = RobotNode(setup, subjects, rate, None if events is None else events.recorders[setup.id])
         outcome = _go(args, node, choice, log)
-    description = describe_filters([record.config.filter])
+    description = describe_filters([setup.config.filter])
     results = {
         "filter": description,
         "steps": node.ticks,
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     }
     if args.json:
         report = {
-            "parameters": parameters | {"robot": record.plain(), "subjects": asdict(subjects)},
+            "parameters": parameters | {"robot": setup.plain(), "subjects": asdict(subjects)},
             "bus": {"interface": choice.interface, "channel": choice.channel},
             "versions": software_versions(),
             "results": results,

@@ -32,8 +32,8 @@ from mcp_asdf_tools.radio.bench import BenchOptions
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids
 from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.radio.verification import Verification, details, markdown
+from mcp_asdf_tools.recording.events import EventsHeader
 from mcp_asdf_tools.recording.frame_logs import add_log_option
-from mcp_asdf_tools.recording.input_log import InputLogHeader
 from mcp_asdf_tools.robots.filters import FilteringRobots, describe_filters
 from mcp_asdf_tools.robots.node import BusLink, filters_for
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
@@ -199,13 +199,13 @@ def _verify(
     """Take the controller through all phases, and print and keep the verdict."""
     report = _report(args, settings, choice)
     controller, seed = settings.controller, settings.swarm.seed
-    header = InputLogHeader([controller], seed, settings.subjects.estimates, report["parameters"])
+    header = EventsHeader([controller], seed, settings.subjects.estimates, report["parameters"])
     recording = recording_for("radio", args.log, header, choice)
     with ExitStack() as ending:
         with recording as (log, events), choice.open() as bus, stopping() as should_stop:
             options = BenchOptions(bus, args.steps or _PHASE_TICKS, args.timeout or _TIMEOUT, args.wait)
             options.log = options.log if log is None else log
-            options.recorder = None if events is None else events.robots[controller.id]
+            options.recorder = None if events is None else events.recorders[controller.id]
             options.should_stop = should_stop
             verification = Verification(settings, options)
             with console.status("") as status:

@@ -7,14 +7,14 @@ import sys
 from pathlib import Path
 
 from mcp_asdf_tools.bus.interfaces import BusChoice
-from mcp_asdf_tools.recording.input_log import InputLogHeader
+from mcp_asdf_tools.recording.events import EventsHeader
 from mcp_asdf_tools.recording.recording import NoRecording, Recording
 
 _logger = logging.getLogger(__name__)
 
 
 def recording_for(
-    command: str, path: Path | None, header: InputLogHeader | None, choice: BusChoice
+    command: str, path: Path | None, header: EventsHeader | None, choice: BusChoice
 ) -> Recording | NoRecording:
     """The recording of a command on a bus; what goes wrong is on standard error at once."""
 

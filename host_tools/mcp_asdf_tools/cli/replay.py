@@ -13,8 +13,8 @@ from rich.table import Table
 
 from mcp_asdf_tools.cli.again import json_report, print_again
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.recording.events import EventsReader, events_path
 from mcp_asdf_tools.recording.frame_logs import PART, LogSummary, check_log, read_log
-from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
 from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
 from mcp_asdf_tools.robots.filters import describe_filters
 
@@ -41,23 +41,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check the log."""
-    events = args.events or input_log_path(args.log)
+    events = args.events or events_path(args.log)
     check_log(args.log)
     if args.log.suffix == PART:
         _warn(f"{args.log} is incomplete: its run was cut off")
     if args.events is None and not events.exists():
         raise UsageError(
-            f"there is no {events}, without which nothing can be checked: swarm, radio and node write it, "
-            "but not if the disk was full; give it as --events, or see what the frames say with mcp-asdf view"
+            f"there is no {events}, without which nothing can be checked: swarm, radio and node write it "
+            "beside their logs; give it as --events, or see what the frames say with mcp-asdf view"
         )
     progress = Console(stderr=True)
     summary = LogSummary()
     frames = read_log(args.log, args.channel, summary)
-    with InputLogReader(events) as input_log, progress.status("running the robots again"):
-        verdict = verify(frames, input_log)
+    with EventsReader(events) as events_reader, progress.status("running the robots again"):
+        verdict = verify(frames, events_reader)
         with suppress(UsageError):  # the rest of the log only tells its channels
             deque(frames, maxlen=0)
-    filters = describe_filters(robot.config.filter for robot in input_log.header.robots)
+    filters = describe_filters(robot.config.filter for robot in events_reader.header.robots)
     if args.json:
         print(json_report(_report(args, events, summary, verdict, filters)))
     else:

@@ -13,7 +13,7 @@ from mcp_asdf_tools.robots.filters import FILTERS, SwarmFilter
 from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.node import Subjects
 from mcp_asdf_tools.robots.population import Population
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
 _OF_ROBOT = ("filter", "activation", "comms_period", "filter_period", "omega", "memory")
 """Parameters of a population that each of its robots has."""
@@ -47,7 +47,7 @@ def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: s
     add_parameters(parser, Population, "robot's configuration", _OF_ROBOT)
 
 
-def robot_of(args: argparse.Namespace) -> RobotRecord:
+def robot_of(args: argparse.Namespace) -> RobotSetup:
     """The robot that the options describe. Raises UsageError if they contradict each other."""
     neighbours = MAX_ID if args.neighbours is None else args.neighbours
     if not 2 <= neighbours <= MAX_ID:
@@ -57,9 +57,9 @@ def robot_of(args: argparse.Namespace) -> RobotRecord:
     config = swarm.config(0)
     if config.table is None and args.neighbours is not None:
         raise UsageError("--neighbours would do nothing: the robot uses no t-table; leave it out")
-    record = RobotRecord(args.id, args.firmware, args.b_hat, config, swarm.comms_period)
+    record = RobotSetup(args.id, args.firmware, args.b_hat, config, swarm.comms_period)
     try:
-        record.make()
+        record.make_robot()
     except FirmwareError as error:
         raise UsageError(str(error)) from error
     return record

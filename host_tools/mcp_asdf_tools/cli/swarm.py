@@ -23,7 +23,7 @@ from mcp_asdf_tools.cli.swarm_options import PACE, add_arguments, settings_of, w
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import results_beside, write_atomically
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
-from mcp_asdf_tools.recording.input_log import InputLogHeader
+from mcp_asdf_tools.recording.events import EventsHeader
 from mcp_asdf_tools.recording.recording import LogOutputs
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import Subjects
@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     plan = _Plan(args, settings, choice, wiring_of(args, settings, choice))
     _check(plan)
     results = None if args.log is None else results_beside(args.log)
-    header = InputLogHeader(settings.records(), settings.seed, settings.frames, settings.plain())
+    header = EventsHeader(settings.robot_setups(), settings.seed, settings.frames, settings.plain())
     recording = recording_for("swarm", args.log, header, choice)
     try:
         with ExitStack() as ending:
@@ -145,7 +145,7 @@ def _emulate(
     with ExitStack() as stack:
         port = _admit(plan, stack)
         swarm = stack.enter_context(Swarm(settings, plan.wiring, *outputs))
-        robots = settings.records() if plan.args.processes else []
+        robots = settings.robot_setups() if plan.args.processes else []
         subjects = Subjects(estimates=settings.frames) if robots else Subjects()
         processes = NodeProcesses(robots, plan.choice.of_robot, subjects, settings.steps_per_second)
         nodes = stack.enter_context(processes)

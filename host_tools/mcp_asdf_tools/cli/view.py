@@ -20,7 +20,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import install_instruction
 from mcp_asdf_tools.common.files import check_target, write_atomically
 from mcp_asdf_tools.common.signals import stopping
-from mcp_asdf_tools.recording.input_log import input_log_path
+from mcp_asdf_tools.recording.events import events_path
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.view.film import Film
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
 def _check_recording_options(args: argparse.Namespace) -> None:
     """Raise UsageError for an option that does nothing where a recording is shown."""
     unused_options = ["interface", "bitrate", "bus_kwargs"]
-    has_parameters = args.file.suffix.lower() in _RESULTS or input_log_path(args.file).exists()
+    has_parameters = args.file.suffix.lower() in _RESULTS or events_path(args.file).exists()
     if has_parameters:  # what the frames of any other log mean is for the user to say
         unused_options += ["fill_ratio", "true_accuracy", "subject", "channel"]
     for name in unused_options:
@@ -107,20 +107,20 @@ def _film_of(args: argparse.Namespace) -> Film:
         raise UsageError(f"--trial and --where choose from results (.parquet), but {args.file} is a log")
     if not args.file.exists():
         raise UsageError(f"there is no log {args.file}; give one that swarm --log wrote")
-    if not input_log_path(args.file).exists():
+    if not events_path(args.file).exists():
         return _film_of_frames(args)
     return film_of_log(args.file)
 
 
 def _film_of_frames(args: argparse.Namespace) -> Film:
-    """Return the film of a log without an input log, and print what it lacks to standard error."""
+    """Return the film of a log without events, and print what it lacks to standard error."""
     from mcp_asdf_tools.view.frame_film import film_of_frames  # noqa: PLC0415
 
     channel = getattr(args, "channel", None)
     frame_film = film_of_frames(args.file, _frame_format(args), channel, args.fill_ratio, args.true_accuracy)
     notes = [
-        f"there is no {input_log_path(args.file)}, which swarm, radio and node write, but not if the disk "
-        "was full: the page shows what the frames say"
+        f"there is no {events_path(args.file)}, which swarm, radio and node write beside their "
+        "logs: the page shows what the frames say"
     ]
     summary = frame_film.summary
     if channel is None and len(summary.channels) > 1:

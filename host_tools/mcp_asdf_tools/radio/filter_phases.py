@@ -19,7 +19,7 @@ from mcp_asdf_tools.radio.rounds import (
     scaled_alphas,
     with_large_sums,
 )
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
 LONG_RUN = 20_000
 """Observations after which a controller must not have forgotten any, unless its memory is shorter: more than
@@ -135,7 +135,7 @@ def few_observations(bench: Bench) -> None:
                 bench.tick(None)
 
 
-def updates_to_see(record: RobotRecord) -> int:
+def updates_to_see(record: RobotSetup) -> int:
     """Return how often a run re-estimates: beyond 2**8 times where tests are frequent, else beyond 2**5."""
     return 257 if record.filter_period <= FREQUENT_TESTS else 33
 

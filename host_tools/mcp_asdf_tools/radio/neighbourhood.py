@@ -15,7 +15,7 @@ from mcp_asdf.robot import Observation
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.node import Subjects
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_injection.fault import Fault
 from mcp_asdf_tools.swarm.fault_injection.faults import Faults
@@ -51,8 +51,8 @@ class RadioSettings:
         faults: Faults between the robots, in the order in which they act.
     """
 
-    controller: RobotRecord
-    neighbours: tuple[RobotRecord, ...]
+    controller: RobotSetup
+    neighbours: tuple[RobotSetup, ...]
     swarm: SwarmSettings
     subjects: Subjects
     faults: tuple[Fault, ...] = ()

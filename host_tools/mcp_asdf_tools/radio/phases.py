@@ -16,7 +16,7 @@ from mcp_asdf_tools.radio import filter_phases as filtering
 from mcp_asdf_tools.radio import protocol_phases as protocol
 from mcp_asdf_tools.radio import robust_phases as robust
 from mcp_asdf_tools.radio.bench import Bench
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
 _TESTS = 20
 """Tests of the filter that a run waits for."""
@@ -41,20 +41,20 @@ class Phase:
     name: str
     play: Callable[[Bench], None] | None = None
     fault: str = ""
-    applies: Callable[[RobotRecord], bool] = lambda record: True
+    applies: Callable[[RobotSetup], bool] = lambda record: True
 
 
-def is_in_reach(record: RobotRecord) -> bool:
+def is_in_reach(record: RobotSetup) -> bool:
     """True if the tests of the filter come often enough for a run."""
     return _TESTS * record.filter_period <= _MOST_TICKS
 
 
-def is_halved(record: RobotRecord) -> bool:
+def is_halved(record: RobotSetup) -> bool:
     """True if the memory is short enough for a run to fill it."""
     return record.config.memory <= _LONGEST_MEMORY
 
 
-def _has(filters: Collection[Filter], record: RobotRecord) -> bool:
+def _has(filters: Collection[Filter], record: RobotSetup) -> bool:
     """Whether a controller has one of these filters, with tests often enough for a run."""
     return record.config.filter in filters and is_in_reach(record)
 

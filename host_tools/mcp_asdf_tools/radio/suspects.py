@@ -24,7 +24,7 @@ from mcp_asdf.mirror import (
 )
 from mcp_asdf.robot import Config, Filter, Observation, Status, Sums
 from mcp_asdf.table import FRACTION_BITS, MAX_WORD, Table
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
 Decision = Callable[[Crowd, int, int], bool]
 """Whether the robust filter's test rejects a crowd, t and n."""
@@ -202,7 +202,7 @@ class Suspect:
     filter: Filter | None = None
     kind: type[MirrorRobot] = MirrorRobot
 
-    def model(self, record: RobotRecord, model: MirrorRobot) -> MirrorRobot:
+    def model(self, record: RobotSetup, model: MirrorRobot) -> MirrorRobot:
         """Return a model of the controller of ``record`` with this mistake, in the state of ``model``."""
         if self.filter is not None:
             return model_of(MirrorRobot, model, replace(record.config, filter=self.filter))
@@ -260,9 +260,7 @@ class Lineup:
     _broadcasts: dict[str, tuple[int, float]] = field(default_factory=dict)
 
     @classmethod
-    def beside(
-        cls, right: MirrorRobot, record: RobotRecord, suspects: Iterable[Suspect] = SUSPECTS
-    ) -> Lineup:
+    def beside(cls, right: MirrorRobot, record: RobotSetup, suspects: Iterable[Suspect] = SUSPECTS) -> Lineup:
         """Return the models of the mistakes that a controller of ``record`` can have."""
         suspected = [suspect for suspect in suspects if record.config.filter in suspect.said]
         return cls(

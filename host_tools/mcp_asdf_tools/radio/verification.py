@@ -22,7 +22,7 @@ from mcp_asdf_tools.radio.phases import PHASES, Phase, is_halved, is_in_reach
 from mcp_asdf_tools.radio.protocol_phases import CROWDED_MESSAGES
 from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES
 from mcp_asdf_tools.robots.lockstep import LockstepError
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.swarm.fault_injection.fault import Fault
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 
@@ -134,7 +134,7 @@ def planned(settings: RadioSettings, phases: Sequence[Phase], ticks: int) -> tup
     return plan, faults
 
 
-def not_checked(record: RobotRecord) -> list[str]:
+def not_checked(record: RobotSetup) -> list[str]:
     """Properties that a verdict on a controller of this configuration leaves open."""
     config = record.config
     filters = config.filter is not Filter.OFF

@@ -1,10 +1,11 @@
-"""Recording of a run: its log and its input log on their way to disk."""
+"""Recording of a run: its log and its events on their way to disk."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from copy import copy
 from pathlib import Path
@@ -13,42 +14,57 @@ import can
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, explaining, sync_folders
+from mcp_asdf_tools.recording.events import EventsHeader, EventsWriter, events_path
 from mcp_asdf_tools.recording.frame_logs import PART
-from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogWriter, input_log_path
 
-LogOutputs = tuple[Callable[[can.Message], None] | None, InputLogWriter | None]
-"""Takers of frames and of events, None where there is no log."""
+LogOutputs = tuple[Callable[[can.Message], None] | None, EventsWriter | None]
+"""What takes the frames, and what takes the events; None where they are not recorded."""
 
-_PERIOD = 1.0
+_FLUSH_PERIOD = 1.0
 """Seconds after which frames and events are on disk."""
-_MOST_WAITING = 4096
-"""Frames and events that may wait for that."""
+_MAX_UNFLUSHED = 4096
+"""Frames and lines of events after which they are on disk even earlier."""
+_GZIP_FORMAT = 31
+"""``wbits`` of zlib that makes a gzip file, whose header has no time: the same run gives the same events."""
 
 
-class _Part:
-    """A file that is being written; what a full disk does not take waits."""
+class _PartFile:
+    """A file that is being written: text goes into the memory, and to disk with the next flush."""
 
-    def __init__(self, path: Path) -> None:
-        self.path, self._waiting = path, bytearray()
+    def __init__(self, path: Path, is_compressed: bool) -> None:
+        """Create the file. Raises FileExistsError if there is one."""
+        self.path = path
         self.file = path.open("xb", buffering=0)
+        self._compressor = zlib.compressobj(wbits=_GZIP_FORMAT) if is_compressed else None
+        self._unwritten = bytearray()
 
     def write(self, text: str) -> None:
         """Take text, which is on disk after the next flush."""
-        self._waiting += text.encode()
+        data = text.encode()
+        self._unwritten += data if self._compressor is None else self._compressor.compress(data)
 
     def flush(self) -> None:
-        """Write what waits. Raises OSError if the disk does not take it."""
-        while self._waiting:
-            del self._waiting[: self.file.write(self._waiting)]
+        """Write to disk what was taken, so that it can be read from there. Raises OSError if that fails."""
+        if self._compressor is not None:
+            self._unwritten += self._compressor.flush(zlib.Z_SYNC_FLUSH)
+        self._write_to_disk()
 
     def close(self) -> None:
-        """The same, and that was all."""
-        self.flush()
+        """Write what was taken, with the end of the file, and close it. Raises OSError as ``flush``."""
+        if self._compressor is not None:
+            self._unwritten += self._compressor.flush(zlib.Z_FINISH)
+        self._write_to_disk()
         self.file.close()
+
+    def _write_to_disk(self) -> None:
+        while self._unwritten:
+            # An almost full disk takes a part of the data before it refuses the rest.
+            written_bytes = self.file.write(self._unwritten)
+            del self._unwritten[:written_bytes]
 
 
 class NoRecording(nullcontext[LogOutputs]):
-    """Recording that takes nothing."""
+    """Stands for a recording where none was asked for."""
 
     failure: str | None = None
 
@@ -57,12 +73,13 @@ class NoRecording(nullcontext[LogOutputs]):
 
 
 class Recording:
-    """Log of a run and, with a header, its input log; a context manager that yields their takers.
+    """Log of a run and, with a header, its events; a context manager that yields what takes them.
 
     Both grow as ``NAME.part``, are on disk once a second, and take their names at a regular end, the log
-    last: a log under its own name never has another run's input log. After any other end they stay parts. On
-    a full disk the input log gives way to the log; when that has no room either the recording ends, but not
-    the run.
+    last: a log under its own name never has another run's events. After any other end they stay parts. What
+    goes wrong, such as a full disk, ends the recording but not the run. Events are written before the frames
+    that followed from them, so while the disk takes both, the events on it explain the frames on it but for
+    those of open ticks.
 
     Attributes:
         failure: Why the recording is not complete; None while nothing is wrong with it.
@@ -71,15 +88,14 @@ class Recording:
     def __init__(
         self,
         path: Path,
-        header: InputLogHeader | None,
+        header: EventsHeader | None,
         warn: Callable[[str], object],
         channel: str = "vcan0",
     ) -> None:
-        """Prepare the log ``path``, in candump's format. ``warn`` gets a line each if the input
-        log is given up and if the recording fails.
+        """Prepare to write the log ``path``, in candump's format, and events beside it if there is a header.
 
-        ``channel`` is that of frames that do not name theirs. Raises UsageError, as entering does, if the
-        log's name or place is unusable.
+        ``warn`` gets a line if the recording fails; it says what is on disk. ``channel`` is that of frames
+        that do not name theirs. Raises UsageError, as entering does, if the log's name or place is unusable.
         """
         if path.suffix.lower() != ".log":
             raise UsageError(
@@ -87,108 +103,121 @@ class Recording:
                 "makes others of it"
             )
         self.failure: str | None = None
-        self._path, self._header, self._channel, self._warn = path, header, channel, warn
-        names = [path] if header is None else [path, input_log_path(path)]
-        self._targets = [check_target(each) for each in names]
+        self._path = path
+        self._header = header
+        self._channel = channel
+        self._warn = warn
+        names = [path] if header is None else [path, events_path(path)]
+        self._targets = [check_target(name) for name in names]
         self._parts = [target.with_name(target.name + PART) for target in self._targets]
-        self._is_empty, self._is_over = True, False
-        self._waiting = 0
-        self._flush_at = time.monotonic() + _PERIOD
-        self._events = None if header is None else InputLogWriter(header, self._write_events)
+        self._files: list[_PartFile] = []
+        self._is_empty = True
+        self._is_over = False
+        self._unflushed_count = 0
+        self._flush_time = time.monotonic() + _FLUSH_PERIOD
+        self._events = None if header is None else EventsWriter(header, self._write_events_line)
 
     def __enter__(self) -> LogOutputs:
         for part in self._parts:
-            if part.exists():  # what another run left is not lost
+            if part.exists():  # what another run left must not be lost
                 raise UsageError(
                     f"{part} is there: another program writes it, or its run was cut off; rename or remove it"
                 )
         with explaining(self._path):
-            self._files = [_Part(part) for part in self._parts]
-        self._log = can.CanutilsLogWriter(self._files[0])  # type: ignore[arg-type]  # which only writes
+            log_part, *events_parts = self._parts
+            self._files = [_PartFile(log_part, is_compressed=False)]
+            self._files += [_PartFile(part, is_compressed=True) for part in events_parts]
+        self._log_writer = can.CanutilsLogWriter(self._files[0])  # type: ignore[arg-type]  # which only writes
         if self._header is not None:
-            self._files[1].write(self._header.line())
+            self._files[1].write(self._header.to_line())
         return self._write_frame, self._events
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, error_type: type[BaseException] | None, *_: object) -> None:
         if self._events is not None:
             self._events.finish()
-        self._attempt(lambda: self._on_files("close"))
-        if kind is None:
-            self._attempt(self._take_names)
+        self._attempt(self._close_files)
+        if error_type is None:
+            self._attempt(self._rename_parts)
         elif self._is_empty:
             for part in self._parts:
                 part.unlink(missing_ok=True)
         else:
-            self._fail("the run did not end regularly")
+            self._fail("the run did not end regularly", "partial data is")
 
-    def _take_names(self) -> None:
+    def _rename_parts(self) -> None:
+        """Give the files their names. Raises UsageError if that cannot be done."""
         for target in self._targets:
             check_target(target)
         with explaining(self._path):
             for part in self._parts:
                 with part.open("rb") as file:
-                    os.fsync(file.fileno())  # it must not have its name before the disk has it
-            log = self._targets[0]
-            for old in (log, input_log_path(log)):  # the old log first: it must not get another's input log
-                old.unlink(missing_ok=True)
+                    os.fsync(file.fileno())  # a file must not have its name before the disk has its content
+            log_target = self._targets[0]
+            # The old log is removed first: it must never stand beside the events of another run.
+            for old_file in (log_target, events_path(log_target)):
+                old_file.unlink(missing_ok=True)
             for part, target in reversed(list(zip(self._parts, self._targets, strict=True))):
                 os.replace(part, target)
             sync_folders(self._targets)
 
     def _write_frame(self, frame: can.Message) -> None:
         self._flush_if_due()
-        named = copy(frame)
-        named.channel = "_".join(str(frame.channel or self._channel).split())  # one word, as the format wants
-        self._attempt(lambda: self._log.on_message_received(named))
+        named_frame = copy(frame)
+        # candump's format has one word for the channel.
+        named_frame.channel = "_".join(str(frame.channel or self._channel).split())
+        self._attempt(lambda: self._log_writer.on_message_received(named_frame))
 
-    def _write_events(self, line: str) -> None:
+    def _write_events_line(self, line: str) -> None:
         self._flush_if_due()
-        if len(self._files) > 1 and not self._is_over:
+        if not self._is_over:
             self._files[1].write(line)
 
     def _flush_if_due(self) -> None:
-        """Write to disk what came before: the events that follow from the last frame are among it."""
+        """Write to disk what came before. The events that led to the last frame are among it."""
         self._is_empty = False
-        self._waiting += 1
-        if self._waiting > _MOST_WAITING or time.monotonic() >= self._flush_at:
-            self._waiting = 0
-            self._flush_at = time.monotonic() + _PERIOD
-            self._attempt(lambda: self._on_files("flush"))
+        self._unflushed_count += 1
+        if self._unflushed_count > _MAX_UNFLUSHED or time.monotonic() >= self._flush_time:
+            self._unflushed_count = 0
+            self._flush_time = time.monotonic() + _FLUSH_PERIOD
+            self._attempt(self._flush_files)
 
-    def _on_files(self, call: str) -> None:
-        """Flush or close, the log last: so the input log explains all that it holds but open ticks."""
-        for file in reversed(self._files):
+    def _flush_files(self) -> None:
+        """Write to disk what came before, events before frames. Raises OSError if the disk refuses."""
+        self._call_in_order([file.flush for file in self._files])
+
+    def _close_files(self) -> None:
+        """Write the rest in the same order, and close the files. Raises OSError if the disk refuses."""
+        self._call_in_order([file.close for file in self._files])
+
+    def _call_in_order(self, calls: Sequence[Callable[[], None]]) -> None:
+        """Call a method of each file, the log's last. Raises the first OSError when all have been called."""
+        errors: list[OSError] = []
+        for call in reversed(calls):
             try:
-                getattr(file, call)()
-            except OSError as error:
-                if len(self._files) == 1:
-                    raise
-                self._give_up_events(error.strerror or str(error))
-                getattr(self._files[0], call)()
+                call()
+            except OSError as error:  # the log may still have room, or less to write
+                errors.append(error)
+        if errors:
+            raise errors[0]
 
-    def _give_up_events(self, reason: str) -> None:
-        """Leave their room to the log."""
-        events, _ = self._files.pop(), self._targets.pop()
-        events.file.close()
-        self._parts.pop().unlink()
-        self.failure = reason
-        self._warn(
-            f"{events.path} is given up to leave room for the log, which goes on: {reason}; mcp-asdf replay "
-            "cannot check this log, as it needs the events, but mcp-asdf view shows its frames"
-        )
-
-    def _attempt(self, work: Callable[[], object]) -> None:
-        """Do ``work`` unless the recording is over; what goes wrong ends it."""
+    def _attempt(self, action: Callable[[], object]) -> None:
+        """Call ``action`` unless the recording has ended; an error in it ends the recording."""
         if self._is_over:
             return
         try:
-            work()
-        except (OSError, UsageError) as error:
-            self._fail(error.strerror or str(error) if isinstance(error, OSError) else str(error))
+            action()
+        except OSError as error:
+            self._fail(error.strerror or str(error), "what followed is lost, what came before is")
+        except UsageError as error:
+            self._fail(str(error), "partial data is")
 
-    def _fail(self, reason: str) -> None:
-        if not self._is_over:
-            self._is_over, self.failure = True, reason
-            self._warn(f"the log {self._path} is not complete: {reason}; partial data is in {self._parts[0]}")
-            for part in self._files:
-                part.file.close()
+    def _fail(self, reason: str, data_on_disk: str) -> None:
+        """End the recording, and warn once: of the reason, and in which files there is what was recorded."""
+        if self._is_over:
+            return
+        self._is_over = True
+        self.failure = reason
+        parts = " and ".join(str(part) for part in self._parts)
+        self._warn(f"the log {self._path} is not complete: {reason}; {data_on_disk} in {parts}")
+        for file in self._files:
+            file.file.close()

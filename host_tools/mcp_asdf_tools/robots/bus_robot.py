@@ -1,6 +1,6 @@
-"""One robot of a bus, without the bus: the frames that it makes and the frames that it takes.
+"""One robot of a bus, without the bus: the frames that it sends, and what it does with those it receives.
 
-A tick is ``broadcast``, which returns the estimate if one is due, any number of ``listen``, and ``end``. The
+A tick is ``observe``, then ``broadcast`` if that is due, any number of frames received, and ``settle``. The
 robots of a swarm, the neighbours of a real controller and the node of a process are all driven this way; they
 differ in when heartbeats and telemetry are due, and in what carries the frames.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TypeAlias, cast
+from typing import Protocol, TypeAlias, cast
 
 import can
 import numpy as np
@@ -25,7 +25,6 @@ from mcp_asdf_tools.bus.frame_layout import (
     MIN_B_HAT,
     Q23_ONE,
     TRANSFER_IDS,
-    Action,
     Rejection,
 )
 from mcp_asdf_tools.bus.frames import (
@@ -39,81 +38,40 @@ from mcp_asdf_tools.bus.frames import (
     encode_estimate,
     encode_heartbeat,
     encode_telemetry,
-    format_frame,
 )
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.robots.suspicion import Suspicion, Suspicions
 
-Words: TypeAlias = NDArray[np.uint32]
-"""Estimates for a firmware, shape (estimates, 3): sender, x_hat and alpha, as ``bus.frames.Message``."""
+EstimateRows: TypeAlias = NDArray[np.uint32]
+"""Estimates for a firmware, shape (estimates, 3): sender, x_hat and alpha, as ``bus.frames.Estimate``."""
 
 _COUNTER_MODULUS = 2**16
 _TICKS_BETWEEN_COUNTS = 64
 """Few enough for 1000 messages a tick: a counter must not gain 2**16 unseen."""
 
-SETTLE = 3
-SILENT, RESTART = "silent", "restart"
 
-_OBSERVED = {z: str(Action.to_observe(z).value) for z in (None, *Observation)}
+class Recorder(Protocol):
+    """What takes the events of one robot, so that it can be run again. ``recording.events`` has one."""
 
-Event = int | str | list[int]
-"""One event in a line."""
+    def record_observation(self, z: Observation | None) -> None:
+        """Record that a tick began, in which the robot observed ``z``, or nothing."""
 
+    def record_estimates(self, estimates: Sequence[list[int]]) -> None:
+        """Record that the robot received estimates: sender, x_hat and alpha each."""
 
-class Recorder:
-    """Recorder of one robot's events, that writes a line per settle, with the texts that ``tell`` makes of
-    messages."""
+    def record_settle(self) -> None:
+        """Record that the robot ended the tick."""
 
-    def __init__(
-        self, robot: int, write: Callable[[str], object], tell: Callable[[list[list[int]]], str]
-    ) -> None:
-        self._head = f"[{robot}"
-        self._parts: list[str | list[list[int]]] = [self._head]
-        self._write, self._tell = write, tell
+    def record_restart(self) -> None:
+        """Record that the robot started anew."""
 
-    def observe(self, z: Observation | None) -> None:
-        """The robot began a tick and observed ``z``, if anything."""
-        self._parts.append(_OBSERVED[z])
-
-    def receive(self, words: Words) -> None:
-        """The robot took messages. O(messages)."""
-        if isinstance(self._parts[-1], list):
-            self._parts[-1] += words.tolist()
-        elif len(words):
-            self._parts.append(words.tolist())
-
-    def settle(self) -> None:
-        """The robot ended the tick."""
-        self._parts.append(str(SETTLE))
-        self.flush()
-
-    def silent(self) -> None:
-        """The last broadcast did not go out."""
-        self._parts.append(f'"{SILENT}"')
-
-    def falsified(self, x_hat: int, alpha_bits: int) -> None:
-        """The last broadcast went out with these values instead of the robot's own."""
-        self._parts.append(f"[{x_hat},{alpha_bits}]")
-
-    def restart(self) -> None:
-        """The robot started anew."""
-        self._parts.append(f'"{RESTART}"')
-
-    def foreign(self, frame: can.Message) -> None:
-        """Another node sent ``frame`` under the robot's id."""
-        self._write(f'"{format_frame(frame)}"\n')
-
-    def flush(self) -> None:
-        """Write the events taken so far."""
-        if len(self._parts) > 1:
-            texts = [part if isinstance(part, str) else self._tell(part) for part in self._parts]
-            self._write(",".join(texts) + "]\n")
-            self._parts = [self._head]
+    def record_foreign_frame(self, frame: can.Message) -> None:
+        """Record a frame that another node sent under the robot's id."""
 
 
 @dataclass
 class Reception:
-    """Frames that one robot heard.
+    """Counts of the frames that one robot received.
 
     Attributes:
         delivered: Estimates handed to the firmware.
@@ -137,16 +95,16 @@ class Reception:
 
     @property
     def id_conflicts(self) -> int:
-        """Estimates under the robot's own id: another node has it, too."""
-        return self._of(Suspicion.CONFLICT)
+        """Number of estimates under the robot's own id: another node has it, too."""
+        return self._count_events(Suspicion.CONFLICT)
 
     @property
     def unknown(self) -> int:
-        """Estimates under ids that are not allowed."""
-        return self._of(Suspicion.UNKNOWN)
+        """Number of estimates under ids that are not allowed."""
+        return self._count_events(Suspicion.UNKNOWN)
 
-    def _of(self, kind: Suspicion) -> int:
-        return sum(count for (each, _), count in self.events.items() if each is kind)
+    def _count_events(self, suspicion: Suspicion) -> int:
+        return sum(count for (kind, _), count in self.events.items() if kind is suspicion)
 
 
 @dataclass
@@ -175,106 +133,112 @@ class BusRobot:
         id: Robot id and node id.
         robot: The firmware; another one after a crash that lost the state.
         ticks: Control ticks begun since the robot started.
-        is_alive: Whether the robot has not crashed.
+        is_alive: Whether the robot has not crashed. One that has receives nothing.
         sent: Frames made since the robot started.
-        reception: Frames heard, counted.
+        reception: Frames received, counted.
         recorder: Takes the robot's events; None if they are not recorded.
     """
 
     def __init__(
         self,
-        record: RobotRecord,
-        estimates: FrameFormat,
+        setup: RobotSetup,
+        estimate_format: FrameFormat,
         recorder: Recorder | None = None,
-        telemetry: FrameFormat = TELEMETRY_FORMAT,
-        make: Callable[[], Robot] | None = None,
+        telemetry_format: FrameFormat = TELEMETRY_FORMAT,
+        make_firmware: Callable[[], Robot] | None = None,
     ) -> None:
-        """Start the robot of ``record``, with the firmware that ``make`` returns in place of the record's.
+        """Start a robot, with the firmware that ``make_firmware`` returns in place of the setup's.
 
-        Estimates and telemetry are sent in these formats. Raises as ``RobotRecord.make``.
+        Estimates and telemetry are sent in these formats. Raises as ``RobotSetup.make_robot``.
         """
-        self.id = record.id
+        self.id = setup.id
         self.is_alive = True
         self.reception = Reception()
         self.recorder = recorder
-        self._allowed: NDArray[np.bool_] | None = None
-        if record.allow is not None:
-            self._allowed = np.isin(np.arange(MAX_NODE_ID + 1), [self.id, *record.allow])
-        self._make = make or record.make
-        self._period = record.comms_period
-        self._estimates, self._telemetry = estimates, telemetry
+        self._is_allowed: NDArray[np.bool_] | None = None  # by sender; None if all are
+        if setup.allow is not None:
+            self._is_allowed = np.isin(np.arange(MAX_NODE_ID + 1), [self.id, *setup.allow])
+        self._make_firmware = make_firmware or setup.make_robot
+        self._comms_period = setup.comms_period
+        self._estimate_format = estimate_format
+        self._telemetry_format = telemetry_format
         self._loses_state = False
         self.restart()
 
     @property
     def counters(self) -> Counters:
         """The firmware's diagnostics, in numbers that do not wrap."""
-        self._count()
-        return self._counted
+        self._update_counters()
+        return self._counters
 
-    # --- Its life ---
+    # --- Start, crash and restart ---
 
     def restart(self) -> None:
-        """Begin anew, as after a reset that loses everything. Raises as ``RobotRecord.make``."""
+        """Start anew, as after a reset that loses everything. Raises as ``RobotSetup.make_robot``."""
         self.ticks = 0
         self.sent = FramesSent()
-        self.robot = self._make()
-        speaks_raw = hasattr(self.robot, "receive_all")
-        self._port = cast(FixedPointRobot, self.robot) if speaks_raw else RoundingPort(self.robot)
-        self._left = self._period
-        self._counted = self.robot.counters
+        self.robot = self._make_firmware()
+        takes_integers = hasattr(self.robot, "receive_all")
+        self._port = cast(FixedPointRobot, self.robot) if takes_integers else RoundingPort(self.robot)
+        self._ticks_to_broadcast = self._comms_period
+        self._counters = self.robot.counters
 
-    def die(self, loses_state: bool) -> None:
-        """Crash. The state is lost, or there again when the robot wakes."""
+    def crash(self, loses_state: bool) -> None:
+        """Stop. The state is lost, or there again when the robot rejoins."""
         self.is_alive = False
         self._loses_state = loses_state
 
-    def wake(self) -> None:
-        """Rejoin after a crash. Raises as ``RobotRecord.make``."""
+    def rejoin(self) -> None:
+        """Go on after a crash. Raises as ``RobotSetup.make_robot``."""
         self.is_alive = True
         if self._loses_state:
             self.restart()
             if self.recorder is not None:
-                self.recorder.restart()
+                self.recorder.record_restart()
 
-    def begin(self, z: Observation | None) -> bool:
-        """Begin a tick, with an observation or without; returns whether a broadcast is due.
+    # --- A tick ---
+
+    def observe(self, z: Observation | None) -> bool:
+        """Begin a tick, with an observation or without, and return whether a broadcast is due.
 
         It stays due until a tick has ended.
         """
         if self.recorder is not None:
-            self.recorder.observe(z)
+            self.recorder.record_observation(z)
         self.ticks += 1
         if z is not None:
             self.robot.observe(z)
-        self._left = max(self._left - 1, 0)
-        return self._left == 0
+        self._ticks_to_broadcast = max(self._ticks_to_broadcast - 1, 0)
+        return self._ticks_to_broadcast == 0
 
-    def broadcast(self, z: Observation | None, now: float) -> list[can.Message]:
-        """Begin a tick; returns the frame of the estimate, stamped ``now`` (seconds), if one is due."""
-        return [encode_estimate(self.estimate(), self._estimates, now)] if self.begin(z) else []
+    def broadcast(self, now: float) -> can.Message:
+        """Return the frame of the present estimate, stamped ``now`` (seconds), and count it."""
+        return encode_estimate(self.next_estimate(), self._estimate_format, now)
 
-    def end(self) -> None:
-        """End the tick, and its round if that is due."""
-        if self._left == 0:
-            self._left = self._period
+    def settle(self) -> None:
+        """End the tick, and the firmware's round if a broadcast was due in it."""
+        if self._ticks_to_broadcast == 0:
+            self._ticks_to_broadcast = self._comms_period
             self.robot.settle()
         if self.ticks % _TICKS_BETWEEN_COUNTS == 0:
-            self._count()
+            self._update_counters()
         if self.recorder is not None:
-            self.recorder.settle()
+            self.recorder.record_settle()
 
-    def _count(self) -> None:
-        """Add the gains of the firmware's counters."""
-        found, known = vars(self.robot.counters), vars(self._counted)
-        self._counted = Counters(
-            **{name: count + (found[name] - count) % _COUNTER_MODULUS for name, count in known.items()}
+    def _update_counters(self) -> None:
+        """Add what the firmware's counters, which wrap, have gained since the last call."""
+        firmware_counts = vars(self.robot.counters)
+        self._counters = Counters(
+            **{
+                name: count + (firmware_counts[name] - count) % _COUNTER_MODULUS
+                for name, count in vars(self._counters).items()
+            }
         )
 
-    # --- The frames that it makes ---
+    # --- Frames to send ---
 
-    def estimate(self) -> Estimate:
-        """The next broadcast, with the present estimate."""
+    def next_estimate(self) -> Estimate:
+        """Return the present estimate with the next transfer_id, and count it as sent."""
         transfer_id = self.sent.estimates % TRANSFER_IDS
         self.sent.estimates += 1
         return Estimate(self.id, self._port.x_hat_raw, self._port.alpha_raw, transfer_id)
@@ -295,70 +259,89 @@ class BusRobot:
         return encode_heartbeat(Heartbeat(self.id, uptime, uptime % TRANSFER_IDS), timestamp=now)
 
     def telemetry(self, now: float) -> can.Message:
-        """The robot's present state."""
+        """Return a frame with the robot's present state, stamped ``now`` (seconds), and count it."""
         b_hat = min(max(int(self.robot.b_hat * 2**24), MIN_B_HAT), MAX_B_HAT)
-        updates, transfer_id = self.robot.counters.updates % 256, self.sent.telemetry % TRANSFER_IDS
+        updates = self.robot.counters.updates % 256
+        transfer_id = self.sent.telemetry % TRANSFER_IDS
         self.sent.telemetry += 1
         telemetry = Telemetry(self.id, int(self.robot.x * Q23_ONE), b_hat, updates, transfer_id)
-        return encode_telemetry(telemetry, self._telemetry, now)
+        return encode_telemetry(telemetry, self._telemetry_format, now)
 
-    # --- The frames that it takes; a dead robot takes none ---
+    # --- Frames received ---
 
-    def listen(self, frames: Sequence[can.Message]) -> None:
-        """Take any frames of other nodes, in the order in which they came."""
-        decoded = decode_estimates(frames, self._estimates, np.zeros(len(frames), np.uint64))
-        self.receive(decoded.rows[decoded.is_estimate])
-        for frame, known in zip(frames, decoded.is_estimate.tolist(), strict=True):
-            if not known:
-                self.count(decode_frame(frame, self._estimates))
+    def receive_frames(self, frames: Sequence[can.Message]) -> None:
+        """Hand the estimates among frames of other nodes to the firmware, in order, and count the others."""
+        no_bit_flips = np.zeros(len(frames), np.uint64)
+        decoded = decode_estimates(frames, self._estimate_format, no_bit_flips)
+        self.receive_all(decoded.rows[decoded.is_estimate])
+        for frame, is_estimate in zip(frames, decoded.is_estimate.tolist(), strict=True):
+            if not is_estimate:
+                self.count_content(decode_frame(frame, self._estimate_format))
 
-    def receive(self, words: Words) -> None:
-        """Hand estimates under allowed ids, and its own, to the firmware. O(estimates)."""
+    def receive(self, estimate: Estimate) -> None:
+        """Hand one estimate to the firmware, if its sender is allowed or the robot itself. O(1)."""
         if not self.is_alive:
             return
-        if self._allowed is not None:
-            is_allowed = self._allowed[words[:, 0]]
-            for sender in words[~is_allowed, 0].tolist():
-                self.reception.events[Suspicion.UNKNOWN, sender] += 1
-            words = words[is_allowed]
+        sender = estimate.sender
+        if self._is_allowed is not None and not self._is_allowed[sender]:
+            self.reception.events[Suspicion.UNKNOWN, sender] += 1
+            return
         if self.recorder is not None:
-            self.recorder.receive(words)
-        received, accepted = len(words), self._port.receive_all(words)
-        self.reception.delivered += received
-        if accepted < received:
-            self.reception.refused += received - accepted
-            self._note_conflicts(words[:, 0].tolist().count(self.id))
+            self.recorder.record_estimates([[sender, estimate.x_hat, estimate.alpha]])
+        self.reception.delivered += 1
+        if self._port.receive_raw(sender, estimate.x_hat, estimate.alpha) is not Status.OK:
+            self.reception.refused += 1
+            self._count_conflicts(int(sender == self.id))
 
-    def _note_conflicts(self, count: int) -> None:
+    def receive_all(self, estimates: EstimateRows) -> None:
+        """Hand many estimates to the firmware in order, as ``receive`` does with one. O(estimates)."""
+        if not self.is_alive:
+            return
+        if self._is_allowed is not None:
+            is_allowed = self._is_allowed[estimates[:, 0]]
+            for sender in estimates[~is_allowed, 0].tolist():
+                self.reception.events[Suspicion.UNKNOWN, sender] += 1
+            estimates = estimates[is_allowed]
+        if self.recorder is not None and len(estimates):
+            self.recorder.record_estimates(estimates.tolist())
+        received_count = len(estimates)
+        accepted_count = self._port.receive_all(estimates)
+        self.reception.delivered += received_count
+        if accepted_count < received_count:
+            self.reception.refused += received_count - accepted_count
+            # The firmware refuses all that come under its own id.
+            self._count_conflicts(estimates[:, 0].tolist().count(self.id))
+
+    def _count_conflicts(self, count: int) -> None:
+        """Count estimates that another node sent under the robot's id."""
         if count:
             self.reception.events[Suspicion.CONFLICT, self.id] += count
 
-    def count(self, content: FrameContent, frames: int = 1) -> None:
-        """Count frames of one kind that are no estimates."""
-        heard = self.reception
+    def count_content(self, content: FrameContent, frame_count: int = 1) -> None:
+        """Count frames with this content, unless it is an estimate or a command."""
         if not self.is_alive:
             return
         if isinstance(content, Heartbeat):
-            heard.heartbeats += frames
+            self.reception.heartbeats += frame_count
         elif isinstance(content, Telemetry):
-            heard.telemetry += frames
+            self.reception.telemetry += frame_count
         elif content is Rejection.ERROR_FRAME:
-            heard.errors += frames
+            self.reception.errors += frame_count
         elif isinstance(content, Rejection):
-            heard.rejected[content] += frames
+            self.reception.rejected[content] += frame_count
 
-    def hear_stranger(self, frame: can.Message) -> None:
+    def count_foreign_frame(self, frame: can.Message) -> None:
         """Count a frame from outside the swarm; the firmware does not get it."""
-        content = decode_frame(frame, self._estimates)
+        content = decode_frame(frame, self._estimate_format)
         if not isinstance(content, Estimate):
-            self.count(content)
+            self.count_content(content)
         elif self.is_alive:
             self.reception.strays += 1
-            self._note_conflicts(content.sender == self.id)
+            self._count_conflicts(int(content.sender == self.id))
 
 
 class RoundingPort:
-    """Raw integers of a robot that computes in float64: x_hat is rounded to nearest, alpha down as codecs do.
+    """Integers of a robot that computes in float64: x_hat is rounded to nearest, alpha down as codecs do.
 
     Its members are those of ``FixedPointRobot``.
     """
@@ -368,20 +351,21 @@ class RoundingPort:
 
     @property
     def x_hat_raw(self) -> int:
-        """Local estimate to broadcast."""
+        """Local estimate to broadcast, in units of 2**-23."""
         return round(self._robot.x_hat * Q23_ONE)
 
     @property
     def alpha_raw(self) -> int:
-        """Local confidence to broadcast."""
+        """Local confidence to broadcast, as an alpha word."""
         return alpha_word_from_float(self._robot.alpha)
 
-    def receive_all(self, words: Words) -> int:
-        """Hand over neighbours' messages in order; returns how many were accepted."""
-        return sum(self._accepts(*each) for each in words.tolist())
-
-    def _accepts(self, sender: int, x_hat: int, alpha: int) -> bool:
+    def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """Hand a neighbour's estimate to the robot; an invalid one gives its status, no exception."""
         try:
-            return self._robot.receive(sender, x_hat / Q23_ONE, alpha_from_word(alpha)) is Status.OK
-        except FirmwareError:
-            return False
+            return self._robot.receive(sender, x_hat / Q23_ONE, alpha_from_word(alpha))
+        except FirmwareError as error:
+            return error.status
+
+    def receive_all(self, estimates: EstimateRows) -> int:
+        """Hand neighbours' estimates to the robot in order, and return how many it accepted."""
+        return sum(self.receive_raw(*estimate) is Status.OK for estimate in estimates.tolist())

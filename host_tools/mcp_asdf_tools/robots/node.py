@@ -13,10 +13,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import can
-import numpy as np
 from can.typechecking import CanFilters
 
-from mcp_asdf.robot import FixedPointRobot, Observation, Robot
+from mcp_asdf.robot import Counters, FixedPointRobot, Observation, Robot
 from mcp_asdf_tools.bus.bus_errors import BusGoneError
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Action, Rejection
 from mcp_asdf_tools.bus.frames import (
@@ -29,8 +28,8 @@ from mcp_asdf_tools.bus.frames import (
     decode_estimate,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.bus_robot import BusRobot, FramesSent, Reception, Recorder
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.robots.suspicion import AlphaWatch, Suspicion
 
 _RAW = ("x_hat_raw", "alpha_raw", "x_bar_raw", "beta_raw", "x_raw", "b_hat_raw")
@@ -82,76 +81,116 @@ def filters_for(*formats: FrameFormat) -> CanFilters:
     return [{"can_id": each.subject << 8, "can_mask": ACCEPTANCE_MASK, "extended": True} for each in formats]
 
 
-class RobotNode(BusRobot):
-    """Robot that obeys commands.
-
-    Its methods return the frames to send now, in order.
+class RobotNode:
+    """A robot that obeys commands: its methods return the frames to send now, in order.
 
     Attributes:
+        bus_robot: The robot, which the node drives.
         subjects: Formats of the messages.
-        is_settled: Whether the last tick is over.
-        obeyed: Commands followed.
-        disobeyed: Commands for this robot that the rules did not let it follow.
-        unsettled: Ticks ended by the next one, since no *settle* had come.
+        is_settled: Whether the last tick has ended.
+        obeyed: Number of commands followed.
+        disobeyed: Number of commands for this robot that the rules did not let it follow.
+        unsettled: Number of ticks ended by the next one, since no *settle* had come.
     """
 
     def __init__(
         self,
-        record: RobotRecord,
+        setup: RobotSetup,
         subjects: Subjects | None = None,
         steps_per_second: int = 10,
         recorder: Recorder | None = None,
         make: Callable[[], Robot] | None = None,
     ) -> None:
-        """Make a node of the robot of ``record``, or one that ``make`` returns, see ``BusRobot``.
+        """Start a robot, with the firmware that ``make`` returns in place of the setup's.
 
-        A heartbeat is due every ``steps_per_second`` ticks, 1 or more.
+        A heartbeat is due every ``steps_per_second`` ticks, 1 or more. Raises as ``BusRobot``.
         """
         self.subjects = subjects or Subjects()
-        super().__init__(record, self.subjects.estimates, recorder, self.subjects.telemetry, make)
+        self.bus_robot = BusRobot(
+            setup, self.subjects.estimates, recorder, self.subjects.telemetry, make_firmware=make
+        )
         self.is_settled = True
         self.obeyed = self.disobeyed = self.unsettled = 0
         self._steps_per_second = steps_per_second
         self._alpha_watch = AlphaWatch()
         self._tick_of_command: int | None = None
 
+    @property
+    def id(self) -> int:
+        """Robot id and node id."""
+        return self.bus_robot.id
+
+    @property
+    def robot(self) -> Robot:
+        """The firmware."""
+        return self.bus_robot.robot
+
+    @property
+    def ticks(self) -> int:
+        """Control ticks begun."""
+        return self.bus_robot.ticks
+
+    @property
+    def sent(self) -> FramesSent:
+        """Numbers of frames sent."""
+        return self.bus_robot.sent
+
+    @property
+    def reception(self) -> Reception:
+        """Counts of the frames received."""
+        return self.bus_robot.reception
+
+    @property
+    def counters(self) -> Counters:
+        """The firmware's diagnostics, in numbers that do not wrap."""
+        return self.bus_robot.counters
+
     def start(self) -> list[can.Message]:
-        """Announce the node."""
-        return [self.heartbeat(self._now)]
+        """Return the heartbeat that announces the node."""
+        return [self.bus_robot.heartbeat(self._now)]
 
     def observe(self, z: Observation | None) -> list[can.Message]:
-        """Begin a tick, with an observation or without. One that is still open ends first, unanswered."""
+        """Begin a tick, with an observation or without: return the heartbeat and the broadcast that are due.
+
+        A tick that is still open ends first, without an answer.
+        """
         if not self.is_settled:
             self.unsettled += 1
-            self.end()
+            self.bus_robot.settle()
         self.is_settled = False
+        frames = []
         # The heartbeat that is due before the first tick has been sent by start().
-        is_second_over = self.ticks > 0 and self.is_heartbeat_due(self._steps_per_second)
-        heartbeats = [self.heartbeat(self._now)] if is_second_over else []
-        return heartbeats + self.broadcast(z, self._now)
+        if self.ticks > 0 and self.bus_robot.is_heartbeat_due(self._steps_per_second):
+            frames.append(self.bus_robot.heartbeat(self._now))
+        time_before_tick = self._now
+        if self.bus_robot.observe(z):
+            frames.append(self.bus_robot.broadcast(time_before_tick))
+        return frames
 
     def settle(self) -> list[can.Message]:
-        """End the tick; the answer is telemetry."""
-        self.end()
+        """End the tick, and return the answer, which is telemetry."""
+        self.bus_robot.settle()
         self.is_settled = True
-        return [self.telemetry(self._now)]
+        return [self.bus_robot.telemetry(self._now)]
 
     def hear(self, frame: can.Message) -> list[can.Message]:
-        """Take any frame that this node has not sent itself."""
-        message = decode_estimate(frame, self.subjects.estimates)
-        if isinstance(message, Estimate):
-            if message.sender == self.id and self.recorder is not None:
-                self.recorder.foreign(frame)
-            self._receive(message)
+        """Receive any frame that this node has not sent itself, and return the answers to a command."""
+        content = decode_estimate(frame, self.subjects.estimates)
+        if isinstance(content, Estimate):
+            if content.sender == self.id and self.bus_robot.recorder is not None:
+                self.bus_robot.recorder.record_foreign_frame(frame)
+            self._receive(content)
             return []
-        command = decode_command(frame, self.subjects.commands) if message is Rejection.SUBJECT else message
+        command: Command | Rejection = content
+        if content is Rejection.SUBJECT:
+            command = decode_command(frame, self.subjects.commands)
         if isinstance(command, Command):
             return self._obey(command)
         self.reception.rejected[command] += 1
         return []
 
     def figures(self) -> dict[str, Any]:
-        """The frames sent and heard so far as plain values, for JSON."""
+        """Return the counts of frames sent and received so far as plain values, for JSON."""
         return {
             **{f"{kind}_sent": count for kind, count in vars(self.sent).items()},
             "delivered": self.reception.delivered,
@@ -167,21 +206,27 @@ class RobotNode(BusRobot):
             ],
         }
 
-    def _receive(self, message: Estimate) -> None:
-        if self._alpha_watch.is_jump(message.sender, message.alpha):
-            self.reception.events[Suspicion.JUMP, message.sender] += 1
-        self.receive(np.array([[message.sender, message.x_hat, message.alpha]], np.uint32))
+    def _receive(self, estimate: Estimate) -> None:
+        """Hand an estimate to the robot, and count it if its alpha is suspicious."""
+        if self._alpha_watch.is_jump(estimate.sender, estimate.alpha):
+            self.reception.events[Suspicion.JUMP, estimate.sender] += 1
+        self.bus_robot.receive(estimate)
 
     def _obey(self, command: Command) -> list[can.Message]:
+        """Follow a command for this robot and return the answers, or count it as disobeyed.
+
+        The rules: *settle* ends the tick that its number began, and no other; an observation begins a tick,
+        unless the tick with its number is still open, since then it is a repetition.
+        """
         if command.target not in (self.id, EVERY_ROBOT):
             return []
-        settles = command.action is Action.SETTLE
-        is_open = not self.is_settled and command.tick == self._tick_of_command
-        if settles != is_open:
+        is_settle = command.action is Action.SETTLE
+        is_tick_open = not self.is_settled and command.tick == self._tick_of_command
+        if is_settle != is_tick_open:
             self.disobeyed += 1
             return []
         self.obeyed += 1
-        if settles:
+        if is_settle:
             return self.settle()
         self._tick_of_command = command.tick
         return self.observe(command.action.observation)

@@ -20,7 +20,7 @@ from mcp_asdf.robot import (
 from mcp_asdf_tools.common.parameters import ParameterError, parameter, parameters_of, value_of
 from mcp_asdf_tools.robots.filters import FILTERS, Activation, SwarmFilter
 from mcp_asdf_tools.robots.firmwares import firmware_names
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from mcp_asdf_tools.world.settings import MAX_PERIOD, WorldSettings
 
@@ -124,9 +124,9 @@ class Population(WorldSettings):
             table = generate(self.omega, neighbours)
         return Config(table, firmware_filter, self.filter_period // self.comms_period, self.memory)
 
-    def record(self, robot: int) -> RobotRecord:
-        """How a robot starts."""
-        return RobotRecord(robot, self.firmware, self.b_hat(robot), self.config(robot), self.comms_period)
+    def setup_of(self, robot: int) -> RobotSetup:
+        """Return how a robot starts."""
+        return RobotSetup(robot, self.firmware, self.b_hat(robot), self.config(robot), self.comms_period)
 
     def parameters(self) -> dict[str, Any]:
         """All parameters as plain numbers and words, which the class takes back."""

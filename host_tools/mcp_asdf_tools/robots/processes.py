@@ -15,7 +15,7 @@ from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.robots.filters import filter_of_one_robot
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import Subjects
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
 _PATIENCE = 10.0
 """Seconds that a process has to end after SIGTERM."""
@@ -38,7 +38,7 @@ class NodeProcesses:
 
     def __init__(
         self,
-        robots: Sequence[RobotRecord],
+        robots: Sequence[RobotSetup],
         bus_of: Callable[[int], BusChoice],
         subjects: Subjects,
         steps_per_second: int,
@@ -100,7 +100,7 @@ class NodeProcesses:
                 self.reports[robot] = json.loads(report)
 
 
-def _options(robot: RobotRecord, subjects: Subjects) -> list[str]:
+def _options(robot: RobotSetup, subjects: Subjects) -> list[str]:
     """Options of a robot, in one word each, so that a negative number is not taken for an option."""
     plain, filters = robot.plain(), robot.config.filter
     table = plain.pop("table", None)

@@ -270,7 +270,7 @@ class Carrier:
     def _count_foreign_frame(self, robots: Sequence[int], frame: can.Message) -> None:
         """Let robots count a frame from outside the swarm."""
         for robot in robots:
-            self._robots[robot].hear_stranger(frame)
+            self._robots[robot].count_foreign_frame(frame)
 
     def send(self, sent_frame: SentFrame) -> None:
         """Put a frame on the bus of its sender, unless the sender is remote and has done so itself.
@@ -325,7 +325,7 @@ class Carrier:
                 frames = deliveries.frames_for(robot_id)
                 for start in range(0, len(frames), _BATCH_SIZE):
                     batch = frames[start : start + _BATCH_SIZE]
-                    robot.listen(self._pass_over_bus(robot_id, batch, tick))
+                    robot.receive_frames(self._pass_over_bus(robot_id, batch, tick))
         else:
             self._deliver_in_process(deliveries)
         return deliveries
@@ -359,7 +359,7 @@ class Carrier:
         estimates = decoded.rows[decoded.is_estimate]
         receivers_of_estimates = deliveries.receivers[decoded.is_estimate]
         for robot in self._robots.values():
-            robot.receive(estimates[receivers_of_estimates[:, robot.id]])
+            robot.receive_all(estimates[receivers_of_estimates[:, robot.id]])
         self._count_other_frames(deliveries, np.flatnonzero(~decoded.is_estimate))
 
     def _count_other_frames(self, deliveries: Deliveries, indices: NDArray[np.intp]) -> None:
@@ -376,7 +376,7 @@ class Carrier:
             frame_counts = np.count_nonzero(deliveries.receivers[indices_of_kind], axis=0)  # by robot id
             for robot in self._robots.values():
                 if frame_counts[robot.id]:
-                    robot.count(content_by_kind[kind], int(frame_counts[robot.id]))
+                    robot.count_content(content_by_kind[kind], int(frame_counts[robot.id]))
 
     @property
     def missed_count(self) -> int:

@@ -22,10 +22,10 @@ from mcp_asdf_tools.bus.frames import (
     sender_of,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder, Words
+from mcp_asdf_tools.robots.bus_robot import BusRobot, EstimateRows, Recorder
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID, Lockstep
 from mcp_asdf_tools.robots.node import FrameTaker, Subjects
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_injection.kinds import Crash
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
@@ -86,10 +86,10 @@ class RemoteFirmware:
         counters: Diagnostics, of which only the number of updates is known.
     """
 
-    def __init__(self, record: RobotRecord) -> None:
-        self.id = record.id
+    def __init__(self, setup: RobotSetup) -> None:
+        self.id = setup.id
         self.t = 0
-        self.b_hat = record.b_hat
+        self.b_hat = setup.b_hat
         self.x = 0.5
         self.x_hat = 0.5
         self.counters = Counters()
@@ -98,7 +98,7 @@ class RemoteFirmware:
         """Count an observation that the robot was commanded to make."""
         self.t += 1
 
-    def receive_all(self, estimates: Words) -> int:
+    def receive_all(self, estimates: EstimateRows) -> int:
         """Return the number of estimates as that of accepted ones; the robot itself receives them."""
         return len(estimates)
 
@@ -119,9 +119,9 @@ class RemoteFirmware:
         self.counters = Counters(updates=updates + new_updates)
 
 
-def remote_robot(record: RobotRecord, frames: FrameFormat, recorder: Recorder | None = None) -> BusRobot:
+def remote_robot(setup: RobotSetup, frames: FrameFormat, recorder: Recorder | None = None) -> BusRobot:
     """Create the half in this process of a remote robot; ``recorder`` takes its events."""
-    return BusRobot(record, frames, recorder, make=lambda: cast(Robot, RemoteFirmware(record)))
+    return BusRobot(setup, frames, recorder, make_firmware=lambda: cast(Robot, RemoteFirmware(setup)))
 
 
 class Driver:
@@ -195,7 +195,7 @@ class Driver:
     def _observe_at_once(self, observations: Mapping[int, Observation | None]) -> None:
         """Let robots observe, and wait for the estimates of those whose round is over."""
         self._lockstep.observe(observations)
-        broadcasting = [robot for robot, z in observations.items() if self.nodes[robot].begin(z)]
+        broadcasting = [robot for robot, z in observations.items() if self.nodes[robot].observe(z)]
         for robot, estimate in self._lockstep.estimates(broadcasting).items():
             self._firmware(robot).update_from_estimate(estimate)
 
@@ -203,7 +203,7 @@ class Driver:
         """Let ``robots`` settle. Raises as ``Lockstep``."""
         for robot, telemetry in self._lockstep.settle(robots).items():
             self._firmware(robot).update_from_telemetry(telemetry)
-            self.nodes[robot].end()
+            self.nodes[robot].settle()
         self._frames_for_next_tick.sort(key=sender_of)
 
     def _call_check(self) -> None:
@@ -222,7 +222,7 @@ class Driver:
             self._on_frame(frame)
         if frame.is_error_frame:  # its identifier describes the error, and has no sender
             for node in self.nodes.values():
-                node.hear_stranger(frame)
+                node.count_foreign_frame(frame)
             return
         sender = sender_of(frame)
         if sender not in self.nodes or isinstance(decode_telemetry(frame), Telemetry):

@@ -10,7 +10,7 @@ from mcp_asdf_tools.bus.frames import TELEMETRY_FORMAT, FrameFormat
 from mcp_asdf_tools.common.parameters import ParameterError, parameter, value_of
 from mcp_asdf_tools.robots.clock import ClockKind
 from mcp_asdf_tools.robots.population import Population
-from mcp_asdf_tools.robots.record import RobotRecord, ids_of, text_of_ids
+from mcp_asdf_tools.robots.robot_setup import RobotSetup, format_ids, parse_ids
 from mcp_asdf_tools.swarm.fault_injection.kinds import LinkFault
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.world.settings import MAX_PERIOD
@@ -62,7 +62,7 @@ class SwarmSettings(Population):
             raise ParameterError("clock", f"clock is {self.clock!r}; choose lockstep or real-time")
         with value_of("allow"):
             # The same ids have the same text, in rising order.
-            object.__setattr__(self, "allow", self.allow and text_of_ids(ids_of(self.allow, "allow")))
+            object.__setattr__(self, "allow", self.allow and format_ids(parse_ids(self.allow, "allow")))
         if isinstance(self.faults, str):
             raise ParameterError("faults", f"faults is {self.faults!r}; give several in a list or tuple")
         object.__setattr__(self, "faults", tuple(parse_fault(str(fault)) for fault in self.faults))
@@ -85,10 +85,10 @@ class SwarmSettings(Population):
                     f"0 to {self.robots - 1}; take more robots or name another",
                 )
 
-    def records(self) -> list[RobotRecord]:
+    def robot_setups(self) -> list[RobotSetup]:
         """Return the initial state of each robot, by id."""
-        allowed_ids = ids_of(self.allow, "allow") if self.allow else None
-        return [replace(self.record(robot), allow=allowed_ids) for robot in range(self.robots)]
+        allowed_ids = parse_ids(self.allow, "allow") if self.allow else None
+        return [replace(self.setup_of(robot), allow=allowed_ids) for robot in range(self.robots)]
 
     def plain(self) -> dict[str, Any]:
         """Return all settings as plain values, for JSON."""

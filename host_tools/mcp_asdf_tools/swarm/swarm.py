@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from mcp_asdf.robot import MAX_ID, Observation
 from mcp_asdf_tools.bus.frames import Estimate, alpha_float32_bits, decode_estimate
-from mcp_asdf_tools.recording.input_log import InputLogWriter
+from mcp_asdf_tools.recording.events import EventsWriter
 from mcp_asdf_tools.robots.bus_robot import BusRobot, Recorder
 from mcp_asdf_tools.robots.clock import RealTimeClock
 from mcp_asdf_tools.robots.node import FrameTaker
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.swarm.carrier import Carrier, Wiring
 from mcp_asdf_tools.swarm.delivery import DeliveryQueue, SentFrame
 from mcp_asdf_tools.swarm.fault_injection.fault import Fault
@@ -48,7 +48,7 @@ class Members:
         external_robot: Id of the robot whose frames are passed to ``Swarm.finish_tick``; None for none.
     """
 
-    records: Sequence[RobotRecord]
+    records: Sequence[RobotSetup]
     faults: Sequence[Fault]
     external_robot: int | None = None
 
@@ -73,7 +73,7 @@ class Swarm:
         settings: SwarmSettings,
         wiring: Wiring,
         on_frame: FrameTaker | None = None,
-        input_log: InputLogWriter | None = None,
+        events_writer: EventsWriter | None = None,
         members: Members | None = None,
     ) -> None:
         """Create the robots and open their buses.
@@ -84,7 +84,7 @@ class Swarm:
             settings: Parameters of the swarm.
             wiring: Which robots are on which bus.
             on_frame: Called with every frame that a robot sends.
-            input_log: Takes the events of each robot.
+            events_writer: Takes the events of each robot.
             members: Robots and faults in place of those of the settings.
 
         Raises:
@@ -95,11 +95,11 @@ class Swarm:
         self.settings = settings
         self.ticks = 0
         self.world = SteppedWorld(settings)
-        members = members or Members(settings.records(), settings.faults)
+        members = members or Members(settings.robot_setups(), settings.faults)
         self.faults = Faults(members.faults, settings.seed, settings.frames)
         is_lockstep = settings.clock == "lockstep"
         self.clock = None if is_lockstep else RealTimeClock(settings.steps_per_second)
-        self._input_log = input_log
+        self._events_writer = events_writer
         self.remote_robots = wiring.remote
         self._external_robot = members.external_robot
 
@@ -123,9 +123,11 @@ class Swarm:
         self._carrier.join(wiring, on_received)
         self._drivers = self._create_drivers(wiring, on_received)
 
-    def _create_robot(self, record: RobotRecord) -> BusRobot:
+    def _create_robot(self, record: RobotSetup) -> BusRobot:
         """Create a robot, or the half in this process of a remote one."""
-        recorders: Mapping[int, Recorder] = {} if self._input_log is None else self._input_log.robots
+        recorders: Mapping[int, Recorder] = {}
+        if self._events_writer is not None:
+            recorders = self._events_writer.recorders
         create = remote_robot if record.id in self.remote_robots else BusRobot
         return create(record, self.settings.frames, recorders.get(record.id))
 
@@ -198,7 +200,7 @@ class Swarm:
                 self._carrier.send(SentFrame(frame, self._external_robot, self.ticks, index))
         deliveries = self._carrier.deliver(self.ticks)
         for node in self._alive_nodes:
-            node.end()
+            node.settle()
         for driver in self._drivers:
             driver.settle(driver.nodes)
         self.ticks += 1
@@ -212,9 +214,9 @@ class Swarm:
         """Let a robot crash or rejoin as the faults require in this tick; returns whether it is alive."""
         outage = self.faults.robot_outage(node.id)
         if outage is None and not node.is_alive:
-            node.wake()
+            node.rejoin()
         elif outage is not None and node.is_alive:
-            node.die(loses_state=outage.loses_state)
+            node.crash(loses_state=outage.loses_state)
         return node.is_alive
 
     def _reports(self) -> Iterator[RobotFrame]:
@@ -232,9 +234,9 @@ class Swarm:
     def _local_estimates(self, observations: Mapping[int, Observation | None]) -> Iterator[RobotFrame]:
         """Let the robots in this process observe, and yield the estimates of those whose round is over."""
         for node in self._alive_nodes:
-            for frame in node.broadcast(observations[node.id], self._now):
+            if node.observe(observations[node.id]):
                 self.traffic.sent += 1
-                yield node, frame
+                yield node, node.broadcast(self._now)
 
     def _remote_frames(self, observations: Mapping[int, Observation | None]) -> Iterator[RobotFrame]:
         """Let the remote robots observe, and yield what they send: estimates and heartbeats."""
@@ -249,27 +251,28 @@ class Swarm:
         """Send a robot's frame as far as the faults let it, and record what they have changed."""
         sent_frame = self.faults.on_send(frame, node.id)
         # A remote robot's frame is on its bus already, unchanged by faults: its events have no change.
-        if self._input_log is not None and node.id not in self.remote_robots:
-            self._record_changes(self._input_log, node.id, frame, sent_frame)
+        if self._events_writer is not None and node.id not in self.remote_robots:
+            self._record_changes(self._events_writer, node.id, frame, sent_frame)
         if sent_frame is not None:
             self._carrier.send(sent_frame)
             self._frames_of_tick.append(sent_frame.frame)
 
     def _record_changes(
-        self, input_log: InputLogWriter, robot: int, frame: can.Message, sent_frame: SentFrame | None
+        self, events_writer: EventsWriter, robot: int, frame: can.Message, sent_frame: SentFrame | None
     ) -> None:
         """Record how ``sent_frame``, None if nothing was sent, differs from the robot's own ``frame``."""
         if sent_frame is not None and sent_frame.is_under_own_id:
             if sent_frame.is_falsified:
                 estimate = decode_estimate(sent_frame.frame, self.settings.frames)
                 assert isinstance(estimate, Estimate)
-                input_log.robots[robot].falsified(estimate.x_hat, alpha_float32_bits(sent_frame.frame))
+                alpha_bits = alpha_float32_bits(sent_frame.frame)
+                events_writer.recorders[robot].record_false_values(estimate.x_hat, alpha_bits)
             return
         # Nothing was sent under the robot's id: in a replay its frame is missing, and another may be extra.
         if sent_frame is not None:
-            input_log.injected(sent_frame.frame)
+            events_writer.record_injected_frame(sent_frame.frame)
         if isinstance(decode_estimate(frame, self.settings.frames), Estimate):
-            input_log.robots[robot].silent()
+            events_writer.recorders[robot].record_silence()
 
     def _send_extra_frames(self, *, before_others: bool) -> None:
         """Send the frames that faulty robots send besides their own, before or after those of all robots."""
@@ -278,8 +281,8 @@ class Swarm:
                 sent_frame = self.faults.on_send(frame, node.id)
                 if sent_frame is None:
                     continue
-                if self._input_log is not None and node.id not in self.remote_robots:
-                    self._input_log.injected(sent_frame.frame)
+                if self._events_writer is not None and node.id not in self.remote_robots:
+                    self._events_writer.record_injected_frame(sent_frame.frame)
                 self._carrier.send(sent_frame)
                 self._frames_of_tick.append(sent_frame.frame)
 

@@ -23,10 +23,10 @@ from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
+from mcp_asdf_tools.recording.events import EventsHeader, EventsReader, events_path
 from mcp_asdf_tools.recording.replay import rerun
 from mcp_asdf_tools.robots.population import Population
-from mcp_asdf_tools.robots.record import text_of_ids
+from mcp_asdf_tools.robots.robot_setup import format_ids
 from mcp_asdf_tools.swarm.fault_injection.fault import Fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
@@ -145,15 +145,15 @@ def film_of_log(log: Path) -> Film:
 
     Raises UsageError if the input log cannot be read, contradicts itself, or is of robots without a world.
     """
-    with InputLogReader(input_log_path(log)) as input_log:
-        settings = _swarm_of(log, input_log.header)
+    with EventsReader(events_path(log)) as events:
+        settings = _swarm_of(log, events.header)
         spacing = spacing_of(settings.steps, settings.robots)
-        values = np.stack([*_values_of_log(input_log, settings.steps, spacing)])
+        values = np.stack([*_values_of_log(events, settings.steps, spacing)])
     stage = stage_of(settings, 0, settings.faults, settings.allow)
     return Film(stage, _in_the_world(settings, 0, values, spacing))
 
 
-def _swarm_of(log: Path, header: InputLogHeader) -> SwarmSettings:
+def _swarm_of(log: Path, header: EventsHeader) -> SwarmSettings:
     """Return the settings of the swarm whose log this is; a parameter that the header lacks has its default.
 
     Raises UsageError for the log of a node or a controller, and for settings that do not fit its robots.
@@ -163,37 +163,37 @@ def _swarm_of(log: Path, header: InputLogHeader) -> SwarmSettings:
     try:
         settings = SwarmSettings.from_recording(header.parameters)
     except UsageError as error:
-        raise UsageError(f"the first line of {input_log_path(log)} is damaged: {error}") from error
+        raise UsageError(f"the first line of {events_path(log)} is damaged: {error}") from error
     ids = [record.id for record in header.robots]
     if ids != list(range(settings.robots)):
         raise UsageError(
-            f"the first line of {input_log_path(log)} is damaged: it is of {settings.robots} robots, but "
-            f"lists {len(ids)}, {text_of_ids(frozenset(ids)) or 'none'}; the ids must be 0, 1, 2 and so on"
+            f"the first line of {events_path(log)} is damaged: it is of {settings.robots} robots, but "
+            f"lists {len(ids)}, {format_ids(frozenset(ids)) or 'none'}; the ids must be 0, 1, 2 and so on"
         )
     return settings
 
 
-def _values_of_log(input_log: InputLogReader, steps: int, spacing: int) -> Iterator[NDArray[np.float64]]:
+def _values_of_log(events: EventsReader, steps: int, spacing: int) -> Iterator[NDArray[np.float64]]:
     """Estimates of all robots of an input log after every ``spacing`` steps of at most ``steps``.
 
     An input log has no ticks, but a robot settles once in each; so one has passed when a robot settles again.
     Of a robot that did not settle, since it was dead, nothing is known. Raises UsageError for more steps.
     """
-    places = {record.id: place for place, record in enumerate(input_log.header.robots)}
-    now = _estimates(record.make() for record in input_log.header.robots)
+    places = {record.id: place for place, record in enumerate(events.header.robots)}
+    now = _estimates(record.make_robot() for record in events.header.robots)
 
     def of_the_living() -> NDArray[np.float64]:
         return np.where([robot in settled for robot in places], now, np.nan)
 
     ticks, settled = 0, {*places}  # as if all had settled before the first
-    for robot_id, robot in rerun(input_log):
+    for robot_id, robot in rerun(events):
         if robot_id in settled:
             if ticks % spacing == 0:
                 yield of_the_living()
             settled.clear()
             ticks += 1
             if ticks > steps:
-                raise input_log.wrong(f"the run goes on after the {steps} steps of the first line")
+                raise events.error(f"the run goes on after the {steps} steps of the first line")
         settled.add(robot_id)
         now[:, places[robot_id]] = _estimates([robot])[:, 0]
     if ticks % spacing == 0:

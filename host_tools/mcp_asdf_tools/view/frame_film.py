@@ -1,4 +1,4 @@
-"""Films of logs without an input log, such as those of real robots: what their frames say."""
+"""Films of logs without events, such as those of real robots: what their frames say."""
 
 from __future__ import annotations
 

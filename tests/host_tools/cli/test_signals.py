@@ -20,7 +20,7 @@ from host_tools.cli.test_main import fake_command
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
-from mcp_asdf_tools.recording.input_log import input_log_path
+from mcp_asdf_tools.recording.events import events_path
 from multicast import multicast
 from support import PATIENCE, interruptible, slow
 
@@ -81,7 +81,7 @@ def test_a_signal_ends_a_process_and_loses_nothing(
         is_lost = number == signal.SIGKILL
         found = part if is_lost else log
         assert found.stat().st_size > 0 and part.exists() == is_lost == (not log.exists())
-        if input_log_path(found).exists():
+        if events_path(found).exists():
             assert main(["replay", str(found), "--json"]) == 0
             out, err = capsys.readouterr()
             report = json.loads(out)

@@ -45,7 +45,7 @@ def test_a_controller_among_its_neighbours_is_a_robot_in_a_swarm(changes: dict[s
     ids, population = (3, 10, 11, 40, 90), {"robots": 5, "flawed": 0.6, "filter_period": 20, "steps": 120}
     settings: dict[str, Any] = population | {"seed": 4, "fill_ratio": 0.9} | changes
     world = SwarmSettings(**settings, faults=CRASHES.format(1, 2).split())
-    own, *others = (replace(each, id=ids[each.id]) for each in world.records())
+    own, *others = (replace(each, id=ids[each.id]) for each in world.robot_setups())
     faults = tuple(map(parse_fault, CRASHES.format(10, 11).split()))
     neighbourhood = Neighbourhood(RadioSettings(own, tuple(others), world, Subjects(), faults))
     controller = RobotNode(own)
@@ -56,7 +56,7 @@ def test_a_controller_among_its_neighbours_is_a_robot_in_a_swarm(changes: dict[s
         controller.settle()
     with Swarm(world, Wiring()) as swarm:
         expected = [state(each.robot) for each in run_swarm(swarm).nodes]
-    found = [state(each.robot) for each in (controller, *neighbourhood.nodes.values())]
+    found = [state(each.robot) for each in (controller.bus_robot, *neighbourhood.nodes.values())]
     assert found == expected
     assert any(each["updates"] for each in expected)
     assert found[0]["accepted"] == heard

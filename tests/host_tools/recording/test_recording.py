@@ -28,15 +28,16 @@ from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording import recording as module
+from mcp_asdf_tools.recording.events import EventsHeader, EventsReader, RobotEvents, events_path
 from mcp_asdf_tools.recording.frame_logs import read_log
-from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, input_log_path
 from mcp_asdf_tools.recording.recording import NoRecording, Recording
+from mcp_asdf_tools.recording.replay import verify
+from mcp_asdf_tools.robots.bus_robot import BusRobot
 from robots import ALPHA_ONE
 from support import ROOT, require
 from wire import record
 
-HEADER = InputLogHeader((record(5),), None, FrameFormat())
-LOST = "mcp-asdf replay cannot check this log, as it needs the events, but mcp-asdf view shows its frames"
+HEADER = EventsHeader((record(5),), None, FrameFormat())
 
 
 def frame(number: int) -> can.Message:
@@ -50,7 +51,7 @@ def numbers(log: Path) -> list[int]:
 
 
 @contextmanager
-def recorded(log: Path, header: InputLogHeader | None = HEADER) -> Iterator[Callable[[int], None]]:
+def recorded(log: Path, header: EventsHeader | None = HEADER) -> Iterator[Callable[[int], None]]:
     """A recording in which nothing may go wrong; yields what writes the frame of a number."""
     recording = Recording(log, header, print)
     with recording as (write, events):
@@ -69,7 +70,7 @@ def test_what_is_on_disk_after_a_second_is_read(monkeypatch: pytest.MonkeyPatch,
     log, part, lost = (tmp_path / name for name in ("run.log", "run.log.part", "lost.log.part"))
     clock, on_disk = SimpleNamespace(now=0.0), list[int]()
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: clock.now))
-    monkeypatch.setattr(module, "_MOST_WAITING", 20)
+    monkeypatch.setattr(module, "_MAX_UNFLUSHED", 20)
     with recorded(log, None) as write:
         for number, clock.now in enumerate([*[0.9] * 21, 1.89, 1.9, *[1.91] * 25]):
             write(number)
@@ -120,18 +121,19 @@ def test_a_run_that_does_not_end_regularly_leaves_parts(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), Recording(log, HEADER, said.append) as (write, events):
         assert write is not None and events is not None
         write(frame(1))
-        events.robots[5].observe(Observation.BLACK)  # not settled yet, and not lost
+        events.recorders[5].record_observation(Observation.BLACK)  # not settled yet, and not lost
         told = r"run\.log\.part is there: another program writes it, or its run was cut off; rename"
         with pytest.raises(UsageError, match=told), recorded(log, None):
             pass
         raise ZeroDivisionError
     assert said == [
-        f"the log {log} is not complete: the run did not end regularly; partial data is in {part}"
+        f"the log {log} is not complete: the run did not end regularly; partial data is in {part} and "
+        f"{events_path(part)}"
     ]
     assert log.read_text() == "of yesterday"
     assert numbers(part) == [1]
-    with InputLogReader(input_log_path(part)) as input_log:
-        assert list(input_log.lines()) == [(5, [1])]
+    with EventsReader(events_path(part)) as reader:
+        assert list(reader.entries()) == [RobotEvents(5, [1])]
     part.rename(tmp_path / "saved.log.part")
     with pytest.raises(UsageError, match=r"run\.log\.events\.part is there"), recorded(log):
         pass
@@ -148,7 +150,8 @@ def test_a_run_that_does_not_end_regularly_leaves_parts(tmp_path: Path) -> None:
         assert write is not None
         write(frame(1))
         raise ZeroDivisionError
-    assert len(said) == 3 and "full.log is not complete: File too large; partial data" in said[2]
+    assert len(said) == 3
+    assert "full.log is not complete: File too large; what followed is lost, what" in said[2]
     left = ("full.log.part", "lost.log", "lost.log.part", "run.log", "run.log.events.part", "saved.log.part")
     assert names(tmp_path) == [*left]
 
@@ -157,7 +160,7 @@ def test_a_run_that_does_not_end_regularly_leaves_parts(tmp_path: Path) -> None:
 def test_a_kill_between_the_renames_splits_nothing(
     calls: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After any number of renames and removals a log under its own name belongs with its input_log."""
+    """After any number of renames and removals a log under its own name belongs with its events."""
     log, events = tmp_path / "run.log", tmp_path / "run.log.events"
     log.write_text("old")
     events.write_text("old")
@@ -176,12 +179,13 @@ def test_a_kill_between_the_renames_splits_nothing(
         monkeypatch.setattr(Path, "unlink", dying(Path.unlink))
     monkeypatch.undo()
     if log.exists():
-        assert (log.read_text() == "old") == (events.exists() and events.read_text() == "old")
+        is_old_log = log.read_text() == "old"
+        assert is_old_log == (events.exists() and events.read_bytes() == b"old")
     found = log if log.exists() and log.read_text() != "old" else tmp_path / "run.log.part"
     assert numbers(found) == [1]
-    part = input_log_path(tmp_path / "run.log.part")
-    with InputLogReader(part if part.exists() else events) as input_log:
-        assert input_log.header == HEADER
+    part = events_path(tmp_path / "run.log.part")
+    with EventsReader(part if part.exists() else events) as reader:
+        assert reader.header == HEADER
 
 
 def test_a_file_is_on_disk_before_it_has_its_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -205,7 +209,7 @@ def test_what_cannot_be_recorded_is_told_beforehand(name: str, words: str, tmp_p
         with recorded(tmp_path / "run.LOG", header) as write:
             write(1)
     with pytest.raises(ValueError, match="not JSON compliant"):
-        InputLogHeader([], None, FrameFormat(), {"fill_ratio": math.nan}).line()
+        EventsHeader([], None, FrameFormat(), {"fill_ratio": math.nan}).to_line()
     assert NoRecording().enter_result == (None, None)
     assert names(tmp_path) == ["run.LOG"]
 
@@ -221,83 +225,78 @@ def disk_with_room_for(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_ends_the_log_but_not_the_swarm(
+def test_a_full_disk_ends_the_recording_but_not_the_swarm(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log, options = tmp_path / "run.log", "--robots 3 --steps 200 --json"
+    log = tmp_path / "run.log"
     with disk_with_room_for(8000):
-        assert main(["swarm", *shlex.split(options), "--log", str(log)]) == 2
-    said, told = capsys.readouterr(), "mcp-asdf swarm: "
-    assert said.err == (
-        f"{told}{log}.events.part is given up to leave room for the log, which goes on: File too large; "
-        f"{LOST}\n"
-        f"{told}the log {log} is not complete: File too large; partial data is in {log}.part\n"
+        assert main(["swarm", *["--robots", "3", "--steps", "200", "--json", "--log"], str(log)]) == 2
+    captured = capsys.readouterr()
+    assert captured.err == (
+        f"mcp-asdf swarm: the log {log} is not complete: File too large; what followed is lost, what came "
+        f"before is in {log}.part and {log}.events.part\n"
     )
-    assert json.loads(said.out)["results"]["steps"] == 200
-    assert json.loads(Path(f"{log}.json").read_text()) == json.loads(said.out)
-    assert len(list(read_log(Path(f"{log}.part")))) > 100
+    assert json.loads(captured.out)["results"]["steps"] == 200
+    assert names(tmp_path) == ["run.log.events.part", "run.log.json", "run.log.part"]
+
+
+def test_what_a_full_disk_left_can_be_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "run.log"
+    with disk_with_room_for(8000):
+        main(["swarm", *["--robots", "3", "--steps", "200", "--quiet", "--log"], str(log)])
+    capsys.readouterr()
+    assert main(["replay", f"{log}.part", "--json"]) == 0
+    verdict = json.loads(capsys.readouterr().out)["verdict"]
+    assert verdict["difference"] is None
+    assert verdict["reproduced"] + verdict["beyond"] > 100
+
+
+def test_the_missing_log_of_a_full_disk_is_refused_with_the_name_of_its_part(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "run.log"
+    with disk_with_room_for(8000):
+        main(["swarm", *["--robots", "3", "--steps", "200", "--quiet", "--log"], str(log)])
     assert main(["replay", str(log)]) == 2
-    assert (
-        f"No such file or directory; its run was cut off, partial data is in {log}.part"
-        in capsys.readouterr().err
-    )
+    assert f"its run was cut off, partial data is in {log}.part" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("room", [*range(900, 3000, 300), -1])
-def test_events_never_take_the_last_byte_from_the_log(
+@pytest.mark.parametrize("room", range(0, 1000, 100))
+def test_the_frames_on_a_full_disk_are_explained_by_the_events_or_come_after_them(
     room: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A disk with room for the log and some of the events: the log is whole, whichever is flushed first."""
-    log, said = tmp_path / "run.log", list[str]()
-    size = len(HEADER.line()) + 16 * (len("[5,1,3]\n") + 54)
-    room += size * (room < 0)
+    """After any number of bytes."""
+    log, warnings = tmp_path / "run.log", list[str]()
 
-    class Full(FileIO):
+    class FileOnFullDisk(FileIO):
         def write(self, data: Any) -> int:
             left = room - sum(path.stat().st_size for path in tmp_path.iterdir())
             if left <= 0:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             return super().write(bytes(data[:left])) or 0
 
-    def opened(path: Path, mode: str = "r", **_: object) -> FileIO:
-        return Full(path, mode.replace("b", ""))
+    def open_on_full_disk(path: Path, mode: str = "r", **_: object) -> FileIO:
+        return FileOnFullDisk(path, mode.replace("b", ""))
 
-    monkeypatch.setattr(Path, "open", opened)
-    monkeypatch.setattr(module, "_MOST_WAITING", 5)
-    recording = Recording(log, HEADER, said.append)
-    with recording as (write, events):
-        assert write is not None and events is not None
-        for number in range(16):
-            events.robots[5].observe(Observation.BLACK)
-            write(frame(number))
-            events.robots[5].settle()
-    monkeypatch.undo()
-    assert numbers(log) == [*range(16)] and log.stat().st_size == 16 * 54
-    if size <= room:
-        assert names(tmp_path) == ["run.log", "run.log.events"] and not said
-        return
-    assert names(tmp_path) == ["run.log"]
-    assert said == [
-        f"{log}.events.part is given up to leave room for the log, which goes on: {recording.failure}; {LOST}"
-    ]
-
-
-def test_replay_says_why_a_log_of_a_full_disk_cannot_be_checked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log, said = tmp_path / "run.log", list[str]()
-    with disk_with_room_for(len(HEADER.line()) - 1), Recording(log, HEADER, said.append) as (write, _):
-        assert write is not None
-        write(frame(1))
-    assert said == [
-        f"{log}.events.part is given up to leave room for the log, which goes on: File too large; {LOST}"
-    ]
-    assert names(tmp_path) == ["run.log"]
-    assert main(["replay", str(log)]) == 2
-    reason = "swarm, radio and node write it, but not if the disk was full"
-    assert (
-        f"there is no {log}.events, without which nothing can be checked: {reason}" in capsys.readouterr().err
-    )
+    robot = BusRobot(record(5), FrameFormat())
+    monkeypatch.setattr(module, "_MAX_UNFLUSHED", 5)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", open_on_full_disk)
+        with Recording(log, HEADER, warnings.append) as (write_frame, events):
+            assert write_frame is not None and events is not None
+            robot.recorder = events.recorders[5]
+            for tick in range(16):
+                robot.observe(Observation.BLACK)
+                write_frame(robot.broadcast(float(tick)))
+                robot.settle()
+    assert len(warnings) == 1 and "No space left on device" in warnings[0]
+    part = Path(f"{log}.part")
+    complete_lines = part.read_bytes().count(b"\n")
+    if complete_lines:
+        with EventsReader(events_path(part)) as reader:
+            verdict = verify(read_log(part), reader)
+        assert verdict.difference is None
+        assert verdict.reproduced + verdict.beyond == complete_lines
 
 
 def test_wireshark_shows_every_frame_as_a_transfer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

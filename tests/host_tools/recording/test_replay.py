@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import random
 import shlex
 from copy import copy
 from decimal import Decimal
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import can
-import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from input_logs import input_log_in
+from events_files import events_file
 from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.bus.alpha_words import float32_value
 from mcp_asdf_tools.bus.frames import (
@@ -28,11 +25,18 @@ from mcp_asdf_tools.bus.frames import (
     encode_estimate,
 )
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.recording.events import (
+    EventsHeader,
+    EventsReader,
+    InjectedFrame,
+    RobotEvents,
+    events_path,
+)
 from mcp_asdf_tools.recording.frame_logs import read_log
-from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogReader, InputLogWriter, input_log_path
 from mcp_asdf_tools.recording.replay import ReplayVerdict, rerun, verify
 from mcp_asdf_tools.robots.bus_robot import BusRobot
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.swarm.fault_injection.kinds import FAULT_KINDS
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import FRAMES
@@ -60,8 +64,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def check(frames: list[can.Message], log: Path) -> ReplayVerdict:
-    with InputLogReader(input_log_path(log)) as input_log:
-        return verify(frames, input_log)
+    with EventsReader(events_path(log)) as reader:
+        return verify(frames, reader)
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc"])
@@ -73,7 +77,7 @@ def test_every_format_is_reproduced(
     with can.LogReader(recorded) as reader, can.Logger(log) as logger:
         for frame in reader:
             logger(frame)
-    assert main(["replay", str(log), "--events", str(input_log_path(recorded)), "--json"]) == 0
+    assert main(["replay", str(log), "--events", str(events_path(recorded)), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["verdict"] == vars(ReplayVerdict(reproduced=BROADCASTS, other=16))
     assert not report["incomplete"]
@@ -158,7 +162,7 @@ def test_the_command_says_what_it_found(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     swarm(tmp_path / "other.log", "--seed 4")
-    others = input_log_path(tmp_path / "other.log")
+    others = events_path(tmp_path / "other.log")
     capsys.readouterr()
     assert main(["replay", str(recorded)]) == 0
     assert [line.rstrip() for line in capsys.readouterr().out.splitlines()] == [
@@ -173,19 +177,20 @@ def test_the_command_says_what_it_found(
 
 
 def test_every_settle_shows_its_robot(recorded: Path) -> None:
-    with InputLogReader(input_log_path(recorded)) as input_log:
-        shown = [(robot, state.t) for robot, state in rerun(input_log)]
+    with EventsReader(events_path(recorded)) as reader:
+        shown = [(robot, state.t) for robot, state in rerun(reader)]
     assert shown == [(robot, tick) for tick in range(1, 41) for robot in range(4)]
 
 
 def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
     log, robot = tmp_path / "x", BusRobot(record(5), FrameFormat())
     stranger = encode_estimate(Estimate(5, 77, ALPHA_ONE, 1), FrameFormat())
-    header = InputLogHeader([record(5)], None, FrameFormat())
-    with input_log_in(input_log_path(log), header) as writer:
-        writer.robots[5].observe(Observation.BLACK)
-        writer.robots[5].foreign(stranger)
-    (own,) = robot.broadcast(Observation.BLACK, 0)
+    header = EventsHeader([record(5)], None, FrameFormat())
+    with events_file(events_path(log), header) as writer:
+        writer.recorders[5].record_observation(Observation.BLACK)
+        writer.recorders[5].record_foreign_frame(stranger)
+    robot.observe(Observation.BLACK)
+    own = robot.broadcast(0)
     for order in ([own, stranger], [stranger, own]):
         assert check(order, log) == ReplayVerdict(reproduced=1, foreign=1)
     for order, told in (
@@ -195,10 +200,10 @@ def test_frames_under_a_robots_id_are_told_apart(tmp_path: Path) -> None:
         verdict = check(order, log)
         assert told in (verdict.difference or "") and verdict.not_logged == 0
     assert check([], log) == ReplayVerdict(not_logged=1)
-    with InputLogReader(input_log_path(log)) as input_log:
-        assert [*rerun(input_log)] == []  # a tick that is open, and a frame
-    input_log_path(log).rename(input_log_path(log.with_name("x.part")))  # of a run that was cut off
-    with input_log_path(log.with_name("x.part")).open("a") as part:
+    with EventsReader(events_path(log)) as reader:
+        assert [*rerun(reader)] == []  # a tick that is open, and a frame
+    events_path(log).rename(events_path(log.with_name("x.part")))  # of a run that was cut off
+    with gzip.open(events_path(log.with_name("x.part")), "at") as part:
         part.write("[5,")
     later = [encode_estimate(Estimate(5, 0, 0, turn), FrameFormat()) for turn in (1, 2, 3)]
     assert check([own, *later], log.with_name("x.part")) == ReplayVerdict(reproduced=1, beyond=3)
@@ -218,7 +223,7 @@ def test_replay_names_the_buses_of_a_log_that_has_every_frame_twice(
 ) -> None:
     log = tmp_path / "any.log"
     of_two_buses(recorded, log)
-    assert main(["replay", str(log), "--events", str(input_log_path(recorded))]) == 1
+    assert main(["replay", str(log), "--events", str(events_path(recorded))]) == 1
     assert (
         f"mcp-asdf replay: {log} has frames of vcan0 and vcan1: if it has the same frames of each, "
         "choose one by --channel\n"
@@ -229,7 +234,7 @@ def test_replay_names_the_buses_of_a_log_that_has_every_frame_twice(
 def test_replay_checks_one_bus_of_a_log(
     channel: str, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log, events = tmp_path / "any.log", str(input_log_path(recorded))
+    log, events = tmp_path / "any.log", str(events_path(recorded))
     of_two_buses(recorded, log)
     assert main(["replay", str(log), "--events", events, "--channel", channel, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
@@ -247,7 +252,7 @@ def test_replay_refuses_a_bus_that_the_log_has_not(
 def test_replay_counts_the_lines_that_are_no_frames(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log, events = tmp_path / "odd.log", str(input_log_path(recorded))
+    log, events = tmp_path / "odd.log", str(events_path(recorded))
     log.write_text(f"\ufeff{recorded.read_text()}# the end\n(1.0) vcan0 186BB92A#0\n")
     assert main(["replay", str(log), "--events", events, "--json"]) == 0
     said = capsys.readouterr()
@@ -257,75 +262,136 @@ def test_replay_counts_the_lines_that_are_no_frames(
     assert said.err == f"mcp-asdf replay: of {log} {told}\n"
 
 
-# The input log
+# The file of events
 
 RECORDS = (
     record(0, "native", 0.1 + 0.2),
     record(7, "mirror", filter=Filter.ALWAYS, comms_period=5, memory=64),
-    RobotRecord(127, "reference", 0.95, Config(None, Filter.OFF, filter_period=3)),
-    RobotRecord(3, "native", 2.0**-20, Config(generate(Decimal("0.123456789"), 2))),
+    RobotSetup(127, "reference", 0.95, Config(None, Filter.OFF, filter_period=3)),
+    RobotSetup(3, "native", 2.0**-20, Config(generate(Decimal("0.123456789"), 2))),
 )
-HEADER = InputLogHeader(RECORDS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
+HEADER = EventsHeader(RECORDS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
 
 
-def test_what_is_written_comes_back(tmp_path: Path) -> None:
-    """Frames are written as candump does."""
-    with input_log_in(tmp_path / "x", HEADER) as writer:
-        writer.robots[7].observe(Observation.BLACK)
-        writer.robots[7].receive(np.array([[3, 2**23, 2**32 - 1], [127, 0, 0]], np.uint32))
+def test_the_events_of_a_robot_come_back_in_their_order(tmp_path: Path) -> None:
+    with events_file(tmp_path / "x", HEADER) as writer:
+        recorder = writer.recorders[7]
+        recorder.record_observation(Observation.BLACK)
+        recorder.record_estimates([[3, 2**23, 2**32 - 1], [127, 0, 0]])
+        recorder.record_settle()
+        recorder.record_observation(None)
+        recorder.record_false_values(5, 2**31)
+        recorder.record_silence()
+        recorder.record_restart()
+    with EventsReader(tmp_path / "x") as reader:
+        assert list(reader.entries()) == [
+            RobotEvents(7, [1, [3, 2**23, 2**32 - 1], [127, 0, 0], 3]),
+            RobotEvents(7, [2, [5, 2**31], "silent", "restart"]),
+        ]
+
+
+def test_injected_frames_come_back_as_candump_writes_them(tmp_path: Path) -> None:
+    with events_file(tmp_path / "x", HEADER) as writer:
         for frame in FRAMES.values():
-            writer.injected(frame)
-        writer.robots[127].restart()
-        writer.robots[127].receive(np.array([[127, 0, 0], [3, 2**23, 2**32 - 1]], np.uint32))
-        writer.robots[7].settle()
-        writer.robots[7].observe(None)
-        writer.robots[7].falsified(5, 2**31)
-        writer.robots[7].silent()
-    events = (
-        (7, [1, [3, 2**23, 2**32 - 1], [127, 0, 0], 3]),
-        (7, [2, [5, 2**31], "silent"]),
-        (127, ["restart", [127, 0, 0], [3, 2**23, 2**32 - 1]]),
-    )
-    assert f'"restart","8{31 * "0"}","8"]' in (tmp_path / "x").read_text(), "known messages are told in short"
-    with InputLogReader(tmp_path / "x") as reader:
-        assert (reader.header, [*reader.lines()]) == (HEADER, [*FRAMES, *events])
+            writer.record_injected_frame(frame)
+    with EventsReader(tmp_path / "x") as reader:
+        assert list(reader.entries()) == [InjectedFrame(text) for text in FRAMES]
 
 
-@given(data=st.data())
-@settings(deadline=None, max_examples=25)
-def test_messages_come_back_in_the_order_in_which_each_robot_took_them(data: st.DataObject) -> None:
-    """However many there are, known and new ones, of any order."""
-    numbers = st.one_of(st.integers(0, 200), st.integers(0, 9000))
-    run = st.builds(lambda first, length: [*range(first, first + length)], numbers, st.integers(0, 300))
-    taken = data.draw(st.lists(st.tuples(st.sampled_from([0, 3, 7, 127]), st.one_of(run, st.lists(numbers)))))
-    lines, messages = [HEADER.line()], {robot: list[list[int]]() for robot in (0, 3, 7, 127)}
-    writer = InputLogWriter(HEADER, lines.append)
-    for robot, chosen in taken:
-        words = np.array([[each % 128, each, 2**32 - 1 - each] for each in chosen], np.uint32).reshape(-1, 3)
-        writer.robots[robot].receive(words)
-        messages[robot] += words.tolist()
-        if len(words) % 2:
-            writer.robots[robot].settle()
-    writer.finish()
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "x"
-        path.write_text("".join(lines))
-        with InputLogReader(path) as reader:
-            for line in reader.lines():
-                assert not isinstance(line, str)
-                assert all(event == 3 or event == messages[line[0]].pop(0) for event in line[1])
-    assert not any(messages.values())
+def test_the_header_comes_back(tmp_path: Path) -> None:
+    with events_file(tmp_path / "x", HEADER):
+        pass
+    with EventsReader(tmp_path / "x") as reader:
+        assert reader.header == HEADER
 
 
-@pytest.mark.parametrize(("options", "most"), [("", 1.2), ("--fault loss=0.3", 1.25)])
-def test_the_events_of_many_robots_are_hardly_more_than_the_log(
-    options: str, most: float, tmp_path: Path
+def test_a_flood_of_estimates_is_written_in_lines_that_can_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mcp_asdf_tools.recording.events._MAX_EVENTS_PER_LINE", 10)
+    with events_file(tmp_path / "x", HEADER) as writer:
+        for _ in range(4):
+            writer.recorders[7].record_estimates([[3, 1, 2]] * 6)
+    with EventsReader(tmp_path / "x") as reader:
+        assert [entry.events for entry in reader.entries() if isinstance(entry, RobotEvents)] == [
+            [[3, 1, 2]] * 12,
+            [[3, 1, 2]] * 12,
+        ]
+
+
+VERSION_3 = HEADER.to_line().replace('"version": 4', '"version": 3')
+
+
+def test_events_of_version_3_are_read(tmp_path: Path) -> None:
+    """They are plain text, and a mask stands for the last estimates of its senders, here of 0 and 3."""
+    (tmp_path / "x").write_text(f'{VERSION_3}[7,1,[3,9,8],[0,1,2],3]\n[0,1,"9",[3,5,5],3]\n')
+    with EventsReader(tmp_path / "x") as reader:
+        assert list(reader.entries()) == [
+            RobotEvents(7, [1, [3, 9, 8], [0, 1, 2], 3]),
+            RobotEvents(0, [1, [0, 1, 2], [3, 9, 8], [3, 5, 5], 3]),
+        ]
+
+
+def test_a_log_with_events_of_version_3_is_replayed() -> None:
+    """Both were written before version 4."""
+    log = Path(__file__).parent / "version_3.log"
+    assert check(list(read_log(log)), log) == ReplayVerdict(reproduced=51, falsified=5, foreign=2, other=8)
+
+
+def test_compressed_events_that_were_cut_are_refused_with_the_line(recorded: Path, tmp_path: Path) -> None:
+    data = events_path(recorded).read_bytes()
+    (tmp_path / "x").write_bytes(data[: len(data) // 2])
+    with (
+        EventsReader(tmp_path / "x") as reader,
+        pytest.raises(UsageError, match=r"x, line \d+: .*was it cut"),
+    ):
+        list(reader.entries())
+
+
+def test_damaged_compressed_events_are_refused(recorded: Path, tmp_path: Path) -> None:
+    data = bytearray(events_path(recorded).read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    (tmp_path / "x").write_bytes(data)
+    with pytest.raises(UsageError, match=r"x, line \d+: "), EventsReader(tmp_path / "x") as reader:
+        list(reader.entries())
+
+
+def test_a_part_of_compressed_events_is_read_up_to_any_cut(tmp_path: Path) -> None:
+    whole, part = tmp_path / "x.events", tmp_path / "x.events.part"
+    with events_file(whole, HEADER) as writer:
+        for tick in range(5):
+            writer.recorders[7].record_estimates([[3, tick, tick]])
+            writer.recorders[7].record_settle()
+    with EventsReader(whole) as reader:
+        entries = list(reader.entries())
+    data = whole.read_bytes()
+    for size in range(len(data) - 30, len(data) + 1):
+        part.write_bytes(data[:size])
+        with EventsReader(part) as reader:
+            read_entries = list(reader.entries())
+        assert read_entries == entries[: len(read_entries)]
+    assert read_entries == entries
+
+
+def test_a_line_without_an_end_does_not_fill_the_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mcp_asdf_tools.recording.events.MAX_LINE_LENGTH", 2000)
+    with gzip.open(tmp_path / "x", "wt") as file:
+        file.write(HEADER.to_line() + "[" + 10**6 * "0,")
+    reader = EventsReader(tmp_path / "x")
+    with reader, pytest.raises(UsageError, match="line 2: not JSON of at most 2000 characters"):
+        list(reader.entries())
+
+
+@pytest.mark.parametrize(("options", "ratio"), [("", 0.6), ("--fault loss=0.3", 1.1)])
+def test_the_events_of_many_robots_are_hardly_larger_than_the_log(
+    options: str, ratio: float, tmp_path: Path
 ) -> None:
     """The sizes of docs/radio.md."""
     log = tmp_path / "run.log"
     assert main(["swarm", *f"--robots 100 --steps 12 --quiet --log {log} {options}".split()]) == 0
-    lines = input_log_path(log).read_text().splitlines(keepends=True)
-    assert most - 0.2 < sum(map(len, lines[1:])) / log.stat().st_size < most
+    assert ratio - 0.2 < events_path(log).stat().st_size / log.stat().st_size < ratio
     assert check([*read_log(log)], log).reproduced == 1200
 
 
@@ -334,14 +400,14 @@ def test_the_events_of_many_robots_are_hardly_more_than_the_log(
 
 def spoiled(**changes: Any) -> str:
     """A header with changes, of the first robot if they name something of robots."""
-    plain = json.loads(HEADER.line())
+    plain = json.loads(HEADER.to_line())
     for name, value in changes.items():
         target = plain if name in plain else plain["robots"][0]
         target[name] = value
     return json.dumps(plain)
 
 
-GOOD = HEADER.line()
+GOOD = HEADER.to_line()
 EVENTS = {
     "": '1: "format": "mcp-asdf events" is missing',
     "\n": "1: not JSON",
@@ -349,8 +415,8 @@ EVENTS = {
     "(1.0) vcan0 1#00": "1: not JSON",
     "[" * 100_000: "1: not JSON",
     "\xff\xfe": "1: not JSON",
-    spoiled(version=2): "1: the format is version 2, and version 3 is read here; replay",
-    spoiled(version=4): "1: the format is version 4, and version 3 is read here",
+    spoiled(version=2): "1: the format is version 2, and versions 3 and 4 are read here; replay",
+    spoiled(version=5): "1: the format is version 5, and versions 3 and 4 are read here",
     spoiled(robots=5): "1: ",
     spoiled(frames={"subject": 6144, "priority": 4}): "1: subject is 6144",
     spoiled(filter="sometimes"): "1: filter is 'sometimes'; it must be one of adaptive, always, off",
@@ -378,7 +444,7 @@ EVENTS = {
         )
     },
 }
-"""Input logs, and what is told of which line."""
+"""Files of events, and what is told of which line."""
 FILES = {
     "absent.log --events run.log.events": "cannot read the log absent.log: No such file",
     ". --events run.log.events": "cannot read the log .: Is a directory",
@@ -405,7 +471,7 @@ def place(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     """Be where these files are."""
     monkeypatch.chdir(tmp_path)
     lines = recorded.read_text().splitlines(keepends=True)
-    Path("run.log.events").write_text(input_log_path(recorded).read_text())
+    Path("run.log.events").write_bytes(events_path(recorded).read_bytes())
     for name in ("run.log", "lone.log", "run.xyz"):
         Path(name).write_text("".join(lines))
     Path("empty.log").touch()

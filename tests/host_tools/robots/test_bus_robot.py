@@ -1,6 +1,6 @@
-"""The robot that swarms, nodes, neighbours and replays drive: its numbers, and records of it.
+"""The robot that swarms, nodes, neighbours and replays drive: its ticks, its counts, and how it starts.
 
-What it says and hears is compared with trials (test_swarm.py) and with the C node (tests/targets).
+What it sends and receives is compared with trials (test_swarm.py) and with the C node (tests/targets).
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from mcp_asdf_tools.bus.frame_layout import Rejection
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, Telemetry
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
-from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception, Recorder
+from mcp_asdf_tools.recording.events import EventRecorder
+from mcp_asdf_tools.robots.bus_robot import BusRobot, Reception
 from mcp_asdf_tools.robots.filters import Activation
 from mcp_asdf_tools.robots.population import Population
-from mcp_asdf_tools.robots.record import RobotRecord
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.robots.suspicion import Suspicion
 from mcp_asdf_tools.tables.thresholds import generate
 from messages import encoded
@@ -37,104 +38,156 @@ ESTIMATES = FrameFormat()
 # Ticks, numbers, crashes
 
 
-def counting(comms_period: int, **counters: int) -> BusRobot:
-    """A robot whose counters may be close to where they wrap."""
+def robot_with_counters(comms_period: int, **counters: int) -> BusRobot:
+    """Return robot 5 with counters that may be close to where they wrap."""
     firmware = MirrorRobot(Config(filter=Filter.OFF), 5, 0.75)
     for name, value in counters.items():
         setattr(firmware.s, name, value)
-    return BusRobot(record(5, comms_period=comms_period), ESTIMATES, make=lambda: firmware)
+    return BusRobot(record(5, comms_period=comms_period), ESTIMATES, make_firmware=lambda: firmware)
 
 
-def test_a_broadcast_that_did_not_end_its_tick_stays_due() -> None:
-    one = counting(3)
-    assert [one.begin(None) for _ in range(5)] == [False, False, True, True, True]
-    one.end()
-    assert [one.begin(None) for _ in range(3)] == [False, False, True]
+def test_a_broadcast_stays_due_until_a_tick_has_ended() -> None:
+    robot = robot_with_counters(comms_period=3)
+    assert [robot.observe(None) for _ in range(5)] == [False, False, True, True, True]
+    robot.settle()
+    assert [robot.observe(None) for _ in range(3)] == [False, False, True]
 
 
 def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
-    """In a long round of many messages, too."""
-    one = counting(10**6, accepted=65_000, updates=65_535, tests=65_534, rejected=1, repeated=65_533)
-    before = one.counters
-    assert before == Counters(65_000, 65_533, 1, 65_534, 65_535)
-    messages = np.array([[sender, 0, ALPHA_ONE] for sender in [5] * 998 + [6, 7]], np.uint32)
-    for _ in range(300):
-        one.begin(None)
-        one.receive(messages)
-        one.end()
-    assert one.counters == replace(before, accepted=65_002, rejected=1 + 998 * 300, repeated=65_533 + 598)
-    conflicts = Counter({(Suspicion.CONFLICT, 5): 998 * 300})
-    assert one.reception == Reception(1000 * 300, 998 * 300 + 598, events=conflicts)
-    assert one.telemetry(0.0).data == encoded(Telemetry(5, 1 << 22, 3 << 22, 255, 0)).data
-
-
-def test_a_line_has_all_that_befell_a_robot_in_a_tick() -> None:
-    """And what is left when it ends. The dead hear nothing, and wake to an event if all was lost."""
-    lines, beat = list[str](), encoded(Heartbeat(8, 1, 0))
-    own, *heard = (encoded(Estimate(sender, 9, 0, 0)) for sender in (5, 6, 7, 8))
-    recorder = Recorder(5, lines.append, json.dumps)
-    one = BusRobot(record(5), ESTIMATES, recorder)
-    recorder.flush()
-    one.begin(Observation.BLACK)
-    one.listen([heard[0], beat, heard[1]])
-    one.listen([heard[2]] * 2)
-    one.end()
-    for loses_state in (False, True):
-        one.die(loses_state)
-        for frame in (own, beat, *heard):
-            one.listen([frame])
-            one.hear_stranger(frame)
-        one.wake()
-        assert (one.ticks, one.robot.t) == ((0, 0) if loses_state else (1, 1))
-    one.begin(Observation.WHITE)
-    one.listen([])
-    recorder.silent()
-    one.end()
-    one.begin(None)
-    one.listen(heard[:1])
-    recorder.falsified(3, 4)
-    recorder.foreign(heard[0])
-    recorder.flush()
-    assert lines == [
-        "[5,1,[[6, 9, 0], [7, 9, 0], [8, 9, 0], [8, 9, 0]],3]\n",
-        '[5,"restart",0,"silent",3]\n',
-        '"106BB806#09000000000000E0"\n',
-        "[5,2,[[6, 9, 0]],[3,4]]\n",
-    ]
-    assert one.reception == Reception(delivered=5, refused=1, heartbeats=1) and not one.reception.events
-
-
-def test_what_is_no_estimate_is_counted_by_its_kind() -> None:
-    one = BusRobot(record(5), ESTIMATES)
-    for content in (Heartbeat(8, 1, 0), Telemetry(8, 9, 1 << 23, 1, 0), Estimate(6, 9, 0, 0), *Rejection):
-        one.count(content, 3)
-    others = [each for each in Rejection if each is not Rejection.ERROR_FRAME]
-    assert one.reception == Reception(
-        heartbeats=3, telemetry=3, errors=3, rejected=Counter(dict.fromkeys(others, 3))
+    """Also in a round of so many messages that a counter wraps several times."""
+    robot = robot_with_counters(
+        10**6, accepted=65_000, updates=65_535, tests=65_534, rejected=1, repeated=65_533
     )
-    one.reception = Reception()
-    for said in (Estimate(5, 9, 0, 0), Estimate(6, 9, 0, 0), Heartbeat(8, 1, 0)):
-        one.hear_stranger(encoded(said))
-    own = Counter({(Suspicion.CONFLICT, 5): 1})
-    assert one.reception == Reception(strays=2, heartbeats=1, events=own)
+    before = robot.counters
+    assert before == Counters(65_000, 65_533, 1, 65_534, 65_535)
+    senders = [5] * 998 + [6, 7]
+    estimates = np.array([[sender, 0, ALPHA_ONE] for sender in senders], np.uint32)
+    for _ in range(300):
+        robot.observe(None)
+        robot.receive_all(estimates)
+        robot.settle()
+    assert robot.counters == replace(
+        before, accepted=65_002, rejected=1 + 998 * 300, repeated=65_533 + 2 * 299
+    )
 
 
-# Records
+def test_estimates_under_the_robot_s_own_id_are_refused_and_counted_as_conflicts() -> None:
+    robot = robot_with_counters(comms_period=1)
+    robot.receive_all(np.array([[5, 0, ALPHA_ONE], [5, 0, ALPHA_ONE], [6, 0, ALPHA_ONE]], np.uint32))
+    conflicts = Counter({(Suspicion.CONFLICT, 5): 2})
+    assert robot.reception == Reception(delivered=3, refused=2, events=conflicts)
 
 
-def test_a_record_is_the_same_after_json_and_makes_the_same_robot() -> None:
-    own = record(5, "mirror", 0.55, comms_period=2, filter_period=10, memory=64)
-    ends = [record(5, comms_period=each, filter_period=each) for each in (1, 2**32 - 1)]
-    choosy = replace(record(5, table=None, filter=Filter.ALWAYS), allow=frozenset((0, 2, 3, 127)))
-    assert choosy.plain()["allow"] == "0+2-3+127"
-    for each in (own, choosy, *ends):
-        assert RobotRecord.from_plain(each.plain()) == each
+def test_telemetry_has_the_update_counter_modulo_256() -> None:
+    robot = robot_with_counters(comms_period=1, updates=65_535)
+    assert robot.telemetry(0.0).data == encoded(Telemetry(5, 1 << 22, 3 << 22, 255, 0)).data
+
+
+@pytest.mark.parametrize("firmware", ["native", "mirror", "reference"])
+@pytest.mark.parametrize("allow", [None, frozenset({6})])
+def test_one_estimate_has_the_effect_of_an_array_with_one(
+    firmware: str, allow: frozenset[int] | None
+) -> None:
+    setup = replace(record(5, firmware), allow=allow)
+    lines_of_one, lines_of_array = list[str](), list[str]()
+    one = BusRobot(setup, ESTIMATES, EventRecorder(5, lines_of_one.append))
+    array = BusRobot(setup, ESTIMATES, EventRecorder(5, lines_of_array.append))
+    for sender in (6, 6, 5, 7):
+        one.receive(Estimate(sender, 1 << 22, ALPHA_ONE, 0))
+        array.receive_all(np.array([[sender, 1 << 22, ALPHA_ONE]], np.uint32))
+    for robot in (one, array):
+        robot.observe(Observation.BLACK)
+        robot.settle()
+    assert (one.reception, one.counters, one.robot.x) == (array.reception, array.counters, array.robot.x)
+    assert lines_of_one == lines_of_array
+
+
+def test_a_robot_that_has_crashed_receives_nothing() -> None:
+    robot = BusRobot(record(5), ESTIMATES)
+    robot.crash(loses_state=False)
+    for content in (Estimate(6, 9, 0, 0), Estimate(5, 9, 0, 0), Heartbeat(8, 1, 0)):
+        robot.receive_frames([encoded(content)])
+        robot.count_foreign_frame(encoded(content))
+    robot.receive(Estimate(6, 9, 0, 0))
+    assert robot.reception == Reception()
+
+
+@pytest.mark.parametrize(("loses_state", "ticks"), [(False, 1), (True, 0)])
+def test_a_robot_that_rejoins_has_its_state_unless_the_crash_lost_it(loses_state: bool, ticks: int) -> None:
+    robot = BusRobot(record(5), ESTIMATES)
+    robot.observe(Observation.BLACK)
+    robot.settle()
+    robot.crash(loses_state)
+    robot.rejoin()
+    assert (robot.is_alive, robot.ticks, robot.robot.t) == (True, ticks, ticks)
+
+
+def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:
+    lines: list[str] = []
+    robot = BusRobot(record(5), ESTIMATES, EventRecorder(5, lines.append))
+    estimates = [encoded(Estimate(sender, 9, 0, 0)) for sender in (6, 7, 8)]
+    robot.observe(Observation.BLACK)
+    robot.receive_frames([estimates[0], encoded(Heartbeat(8, 1, 0)), estimates[1]])
+    robot.receive_frames([estimates[2]] * 2)
+    robot.settle()
+    robot.crash(loses_state=True)
+    robot.rejoin()
+    robot.observe(None)
+    robot.receive_frames([])
+    robot.settle()
+    assert lines == ["[5,1,[6,9,0],[7,9,0],[8,9,0],[8,9,0],3]\n", '[5,"restart",2,3]\n']
+
+
+def test_every_frame_without_an_estimate_is_counted_by_its_kind() -> None:
+    robot = BusRobot(record(5), ESTIMATES)
+    for content in (Heartbeat(8, 1, 0), Telemetry(8, 9, 1 << 23, 1, 0), Estimate(6, 9, 0, 0), *Rejection):
+        robot.count_content(content, 3)
+    rejections = [reason for reason in Rejection if reason is not Rejection.ERROR_FRAME]
+    assert robot.reception == Reception(
+        heartbeats=3, telemetry=3, errors=3, rejected=Counter(dict.fromkeys(rejections, 3))
+    )
+
+
+def test_estimates_from_outside_the_swarm_are_counted_as_strays() -> None:
+    robot = BusRobot(record(5), ESTIMATES)
+    for content in (Estimate(5, 9, 0, 0), Estimate(6, 9, 0, 0), Heartbeat(8, 1, 0)):
+        robot.count_foreign_frame(encoded(content))
+    conflicts = Counter({(Suspicion.CONFLICT, 5): 1})
+    assert robot.reception == Reception(strays=2, heartbeats=1, events=conflicts)
+
+
+# How a robot starts
+
+
+@pytest.mark.parametrize(
+    "setup",
+    [
+        record(5, "mirror", 0.55, comms_period=2, filter_period=10, memory=64),
+        record(5, comms_period=1, filter_period=1),
+        record(5, comms_period=2**32 - 1, filter_period=2**32 - 1),
+        replace(record(5, table=None, filter=Filter.ALWAYS), allow=frozenset((0, 2, 3, 127))),
+    ],
+)
+def test_a_robot_s_setup_is_the_same_after_json(setup: RobotSetup) -> None:
+    assert RobotSetup.from_plain(json.loads(json.dumps(setup.plain()))) == setup
+
+
+def test_a_setup_in_json_has_the_allowed_ids_as_ranges() -> None:
+    setup = replace(record(5), allow=frozenset((0, 2, 3, 127)))
+    assert setup.plain()["allow"] == "0+2-3+127"
+
+
+def test_a_table_that_was_not_made_here_cannot_be_put_into_json() -> None:
     table = Table(3, TABLE.entries)
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
         record(5, table=table).plain()
-    made = own.make()
-    assert isinstance(made, MirrorRobot)
-    assert made.state() == MirrorRobot(Config(own.config.table, Filter.ADAPTIVE, 5, 64), 5, 0.55).state()
+
+
+def test_a_setup_makes_a_robot_with_its_configuration() -> None:
+    setup = record(5, "mirror", 0.55, comms_period=2, filter_period=10, memory=64)
+    robot = setup.make_robot()
+    assert isinstance(robot, MirrorRobot)
+    assert robot.state() == MirrorRobot(Config(TABLE, Filter.ADAPTIVE, 5, 64), 5, 0.55).state()
 
 
 @pytest.mark.parametrize(
@@ -157,9 +210,9 @@ def test_a_record_is_the_same_after_json_and_makes_the_same_robot() -> None:
         ({"table": {"omega": "0.05", "q": 20, "checksum": 1}}, "has checksum 1"),
     ],
 )
-def test_what_is_no_record_is_refused_by_name(changes: dict[str, Any], complaint: str) -> None:
+def test_a_setup_with_a_wrong_value_is_refused_by_name(changes: dict[str, Any], complaint: str) -> None:
     with pytest.raises((UsageError, FirmwareError), match=complaint):
-        RobotRecord.from_plain(record(5).plain() | changes)
+        RobotSetup.from_plain(record(5).plain() | changes)
 
 
 def test_flawed_robots_are_a_count_or_a_share() -> None:
@@ -173,7 +226,7 @@ def test_flawed_robots_are_a_count_or_a_share() -> None:
 
 @pytest.mark.parametrize("filters", ["none", "asdf-minus", "asdf-plus", "robust"])
 @pytest.mark.parametrize("activation", ["adaptive", "always"])
-def test_a_population_has_a_record_of_each_robot(filters: str, activation: Activation) -> None:
+def test_a_population_has_a_setup_of_each_robot(filters: str, activation: Activation) -> None:
     periods: dict[str, Any] = {"comms_period": 2, "filter_period": 4, "memory": 64}
     accuracies: dict[str, Any] = {"robots": 4, "flawed": 2, "flawed_accuracy": 0.3, "true_accuracy": 1.0}
     drift: dict[str, Any] = {"drift": "linear", "drift_of": "flawed"}
@@ -185,8 +238,8 @@ def test_a_population_has_a_record_of_each_robot(filters: str, activation: Activ
         on = Config(generate(Decimal("0.1"), 3), Filter.ADAPTIVE, 2, 64)
     configs = [on if filters != "none" else off] * 2 + [off if filters in ("none", "asdf-minus") else on] * 2
     b_hat = [0.3, 0.3, 1 - 2**-20, 1 - 2**-20]
-    expected = [RobotRecord(i, "native", b_hat[i], configs[i], 2) for i in range(4)]
-    assert [some.record(robot) for robot in range(4)] == expected
+    expected = [RobotSetup(i, "native", b_hat[i], configs[i], 2) for i in range(4)]
+    assert [some.setup_of(robot) for robot in range(4)] == expected
     assert Population(**some.parameters()) == some
     assert (some.drifting, some.omega) == (2, Decimal("0.1"))
     with pytest.raises(ParameterError, match="drift_of is flawed but drift is none"):

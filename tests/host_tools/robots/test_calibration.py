@@ -60,7 +60,7 @@ def test_the_interval_holds_the_accuracy_and_the_bias_is_the_robot_s() -> None:
     assert abs(found.b_hat - 0.92) < found.uncertainty < 0.01
     assert found.warning is not None
     assert "+0.060" in found.warning
-    robot = record(1, "native", found.b_hat).make()
+    robot = record(1, "native", found.b_hat).make_robot()
     for number in range(1000):  # of tiles of which 400 are black
         robot.observe(Observation(int(number < 0.97 * 400 + 0.13 * 600)))
     assert robot.x_hat == pytest.approx(0.4 + found.bias, abs=0.001)

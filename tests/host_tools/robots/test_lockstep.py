@@ -34,7 +34,7 @@ from mcp_asdf_tools.robots import processes
 from mcp_asdf_tools.robots.lockstep import Lockstep, LockstepError
 from mcp_asdf_tools.robots.node import RobotNode, Subjects
 from mcp_asdf_tools.robots.processes import NodeProcesses
-from mcp_asdf_tools.robots.record import RobotRecord, ids_of
+from mcp_asdf_tools.robots.robot_setup import RobotSetup, parse_ids
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from multicast import multicast
 from support import PATIENCE, wait_until
@@ -268,11 +268,11 @@ RECORDS = (
 
 
 @pytest.mark.parametrize("own", RECORDS)
-def test_a_process_is_told_all_of_its_robot(own: RobotRecord) -> None:
+def test_a_process_is_told_all_of_its_robot(own: RobotSetup) -> None:
     choice = BusChoice("udp_multicast", {"channel": "239.1.1.1"})
     *_, (_, _, _, name, *words) = NodeProcesses([own], lambda robot: choice, SUBJECTS, 3)._commands.values()
     read = cli._parser_for(name, cli._load(name)).parse_args(words)
-    record = replace(robot_of(read), allow=read.allow and ids_of(read.allow, "--allow"))
+    record = replace(robot_of(read), allow=read.allow and parse_ids(read.allow, "--allow"))
     assert (record, subjects_of(read), read.steps_per_second) == (own, SUBJECTS, 3)
     assert (read.until_eof, read.json, str(choose_bus(read))) == (True, True, str(choice))
 

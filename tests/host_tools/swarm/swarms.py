@@ -9,7 +9,7 @@ import can
 from can.interfaces import virtual
 
 from mcp_asdf.robot import FixedPointRobot
-from mcp_asdf_tools.recording.input_log import InputLogHeader, InputLogWriter
+from mcp_asdf_tools.recording.events import EventsHeader, EventsWriter
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.run import SwarmHook, SwarmRun, run_swarm
@@ -43,15 +43,15 @@ def record(
     hooks: Sequence[SwarmHook] = (),
     events: list[str] | None = None,
 ) -> tuple[SwarmRun, list[can.Message]]:
-    """A run that nothing ended early, and the frames it sent; ``events`` gets the lines of its input log."""
+    """A run that nothing ended early, and the frames it sent; ``events`` gets the lines of its events."""
     frames: list[can.Message] = []
-    header = InputLogHeader(settings.records(), settings.seed, settings.frames)
+    header = EventsHeader(settings.robot_setups(), settings.seed, settings.frames)
     lines = [] if events is None else events
-    lines.append(header.line())
-    input_log = InputLogWriter(header, lines.append)
-    with Swarm(settings, wiring, frames.append, input_log) as swarm:
+    lines.append(header.to_line())
+    writer = EventsWriter(header, lines.append)
+    with Swarm(settings, wiring, frames.append, writer) as swarm:
         run = run_swarm(swarm, hooks)
-    input_log.finish()
+    writer.finish()
     assert run.failure is None
     return run, frames
 

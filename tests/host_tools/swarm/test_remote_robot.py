@@ -19,7 +19,7 @@ from host_tools.swarm.test_swarm_faults import MIX
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
 from mcp_asdf_tools.cli import swarm
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.recording.input_log import InputLogReader, input_log_path
+from mcp_asdf_tools.recording.events import EventsReader, events_path
 from mcp_asdf_tools.robots.node import BusLink, RobotNode, run_node
 from mcp_asdf_tools.swarm import remote_robot
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -71,7 +71,7 @@ def run_elsewhere(
     settings: SwarmSettings, wiring: Wiring
 ) -> tuple[SwarmRun, list[can.Message], dict[int, RobotNode]]:
     """A run whose remote robots are in threads; with the frames it sent and those robots."""
-    records = settings.records()
+    records = settings.robot_setups()
     assert wiring.open_bus is not None
     nodes = {robot: RobotNode(records[robot]) for robot in sorted(wiring.remote)}
     frames: list[can.Message] = []
@@ -107,7 +107,7 @@ def test_robots_elsewhere_end_in_the_same_bits(
     run, frames, nodes = run_elsewhere(settings, wiring)
     here, same = record(settings, ON_OWN_BUSES)
     for robot, node in nodes.items():
-        assert states([node]) == states([here.nodes[robot]])
+        assert states([node.bus_robot]) == states([here.nodes[robot]])
         known, true = run.nodes[robot].robot, here.nodes[robot].robot
         assert (known.t, known.x) == (true.t, true.x)
         assert known.counters.updates == true.counters.updates
@@ -138,7 +138,7 @@ def test_a_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(remote_robot, "ANSWER_TIMEOUT", 0.1)
     settings, asked = small(), list[bool]()
     with Swarm(settings, with_buses(1)) as driven, own_bus(1) as bus:
-        with robot_elsewhere(RobotNode(settings.records()[1]), bus):
+        with robot_elsewhere(RobotNode(settings.robot_setups()[1]), bus):
             driven.wait_until_up(10, lambda: asked.append(True))
             driven.tick()
         asked.clear()
@@ -174,8 +174,8 @@ def test_processes_end_in_the_same_bits(
         assert report["robot"]["x"] == known["x"] == elsewhere["results"]["robots"][robot]["x"]
         assert report["robot"]["counters"]["tests"] == known["tests"]
     assert main(["replay", str(log)]) == 0
-    with InputLogReader(input_log_path(log)) as one, InputLogReader(input_log_path(other)) as two:
-        assert [*one.lines()] == [*two.lines()]
+    with EventsReader(events_path(log)) as one, EventsReader(events_path(other)) as two:
+        assert [*one.entries()] == [*two.entries()]
 
 
 def test_a_device_that_is_not_there_is_named(

@@ -16,7 +16,7 @@ from can.interfaces import virtual
 from host_tools.swarm.swarms import ON_ONE_BUS, ON_OWN_BUSES, content, own_bus, record, small, states
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, decode_estimate, decode_heartbeat
 from mcp_asdf_tools.bus.interfaces import BusChoice
-from mcp_asdf_tools.recording.input_log import InputLogReader
+from mcp_asdf_tools.recording.events import EventsReader, InjectedFrame
 from mcp_asdf_tools.recording.replay import verify
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
@@ -70,7 +70,7 @@ def injected(run: SwarmRun) -> list[int]:
     ids=["lossless", "mix", "moving"],
 )
 def test_every_medium_carries_the_same(medium: str, faults: tuple[str, ...], world: dict[str, Any]) -> None:
-    """Frames, what robots make of them, results and the input log; time stamps where a medium keeps them."""
+    """Frames, what robots make of them, results and events; time stamps where a medium keeps them."""
     settings, logs = small(*faults, **world), (list[str](), list[str]())
     reference, sent = record(settings, events=logs[0])
     run, frames = record(settings, MEDIA[medium], events=logs[1])
@@ -132,10 +132,10 @@ def test_what_a_fault_does(
     assert figures(run)["on_the_bus"] == len(frames)
     if fault == "loss":
         assert all(node.robot.x == node.robot.x_hat for node in run.nodes)
-    with InputLogReader(path) as reader:
+    with EventsReader(path) as reader:
         verdict = verify(frames, reader)
-    with InputLogReader(path) as reader:
-        others = sum(isinstance(line, str) for line in reader.lines())
+    with EventsReader(path) as reader:
+        others = sum(isinstance(entry, InjectedFrame) for entry in reader.entries())
     assert (verdict.difference, verdict.not_logged) == (None, 0)
     found = (verdict.reproduced, verdict.falsified, verdict.foreign, others)
     assert found == (replayed or (300, 0, 0, 0))

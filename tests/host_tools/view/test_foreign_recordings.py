@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import os
 from collections.abc import Callable
@@ -12,13 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from events_files import lines_of
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_tables import experiments_in, trials_to_table
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.recording.input_log import input_log_path
+from mcp_asdf_tools.recording.events import events_path
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.view.films import SwarmCamera, film_of_log, film_of_trial
@@ -38,12 +40,13 @@ def log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
 
 
 def change_header(log: Path, change: Callable[[Header], object]) -> None:
-    """Change the first line of the input log of a log."""
-    events = input_log_path(log)
-    first_line, *lines = events.read_text().splitlines(keepends=True)
+    """Change the first line of a log's events."""
+    events = events_path(log)
+    first_line, *lines = lines_of(events)
     header = json.loads(first_line)
     change(header)
-    events.write_text("".join([json.dumps(header) + "\n", *lines]))
+    with gzip.open(events, "wt") as file:
+        file.write("".join([json.dumps(header) + "\n", *lines]))
 
 
 def set_parameters(**values: Any) -> Callable[[Header], object]:

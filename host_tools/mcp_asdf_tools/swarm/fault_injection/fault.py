@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.common.parameters import parameter
-from mcp_asdf_tools.robots.record import text_of_ids
+from mcp_asdf_tools.robots.robot_setup import format_ids
 from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
 from mcp_asdf_tools.swarm.fault_injection.random_words import FaultRandom, RandomWords, hit_threshold
 
@@ -114,7 +114,7 @@ class Fault:
 def _option_text(value: object) -> str:
     """Return the value of an option as a fault's text has it."""
     if isinstance(value, frozenset):
-        return text_of_ids(value)
+        return format_ids(value)
     return value if isinstance(value, str) else repr(value)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.parameters import parameters_of
-from mcp_asdf_tools.robots.record import ids_of
+from mcp_asdf_tools.robots.robot_setup import parse_ids
 from mcp_asdf_tools.swarm.fault_injection.fault import OPTION_OF_FIELD, Fault
 from mcp_asdf_tools.swarm.fault_injection.kinds import FAULT_KINDS
 
@@ -58,7 +58,7 @@ def _parse_option(fault_text: str, kind: type[Fault], option: str, value: str) -
     """Return the value of an option of a fault. Raises UsageError if it is not a legal one."""
     declared = parameters_of(kind).get(_FIELD_OF_OPTION.get(option, option))
     if declared is None:  # all options that are no declared parameters are sets of ids
-        return ids_of(value, f"fault {fault_text!r}: {option}")
+        return parse_ids(value, f"fault {fault_text!r}: {option}")
     if declared.choices:
         if value not in declared.choices:
             raise _option_error(fault_text, option, value, " or ".join(declared.choices))

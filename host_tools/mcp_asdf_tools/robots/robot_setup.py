@@ -1,0 +1,180 @@
+"""How a robot starts: enough to make the same robot again, here, in another process or in a replay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Any
+
+from mcp_asdf.robot import (
+    DEFAULT_FILTER_PERIOD,
+    DEFAULT_MEMORY,
+    MAX_FILTER_PERIOD,
+    Config,
+    Filter,
+    Robot,
+    check_settings,
+)
+from mcp_asdf.table import Table
+from mcp_asdf_tools.bus.frame_layout import MAX_NODE_ID
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.robots.firmwares import load_firmware
+from mcp_asdf_tools.tables.thresholds import generate, omega_from_word
+
+_FILTERS_BY_NAME = {firmware_filter.name.lower(): firmware_filter for firmware_filter in Filter}
+_TYPES: dict[str, type[Any]] = {
+    "id": int,
+    "comms_period": int,
+    "filter_period": int,
+    "memory": int,
+    "firmware": str,
+    "b_hat": float,
+}
+_TYPE_NAMES = {int: "a whole number", str: "a text", float: "a number with a point"}
+_DEFAULTS = {
+    "comms_period": 1,
+    "filter": Config.filter.name.lower(),
+    "filter_period": DEFAULT_FILTER_PERIOD,
+    "memory": DEFAULT_MEMORY,
+    "firmware": "native",
+}
+"""Values of settings that a plain setup need not have."""
+
+
+def parse_ids(text: str, name: str) -> frozenset[int]:
+    """Return the ids of a text such as ``0+3-5``, here 0, 3, 4 and 5.
+
+    Raises UsageError, which calls the text ``name``, if it holds no ids, or one that no node can have.
+    """
+    ids: set[int] = set()
+    for item in text.split("+"):
+        first, dash, last = item.partition("-")
+        try:
+            item_ids = range(int(first), int(last if dash else first) + 1)
+        except ValueError:
+            item_ids = range(0)
+        if not item_ids or item_ids[-1] > MAX_NODE_ID:
+            raise UsageError(f"{name} is {text!r}; it must be ids 0 to {MAX_NODE_ID} such as 0+3-5")
+        ids.update(item_ids)
+    return frozenset(ids)
+
+
+def format_ids(ids: frozenset[int]) -> str:
+    """Return the text that ``parse_ids`` reads back."""
+    range_starts = sorted(node_id for node_id in ids if node_id - 1 not in ids)
+    range_ends = sorted(node_id for node_id in ids if node_id + 1 not in ids)
+    return "+".join(
+        f"{start}-{end}" if start < end else str(start)
+        for start, end in zip(range_starts, range_ends, strict=True)
+    )
+
+
+@dataclass(frozen=True)
+class RobotSetup:
+    """How one robot starts.
+
+    Attributes:
+        id: Robot id, 0 .. 127.
+        firmware: Name of its firmware, see ``mcp_asdf_tools.robots.firmwares``.
+        b_hat: Initial assumed accuracy.
+        config: Its settings; the table is one that ``mcp_asdf_tools.tables.thresholds.generate`` makes.
+        comms_period: Ticks between broadcasts, the length of a round, 1 .. 2**32 - 1.
+        allow: Ids besides its own whose estimates it accepts; None for all.
+    """
+
+    id: int
+    firmware: str
+    b_hat: float
+    config: Config
+    comms_period: int = 1
+    allow: frozenset[int] | None = None
+
+    @property
+    def filter_period(self) -> int:
+        """Nominal filtering period tau in ticks."""
+        return self.config.filter_period * self.comms_period
+
+    def make_robot(self) -> Robot:
+        """Return the firmware of a robot that starts like this.
+
+        Raises UsageError if there is no such firmware here, FirmwareError if it refuses the settings.
+        """
+        return load_firmware(self.firmware)(self.config, self.id, self.b_hat)
+
+    def plain(self) -> dict[str, Any]:
+        """Return the setup as plain values, for JSON: the table as its omega, q and checksum.
+
+        Raises UsageError if the table's omega has more than 9 decimal places: no table generated here has.
+        """
+        plain: dict[str, Any] = {
+            "id": self.id,
+            "firmware": self.firmware,
+            "b_hat": self.b_hat,
+            "filter": self.config.filter.name.lower(),
+            "filter_period": self.filter_period,
+            "memory": self.config.memory,
+            "comms_period": self.comms_period,
+        }
+        if self.allow is not None:
+            plain["allow"] = format_ids(self.allow)
+        if self.config.table is not None:
+            plain["table"] = _plain_table(self.config.table)
+        return plain
+
+    @classmethod
+    def from_plain(cls, plain: Any) -> RobotSetup:
+        """Return the setup of plain values, which may come from any file.
+
+        The id and b_hat must be there, all else has its default. Raises a built-in error or one of ours, all
+        with a message, for what is no setup of a robot.
+        """
+        if not isinstance(plain, dict):
+            raise UsageError(f"a robot is {plain!r}; give its settings as an object in braces")
+        plain = _DEFAULTS | plain
+        table = _table_from_plain(plain["table"], plain["id"]) if "table" in plain else None
+        if plain["filter"] not in _FILTERS_BY_NAME:
+            raise UsageError(
+                f"filter is {plain['filter']!r}; it must be one of {', '.join(_FILTERS_BY_NAME)}"
+            )
+        for name, kind in _TYPES.items():
+            if type(plain[name]) is not kind:  # a bool would pass for an int otherwise
+                raise UsageError(f"{name} is {plain[name]!r}; give {_TYPE_NAMES[kind]}")
+        comms_period, filter_period = plain["comms_period"], plain["filter_period"]
+        _check_periods(comms_period, filter_period)
+        firmware_filter = _FILTERS_BY_NAME[plain["filter"]]
+        config = Config(table, firmware_filter, filter_period // comms_period, plain["memory"])
+        check_settings(config)  # names the wrong setting, which the C cannot
+        allow = parse_ids(str(plain["allow"]), "allow") if "allow" in plain else None
+        setup = cls(plain["id"], plain["firmware"], plain["b_hat"], config, comms_period, allow)
+        setup.make_robot()  # raises here if the firmware refuses it
+        return setup
+
+
+def _check_periods(comms_period: int, filter_period: int) -> None:
+    """Raise UsageError unless both are in range, and the second a multiple of the first."""
+    if not 1 <= comms_period <= MAX_FILTER_PERIOD:
+        raise UsageError(f"comms_period is {comms_period}; choose 1 .. {MAX_FILTER_PERIOD}")
+    if not 1 <= filter_period <= MAX_FILTER_PERIOD or filter_period % comms_period:
+        raise UsageError(
+            f"filter_period is {filter_period}; choose a multiple of comms_period {comms_period}"
+        )
+
+
+def _plain_table(table: Table) -> dict[str, Any]:
+    """Return what a table is generated from, and its checksum. Raises UsageError as ``RobotSetup.plain``."""
+    omega = omega_from_word(table.omega_word)
+    if omega is None:
+        raise UsageError(f"the t-table's omega is {table.omega}; make one with mcp-asdf table")
+    return {"omega": str(omega), "q": table.q, "checksum": table.words()[-1]}
+
+
+def _table_from_plain(plain_table: Any, robot_id: Any) -> Table:
+    """Generate the table of plain values. Raises UsageError if its checksum is another."""
+    table = generate(Decimal(plain_table["omega"]), plain_table["q"])
+    checksum = table.words()[-1]
+    if checksum != plain_table["checksum"]:
+        raise UsageError(
+            f"the t-table of robot {robot_id} has checksum {plain_table['checksum']}, "
+            f"the one made here {checksum}"
+        )
+    return table
