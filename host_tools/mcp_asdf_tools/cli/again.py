@@ -1,4 +1,4 @@
-"""With what a run ends: its report as JSON, or the line to type for the same run again."""
+"""The end of a command's output: its report as JSON, or the line to type for the same run again."""
 
 from __future__ import annotations
 
@@ -8,17 +8,21 @@ import shlex
 
 
 def json_report(report: object) -> str:
-    """A report for machines that people can read."""
+    """Return a report of plain values as indented JSON."""
     return json.dumps(report, indent=2)
 
 
-def print_again(args: argparse.Namespace, **settled: object) -> None:
-    """Print the command line of this run.
+def print_again(args: argparse.Namespace, **settled_parameters: object) -> None:
+    """Print the command line that makes the same run again.
 
-    It is what was typed, and in front of it ``settled`` parameters (the seed), whose defaults may change.
+    It is what the user typed. In front of it are those ``settled_parameters``, such as the seed, that the
+    user left to their defaults, since a later version may have other defaults.
     """
     program, *words = args.command_line
-    given = {word.partition("=")[0] for word in words}
-    more = {f"--{name.replace('_', '-')}": value for name, value in settled.items()}
-    options = [f"{option}={value}" for option, value in more.items() if option not in given]
-    print(f"again: {program} {shlex.join([*options, *words])}".rstrip())
+    typed_options = {word.partition("=")[0] for word in words}
+    settled_options = []
+    for name, value in settled_parameters.items():
+        option = f"--{name.replace('_', '-')}"
+        if option not in typed_options:
+            settled_options.append(f"{option}={value}")
+    print(f"again: {program} {shlex.join([*settled_options, *words])}".rstrip())

@@ -19,11 +19,20 @@ from mcp_asdf_tools.experiments.scores import E_MAX, Limits
 from mcp_asdf_tools.experiments.sweep import default_workers
 
 
-def add_run(parser: argparse.ArgumentParser, output: str) -> None:
-    """Options of a run: the experiment's parameters, None where not given; output, limits and workers."""
-    parser.add_argument("--output", metavar="FILE", type=Path, help=output)
-    record = "also keep every robot's values, every STEPS steps (default: only the scores)"
-    parser.add_argument("--record", metavar="STEPS", type=int, default=0, help=record)
+def add_run(parser: argparse.ArgumentParser, output_help: str) -> None:
+    """Add the options of a command that runs experiments: parameters, output, limits of scores and workers.
+
+    The parsed value of a parameter that the user leaves out is None. ``output_help`` is the help of
+    ``--output``.
+    """
+    parser.add_argument("--output", metavar="FILE", type=Path, help=output_help)
+    parser.add_argument(
+        "--record",
+        metavar="STEPS",
+        type=int,
+        default=0,
+        help="also keep every robot's values, every STEPS steps (default: only the scores)",
+    )
     add_workers(parser)
     add_common_parameters(parser, Experiment, "experiment (values replace those of FILE)")
     add_limits(parser)
@@ -31,51 +40,61 @@ def add_run(parser: argparse.ArgumentParser, output: str) -> None:
 
 
 def experiments_of(args: argparse.Namespace) -> list[Experiment]:
-    """The experiments of FILE, by default one, with the parameters that were given.
+    """Return the experiments of FILE, or the default one without a file, with the options' parameters.
 
     Raises UsageError for a value out of range, and if ``--record`` is longer than a trial.
     """
-    bases = [{}] if args.file is None else [each.parameters() for each in read_experiments(args.file)]
-    given = [settings_from(args, Experiment, base) for base in bases]
-    most = min(experiment.steps for experiment in given)
-    if not 0 <= args.record <= most:
-        raise UsageError(f"--record is {args.record}; choose 1 to {most} steps, or 0 for none")
-    return given
+    if args.file is None:
+        base_values: list[dict[str, Any]] = [{}]
+    else:
+        base_values = [experiment.parameters() for experiment in read_experiments(args.file)]
+    experiments = [settings_from(args, Experiment, values) for values in base_values]
+    shortest_trial = min(experiment.steps for experiment in experiments)
+    if not 0 <= args.record <= shortest_trial:
+        raise UsageError(f"--record is {args.record}; choose 1 to {shortest_trial} steps, or 0 for none")
+    return experiments
 
 
 def add_workers(parser: argparse.ArgumentParser) -> None:
-    """The option for parallel work."""
-    text = "processes (default %(default)s: one per processor)"
-    parser.add_argument("--workers", type=int, metavar="N", default=default_workers(), help=text)
+    """Add the option ``--workers``, the number of processes that run trials."""
+    parser.add_argument(
+        "--workers",
+        type=int,
+        metavar="N",
+        default=default_workers(),
+        help="processes (default %(default)s: one per processor)",
+    )
 
 
 def check_workers(workers: int) -> int:
-    """Return ``workers``. Raises UsageError if there are none."""
+    """Return ``workers``. Raises UsageError if it is no possible number of processes."""
     if not 1 <= workers <= 1024:
         raise UsageError(f"--workers is {workers}; choose 1 to 1024")
     return workers
 
 
 def add_limits(parser: argparse.ArgumentParser) -> None:
-    """The options for K_max and e_max."""
-    add = parser.add_argument_group("scores").add_argument
-    add("--k-max", type=float, metavar="STEPS", help="K that scores 0 (default: the length of a trial)")
-    add("--e-max", type=float, metavar="ERROR", help=f"e that scores 0 (default: {E_MAX})")
+    """Add the options for K_max and e_max, the convergence time K and the error e that score 0."""
+    group = parser.add_argument_group("scores")
+    group.add_argument(
+        "--k-max", type=float, metavar="STEPS", help="K that scores 0 (default: the length of a trial)"
+    )
+    group.add_argument("--e-max", type=float, metavar="ERROR", help=f"e that scores 0 (default: {E_MAX})")
 
 
 def limits_of(args: argparse.Namespace) -> Limits:
-    """The limits given, or else the paper's. Raises UsageError for limits of 0 or less."""
+    """Return the limits that the user typed, or else the paper's. Raises UsageError for one of 0 or less."""
     return Limits(args.k_max, E_MAX if args.e_max is None else args.e_max)
 
 
 def limits_given(args: argparse.Namespace) -> list[str]:
-    """Return the options for K_max and e_max that the user has typed."""
+    """Return the options for K_max and e_max that the user has typed, such as ``["--e-max"]``."""
     values = {"--k-max": args.k_max, "--e-max": args.e_max}
     return [option for option, value in values.items() if value is not None]
 
 
 def add_where(parser: argparse._ActionsContainer) -> None:
-    """The option; ``chosen`` obeys it."""
+    """Add the option ``--where``, whose conditions ``chosen`` applies."""
     parser.add_argument(
         "--where",
         metavar="NAME=VALUE",
@@ -86,7 +105,7 @@ def add_where(parser: argparse._ActionsContainer) -> None:
 
 
 def chosen(args: argparse.Namespace) -> list[Trials]:
-    """Return the experiments of the file ``args.file`` that meet all conditions.
+    """Read the results file ``args.file``, and return the experiments that meet all ``--where`` conditions.
 
     Raises UsageError, with the existing values, for a condition on no parameter and one that nothing meets.
     """
@@ -95,8 +114,8 @@ def chosen(args: argparse.Namespace) -> list[Trials]:
 
     experiments = experiments_in(read_table(args.file))
     for condition in args.where:
-        name, equals, value = condition.partition("=")
-        if not equals:
+        name, equals_sign, value = condition.partition("=")
+        if not equals_sign:
             differences = describe_differences(experiments)
             raise UsageError(
                 f"--where {condition}: write NAME=VALUE; the experiments differ in {differences}"
@@ -106,56 +125,74 @@ def chosen(args: argparse.Namespace) -> list[Trials]:
 
 
 def summary(experiments: Iterable[Trials], limits: Limits) -> list[dict[str, Any]]:
-    """For each experiment its parameters, and medians and quartiles over the trials, as plain values."""
-    return [
-        {
-            "parameters": trials.experiment.parameters(),
-            "filter": trials.experiment.filter_description,
+    """Return for each experiment a row of plain values: its parameters, and its measures' quartiles.
+
+    A measure, such as the score H, has an entry of its own: ``{"q25": ..., "median": ..., "q75": ...}``.
+    """
+    rows = []
+    for trials in experiments:
+        experiment = trials.experiment
+        k_max, e_max = limits.of(experiment)
+        row: dict[str, Any] = {
+            "parameters": experiment.parameters(),
+            "filter": experiment.filter_description,
             "trials": len(trials.numbers),
-            "limits": dict(zip(("k_max", "e_max"), limits.of(trials.experiment), strict=True)),
-            **_quartiles(trials, limits),
+            "limits": {"k_max": k_max, "e_max": e_max},
         }
-        for trials in experiments
-    ]
+        rows.append(row | _quartiles(trials, limits))
+    return rows
 
 
-def _quartiles(trials: Trials, limits: Limits) -> dict[str, Any]:
+def _quartiles(trials: Trials, limits: Limits) -> dict[str, dict[str, float]]:
+    """Return the quartiles of each measure over the trials, by the measure's name."""
     import numpy as np  # noqa: PLC0415
 
-    ends = ("q25", "median", "q75")
-    return {
-        name: dict(zip(ends, np.percentile(value, [25, 50, 75]).tolist(), strict=True))
-        for name, value in trials.measures(limits).items()
-    }
+    quartiles = {}
+    for name, values in trials.measures(limits).items():
+        q25, median, q75 = np.percentile(values, [25, 50, 75]).tolist()
+        quartiles[name] = {"q25": q25, "median": median, "q75": q75}
+    return quartiles
+
+
+_MEDIAN_FORMATS = {"h_K": ".2f", "h_e": ".2f", "K": "g", "e": ".5f", "updates": "g"}
+"""Measures of which a table has the median, with its format."""
 
 
 def show(rows: Sequence[dict[str, Any]], title: str) -> None:
     """Print a summary: a row for each experiment, a column for each parameter in which they differ."""
-    varying = [name for name in rows[0]["parameters"] if len({row["parameters"][name] for row in rows}) > 1]
-    k_max, e_max = (sorted({row["limits"][name] for row in rows}) for name in ("k_max", "e_max"))
-    words = f"{k_max[0]:g}" if len(k_max) == 1 else "the length of a trial"
-    filters = sorted({row["filter"] for row in rows})
-    limits = f"K_max {words}, e_max {e_max[0]:.6g}; medians over the trials, H with quartiles"
-    caption = "\n".join([*filters, limits])
-    table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
-    formats = {"h_K": ".2f", "h_e": ".2f", "K": "g", "e": ".5f", "updates": "g"}
-    for name in (*varying, "trials", "H", *formats):
+    varying_parameters = [
+        name for name in rows[0]["parameters"] if len({row["parameters"][name] for row in rows}) > 1
+    ]
+    table = Table(title=title, title_justify="left", caption=_caption(rows), caption_justify="left")
+    for name in (*varying_parameters, "trials", "H", *_MEDIAN_FORMATS):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
-        found, wanted, h = row["trials"], row["parameters"]["trials"], row["H"]
+        trial_count, planned_count = row["trials"], row["parameters"]["trials"]
+        score = row["H"]
         table.add_row(
-            *(f"{row['parameters'][name]}" for name in varying),
-            f"{found}" if found >= wanted else f"{found} of {wanted}",
-            f"{h['median']:.2f} [{h['q25']:.2f}, {h['q75']:.2f}]",
-            *(format(row[name]["median"], layout) for name, layout in formats.items()),
+            *(str(row["parameters"][name]) for name in varying_parameters),
+            f"{trial_count}" if trial_count >= planned_count else f"{trial_count} of {planned_count}",
+            f"{score['median']:.2f} [{score['q25']:.2f}, {score['q75']:.2f}]",
+            *(format(row[name]["median"], style) for name, style in _MEDIAN_FORMATS.items()),
         )
     # Lines longer than a terminal wrap; columns that shrink to fit would lose figures.
     width = Console(width=10_000).measure(table).maximum
     Console(width=width).print(table)
 
 
+def _caption(rows: Sequence[dict[str, Any]]) -> str:
+    """Return what a summary's table has below it: the filters, and the limits of the scores."""
+    filters = sorted({row["filter"] for row in rows})
+    k_maxima = sorted({row["limits"]["k_max"] for row in rows})
+    e_max = min(row["limits"]["e_max"] for row in rows)
+    # Without --k-max each experiment's limit is the length of its own trials.
+    k_max = f"{k_maxima[0]:g}" if len(k_maxima) == 1 else "the length of a trial"
+    limits = f"K_max {k_max}, e_max {e_max:.6g}; medians over the trials, H with quartiles"
+    return "\n".join([*filters, limits])
+
+
 def checked_output(path: Path) -> Path:
-    """Return ``path``. Raises UsageError if it does not end as results do."""
+    """Return ``path``. Raises UsageError if its name does not end in .parquet."""
     if path.suffix != ".parquet":
         raise UsageError(f"cannot write results to {path}: choose a name that ends in .parquet")
     return path

@@ -88,7 +88,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _attempt(title: str, work: Callable[[], int], as_json: bool) -> int:
-    """Do ``work``; returns its exit code, or prints what it raised and returns the code for that."""
+    """Call ``work`` and return its exit code.
+
+    What it raises for the user, such as UsageError, is printed under ``title``, and the exit code for that is
+    returned; other exceptions are mistakes of the program and pass.
+    """
     try:
         with naming_extras():
             return work()
@@ -104,7 +108,7 @@ def _attempt(title: str, work: Callable[[], int], as_json: bool) -> int:
 
 
 def _refuse(title: str, error: str, as_json: bool) -> int:
-    """Print the error and where help is, in two lines, or as one line of JSON; returns exit code 2."""
+    """Print an error and where help is, in two lines, or the error as one line of JSON; return code 2."""
     if as_json:
         return report_failure(title, error, as_json, exit_code=2)
     print(f"{title}: error: {error}\nSee '{title} --help'.", file=sys.stderr, flush=True)
@@ -112,7 +116,7 @@ def _refuse(title: str, error: str, as_json: bool) -> int:
 
 
 def _explain(error: UsageError | OutputError | OSError) -> str:
-    """Return what failed and how to go on."""
+    """Return the message for an error: what failed, and what to do about it."""
     if not isinstance(error, OSError):
         return str(error)
     if error.filename is None:  # it is about no file, but about memory, processes or a connection
@@ -122,6 +126,7 @@ def _explain(error: UsageError | OutputError | OSError) -> str:
 
 
 def _flush() -> int:
+    """Write what is buffered for standard output, and return exit code 0. Raises OutputError if it fails."""
     print(end="", flush=True)
     return 0
 
@@ -156,15 +161,17 @@ def _log_start(args: argparse.Namespace) -> None:
 
 
 def _load(name: str) -> Command:
-    """Import a command. A signal acts afterwards: inside a library's import it may raise anything."""
-    with stopping() as is_asked:
+    """Import the module of a command. Raises KeyboardInterrupt afterwards if a signal came meanwhile."""
+    # Inside the import of a library an interruption may be turned into any other error.
+    with stopping() as was_interrupted:
         command = cast(Command, import_module(f"mcp_asdf_tools.cli.{name}"))
-    if is_asked():
+    if was_interrupted():
         raise KeyboardInterrupt
     return command
 
 
 def _parser_for(name: str, command: Command) -> Parser:
+    """Return the parser of a command, with the options that all commands have and with its own."""
     parser = Parser(f"{PROGRAM} {name}", COMMANDS[name], command.EPILOG)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, for machines")
     add_verbosity_option(parser)
@@ -173,28 +180,32 @@ def _parser_for(name: str, command: Command) -> Parser:
 
 
 def _show_overview(arguments: Sequence[str]) -> int:
-    """Handle everything but a known command: ``--help``, ``--version``, nothing at all, a typing error."""
+    """Print the overview or the version; returns exit code 2 where neither was asked for.
+
+    ``arguments`` do not start with a known command. Raises UsageError for an unknown command or option.
+    """
     from mcp_asdf_tools.common.versions import own_version  # noqa: PLC0415
 
     parser = Parser(PROGRAM, "Collective perception with self-calibrating robots.", _listing())
     parser.add_argument("--version", action="version", version=f"%(prog)s {own_version()}")
     parser.add_argument("command", metavar="COMMAND", nargs="?", help="one of these; each has its own --help")
-    (found, _) = parser.parse_known_args(arguments)
-    if found.command is not None:
-        near = offer(found.command, [*COMMANDS, "--help", "--version"])
-        parser.error(f"no command is called {found.command!r}{near}")
+    args, _ = parser.parse_known_args(arguments)
+    if args.command is not None:
+        near = offer(args.command, [*COMMANDS, "--help", "--version"])
+        parser.error(f"no command is called {args.command!r}{near}")
     parser.parsed(arguments)
     parser.print_help(sys.stderr)
     return 2
 
 
 def _listing() -> str:
-    width = max(map(len, COMMANDS))
-    return "\n".join(
-        line
-        for title, commands in GROUPS.items()
-        for line in ("", f"{title}:", *(f"  {name:{width}}  {text}" for name, text in commands.items()))
-    ).strip()
+    """Return the list of all commands by purpose, with a line on each."""
+    name_width = max(len(name) for name in COMMANDS)
+    paragraphs = []
+    for title, commands in GROUPS.items():
+        command_lines = [f"  {name:{name_width}}  {purpose}" for name, purpose in commands.items()]
+        paragraphs.append("\n".join([f"{title}:", *command_lines]))
+    return "\n\n".join(paragraphs)
 
 
 if __name__ == "__main__":

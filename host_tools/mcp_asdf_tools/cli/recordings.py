@@ -1,4 +1,4 @@
-"""Recordings that commands make: one line if something goes wrong with them, and the exit code for that."""
+"""Recordings of commands on a bus: how their failures are reported, and which exit code they lead to."""
 
 from __future__ import annotations
 
@@ -16,7 +16,11 @@ _logger = logging.getLogger(__name__)
 def recording_for(
     command: str, path: Path | None, header: EventsHeader | None, choice: BusChoice
 ) -> Recording | NoRecording:
-    """The recording of a command on a bus; what goes wrong is on standard error at once."""
+    """Return the recording of frames in the log ``path``, or one that keeps nothing if there is no ``path``.
+
+    With ``header`` it has a file of events beside the log. A failure while it records is printed to standard
+    error at once, with the name of the ``command``.
+    """
 
     def warn(text: str) -> None:
         print(f"mcp-asdf {command}: {text}", file=sys.stderr)
@@ -28,5 +32,8 @@ def recording_for(
 
 
 def exit_code(recording: Recording | NoRecording, code: int) -> int:
-    """The exit code of a command that would end with ``code`` if its recording were complete."""
+    """Return the exit code of a command that would end with ``code`` if its recording were complete.
+
+    An incomplete recording gives 2, but a failure of the run itself, 1, is what matters more.
+    """
     return code if recording.failure is None or code == 1 else 2

@@ -1,4 +1,4 @@
-"""Options of one robot and of the formats of its messages."""
+"""Options of one robot and of the formats of its frames, for the commands node and radio."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from mcp_asdf_tools.robots.node import Subjects
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
-_OF_ROBOT = ("filter", "activation", "comms_period", "filter_period", "omega", "memory")
-"""Parameters of a population that each of its robots has."""
+_ROBOT_PARAMETERS = ("filter", "activation", "comms_period", "filter_period", "omega", "memory")
+"""Parameters of a population that are settings of each of its robots."""
 
-_SUBJECTS = Subjects()
+_DEFAULT_SUBJECTS = Subjects()
 
 
 def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: str) -> None:
-    """Declare the options of a robot; ``firmware`` is the default."""
+    """Add the options of a robot; ``firmware`` is the default one, and ``id_help`` the help of ``--id``."""
     group = parser.add_argument_group("robot")
     group.add_argument("--id", type=int, metavar="ID", required=True, help=id_help)
     group.add_argument(
@@ -44,25 +44,30 @@ def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: s
         default=firmware,
         help="firmware of the robot (default %(default)s)",
     )
-    add_parameters(parser, Population, "robot's configuration", _OF_ROBOT)
+    add_parameters(parser, Population, "robot's configuration", _ROBOT_PARAMETERS)
 
 
 def robot_of(args: argparse.Namespace) -> RobotSetup:
-    """The robot that the options describe. Raises UsageError if they contradict each other."""
+    """Return the robot that the options describe, checked by making it once.
+
+    Raises UsageError for a value out of range and for options that contradict each other.
+    """
     neighbours = MAX_ID if args.neighbours is None else args.neighbours
     if not 2 <= neighbours <= MAX_ID:
         raise UsageError(f"--neighbours is {neighbours}; it must be 2 to {MAX_ID}")
-    own = argparse.Namespace(**{name: getattr(args, name) for name in _OF_ROBOT})
-    swarm = settings_from(own, Population, robots=neighbours + 1, flawed=1)
-    config = swarm.config(0)
+    robot_args = argparse.Namespace(**{name: getattr(args, name) for name in _ROBOT_PARAMETERS})
+    # Options and checks are those of a population, so the robot is taken from one in which it has all the
+    # neighbours that its t-table is made for. It is the flawed one, since asdf-minus is for these alone.
+    population = settings_from(robot_args, Population, robots=neighbours + 1, flawed=1)
+    config = population.config(0)
     if config.table is None and args.neighbours is not None:
         raise UsageError("--neighbours would do nothing: the robot uses no t-table; leave it out")
-    record = RobotSetup(args.id, args.firmware, args.b_hat, config, swarm.comms_period)
+    robot_setup = RobotSetup(args.id, args.firmware, args.b_hat, config, population.comms_period)
     try:
-        record.make_robot()
+        robot_setup.make_robot()
     except FirmwareError as error:
         raise UsageError(str(error)) from error
-    return record
+    return robot_setup
 
 
 def swarm_filter_of(args: argparse.Namespace) -> SwarmFilter:
@@ -71,22 +76,28 @@ def swarm_filter_of(args: argparse.Namespace) -> SwarmFilter:
 
 
 def add_subject_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of all message formats."""
+    """Add the options of the formats of estimates, telemetry and commands."""
     group = parser.add_argument_group("frames")
-    for name, text, default in (
-        ("subject", "Cyphal subject of estimates, 0 to 6143", _SUBJECTS.estimates.subject),
-        ("priority", "of estimates, 0 (first) to 7", _SUBJECTS.estimates.priority),
-        ("telemetry-subject", "Cyphal subject of telemetry", _SUBJECTS.telemetry.subject),
-        ("command-subject", "Cyphal subject of commands", _SUBJECTS.commands.subject),
+    estimates, telemetry, commands = (
+        _DEFAULT_SUBJECTS.estimates,
+        _DEFAULT_SUBJECTS.telemetry,
+        _DEFAULT_SUBJECTS.commands,
+    )
+    for option, meaning, default in (
+        ("--subject", "Cyphal subject of estimates, 0 to 6143", estimates.subject),
+        ("--priority", "of estimates, 0 (first) to 7", estimates.priority),
+        ("--telemetry-subject", "Cyphal subject of telemetry", telemetry.subject),
+        ("--command-subject", "Cyphal subject of commands", commands.subject),
     ):
-        words = f"{text} (default {default})"
-        group.add_argument(f"--{name}", type=int, metavar="N", default=default, help=words)
+        group.add_argument(
+            option, type=int, metavar="N", default=default, help=f"{meaning} (default {default})"
+        )
 
 
 def subjects_of(args: argparse.Namespace) -> Subjects:
-    """Message formats by the options. Raises UsageError if they are invalid."""
+    """Return the formats of frames that the options describe. Raises UsageError if they are invalid."""
     return Subjects(
         FrameFormat(args.subject, args.priority),
-        FrameFormat(args.telemetry_subject, _SUBJECTS.telemetry.priority),
-        FrameFormat(args.command_subject, _SUBJECTS.commands.priority),
+        FrameFormat(args.telemetry_subject, _DEFAULT_SUBJECTS.telemetry.priority),
+        FrameFormat(args.command_subject, _DEFAULT_SUBJECTS.commands.priority),
     )

@@ -1,4 +1,4 @@
-"""The options of ``mcp-asdf swarm``."""
+"""The options of ``mcp-asdf swarm``, and what they describe: settings, and which robot is on which bus."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _DEFAULTS = SwarmSettings()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare all options of the command."""
     parameter_options.add_common_parameters(parser, SwarmSettings, "swarm and world")
     _add_faults(parser)
     _add_bus_and_output(parser)
@@ -34,15 +34,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_faults(parser: argparse.ArgumentParser) -> None:
-    kinds = "\n".join(
-        f"  {kind.name:10}{kind.summary}" + "".join(f"; {option}=" for option in kind.own_options())
-        for kind in FAULT_KINDS
-    )
+    """Declare the options of disturbances and of the clock, with a help that lists all kinds of fault."""
+    kind_lines = []
+    for kind in FAULT_KINDS:
+        kind_options = "".join(f"; {option}=" for option in kind.own_options())
+        kind_lines.append(f"  {kind.name:10}{kind.summary}{kind_options}")
     group = parser.add_argument_group(
         "faults and clock",
         "A fault is KIND=RATE (1 if left out), then options, separated by commas. All kinds have\n"
         "from=TICK, to=TICK (the first without it), robots=0+3-5 (the nodes, or senders of frames).\n"
-        + kinds,
+        + "\n".join(kind_lines),
     )
     group.add_argument(
         "--fault",
@@ -61,6 +62,7 @@ def _add_faults(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the bus, of who else is on it, and of what is written and shown."""
     interfaces.add_arguments(parser)
     elsewhere = parser.add_argument_group("robots and programs elsewhere")
     elsewhere.add_argument(
@@ -118,7 +120,7 @@ def _add_frame_options(parser: argparse.ArgumentParser) -> None:
 
 
 def settings_of(args: argparse.Namespace) -> SwarmSettings:
-    """Settings from parsed arguments. Raises UsageError for a value out of range."""
+    """Return the settings that the options describe. Raises UsageError for a value out of range."""
     return parameter_options.settings_from(
         args,
         SwarmSettings,
@@ -129,29 +131,37 @@ def settings_of(args: argparse.Namespace) -> SwarmSettings:
 
 
 def wiring_of(args: argparse.Namespace, settings: SwarmSettings, choice: interfaces.BusChoice) -> Wiring:
-    """Read from parsed arguments who is on which bus. Raises UsageError if that cannot be."""
-    places = list(map(_device, args.device))
-    devices = dict(places)
-    if len(devices) < len(places):
+    """Return how the robots of the swarm are connected: which robot joins which bus, and which run elsewhere.
+
+    ``choice`` is the bus of all robots without a ``--device``. Raises UsageError if the options contradict
+    each other or the settings.
+    """
+    devices = dict(_parse_device(text) for text in args.device)
+    if len(devices) < len(args.device):
         raise UsageError(f"two devices are one robot: {', '.join(args.device)}; give each an id of its own")
 
-    remote = range(settings.robots) if args.processes else devices
+    remote_robots = frozenset(range(settings.robots) if args.processes else devices)
 
     def open_bus(robot: int) -> can.BusABC:
-        returns_own = not (choice.has_channels or remote)
+        # Robots here that share one bus share this connection, so it has to return what they send.
+        returns_own = not choice.has_channels and not remote_robots
         return devices.get(robot, choice.of_robot(robot)).open(returns_own)
 
-    needs_bus = remote or args.slcan is not None or choice.has_channels or not choice.is_private
-    bus = open_bus if needs_bus else None
-    wiring = Wiring(bus, not choice.has_channels, frozenset(remote), choice.channel or "")
+    needs_bus = remote_robots or args.slcan is not None or choice.has_channels or not choice.is_private
+    wiring = Wiring(
+        open_bus=open_bus if needs_bus else None,
+        is_shared=not choice.has_channels,
+        remote=remote_robots,
+        channel=choice.channel or "",
+    )
     check_remote(settings, wiring)
     return wiring
 
 
-def _device(text: str) -> tuple[int, interfaces.BusChoice]:
-    """The robot and the bus of ``3=slcan:socket://127.0.0.1:20001``."""
-    robot, _, place = text.partition("=")
-    interface, _, channel = place.partition(":")
+def _parse_device(text: str) -> tuple[int, interfaces.BusChoice]:
+    """Return robot id and bus of a text such as ``3=slcan:socket://127.0.0.1:20001``. Raises UsageError."""
+    robot, _, bus_text = text.partition("=")
+    interface, _, channel = bus_text.partition(":")
     if not (robot.isascii() and robot.isdigit() and channel) or interface not in can.VALID_INTERFACES:
         raise UsageError(
             f"device is {text!r}; write ID=INTERFACE:CHANNEL, such as 3=slcan:socket://127.0.0.1:20001"
