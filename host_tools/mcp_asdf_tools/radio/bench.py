@@ -27,7 +27,7 @@ from mcp_asdf_tools.bus.frames import (
     decode_telemetry,
     encode_estimate,
 )
-from mcp_asdf_tools.radio.comparison import Comparison, Symptom, is_from
+from mcp_asdf_tools.radio.comparison import Comparison, Difference, is_from
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings
 from mcp_asdf_tools.radio.rounds import Content, Situation
 from mcp_asdf_tools.radio.suspects import FollowedRobot, Lineup
@@ -46,11 +46,11 @@ _AFTERMATH = 0.1
 class Differs(Exception):  # noqa: N818 (an outcome, no error)
     """The controller differs from the model."""
 
-    def __init__(self, symptom: Symptom, mistakes: Sequence[str] = ()) -> None:
+    def __init__(self, difference: Difference, mistakes: Sequence[str] = ()) -> None:
         """Take the difference, and what controllers do that would have sent the same telemetry."""
         also = f"; so would answer a controller that {', or one that '.join(mistakes)}" if mistakes else ""
-        super().__init__(f"{symptom}{also}")
-        self.symptom = symptom
+        super().__init__(f"{difference}{also}")
+        self.difference = difference
 
 
 class Disturbed(Exception):  # noqa: N818 (an outcome, no error)
@@ -186,7 +186,7 @@ class Bench:
         """
         self.lockstep.leave_open(distance)
         self._skipped += distance - 1
-        self.comparison.may_advise = True
+        self.comparison.is_advisory_allowed = True
 
     def tick(self, z: Observation | None = None, frames: Sequence[can.Message] = ()) -> None:
         """A whole tick, in which these frames come."""
@@ -267,9 +267,9 @@ class Bench:
         If they are equal, what has shown in them is no mistake of the controller, and leaves the lineup.
         """
         telemetry = self._telemetry_fields()
-        symptom = self.symptom()
-        if symptom is not None:
-            raise Differs(symptom, self.lineup.answers_like(telemetry, self.firmware))
+        difference = self.take_difference()
+        if difference is not None:
+            raise Differs(difference, self.lineup.answers_like(telemetry, self.firmware))
         self.lineup.drop_different(self.firmware)
 
     def _telemetry_fields(self) -> tuple[int, int, int] | None:
@@ -280,8 +280,11 @@ class Bench:
                 return telemetry.x, telemetry.b_hat, telemetry.updates
         return None
 
-    def symptom(self) -> Symptom | None:
-        """The first difference among the frames since the last comparison."""
+    def take_difference(self) -> Difference | None:
+        """Return the first difference among the frames since the last comparison, and forget these frames.
+
+        Returns None if all are equal.
+        """
         said, expected = self._said, self._expected
         self._said, self._expected = [], []
         return self.comparison.check(said, expected)

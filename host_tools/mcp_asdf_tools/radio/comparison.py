@@ -1,4 +1,8 @@
-"""Comparison of a controller's frames with its model's: bit for bit, kind by kind, whole frames."""
+"""Bit-exact comparison of the frames that a controller sends with those that its model sends.
+
+The model is the firmware's Python mirror. It gets the same input as the controller under test, so both must
+send the same frames. ``Comparison`` finds the first difference and describes it in words.
+"""
 
 from __future__ import annotations
 
@@ -9,212 +13,332 @@ from itertools import pairwise, zip_longest
 
 import can
 
+from mcp_asdf_tools.bus import frame_layout as layout
 from mcp_asdf_tools.bus.alpha_words import float32_value
-from mcp_asdf_tools.bus.frame_layout import FRAME_BYTES, MAX_NODE_ID, Q23_ONE, Health
-from mcp_asdf_tools.bus.frames import HEARTBEAT_SUBJECT, format_frame
+from mcp_asdf_tools.bus.frame_layout import FRAME_BYTES, START_END_TOGGLE, TRANSFER_ID, Field, Health
+from mcp_asdf_tools.bus.frames import (
+    HEARTBEAT_SUBJECT,
+    MAX_PRIORITY,
+    PRIORITY_SHIFT,
+    SUBJECT_SHIFT,
+    format_frame,
+    payload_of,
+    sender_of,
+)
 from mcp_asdf_tools.robots.node import Subjects
 
 ESTIMATE, TELEMETRY, HEARTBEAT = "estimate", "telemetry", "heartbeat"
-Frames = dict[str, list[can.Message]]
-"""Frames by kind."""
+"""The kinds of frame that are compared, in this order."""
+FramesByKind = dict[str, list[can.Message]]
 
-FIELDS: dict[str, tuple[tuple[str, int, int], ...]] = {
-    ESTIMATE: (("transfer_id", 56, 5), ("x_hat", 0, 24), ("alpha", 24, 32)),
-    TELEMETRY: (("transfer_id", 56, 5), ("updates", 48, 8), ("b_hat", 24, 24), ("x", 0, 24)),
-    HEARTBEAT: (("transfer_id", 56, 5), ("uptime", 0, 32), ("mode", 40, 3), ("health", 32, 2)),
+_HEALTH = layout.HEARTBEAT.field("health")
+# A lost or repeated frame shows in the transfer_id, which counts frames, so that comes first. In telemetry
+# b_hat decides x, so that a wrong b_hat is reported as such and not by the x that it leads to.
+FIELDS_BY_KIND: dict[str, tuple[Field, ...]] = {
+    ESTIMATE: (TRANSFER_ID, layout.ESTIMATE.field("x_hat"), layout.ESTIMATE.field("alpha")),
+    TELEMETRY: (TRANSFER_ID, *(layout.TELEMETRY.field(name) for name in ("updates", "b_hat", "x"))),
+    HEARTBEAT: (TRANSFER_ID, layout.HEARTBEAT.field("uptime"), layout.HEARTBEAT.field("mode"), _HEALTH),
 }
-"""Fields of each kind, with first bit and length, in the order in which a difference is told."""
+"""The fields that are compared in each kind of frame, in the order in which a difference is reported."""
 
-_PRIORITY = 7 << 26
-_SHOWN = 3
-"""Frames shown of a kind."""
+_PRIORITY_BITS = MAX_PRIORITY << PRIORITY_SHIFT
+_SUBJECT_MASK = 0x1FFF
+"""The 13 bits of a subject, at the low end of an identifier shifted right by ``SUBJECT_SHIFT``."""
+_MAX_FRAMES_SHOWN = 3
+"""Number of frames of one kind that a description of a difference shows."""
 
 
 @dataclass(frozen=True)
-class Symptom:
-    """First difference between controller and model.
+class Difference:
+    """The first difference between the frames of a controller and those of its model.
 
     Attributes:
-        kind: Kind of frame: estimate, telemetry or heartbeat.
-        field: The part that differs: a field of ``FIELDS``, "missing", "extra", "twice", or what is wrong
-            with the frame itself.
-        got: What the controller sent.
-        expected: What the model sends.
-        relation: How the two values belong together, where that is no accident.
+        kind: Kind of frame: "estimate", "telemetry" or "heartbeat".
+        field: What differs: the name of a data field; "priority" or "identifier"; "frame", "length" or "tail"
+            for a frame of another format; "missing", "extra" or "twice" for another number of frames; or
+            "order" for frames of two kinds that came in the other order.
+        received: The controller's frames, as text.
+        expected: The model's frames, as text.
+        hint: How the wrong value may have come about, such as bytes in reverse order; "" without a guess.
     """
 
     kind: str
     field: str
-    got: str
+    received: str
     expected: str
-    relation: str = ""
+    hint: str = ""
 
     def __str__(self) -> str:
-        relation = f"; {self.relation}" if self.relation else ""
-        return f"{self.kind}, {self.field}: expected {self.expected}, got {self.got}{relation}"
+        hint = f"; {self.hint}" if self.hint else ""
+        return f"{self.kind}, {self.field}: expected {self.expected}, got {self.received}{hint}"
 
 
 class Comparison:
-    """Comparison of what the controller says with what the model says.
+    """Running comparison of a controller's frames with its model's.
 
     Attributes:
-        equal: Frames that were equal, by kind.
-        may_advise: Whether its health may be "advisory": it may say so once a settle was withheld from it.
+        equal_frames: Number of the controller's frames so far that equal the model's, by kind.
+        is_advisory_allowed: Whether the controller may report the health "advisory" where its model does not.
+            It may as soon as a settle command was withheld from it.
     """
 
-    def __init__(self, subjects: Subjects, greeting: can.Message) -> None:
-        """Prepare; ``greeting`` is the heartbeat with which the model has started. The controller's may have
-        come before this run, or several times if it was reset."""
-        self.equal = Counter[str]()
-        self.may_advise = False
-        self._greeting = greeting
-        self._kinds = {
+    def __init__(self, subjects: Subjects, first_heartbeat: can.Message) -> None:
+        """Start a comparison.
+
+        Args:
+            subjects: The subjects under which the controller sends.
+            first_heartbeat: The heartbeat that the model sent when it started. The controller may have sent
+                the same before the comparison began, or may send it several times because it was reset.
+        """
+        self.equal_frames = Counter[str]()
+        self.is_advisory_allowed = False
+        self._first_heartbeat = first_heartbeat
+        self._kind_by_subject = {
             subjects.estimates.subject: ESTIMATE,
             subjects.telemetry.subject: TELEMETRY,
             HEARTBEAT_SUBJECT: HEARTBEAT,
         }
 
-    def check(self, said: Sequence[can.Message], expected: Sequence[can.Message]) -> Symptom | None:
-        """The first difference among the frames of some ticks; None if they are equal."""
-        own, models = self._by_kind(said), self._by_kind(expected)
-        if not self.equal[TELEMETRY]:
-            self._greet(own, models)
-        is_first = not self.equal[TELEMETRY]
-        symptoms = (self._check_kind(kind, own[kind], models[kind]) for kind in FIELDS)
-        found = next((symptom for symptom in symptoms if symptom is not None), None)
-        return found if found is not None or is_first else self._check_order(said, expected)
+    def check(self, received: Sequence[can.Message], expected: Sequence[can.Message]) -> Difference | None:
+        """Compare the frames of one or more ticks, and count those that are equal in ``equal_frames``.
 
-    def _check_order(self, said: Sequence[can.Message], expected: Sequence[can.Message]) -> Symptom | None:
-        """The first frame of another kind, where all are equal kind by kind."""
-        ways = [[kind for each in frames if (kind := self._kind(each))] for frames in (said, expected)]
-        for own, model in zip(*ways, strict=True):
-            if own != model:
-                return Symptom(own, "order", f"it before the {model}", f"the {model} first")
-        return None
+        Frames are compared kind by kind; frames of other subjects are ignored. The order of frames of
+        different kinds is compared last, and only if an earlier call has counted telemetry: until then the
+        controller may be starting, and its first heartbeat may come at any time.
 
-    def _kind(self, frame: can.Message) -> str | None:
-        return self._kinds.get(frame.arbitration_id >> 8 & 0x1FFF)
+        Args:
+            received: What the controller sent, in order.
+            expected: What the model sent, in order.
 
-    def _greet(self, own: Frames, models: Frames) -> None:
-        """Leave out heartbeats that are the greeting; one more than expected must be it."""
-        greeting = self._greeting.arbitration_id, self._greeting.data
-        own[HEARTBEAT] = [each for each in own[HEARTBEAT] if (each.arbitration_id, each.data) != greeting]
-        if len(own[HEARTBEAT]) > len(models[HEARTBEAT]):
-            models[HEARTBEAT] = [self._greeting, *models[HEARTBEAT]]
+        Returns:
+            The first difference; None if all frames are equal.
+        """
+        has_answered_before = self.equal_frames[TELEMETRY] > 0
+        received_by_kind, expected_by_kind = self._group_by_kind(received), self._group_by_kind(expected)
+        if not has_answered_before:
+            self._align_first_heartbeats(received_by_kind, expected_by_kind)
+        for kind in FIELDS_BY_KIND:
+            difference = self._compare_kind(kind, received_by_kind[kind], expected_by_kind[kind])
+            if difference is not None:
+                return difference
+        return self._compare_order(received, expected) if has_answered_before else None
 
-    def _by_kind(self, frames: Sequence[can.Message]) -> Frames:
-        sorted_: Frames = {kind: [] for kind in FIELDS}
+    def _kind_of(self, frame: can.Message) -> str | None:
+        """Return a frame's kind by its subject; None if frames of this subject are not compared."""
+        return self._kind_by_subject.get((frame.arbitration_id >> SUBJECT_SHIFT) & _SUBJECT_MASK)
+
+    def _group_by_kind(self, frames: Sequence[can.Message]) -> FramesByKind:
+        """Return the frames of each kind in their order, without those that are not compared."""
+        frames_by_kind: FramesByKind = {kind: [] for kind in FIELDS_BY_KIND}
         for frame in frames:
-            kind = self._kind(frame)
+            kind = self._kind_of(frame)
             if kind is not None:
-                sorted_[kind].append(frame)
-        return sorted_
+                frames_by_kind[kind].append(frame)
+        return frames_by_kind
 
-    def _check_kind(
-        self, kind: str, own: Sequence[can.Message], models: Sequence[can.Message]
-    ) -> Symptom | None:
-        field = _first_difference(kind, own, models)
-        if field == "health" and self.may_advise:
-            most_severe = max(frame.data[4] & 3 for frame in own)
-            field = None if most_severe <= Health.ADVISORY.value else field
-        if field is None:
-            self.equal[kind] += len(own)
+    def _align_first_heartbeats(self, received: FramesByKind, expected: FramesByKind) -> None:
+        """Change the heartbeats of both sides so that those of the start can be compared like all others.
+
+        Received heartbeats that equal the model's first one are removed, however many there are. If more are
+        left than expected, the controller's first heartbeat must be wrong: the model's is then expected.
+        """
+        first = self._first_heartbeat
+        received[HEARTBEAT] = [
+            frame
+            for frame in received[HEARTBEAT]
+            if (frame.arbitration_id, frame.data) != (first.arbitration_id, first.data)
+        ]
+        if len(received[HEARTBEAT]) > len(expected[HEARTBEAT]):
+            expected[HEARTBEAT] = [first, *expected[HEARTBEAT]]
+
+    def _compare_kind(
+        self, kind: str, received: Sequence[can.Message], expected: Sequence[can.Message]
+    ) -> Difference | None:
+        """Return the first difference between frames of one kind, or count them as equal and return None.
+
+        A health that differs first is no difference if it is allowed.
+        """
+        field_name = _first_difference(kind, received, expected)
+        if field_name is None or (field_name == _HEALTH.name and self._is_health_allowed(received)):
+            self.equal_frames[kind] += len(received)
             return None
-        return Symptom(
-            kind, field, _texts(kind, own), _texts(kind, models), _relation(kind, field, own, models)
+        return Difference(
+            kind,
+            field_name,
+            received=_describe_frames(kind, received),
+            expected=_describe_frames(kind, expected),
+            hint=_hint(kind, field_name, received, expected),
         )
 
+    def _is_health_allowed(self, heartbeats: Sequence[can.Message]) -> bool:
+        """Return whether "advisory" is allowed and none of these heartbeats reports anything worse."""
+        worst_health = max(_HEALTH.extract(payload_of(frame)) for frame in heartbeats)
+        return self.is_advisory_allowed and worst_health <= Health.ADVISORY.value
 
-def _first_difference(kind: str, own: Sequence[can.Message], models: Sequence[can.Message]) -> str | None:
-    """The field in which two lists of frames differ first."""
-    for left, right in zip_longest(own, models):
-        if left is None:
+    def _compare_order(
+        self, received: Sequence[can.Message], expected: Sequence[can.Message]
+    ) -> Difference | None:
+        """Return the first frame whose kind is not the expected one; None if there is none.
+
+        Both sides must have been found equal kind by kind, and so have as many frames.
+        """
+        received_kinds = [kind for kind in map(self._kind_of, received) if kind is not None]
+        expected_kinds = [kind for kind in map(self._kind_of, expected) if kind is not None]
+        for received_kind, expected_kind in zip(received_kinds, expected_kinds, strict=True):
+            if received_kind != expected_kind:
+                return Difference(
+                    received_kind,
+                    "order",
+                    received=f"it before the {expected_kind}",
+                    expected=f"the {expected_kind} first",
+                )
+        return None
+
+
+def is_from(frame: can.Message, robot: int) -> bool:
+    """Return whether a frame has a 29-bit identifier that names ``robot`` as its sender."""
+    return frame.is_extended_id and not frame.is_error_frame and sender_of(frame) == robot
+
+
+# --- Where two lists of frames differ ---
+
+
+def _first_difference(
+    kind: str, received: Sequence[can.Message], expected: Sequence[can.Message]
+) -> str | None:
+    """Return what differs first between two lists of frames of one kind; None if they are equal.
+
+    The result is a ``Difference.field``: "missing" if the received frames end first, "twice" if more frames
+    are received than expected and two in a row have the same data, "extra" if no two have.
+    """
+    for received_frame, expected_frame in zip_longest(received, expected):
+        if received_frame is None:
             return "missing"
-        odd = _what_is_odd(left)
-        if odd is not None:
-            return odd
-        if right is None:
-            return "twice" if any(a.data == b.data for a, b in pairwise(own)) else "extra"
-        field = _field_of(kind, left, right)
-        if field is not None:
-            return field
+        format_error = _format_error(received_frame)
+        if format_error is not None:
+            return format_error
+        if expected_frame is None:
+            is_repeated = any(frame.data == next_frame.data for frame, next_frame in pairwise(received))
+            return "twice" if is_repeated else "extra"
+        field_name = _first_different_field(kind, received_frame, expected_frame)
+        if field_name is not None:
+            return field_name
     return None
 
 
-def _relation(kind: str, field: str, own: Sequence[can.Message], models: Sequence[can.Message]) -> str:
-    """What the first wrong value is of the right one: its bytes in reverse order, or a power of two times it.
+def _format_error(frame: can.Message) -> str | None:
+    """Return why a frame is no Cyphal message in one classic frame of 8 bytes; None if it is one.
 
-    Long values are so by accident in one case of 10,000 at most; others get no word.
+    The reasons are "frame" for a remote or CAN FD frame, "length" for other than 8 bytes, and "tail" for a
+    last byte that belongs to a transfer of several frames.
     """
-    place = next((place for name, *place in FIELDS[kind] if name == field and place[1] >= _MANY_BITS), None)
-    if place is None:
-        return ""
-    pairs = [(_bits(left, *place), _bits(right, *place)) for left, right in zip(own, models, strict=False)]
-    got, expected = next(pair for pair in pairs if pair[0] != pair[1])
-    size = place[1] // 8
-    if got.to_bytes(size, "little") == expected.to_bytes(size, "big"):
-        return f"its {size} bytes are in reverse order"
-    digits = _significant(field, got)
-    if digits != _significant(field, expected) or digits < _MANY_DIGITS:
-        return ""
-    of = float32_value if field == "alpha" else float
-    return f"it is {of(got) / of(expected):g} times what it should be"
-
-
-def _significant(field: str, value: int) -> int:
-    """The digits of a value without the power of two in it; 0 if there are none."""
-    if field == "alpha":
-        return (value & 0x7F_FFFF | 0x80_0000) if 0 < value >> 23 < 0xFF else 0
-    return value // (value & -value) if value else 0
-
-
-_MANY_BITS, _MANY_DIGITS = 24, 1 << 14
-"""Of a field, and of the digits of a value."""
-
-
-def _what_is_odd(frame: can.Message) -> str | None:
-    """The reason why a frame is no classic single-frame message of 8 bytes."""
     if frame.is_remote_frame or frame.is_fd:
         return "frame"
     if len(frame.data) != FRAME_BYTES:
         return "length"
-    return None if frame.data[-1] & 0xE0 == 0xE0 else "tail"
+    is_single_frame = START_END_TOGGLE.is_legal(START_END_TOGGLE.extract(payload_of(frame)))
+    return None if is_single_frame else "tail"
 
 
-def _field_of(kind: str, own: can.Message, models: can.Message) -> str | None:
-    """The first field in which two frames differ."""
-    bits = own.arbitration_id ^ models.arbitration_id
-    if bits:
-        return "priority" if bits & _PRIORITY else "identifier"
-    return next((name for name, *place in FIELDS[kind] if _bits(own, *place) != _bits(models, *place)), None)
+def _first_different_field(kind: str, received: can.Message, expected: can.Message) -> str | None:
+    """Return "priority", "identifier" or the first data field in which two frames differ; None if none."""
+    different_identifier_bits = received.arbitration_id ^ expected.arbitration_id
+    if different_identifier_bits & _PRIORITY_BITS:
+        return "priority"
+    if different_identifier_bits:
+        return "identifier"
+    received_payload, expected_payload = payload_of(received), payload_of(expected)
+    for field in FIELDS_BY_KIND[kind]:
+        if field.extract(received_payload) != field.extract(expected_payload):
+            return field.name
+    return None
 
 
-def _bits(frame: can.Message, first: int, length: int) -> int:
-    return int.from_bytes(frame.data, "little") >> first & (1 << length) - 1
+# --- Hints ---
+
+# With both limits a wrong value gets a hint by accident in at most one of 10,000 cases.
+_MIN_BITS_FOR_HINT = 24
+"""Length of the shortest field whose wrong values get a hint."""
+_MIN_DIGITS_FOR_HINT = 1 << 14
+"""Smallest significant digits, read as an integer, of a value that may be called a multiple of another."""
 
 
-def _texts(kind: str, frames: Sequence[can.Message]) -> str:
-    shown = " and ".join(_text(kind, frame) for frame in frames[:_SHOWN]) or "nothing"
-    return shown + f" and {len(frames) - _SHOWN} more" * (len(frames) > _SHOWN)
+def _hint(
+    kind: str, field_name: str, received: Sequence[can.Message], expected: Sequence[can.Message]
+) -> str:
+    """Return a guess at how the first wrong value of a field came about; "" without a good guess.
+
+    There is none for short fields, and none for a difference that is not in a data field.
+    """
+    for field in FIELDS_BY_KIND[kind]:
+        if field.name == field_name and field.bit_count >= _MIN_BITS_FOR_HINT:
+            # The lists may have different lengths; the first difference comes before the shorter one ends.
+            for received_frame, expected_frame in zip(received, expected, strict=False):
+                received_value = field.extract(payload_of(received_frame))
+                expected_value = field.extract(payload_of(expected_frame))
+                if received_value != expected_value:
+                    return _hint_for_value(field, received_value, expected_value)
+    return ""
 
 
-def _text(kind: str, frame: can.Message) -> str:
-    """The content of a frame, with its identifier."""
-    if _what_is_odd(frame) is not None:
+def _hint_for_value(field: Field, received: int, expected: int) -> str:
+    """Return whether a wrong value has its bytes reversed or is off by a power of two; "" if neither."""
+    byte_count = field.bit_count // 8
+    if received.to_bytes(byte_count, "little") == expected.to_bytes(byte_count, "big"):
+        return f"its {byte_count} bytes are in reverse order"
+    # Two numbers have the same significant digits if one is the other times a power of two.
+    digits = _significant_digits(field, received)
+    if digits < _MIN_DIGITS_FOR_HINT or digits != _significant_digits(field, expected):
+        return ""
+    to_number = float32_value if field.is_float else float
+    ratio = to_number(received) / to_number(expected)
+    return f"it is {ratio:g} times what it should be"
+
+
+def _significant_digits(field: Field, value: int) -> int:
+    """Return a field's value without the power of two in it, as an odd integer or a mantissa.
+
+    Of 12 and of 48 that is 3. It is 0 for 0, and for bits of a binary32 number that is not positive, finite
+    and normal.
+    """
+    if field.is_float:
+        is_positive_and_normal = 0 < value >> 23 < 0xFF
+        # Normal numbers have a leading 1 that is not stored.
+        return (value & 0x7F_FFFF) | 0x80_0000 if is_positive_and_normal else 0
+    if value == 0:
+        return 0
+    largest_power_of_two = value & -value
+    return value // largest_power_of_two
+
+
+# --- Frames as text ---
+
+
+def _describe_frames(kind: str, frames: Sequence[can.Message]) -> str:
+    """Return the first frames as text, with the number of those left out; "nothing" if there are none."""
+    if not frames:
+        return "nothing"
+    descriptions = [_describe_frame(kind, frame) for frame in frames[:_MAX_FRAMES_SHOWN]]
+    if len(frames) > _MAX_FRAMES_SHOWN:
+        descriptions.append(f"{len(frames) - _MAX_FRAMES_SHOWN} more")
+    return " and ".join(descriptions)
+
+
+def _describe_frame(kind: str, frame: can.Message) -> str:
+    """Return a frame's identifier and fields as text, or its raw data if its format is wrong."""
+    if _format_error(frame) is not None:
         return format_frame(frame)
-    values = {name: _bits(frame, *place) for name, *place in FIELDS[kind]}
-    content = ", ".join(f"{name} {_value(name, value)}" for name, value in values.items())
-    return f"{frame.arbitration_id:08X} {content}"
+    payload = payload_of(frame)
+    values = [
+        f"{field.name} {_describe_value(field, field.extract(payload))}" for field in FIELDS_BY_KIND[kind]
+    ]
+    return f"{frame.arbitration_id:08X} {', '.join(values)}"
 
 
-def _value(name: str, value: int) -> str:
-    if name in ("x_hat", "x"):
-        return f"{value:#08x} ({value / Q23_ONE:.7f})"
-    if name == "b_hat":
-        return f"{value:#08x} ({value / 2**24:.7f})"
-    return f"{value:#010x} ({float32_value(value):g})" if name == "alpha" else str(value)
-
-
-def is_from(frame: can.Message, robot: int) -> bool:
-    """True if a frame names ``robot`` as its sender."""
-    return frame.is_extended_id and not frame.is_error_frame and frame.arbitration_id & MAX_NODE_ID == robot
+def _describe_value(field: Field, value: int) -> str:
+    """Return a field's value as text: plain, or in hexadecimal and as the number that it encodes."""
+    if field.is_float:
+        return f"{value:#010x} ({float32_value(value):g})"
+    if field.unit != 1:
+        return f"{value:#08x} ({value * field.unit:.7f})"
+    return str(value)

@@ -205,7 +205,7 @@ class Verification:
             verdict.difference = f"{self._place(phase)}: {error}"
         except LockstepError as error:
             result.outcome = FAILED
-            said = bench.symptom()  # who did not answer may have said something else
+            said = bench.take_difference()  # who did not answer may have said something else
             told = error if said is None or said.field == "missing" else said
             verdict.difference = f"{self._place(phase)}: {told}"
         verdict.repeated = bench.lockstep.repeated
@@ -235,7 +235,7 @@ class Verification:
         """The figures of a ``PhaseResult`` so far, for all phases together."""
         bench = self.bench
         injected = sum(figure["injected"] for figure in bench.neighbours.faults.figures())
-        return {"ticks": bench.ticks, "injected": injected, "equal": bench.comparison.equal.total()}
+        return {"ticks": bench.ticks, "injected": injected, "equal": bench.comparison.equal_frames.total()}
 
     def _place(self, phase: Phase) -> str:
         doing = self.bench.doing

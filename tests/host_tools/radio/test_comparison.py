@@ -1,9 +1,11 @@
-"""A difference says how the two values belong together, where that is no accident."""
+"""Comparison of a controller's frames with its model's: what differs first, and the hint at its cause."""
 
 from __future__ import annotations
 
+import can
 import pytest
 
+from mcp_asdf_tools.bus.frame_layout import Health
 from mcp_asdf_tools.bus.frames import (
     Estimate,
     FrameFormat,
@@ -11,56 +13,200 @@ from mcp_asdf_tools.bus.frames import (
     Telemetry,
     encode_estimate,
     encode_heartbeat,
+    encode_telemetry,
 )
-from mcp_asdf_tools.bus.frames import encode_telemetry as encode_t
-from mcp_asdf_tools.radio.comparison import Comparison
+from mcp_asdf_tools.radio.comparison import Comparison, Difference, is_from
 from mcp_asdf_tools.robots.node import Subjects
 
-X, ALPHA = 0x123456, 0x9ABCDE05  # a word: 24 bits and a shift
+X_HAT = 0x123456
+ALPHA_WORD = 0x9ABCDE05
+"""An alpha as the firmware's word: a mantissa of 24 bits, and 5 as its shift."""
 
 
-def told(got: tuple[int, int], expected: tuple[int, int]) -> str:
-    """What is said of two estimates' x_hat and alpha."""
-    judge = Comparison(Subjects(), encode_heartbeat(Heartbeat(5, 0, 0)))
-    own, model = (encode_estimate(Estimate(5, *each, 0), FrameFormat()) for each in (got, expected))
-    found = judge.check([model, own, own], [model] * 2)
-    assert found is not None and str(found).endswith(f"; {found.relation}" if found.relation else found.got)
-    return found.relation
+def estimate(x_hat: int = X_HAT, alpha_word: int = ALPHA_WORD) -> can.Message:
+    return encode_estimate(Estimate(5, x_hat, alpha_word, 0), FrameFormat())
+
+
+def estimate_with_alpha_bits(bits: int) -> can.Message:
+    """Return an estimate with these binary32 bits as its alpha, also those that no encoder writes."""
+    frame = estimate()
+    frame.data[3:7] = bits.to_bytes(4, "little")
+    return frame
+
+
+def telemetry(updates: int = 0, b_hat: int = 0xABCDEF) -> can.Message:
+    return encode_telemetry(Telemetry(5, X_HAT, b_hat, updates, 0), Subjects().telemetry)
+
+
+def heartbeat(uptime: int = 0, health: Health = Health.NOMINAL) -> can.Message:
+    frame = encode_heartbeat(Heartbeat(5, uptime, 0))
+    frame.data[4] = health.value
+    return frame
+
+
+def new_comparison() -> Comparison:
+    return Comparison(Subjects(), first_heartbeat=heartbeat())
+
+
+def comparison_after_a_tick() -> Comparison:
+    comparison = new_comparison()
+    assert comparison.check([telemetry()], [telemetry()]) is None
+    return comparison
+
+
+def difference(received: list[can.Message], expected: list[can.Message]) -> Difference:
+    """Return the difference that a new comparison finds."""
+    found_difference = new_comparison().check(received, expected)
+    assert found_difference is not None
+    return found_difference
+
+
+# --- Hints ---
+
+
+def test_an_x_hat_with_reversed_bytes_gets_that_hint() -> None:
+    assert difference([estimate(0x563412)], [estimate(0x123456)]).hint == "its 3 bytes are in reverse order"
+
+
+def test_a_doubled_x_hat_gets_the_factor_as_a_hint() -> None:
+    assert difference([estimate(2 * X_HAT)], [estimate()]).hint == "it is 2 times what it should be"
+
+
+def test_a_halved_x_hat_gets_the_factor_as_a_hint() -> None:
+    assert difference([estimate(X_HAT // 2)], [estimate()]).hint == "it is 0.5 times what it should be"
+
+
+def test_an_alpha_with_a_wrong_shift_gets_the_factor_as_a_hint() -> None:
+    received = estimate(alpha_word=ALPHA_WORD + 3)
+    assert difference([received], [estimate()]).hint == "it is 8 times what it should be"
+
+
+@pytest.mark.parametrize("x_hat", [X_HAT + 1, 3 * X_HAT, 0])
+def test_an_x_hat_that_is_off_by_no_power_of_two_gets_no_hint(x_hat: int) -> None:
+    assert difference([estimate(x_hat)], [estimate()]).hint == ""
+
+
+@pytest.mark.parametrize("alpha_word", [ALPHA_WORD + 256, 0])
+def test_an_alpha_with_another_mantissa_gets_no_hint(alpha_word: int) -> None:
+    assert difference([estimate(alpha_word=alpha_word)], [estimate()]).hint == ""
 
 
 @pytest.mark.parametrize(
-    ("got", "words"),
+    ("received_exponent", "expected_exponent", "hint"),
     [
-        ((0x563412, ALPHA), "its 3 bytes are in reverse order"),
-        ((X << 1, ALPHA), "it is 2 times what it should be"),
-        ((X >> 1, ALPHA), "it is 0.5 times what it should be"),
-        ((X + 1, ALPHA), ""),
-        ((3 * X, ALPHA), ""),
-        ((0, ALPHA), ""),
-        ((X, ALPHA + 3), "it is 8 times what it should be"),
-        ((X, ALPHA + 256), ""),
-        ((X, 0), ""),
+        (1, 2, "it is 0.5 times what it should be"),
+        (254, 253, "it is 2 times what it should be"),
+        (0, 1, ""),  # a subnormal number has no leading 1
+        (255, 254, ""),  # not a number
     ],
 )
-def test_relations_of_estimates(got: tuple[int, int], words: str) -> None:
-    assert told(got, (X, ALPHA)) == words
+def test_only_normal_numbers_get_a_factor_as_a_hint(
+    received_exponent: int, expected_exponent: int, hint: str
+) -> None:
+    received = estimate_with_alpha_bits((received_exponent << 23) | 0x345678)
+    expected = estimate_with_alpha_bits((expected_exponent << 23) | 0x345678)
+    assert difference([received], [expected]).hint == hint
 
 
-def test_powers_of_two_in_binary32() -> None:
-    """From the least exponent of a normal number to the largest; others have none."""
-    tells = {(1, 2): "it is 0.5 times what", (254, 253): "it is 2 times what", (0, 1): "", (255, 254): ""}
-    for exponents, words in tells.items():
-        own, model = (encode_estimate(Estimate(5, X, ALPHA, 0), FrameFormat()) for _ in exponents)
-        for frame, exponent in zip((own, model), exponents, strict=True):
-            frame.data[3:7] = (exponent << 23 | 0x345678).to_bytes(4, "little")
-        found = Comparison(Subjects(), encode_heartbeat(Heartbeat(5, 0, 0))).check([own], [model])
-        assert found is not None and found.relation.partition(" it should")[0] == words
+def test_a_value_with_few_significant_digits_gets_no_hint() -> None:
+    """Ten bits that agree may do so by accident."""
+    assert difference([estimate(0x402)], [estimate(0x804)]).hint == ""
 
 
-def test_short_values_are_left_alone() -> None:
-    """Ten digits that agree are no proof."""
-    assert told((0x400 + 2, ALPHA), (0x201 << 2, ALPHA)) == ""
-    judge = Comparison(Subjects(), encode_heartbeat(Heartbeat(5, 0, 0)))
-    own, model = (encode_t(Telemetry(5, X, 0xABCDEF, updates, 0), Subjects().telemetry) for updates in (2, 4))
-    found = judge.check([own], [model])
-    assert found is not None and (found.field, found.relation) == ("updates", "")
+def test_a_short_field_gets_no_hint() -> None:
+    found_difference = difference([telemetry(updates=2)], [telemetry(updates=4)])
+    assert (found_difference.field, found_difference.hint) == ("updates", "")
+
+
+def test_the_hint_is_about_the_first_frame_that_differs() -> None:
+    received = [estimate(), estimate(2 * X_HAT), estimate(4 * X_HAT)]
+    found_difference = difference(received, [estimate(), estimate()])
+    assert found_difference.hint == "it is 2 times what it should be"
+
+
+def test_a_hint_stands_at_the_end_of_the_text() -> None:
+    text = str(difference([estimate(2 * X_HAT)], [estimate()]))
+    assert text.startswith("estimate, x_hat: expected 106BB805 transfer_id 0, x_hat 0x123456 (0.1422222), ")
+    assert text.endswith("; it is 2 times what it should be")
+
+
+def test_a_text_without_a_hint_ends_with_the_received_frames() -> None:
+    found_difference = difference([estimate(X_HAT + 1)], [estimate()])
+    assert str(found_difference).endswith(f", got {found_difference.received}")
+
+
+# --- What differs ---
+
+
+def test_a_b_hat_is_described_as_a_fraction() -> None:
+    found_difference = difference([telemetry(b_hat=0xC00000)], [telemetry()])
+    assert found_difference.field == "b_hat"
+    assert "b_hat 0xc00000 (0.7500000)" in found_difference.received
+
+
+def test_equal_frames_are_counted_by_kind() -> None:
+    comparison = new_comparison()
+    frames = [estimate(), estimate(), telemetry()]
+    assert comparison.check(frames, frames) is None
+    assert comparison.equal_frames == {"estimate": 2, "telemetry": 1, "heartbeat": 0}
+
+
+def test_more_than_three_frames_are_described_by_their_number() -> None:
+    found_difference = difference([telemetry(updates) for updates in range(5)], [])
+    assert (found_difference.field, found_difference.expected) == ("extra", "nothing")
+    assert found_difference.received.endswith(" and 2 more")
+
+
+def test_a_remote_frame_is_described_by_its_raw_data() -> None:
+    remote_frame = can.Message(arbitration_id=estimate().arbitration_id, is_remote_frame=True)
+    found_difference = difference([remote_frame], [estimate()])
+    assert (found_difference.field, found_difference.received) == ("frame", "106BB805#R")
+
+
+def test_the_order_of_kinds_counts_once_telemetry_was_received() -> None:
+    comparison = comparison_after_a_tick()
+    found_difference = comparison.check([estimate(), heartbeat(1)], [heartbeat(1), estimate()])
+    assert str(found_difference) == (
+        "estimate, order: expected the heartbeat first, got it before the heartbeat"
+    )
+
+
+def test_the_order_of_kinds_does_not_count_before_telemetry_was_received() -> None:
+    comparison = new_comparison()
+    assert comparison.check([estimate(), heartbeat(1)], [heartbeat(1), estimate()]) is None
+
+
+def test_a_first_heartbeat_may_come_several_times_at_the_start() -> None:
+    assert new_comparison().check([heartbeat(), heartbeat(), telemetry()], [telemetry()]) is None
+
+
+def test_a_first_heartbeat_is_a_difference_later() -> None:
+    found_difference = comparison_after_a_tick().check([heartbeat()], [])
+    assert found_difference is not None and found_difference.field == "extra"
+
+
+@pytest.mark.parametrize("is_advisory_allowed", [False, True])
+def test_an_advisory_health_is_a_difference_unless_it_is_allowed(is_advisory_allowed: bool) -> None:
+    comparison = comparison_after_a_tick()
+    comparison.is_advisory_allowed = is_advisory_allowed
+    found_difference = comparison.check([heartbeat(1, Health.ADVISORY)], [heartbeat(1)])
+    assert (found_difference is None) == is_advisory_allowed
+
+
+def test_a_health_worse_than_advisory_is_always_a_difference() -> None:
+    comparison = comparison_after_a_tick()
+    comparison.is_advisory_allowed = True
+    found_difference = comparison.check([heartbeat(1, Health.CAUTION)], [heartbeat(1)])
+    assert found_difference is not None and found_difference.field == "health"
+
+
+# --- Senders ---
+
+
+def test_a_frame_is_from_the_robot_in_its_identifier() -> None:
+    assert is_from(estimate(), robot=5)
+    assert not is_from(estimate(), robot=6)
+
+
+def test_a_frame_with_an_11_bit_identifier_is_from_no_robot() -> None:
+    assert not is_from(can.Message(arbitration_id=5, is_extended_id=False), robot=5)

@@ -124,7 +124,7 @@ def test_a_right_controller_passes_every_phase(config: dict[str, Any], digest: s
     )
     assert verdict.repeated == 0
     assert ticks[-1] == controller.ticks == sum(phase.ticks for phase in verdict.phases)
-    equal = done.bench.comparison.equal
+    equal = done.bench.comparison.equal_frames
     assert equal == {"estimate": ticks[-1], "heartbeat": (ticks[-1] - 1) // 10, "telemetry": len(ticks)}
     assert equal.total() == sum(phase.equal for phase in verdict.phases)
     assert isinstance(controller.robot, FixedPointRobot)
