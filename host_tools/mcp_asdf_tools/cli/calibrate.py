@@ -24,14 +24,14 @@ exit code: 0 done, 2 bad usage"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the arguments and options of the command."""
     parser.add_argument(
         "file", metavar="FILE", help="readings over known tiles: reading,colour; - is standard input"
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Calibrate and print."""
+    """Calibrate the sensor by its readings, and print threshold and accuracy; return exit code 0."""
     readings = parse_readings(read_text(args.file), "standard input" if args.file == "-" else args.file)
     left_out = _left_out_in_words(readings)
     try:
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _left_out_in_words(readings: Readings) -> str:
-    """Return how many lines were left out and why; nothing if none was."""
+    """Return how many lines were left out and why, or an empty text if none was."""
     if not readings.left_out:
         return ""
     reasons = ", ".join(f"{reason} {count}" for reason, count in readings.left_out.items())

@@ -42,19 +42,20 @@ STEPS, SEED = 25_000, 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the arguments and options of the command."""
     parser.add_argument("--steps", type=int, metavar="N", help=f"calls to make and compare (default {STEPS})")
     parser.add_argument("--seed", type=int, metavar="S", help=f"of the scenarios, 0 or more (default {SEED})")
     parser.add_argument("--replay", metavar="LINE", help="run one scenario, as a failed check printed it")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay one scenario, or run the whole check."""
+    """Replay one scenario, or run the whole check; return exit code 1 if a check failed."""
     if args.replay is not None:
         if (args.steps, args.seed) != (None, None):
             raise UsageError("--replay runs one scenario; it does not go with --steps or --seed")
         return _replay(parse_scenario(args.replay), args.json)
-    steps, seed = STEPS if args.steps is None else args.steps, SEED if args.seed is None else args.seed
+    steps = STEPS if args.steps is None else args.steps
+    seed = SEED if args.seed is None else args.seed
     if steps < 1:
         raise UsageError(f"--steps is {steps}; choose 1 or more")
     if seed < 0:
@@ -63,6 +64,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _firmware(name: str) -> Firmware:
+    """Return the class of robots of a firmware that can be compared with another."""
     return cast(Firmware, load_firmware(name))
 
 
@@ -73,14 +75,25 @@ def _check_with(audit: Audit) -> CheckScenario:
 
 
 def _replay(scenario: Scenario, as_json: bool) -> int:
+    """Run one scenario through native and mirror, and print whether they agree; return 1 if they differ."""
     failure = _check_with(Audit())(scenario)
     status = RobotUnderTest(_firmware("native"), scenario.setup).last_result.outcome
-    is_made = status == Status.OK.name
+    is_robot_valid = status == Status.OK.name
     if as_json:
-        made = len(failure.scenario.calls) if failure else len(scenario.calls) if is_made else 0
-        report = {"status": status, "calls": made, "failure": failure and failure.as_dict()}
-        print(json_report({"ok": failure is None} | report))
-    elif failure is None and not is_made:
+        if failure is not None:
+            call_count = len(failure.scenario.calls)
+        elif is_robot_valid:
+            call_count = len(scenario.calls)
+        else:
+            call_count = 0
+        report = {
+            "ok": failure is None,
+            "status": status,
+            "calls": call_count,
+            "failure": None if failure is None else failure.as_dict(),
+        }
+        print(json_report(report))
+    elif failure is None and not is_robot_valid:
         print(f"native and mirror both refuse to make this robot ({status}); no call was made")
     else:
         print(failure or f"native and mirror agree in every bit over {len(scenario.calls)} calls")
@@ -88,6 +101,10 @@ def _replay(scenario: Scenario, as_json: bool) -> int:
 
 
 def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
+    """Run random scenarios of ``steps`` calls, and the checks of cost and storage; print what was found.
+
+    Returns exit code 1 if a check failed, and INTERRUPTED if Ctrl-C ended it before that.
+    """
     audit = Audit()
     check_scenario = _check_with(audit)
     counts = count_operations()
@@ -109,7 +126,7 @@ def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
 
 
 def _shortest(failure: Failure) -> Failure:
-    """The shortest scenario that shows the failure; all of it if the search is interrupted."""
+    """Return the failure with the shortest scenario that shows it, or as it is if Ctrl-C ends the search."""
     try:
         return shrink(failure, _check_with(Audit()))
     except KeyboardInterrupt:

@@ -24,7 +24,7 @@ _DEFAULTS = FrameFormat()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the arguments and options of the command."""
     parser.add_argument(
         "--output", metavar="FILE", type=Path, help="write this file (default: standard output)"
     )
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the file."""
+    """Write the DBC file, or print its text without ``--output``; return exit code 0."""
     text = dbc_text(FrameFormat(args.subject, args.priority), args.per_node)
     if args.output is not None:
         write_atomically(args.output, text)

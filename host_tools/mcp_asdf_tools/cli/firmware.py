@@ -29,14 +29,14 @@ Its answer, to be printed: mcp_asdf_thousandths(mcp_asdf_x(&robot))"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the arguments and options of the command."""
     parser.add_argument("folder", metavar="DIR", type=Path, help="folder for the files, made if need be")
     parser.add_argument("--force", action="store_true", help="also replace files that somebody has changed")
     add_table_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the files."""
+    """Write the files into the folder, and print their names and how to use them; return exit code 0."""
     omega, q = table_of(args)
     files = [str(path) for path in write_firmware(omega, q, args.folder, args.force)]
     symbol = describe_table(omega, q)["symbol"]

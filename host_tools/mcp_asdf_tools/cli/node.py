@@ -49,7 +49,7 @@ _logger = logging.getLogger(__name__)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options of the command."""
     add_robot_options(parser, "native", "robot id and node id, 0 to 127, unique on the bus")
     add_parameters(parser, Population, "heartbeats", ("steps_per_second",))
     group = parser.add_argument_group("run")
@@ -64,20 +64,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the node until it ends, and print what came out."""
-    setup, subjects, choice = robot_of(args), subjects_of(args), interfaces.choose_bus(args)
+    """Run the robot until it ends, write its log, and print its results; return the exit code."""
+    setup = robot_of(args)
+    subjects = subjects_of(args)
+    choice = interfaces.choose_bus(args)
     if args.allow is not None:
         setup = replace(setup, allow=parse_ids(args.allow, "--allow"))
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
-    own = argparse.Namespace(steps_per_second=args.steps_per_second)
-    rate = settings_from(own, Population).steps_per_second
+    rate_args = argparse.Namespace(steps_per_second=args.steps_per_second)
+    rate = settings_from(rate_args, Population).steps_per_second
     parameters = {"steps_per_second": rate, "steps": args.steps}
     header = EventsHeader([setup], None, subjects.estimates, parameters)
     recording = recording_for("node", args.log, header, choice)
     with recording as (log, events):
         node = RobotNode(setup, subjects, rate, None if events is None else events.recorders[setup.id])
-        outcome = _go(args, node, choice, log)
+        outcome = _run_on_bus(args, node, choice, log)
     description = describe_filters([setup.config.filter])
     results = {
         "filter": description,
@@ -102,34 +104,39 @@ def run(args: argparse.Namespace) -> int:
     return exit_code(recording, INTERRUPTED if outcome.is_interrupted else 0)
 
 
-def _go(
+def _run_on_bus(
     args: argparse.Namespace, node: RobotNode, choice: interfaces.BusChoice, log: FrameTaker | None
 ) -> RunOutcome:
-    """Run the node until it ends."""
+    """Join the bus and run the node until its steps are done, it is stopped or the bus fails."""
     console = Console(stderr=True, quiet=args.quiet)
     with ExitStack() as stack:
         bus = stack.enter_context(choice.open())
         bus.set_filters(filters_for(node.subjects.estimates, node.subjects.commands))
-        is_asked = stack.enter_context(stopping())
-        fd = standard_input() if args.until_eof else None
-        link = BusLink(bus, lambda: is_asked() or (fd is not None and has_ended(fd)), log=log)
+        was_interrupted = stack.enter_context(stopping())
+        input_descriptor = standard_input() if args.until_eof else None
+
+        def should_stop() -> bool:
+            return was_interrupted() or (input_descriptor is not None and has_ended(input_descriptor))
+
+        link = BusLink(bus, should_stop, log=log)
         _logger.info("robot %d is up", node.id)
-        return run_node(node, link, args.steps, _watching(node, console))
+        return run_node(node, link, args.steps, _suspicion_printer(node, console))
 
 
-def _watching(node: RobotNode, console: Console) -> Callable[[], None]:
-    """What reports each kind of suspicious estimate at once, for each sender."""
-    told: set[tuple[Suspicion, int]] = set()
+def _suspicion_printer(node: RobotNode, console: Console) -> Callable[[], None]:
+    """Return a function that prints new kinds of suspicious estimates, each once for each sender."""
+    reported: set[tuple[Suspicion, int]] = set()
 
-    def watch() -> None:
-        for kind, sender in node.reception.events.keys() - told:
-            told.add((kind, sender))
+    def print_new_suspicions() -> None:
+        for kind, sender in node.reception.events.keys() - reported:
+            reported.add((kind, sender))
             console.print(f"mcp-asdf node: node {sender}: {MEANINGS[kind]}", soft_wrap=True)
 
-    return watch
+    return print_new_suspicions
 
 
 def _summary(node: RobotNode, results: dict[str, Any], where: str) -> str:
+    """Return the lines that sum up a run; ``where`` names the bus, as in "on virtual vcan0"."""
     robot, frames, counters = node.robot, results["frames"], node.counters
     return (
         f"run       {node.ticks} ticks as robot {node.id}; {results['ending']}\n"

@@ -26,11 +26,12 @@ exit code: 0 done, 2 bad usage"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the arguments and options of the command."""
     parser.add_argument("file", metavar="FILE", type=Path, help="results: .parquet")
     parser.add_argument("picture", metavar="PICTURE", type=Path, help="what to draw into: .png, .svg or .pdf")
-    kinds = "what to draw (default %(default)s)"
-    parser.add_argument("--kind", choices=[*PLOTS], default="boxes", help=kinds)
+    parser.add_argument(
+        "--kind", choices=[*PLOTS], default="boxes", help="what to draw (default %(default)s)"
+    )
     options.add_where(parser)
     parser.add_argument("--trial", metavar="N", type=int, help="which one, for series (default 0)")
     group = parser.add_argument_group("curves")

@@ -51,7 +51,7 @@ through one phase for each claim and each class of fault, and must do, bit for b
 exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 128 + signal if
 interrupted"""
 
-_OF_WORLD = (
+_WORLD_PARAMETERS = (
     "robots",
     "topology",
     "graph",
@@ -63,13 +63,14 @@ _OF_WORLD = (
     "latency",
     "seed",
 )
-"""Parameters of a swarm, for the controller and its neighbours together."""
-_PHASE_TICKS = 25
-_TIMEOUT = 2.0
+"""Parameters of a swarm that hold for the controller and its neighbours together."""
+_DEFAULT_PHASE_TICKS = 25
+_DEFAULT_TIMEOUT = 2.0
+"""Seconds."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options of the command."""
     add_robot_options(parser, "mirror", "robot id of the controller, 0 to 127")
     _add_neighbours(parser)
     _add_verification(parser)
@@ -80,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Emulate, or verify."""
+    """Verify the controller with --verify, or else emulate its neighbours; return the exit code."""
     if args.report is not None:
         check_target(args.report)
     settings, choice = settings_of(args), interfaces.choose_bus(args)
@@ -94,7 +95,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _add_neighbours(parser: argparse.ArgumentParser) -> None:
-    parameter_options.add_parameters(parser, SwarmSettings, "controller, neighbours and world", _OF_WORLD)
+    """Declare the options of the world, the neighbours and the disturbances."""
+    parameter_options.add_parameters(
+        parser, SwarmSettings, "controller, neighbours and world", _WORLD_PARAMETERS
+    )
     group = parser.add_argument_group("neighbours")
     group.add_argument(
         "--first-id",
@@ -108,7 +112,7 @@ def _add_neighbours(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         help="end after N steps (default: at Ctrl-C); with --verify, of each phase among neighbours, "
-        f"or two rounds if these are longer (default {_PHASE_TICKS})",
+        f"or two rounds if these are longer (default {_DEFAULT_PHASE_TICKS})",
     )
     group.add_argument(
         "--fault",
@@ -121,13 +125,14 @@ def _add_neighbours(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_verification(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that go with --verify."""
     group = parser.add_argument_group("verification")
     group.add_argument("--verify", action="store_true", help="drive the controller in lockstep and judge it")
     group.add_argument(
         "--timeout",
         type=float,
         metavar="SECONDS",
-        help=f"time that the controller has to answer (default {_TIMEOUT:g})",
+        help=f"time that the controller has to answer (default {_DEFAULT_TIMEOUT:g})",
     )
     group.add_argument(
         "--wait",
@@ -141,7 +146,10 @@ def _add_verification(parser: argparse.ArgumentParser) -> None:
 
 
 def settings_of(args: argparse.Namespace) -> RadioSettings:
-    """Settings from parsed arguments. Raises UsageError for a value out of range."""
+    """Return the settings that the options describe.
+
+    Raises UsageError for a value out of range and for options that contradict each other.
+    """
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     for name in ("timeout", "wait", "report"):
@@ -151,7 +159,7 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
         if isinstance(value, float) and not 0 < value < float("inf"):
             raise UsageError(f"{name} is {value}; it must be above 0 seconds")
     controller = robot_of(args)
-    world = parameter_options.settings_from(args, SwarmSettings, steps=_PHASE_TICKS)
+    world = parameter_options.settings_from(args, SwarmSettings, steps=_DEFAULT_PHASE_TICKS)
     ids = choose_ids(controller.id, world.robots - 1, args.first_id)
     b_hat = min(max(world.true_accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
     config = controller.config
@@ -166,8 +174,7 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
 def _report(
     args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice
 ) -> dict[str, Any]:
-    """Everything needed to repeat the run, as plain values."""
-    own = ("verify", "steps", "timeout")
+    """Return everything that is needed to repeat the run, as plain values."""
     robots = [settings.controller, *settings.neighbours]
     return {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -175,10 +182,14 @@ def _report(
         "parameters": {
             "controller": settings.controller.plain(),
             "neighbours": [neighbour.plain() for neighbour in settings.neighbours],
-            "subjects": {name: asdict(each) for name, each in vars(settings.subjects).items()},
-            **{name: settings.swarm.parameters()[name] for name in _OF_WORLD},
+            "subjects": {
+                name: asdict(frame_format) for name, frame_format in vars(settings.subjects).items()
+            },
+            **{name: settings.swarm.parameters()[name] for name in _WORLD_PARAMETERS},
             "faults": [str(fault) for fault in settings.faults],
-            **{name: getattr(args, name) for name in own},
+            "verify": args.verify,
+            "steps": args.steps,
+            "timeout": args.timeout,
         },
         "bus": {"interface": choice.interface, "channel": choice.channel},
         "versions": software_versions(),
@@ -186,6 +197,7 @@ def _report(
 
 
 def _print(args: argparse.Namespace, text: str, report: dict[str, Any]) -> None:
+    """Print the report as JSON with --json, or else the text and the line that makes the run again."""
     if args.json:
         print(json_report(report))
         return
@@ -196,14 +208,16 @@ def _print(args: argparse.Namespace, text: str, report: dict[str, Any]) -> None:
 def _verify(
     args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice, console: Console
 ) -> int:
-    """Take the controller through all phases, and print and keep the verdict."""
+    """Take the controller through all phases, print the verdict and write the report; return an exit code."""
     report = _report(args, settings, choice)
     controller, seed = settings.controller, settings.swarm.seed
     header = EventsHeader([controller], seed, settings.subjects.estimates, report["parameters"])
     recording = recording_for("radio", args.log, header, choice)
     with ExitStack() as ending:
         with recording as (log, events), choice.open() as bus, stopping() as should_stop:
-            options = BenchOptions(bus, args.steps or _PHASE_TICKS, args.timeout or _TIMEOUT, args.wait)
+            options = BenchOptions(
+                bus, args.steps or _DEFAULT_PHASE_TICKS, args.timeout or _DEFAULT_TIMEOUT, args.wait
+            )
             options.log = options.log if log is None else log
             options.recorder = None if events is None else events.recorders[controller.id]
             options.should_stop = should_stop
@@ -223,7 +237,7 @@ def _verify(
 def _emulate(
     args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice, console: Console
 ) -> int:
-    """Tick until all is done, or until told to stop, and print and keep the results."""
+    """Run the neighbours until --steps are done or Ctrl-C, print and write results; return the exit code."""
     results = None if args.log is None else results_beside(args.log)
     recording = recording_for("radio", args.log, None, choice)
     with ExitStack() as ending:
@@ -248,6 +262,7 @@ def _emulate(
 
 
 def _results(results: dict[str, Any], filters: str) -> str:
+    """Return the lines that sum up a run in real time for a reader."""
     lines = [
         f"run         {results['steps']} steps; {results['ending']}",
         f"filter      {filters}",

@@ -29,7 +29,7 @@ exit code: 0 done, 1 a broadcast is not reproduced, 2 bad usage, 128 + signal if
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the arguments and options of the command."""
     parser.add_argument(
         "log", metavar="LOG", type=Path, help=".log (candump), .asc, .blf, .csv, .mf4 or .trc"
     )
@@ -40,7 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the log."""
+    """Run the robots of a log again, and print how many of their broadcasts come out as logged.
+
+    Returns exit code 1 if one does not. Raises UsageError if there is nothing to compare.
+    """
     events = args.events or events_path(args.log)
     check_log(args.log)
     if args.log.suffix == PART:
@@ -102,6 +105,7 @@ def _report(
 
 
 def _table_of(verdict: ReplayVerdict) -> Table:
+    """Return a table with the number of frames of each kind."""
     table = Table(box=None, padding=(0, 1), show_header=False)
     table.add_column(justify="right", style="bold")
     table.add_column()

@@ -18,14 +18,14 @@ exit code: 0 done, 2 bad usage"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the arguments and options of the command."""
     parser.add_argument("file", metavar="FILE", type=Path, help="results: .parquet")
     parser.add_argument("--csv", metavar="FILE", type=Path, help="write a line for every trial")
     options.add_limits(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Score, keep and print."""
+    """Read results, write their trials as CSV if asked to, and print their scores; return exit code 0."""
     from mcp_asdf_tools.experiments.result_files import (  # noqa: PLC0415 (pyarrow loads slowly)
         read_table,
         stream_experiments,

@@ -20,33 +20,38 @@ examples:
 FILE is an experiment (.toml). Equal parameters give equal results.
 exit code: 0 done, 2 bad usage, 128 + signal if interrupted"""
 
+_ROBOT_STEPS_FOR_PROCESSES = 10**8
+"""Steps of all robots from which on further processes pay: fewer take a second or two in this one."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the arguments and options of the command."""
     parser.add_argument("file", metavar="FILE", nargs="?", type=Path, help="describes the experiment: .toml")
     options.add_run(parser, "keep the results: .parquet")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the experiment, keep and print what came out."""
+    """Run the experiment, write its results if ``--output`` names a file, and print its scores; return 0."""
     from mcp_asdf_tools.experiments.result_tables import (  # noqa: PLC0415 (pyarrow loads slowly)
         experiments_in,
         read_metadata,
     )
 
-    experiment, *more = options.experiments_of(args)
-    if more:
-        raise UsageError(f"{args.file} describes {len(more) + 1} experiments; run it with mcp-asdf sweep")
-    workers, limits = options.check_workers(args.workers), options.limits_of(args)
-    # A few seconds' work is done sooner than processes start.
+    experiments = options.experiments_of(args)
+    if len(experiments) > 1:
+        raise UsageError(f"{args.file} describes {len(experiments)} experiments; run it with mcp-asdf sweep")
+    experiment = experiments[0]
+    workers = options.check_workers(args.workers)
+    limits = options.limits_of(args)
     robot_steps = experiment.trials * experiment.robots * experiment.steps
-    few = 1 if experiment.firmware == "native" and robot_steps < 10**8 else workers
-    output = args.output and options.checked_output(args.output)
-    table = simulate(experiment, output, workers=few, record=args.record, quiet=args.json)
-    results = experiments_in(table)
+    if experiment.firmware == "native" and robot_steps < _ROBOT_STEPS_FOR_PROCESSES:
+        workers = 1
+    output = None if args.output is None else options.checked_output(args.output)
+    table = simulate(experiment, output, workers=workers, record=args.record, quiet=args.json)
+    rows = options.summary(experiments_in(table), limits)
     if args.json:
-        print(json_report({**read_metadata(table), **options.summary(results, limits)[0]}))
+        print(json_report({**read_metadata(table), **rows[0]}))
     else:
-        options.show(options.summary(results, limits), "one experiment")
+        options.show(rows, "one experiment")
         print_again(args, seed=experiment.seed)
     return 0

@@ -62,18 +62,18 @@ if interrupted (what was done is saved)"""
 _logger = logging.getLogger(__name__)
 
 _STARTING_TIMEOUT = 60.0
-"""Seconds that robots elsewhere have to say that they are there."""
+"""Seconds that robots in other processes and controllers have to send their first heartbeats."""
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """What the options ask for.
+    """The options of a run, and what they describe.
 
     Attributes:
-        args: The options.
-        settings: The swarm.
-        choice: Its bus.
-        wiring: Who is on which bus.
+        args: The parsed options.
+        settings: Settings of the swarm.
+        choice: The bus.
+        wiring: Which robots are on which bus.
     """
 
     args: argparse.Namespace
@@ -83,12 +83,12 @@ class _Plan:
 
     @property
     def console(self) -> Console:
-        """Where the run is shown."""
+        """The console that shows the progress of the run, or nothing with --quiet or --json."""
         return Console(quiet=self.args.quiet or self.args.json)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the swarm, save and print what came out."""
+    """Run the swarm, write its log and results, and print a summary; return the exit code."""
     settings, choice = settings_of(args), choose_bus(args)
     plan = _Plan(args, settings, choice, wiring_of(args, settings, choice))
     _check(plan)
@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     recording = recording_for("swarm", args.log, header, choice)
     try:
         with ExitStack() as ending:
-            camera = _camera(plan, ending)
+            camera = _start_view(plan, ending)
             with recording as outputs:
                 outcome, report, seconds = _emulate(plan, outputs, camera)
                 # Printed even if a file cannot be completed.
@@ -113,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(plan: _Plan) -> None:
-    """Refuse options that contradict each other."""
+    """Raise UsageError for options that contradict each other, or that would do nothing."""
     args, settings = plan.args, plan.settings
     for option in ("pace", "port"):
         if getattr(args, option) is not None and not args.view:
@@ -136,18 +136,21 @@ def _check(plan: _Plan) -> None:
 def _emulate(
     plan: _Plan, outputs: LogOutputs, camera: SwarmCamera | None
 ) -> tuple[SwarmRun, dict[str, Any], float]:
-    """Run the swarm to its end or Ctrl-C; returns what came out, all of it as plain values, and seconds.
+    """Run the swarm to its end or Ctrl-C; return its outcome, a report of plain values, and seconds.
+
+    The seconds are those of this swarm alone, without its baselines.
 
     Raises LockstepError if robots elsewhere do not start, can.CanError if their bus fails before they have.
     """
-    settings, began = plan.settings, time.monotonic()
+    settings = plan.settings
+    start_time = time.monotonic()
     baselines = Baselines(settings) if plan.args.compare else None
     with ExitStack() as stack:
-        port = _admit(plan, stack)
+        slcan_port = _serve_slcan(plan, stack)
         swarm = stack.enter_context(Swarm(settings, plan.wiring, *outputs))
-        robots = settings.robot_setups() if plan.args.processes else []
-        subjects = Subjects(estimates=settings.frames) if robots else Subjects()
-        processes = NodeProcesses(robots, plan.choice.of_robot, subjects, settings.steps_per_second)
+        process_robots = settings.robot_setups() if plan.args.processes else []
+        subjects = Subjects(estimates=settings.frames) if process_robots else Subjects()
+        processes = NodeProcesses(process_robots, plan.choice.of_robot, subjects, settings.steps_per_second)
         nodes = stack.enter_context(processes)
         if plan.wiring.remote:
             with plan.console.status("waiting for robots elsewhere"):
@@ -156,21 +159,26 @@ def _emulate(
         _logger.info("%d robots are up, %d of them elsewhere", settings.robots, remote_count)
         # A signal counts between two ticks, so that log and results end on a whole one.
         with LiveView(plan.console, baselines) as live, stopping() as should_stop:
-            hooks = [each for each in (baselines, camera, live) if each is not None]
+            hooks = [hook for hook in (baselines, camera, live) if hook is not None]
             outcome = run_swarm(swarm, hooks, should_stop)
     choice = plan.choice
-    report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": port})
-    report["processes"] = {str(robot): each for robot, each in sorted(nodes.reports.items())}
-    seconds = time.monotonic() - began
+    report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": slcan_port})
+    report["processes"] = {str(robot): node_report for robot, node_report in sorted(nodes.reports.items())}
+    seconds = time.monotonic() - start_time
     if baselines is not None:
         seconds -= baselines.seconds
         if outcome.failure is None:
-            report["compared"] = {each: results_of(other) for each, other in baselines.swarms.items()}
+            report["compared"] = {
+                filter_name: results_of(baseline) for filter_name, baseline in baselines.swarms.items()
+            }
     return outcome, report, seconds
 
 
-def _camera(plan: _Plan, ending: ExitStack) -> SwarmCamera | None:
-    """A film of the run, if one is wanted, shown as it goes in a browser until ``ending``."""
+def _start_view(plan: _Plan, ending: ExitStack) -> SwarmCamera | None:
+    """Return a recorder of the run whose page is served until ``ending`` closes, or None without --view.
+
+    The page's address is printed.
+    """
     if not plan.args.view:
         return None
     from mcp_asdf_tools.view.films import SwarmCamera  # noqa: PLC0415
@@ -178,12 +186,12 @@ def _camera(plan: _Plan, ending: ExitStack) -> SwarmCamera | None:
 
     camera = SwarmCamera(plan.settings, PACE if plan.args.pace is None else plan.args.pace)
     view.announce(plan.args, ending.enter_context(serving(camera.film, plan.args.port)))
-    ending.push(lambda kind, error, trace: _let_look(camera, kind is None))
+    ending.push(lambda kind, error, trace: _end_view(camera, kind is None))
     return camera
 
 
-def _let_look(camera: SwarmCamera, is_regular: bool) -> None:
-    """The run is over; its page stays until Ctrl-C, unless an error ended it."""
+def _end_view(camera: SwarmCamera, is_regular: bool) -> None:
+    """Mark the run on the page as over, and wait for Ctrl-C, unless an error ended the run."""
     camera.film.has_ended = True
     sys.stdout.flush()
     if is_regular:
@@ -191,8 +199,8 @@ def _let_look(camera: SwarmCamera, is_regular: bool) -> None:
             view.wait(should_stop)
 
 
-def _admit(plan: _Plan, stack: ExitStack) -> int | None:
-    """Let other programs join the bus, if asked to, until ``stack`` ends; returns the TCP port."""
+def _serve_slcan(plan: _Plan, stack: ExitStack) -> int | None:
+    """Let other programs join the bus until ``stack`` closes; return the TCP port, None without --slcan."""
     if plan.args.slcan is None:
         return None
     server = stack.enter_context(SlcanServer(plan.choice.open(), plan.args.slcan))
@@ -202,7 +210,10 @@ def _admit(plan: _Plan, stack: ExitStack) -> int | None:
 
 
 def _print(plan: _Plan, outcome: SwarmRun, report: dict[str, Any], seconds: float) -> None:
-    """Print results: as JSON, in a line, as a table on a terminal, else in lines with tabs."""
+    """Print the results: as JSON, in one line (--quiet), as a table on a terminal, else in lines with tabs.
+
+    The sentence that compares filters follows in any case but JSON.
+    """
     args, console = plan.args, Console()
     if args.json:
         print(json_report(report))
@@ -220,6 +231,7 @@ def _print(plan: _Plan, outcome: SwarmRun, report: dict[str, Any], seconds: floa
             print(f"mcp-asdf swarm: {warning}", file=sys.stderr)
         print_again(args, seed=outcome.settings.seed)
     if "compared" in report:
-        settings, own = outcome.settings, report["results"]
-        sentence = comparison({settings.filter: own, **report["compared"]}, settings)
+        settings = outcome.settings
+        results_by_filter = {settings.filter: report["results"], **report["compared"]}
+        sentence = comparison(results_by_filter, settings)
         console.print(sentence, soft_wrap=not console.is_terminal, markup=False, highlight=False)

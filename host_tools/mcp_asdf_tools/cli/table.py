@@ -19,7 +19,8 @@ examples:
   mcp-asdf table --check tables/*.c tables/*.json # are they what the generator makes?
 exit code: 0 done, 1 a table is not what it should be, 2 bad usage"""
 
-_OMEGA, _NEIGHBOURS = "0.05", 127
+_DEFAULT_OMEGA = "0.05"
+_DEFAULT_NEIGHBOURS = 127
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,28 +34,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_table_options(parser: argparse.ArgumentParser) -> None:
-    """Declare which table; ``table_of`` reads it."""
+    """Add the options that describe a t-table, which ``table_of`` reads."""
     parser.add_argument(
         "--omega",
         help="type II error probability, above 0 and at most 0.9, "
-        f"at most {OMEGA_PLACES} decimal places (default {_OMEGA})",
+        f"at most {OMEGA_PLACES} decimal places (default {_DEFAULT_OMEGA})",
     )
     parser.add_argument(
         "--neighbours",
         metavar="Q",
         type=int,
-        help=f"q, maximum number of neighbours with an exact threshold, 2 to 127 (default {_NEIGHBOURS})",
+        help="q, maximum number of neighbours with an exact threshold, 2 to 127 "
+        f"(default {_DEFAULT_NEIGHBOURS})",
     )
 
 
 def table_of(args: argparse.Namespace) -> tuple[Decimal, int]:
-    """Omega and q of the table asked for. Raises UsageError for an omega that no table has."""
-    omega = parse_omega(_OMEGA if args.omega is None else args.omega)
-    return omega, _NEIGHBOURS if args.neighbours is None else args.neighbours
+    """Return omega and the number of neighbours q of the table that the options describe.
+
+    Raises UsageError for an omega that no table has.
+    """
+    omega = parse_omega(_DEFAULT_OMEGA if args.omega is None else args.omega)
+    neighbours = _DEFAULT_NEIGHBOURS if args.neighbours is None else args.neighbours
+    return omega, neighbours
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do the one job asked for."""
+    """Write a table, or check files; return exit code 1 if a file is not what the generator makes."""
     if args.output is not None:
         return _write(*table_of(args), args)
     if args.omega is not None or args.neighbours is not None:
@@ -63,13 +69,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
+    """Write the table of omega and q, and print its size and its errors; return exit code 0."""
     files = [str(path) for path in write_table(omega, q, args.output)]
     facts = describe_table(omega, q)
     if args.json:
         print(json_report({"files": files} | facts))
         return 0
     error = facts["worst_threshold_error"]
-    beyond = f", {error['beyond_q']:.2%} for {q} < m <= {MAX_MESSAGES}" if q < MAX_MESSAGES else ""
+    beyond = ""
+    if q < MAX_MESSAGES:  # of more messages than q the firmware computes a threshold, which is less exact
+        beyond = f", {error['beyond_q']:.2%} for {q} < m <= {MAX_MESSAGES}"
     print(f"omega {omega:f}, q {q}: {facts['bytes']} bytes ({facts['bytes_formula']})")
     print(f"worst threshold error: {error['rounding']:.2e} by rounding{beyond}")
     print("\n".join(f"wrote {file}" for file in files))

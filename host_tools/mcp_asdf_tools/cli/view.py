@@ -39,13 +39,14 @@ floor: they follow from its seed and parameters. The server needs an
 extra; {install_instruction("view")}
 exit code: 0 done, 1 the bus failed, 2 bad usage, 130 interrupted"""
 
-_NAP = 0.2
+_WAKING_INTERVAL = 0.2
+"""Seconds between two checks whether Ctrl-C was pressed."""
 _NO_TELEMETRY = "no robot sent telemetry, which has x and b_hat: see mcp-asdf swarm --telemetry-period 1"
 _RESULTS = (".parquet", ".pq")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the arguments and options of the command."""
     parser.add_argument(
         "file", metavar="FILE", type=Path, nargs="?", help="results (.parquet) or a log; without one, a bus"
     )
@@ -66,12 +67,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_server_options(parser: argparse._ActionsContainer) -> None:
-    """Options of everything that serves a page."""
+    """Add the options of commands that serve a page."""
     parser.add_argument("--port", type=int, help="TCP port of the page (default: any free one)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the recording or the bus, or write the page."""
+    """Serve the page of a recording or of a bus, or write it with --export; return the exit code."""
     if args.file is None:
         return _watch(args)
     _check_recording_options(args)
@@ -98,6 +99,10 @@ def _check_recording_options(args: argparse.Namespace) -> None:
 
 
 def _film_of(args: argparse.Namespace) -> Film:
+    """Return the film of the recording ``args.file``: a trial of results, or a log.
+
+    Raises UsageError if there is none, or for options that do not go with it.
+    """
     from mcp_asdf_tools.experiments.results import single_experiment  # noqa: PLC0415
     from mcp_asdf_tools.view.films import film_of_log, film_of_trial  # noqa: PLC0415
 
@@ -143,6 +148,7 @@ def _frame_format(args: argparse.Namespace) -> FrameFormat:
 
 
 def _export(args: argparse.Namespace, film: Film) -> int:
+    """Write the page of a film as one file, and print its name; return exit code 0."""
     from mcp_asdf_tools.view.page import page  # noqa: PLC0415
 
     content = page(film).encode()
@@ -153,7 +159,7 @@ def _export(args: argparse.Namespace, film: Film) -> int:
 
 
 def _serve(args: argparse.Namespace, film: Film) -> int:
-    """Serve a film until Ctrl-C."""
+    """Serve the page of a film until Ctrl-C; return exit code 0."""
     from mcp_asdf_tools.view.server import serving  # noqa: PLC0415
 
     with stopping() as should_stop, serving(film, args.port) as url:
@@ -163,7 +169,7 @@ def _serve(args: argparse.Namespace, film: Film) -> int:
 
 
 def announce(args: argparse.Namespace, url: str) -> None:
-    """Print the address of the page."""
+    """Print the address of the page: to standard error, or with --json as JSON to standard output."""
     if args.json:
         print(json.dumps({"url": url}), flush=True)
     else:
@@ -171,13 +177,13 @@ def announce(args: argparse.Namespace, url: str) -> None:
 
 
 def wait(should_stop: Callable[[], bool]) -> None:
-    """Return when asked to stop."""
+    """Sleep until ``should_stop`` returns True."""
     while not should_stop():
-        time.sleep(_NAP)
+        time.sleep(_WAKING_INTERVAL)
 
 
 def _watch(args: argparse.Namespace) -> int:
-    """Show a bus as it goes."""
+    """Serve the page of a bus that robots elsewhere are on until Ctrl-C; return the exit code."""
     from mcp_asdf_tools.view.films import BusFilm  # noqa: PLC0415
     from mcp_asdf_tools.view.server import serving  # noqa: PLC0415
 
