@@ -115,7 +115,12 @@ class CNode:
     def __init__(
         self, command: Sequence[str], interface: str, robot_id: int, *options: object, **streams: Any
     ) -> None:
-        """Start it with the options given; ``streams`` are those of subprocess.Popen."""
+        """Start it with the options given, by default with the paper's filter, as ``twin`` has it.
+
+        ``streams`` are those of subprocess.Popen.
+        """
+        if not any(str(option).startswith("--filter") and "period" not in str(option) for option in options):
+            options = ("--filter", "asdf-plus", *options)
         words = [*command, *map(str, ("--interface", interface, "--id", robot_id, *options))]
         pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams}
         self.process = subprocess.Popen(words, text=True, **pipes)

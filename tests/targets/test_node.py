@@ -209,6 +209,8 @@ LOCKSTEP, ON_A_BUS = "--id 1 --lockstep", "--interface unix:/no/such/socket "
         (ON_A_BUS + f"{LOCKSTEP} --b-hat nan", "--b-hat is nan; choose 2^-20 to 1 - 2^-20"),
         (ON_A_BUS + f"{LOCKSTEP} --filter asdf-minus", "choose none, asdf-plus or robust"),
         (ON_A_BUS + f"{LOCKSTEP} --activation never", "choose adaptive or always"),
+        # The default filter is the robust one, which has no other activation.
+        (ON_A_BUS + f"{LOCKSTEP} --activation always", "leave it out, or choose --filter asdf-plus"),
         (ON_A_BUS + f"{LOCKSTEP} --comms-period 3", "--filter-period is 1000; choose a multiple"),
         (ON_A_BUS + f"{LOCKSTEP} --memory 66", "--memory is 66; choose a multiple of 4"),
         (ON_A_BUS + f"{LOCKSTEP} --subject 3002", "choose three different subjects"),
