@@ -53,10 +53,8 @@ def add_further_parameters(parser: argparse.ArgumentParser, kind: Any) -> None:
     add_parameters(parser, kind, "further parameters", names)
 
 
-def add_parameters(
-    parser: argparse.ArgumentParser, kind: Any, title: str, names: Collection[str]
-) -> argparse._ArgumentGroup:
-    """Add a group ``title`` of options for the named parameters of the class ``kind``, and return the group.
+def add_parameters(parser: argparse.ArgumentParser, kind: Any, title: str, names: Collection[str]) -> None:
+    """Add a group ``title`` of options for the named parameters of the class ``kind``.
 
     The options keep the order in which the class declares its parameters. The parsed value of an option that
     the user leaves out is None.
@@ -65,7 +63,6 @@ def add_parameters(
     for name, parameter in parameters_of(kind).items():
         if name in names:
             _add_option(group, parameter)
-    return group
 
 
 def _add_option(group: argparse._ArgumentGroup, parameter: Parameter) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from browser import browser_page, until
 from mcp_asdf_tools.cli import main as cli
-from mcp_asdf_tools.cli import swarm_options
+from mcp_asdf_tools.cli import swarm as swarm_command
 from mcp_asdf_tools.cli.experiment_options import experiments_of
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -99,7 +99,7 @@ def check_bits(browser: Page, args: Any) -> None:
 def check_liars(args: Any, words: list[int]) -> None:
     """They lie as on an emulated bus."""
     found = np.array(words, np.uint32).reshape(60, 9, 10)[-1]
-    with Swarm(swarm_options.settings_of(args), Wiring()) as swarm:
+    with Swarm(swarm_command.settings_of(args), Wiring()) as swarm:
         run_swarm(swarm, [])
         robots = [node.robot for node in swarm.nodes]
     assert [robot.x_hat for robot in robots] == (found[:, 4] / 2**23).tolist()
