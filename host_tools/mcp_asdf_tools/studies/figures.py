@@ -1,8 +1,15 @@
-"""The paper's figures, drawn from the results of the study."""
+"""The paper's figures, drawn from the results of the study.
+
+The symbols are the paper's. Each robot estimates f, the share of black floor, as x, and b_hat is the accuracy
+that it assumes for its sensor, whose true accuracy is b. A flawed robot starts with a wrong b_hat; P is the
+percentage of flawed robots in a swarm. With a filter, robots correct their b_hat every tau steps: with ASDF-
+only the flawed robots do, with ASDF+ all do. h_e is a trial's score for accuracy, h_K its score for speed of
+convergence, and H their mean, each from 0 to 100.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from matplotlib.figure import Figure
@@ -15,13 +22,28 @@ from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.studies.cells import FILTER_PERIODS, Cell, StudyPart, StudySize, experiment_of
 from mcp_asdf_tools.studies.study_results import StudyResults
 
-NONE: str = "none"
-MINUS: str = "asdf-minus"
-PLUS: str = "asdf-plus"
+UNFILTERED: str = "none"
+ASDF_MINUS: str = "asdf-minus"
+ASDF_PLUS: str = "asdf-plus"
+"""Values of ``Experiment.filter``: no robot filters, only the flawed robots do, or all do."""
 
 SHORTEST_PERIOD = FILTER_PERIODS[0]
-SERIES_CELL = Cell(StudyPart.FULLY_CONNECTED, 0.95, 0.55, 0.95, 50)
+
+UNFILTERED_SERIES_CELL = Cell(
+    study_part=StudyPart.FULLY_CONNECTED,
+    fill_ratio=0.95,
+    true_accuracy=0.55,
+    flawed_accuracy=0.95,
+    flawed_percent=50,
+    filter=UNFILTERED,
+)
+"""The swarm of which the paper's figure 6 shows a trial, without a filter."""
+
+SERIES_TRIAL = 0
+"""Number of the trial of this swarm that the picture shows."""
+
 SERIES_SAMPLING_INTERVAL = 100
+"""Steps between two values of a robot in the picture of single trials."""
 
 
 @dataclass(frozen=True)
@@ -40,123 +62,182 @@ class Picture:
 
 
 def draw_pictures(study_results: StudyResults, study_size: StudySize) -> Iterator[Picture]:
-    """Draw all pictures of the parts of which there are results; that of single trials runs two again."""
-    if StudyPart.DYNAMIC in study_results.parts:
-        yield _draw_boxes(study_results, StudyPart.DYNAMIC, MINUS, "3a")
-        yield _draw_boxes(study_results, StudyPart.DYNAMIC, PLUS, "3b")
-        yield _draw_scatter(study_results, StudyPart.DYNAMIC, "4")
-        yield _draw_bands(study_results, StudyPart.DYNAMIC)
-    if StudyPart.FULLY_CONNECTED in study_results.parts:
-        yield _draw_boxes(study_results, StudyPart.FULLY_CONNECTED, MINUS)
-        yield _draw_boxes(study_results, StudyPart.FULLY_CONNECTED, PLUS)
-        yield _draw_scatter(study_results, StudyPart.FULLY_CONNECTED)
-        yield _draw_bands(study_results, StudyPart.FULLY_CONNECTED)
-    if {StudyPart.DYNAMIC, StudyPart.FULLY_CONNECTED} <= set(study_results.parts):
-        yield _draw_topologies(study_results, MINUS, "5a")
-        yield _draw_topologies(study_results, PLUS, "5b")
-    if StudyPart.FULLY_CONNECTED in study_results.parts:
-        yield _draw_series(study_size)
+    """Draw the pictures of all parts of the study that have results, one after the other.
+
+    A picture of two parts is drawn only if both have results. The picture of single trials needs values over
+    time, which the results do not have: for this picture two trials of length ``study_size.steps`` run again.
+    """
+    has_dynamic = StudyPart.DYNAMIC in study_results.parts
+    has_fully_connected = StudyPart.FULLY_CONNECTED in study_results.parts
+    if has_dynamic:
+        yield _draw_score_boxes(study_results, StudyPart.DYNAMIC, ASDF_MINUS, paper_figure="3a")
+        yield _draw_score_boxes(study_results, StudyPart.DYNAMIC, ASDF_PLUS, paper_figure="3b")
+        yield _draw_score_scatter(study_results, StudyPart.DYNAMIC, paper_figure="4")
+        yield _draw_b_hat_bands(study_results, StudyPart.DYNAMIC)
+    if has_fully_connected:
+        yield _draw_score_boxes(study_results, StudyPart.FULLY_CONNECTED, ASDF_MINUS)
+        yield _draw_score_boxes(study_results, StudyPart.FULLY_CONNECTED, ASDF_PLUS)
+        yield _draw_score_scatter(study_results, StudyPart.FULLY_CONNECTED)
+        yield _draw_b_hat_bands(study_results, StudyPart.FULLY_CONNECTED)
+    if has_dynamic and has_fully_connected:
+        yield _draw_boxes_by_topology(study_results, ASDF_MINUS, paper_figure="5a")
+        yield _draw_boxes_by_topology(study_results, ASDF_PLUS, paper_figure="5b")
+    if has_fully_connected:
+        yield _draw_single_trials(study_size)
     if StudyPart.PHYSICAL in study_results.parts:
-        yield _draw_boxes(study_results, StudyPart.PHYSICAL, PLUS, "8a")
-        yield _draw_scatter(study_results, StudyPart.PHYSICAL, "8b")
+        yield _draw_score_boxes(study_results, StudyPart.PHYSICAL, ASDF_PLUS, paper_figure="8a")
+        yield _draw_score_scatter(study_results, StudyPart.PHYSICAL, paper_figure="8b")
 
 
-def _trials_with(study_results: StudyResults, study_part: StudyPart, *filters: str) -> list[Trials]:
-    """Return the trials of a part with any of these filters, filter by filter."""
-    return [
-        trials
-        for filter_name in filters
-        for trials in study_results.trials_of(study_part)
-        if trials.experiment.filter == filter_name
-    ]
+def _select_by_filter(
+    study_results: StudyResults, study_part: StudyPart, filter_names: Sequence[str]
+) -> list[Trials]:
+    """Return the trials of a part's experiments with these filters, in the order of ``filter_names``."""
+    selected: list[Trials] = []
+    for filter_name in filter_names:
+        for trials in study_results.trials_of(study_part):
+            if trials.experiment.filter == filter_name:
+                selected.append(trials)
+    return selected
 
 
-def _with_shortest_period(experiments: list[Trials]) -> list[Trials]:
-    """Keep the experiments with the shortest filtering period, and those without a filter."""
+def _select_shortest_period(experiments: Sequence[Trials]) -> list[Trials]:
+    """Return the experiments without a filter, and those whose robots filter every SHORTEST_PERIOD steps."""
     return [
         trials
         for trials in experiments
-        if trials.experiment.filter == NONE or trials.experiment.filter_period == SHORTEST_PERIOD
+        if trials.experiment.filter == UNFILTERED or trials.experiment.filter_period == SHORTEST_PERIOD
     ]
 
 
-def _ends_of_asdf_minus(study_results: StudyResults, study_part: StudyPart) -> list[Trials]:
-    """Return the experiments with ASDF- where no robot is flawed, and where all are.
+def _asdf_minus_without_or_with_only_flawed_robots(
+    study_results: StudyResults, study_part: StudyPart
+) -> list[Trials]:
+    """Return a part's trials with ASDF- at P = 0 % and at P = 100 %, where P is the share of flawed robots.
 
-    They have been run under other names: without flawed robots nobody filters, with flawed ones alone all do.
+    ASDF- has no experiments of its own there, so trials with other filters are returned with ASDF- as their
+    filter: at P = 0 % no robot filters, as without a filter; at P = 100 % all robots do, as with ASDF+ (here
+    with SHORTEST_PERIOD).
     """
-    unfiltered = _trials_with(study_results, study_part, NONE)
-    filtered = _with_shortest_period(_trials_with(study_results, study_part, PLUS))
-    ends = [trials for trials in unfiltered if trials.experiment.flawed == 0]
-    ends += [trials for trials in filtered if trials.experiment.flawed == trials.experiment.robots]
-    return [replace(trials, experiment=replace(trials.experiment, filter=MINUS)) for trials in ends]
+    unfiltered = _select_by_filter(study_results, study_part, [UNFILTERED])
+    all_filter = _select_shortest_period(_select_by_filter(study_results, study_part, [ASDF_PLUS]))
+    without_flawed = [trials for trials in unfiltered if trials.experiment.flawed == 0]
+    only_flawed = [trials for trials in all_filter if trials.experiment.flawed == trials.experiment.robots]
+    return [
+        replace(trials, experiment=replace(trials.experiment, filter=ASDF_MINUS))
+        for trials in [*without_flawed, *only_flawed]
+    ]
 
 
-def _number_of_paper(number: str) -> str:
-    """Return the end of a title that follows a figure of the paper; empty if it follows none."""
-    return f" (the paper's figure {number})" if number else ""
+def _add_paper_figure(title: str, paper_figure: str) -> str:
+    """Append the number of the paper's figure, such as "3a", to a title, unless the number is empty."""
+    if not paper_figure:
+        return title
+    return f"{title} (the paper's figure {paper_figure})"
 
 
-def _draw_boxes(
-    study_results: StudyResults, study_part: StudyPart, filter_name: str, number: str = ""
+def _draw_score_boxes(
+    study_results: StudyResults, study_part: StudyPart, filter_name: str, paper_figure: str = ""
 ) -> Picture:
-    """Draw H without and with a filter."""
-    experiments = _trials_with(study_results, study_part, NONE, filter_name)
-    if filter_name == MINUS:
-        # Where all robots are flawed ASDF- is ASDF+, which has a picture of its own.
+    """Draw box plots of H, a trial's score from 0 to 100, of a part's swarms without and with a filter.
+
+    A box shows the trials of one experiment. ``paper_figure`` is the number of the paper's figure for the
+    title, empty if there is none.
+    """
+    experiments = _select_by_filter(study_results, study_part, [UNFILTERED, filter_name])
+    if filter_name == ASDF_MINUS:
+        # Where all robots are flawed, all filter under ASDF- as under ASDF+: the picture of ASDF+ shows these
+        # swarms.
         experiments = [
             trials for trials in experiments if trials.experiment.flawed < trials.experiment.robots
         ]
     title = f"H of {study_part.label} swarms without filter and with {FILTERS[filter_name].typeset_term}"
-    name = f"{study_part.value}_{filter_name}"
-    return Picture(name, title + _number_of_paper(number), score_plots.plot_boxes(experiments))
+    return Picture(
+        name=f"{study_part.value}_{filter_name}",
+        title=_add_paper_figure(title, paper_figure),
+        figure=score_plots.plot_boxes(experiments),
+    )
 
 
-def _draw_scatter(study_results: StudyResults, study_part: StudyPart, number: str = "") -> Picture:
-    """Draw h_e against h_K of all filters, with the shortest filtering period."""
-    experiments = _with_shortest_period(_trials_with(study_results, study_part, NONE, MINUS, PLUS))
-    experiments += _ends_of_asdf_minus(study_results, study_part)
+def _draw_score_scatter(
+    study_results: StudyResults, study_part: StudyPart, paper_figure: str = ""
+) -> Picture:
+    """Draw h_e, a trial's score for accuracy, against h_K, its score for speed, of all trials of a part.
+
+    It shows swarms without a filter, with ASDF- and with ASDF+, of which only those with the shortest filter
+    period tau. ``paper_figure`` is the number of the paper's figure for the title, empty if there is none.
+    """
+    all_periods = _select_by_filter(study_results, study_part, [UNFILTERED, ASDF_MINUS, ASDF_PLUS])
+    experiments = _select_shortest_period(all_periods)
+    experiments += _asdf_minus_without_or_with_only_flawed_robots(study_results, study_part)
     title = f"Accuracy against convergence of {study_part.label} swarms, tau = {SHORTEST_PERIOD}"
     return Picture(
-        f"{study_part.value}_scatter", title + _number_of_paper(number), score_plots.plot_scatter(experiments)
+        name=f"{study_part.value}_scatter",
+        title=_add_paper_figure(title, paper_figure),
+        figure=score_plots.plot_scatter(experiments),
     )
 
 
-def _draw_bands(study_results: StudyResults, study_part: StudyPart) -> Picture:
-    """Draw b_hat over time in swarms of which some robots are flawed and all filter."""
-    experiments = [
-        trials
-        for trials in _with_shortest_period(_trials_with(study_results, study_part, PLUS))
-        if 0 < trials.experiment.flawed < trials.experiment.robots
-    ]
-    title = f"b_hat of all robots of {study_part.label} swarms with ASDF+, tau = {SHORTEST_PERIOD}"
-    return Picture(f"{study_part.value}_bands", title, time_plots.plot_accuracy_bands(experiments))
+def _draw_b_hat_bands(study_results: StudyResults, study_part: StudyPart) -> Picture:
+    """Draw b_hat, the accuracy that robots assume for their sensors, over time in a part's swarms with ASDF+.
+
+    It shows the swarms in which some robots are flawed, but not all, with the shortest filter period tau.
+    """
+    all_filter = _select_shortest_period(_select_by_filter(study_results, study_part, [ASDF_PLUS]))
+    experiments = [trials for trials in all_filter if 0 < trials.experiment.flawed < trials.experiment.robots]
+    return Picture(
+        name=f"{study_part.value}_bands",
+        title=f"b_hat of all robots of {study_part.label} swarms with ASDF+, tau = {SHORTEST_PERIOD}",
+        figure=time_plots.plot_accuracy_bands(experiments),
+    )
 
 
-def _draw_topologies(study_results: StudyResults, filter_name: str, number: str) -> Picture:
-    """Draw H of dynamic swarms beside that of fully connected ones, without and with a filter."""
+def _draw_boxes_by_topology(study_results: StudyResults, filter_name: str, paper_figure: str) -> Picture:
+    """Draw box plots of H, a trial's score from 0 to 100, of dynamic swarms beside fully connected ones.
+
+    In a dynamic swarm robots move and reach only those nearby. Both kinds are shown without a filter and with
+    this filter, of which the shortest period tau. ``paper_figure`` is the number of the paper's figure.
+    """
     experiments: list[Trials] = []
     for study_part in (StudyPart.DYNAMIC, StudyPart.FULLY_CONNECTED):
-        experiments += _with_shortest_period(_trials_with(study_results, study_part, NONE, filter_name))
-        if filter_name == MINUS:
-            experiments += _ends_of_asdf_minus(study_results, study_part)
-
-    def series_name(experiment: Experiment) -> str:
-        topology = "dynamic" if experiment.is_dynamic else "fully connected"
-        return f"{topology}, {experiment.swarm_filter.typeset_term}"
-
-    with_filter = f"without filter and with {FILTERS[filter_name].typeset_term}, tau = {SHORTEST_PERIOD}"
-    title = f"H in both topologies {with_filter}{_number_of_paper(number)}"
+        all_periods = _select_by_filter(study_results, study_part, [UNFILTERED, filter_name])
+        experiments += _select_shortest_period(all_periods)
+        if filter_name == ASDF_MINUS:
+            experiments += _asdf_minus_without_or_with_only_flawed_robots(study_results, study_part)
+    filters_shown = f"without filter and with {FILTERS[filter_name].typeset_term}, tau = {SHORTEST_PERIOD}"
     return Picture(
-        f"topologies_{filter_name}", title, score_plots.plot_boxes(experiments, series_name=series_name)
+        name=f"topologies_{filter_name}",
+        title=_add_paper_figure(f"H in both topologies {filters_shown}", paper_figure),
+        figure=score_plots.plot_boxes(experiments, series_name=_topology_and_filter),
     )
 
 
-def _draw_series(study_size: StudySize) -> Picture:
-    """Run one trial without and one with a filter again, recorded, and draw their values over time."""
-    # The study keeps no values over time, but trials are reproducible: two are enough to record again.
-    unfiltered = experiment_of(SERIES_CELL, study_size)
-    filtered = experiment_of(replace(SERIES_CELL, filter=PLUS), study_size)
-    recorded = [run_trials(e, 0, 1, SERIES_SAMPLING_INTERVAL) for e in (unfiltered, filtered)]
+def _topology_and_filter(experiment: Experiment) -> str:
+    """Return the legend's label of an experiment by its topology and filter, such as "dynamic, ASDF+"."""
+    topology = "dynamic" if experiment.is_dynamic else "fully connected"
+    return f"{topology}, {experiment.swarm_filter.typeset_term}"
+
+
+def _draw_single_trials(study_size: StudySize) -> Picture:
+    """Draw what each robot estimates and assumes over time, in one trial without a filter and one with ASDF+.
+
+    Both are trial SERIES_TRIAL of the swarm of UNFILTERED_SERIES_CELL. They are run again here with the steps
+    and the seed of ``study_size``, and recorded every SERIES_SAMPLING_INTERVAL steps.
+    """
+    # The study keeps no values over time, but a trial that is run again gives the same values.
+    recorded: list[Trials] = []
+    for filter_name in (UNFILTERED, ASDF_PLUS):
+        cell = replace(UNFILTERED_SERIES_CELL, filter=filter_name)
+        trials = run_trials(
+            experiment_of(cell, study_size),
+            first=SERIES_TRIAL,
+            trials=1,
+            sampling_interval=SERIES_SAMPLING_INTERVAL,
+        )
+        recorded.append(trials)
     title = "A trial without filter and one with ASDF+: f = 0.95, b = 0.55, b_hat = 0.95, P = 50 %"
-    return Picture("series", title + _number_of_paper("6"), time_plots.plot_series(recorded, 0))
+    return Picture(
+        name="series",
+        title=_add_paper_figure(title, paper_figure="6"),
+        figure=time_plots.plot_series(recorded, SERIES_TRIAL),
+    )
