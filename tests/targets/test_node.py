@@ -35,7 +35,7 @@ from mcp_asdf_tools.bus.frames import (
     encode_command,
     encode_estimate,
 )
-from mcp_asdf_tools.radio.bench import BenchOptions
+from mcp_asdf_tools.radio.controller_link import BenchOptions
 from mcp_asdf_tools.radio.verification import Verification
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, Subjects

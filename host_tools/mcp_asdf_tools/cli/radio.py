@@ -28,7 +28,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, results_beside, write_atomically
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
 from mcp_asdf_tools.common.versions import software_versions
-from mcp_asdf_tools.radio.bench import BenchOptions
+from mcp_asdf_tools.radio.controller_link import BenchOptions
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids
 from mcp_asdf_tools.radio.real_time import RadioRun
 from mcp_asdf_tools.radio.verification import Verification, details, markdown
@@ -223,7 +223,9 @@ def _verify(
             options.should_stop = should_stop
             verification = Verification(settings, options)
             with console.status("") as status:
-                options.progress = lambda ticks: status.update(f"tick {ticks}   {verification.bench.doing}")
+                options.progress = lambda ticks: status.update(
+                    f"tick {ticks}   {verification.bench.activity}"
+                )
                 verdict = verification.run()
             report |= {"verdict": verdict.plain()}
             text = f"filter: {report['filter']}\n\n{details(verdict)}\n{verdict.headline}\n"

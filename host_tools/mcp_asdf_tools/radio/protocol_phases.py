@@ -125,54 +125,56 @@ UNUSUAL_COMMANDS: dict[str, Change] = {
 
 def nothing_seen(bench: Bench) -> None:
     """Messages for a robot that has observed nothing: x is their mean alone, and the test comes early."""
-    bench.doing = "no observation"
-    bench.tick(None)
+    bench.activity = "no observation"
+    bench.play_tick(None)
     is_robust = bench.config.filter is Filter.ROBUST
     if not is_robust:
         extremes(bench)
-    if bench.record.filter_period <= MOST_SKIPPED:
-        bench.doing = "commands in a row"
-        bench.to_test()
-        bench.doing = "a test before the first observation"
-        bench.round(*([] if is_robust else far_away(bench.situation, bench.draw)))
+    if bench.setup.filter_period <= MOST_SKIPPED:
+        bench.activity = "commands in a row"
+        bench.skip_to_test_round()
+        bench.activity = "a test before the first observation"
+        bench.play_round(*([] if is_robust else far_away(bench.situation, bench.draw)))
 
 
 def alone(bench: Bench) -> None:
     """The controller hears no messages, and all tiles are white: x_hat is 0, or 1 for b_hat below 1/2."""
     for tick in range(ALONE_TICKS):
         z = None if tick % 9 == 8 else Observation.WHITE
-        bench.doing = "no observation" if z is None else "white tiles"
-        bench.tick(z)
+        bench.activity = "no observation" if z is None else "white tiles"
+        bench.play_tick(z)
 
 
 def first_black_tiles(bench: Bench) -> None:
     """Black tiles while x_hat is that of white ones alone, else white: small estimates, and their clamp."""
-    bench.doing = "the first black tiles"
+    bench.activity = "the first black tiles"
     white = bench.firmware.s.x_hat
     for _ in range(ALONE_TICKS):
-        bench.tick(Observation(bench.firmware.s.x_hat == white or bench.draw.random() < 0.3))
+        bench.play_tick(Observation(bench.firmware.s.x_hat == white or bench.draw.random() < 0.3))
 
 
 def messages_and_silence(bench: Bench) -> None:
     """Ticks with a few messages of similar weight, and ticks without any."""
     for _ in range(6):
         bench.avoid_test("a few messages")
-        frames = bench.messages({robot: any_content(bench.draw, 3) for robot in bench.others[:3]})
-        bench.tick(bench.any_observation(), frames)
+        frames = bench.encode_estimates({robot: any_content(bench.draw, 3) for robot in bench.other_ids[:3]})
+        bench.play_tick(bench.draw_observation(), frames)
         bench.avoid_test("no messages")
         for _ in range(2 if bench.draw.random() < 0.5 else 1):
-            bench.tick(bench.any_observation())
+            bench.play_tick(bench.draw_observation())
 
 
 def lost_settles(bench: Bench) -> None:
     """Every other *settle* does not come; the next *observe* ends the tick and its round all the same."""
     for _ in range(4):
         bench.avoid_test("messages in a tick whose settle is lost")
-        bench.observe(bench.any_observation())
-        bench.send(bench.messages([(robot, any_content(bench.draw)) for robot in bench.others[5:8]]))
+        bench.observe(bench.draw_observation())
+        bench.send(
+            bench.encode_estimates([(robot, any_content(bench.draw)) for robot in bench.other_ids[5:8]])
+        )
         bench.leave_open()
-        bench.doing = "the tick after one whose settle was lost"
-        bench.tick(bench.any_observation())
+        bench.activity = "the tick after one whose settle was lost"
+        bench.play_tick(bench.draw_observation())
 
 
 STRAY = {
@@ -191,19 +193,21 @@ def stray(bench: Bench) -> None:
     for _ in range(STRAY_REPEATS):
         for name, (target, when, action) in STRAY.items():
             bench.avoid_test(name)
-            bench.observe(bench.any_observation())
-            usual, other = bench.command(action), _another_robot(bench)
+            bench.observe(bench.draw_observation())
+            usual, other = bench.make_command(action), _another_robot(bench)
             targets = {"robot": usual.target, "other": other, "all": EVERY_ROBOT}
             later = usual.tick + 1 + bench.draw.randrange(1000)
             tick = {"open": usual.tick, "later": later, "last": usual.tick - 1}[when] % 2**32
             _send(bench, replace(usual, sender=other, tick=tick, target=targets[target]))
-            bench.send(bench.messages({robot: any_content(bench.draw) for robot in bench.others[:2]}))
+            bench.send(
+                bench.encode_estimates({robot: any_content(bench.draw) for robot in bench.other_ids[:2]})
+            )
             bench.settle()
 
 
 def _another_robot(bench: Bench) -> int:
     """A robot that is neither the controller nor the node that commands it."""
-    return bench.draw.choice([robot for robot in bench.others if robot != DRIVER_ID])
+    return bench.draw.choice([robot for robot in bench.other_ids if robot != DRIVER_ID])
 
 
 def _send(bench: Bench, command: Command, change: Change = lambda frame: None) -> None:
@@ -222,33 +226,35 @@ def unusual_commands(bench: Bench) -> None:
         bench.avoid_test(f"commands {name}", rounds=2)  # the last message is one of the next round
         other: dict[str, Any] = {"sender": _another_robot(bench)} if name == "of another node" else {}
         other |= {"target": EVERY_ROBOT} if name == "for every robot" else {}
-        _send(bench, replace(bench.command(Action.to_observe(bench.any_observation())), **other), change)
+        _send(
+            bench, replace(bench.make_command(Action.to_observe(bench.draw_observation())), **other), change
+        )
         bench.observe(None)
-        bench.send(bench.messages({robot: any_content(bench.draw) for robot in bench.others[:2]}))
-        _send(bench, replace(bench.command(Action.SETTLE), **other), change)
-        bench.send(bench.messages({bench.others[2]: any_content(bench.draw)}))
+        bench.send(bench.encode_estimates({robot: any_content(bench.draw) for robot in bench.other_ids[:2]}))
+        _send(bench, replace(bench.make_command(Action.SETTLE), **other), change)
+        bench.send(bench.encode_estimates({bench.other_ids[2]: any_content(bench.draw)}))
         bench.settle()
     for bit in (8, 16, 24, 31):
         for later, distance in (("higher", 1 << bit), ("lower", 1 - (1 << bit))):
             bench.avoid_test(f"an observe of a number {later} by about 2^{bit} than that of the open tick")
-            bench.observe(bench.any_observation())
+            bench.observe(bench.draw_observation())
             bench.leave_open(distance)
-            bench.tick(bench.any_observation())
+            bench.play_tick(bench.draw_observation())
 
 
 def unusual_messages(bench: Bench) -> None:
     """Messages whose identifiers differ in what a receiver ignores."""
     for name, change in UNUSUAL_IDENTIFIERS.items():
         bench.avoid_test(f"messages {name}")
-        frames = bench.messages({robot: any_content(bench.draw) for robot in bench.others[:3]})
+        frames = bench.encode_estimates({robot: any_content(bench.draw) for robot in bench.other_ids[:3]})
         change(frames[0])
-        bench.round_of(frames)
+        bench.play_round_of_frames(frames)
 
 
 def heartbeats(bench: Bench) -> None:
     """Ticks in a row until two heartbeats were due, if they come at all often."""
-    bench.doing = "commands in a row"
-    bench.skip(min(2 * bench.settings.swarm.steps_per_second + 1, MOST_SKIPPED))
+    bench.activity = "commands in a row"
+    bench.skip_ticks(min(2 * bench.settings.swarm.steps_per_second + 1, MOST_SKIPPED))
 
 
 def invalid(bench: Bench) -> None:
@@ -256,80 +262,86 @@ def invalid(bench: Bench) -> None:
     for _ in range(2):
         for name, spoil in MALFORMED.items():
             bench.avoid_test(name)
-            pair = bench.draw.sample(bench.others, 2)
-            frames = bench.messages([(pair[0], any_content(bench.draw))])
+            pair = bench.draw.sample(bench.other_ids, 2)
+            frames = bench.encode_estimates([(pair[0], any_content(bench.draw))])
             spoil(frames[0], bench.draw)
-            bench.round_of(frames + bench.messages({each: any_content(bench.draw) for each in pair}))
+            bench.play_round_of_frames(
+                frames + bench.encode_estimates({each: any_content(bench.draw) for each in pair})
+            )
     _other_kinds(bench)
 
 
 def _other_kinds(bench: Bench) -> None:
     """Messages of other kinds, which are no estimates either."""
     subjects, draw = bench.settings.subjects, bench.draw
-    for sender in draw.sample(bench.others, 3):
+    for sender in draw.sample(bench.other_ids, 3):
         bench.avoid_test("telemetry and a heartbeat of another robot")
         telemetry = Telemetry(
             sender, draw.randint(0, Q23_ONE), draw.randint(16, 1 << 23), draw.randrange(256), 0
         )
         beat = encode_heartbeat(Heartbeat(sender, draw.randrange(1 << 32), 0))
         frames = [encode_telemetry(telemetry, subjects.telemetry), beat]
-        bench.round_of(frames + bench.messages({sender: any_content(draw)}))
+        bench.play_round_of_frames(frames + bench.encode_estimates({sender: any_content(draw)}))
 
 
 def every_sender(bench: Bench) -> None:
     """A round for every id."""
-    for sender in bench.others:
+    for sender in bench.other_ids:
         bench.avoid_test(f"one message, of robot {sender}")
-        bench.round(any_content(bench.draw), senders=[sender])
+        bench.play_round(any_content(bench.draw), senders=[sender])
 
 
 def alike_ids(bench: Bench) -> None:
     """Rounds of two senders whose ids differ in one bit."""
-    others = set(bench.others)
+    others = set(bench.other_ids)
     for bit in (1 << place for place in range(7)):
         pairs = [(robot, robot | bit) for robot in others if robot & bit == 0 and robot | bit in others]
         for pair in bench.draw.sample(pairs, 2):
             bench.avoid_test(f"messages of the robots {pair[0]} and {pair[1]}")
-            bench.round(*(any_content(bench.draw) for _ in pair), senders=pair)
+            bench.play_round(*(any_content(bench.draw) for _ in pair), senders=pair)
 
 
 def growing_rounds(bench: Bench) -> None:
     """Rounds of ever more messages."""
     for size in SIZES:
         bench.avoid_test(f"a round of {size} messages")
-        bench.round(*(any_content(bench.draw) for _ in range(size)))
+        bench.play_round(*(any_content(bench.draw) for _ in range(size)))
 
 
 def crowded_tick(bench: Bench) -> None:
     """Send hundreds of messages in a tick, most of them repeated ones; the last counts: its sender is new."""
-    *senders, last_sender = bench.others
+    *senders, last_sender = bench.other_ids
     bench.avoid_test(f"a tick with {CROWDED_MESSAGES} messages")
     sequence = senders * CROWDED_REPEATS + [last_sender]
-    frames = bench.messages([(sender, any_content(bench.draw)) for sender in sequence])
-    bench.skip(-bench.model.ticks % bench.record.comms_period)
-    bench.tick(bench.any_observation(), frames)
-    bench.skip(-bench.model.ticks % bench.record.comms_period)
+    frames = bench.encode_estimates([(sender, any_content(bench.draw)) for sender in sequence])
+    bench.skip_ticks(-bench.model.ticks % bench.setup.comms_period)
+    bench.play_tick(bench.draw_observation(), frames)
+    bench.skip_ticks(-bench.model.ticks % bench.setup.comms_period)
 
 
 def extremes(bench: Bench) -> None:
     """Messages at the ends of the ranges, and confidences that no robot of ours sends."""
     for name, contents in EXTREMES.items():
         bench.avoid_test(name)
-        bench.round(*contents)
+        bench.play_round(*contents)
     for name, bits in FOREIGN_ALPHAS.items():
         bench.avoid_test(name)
-        frames = bench.messages({robot: (any_content(bench.draw)[0], 0x100) for robot in bench.others[:2]})
+        frames = bench.encode_estimates(
+            {robot: (any_content(bench.draw)[0], 0x100) for robot in bench.other_ids[:2]}
+        )
         frames[0].data[3:7] = bits.to_bytes(4, "little")
-        bench.round_of(frames)
+        bench.play_round_of_frames(frames)
 
 
 def same_sender(bench: Bench) -> None:
     """Several messages of one sender in a round, of which the first counts."""
     for repeats in (1, 2, 5):
         bench.avoid_test("different messages of one sender in a round")
-        one, other = bench.draw.sample(bench.others, 2)
+        one, other = bench.draw.sample(bench.other_ids, 2)
         senders = [one, other] + [one] * repeats
-        bench.round_of(bench.messages([(robot, any_content(bench.draw)) for robot in senders]))
+        bench.play_round_of_frames(
+            bench.encode_estimates([(robot, any_content(bench.draw)) for robot in senders])
+        )
 
 
 def own_id(bench: Bench) -> None:
@@ -337,14 +349,16 @@ def own_id(bench: Bench) -> None:
     own = bench.settings.controller.id
     for place in range(4):
         bench.avoid_test(f"a message under its own id, {own}")
-        frames = bench.messages({robot: any_content(bench.draw) for robot in bench.others[3:6]})
-        frames.insert(place, *bench.messages({own: any_content(bench.draw)}))
-        bench.round_of(frames)
+        frames = bench.encode_estimates({robot: any_content(bench.draw) for robot in bench.other_ids[3:6]})
+        frames.insert(place, *bench.encode_estimates({own: any_content(bench.draw)}))
+        bench.play_round_of_frames(frames)
 
 
 def between_ticks(bench: Bench) -> None:
     """Messages that come after a *settle*, for the next round."""
     for _ in range(3):
         bench.avoid_test("messages between a settle and the next observe")
-        bench.send(bench.messages({robot: any_content(bench.draw) for robot in bench.others[7:10]}))
-        bench.round(any_content(bench.draw), senders=bench.others[11:12])
+        bench.send(
+            bench.encode_estimates({robot: any_content(bench.draw) for robot in bench.other_ids[7:10]})
+        )
+        bench.play_round(any_content(bench.draw), senders=bench.other_ids[11:12])

@@ -53,15 +53,15 @@ def few_voices(bench: Bench) -> None:
     a word's halves.
     """
     s = bench.firmware.s
-    bench.doing = "many black tiles"
+    bench.activity = "many black tiles"
     while 8 * s.n < 7 * s.t:
-        bench.skip(BURST, lambda: Observation.BLACK)
-    one, other, third = ([robot for robot in bench.others if robot % 32 == rest] for rest in (15, 0, 31))
-    bench.doing = "confidences of 0 before the first vote"
-    bench.round((ONE, 0), (ONE, 0), (0, 0))
-    bench.doing = "the first vote, as far from the centre as the spread"
-    bench.round((ONE - HALF // 2, ALPHA_MAX), senders=one[:1])
-    bench.doing = "votes of robots whose ids modulo 32 are two"
+        bench.skip_ticks(BURST, lambda: Observation.BLACK)
+    one, other, third = ([robot for robot in bench.other_ids if robot % 32 == rest] for rest in (15, 0, 31))
+    bench.activity = "confidences of 0 before the first vote"
+    bench.play_round((ONE, 0), (ONE, 0), (0, 0))
+    bench.activity = "the first vote, as far from the centre as the spread"
+    bench.play_round((ONE - HALF // 2, ALPHA_MAX), senders=one[:1])
+    bench.activity = "votes of robots whose ids modulo 32 are two"
     end = 0 if 2 * s.crowd.first >= 1 << 32 else ONE
     two_voices = one + other
 
@@ -72,22 +72,22 @@ def few_voices(bench: Bench) -> None:
         vote_for(end, len(two_voices))
     _bring(bench, "two voices", lambda: _rejects(bench), lambda: vote_for(end, len(two_voices)))
     _test(bench)
-    bench.doing = "votes of two voices, for one side in the end"
+    bench.activity = "votes of two voices, for one side in the end"
     while s.crowd.votes < 4 * VOTES_MIN_WHILE_MOVING - _VOTES_TO_MOVE:
         _vote(bench, [0, ONE] * (len(two_voices) // 2), two_voices[: len(two_voices) // 2 * 2])
     while s.crowd.votes < 4 * VOTES_MIN_WHILE_MOVING and not (
-        s.crowd.is_moving and bench.record.filter_period < BURST
+        s.crowd.is_moving and bench.setup.filter_period < BURST
     ):
         vote_for(end, min(len(two_voices), 4 * VOTES_MIN_WHILE_MOVING - s.crowd.votes))
     _halve_to_floor(bench)
-    bench.doing = "votes of two voices for the other side"
+    bench.activity = "votes of two voices for the other side"
     _bring(
         bench,
         "a crowd of two voices that stays",
         lambda: not s.crowd.is_moving,
         lambda: vote_for(ONE - end, 1),
     )
-    bench.doing = "a vote of a third"
+    bench.activity = "a vote of a third"
     _vote(bench, [ONE - end], third[:1])
     _test(bench)
 
@@ -104,9 +104,9 @@ def votes(bench: Bench) -> None:
                 crowd.centre + crowd.spread >> 7 if is_above else -(crowd.spread - crowd.centre >> 7)
             )  # at most a spread away: rounded towards the centre
             value = min(max(inside + is_outside * (1 if is_above else -1), 0), ONE)
-            bench.doing = f"a vote just {'outside' if is_outside else 'inside'} the spread"
+            bench.activity = f"a vote just {'outside' if is_outside else 'inside'} the spread"
             alphas = (ALPHA_MAX, _LEAST_ALPHA) * 3
-            bench.round(*zip((value, *[ONE - end] * 4), alphas, strict=False))
+            bench.play_round(*zip((value, *[ONE - end] * 4), alphas, strict=False))
 
 
 def moving(end: int) -> Callable[[Bench], None]:
@@ -114,25 +114,25 @@ def moving(end: int) -> Callable[[Bench], None]:
 
     def play(bench: Bench) -> None:
         crowd = bench.firmware.s.crowd
-        bench.doing = "votes for one side"
+        bench.activity = "votes for one side"
         count = _votes_until_moving(bench, end) - 1
         for first in range(0, count, _ALL):
             _vote(bench, [end] * min(count - first, _ALL))
         _test(bench)
         if crowd.spread < MODERATE and not _rejects(bench):
-            bench.tick(_up_to(bench, True))
-        bench.doing = "the vote with which the crowd moves"
+            bench.play_tick(_up_to(bench, True))
+        bench.activity = "the vote with which the crowd moves"
         _vote(bench, [end])
         _test(bench)
-        bench.doing = "votes after the crowd has moved"
+        bench.activity = "votes after the crowd has moved"
         _vote(bench, [ONE - end] * 5)
-        bench.doing = "votes until the crowd moves on"
+        bench.activity = "votes until the crowd moves on"
         for _ in range(_MOST_ROUNDS):
             if crowd.is_moving:
                 break
             _vote(bench, [end] * 5)
         _halve_to_floor(bench)
-        bench.doing = "one vote less than are halved"
+        bench.activity = "one vote less than are halved"
         while crowd.votes < 2 * VOTES_MIN_WHILE_MOVING - 1:
             _vote(bench, [end] * min(_ALL, 2 * VOTES_MIN_WHILE_MOVING - 1 - crowd.votes))
         _test(bench)
@@ -145,7 +145,7 @@ def trend_limits(bench: Bench) -> None:
     """Test crowds whose trend is just inside and just outside each limit."""
     crowd = bench.firmware.s.crowd
     for trend in TREND_LIMITS:
-        bench.doing = f"votes to a trend of {trend}"
+        bench.activity = f"votes to a trend of {trend}"
         if crowd.votes < 2 * VOTES_MIN_WHILE_MOVING:
             for _ in range(3):
                 _vote(bench, [ONE, 0] * (_ALL // 2))
@@ -158,15 +158,15 @@ def trend_limits(bench: Bench) -> None:
             )
         moves = moves_to_trend(crowd.trend, trend)
         if moves is None:
-            bench.missed.append(bench.doing)
+            bench.not_exercised.append(bench.activity)
             continue
         for first in range(0, len(moves), _ALL):
             _vote_moves(bench, moves[first : first + _ALL])
         assert crowd.trend == trend, (crowd, trend)
-        bench.doing = f"a test at a trend of {trend}"
+        bench.activity = f"a test at a trend of {trend}"
         _test(bench)
         # Where no test shows by a new b_hat, the halved votes show by the next steps.
-        bench.doing = f"votes after a test at a trend of {trend}"
+        bench.activity = f"votes after a test at a trend of {trend}"
         _vote(bench, [0, ONE, 0])
 
 
@@ -181,15 +181,15 @@ def uninformative(bench: Bench) -> None:
         return is_near and _is_in_the_middle(crowd) and crowd.votes >= 2 * VOTES_MIN_WHILE_MOVING
 
     for offset in (1 << 17, (1 << 17) - 1, -(1 << 17), -(1 << 17) - 1, 0):
-        bench.doing = "votes around 1/2"
+        bench.activity = "votes around 1/2"
         _bring(bench, "a crowd at 1/2", is_at_half, lambda: _vote(bench, values))
         if not _observe_until_rejected(bench):
             return
-        bench.doing = f"a test with a centre {offset} units from 1/2"
-        bench.to_test()
+        bench.activity = f"a test with a centre {offset} units from 1/2"
+        bench.skip_to_test_round()
         final_values = votes_to_centre(crowd, (1 << 29) + offset)
         if final_values is None:
-            bench.missed.append(bench.doing)
+            bench.not_exercised.append(bench.activity)
             return
         _vote(bench, final_values)
 
@@ -207,14 +207,14 @@ def thresholds(spread: int) -> Callable[[Bench], None]:
             values = [value + draw.randint(-width, width) for _ in range(_ALL)]
             _vote(bench, [min(max(value, 0), ONE) for value in values])
 
-        bench.doing = "votes from both sides"
+        bench.activity = "votes from both sides"
         _bring(
             bench,
             "a crowd in the middle",
             lambda: abs(crowd.centre - (aim << 7)) < MODERATE and _is_balanced(crowd),
             lambda: vote_around(aim, ONE // 4),
         )
-        bench.doing = "votes that agree"
+        bench.activity = "votes that agree"
 
         def agree() -> None:
             vote_around(crowd.centre >> 7, spread >> 7)
@@ -232,29 +232,29 @@ def many_updates(bench: Bench) -> None:
     """Let the test reject until a counter of updates of too few bits shows."""
     if not _observe_until_rejected(bench):
         return
-    bench.doing = "one of many re-estimates"
-    for _ in range(max(updates_to_see(bench.record) - bench.firmware.s.updates, 1)):
+    bench.activity = "one of many re-estimates"
+    for _ in range(max(updates_to_see(bench.setup) - bench.firmware.s.updates, 1)):
         _test(bench)
 
 
 def many_votes(bench: Bench) -> None:
     """Twice as many votes as count, of both sides, and then a round of one side."""
-    bench.doing = "many votes"
+    bench.activity = "many votes"
     for _ in range(2 * VOTES_MAX // _ALL + 1):
         _vote(bench, [0, ONE] * (_ALL // 2))
-    bench.doing = "votes with the least gain"
+    bench.activity = "votes with the least gain"
     _vote(bench, [ONE] * _ALL)
 
 
 def _vote(bench: Bench, values: list[int], senders: list[int] | None = None) -> None:
     """A round of votes."""
-    bench.round(*((value, ordinary_alpha(bench.draw)) for value in values), senders=senders)
+    bench.play_round(*((value, ordinary_alpha(bench.draw)) for value in values), senders=senders)
 
 
 def _test(bench: Bench) -> None:
     """Nothing until the next test, and that."""
-    bench.to_test()
-    bench.round()
+    bench.skip_to_test_round()
+    bench.play_round()
 
 
 def _bring(bench: Bench, what: str, is_there: Callable[[], bool], step: Callable[[], None]) -> None:
@@ -263,7 +263,7 @@ def _bring(bench: Bench, what: str, is_there: Callable[[], bool], step: Callable
         if is_there():
             return
         step()
-    bench.missed.append(what)
+    bench.not_exercised.append(what)
 
 
 def _rejects(bench: Bench, z: Observation | None = None) -> bool:
@@ -283,12 +283,12 @@ def _observer_like(firmware: MirrorRobot) -> MirrorRobot:
 
 def _observe_until_rejected(bench: Bench) -> bool:
     """Observe one colour until the test would reject; returns whether it does."""
-    bench.doing = "observations until the test rejects"
+    bench.activity = "observations until the test rejects"
     while not _rejects(bench):
         colour = _up_to(bench, True)
         if colour is None:
             return False
-        bench.tick(colour)
+        bench.play_tick(colour)
     return True
 
 
@@ -314,8 +314,8 @@ def _up_to(bench: Bench, wanted: bool, side: int = 1) -> Observation | None:
     for _ in range(_MOST_OBSERVED):
         if _rejects(bench, Observation(is_black)) is wanted:
             return Observation(is_black)
-        bench.tick(Observation(is_black))
-    bench.missed.append(f"{bench.doing}: a test that {'rejects' if wanted else 'does not reject'}")
+        bench.play_tick(Observation(is_black))
+    bench.not_exercised.append(f"{bench.activity}: a test that {'rejects' if wanted else 'does not reject'}")
     return None
 
 
@@ -325,19 +325,19 @@ def _cross(bench: Bench, side: int) -> None:
     Observations come near the threshold, and votes then move the centre to it, by a unit of 2**-30.
     """
     for wants_rejection in (not _rejects(bench), _rejects(bench)) * 2:
-        bench.doing = "observations of one colour"
+        bench.activity = "observations of one colour"
         if _rejects(bench) != wants_rejection:
             colour = _up_to(bench, wants_rejection, side)
             if colour is None:
                 return
-            bench.tick(colour)
-        bench.doing = "observations and votes towards the threshold of the test"
+            bench.play_tick(colour)
+        bench.activity = "observations and votes towards the threshold of the test"
         edge = _nearest_edge(bench, wants_rejection)
         if edge is not None:
             for colour in edge.observations:
-                bench.tick(colour)
-        bench.doing = "a test that " + ("just rejects" if wants_rejection else "just does not reject")
-        bench.to_test()
+                bench.play_tick(colour)
+        bench.activity = "a test that " + ("just rejects" if wants_rejection else "just does not reject")
+        bench.skip_to_test_round()
         _vote(bench, edge.values if edge is not None else [])
 
 
@@ -491,14 +491,14 @@ def _votes_to_threshold(robot: MirrorRobot, wants_rejection: bool) -> list[int] 
 def _halve_to_floor(bench: Bench) -> None:
     """Let tests pass while the crowd moves until the votes are at their floor, once more, and then vote."""
     crowd = bench.firmware.s.crowd
-    bench.doing = "tests while the crowd moves"
+    bench.activity = "tests while the crowd moves"
     for _ in range(VOTES_MAX.bit_length()):
         if not crowd.is_moving or crowd.votes < 2 * VOTES_MIN_WHILE_MOVING:
             break
         _test(bench)
     _test(bench)
-    bench.doing = "a vote after the votes were halved"
-    _vote(bench, [ONE if crowd.centre < 1 << 29 else 0], bench.others[:1])
+    bench.activity = "a vote after the votes were halved"
+    _vote(bench, [ONE if crowd.centre < 1 << 29 else 0], bench.other_ids[:1])
 
 
 def _predicting_estimate(bench: Bench) -> int:

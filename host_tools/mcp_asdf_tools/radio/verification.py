@@ -15,7 +15,8 @@ import can
 
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.radio.bench import Bench, BenchOptions, Differs, Disturbed
+from mcp_asdf_tools.radio.bench import Bench
+from mcp_asdf_tools.radio.controller_link import BenchOptions, BusDisturbed, ControllerDiffers
 from mcp_asdf_tools.radio.filter_phases import updates_to_see
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, is_halved, is_in_reach
@@ -184,10 +185,10 @@ class Verification:
         phase, result = self._phases[0], verdict.phases[0]
         try:
             if bench.options.wait is not None:
-                bench.lockstep.wait_until_up({bench.record.id}, bench.options.wait)
+                bench.lockstep.wait_until_up({bench.setup.id}, bench.options.wait)
             for phase, result in zip(self._phases, verdict.phases, strict=True):
                 self._run_phase(phase, result)
-            bench.listen_on()
+            bench.compare_late_frames()
             verdict.not_exercised = self._not_exercised()
             counts = bench.firmware.s
             verdict.not_checked.append(f"counts above t = {counts.t} and n = {counts.n}")
@@ -197,10 +198,10 @@ class Verification:
             ]
         except KeyboardInterrupt:
             verdict.is_interrupted = True
-        except (Disturbed, can.CanError) as error:
+        except (BusDisturbed, can.CanError) as error:
             result.outcome = DISTURBED
             verdict.disturbance = f"{self._place(phase)}: {error}"
-        except Differs as error:
+        except ControllerDiffers as error:
             result.outcome = FAILED
             verdict.difference = f"{self._place(phase)}: {error}"
         except LockstepError as error:
@@ -213,19 +214,19 @@ class Verification:
 
     def _not_exercised(self) -> list[str]:
         config = self.bench.config
-        if config.filter is not Filter.OFF and not is_in_reach(self.bench.record):
-            return ["the filter: its period is too long for a run", *self.bench.missed]
-        return self.bench.missed
+        if config.filter is not Filter.OFF and not is_in_reach(self.bench.setup):
+            return ["the filter: its period is too long for a run", *self.bench.not_exercised]
+        return self.bench.not_exercised
 
     def _run_phase(self, phase: Phase, result: PhaseResult) -> None:
         bench, before = self.bench, self._figures()
-        bench.doing = phase.fault or phase.name
+        bench.activity = phase.fault or phase.name
         try:
             if phase.play is not None:
                 phase.play(bench)
             else:
                 for _ in range(self._phase_ticks):
-                    bench.tick_among_neighbours()
+                    bench.play_tick_among_neighbours()
         finally:
             for name, figure in self._figures().items():
                 setattr(result, name, figure - before[name])
@@ -238,9 +239,9 @@ class Verification:
         return {"ticks": bench.ticks, "injected": injected, "equal": bench.comparison.equal_frames.total()}
 
     def _place(self, phase: Phase) -> str:
-        doing = self.bench.doing
+        doing = self.bench.activity
         also = f" ({doing})" if doing and doing not in (phase.name, phase.fault) else ""
-        return f'phase "{phase.name}"{also}, tick {self.bench.place}'
+        return f'phase "{phase.name}"{also}, tick {self.bench.tick_index}'
 
 
 # --- Reports ---

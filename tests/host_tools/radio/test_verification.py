@@ -21,8 +21,8 @@ from mcp_asdf.robot import Filter, FixedPointRobot, Observation
 from mcp_asdf_tools.bus.frame_layout import Action
 from mcp_asdf_tools.bus.frames import Command, Estimate, Heartbeat, Telemetry, decode_command
 from mcp_asdf_tools.cli.main import main
-from mcp_asdf_tools.radio import bench, robust_phases, rounds
-from mcp_asdf_tools.radio.bench import BenchOptions
+from mcp_asdf_tools.radio import controller_link, robust_phases, rounds
+from mcp_asdf_tools.radio.controller_link import BenchOptions
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, is_in_reach
 from mcp_asdf_tools.radio.rounds import Update
@@ -90,7 +90,7 @@ def seen_by(wire: Wire, plan: RadioSettings, phases: Sequence[Phase]) -> tuple[V
 
     def progress(tick: int) -> None:
         ticks.append(tick)
-        doing.append(run.bench.doing)
+        doing.append(run.bench.activity)
 
     with still():
         run = Verification(plan, BenchOptions(wire, TICKS, 0.05, progress=progress), phases)
@@ -458,7 +458,7 @@ def test_what_comes_after_the_last_answer_counts(monkeypatch: pytest.MonkeyPatch
 
     controller, late = obedient(), list[can.Message]()
     assert "telemetry, extra: expected nothing" in str(judge(Late(controller), phases=PHASES[1:2]).difference)
-    monkeypatch.setattr(bench, "time", CLOCK)
+    monkeypatch.setattr(controller_link, "time", CLOCK)
     wire = EndlessWire()
     assert judge(wire, phases=[Phase("nothing", lambda bench: None)]).has_passed
     assert 10 <= wire.frames <= 12

@@ -1,0 +1,270 @@
+"""A controller and its model side by side: both get the same frames, and their answers are compared.
+
+The controller is driven in lockstep by command frames on the bus. The model, the firmware's mirror as a node,
+is given the very frames that go over the bus. Whenever a tick is settled, all frames that the two have sent
+since are compared.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import can
+
+from mcp_asdf.robot import Observation
+from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT
+from mcp_asdf_tools.bus.frames import (
+    Command,
+    Estimate,
+    Telemetry,
+    decode_command,
+    decode_estimate,
+    decode_telemetry,
+    sender_of,
+)
+from mcp_asdf_tools.radio.comparison import Comparison, Difference, is_from
+from mcp_asdf_tools.radio.neighbourhood import RadioSettings
+from mcp_asdf_tools.radio.suspects import FollowedRobot, Lineup
+from mcp_asdf_tools.robots.bus_robot import Recorder
+from mcp_asdf_tools.robots.lockstep import Lockstep
+from mcp_asdf_tools.robots.node import RobotNode, send_all
+
+_SEND_TIMEOUT = 2.0
+"""Seconds after which a bus that takes no frame counts as failed."""
+_LATE_FRAMES_SECONDS = 0.1
+"""Seconds to listen for more frames after the controller's last answer."""
+
+
+class ControllerDiffers(Exception):  # noqa: N818 (an outcome, no error)
+    """The controller has sent other frames than the model. The text of the exception describes how.
+
+    Attributes:
+        difference: The first difference.
+    """
+
+    def __init__(self, difference: Difference, mistakes: Sequence[str] = ()) -> None:
+        """Describe the difference, and the known mistakes with which a controller would send the same.
+
+        Args:
+            difference: The first difference.
+            mistakes: What a controller with each of these mistakes does, as a verb phrase.
+        """
+        explanation = ""
+        if mistakes:
+            explanation = f"; so would answer a controller that {', or one that '.join(mistakes)}"
+        super().__init__(f"{difference}{explanation}")
+        self.difference = difference
+
+
+class BusDisturbed(Exception):  # noqa: N818 (an outcome, no error)
+    """Another node, named in the message, sends what the controller acts on and the model does not get."""
+
+
+@dataclass
+class BenchOptions:
+    """Connection to a controller, and how its verification is run.
+
+    Attributes:
+        bus: Connection to the controller.
+        ticks: Ticks of a phase among emulated neighbours, unless two rounds are longer.
+        timeout: Seconds that the controller has to answer.
+        wait: Seconds to wait for the heartbeat with which it starts; None to begin at once.
+        recorder: Takes the controller's events; None if they are not recorded.
+        log: Called with every frame, sent and received.
+        progress: Called after each settled tick with the number of ticks so far.
+        should_stop: Called before each tick, and between ticks while the controller is waited for. If it
+            returns True, the verification ends.
+    """
+
+    bus: can.BusABC
+    ticks: int
+    timeout: float
+    wait: float | None = None
+    recorder: Recorder | None = None
+    log: Callable[[can.Message], None] = lambda frame: None
+    progress: Callable[[int], None] = lambda ticks: None
+    should_stop: Callable[[], bool] = lambda: False
+
+
+class ControllerLink:
+    """Connection to a controller that has just started, with its model beside it.
+
+    A tick is ``observe``, ``send`` for the frames of others, and ``settle``, which compares.
+
+    Attributes:
+        settings: The controller, its neighbours, and the formats of the frames.
+        options: The connection, time limits and callbacks.
+        setup: Initial state of the controller.
+        config: Configuration of the controller's firmware.
+        firmware: The mirror robot that the controller's firmware must equal, bit for bit.
+        lineup: Robots with one known mistake each that have sent the same as ``firmware`` so far.
+        model: The node around ``firmware``; it returns the frames that the controller must send.
+        comparison: Comparison of the controller's frames with the model's, with the number of equal ones.
+        lockstep: Sends the commands of each tick and waits for the controller's answers.
+        tick_index: Index of the tick that was begun last by ``observe``, from 0.
+    """
+
+    def __init__(self, settings: RadioSettings, options: BenchOptions) -> None:
+        """Start the model. Nothing is sent to the controller yet."""
+        self.settings = settings
+        self.options = options
+        self.setup = settings.controller
+        self.config = self.setup.config
+        self.firmware = FollowedRobot(self.config, self.setup.id, self.setup.b_hat)
+        self.lineup = Lineup.beside(self.firmware, self.setup)
+        self.firmware.lineup = self.lineup
+        self.model = RobotNode(
+            self.setup,
+            settings.subjects,
+            settings.swarm.steps_per_second,
+            options.recorder,
+            make=lambda: self.firmware,
+        )
+        (first_heartbeat,) = self.model.start()
+        self.comparison = Comparison(settings.subjects, first_heartbeat)
+        self.lockstep = Lockstep(
+            options.bus, settings.subjects, options.timeout, watch=self._take_frame, check=self._check_stop
+        )
+        self.tick_index = 0
+        self._tick_numbers_skipped = 0
+        # Frames since the last comparison.
+        self._received: list[can.Message] = []
+        self._expected: list[can.Message] = []
+
+    @property
+    def ticks(self) -> int:
+        """Number of ticks that have ended, with or without a settle."""
+        return self.lockstep.tick - self._tick_numbers_skipped
+
+    # --- One tick ---
+
+    def observe(self, z: Observation | None) -> None:
+        """Begin a tick with this observation, or none, and wait for the broadcast if one is due.
+
+        Raises LockstepError if the broadcast does not come, and KeyboardInterrupt if asked to stop.
+        """
+        self._check_stop()
+        self.tick_index = self.ticks
+        is_broadcast_due = self._command_observation(z)
+        if is_broadcast_due:
+            self.lockstep.estimates({self.setup.id})
+
+    def _command_observation(self, z: Observation | None) -> bool:
+        """Command an observation, or none, and return whether the controller must broadcast in this tick."""
+        broadcasts_before = self.model.sent.estimates
+        self.lockstep.observe({self.setup.id: z})  # the model gets the command, too, by _take_frame
+        is_broadcast_due = self.model.sent.estimates != broadcasts_before
+        if is_broadcast_due:
+            self.lineup.note_broadcast(self.firmware)
+        return is_broadcast_due
+
+    def send(self, frames: Sequence[can.Message]) -> None:
+        """Send frames to the controller and to the model, in order."""
+        send_all(self.options.bus, frames, _SEND_TIMEOUT)
+        for frame in frames:
+            self._take_frame(frame)
+
+    def settle(self) -> None:
+        """End the tick and compare all frames of both. Raises ControllerDiffers and LockstepError."""
+        self.lockstep.settle({self.setup.id})
+        self.compare()
+        self.options.progress(self.ticks)
+
+    def leave_open(self, distance: int = 1) -> None:
+        """End the tick as if its settle command were lost. The controller may report this in its health.
+
+        The number of the next tick is ``distance`` higher, or lower if that is negative.
+        """
+        self.lockstep.leave_open(distance)
+        self._tick_numbers_skipped += distance - 1
+        self.comparison.is_advisory_allowed = True
+
+    def _check_stop(self) -> None:
+        """Raise KeyboardInterrupt if asked to stop, but not within a tick."""
+        if self.model.is_settled and self.options.should_stop():
+            raise KeyboardInterrupt
+
+    # --- Comparison ---
+
+    def compare(self) -> None:
+        """Compare all frames since the last comparison. Raises ControllerDiffers.
+
+        If they are equal, the known mistakes that would have shown in them leave the lineup.
+        """
+        telemetry_fields = self._last_telemetry_fields()
+        difference = self.take_difference()
+        if difference is not None:
+            mistakes = self.lineup.answers_like(telemetry_fields, self.firmware)
+            raise ControllerDiffers(difference, mistakes)
+        self.lineup.drop_different(self.firmware)
+
+    def take_difference(self) -> Difference | None:
+        """Return the first difference among the frames since the last comparison, and forget these frames.
+
+        Returns None if all are equal.
+        """
+        received, expected = self._received, self._expected
+        self._received, self._expected = [], []
+        return self.comparison.check(received, expected)
+
+    def compare_late_frames(self) -> None:
+        """Wait a moment, and check that nothing comes after the last answer. Raises ControllerDiffers."""
+        end = time.monotonic() + _LATE_FRAMES_SECONDS
+        while True:
+            frame = self.options.bus.recv(max(0.0, end - time.monotonic()))
+            if frame is None:
+                break
+            if frame.is_rx:
+                self._take_frame(frame)
+            # Other nodes may send without a pause, so that recv never returns None.
+            if time.monotonic() > end:
+                break
+        self.compare()
+
+    def _last_telemetry_fields(self) -> tuple[int, int, int] | None:
+        """Return x, b_hat and updates of the controller's last telemetry.
+
+        Returns None if none has come since the last comparison.
+        """
+        for frame in reversed(self._received):
+            telemetry = decode_telemetry(frame, self.settings.subjects.telemetry)
+            if isinstance(telemetry, Telemetry):
+                return telemetry.x, telemetry.b_hat, telemetry.updates
+        return None
+
+    # --- Frames on the bus ---
+
+    def _take_frame(self, frame: can.Message) -> None:
+        """Log a frame, and keep it for the comparison if the controller has sent it.
+
+        A frame that was sent to the controller goes to the model, too. Raises BusDisturbed for a frame of
+        another node on which the controller acts.
+        """
+        is_sent_to_controller = not frame.is_rx
+        if is_sent_to_controller:
+            frame.timestamp = time.time()
+            self._expected += self.model.hear(frame)
+        self.options.log(frame)
+        if is_sent_to_controller:
+            return
+        if is_from(frame, self.setup.id):
+            self._received.append(frame)
+        else:
+            self._check_other_node(frame)
+
+    def _check_other_node(self, frame: can.Message) -> None:
+        """Raise BusDisturbed if a frame of another node is an estimate, or a command for the controller."""
+        subjects = self.settings.subjects
+        command = decode_command(frame, subjects.commands)
+        if isinstance(command, Command) and command.target in (self.setup.id, EVERY_ROBOT):
+            kind = "commands"
+        elif isinstance(decode_estimate(frame, subjects.estimates), Estimate):
+            kind = "estimates"
+        else:
+            return
+        raise BusDisturbed(
+            f"node {sender_of(frame)} sends {kind} on this bus, too, and the "
+            "controller hears them: take it off the bus, or give it other subjects"
+        )
