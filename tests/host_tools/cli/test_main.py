@@ -1,4 +1,4 @@
-"""The command line's frame: overview, errors, exit codes, examples, and which libraries a command needs."""
+"""The command line: overview, errors, exit codes, help, logs, and which libraries a command needs."""
 
 from __future__ import annotations
 
@@ -27,61 +27,90 @@ CHECK = "table --check tables/t_table_omega05_q30.c"
 
 
 def python(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    """Run the interpreter."""
+    """Run the Python interpreter in the folder ``cwd``, and return its exit code and output."""
     return subprocess.run([sys.executable, *arguments], cwd=cwd, capture_output=True, check=False, text=True)
 
 
 def fake_command(monkeypatch: pytest.MonkeyPatch, work: Mock | Callable[[], int]) -> None:
-    """Make ``mcp-asdf table`` do this."""
+    """Let ``mcp-asdf table`` call ``work``, whose result is its exit code."""
     command = SimpleNamespace(EPILOG="", add_arguments=lambda parser: None, run=lambda args: work())
     monkeypatch.setattr(cli, "_load", lambda name: command)
 
 
-def test_the_overview_has_every_command(capsys: Capture) -> None:
-    assert (cli.main([]), cli.main(["--help"])) == (2, 0)
-    for text in capsys.readouterr():
-        assert all(f"\n  {name:10}  {line}\n" in f"{text}\n" for name, line in cli.COMMANDS.items())
-        assert all(f"\n{title}:\n" in text for title in cli.GROUPS)
+def test_help_lists_every_command_with_its_purpose(capsys: Capture) -> None:
+    assert cli.main(["--help"]) == 0
+    text = capsys.readouterr().out
+    for name, purpose in cli.COMMANDS.items():
+        assert f"\n  {name:10}  {purpose}\n" in f"{text}\n"
+
+
+def test_help_groups_commands_by_purpose(capsys: Capture) -> None:
+    assert cli.main(["--help"]) == 0
+    titles = re.findall("^([A-Z].*):$", capsys.readouterr().out, re.MULTILINE)
+    assert titles == ["See a swarm calibrate itself", "Put the firmware into robots", "Experiments"]
+
+
+def test_no_arguments_at_all_print_the_overview_as_an_error(capsys: Capture) -> None:
+    assert cli.main([]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("usage: mcp-asdf ")
+    assert "See a swarm calibrate itself:" in err
+
+
+def test_version_prints_program_and_version(capsys: Capture) -> None:
     assert cli.main(["--version"]) == 0
-    assert capsys.readouterr().out.startswith("mcp-asdf ")
+    assert re.fullmatch(r"mcp-asdf \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
 
 
-@pytest.mark.parametrize(
-    ("line", "told"),
-    [
-        ("tabel", "no command is called 'tabel'; did you mean table?"),
-        ("xyz", "no command is called 'xyz'"),
-        ("swarm --fault los=0.1", "fault 'los=0.1': no kind is called 'los'; did you mean loss?"),
-        ("swarm --fault loss,robot=1", "loss has no option 'robot'; did you mean robots?"),
-        ("radio --id 3", "the bus virtual vcan0 is inside this process, where nothing else is"),
-        ("replay run.log.events", "is what happened to the robots of a log; give the log, run.log"),
-        ("help", "no command is called 'help'; did you mean --help?"),
-        ("--versoin", "no such option: --versoin; did you mean --version?"),
-        ("swarm --robtos=3", "no such option: --robtos=3; did you mean --robots?"),
-        ("swarm --robots=3 7", "no such argument: 7"),
-        ("node --id 3 --interface socketcn", "; did you mean socketcan?"),
-        ("plot a.parquet b.png --kind boxs", "; did you mean boxes?"),
-        ("table --omega 3 --output .", "decimal places, for example 0.05"),
-        ("table --output . --neighbours many", "argument --neighbours: invalid int value: 'many'"),
-    ],
-)
-def test_a_slip_of_the_pen_takes_two_lines(line: str, told: str, capsys: Capture) -> None:
-    """Or one of JSON with the same message, where that is asked for."""
+SLIPS = [
+    ("tabel", "no command is called 'tabel'; did you mean table?"),
+    ("xyz", "no command is called 'xyz'"),
+    ("swarm --fault los=0.1", "fault 'los=0.1': no kind is called 'los'; did you mean loss?"),
+    ("swarm --fault loss,robot=1", "loss has no option 'robot'; did you mean robots?"),
+    ("radio --id 3", "the bus virtual vcan0 is inside this process, where nothing else is"),
+    ("replay run.log.events", "is what happened to the robots of a log; give the log, run.log"),
+    ("help", "no command is called 'help'; did you mean --help?"),
+    ("--versoin", "no such option: --versoin; did you mean --version?"),
+    ("swarm --robtos=3", "no such option: --robtos=3; did you mean --robots?"),
+    ("swarm --robots=3 7", "no such argument: 7"),
+    ("node --id 3 --interface socketcn", "; did you mean socketcan?"),
+    ("plot a.parquet b.png --kind boxs", "; did you mean boxes?"),
+    ("table --omega 3 --output .", "decimal places, for example 0.05"),
+    ("table --output . --neighbours many", "argument --neighbours: invalid int value: 'many'"),
+]
+"""Command lines with a mistake, and how the message about it ends."""
+
+
+def program_of(line: str) -> str:
+    """Return the name under which a command line's errors are reported."""
+    command = line.split(maxsplit=1)[0]
+    return f"mcp-asdf {command}" if command in cli.COMMANDS else "mcp-asdf"
+
+
+@pytest.mark.parametrize(("line", "message_end"), SLIPS)
+def test_bad_usage_is_reported_in_two_lines(line: str, message_end: str, capsys: Capture) -> None:
     assert cli.main(line.split()) == 2
     out, err = capsys.readouterr()
-    name = line.split(maxsplit=1)[0]
-    program = f"mcp-asdf {name}" if name in cli.COMMANDS else "mcp-asdf"
     first, second = err.splitlines()
-    assert out == "" and first.startswith(f"{program}: error: ") and first.endswith(told)
-    assert second == f"See '{program} --help'."
+    assert out == ""
+    assert first.startswith(f"{program_of(line)}: error: ")
+    assert first.endswith(message_end)
+    assert second == f"See '{program_of(line)} --help'."
+
+
+@pytest.mark.parametrize("line", [line for line, _ in SLIPS])
+def test_bad_usage_is_the_same_message_in_one_line_of_json_if_asked_for(line: str, capsys: Capture) -> None:
+    cli.main(line.split())
+    message = capsys.readouterr().err.splitlines()[0].removeprefix(f"{program_of(line)}: error: ")
     assert cli.main([*line.split(), "--json"]) == 2
     out, err = capsys.readouterr()
-    message = first.removeprefix(f"{program}: error: ")
-    assert out == "" and json.loads(err) == {"command": program, "error": message, "exit_code": 2}
+    assert out == "" and len(err.splitlines()) == 1
+    assert json.loads(err) == {"command": program_of(line), "error": message, "exit_code": 2}
 
 
 @pytest.mark.parametrize(
-    ("outcome", "code", "told"),
+    ("outcome", "exit_code", "message"),
     [
         (0, 0, ""),
         (1, 1, ""),
@@ -91,44 +120,59 @@ def test_a_slip_of_the_pen_takes_two_lines(line: str, told: str, capsys: Capture
         (KeyboardInterrupt(), 130, "interrupted\n"),
     ],
 )
-def test_what_a_command_comes_to_is_the_exit_code(
-    outcome: int | BaseException, code: int, told: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+def test_a_command_s_outcome_becomes_an_exit_code_and_a_message(
+    outcome: int | BaseException,
+    exit_code: int,
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Capture,
 ) -> None:
     fake_command(monkeypatch, Mock(side_effect=[outcome]))
-    assert cli.main(["table"]) == code
-    assert capsys.readouterr().err.startswith(f"mcp-asdf table: {told}" if told else "")
+    assert cli.main(["table"]) == exit_code
+    assert capsys.readouterr().err.startswith(f"mcp-asdf table: {message}" if message else "")
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError(), ImportError("no", name="of_nowhere")])
-def test_other_errors_are_not_hidden(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_of_the_program_itself_is_raised(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     fake_command(monkeypatch, Mock(side_effect=error))
     with pytest.raises(type(error)):
         cli.main(["table"])
 
 
-def test_output_that_cannot_be_written_is_no_failed_check(
+@pytest.mark.parametrize(("line", "program"), [(CHECK, "mcp-asdf table"), ("--help", "mcp-asdf")])
+def test_output_to_a_full_disk_is_an_error(
+    line: str, program: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    reason = "cannot write to standard output: No space left on device; send it elsewhere"
+    with open("/dev/full", "w") as full, monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", full)
+        assert cli.main(line.split()) == 2
+    assert capsys.readouterr().err.splitlines()[0] == f"{program}: error: {reason}"
+
+
+def test_output_to_a_closed_pipe_ends_the_command_with_141(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    """What is left of it is dropped, and a reader that leaves told nothing, as one without standard error."""
-    told = "error: cannot write to standard output: No space left on device; send it elsewhere"
     read_end, write_end = os.pipe()
     os.close(read_end)
-    for line, place, code, first in (
-        (CHECK, "/dev/full", 2, [f"mcp-asdf table: {told}"]),
-        ("--help", "/dev/full", 2, [f"mcp-asdf: {told}"]),
-        (CHECK, write_end, 141, []),
-    ):
-        with open(place, "w") as stream, monkeypatch.context() as patch:
-            patch.setattr(sys, "stdout", stream)
-            assert cli.main(line.split()) == code
-        assert capsys.readouterr().err.splitlines()[:1] == first
-    with open("/dev/full", "w") as full:
-        for nowhere in (None, full):
-            monkeypatch.setattr(sys, "stderr", nowhere)
-            assert cli.main(["tabel"]) == 2
+    with open(write_end, "w") as stream, monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", stream)
+        assert cli.main(CHECK.split()) == 141
+    assert capsys.readouterr().err == ""
 
 
-def test_an_error_without_a_file_name_is_not_blamed_on_standard_output(
+def test_an_error_without_a_standard_error_has_its_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", None)
+    assert cli.main(["tabel"]) == 2
+
+
+def test_an_error_that_standard_error_cannot_take_has_its_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    with open("/dev/full", "w") as full, monkeypatch.context() as patch:
+        patch.setattr(sys, "stderr", full)
+        assert cli.main(["tabel"]) == 2
+
+
+def test_an_operating_system_error_without_a_file_is_reported_as_such(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     fake_command(monkeypatch, Mock(side_effect=OSError(errno.EMFILE, "Too many open files")))
@@ -137,20 +181,22 @@ def test_an_error_without_a_file_name_is_not_blamed_on_standard_output(
     assert capsys.readouterr().err.splitlines()[0] == f"mcp-asdf table: error: {reason}"
 
 
-def test_a_broken_pipe_elsewhere_is_an_error(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+def test_a_broken_pipe_that_is_not_standard_output_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
     fake_command(monkeypatch, Mock(side_effect=BrokenPipeError(errno.EPIPE, "Broken pipe")))
     assert cli.main(["table"]) == 2
     assert "the operating system reports: Broken pipe" in capsys.readouterr().err
 
 
 def print_a_table() -> int:
-    """Print with rich, which handles a broken pipe by itself."""
+    """Print with rich, which would end the program on a broken pipe by itself; return exit code 0."""
     Console().print("a table")
     return 0
 
 
 def write_a_line() -> int:
-    """Write to the stream, as ``dbc`` does."""
+    """Write to standard output directly, as ``dbc`` does; return exit code 0."""
     sys.stdout.write("a line\n")
     return 0
 
@@ -177,7 +223,7 @@ def test_a_closed_standard_output_is_the_null_device(line: str) -> None:
 
 
 @pytest.mark.parametrize("target", ["&-", "/dev/full"])
-def test_a_standard_error_that_takes_nothing_changes_no_result(target: str) -> None:
+def test_a_closed_or_full_standard_error_changes_no_exit_code(target: str) -> None:
     words = [sys.executable, "-m", "mcp_asdf_tools.cli.main", "tabel"]
     command = f"{shlex.join(words)} 2>{target}"
     done = subprocess.run(["sh", "-c", command], cwd=ROOT, stdout=subprocess.PIPE, check=False, text=True)
@@ -185,10 +231,13 @@ def test_a_standard_error_that_takes_nothing_changes_no_result(target: str) -> N
 
 
 def in_base(folder: Path, lines: Iterable[str]) -> tuple[list[str], list[str]]:
-    """Run commands one after the other in a Python that has none of the extras; exit codes and errors."""
-    each = f"[main(line.split()) for line in {[*lines]}]"
-    code = f"{HIDING}from mcp_asdf_tools.cli.main import main\nprint('codes', *{each})"
-    done = python("-c", code, cwd=folder)
+    """Run commands one after the other in a Python without the extras.
+
+    Returns the exit codes as text, and the lines on standard error.
+    """
+    exit_codes = f"[main(line.split()) for line in {[*lines]}]"
+    script = f"{HIDING}from mcp_asdf_tools.cli.main import main\nprint('codes', *{exit_codes})"
+    done = python("-c", script, cwd=folder)
     return done.stdout.splitlines()[-1].split()[1:], done.stderr.splitlines()
 
 
@@ -222,8 +271,7 @@ def test_help_has_common_parameters_before_all_others(capsys: Capture) -> None:
     assert text.index("\n  --robots") < text.index("\nfurther parameters:") < text.index("\n  --omega")
 
 
-def test_the_base_runs_robots_and_knows_all_options(tmp_path: Path) -> None:
-    """The options of commands, too, that need more to run."""
+def test_commands_for_robots_need_no_extras_and_neither_does_any_help(tmp_path: Path) -> None:
     lines = [
         "swarm --robots 4 --steps 30 --filter-period 10 --quiet --log run.log",
         "swarm --robots 4 --steps 5 --topology dynamic --quiet",
