@@ -41,7 +41,7 @@ from mcp_asdf_tools.swarm.summary import comparison, load_warning, one_line, sum
 from mcp_asdf_tools.swarm.swarm import Swarm
 
 if TYPE_CHECKING:
-    from mcp_asdf_tools.view.films import SwarmCamera
+    from mcp_asdf_tools.view.films import SwarmRecorder
 
 EPILOG = """\
 examples:
@@ -202,9 +202,9 @@ def run(args: argparse.Namespace) -> int:
     recording = recording_for("swarm", args.log, header, choice)
     try:
         with ExitStack() as ending:
-            camera = _start_view(plan, ending)
+            recorder = _start_view(plan, ending)
             with recording as outputs:
-                outcome, report, seconds = _emulate(plan, outputs, camera)
+                outcome, report, seconds = _emulate(plan, outputs, recorder)
                 # Printed even if a file cannot be completed.
                 ending.callback(_print, plan, outcome, report, seconds)
             if results is not None:
@@ -292,7 +292,7 @@ def _check(plan: _Plan) -> None:
 
 
 def _emulate(
-    plan: _Plan, outputs: LogOutputs, camera: SwarmCamera | None
+    plan: _Plan, outputs: LogOutputs, recorder: SwarmRecorder | None
 ) -> tuple[SwarmRun, dict[str, Any], float]:
     """Run the swarm to its end or Ctrl-C; return its outcome, a report of plain values, and seconds.
 
@@ -317,7 +317,7 @@ def _emulate(
         _logger.info("%d robots are up, %d of them elsewhere", settings.robots, remote_count)
         # A signal counts between two ticks, so that log and results end on a whole one.
         with LiveView(plan.console, baselines) as live, stopping() as should_stop:
-            hooks = [hook for hook in (baselines, camera, live) if hook is not None]
+            hooks = [hook for hook in (baselines, recorder, live) if hook is not None]
             outcome = run_swarm(swarm, hooks, should_stop)
     choice = plan.choice
     report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": slcan_port})
@@ -332,25 +332,25 @@ def _emulate(
     return outcome, report, seconds
 
 
-def _start_view(plan: _Plan, ending: ExitStack) -> SwarmCamera | None:
+def _start_view(plan: _Plan, ending: ExitStack) -> SwarmRecorder | None:
     """Return a recorder of the run whose page is served until ``ending`` closes, or None without --view.
 
     The page's address is printed.
     """
     if not plan.args.view:
         return None
-    from mcp_asdf_tools.view.films import SwarmCamera  # noqa: PLC0415
+    from mcp_asdf_tools.view.films import SwarmRecorder  # noqa: PLC0415
     from mcp_asdf_tools.view.server import serving  # noqa: PLC0415
 
-    camera = SwarmCamera(plan.settings, _DEFAULT_PACE if plan.args.pace is None else plan.args.pace)
-    view.announce(plan.args, ending.enter_context(serving(camera.film, plan.args.port)))
-    ending.push(lambda kind, error, trace: _end_view(camera, kind is None))
-    return camera
+    recorder = SwarmRecorder(plan.settings, _DEFAULT_PACE if plan.args.pace is None else plan.args.pace)
+    view.announce(plan.args, ending.enter_context(serving(recorder.history, plan.args.port)))
+    ending.push(lambda kind, error, trace: _end_view(recorder, kind is None))
+    return recorder
 
 
-def _end_view(camera: SwarmCamera, is_regular: bool) -> None:
+def _end_view(recorder: SwarmRecorder, is_regular: bool) -> None:
     """Mark the run on the page as over, and wait for Ctrl-C, unless an error ended the run."""
-    camera.film.has_ended = True
+    recorder.history.has_ended = True
     sys.stdout.flush()
     if is_regular:
         with stopping() as should_stop:

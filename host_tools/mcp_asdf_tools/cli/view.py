@@ -23,7 +23,7 @@ from mcp_asdf_tools.common.signals import stopping
 from mcp_asdf_tools.recording.events import events_path
 
 if TYPE_CHECKING:
-    from mcp_asdf_tools.view.film import Film
+    from mcp_asdf_tools.view.film import History
 
 EPILOG = f"""\
 examples:
@@ -77,11 +77,11 @@ def run(args: argparse.Namespace) -> int:
         return _watch(args)
     _check_recording_options(args)
     if args.export is None:
-        return _serve(args, _film_of(args))
+        return _serve(args, _read_recording(args))
     if args.export.suffix.lower() != ".html":
         raise UsageError(f"cannot export to {args.export.name}: choose a name that ends in .html")
     check_target(args.export)
-    return _export(args, _film_of(args))
+    return _export(args, _read_recording(args))
 
 
 def _check_recording_options(args: argparse.Namespace) -> None:
@@ -98,45 +98,47 @@ def _check_recording_options(args: argparse.Namespace) -> None:
         raise UsageError("--port is for a page that is served, but --export writes a file; leave it out")
 
 
-def _film_of(args: argparse.Namespace) -> Film:
-    """Return the film of the recording ``args.file``: a trial of results, or a log.
+def _read_recording(args: argparse.Namespace) -> History:
+    """Return the history of the recording ``args.file``: a trial of results, or a log.
 
     Raises UsageError if there is none, or for options that do not go with it.
     """
     from mcp_asdf_tools.experiments.results import single_experiment  # noqa: PLC0415
-    from mcp_asdf_tools.view.films import film_of_log, film_of_trial  # noqa: PLC0415
+    from mcp_asdf_tools.view.films import recompute_swarm_history, recompute_trial_history  # noqa: PLC0415
 
     if args.file.suffix.lower() in _RESULTS:
-        return film_of_trial(single_experiment(chosen(args)), args.trial)
+        return recompute_trial_history(single_experiment(chosen(args)), args.trial)
     if args.trial or args.where:
         raise UsageError(f"--trial and --where choose from results (.parquet), but {args.file} is a log")
     if not args.file.exists():
         raise UsageError(f"there is no log {args.file}; give one that swarm --log wrote")
     if not events_path(args.file).exists():
-        return _film_of_frames(args)
-    return film_of_log(args.file)
+        return _read_frame_history(args)
+    return recompute_swarm_history(args.file)
 
 
-def _film_of_frames(args: argparse.Namespace) -> Film:
-    """Return the film of a log without events, and print what it lacks to standard error."""
-    from mcp_asdf_tools.view.frame_film import film_of_frames  # noqa: PLC0415
+def _read_frame_history(args: argparse.Namespace) -> History:
+    """Return the history of a log without events, and print what it lacks to standard error."""
+    from mcp_asdf_tools.view.frame_film import read_frame_history  # noqa: PLC0415
 
     channel = getattr(args, "channel", None)
-    frame_film = film_of_frames(args.file, _frame_format(args), channel, args.fill_ratio, args.true_accuracy)
+    frame_history = read_frame_history(
+        args.file, _frame_format(args), channel, args.fill_ratio, args.true_accuracy
+    )
     notes = [
         f"there is no {events_path(args.file)}, which swarm, radio and node write beside their "
         "logs: the page shows what the frames say"
     ]
-    summary = frame_film.summary
+    summary = frame_history.summary
     if channel is None and len(summary.channels) > 1:
         notes.append(f"{args.file} has frames of {summary.channel_names}; choose one by --channel")
     if summary.warning is not None:
         notes.append(f"of {args.file} {summary.warning}")
-    if not frame_film.has_telemetry:
+    if not frame_history.has_telemetry:
         notes.append(_NO_TELEMETRY)
     for note in notes:
         print(f"mcp-asdf view: {note}", file=sys.stderr)
-    return frame_film.film
+    return frame_history.history
 
 
 def _frame_format(args: argparse.Namespace) -> FrameFormat:
@@ -147,22 +149,22 @@ def _frame_format(args: argparse.Namespace) -> FrameFormat:
         raise UsageError(str(error)) from error
 
 
-def _export(args: argparse.Namespace, film: Film) -> int:
-    """Write the page of a film as one file, and print its name; return exit code 0."""
+def _export(args: argparse.Namespace, history: History) -> int:
+    """Write the page of a history as one file, and print its name; return exit code 0."""
     from mcp_asdf_tools.view.page import page  # noqa: PLC0415
 
-    content = page(film).encode()
+    content = page(history).encode()
     write_atomically(args.export, content)
-    report = {"export": str(args.export), "bytes": len(content), "states": len(film.since()[2])}
+    report = {"export": str(args.export), "bytes": len(content), "states": len(history.states_since().states)}
     print(json.dumps(report) if args.json else args.export)
     return 0
 
 
-def _serve(args: argparse.Namespace, film: Film) -> int:
-    """Serve the page of a film until Ctrl-C; return exit code 0."""
+def _serve(args: argparse.Namespace, history: History) -> int:
+    """Serve the page of a history until Ctrl-C; return exit code 0."""
     from mcp_asdf_tools.view.server import serving  # noqa: PLC0415
 
-    with stopping() as should_stop, serving(film, args.port) as url:
+    with stopping() as should_stop, serving(history, args.port) as url:
         announce(args, url)
         wait(should_stop)
     return 0
@@ -184,7 +186,7 @@ def wait(should_stop: Callable[[], bool]) -> None:
 
 def _watch(args: argparse.Namespace) -> int:
     """Serve the page of a bus that robots elsewhere are on until Ctrl-C; return the exit code."""
-    from mcp_asdf_tools.view.films import BusFilm  # noqa: PLC0415
+    from mcp_asdf_tools.view.films import BusRecorder  # noqa: PLC0415
     from mcp_asdf_tools.view.server import serving  # noqa: PLC0415
 
     choice = interfaces.choose_bus(args)
@@ -199,12 +201,12 @@ def _watch(args: argparse.Namespace) -> int:
     frames = _frame_format(args)
     try:
         with choice.open() as bus, stopping() as should_stop:
-            watch = BusFilm(bus, frames, f"robots on {choice}", args.fill_ratio, args.true_accuracy)
-            with serving(watch.film, args.port) as url:
+            recorder = BusRecorder(bus, frames, f"robots on {choice}", args.fill_ratio, args.true_accuracy)
+            with serving(recorder.history, args.port) as url:
                 announce(args, url)
-                watch.record(should_stop)
+                recorder.record(should_stop)
     except can.CanError as error:
         return report_failure("mcp-asdf view", f"the bus failed: {error}", args.json)
-    if not watch.has_telemetry:
+    if not recorder.has_telemetry:
         print(f"mcp-asdf view: {_NO_TELEMETRY}", file=sys.stderr)
     return 0

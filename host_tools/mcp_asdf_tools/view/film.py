@@ -1,4 +1,4 @@
-"""A run as a film: what stays the same, and the state of all robots after some of its steps."""
+"""The history of a run, which the page draws: what stays the same, and states of all robots."""
 
 from __future__ import annotations
 
@@ -11,30 +11,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 QUANTITIES = ("x", "x_hat", "b_hat", "b")
-"""A robot's numbers in a state: its estimates, and b, the true accuracy of its sensor."""
+"""Rows of ``State.values``: informed estimate, local estimate, the accuracy that a robot assumes of its
+sensor, and the sensor's true accuracy."""
 
 MAX_STATES = 10_000
-"""Longest film: as many steps as a swarm has by default, and more than a screen has columns."""
+"""Most states of a history: as many as a swarm has steps by default, more than a screen has columns."""
 
 
 @dataclass(frozen=True)
-class Stage:
-    """Constant parts of a film.
+class RunDescription:
+    """What stays the same during a run, for the page to draw.
 
     Attributes:
-        title: The run in a few words.
-        robots: Their ids.
-        flawed: Places among them of the robots that are flawed at the start.
-        fill_ratio: f; None if unknown.
-        steps: Length of the whole run; None if it has no end.
+        title: The run's parameters as a short text, such as "20 robots, 10 flawed, no filter, dynamic, seed
+            1".
+        robots: Ids of the robots, in the order of the columns of every state.
+        flawed: Indices in ``robots`` of those that start with a wrong b_hat.
+        fill_ratio: Share of black tiles of the floor, f; None if unknown.
+        steps: Length of the complete run; None if it has no end.
         steps_per_second: Steps in a second of simulated time.
         sides: Width and height of the arena in metres; None if robots do not move.
-        radio_range: In metres; None if robots do not move.
-        floor: True where black, the first row in the north; None if there is no floor.
-        filter: Name of the robots' filter; None if unknown.
-        twin: Mean error of the same robots without a filter, as means over equal parts of the run; empty if
-            unknown.
-        faults: Text, first step and first step after (None if it has no end) of each fault.
+        radio_range: Largest distance in metres at which robots receive each other; None if they do not move.
+        floor: True where the floor is black, the first row in the north; None if there is no floor.
+        filter: Name of the filter by which the robots re-estimate b_hat; None if unknown.
+        unfiltered_errors: Mean error of the same robots in the same run without a filter, averaged over
+            consecutive parts of nearly equal length; empty if unknown.
+        faults: The text, the first step and the step after the last (None if it has no end) of each fault.
     """
 
     title: str
@@ -47,74 +49,104 @@ class Stage:
     radio_range: float | None = None
     floor: NDArray[np.bool_] | None = None
     filter: str | None = None
-    twin: Sequence[float] = ()
+    unfiltered_errors: Sequence[float] = ()
     faults: Sequence[tuple[str, int, int | None]] = ()
 
 
 class State(NamedTuple):
-    """All robots after a step.
+    """All robots after one step.
 
     Attributes:
-        tick: Steps done.
-        values: QUANTITIES of each robot, NaN where unknown, shape (quantities, N).
-        hears: Whether robot i hears j, bool of shape (N, N); of more than MAX_ON_BUS robots who hears whom
-            instead, ids of shape (pairs, 2).
+        tick: Number of steps done.
+        values: ``QUANTITIES`` of each robot, NaN where unknown, shape (quantities, N).
+        neighbours: Whether robot i receives from robot j, bool of shape (N, N). Of more than MAX_ON_BUS
+            robots, the pairs (i, j) for which that is so, indices of shape (pairs, 2).
         positions: Centres in metres from the middle of the arena, shape (N, 2); None if robots do not move.
     """
 
     tick: int
     values: NDArray[np.float64]
-    hears: NDArray[Any]
+    neighbours: NDArray[Any]
     positions: NDArray[np.float64] | None
 
 
-class Film:
-    """A stage and what happens on it; it may grow while others watch it, from any thread.
+@dataclass(frozen=True)
+class HistoryUpdate:
+    """What a reader of a history does not have yet.
 
     Attributes:
-        stage: What stays the same.
-        generation: Counts changes of what was taken already (it was thinned out, a robot joined), after which
-            earlier indices mean nothing.
-        has_ended: Whether nothing more comes.
-        report: What stands beside the latest state, as plain values, replaced and never changed; None if
-            nothing does.
+        generation: The history's generation when this was read.
+        description: The run's description at the same moment.
+        states: States after those that the reader has; all if it has those of another generation.
     """
 
-    def __init__(self, stage: Stage, states: Iterable[State] | None = None) -> None:
-        """A film of a run that is over, or, without ``states``, one that begins."""
-        self.stage = stage
+    generation: int
+    description: RunDescription
+    states: list[State]
+
+
+class History:
+    """The description and the states of a run; one thread may add to it while others read it.
+
+    Attributes:
+        description: What stays the same. It is replaced when a robot joins.
+        generation: Number of times that the states so far were changed, because they were thinned out or a
+            robot joined. Indices into the states of an earlier generation mean nothing.
+        has_ended: Whether the run is over, so that no more states come.
+        report: Plain values that the page shows beside the latest state (see ``Roster.report``). It is
+            replaced, never changed; None if there is none.
+    """
+
+    def __init__(self, description: RunDescription, states: Iterable[State] | None = None) -> None:
+        """Create the history of a run that is over; without ``states``, that of a run that begins."""
+        self.description = description
         self.generation = 0
         self.has_ended = states is not None
         self.report: dict[str, Any] | None = None
         self._states = list(states or ())
-        self._spacing = 1
+        self._ticks_between_states = 1
         self._lock = threading.Lock()
 
     def add(self, state: State) -> None:
-        """Take the next state. One that falls between those kept is dropped, so that memory has an end."""
-        if state.tick % self._spacing:
+        """Append a state, if its tick is a multiple of the present spacing; drop it otherwise.
+
+        With more than MAX_STATES the spacing doubles, states between are removed, and a new generation
+        begins.
+        """
+        if state.tick % self._ticks_between_states != 0:
             return
         with self._lock:
             self._states.append(state)
             if len(self._states) > MAX_STATES:
-                self._spacing *= 2
-                self._states = [each for each in self._states if each.tick % self._spacing == 0]
+                # A run without an end must not fill the memory; the page still shows all of it, coarser.
+                self._ticks_between_states *= 2
+                self._states = [
+                    kept_state
+                    for kept_state in self._states
+                    if kept_state.tick % self._ticks_between_states == 0
+                ]
                 self.generation += 1
 
-    def join(self, robot: int) -> None:
-        """One more robot, of which nothing is known in the states before. O(states)."""
+    def add_robot(self, robot_id: int) -> None:
+        """Add a robot as the last column of every state, without values or links in those so far. O(states).
+
+        A new generation begins. Only for at most MAX_ON_BUS robots.
+        """
         with self._lock:
-            self.stage = replace(self.stage, robots=[*self.stage.robots, robot])
-            self._states = [_with_one_more(each) for each in self._states]
+            robot_ids = [*self.description.robots, robot_id]
+            self.description = replace(self.description, robots=robot_ids)
+            self._states = [_with_unknown_robot(state) for state in self._states]
             self.generation += 1
 
-    def since(self, generation: int = -1, index: int = 0) -> tuple[int, Stage, list[State]]:
-        """The generation and its stage, and its states from ``index`` on; all if ``generation`` is over."""
+    def states_since(self, generation: int = -1, index: int = 0) -> HistoryUpdate:
+        """Return the states from ``index`` on, or all if ``generation`` is not the present one."""
         with self._lock:
-            states = self._states[index if generation == self.generation else 0 :]
-            return self.generation, self.stage, states
+            first_index = index if generation == self.generation else 0
+            return HistoryUpdate(self.generation, self.description, self._states[first_index:])
 
 
-def _with_one_more(state: State) -> State:
+def _with_unknown_robot(state: State) -> State:
+    """Return the state with one more robot: its values are NaN, and it has no neighbours."""
     values = np.pad(state.values, ((0, 0), (0, 1)), constant_values=np.nan)
-    return state._replace(values=values, hears=np.pad(state.hears, (0, 1)))
+    neighbours = np.pad(state.neighbours, (0, 1))
+    return state._replace(values=values, neighbours=neighbours)

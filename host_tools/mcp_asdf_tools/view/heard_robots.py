@@ -14,7 +14,7 @@ from mcp_asdf_tools.view.roster import Roster
 _X, _X_HAT, _B_HAT, _ = range(len(QUANTITIES))
 
 
-class HeardRobots:
+class LatestRobotValues:
     """The robots that have sent estimates or telemetry, with the latest values that they sent.
 
     Attributes:

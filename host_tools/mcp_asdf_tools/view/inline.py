@@ -14,7 +14,7 @@ from mcp_asdf_tools.common.files import write_atomically
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import select_experiments, single_experiment
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.view.films import film_of_trial
+from mcp_asdf_tools.view.films import recompute_trial_history
 from mcp_asdf_tools.view.page import page
 
 
@@ -44,9 +44,9 @@ def show(results: Any, *, trial: int = 0, where: Mapping[str, Any] | None = None
     if trial < 0:
         raise UsageError(f"trial is {trial}; give 0 or more")
     if isinstance(results, Experiment):
-        return Shown(page(film_of_trial(run_trials(results, trial, 1), trial)))
+        return Shown(page(recompute_trial_history(run_trials(results, trial, 1), trial)))
 
     from mcp_asdf_tools.experiments.result_tables import experiments_in  # noqa: PLC0415 (pyarrow loads slowly)
 
     trials = single_experiment(select_experiments(experiments_in(results), where or {}))
-    return Shown(page(film_of_trial(trials, trial)))
+    return Shown(page(recompute_trial_history(trials, trial)))

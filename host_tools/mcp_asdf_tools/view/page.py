@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.view.film import QUANTITIES, Film, Stage, State
+from mcp_asdf_tools.view.film import QUANTITIES, History, RunDescription, State
 from mcp_asdf_tools.world.topology import MAX_ON_BUS
 
 _FOLDER = Path(__file__).parent / "page"
@@ -24,12 +24,13 @@ _MODULES = ("arena", "bus", "charts", "colours", "film", "main", "panels", "play
 """Of ``page/``; they import each other as ``view/NAME``."""
 
 
-def page(film: Film | None = None) -> str:
+def page(history: History | None = None) -> str:
     """The page with a film in it; without one it asks the server that it comes from."""
     data = "null"
-    if film is not None:
-        _, stage, states = film.since()
-        content = {"stage": stage_as_plain(stage), "block": states_as_plain(states, stage)}
+    if history is not None:
+        update = history.states_since()
+        stage, states = update.description, update.states
+        content = {"stage": encode_description(stage), "block": encode_states(states, stage)}
         data = json.dumps(content).replace("<", "\\u003c")  # no text in it can end the script
     return _empty_page().replace("__POLICY__", "").replace("__FILM__", data)
 
@@ -72,22 +73,23 @@ _SCALE, _UNKNOWN = 65534, 65535
 """Values 0 .. 1 are 16-bit integers: a step is a tenth of what a screen shows."""
 
 
-def stage_as_plain(stage: Stage) -> dict[str, Any]:
+def encode_description(stage: RunDescription) -> dict[str, Any]:
     """A stage as plain values; the floor as rows of bits, each padded to whole bytes."""
     floor = None
     if stage.floor is not None:
         rows, columns = stage.floor.shape
         bits = _text(np.packbits(stage.floor, axis=1).tobytes())
         floor = {"rows": rows, "columns": columns, "bits": bits}
-    return vars(stage) | {
+    plain = vars(stage) | {"twin": [*stage.unfiltered_errors]}
+    del plain["unfiltered_errors"]
+    return plain | {
         "flawed": [*stage.flawed],
-        "twin": [*stage.twin],
         "floor": floor,
         "quantities": QUANTITIES,
     }
 
 
-def states_as_plain(states: Sequence[State], stage: Stage) -> dict[str, Any]:
+def encode_states(states: Sequence[State], stage: RunDescription) -> dict[str, Any]:
     """A block of states: ticks (32 bits), quantities and positions (16 bits), links, deflated.
 
     Each series is stored as its differences, which are mostly small or 0. Links are a bit for each two
@@ -101,10 +103,10 @@ def states_as_plain(states: Sequence[State], stage: Stage) -> dict[str, Any]:
         places = np.stack(positions) / np.array(stage.sides) + 0.5
         parts += [_series(places[..., axis]) for axis in (0, 1)]
     if len(stage.robots) > MAX_ON_BUS:
-        parts.append(np.array([len(each.hears) for each in states], "<u4").tobytes())
-        parts += [each.hears.astype("<u2").tobytes() for each in states]
+        parts.append(np.array([len(each.neighbours) for each in states], "<u4").tobytes())
+        parts += [each.neighbours.astype("<u2").tobytes() for each in states]
     else:
-        links = np.stack([each.hears.ravel() for each in states])
+        links = np.stack([each.neighbours.ravel() for each in states])
         parts.append(np.packbits(links, axis=1, bitorder="little").tobytes())
     return {"count": len(states), "data": _text(b"".join(parts))}
 

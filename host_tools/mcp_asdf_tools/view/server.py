@@ -19,8 +19,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from mcp_asdf_tools.bus.slcan_server import HOST
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.view.film import Film
-from mcp_asdf_tools.view.page import page, stage_as_plain, states_as_plain
+from mcp_asdf_tools.view.film import History
+from mcp_asdf_tools.view.page import encode_description, encode_states, page
 
 _SECONDS_BETWEEN_BLOCKS = 0.1
 _ENDING_SECONDS = 2.0
@@ -33,14 +33,14 @@ _HEADERS = {
 
 
 @contextmanager
-def serving(film: Film, port: int | None = None) -> Iterator[str]:
+def serving(history: History, port: int | None = None) -> Iterator[str]:
     """Serve the page of a film on 127.0.0.1 until the context ends; yields its URL. No port is any free one.
 
     Raises UsageError if the port is taken.
     """
     with closing(_listen(port or 0)) as listener:
         port = listener.getsockname()[1]
-        application = _application(film, port)
+        application = _application(history, port)
         config = uvicorn.Config(
             application, log_level="critical", lifespan="off", timeout_graceful_shutdown=1
         )
@@ -50,7 +50,7 @@ def serving(film: Film, port: int | None = None) -> Iterator[str]:
         try:
             yield f"http://{HOST}:{port}/"
         finally:
-            film.has_ended = True
+            history.has_ended = True
             server.should_exit = True
             thread.join(_ENDING_SECONDS)
 
@@ -71,12 +71,12 @@ def _listen(port: int) -> socket.socket:
     return listener
 
 
-def _application(film: Film, port: int) -> Starlette:
+def _application(history: History, port: int) -> Starlette:
     async def show(request: Request) -> HTMLResponse:
         return HTMLResponse(page(), headers=_HEADERS)
 
     async def stream(request: Request) -> StreamingResponse:
-        return StreamingResponse(_events(film), media_type="text/event-stream", headers=_HEADERS)
+        return StreamingResponse(_events(history), media_type="text/event-stream", headers=_HEADERS)
 
     routes = [Route("/", show), Route("/events", stream)]
     return Starlette(routes=routes, middleware=[Middleware(OwnPagesOnly, port=port)])
@@ -102,20 +102,21 @@ class OwnPagesOnly:
         await answer(scope, receive, send)
 
 
-async def _events(film: Film) -> AsyncIterator[str]:
+async def _events(history: History) -> AsyncIterator[str]:
     """Server-sent events: a ``stage`` for each generation, its ``block``s, ``report``s, at last ``end``."""
     generation, index, has_begun, has_ended, report = 0, 0, False, False, None
     while not has_ended:
-        has_ended = film.has_ended  # read before the states, so that none is left behind
-        before, (generation, stage, states) = generation, film.since(generation, index)
+        has_ended = history.has_ended  # read before the states, so that none is left behind
+        before, update = generation, history.states_since(generation, index)
+        generation, stage, states = update.generation, update.description, update.states
         if not has_begun or generation != before:
-            yield _event("stage", stage_as_plain(stage))
+            yield _event("stage", encode_description(stage))
             has_begun, index = True, 0
         if states:
             index += len(states)
-            yield _event("block", await asyncio.to_thread(states_as_plain, states, stage))
-        if film.report is not report:
-            report = film.report
+            yield _event("block", await asyncio.to_thread(encode_states, states, stage))
+        if history.report is not report:
+            report = history.report
             yield _event("report", report)
         await asyncio.sleep(_SECONDS_BETWEEN_BLOCKS)
     yield _event("end", None)

@@ -22,7 +22,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_files import write_tables
 from mcp_asdf_tools.experiments.result_tables import trials_to_table
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.view.films import BusFilm
+from mcp_asdf_tools.view.films import BusRecorder
 
 VIEW, PLOT = "view grid.parquet --export out.html", "plot grid.parquet out.svg"
 ONE = "--where filter=none --where fill_ratio=.950"
@@ -128,7 +128,7 @@ def test_a_bus_is_watched_until_it_is_asked_to_end(
     out, err = capsys.readouterr()
     assert json.loads(out)["url"].startswith("http://127.0.0.1:") and "no robot sent telemetry" in err
     failing = Mock(side_effect=can.CanOperationError("it is off"))
-    monkeypatch.setattr(BusFilm, "record", failing)
+    monkeypatch.setattr(BusRecorder, "record", failing)
     assert main(["view", "--interface", "udp_multicast", "--channel", "239.74.163.77"]) == 1
     assert "mcp-asdf view: the bus failed: it is off" in capsys.readouterr().err
     monkeypatch.setattr("mcp_asdf_tools.cli.swarm.run_swarm", failing)

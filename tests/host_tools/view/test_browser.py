@@ -1,4 +1,4 @@
-"""The page in a real browser: it shows a film, goes where one drags the time, and follows a run."""
+"""The page in a real browser: it shows a history, goes where one drags the time, and follows a run."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from mcp_asdf_tools.view.film import Film, Stage, State
-from mcp_asdf_tools.view.films import SwarmCamera, film_of_trial
+from mcp_asdf_tools.view.film import History, RunDescription, State
+from mcp_asdf_tools.view.films import SwarmRecorder, recompute_trial_history
 from mcp_asdf_tools.view.page import page
 from mcp_asdf_tools.view.roster import Roster
 from mcp_asdf_tools.view.server import serving
@@ -45,26 +45,27 @@ COLOURS = f"new Set(new Uint32Array({INK}.buffer)).size"
 
 
 @pytest.fixture(scope="module")
-def film() -> Film:
-    camera = SwarmCamera(SETTINGS)
+def history() -> History:
+    camera = SwarmRecorder(SETTINGS)
     with Swarm(SETTINGS, Wiring()) as swarm:
         run_swarm(swarm, [camera])
-    return camera.film
+    return camera.history
 
 
 @pytest.mark.slow
-def test_the_page_shows_a_film_and_follows_a_run(film: Film, tmp_path: Path) -> None:
+def test_the_page_shows_a_film_and_follows_a_run(history: History, tmp_path: Path) -> None:
     """One browser for all that is tested always: starting it takes longer than the rest."""
     path, step = tmp_path / "run.html", 1 / 65534
-    path.write_text(page(film))
-    _, stage, states = film.since()
+    path.write_text(page(history))
+    update = history.states_since()
+    stage, states = update.description, update.states
     with browser_page() as browser:
         browser.goto(path.as_uri())
         until(browser, IS_SHOWN)
         for (values, links, places), state in zip(browser.evaluate(ALL), states, strict=True):
             assert state.positions is not None and stage.sides is not None
             assert np.abs(values - state.values).max() <= step
-            assert np.array_equal(links, state.hears)
+            assert np.array_equal(links, state.neighbours)
             assert np.abs(places - state.positions).max() <= step * max(stage.sides)
 
         browser.evaluate("view.player.pause()")
@@ -76,13 +77,14 @@ def test_the_page_shows_a_film_and_follows_a_run(film: Film, tmp_path: Path) -> 
         assert until(browser, "view.chosen") == 2
         assert "Robot 2, flawed at the start" in browser.locator("#robot").inner_text()
         assert browser.evaluate(COLOURS) > 50
-        follow_a_run(browser, film)
+        follow_a_run(browser, history)
 
 
-def follow_a_run(browser: Page, film: Film) -> None:
+def follow_a_run(browser: Page, history: History) -> None:
     """States come and a robot joins while the page is open; it goes along until the run has ended."""
-    _, stage, states = film.since()
-    live = Film(stage)
+    update = history.states_since()
+    stage, states = update.description, update.states
+    live = History(stage)
     with serving(live) as url:
         for state in states[:50]:
             live.add(state)
@@ -91,12 +93,12 @@ def follow_a_run(browser: Page, film: Film) -> None:
         for state in states[50:]:
             live.add(state)
         until(browser, f"view.film.length === {len(states)} && view.player.tick > 250")
-    bus = Film(Stage("a bus", [5]))
+    bus = History(RunDescription("a bus", [5]))
     with serving(bus) as url:
-        bus.add(states[0]._replace(values=states[0].values[:, :1], hears=np.eye(1) > 1, positions=None))
+        bus.add(states[0]._replace(values=states[0].values[:, :1], neighbours=np.eye(1) > 1, positions=None))
         browser.goto(url)
         until(browser, f"{IS_SHOWN} && view.film.robots === 1")
-        bus.join(9)
+        bus.add_robot(9)
         until(browser, "view.film.robots === 2 && view.film.length === 1")
         assert browser.evaluate("Number.isNaN(view.film.value('x', 1, 0))")
         check_the_table(browser, bus)
@@ -104,7 +106,7 @@ def follow_a_run(browser: Page, film: Film) -> None:
         until(browser, "document.getElementById('state').textContent === 'the run has ended'")
 
 
-def check_the_table(browser: Page, bus: Film) -> None:
+def check_the_table(browser: Page, bus: History) -> None:
     """A row for each robot, a silent one greyed, and frames through the filter."""
     roster, text = Roster(), "document.getElementById('frames').textContent"
     for robot, now in ((9, 0.0), (5, 9.0)):
@@ -131,8 +133,8 @@ def check_marks(browser: Page, path: Path) -> None:
         state.values[:3, 1] = np.nan
     states[5].values[0, 0] = 0.75
     faults = [("loss=0.2", 0, None), ("liar=1.0", 2, 9)]
-    stage = Stage("two", [3, 8], fill_ratio=0.5, steps=10, faults=faults)
-    path.write_text(page(Film(stage, states)))
+    stage = RunDescription("two", [3, 8], fill_ratio=0.5, steps=10, faults=faults)
+    path.write_text(page(History(stage, states)))
     browser.goto(f"{path.as_uri()}#step=5")
     until(browser, IS_SHOWN)
     assert browser.locator("#faults").inner_text() == "loss=0.2; liar=1.0"
@@ -167,9 +169,9 @@ def check_keys_and_address(browser: Page, path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_all_controls_work_on_screens_of_any_size(film: Film, tmp_path: Path) -> None:
+def test_all_controls_work_on_screens_of_any_size(history: History, tmp_path: Path) -> None:
     path, asked = tmp_path / "run.html", list[str]()
-    path.write_text(page(film))
+    path.write_text(page(history))
     with browser_page() as browser:
         browser.on("request", lambda request: asked.append(request.url.partition(":")[0]))
         for width, height, is_dark in ((1920, 1080, False), (1024, 700, True), (420, 900, False)):
@@ -204,15 +206,15 @@ def test_all_controls_work_on_screens_of_any_size(film: Film, tmp_path: Path) ->
 @pytest.mark.slow
 def test_the_page_shows_who_hears_whom_among_many(tmp_path: Path) -> None:
     experiment = Experiment(topology="dynamic", robots=140, steps=40, trials=1)
-    film = film_of_trial(run_trials(experiment, 0, 1), 0)
+    history = recompute_trial_history(run_trials(experiment, 0, 1), 0)
     hears = np.argwhere(Arena(experiment).record(40).adjacency[-1])
-    (tmp_path / "many.html").write_text(page(film))
+    (tmp_path / "many.html").write_text(page(history))
     with browser_page() as browser:
         browser.goto((tmp_path / "many.html").as_uri())
         until(browser, IS_SHOWN)
         shown = browser.evaluate("[...Array(view.film.length).keys()].map((at) => view.film.heard(at))")
         one = browser.evaluate(f"view.film.heard(view.film.length - 1, {hears[0, 0]})")
-    assert [state.hears[:, ::-1].tolist() for state in film.since()[2]] == shown
+    assert [state.neighbours[:, ::-1].tolist() for state in history.states_since().states] == shown
     assert shown[-1] == hears[:, ::-1].tolist() and one == [
         each for each in shown[-1] if each[1] == hears[0, 0]
     ]

@@ -38,12 +38,18 @@ from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from mcp_asdf_tools.view import film as films
-from mcp_asdf_tools.view.film import Film, Stage, State
-from mcp_asdf_tools.view.films import BusFilm, SwarmCamera, film_of_log, film_of_trial, spacing_of
-from mcp_asdf_tools.view.frame_film import film_of_frames
+from mcp_asdf_tools.view import film as history_module
+from mcp_asdf_tools.view.film import History, RunDescription, State
+from mcp_asdf_tools.view.films import (
+    BusRecorder,
+    SwarmRecorder,
+    recompute_swarm_history,
+    recompute_trial_history,
+    steps_between_states,
+)
+from mcp_asdf_tools.view.frame_film import read_frame_history
 from mcp_asdf_tools.view.inline import show
-from mcp_asdf_tools.view.page import page, stage_as_plain
+from mcp_asdf_tools.view.page import encode_description, page
 from mcp_asdf_tools.world.arena import Arena
 
 PARAMETERS: dict[str, Any] = {
@@ -57,24 +63,24 @@ WORLDS: list[dict[str, Any]] = [
 ]
 
 
-def filmed(**more: Any) -> Film:
+def filmed(**more: Any) -> History:
     settings = SwarmSettings(**PARAMETERS | more)
-    camera = SwarmCamera(settings)
+    camera = SwarmRecorder(settings)
     with Swarm(settings, Wiring()) as swarm:
         run_swarm(swarm, [camera])
-    return camera.film
+    return camera.history
 
 
-def logged(log: Path, **more: Any) -> Film:
-    """The film of the log of the same swarm."""
+def logged(log: Path, **more: Any) -> History:
+    """The history of the log of the same swarm."""
     options = [f"--{name.replace('_', '-')}={value}" for name, value in (PARAMETERS | more).items()]
     assert main(["swarm", *options, "--log", str(log), "--quiet"]) == 0
-    return film_of_log(log)
+    return recompute_swarm_history(log)
 
 
-def states(film: Film) -> dict[int, list[Any]]:
+def states(history: History) -> dict[int, list[Any]]:
     """All but the tick of each state, by the tick."""
-    return {each.tick: [*each[1:]] for each in film.since()[2]}
+    return {each.tick: [*each[1:]] for each in history.states_since().states}
 
 
 def trials_of(**more: Any) -> Trials:
@@ -82,8 +88,8 @@ def trials_of(**more: Any) -> Trials:
     return experiments_in(trials_to_table(run_trials(experiment, 0, 2)))[0]
 
 
-def plain(stage: Stage) -> dict[str, Any]:
-    return stage_as_plain(stage) | {"title": stage.title.partition(", trial")[0]}
+def plain(stage: RunDescription) -> dict[str, Any]:
+    return encode_description(stage) | {"title": stage.title.partition(", trial")[0]}
 
 
 @pytest.mark.parametrize("world", WORLDS, ids=["dynamic", "graph", "fully-connected", "robust"])
@@ -91,17 +97,17 @@ def test_a_swarm_its_log_and_its_trial_make_one_film(
     world: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = tmp_path / "run.log"
-    live, past, trial = filmed(**world), logged(log, **world), film_of_trial(trials_of(**world), 0)
-    assert plain(live.stage) == plain(past.stage) == plain(trial.stage)
-    assert live.stage.title.endswith(", seed 3")
-    assert ("flawed, robust, " in live.stage.title) == (world.get("filter") == "robust")
+    live, past, trial = filmed(**world), logged(log, **world), recompute_trial_history(trials_of(**world), 0)
+    assert plain(live.description) == plain(past.description) == plain(trial.description)
+    assert live.description.title.endswith(", seed 3")
+    assert ("flawed, robust, " in live.description.title) == (world.get("filter") == "robust")
     x, _, b_hat, _ = np.stack([state[0] for state in states(live).values()], axis=1)
     assert "graph" in world or min(np.ptp(each, axis=0).max() for each in (x, b_hat)) > 0.1
     assert past.has_ended and trial.has_ended and not live.has_ended
     assert list(states(past)) == list(states(trial)) == [*range(251)]
     assert set(states(live)) <= set(states(trial)) and len(states(live)) >= 250
     monkeypatch.setattr("mcp_asdf_tools.view.films.MAX_STATES", 63)
-    sparse = [film_of_log(log), film_of_trial(trials_of(**world), 0)]
+    sparse = [recompute_swarm_history(log), recompute_trial_history(trials_of(**world), 0)]
     assert [list(states(each)) for each in sparse] == [[*range(0, 251, 4)]] * 2
     for some, whole in ((live, past), (live, trial), *product(sparse, [past])):
         for tick, state in states(some).items():
@@ -110,21 +116,23 @@ def test_a_swarm_its_log_and_its_trial_make_one_film(
 
 def test_the_twin_is_the_same_run_without_a_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     world = {"topology": "dynamic", "steps": 60}
-    film, plain_run = filmed(**world), filmed(**world, filter="none")
+    history, plain_run = filmed(**world), filmed(**world, filter="none")
     x = np.stack([state[0][0] for state in states(plain_run).values()])
-    assert film.stage.twin[1:] == np.round(abs(x - 0.55).mean(axis=1), 5).tolist()
-    assert (film.stage.filter, plain_run.stage.filter) == ("asdf-minus", "none")
-    assert plain_run.stage.title == "7 robots, 4 flawed, no filter, dynamic, seed 3"
+    assert history.description.unfiltered_errors[1:] == np.round(abs(x - 0.55).mean(axis=1), 5).tolist()
+    assert (history.description.filter, plain_run.description.filter) == ("asdf-minus", "none")
+    assert plain_run.description.title == "7 robots, 4 flawed, no filter, dynamic, seed 3"
     for more in ({"filter": "none"}, {"faults": ("loss=0.1",)}, {"allow": "0-6"}, {"latency": 1}):
-        assert len(SwarmCamera(SwarmSettings(**PARAMETERS | more)).film.stage.twin) == 0, more
-    monkeypatch.setattr("mcp_asdf_tools.view.films._TWIN_PARTS", 4)
-    assert len(filmed(**world).stage.twin) == 4
+        assert (
+            len(SwarmRecorder(SwarmSettings(**PARAMETERS | more)).history.description.unfiltered_errors) == 0
+        ), more
+    monkeypatch.setattr("mcp_asdf_tools.view.films._MAX_ERROR_POINTS", 4)
+    assert len(filmed(**world).description.unfiltered_errors) == 4
 
 
 def test_a_run_that_is_watched_is_paced(monkeypatch: pytest.MonkeyPatch) -> None:
     """A slow step is not made up for."""
     worked, slept = [50.0], list[float]()
-    camera: Any = SwarmCamera(SwarmSettings(**PARAMETERS | {"steps": 20_000}), 100)
+    camera: Any = SwarmRecorder(SwarmSettings(**PARAMETERS | {"steps": 20_000}), 100)
     monkeypatch.setattr(time, "monotonic", lambda: sum(worked + slept))
     monkeypatch.setattr(time, "sleep", slept.append)
     for work in (0.002, 0.0, 0.05, 0.0):
@@ -132,14 +140,14 @@ def test_a_run_that_is_watched_is_paced(monkeypatch: pytest.MonkeyPatch) -> None
         worked.append(work)
     assert slept == pytest.approx([0.0, 0.008, 0.01, 0.0])
     with pytest.raises(UsageError, match="--pace is -1; give steps a second"):
-        SwarmCamera(SwarmSettings(**PARAMETERS), -1)
+        SwarmRecorder(SwarmSettings(**PARAMETERS), -1)
 
 
 def test_nothing_is_known_of_dead_robots_and_faults_are_named(tmp_path: Path) -> None:
     fault = "crash=1.0,from=20,to=21,robots=2,ticks=15"
     live, past = filmed(faults=(fault,)), logged(tmp_path / "run.log", fault=fault)
-    assert plain(past.stage) == plain(live.stage)
-    assert [*past.stage.faults] == [(fault, 20, 21)] and not past.stage.twin
+    assert plain(past.description) == plain(live.description)
+    assert [*past.description.faults] == [(fault, 20, 21)] and not past.description.unfiltered_errors
     for tick, (values, *_) in states(past).items():
         assert np.isnan(values[:3, 2]).all() == np.isnan(values).any() == (20 < tick <= 35), tick
         assert tick == 0 or np.array_equal(values, states(live)[tick][0], equal_nan=True)
@@ -148,8 +156,8 @@ def test_nothing_is_known_of_dead_robots_and_faults_are_named(tmp_path: Path) ->
 def test_results_that_do_not_come_out_again_are_refused() -> None:
     trials = trials_of()
     with pytest.raises(UsageError, match="trial 1 does not come out again"):
-        film_of_trial(replace(trials, errors=trials.errors + 1e-9), 1)
-    assert ", trial 1" in film_of_trial(trials, 1).stage.title
+        recompute_trial_history(replace(trials, errors=trials.errors + 1e-9), 1)
+    assert ", trial 1" in recompute_trial_history(trials, 1).description.title
 
 
 @pytest.mark.parametrize("floor", ["tiles", "code"])
@@ -157,7 +165,7 @@ def test_the_floor_is_the_one_that_the_robots_see(floor: str) -> None:
     """Of each pixel the middle, and of more tiles than a page shows only as many pixels."""
     size = {"width": 1.0, "height": 0.5} if floor == "tiles" else {}
     settings = SwarmSettings(robots=3, topology="dynamic", floor=floor, **size)  # type: ignore[arg-type]
-    arena, pixels = Arena(settings, 0), SwarmCamera(settings).film.stage.floor
+    arena, pixels = Arena(settings, 0), SwarmRecorder(settings).history.description.floor
     assert pixels is not None
     rows, columns = pixels.shape
     width, height = settings.sides
@@ -166,14 +174,14 @@ def test_the_floor_is_the_one_that_the_robots_see(floor: str) -> None:
         assert arena.is_black(x, y) == pixels[row, column]
     if floor == "tiles":
         assert (rows, columns) == (50, 100) and 0.5 < pixels.mean() < 0.6
-        small = SwarmCamera(replace(settings, tile=0.0005)).film.stage.floor
+        small = SwarmRecorder(replace(settings, tile=0.0005)).history.description.floor
         assert small is not None and small.shape == (800, 800)
 
 
 def test_a_long_film_of_many_robots_stays_small() -> None:
-    assert (spacing_of(10_000, 20), spacing_of(40_000, 20)) == (1, 4)
+    assert (steps_between_states(10_000, 20), steps_between_states(40_000, 20)) == (1, 4)
     for steps, robots in ((10**9, 1), (10**6, 128), (1, 128), (20_000, 60)):
-        count = steps / spacing_of(steps, robots)
+        count = steps / steps_between_states(steps, robots)
         assert count * robots**2 <= 4_000_000 and count <= 10_000
 
 
@@ -191,9 +199,11 @@ def test_a_page_has_all_of_a_film(robots: int, moves: int) -> None:
     values[values > 1.05] = np.nan
     hears = draw.random((5, robots, robots)) < 0.3
     links = [np.argwhere(each) if robots > 128 else each for each in hears]
-    stage = Stage("any </script>", [*range(robots)], range(1), sides=sides if moves else None, floor=floor)
-    film = [State(7 * i, values[i], links[i], places[i] if moves else None) for i in range(5)]
-    whole = page(Film(stage, film))
+    stage = RunDescription(
+        "any </script>", [*range(robots)], range(1), sides=sides if moves else None, floor=floor
+    )
+    history = [State(7 * i, values[i], links[i], places[i] if moves else None) for i in range(5)]
+    whole = page(History(stage, history))
     assert not re.findall("__[A-Z_]+__", whole) and "Permission is hereby granted" in whole
     (text,) = re.findall('<script id="film"[^>]*>(.*?)</script>', whole)
     told, block = (json.loads(text)[name] for name in ("stage", "block"))
@@ -221,21 +231,22 @@ def test_a_page_has_all_of_a_film(robots: int, moves: int) -> None:
 
 
 def test_a_film_without_an_end_is_thinned_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(films, "MAX_STATES", 100)
-    live, most = Film(Stage("endless", [0, 1])), 0
+    monkeypatch.setattr(history_module, "MAX_STATES", 100)
+    live, most = History(RunDescription("endless", [0, 1])), 0
     for tick in range(1000):
         live.add(State(tick, np.full((4, 2), tick / 1e5), np.ones((2, 2), np.bool_), None))
-        generation, _, taken = live.since()
+        update = live.states_since()
+        generation, taken = update.generation, update.states
         most = max(most, len(taken))
     assert (generation, most) == (4, 100)
     assert [each.tick for each in taken] == list(range(0, 1000, 16))
-    assert live.since(generation, len(taken))[2] == []
-    live.join(7)
-    assert live.since()[2][-1].hears.tolist() == [[True, True, False]] * 2 + [[False] * 3]
+    assert live.states_since(generation, len(taken)).states == []
+    live.add_robot(7)
+    assert live.states_since().states[-1].neighbours.tolist() == [[True, True, False]] * 2 + [[False] * 3]
 
 
 def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The film takes a state every 1/8 s; frames come between."""
+    """The history takes a state every 1/8 s; frames come between."""
     frames = {
         0.0: encode_telemetry(Telemetry(7, 1 << 22, 1 << 23, 0, 0)),
         0.1875: encode_estimate(Estimate(7, 1 << 21, 1, 0), FrameFormat()),
@@ -251,12 +262,13 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
     bus: Any = SimpleNamespace(recv=recv)
     monkeypatch.setattr(time, "monotonic", lambda: 1000 + now[0])
     monkeypatch.setattr("mcp_asdf_tools.view.films.STATES_PER_SECOND", 8)
-    watch = BusFilm(bus, FrameFormat(), "a bus", b=0.9)
+    watch = BusRecorder(bus, FrameFormat(), "a bus", true_accuracy=0.9)
     watch.record(lambda: now[0] >= 0.5)
-    report = watch.film.report
+    report = watch.history.report
     assert report is not None and [(each["robot"], each["seen"]) for each in report["robots"]] == [(7, 0.0)]
-    generation, stage, taken = watch.film.since()
-    assert generation == 2 and stage.robots == [7, 3] and watch.has_telemetry
+    update = watch.history.states_since()
+    taken = update.states
+    assert update.generation == 2 and update.description.robots == [7, 3] and watch.has_telemetry
     nan = np.nan
     # x_hat of robot 7, x and b of robot 3, which comes last
     heard = ((nan, nan, nan), (nan, nan, nan), (0.25, nan, nan), (0.25, 0.25, 0.9))
@@ -264,9 +276,9 @@ def test_a_bus_is_filmed_as_robots_join(monkeypatch: pytest.MonkeyPatch) -> None
     assert [each.tick for each in taken] == [0, 1, 2, 3]
     assert np.array_equal([each.values for each in taken], expected, equal_nan=True)
     watch.record(lambda: now[0] >= 4.5)
-    silent = watch.film.since()[2][-1].values
+    silent = watch.history.states_since().states[-1].values
     assert np.isnan(silent[:3]).all() and (silent[3] == 0.9).all()
-    assert watch.film.report is not None and all(each["silent"] for each in watch.film.report["robots"])
+    assert watch.history.report is not None and all(each["silent"] for each in watch.history.report["robots"])
 
 
 def log_of(path: Path, frames: dict[float, can.Message], head: str = "") -> Path:
@@ -284,22 +296,26 @@ def test_a_log_is_filmed_by_its_frames(tmp_path: Path) -> None:
         1003.5: encode_telemetry(Telemetry(3, 1 << 22, 1 << 23, 0, 1)),
     }
     log = log_of(tmp_path / "real.log", frames, "# of Tuesday\n")
-    shown = film_of_frames(log, FrameFormat(), fill_ratio=0.4, true_accuracy=0.9)
+    shown = read_frame_history(log, FrameFormat(), fill_ratio=0.4, true_accuracy=0.9)
     assert shown.has_telemetry and shown.summary.skipped_lines == 1
-    _, stage, taken = shown.film.since()
+    update = shown.history.states_since()
+    stage, taken = update.description, update.states
     assert (stage.title, stage.robots, stage.fill_ratio) == ("real.log", [7, 3], 0.4)
     assert [state.tick for state in taken] == [*range(37)]
     nan = np.nan
     assert np.array_equal(taken[1].values, [[nan, nan], [0.25, nan], [nan, nan], [0.9, 0.9]], equal_nan=True)
     assert np.array_equal(taken[4].values[:, 1], [0.25, nan, 0.25, 0.9], equal_nan=True)
     assert np.array_equal(taken[36].values[:, 0], [nan, nan, nan, 0.9], equal_nan=True)
-    assert shown.film.has_ended and shown.film.report is not None
+    assert shown.history.has_ended and shown.history.report is not None
 
 
 def test_frames_of_a_long_log_make_a_film_of_bounded_length(tmp_path: Path) -> None:
     frame = encode_estimate(Estimate(7, 1 << 21, 1, 0), FrameFormat())
     log = log_of(tmp_path / "real.log", {0.0: frame, 2e7: frame})
-    assert len(film_of_frames(log, FrameFormat()).film.since()[2]) <= films.MAX_STATES + 1
+    assert (
+        len(read_frame_history(log, FrameFormat()).history.states_since().states)
+        <= history_module.MAX_STATES + 1
+    )
 
 
 @pytest.mark.parametrize(
@@ -314,7 +330,7 @@ def test_frames_that_cannot_be_shown_are_refused(text: str, reason: str, tmp_pat
     log = tmp_path / "real.log"
     log.write_text(text)
     with pytest.raises(UsageError, match=reason):
-        film_of_frames(log, FrameFormat())
+        read_frame_history(log, FrameFormat())
 
 
 def test_a_run_is_shown_in_a_notebook_as_its_page(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.recording.events import events_path
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.view.films import SwarmCamera, film_of_log, film_of_trial
+from mcp_asdf_tools.view.films import SwarmRecorder, recompute_swarm_history, recompute_trial_history
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
@@ -55,9 +55,9 @@ def set_parameters(**values: Any) -> Callable[[Header], object]:
 
 @pytest.mark.parametrize("name", sorted({*Population().parameters(), "allow", "faults"} - {"flawed"}))
 def test_a_log_without_a_parameter_is_viewed_with_its_default(name: str, log: Path) -> None:
-    title = film_of_log(log).stage.title
+    title = recompute_swarm_history(log).description.title
     change_header(log, lambda header: header["parameters"].pop(name))
-    assert film_of_log(log).stage.title == title
+    assert recompute_swarm_history(log).description.title == title
 
 
 @pytest.mark.parametrize("name", ["comms_period", "filter_period", "memory", "firmware"])
@@ -75,7 +75,7 @@ def test_a_log_whose_header_lacks_an_entry_is_replayed(name: str, log: Path) -> 
 def test_a_log_of_a_node_is_not_of_a_swarm(log: Path) -> None:
     change_header(log, lambda header: header.update(parameters={"steps_per_second": 10, "steps": 5}))
     with pytest.raises(UsageError, match="is not of a swarm, so there is nothing to see"):
-        film_of_log(log)
+        recompute_swarm_history(log)
 
 
 def test_a_graph_of_a_log_that_is_a_file_is_refused_unopened(log: Path, tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_a_graph_of_a_log_that_is_a_file_is_refused_unopened(log: Path, tmp_path
     os.mkfifo(tmp_path / "pipe")
     change_header(log, set_parameters(topology="graph", graph=str(tmp_path / "pipe")))
     with pytest.raises(UsageError, match="has to hold the edges themselves"):
-        film_of_log(log)
+        recompute_swarm_history(log)
 
 
 @pytest.mark.parametrize(
@@ -107,24 +107,24 @@ def test_a_damaged_first_line_is_refused_in_a_line(
 ) -> None:
     change_header(log, change)
     with pytest.raises(UsageError, match=message):
-        film_of_log(log)
+        recompute_swarm_history(log)
 
 
 def test_a_log_of_a_billion_steps_is_viewed_as_far_as_it_goes(log: Path) -> None:
     """Its chart has no line of the same robots without a filter, which would take hours."""
     change_header(log, set_parameters(steps=10**9))
-    film = film_of_log(log)
-    assert [state.tick for state in film.since()[2]] == [0]
-    assert len(film.stage.twin) == 0
+    history = recompute_swarm_history(log)
+    assert [state.tick for state in history.states_since().states] == [0]
+    assert len(history.description.unfiltered_errors) == 0
 
 
 def test_a_running_swarm_of_a_billion_steps_is_filmed_at_once() -> None:
-    assert len(SwarmCamera(SwarmSettings(steps=10**9)).film.stage.twin) == 0
+    assert len(SwarmRecorder(SwarmSettings(steps=10**9)).history.description.unfiltered_errors) == 0
 
 
 def test_a_trial_of_a_billion_steps_is_refused() -> None:
     (short,) = experiments_in(trials_to_table(run_trials(Experiment(robots=2, steps=10, trials=1), 0, 1)))
     long: Trials = replace(short, experiment=replace(short.experiment, steps=10**9))
     with pytest.raises(UsageError, match=r"too long to be run again, .* at most 100000000 steps"):
-        film_of_trial(long, 0)
-    assert np.isfinite(film_of_trial(short, 0).since()[2][-1].values).all()
+        recompute_trial_history(long, 0)
+    assert np.isfinite(recompute_trial_history(short, 0).states_since().states[-1].values).all()

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.view.film import Film, Stage, State
+from mcp_asdf_tools.view.film import History, HistoryUpdate, RunDescription, State
 from mcp_asdf_tools.view.page import page
 from mcp_asdf_tools.view.server import serving
 from support import PATIENCE
 
-STAGE = Stage("two </script> robots", [0, 1], fill_ratio=0.5)
+STAGE = RunDescription("two </script> robots", [0, 1], fill_ratio=0.5)
 STATES = [State(tick, np.full((4, 2), 0.25), np.zeros((2, 2), np.bool_), None) for tick in range(5)]
-OVER = Film(STAGE, STATES)
+OVER = History(STAGE, STATES)
 
 
 def answer(url: str, path: str = "/", **headers: str) -> tuple[int, str]:
@@ -51,20 +51,20 @@ def test_only_the_page_itself_is_answered_and_on_this_computer_alone() -> None:
             other.connect(("127.0.0.2", port))
 
 
-class Growing(Film):
-    """Film that grows each time somebody has looked: by a state, a report, a robot, and then no more."""
+class Growing(History):
+    """History that grows each time somebody has looked: by a state, a report, a robot, and then no more."""
 
     looks = 0
 
-    def since(self, generation: int = -1, index: int = 0) -> tuple[int, Stage, list[State]]:
-        found = super().since(generation, index)
+    def states_since(self, generation: int = -1, index: int = 0) -> HistoryUpdate:
+        found = super().states_since(generation, index)
         self.looks += 1
         if self.looks == 2:
             self.add(STATES[1])
         if self.looks == 3:
             self.report = {"robots": [], "frames": []}
         if self.looks == 4:
-            self.join(7)
+            self.add_robot(7)
         self.has_ended = self.looks == 6
         return found
 
@@ -73,8 +73,8 @@ def test_events_are_the_film_and_end_with_the_run() -> None:
     """Also where a state and a report come, a robot joins and the run ends while somebody watches."""
     live = Growing(STAGE)
     live.add(STATES[0])
-    for film, robots, counts in ((live, [[0, 1], [0, 1, 7]], [1, 1, 2]), (OVER, [[0, 1]], [5])):
-        with serving(film) as url:
+    for history, robots, counts in ((live, [[0, 1], [0, 1, 7]], [1, 1, 2]), (OVER, [[0, 1]], [5])):
+        with serving(history) as url:
             told = [each.splitlines() for each in answer(url, "/events")[1].split("\n\n") if each]
         assert told.pop() == ["event: end", "data: null"]
         contents = [(name, json.loads(data.removeprefix("data: "))) for name, data in told]
@@ -82,7 +82,7 @@ def test_events_are_the_film_and_end_with_the_run() -> None:
         assert [each["robots"] for each in stages] == robots
         assert [content["count"] for name, content in contents if name == "event: block"] == counts
         reports = [content for name, content in contents if name == "event: report"]
-        assert reports == [film.report] * (film is live)
+        assert reports == [history.report] * (history is live)
         assert {(each["title"], each["fill_ratio"]) for each in stages} == {(STAGE.title, 0.5)}
 
 
