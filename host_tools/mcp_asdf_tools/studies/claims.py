@@ -1,4 +1,10 @@
-"""The paper's claims, read from ``claims.toml``, and the comparisons by which trials decide them."""
+"""The paper's claims, read from ``claims.toml``, and the comparisons by which trials decide them.
+
+A cell is one kind of swarm of the study (see ``cells.Cell``), in the paper's symbols: f, the share of black
+floor; b, the accuracy of the sensors; b_hat, the accuracy that a flawed robot wrongly assumes at the start;
+P, the percentage of flawed robots; which robots filter; and tau, the steps from one filter step to the next.
+A claim has contrasts: rows that compare the scores of cells with those of other cells, or with a level.
+"""
 
 from __future__ import annotations
 
@@ -34,10 +40,10 @@ from mcp_asdf_tools.studies.verdicts import (
 _FILE = tomllib.loads(Path(__file__).with_name("claims.toml").read_text(encoding="utf-8"))
 
 SIZES: Mapping[str, float] = _FILE["sizes"]
-"""Smallest difference that counts, by the paper's words."""
+"""Smallest difference that counts, in points of a score, by the paper's word, such as "much"."""
 
 LEVELS: Mapping[str, float] = _FILE["levels"]
-"""Levels of a score, by the paper's words."""
+"""Levels of a score from 0 to 100, by the paper's word, such as "excellent"."""
 
 QUESTIONS: Mapping[str, str] = _FILE["questions"]
 """Questions of a user, by the name of the claim that answers each."""
@@ -53,18 +59,19 @@ IDENTICAL_ROBOTS = "connected_estimates_are_identical"
 class Contrast:
     """A row of a claim in ``claims.toml``: cells, each compared with another cell or with a level.
 
-    The head of the file describes the attributes, which are its keys; lists make all combinations.
+    The head of the file describes the attributes, which are its keys. An attribute may have a list of values:
+    the contrast is then about the cells of all combinations of values.
 
     Attributes:
         expected: What the claim says about the difference: a value of ``Expectation``.
         measure: Name in MEASURES of what is compared.
         than_measure: Measure of the other cell, if it differs.
         size: Smallest difference that counts: a number, or a name in SIZES.
-        panels: Names of f and b.
-        flawed_accuracies: b_hat of the flawed robots.
-        flawed_percents: P.
-        filters: Which robots filter.
-        filter_periods: tau in steps.
+        panels: Names of pairs of f, the share of black floor, and b, the sensors' accuracy.
+        flawed_accuracies: b_hat of the flawed robots, the accuracy that they assume at the start.
+        flawed_percents: P, the percentage of robots that are flawed.
+        filters: Which robots filter: values of ``Experiment.filter``.
+        filter_periods: tau, the steps from one filter step to the next.
         than: How the other cell differs: attributes of ``Cell``, or the name of such a table.
         level: What is compared with where there is no other cell: a number, or a name in LEVELS.
     """
@@ -82,17 +89,22 @@ class Contrast:
     level: str | float | None = None
 
     def plan(self, study_part: StudyPart) -> list[PlannedComparison]:
-        """List the comparisons about a part of the study, each pair of experiments once."""
-        # Different rows of the file may mean the same experiments: see Cell.normal.
-        plans = [
-            PlannedComparison(self, cell.normal, reference.normal if reference else None)
-            for cell in self._cells(study_part)
-            for reference in self._references(cell)
-        ]
-        return list({(plan.cell, plan.reference): plan for plan in plans}.values())
+        """List the comparisons of the contrast's cells in a part of the study, each pair of cells once."""
+        plan_by_cells: dict[tuple[Cell, Cell | None], PlannedComparison] = {}
+        for cell in self._cells(study_part):
+            for reference in self._references(cell):
+                # Different values may describe the same experiment, which Cell.normal makes equal.
+                normal_reference = None if reference is None else reference.normal
+                plan = PlannedComparison(self, cell.normal, normal_reference)
+                plan_by_cells[plan.cell, plan.reference] = plan
+        return list(plan_by_cells.values())
 
     def _cells(self, study_part: StudyPart) -> list[Cell]:
-        """Return all combinations of the contrast's values whose flawed robots are flawed."""
+        """Return a cell of the study's part for every combination of the contrast's values.
+
+        Combinations in which b_hat, the accuracy that flawed robots assume, equals b, the true one, are left
+        out: their "flawed" robots would be right.
+        """
         value_combinations = product(
             _as_list(self.filters),
             _fill_ratios_and_accuracies(self.panels, study_part),
@@ -100,21 +112,35 @@ class Contrast:
             _as_list(self.flawed_percents),
             _as_list(self.filter_periods),
         )
-        return [
-            Cell(study_part, fill_ratio, accuracy, flawed_accuracy, percent, filter_name, period)
-            for filter_name, (fill_ratio, accuracy), flawed_accuracy, percent, period in value_combinations
-            if flawed_accuracy != accuracy
-        ]
+        cells: list[Cell] = []
+        for filter_name, (fill_ratio, accuracy), flawed_accuracy, percent, period in value_combinations:
+            if flawed_accuracy == accuracy:
+                continue
+            cell = Cell(
+                study_part=study_part,
+                fill_ratio=fill_ratio,
+                true_accuracy=accuracy,
+                flawed_accuracy=flawed_accuracy,
+                flawed_percent=percent,
+                filter=filter_name,
+                filter_period=period,
+            )
+            cells.append(cell)
+        return cells
 
     def _references(self, cell: Cell) -> list[Cell] | list[None]:
-        """Return the cells with which a cell is compared; a list of None where that is a level."""
+        """Return the cells with which a cell is compared, as ``than`` describes them.
+
+        Without ``than`` the cell is compared with the level, or its measure with 0: the list is then [None].
+        """
         if self.than is None:
             return [None]
         if self.than == "next lower P":
-            # Which P that is depends on the cell, so no table of changes can say it.
-            index = FLAWED_PERCENTS.index(cell.flawed_percent)
-            return [replace(cell, flawed_percent=FLAWED_PERCENTS[index - 1])]
-        changes = dict(_FILE["than"][self.than] if isinstance(self.than, str) else self.than)
+            # Which P that is depends on the cell, so no table of changes can describe it.
+            percent_index = FLAWED_PERCENTS.index(cell.flawed_percent)
+            return [replace(cell, flawed_percent=FLAWED_PERCENTS[percent_index - 1])]
+        named_changes = _FILE["than"]
+        changes = dict(named_changes[self.than] if isinstance(self.than, str) else self.than)
         if "study_part" in changes:
             changes["study_part"] = StudyPart(changes["study_part"])
         # A list among the values stands for several reference cells.
@@ -122,34 +148,53 @@ class Contrast:
 
     @property
     def size_in_points(self) -> float:
-        """The smallest difference that counts, as a number."""
-        return SIZES[self.size] if isinstance(self.size, str) else self.size
+        """The smallest difference that counts, as a number in the unit of the measure."""
+        if isinstance(self.size, str):
+            return SIZES[self.size]
+        return self.size
 
     @property
     def level_in_points(self) -> float | None:
-        """The level as a number; None where there is none."""
-        return LEVELS[self.level] if isinstance(self.level, str) else self.level
+        """The level of a score, from 0 to 100, that cells are compared with; None where there is none."""
+        if isinstance(self.level, str):
+            return LEVELS[self.level]
+        return self.level
 
 
-def _as_list(value: Any) -> list[Any]:
-    """Return a list of the file as it is, and one value as a list of its own."""
-    return list(value) if isinstance(value, list | tuple) else [value]
+def _as_list(value_or_values: Any) -> list[Any]:
+    """Return the values of a list or tuple as a list, and a single value as a list of one."""
+    if isinstance(value_or_values, list | tuple):
+        return list(value_or_values)
+    return [value_or_values]
 
 
 def _fill_ratios_and_accuracies(
     panels: str | Sequence[str], study_part: StudyPart
 ) -> list[tuple[float, float]]:
-    """Return f and b of panels by their names; some names mean other panels in each part of the study."""
+    """Return the pairs of f, the share of black floor, and b, the sensors' accuracy, that panels stand for.
+
+    A panel is a plot of the paper's figures; ``claims.toml`` lists the pairs by the panels' names. Some names
+    have other pairs in each part of the study.
+    """
     pairs: list[tuple[float, float]] = []
-    for name in _as_list(panels):
-        panel = _FILE["panels"][name]
-        pairs += panel[study_part.value] if isinstance(panel, dict) else panel
+    for panel_name in _as_list(panels):
+        panel = _FILE["panels"][panel_name]
+        if isinstance(panel, dict):
+            pairs += panel[study_part.value]
+        else:
+            pairs += panel
     return pairs
 
 
 @dataclass(frozen=True)
 class PlannedComparison:
-    """A comparison to be made: of a cell with a reference, or with the contrast's level if that is None."""
+    """A comparison that results of the study can make.
+
+    Attributes:
+        contrast: Says what is measured, and what is expected of the difference.
+        cell: The cell that is compared.
+        reference: The cell with which it is compared; None if that is the contrast's level, or 0 without one.
+    """
 
     contrast: Contrast
     cell: Cell
@@ -157,11 +202,16 @@ class PlannedComparison:
 
     @property
     def parts(self) -> set[StudyPart]:
-        """The parts of the study whose results it needs."""
-        return {self.cell.study_part} | ({self.reference.study_part} if self.reference else set())
+        """The parts of the study whose results the comparison needs: of its cell and of its reference."""
+        if self.reference is None:
+            return {self.cell.study_part}
+        return {self.cell.study_part, self.reference.study_part}
 
     def compare(self, study_results: StudyResults, confidence: float) -> Comparison:
-        """Compare the cells by their trials, with an interval of the given confidence."""
+        """Return the difference by the trials, with an interval of this confidence, 0.95 for example.
+
+        Raises KeyError if ``study_results`` lack one of the two cells.
+        """
         contrast = self.contrast
         # Differences are formed resample by resample, so that what both cells have in common cancels.
         difference = study_results.measure(self.cell, contrast.measure)
@@ -169,38 +219,50 @@ class PlannedComparison:
             difference -= study_results.measure(self.reference, contrast.than_measure or contrast.measure)
         elif contrast.level_in_points is not None:
             difference = difference.minus_constant(contrast.level_in_points)
-        row, column = self._row_and_column()
         return Comparison(
-            row,
-            column,
-            difference.interval(confidence),
+            row=self._row_label(),
+            column=self._column_label(),
+            interval=difference.interval(confidence),
             expectation=Expectation(contrast.expected),
             size=contrast.size_in_points,
             is_strong=contrast.size in STRONG_WORDS,
         )
 
-    def _row_and_column(self) -> tuple[str, str]:
-        """Return the row and the column of the claim's table that the comparison belongs to."""
+    def _row_label(self) -> str:
+        """Return the label of the comparison's row in the report, such as "f 0.95, b 0.55, b_hat 0.95"."""
+        cell_labels = labels_of(self.cell)
+        row_names = ("fill_ratio", "true_accuracy", "flawed_accuracy")
+        return ", ".join(cell_labels[name] for name in row_names if name in cell_labels)
+
+    def _column_label(self) -> str:
+        """Return the label of the comparison's column in the report: what is subtracted from what.
+
+        With a reference it ends in the attributes in which this differs: "H, P 30 %, ASDF+, tau 1000 less no
+        filter". With a level it begins with the difference: "H less 95, P 30 %, no filter".
+        """
         cell_labels = labels_of(self.cell)
         reference_labels = labels_of(self.reference) if self.reference else cell_labels
-        row_names = ("fill_ratio", "true_accuracy", "flawed_accuracy")
+        measured_value = self.contrast.measure
+        if self.contrast.level_in_points is not None:
+            measured_value += f" less {self.contrast.level_in_points:g}"
         column_names = ["flawed_percent", "filter", "filter_period"]
-        # The part of the study is named only where it is what differs.
+        # The part of the study is named only where the reference is of another part.
         if reference_labels["study_part"] != cell_labels["study_part"]:
             column_names.insert(0, "study_part")
-        row = ", ".join(cell_labels[name] for name in row_names if name in cell_labels)
-        column = self.contrast.measure
-        if self.contrast.level_in_points is not None:
-            column += f" less {self.contrast.level_in_points:g}"
-        column = ", ".join([column, *(cell_labels[name] for name in column_names if name in cell_labels)])
-        if self.reference:
-            changed = [label for name, label in reference_labels.items() if cell_labels.get(name) != label]
-            column += f" less {', '.join(changed)}"
-        return row, column
+        shown_labels = [cell_labels[name] for name in column_names if name in cell_labels]
+        minuend = ", ".join([measured_value, *shown_labels])
+        if self.reference is None:
+            return minuend
+        changed_labels = [label for name, label in reference_labels.items() if label != cell_labels.get(name)]
+        return f"{minuend} less {', '.join(changed_labels)}"
 
 
 def labels_of(cell: Cell) -> dict[str, str]:
-    """Return a label for each attribute of a cell that means something in it."""
+    """Return labels such as "P 30 %" for the attributes of a cell, by the attributes' names.
+
+    Attributes that have no meaning in the cell are left out: b_hat of flawed robots where there are none, and
+    tau, the filter's period in steps, where no robot filters.
+    """
     labels = {
         "study_part": cell.study_part.label,
         "fill_ratio": f"f {cell.fill_ratio:g}",
@@ -210,7 +272,7 @@ def labels_of(cell: Cell) -> dict[str, str]:
         "filter": FILTERS[cell.filter].term,
         "filter_period": f"tau {cell.filter_period}",
     }
-    # A label that means nothing would tell cells apart that are the same experiment.
+    # Such a label would make a difference between cells that are the same experiment.
     if cell.flawed_percent == 0:
         del labels["flawed_accuracy"]
     if cell.filter == "none":
@@ -220,13 +282,13 @@ def labels_of(cell: Cell) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Claim:
-    """A statement of the paper.
+    """A statement of the paper that equations or trials decide.
 
     Attributes:
-        name: Its key in the file.
-        where: Section, and figure or table.
-        quote: The paper's own words.
-        compared: What is compared, in ours.
+        name: Its key in ``claims.toml``.
+        where: Where the paper has it: the section, and the figure or table.
+        quote: The sentence of the paper.
+        compared: What the study compares to decide it, as a sentence for the report.
         parts: The parts of the study that it is about; None stands for the equations.
         scope: How many comparisons must hold.
         contrasts: What is compared where trials decide.
@@ -241,21 +303,31 @@ class Claim:
     contrasts: tuple[Contrast, ...]
 
     def plan(self, study_part: StudyPart) -> list[PlannedComparison]:
-        """List all comparisons about a part of the study."""
+        """List the comparisons of all contrasts in a part of the study, in the order of the file."""
         return [plan for contrast in self.contrasts for plan in contrast.plan(study_part)]
 
 
 def _claim_from(name: str, row: Mapping[str, Any]) -> Claim:
-    """Make a claim of its table in the file; a contrast with a list of measures stands for one with each."""
-    # One row of the file may ask for several measures, to say once which cells are compared.
-    contrasts = [
-        Contrast(**{**contrast, "measure": measure})
-        for contrast in row.get("contrasts", [])
-        for measure in _as_list(contrast.get("measure", Contrast.measure))
-    ]
-    parts = (None,) if name in EQUATIONS else tuple(StudyPart(study_part) for study_part in row["parts"])
-    scope = Scope(row.get("scope", "all"))
-    return Claim(name, row["where"], row["quote"], row["compared"], parts, scope, tuple(contrasts))
+    """Make the claim called ``name`` from its table in ``claims.toml``.
+
+    A row of contrasts that has a list of measures becomes one contrast for each measure.
+    """
+    contrasts: list[Contrast] = []
+    for contrast_row in row.get("contrasts", []):
+        for measure in _as_list(contrast_row.get("measure", Contrast.measure)):
+            contrasts.append(Contrast(**{**contrast_row, "measure": measure}))
+    parts: tuple[StudyPart | None, ...] = (None,)
+    if name not in EQUATIONS:
+        parts = tuple(StudyPart(part_name) for part_name in row["parts"])
+    return Claim(
+        name=name,
+        where=row["where"],
+        quote=row["quote"],
+        compared=row["compared"],
+        parts=parts,
+        scope=Scope(row.get("scope", "all")),
+        contrasts=tuple(contrasts),
+    )
 
 
 CLAIMS = tuple(_claim_from(name, row) for name, row in _FILE["claims"].items())
@@ -264,7 +336,13 @@ CLAIMS = tuple(_claim_from(name, row) for name, row in _FILE["claims"].items())
 
 @dataclass(frozen=True)
 class Decision:
-    """What the results say about a claim in a part of the study; the part is None where equations decide."""
+    """What the results say about a claim in one part of the study.
+
+    Attributes:
+        claim: The claim of the paper.
+        study_part: The part of the study; None if the paper's equations decide instead of trials.
+        comparisons: All comparisons of the claim with these results.
+    """
 
     claim: Claim
     study_part: StudyPart | None
@@ -272,18 +350,21 @@ class Decision:
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict that follows from the comparisons."""
+        """The verdict that follows from the comparisons and from how many of them must hold."""
         return verdict_of(self.comparisons, self.claim.scope)
 
     @property
     def part_label(self) -> str:
-        """Name of the part for people to read."""
-        return self.study_part.label if self.study_part else "equations"
+        """The name of the part for readers of the report; "equations" if there is no part."""
+        if self.study_part is None:
+            return "equations"
+        return self.study_part.label
 
     @property
     def anchor(self) -> str:
-        """Target of links to the claim in the report."""
-        return f"{self.study_part.value if self.study_part else 'equations'}-{self.claim.name}"
+        """The target of links to the claim in the report: the part and the claim's name, without spaces."""
+        part_name = self.study_part.value if self.study_part else "equations"
+        return f"{part_name}-{self.claim.name}"
 
     def count(self, holds: bool | None) -> int:
         """Count the comparisons that hold (True), fail (False) or are open (None)."""
@@ -291,40 +372,67 @@ class Decision:
 
 
 def decide(study_results: StudyResults, claims: Iterable[Claim] = CLAIMS) -> list[Decision]:
-    """Decide every claim of whose parts there are results. O(cells RESAMPLES trials)."""
-    return [
-        Decision(claim, study_part, tuple(_compare(claim, study_part, study_results)))
-        for claim in claims
-        for study_part in claim.parts
-        if parts_needed(claim, study_part) <= set(study_results.parts)
-    ]
+    """Return a decision for every claim and each of its parts, in the order of the claims.
+
+    Parts of a claim are left out where ``study_results`` lack a part of the study that the comparisons need.
+    O(cells RESAMPLES trials).
+    """
+    parts_with_results = set(study_results.parts)
+    decisions: list[Decision] = []
+    for claim in claims:
+        for study_part in claim.parts:
+            if parts_needed(claim, study_part) <= parts_with_results:
+                comparisons = tuple(_compare(claim, study_part, study_results))
+                decisions.append(Decision(claim, study_part, comparisons))
+    return decisions
 
 
 def parts_needed(claim: Claim, study_part: StudyPart | None) -> set[StudyPart]:
-    """Return the parts of the study whose results decide a claim about ``part``; none where equations do."""
+    """Return the parts of the study whose results decide a claim about one of its parts.
+
+    These are more than that part where the claim compares parts with each other, and none where it has None
+    as its part, as equations decide it.
+    """
     if study_part is None:
         return set()
-    return {study_part}.union(*(plan.parts for plan in claim.plan(study_part)))
+    parts = {study_part}
+    for plan in claim.plan(study_part):
+        parts |= plan.parts
+    return parts
 
 
 def _compare(claim: Claim, study_part: StudyPart | None, study_results: StudyResults) -> list[Comparison]:
-    """Make all comparisons of a claim, with intervals so wide that all are right together with CONFIDENCE."""
+    """Make all comparisons of a claim in a part of the study, or those of its equations if the part is None.
+
+    The intervals are so wide that, with the probability CONFIDENCE, every one contains its true difference.
+    """
     # Two kinds of claims have no contrasts: those of the equations, and the one about single robots.
     if study_part is None:
         return EQUATIONS[claim.name]()
     if claim.name == IDENTICAL_ROBOTS:
         return _compare_robots(study_part, study_results)
     plans = claim.plan(study_part)
-    # Bonferroni's correction: errors of single comparisons add up to 1 - CONFIDENCE at most.
-    bonferroni_confidence = 1 - (1 - CONFIDENCE) / len(plans)
+    # Bonferroni's correction: the error probabilities of the comparisons add up to 1 - CONFIDENCE at most.
+    error_probability = (1 - CONFIDENCE) / len(plans)
+    bonferroni_confidence = 1 - error_probability
     return [plan.compare(study_results, bonferroni_confidence) for plan in plans]
 
 
 def _compare_robots(study_part: StudyPart, study_results: StudyResults) -> list[Comparison]:
-    """Compare the largest K and e of the robots of a trial with the smallest ones, over all cells."""
+    """Compare the robots of each trial of a part with each other: one comparison for K, and one for e.
+
+    K is the step at which a robot's estimate has converged, and e its mean error from then on. Each
+    comparison has the largest difference between two robots of one trial, and expects it to be 0 but for
+    ROUNDING.
+    """
+    differences = study_results.largest_differences_between_robots(study_part)
     return [
         exact_comparison(
-            "all cells", f"largest {name} in a trial less the smallest", value, Expectation.SAME, ROUNDING
+            row="all cells",
+            column=f"largest {quantity} in a trial less the smallest",
+            value=difference,
+            expectation=Expectation.SAME,
+            size=ROUNDING,
         )
-        for name, value in study_results.largest_differences_between_robots(study_part).items()
+        for quantity, difference in differences.items()
     ]
