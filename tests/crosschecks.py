@@ -53,7 +53,7 @@ FAULTS = {
     "mean": "// (closed.alpha + own_alpha{ =>  | 1})",
     "test": "{table.entry(m) => (table.entry(m) ^ 1)} * spread",
     "test: fewest messages": "= {2 => 3} if config.filter == Filter.ADAPTIVE",
-    "halving: ties to even": "(s.n >> 1 & {1 => 0})) >> 1",
+    "halving: ties to even": "round_up = (s.n >> 1) & {1 => 0}",
     "counters": "COUNTER_MASK = {0xFFFF => 0xFFFE}",
     "filter period": "if s.filter_left {== 0 => <= 1}:",
     "vote: gain": "VOTES_OF_MAX_GAIN = {32 => 16}",

@@ -393,8 +393,8 @@ WRONG |= {
     "colours exchanged": firmware("alone", "colour = {index(z) => 1 - index(z)}"),
     "rounds x_hat up": firmware("first black tiles", "s.updated = 0{ => ; s.x_hat += 0 < s.x_hat < HALF}"),
     "alpha of 20 bits": firmware("alone", "s.updated = 0{ => ; s.alpha &= 0xFFFF_F01F}"),
-    "halves down": firmware("stray commands", "s.n + {(s.n >> 1 & 1) => 0}) >> 1", config=HALVED),
-    "halves up": firmware("threshold of 5 messages", "s.n + {(s.n >> 1 & 1) => 1}) >> 1", config=HALVED),
+    "halves down": firmware("stray commands", "round_up = {(s.n >> 1) & 1 => 0}", config=HALVED),
+    "halves up": firmware("threshold of 5 messages", "round_up = {(s.n >> 1) & 1 => 1}", config=HALVED),
     "broadcasts x": firmware("nothing seen", "return {self.s.x_hat => self.x_raw}\n"),
     # Ends of ranges
     "x_hat at least 0.01": firmware("alone", "is_mirrored else {x_hat => max(x_hat, ONE // 100)}, alpha"),
@@ -460,8 +460,9 @@ WRONG |= {
     "an update counter of 5 bits": firmware("many updates", "(s.updates + 1) & {COUNTER_MASK => 31}"),
     "tests in float64": firmware(
         "threshold of 126 messages",
-        "return {difference * difference => float(difference) * difference} > table",
-        "> {table.entry(m) * spread >> FRACTION_BITS => table.entry(m) / 2**FRACTION_BITS * float(spread)}",
+        "return {difference * difference => float(difference) * difference} > limit",
+        "limit = {(table.entry(m) * spread) >> FRACTION_BITS => "
+        "table.entry(m) / 2**FRACTION_BITS * float(spread)}",
     ),
     "thresholds of 23 fraction bits": firmware(
         "threshold of 10 messages", "{table.entry(m) => (table.entry(m) & ~7)} * spread"

@@ -2,10 +2,14 @@
 
 Formats:
 
-- x_hat, x_bar and x are integers in units of 2**-23, so 1.0 is 2**23.
-- b_hat is an integer in units of 2**-32.
-- alpha is an *alpha word* of 32 bits: a mantissa (bits 8 to 31) and a shift (bits 0 to 4), together worth
-  mantissa * 2**shift units of 2**-24. Bits 5 to 7 are ignored on input and 0 on output.
+- x_hat, x_bar and x (the local, the social and the informed estimate of the share of black tiles) are
+  integers in units of 2**-23, so 1.0 is 2**23.
+- b_hat, the accuracy that a robot assumes of its sensor, is an integer in units of 2**-32.
+- alpha, the confidence of x_hat, is an *alpha word* of 32 bits: a mantissa (bits 8 to 31) and a shift (bits 0
+  to 4), together worth mantissa * 2**shift units of 2**-24. Bits 5 to 7 are ignored on input and 0 on output.
+- alpha is an integer in units of 2**-24 where it is summed up.
+
+A *round* is what a robot receives from one ``settle`` to the next; ``mcp_asdf.robot`` defines more words.
 """
 
 from __future__ import annotations
@@ -21,8 +25,8 @@ from mcp_asdf.robot import (
     Status,
     Sums,
     check_alpha,
+    create_rejection,
     describe_robot,
-    raise_if_rejected,
 )
 from mcp_asdf.table import MAX_WORD
 
@@ -36,69 +40,90 @@ HALF = 1 << 22
 """1/2 as x_hat, x_bar or x."""
 
 B_HAT_MIN = 1 << 12
+"""Smallest b_hat, 2**-20."""
 B_HAT_MAX = (1 << 32) - (1 << 12)
+"""Largest b_hat, 1 - 2**-20."""
 
 UNITS_PER_ALPHA = 1 << 24
+"""alpha = 1.0 in the units of 2**-24 in which confidences are summed up."""
+MANTISSA_BITS = 24
 MANTISSA_MAX = 0xFFFFFF
 SHIFT_MAX = 31
-ALPHA_MAX = MANTISSA_MAX << 8 | SHIFT_MAX
+"""Largest shift of an alpha word, which is also the mask of the shift's bits."""
+ALPHA_MAX = (MANTISSA_MAX << 8) | SHIFT_MAX
 """The alpha word of the largest confidence, 2**31 - 2**7."""
 
 
 def b_hat_to_raw(b_hat: float) -> int:
-    """Convert an accuracy in [2**-20, 1 - 2**-20] to units of 2**-32, rounded to nearest, ties to even."""
+    """Convert a sensor's assumed accuracy to units of 2**-32, rounded to nearest, ties to even.
+
+    It is not checked, and should be in [2**-20, 1 - 2**-20].
+    """
     return round(float(b_hat) * 2**32)
 
 
 def x_hat_to_raw(x_hat: float) -> int:
-    """Convert an estimate to units of 2**-23, rounded down.
+    """Convert a local estimate to units of 2**-23, rounded down.
 
-    Outside [0, 1] the result is 2**32 - 1, which the firmware rejects.
+    For NaN and outside [0, 1] the result is 2**32 - 1, which the firmware rejects as ERR_X_HAT.
     """
-    return math.floor(float(x_hat) * ONE) if 0.0 <= x_hat <= 1.0 else MAX_WORD
+    if not 0.0 <= x_hat <= 1.0:
+        return MAX_WORD
+    return math.floor(float(x_hat) * ONE)
 
 
 def alpha_units(word: int) -> int:
-    """Return the value of an alpha word in units of 2**-24, which is below 2**55."""
+    """Convert an alpha word, a mantissa of 24 bits above a shift of 5, to units of 2**-24.
+
+    The result is mantissa * 2**shift, which is below 2**55.
+    """
     mantissa = word >> 8
-    return mantissa << (word & SHIFT_MAX)
+    shift = word & SHIFT_MAX
+    return mantissa << shift
 
 
 def alpha_from_word(word: int) -> float:
-    """Return the value of an alpha word, which is exact as a float."""
+    """Convert an alpha word, the firmware's 32 bits of a confidence, to a float, which is exact."""
     return alpha_units(word) / UNITS_PER_ALPHA
 
 
 def alpha_word_from_units(units: int) -> int:
-    """Return the alpha word of the largest confidence not above ``units`` units of 2**-24.
+    """Convert a confidence in units of 2**-24 to an alpha word, rounded down.
 
-    Of the words with that value it is the one with the smallest shift.
+    An alpha word has a mantissa of 24 bits above a shift of 5. Of the words with the same value the result is
+    the one with the smallest shift. It is ALPHA_MAX for a confidence above that of ALPHA_MAX.
     """
-    shift = max(units.bit_length() - 24, 0)
+    # The shift drops the bits of a long number that the mantissa cannot hold.
+    shift = max(units.bit_length() - MANTISSA_BITS, 0)
     if shift > SHIFT_MAX:
         return ALPHA_MAX
-    return (units >> shift) << 8 | shift
+    mantissa = units >> shift
+    return (mantissa << 8) | shift
 
 
 def alpha_word_from_float(alpha: float) -> int:
-    """Return the alpha word of the largest confidence not above ``alpha``.
+    """Convert a confidence to an alpha word, the firmware's 32 bits of it, rounded down.
 
-    Raises ValueError for an ``alpha`` that is no confidence: a negative number, -0.0, infinity or NaN.
+    A confidence above 2**31 - 2**7 becomes ALPHA_MAX, which stands for that number. Raises ValueError for an
+    ``alpha`` that is no confidence: a negative number, -0.0, infinity or NaN.
     """
     check_alpha(alpha)
-    limited_alpha = min(alpha, 2.0**31)  # above ALPHA_MAX, so that it becomes that
+    # A huge float would overflow below. The limit is above ALPHA_MAX, so it does not change the result.
+    limited_alpha = min(alpha, 2.0**31)
     return alpha_word_from_units(math.floor(math.ldexp(limited_alpha, 24)))
 
 
 def add_estimate(sums: Sums, x_hat: int, alpha: int) -> None:
-    """Add an estimate to the sums of a round; x_hat in units of 2**-23, alpha as an alpha word.
+    """Add a received estimate to a round's sums of alpha, alpha x_hat, x_hat and x_hat**2, and count it.
 
-    An estimate without confidence, alpha = 0, adds nothing and is not counted.
+    ``x_hat`` is in units of 2**-23; ``alpha``, its confidence, is an alpha word: a mantissa of 24 bits above
+    a shift of 5. An estimate without confidence, alpha = 0, changes nothing and is not counted.
     """
     units = alpha_units(alpha)
     if units == 0:
         return
-    # The products have 78 bits, so the C sums up those of both halves of the units.
+    # alpha x_hat has up to 78 bits, too many for a 64-bit number of the C. So alpha is split into its lower
+    # 32 bits and the rest, and the products of either with x_hat are summed up on their own.
     sums.alpha += units
     sums.alpha_x_low += (units & MAX_WORD) * x_hat
     sums.alpha_x_high += (units >> 32) * x_hat
@@ -108,17 +133,22 @@ def add_estimate(sums: Sums, x_hat: int, alpha: int) -> None:
 
 
 def is_valid_mean(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
-    """Return whether the sums of alpha and of alpha x_hat are in range, and their quotient is at most 1.
+    """Return whether a round of at most 127 estimates can have these sums of alpha and of alpha x_hat.
 
-    None of the three is negative.
+    That is whether they are small enough, and the mean of x_hat that they give is at most 1. The two halves
+    of the second sum are those of `Sums`: products with the lower 32 bits of alpha, and with the rest. The
+    three arguments are not negative.
     """
     alpha_x = (alpha_x_high << 32) + alpha_x_low
-    largest_alpha = MAX_ID * MANTISSA_MAX << SHIFT_MAX
+    largest_alpha = (MAX_ID * MANTISSA_MAX) << SHIFT_MAX
     return alpha <= largest_alpha and alpha_x_low < 1 << 62 and alpha_x <= alpha * ONE
 
 
 def are_valid_sums(sums: Sums) -> bool:
-    """Return whether ``sums.count`` messages can have these sums, none of which is negative."""
+    """Return whether a round of ``sums.count`` received estimates can have these sums.
+
+    None of the sums is negative, since the words that hold them have no sign.
+    """
     return (
         sums.count <= MAX_ID
         and sums.x <= sums.count * ONE
@@ -126,7 +156,7 @@ def are_valid_sums(sums: Sums) -> bool:
         # No sample has a negative variance (Cauchy and Schwarz).
         and sums.count * sums.x_squared >= sums.x * sums.x
         # Messages have an alpha of at least one unit.
-        and sums.count <= sums.alpha <= sums.count * MANTISSA_MAX << SHIFT_MAX
+        and sums.count <= sums.alpha <= (sums.count * MANTISSA_MAX) << SHIFT_MAX
         # The halves of an alpha are at most MAX_WORD and MANTISSA_MAX >> 1.
         and sums.alpha_x_low <= sums.x * MAX_WORD
         and sums.alpha_x_high <= sums.x * (MANTISSA_MAX >> 1)
@@ -135,20 +165,27 @@ def are_valid_sums(sums: Sums) -> bool:
 
 
 class FixedPointView(FixedPointRobot):
-    """The interface in floats of a robot that computes in integers. Every value but ``beta`` is exact."""
+    """The float interface of a robot that computes in integers: the part that mirror and native share.
+
+    A subclass has the integers (``*_raw``) and the calls that change them. All values but ``beta``, which may
+    have more digits than a float, are exact.
+    """
 
     @abstractmethod
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Receive a message as ``receive_raw``; the arguments are of Python's own ``int``."""
+        """Do what ``receive_raw`` does, for arguments of Python's own ``int`` and an alpha of 32 bits."""
 
     def _receive_all(self, messages: NDArray[np.uint32]) -> int:
-        """Receive the rows of a valid array in order, and return how many were accepted."""
+        """Do what ``receive_all`` does, for an array whose type and shape have been checked."""
         return sum(self._receive(*message) is Status.OK for message in messages.tolist())
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Add a neighbour's estimate to the open round; x_hat in units of 2**-23, alpha as an alpha word.
+        """Add a neighbour's estimate to the open round: what was received since the last ``settle``.
 
-        Raises ValueError, and changes nothing, for an ``alpha`` that has not 32 bits.
+        ``x_hat`` is in units of 2**-23; ``alpha`` is an alpha word: a mantissa of 24 bits above a shift of 5.
+        Returns OK if the estimate was accepted; REPEATED if the round already has one of this sender; and
+        ERR_SENDER or ERR_X_HAT, which counts as rejected, if that is out of range. Raises ValueError, and
+        changes nothing, for an ``alpha`` that has not 32 bits.
         """
         if not 0 <= alpha <= MAX_WORD:
             raise ValueError(f"alpha is {alpha}; the firmware's word has 32 bits")
@@ -156,7 +193,11 @@ class FixedPointView(FixedPointRobot):
         return self._receive(index(sender), index(x_hat), index(alpha))
 
     def receive_all(self, messages: NDArray[np.uint32]) -> int:
-        """Receive messages as ``receive_raw`` in order, and return how many were accepted."""
+        """Receive messages in order, as ``receive_raw`` does, and return how many of them were accepted.
+
+        A row of the array is a message, with the columns sender, x_hat and alpha. Raises ValueError, and
+        changes nothing, for an array that is not C-contiguous, of uint32 and of shape (messages, 3).
+        """
         if messages.dtype != "uint32" or messages.shape[1:] != (3,) or not messages.flags.c_contiguous:
             raise ValueError(
                 f"messages are an array of {messages.dtype} of shape {messages.shape}; "
@@ -165,12 +206,16 @@ class FixedPointView(FixedPointRobot):
         return self._receive_all(messages)
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        """Add a neighbour's estimate to the open round; values between the firmware's are rounded down.
+        """Add a neighbour's estimate to the open round: what was received since the last ``settle``.
 
-        Raises FirmwareError if the message is invalid, and counts it as rejected.
+        The firmware's numbers are coarser than floats, so x_hat and alpha are rounded down. Returns OK; or
+        REPEATED, and ignores the estimate, if the round already has one of this sender. Raises FirmwareError,
+        and counts the message as rejected, if ``sender`` (ERR_SENDER) or ``x_hat`` (ERR_X_HAT) is out of
+        range. Raises ValueError, and changes nothing, for an ``alpha`` that is no confidence.
         """
         status = self.receive_raw(sender, x_hat_to_raw(x_hat), alpha_word_from_float(alpha))
-        raise_if_rejected(status, sender, x_hat)
+        if status in (Status.ERR_SENDER, Status.ERR_X_HAT):
+            raise create_rejection(status, sender, x_hat)
         return status
 
     def __repr__(self) -> str:
@@ -178,30 +223,30 @@ class FixedPointView(FixedPointRobot):
 
     @property
     def b_hat(self) -> float:
-        """Assumed accuracy of this robot's sensor."""
+        """Accuracy that this robot assumes of its sensor, in [2**-20, 1 - 2**-20]."""
         return self.b_hat_raw / 2**32
 
     @property
     def x_hat(self) -> float:
-        """Local estimate (eq. 3)."""
+        """Local estimate of the share of black tiles (eq. 3), in [0, 1]."""
         return self.x_hat_raw / ONE
 
     @property
     def alpha(self) -> float:
-        """Local confidence (eq. 4)."""
+        """Confidence of the local estimate x_hat (eq. 4), >= 0."""
         return alpha_from_word(self.alpha_raw)
 
     @property
     def x_bar(self) -> float:
-        """Social estimate (eq. 5) of the last closed round."""
+        """Social estimate: mean of the last closed round's x_hat, weighted by alpha (eq. 5)."""
         return self.x_bar_raw / ONE
 
     @property
     def beta(self) -> float:
-        """Social confidence (eq. 6) of the last closed round, rounded to float64."""
+        """Social confidence: sum of the last closed round's alpha (eq. 6), rounded to float64."""
         return self.beta_raw / UNITS_PER_ALPHA
 
     @property
     def x(self) -> float:
-        """Informed estimate (eq. 7)."""
+        """Informed estimate: mean of x_hat and x_bar, weighted by alpha and beta (eq. 7)."""
         return self.x_raw / ONE

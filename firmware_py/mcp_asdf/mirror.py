@@ -7,7 +7,11 @@ down unless a comment says otherwise. ``docs/design.md`` specifies every bit; "e
 paper.
 
 Formats are those of ``mcp_asdf.fixed_point``. A "word" is an integer of 32 bits, and MAX_WORD the largest.
-Names that begin with Q32 are numbers in units of 2**-32.
+Names that begin with Q32 are numbers in units of 2**-32. ``mcp_asdf.robot`` defines the words of this
+package; the ones needed most are b_hat, the accuracy that a robot assumes of its sensor; x_hat, its estimate
+of the share of black tiles after n black among t observations; alpha, the confidence of that; and a round,
+which is what a robot receives from one ``settle`` to the next. To the robust filter, which is not the
+paper's, a received x_hat is a vote, and the crowd is the summary of all votes.
 """
 
 from __future__ import annotations
@@ -53,6 +57,7 @@ INFORMATIVE_G = 1 << 20
 """Smallest |2 p - 1|, in units of 2**-32, of an accuracy or an estimate p that carries information."""
 
 COUNTER_MASK = 0xFFFF
+"""Counters of events have 16 bits."""
 
 # The robust filter's constants, by the names that they have in C. The centre and the spread are in units of
 # 2**-30, the trend in units of 2**-16.
@@ -78,10 +83,13 @@ IMAGE_WORDS = 31
 
 @dataclass(frozen=True)
 class Accuracy:
-    """b_hat, and values that depend on it alone: see ``mcp_asdf_accuracy_t``.
+    """The assumed accuracy b_hat, and values that depend on it alone: see ``mcp_asdf_accuracy_t``.
+
+    They are computed when b_hat changes, so that an observation takes less time. The weights are in units of
+    2**-30, b_hat and c in units of 2**-32.
 
     Attributes:
-        b_hat: Assumed accuracy.
+        b_hat: Accuracy that the robot assumes of its sensor.
         c: Probability of an error, min(b_hat, 1 - b_hat); MAX_WORD if b_hat carries no information.
         common: Weight of an observation of the more frequent colour in alpha, (g / (1 - c))**2 with
             g = 1 - 2 c. For this and for ``rare``, g is shifted until its highest bit is set.
@@ -99,23 +107,30 @@ class Accuracy:
 
 
 def leading_zeros(value: int) -> int:
-    """Return the number of leading zeros of a word; 31 for 0, as for 1."""
+    """Return by how many bits a word can be shifted up until its highest bit is set; 31 for 0, as for 1."""
     return 32 - max(value.bit_length(), 1)
 
 
 def multiply_high(a: int, b: int) -> int:
-    """Return a product without its lower 32 bits: of words its upper word, of numbers in 2**-32 likewise."""
-    return a * b >> 32
+    """Return a * b / 2**32, rounded down: the upper word of the product of two words.
+
+    If both numbers are in units of 2**-32, so is the result.
+    """
+    return (a * b) >> 32
 
 
 def square_of_ratio(g: int, p: int) -> int:
     """Return (g / p)**2 in units of 2**-30, for g and p in [2**31, 2**32)."""
-    ratio = (((g >> 1) << 24) // (p >> 1)) << 7  # in units of 2**-31, its upper 24 or 25 bits
+    # The C divides for 24 bits of the quotient; the last shift brings these to units of 2**-31.
+    ratio = (((g >> 1) << 24) // (p >> 1)) << 7
     return multiply_high(ratio, ratio)
 
 
 def accuracy_of(b_hat: int) -> Accuracy:
-    """Return ``b_hat`` with the values that depend on it (in C ``set_b_hat``)."""
+    """Return an assumed accuracy, in units of 2**-32, with the values that depend on it.
+
+    In C this is ``set_b_hat``.
+    """
     c = min(b_hat, Q32_ONE - b_hat)
     g = Q32_ONE - 2 * c
     # Shifted, so that the quotients keep 24 bits also where g or c is small.
@@ -135,21 +150,25 @@ def accuracy_of(b_hat: int) -> Accuracy:
 
 
 def alpha_word_from_mantissa(mantissa: int, exponent: int) -> int:
-    """Return the alpha word of the largest alpha not above mantissa * 2**exponent units of 2**-24.
+    """Convert a confidence, mantissa * 2**exponent units of 2**-24, to an alpha word, rounded down.
 
-    The mantissa has 24 bits, of which the highest is set.
+    An alpha word has a mantissa of 24 bits above a shift of 5. The given mantissa has 24 bits, of which the
+    highest is set. The result is ALPHA_MAX for a confidence that no alpha word can hold.
     """
     if exponent > SHIFT_MAX:
         return ALPHA_MAX
     if exponent < 0:
+        # The shift cannot be negative, so the mantissa loses the bits below a unit.
         return (mantissa >> -exponent) << 8
-    return mantissa << 8 | exponent
+    return (mantissa << 8) | exponent
 
 
 def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int, int]:
-    """Return alpha where x_hat is 0 or 1 (eq. 4, first two cases), as a mantissa and an exponent.
+    """Return alpha, the confidence, where x_hat is 0 or 1 (eq. 4, first two cases), as mantissa and exponent.
 
-    This is rare_count (g / c)**2 + (t - rare_count) (g / (1 - c))**2.
+    This is rare_count (g / c)**2 + (t - rare_count) (g / (1 - c))**2, where ``rare_count`` of t > 0
+    observations are of the rarer colour, c is the probability of an error and g = 1 - 2 c. The result stands
+    for mantissa * 2**exponent units of 2**-24, with a mantissa of 24 bits.
     """
     weight = (t - rare_count) * accuracy.common
     exponent = 24 - 30 - 2 * accuracy.g_shift  # from the weights' unit of 2**-30 to that of alpha
@@ -161,9 +180,12 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
 
 
 def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, shift: int) -> tuple[int, int]:
-    """Return alpha where x_hat is between 0 and 1 (eq. 4, last case), as a mantissa and an exponent.
+    """Return alpha, the confidence, where 0 < x_hat < 1 (eq. 4, last case), as mantissa and exponent.
 
-    This is (g total)**2 total / (rarer (total - rarer)) / 2**shift, with ``scale`` for g total.
+    This is (g total)**2 total / (rarer (total - rarer)) / 2**shift, where ``total`` and ``rarer`` are the
+    numbers of all observations and of those of the rarer colour, both times 2**shift, and ``scale`` is
+    g total times 2**g_shift. The result stands for mantissa * 2**exponent units of 2**-24, with a mantissa of
+    24 bits.
     """
     square = multiply_high(multiply_high(scale, scale), total)
     spread = rarer * (total - rarer)
@@ -179,7 +201,10 @@ def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, sh
 
 
 def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
-    """Return x_hat (eq. 3) and the word of alpha (eq. 4) after n black observations of t > 0.
+    """Return x_hat (eq. 3) and its confidence as an alpha word (eq. 4) after n black of t > 0 observations.
+
+    x_hat, the estimated share of black tiles, is in units of 2**-23. It is 1/2, with the alpha word 0, if the
+    assumed accuracy carries no information.
 
     White and black are mirror images, and so are b_hat and 1 - b_hat. So the share of the rarer colour is
     estimated, for an accuracy above 1/2, and mirrored where that is not the robot's case.
@@ -209,9 +234,10 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
 
 
 def informed_estimate(closed: Closed, x_hat: int, alpha: int) -> int:
-    """Return x (eq. 7) from the last closed round and an own estimate, or x_hat if nobody has confidence.
+    """Return x (eq. 7): the mean of the closed round's x_hat and an own one, weighted by their confidence.
 
-    For an own estimate without confidence, alpha = 0, this is x_bar (eq. 5).
+    ``x_hat`` and the result are in units of 2**-23, and ``alpha``, its confidence, is an alpha word. The
+    result is ``x_hat`` if nobody has confidence. For an own alpha of 0 it is x_bar (eq. 5).
     """
     own_alpha = alpha_units(alpha)
     if closed.alpha + own_alpha == 0:
@@ -220,24 +246,26 @@ def informed_estimate(closed: Closed, x_hat: int, alpha: int) -> int:
 
 
 def asdf_test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
-    """Return whether x_hat differs too much from the m >= 2 estimates of a round (eq. 12).
+    """Return whether a robot's x_hat differs too much from the m >= 2 estimates received in a round (eq. 12).
 
-    Squared and multiplied out this is (sum x - m x_hat)**2 > k_m (m sum x**2 - (sum x)**2).
+    Squared and multiplied out this is (sum x - m x_hat)**2 > k_m (m sum x**2 - (sum x)**2), where k_m is the
+    table's threshold for m estimates, and the sums are those of the open round.
     """
     m = open_round.count
     difference = open_round.x - m * x_hat
     spread = m * open_round.x_squared - open_round.x * open_round.x
-    return difference * difference > table.entry(m) * spread >> FRACTION_BITS
+    limit = (table.entry(m) * spread) >> FRACTION_BITS  # entries are in units of 2**-26
+    return difference * difference > limit
 
 
 # ---- The filter: eq. 8 ----
 
 
 def upper_quotient(numerator: int, denominator: int) -> int:
-    """Return a quotient in units of 2**-32, computed from 32 bits of the denominator.
+    """Return numerator / denominator in units of 2**-32, or a little less, with the bits that the C computes.
 
-    These are its upper 32 bits, and the bits in the same places of the numerator. The denominator is rounded
-    up to an even number, so that the quotient is never too large. In C this is ``quotient``.
+    The C (``quotient``) divides by the upper 32 bits of the denominator, rounded up to an even number so that
+    the quotient is never too large, and takes the bits in the same places of the numerator.
     """
     shift = denominator.bit_length() - 32
     if shift < 0:
@@ -248,16 +276,21 @@ def upper_quotient(numerator: int, denominator: int) -> int:
 
 
 def round_mean(closed: Closed) -> int:
-    """Return x_bar (eq. 5) of a round with confidence in units of 2**-32, for eq. 8."""
+    """Return x_bar (eq. 5), the weighted mean of a closed round's x_hat, in units of 2**-32, for eq. 8.
+
+    The sum of the weights, which are the alpha, must not be 0.
+    """
     return upper_quotient(closed.alpha_x, closed.alpha * ONE)
 
 
 def reestimate(t: int, n: int, x_bar: int) -> int | None:
-    """Return the b_hat for which x_hat would be x_bar (eq. 8), after n black observations of t > 0.
+    """Return the accuracy b_hat for which the robot's x_hat would be x_bar, its neighbours' (eq. 8).
 
-    ``x_bar`` is in units of 2**-32. Returns None if it is too near 1/2 to carry information.
+    ``n`` of ``t`` > 0 observations were black. ``x_bar`` and the result are in units of 2**-32, and the
+    result is clamped to B_HAT_MIN .. B_HAT_MAX. Returns None, so that b_hat stays, if x_bar is so near 1/2
+    that it carries no information.
     """
-    if x_bar < Q32_HALF:  # exchange the colours
+    if x_bar < Q32_HALF:  # exchange the colours, which changes no accuracy but makes g positive
         x_bar = MAX_WORD - x_bar
         n = t - n
     g = 2 * x_bar - Q32_ONE
@@ -272,8 +305,9 @@ def reestimate(t: int, n: int, x_bar: int) -> int | None:
 
 
 def update_crowd(crowd: Crowd, sender: int, x_hat: int) -> None:
-    """Count a received x_hat as one vote: it moves the centre and the spread of the crowd, and the trend.
+    """Count a received x_hat, in units of 2**-23, as a vote, by which the robust filter's crowd changes.
 
+    It moves the centre of the votes, their spread and the trend of the centre's moves, and notes the sender.
     The first votes move the centre by 1/8 of their distance. This share, the gain, falls with the number of
     votes, so that centre and spread converge. Senders whose ids are equal modulo 32 count as one.
     """
@@ -302,16 +336,17 @@ def update_crowd(crowd: Crowd, sender: int, x_hat: int) -> None:
 
 
 def crowd_fill_ratio(crowd: Crowd) -> int:
-    """Return the crowd's centre in units of 2**-32, the largest word for 1.0."""
+    """Return the centre of all received x_hat, from units of 2**-30 to 2**-32; MAX_WORD stands for 1.0."""
     return min(crowd.centre << 2, MAX_WORD)
 
 
 def robust_test_rejects(crowd: Crowd, t: int, n: int) -> bool:
-    """Return whether n black observations of t > 0 contradict the initial b_hat, if the crowd is right.
+    """Return whether n black of t > 0 observations contradict the accuracy that the robot assumed at first.
 
-    If D is the difference between n / t and the share of black that the initial b_hat and the crowd's centre
-    predict, the test rejects for D**2 > 12 (v / t + (g spread)**2): v / t is the variance of n / t, and
-    g spread, with g = |2 b_hat - 1|, the uncertainty of the prediction.
+    The crowd, the robust filter's summary of the received estimates, is taken to be right. If D is the
+    difference between n / t and the share of black that the initial b_hat and the crowd's centre predict, the
+    test rejects for D**2 > 12 (v / t + (g spread)**2): v / t is the variance of n / t, and g spread, with
+    g = |2 b_hat - 1|, the uncertainty of the prediction.
     """
     # Shares are in units of 2**-32, squares in units of 2**-64.
     initial_b_hat = crowd.first
@@ -335,7 +370,7 @@ def robust_test_rejects(crowd: Crowd, t: int, n: int) -> bool:
 
 
 def is_valid_estimate(s: State) -> bool:
-    """Return whether a robot with this t, n and b_hat can have this x_hat and alpha.
+    """Return whether a robot's x_hat and alpha can follow from its t and n, the observations, and its b_hat.
 
     After an update of b_hat they still follow from the b_hat before it, which is not known.
     """
@@ -348,7 +383,10 @@ def is_valid_estimate(s: State) -> bool:
 
 
 def check_config(config: Config) -> None:
-    """Raise FirmwareError where ``mcp_asdf_init`` returns ERR_CONFIG or ERR_TABLE."""
+    """Raise FirmwareError for settings (ERR_CONFIG) or a table (ERR_TABLE) that the firmware would refuse.
+
+    The table is checked for the adaptive filter only, as the others do not read it.
+    """
     check_settings(config)
     if config.filter == Filter.ADAPTIVE:
         check_table(config.table)
@@ -356,7 +394,13 @@ def check_config(config: Config) -> None:
 
 @dataclass
 class Closed:
-    """Sums of the last closed round; see ``mcp_asdf_closed_t``."""
+    """Sums over the estimates of the last closed round; see ``mcp_asdf_closed_t``.
+
+    Attributes:
+        alpha: Sum of the confidences alpha, in units of 2**-24.
+        alpha_x_low: Sum of (alpha mod 2**32) x_hat, with x_hat in units of 2**-23.
+        alpha_x_high: Sum of (alpha div 2**32) x_hat.
+    """
 
     alpha: int = 0
     alpha_x_low: int = 0
@@ -364,23 +408,23 @@ class Closed:
 
     @property
     def alpha_x(self) -> int:
-        """Sum of alpha x_hat."""
+        """Sum of alpha x_hat in units of 2**-47, from its two halves."""
         return (self.alpha_x_high << 32) + self.alpha_x_low
 
 
 @dataclass
 class Crowd:
-    """State of the robust filter: the centre of the estimates that a robot has received.
+    """State of the robust filter: a summary of the x_hat that a robot has received, which are its votes.
 
     See ``mcp_asdf_crowd_t``.
 
     Attributes:
-        centre: Centre of the received estimates.
-        spread: Median distance of the received estimates from the centre.
-        voices: Senders so far, a bit for each id modulo 32.
-        first: b_hat at the start.
-        votes: Number of received estimates, at most VOTES_MAX.
-        trend: Share of the centre's recent moves that went up.
+        centre: Centre of the votes, in units of 2**-30.
+        spread: Median distance of the votes from the centre, in units of 2**-30.
+        voices: Ids of the robots that have voted, as a mask with one bit for each id modulo 32.
+        first: b_hat at the robot's start, in units of 2**-32.
+        votes: Number of votes up to VOTES_MAX, halved while the centre moves.
+        trend: Share of the centre's recent moves that went up, in units of 2**-16.
     """
 
     centre: int = CENTRE_START
@@ -396,7 +440,10 @@ class Crowd:
         return not TREND_MOVING_DOWN <= self.trend < TREND_MOVING_UP
 
     def is_valid(self, b_hat: int) -> bool:
-        """Return whether votes can have led to this crowd, in a robot that assumes ``b_hat`` now."""
+        """Return whether votes can have led to this crowd, in a robot whose assumed accuracy is ``b_hat``.
+
+        Before the first vote, ``b_hat`` is the initial one.
+        """
         if self.votes == 0:
             return self == Crowd(first=b_hat)
         return (
@@ -410,7 +457,23 @@ class Crowd:
 
 @dataclass
 class State:
-    """The members of ``mcp_asdf_t``, by the same names."""
+    """All that a robot remembers: the members of ``mcp_asdf_t``, by the same names.
+
+    Attributes:
+        id: The robot's own id.
+        accuracy: The assumed accuracy b_hat, with values that depend on it.
+        filter_left: Rounds until the filter runs next.
+        t: Number of observations.
+        n: Number of black observations.
+        x_hat: Local estimate in units of 2**-23.
+        alpha: Its confidence as an alpha word.
+        heard: Senders of the open round as a mask of 128 bits in four words: sender 37 is bit 5 of word 1.
+        crowd: The robust filter's summary of the received estimates.
+        open: Sums over the estimates of the open round.
+        closed: Sums over the estimates of the last closed round.
+        accepted: Counters of events, as the next four, modulo 2**16; see ``Counters``.
+        updated: 1 if x_hat and alpha still follow from the b_hat before the last update, else 0.
+    """
 
     id: int
     accuracy: Accuracy
@@ -437,7 +500,7 @@ class MirrorRobot(FixedPointView):
     Args:
         config: Settings, which robots may share.
         robot_id: Id of this robot, 0 .. 127.
-        b_hat: Initial assumed accuracy, rounded to a multiple of 2**-32.
+        b_hat: Initial accuracy that the robot assumes of its sensor, rounded to a multiple of 2**-32.
 
     Attributes:
         config: Settings.
@@ -458,7 +521,11 @@ class MirrorRobot(FixedPointView):
             self.s.crowd.first = raw_b_hat
 
     def observe(self, z: Observation) -> Status:
-        """Count an observation, and compute x_hat and alpha from all observations so far."""
+        """Count an observation, and compute x_hat and alpha from all observations so far.
+
+        At ``config.memory`` observations both counts, t and n, are halved. Returns OK; or ERR_OBSERVATION,
+        and changes nothing, if ``z`` is neither WHITE nor BLACK.
+        """
         s = self.s
         colour = index(z)
         if colour not in (0, 1):
@@ -468,18 +535,26 @@ class MirrorRobot(FixedPointView):
         if s.t >= self.config.memory:
             # Halving keeps the share of black tiles, and lets new observations weigh more than old ones.
             s.t >>= 1
-            s.n = (s.n + (s.n >> 1 & 1)) >> 1  # to nearest, ties to even
+            # To nearest, ties to even: an odd n is rounded up if that makes the half even.
+            round_up = (s.n >> 1) & 1
+            s.n = (s.n + round_up) >> 1
         s.x_hat, s.alpha = estimate(s.t, s.n, s.accuracy)
         s.updated = 0
         return Status.OK
 
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Add a neighbour's estimate to the open round or, with the robust filter, to the crowd."""
+        """Add a neighbour's estimate to the open round or, with the robust filter, to its received estimates.
+
+        Returns OK if the estimate was accepted; REPEATED, which ignores it, if the round already has one of
+        this sender; and ERR_SENDER or ERR_X_HAT if the sender or x_hat is out of range. The counters
+        ``accepted``, ``repeated`` and ``rejected`` say how often each has happened.
+        """
         s = self.s
         status = self._check_message(sender, x_hat)
         if status != Status.OK:
             s.rejected = (s.rejected + 1) & COUNTER_MASK
             return status
+        # Four words hold a bit for each of 128 senders.
         word_index = sender >> 5
         sender_bit = 1 << (sender & 31)
         # Clocks of robots are not aligned, so a sender may broadcast twice in a round of this robot.
@@ -495,15 +570,16 @@ class MirrorRobot(FixedPointView):
         return Status.OK
 
     def _check_message(self, sender: int, x_hat: int) -> Status:
-        """Return the error of an invalid message, or OK."""
+        """Return ERR_SENDER or ERR_X_HAT for a message that is out of range, or OK."""
         if not 0 <= sender <= MAX_ID or sender == self.s.id:
             return Status.ERR_SENDER
         return Status.OK if 0 <= x_hat <= ONE else Status.ERR_X_HAT
 
     def settle(self) -> Status:
-        """Close the round, and run the filter if ``filter_period`` rounds have passed.
+        """Close the open round, and run the filter if ``filter_period`` rounds have passed.
 
-        Returns UPDATED if the filter has re-estimated b_hat.
+        x_bar, beta and x are about the closed round from now on, and the new open round is empty. Returns
+        UPDATED if the filter has re-estimated b_hat, the assumed accuracy, and OK otherwise.
         """
         s = self.s
         is_updated = False
@@ -518,12 +594,15 @@ class MirrorRobot(FixedPointView):
         return Status.UPDATED if is_updated else Status.OK
 
     def step(self, z: Observation) -> Status:
-        """Observe ``z``, then settle: return the status of ``settle``, or the error of ``observe``."""
+        """Observe ``z``, then settle.
+
+        Returns UPDATED or OK, as ``settle`` does; or ERR_OBSERVATION, without settling, for an invalid ``z``.
+        """
         status = self.observe(z)
         return self.settle() if status == Status.OK else status
 
     def _update_b_hat(self) -> bool:
-        """Run the filter, and return whether it has re-estimated b_hat.
+        """Run the filter, and return whether it has re-estimated b_hat, the assumed accuracy of the sensor.
 
         x_hat and alpha stay as they are until the next observation.
         """
@@ -542,10 +621,11 @@ class MirrorRobot(FixedPointView):
         return True
 
     def _run_asdf_filter(self) -> int | None:
-        """Run the paper's filter, with or without its test, and return the new b_hat.
+        """Run the paper's filter on the open round, and return the new b_hat, or None if b_hat stays.
 
-        Returns None if b_hat stays: there are too few messages, the test does not reject x_hat, or x_bar
-        carries no information.
+        With the ADAPTIVE filter the hypothesis test, which is counted, decides first; ALWAYS has no test. The
+        new b_hat is the accuracy for which x_hat would be x_bar. It is None if the filter is OFF, there are
+        too few messages, the test does not reject x_hat, or x_bar carries no information.
         """
         s, config = self.s, self.config
         # The variance in eq. 12 takes two estimates, a re-estimate without a test takes one.
@@ -560,11 +640,14 @@ class MirrorRobot(FixedPointView):
         return reestimate(s.t, s.n, round_mean(s.closed))
 
     def _run_robust_filter(self) -> int | None:
-        """Run the robust filter, and return the new b_hat, or None if b_hat stays.
+        """Test the initial b_hat against the received estimates: return the new b_hat, or None to keep it.
 
-        Nothing is tested while the crowd moves, as its centre lags behind, nor before three senders have
-        voted, as one that is wrong could not be outvoted. Otherwise the initial b_hat is tested. If it is
-        rejected, b_hat is re-estimated from the crowd's centre; if not, b_hat is the initial one again.
+        The crowd is the robust filter's summary of the received estimates. Nothing is tested while its centre
+        moves the same way all the time, as it lags behind then; instead, its votes, if many, are halved so
+        that it follows faster. Nor is there a test before three senders have been received, as one that is
+        wrong could not be outvoted. Otherwise the b_hat that the robot started with is tested, which is
+        counted. If it is rejected, the result is a re-estimate from the centre; if not, it is the initial
+        b_hat, or None if that is in use.
         """
         s, crowd = self.s, self.s.crowd
         if crowd.is_moving:
@@ -596,7 +679,7 @@ class MirrorRobot(FixedPointView):
 
     @property
     def b_hat_raw(self) -> int:
-        """Assumed accuracy in units of 2**-32."""
+        """Accuracy that this robot assumes of its sensor, in units of 2**-32."""
         return self.s.accuracy.b_hat
 
     @property
@@ -606,7 +689,7 @@ class MirrorRobot(FixedPointView):
 
     @property
     def alpha_raw(self) -> int:
-        """Local confidence as an alpha word."""
+        """Local confidence as an alpha word: a mantissa of 24 bits above a shift of 5 bits."""
         return self.s.alpha
 
     @property
@@ -616,18 +699,19 @@ class MirrorRobot(FixedPointView):
 
     @property
     def x_bar_raw(self) -> int:
-        """Social estimate in units of 2**-23; HALF if there is none."""
+        """Social estimate, the neighbours' weighted mean, in units of 2**-23; HALF if there is none."""
         return self._social_or_informed_estimate(HALF, 0)
 
     @property
     def x_raw(self) -> int:
-        """Informed estimate in units of 2**-23."""
+        """Informed estimate, which combines the local and the social one, in units of 2**-23."""
         return self._social_or_informed_estimate(self.s.x_hat, self.s.alpha)
 
     def _social_or_informed_estimate(self, x_hat: int, alpha: int) -> int:
-        """Return the others' estimate combined with an own one, which may be without confidence.
+        """Return the weighted mean of the last closed round and an own estimate, in units of 2**-23.
 
-        With the robust filter it is the centre of the crowd, or x_hat before the first vote.
+        It is the social estimate for an own alpha of 0, and the informed estimate for the robot's own alpha.
+        With the robust filter it is the centre of all received x_hat, or ``x_hat`` before the first.
         """
         if self.config.filter == Filter.ROBUST:
             return self.s.crowd.centre >> 7 if self.s.crowd.votes else x_hat
@@ -653,7 +737,10 @@ class MirrorRobot(FixedPointView):
         return values
 
     def holds_invariants(self) -> bool:
-        """Return whether calls alone could have led to this state (``docs/invariants.md``)."""
+        """Return whether calls of the interface alone could have led to this state (``docs/invariants.md``).
+
+        False means that the state, or the image from which it was restored, was damaged.
+        """
         s, config = self.s, self.config
         is_robust = config.filter == Filter.ROBUST
         heard_count = sum(word.bit_count() for word in s.heard)
@@ -668,27 +755,29 @@ class MirrorRobot(FixedPointView):
             and (s.crowd.is_valid(s.accuracy.b_hat) if is_robust else s.crowd == Crowd())
             and (not is_robust or s.open.count == s.closed.alpha == 0)
             and s.open.count <= heard_count
-            and s.heard[s.id >> 5] >> (s.id & 31) & 1 == 0  # a robot does not hear itself
+            and (s.heard[s.id >> 5] >> (s.id & 31)) & 1 == 0  # a robot does not hear itself
             and 1 <= s.filter_left <= config.filter_period
         )
 
     def save(self) -> bytes:
-        """Return the state as ``mcp_asdf_save`` writes it: little-endian words, the last one a checksum."""
+        """Return the state as ``mcp_asdf_save`` writes it: 31 little-endian words, the last a checksum."""
         s = self.s
         words = [_image_magic(self.config), s.accuracy.b_hat, s.t, s.n, s.x_hat, s.alpha, s.filter_left]
-        words += _crowd_words(s.crowd) if self.config.filter == Filter.ROBUST else _round_words(s)
+        words += _encode_crowd(s.crowd) if self.config.filter == Filter.ROBUST else _encode_rounds(s)
         words += s.heard
-        words.append(s.accepted | s.repeated << 16)
-        words.append(s.rejected | s.tests << 16)
-        words.append(s.updates | s.updated << 16 | s.id << 24)
+        # Counters have 16 bits, so two of them share a word.
+        words.append(s.accepted | (s.repeated << 16))
+        words.append(s.rejected | (s.tests << 16))
+        words.append(s.updates | (s.updated << 16) | (s.id << 24))
         return struct.pack(f"<{IMAGE_WORDS}I", *words, checksum(words))
 
     @classmethod
     def restore(cls, config: Config, image: bytes) -> MirrorRobot:
         """Make a robot from an image of ``save``.
 
-        Raises FirmwareError for an invalid ``config``, and for an image that is damaged, of another version
-        or impossible with ``config``.
+        Raises FirmwareError for an invalid ``config`` (ERR_CONFIG or ERR_TABLE), and for an image that is
+        damaged, of another version or impossible with ``config`` (ERR_IMAGE). Raises TypeError for an
+        ``image`` that is not bytes-like.
         """
         image_bytes = bytes(memoryview(image))  # memoryview refuses a number, of which bytes makes zeros
         check_config(config)
@@ -703,7 +792,7 @@ class MirrorRobot(FixedPointView):
         # Without __init__, which needs an id and a b_hat that are valid.
         robot = cls.__new__(cls)
         robot.config = config
-        robot.s = _state_from_words(config, words)
+        robot.s = _decode_state(config, words)
         has_words_beyond_crowd = config.filter == Filter.ROBUST and any(words[12:23])
         if not robot.holds_invariants() or has_words_beyond_crowd:
             raise FirmwareError(Status.ERR_IMAGE, "the image does not fit the configuration")
@@ -714,26 +803,41 @@ class MirrorRobot(FixedPointView):
 
 
 def _image_magic(config: Config) -> int:
-    """Return the first word of an image, which differs with the robust filter."""
+    """Return the first word of an image, which marks its version and whether the filter is the robust one."""
     return IMAGE_MAGIC | (ROBUST_IMAGE if config.filter == Filter.ROBUST else 0)
 
 
-def _round_words(s: State) -> list[int]:
-    """Return the 16 words of an image in which the closed and the open round are."""
-    doubles = [s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high]
-    doubles += [s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high, s.open.x_squared]
-    double_words = [word for double in doubles for word in (double & MAX_WORD, double >> 32)]
-    return [*double_words, s.open.x, s.open.count]
+def _encode_rounds(s: State) -> list[int]:
+    """Return the sums of the closed and of the open round as words 7 to 22 of an image.
+
+    These are 16 words: three sums of the closed and four of the open round, which have 64 bits and take two
+    words each, the lower one first; then the open round's sum of x_hat and its number of messages.
+    """
+    # A closed round does not keep x_squared: only the test needs it, which runs before the
+    # sums of the open round are cleared.
+    closed_sums = [s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high]
+    open_sums = [s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high, s.open.x_squared]
+    words = []
+    for long_sum in closed_sums + open_sums:
+        words += [long_sum & MAX_WORD, long_sum >> 32]
+    return [*words, s.open.x, s.open.count]
 
 
-def _crowd_words(crowd: Crowd) -> list[int]:
-    """Return the 16 words that are in their place with the robust filter; eleven are not used."""
-    used_words = [crowd.centre, crowd.spread, crowd.voices, crowd.first, crowd.votes | crowd.trend << 16]
+def _encode_crowd(crowd: Crowd) -> list[int]:
+    """Return the robust filter's summary of the received estimates as words 7 to 22 of an image.
+
+    With that filter no sums of a round are kept, so that the image has their place for it: five words are
+    used, and eleven are 0.
+    """
+    used_words = [crowd.centre, crowd.spread, crowd.voices, crowd.first, crowd.votes | (crowd.trend << 16)]
     return used_words + [0] * 11
 
 
-def _state_from_words(config: Config, words: tuple[int, ...]) -> State:
-    """Return the state that is in an image; calls alone may not lead to it."""
+def _decode_state(config: Config, words: tuple[int, ...]) -> State:
+    """Return the state that the 31 words of an image hold. It is not checked whether it is possible.
+
+    ``config.filter`` says whether words 7 to 22 are the sums of the rounds or the robust filter's summary.
+    """
     _, b_hat, t, n, x_hat, alpha, filter_left = words[:7]
     round_or_crowd = words[7:23]
     state = State(
@@ -750,16 +854,17 @@ def _state_from_words(config: Config, words: tuple[int, ...]) -> State:
         rejected=words[28] & COUNTER_MASK,
         tests=words[28] >> 16,
         updates=words[29] & COUNTER_MASK,
-        updated=words[29] >> 16 & 0xFF,
+        updated=(words[29] >> 16) & 0xFF,
     )
     if config.filter == Filter.ROBUST:
         centre, spread, voices, first, votes_and_trend = round_or_crowd[:5]
         state.crowd = Crowd(centre, spread, voices, first, votes_and_trend & 0xFFFF, votes_and_trend >> 16)
     else:
-        *double_words, open_x, open_count = round_or_crowd
-        doubles = struct.unpack("<7Q", struct.pack("<14I", *double_words))
-        state.closed = Closed(*doubles[:3])
-        state.open = Sums(*doubles[3:])
+        *sum_words, open_x, open_count = round_or_crowd
+        # Pairs of words, the lower one first, become numbers of 64 bits.
+        long_sums = struct.unpack("<7Q", struct.pack("<14I", *sum_words))
+        state.closed = Closed(*long_sums[:3])
+        state.open = Sums(*long_sums[3:])
         state.open.x = open_x
         state.open.count = open_count
     return state

@@ -42,7 +42,7 @@ class NativeRobot(FixedPointView):
     Args:
         config: Settings, which robots may share.
         robot_id: Id of this robot, 0 .. 127.
-        b_hat: Initial assumed accuracy, rounded to a multiple of 2**-32.
+        b_hat: Initial accuracy that the robot assumes of its sensor, rounded to a multiple of 2**-32.
 
     Attributes:
         config: Settings.
@@ -71,8 +71,9 @@ class NativeRobot(FixedPointView):
     def restore(cls, config: Config, image: bytes) -> NativeRobot:
         """Make a robot from an image of ``save``.
 
-        Raises FirmwareError for an invalid ``config``, and for an image that is damaged, of another version
-        or impossible with ``config``.
+        Raises FirmwareError for an invalid ``config`` (ERR_CONFIG or ERR_TABLE), and for an image that is
+        damaged, of another version or impossible with ``config`` (ERR_IMAGE). Raises TypeError for an
+        ``image`` that is not bytes-like.
         """
         robot = cls.__new__(cls)
         robot._allocate(config)
@@ -91,11 +92,17 @@ class NativeRobot(FixedPointView):
         return bytes(image)
 
     def observe(self, z: Observation) -> Status:
-        """Count an observation, and compute x_hat and alpha from all observations so far."""
+        """Count an observation, and compute x_hat and alpha from all observations so far.
+
+        Returns OK; or ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE nor BLACK.
+        """
         return _STATUS_BY_VALUE[lib.mcp_asdf_observe(self.pointer, _fit_to_c_type(z, MAX_WORD))]
 
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Add a neighbour's estimate to the open round or, with the robust filter, to the crowd."""
+        """Add a neighbour's estimate to the open round or, with the robust filter, to its received estimates.
+
+        Returns OK, REPEATED, ERR_SENDER or ERR_X_HAT as ``receive_raw``, and counts the message as such.
+        """
         try:
             return _STATUS_BY_VALUE[lib.mcp_asdf_receive(self.pointer, sender, x_hat, alpha)]
         except OverflowError:  # invalid in any case, so the C rejects and counts what fits its types
@@ -104,16 +111,22 @@ class NativeRobot(FixedPointView):
             return _STATUS_BY_VALUE[lib.mcp_asdf_receive(self.pointer, c_sender, c_x_hat, alpha)]
 
     def _receive_all(self, messages: NDArray[np.uint32]) -> int:
-        """Receive the rows of a valid array in order, and return how many were accepted."""
+        """Do what ``receive_all`` does, for an array whose type and shape have been checked."""
         c_messages = ffi.from_buffer("uint32_t[]", messages)
         return int(lib.mcp_asdf_receive_all(self.pointer, c_messages, len(messages)))
 
     def settle(self) -> Status:
-        """Close the round, and run the filter if ``filter_period`` rounds have passed."""
+        """Close the open round, and run the filter if ``filter_period`` rounds have passed.
+
+        Returns UPDATED if the filter has re-estimated b_hat, the assumed accuracy, and OK otherwise.
+        """
         return _STATUS_BY_VALUE[lib.mcp_asdf_settle(self.pointer)]
 
     def step(self, z: Observation) -> Status:
-        """Observe ``z``, then settle: return the status of ``settle``, or the error of ``observe``."""
+        """Observe ``z``, then settle.
+
+        Returns UPDATED or OK, as ``settle`` does; or ERR_OBSERVATION, without settling, for an invalid ``z``.
+        """
         return _STATUS_BY_VALUE[lib.mcp_asdf_step(self.pointer, _fit_to_c_type(z, MAX_WORD))]
 
     @property
@@ -133,7 +146,7 @@ class NativeRobot(FixedPointView):
 
     @property
     def b_hat_raw(self) -> int:
-        """Assumed accuracy in units of 2**-32."""
+        """Accuracy that this robot assumes of its sensor, in units of 2**-32."""
         return int(lib.mcp_asdf_b_hat(self.pointer))
 
     @property
@@ -143,12 +156,12 @@ class NativeRobot(FixedPointView):
 
     @property
     def alpha_raw(self) -> int:
-        """Local confidence as an alpha word."""
+        """Local confidence as an alpha word: a mantissa of 24 bits above a shift of 5 bits."""
         return int(lib.mcp_asdf_alpha(self.pointer))
 
     @property
     def x_bar_raw(self) -> int:
-        """Social estimate in units of 2**-23."""
+        """Social estimate, the neighbours' weighted mean, in units of 2**-23; 1/2 if there is none."""
         return int(lib.mcp_asdf_x_bar(self.pointer))
 
     @property
@@ -158,7 +171,7 @@ class NativeRobot(FixedPointView):
 
     @property
     def x_raw(self) -> int:
-        """Informed estimate in units of 2**-23."""
+        """Informed estimate, which combines the local and the social one, in units of 2**-23."""
         return int(lib.mcp_asdf_x(self.pointer))
 
     @property
@@ -172,12 +185,19 @@ class NativeRobot(FixedPointView):
         return dict(_named_numbers("", self.pointer[0], ffi.typeof("mcp_asdf_t")))
 
     def holds_invariants(self) -> bool:
-        """Return whether calls alone could have led to this state (``docs/invariants.md``)."""
+        """Return whether calls of the interface alone could have led to this state (``docs/invariants.md``).
+
+        False means that the state was damaged, for example in memory.
+        """
         return bool(lib.mcp_asdf_invariants_hold(self.pointer))
 
 
 class _CConfig:
-    """A config and its table in C memory, which lives for as long as this object."""
+    """A config and its table as C structs, in memory that lives for as long as this object.
+
+    ``pointer`` is the ``mcp_asdf_config_t *``. Settings that do not fit their C types become numbers that the
+    C refuses, so that every config can be converted.
+    """
 
     def __init__(self, config: Config) -> None:
         # Kept, as the struct's pointer does not keep the array alive. Only the adaptive filter reads it.
@@ -192,7 +212,7 @@ class _CConfig:
 
 
 def _allocate_table(table: Table) -> Any:
-    """Return a table as a C array, or NULL if a word does not fit.
+    """Return the words of a table of thresholds as a C array, or NULL if one of them has not 32 bits.
 
     The array is as long as the longest table: the q of a damaged one may claim that many words, and the C
     reads them to check the table.

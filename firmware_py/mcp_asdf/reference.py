@@ -1,8 +1,11 @@
 """The paper's equations, one function each, and a robot that computes them in float64.
 
 Nothing is quantised here and alpha has no upper limit, so this is the measure for the fixed-point firmwares.
-Names and cases are the paper's, with w_hat = b_hat. Equation numbers count its numbered rows in order, so the
-hypothesis test is eq. 12. The robust filter, which is not the paper's, is here, too (``docs/robust.md``).
+Names and cases are the paper's, with w_hat = b_hat: the accuracy that a robot assumes of its sensor. x_hat is
+the robot's local estimate of the share of black tiles after n black among t observations, and alpha its
+confidence; ``mcp_asdf.robot`` defines the other words. Equation numbers count its numbered rows in order, so
+the hypothesis test is eq. 12. The robust filter, which is not the paper's, is here, too (``docs/robust.md``):
+to it a received x_hat is a vote, and its crowd is the summary of all votes so far.
 
 The equations but eq. 10 and 12 take floats or fractions: from `fractions.Fraction` they give exact results.
 Sums of floats are correctly rounded, so that no result depends on the order of the messages.
@@ -35,8 +38,8 @@ from mcp_asdf.robot import (
     check_id_and_b_hat,
     check_settings,
     check_table,
+    create_rejection,
     describe_robot,
-    raise_if_rejected,
 )
 
 Number = TypeVar("Number", float, Fraction)
@@ -46,6 +49,7 @@ INFORMATIVE_G = 2.0**-12
 """Smallest |2 p - 1| of an accuracy, or a social estimate, p that carries information."""
 
 MAX_OMEGA = 0.9
+"""Largest omega, which is the type II error probability of the hypothesis test."""
 
 # The robust filter's constants, by the names that they have in the C; ``docs/robust.md`` has the reasons.
 SPREAD_MIN = 2.0**-12
@@ -60,6 +64,8 @@ REJECTED_SIGMAS_SQUARED = 12
 SENDERS_MIN = 3
 STEP_MIN = 2.0**-30
 """A vote that moves the centre by less does not move it at all in the firmware."""
+SENDER_BITS = 32
+"""The firmware notes who has voted in a mask of so many bits: ids that are equal modulo 32 share a bit."""
 
 COUNTER_MODULUS = 2**16
 
@@ -98,7 +104,10 @@ AUTHORS = Conventions(
 
 
 class Estimate(NamedTuple, Generic[Number]):
-    """A robot's broadcast: its local estimate in [0, 1], and its confidence, which is >= 0 and finite."""
+    """What a robot broadcasts: its local estimate of the share of black tiles, in [0, 1], and its confidence.
+
+    The confidence alpha, which is finite and >= 0, is the estimate's Fisher information.
+    """
 
     x_hat: Number
     alpha: Number
@@ -108,9 +117,11 @@ class Estimate(NamedTuple, Generic[Number]):
 
 
 def local_estimate(n: int, t: int, b: Number, conventions: Conventions = PAPER) -> Number:
-    """Return x_hat in [0, 1] after ``n`` black among ``t`` observations, for ``b`` in [0, 1] (eq. 3). O(1).
+    """Return the estimated share of black tiles, x_hat in [0, 1], after ``n`` black among ``t`` observations.
 
-    It is 1/2 before the first observation.
+    ``b`` in [0, 1] is the assumed accuracy of the sensor (eq. 3). The result is 1/2 before the first
+    observation, and for a ``b`` so near 1/2 that the sensor carries no information (but see
+    ``Conventions.guarded``). Raises ValueError for counts or a ``b`` out of range. O(1).
     """
     _check_counts(n, t)
     _check_is_in_unit_interval(b, "b")
@@ -121,10 +132,11 @@ def local_estimate(n: int, t: int, b: Number, conventions: Conventions = PAPER) 
 
 
 def local_confidence(n: int, t: int, b: Number, conventions: Conventions = PAPER) -> Number:
-    """Return alpha >= 0 of the local estimate that has the same arguments (eq. 4). O(1).
+    """Return the confidence alpha >= 0 of what `local_estimate` returns for the same arguments (eq. 4). O(1).
 
-    It is 0 before the first observation. Raises ZeroDivisionError where alpha is infinite: for a perfect
-    sensor, ``b`` 0 or 1, after observations of one colour only.
+    It is 0 before the first observation, and ``conventions.zero_confidence`` for a ``b`` so near 1/2 that the
+    sensor carries no information. Raises ZeroDivisionError where alpha is infinite: for a perfect sensor,
+    ``b`` 0 or 1, after observations of one colour only.
     """
     number = _number_type(b)
     x_hat = local_estimate(n, t, b, conventions)
@@ -148,7 +160,7 @@ def local_confidence(n: int, t: int, b: Number, conventions: Conventions = PAPER
 
 
 def social_estimate(estimates: Sequence[Estimate[Number]]) -> Number:
-    """Return x_bar in [0, 1] of the neighbours' estimates (eq. 5). O(m).
+    """Return x_bar in [0, 1]: the mean of the neighbours' x_hat, weighted by their alpha (eq. 5). O(m).
 
     It is 1/2 where the equation is undefined, because no estimate has alpha > 0.
     """
@@ -156,15 +168,18 @@ def social_estimate(estimates: Sequence[Estimate[Number]]) -> Number:
 
 
 def social_confidence(estimates: Sequence[Estimate[Number]]) -> Number:
-    """Return beta >= 0 of the neighbours' estimates (eq. 6), which is 0 if there are none. O(m)."""
+    """Return beta >= 0: the sum of the alpha of the neighbours' estimates (eq. 6). O(m).
+
+    It is 0 if there are none. Raises ValueError for an estimate that is out of range.
+    """
     _check_estimates(estimates)
     return _sum([alpha for _, alpha in estimates])
 
 
 def informed_estimate(own_estimate: Estimate[Number], estimates: Sequence[Estimate[Number]]) -> Number:
-    """Return x in [0, 1] of a robot's own and its neighbours' estimates (eq. 7, second form). O(m).
+    """Return x in [0, 1]: the mean of the x_hat of a robot and of its neighbours, weighted by their alpha.
 
-    It is the robot's x_hat if all confidences are 0.
+    This is eq. 7 in its second form. The result is the robot's x_hat if all confidences are 0. O(m).
     """
     # The own estimate is a term like the others, so robots that all hear each other get the same bits.
     all_estimates = [own_estimate]
@@ -176,9 +191,11 @@ def informed_estimate(own_estimate: Estimate[Number], estimates: Sequence[Estima
 
 
 def assumed_accuracy_update(n: int, t: int, x_bar: Number, conventions: Conventions = PAPER) -> Number | None:
-    """Return the b_hat for which ``x_bar`` in [0, 1] would be the local estimate (eq. 8), kept off 0 and 1.
+    """Return the accuracy b_hat for which a robot's own estimate would be ``x_bar``, its neighbours' (eq. 8).
 
-    Returns None, for no update, before the first observation and if ``x_bar`` carries no information. O(1).
+    ``x_bar`` is in [0, 1], and ``n`` of ``t`` observations were black. The result is kept off 0 and 1 as
+    ``conventions`` says. Returns None, so that b_hat stays, before the first observation and if ``x_bar`` is
+    so near 1/2 that it carries no information. O(1).
     """
     _check_counts(n, t)
     _check_is_in_unit_interval(x_bar, "x_bar")
@@ -197,7 +214,8 @@ def assumed_accuracy_update(n: int, t: int, x_bar: Number, conventions: Conventi
 def t_score(m: int, omega: float, conventions: Conventions = PAPER) -> float:
     """Return t_{m-1,(1-omega)/2}, which a T variable exceeds with probability (1 - omega)/2 (eq. 10).
 
-    ``m`` >= 2, 0 < ``omega`` < 1. O(1) after the first call with the same arguments.
+    ``m`` >= 2 is the number of messages, and ``omega``, between 0 and 1, the type II error probability of the
+    test. Raises ValueError outside these ranges. O(1) after the first call with the same arguments.
     """
     from scipy.special import stdtrit  # type: ignore[import-untyped] # noqa: PLC0415 (loads slowly)
 
@@ -211,7 +229,8 @@ def asdf_test_rejects(
 ) -> bool:
     """Return whether ``x_hat`` differs too much from the local estimates of m neighbours (eq. 12). O(m).
 
-    It never does for m < 2, where the sample has no variance. All estimates are finite, 0 < ``omega`` < 1.
+    It never does for m < 2, where the sample has no variance. ``omega``, between 0 and 1, is the type II
+    error probability of the test. Raises ValueError if an estimate is infinite or NaN.
     """
     if not all(map(math.isfinite, (x_hat, *neighbours))):
         raise ValueError(f"x_hat is {x_hat}, its neighbours' {list(neighbours)}; all must be finite")
@@ -229,14 +248,15 @@ def asdf_test_rejects(
 
 @dataclass(frozen=True)
 class Crowd:
-    """State of the robust filter: the centre of the estimates that a robot has received.
+    """State of the robust filter: a summary of the x_hat that a robot has received, which are its votes.
 
     Attributes:
-        centre: Centre of the received estimates, in [0, 1].
-        spread: Median distance of the received estimates from the centre, in [SPREAD_MIN, SPREAD_MAX].
+        centre: Centre of the votes, in [0, 1].
+        spread: Median distance of the votes from the centre, in [SPREAD_MIN, SPREAD_MAX].
         trend: Share of the centre's recent moves that went up; a move too small to count is half of one.
-        votes: Weight against the next estimate, which adds 1 up to VOTES_MAX; halved while the centre moves.
-        voices: Senders of the estimates that moved the centre, modulo 32.
+        votes: Number of votes up to VOTES_MAX, halved while the centre moves: a vote weighs less, the more
+            there were before.
+        voices: Ids of the robots that have voted, modulo SENDER_BITS.
     """
 
     centre: float = 0.5
@@ -252,7 +272,11 @@ class Crowd:
 
 
 def crowd_after_vote(crowd: Crowd, sender: int, x_hat: float) -> Crowd:
-    """Return the crowd after an estimate in [0, 1] was received. O(1)."""
+    """Return the robust filter's summary of the received estimates with one more, ``x_hat`` in [0, 1]. O(1).
+
+    The new x_hat moves the centre, the spread and the trend of the crowd. ``sender`` is noted among those who
+    have voted. The given crowd is not changed.
+    """
     _check_is_in_unit_interval(x_hat, "x_hat")
     votes = min(crowd.votes + 1, VOTES_MAX)
     step, spread = step_and_spread_after_vote(votes, crowd.centre, crowd.spread, x_hat)
@@ -263,32 +287,41 @@ def crowd_after_vote(crowd: Crowd, sender: int, x_hat: float) -> Crowd:
         spread=spread,
         trend=crowd.trend + (direction - crowd.trend) / 2**TREND_SHIFT,
         votes=votes,
-        voices=crowd.voices | {sender % 32},
+        voices=crowd.voices | {sender % SENDER_BITS},
     )
 
 
 def step_and_spread_after_vote(
     votes: int, centre: Number, spread: Number, x_hat: Number
 ) -> tuple[Number, Number]:
-    """Return by how much the ``votes``-th vote moves the centre, and the spread after it. O(1).
+    """Return by how much a received ``x_hat`` moves the robust filter's centre, and the new spread. O(1).
 
-    This is Robbins and Monro's stochastic approximation: the centre moves as for Huber's M-estimate clamped
-    at the spread, the spread as for the median of the distances. The gain is 4/votes to 8/votes, but at least
-    2**-12 and at most 2**-3.
+    The centre moves towards x_hat by a share of the distance, the gain, where a distance above the spread
+    counts as one that equals it. The spread grows if the distance is above it, and shrinks otherwise, so that
+    it converges to the median of the distances. The gain falls with ``votes``, the number of received
+    estimates with this one: it is 1/8 up to 63 votes, 1/16 up to 127 votes, and so on to 2**-12.
+
+    This is Robbins and Monro's stochastic approximation of Huber's M-estimate.
     """
     number = _number_type(centre)
-    gain = number(2.0 ** -(max(votes, VOTES_OF_MAX_GAIN).bit_length() - 3))
+    # A power of two, so that the firmware shifts instead of dividing: 32 votes have 6 bits, and give 2**-3.
+    gain_exponent = max(votes, VOTES_OF_MAX_GAIN).bit_length() - 3
+    gain = number(2.0**-gain_exponent)
     distance = x_hat - centre
-    step = gain * max(-spread, min(distance, spread))
+    clamped_distance = max(-spread, min(distance, spread))
+    step = gain * clamped_distance
     widening = gain / 2 if abs(distance) > spread else -gain / 2
     new_spread = spread * (1 + widening)
     return step, max(number(SPREAD_MIN), min(new_spread, number(SPREAD_MAX)))
 
 
 def robust_test_rejects(n: int, t: int, b: float, centre: float, spread: float) -> bool:
-    """Return whether ``n`` black among ``t`` > 0 observations contradict ``b``, if the crowd is right.
+    """Return whether ``n`` black among ``t`` > 0 observations contradict ``b``, the assumed accuracy. O(1).
 
-    See `robust_test_sides`. O(1).
+    They do if the share n/t is too far from the one that a sensor of that accuracy would see on a floor whose
+    share of black tiles is ``centre``, give or take ``spread``: both are of the robust filter's summary of
+    received estimates. `robust_test_sides` has the formula. Raises ValueError for counts, a ``b`` or a
+    ``centre`` out of range.
     """
     _check_counts(n, t)
     _check_is_in_unit_interval(b, "b")
@@ -300,9 +333,9 @@ def robust_test_rejects(n: int, t: int, b: float, centre: float, spread: float) 
 def robust_test_sides(n: int, t: int, b: Number, centre: Number, spread: Number) -> tuple[Number, Number]:
     """Return both sides of the robust filter's test, which rejects if the first is the larger. O(1).
 
-    They are D**2 and 12 (v/t + (2b - 1)**2 spread**2), where D is the difference of the observed share n/t
-    and the predicted one p = b centre + (1 - b)(1 - centre), and v is the larger of their variances p (1 - p)
-    and n/t (1 - n/t).
+    The test is about ``b``, the assumed accuracy. The sides are D**2 and 12 (v/t + (2b - 1)**2 spread**2),
+    where D is the difference of the observed share n/t and the predicted one p = b centre + (1 - b)(1 -
+    centre), and v is the larger of their variances p (1 - p) and n/t (1 - n/t).
     """
     observed_share = _number_type(b)(n) / t
     predicted_share = b * centre + (1 - b) * (1 - centre)
@@ -327,7 +360,7 @@ def _check_is_in_unit_interval(value: float | Fraction, name: str) -> None:
 
 
 def _check_estimates(estimates: Sequence[Estimate[Any]]) -> None:
-    """Raise ValueError for an estimate that no robot may broadcast."""
+    """Raise ValueError unless each x_hat is in [0, 1], and each alpha finite and not negative."""
     for x_hat, alpha in estimates:
         if not (0 <= x_hat <= 1 and 0 <= alpha < math.inf):
             raise ValueError(
@@ -341,12 +374,15 @@ def is_informative(p: float | Fraction) -> bool:
 
 
 def _carries_no_information(p: float | Fraction, conventions: Conventions) -> bool:
-    """Return whether ``p`` is to be treated as uninformative: never, if the conventions are not guarded."""
+    """Return whether ``p``, an accuracy or a social estimate, is to be treated as uninformative.
+
+    That is if it is too near 1/2 (see `is_informative`), but never if the conventions are not guarded.
+    """
     return conventions.guarded and not is_informative(p)
 
 
 def _number_type(value: Number) -> type[Number]:
-    """Return Fraction for a fraction, and float for any other number."""
+    """Return the type in which to compute with ``value``: Fraction for a fraction, and float otherwise."""
     return Fraction if isinstance(value, Fraction) else float
 
 
@@ -370,7 +406,10 @@ def _sum(terms: Sequence[Number]) -> Number:
 
 
 def _weighted_mean(estimates: Sequence[Estimate[Number]], default: float | Fraction) -> Number:
-    """Return the mean of all x_hat weighted by alpha, or ``default`` if all weights are 0."""
+    """Return the mean of all x_hat weighted by alpha, or ``default`` if there are none or all alpha are 0.
+
+    Raises ValueError for an estimate that is out of range.
+    """
     _check_estimates(estimates)
     total_weight = _sum([alpha for _, alpha in estimates])
     if total_weight == 0:
@@ -384,9 +423,9 @@ def _weighted_mean(estimates: Sequence[Estimate[Number]], default: float | Fract
 class ReferenceRobot:
     """A robot that computes in float64. Implements ``mcp_asdf.robot.Robot``.
 
-    The t-scores are computed for the omega of the config's table, or for ``omega`` in (0, 0.9] if it is
-    given; the entries of the table are not used. ``settle`` is O(m) for the m <= 127 messages of a round, as
-    these are kept in order to be summed exactly.
+    The thresholds of the hypothesis test are computed from omega, its type II error probability: ``omega`` in
+    (0, 0.9] if it is given, and else that of the config's table, whose entries are not used. ``settle`` is
+    O(m) for the m <= 127 messages of a round, as these are kept in order to be summed exactly.
 
     Raises FirmwareError with ERR_CONFIG, ERR_TABLE, ERR_ID or ERR_B_HAT, in this order.
     """
@@ -401,8 +440,9 @@ class ReferenceRobot:
         omega: float | None = None,
     ) -> None:
         check_settings(config)
-        self._omega = _checked_omega(config, omega) if config.filter == Filter.ADAPTIVE else 0.0
-        if self._omega:
+        self._omega = 0.0  # not used by the other filters
+        if config.filter == Filter.ADAPTIVE:
+            self._omega = _choose_omega(config, omega)
             # Where SciPy is missing this fails now, and not at the first test.
             t_score(2, self._omega, conventions)
         check_id_and_b_hat(robot_id, b_hat)
@@ -423,7 +463,10 @@ class ReferenceRobot:
         self._counts = dict.fromkeys(Counters.__dataclass_fields__, 0)
 
     def observe(self, z: Observation) -> Status:
-        """Count an observation, and compute x_hat and alpha from all observations so far. O(1)."""
+        """Count an observation, and compute x_hat and alpha from all observations so far. O(1).
+
+        Returns OK; or ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE nor BLACK.
+        """
         if index(z) not in (Observation.WHITE, Observation.BLACK):
             return Status.ERR_OBSERVATION
         self._t += 1
@@ -439,16 +482,20 @@ class ReferenceRobot:
         return Status.OK
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        """Add a neighbour's estimate to the open round. O(1).
+        """Add a neighbour's estimate to the open round: what was received since the last ``settle``. O(1).
 
-        Raises FirmwareError if the message is invalid, and counts it as rejected.
+        Returns OK if the estimate was accepted; or REPEATED, and ignores it, if the round already has one of
+        this sender. Raises FirmwareError, and counts the message as rejected, if ``sender`` (ERR_SENDER) or
+        ``x_hat`` (ERR_X_HAT) is out of range. Raises ValueError, and changes nothing, for an ``alpha`` that
+        is no confidence: negative (also -0.0), infinite or NaN. An estimate with alpha = 0 is accepted, but
+        has no weight; with the robust filter the others also move the centre of the received x_hat.
         """
         sender = index(sender)
         check_alpha(alpha)  # first, since a wrong alpha is the caller's mistake and not counted
         status = self._check_message(sender, x_hat)
-        if status < Status.OK:
+        if status != Status.OK:
             self._count("rejected")
-            raise_if_rejected(status, sender, x_hat)
+            raise create_rejection(status, sender, x_hat)
         if sender in self._open_round:
             self._count("repeated")
             return Status.REPEATED
@@ -459,7 +506,7 @@ class ReferenceRobot:
         return Status.OK
 
     def _check_message(self, sender: int, x_hat: float) -> Status:
-        """Return the error of an invalid message, or OK."""
+        """Return ERR_SENDER or ERR_X_HAT for a message that is out of range, or OK."""
         if not 0 <= sender <= MAX_ID or sender == self._id:
             return Status.ERR_SENDER
         if not 0 <= x_hat <= 1:
@@ -467,7 +514,11 @@ class ReferenceRobot:
         return Status.OK
 
     def settle(self) -> Status:
-        """Close the round, and run the filter if ``filter_period`` rounds have passed. O(m)."""
+        """Close the open round, and run the filter if ``filter_period`` rounds have passed. O(m).
+
+        The closed round is that of x_bar, beta and x from now on; the new open round is empty. Returns
+        UPDATED if the filter has re-estimated b_hat, the assumed accuracy, and OK otherwise.
+        """
         estimates = () if self._is_robust else self._open_round.values()
         # The filter, which runs below, and the social estimate are about the round that is closed now.
         self._closed_round = [estimate for estimate in estimates if estimate.alpha > 0]
@@ -479,14 +530,17 @@ class ReferenceRobot:
         return self._update_b_hat()
 
     def step(self, z: Observation) -> Status:
-        """Observe ``z``, then settle: return the status of ``settle``, or the error of ``observe``."""
+        """Observe ``z``, then settle.
+
+        Returns UPDATED or OK, as ``settle`` does; or ERR_OBSERVATION, without settling, for an invalid ``z``.
+        """
         status = self.observe(z)
         return self.settle() if status == Status.OK else status
 
     def _update_b_hat(self) -> Status:
-        """Run the filter, and return UPDATED if it has re-estimated b_hat, else OK."""
+        """Run the filter, and return UPDATED if it has re-estimated b_hat, the assumed accuracy, else OK."""
         if self._t == 0:
-            return Status.OK
+            return Status.OK  # there is no estimate to be tested
         if self._is_robust:
             new_b_hat = self._run_robust_filter()
         else:
@@ -498,14 +552,20 @@ class ReferenceRobot:
         return Status.UPDATED
 
     def reestimate_b_hat(self) -> float | None:
-        """Return the next assumed accuracy (eq. 8), or None to keep the present one.
+        """Return the next assumed accuracy b_hat (eq. 8), or None to keep the present one.
 
-        The filter calls it when its test rejects. Subclasses may override it for a filter of their own.
+        It is the b_hat for which this robot's own estimate would be x_bar, the estimate of its neighbours,
+        and None if x_bar is so near 1/2 that it carries no information. This changes nothing. The filter
+        calls it when its test rejects. Subclasses may override it for a filter of their own.
         """
         return assumed_accuracy_update(self._n, self._t, self.x_bar, self._conventions)
 
     def _is_update_needed(self) -> bool:
-        """Return whether b_hat is to be re-estimated: by the filter's test, always or never."""
+        """Return whether the paper's filter is to re-estimate b_hat, the assumed accuracy, from this round.
+
+        OFF never does, ALWAYS if the round has a message, and ADAPTIVE if it has two and the hypothesis test
+        (eq. 12) rejects x_hat, which counts as a test.
+        """
         if self._config.filter == Filter.OFF:
             return False
         if self._config.filter == Filter.ALWAYS:
@@ -517,10 +577,13 @@ class ReferenceRobot:
         return asdf_test_rejects(self._own_estimate.x_hat, neighbours, self._omega, self._conventions)
 
     def _run_robust_filter(self) -> float | None:
-        """Run the robust filter, and return the new b_hat, or None if b_hat stays.
+        """Test the initial b_hat against the received estimates: return the new b_hat, or None to keep it.
 
-        Nothing is tested while the crowd moves, nor before three senders have voted. If the test does not
-        reject the initial b_hat, b_hat is that again.
+        The crowd is the robust filter's summary of the received estimates. While its centre moves there is no
+        test, but its votes, if many, are halved, so that it follows faster; nor is there one before three
+        senders have been received. Else the test is counted. If it rejects the b_hat that the robot started
+        with, the result is a re-estimate from the centre; if not, it is that initial b_hat, or None if it is
+        in use.
         """
         crowd = self._crowd
         if crowd.is_moving:
@@ -533,7 +596,9 @@ class ReferenceRobot:
         self._count("tests")
         if robust_test_rejects(self._n, self._t, self._initial_b_hat, crowd.centre, crowd.spread):
             return self.reestimate_b_hat()
-        return self._initial_b_hat if self._b_hat != self._initial_b_hat else None
+        if self._b_hat == self._initial_b_hat:
+            return None
+        return self._initial_b_hat
 
     @property
     def _is_robust(self) -> bool:
@@ -541,7 +606,7 @@ class ReferenceRobot:
         return self._config.filter == Filter.ROBUST
 
     def _count(self, counter: str) -> None:
-        """Increment one of the counters, which wrap as the firmware's."""
+        """Increment the counter of this name, modulo 2**16 as in the firmware."""
         self._counts[counter] = (self._counts[counter] + 1) % COUNTER_MODULUS
 
     def __repr__(self) -> str:
@@ -564,24 +629,24 @@ class ReferenceRobot:
 
     @property
     def b_hat(self) -> float:
-        """Assumed accuracy of this robot's sensor."""
+        """Accuracy that this robot assumes of its sensor, in [2**-20, 1 - 2**-20]."""
         return self._b_hat
 
     @property
     def x_hat(self) -> float:
-        """Local estimate (eq. 3), in [0, 1]."""
+        """Local estimate of the share of black tiles (eq. 3), in [0, 1]."""
         return self._own_estimate.x_hat
 
     @property
     def alpha(self) -> float:
-        """Local confidence (eq. 4), >= 0."""
+        """Confidence of the local estimate x_hat (eq. 4), >= 0."""
         return self._own_estimate.alpha
 
     @property
     def x_bar(self) -> float:
-        """Social estimate (eq. 5) of the last closed round; 1/2 if ``beta`` is 0. O(m).
+        """Social estimate (eq. 5): weighted mean of the x_hat of the last closed round; 1/2 if ``beta`` is 0.
 
-        With the robust filter: the crowd's centre.
+        With the robust filter: the centre of all received x_hat, or 1/2 before the first. O(m).
         """
         if self._is_robust:
             return self._crowd.centre
@@ -589,14 +654,17 @@ class ReferenceRobot:
 
     @property
     def beta(self) -> float:
-        """Social confidence (eq. 6) of the last closed round; 0 without messages or if robust. O(m)."""
+        """Social confidence (eq. 6): sum of the alpha of the last closed round. O(m).
+
+        It is 0 without messages, and always with the robust filter.
+        """
         return social_confidence(self._closed_round)
 
     @property
     def x(self) -> float:
         """Informed estimate (eq. 7) of the present local estimate and the last closed round. O(m).
 
-        With the robust filter: the crowd's centre, or x_hat before the first vote.
+        With the robust filter: the centre of all received x_hat, or this robot's own before the first.
         """
         if self._is_robust:
             return self._crowd.centre if self._crowd.votes else self._own_estimate.x_hat
@@ -608,8 +676,12 @@ class ReferenceRobot:
         return Counters(**self._counts)
 
 
-def _checked_omega(config: Config, omega: float | None) -> float:
-    """Return ``omega``, or that of the config's table; raise FirmwareError (ERR_TABLE) if it is invalid."""
+def _choose_omega(config: Config, omega: float | None) -> float:
+    """Return the type II error probability of the hypothesis test: ``omega``, or for None that of the table.
+
+    Raises FirmwareError (ERR_TABLE) for an ``omega`` outside (0, 0.9]; or, where it is None, if the config
+    has no table or one that the firmware would refuse.
+    """
     if omega is not None:
         if not 0 < omega <= MAX_OMEGA:
             raise FirmwareError(Status.ERR_TABLE, f"omega is {omega}; choose one in (0, {MAX_OMEGA}]")

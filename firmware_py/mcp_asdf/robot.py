@@ -4,6 +4,25 @@ The implementations are `ReferenceRobot` (the paper's equations in float64), `Mi
 Python integers) and `NativeRobot` (the C itself). A tool that is written for `Robot` runs on any of them. The
 latter two also implement `FixedPointRobot`, whose ``*_raw`` members are the firmware's own integers. What a
 robot does in each call, to the bit, is specified in ``docs/design.md``.
+
+A robot observes the colour of the tile under it, and exchanges estimates with its neighbours. These words
+have the same meaning in the whole package; "eq." means an equation of the paper:
+
+- ``t`` and ``n``: number of observations so far, and how many of them were black.
+- ``b_hat``: the accuracy that the robot assumes of its own sensor, which is the probability that the sensor
+  names a colour correctly. The filter re-estimates it; such a re-estimate is an *update*.
+- ``x_hat`` and ``alpha``: the *local* estimate of the share of black tiles, which follows from t, n and
+  b_hat, and its confidence, which is its Fisher information.
+- *Message*: what a robot broadcasts, that is its id (``sender``), x_hat and alpha.
+- *Round*: the messages received from one ``settle`` to the next. The *open* round still takes messages, and
+  the *closed* round is the last one that ``settle`` has ended. m is its number of messages with alpha > 0.
+- ``x_bar`` and ``beta``: the *social* estimate, which is the mean of a round's x_hat weighted by alpha, and
+  its confidence, which is the sum of these alpha.
+- ``x``: the *informed* estimate, which is the mean of x_hat and x_bar weighted by alpha and beta.
+- ``omega``: type II error probability of the hypothesis test by which the paper's filter decides on an
+  update.
+- *Robust filter*: this project's own filter. To it every received x_hat is a *vote*, and its *crowd* is the
+  summary of all votes so far: their centre, their spread and who sent them.
 """
 
 from __future__ import annotations
@@ -68,13 +87,21 @@ class Status(IntEnum):
     UPDATED = 2
     """``settle`` or ``step`` re-estimated b_hat."""
     ERR_CONFIG = -1
+    """The filter, the filter period or the memory of the config is out of range."""
     ERR_TABLE = -2
+    """The adaptive filter has no table, or one that is damaged."""
     ERR_ID = -3
+    """The robot's own id is outside 0 .. 127."""
     ERR_B_HAT = -4
+    """The initial b_hat is outside [2**-20, 1 - 2**-20]."""
     ERR_OBSERVATION = -5
+    """An observation is neither white nor black."""
     ERR_SENDER = -6
+    """The sender of a message is outside 0 .. 127, or is the receiver itself."""
     ERR_X_HAT = -7
+    """The x_hat of a message is outside [0, 1]."""
     ERR_IMAGE = -8
+    """An image is damaged, of another version or impossible with the config."""
 
 
 class FirmwareError(ValueError):
@@ -91,11 +118,11 @@ class FirmwareError(ValueError):
 
 @dataclass(frozen=True)
 class Config:
-    """Settings that robots share.
+    """Settings of the firmware, which all robots of a swarm may share.
 
     Attributes:
         table: Thresholds of the hypothesis test. May be None unless ``filter`` is ADAPTIVE.
-        filter: Condition under which b_hat is re-estimated.
+        filter: Condition under which b_hat, the accuracy that a robot assumes of its sensor, is re-estimated.
         filter_period: Rounds from one run of the filter to the next, 1 .. 2**32 - 1. This is the paper's
             nominal filtering period tau divided by the period of broadcasts, which the caller keeps.
         memory: Number of observations at which t and n are halved, a multiple of 4 in 64 .. 2**31.
@@ -128,10 +155,11 @@ class Counters:
 
 @dataclass
 class Sums:
-    """Exact sums over the messages with alpha > 0 of a round, as in ``mcp_asdf_open_t``.
+    """Exact sums over the estimates that a robot received in one round, as in ``mcp_asdf_open_t``.
 
-    In all of them alpha is in units of 2**-24 and x_hat in units of 2**-23. The sum of alpha x_hat is kept
-    in two halves, because it needs more than 64 bits in C.
+    Each estimate is a pair of x_hat and its confidence alpha; those with alpha = 0 are left out. In all sums
+    alpha is in units of 2**-24 and x_hat in units of 2**-23. The sum of alpha x_hat is kept in two halves,
+    because it needs more than 64 bits in C.
 
     Attributes:
         alpha: Sum of alpha.
@@ -163,22 +191,23 @@ class Robot(Protocol):
     def observe(self, z: Observation) -> Status:
         """Count an observation, and compute x_hat and alpha from all observations so far. O(1).
 
-        Returns ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE nor BLACK.
+        Returns OK; or ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE nor BLACK.
         """
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        """Add a neighbour's estimate to the open round. O(1).
+        """Add a neighbour's estimate to the open round: what was received since the last ``settle``. O(1).
 
-        Returns REPEATED, and ignores the message, if the round already has one of this sender. Raises
-        FirmwareError, and counts the message as rejected, if ``sender`` is outside 0 .. 127 or the robot's
-        own id (ERR_SENDER), or ``x_hat`` is outside [0, 1] or NaN (ERR_X_HAT). Raises ValueError, and
-        changes nothing, for an ``alpha`` that is no confidence: negative (also -0.0), infinite or NaN.
+        Returns OK if the estimate was accepted; or REPEATED, and ignores it, if the round already has one of
+        this sender. Raises FirmwareError, and counts the message as rejected, if ``sender`` is outside
+        0 .. 127 or the robot's own id (ERR_SENDER), or ``x_hat`` is outside [0, 1] or NaN (ERR_X_HAT).
+        Raises ValueError, and changes nothing, for an ``alpha`` that is no confidence: negative (also -0.0),
+        infinite or NaN.
         """
 
     def settle(self) -> Status:
-        """Close the round, and run the filter if ``filter_period`` rounds have passed. O(1).
+        """Close the open round, and run the filter if ``filter_period`` rounds have passed. O(1).
 
-        Returns UPDATED if the filter has re-estimated b_hat.
+        Returns UPDATED if the filter has re-estimated b_hat, and OK otherwise.
         """
 
     def step(self, z: Observation) -> Status:
@@ -201,26 +230,26 @@ class Robot(Protocol):
 
     @property
     def b_hat(self) -> float:
-        """Assumed accuracy of this robot's sensor."""
+        """Accuracy that this robot assumes of its sensor, in [2**-20, 1 - 2**-20]."""
 
     @property
     def x_hat(self) -> float:
-        """Local estimate (eq. 3), in [0, 1]."""
+        """Local estimate of the share of black tiles (eq. 3), in [0, 1]."""
 
     @property
     def alpha(self) -> float:
-        """Local confidence (eq. 4), >= 0."""
+        """Confidence of the local estimate x_hat (eq. 4), >= 0."""
 
     @property
     def x_bar(self) -> float:
-        """Social estimate (eq. 5) of the last closed round; 1/2 if ``beta`` is 0.
+        """Social estimate (eq. 5): weighted mean of the x_hat of the last closed round; 1/2 if ``beta`` is 0.
 
-        With the robust filter: the crowd's centre, or 1/2 before the first vote.
+        With the robust filter: the centre of all x_hat received so far, or 1/2 before the first.
         """
 
     @property
     def beta(self) -> float:
-        """Social confidence (eq. 6) of the last closed round.
+        """Social confidence (eq. 6): sum of the alpha of the last closed round.
 
         It is 0 without messages, and always with the robust filter.
         """
@@ -229,7 +258,7 @@ class Robot(Protocol):
     def x(self) -> float:
         """Informed estimate (eq. 7) of the present local estimate and the last closed round, in [0, 1].
 
-        With the robust filter: the crowd's centre, or x_hat before the first vote.
+        With the robust filter: the centre of all received x_hat, or this robot's own before the first.
         """
 
     @property
@@ -243,6 +272,9 @@ class FixedPointRobot(Robot, Protocol):
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
         """Add a neighbour's estimate to the open round; x_hat in units of 2**-23, alpha as an alpha word.
+
+        An alpha word is 32 bits: a mantissa of 24 bits above a shift of 5 (see ``mcp_asdf.fixed_point``).
+        Returns OK if the estimate was accepted, and REPEATED if the round already has one of this sender.
 
         This is for programs that read a bus. They meet invalid messages all the time, so these are no
         exceptions here: where ``receive`` raises FirmwareError this returns ERR_SENDER or ERR_X_HAT, which
@@ -273,11 +305,14 @@ class FixedPointRobot(Robot, Protocol):
         """Return every field of the state by name, to compare two firmwares bit for bit."""
 
     def holds_invariants(self) -> bool:
-        """Return whether calls of this interface alone could have led to this state. O(1)."""
+        """Return whether calls of this interface alone could have led to this state. O(1).
+
+        False means that the state was damaged, for example in memory.
+        """
 
     @property
     def b_hat_raw(self) -> int:
-        """Assumed accuracy in units of 2**-32."""
+        """Accuracy that this robot assumes of its sensor, in units of 2**-32."""
 
     @property
     def x_hat_raw(self) -> int:
@@ -285,7 +320,7 @@ class FixedPointRobot(Robot, Protocol):
 
     @property
     def alpha_raw(self) -> int:
-        """Local confidence as an alpha word."""
+        """Local confidence as an alpha word: a mantissa of 24 bits above a shift of 5 bits."""
 
     @property
     def x_bar_raw(self) -> int:
@@ -301,7 +336,10 @@ class FixedPointRobot(Robot, Protocol):
 
 
 def check_settings(config: Config) -> None:
-    """Raise FirmwareError (ERR_CONFIG) for a filter, period or memory that the firmware would refuse."""
+    """Raise FirmwareError (ERR_CONFIG) for a filter, filter period or memory that the firmware would refuse.
+
+    The table is not checked here but in `check_table`.
+    """
     period, memory = config.filter_period, config.memory
     if config.filter not in tuple(Filter):
         raise FirmwareError(Status.ERR_CONFIG, f"filter is {config.filter}; choose a Filter")
@@ -318,12 +356,15 @@ def check_settings(config: Config) -> None:
 
 
 def check_table(table: Table | None) -> Table:
-    """Return the table, or raise FirmwareError (ERR_TABLE) if the firmware would refuse it."""
+    """Return the table of thresholds, or raise FirmwareError (ERR_TABLE) if the firmware would refuse it.
+
+    It refuses None, and a table whose words are not a t-table (see ``Table.from_words``).
+    """
     if table is None:
         raise FirmwareError(
             Status.ERR_TABLE, "the adaptive filter needs a table; make one with mcp-asdf table"
         )
-    # A table can be made of any numbers; this finds those that the firmware would not take.
+    # ``Table(...)`` takes any numbers and checks none; only ``from_words`` checks what the firmware would.
     try:
         return Table.from_words(table.words())
     except TableError as error:
@@ -345,17 +386,22 @@ def check_alpha(alpha: float) -> None:
         raise ValueError(f"alpha is {alpha}; a confidence is finite, not negative and not -0.0")
 
 
-def raise_if_rejected(status: Status, sender: int, x_hat: float) -> None:
-    """Raise FirmwareError if ``status``, with which a message was received, says that it was rejected."""
+def create_rejection(status: Status, sender: int, x_hat: float) -> FirmwareError:
+    """Return the exception for a message that was rejected with ``status``, ERR_SENDER or ERR_X_HAT.
+
+    Its text names the wrong one of the sender and x_hat, and the range that is allowed.
+    """
     if status == Status.ERR_SENDER:
-        raise FirmwareError(
+        return FirmwareError(
             status, f"sender is {sender}; it must be 0 .. {MAX_ID} and not the receiver's own id"
         )
-    if status == Status.ERR_X_HAT:
-        raise FirmwareError(status, f"x_hat is {x_hat}; it must be in [0, 1]")
+    return FirmwareError(status, f"x_hat is {x_hat}; it must be in [0, 1]")
 
 
 def describe_robot(robot: Robot) -> str:
-    """Return a robot's class, id, observations and estimates in one line, for ``repr``."""
+    """Return a robot's class, id, observations and estimates in one line, for ``repr``.
+
+    For example ``<MirrorRobot 3: t=20 n=5 b_hat=0.9 x_hat=0.1875 alpha=68.2667 x=0.2>``.
+    """
     values = (f"{name}={getattr(robot, name):.6g}" for name in ("b_hat", "x_hat", "alpha", "x"))
     return f"<{type(robot).__name__} {robot.id}: t={robot.t} n={robot.n} {' '.join(values)}>"

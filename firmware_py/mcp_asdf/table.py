@@ -1,7 +1,9 @@
 """The t-table as the firmware reads it: an array of 32-bit words with a checksum.
 
-The table holds the thresholds k_m of the hypothesis test for m messages. Its layout is the same on every
-target (word index and content)::
+The table holds the thresholds k_m of the hypothesis test, by which a robot decides whether its own estimate
+differs too much from m received ones. omega is the type II error probability of that test, and q the number
+of messages up to which a threshold is exact. The layout is the same on every target (word index and
+content)::
 
     0      magic 0x4D4354 ("MCT") in bits 8..31, q in bits 0..7
     1      omega in units of 2**-32, rounded to nearest
@@ -42,7 +44,8 @@ class Table:
 
     Attributes:
         omega_word: Type II error probability omega in units of 2**-32, 1 .. MAX_OMEGA_WORD.
-        entries: k_m for m = 2 .. q, then k for every m > q, in units of 2**-26. These are q words.
+        entries: Thresholds k_m for m = 2 .. q messages, then one k for every m > q, in units of 2**-26.
+            These are q words.
     """
 
     omega_word: int
@@ -63,7 +66,7 @@ class Table:
         return self.entries[min(m, self.q + 1) - 2]
 
     def words(self) -> tuple[int, ...]:
-        """Return the table as the firmware reads it. O(q)."""
+        """Return the table as the 32-bit words that the firmware reads, the last one a checksum. O(q)."""
         body = (MAGIC | self.q, self.omega_word, *self.entries)
         return (*body, checksum(body))
 
@@ -98,7 +101,7 @@ class Table:
 
 
 def _check_order(entries: Sequence[int]) -> None:
-    """Raise TableError unless the entries fall strictly and stay above 1.0."""
+    """Raise TableError unless the thresholds, in units of 2**-26, fall strictly and stay above 1.0."""
     for index, (entry, next_entry) in enumerate(pairwise(entries)):
         if next_entry >= entry:
             raise TableError(f"entry {index + 1} is {next_entry}, not below entry {index} ({entry})")
