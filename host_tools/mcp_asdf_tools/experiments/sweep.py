@@ -56,21 +56,12 @@ def run_sweep(
     """
     try:
         if store.missing_count:
-            _logger.info(
-                "%d trials to run on %s",
-                store.missing_count,
-                f"{workers} processes" if scheduler is None else f"the cluster {scheduler}",
-            )
+            _log_start(store.missing_count, workers, scheduler)
             store.reserve()
             for trials in run_jobs(jobs_of(store), workers, scheduler):
                 with _interrupts_delayed():
                     store.add(trials)
-                _logger.debug(
-                    "finished trials %d to %d of %s",
-                    trials.numbers[0],
-                    trials.numbers[-1],
-                    trials.experiment.filter_description,
-                )
+                _log_finished(trials)
                 report(len(trials.numbers))
         store.finish()
     except BaseException:
@@ -95,12 +86,29 @@ def run_in_memory(
         for experiment in unique_experiments
         for job in jobs_of_experiment(experiment, range(experiment.trials), sampling_interval)
     )
+    _log_start(sum(experiment.trials for experiment in unique_experiments), workers)
     results = []
     for trials in run_jobs(jobs, workers):
         results.append(trials)
+        _log_finished(trials)
         report(len(trials.numbers))
     position = {experiment: index for index, experiment in enumerate(unique_experiments)}
     return sorted(results, key=lambda trials: (position[trials.experiment], trials.numbers[0]))
+
+
+def _log_start(trial_count: int, workers: int, scheduler: str | None = None) -> None:
+    """Log how many trials are to run, and where."""
+    if scheduler is not None:
+        runners = f"the cluster {scheduler}"
+    else:
+        runners = "this process" if workers == 1 else f"{workers} processes"
+    _logger.info("%d trials to run on %s", trial_count, runners)
+
+
+def _log_finished(trials: Trials) -> None:
+    """Log which trials of which experiment a job has finished."""
+    first, last = trials.numbers[0], trials.numbers[-1]
+    _logger.debug("finished trials %d to %d of %s", first, last, trials.experiment)
 
 
 # --- Jobs ------------------------------------------------------------------------------------------------

@@ -301,8 +301,8 @@ def test_a_missing_extra_is_named_in_one_line(tmp_path: Path) -> None:
     codes, errors = in_base(tmp_path, needed)
     assert codes == ["2"] * len(needed) and len(errors) == 2 * len(needed)
     assert list(tmp_path.iterdir()) == [], "nothing was begun"
-    for told, (module, extra) in zip(errors[::2], needed.values(), strict=True):
-        assert told.endswith(f"this needs {module}, which is not installed; {install_instruction(extra)}")
+    for message, (module, extra) in zip(errors[::2], needed.values(), strict=True):
+        assert message.endswith(f"this needs {module}, which is not installed; {install_instruction(extra)}")
 
 
 def test_the_library_names_a_missing_extra_as_the_command_does(tmp_path: Path) -> None:
@@ -312,10 +312,10 @@ def test_the_library_names_a_missing_extra_as_the_command_does(tmp_path: Path) -
         "m.read_table('x.parquet')",
         "m.emulate(m.SwarmSettings(firmware='reference', steps=10))",
     )
-    each = "try: eval(call)\n except m.UsageError as error: print(error)"
-    code = f"{HIDING}import mcp_asdf_tools as m\nfor call in {calls}:\n {each}"
-    told = python("-c", code, cwd=tmp_path).stdout.splitlines()
-    assert [line.endswith(install_instruction("study")) for line in told] == [True] * len(calls)
+    attempt = "try: eval(call)\n except m.UsageError as error: print(error)"
+    script = f"{HIDING}import mcp_asdf_tools as m\nfor call in {calls}:\n {attempt}"
+    messages = python("-c", script, cwd=tmp_path).stdout.splitlines()
+    assert [line.endswith(install_instruction("study")) for line in messages] == [True] * len(calls)
 
 
 def test_a_command_loads_only_the_libraries_that_it_uses() -> None:
@@ -354,42 +354,55 @@ SHORT = "--robots 4 --steps 30 --filter-period 10"
 EXPERIMENT = "robots = 3\nsteps = 20\nfilter_period = 10\ntrials = 2\n"
 
 
-@pytest.mark.parametrize(
-    ("line", "settled"),
-    [
-        (f"swarm {SHORT} --flawed 50% --fault 'loss=0.5,robots=0+2' --fault liar,robots=3,x=1", "--seed=1"),
-        (f"swarm {SHORT} --seed=7 --true-accuracy=0.30000000000000004 --latency=1 --compare", ""),
-        (
-            "radio --id 3 --interface virtual --robots 3 --steps 2 --steps-per-second 500 --fault loss=0.3",
-            "--seed=1",
-        ),
-        (f"simulate {SHORT} --trials 2 --drift linear --drift-rate=-1e-5", "--seed=1"),
-        ("simulate --output results.parquet one.toml --seed 3", ""),
-        ("sweep grid.toml --output 'two words.parquet'", "--seed=1"),
-        ("table --output tables --omega 0.10 --neighbours 3", ""),
-        ("table --output tables", "--omega=0.05 --neighbours=127"),
-    ],
-)
-def test_the_line_is_the_same_run(
-    line: str,
-    settled: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """It needs no more words the second time, and machines get JSON alone."""
+REPEATABLE = [
+    (f"swarm {SHORT} --flawed 50% --fault 'loss=0.5,robots=0+2' --fault liar,robots=3,x=1", "--seed=1"),
+    (f"swarm {SHORT} --seed=7 --true-accuracy=0.30000000000000004 --latency=1 --compare", ""),
+    (
+        "radio --id 3 --interface virtual --robots 3 --steps 2 --steps-per-second 500 --fault loss=0.3",
+        "--seed=1",
+    ),
+    (f"simulate {SHORT} --trials 2 --drift linear --drift-rate=-1e-5", "--seed=1"),
+    ("simulate --output results.parquet one.toml --seed 3", ""),
+    ("sweep grid.toml --output 'two words.parquet'", "--seed=1"),
+    ("table --output tables --omega 0.10 --neighbours 3", ""),
+    ("table --output tables", "--omega=0.05 --neighbours=127"),
+]
+"""Command lines, and the options that the line for the same run has in front of what was typed."""
+
+
+@pytest.fixture
+def experiment_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work in a folder with one.toml, a small experiment, and grid.toml, two of them."""
     monkeypatch.chdir(tmp_path)
     Path("one.toml").write_text(EXPERIMENT)
     Path("grid.toml").write_text(f'{EXPERIMENT}[[grid]]\nfilter = ["none", "asdf-plus"]\n')
+
+
+@pytest.mark.usefixtures("experiment_files")
+@pytest.mark.parametrize(("line", "settled_options"), REPEATABLE)
+def test_a_run_ends_with_the_line_for_the_same_run(line: str, settled_options: str, capsys: Capture) -> None:
     command, *options = shlex.split(line)
-    again = [command, *settled.split(), *options]
-    for words in ([command, *options], again):
-        assert cli.main(words) == 0
-        told = [each for each in capsys.readouterr().out.splitlines() if each.startswith("again: ")]
-        assert told == [f"again: mcp-asdf {shlex.join(again)}"]
-    assert cli.main([*again, "--json"]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith('{\n  "') and "again: " not in out
+    assert cli.main([command, *options]) == 0
+    again = shlex.join([command, *settled_options.split(), *options])
+    assert [row for row in capsys.readouterr().out.splitlines() if row.startswith("again: ")] == [
+        f"again: mcp-asdf {again}"
+    ]
+
+
+@pytest.mark.usefixtures("experiment_files")
+@pytest.mark.parametrize(("line", "settled_options"), REPEATABLE)
+def test_the_line_for_the_same_run_leads_to_itself(line: str, settled_options: str, capsys: Capture) -> None:
+    command, *options = shlex.split(line)
+    again = [command, *settled_options.split(), *options]
+    assert cli.main(again) == 0
+    assert f"again: mcp-asdf {shlex.join(again)}\n" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("experiment_files")
+@pytest.mark.parametrize(("line", "settled_options"), REPEATABLE)
+def test_a_run_prints_json_alone_if_asked_to(line: str, settled_options: str, capsys: Capture) -> None:
+    assert cli.main([*shlex.split(line), "--json"]) == 0
+    assert isinstance(json.loads(capsys.readouterr().out), dict)
 
 
 QUIET_SWARM = ["swarm", "--robots", "3", "--steps", "5", "--filter-period", "1", "--quiet"]
@@ -422,6 +435,19 @@ def test_vv_logs_all_options_too(capsys: Capture) -> None:
     options = [line for line in messages_of(capsys.readouterr().err) if " options: " in line]
     assert len(options) == 1
     assert "'filter_period': 1," in options[0]
+
+
+def test_vv_logs_each_batch_of_trials(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("grid.toml").write_text(f'{EXPERIMENT}[[grid]]\nfilter = ["none", "asdf-plus"]\n')
+    assert cli.main(["sweep", "grid.toml", "--workers", "1", "-vv"]) == 0
+    logger = "mcp_asdf_tools.experiments.sweep"
+    messages = [message for message in messages_of(capsys.readouterr().err) if logger in message]
+    assert messages[0] == f"INFO {logger}: 4 trials to run on this process"
+    assert len(messages) == 3
+    assert messages[1].startswith(f"DEBUG {logger}: finished trials 0 to 1 of Experiment(robots=3, ")
 
 
 def test_vv_logs_where_an_error_was_raised(capsys: Capture) -> None:
