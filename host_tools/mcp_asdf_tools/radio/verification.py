@@ -1,7 +1,8 @@
-"""Verification of a real controller, which must behave as a model of it does.
+"""Verification of a real controller: its frames must equal those of a model of it, bit for bit.
 
 The controller is taken through phases (``phases``), in lockstep with the model, up to the first difference.
-The verdict gives that difference, phase, tick, field, expected and got, and what was not put to the test.
+The verdict names the difference with its phase, tick and field, what was expected and what was received, and
+lists what was not put to the test.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from mcp_asdf_tools.radio.bench import Bench
 from mcp_asdf_tools.radio.controller_link import BenchOptions, BusDisturbed, ControllerDiffers
 from mcp_asdf_tools.radio.filter_phases import updates_to_see
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
-from mcp_asdf_tools.radio.phases import PHASES, Phase, is_halved, is_in_reach
+from mcp_asdf_tools.radio.phases import PHASES, Phase, can_fill_memory, can_wait_for_tests
 from mcp_asdf_tools.radio.protocol_phases import CROWDED_MESSAGES
 from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES
 from mcp_asdf_tools.robots.lockstep import LockstepError
@@ -30,21 +31,22 @@ from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 PASSED, FAILED, NOT_EXERCISED, NOT_RUN = "passed", "failed", "not exercised", "not run"
 DISTURBED = "disturbed"
 
-LONGEST_ROUND = 1000
-"""Ticks between the broadcasts of a controller that is verified."""
+_MAX_COMMS_PERIOD = 1000
+"""Largest number of ticks between broadcasts of a controller that is verified."""
 
 
 @dataclass
 class PhaseResult:
-    """Result of a phase.
+    """Result of one phase.
 
     Attributes:
         name: Name of the phase.
-        fault: The fault that struck, as text; None if none.
-        ticks: Ticks done.
-        injected: Number of disturbances by the fault.
-        equal: Frames of the controller that equal the model's.
-        outcome: PASSED, FAILED, DISTURBED, NOT_EXERCISED (it passed, but nothing went wrong) or NOT_RUN.
+        fault: The faults that were injected, as text; None if none.
+        ticks: Number of ticks done.
+        injected: Number of times that a fault affected a frame or a robot.
+        equal: Number of the controller's frames that equal the model's.
+        outcome: PASSED, FAILED, DISTURBED, NOT_EXERCISED (no difference, but its fault affected nothing) or
+            NOT_RUN.
     """
 
     name: str
@@ -61,12 +63,14 @@ class ControllerVerdict:
 
     Attributes:
         phases: Result of each phase, in order.
-        difference: First difference between the controller and the model; None if there is none.
+        difference: First difference between the controller and the model, with phase and tick; None if there
+            is none.
         disturbance: The other node, or the failure of the bus, that ended the run, in words; None if none.
-        not_exercised: Claims about the controller that the run has not put to the test.
-        not_checked: What no verdict on a controller of this configuration says.
+        not_exercised: Cases that the run should have brought about and has not; the controller has not passed
+            without them.
+        not_checked: What the run leaves open even if the controller has passed.
         is_interrupted: Whether the verification was asked to stop before its end.
-        repeated: Commands repeated because the controller had not answered.
+        repeated: Number of commands that were sent again because the controller had not answered.
     """
 
     phases: list[PhaseResult]
@@ -79,16 +83,16 @@ class ControllerVerdict:
 
     @property
     def has_passed(self) -> bool:
-        """True if every phase has passed, and every claim was put to the test."""
+        """Whether every phase has passed and every case was brought about."""
         return all(phase.outcome == PASSED for phase in self.phases) and not self.not_exercised
 
     @property
     def headline(self) -> str:
-        """The verdict in a sentence or two."""
-        passed = sum(phase.outcome == PASSED for phase in self.phases)
-        count = f"{passed} of {len(self.phases)} phases passed"
+        """The verdict in a sentence or two, beginning with PASSED, FAILED, DISTURBED or the like."""
+        passed_phases = sum(phase.outcome == PASSED for phase in self.phases)
+        count = f"{passed_phases} of {len(self.phases)} phases passed"
         if self.has_passed:
-            repeated = f"; {self.repeated} commands were repeated" * bool(self.repeated)
+            repeated = f"; {self.repeated} commands were repeated" if self.repeated else ""
             return f"PASSED: {count}; every frame of the controller equals the model's{repeated}"
         if self.difference is not None:
             return f"FAILED: {count}; first in {self.difference}"
@@ -96,63 +100,77 @@ class ControllerVerdict:
             return f"DISTURBED, no verdict: {count}; {self.disturbance}"
         if self.is_interrupted:
             return f"INTERRUPTED: {count}"
-        empty = [f'the fault of phase "{phase.name}"' for phase in self.phases if phase.outcome != PASSED]
-        missing = "; ".join(empty + self.not_exercised)
+        idle_faults = [
+            f'the fault of phase "{phase.name}"' for phase in self.phases if phase.outcome != PASSED
+        ]
+        missing = "; ".join(idle_faults + self.not_exercised)
         return f"NOT EXERCISED: {count}, no difference, but never put to the test: {missing}"
 
-    def lists(self) -> dict[str, list[str]]:
-        """What the verdict leaves open, by title; empty lists are left out."""
+    def open_points(self) -> dict[str, list[str]]:
+        """Return what the verdict leaves open as lists by title, without empty ones."""
         lists = {"Not exercised": self.not_exercised, "Not checked": self.not_checked}
         return {title: entries for title, entries in lists.items() if entries}
 
     def plain(self) -> dict[str, Any]:
-        """The verdict as plain values, for JSON."""
+        """Return the verdict as plain values, for JSON."""
         return {"passed": self.has_passed, **vars(self), "phases": [vars(phase) for phase in self.phases]}
 
 
-def planned(settings: RadioSettings, phases: Sequence[Phase], ticks: int) -> tuple[list[Phase], list[Fault]]:
-    """The phases for this controller, with one more for each fault of the settings, and their faults.
+def plan_phases(
+    settings: RadioSettings, phases: Sequence[Phase], ticks: int
+) -> tuple[list[Phase], list[Fault]]:
+    """Choose the phases that apply to this controller, and schedule their faults.
 
-    A phase among neighbours has ``ticks`` ticks, and its faults alone, from its first tick to its last.
-    Raises UsageError if the controller broadcasts too rarely.
+    Each fault of the settings adds one more phase among neighbours. A phase among neighbours has ``ticks``
+    ticks, with its own faults alone. Raises UsageError if the controller broadcasts too rarely.
+
+    Returns:
+        The phases, with ids in place of {me}, {them} and {one}, and their faults. Faults begin and stop at
+        ticks of the neighbours, which count only the phases among neighbours.
     """
     comms_period = settings.controller.comms_period
-    if comms_period > LONGEST_ROUND:
+    if comms_period > _MAX_COMMS_PERIOD:
         raise UsageError(
             f"comms-period is {comms_period}; a verification has hundreds of rounds, so "
-            f"set the controller up with at most {LONGEST_ROUND} ticks"
+            f"set the controller up with at most {_MAX_COMMS_PERIOD} ticks"
         )
-    ids = [str(neighbour.id) for neighbour in settings.neighbours]
-    names = {"me": settings.controller.id, "them": "+".join(ids), "one": ids[0]}
-    applying = [phase for phase in phases if phase.applies(settings.controller)]
-    plan = [replace(phase, fault=phase.fault.format(**names)) for phase in applying]
-    plan += [Phase(fault.name, fault=str(fault)) for fault in settings.faults]
+    neighbour_ids = [str(neighbour.id) for neighbour in settings.neighbours]
+    ids_by_placeholder = {
+        "me": settings.controller.id,
+        "them": "+".join(neighbour_ids),
+        "one": neighbour_ids[0],
+    }
+    chosen_phases = [
+        replace(phase, fault=phase.fault.format(**ids_by_placeholder))
+        for phase in phases
+        if phase.applies(settings.controller)
+    ]
+    chosen_phases += [Phase(fault.name, fault=str(fault)) for fault in settings.faults]
+    phases_among_neighbours = [phase for phase in chosen_phases if phase.play is None]
     faults = [
-        replace(parse_fault(text), start=place * ticks, stop=(place + 1) * ticks)
-        for place, phase in enumerate(each for each in plan if each.play is None)
+        replace(parse_fault(text), start=index * ticks, stop=(index + 1) * ticks)
+        for index, phase in enumerate(phases_among_neighbours)
         for text in phase.fault.split()
     ]
-    return plan, faults
+    return chosen_phases, faults
 
 
-def not_checked(record: RobotSetup) -> list[str]:
-    """Properties that a verdict on a controller of this configuration leaves open."""
-    config = record.config
-    filters = config.filter is not Filter.OFF
+def not_checked(setup: RobotSetup) -> list[str]:
+    """Return what no verdict on a controller with this setup says anything about, in words."""
+    config = setup.config
+    has_filter = config.filter is not Filter.OFF
+    has_asdf_filter = has_filter and config.filter is not Filter.ROBUST
     sizes = ", ".join(map(str, CRAFTED_SIZES))
     limits = (
         (config.filter is Filter.ADAPTIVE, f"thresholds of rounds of other sizes than {sizes}"),
-        (not filters, "the test and re-estimates: it does not filter"),
+        (not has_filter, "the test and re-estimates: it does not filter"),
         (config.filter is Filter.ALWAYS, "the test: it re-estimates always"),
-        (filters and config.filter_period == 1, "rounds without a test: all have one"),
-        (record.comms_period == 1, "rounds longer than a tick: it broadcasts in each"),
-        (not is_halved(record), f"forgetting: its memory is {config.memory}, too long for a run"),
-        (filters and config.filter is not Filter.ROBUST, "a re-estimate before its first white tile"),
-        (filters, f"a counter of more than {updates_to_see(record)} updates"),
-        (
-            filters and config.filter is not Filter.ROBUST,
-            "a re-estimate from tiles of both colours before some 200 observations",
-        ),
+        (has_filter and config.filter_period == 1, "rounds without a test: all have one"),
+        (setup.comms_period == 1, "rounds longer than a tick: it broadcasts in each"),
+        (not can_fill_memory(setup), f"forgetting: its memory is {config.memory}, too long for a run"),
+        (has_asdf_filter, "a re-estimate before its first white tile"),
+        (has_filter, f"a counter of more than {updates_to_see(setup)} updates"),
+        (has_asdf_filter, "a re-estimate from tiles of both colours before some 200 observations"),
         (True, f"more than {CROWDED_MESSAGES} messages in a tick"),
         (True, "its own clock, sensor and telemetry period: commands replace them"),
         (True, "saving and restoring of its state"),
@@ -160,67 +178,82 @@ def not_checked(record: RobotSetup) -> list[str]:
         (True, "vendor status and spare bits of heartbeats, and frames of other subjects"),
         (True, "the largest alpha of its own, which takes 46,341 observations or more"),
     )
-    return [text for holds, text in limits if holds]
+    return [limit for applies, limit in limits if applies]
+
+
+@dataclass(frozen=True)
+class _Totals:
+    """Figures of all phases together so far; the attributes are those of ``PhaseResult``."""
+
+    ticks: int
+    injected: int
+    equal: int
 
 
 class Verification:
-    """Verification of a controller that has just started and done nothing yet."""
+    """Verification of a controller that has just started and done nothing yet.
+
+    Attributes:
+        bench: The controller and its model, on which the phases run.
+        verdict: The verdict, complete once ``run`` has returned.
+    """
 
     def __init__(
         self, settings: RadioSettings, options: BenchOptions, phases: Sequence[Phase] = PHASES
     ) -> None:
-        """Prepare the phases, with one more for each fault of the settings. Raises as ``planned``."""
-        # Everything that a fault may strike, a broadcast too, comes in each phase.
+        """Plan the phases and start the model. Raises as ``plan_phases``."""
+        # Two rounds give every fault a broadcast to affect, also in a phase of few ticks.
         self._phase_ticks = max(options.ticks, 2 * settings.controller.comms_period)
-        self._phases, faults = planned(settings, phases, self._phase_ticks)
+        self._phases, faults = plan_phases(settings, phases, self._phase_ticks)
         self.bench = Bench(replace(settings, faults=tuple(faults)), options)
         self.verdict = ControllerVerdict(
             [PhaseResult(phase.name, phase.fault or None) for phase in self._phases],
             not_checked=not_checked(settings.controller),
         )
+        # What goes wrong before the first phase, or after the last one, is reported in that phase.
+        self._phase, self._result = self._phases[0], self.verdict.phases[0]
 
     def run(self) -> ControllerVerdict:
-        """Go through the phases up to the first difference."""
+        """Run the phases up to the first difference, and return the verdict.
+
+        A disturbed bus or a request to stop ends the run, too. The controller's failures are never raised.
+        """
         verdict, bench = self.verdict, self.bench
-        phase, result = self._phases[0], verdict.phases[0]
         try:
-            if bench.options.wait is not None:
-                bench.lockstep.wait_until_up({bench.setup.id}, bench.options.wait)
-            for phase, result in zip(self._phases, verdict.phases, strict=True):
-                self._run_phase(phase, result)
-            bench.compare_late_frames()
-            verdict.not_exercised = self._not_exercised()
-            counts = bench.firmware.s
-            verdict.not_checked.append(f"counts above t = {counts.t} and n = {counts.n}")
-            verdict.not_checked += [
-                f"whether it {mistake}: no frame of this run would have shown it"
-                for mistake in bench.lineup.models
-            ]
+            self._run_phases()
+            self._add_open_points()
         except KeyboardInterrupt:
             verdict.is_interrupted = True
         except (BusDisturbed, can.CanError) as error:
-            result.outcome = DISTURBED
-            verdict.disturbance = f"{self._place(phase)}: {error}"
+            self._result.outcome = DISTURBED
+            verdict.disturbance = f"{self._describe_time()}: {error}"
         except ControllerDiffers as error:
-            result.outcome = FAILED
-            verdict.difference = f"{self._place(phase)}: {error}"
+            self._result.outcome = FAILED
+            verdict.difference = f"{self._describe_time()}: {error}"
         except LockstepError as error:
-            result.outcome = FAILED
-            said = bench.take_difference()  # who did not answer may have said something else
-            told = error if said is None or said.field == "missing" else said
-            verdict.difference = f"{self._place(phase)}: {told}"
+            self._result.outcome = FAILED
+            # A wrong frame in place of the answer says more than that the answer is missing.
+            difference = bench.take_difference()
+            is_only_silent = difference is None or difference.field == "missing"
+            verdict.difference = f"{self._describe_time()}: {error if is_only_silent else difference}"
         verdict.repeated = bench.lockstep.repeated
         return verdict
 
-    def _not_exercised(self) -> list[str]:
-        config = self.bench.config
-        if config.filter is not Filter.OFF and not is_in_reach(self.bench.setup):
-            return ["the filter: its period is too long for a run", *self.bench.not_exercised]
-        return self.bench.not_exercised
+    def _run_phases(self) -> None:
+        """Wait for the controller if asked to, run all phases, and compare what comes after the last."""
+        bench = self.bench
+        if bench.options.wait is not None:
+            bench.lockstep.wait_until_up({bench.setup.id}, bench.options.wait)
+        for phase, result in zip(self._phases, self.verdict.phases, strict=True):
+            self._phase, self._result = phase, result
+            self._run_phase(phase, result)
+        bench.compare_late_frames()
 
     def _run_phase(self, phase: Phase, result: PhaseResult) -> None:
-        bench, before = self.bench, self._figures()
+        """Run a phase and fill in its result; its figures also if an error ends it, which is passed on."""
+        bench = self.bench
         bench.activity = phase.fault or phase.name
+        before = self._totals()
         try:
             if phase.play is not None:
                 phase.play(bench)
@@ -228,25 +261,44 @@ class Verification:
                 for _ in range(self._phase_ticks):
                     bench.play_tick_among_neighbours()
         finally:
-            for name, figure in self._figures().items():
-                setattr(result, name, figure - before[name])
-        result.outcome = NOT_EXERCISED if phase.fault and not result.injected else PASSED
+            after = self._totals()
+            result.ticks = after.ticks - before.ticks
+            result.injected = after.injected - before.injected
+            result.equal = after.equal - before.equal
+        has_idle_fault = bool(phase.fault) and result.injected == 0
+        result.outcome = NOT_EXERCISED if has_idle_fault else PASSED
 
-    def _figures(self) -> dict[str, int]:
-        """The figures of a ``PhaseResult`` so far, for all phases together."""
+    def _totals(self) -> _Totals:
+        """Return the figures of all phases together so far."""
         bench = self.bench
-        injected = sum(figure["injected"] for figure in bench.neighbours.faults.figures())
-        return {"ticks": bench.ticks, "injected": injected, "equal": bench.comparison.equal_frames.total()}
+        injected = sum(figures["injected"] for figures in bench.neighbours.faults.figures())
+        return _Totals(bench.ticks, injected, bench.comparison.equal_frames.total())
 
-    def _place(self, phase: Phase) -> str:
-        doing = self.bench.activity
-        also = f" ({doing})" if doing and doing not in (phase.name, phase.fault) else ""
-        return f'phase "{phase.name}"{also}, tick {self.bench.tick_index}'
+    def _add_open_points(self) -> None:
+        """Add to the verdict what a run of all phases has left open."""
+        verdict, bench = self.verdict, self.bench
+        verdict.not_exercised = bench.not_exercised
+        if bench.config.filter is not Filter.OFF and not can_wait_for_tests(bench.setup):
+            too_long = "the filter: its period is too long for a run"
+            verdict.not_exercised = [too_long, *bench.not_exercised]
+        state = bench.firmware.s
+        verdict.not_checked.append(f"counts above t = {state.t} and n = {state.n}")
+        verdict.not_checked += [
+            f"whether it {mistake}: no frame of this run would have shown it"
+            for mistake in bench.lineup.models
+        ]
+
+    def _describe_time(self) -> str:
+        """Return phase, activity and tick at present, as a difference is reported with them."""
+        activity = self.bench.activity
+        is_more_exact = activity and activity not in (self._phase.name, self._phase.fault)
+        in_brackets = f" ({activity})" if is_more_exact else ""
+        return f'phase "{self._phase.name}"{in_brackets}, tick {self.bench.tick_index}'
 
 
 # --- Reports ---
 
-COLUMNS = {
+_HEADINGS = {
     "name": "phase",
     "ticks": "ticks",
     "injected": "injected",
@@ -254,26 +306,34 @@ COLUMNS = {
     "outcome": "outcome",
     "fault": "fault",
 }
-"""Figures of each phase, and their headings."""
+"""Columns of the table of phases: attributes of ``PhaseResult``, and their headings."""
 
 
 def details(verdict: ControllerVerdict) -> str:
-    """The table of the phases, its columns aligned, and what the verdict leaves open, in Markdown."""
-    rows = [tuple(COLUMNS.values())]
-    rows += [tuple(str(getattr(phase, name) or "") for name in COLUMNS) for phase in verdict.phases]
+    """Return the phases as an aligned table, and what the verdict leaves open as lists, in Markdown.
+
+    Figures that are 0 and faults that are None are left blank.
+    """
+    rows = [tuple(_HEADINGS.values())]
+    for phase in verdict.phases:
+        rows.append(tuple(str(getattr(phase, attribute) or "") for attribute in _HEADINGS))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    widths[-1] = len(COLUMNS["fault"])
-    rows.insert(1, tuple("-" * width for width in widths))
-    lines = ["| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in rows]
-    for title, entries in verdict.lists().items():
+    # Faults are long and in the last column, so they are not padded.
+    widths[-1] = len(_HEADINGS["fault"])
+    rule = tuple("-" * width for width in widths)
+    lines = ["| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in (rows[0], rule, *rows[1:])]
+    for title, entries in verdict.open_points().items():
         lines += ["", f"{title}:", "", *(f"- {entry}" for entry in entries)]
     return "\n".join(lines) + "\n"
 
 
 def markdown(verdict: ControllerVerdict, report: dict[str, Any]) -> str:
-    """The verdict in Markdown, with what is needed to repeat the run."""
+    """Return the verdict in Markdown, with the parameters and versions that repeat the run.
+
+    ``report`` is that of ``radio --json``: it needs the keys bus, parameters, versions, time and filter.
+    """
     bus, robot = report["bus"], report["parameters"]["controller"]["id"]
-    everything = {key: report[key] for key in ("parameters", "versions")}
+    to_repeat = {key: report[key] for key in ("parameters", "versions")}
     return f"""# Verification of a controller
 
 Robot {robot} on {bus["interface"]} {bus["channel"] or ""}, {report["time"]}. Filter: {report["filter"]}.
@@ -284,6 +344,6 @@ Robot {robot} on {bus["interface"]} {bus["channel"] or ""}, {report["time"]}. Fi
 To repeat it:
 
 ```json
-{json.dumps(everything, indent=2)}
+{json.dumps(to_repeat, indent=2)}
 ```
 """

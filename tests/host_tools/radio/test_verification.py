@@ -24,7 +24,7 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.radio import controller_link, robust_phases, rounds
 from mcp_asdf_tools.radio.controller_link import BenchOptions
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
-from mcp_asdf_tools.radio.phases import PHASES, Phase, is_in_reach
+from mcp_asdf_tools.radio.phases import PHASES, Phase, can_wait_for_tests
 from mcp_asdf_tools.radio.rounds import Update
 from mcp_asdf_tools.radio.suspects import SUSPECTS, Suspect
 from mcp_asdf_tools.radio.verification import ControllerVerdict, PhaseResult, Verification, details
@@ -205,7 +205,7 @@ def test_what_is_not_put_to_the_test_proves_nothing(
     config: dict[str, Any], faults: str, missing: str
 ) -> None:
     verdict = judge(obedient(**config), surroundings(right(**config), faults=faults), PHASES[:2])
-    assert is_in_reach(right(filter_period=20_000))
+    assert can_wait_for_tests(right(filter_period=20_000))
     assert not verdict.has_passed and verdict.phases[0].ticks < 1000
     assert verdict.headline.startswith("NOT EXERCISED: ")
     assert verdict.headline.endswith(f", no difference, but never put to the test: {missing}")
