@@ -1,6 +1,10 @@
 """Sensors that age, which the paper leaves open: the error at the end, and over time.
 
 ``python -m mcp_asdf_tools.studies.ageing FOLDER`` writes ``ageing.md`` and ``ageing.png`` for docs/ageing.md.
+
+Each robot estimates f, the share of black floor, as x. Its late error is the mean of |x - f| over the last
+quarter of a trial. b is the accuracy of a robot's sensor, which ageing changes, and b_hat the accuracy that
+the robot assumes.
 """
 
 from __future__ import annotations
@@ -37,11 +41,17 @@ from mcp_asdf_tools.studies.peers import (
 
 LONGEST_MEMORY = 2**31
 SHORT_MEMORY = 4096
-HEAD = "error of the last quarter (95 % interval)"
+"""Values of ``Experiment.memory``: at so many observations a robot halves its counts, to forget old ones."""
+
+TABLE_HEAD = "error of the last quarter (95 % interval)"
 
 
 def ageing_experiments() -> list[Experiment]:
-    """Return the study's experiments: sensors that age in six ways, and robots that are right at first."""
+    """Return experiments with robots that assume the right accuracy at first, while their sensors age.
+
+    All sensors of a swarm age in one of five ways, none among them, or only those of the flawed robots do.
+    Each way is combined with each f, each memory and each filter, of which "none" is one.
+    """
     common = {
         "topology": "dynamic",
         "latency": 1,
@@ -76,7 +86,10 @@ def ageing_experiments() -> list[Experiment]:
 
 
 def peer_experiments() -> list[Experiment]:
-    """Return experiments with robots that know how their sensors age."""
+    """Return experiments with robot classes that, unlike the firmware, know how their sensors age.
+
+    All sensors of a swarm age alike, or every sensor's accuracy wanders at random.
+    """
     return m.grid(
         topology="dynamic",
         latency=1,
@@ -98,13 +111,14 @@ def peer_experiments() -> list[Experiment]:
     )
 
 
-def way_of_ageing(experiment: Experiment) -> str:
-    """Return in words how the sensors of an experiment age."""
+def ageing_label(experiment: Experiment) -> str:
+    """Return how the sensors of an experiment age, such as "all age alike" or "6 of 20 age alike"."""
     if experiment.drift_of == "flawed":
         return f"{experiment.flawed} of {experiment.robots} age alike"
     if experiment.drift == "linear":
         return "all age alike"
-    match experiment.sensor.rpartition(".")[2]:
+    sensor_class = experiment.sensor.rpartition(".")[2]
+    match sensor_class:
         case SuddenlyWorseSensors.__name__:
             return "all age at once"
         case UnequallyAgeingSensors.__name__:
@@ -116,27 +130,34 @@ def way_of_ageing(experiment: Experiment) -> str:
 
 
 def row_label(experiment: Experiment) -> str:
-    """Return how the sensors age, and how long the robots' memory is."""
+    """Return the row label of an experiment, such as "all age alike, short memory"."""
     memory = "longest" if experiment.memory == LONGEST_MEMORY else "short"
-    return f"{way_of_ageing(experiment)}, {memory} memory"
+    return f"{ageing_label(experiment)}, {memory} memory"
 
 
 def late_error_table(experiments: Sequence[Trials]) -> str:
-    """Return the table of late errors: a row for each way to age and memory, a column for each filter."""
-    return markdown_table(HEAD, experiments, row_label, column_label, late_error_text)
+    """Return a Markdown table of the mean |x - f| in the last quarter of trials, with 95 % intervals.
+
+    It has a row for each way to age and each memory, and a column for each filter.
+    """
+    return markdown_table(TABLE_HEAD, experiments, row_label, column_label, late_error_text)
 
 
 def draw_errors(experiments: Sequence[Trials]) -> Figure:
-    """Draw the error over time of robots with the longest memory: a panel for each way to age."""
-    panels: dict[str, list[Trials]] = {}
+    """Draw |x - f|, the error of the robots' estimates, over time: a panel for each way to age.
+
+    Experiments whose robots do not have the longest memory are left out.
+    """
+    experiments_by_panel: dict[str, list[Trials]] = {}
     for trials in experiments:
         if trials.experiment.memory == LONGEST_MEMORY:
-            panels.setdefault(way_of_ageing(trials.experiment), []).append(trials)
-    return plot_errors_over_time(panels)
+            panel = ageing_label(trials.experiment)
+            experiments_by_panel.setdefault(panel, []).append(trials)
+    return plot_errors_over_time(experiments_by_panel)
 
 
 def main() -> None:
-    """Run the experiments and write table and picture."""
+    """Run the study's experiments, or resume them, and write ageing.md and ageing.png into the folder."""
     arguments = parse_arguments(__doc__)
     ageing = run_experiments("ageing", ageing_experiments(), arguments)
     peers = run_experiments("ageing_peers", peer_experiments(), arguments)

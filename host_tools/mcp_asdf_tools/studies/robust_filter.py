@@ -230,7 +230,7 @@ def late_errors_of_honest_robots(trials: Trials) -> Sample:
     fill_ratio = experiment.fill_ratio
     if has_changing_floor(experiment):
         fill_ratio = FLOOR_AFTER_CHANGE
-    return late_errors(trials, count_honest_robots(experiment), fill_ratio)
+    return late_errors(trials, honest_robots=count_honest_robots(experiment), late_fill_ratio=fill_ratio)
 
 
 def count_honest_robots(experiment: Experiment) -> int:

@@ -1,4 +1,8 @@
-"""When a comparison holds, and what the comparisons of a claim together say about it."""
+"""When a comparison holds, and what the comparisons of a claim together say about it.
+
+A claim is a sentence of the paper, such as "ASDF+ is much better than no filter". It is compared in many
+cells, which are kinds of swarms; each comparison is of a difference, and holds, fails or is open.
+"""
 
 from __future__ import annotations
 
@@ -54,8 +58,10 @@ class Comparison:
     """A measured difference, and what a claim expects of it.
 
     Attributes:
-        row: Row of the claim's table: f, b and b_hat of the swarm.
-        column: Column of the claim's table: what else the swarm is, and what it is compared with.
+        row: Label of the row in the claim's table: f, the share of black floor, b, the sensors' accuracy, and
+            b_hat, the accuracy that flawed robots assume at the start.
+        column: Label of the column in the claim's table: what is measured, of which swarm, and what is
+            subtracted from it.
         interval: The difference with its confidence interval.
         expectation: What the claim says about the difference.
         size: Smallest difference that counts, in the same unit.
@@ -71,14 +77,16 @@ class Comparison:
 
     @property
     def label(self) -> str:
-        """Row and column in one line."""
-        return f"{self.row}: {self.column}" if self.row else self.column
+        """The labels of row and column in one line; that of the column alone if the row has none."""
+        if not self.row:
+            return self.column
+        return f"{self.row}: {self.column}"
 
     @property
     def holds(self) -> bool | None:
-        """True if the claim is right here, False if it is wrong, None if the interval leaves it open."""
+        """True if the difference is as expected, False if it is not, None if the interval leaves it open."""
         interval, size = self.interval, self.size
-        # Below is above with the sign changed, so that no side is preferred.
+        # "Below" is "above" for the negated difference, so that both have the same rule.
         match self.expectation:
             case Expectation.ABOVE:
                 return _holds_above(interval, size, self.is_strong)
@@ -95,36 +103,50 @@ class Comparison:
 def exact_comparison(
     row: str, column: str, value: float, expectation: Expectation, size: float
 ) -> Comparison:
-    """Return a comparison of numbers that are not subject to chance: its interval has no width."""
-    return Comparison(row, column, Interval(value, value, value), expectation, size)
+    """Return a comparison of a difference that is not subject to chance: its interval has no width."""
+    interval = Interval(value=value, low=value, high=value)
+    return Comparison(row, column, interval, expectation, size)
 
 
 def _is_surely_above(interval: Interval, size: float) -> bool:
-    """Return whether a difference is surely above 0 and large enough to count."""
+    """Return whether the whole interval is above 0 and the difference itself is at least the size."""
     return interval.low > 0 and interval.value >= size
 
 
 def _holds_above(interval: Interval, size: float, is_strong: bool) -> bool | None:
-    """Return whether a difference is above 0 by the size; None if the interval leaves it open."""
-    is_above = interval.low >= size if is_strong else _is_surely_above(interval, size)
-    if is_above:
+    """Return whether a difference is above 0 by at least the size; None if the interval leaves it open.
+
+    If the claim ``is_strong``, the whole interval must be at least the size; otherwise it is enough that the
+    difference is, and that its interval is above 0.
+    """
+    if is_strong and interval.low >= size:
         return True
-    return False if interval.high < size else None
+    if not is_strong and _is_surely_above(interval, size):
+        return True
+    if interval.high < size:
+        return False
+    return None
 
 
 def _holds_not_below(interval: Interval, size: float) -> bool | None:
-    """Return whether a difference is not below 0 by the size; None if the interval leaves it open."""
+    """Return whether a difference is above minus the size; None if the interval leaves it open."""
     if interval.low > -size:
         return True
-    return False if _is_surely_above(-interval, size) else None
+    is_surely_below = _is_surely_above(-interval, size)
+    if is_surely_below:
+        return False
+    return None
 
 
 def _holds_same(interval: Interval, size: float) -> bool | None:
-    """Return whether a difference is within the size; None if the interval leaves it open."""
+    """Return whether a difference lies between minus the size and the size; None if it is open."""
     if -size < interval.low and interval.high < size:
         return True
-    differs = _is_surely_above(interval, size) or _is_surely_above(-interval, size)
-    return False if differs else None
+    is_surely_above = _is_surely_above(interval, size)
+    is_surely_below = _is_surely_above(-interval, size)
+    if is_surely_above or is_surely_below:
+        return False
+    return None
 
 
 def count_holding(comparisons: Sequence[Comparison], holds: bool | None) -> int:
@@ -133,24 +155,34 @@ def count_holding(comparisons: Sequence[Comparison], holds: bool | None) -> int:
 
 
 def verdict_of(comparisons: Sequence[Comparison], scope: Scope) -> Verdict:
-    """Return the verdict to which every outcome of the open comparisons leads; UNDECIDED if they differ."""
+    """Return the verdict on a claim of which ``scope`` says how many comparisons must hold.
+
+    It is the verdict to which every outcome of the open comparisons leads, or UNDECIDED if they lead to
+    different ones.
+    """
     total = len(comparisons)
-    holding, open_count = count_holding(comparisons, True), count_holding(comparisons, None)
-    # Any number of the open comparisons may hold.
-    possible_counts = range(holding, holding + open_count + 1)
+    holding_count = count_holding(comparisons, True)
+    open_count = count_holding(comparisons, None)
+    # If all were decided, any number of the open comparisons might hold.
+    possible_counts = range(holding_count, holding_count + open_count + 1)
     verdicts = {_verdict_of_count(count, total, scope) for count in possible_counts}
-    return verdicts.pop() if len(verdicts) == 1 else Verdict.UNDECIDED
+    if len(verdicts) > 1:
+        return Verdict.UNDECIDED
+    (verdict,) = verdicts
+    return verdict
 
 
-def _verdict_of_count(holding: int, total: int, scope: Scope) -> Verdict:
-    """Return the verdict if ``holding`` of ``total`` comparisons hold and all others fail."""
+def _verdict_of_count(holding_count: int, total: int, scope: Scope) -> Verdict:
+    """Return the verdict if ``holding_count`` of ``total`` comparisons hold and all others fail."""
     match scope:
         case Scope.SOME:
-            return Verdict.AGREE if holding else Verdict.DISAGREE
+            return Verdict.AGREE if holding_count > 0 else Verdict.DISAGREE
         case Scope.MOST:
             agreeing_share, refuted_share = MOST_SHARE, 1 - MOST_SHARE
         case Scope.ALL:
             agreeing_share, refuted_share = 1.0, REFUTED_SHARE
-    if holding >= agreeing_share * total:
+    if holding_count >= agreeing_share * total:
         return Verdict.AGREE
-    return Verdict.DISAGREE if holding <= refuted_share * total else Verdict.MIXED
+    if holding_count <= refuted_share * total:
+        return Verdict.DISAGREE
+    return Verdict.MIXED

@@ -30,7 +30,7 @@ def test_the_ageing_picture_has_a_panel_for_each_way() -> None:
     ]
     lasting = [each.experiment for each in experiments if each.experiment.memory == ageing.LONGEST_MEMORY]
     titles = [axes.get_title("left") for axes in ageing.draw_errors(experiments).axes if axes.axison]
-    assert titles == list(dict.fromkeys(ageing.way_of_ageing(experiment) for experiment in lasting))
+    assert titles == list(dict.fromkeys(ageing.ageing_label(experiment) for experiment in lasting))
 
 
 def test_robots_that_know_the_drift_are_12_experiments() -> None:
@@ -67,7 +67,7 @@ def test_robots_that_know_the_drift_start_with_the_right_b_hat() -> None:
     ],
 )
 def test_a_way_to_age_has_a_name(changes: dict[str, Any], label: str) -> None:
-    assert ageing.way_of_ageing(Experiment(robots=20, flawed=6, **changes)) == label
+    assert ageing.ageing_label(Experiment(robots=20, flawed=6, **changes)) == label
 
 
 def test_the_study_has_its_own_seed_and_30_long_trials() -> None:

@@ -53,7 +53,9 @@ def test_the_late_error_of_few_values_is_that_of_the_last_one() -> None:
 def test_the_late_error_may_leave_out_robots_and_have_another_fill_ratio() -> None:
     trials = trials_of_four_robots(series_ending_in([0.4, 0.6, 0.8, 0.0], [0.5, 0.7, 0.6, 0.0]))
     expected = (0.2 + 0.0 + 0.2 + 0.1 + 0.1 + 0.0) / 6
-    assert error_tables.late_errors(trials, honest=3, fill_ratio=0.6) == pytest.approx([expected, expected])
+    assert error_tables.late_errors(trials, honest_robots=3, late_fill_ratio=0.6) == pytest.approx(
+        [expected, expected]
+    )
 
 
 def test_healthy_robots_are_harmed_where_b_hat_ends_more_than_0_05_off() -> None:
