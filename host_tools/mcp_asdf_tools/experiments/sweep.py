@@ -1,4 +1,7 @@
-"""Run many experiments on all processors or a cluster, in jobs whose results come in as they are finished."""
+"""Run many experiments on all processors or a cluster, in jobs whose results come in as they are finished.
+
+A job is some consecutive trials of one experiment, which one process runs at a time.
+"""
 
 from __future__ import annotations
 
@@ -29,20 +32,21 @@ _TRIALS_OF_LONG_JOB = 32
 """Trials of a job whose trials are long: twice as many as the engine runs side by side."""
 
 _MAX_TRIALS_OF_JOB = 1000
-"""Trials of a job whose trials are short: more than those of a long job, as each job has its price."""
+"""Largest number of trials in a job, however short they are."""
 
-_SHORT_ROBOT_STEPS = 1_000_000
-"""Steps of all robots in a job up to which its trials are short."""
+_ROBOT_STEPS_OF_SHORT_JOB = 1_000_000
+"""Robot steps (robots times steps times trials) that a job of short trials has. So it has more trials than a
+job of long ones, as starting a job takes time, too."""
 
-_MAX_ROBOT_STEPS = 20_000_000
-"""Steps of all robots in a job of several trials, which bounds its memory."""
+_MAX_ROBOT_STEPS_OF_JOB = 20_000_000
+"""Largest number of robot steps in a job of several trials, which bounds its memory."""
 
 Report = Callable[[int], None]
 """Called with the number of trials that have just been finished."""
 
 
 def _ignore_progress(finished_trials: int) -> None:
-    """Do nothing: the Report of those who want none."""
+    """Do nothing: the Report of a caller that wants none."""
 
 
 def run_sweep(
@@ -51,8 +55,9 @@ def run_sweep(
     """Run the trials that are missing in the store, and write its output file.
 
     They run on ``workers`` processes, 1 being this one, or with the address of a ``scheduler`` on that Dask
-    cluster. KeyboardInterrupt ends it at once; what was finished is on disk. Raises UsageError if a job
-    cannot be run, a worker process of this machine dies, or another process is at work on the output.
+    cluster. ``report`` is called after each job with the number of its trials. KeyboardInterrupt ends it at
+    once; as after any error, what was finished is on disk. Raises UsageError if a job cannot be run, a worker
+    process of this machine dies, or another process is at work on the output.
     """
     try:
         if store.missing_count:
@@ -76,10 +81,15 @@ def run_in_memory(
     workers: int = 1,
     report: Report = _ignore_progress,
 ) -> list[Trials]:
-    """Run all trials of experiments and return them in order, several Trials for an experiment of many.
+    """Run all trials of experiments and return their results, in the order of experiments and trials.
 
-    Nothing is written. Raises UsageError if a job cannot be run.
+    There is one ``Trials`` for each job, so several for an experiment of more trials than fit one job.
+    Equal experiments are run once, in the place of the first. Values of robots are recorded every
+    ``sampling_interval`` steps, or never if it is 0. The jobs run on ``workers`` processes, 1 being this one,
+    and ``report`` is called after each with the number of its trials. Nothing is written to disk. Raises
+    UsageError if a job cannot be run or a worker process dies.
     """
+    # A dictionary keeps the order of its keys, which a set would not.
     unique_experiments = list(dict.fromkeys(experiments))
     jobs = (
         job
@@ -115,7 +125,7 @@ def _log_finished(trials: Trials) -> None:
 
 
 def jobs_of(store: Store) -> Iterator[Job]:
-    """Yield jobs for the trials that are missing in the store."""
+    """Yield jobs that together run the trials that are missing in the store, experiment by experiment."""
     for experiment in store.experiments:
         yield from jobs_of_experiment(experiment, store.missing(experiment), store.sampling_interval)
 
@@ -123,24 +133,40 @@ def jobs_of(store: Store) -> Iterator[Job]:
 def jobs_of_experiment(
     experiment: Experiment, trial_numbers: Sequence[int], sampling_interval: int
 ) -> Iterator[Job]:
-    """Yield jobs that together run the trials of these numbers, which are ascending."""
+    """Yield jobs that together run the trials of these numbers, which are ascending.
+
+    A job's trials have consecutive numbers, as many as one job may run. Values of robots are recorded every
+    ``sampling_interval`` steps, or never if it is 0.
+    """
     max_count = _max_trials_of_job(experiment)
     for first, end in _gapless_ranges(trial_numbers):
         for job_first in range(first, end, max_count):
-            yield Job(experiment, job_first, min(max_count, end - job_first), sampling_interval)
+            count = min(max_count, end - job_first)
+            yield Job(experiment, first=job_first, count=count, sampling_interval=sampling_interval)
 
 
 def _max_trials_of_job(experiment: Experiment) -> int:
-    """Return how many trials of an experiment one job runs at most."""
+    """Return the largest number of trials, 1 or more, that one job of the experiment runs.
+
+    It falls with the number of robots and steps. On any firmware but "native" it is 1, as these trials run in
+    Python and each takes long.
+    """
     if experiment.firmware != "native":
-        return 1  # each takes long, in Python
-    robot_steps = experiment.robots * experiment.steps
-    trial_count = max(_TRIALS_OF_LONG_JOB, _SHORT_ROBOT_STEPS // robot_steps)
-    return max(1, min(trial_count, _MAX_TRIALS_OF_JOB, _MAX_ROBOT_STEPS // robot_steps))
+        return 1
+    robot_steps_of_trial = experiment.robots * experiment.steps
+    trials_of_short_job = _ROBOT_STEPS_OF_SHORT_JOB // robot_steps_of_trial
+    trials_in_memory = _MAX_ROBOT_STEPS_OF_JOB // robot_steps_of_trial
+    # A short job that would have fewer trials than a long one is none.
+    preferred_trials = max(_TRIALS_OF_LONG_JOB, trials_of_short_job)
+    allowed_trials = min(_MAX_TRIALS_OF_JOB, trials_in_memory)
+    return max(1, min(preferred_trials, allowed_trials))
 
 
 def _gapless_ranges(numbers: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """Yield first and end (exclusive) of each range without a gap in ascending numbers."""
+    """Yield first and end (exclusive) of each range without a gap in ascending numbers.
+
+    Of 3, 4, 7 these are (3, 5) and (7, 8).
+    """
     start = 0
     for index in range(1, len(numbers) + 1):
         is_end = index == len(numbers) or numbers[index] != numbers[index - 1] + 1
@@ -152,7 +178,9 @@ def _gapless_ranges(numbers: Sequence[int]) -> Iterator[tuple[int, int]]:
 def run_jobs(jobs: Iterator[Job], workers: int, scheduler: str | None = None) -> Iterator[Trials]:
     """Run jobs in this process, on ``workers`` processes or on a cluster, and yield results as they come.
 
-    Raises UsageError as ``run_sweep``.
+    With the address of a Dask ``scheduler`` they run on its cluster, whatever ``workers`` is; with one worker
+    they run in this process, in their order. Raises UsageError if a job cannot be run, a worker process is
+    killed, or the cluster cannot be reached or is lost.
     """
     if scheduler is not None:
         from mcp_asdf_tools.experiments.cluster import connect_cluster  # noqa: PLC0415 (Dask loads slowly)
@@ -173,12 +201,14 @@ def _run_on_executor(
     """Run jobs on an executor and yield results as they come.
 
     ``count_workers`` returns how many jobs run at once at present; as many again are queued, so that no
-    worker waits for the next job.
+    worker waits for the next job. What a job raises is raised here.
     """
     running: set[Future[Trials]] = set()
     while True:
         with _interrupts_delayed():
-            free_slots = max(0, 2 * count_workers() - len(running))
+            running_and_queued = 2 * count_workers()
+            # A cluster may have lost workers, and then more jobs are running than it should have.
+            free_slots = max(0, running_and_queued - len(running))
             running |= {executor.submit(job.run) for job in islice(jobs, free_slots)}
         if not running:
             return
@@ -212,12 +242,16 @@ def _worker_processes(workers: int) -> Iterator[Executor]:
 
 
 def end_with_parent() -> None:
-    """Let this worker process end with the one that started it, however that dies."""
+    """Let this worker process end with the one that started it, however that dies.
+
+    Starts a thread that waits for the parent's end. Must be called in a process that multiprocessing started.
+    """
     parent = parent_process()
     assert parent is not None
 
     def wait_for_parent() -> None:
         parent.join()
+        # sys.exit would end this thread alone.
         os._exit(1)
 
     Thread(target=wait_for_parent, daemon=True).start()

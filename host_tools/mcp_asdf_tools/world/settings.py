@@ -114,7 +114,11 @@ class WorldSettings:
     seed: int = parameter("seed of everything random", 0, 2**64 - 1, default=1)
 
     def __post_init__(self) -> None:
-        """Bring each value to its type, and check the values that must fit together."""
+        """Bring each value to its type, then check it alone and with those that it must fit.
+
+        An extension's object is replaced by a name for it, and a description of a graph by the Graph. Raises
+        ParameterError as the class.
+        """
         # An object is replaced by a name for it first, so that all checks see names.
         for name in _EXTENSION_GROUPS:
             if hasattr(self, name):
@@ -140,7 +144,8 @@ class WorldSettings:
     def from_parameters(cls, parameters: Mapping[str, Any]) -> Self:
         """Make settings of values by name, such as those of a file that somebody has written.
 
-        Raises ParameterError as the class, and for a name that is no parameter, with the nearest one that is.
+        A parameter that is not named has its default. Raises ParameterError as the class, and for a name that
+        is no parameter; the message then offers the nearest one that is, or else lists them all.
         """
         known_names = cls.__dataclass_fields__
         for name in parameters:
@@ -185,19 +190,27 @@ class WorldSettings:
 
     @property
     def drifting(self) -> int:
-        """Number of robots whose sensors drift, if any do: those with the lowest ids."""
+        """Number of robots whose sensors drift, those with the lowest ids; without a drift it has no effect.
+
+        Here it is all of them; a subclass may choose fewer.
+        """
         return self.robots
 
     @property
     def sides(self) -> tuple[float, float]:
-        """Width and height of the arena in metres."""
-        if self.width:
+        """Width and height of the arena in metres: those given, or a square of the given density."""
+        has_sides = self.width != 0
+        if has_sides:
             return self.width, self.height
+        # The definition of density, D = N pi r^2 / L^2, solved for the side L.
         side = self.radio_range * math.sqrt(self.robots * math.pi / self.density)
         return side, side
 
     def _check_topology(self) -> None:
-        """Raise ParameterError for a parameter of arenas or graphs that this topology does not have."""
+        """Raise ParameterError for a parameter of arenas or graphs that this topology does not have.
+
+        Also for topology graph without edges, and for a graph that does not suit the number of robots.
+        """
         if not self.is_dynamic:
             for name in _ARENA_PARAMETERS:
                 value = getattr(self, name)
@@ -236,7 +249,7 @@ def _check_neighbours_of_many(settings: WorldSettings) -> None:
             )
         return
     if settings.topology == "graph":
-        return  # the graph itself has been checked
+        return  # Graph.check has counted the neighbours already.
     if settings.topology == "fully-connected":
         neighbour_count = settings.robots - 1
         reason = (
@@ -249,21 +262,32 @@ def _check_neighbours_of_many(settings: WorldSettings) -> None:
 
 
 def _default_of(settings: Any, name: str) -> Any:
-    """Return the default of a parameter of ``settings``."""
+    """Return the default of the parameter ``name`` of ``settings``, which may be of a subclass."""
     return parameters_of(type(settings))[name].default
 
 
 def _check_sides(settings: WorldSettings) -> None:
-    """Raise ParameterError unless either the density or both sides say how large the arena is."""
-    if settings.width and settings.density != _default_of(settings, "density"):
+    """Raise ParameterError if both sides and a density are given, or one side without the other.
+
+    A side of 0 is not given. Nor is a density of its default value, which is therefore let through beside
+    the sides, and has no effect.
+    """
+    has_width, has_height = settings.width != 0, settings.height != 0
+    has_density = settings.density != _default_of(settings, "density")
+    if has_width and has_density:
         raise ParameterError("density", "density and width say how large the arena is; give one of them")
-    if (settings.width == 0) != (settings.height == 0):
+    if has_width != has_height:
+        missing_side = "height" if has_width else "width"
         message = f"the arena is {settings.width} x {settings.height} m; give width and height, or neither"
-        raise ParameterError("width" if settings.width == 0 else "height", message)
+        raise ParameterError(missing_side, message)
 
 
 def _check_arena(settings: WorldSettings) -> None:
-    """Raise ParameterError for an arena that is too small or large, or motion too fast for its steps."""
+    """Raise ParameterError for an arena that is too small or too large, or robots too fast for its steps.
+
+    Too small is one without room for the robots, too large one with a side above MAX_SIDE or too many tiles
+    along a side. Robots are too fast if one could turn by more than _MAX_TURN_PER_STEP in a step.
+    """
     width, height = settings.sides
     size = f"{width:.4g} x {height:.4g} m"
     size_parameter = "width" if settings.width else "density"
@@ -279,9 +303,10 @@ def _check_arena(settings: WorldSettings) -> None:
     if settings.tile * _MAX_TILES_PER_SIDE < max(width, height):
         message = f"tile is {settings.tile}; choose one with at most {_MAX_TILES_PER_SIDE} along {size}"
         raise ParameterError("tile", message)
-    turns_per_second = 2 * settings.speed / _WHEEL_DISTANCE  # in radians, on the spot
-    if turns_per_second > _MAX_TURN_PER_STEP * settings.steps_per_second:
-        minimum = math.ceil(turns_per_second / _MAX_TURN_PER_STEP)
+    # A robot turns fastest on the spot, with one wheel forwards and the other one backwards.
+    radians_per_second = 2 * settings.speed / _WHEEL_DISTANCE
+    if radians_per_second > _MAX_TURN_PER_STEP * settings.steps_per_second:
+        minimum = math.ceil(radians_per_second / _MAX_TURN_PER_STEP)
         message = (
             f"steps_per_second is {settings.steps_per_second}; at this speed it must be {minimum} or more"
         )
@@ -289,8 +314,14 @@ def _check_arena(settings: WorldSettings) -> None:
 
 
 def _check_floor(settings: WorldSettings) -> None:
-    """Raise ParameterError for a floor of code with tiles, or with a fill ratio that it cannot have."""
-    if settings.floor == "code":
-        if settings.tile != _default_of(settings, "tile"):
-            raise ParameterError("tile", f"tile is {settings.tile} but floor is code, without tiles")
-        make_floor_code(settings.fill_ratio)
+    """Raise ParameterError if the floor is "code" and the settings do not suit it; tiles suit any settings.
+
+    Code is a pattern like a QR code's. It has no side of a tile, so ``tile`` must be at its default. Its fill
+    ratio must be a whole number of its modules, and leave the fixed parts of the pattern as they are.
+    """
+    if settings.floor != "code":
+        return
+    if settings.tile != _default_of(settings, "tile"):
+        raise ParameterError("tile", f"tile is {settings.tile} but floor is code, without tiles")
+    # The pattern itself is not needed here: making it raises ParameterError for a fill ratio it cannot have.
+    make_floor_code(settings.fill_ratio)

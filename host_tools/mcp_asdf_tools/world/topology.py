@@ -20,7 +20,11 @@ from mcp_asdf_tools.common.files import read_at_most
 _EDGES_IN_ONE_LINE = re.compile(r"[0-9>;\s]*")
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 # Behind an edge other tools write a weight, or its attributes in braces as networkx does.
-_EDGE = re.compile(rf"([0-9]{{1,5}})(?:\s*(>)\s*|\s+)([0-9]{{1,5}})(?:\s+(?:{_NUMBER}|\{{.*\}}))?", re.ASCII)
+_EDGE = re.compile(
+    r"(?P<first_id>[0-9]{1,5})(?:\s*(?P<arrow>>)\s*|\s+)(?P<second_id>[0-9]{1,5})"
+    rf"(?:\s+(?:{_NUMBER}|\{{.*\}}))?",
+    re.ASCII,
+)
 
 MAX_ROBOTS = 2**16
 """Largest number of robots without a bus: ids have 16 bits."""
@@ -42,11 +46,11 @@ class FixedTopology:
     """A topology in which the neighbours never change."""
 
     def __init__(self, neighbours: NDArray[np.bool_]) -> None:
-        """Take the neighbours, shape (N, N): whether robot i receives from robot j."""
+        """Take the neighbours, shape (N, N): ``[i, j]`` is True if robot i receives from robot j."""
         self._neighbours = neighbours
 
     def advance(self, steps: int) -> NDArray[np.bool_]:
-        """Return the neighbours in the next steps, shape (steps, N, N). O(1)."""
+        """Return the neighbours in the next steps, shape (steps, N, N), as a view to be read only. O(1)."""
         return np.broadcast_to(self._neighbours, (steps, *self._neighbours.shape))
 
 
@@ -54,7 +58,7 @@ class CheckedTopology:
     """The topology of an extension, whose answers are checked."""
 
     def __init__(self, topology: Topology, name: str, robots: int) -> None:
-        """Take the topology of ``robots`` robots that is installed under ``name``."""
+        """Take the topology of ``robots`` robots that is installed under ``name``, for messages."""
         self._topology, self._name, self._robots = topology, name, robots
 
     def advance(self, steps: int) -> NDArray[np.bool_]:
@@ -96,7 +100,10 @@ class Graph:
         return FixedTopology(neighbours)
 
     def __str__(self) -> str:
-        """Return the edges in one line, which ``parse_graph`` takes back: ``3 5; 5 > 7``."""
+        """Return the edges in one line, which ``parse_graph`` takes back, such as ``3 5; 5 > 7``.
+
+        In ``3 5`` both robots receive from each other; in ``5 > 7`` only 7 receives from 5.
+        """
         edges = []
         for sender, receiver in sorted(self.links):
             if (receiver, sender) not in self.links:
@@ -156,9 +163,11 @@ def is_text_of_edges(text: str) -> bool:
 
 
 def parse_edges(text: Any) -> Graph:
-    """Return the graph of edges in one line, such as ``3 5; 5 > 7``, and never open a file.
+    """Return the graph of edges in one line, such as ``3 5; 5 > 7``.
 
-    For the graphs in recordings and results, which come from others. Raises UsageError for anything else.
+    In ``3 5`` both robots receive from each other; in ``5 > 7`` only 7 receives from 5. This is for the
+    graphs in recordings and results, which come from others: where ``parse_graph`` would take a text for the
+    path of a file and open it, this function raises UsageError. So it does for any other text or object.
     """
     if not isinstance(text, str) or not is_text_of_edges(text):
         raise UsageError(
@@ -169,9 +178,10 @@ def parse_edges(text: Any) -> Graph:
 
 
 def _format_edges(graph: Any) -> list[str]:
-    """Return the edges of an object, each as a line of a file. Raises UsageError if they cannot be read.
+    """Return the edges of an object as texts: ``3 5`` of both directions, ``3 > 5`` from 3 to 5 alone.
 
-    The object is as ``parse_graph`` takes it: pairs, a boolean array, or a graph of networkx.
+    The object is as ``parse_graph`` takes it: pairs of ids, a square boolean array [receiver, sender], or a
+    graph of networkx. Raises UsageError for any other.
     """
     pairs, is_directed = graph, False
     if isinstance(graph, np.ndarray) and graph.dtype == np.bool_:
@@ -192,7 +202,14 @@ def _format_edges(graph: Any) -> list[str]:
 
 @dataclass(frozen=True)
 class _Edge:
-    """An edge as it is written, with the number of its line."""
+    """An edge as it is written.
+
+    Attributes:
+        sender: Id that is written first.
+        receiver: Id that is written second.
+        is_one_way: Whether ``>`` stands between the ids, so that only the receiver receives from the sender.
+        line_number: Number of its line, from 1, or of the edge in a text of one line.
+    """
 
     sender: int
     receiver: int
@@ -214,8 +231,9 @@ class _Edge:
 def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
     """Return the graph of the edges in ``lines``.
 
-    Raises UsageError, naming ``source`` and the number of the ``unit`` (edge or line), for a line that is no
-    edge and for an edge that is there already, and if there is none at all.
+    Comments behind a ``#`` and empty lines are left out. For messages, ``unit`` is "edge" or "line", as which
+    the lines are counted from 1, and ``source`` is the file's name or "graph". Raises UsageError for a line
+    that is no edge and for an edge that is there already, and if there is none at all.
     """
     edge_of_link: dict[tuple[int, int], _Edge] = {}
     for line_number, line in enumerate(lines, start=1):
@@ -238,12 +256,21 @@ def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
 
 
 def _parse_edge(text: str, position: str, line_number: int) -> _Edge:
-    """Return the edge of a line without its comment. Raises UsageError, naming the ``position``, if none."""
+    """Return the edge that a line without its comment holds: ``3 5`` of both directions, or ``3 > 5``.
+
+    ``position`` says where the line stands, such as "a.txt, line 7", and begins messages. Raises UsageError
+    for a text that is no edge, an id that is too large, and an edge from a robot to itself.
+    """
     match = _EDGE.fullmatch(text)
-    if match is None or max(int(match[1]), int(match[3])) >= MAX_ROBOTS:
+    if match is None or max(int(match["first_id"]), int(match["second_id"])) >= MAX_ROBOTS:
         fix = f"write two ids, 0 to {MAX_ROBOTS - 1}, such as '3 5' or '3 > 5'"
         raise UsageError(f"{position}: {text!r} is not an edge; {fix}")
-    edge = _Edge(int(match[1]), int(match[3]), match[2] is not None, line_number)
+    edge = _Edge(
+        sender=int(match["first_id"]),
+        receiver=int(match["second_id"]),
+        is_one_way=match["arrow"] is not None,
+        line_number=line_number,
+    )
     if edge.sender == edge.receiver:
         raise UsageError(f"{position}: robot {edge.sender} cannot be its own neighbour; remove the edge")
     return edge

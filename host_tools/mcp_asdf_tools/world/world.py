@@ -25,6 +25,13 @@ from mcp_asdf_tools.world.topology import CheckedTopology, FixedTopology, Graph,
 _STEPS_AT_ONCE = 64
 """Steps that ``SteppedWorld`` computes together, which is faster than one by one."""
 _OBSERVATION_OF_COLOUR = (Observation.WHITE, Observation.BLACK)
+"""Observations by whether the sensor reports black: False is index 0, True index 1."""
+
+_BITS_BELOW_PROBABILITY_UNIT = np.uint32(1)
+"""Lowest bits of a random word of 32 bits that are dropped, as probabilities have units of 2**-31."""
+
+_TopologyMaker = Callable[[WorldSettings, int], Topology]
+"""An extension's entry point, called with the settings and the number of the trial."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,29 +66,41 @@ class World:
         self._topology = Arena(settings, trial) if settings.is_dynamic else _make_topology(settings, trial)
 
     def advance(self, steps: int) -> Scene:
-        """Let ``steps`` steps pass; return the observations, neighbours and more in each. O(steps N^2)."""
+        """Let ``steps`` steps pass, and return what happens in each of them as a ``Scene``. O(steps N^2).
+
+        The Scene holds what sensors report, which steps have an observation, who receives from whom, where
+        the robots are (None if they do not move), and how accurate their sensors are.
+        """
         settings, first_step = self.settings, self._next_step
         self._next_step += steps
-        # The last bit is left out, as probabilities have units of 2**-31.
-        draws = self._observation_draws.draw_words(steps, first_step) >> np.uint32(1)
+        words = self._observation_draws.draw_words(steps, first_step)
+        draws = words >> _BITS_BELOW_PROBABILITY_UNIT
         accuracies = self._sensors.advance(steps)
-        mean_accuracy = np.broadcast_to((accuracies[0] + accuracies[1]) / 2, draws.shape)
+        accuracy_on_black, accuracy_on_white = accuracies
+        mean_accuracy = np.broadcast_to((accuracy_on_black + accuracy_on_white) / 2, draws.shape)
         steps_passed = np.arange(first_step, first_step + steps) + 1
         observes = steps_passed % settings.observation_period == 0
         if isinstance(self._topology, Arena):
             motion = self._topology.record(steps)
-            on_black, on_white = black_probabilities(accuracies, None)
+            # The arena gives the colour under each robot, so no fill ratio stands in for it.
+            on_black, on_white = black_probabilities(accuracies, fill_ratio=None)
             black_probability = np.where(motion.black, on_black, on_white)
             neighbours, positions = motion.adjacency, motion.position
         else:
             black_probability, _ = black_probabilities(accuracies, settings.fill_ratio)
             neighbours, positions = self._topology.advance(steps), None
-        return Scene(draws < black_probability, observes, neighbours, positions, mean_accuracy)
+        return Scene(
+            black=draws < black_probability,
+            observes=observes,
+            neighbours=neighbours,
+            positions=positions,
+            accuracy=mean_accuracy,
+        )
 
     def skip(self, steps: int) -> None:
-        """Let 1 or more steps pass of which nobody wants to know anything.
+        """Let 1 or more steps pass without computing their Scene.
 
-        O(steps N), or O(steps N^2) with the topology of an extension.
+        Later steps are the same as after ``advance``. O(steps N), or O(steps N^2) with topology extensions.
         """
         self._next_step += steps
         self._sensors.advance(steps)
@@ -95,53 +114,61 @@ class SteppedWorld:
     """The world of one trial, one step at a time; its properties are those of the last step."""
 
     def __init__(self, settings: WorldSettings, trial: int = 0) -> None:
-        """Start before the first step. Raises UsageError as ``World``."""
+        """Start before the first step. Raises UsageError if the arena or an extension cannot be loaded."""
         self.settings = settings
         self._world = World(settings, trial)
         self._scene: Scene | None = None
-        self._row = -1  # the present step's in the scene
+        self._index_in_scene = -1  # of the present step, along the first axis of the scene's arrays
 
     def step(self) -> Sequence[Observation | None]:
-        """Take one step, and return each robot's observation, None where it makes none. O(N^2)."""
-        if self._scene is None or self._row + 1 == len(self._scene.black):
-            self._scene, self._row = self._world.advance(_STEPS_AT_ONCE), -1
-        self._row += 1
-        # In some steps robots make no observation, by observation_period.
-        if not self._scene.observes[self._row]:
+        """Take one step, and return each robot's observation by id, or None for every robot.
+
+        It is None for all of them in steps without an observation, as ``observation_period`` has it. O(N^2).
+        """
+        if self._scene is None or self._index_in_scene + 1 == len(self._scene.black):
+            self._scene = self._world.advance(_STEPS_AT_ONCE)
+            self._index_in_scene = -1
+        self._index_in_scene += 1
+        if not self._scene.observes[self._index_in_scene]:
             return [None] * self.settings.robots
-        return [_OBSERVATION_OF_COLOUR[is_black] for is_black in self._scene.black[self._row].tolist()]
+        black_by_robot = self._scene.black[self._index_in_scene].tolist()
+        return [_OBSERVATION_OF_COLOUR[is_black] for is_black in black_by_robot]
 
     @property
     def current_neighbours(self) -> NDArray[np.bool_]:
-        """Whether robot i receives from robot j, shape (N, N). Not known before the first step."""
+        """Whether robot i receives from robot j, shape (N, N). AssertionError before the first step."""
         assert self._scene is not None, "no step has been taken"
-        neighbours: NDArray[np.bool_] = self._scene.neighbours[self._row]
-        return neighbours
+        return cast(NDArray[np.bool_], self._scene.neighbours[self._index_in_scene])
 
     @property
     def positions(self) -> NDArray[np.float64] | None:
-        """Centres in metres, shape (N, 2); None if robots do not move, and before the first step."""
+        """Centres in metres from the middle of the arena, shape (N, 2).
+
+        None if robots do not move, and before the first step.
+        """
         if self._scene is None or self._scene.positions is None:
             return None
-        positions: NDArray[np.float64] = self._scene.positions[self._row]
-        return positions
+        return cast(NDArray[np.float64], self._scene.positions[self._index_in_scene])
 
     @property
     def accuracy(self) -> NDArray[np.float64]:
-        """True accuracy of each sensor, shape (N,). Not known before the first step."""
+        """True accuracy of each sensor, shape (N,). AssertionError before the first step."""
         assert self._scene is not None, "no step has been taken"
-        accuracy: NDArray[np.float64] = self._scene.accuracy[self._row]
-        return accuracy
+        return cast(NDArray[np.float64], self._scene.accuracy[self._index_in_scene])
 
 
 def _make_topology(settings: WorldSettings, trial: int) -> Topology:
-    """Return which robots receive from which, where robots do not move."""
+    """Return which robots receive from which, where robots do not move.
+
+    That is all from all others, the edges of ``settings.graph``, or what the extension named by
+    ``settings.topology`` answers. Only an extension uses the number of the ``trial``. Raises UsageError if
+    the extension cannot be loaded.
+    """
     if settings.topology == "fully-connected":
-        return FixedTopology(~np.eye(settings.robots, dtype=np.bool_))
+        return FixedTopology(neighbours=~np.eye(settings.robots, dtype=np.bool_))
+    # Settings have a Graph exactly if their topology is "graph".
     if isinstance(settings.graph, Graph):
         return settings.graph.topology(settings.robots)
     name = str(settings.topology)
-    make_extension = cast(
-        Callable[[WorldSettings, int], Topology], extensions.load(extensions.TOPOLOGIES, name)
-    )
-    return CheckedTopology(make_extension(settings, trial), name, settings.robots)
+    make_topology = cast(_TopologyMaker, extensions.load(extensions.TOPOLOGIES, name))
+    return CheckedTopology(make_topology(settings, trial), name, settings.robots)

@@ -39,10 +39,15 @@ class EngineTrials:
     """
 
     def __init__(self, experiment: Experiment, first: int, trials: int, sampling_interval: int) -> None:
-        """Describe the trials in C. Results are valid after ``execute``."""
+        """Describe trials ``first`` .. ``first + trials - 1`` in C. Results are valid after ``execute``.
+
+        Robots are recorded once per ``sampling_interval`` steps, or never if it is 0. Raises UsageError if a
+        sensor extension cannot be loaded or gives wrong accuracies.
+        """
         ffi = _engine.ffi
         robots, steps = experiment.robots, experiment.steps
-        # C structs hold addresses only: what they point to has to live as long as this object.
+        # C structs hold bare addresses, and Python would free what nothing else refers to: what they point to
+        # is kept in this list, to live as long as this object.
         self._referenced_memory: list[Any] = []
         members: dict[str, Any] = {
             "seed": experiment.seed,
@@ -61,7 +66,8 @@ class EngineTrials:
         if experiment.is_dynamic:
             arenas = [make_config(experiment, first + index, ffi) for index in range(trials)]
             self._referenced_memory.append(arenas)
-            members["arenas"] = self._array("mcp_asdf_arena_config_t", [values for values, _ in arenas])
+            arena_members = [members_of_arena for members_of_arena, _image in arenas]
+            members["arenas"] = self._array("mcp_asdf_arena_config_t", arena_members)
         if isinstance(experiment.graph, Graph):
             arcs = self._array("mcp_asdf_pair_t", sorted(experiment.graph.links))
             members |= {"arcs": arcs, "arc_count": len(arcs)}
@@ -74,13 +80,21 @@ class EngineTrials:
     def _make_configs(self, experiment: Experiment) -> Any:
         """Return the C array of pointers to each robot's config; robots with equal ones share it."""
         configs = [experiment.config(robot) for robot in range(experiment.robots)]
-        c_configs = {config: _make_c_config(config) for config in set(configs)}
-        self._referenced_memory.append(c_configs)
-        pointers = [c_configs[config][0] for config in configs]
-        return self._array("mcp_asdf_config_t *", pointers)
+        struct_by_config: dict[Config, Any] = {}
+        for config in set(configs):
+            struct, table = _make_c_config(config)
+            struct_by_config[config] = struct
+            # The struct points to the table, and the array below to the struct.
+            self._referenced_memory += [struct, table]
+        return self._array("mcp_asdf_config_t *", [struct_by_config[config] for config in configs])
 
     def _make_probabilities(self, experiment: Experiment, first: int, trials: int) -> dict[str, Any]:
-        """Return the C struct's array ``black`` and its strides, 0 along axes whose values are alike."""
+        """Return the members of the C struct that hold the probabilities of a black observation.
+
+        These are the array ``black`` of the trials from ``first`` on, and the number of elements from one
+        trial, step and robot to the next in it: 0 along an axis whose values are alike, so that C reads the
+        same one again.
+        """
         black = _black_probabilities(experiment, first, trials)
         members = {"black": self._array("uint32_t", black)}
         stride_names = ("trial_stride", "step_stride", "robot_stride")
@@ -89,7 +103,11 @@ class EngineTrials:
         return members
 
     def execute(self, lanes: bool) -> Status:
-        """Run the trials and fill in the results; ``lanes`` chooses the faster of two equal engines."""
+        """Run the trials, fill in the results and return the engine's status: OK, or what went wrong.
+
+        ``lanes`` chooses the faster of two engines with equal results. It makes the array ``x`` and memory
+        for the engine's work.
+        """
         engine = _engine.lib
         columns = engine.mcp_asdf_engine_columns(self.experiment)
         self.x = np.empty((self.experiment.trials, columns, self.experiment.steps + 1), np.uint32)
@@ -106,7 +124,10 @@ class EngineTrials:
 
     @property
     def counters(self) -> dict[str, NDArray[np.int64]]:
-        """Return tests and updates of each robot, shape (trials, N) each, modulo 65536."""
+        """How many hypothesis tests and updates of b_hat each robot made, by the name in COUNTERS.
+
+        Each array has the shape (trials, N); counts are modulo 65536.
+        """
         counters = {}
         for name in COUNTERS:
             values = [getattr(robot.counters, name) for robot in self.robots]
@@ -121,7 +142,10 @@ class EngineTrials:
         return [bytes(image) for image in images]
 
     def _array(self, c_type: str, values: Any) -> Any:
-        """Return a C array that lives as long as this object: a copy of a list, or a NumPy array's memory."""
+        """Return a C array that lives as long as this object: a copy of a list, or a NumPy array's memory.
+
+        ``c_type`` is the type of an element. What C writes into a NumPy array's memory, the array shows.
+        """
         if isinstance(values, np.ndarray):
             array = _engine.ffi.from_buffer(f"{c_type}[]", values)
         else:
@@ -150,7 +174,8 @@ def run(
     if status is not Status.OK:
         if experiment.is_dynamic:
             for index in range(trials):
-                Arena(experiment, first + index)  # raises UsageError where robots find no room
+                # Made only for its exception: UsageError with a reason, where robots find no room.
+                Arena(experiment, first + index)
         raise FirmwareError(status, "the firmware refuses the experiment's settings")
     return engine_trials
 
@@ -158,20 +183,27 @@ def run(
 def _black_probabilities(experiment: Experiment, first: int, trials: int) -> NDArray[np.uint32]:
     """Return the probabilities of a black observation, by trial, step and robot, in the engine's unit.
 
-    An axis along which all values are alike has the length 1. That of trials has, unless an extension makes
-    the sensors.
+    They are those of ``trials`` trials from number ``first`` on. An axis along which all values are alike has
+    the length 1; that of trials has, unless an extension makes the sensors. Raises UsageError if its answers
+    are not as they should be.
     """
     distinct_trials = range(trials if experiment.sensor else 1)
     fill_ratio = None if experiment.is_dynamic else experiment.fill_ratio
     probabilities = []
     for index in distinct_trials:
         accuracies = make_sensor_model(experiment, first + index).advance(experiment.steps)
-        probabilities.append(black_probabilities(accuracies, fill_ratio)[0])
+        # A moving robot's tile has a colour: the engine takes the probability on black and derives that on
+        # white, as trials run in C only where both accuracies are equal. Without a colour both are the same.
+        on_black, _on_white = black_probabilities(accuracies, fill_ratio)
+        probabilities.append(on_black)
     return np.stack(probabilities)
 
 
 def _make_c_config(config: Config) -> tuple[Any, Any]:
-    """Return the C struct of a config, and its table, which has to live as long as the struct."""
+    """Return the C struct of a config, and its table, which has to live as long as the struct.
+
+    The table is a null pointer for a config without one.
+    """
     ffi = _engine.ffi
     table = ffi.NULL if config.table is None else ffi.new("uint32_t[]", list(config.table.words()))
     members = (table, config.filter_period, config.memory, int(config.filter))
