@@ -22,7 +22,11 @@ _INLINE_FUNCTION = re.compile(r"(?:static inline|MCP_ASDF_INLINE) ([^{;]*?)\s*\{
 
 
 def declarations(header: str) -> str:
-    """Return the declarations for cffi of the constants, types and functions in the text of a header."""
+    """Return what a C header declares, its constants, types and functions, as text that cffi can parse.
+
+    cffi knows no preprocessor. So comments and directives are left out, constants that are numbers are
+    declared in cffi's own form, and inline functions lose their bodies.
+    """
     text = _CONTINUED_LINE.sub(" ", _COMMENT.sub("", header))
     text = _ONLY_CPLUSPLUS.sub("", text)
     constants = [
@@ -33,20 +37,29 @@ def declarations(header: str) -> str:
 
 
 def _declare_constant(name: str, value: str) -> str:
-    """Return the declaration of a macro whose value is a number.
+    """Return cffi's declaration of a macro whose value is a number.
 
-    A decimal number is given to cffi, which needs the lengths of arrays; it asks the compiler for others.
+    It states a decimal value, which cffi needs where it is the length of an array. For any other value it has
+    dots, so that cffi asks the compiler.
     """
-    return f"#define {name} {value if value.isdecimal() else '...'}"
+    declared_value = value if value.isdecimal() else "..."
+    return f"#define {name} {declared_value}"
 
 
 def main() -> None:
-    """Write the module's source, as the command line says."""
-    module, output, *headers = sys.argv[1:]
+    """Write the C source of an extension module from the headers that the command line names.
+
+    The arguments are the module's name, the file to write and the paths of the headers. The module offers all
+    that the headers declare. A compiler that builds it finds the headers by their names without a folder.
+    """
+    module, output, *header_arguments = sys.argv[1:]
+    headers = [Path(argument) for argument in header_arguments]
+    includes = [f'#include "{header.name}"' for header in headers]
     builder = FFI()
-    for header in map(Path, headers):
+    # cffi parses the declarations to write the wrappers; the compiler reads the headers themselves.
+    for header in headers:
         builder.cdef(declarations(header.read_text(encoding="utf-8")))
-    builder.set_source(module, "\n".join(f'#include "{Path(header).name}"' for header in headers))
+    builder.set_source(module, "\n".join(includes))
     builder.emit_c_code(output)
 
 

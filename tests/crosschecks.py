@@ -66,7 +66,7 @@ FAULTS = {
     "robust: voices": "SENDERS_MIN = {3 => 2}",
     "robust: test": "SIGMAS_SQUARED = {12 => 13}",
     "robust: variance": "variance = {max => min}(",
-    "robust: way back": "return {crowd.first => None} if s.accuracy",
+    "robust: way back": "return None if is_initial else {crowd.first => None}",
     "restore": "repeated=words[27] >> 16{ =>  & 0x7FFF}",
 }
 """Faults by name, as `mirror_with` reads them: places in SOURCES and what is wrong there, often one bit."""

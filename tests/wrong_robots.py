@@ -527,7 +527,7 @@ WRONG |= {
     "tests the present b_hat": robust(
         "moving up", 'robust_test_rejects({crowd => Crowd(**vars(crowd) | {"first": s.accuracy.b_hat})}, s.t'
     ),
-    "no way back": robust("moving up", "return {crowd.first => None} if s.accuracy"),
+    "no way back": robust("moving up", "return None if is_initial else {crowd.first => None}"),
     # A crowd that moves
     "does not see that the crowd moves": robust("few voices", "if {crowd.is_moving => False}:"),
     "tests while the crowd moves": robust(

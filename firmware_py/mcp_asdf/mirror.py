@@ -375,11 +375,14 @@ def is_valid_estimate(s: State) -> bool:
     After an update of b_hat they still follow from the b_hat before it, which is not known.
     """
     if s.updated:
+        # x_hat and alpha are older than b_hat, so only their form can be checked.
         # An alpha word that a robot computes has the smallest shift, and bits 5 to 7 are 0.
         has_smallest_shift = s.alpha >> 31 == 1 or s.alpha & SHIFT_MAX == 0
         is_canonical = s.alpha & 0xE0 == 0 and has_smallest_shift
         return s.updated == 1 and s.t > 0 and s.x_hat <= ONE and is_canonical
-    return (s.x_hat, s.alpha) == (estimate(s.t, s.n, s.accuracy) if s.t else (HALF, 0))
+    # Before the first observation x_hat is 1/2, and has no confidence.
+    expected = estimate(s.t, s.n, s.accuracy) if s.t else (HALF, 0)
+    return (s.x_hat, s.alpha) == expected
 
 
 def check_config(config: Config) -> None:
@@ -599,7 +602,9 @@ class MirrorRobot(FixedPointView):
         Returns UPDATED or OK, as ``settle`` does; or ERR_OBSERVATION, without settling, for an invalid ``z``.
         """
         status = self.observe(z)
-        return self.settle() if status == Status.OK else status
+        if status == Status.OK:
+            return self.settle()
+        return status
 
     def _update_b_hat(self) -> bool:
         """Run the filter, and return whether it has re-estimated b_hat, the assumed accuracy of the sensor.
@@ -660,7 +665,8 @@ class MirrorRobot(FixedPointView):
         s.tests = (s.tests + 1) & COUNTER_MASK
         if robust_test_rejects(crowd, s.t, s.n):
             return reestimate(s.t, s.n, crowd_fill_ratio(crowd))
-        return crowd.first if s.accuracy.b_hat != crowd.first else None
+        is_initial = s.accuracy.b_hat == crowd.first
+        return None if is_initial else crowd.first
 
     @property
     def id(self) -> int:
@@ -763,7 +769,10 @@ class MirrorRobot(FixedPointView):
         """Return the state as ``mcp_asdf_save`` writes it: 31 little-endian words, the last a checksum."""
         s = self.s
         words = [_image_magic(self.config), s.accuracy.b_hat, s.t, s.n, s.x_hat, s.alpha, s.filter_left]
-        words += _encode_crowd(s.crowd) if self.config.filter == Filter.ROBUST else _encode_rounds(s)
+        if self.config.filter == Filter.ROBUST:
+            words += _encode_crowd(s.crowd)
+        else:
+            words += _encode_rounds(s)
         words += s.heard
         # Counters have 16 bits, so two of them share a word.
         words.append(s.accepted | (s.repeated << 16))

@@ -535,7 +535,9 @@ class ReferenceRobot:
         Returns UPDATED or OK, as ``settle`` does; or ERR_OBSERVATION, without settling, for an invalid ``z``.
         """
         status = self.observe(z)
-        return self.settle() if status == Status.OK else status
+        if status == Status.OK:
+            return self.settle()
+        return status
 
     def _update_b_hat(self) -> Status:
         """Run the filter, and return UPDATED if it has re-estimated b_hat, the assumed accuracy, else OK."""
