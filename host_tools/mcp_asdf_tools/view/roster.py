@@ -1,9 +1,10 @@
-"""The robots of a bus as an observer knows them: who is there, how well it is heard, and what it says."""
+"""The nodes of a bus as an observer of its frames knows them: which there are, and what each has sent."""
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Any
 
 import can
@@ -13,146 +14,194 @@ from mcp_asdf_tools.bus.frame_layout import Q23_ONE, TRANSFER_IDS, Rejection
 from mcp_asdf_tools.bus.frames import Estimate, FrameContent, Heartbeat, Telemetry, format_frame
 from mcp_asdf_tools.robots.suspicion import AlphaWatch
 
+Q24_ONE = 1 << 24
+"""An accuracy of 1 in telemetry, whose b_hat is in units of 2**-24."""
 SILENT_SECONDS = 3.0
-"""After which a robot counts as silent: OpenCyphal's timeout of heartbeats."""
+"""Seconds without a frame after which a robot counts as silent: OpenCyphal's timeout of heartbeats."""
 RATE_SECONDS = 5.0
-"""Over which a rate is taken."""
-_MOST_FRAMES = 4000
-"""In a report: as many as a bus of 1 Mbit/s has in half a second."""
+"""Seconds over which the rate of a robot's estimates is taken."""
+_MAX_REPORTED_FRAMES = 4000
+"""Frames in a report: as many as a bus of 1 Mbit/s has in half a second."""
 
 
 @dataclass
 class RobotOnBus:
-    """What was heard of one robot; times in seconds of the observer's clock.
+    """What one robot has sent; times are in seconds of the observer's clock.
 
     Attributes:
-        first, last: When its first and its latest frame came.
-        estimates: When its estimates came in the last RATE_SECONDS.
-        received, lost: Frames that came, and those that transfer ids say are missing between them.
-        conflicts: Heartbeats that another node with its id must have sent.
-        alpha_jumps: Estimates whose confidence jumps; see ``robots.suspicion.AlphaWatch``.
-        heartbeat: The latest.
-        telemetry: The latest.
+        first_frame_time: When its first frame was received.
+        last_frame_time: When its latest frame was received.
+        estimate_times: When its estimates of the last RATE_SECONDS were received; older ones may be among
+            them until ``rate`` removes them.
+        received_frames: Number of its frames that were received.
+        lost_frames: Number of frames that gaps in its transfer ids (sequence numbers modulo 32) show to be
+            missing.
+        conflicts: Number of heartbeats that show that two nodes send with this id.
+        alpha_jumps: Number of estimates whose confidence alpha jumped (see ``AlphaWatch``).
+        heartbeat: Its latest heartbeat; None before the first.
+        telemetry: Its latest telemetry; None before the first.
     """
 
-    first: float
-    last: float
-    estimates: deque[float] = field(default_factory=deque)
-    received: int = 0
-    lost: int = 0
+    first_frame_time: float
+    last_frame_time: float
+    estimate_times: deque[float] = field(default_factory=deque)
+    received_frames: int = 0
+    lost_frames: int = 0
     conflicts: int = 0
     alpha_jumps: int = 0
     heartbeat: Heartbeat | None = None
     telemetry: Telemetry | None = None
-    _before: Heartbeat | None = None
+    _previous_heartbeat: Heartbeat | None = None
     _alpha_watch: AlphaWatch = field(default_factory=AlphaWatch)
-    _transfer_ids: dict[type, int] = field(default_factory=dict)
+    _last_transfer_ids: dict[type, int] = field(default_factory=dict)
 
-    def hear(self, content: Estimate | Heartbeat | Telemetry, now: float) -> None:
-        """Take one of its frames. O(1) on average."""
+    def receive(self, content: Estimate | Heartbeat | Telemetry, now: float) -> None:
+        """Update all attributes by the content of one of the robot's frames, received at ``now``. O(1)."""
         if self.is_silent(now):
-            self._transfer_ids.clear()  # they have gone round, nobody knows how often
-        self.last = now
-        self._count(content)
+            # In a long silence transfer ids may have wrapped around any number of times: a gap counts
+            # nothing.
+            self._last_transfer_ids.clear()
+        self.last_frame_time = now
+        self._count_frame(content)
         if isinstance(content, Estimate):
-            self.estimates.append(now)
-            self.alpha_jumps += self._alpha_watch.is_jump(content.sender, content.alpha)
+            self.estimate_times.append(now)
+            if self._alpha_watch.is_jump(content.sender, content.alpha):
+                self.alpha_jumps += 1
         elif isinstance(content, Heartbeat):
-            self.conflicts += self._is_of_another(content)
-            self._before, self.heartbeat = self.heartbeat, content
+            if self._shows_conflict(content):
+                self.conflicts += 1
+            self._previous_heartbeat = self.heartbeat
+            self.heartbeat = content
         else:
             self.telemetry = content
 
-    def _count(self, content: Estimate | Heartbeat | Telemetry) -> None:
-        """Count what is missing before a frame: each kind has transfer ids of its own, modulo 32.
+    def _count_frame(self, content: Estimate | Heartbeat | Telemetry) -> None:
+        """Count a received frame, and the lost frames between it and the one before of its kind.
 
-        A repeated id is no gap, since a frame may come twice.
+        Each kind of frame has transfer ids of its own, modulo 32. A repeated id is no gap, since a frame may
+        be received twice.
         """
         kind = type(content)
-        before = self._transfer_ids.get(kind)
-        self._transfer_ids[kind] = content.transfer_id
-        self.received += 1
-        if before is not None and before != content.transfer_id:
-            self.lost += (content.transfer_id - before - 1) % TRANSFER_IDS
+        last_id = self._last_transfer_ids.get(kind)
+        self._last_transfer_ids[kind] = content.transfer_id
+        self.received_frames += 1
+        if last_id is not None and content.transfer_id != last_id:
+            self.lost_frames += (content.transfer_id - last_id - 1) % TRANSFER_IDS
 
-    def _is_of_another(self, said: Heartbeat) -> bool:
-        """Whether two nodes have this id: a heartbeat comes again, or goes on with the one before the last.
+    def _shows_conflict(self, heartbeat: Heartbeat) -> bool:
+        """Return whether a new heartbeat shows that two nodes send with this id.
 
-        One that has begun anew goes on with no uptime from before.
+        It does if it equals the latest one, since a node sends each heartbeat once. It also does if it
+        continues
+        not the latest but the one before: that of another node came between. A single node that restarts has
+        smaller uptimes from then on, so it never continues a heartbeat from before the restart.
         """
-        last, before = self.heartbeat, self._before
-        if last is None:
+        latest = self.heartbeat
+        previous = self._previous_heartbeat
+        if latest is None:
             return False
-        if (last.uptime, last.transfer_id) == (said.uptime, said.transfer_id):
+        if (heartbeat.uptime, heartbeat.transfer_id) == (latest.uptime, latest.transfer_id):
             return True
-        if before is None or not last.uptime < before.uptime < said.uptime:
+        if previous is None or not latest.uptime < previous.uptime < heartbeat.uptime:
             return False
-        return (said.transfer_id - before.transfer_id - said.uptime + before.uptime) % TRANSFER_IDS == 0
+        # A node sends a heartbeat each second, so its transfer id grows as its uptime does, modulo 32.
+        seconds_passed = heartbeat.uptime - previous.uptime
+        heartbeats_passed = heartbeat.transfer_id - previous.transfer_id
+        return (heartbeats_passed - seconds_passed) % TRANSFER_IDS == 0
 
     def is_silent(self, now: float) -> bool:
-        """Whether nothing came for SILENT_SECONDS."""
-        return now - self.last >= SILENT_SECONDS
+        """Return whether no frame was received in the last SILENT_SECONDS."""
+        return now - self.last_frame_time >= SILENT_SECONDS
 
     def rate(self, now: float) -> float:
-        """Estimates a second, over the last RATE_SECONDS or since its first frame."""
-        while self.estimates and self.estimates[0] <= now - RATE_SECONDS:
-            self.estimates.popleft()
-        return len(self.estimates) / max(min(now - self.first, RATE_SECONDS), 1.0)
+        """Return the robot's estimates per second over the last RATE_SECONDS, or since its first frame.
+
+        Older times are removed from ``estimate_times``.
+        """
+        while self.estimate_times and self.estimate_times[0] <= now - RATE_SECONDS:
+            self.estimate_times.popleft()
+        observed_seconds = min(now - self.first_frame_time, RATE_SECONDS)
+        # In the first second a few estimates would look like a high rate.
+        return len(self.estimate_times) / max(observed_seconds, 1.0)
 
 
 class Roster:
     """All robots of a bus, and the frames that passed since the last report.
 
     Attributes:
-        robots: By id, in the order in which they were first heard.
+        robots: The robots by id, in the order of their first frames.
     """
 
     def __init__(self) -> None:
         self.robots: dict[int, RobotOnBus] = {}
-        self._frames: deque[tuple[float, int | None, str]] = deque(maxlen=_MOST_FRAMES)
+        self._frame_lines: deque[tuple[float, int | None, str]] = deque(maxlen=_MAX_REPORTED_FRAMES)
 
-    def hear(self, frame: can.Message, content: FrameContent, now: float) -> None:
-        """Take a frame that was decoded. O(1)."""
-        robot = None if isinstance(content, Rejection) else content.sender
-        self._frames.append((round(now, 3), robot, text_of(frame, content)))
-        if not isinstance(content, Rejection):
-            self.robots.setdefault(content.sender, RobotOnBus(now, now)).hear(content, now)
+    def receive(self, frame: can.Message, content: FrameContent, now: float) -> None:
+        """Take a frame, its decoded ``content`` and the time in seconds at which it was received. O(1).
+
+        A rejected frame is listed in the next report, but counts for no robot.
+        """
+        sender = None if isinstance(content, Rejection) else content.sender
+        self._frame_lines.append((round(now, 3), sender, format_content(frame, content)))
+        if isinstance(content, Rejection):
+            return
+        if content.sender not in self.robots:
+            self.robots[content.sender] = RobotOnBus(first_frame_time=now, last_frame_time=now)
+        self.robots[content.sender].receive(content, now)
 
     def report(self, now: float) -> dict[str, Any]:
-        """A row for each robot, by rising id, and the frames since the last report, as plain values."""
-        rows = [_row(robot, self.robots[robot], now) for robot in sorted(self.robots)]
-        frames = [list(each) for each in self._frames]
-        self._frames.clear()
+        """Return what the page's table and list show, as plain values; the next report lists later frames
+        only.
+
+        "robots" has a row for each robot, by rising id. "frames" has [seconds, sender, text] for each of the
+        last 4000 frames since the report before; the sender of a rejected frame is None.
+        """
+        rows = [_report_row(robot_id, self.robots[robot_id], now) for robot_id in sorted(self.robots)]
+        frames = [list(frame_line) for frame_line in self._frame_lines]
+        self._frame_lines.clear()
         return {"robots": rows, "frames": frames}
 
 
-def _row(robot: int, heard: RobotOnBus, now: float) -> dict[str, Any]:
-    heartbeat, telemetry = heard.heartbeat, heard.telemetry
+def _report_row(robot_id: int, robot: RobotOnBus, now: float) -> dict[str, Any]:
+    """Return a robot's row of a report: "seen" is in seconds ago, "rate" per second, "loss" a share.
+
+    Health and mode are None before the first heartbeat; x, b_hat and updates before the first telemetry.
+    """
+    heartbeat, telemetry = robot.heartbeat, robot.telemetry
     return {
-        "robot": robot,
-        "silent": heard.is_silent(now),
-        "seen": round(now - heard.last, 1),
-        "health": None if heartbeat is None else heartbeat.health.name.lower(),
-        "mode": None if heartbeat is None else heartbeat.mode.name.lower().replace("_", " "),
-        "rate": round(heard.rate(now), 1),
-        "loss": heard.lost / (heard.lost + heard.received),
-        "conflicts": heard.conflicts,
+        "robot": robot_id,
+        "silent": robot.is_silent(now),
+        "seen": round(now - robot.last_frame_time, 1),
+        "health": None if heartbeat is None else _format_name(heartbeat.health),
+        "mode": None if heartbeat is None else _format_name(heartbeat.mode),
+        "rate": round(robot.rate(now), 1),
+        "loss": robot.lost_frames / (robot.lost_frames + robot.received_frames),
+        "conflicts": robot.conflicts,
         "x": None if telemetry is None else telemetry.x / Q23_ONE,
-        "b_hat": None if telemetry is None else telemetry.b_hat / 2**24,
+        "b_hat": None if telemetry is None else telemetry.b_hat / Q24_ONE,
         "updates": None if telemetry is None else telemetry.updates,
-        "jumps": heard.alpha_jumps,
+        "jumps": robot.alpha_jumps,
     }
 
 
-def text_of(frame: can.Message, content: FrameContent) -> str:
-    """A frame in words."""
+def format_content(frame: can.Message, content: FrameContent) -> str:
+    """Return a frame's content as a line, such as "estimate 8: x_hat 0.5000, alpha 0.25".
+
+    The number after the kind is the transfer id. Of a rejected frame the line has the reason and the frame
+    itself.
+    """
     if isinstance(content, Estimate):
         alpha = float32_value(alpha_word_to_bits(content.alpha))
         return f"estimate {content.transfer_id}: x_hat {content.x_hat / Q23_ONE:.4f}, alpha {alpha:.6g}"
     if isinstance(content, Heartbeat):
-        state = f"{content.health.name.lower()}, {content.mode.name.lower().replace('_', ' ')}"
-        return f"heartbeat {content.transfer_id}: {state}, up {content.uptime} s"
+        health, mode = _format_name(content.health), _format_name(content.mode)
+        return f"heartbeat {content.transfer_id}: {health}, {mode}, up {content.uptime} s"
     if isinstance(content, Telemetry):
-        values = f"x {content.x / Q23_ONE:.4f}, b_hat {content.b_hat / 2**24:.4f}, updates {content.updates}"
-        return f"telemetry {content.transfer_id}: {values}"
-    return f"refused, {content.name.lower().replace('_', ' ')}: {format_frame(frame)}"
+        x, b_hat = content.x / Q23_ONE, content.b_hat / Q24_ONE
+        return f"telemetry {content.transfer_id}: x {x:.4f}, b_hat {b_hat:.4f}, updates {content.updates}"
+    return f"refused, {_format_name(content)}: {format_frame(frame)}"
+
+
+def _format_name(member: Enum) -> str:
+    """Return an enum member's name as the page shows it: SOFTWARE_UPDATE as "software update"."""
+    return member.name.lower().replace("_", " ")

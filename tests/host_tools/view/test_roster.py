@@ -20,13 +20,13 @@ class Heard(Roster):
     """A roster that hears what robots say."""
 
     def estimate(self, transfer_id: int, now: float, alpha: int = 1 << 30, robot: int = 3) -> None:
-        self.hear(FRAME, Estimate(robot, 1 << 22, alpha, transfer_id), now)
+        self.receive(FRAME, Estimate(robot, 1 << 22, alpha, transfer_id), now)
 
     def beat(self, uptime: int, transfer_id: int, now: float = 0.0, health: Health = Health.NOMINAL) -> None:
-        self.hear(FRAME, Heartbeat(3, uptime, transfer_id, health, Mode.MAINTENANCE), now)
+        self.receive(FRAME, Heartbeat(3, uptime, transfer_id, health, Mode.MAINTENANCE), now)
 
     def tell(self, now: float) -> None:
-        self.hear(FRAME, Telemetry(3, 1 << 21, 3 << 22, 7, 30), now)
+        self.receive(FRAME, Telemetry(3, 1 << 21, 3 << 22, 7, 30), now)
 
     def row(self, now: float, place: int = 0) -> dict[str, Any]:
         return dict(self.report(now)["robots"][place])
@@ -85,7 +85,7 @@ def test_the_page_counts_the_jumps_that_a_node_counts(alphas: list[int], jumps: 
     heard, listener = Heard(), node(5)
     for tick, alpha in enumerate(alphas):
         estimate = Estimate(3, 1 << 22, alpha << 8, tick % 32)
-        heard.hear(FRAME, estimate, 0.0)
+        heard.receive(FRAME, estimate, 0.0)
         listener.hear(encode_estimate(estimate, FrameFormat()))
     assert heard.row(0.0)["jumps"] == listener.reception.events[Suspicion.JUMP, 3] == jumps
 
@@ -132,7 +132,7 @@ def test_frames_are_told_in_words_each_once() -> None:
     heard.beat(100, 2, 250.0)
     heard.tell(251.0)
     frame = can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\1")
-    heard.hear(frame, Rejection.STANDARD_ID, 252.0)
+    heard.receive(frame, Rejection.STANDARD_ID, 252.0)
     assert [each[1:] for each in heard.report(252.0)["frames"]] == [
         [3, "heartbeat 2: nominal, maintenance, up 100 s"],
         [3, "telemetry 30: x 0.2500, b_hat 0.7500, updates 7"],
