@@ -111,7 +111,7 @@ def check_the_table(browser: Page, bus: History) -> None:
     roster, text = Roster(), "document.getElementById('frames').textContent"
     for robot, now in ((9, 0.0), (5, 9.0)):
         for content in (Estimate(robot, 0, 0, 3), Heartbeat(robot, 60, 4, Health.WARNING)):
-            roster.hear(can.Message(), content, now)
+            roster.receive(can.Message(), content, now)
     bus.report = roster.report(10.0)
     until(browser, "document.querySelectorAll('#roster tbody tr').length === 2")
     rows = [row.split() for row in browser.locator("#roster tbody tr").all_inner_texts()]
