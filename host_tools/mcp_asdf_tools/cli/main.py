@@ -184,12 +184,15 @@ def _show_overview(arguments: Sequence[str]) -> int:
 
     ``arguments`` do not start with a known command. Raises UsageError for an unknown command or option.
     """
-    from mcp_asdf_tools.common.versions import own_version  # noqa: PLC0415
-
     parser = Parser(PROGRAM, "Collective perception with self-calibrating robots.", _listing())
-    parser.add_argument("--version", action="version", version=f"%(prog)s {own_version()}")
+    parser.add_argument("--version", action="store_true", help="show program's version number and exit")
     parser.add_argument("command", metavar="COMMAND", nargs="?", help="one of these; each has its own --help")
     args, _ = parser.parse_known_args(arguments)
+    if args.version:
+        from mcp_asdf_tools.common.versions import own_version  # noqa: PLC0415 (it loads slowly)
+
+        print(f"{PROGRAM} {own_version()}")
+        return 0
     if args.command is not None:
         near = offer(args.command, [*COMMANDS, "--help", "--version"])
         parser.error(f"no command is called {args.command!r}{near}")
