@@ -1,4 +1,4 @@
-"""Rounds of messages made for a purpose: close to a threshold of the test, or for a certain re-estimate."""
+"""Estimates for rounds with a purpose: just inside or outside the test's threshold, or for some b_hat."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from mcp_asdf.robot import Sums
 from mcp_asdf.table import FRACTION_BITS, Table
 
 Content = tuple[int, int]
-"""x_hat in units of 2**-23 and alpha as the firmware's word."""
+"""A neighbour's estimate: x_hat in units of 2**-23, and alpha as the firmware's word (mantissa and shift)."""
 
 CRAFTED_SIZES = (2, 3, 5, 10, 30, 126)
-"""Messages of the rounds that lie just inside and just outside their threshold."""
+"""Numbers of estimates in the rounds that lie just inside and just outside the threshold."""
 
 
 class Update(Enum):
-    """Effect on b_hat of a test that rejects; the value describes it."""
+    """What becomes of b_hat after a test that rejects. The value describes it in a verdict."""
 
     ABOVE = "b_hat above 1/2, off the limit"
     BELOW = "b_hat below 1/2, off the limit"
@@ -42,13 +42,16 @@ class Update(Enum):
 
 _NO_INFORMATION, _FAINT = 1 << 20, 1 << 28
 """|2 b_hat - 1| below which a robot knows nothing, or hardly anything, in units of 2**-32."""
-_TRIES = 300
-_LEAST_DISTANCE = 1 << 15
-"""Between own estimate and mean at a threshold, so that one unit is at most a ten-thousandth of k_m."""
-_LEAST_SPREAD, _MOST_SKEW = 0.05, 6
+_MAX_TRIES = 300
+"""Rounds that are drawn to find one that serves."""
+_MIN_DISTANCE = 1 << 15
+"""Smallest distance between the robot's x_hat and the mean at a threshold, in units of 2**-23.
+
+One unit then moves a round by at most a ten-thousandth of k_m, the threshold for m estimates."""
+_MIN_SPREAD, _MAX_SKEW = 0.05, 6
 """Estimates at a threshold are spread over this share of the room and more, most of them near its beginning:
 around their mean they would not fit where the own estimate is 0 or 1."""
-_TARGETS = {
+_X_BAR_RANGES = {
     Update.ABOVE: (0.65, 0.98),
     Update.BELOW: (0.02, 0.35),
     Update.MAXIMUM: (0.51, 0.58),
@@ -57,58 +60,33 @@ _TARGETS = {
     Update.KEPT: (0.5, 0.5),
     Update.FAINT: (0.7, 0.95),
 }
-"""x_bar for each update where a bit more than half of the observations are black; exactly half for HALF, and
-nearly half for FAINT."""
+"""Range of x_bar, the mean of the neighbours' x_hat, that leads to each update.
+
+That holds where a bit more than half of the observations are black; for HALF exactly half must be, for FAINT
+nearly half."""
 SCALES = ((1, 4), (10, 20), (24, 28), (25, 41), (48, 55))
 """Bits of the confidences of a round, in units of 2**-24.
 
 Five of them have sums below 2**9 units, where eq. 8 shifts up instead of down, below 2**24 (alpha = 1), below
 2**32, sums as robots have them, and above 2**45.
 """
-_LEAST_PAIRED = 4
-"""Messages from which on a round at a threshold has pairs of nearly equal estimates."""
+_MIN_ESTIMATES_FOR_PAIRS = 4
+"""Smallest round at a threshold that has pairs of nearly equal estimates."""
 _TRIES_FOR_FLOATS, _LARGE_ROUND = 60, 100
 """Rounds that are drawn to find one about which a test in float64 errs, below so many messages."""
 _LARGE_TRIES = 1500
 """The same from there on, where sums have more bits than a float64: of a hundred draws one or two serve."""
-_LEAST_DISTANCE = 1 << 15
-"""Between own estimate and mean at a threshold, so that one unit is at most a ten-thousandth of k_m."""
-_LEAST_SPREAD, _MOST_SKEW = 0.05, 6
-"""Estimates at a threshold are spread over this share of the room and more, most of them near its beginning:
-around their mean they would not fit where the own estimate is 0 or 1."""
-_TARGETS = {
-    Update.ABOVE: (0.65, 0.98),
-    Update.BELOW: (0.02, 0.35),
-    Update.MAXIMUM: (0.51, 0.58),
-    Update.MINIMUM: (0.42, 0.49),
-    Update.HALF: (0.7, 0.95),
-    Update.KEPT: (0.5, 0.5),
-    Update.FAINT: (0.7, 0.95),
-}
-"""x_bar for each update where a bit more than half of the observations are black; exactly half for HALF, and
-nearly half for FAINT."""
-SCALES = ((1, 4), (10, 20), (24, 28), (25, 41), (48, 55))
-"""Bits of the confidences of a round, in units of 2**-24.
-
-Five of them have sums below 2**9 units, where eq. 8 shifts up instead of down, below 2**24 (alpha = 1), below
-2**32, sums as robots have them, and above 2**45.
-"""
-_LEAST_PAIRED = 4
-"""Messages from which on a round at a threshold has pairs of nearly equal estimates."""
-_TRIES_FOR_FLOATS, _LARGE_ROUND = 60, 100
-"""Rounds that are drawn to find one about which a test in float64 errs, below so many messages. Larger rounds
-have sums of more bits than a float64, so that more draws are worth their time."""
 
 
 @dataclass(frozen=True)
 class Situation:
-    """State of a robot for which a round is crafted.
+    """State of a robot for which the estimates of a round are chosen.
 
     Attributes:
-        t: Observations.
-        n: Black ones among them.
-        x_hat: Own estimate in units of 2**-23.
-        table: Its thresholds; None if it re-estimates without a test.
+        t: Number of its observations.
+        n: Number of black ones among them.
+        x_hat: Its local estimate in units of 2**-23.
+        table: Thresholds of its test; None if it re-estimates b_hat without a test.
     """
 
     t: int
@@ -116,56 +94,77 @@ class Situation:
     x_hat: int
     table: Table | None
 
-    def update(self, contents: Sequence[Content]) -> Update | None:
-        """The update that a test of these messages makes; None if it does not reject."""
+    def update(self, estimates: Sequence[Content]) -> Update | None:
+        """Return what becomes of b_hat at the end of a round of these estimates; None if the test passes."""
         sums = Sums()
-        for x_hat, alpha in contents:
+        for x_hat, alpha in estimates:
             add_estimate(sums, x_hat, alpha)
-        if self.table is not None and (sums.count < 2 or not asdf_test_rejects(self.table, sums, self.x_hat)):
-            return None
-        closed = Closed(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)
-        return update_of(reestimate(self.t, self.n, round_mean(closed)))
+        if self.table is not None:
+            # The variance of a single estimate is not defined, so that the test needs two.
+            is_rejected = sums.count >= 2 and asdf_test_rejects(self.table, sums, self.x_hat)
+            if not is_rejected:
+                return None
+        x_bar = round_mean(Closed(sums.alpha, sums.alpha_x_low, sums.alpha_x_high))
+        return update_of(reestimate(self.t, self.n, x_bar))
 
 
 def update_of(b_hat: int | None) -> Update:
-    """The kind of update to ``b_hat``, in units of 2**-32; None is no update."""
+    """Return the kind of update that sets b_hat, the accuracy that the robot assumes, to this value.
+
+    ``b_hat`` is in units of 2**-32; None means that the re-estimate has kept the old value.
+    """
     if b_hat is None:
         return Update.KEPT
-    if b_hat in (B_HAT_MIN, B_HAT_MAX):
-        return Update.MINIMUM if b_hat == B_HAT_MIN else Update.MAXIMUM
-    if abs(2 * b_hat - (1 << 32)) < _FAINT:
-        return Update.HALF if abs(2 * b_hat - (1 << 32)) < _NO_INFORMATION else Update.FAINT
-    return Update.ABOVE if 2 * b_hat > 1 << 32 else Update.BELOW
+    if b_hat == B_HAT_MIN:
+        return Update.MINIMUM
+    if b_hat == B_HAT_MAX:
+        return Update.MAXIMUM
+    information = 2 * b_hat - (1 << 32)  # 2 b_hat - 1
+    if abs(information) < _NO_INFORMATION:
+        return Update.HALF
+    if abs(information) < _FAINT:
+        return Update.FAINT
+    return Update.ABOVE if information > 0 else Update.BELOW
 
 
-def ordinary_alpha(draw: random.Random, most: int = 17) -> int:
-    """A confidence as robots have it: 1 to 2**(most - 1)."""
-    return (1 << 23 | draw.getrandbits(23)) << 8 | draw.randint(1, most)
+def ordinary_alpha(draw: random.Random, max_shift: int = 17) -> int:
+    """Draw a confidence as robots have it, from 1 to 2**max_shift, and return it as the firmware's word."""
+    mantissa = (1 << 23) | draw.getrandbits(23)
+    shift = draw.randint(1, max_shift)
+    return (mantissa << 8) | shift
 
 
 def scaled_alphas(draw: random.Random, m: int, scale: tuple[int, int] | None = None) -> list[int]:
-    """Return the alpha words of a round, all of one scale: by default any of ``SCALES``."""
-    least, most = draw.choice(SCALES) if scale is None else scale
-    bit_lengths = [draw.randint(least, most) for _ in range(m)]
-    return [alpha_word_from_units(1 << bits - 1 | draw.getrandbits(bits - 1)) for bits in bit_lengths]
+    """Draw the confidences of ``m`` estimates, and return them as the firmware's words.
+
+    All are of one scale, the least and the largest number of bits in units of 2**-24; by default it is one of
+    ``SCALES``.
+    """
+    min_bits, max_bits = draw.choice(SCALES) if scale is None else scale
+    bit_counts = [draw.randint(min_bits, max_bits) for _ in range(m)]
+    alphas = []
+    for bit_count in bit_counts:
+        lower_bits = draw.getrandbits(bit_count - 1)
+        alphas.append(alpha_word_from_units((1 << (bit_count - 1)) | lower_bits))
+    return alphas
 
 
-def any_content(draw: random.Random, most: int = 17) -> Content:
-    """A message of any estimate, with an ordinary confidence."""
-    return draw.randint(0, ONE), ordinary_alpha(draw, most)
+def any_content(draw: random.Random, max_shift: int = 17) -> Content:
+    """Draw an estimate: any x_hat from 0 to 1, with a confidence as ``ordinary_alpha`` draws it."""
+    return draw.randint(0, ONE), ordinary_alpha(draw, max_shift)
 
 
 def at_threshold(
-    situation: Situation, m: int, wanted: Update, draw: random.Random
+    situation: Situation, m: int, wanted_update: Update, draw: random.Random
 ) -> tuple[list[Content], list[Content]]:
     """Return two rounds of ``m`` messages as close to the threshold as estimates of 2**-23 can be.
 
     The test passes the first one and rejects the second. Rounds about which a test in floating point errs are
-    preferred, and among them those whose re-estimate is the ``wanted`` one.
+    preferred, and among them those whose re-estimate is ``wanted_update``.
     """
     best: tuple[list[Content], list[Content]] | None = None
     best_rank = (-1, False)
-    most_tries, tries_for_floats = _TRIES, _TRIES_FOR_FLOATS
+    most_tries, tries_for_floats = _MAX_TRIES, _TRIES_FOR_FLOATS
     if m >= _LARGE_ROUND:
         most_tries = tries_for_floats = _LARGE_TRIES
     for tries in range(most_tries):
@@ -177,7 +176,7 @@ def at_threshold(
         update = situation.update(outside)
         if update is Update.KEPT:
             continue  # would not show that the test has rejected
-        rank = (_misled_float_tests(situation, values), update is wanted)
+        rank = (_misled_float_tests(situation, values), update is wanted_update)
         if rank > best_rank:
             best, best_rank = (inside, outside), rank
         if best_rank == (2, True) or (best_rank[1] and tries >= tries_for_floats):
@@ -196,14 +195,14 @@ def _values_at_threshold(
     is_above = own < HALF or (own == HALF and draw.random() < 0.5)
     step = 1 if is_above else -1
     # Rounds with the largest sums are those of which floats lose bits.
-    least_spread = 0.8 if m >= _LARGE_ROUND else _LEAST_SPREAD
-    width, power = max(own, ONE - own) * draw.uniform(least_spread, 1), draw.uniform(1, _MOST_SKEW)
+    least_spread = 0.8 if m >= _LARGE_ROUND else _MIN_SPREAD
+    width, power = max(own, ONE - own) * draw.uniform(least_spread, 1), draw.uniform(1, _MAX_SKEW)
     # Of many estimates most are equal in pairs: moving such a pair apart changes the scatter in fine steps.
-    distinct = m if m < _LEAST_PAIRED else (m + 1) // 2
+    distinct = m if m < _MIN_ESTIMATES_FOR_PAIRS else (m + 1) // 2
     distances = [step * round(width * draw.random() ** power) for _ in range(distinct)]
     spread = sorted(distances + distances[: m - distinct])
     least = isqrt(entry * _scatter(spread) >> FRACTION_BITS) + 1  # of |Sum x - m x_hat| that rejects
-    if least < m * _LEAST_DISTANCE:
+    if least < m * _MIN_DISTANCE:
         return None
     # The smallest shift whose sum is far enough from the own estimate, upwards or downwards.
     total = sum(spread)
@@ -228,16 +227,16 @@ def _scatter(values: Sequence[int]) -> int:
     return len(values) * sum(x * x for x in values) - total * total
 
 
-def _with_scatter(values: Sequence[int], wanted: int, is_at_least: bool) -> list[int]:
-    """Move estimates apart in pairs, so that their sum stays, until their scatter just reaches ``wanted``.
+def _with_scatter(values: Sequence[int], target_scatter: int, is_at_least: bool) -> list[int]:
+    """Move estimates apart in pairs, so that their sum stays, until their scatter just reaches a target.
 
-    The scatter ends at ``wanted`` or slightly above with ``is_at_least``, else there or slightly below. It
-    must not be above before. Each pair takes nearly all of what the pairs before it have left.
+    The scatter ends at ``target_scatter`` or slightly above with ``is_at_least``, else there or slightly
+    below. It must not be above before. Each pair takes nearly all of what the pairs before it have left.
     """
     m = len(values)
-    changed, missing = list(values), wanted - _scatter(values)
-    last_pair = m // 2 * 2 - 2
-    for low in range(0, last_pair + 2, 2):
+    changed, missing = list(values), target_scatter - _scatter(values)
+    last_pair = (m // 2 - 1) * 2
+    for low in range(0, last_pair + 1, 2):
         # Moving two estimates apart by ``move`` each adds 2 m move (gap + move) to the scatter.
         gap = changed[low + 1] - changed[low]
         move = (isqrt(gap * gap + 2 * missing // m) - gap) // 2
@@ -266,29 +265,35 @@ def _misled_float_tests(situation: Situation, rounds: Sequence[Sequence[int]]) -
     return (first_test != [False, True]) + (second_test != [False, True])
 
 
-def for_update(situation: Situation, wanted: Update, draw: random.Random, m: int = 5) -> list[Content] | None:
-    """A round of ``m`` messages for which the test makes the ``wanted`` update; None if none is found."""
-    for _ in range(_TRIES):
-        target = round(draw.uniform(*_TARGETS[wanted]) * ONE)
-        if wanted is Update.KEPT:
+def for_update(
+    situation: Situation, wanted_update: Update, draw: random.Random, m: int = 5
+) -> list[Content] | None:
+    """Draw ``m`` estimates after which the test makes the wanted update; for KEPT two.
+
+    Returns None if none of many draws has this effect.
+    """
+    for _ in range(_MAX_TRIES):
+        target = round(draw.uniform(*_X_BAR_RANGES[wanted_update]) * ONE)
+        if wanted_update is Update.KEPT:
             contents = _balanced(draw)
         else:
             spread = draw.randint(1, 1 << 16)
             values = [min(max(target + draw.randint(-spread, spread), 0), ONE) for _ in range(m)]
             contents = list(zip(values, scaled_alphas(draw, m), strict=True))
-        if situation.update(contents) is wanted:
+        if situation.update(contents) is wanted_update:
             return contents
     return None
 
 
 def _balanced(draw: random.Random) -> list[Content]:
-    """Two messages whose mean is 1/2."""
-    away, alpha = draw.randint(1, 1 << 12), ordinary_alpha(draw)
-    return [(HALF - away, alpha), (HALF + away, alpha)]
+    """Draw two estimates of the same confidence whose mean is 1/2."""
+    distance = draw.randint(1, 1 << 12)
+    alpha = ordinary_alpha(draw)
+    return [(HALF - distance, alpha), (HALF + distance, alpha)]
 
 
 def far_away(situation: Situation, draw: random.Random, m: int = 4) -> list[Content]:
-    """A round of ``m`` messages that a test rejects."""
+    """Draw ``m`` estimates that the test rejects: near 0 or 1, whichever is further from x_hat."""
     end = 0 if situation.x_hat > HALF else ONE
     values = [abs(end - draw.randint(0, 1 << 12)) for _ in range(m)]
     return [(value, ordinary_alpha(draw)) for value in values]
@@ -323,7 +328,7 @@ EXTREMES: dict[str, list[Content]] = {
     "estimates of 0 and 1": [(0, 0x8000_0005), (ONE, 0x8000_0005), (1, 0x8000_0005), (ONE - 1, 0x8000_0005)],
     "126 messages of the largest confidence": [(ONE - 1, ALPHA_MAX)] * 126,
 }
-"""Rounds of messages at the ends of the ranges."""
+"""Estimates at the ends of their ranges, for one round each, by what they have in common."""
 
 FOREIGN_ALPHAS = {
     "a confidence above the largest": 0x7F7F_FFFF,
@@ -331,4 +336,4 @@ FOREIGN_ALPHAS = {
     "a confidence nearer to the next multiple of 2^-24": 0x3400_0000 - (1 << 21),
     "a subnormal confidence": 0x0000_0001,
 }
-"""binary32 bits that the codec brings to the firmware's grid."""
+"""Confidences that the firmware's word cannot hold, as binary32 bits: a receiver must round or limit them."""

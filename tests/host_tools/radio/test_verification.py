@@ -220,7 +220,7 @@ def test_what_a_robot_cannot_be_brought_to_is_told(monkeypatch: pytest.MonkeyPat
     told = ["two voices", "a crowd of two voices that stays"]
     told += [crowd, "a spread of 0.0625", *rejects, crowd, "a spread of 0.000244141", *rejects]
     assert (verdict.difference, verdict.not_exercised) == (None, told)
-    monkeypatch.setattr(rounds, "_TRIES", 0)
+    monkeypatch.setattr(rounds, "_MAX_TRIES", 0)
     verdict = judge(obedient(), phases=named("first black tiles", "re-estimates"))
     told = [f"a re-estimate: {each.value}" for each in Update if each not in (Update.HALF, Update.FAINT)]
     assert (verdict.difference, verdict.not_exercised) == (None, told)
