@@ -1,10 +1,14 @@
 """Driving robots of other processes, or real ones, tick by tick with command frames.
 
+In each tick a robot observes the floor, broadcasts its estimate if its round is over, and settles: it ends
+the tick, which in the last tick of a round makes it use what it has received in the round, and answers with a
+telemetry frame.
+
 The simulator's half of the protocol in ``docs/frame.md``; the robot's is ``robots.node.RobotNode``, the
 C node and the firmware images. A tick of robots that are all driven::
 
     lockstep.observe({3: Observation.BLACK, 4: Observation.WHITE})
-    estimates = lockstep.estimates({3, 4})   # in ticks in which broadcasts are due
+    estimates = lockstep.estimates({3, 4})   # in ticks in which these robots broadcast
     telemetry = lockstep.settle({3, 4})
 
 Between the calls other nodes may send.
@@ -36,23 +40,25 @@ from mcp_asdf_tools.robots.node import Subjects, send_all
 DRIVER_ID = 126
 """Node id of the simulator: the first that Cyphal keeps for tools."""
 
-_SLICE = 0.1
-"""Seconds between two checks while waiting."""
+_SECONDS_BETWEEN_CHECKS = 0.1
+"""How often the caller's ``check`` is called while waiting."""
 
+_MAX_ROBOTS_IN_ERROR = 8
+"""Missing robots that an error names."""
 
-Answer = TypeVar("Answer")
+Answer = TypeVar("Answer", Estimate, Telemetry)
 
 
 class LockstepError(RuntimeError):
-    """A robot did not answer in time, or not in order; the message names it."""
+    """A robot did not answer in time, or answered with an unexpected number; the message names it."""
 
 
 class Lockstep:
-    """Commands robots over one connection to their bus.
+    """Commands robots over one connection to their bus, and waits for their answers.
 
     Attributes:
         tick: Number of the tick that is open or, between ticks, of the next.
-        repeated: Commands repeated because no answer had come.
+        repeated: Number of commands sent a second time because no answer had come.
     """
 
     def __init__(
@@ -63,73 +69,76 @@ class Lockstep:
         watch: Callable[[can.Message], None] = lambda frame: None,
         check: Callable[[], None] = lambda: None,
     ) -> None:
-        """Command from ``bus``, which is left open at the end. Nothing is sent yet.
+        """Prepare to command robots over ``bus``, which is left open at the end. Nothing is sent yet.
 
-        Messages have the formats of ``subjects``. Robots have ``timeout`` seconds to answer; after half of
-        them a command is repeated once. ``watch`` takes every frame that comes in and, with ``is_rx`` false,
-        every command that goes out; ``check`` is called several times per second of waiting and may raise an
-        error that ends it.
+        Args:
+            bus: Connection to the robots' bus.
+            subjects: Formats of the messages; None for the default ones.
+            timeout: Seconds that robots have to answer. After half of them a command is repeated once.
+            watch: Called with every frame that comes in and, with ``is_rx`` false, every command sent.
+            check: Called several times per second of waiting; it may raise an error that ends the wait.
         """
-        self.tick = self.repeated = 0
+        self.tick = 0
+        self.repeated = 0
         self._bus = bus
         self._subjects = subjects or Subjects()
         self._timeout = timeout
         self._watch = watch
         self._check = check
-        self._commands = 0
+        self._sent_command_count = 0
         self._estimates: dict[int, Estimate] = {}
+        """First estimate of each robot in this tick, by id."""
         self._telemetry: dict[int, Telemetry] = {}
-        self._turns: dict[int, int] = {}
-        self._orders: Mapping[int, Action] = {}
+        """First telemetry of each robot since it was commanded to settle, by id."""
+        self._next_transfer_ids: dict[int, int] = {}
+        """Number that the next telemetry of each robot must have, by id; empty before its first."""
+        self._last_actions: Mapping[int, Action] = {}
+        """Actions that robots were commanded last, by id, for the case that a command is lost."""
 
     def wait_until_up(self, robots: Collection[int], timeout: float) -> None:
-        """Return when a heartbeat of each of ``robots`` has come.
+        """Wait until a heartbeat of each of ``robots`` (ids) has come.
 
         Raises LockstepError, naming the missing robots, after ``timeout`` seconds.
         """
-        waiting = set(robots)
-        for frame in self._frames_until_none(waiting, "send a heartbeat", timeout):
+        missing_robots = set(robots)
+        for frame in self._receive_while_missing(missing_robots, "send a heartbeat", timeout):
             heartbeat = decode_heartbeat(frame)
             if isinstance(heartbeat, Heartbeat):
-                waiting.discard(heartbeat.sender)
+                missing_robots.discard(heartbeat.sender)
 
     def observe(self, observations: Mapping[int, Observation | None]) -> None:
-        """Let each robot, by id, make its observation, or none.
+        """Command robots to begin a tick, and forget the estimates of the last one.
 
-        Raises can.CanError if the bus does not take the commands.
+        ``observations`` has what each robot observes, by id; with None it begins the tick without an
+        observation. Does not wait for an answer. Raises UsageError if a robot has the simulator's id, and
+        can.CanError if the bus does not take the commands.
         """
         if DRIVER_ID in observations:
             raise UsageError(f"robot {DRIVER_ID} has the id of the simulator; give it another")
         self._estimates.clear()
-        self._orders = {robot: Action.to_observe(z) for robot, z in observations.items()}
-        self._send(self._orders)
+        self._last_actions = {robot: Action.to_observe(z) for robot, z in observations.items()}
+        self._send_commands(self._last_actions)
 
     def estimates(self, robots: Collection[int]) -> dict[int, Estimate]:
-        """Estimates of ``robots`` in this tick, by id; the first one if a robot sends several.
+        """Wait until all of ``robots`` have broadcast in this tick, and return their estimates by id.
 
-        Raises LockstepError if one sends none within the time limit.
+        Of several estimates of one robot the first is returned. Raises LockstepError if one sends none
+        within the time limit.
         """
-        return self._answers(robots, self._estimates, "broadcast its estimate")
+        return self._wait_for_answers(robots, self._estimates, "broadcast its estimate")
 
     def settle(self, robots: Collection[int]) -> dict[int, Telemetry]:
-        """Let ``robots`` settle and end the tick; returns their answers by id.
+        """Command ``robots`` to settle, wait for their telemetry, and return it by id; the tick is then over.
 
-        Raises LockstepError if one does not answer within the time limit, or not in turn; can.CanError if
-        the bus does not take the commands.
+        Raises LockstepError if a robot does not answer within the time limit, or its telemetry is not the
+        next after its last; can.CanError if the bus does not take the commands.
         """
         self._telemetry.clear()
-        self._orders = dict.fromkeys(robots, Action.SETTLE)
-        self._send(self._orders)
-        answers = self._answers(robots, self._telemetry, "settle")
+        self._last_actions = dict.fromkeys(robots, Action.SETTLE)
+        self._send_commands(self._last_actions)
+        answers = self._wait_for_answers(robots, self._telemetry, "settle")
         for robot, answer in answers.items():
-            # It counts settles, so it reveals stray answers and restarts.
-            number, expected = answer.transfer_id, self._turns.get(robot, answer.transfer_id)
-            if number != expected:
-                raise LockstepError(
-                    f"robot {robot} answered in tick {self.tick} with transfer_id {number}, not {expected} "
-                    f"(modulo {TRANSFER_IDS}): it restarted or sends telemetry of its own accord"
-                )
-            self._turns[robot] = (number + 1) % TRANSFER_IDS
+            self._check_transfer_id(robot, answer.transfer_id)
         self.tick += 1
         return answers
 
@@ -140,59 +149,116 @@ class Lockstep:
         """
         self.tick += distance
 
-    def _send(self, orders: Mapping[int, Action]) -> None:
+    def _check_transfer_id(self, robot: int, transfer_id: int) -> None:
+        """Check that a robot's telemetry follows its last, and expect the next number from now on.
+
+        The first telemetry of a robot may have any number, since the robot may have run before. Raises
+        LockstepError for another number than the expected one.
+        """
+        # A robot sends telemetry only when it settles: a gap or a repetition reveals a restart or an answer
+        # to nobody's command.
+        if robot in self._next_transfer_ids and transfer_id != self._next_transfer_ids[robot]:
+            raise LockstepError(
+                f"robot {robot} answered in tick {self.tick} with transfer_id {transfer_id}, not "
+                f"{self._next_transfer_ids[robot]} (modulo {TRANSFER_IDS}): it restarted or sends telemetry "
+                "of its own accord"
+            )
+        self._next_transfer_ids[robot] = (transfer_id + 1) % TRANSFER_IDS
+
+    def _send_commands(self, actions: Mapping[int, Action]) -> None:
+        """Send each robot, by id, the command for its action in the present tick, and report the frames.
+
+        Raises can.CanError if the bus does not take them.
+        """
         frames = []
-        for robot, action in orders.items():
-            command = Command(DRIVER_ID, self.tick, robot, action, self._commands % TRANSFER_IDS)
+        for robot, action in actions.items():
+            transfer_id = self._sent_command_count % TRANSFER_IDS
+            command = Command(DRIVER_ID, self.tick, robot, action, transfer_id)
             frames.append(encode_command(command, self._subjects.commands))
-            self._commands += 1
+            self._sent_command_count += 1
         send_all(self._bus, frames, self._timeout)
         for frame in frames:
             self._watch(frame)
 
-    def _answers(self, robots: Collection[int], found: Mapping[int, Answer], what: str) -> dict[int, Answer]:
-        """What is ``found`` of each robot, by id, once all is there."""
-        waiting = set(robots) - found.keys()
-        for _ in self._frames_until_none(waiting, what, self._timeout, self._orders):
-            waiting.difference_update(found)
-        return {robot: found[robot] for robot in robots}
+    def _wait_for_answers(
+        self, robots: Collection[int], answers: Mapping[int, Answer], expected_answer: str
+    ) -> dict[int, Answer]:
+        """Wait until ``answers`` has an entry for each of ``robots``, and return these entries by id.
 
-    def _frames_until_none(
-        self, waiting: set[int], what: str, seconds: float, orders: Mapping[int, Action] | None = None
-    ) -> Iterator[can.Message]:
-        """Take and yield frames until the caller has emptied ``waiting``.
-
-        After half of ``seconds`` the robots still waited for get their ``orders`` again: they obey one that
-        they have missed, and ignore one that they have heard.
+        ``answers`` is one of this object's stores, which fill while frames are received.
+        ``expected_answer`` says in an error what a robot did not do. Raises LockstepError after the time
+        limit.
         """
-        again, began = dict(orders or {}), time.monotonic()
-        check_at = began + _SLICE
-        while waiting:
-            now = time.monotonic()
-            passed = now - began
-            if again and passed > seconds / 2:
-                late = {robot: action for robot, action in again.items() if robot in waiting}
-                self.repeated += len(late)
-                self._send(late)
-                again, began = {}, time.monotonic() - seconds / 2
-            left = (seconds / 2 if again else seconds) - passed
-            frame = self._bus.recv(min(_SLICE, max(0.0, left)))
-            if frame is None or now >= check_at:  # frames may come without end
-                self._check()
-                check_at = now + _SLICE
-            if frame is not None and frame.is_rx:  # not one of the driver's own, returned to it
-                self._watch(frame)
-                self._take(frame)
-                yield frame
-            # Frames in the queue count even if they are late, but not without end.
-            if waiting and passed > (seconds if frame is None else 2 * seconds):
-                names = ", ".join(map(str, sorted(waiting)[:8])) + ", ..." * (len(waiting) > 8)
-                raise LockstepError(
-                    f"robot {names} did not {what} within {seconds:g} s on {self._bus.channel_info}; is it "
-                    "there, in lockstep, with these ids and subjects?"
-                )
+        missing_robots = set(robots) - answers.keys()
+        for _ in self._receive_while_missing(
+            missing_robots, expected_answer, self._timeout, self._last_actions
+        ):
+            missing_robots.difference_update(answers)
+        return {robot: answers[robot] for robot in robots}
 
-    def _take(self, frame: can.Message) -> None:
+    def _receive_while_missing(
+        self,
+        missing_robots: set[int],
+        expected_answer: str,
+        seconds: float,
+        actions: Mapping[int, Action] | None = None,
+    ) -> Iterator[can.Message]:
+        """Receive, store and yield frames until the caller has emptied ``missing_robots``.
+
+        After half of ``seconds`` the robots that are still missing get the commands for their ``actions``
+        again: a robot follows a command that it has missed, and ignores the repetition of one that it has
+        received. Raises LockstepError, naming the missing robots, after ``seconds``; on a bus that is never
+        quiet after twice that.
+        """
+        actions_to_repeat = dict(actions or {})
+        start = time.monotonic()
+        next_check = start + _SECONDS_BETWEEN_CHECKS
+        while missing_robots:
+            now = time.monotonic()
+            seconds_waited = now - start
+            if actions_to_repeat and seconds_waited > seconds / 2:
+                late_actions = {
+                    robot: action for robot, action in actions_to_repeat.items() if robot in missing_robots
+                }
+                self.repeated += len(late_actions)
+                self._send_commands(late_actions)
+                actions_to_repeat = {}
+                # However long sending took, robots have the second half of the time for the repetition.
+                start = time.monotonic() - seconds / 2
+            seconds_to_next_step = seconds / 2 if actions_to_repeat else seconds
+            seconds_left = max(0.0, seconds_to_next_step - seconds_waited)
+            frame = self._bus.recv(min(_SECONDS_BETWEEN_CHECKS, seconds_left))
+            # On a bus that is never quiet frames come without end: the caller is asked then, too.
+            if frame is None or now >= next_check:
+                self._check()
+                next_check = now + _SECONDS_BETWEEN_CHECKS
+            if frame is not None and frame.is_rx:  # some buses return the commands sent here
+                self._watch(frame)
+                self._store_answer(frame)
+                yield frame
+            # What is already in the receive buffer still counts after the time, but not without end.
+            time_limit = seconds if frame is None else 2 * seconds
+            if missing_robots and seconds_waited > time_limit:
+                raise self._missing_error(missing_robots, expected_answer, seconds)
+
+    def _missing_error(
+        self, missing_robots: Collection[int], expected_answer: str, seconds: float
+    ) -> LockstepError:
+        """Return an error that names some of the missing robots, and what they did not do."""
+        names = ", ".join(str(robot) for robot in sorted(missing_robots)[:_MAX_ROBOTS_IN_ERROR])
+        if len(missing_robots) > _MAX_ROBOTS_IN_ERROR:
+            names += ", ..."
+        return LockstepError(
+            f"robot {names} did not {expected_answer} within {seconds:g} s on {self._bus.channel_info}; is "
+            "it there, in lockstep, with these ids and subjects?"
+        )
+
+    def _store_answer(self, frame: can.Message) -> None:
+        """Store an estimate or telemetry by its sender, and ignore every other frame.
+
+        The first of a robot is kept until the next ``observe`` or ``settle``: a faulty robot that sends more
+        cannot change what has been read.
+        """
         estimate = decode_estimate(frame, self._subjects.estimates)
         if isinstance(estimate, Estimate):
             self._estimates.setdefault(estimate.sender, estimate)

@@ -1,7 +1,8 @@
-"""Node of one robot without the bus: it obeys commands, and schedules its heartbeats.
+"""The node of one robot: it follows commands, and sends heartbeats, estimates and telemetry.
 
-The same node runs in ``mcp-asdf node``, on any bus, and in tools that predict the frames of a robot.
-``docs/frame.md`` has the rules that it follows.
+``RobotNode`` has no bus: it takes frames and returns those to send. ``BusLink`` is its connection to a bus,
+and ``run_node`` connects both. The same node runs in ``mcp-asdf node``, on any bus, and in tools that predict
+the frames of a robot. ``docs/frame.md`` has the rules that it follows.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ from mcp_asdf_tools.robots.bus_robot import BusRobot, FramesSent, Reception, Rec
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.robots.suspicion import AlphaWatch, Suspicion
 
-_RAW = ("x_hat_raw", "alpha_raw", "x_bar_raw", "beta_raw", "x_raw", "b_hat_raw")
-_FLOATS = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
+_RAW_ATTRIBUTES = ("x_hat_raw", "alpha_raw", "x_bar_raw", "beta_raw", "x_raw", "b_hat_raw")
+_STATE_ATTRIBUTES = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 
 ACCEPTANCE_MASK = 0x039F_FF80
 """Identifier bits that a receiver checks; see docs/frame.md."""
@@ -42,16 +43,20 @@ ACCEPTANCE_MASK = 0x039F_FF80
 SEND_TIMEOUT = 2.0
 """Seconds after which a bus that takes no frame counts as failed."""
 
-_SLICE = 0.1
+_MAX_WAIT = 0.1
 """Longest wait in seconds between two checks for a stop."""
 
-_MOST_AT_ONCE = 4096
-"""Upper bound on frames taken at once, so that a flood cannot starve a robot."""
+_MAX_FRAMES_AT_ONCE = 4096
+"""Frames handed over at once, so that a flood cannot keep a robot from its tick."""
 
-_PAUSE = 0.001
-"""Seconds in which a bus sends several frames."""
+_SECONDS_BETWEEN_SENDS = 0.001
+"""Pause before a full bus is tried again: time in which it sends several frames."""
+
+_SUBJECT_SHIFT = 8
+"""Lowest bit of the subject in a CAN identifier."""
 
 FrameTaker = Callable[[can.Message], None]
+"""Takes a frame that was sent or received, such as a log or a picture."""
 
 
 @dataclass(frozen=True)
@@ -69,28 +74,39 @@ class Subjects:
     commands: FrameFormat = COMMAND_FORMAT
 
     def __post_init__(self) -> None:
-        chosen = [self.estimates.subject, self.telemetry.subject, self.commands.subject]
-        if len(set(chosen)) < len(chosen):
+        subjects = [self.estimates.subject, self.telemetry.subject, self.commands.subject]
+        if len(set(subjects)) < len(subjects):
             raise UsageError(
-                f"estimates, telemetry and commands have the subjects {chosen}; choose three different ones"
+                f"estimates, telemetry and commands have the subjects {subjects}; choose three different ones"
             )
 
 
 def filters_for(*formats: FrameFormat) -> CanFilters:
-    """Filters of a connection that let only frames of these formats through."""
-    return [{"can_id": each.subject << 8, "can_mask": ACCEPTANCE_MASK, "extended": True} for each in formats]
+    """Return filters for python-can that let only frames of these formats through."""
+    return [
+        {
+            "can_id": frame_format.subject << _SUBJECT_SHIFT,
+            "can_mask": ACCEPTANCE_MASK,
+            "extended": True,
+        }
+        for frame_format in formats
+    ]
 
 
 class RobotNode:
-    """A robot that obeys commands: its methods return the frames to send now, in order.
+    """A robot that follows commands: its methods return the frames to send now, in order.
+
+    A tick begins when the robot observes, and ends when it settles. In the last tick of a round settling also
+    makes the robot use the estimates of its neighbours that it has received in the round.
 
     Attributes:
         bus_robot: The robot, which the node drives.
         subjects: Formats of the messages.
-        is_settled: Whether the last tick has ended.
+        is_settled: Whether the last tick has ended; true before the first.
         obeyed: Number of commands followed.
-        disobeyed: Number of commands for this robot that the rules did not let it follow.
-        unsettled: Number of ticks ended by the next one, since no *settle* had come.
+        disobeyed: Number of commands for this robot that the rules of ``docs/frame.md`` did not let it
+            follow.
+        unsettled: Number of ticks that ended only when the next one began, since no *settle* had come.
     """
 
     def __init__(
@@ -101,19 +117,31 @@ class RobotNode:
         recorder: Recorder | None = None,
         make: Callable[[], Robot] | None = None,
     ) -> None:
-        """Start a robot, with the firmware that ``make`` returns in place of the setup's.
+        """Create the robot. Nothing is sent yet: see ``start``.
 
-        A heartbeat is due every ``steps_per_second`` ticks, 1 or more. Raises as ``BusRobot``.
+        Args:
+            setup: How the robot starts.
+            subjects: Formats of the messages; None for the default ones.
+            steps_per_second: Ticks from one heartbeat to the next, 1 or more.
+            recorder: Takes the robot's events; None to record none.
+            make: Returns the firmware, in place of the one that the setup names.
+
+        Raises:
+            UsageError: If the setup's firmware is not available here.
+            FirmwareError: If the firmware refuses the setup.
         """
         self.subjects = subjects or Subjects()
         self.bus_robot = BusRobot(
             setup, self.subjects.estimates, recorder, self.subjects.telemetry, make_firmware=make
         )
         self.is_settled = True
-        self.obeyed = self.disobeyed = self.unsettled = 0
+        self.obeyed = 0
+        self.disobeyed = 0
+        self.unsettled = 0
         self._steps_per_second = steps_per_second
         self._alpha_watch = AlphaWatch()
         self._tick_of_command: int | None = None
+        """Number of the tick that the last command began; None before the first."""
 
     @property
     def id(self) -> int:
@@ -150,9 +178,11 @@ class RobotNode:
         return [self.bus_robot.heartbeat(self._now)]
 
     def observe(self, z: Observation | None) -> list[can.Message]:
-        """Begin a tick, with an observation or without: return the heartbeat and the broadcast that are due.
+        """Begin a tick, with the observation ``z`` or, if it is None, without one.
 
-        A tick that is still open ends first, without an answer.
+        Returns a heartbeat if a second of ticks has passed since the last, then the robot's estimate if its
+        round is over; an empty list if neither. A tick that is still open ends first, without telemetry, and
+        counts as unsettled.
         """
         if not self.is_settled:
             self.unsettled += 1
@@ -162,19 +192,26 @@ class RobotNode:
         # The heartbeat that is due before the first tick has been sent by start().
         if self.ticks > 0 and self.bus_robot.is_heartbeat_due(self._steps_per_second):
             frames.append(self.bus_robot.heartbeat(self._now))
+        # Beginning a tick advances the node's time: frames of this tick are stamped with its start.
         time_before_tick = self._now
-        if self.bus_robot.observe(z):
+        is_broadcast_due = self.bus_robot.observe(z)
+        if is_broadcast_due:
             frames.append(self.bus_robot.broadcast(time_before_tick))
         return frames
 
     def settle(self) -> list[can.Message]:
-        """End the tick, and return the answer, which is telemetry."""
+        """End the tick, and return one frame, the telemetry of the state after it."""
         self.bus_robot.settle()
         self.is_settled = True
         return [self.bus_robot.telemetry(self._now)]
 
     def hear(self, frame: can.Message) -> list[can.Message]:
-        """Receive any frame that this node has not sent itself, and return the answers to a command."""
+        """Receive any frame that this node has not sent itself, and return the frames that answer it.
+
+        Only commands that the robot follows have answers, see ``observe`` and ``settle``. An estimate goes to
+        the robot, and also to the recorder if another node sent it under this robot's id. Any other frame is
+        counted as rejected.
+        """
         content = decode_estimate(frame, self.subjects.estimates)
         if isinstance(content, Estimate):
             if content.sender == self.id and self.bus_robot.recorder is not None:
@@ -190,7 +227,11 @@ class RobotNode:
         return []
 
     def figures(self) -> dict[str, Any]:
-        """Return the counts of frames sent and received so far as plain values, for JSON."""
+        """Return the counts of frames sent and received so far as plain values, for JSON.
+
+        Keys are ``estimates_sent``, ``heartbeats_sent`` and ``telemetry_sent``, the attributes of this class
+        and of ``Reception`` by name, and ``events``: a list of suspicious events with kind, sender and count.
+        """
         return {
             **{f"{kind}_sent": count for kind, count in vars(self.sent).items()},
             "delivered": self.reception.delivered,
@@ -207,21 +248,27 @@ class RobotNode:
         }
 
     def _receive(self, estimate: Estimate) -> None:
-        """Hand an estimate to the robot, and count it if its alpha is suspicious."""
+        """Hand an estimate to the robot, and count it as suspicious if the sender's confidence jumps.
+
+        ``suspicion.AlphaWatch`` defines the jump. A suspicious estimate reaches the robot all the same.
+        """
         if self._alpha_watch.is_jump(estimate.sender, estimate.alpha):
             self.reception.events[Suspicion.JUMP, estimate.sender] += 1
         self.bus_robot.receive(estimate)
 
     def _obey(self, command: Command) -> list[can.Message]:
-        """Follow a command for this robot and return the answers, or count it as disobeyed.
+        """Follow a command and return the answers; count it as disobeyed and return none if it is out of
+        turn.
 
-        The rules: *settle* ends the tick that its number began, and no other; an observation begins a tick,
-        unless the tick with its number is still open, since then it is a repetition.
+        A *settle* ends the tick with its number, and no other. A command to observe begins a tick, unless the
+        tick with its number is still open, since then it is a repetition. Commands for other robots are
+        ignored.
         """
         if command.target not in (self.id, EVERY_ROBOT):
             return []
         is_settle = command.action is Action.SETTLE
         is_tick_open = not self.is_settled and command.tick == self._tick_of_command
+        # Both rules in one: to settle the tick must be open, to observe it must not.
         if is_settle != is_tick_open:
             self.disobeyed += 1
             return []
@@ -238,11 +285,15 @@ class RobotNode:
 
 
 def state_of(node: RobotNode) -> dict[str, Any]:
-    """A robot's estimates and counters as plain values, for JSON; with raw ones if the firmware has any."""
+    """Return a robot's estimates and counters as plain values, for JSON.
+
+    The keys are the names of the estimates, ``counters`` and, if the firmware computes in fixed point,
+    ``raw`` with the integers behind the estimates.
+    """
     robot = node.robot
-    state: dict[str, Any] = {name: getattr(robot, name) for name in _FLOATS}
+    state: dict[str, Any] = {name: getattr(robot, name) for name in _STATE_ATTRIBUTES}
     if isinstance(robot, FixedPointRobot):
-        state["raw"] = {name.removesuffix("_raw"): getattr(robot, name) for name in _RAW}
+        state["raw"] = {name.removesuffix("_raw"): getattr(robot, name) for name in _RAW_ATTRIBUTES}
     return state | {"counters": asdict(node.counters)}
 
 
@@ -259,9 +310,9 @@ class BusLink:
 
     Attributes:
         bus: The connection; its filters should pass only frames that the node needs.
-        should_stop: Checked while waiting.
-        endures: Whether to go on when the bus fails, as in real time. A bus that is gone ends the run.
-        log: Takes all frames sent and received; they are stamped with the time of day.
+        should_stop: Called before each read; if it returns true, the read raises Stopped.
+        endures: Whether to go on when the bus fails, as in real time. A bus that is gone ends the run anyway.
+        log: Takes all frames sent and received, stamped with the time of day; None for no log.
         failures: How often sending or receiving failed.
         last_failure: Failure of the last attempt; None if it succeeded.
     """
@@ -274,9 +325,10 @@ class BusLink:
     last_failure: can.CanError | None = None
 
     def send(self, frame: can.Message) -> bool:
-        """Put a frame on the bus; returns whether that succeeded.
+        """Put a frame on the bus, log it, and return whether the bus took it.
 
-        Raises can.CanError if it failed and the link does not endure, and BusGoneError in any case.
+        A failure is counted. It raises can.CanError unless the link endures failures, and BusGoneError in any
+        case if the bus is gone.
         """
         try:
             self.bus.send(frame, timeout=SEND_TIMEOUT)
@@ -290,13 +342,14 @@ class BusLink:
         return True
 
     def receive(self, seconds: float) -> can.Message | None:
-        """A frame of another node, if one comes within ``seconds``, or within the next tenth of a second.
+        """Wait for a frame of another node, at most ``seconds`` and at most a tenth of a second.
 
-        Raises Stopped if the node was asked to stop, can.CanError as ``send``.
+        Returns None if no frame came, the bus failed and the link endures it, or the frame was one that this
+        node sent. Raises Stopped if the node was asked to stop, can.CanError as ``send``.
         """
         if self.should_stop():
             raise Stopped
-        seconds = min(seconds, _SLICE)
+        seconds = min(seconds, _MAX_WAIT)
         try:
             frame = self.bus.recv(seconds)
         except can.CanError as error:
@@ -311,15 +364,18 @@ class BusLink:
         return frame
 
     def catch_up(self, take: FrameTaker) -> None:
-        """Hand over waiting frames, since a late clock leaves no time to listen."""
-        for _ in range(_MOST_AT_ONCE):
+        """Hand the frames that wait in the receive buffer to ``take``, up to 4096 of them, without waiting.
+
+        A node whose ticks are late calls this, as it has no time left to wait for frames.
+        """
+        for _ in range(_MAX_FRAMES_AT_ONCE):
             frame = self.receive(0)
             if frame is None:
                 return
             take(frame)
 
     def _count_failure(self, error: can.CanError) -> None:
-        """Count a failure, and raise it unless the link endures it."""
+        """Count and remember a failure; raise it if the bus is gone or the link does not endure failures."""
         self.failures += 1
         self.last_failure = error
         if not self.endures or isinstance(error, BusGoneError):
@@ -346,30 +402,36 @@ class RunOutcome:
 def run_node(
     node: RobotNode, link: BusLink, ticks: int | None = None, watch: Callable[[], None] = lambda: None
 ) -> RunOutcome:
-    """Let a node follow commands for ``ticks`` ticks, or for any number if None.
+    """Let a node follow commands until it has done ``ticks`` ticks, or without end if None.
 
-    ``watch`` is called regularly. The run ends early when the link is asked to stop or fails.
+    ``watch`` is called after each wait for a frame, at least ten times per second. The run ends early when
+    the link is asked to stop, on Ctrl-C, or when the bus fails; the result says which. Only a run with a
+    number of ticks counts as interrupted by a stop: the other has no other end.
     """
     outcome = RunOutcome("all ticks done")
     try:
         for frame in node.start():
             link.send(frame)
         while not node.is_settled or ticks is None or node.ticks < ticks:
-            heard = link.receive(_SLICE)
-            for answer in [] if heard is None else node.hear(heard):
-                link.send(answer)
+            received_frame = link.receive(_MAX_WAIT)
+            if received_frame is not None:
+                for answer in node.hear(received_frame):
+                    link.send(answer)
             watch()
     except (Stopped, KeyboardInterrupt):
-        outcome.ending, outcome.is_interrupted = "stopped", ticks is not None
+        outcome.ending = "stopped"
+        outcome.is_interrupted = ticks is not None
     except can.CanError as error:
-        outcome.ending, outcome.has_failed = f"the bus failed: {error}", True
+        outcome.ending = f"the bus failed: {error}"
+        outcome.has_failed = True
     return outcome
 
 
 def send_all(bus: can.BusABC, frames: Iterable[can.Message], timeout: float) -> None:
     """Put ``frames`` on the bus in order, waiting while its queue is full.
 
-    Raises can.CanError if it takes no frame for ``timeout`` seconds, or fails otherwise.
+    Raises can.CanTimeoutError if the bus takes no frame for ``timeout`` seconds, and can.CanError if it fails
+    otherwise; the frames before have been sent then.
     """
     for frame in frames:
         deadline = time.monotonic() + timeout
@@ -378,8 +440,9 @@ def send_all(bus: can.BusABC, frames: Iterable[can.Message], timeout: float) -> 
                 bus.send(frame, timeout=timeout)
                 break
             except can.CanOperationError as error:
+                # Linux reports a full queue with this code at once, whatever the timeout.
                 if error.error_code != errno.ENOBUFS:
                     raise
                 if time.monotonic() > deadline:
                     raise can.CanTimeoutError(f"the bus took no frame for {timeout:g} s") from error
-                time.sleep(_PAUSE)
+                time.sleep(_SECONDS_BETWEEN_SENDS)
