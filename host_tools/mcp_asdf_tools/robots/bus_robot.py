@@ -1,6 +1,7 @@
 """One robot of a bus, without the bus: the frames that it sends, and what it does with those it receives.
 
-A tick is ``observe``, then ``broadcast`` if that is due, any number of frames received, and ``settle``. The
+A tick is ``observe``, then ``broadcast`` if the robot's round is over, any number of frames received, and
+``settle``, which ends the tick and, at the end of a round, makes the firmware use what it has received. The
 robots of a swarm, the neighbours of a real controller and the node of a process are all driven this way; they
 differ in when heartbeats and telemetry are due, and in what carries the frames.
 """
@@ -45,7 +46,18 @@ from mcp_asdf_tools.robots.suspicion import Suspicion, Suspicions
 EstimateRows: TypeAlias = NDArray[np.uint32]
 """Estimates for a firmware, shape (estimates, 3): sender, x_hat and alpha, as ``bus.frames.Estimate``."""
 
+_SENDER_COLUMN = 0
+"""Column of the sender in ``EstimateRows``."""
+
 _COUNTER_MODULUS = 2**16
+"""Number of values of a counter in the firmware, which wraps: it has 16 bits."""
+
+_B_HAT_UNITS = 2**24
+"""Units of b_hat in telemetry that make 1."""
+
+_UPDATE_COUNT_MODULUS = 2**8
+"""Number of values of the updates in telemetry, which wrap."""
+
 _TICKS_BETWEEN_COUNTS = 64
 """Few enough for 1000 messages a tick: a counter must not gain 2**16 unseen."""
 
@@ -76,7 +88,8 @@ class Reception:
     Attributes:
         delivered: Estimates handed to the firmware.
         refused: Those among them that the firmware did not accept (repeated or invalid).
-        strays: Legal estimates from outside the swarm: another program uses the subject.
+        strays: Valid estimates from outside the swarm, which the firmware does not get: another program uses
+            the same subject.
         heartbeats: Heartbeats.
         telemetry: Telemetry, that of other processes' robots included.
         errors: Error frames.
@@ -104,6 +117,7 @@ class Reception:
         return self._count_events(Suspicion.UNKNOWN)
 
     def _count_events(self, suspicion: Suspicion) -> int:
+        """Return the number of events of this kind, from all senders."""
         return sum(count for (kind, _), count in self.events.items() if kind is suspicion)
 
 
@@ -226,7 +240,8 @@ class BusRobot:
             self.recorder.record_settle()
 
     def _update_counters(self) -> None:
-        """Add what the firmware's counters, which wrap, have gained since the last call."""
+        """Add what the firmware's counters, which wrap at 2**16, have gained since the last call."""
+        # Modulo 2**16 the own counts equal the firmware's of the last call, so the difference is the gain.
         firmware_counts = vars(self.robot.counters)
         self._counters = Counters(
             **{
@@ -259,27 +274,43 @@ class BusRobot:
         return encode_heartbeat(Heartbeat(self.id, uptime, uptime % TRANSFER_IDS), timestamp=now)
 
     def telemetry(self, now: float) -> can.Message:
-        """Return a frame with the robot's present state, stamped ``now`` (seconds), and count it."""
-        b_hat = min(max(int(self.robot.b_hat * 2**24), MIN_B_HAT), MAX_B_HAT)
-        updates = self.robot.counters.updates % 256
+        """Return a frame with the robot's present state, stamped ``now`` (seconds), and count it.
+
+        It holds x, the robot's informed estimate of the share of black tiles, b_hat, the accuracy that it
+        assumes of its sensor, and modulo 256 the number of times it has re-estimated b_hat.
+        """
+        x = int(self.robot.x * Q23_ONE)
+        # A robot that computes in float64 may be nearer to 0 or 1 than telemetry allows. x may be both.
+        b_hat = min(max(int(self.robot.b_hat * _B_HAT_UNITS), MIN_B_HAT), MAX_B_HAT)
+        updates = self.robot.counters.updates % _UPDATE_COUNT_MODULUS
         transfer_id = self.sent.telemetry % TRANSFER_IDS
         self.sent.telemetry += 1
-        telemetry = Telemetry(self.id, int(self.robot.x * Q23_ONE), b_hat, updates, transfer_id)
+        telemetry = Telemetry(self.id, x, b_hat, updates, transfer_id)
         return encode_telemetry(telemetry, self._telemetry_format, now)
 
     # --- Frames received ---
 
     def receive_frames(self, frames: Sequence[can.Message]) -> None:
-        """Hand the estimates among frames of other nodes to the firmware, in order, and count the others."""
-        no_bit_flips = np.zeros(len(frames), np.uint64)
+        """Hand the estimates among frames of other nodes to the firmware, in order, and count the others.
+
+        All estimates are handed over before the other frames are counted. A robot that has crashed receives
+        nothing.
+        """
+        no_bit_flips = np.zeros(len(frames), np.uint64)  # the data arrived as it is, without injected faults
         decoded = decode_estimates(frames, self._estimate_format, no_bit_flips)
         self.receive_all(decoded.rows[decoded.is_estimate])
         for frame, is_estimate in zip(frames, decoded.is_estimate.tolist(), strict=True):
             if not is_estimate:
+                # The array decoder is fast but gives no reason: the few other frames are decoded again.
                 self.count_content(decode_frame(frame, self._estimate_format))
 
     def receive(self, estimate: Estimate) -> None:
-        """Hand one estimate to the firmware, if its sender is allowed or the robot itself. O(1)."""
+        """Hand one estimate to the firmware, and count it and its refusal. O(1).
+
+        An estimate whose sender is not allowed is only counted, as the event UNKNOWN. One under the robot's
+        own id always reaches the firmware, which refuses it, and counts as the event CONFLICT. A robot that
+        has crashed receives nothing.
+        """
         if not self.is_alive:
             return
         sender = estimate.sender
@@ -291,15 +322,17 @@ class BusRobot:
         self.reception.delivered += 1
         if self._port.receive_raw(sender, estimate.x_hat, estimate.alpha) is not Status.OK:
             self.reception.refused += 1
-            self._count_conflicts(int(sender == self.id))
+            if sender == self.id:
+                self._count_id_conflicts(1)
 
     def receive_all(self, estimates: EstimateRows) -> None:
         """Hand many estimates to the firmware in order, as ``receive`` does with one. O(estimates)."""
         if not self.is_alive:
             return
         if self._is_allowed is not None:
-            is_allowed = self._is_allowed[estimates[:, 0]]
-            for sender in estimates[~is_allowed, 0].tolist():
+            senders = estimates[:, _SENDER_COLUMN]
+            is_allowed = self._is_allowed[senders]
+            for sender in senders[~is_allowed].tolist():
                 self.reception.events[Suspicion.UNKNOWN, sender] += 1
             estimates = estimates[is_allowed]
         if self.recorder is not None and len(estimates):
@@ -310,15 +343,19 @@ class BusRobot:
         if accepted_count < received_count:
             self.reception.refused += received_count - accepted_count
             # The firmware refuses all that come under its own id.
-            self._count_conflicts(estimates[:, 0].tolist().count(self.id))
+            self._count_id_conflicts(int(np.count_nonzero(estimates[:, _SENDER_COLUMN] == self.id)))
 
-    def _count_conflicts(self, count: int) -> None:
-        """Count estimates that another node sent under the robot's id."""
-        if count:
+    def _count_id_conflicts(self, count: int) -> None:
+        """Count ``count`` estimates that another node sent under the robot's id."""
+        if count:  # an entry of 0 would be reported as an event
             self.reception.events[Suspicion.CONFLICT, self.id] += count
 
     def count_content(self, content: FrameContent, frame_count: int = 1) -> None:
-        """Count frames with this content, unless it is an estimate or a command."""
+        """Add ``frame_count`` frames with this content to the counter of ``reception`` for their kind.
+
+        Heartbeats, telemetry and error frames have one each, and rejected frames one for each reason.
+        Estimates and commands are not counted here, and a robot that has crashed counts nothing.
+        """
         if not self.is_alive:
             return
         if isinstance(content, Heartbeat):
@@ -331,22 +368,28 @@ class BusRobot:
             self.reception.rejected[content] += frame_count
 
     def count_foreign_frame(self, frame: can.Message) -> None:
-        """Count a frame from outside the swarm; the firmware does not get it."""
+        """Count a frame that no robot of the swarm has sent. The firmware does not get it.
+
+        An estimate counts as a stray and, under the robot's own id, also as an id conflict; other frames are
+        counted by ``count_content``. A robot that has crashed counts nothing.
+        """
         content = decode_frame(frame, self._estimate_format)
         if not isinstance(content, Estimate):
             self.count_content(content)
         elif self.is_alive:
             self.reception.strays += 1
-            self._count_conflicts(int(content.sender == self.id))
+            if content.sender == self.id:
+                self._count_id_conflicts(1)
 
 
 class RoundingPort:
-    """Integers of a robot that computes in float64: x_hat is rounded to nearest, alpha down as codecs do.
+    """Adapter that gives a robot which computes in float64 the integers of ``FixedPointRobot``.
 
-    Its members are those of ``FixedPointRobot``.
+    x_hat is rounded to the nearest integer, alpha down, as the codecs of frames do.
     """
 
     def __init__(self, robot: Robot) -> None:
+        """Wrap ``robot``, which keeps its state."""
         self._robot = robot
 
     @property
@@ -356,11 +399,14 @@ class RoundingPort:
 
     @property
     def alpha_raw(self) -> int:
-        """Local confidence to broadcast, as an alpha word."""
+        """Local confidence to broadcast, as an alpha word: mantissa and shift in 32 bits."""
         return alpha_word_from_float(self._robot.alpha)
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Hand a neighbour's estimate to the robot; an invalid one gives its status, no exception."""
+        """Hand a neighbour's estimate to the robot, and return its status: OK, or why it was refused.
+
+        ``x_hat`` is in units of 2**-23, ``alpha`` an alpha word. An invalid estimate raises no exception.
+        """
         try:
             return self._robot.receive(sender, x_hat / Q23_ONE, alpha_from_word(alpha))
         except FirmwareError as error:

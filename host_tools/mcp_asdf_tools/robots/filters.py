@@ -1,7 +1,9 @@
 """The filters that a swarm can have: which robots re-estimate their assumed accuracy, and by which test.
 
-`FILTERS` holds one object a filter, with all that the tools know of it. To add a filter to the tools, add an
-object here.
+A robot with a filter tests its neighbours' estimates against its own every ``filter_period`` steps, and
+re-estimates b_hat, the accuracy that it assumes of its sensor, if the test rejects. `FILTERS` holds one
+object for each filter, with all that the tools know of it. To add a filter to the tools, add an object here.
+The words "firmware filter" mean a value of ``mcp_asdf.robot.Filter``, which one robot's firmware is set to.
 """
 
 from __future__ import annotations
@@ -39,9 +41,10 @@ class SwarmFilter:
         description: Line for reports: the term, and which robots of the swarm recalibrate.
         robot_description: The same of a single robot, of which nobody knows whether it is flawed.
         filtering_robots: The robots that re-estimate b_hat.
-        firmware_filter: The C's value in these robots, in the others it is off.
-        firmware_filter_without_test: The same if ``activation`` is always; None for a filter that has no such
-            mode.
+        firmware_filter: Firmware filter of these robots; all others have ``Filter.OFF``.
+        firmware_filter_without_test: Firmware filter of these robots if ``activation`` is always: if they
+            re-estimate b_hat at each filter step, whatever a test would say. None for a filter without
+            this mode.
         order_matters: Whether a robot's state depends on the order in which it receives the messages of a
             round.
         colour: Colour of its first series in a picture, as ``#rrggbb``; None for the next free one of the
@@ -75,20 +78,23 @@ class SwarmFilter:
 
     @property
     def active_firmware_filters(self) -> set[Filter]:
-        """The C's values that the filter may set in the robots that it is on for."""
+        """Firmware filters, one for each activation, that robots which re-estimate b_hat may have."""
         values = {self.firmware_filter}
         if self.firmware_filter_without_test is not None:
             values.add(self.firmware_filter_without_test)
         return values
 
     def applies_to(self, is_flawed: bool) -> bool:
-        """Return whether a robot re-estimates b_hat, by whether it is flawed."""
+        """Return whether a robot re-estimates b_hat: with ASDF- only one that is flawed does.
+
+        A robot is flawed if its b_hat is wrong at the start.
+        """
         return self.filtering_robots is FilteringRobots.ALL or (
             self.filtering_robots is FilteringRobots.FLAWED and is_flawed
         )
 
     def firmware_filter_of(self, is_flawed: bool, activation: Activation) -> Filter:
-        """Return the C's value of the filter in a robot, by whether the robot is flawed."""
+        """Return the firmware filter of a robot; ``Filter.OFF`` if it does not re-estimate b_hat."""
         if not self.applies_to(is_flawed):
             return Filter.OFF
         if activation == "always" and self.firmware_filter_without_test is not None:
@@ -165,8 +171,12 @@ FILTERS: dict[str, SwarmFilter] = {
 
 
 def filter_of_one_robot(firmware_filter: Filter) -> SwarmFilter:
-    """Return the filter that gives every robot of a swarm this C value."""
+    """Return the filter that gives every robot of a swarm this firmware filter.
+
+    Raises ValueError if there is none.
+    """
     for swarm_filter in FILTERS.values():
+        # With ASDF- the robots that are not flawed have Filter.OFF: it has no value for every robot.
         has_one_value = swarm_filter.filtering_robots is not FilteringRobots.FLAWED
         if has_one_value and firmware_filter in swarm_filter.active_firmware_filters:
             return swarm_filter
@@ -174,7 +184,7 @@ def filter_of_one_robot(firmware_filter: Filter) -> SwarmFilter:
 
 
 def describe_filters(firmware_filters: Iterable[Filter]) -> str:
-    """Describe for reports, in ASCII, which robots recalibrate and how, from the C value of each robot.
+    """Describe for reports, in ASCII, which robots recalibrate and how, by the firmware filter of each.
 
     A single robot has "ASDF", since only a swarm can have ASDF- or ASDF+.
     """
@@ -191,7 +201,7 @@ def describe_filters(firmware_filters: Iterable[Filter]) -> str:
 
 
 def _could_set(swarm_filter: SwarmFilter, values: Collection[Filter]) -> bool:
-    """Return whether the robots of a swarm with this filter may have these C values, and no others."""
+    """Return whether the robots of a swarm with this filter may have exactly these firmware filters."""
     active_values = set(values) - {Filter.OFF}
     if not swarm_filter.is_on:
         return not active_values

@@ -161,17 +161,33 @@ def _check_periods(comms_period: int, filter_period: int) -> None:
 
 
 def _plain_table(table: Table) -> dict[str, Any]:
-    """Return what a table is generated from, and its checksum. Raises UsageError as ``RobotSetup.plain``."""
+    """Return the values that a t-table is generated from, with the checksum of the table, for JSON.
+
+    Keys: ``omega``, the type II error probability of the test, as a decimal text; ``q``, the number of
+    neighbours with an exact threshold; ``checksum``. Raises UsageError if omega has more than 9 decimal
+    places, which no table generated here has.
+    """
+    # Without such an omega the table could not be generated again.
     omega = omega_from_word(table.omega_word)
     if omega is None:
         raise UsageError(f"the t-table's omega is {table.omega}; make one with mcp-asdf table")
-    return {"omega": str(omega), "q": table.q, "checksum": table.words()[-1]}
+    return {"omega": str(omega), "q": table.q, "checksum": _checksum_of(table)}
+
+
+def _checksum_of(table: Table) -> int:
+    """Return the checksum of a t-table: the last of its 32-bit words."""
+    *_, table_checksum = table.words()
+    return table_checksum
 
 
 def _table_from_plain(plain_table: Any, robot_id: Any) -> Table:
-    """Generate the table of plain values. Raises UsageError if its checksum is another."""
+    """Generate the t-table that ``_plain_table`` has described.
+
+    Raises UsageError, naming the robot, if the generated table has another checksum than the one recorded in
+    ``plain_table``: the robot would not be the same.
+    """
     table = generate(Decimal(plain_table["omega"]), plain_table["q"])
-    checksum = table.words()[-1]
+    checksum = _checksum_of(table)
     if checksum != plain_table["checksum"]:
         raise UsageError(
             f"the t-table of robot {robot_id} has checksum {plain_table['checksum']}, "

@@ -42,8 +42,8 @@ _BATCH_SIZE = 64
 """Frames sent between two reads: a socket of usual size holds more than 200."""
 
 _MAX_READS_AFTER_DEADLINE = 4096
-"""What waits in the receive buffer at the deadline is still read, but a flood that keeps filling the buffer
-must not hold up the swarm."""
+"""Frames that are read after a deadline. They arrived in time, and waited in the receive buffer only because
+this process was slow; but a flood that keeps filling the buffer must not hold up the swarm."""
 
 _MAX_FRAMES_IN_ERROR = 8
 """Missing frames that an error names."""
@@ -124,8 +124,9 @@ class ExpectingConnection:
         missing = [awaited[index] for index in missing_indices]
         if missing and timeout is None:
             raise self._loss_error(missing)
-        # Frames that were overdue already have been counted by an earlier call.
-        self.missed_count += sum(index >= len(self._overdue) for index in missing_indices)
+        # The overdue frames are the first in ``awaited``, and an earlier call has counted them as missed.
+        newly_missing_indices = [index for index in missing_indices if index >= len(self._overdue)]
+        self.missed_count += len(newly_missing_indices)
         self._overdue = missing
         return [received[index] for index in sorted(received)]
 

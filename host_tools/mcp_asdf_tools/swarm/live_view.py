@@ -79,7 +79,10 @@ class LiveView:
         )
 
     def _print_updates(self, swarm: Swarm) -> None:
-        """Print a line for each robot that has re-estimated its b_hat in this tick."""
+        """Print a line for each robot that has re-estimated b_hat, its assumed accuracy, in this tick.
+
+        The line, with tabs, is such as ``robot 3 step 50 b_hat 0.9000 0.8123``: the value before and after.
+        """
         b_hat_before = self._last_b_hat or swarm.b_hat_at_start
         self._last_b_hat = [node.robot.b_hat for node in swarm.nodes]
         for robot, (old_b_hat, new_b_hat) in enumerate(zip(b_hat_before, self._last_b_hat, strict=True)):
@@ -88,7 +91,11 @@ class LiveView:
                 self._print("robot", robot, "step", swarm.ticks, "b_hat", *b_hat_change)
 
     def _print_mean_errors(self, swarm: Swarm) -> None:
-        """Print a line with the present mean errors of the swarm and its baselines."""
+        """Print a line such as ``step 50 mean_error 0.01234 none 0.04321``, with tabs in place of spaces.
+
+        The error of each baseline, the same swarm run with another filter, follows the filter's name. Without
+        baselines the line ends after the swarm's own error.
+        """
         fields = ["step", swarm.ticks, "mean_error", f"{mean_error(swarm):.5f}"]
         if self._baselines is not None:
             for baseline_filter, error in self._baselines.mean_errors().items():

@@ -145,12 +145,16 @@ def results_of(swarm: Swarm) -> dict[str, Any]:
 
 
 def mean_error(swarm: Swarm) -> float:
-    """Return the present mean of |x - f| over the robots."""
+    """Return the mean over the robots of |x - f|: the distance of estimates from the share of black tiles."""
     return fmean(abs(node.robot.x - swarm.settings.fill_ratio) for node in swarm.nodes)
 
 
 def _b_hat_before_and_after(swarm: Swarm, robots: Sequence[int]) -> dict[str, Any] | None:
-    """Return the mean b_hat of some robots at the start and at present; None if there are no such robots."""
+    """Return how b_hat, the accuracy that robots assume of their sensors, has changed in a group of robots.
+
+    Keys: ``robots``, their number; ``before`` and ``after``, the mean at the start and at present;
+    ``after_min`` and ``after_max``, the extremes at present. Returns None for an empty group.
+    """
     if not robots:
         return None
     b_hat_now = [swarm.nodes[robot].robot.b_hat for robot in robots]
@@ -164,7 +168,12 @@ def _b_hat_before_and_after(swarm: Swarm, robots: Sequence[int]) -> dict[str, An
 
 
 def _robot_results(swarm: Swarm, node: BusRobot) -> dict[str, Any]:
-    """Return the results of one robot as plain values."""
+    """Return the results of one robot as plain values, for JSON.
+
+    ``delivered``, ``refused`` and ``rejected`` count received frames as ``Reception`` does; ``t`` is the
+    number of observations, ``x`` the estimate, ``b_hat`` the assumed accuracy. ``tests`` is None for a remote
+    robot.
+    """
     reception, counters = node.reception, node.counters
     return {
         "id": node.id,

@@ -18,7 +18,10 @@ Row = tuple[str, str]
 
 
 def summary(run: SwarmRun, bus: str, seconds: float) -> list[Row]:
-    """Return the lines of a summary of a run on ``bus`` that took this time."""
+    """Return a summary of a run as lines, each a pair of its name and its text.
+
+    ``bus`` is a description of the bus, ``seconds`` the time that the run took.
+    """
     results, settings, frames = run.results, run.settings, run.results["frames"]
     b_hat, b = results["b_hat"], settings.true_accuracy
     tests = "an unknown number of" if results["tests"] is None else results["tests"]
@@ -129,7 +132,10 @@ def _b_hat_change(change: dict[str, float] | None, true_accuracy: float) -> str:
 
 
 def _fault_lines(results: dict[str, Any]) -> Iterator[Row]:
-    """Yield how much of the traffic arrived, and how often each fault hit; nothing without faults."""
+    """Yield lines, pairs of name and text: how much of the traffic arrived, and how often each fault hit.
+
+    Yields nothing without faults.
+    """
     if not results["faults"]:
         return
     frames = results["frames"]
@@ -141,7 +147,10 @@ def _fault_lines(results: dict[str, Any]) -> Iterator[Row]:
 
 
 def _reception_lines(results: dict[str, Any]) -> Iterator[Row]:
-    """Yield what robots rejected or refused, and which ids had two nodes; nothing if all was well."""
+    """Yield lines, pairs of name and text, for robots that rejected or refused frames, and for id conflicts.
+
+    Yields nothing if robots accepted all frames, and no other node sent under their ids.
+    """
     for robot in results["robots"]:
         reasons = [f"{count} {reason}" for reason, count in robot["rejected"].items()]
         if robot["refused"]:
@@ -154,7 +163,7 @@ def _reception_lines(results: dict[str, Any]) -> Iterator[Row]:
 
 
 def _clock_lines(results: dict[str, Any]) -> Iterator[Row]:
-    """Yield how late ticks and frames were in real time; nothing in lockstep."""
+    """Yield one line, a pair of name and text: how late ticks and frames were; nothing in lockstep."""
     clock = results["clock"]
     if clock is None:
         return

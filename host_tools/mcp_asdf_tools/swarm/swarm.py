@@ -2,8 +2,9 @@
 
 In one tick all robots observe, those whose round is over broadcast, all receive what the carrier brings them,
 and all settle: the paper's Algorithm 1 with latency 0. Most robots are emulated here. Remote ones run in
-other programs, driven by commands over their bus; one robot may be external: its frames come from outside,
-and whoever calls this class passes them on.
+other programs, driven by commands over their bus. One robot may be external: this class does not drive it,
+and its frames come from outside, by whoever calls this class. To settle is to end a tick and, in the last
+tick of a round, to use the estimates that were received in the round.
 
 In lockstep a tick ends only when every frame has arrived that no fault has taken away. A run then depends on
 its settings alone, not on the timing of a bus.
@@ -11,7 +12,7 @@ its settings alone, not on the timing of a bus.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import can
@@ -165,10 +166,13 @@ class Swarm:
         self.finish_tick()
 
     def begin_tick(self) -> dict[int, Observation | None]:
-        """Let all robots observe and send, and return the observations by id, an external robot's included.
+        """Let all robots observe and send, and return the observations of this tick by id.
 
-        Raises SwarmError if the bus loses a frame in lockstep, LockstepError if a remote robot does not
-        answer, and can.CanError if the bus does not take a frame. The swarm cannot go on after these.
+        An external robot, whose frames come from outside, has its observation in the result but does not send
+        here. An observation is None if the robot has none in this tick. Faults may crash robots, and drop,
+        change or add frames; traffic is counted. Raises SwarmError if the bus loses a frame in lockstep,
+        LockstepError if a remote robot does not answer, and can.CanError if the bus does not take a frame.
+        The swarm cannot go on after these.
         """
         if self.clock is not None:
             self.clock.begin(self.ticks)
@@ -177,10 +181,10 @@ class Swarm:
         self._alive_nodes = [node for node in self._local_nodes if self._survives(node)]
 
         # Telemetry has the state before this tick, so that it is made before robots observe.
-        reports = list(self._reports())
-        estimates = [*self._local_estimates(observations), *self._remote_frames(observations)]
+        reports = self._make_reports()
+        estimates = self._observe_locally(observations) + self._observe_remotely(observations)
         # To the robust filter the order of estimates matters: by rising id, wherever the robots run.
-        estimates.sort(key=lambda robot_frame: robot_frame[0].id)
+        estimates.sort(key=_sender_id)
 
         self._frames_of_tick = []
         self._send_extra_frames(before_others=True)
@@ -219,37 +223,54 @@ class Swarm:
             node.crash(loses_state=outage.loses_state)
         return node.is_alive
 
-    def _reports(self) -> Iterator[RobotFrame]:
-        """Yield the heartbeats of this tick, then telemetry of the state before it."""
+    def _make_reports(self) -> list[RobotFrame]:
+        """Return heartbeats of this tick, then telemetry of the state before it, and count both as sent."""
+        reports: list[RobotFrame] = []
         for node in self._alive_nodes:
             if node.is_heartbeat_due(self.settings.steps_per_second):
                 self.traffic.heartbeats_sent += 1
-                yield node, node.heartbeat(self._now)
+                reports.append((node, node.heartbeat(self._now)))
         period = self.settings.telemetry_period
         if period and self.ticks % period == 0:
             for node in self._alive_nodes:
                 self.traffic.telemetry_sent += 1
-                yield node, node.telemetry(self._now)
+                reports.append((node, node.telemetry(self._now)))
+        return reports
 
-    def _local_estimates(self, observations: Mapping[int, Observation | None]) -> Iterator[RobotFrame]:
-        """Let the robots in this process observe, and yield the estimates of those whose round is over."""
+    def _observe_locally(self, observations: Mapping[int, Observation | None]) -> list[RobotFrame]:
+        """Let the robots in this process observe; return the broadcasts of those whose round is over.
+
+        The broadcasts are estimates, and count as sent.
+        """
+        estimates: list[RobotFrame] = []
         for node in self._alive_nodes:
-            if node.observe(observations[node.id]):
+            is_broadcast_due = node.observe(observations[node.id])
+            if is_broadcast_due:
                 self.traffic.sent += 1
-                yield node, node.broadcast(self._now)
+                estimates.append((node, node.broadcast(self._now)))
+        return estimates
 
-    def _remote_frames(self, observations: Mapping[int, Observation | None]) -> Iterator[RobotFrame]:
-        """Let the remote robots observe, and yield what they send: estimates and heartbeats."""
+    def _observe_remotely(self, observations: Mapping[int, Observation | None]) -> list[RobotFrame]:
+        """Command the remote robots to observe, and return what they send: estimates and heartbeats.
+
+        Both count as sent. Raises as ``Driver.observe``.
+        """
+        robot_frames: list[RobotFrame] = []
         for driver in self._drivers:
             for node, frame in driver.observe({robot: observations[robot] for robot in driver.nodes}):
                 is_estimate = isinstance(decode_estimate(frame, self.settings.frames), Estimate)
                 self.traffic.sent += is_estimate
                 self.traffic.heartbeats_sent += not is_estimate
-                yield node, frame
+                robot_frames.append((node, frame))
+        return robot_frames
 
     def _send(self, node: BusRobot, frame: can.Message) -> None:
-        """Send a robot's frame as far as the faults let it, and record what they have changed."""
-        sent_frame = self.faults.on_send(frame, node.id)
+        """Send a robot's frame as the faults of its sender let it, and record what they have changed.
+
+        The faults may drop the frame, or replace it by another. What gets onto the bus counts as a frame of
+        this tick.
+        """
+        sent_frame = self.faults.on_send(frame, node.id)  # None if a fault has dropped it
         # A remote robot's frame is on its bus already, unchanged by faults: its events have no change.
         if self._events_writer is not None and node.id not in self.remote_robots:
             self._record_changes(self._events_writer, node.id, frame, sent_frame)
@@ -300,6 +321,12 @@ class Swarm:
     def _now(self) -> float:
         """Simulated time, seconds."""
         return self.ticks / self.settings.steps_per_second
+
+
+def _sender_id(robot_frame: RobotFrame) -> int:
+    """Return the id of the robot that sends a frame."""
+    robot, _ = robot_frame
+    return robot.id
 
 
 def _marked_as_received(on_frame: FrameTaker, wiring: Wiring) -> FrameTaker:
