@@ -33,19 +33,25 @@ def flawed_share(experiment: Experiment) -> float:
 
 
 def sort_key(parameter_name: str, value: Any) -> Any:
-    """Return what the values of a parameter are sorted by: filters by their order, others by value."""
+    """Return the key that sorts a parameter's value: a filter's position in FILTERS, or the value itself."""
     return list(FILTERS).index(value) if parameter_name == "filter" else value
 
 
 def has_effect(experiment: Experiment, name: str) -> bool:
-    """Return whether a parameter has an effect in an experiment: those of filters have none without one."""
+    """Return whether a parameter has an effect in an experiment.
+
+    Only parameters of filters may have none: without a filter, or with one that does not use them.
+    """
     if name not in _FILTER_PARAMETERS:
         return True
     return experiment.swarm_filter.is_on and name not in experiment.unused_parameters()
 
 
 def varying_parameters(experiments: Sequence[Trials], excluded: Collection[str]) -> list[str]:
-    """Return the parameters, but for those excluded, that have different effects in the experiments."""
+    """Return the names of the parameters in which experiments differ, but for those ``excluded``.
+
+    Values that have no effect in their experiment do not count.
+    """
     return [
         name
         for name in parameters_of(Experiment)
@@ -61,7 +67,7 @@ def _effective_values(experiments: Sequence[Trials], name: str) -> set[Any]:
 
 
 def name_series(experiment: Experiment, varying_names: Sequence[str]) -> str:
-    """Return the filter's name, and the values of the varying parameters that have an effect."""
+    """Return the filter's name and the varying parameters that have an effect, such as "ASDF+, omega 2"."""
     names = [filter_name(experiment)]
     for name in varying_names:
         if has_effect(experiment, name):
@@ -70,7 +76,7 @@ def name_series(experiment: Experiment, varying_names: Sequence[str]) -> str:
 
 
 def parameter_in_words(name: str) -> str:
-    """Return the name of a parameter as pictures show it."""
+    """Return the name of a parameter as pictures show it, where the flawed robots are a share of all."""
     return "share of flawed robots" if name == "flawed" else name.replace("_", " ")
 
 
@@ -80,14 +86,15 @@ def parameter_with_value(name: str, value: Any) -> str:
 
 
 def shorten(text: str) -> str:
-    """Return the text, cut to MAX_LABEL_LENGTH characters and dots if it is longer."""
+    """Return the text, or its first MAX_LABEL_LENGTH characters and " ..." if it is longer."""
     return text if len(text) <= MAX_LABEL_LENGTH else f"{text[:MAX_LABEL_LENGTH]} ..."
 
 
 def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> str:
     """Return a sentence with what all experiments of a picture have in common.
 
-    It names the filter, parameters, number of trials and limits of the scores, and ends with ``marks``, which
+    It names the filter and parameters that all have alike, the number of trials and the limits of the scores
+    (K_max and e_max, the convergence step and the error that score 0), and ends with ``marks``, which
     says what the picture's points, lines and areas mean.
     """
     details: list[str] = []

@@ -29,8 +29,9 @@ def create_panel_grid(
 ) -> tuple[Figure, NDArray[Any]]:
     """Create a figure with rows and columns of empty panels, each ``panel_height`` inches high.
 
-    They have the same y axis, and unless ``sharex`` is false the same x axis. Raises UsageError if so many
-    panels, or series in them, do not fit a picture.
+    Returns the figure and its panels, shape (row_count, column_count). They have the same y axis, and unless
+    ``sharex`` is false the same x axis. ``series_count`` is the number of entries that the legend will have.
+    Raises UsageError for more than 32 panels or 8 series, which do not fit a picture.
     """
     panel_count = row_count * column_count
     if panel_count > _MAX_PANELS or series_count > _MAX_SERIES:
@@ -46,9 +47,11 @@ def create_panel_grid(
 def create_panels(
     count: int, panel_height: float, series_count: int = 1, max_columns: int = 3
 ) -> tuple[Figure, list[Axes]]:
-    """Create a figure with this number of empty panels in rows, of which the last may be shorter.
+    """Create a figure with ``count`` empty panels in rows, of which the last may be shorter.
 
-    Raises UsageError as ``create_panel_grid``.
+    Returns the figure and its panels, row by row. A panel is ``panel_height`` inches high, and a row has up
+    to ``max_columns`` of them. ``series_count`` is the number of entries that the legend will have. Raises
+    UsageError for more than 32 panels or 8 series, which do not fit a picture.
     """
     column_count = min(count, max_columns)
     row_count = -(-count // column_count)  # rounded up
@@ -108,12 +111,15 @@ def median_interval(sample: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 def median_intervals(samples: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return the medians of samples, and the lower and upper ends of their intervals, shape (3, samples)."""
+    """Return the medians of samples, and the lower and upper ends of their intervals, shape (3, samples).
+
+    The intervals are those of ``median_interval``.
+    """
     return np.array([median_interval(sample) for sample in samples]).T
 
 
 def describe_intervals(experiments: Sequence[Trials]) -> str:
-    """Return what the band around a median covers, for a caption."""
+    """Return what the band around a median covers, for a caption: all trials where they are few, or 95 %."""
     if min(len(trials.numbers) for trials in experiments) < MIN_TRIALS_OF_INTERVAL:
         condition = f"where there are fewer than {MIN_TRIALS_OF_INTERVAL}"
         return f"bands all trials {condition}, else 95 % intervals of the medians"

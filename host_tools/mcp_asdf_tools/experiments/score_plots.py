@@ -1,4 +1,8 @@
-"""Pictures of the scores of trials: boxes of H by cell, and h_e against h_K."""
+"""Pictures of the scores of trials: boxes of H by cell, and h_e against h_K.
+
+The scores are the paper's, at most 100: h_K is that for fast convergence, h_e that for a small error, and H
+is their mean.
+"""
 
 from __future__ import annotations
 
@@ -54,11 +58,13 @@ _MARKERS = "osD^v"
 def group_into_series(
     experiments: Sequence[Trials], series_name: SeriesName | None = None
 ) -> dict[str, list[Trials]]:
-    """Return experiments by the name of their series, in the order of their filters.
+    """Return the experiments of each series, the ones that pictures show in one colour, by the series' name.
 
-    By default a series is named by its filter and by all other parameters that vary.
+    Both series and the experiments in them are in the order of FILTERS, and otherwise as they are passed. By
+    default a series is named by its filter and by the parameters in which the experiments differ, but for
+    those that pictures show otherwise (CELL_PARAMETERS).
     """
-    varying_names = varying_parameters(experiments, CELL_PARAMETERS)
+    varying_names = varying_parameters(experiments, excluded=CELL_PARAMETERS)
     series: dict[str, list[Trials]] = {}
     for trials in sorted(experiments, key=lambda trials: sort_key("filter", trials.experiment.filter)):
         if series_name is None:
@@ -70,11 +76,13 @@ def group_into_series(
 
 
 def _colours_of_series(series: dict[str, list[Trials]]) -> list[str]:
-    """Return a colour for each series: its filter's, if all its experiments have the same."""
+    """Return a colour for each series: its filter's, or a free one if they have several."""
     filter_names = []
     for experiments in series.values():
         different_names = {trials.experiment.filter for trials in experiments}
-        filter_names.append(different_names.pop() if len(different_names) == 1 else "")
+        has_one_filter = len(different_names) == 1
+        # An empty name, which is no filter's, gets a colour that is free.
+        filter_names.append(different_names.pop() if has_one_filter else "")
     return colours_of_filters(filter_names)
 
 
@@ -84,10 +92,11 @@ def _sorted_attributes(experiments: Sequence[Trials], name: str) -> list[float]:
 
 
 def _accuracy_offset(experiment: Experiment) -> float:
-    """Return b_hat less b of flawed robots; 0 where there are none."""
+    """Return how much better than b the accuracy is that flawed robots assume; 0 if there are none."""
     if not experiment.flawed:
         return 0.0
-    return round(experiment.flawed_accuracy - experiment.true_accuracy, 9)
+    # Rounding makes differences equal that differ by the error of floats alone, such as 0.9 - 0.8 and 0.1.
+    return round(experiment.flawed_accuracy - experiment.true_accuracy, ndigits=9)
 
 
 # --- Boxes -----------------------------------------------------------------------------------------------
@@ -98,8 +107,9 @@ def plot_boxes(
 ) -> Figure:
     """Plot boxes of H by the share P of flawed robots and their accuracy, as in the paper's figures 3 and 5.
 
-    There is a panel for each f and b, and a colour for each series. A point for each trial shows what a box
-    hides: cells whose trials fall into two groups. Raises UsageError if there is more than fits a picture.
+    There is a panel for each f, the share of black tiles, and b, the true accuracy, and a colour for each
+    series of ``group_into_series``. A point for each trial shows what a box hides: cells whose trials fall
+    into two groups. Raises UsageError if there are more panels or series than fit a picture.
     """
     series = group_into_series(experiments, series_name)
     colours = _colours_of_series(series)
@@ -129,7 +139,8 @@ def _draw_box_panel(
 ) -> None:
     """Draw a box for each experiment of a panel.
 
-    There is a slot for each P and offset of b_hat, in which the boxes of the series stand side by side.
+    Along the x axis there is a slot for each share P of flawed robots and offset of their b_hat from b, in
+    which the boxes of the series stand side by side. ``series`` has the panel's experiments by series.
     """
     slots = sorted({_slot_of(trials.experiment) for experiments in series for trials in experiments})
     box_width = _SLOT_WIDTH / len(series)
@@ -144,12 +155,12 @@ def _draw_box_panel(
 
 
 def _slot_of(experiment: Experiment) -> tuple[float, float]:
-    """Return P and the offset of the flawed robots' accuracy."""
+    """Return P, the share of flawed robots, and the offset of the accuracy that they assume."""
     return flawed_share(experiment), _accuracy_offset(experiment)
 
 
 def _draw_box(axes: Axes, scores: NDArray[np.float64], middle: float, width: float, colour: str) -> None:
-    """Draw a box, and a point for each trial, spread evenly over the box's width."""
+    """Draw a box of the trials' scores, and a point for each trial, spread evenly over the box's width."""
     line = {"color": colour, "linewidth": 0.8}
     axes.boxplot(
         scores,
@@ -161,7 +172,8 @@ def _draw_box(axes: Axes, scores: NDArray[np.float64], middle: float, width: flo
         whiskerprops=line,
         capprops=line,
     )
-    distances = (np.arange(len(scores)) * _GOLDEN_RATIO % 1 - 0.5) * width
+    shares_of_width = np.arange(len(scores)) * _GOLDEN_RATIO % 1
+    distances = (shares_of_width - 0.5) * width  # from the middle of the box
     axes.plot(middle + distances, scores, ".", color=colour, markersize=3.5, alpha=0.6, markeredgewidth=0)
 
 
@@ -171,8 +183,10 @@ def _draw_box(axes: Axes, scores: NDArray[np.float64], middle: float, width: flo
 def plot_scatter(experiments: Sequence[Trials], limits: Limits = PAPERS) -> Figure:
     """Plot h_e against h_K with a point for each trial, as in the paper's figure 4.
 
-    There is a row for each series and f, and a column for each P. Overconfident swarms are blue,
-    underconfident ones red; each b has a marker. Raises UsageError if there is more than fits a picture.
+    There is a row for each series and f, the share of black tiles, and a column for each P, the share of
+    flawed robots. Swarms whose flawed robots assume a better accuracy than the true one, b, are blue, those
+    who assume a worse one red; each b has a marker. Raises UsageError if there are more panels or series
+    than fit a picture.
     """
     series = group_into_series(experiments)
     fill_ratios = _sorted_attributes(experiments, "fill_ratio")
@@ -180,15 +194,18 @@ def plot_scatter(experiments: Sequence[Trials], limits: Limits = PAPERS) -> Figu
     shares = sorted({flawed_share(trials.experiment) for trials in experiments})
     rows = [(name, f) for name in series for f in fill_ratios]
     figure, grid = create_panel_grid(len(rows), len(shares), 1.7, len(series))
-    handles: dict[tuple[float, float], Line2D] = {}  # by b and the offset of b_hat
+    # An entry of the legend for each b and offset of b_hat that occurs.
+    handles: dict[tuple[float, float], Line2D] = {}
     for (row, column), axes in np.ndenumerate(grid):
         name, f = rows[row]
         for trials in series[name]:
             experiment = trials.experiment
-            if (experiment.fill_ratio, flawed_share(experiment)) != (f, shares[column]):
+            is_of_panel = (experiment.fill_ratio, flawed_share(experiment)) == (f, shares[column])
+            if not is_of_panel:
                 continue
             b, offset = experiment.true_accuracy, _accuracy_offset(experiment)
-            colour, marker = _colour_of_offset(offset), _MARKERS[accuracies.index(b) % len(_MARKERS)]
+            colour = _colour_of_offset(offset)
+            marker = _MARKERS[accuracies.index(b) % len(_MARKERS)]
             scores = trials.scores(limits)
             axes.plot(scores["h_K"], scores["h_e"], marker, color=colour, markersize=3, alpha=0.6)
             handles[b, offset] = legend_handle(_describe_accuracy(b, offset), colour, marker)
@@ -201,10 +218,17 @@ def plot_scatter(experiments: Sequence[Trials], limits: Limits = PAPERS) -> Figu
 
 
 def _describe_accuracy(b: float, offset: float) -> str:
-    """Return b and the flawed robots' b_hat for a legend."""
-    return rf"$b$ = {b:g}, $\hat{{b}}$ = {b + offset:g}" if offset else f"$b$ = {b:g}, none flawed"
+    """Return b and the flawed robots' b_hat for a legend; an offset of 0 stands for no flawed robots."""
+    if not offset:
+        return f"$b$ = {b:g}, none flawed"
+    return rf"$b$ = {b:g}, $\hat{{b}}$ = {b + offset:g}"
 
 
 def _colour_of_offset(offset: float) -> str:
-    """Return a blue for an offset above 0, a red below, darker the farther off; -0.5 and 0.5 are the ends."""
-    return to_hex(colormaps["RdBu"](0.5 + offset)) if offset else INK
+    """Return a blue for an offset above 0 and a red below, darker the farther off, or INK for 0.
+
+    Offsets of -0.5 and 0.5 are the ends of the scale.
+    """
+    if not offset:
+        return INK
+    return to_hex(colormaps["RdBu"](0.5 + offset))

@@ -53,7 +53,9 @@ from mcp_asdf_tools.robots.filters import FILTERS
 def plot_errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: Limits = PAPERS) -> Figure:
     """Plot the mean error |x - f| of a swarm over time: a panel for each title, in it a line for each filter.
 
-    Trials of one panel and filter are taken together. All need records of x.
+    x is a robot's informed estimate and f the true share of black tiles, so this is the mean over the robots
+    of a trial; the line is the median over the trials. Trials of one panel and filter are taken together. All
+    must have been recorded, with the same interval. Raises UsageError if there are too many panels.
     """
     all_experiments = [trials for experiments in panels.values() for trials in experiments]
     used_filters = {trials.experiment.filter for trials in all_experiments}
@@ -66,7 +68,8 @@ def plot_errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: Limits
     for axes, (title, experiments) in zip(grid, panels.items(), strict=True):
         axes.set_title(title, fontsize=SMALL, loc="left")
         for name, colour in colour_by_filter.items():
-            _draw_errors(axes, [each for each in experiments if each.experiment.filter == name], colour)
+            experiments_of_filter = [trials for trials in experiments if trials.experiment.filter == name]
+            _draw_errors(axes, experiments_of_filter, colour)
         axes.set_yscale("log")
         clean(axes)
     handles = [
@@ -80,20 +83,32 @@ def plot_errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: Limits
 
 
 def _draw_errors(axes: Axes, experiments: Sequence[Trials], colour: str) -> None:
-    """Draw the median over all trials of a swarm's mean error, in its interval; nothing without trials."""
+    """Draw the median over all trials of a swarm's mean error, in its interval; nothing without trials.
+
+    The time axis is that of the first experiment: all must have been recorded with the same interval.
+    """
     if not experiments:
         return
-    # Shape (trials, samples) for each experiment.
-    errors = [abs(trials.records["x"] - trials.experiment.fill_ratio).mean(axis=2) for trials in experiments]
-    band = median_intervals(np.concatenate(errors).T)
-    steps = np.arange(band.shape[1]) * experiments[0].sampling_interval
+    robot_axis = 2
+    errors = [
+        abs(trials.records["x"] - trials.experiment.fill_ratio).mean(axis=robot_axis)
+        for trials in experiments
+    ]
+    error_by_trial_and_sample = np.concatenate(errors)
+    # A median over the trials is wanted for each sample, so samples come first.
+    band = median_intervals(error_by_trial_and_sample.T)
+    sample_count = error_by_trial_and_sample.shape[1]
+    steps = np.arange(sample_count) * experiments[0].sampling_interval
     draw_band(axes, steps, band, colour)
 
 
 # --- Assumed accuracies of all robots --------------------------------------------------------------------
 
 ACCURACY_TOLERANCE = 0.05
-"""Change of b_hat from which on a healthy robot counts as misled by its filter."""
+"""Change of b_hat from its first value above which a healthy robot counts as misled by its filter."""
+
+_MEDIAN_AND_BAND_PERCENTILES = (50, 5, 95)
+"""Percentiles of the line, the lower and the upper edge of a band."""
 
 _BAND_MARKS = "lines are medians over robots and trials, bands the middle 90 %"
 
@@ -104,13 +119,15 @@ _TITLE_WIDTH = 56
 def plot_accuracy_bands(experiments: Sequence[Trials], limits: Limits = PAPERS) -> Figure:
     """Plot b_hat of all robots of all trials after each filter step: the median and the middle 90 %.
 
-    There is a panel for each experiment; its title ends with the share of healthy robots that their filter
-    has misled. Raises UsageError if there are too many experiments, or no filter step.
+    b_hat is the accuracy that a robot assumes of its sensor. There is a panel for each experiment, in the
+    order of their filters; its title ends with the share of healthy robots that their filter has misled:
+    whose b_hat ends more than ACCURACY_TOLERANCE from its first value. Raises UsageError if there are too
+    many experiments, or no filter step.
     """
     if any(_filter_step_count(trials) == 0 for trials in experiments):
         raise UsageError("these trials have no filter step; run more steps, or a shorter filter_period")
     max_columns = 2 if len(experiments) == 4 else 3  # four make a square
-    figure, panels = create_panels(len(experiments), 2.1, max_columns=max_columns)
+    figure, panels = create_panels(len(experiments), panel_height=2.1, max_columns=max_columns)
     ordered_experiments = sorted(experiments, key=lambda trials: sort_key("filter", trials.experiment.filter))
     titles = _panel_titles(ordered_experiments)
     for axes, trials, title in zip(panels, ordered_experiments, titles, strict=True):
@@ -130,8 +147,14 @@ def _filter_step_count(trials: Trials) -> int:
 
 
 def _panel_titles(experiments: Sequence[Trials]) -> list[str]:
-    """Return f, b, b_hat and P of each experiment, and every other parameter in which they differ."""
-    varying_names = varying_parameters(experiments, CELL_PARAMETERS)
+    """Return a title for each experiment: what makes it differ from the others, and its f, b, b_hat and P.
+
+    These letters are the paper's: f is the share of black tiles, b the true accuracy of a sensor, b_hat the
+    accuracy that flawed robots assume at first, and P the share of flawed robots. A first line names the
+    filter if the experiments have several.
+    """
+    # f, b, b_hat, P and the filter are in every title, so they are not looked for among the differences.
+    varying_names = varying_parameters(experiments, excluded=CELL_PARAMETERS)
     has_several_filters = len({trials.experiment.filter for trials in experiments}) > 1
     titles = []
     for trials in experiments:
@@ -143,7 +166,10 @@ def _panel_titles(experiments: Sequence[Trials]) -> list[str]:
 
 
 def _title_lines(experiment: Experiment, varying_names: Sequence[str]) -> list[str]:
-    """Return the varying parameters that have an effect, and f, b, b_hat and P, wrapped into lines."""
+    """Return the varying parameters that have an effect in the experiment, then f, b, b_hat and P.
+
+    The text is wrapped into lines of up to _TITLE_WIDTH characters.
+    """
     values = [
         parameter_with_value(name, experiment.parameters()[name])
         for name in varying_names
@@ -159,13 +185,18 @@ def _title_lines(experiment: Experiment, varying_names: Sequence[str]) -> list[s
 
 
 def _draw_accuracy_bands(axes: Axes, trials: Trials) -> None:
-    """Draw b_hat of flawed and of healthy robots over time, and the true accuracy."""
+    """Draw b_hat of flawed and of healthy robots over time, and the true accuracy as a dashed line.
+
+    Robots of either kind are left out if there are none.
+    """
     experiment = trials.experiment
     steps = experiment.filter_period * np.arange(1, _filter_step_count(trials) + 1)
     flawed, healthy = _flawed_and_healthy(trials)
     for colour, b_hat in ((FLAWED, flawed), (OTHER, healthy)):
         if b_hat.size:
-            draw_band(axes, steps, np.percentile(b_hat, [50, 5, 95], axis=(0, 2)), colour)
+            trial_axis, robot_axis = 0, 2
+            band = np.percentile(b_hat, _MEDIAN_AND_BAND_PERCENTILES, axis=(trial_axis, robot_axis))
+            draw_band(axes, steps, band, colour)
     axes.axhline(experiment.true_accuracy, color=INK, linewidth=1.2, linestyle="--")
     clean(axes)
 
@@ -180,13 +211,21 @@ def _flawed_and_healthy(trials: Trials) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def _describe_misled(trials: Trials) -> str:
-    """Return which share of the healthy robots ends with a b_hat far from the one they started with."""
+    """Return a line for a title such as "more than 0.05 off: 12% of healthy robots".
+
+    That is the share of the healthy robots of all trials whose b_hat after the last filter step differs by
+    more than ACCURACY_TOLERANCE from the one they started with. It is "-" if there are no healthy robots.
+    """
     _, healthy = _flawed_and_healthy(trials)
     share = "-"
     if healthy.size:
-        # An unflawed accuracy of 0 stands for the true one.
-        initial_b_hat = trials.experiment.unflawed_accuracy or trials.experiment.true_accuracy
-        is_misled = abs(healthy[:, -1] - initial_b_hat) > ACCURACY_TOLERANCE
+        experiment = trials.experiment
+        # An unflawed accuracy of 0 means that healthy robots start with the true one.
+        has_unflawed_accuracy = experiment.unflawed_accuracy != 0
+        initial_b_hat = experiment.unflawed_accuracy if has_unflawed_accuracy else experiment.true_accuracy
+        last_filter_step = -1
+        final_b_hat = healthy[:, last_filter_step, :]
+        is_misled = abs(final_b_hat - initial_b_hat) > ACCURACY_TOLERANCE
         share = f"{np.mean(is_misled):.0%} of healthy robots"
     return f"more than {ACCURACY_TOLERANCE} off: {share}"
 
@@ -222,8 +261,9 @@ _FLAWED_LABEL, _HEALTHY_LABEL, _TRUE_LABEL = "flawed robots", "healthy robots", 
 def plot_series(runs: Sequence[Trials], number: int) -> Figure:
     """Plot b_hat, x_hat and x of every robot in trial ``number`` of each run, as in the paper's figure 6.
 
-    Runs stand side by side, quantities below each other. Raises UsageError if a run has no such trial, or was
-    not recorded over time.
+    These are the accuracy that a robot assumes, its local estimate and its informed estimate. Runs stand side
+    by side, quantities below each other. Raises UsageError if a run has no such trial, or was not recorded
+    over time.
     """
     for trials in runs:
         _check_recorded_trial(trials, number)
@@ -234,11 +274,14 @@ def plot_series(runs: Sequence[Trials], number: int) -> Figure:
         drawn_values = [
             _draw_quantity(axes, trials, number, quantity) for axes, trials in zip(row, runs, strict=True)
         ]
-        row[0].set(xlim=(0, last_step), ylim=_limits_around(drawn_values))
-        row[0].set_ylabel(quantity.label, fontsize=MEDIUM)
+        # The panels of a row share their axes, so what is set for the leftmost one holds for all.
+        leftmost_axes = row[0]
+        leftmost_axes.set(xlim=(0, last_step), ylim=_limits_around(drawn_values))
+        leftmost_axes.set_ylabel(quantity.label, fontsize=MEDIUM)
     for trials, column in zip(runs, grid.T, strict=True):
-        column[0].set_title(_series_title(trials.experiment, number), fontsize=SMALL, loc="left")
-        column[-1].set_xlabel("step", fontsize=MEDIUM)
+        top_axes, bottom_axes = column[0], column[-1]
+        top_axes.set_title(_series_title(trials.experiment, number), fontsize=SMALL, loc="left")
+        bottom_axes.set_xlabel("step", fontsize=MEDIUM)
     line_by_label = {line.get_label(): line for axes in grid.flat for line in axes.lines}
     labels = [label for label in (_FLAWED_LABEL, _HEALTHY_LABEL, _TRUE_LABEL) if label in line_by_label]
     add_legend(figure, [line_by_label[label] for label in labels])
@@ -255,7 +298,7 @@ def _check_recorded_trial(trials: Trials, number: int) -> None:
 
 
 def _limits_around(arrays: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
-    """Return limits of an axis that leave a margin around all values."""
+    """Return limits of an axis that leave a margin around all values: 6 % of their range, 0.01 at least."""
     low = min(array.min() for array in arrays)
     high = max(array.max() for array in arrays)
     margin = max(0.06 * (high - low), 0.01)
@@ -275,12 +318,15 @@ def _series_title(experiment: Experiment, number: int) -> str:
 def _draw_quantity(axes: Axes, trials: Trials, number: int, quantity: _Quantity) -> NDArray[np.float64]:
     """Draw a line for each robot, the flawed ones on top, and the true value.
 
-    Returns all values but those of the first moments, when estimates still jump between 0 and 1.
+    Returns the true value and all others but those of the first moments, a fiftieth of the samples, when
+    estimates still jump between 0 and 1.
     """
     experiment = trials.experiment
-    values = trials.records[quantity.name][trials.numbers.index(number)]  # shape (samples, robots)
+    trial_index = trials.numbers.index(number)
+    values = trials.records[quantity.name][trial_index]  # shape (samples, robots)
     steps = np.arange(len(values)) * trials.sampling_interval
     draw_style = "steps-post" if quantity.name == "b_hat" else "default"  # b_hat is constant between updates
+    # Flawed robots have the lowest ids, and what is drawn last lies on top.
     for robot in reversed(range(experiment.robots)):
         is_flawed = robot < experiment.flawed
         axes.plot(
@@ -295,7 +341,8 @@ def _draw_quantity(axes: Axes, trials: Trials, number: int, quantity: _Quantity)
     true_value = getattr(experiment, quantity.true_parameter)
     axes.axhline(true_value, color=INK, label=_TRUE_LABEL, linewidth=1.2, linestyle="--")
     text = f" {quantity.true_symbol} = {true_value:g}"
-    axes.text(1, true_value, text, transform=axes.get_yaxis_transform(), va="center", fontsize=SMALL)
+    right_edge = 1  # in this transform x is a share of the panel's width
+    axes.text(right_edge, true_value, text, transform=axes.get_yaxis_transform(), va="center", fontsize=SMALL)
     clean(axes)
     first_moments = len(values) // 50
     return np.append(values[first_moments:], true_value)

@@ -15,6 +15,7 @@ CODE_MODULES = 100
 _FINDER_MODULES, _LOGO_MODULES = 7, 32
 """Modules along a side of a finder pattern and of the logo."""
 _SEED = 448
+"""Seed of the modules that are black outside the fixed patterns."""
 
 
 @lru_cache(maxsize=8)
@@ -23,8 +24,9 @@ def make_floor_code(fill_ratio: float) -> NDArray[np.bool_]:
 
     It has finder patterns in three corners, timing lines between them and a white logo in the middle, so
     large that half of the other modules are black where ``fill_ratio`` is 0.448. Of all modules exactly the
-    share ``fill_ratio`` is black, always the same ones. Raises ParameterError if that is no whole number of
-    modules, or fewer or more than the fixed patterns leave open. O(modules).
+    share ``fill_ratio`` is black, always the same ones. Equal calls return the same array, so do not change
+    it. Raises ParameterError if that share is no whole number of modules, or fewer or more than the fixed
+    patterns leave open. O(modules).
     """
     modules = CODE_MODULES**2
     black_modules = round(fill_ratio * modules)
@@ -43,12 +45,17 @@ def make_floor_code(fill_ratio: float) -> NDArray[np.bool_]:
         message = f"fill_ratio is {fill_ratio}; this floor can have {minimum:g} to {maximum:g}"
         raise ParameterError("fill_ratio", message)
     generator = np.random.Generator(np.random.PCG64(_SEED))
-    pattern.flat[generator.permutation(free_modules)[:missing_modules]] = True
+    shuffled_modules = generator.permutation(free_modules)
+    pattern.flat[shuffled_modules[:missing_modules]] = True
     return pattern
 
 
 def _fixed_patterns() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which modules are black in the patterns that every code has, and which belong to them."""
+    """Return which modules are black in the patterns that every code has, and which belong to them.
+
+    The patterns are three finders, two timing lines and the logo. Both arrays have the shape (CODE_MODULES,
+    CODE_MODULES).
+    """
     side, last_corner = CODE_MODULES, CODE_MODULES - _FINDER_MODULES
     is_black, is_fixed = np.zeros((side, side), np.bool_), np.zeros((side, side), np.bool_)
 
@@ -59,14 +66,16 @@ def _fixed_patterns() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     for row, column in ((0, 0), (0, last_corner), (last_corner, 0)):
         end_row, end_column = row + _FINDER_MODULES, column + _FINDER_MODULES
         is_black[row:end_row, column:end_column] = finder
+        # With the margin, which the edge of the code cuts off on two sides.
         is_fixed[max(0, row - 1) : end_row + 1, max(0, column - 1) : end_column + 1] = True
 
-    # The timing lines alternate between black and white.
+    # The timing lines, one along a row and one along a column, alternate between black and white.
     line, between_finders = _FINDER_MODULES - 1, slice(_FINDER_MODULES + 1, last_corner - 1)
     is_even = np.arange(between_finders.stop - between_finders.start) % 2 == 0
     is_black[line, between_finders] = is_black[between_finders, line] = is_even
     is_fixed[line, between_finders] = is_fixed[between_finders, line] = True
 
+    # The logo is white, as modules are from the start.
     middle = slice((side - _LOGO_MODULES) // 2, (side + _LOGO_MODULES) // 2)
     is_fixed[middle, middle] = True
     return is_black, is_fixed

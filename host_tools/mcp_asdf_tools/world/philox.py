@@ -26,7 +26,9 @@ _ROUNDS = 10
 _MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _KEY_INCREMENTS = 0x9E3779B9, 0xBB67AE85
 """What the key's words grow by from round to round."""
-_LOW_WORD_MASK, _WORD_BITS = np.uint64(0xFFFFFFFF), np.uint64(32)
+_LOW_WORD = 0xFFFFFFFF
+"""Mask of the lower 32 bits."""
+_LOW_WORD_MASK, _WORD_BITS = np.uint64(_LOW_WORD), np.uint64(32)
 _WORDS_IN_BLOCK = 4
 
 WordArray = NDArray[np.uint64]
@@ -36,11 +38,15 @@ WordArray = NDArray[np.uint64]
 def philox(
     counter: tuple[WordArray, WordArray, WordArray, WordArray], key: tuple[int, int]
 ) -> tuple[WordArray, WordArray, WordArray, WordArray]:
-    """Return four random words, below 2**32, for every element of the counter's four arrays. O(elements)."""
+    """Return four random words of 32 bits for every element of the counter's four arrays. O(elements).
+
+    Equal counters and keys give equal words. The key is two words of 32 bits; the names below are those of
+    the paper's algorithm.
+    """
     c0, c1, c2, c3 = counter
     for round_index in range(_ROUNDS):
         k0, k1 = (
-            np.uint64((word + round_index * increment) & 0xFFFFFFFF)
+            np.uint64((word + round_index * increment) & _LOW_WORD)
             for word, increment in zip(key, _KEY_INCREMENTS, strict=True)
         )
         product0, product2 = c0 * _MULTIPLIERS[0], c2 * _MULTIPLIERS[1]
@@ -72,24 +78,29 @@ class Stream(NamedTuple):
         """Return the words of ``steps`` steps from ``first_step`` on, shape (steps, robots)."""
         # Whole blocks are drawn, and the words before the first step and after the last one left out.
         first_block = first_step // _WORDS_IN_BLOCK
-        end_block = -(-(first_step + steps) // _WORDS_IN_BLOCK)
+        end_block = -(-(first_step + steps) // _WORDS_IN_BLOCK)  # rounded up
         block, robot = np.meshgrid(
             np.arange(first_block, end_block, dtype=np.uint64),
             np.arange(self.robots, dtype=np.uint64),
             indexing="ij",
         )
         trial, stream = np.full_like(block, self.trial), np.full_like(block, self.number)
-        words = philox((block, robot, trial, stream), (self.seed & 0xFFFFFFFF, self.seed >> 32))
+        key = (self.seed & _LOW_WORD, self.seed >> 32)
+        words = philox((block, robot, trial, stream), key)
+        # The four words of a block are those of four consecutive steps.
         words_by_step = np.stack(words, axis=1).reshape(-1, self.robots)
         skipped = first_step - _WORDS_IN_BLOCK * first_block
         return words_by_step[skipped : skipped + steps].astype(np.uint32)
 
     def draw_uniforms(self, steps: int, first_step: int = 0) -> NDArray[np.float64]:
-        """Return the same draws as numbers in (0, 1): the middles of 2**32 equal intervals."""
-        return (self.draw_words(steps, first_step).astype(np.float64) + 0.5) * 2.0**-32
+        """Return what ``draw_words`` does as numbers in (0, 1): the middles of 2**32 equal intervals."""
+        words = self.draw_words(steps, first_step)
+        return (words.astype(np.float64) + 0.5) * 2.0**-32
 
 
 def arena_seed(seed: int, trial: int) -> int:
-    """Return the seed of a trial's arena, below 2**64."""
-    low_word, high_word = Stream(ARENA_STREAM, seed, trial, robots=1).draw_words(2)[:, 0].tolist()
-    return int(low_word) | int(high_word) << 32
+    """Return the seed of a trial's arena, below 2**64: the first two words of the trial's ARENA_STREAM."""
+    # The stream is drawn as one of a single robot, whose two steps are the two words.
+    words = Stream(ARENA_STREAM, seed, trial, robots=1).draw_words(steps=2)
+    low_word, high_word = words[:, 0].tolist()
+    return int(low_word) | (int(high_word) << 32)

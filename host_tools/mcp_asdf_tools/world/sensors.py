@@ -26,11 +26,18 @@ class SensorModel(Protocol):
     """
 
     def advance(self, steps: int) -> Accuracies:
-        """Return the accuracies, 0 .. 1, in the next ``steps`` steps."""
+        """Let ``steps`` steps pass, and return the true accuracies in them, 0 .. 1, on black and on white."""
+
+
+_SensorMaker = Callable[[WorldSettings, int], SensorModel]
+"""An extension's entry point, called with the settings and the number of the trial."""
 
 
 class DriftingSensors:
-    """The built-in sensor model: b as ``settings.drift`` changes it, and ``white_offset`` more on white."""
+    """The built-in sensor model: b as ``settings.drift`` changes it, and ``white_offset`` more on white.
+
+    b is the true accuracy, the probability that a sensor names a black tile's colour correctly.
+    """
 
     def __init__(self, settings: WorldSettings, trial: int) -> None:
         """Start before the first step. The trial makes no difference, as in the model nothing is random."""
@@ -38,7 +45,10 @@ class DriftingSensors:
         self._next_step = 0
 
     def advance(self, steps: int) -> Accuracies:
-        """Return the accuracies in the next steps. O(steps), or O(steps robots) where some alone drift."""
+        """Let ``steps`` steps pass, and return the accuracies in them on black and on white tiles.
+
+        O(steps), or O(steps robots) where only some robots' sensors drift.
+        """
         accuracies_on_black = self._accuracies_on_black(steps)
         self._next_step += steps
         offset = self._settings.white_offset
@@ -47,7 +57,10 @@ class DriftingSensors:
         return accuracies_on_black, np.clip(accuracies_on_black + offset, 0.0, 1.0)
 
     def _accuracies_on_black(self, steps: int) -> NDArray[np.float64]:
-        """Return the accuracies on black tiles in the next steps, in a column for all robots or for each."""
+        """Return the accuracies on black tiles in the next steps.
+
+        The shape is (1, 1) without a drift, (steps, 1) if all sensors drift, and else (steps, robots).
+        """
         settings = self._settings
         if settings.drift == "none":
             return np.full((1, 1), settings.true_accuracy)
@@ -57,21 +70,26 @@ class DriftingSensors:
         drifted = np.clip(drifted, settings.lowest_accuracy, 1.0)
         if settings.drifting == settings.robots:
             return drifted
-        return np.where(np.arange(settings.robots) < settings.drifting, drifted, settings.true_accuracy)
+        drifts = np.arange(settings.robots) < settings.drifting
+        return np.where(drifts, drifted, settings.true_accuracy)
 
 
 class CheckedSensors:
     """The sensor model of an extension, whose answers are checked."""
 
     def __init__(self, model: SensorModel, settings: WorldSettings, has_one_accuracy: bool = False) -> None:
-        """Take a model for robots with these settings, and what its class promises."""
+        """Take the model of an extension for robots with these settings.
+
+        ``has_one_accuracy`` is the promise that ``SensorModel`` describes, if the extension makes it.
+        """
         self._model, self._settings = model, settings
         self._has_one_accuracy = has_one_accuracy
 
     def advance(self, steps: int) -> Accuracies:
-        """Return the model's accuracies in the next steps. O(steps robots).
+        """Let ``steps`` steps pass, and return the model's accuracies in them. O(steps robots).
 
-        Raises UsageError unless they are as ``SensorModel`` states, and as its class promises.
+        Raises UsageError unless they have the shapes of ``Accuracies`` and are 0 to 1, and are the same on
+        black and white if the extension promises so.
         """
         on_black, on_white = self._model.advance(steps)
         on_black, on_white = self._checked(on_black, steps), self._checked(on_white, steps)
@@ -83,7 +101,10 @@ class CheckedSensors:
         return on_black, on_white
 
     def _checked(self, accuracies: object, steps: int) -> NDArray[np.float64]:
-        """Return an answer of the model as an array of numbers, if it is one of the right shape and range."""
+        """Return one of the model's two answers for ``steps`` steps as an array of floats.
+
+        Raises UsageError unless its shape is (steps or 1, robots or 1) and all values are 0 to 1.
+        """
         name, robots = self._settings.sensor, self._settings.robots
         values = np.asarray(accuracies, dtype=np.float64)
         if values.ndim != 2 or values.shape[0] not in (1, steps) or values.shape[1] not in (1, robots):
@@ -98,7 +119,8 @@ class CheckedSensors:
 def has_one_accuracy(settings: WorldSettings) -> bool:
     """Return whether the sensors name black and white equally well at any time.
 
-    Raises UsageError if they are an extension that cannot be loaded.
+    The built-in ones do without a ``white_offset``; those of an extension if it promises so by an attribute,
+    see ``SensorModel``. Raises UsageError if the extension cannot be loaded.
     """
     if not settings.sensor:
         return not settings.white_offset
@@ -110,26 +132,27 @@ def make_sensor_model(settings: WorldSettings, trial: int) -> SensorModel:
     """Return the sensor model that settings ask for. Raises UsageError if an extension cannot be loaded."""
     if not settings.sensor:
         return DriftingSensors(settings, trial)
-    make_extension = cast(
-        Callable[[WorldSettings, int], SensorModel], extensions.load(extensions.SENSORS, settings.sensor)
-    )
-    return CheckedSensors(make_extension(settings, trial), settings, has_one_accuracy(settings))
+    make_model = cast(_SensorMaker, extensions.load(extensions.SENSORS, settings.sensor))
+    return CheckedSensors(make_model(settings, trial), settings, has_one_accuracy(settings))
 
 
 def black_probabilities(
     accuracies: Accuracies, fill_ratio: float | None
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Return p(z = 1) on black and on white tiles in units of 2**-31, in the shapes of the accuracies.
+    """Return the probability that a robot reports black, on black and on white tiles.
 
-    With a ``fill_ratio`` f a robot does not stand on a tile of a known colour, but on one that is black with
-    probability f: both probabilities are then f b + (1 - f)(1 - w) (eq. 1), w being the accuracy on white.
+    Both are in units of 2**-31 and have the shapes of the accuracies. With a ``fill_ratio`` f a robot does
+    not stand on a tile of a known colour, but on one that is black with probability f: both probabilities are
+    then f b + (1 - f)(1 - w), the paper's equation 1, where b is the accuracy on black and w that on white.
     """
-    b, w = accuracies
+    accuracy_on_black, accuracy_on_white = accuracies
     if fill_ratio is not None:
-        probability = _to_integer_units(fill_ratio * b + (1 - fill_ratio) * (1 - w))
+        black_and_correct = fill_ratio * accuracy_on_black
+        white_and_mistaken = (1 - fill_ratio) * (1 - accuracy_on_white)
+        probability = _to_integer_units(black_and_correct + white_and_mistaken)
         return probability, probability
     # On white a robot reports black by mistake: with the probability that is left.
-    return _to_integer_units(b), np.uint32(CERTAIN) - _to_integer_units(w)
+    return _to_integer_units(accuracy_on_black), np.uint32(CERTAIN) - _to_integer_units(accuracy_on_white)
 
 
 def _to_integer_units(probabilities: NDArray[np.float64]) -> NDArray[np.uint32]:

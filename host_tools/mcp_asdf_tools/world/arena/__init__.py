@@ -63,21 +63,28 @@ class Arena:
         return np.stack([self._values_now(axis, np.dtype(np.float64)) for axis in "xy"], axis=1)
 
     def is_black(self, x: float, y: float) -> bool:
-        """Return whether the floor is black at (x, y), which must be on it."""
+        """Return whether the floor is black at (x, y), in metres from its middle, which must be on it."""
         return bool(_arena.lib.mcp_asdf_arena_is_black(self._arena, x, y))
 
     def pixels(self, columns: int, rows: int) -> NDArray[np.bool_]:
-        """Return the floor as a picture: True where it is black, the first row in the north. O(pixels)."""
+        """Return the floor as a picture of shape (rows, columns), True where the middle of a pixel is black.
+
+        The first row is the one in the north, where y is largest. O(pixels).
+        """
         width, height = self.settings.sides
-        xs = (width * ((np.arange(columns) + 0.5) / columns - 0.5)).tolist()
-        ys = (height * (0.5 - (np.arange(rows) + 0.5) / rows)).tolist()
+        # Middles of pixels as shares of a side, from 0 to 1. The arena's origin is in its middle, x grows to
+        # the right with the columns, and y upwards, against the rows.
+        column_shares = (np.arange(columns) + 0.5) / columns
+        row_shares = (np.arange(rows) + 0.5) / rows
+        xs = (width * (column_shares - 0.5)).tolist()
+        ys = (height * (0.5 - row_shares)).tolist()
         return np.array([[self.is_black(x, y) for x in xs] for y in ys])
 
     def step(self, ticks: int = 1) -> None:
-        """Let ticks pass. O(ticks robots)."""
-        # The engine in C steps several arenas side by side; this is one.
+        """Let ticks pass, one of which is a step of the run. O(ticks robots)."""
+        arena_count = 1  # The engine in C steps several arenas side by side.
         for _ in range(ticks):
-            _arena.lib.mcp_asdf_arena_step(self._arena, 1)
+            _arena.lib.mcp_asdf_arena_step(self._arena, arena_count)
 
     def record(self, ticks: int) -> Motion:
         """Let ticks pass, and return the state after each. O(ticks N^2)."""
@@ -105,7 +112,7 @@ class Arena:
         return Motion(position, heading, black, wheels, avoids, adjacency)
 
     def _linked_pairs(self) -> NDArray[np.uint16]:
-        """Return the pairs of robots that are linked now, shape (pairs, 2), the lower id first."""
+        """Return the pairs of robots that receive from each other now, shape (pairs, 2), lower id first."""
         bytes_in_pair = 4
         links = _arena.ffi.buffer(self._arena.links, bytes_in_pair * self._arena.link_count)
         return np.frombuffer(links, np.uint16).reshape(-1, 2)
@@ -119,7 +126,8 @@ class Arena:
 def allocate_memory(size: int) -> NDArray[np.float64]:
     """Return memory of at least ``size`` bytes, aligned for doubles, as the C code takes it."""
     bytes_in_double = 8
-    return np.empty(-(-size // bytes_in_double))
+    doubles = -(-size // bytes_in_double)  # rounded up
+    return np.empty(doubles)
 
 
 def make_config(settings: WorldSettings, trial: int, ffi: Any) -> tuple[dict[str, Any], object]:
