@@ -175,6 +175,7 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
     if rare_count != 0:
         weight = rare_count * accuracy.rare + (weight >> accuracy.rare_shift)
         exponent += accuracy.rare_shift
+    # The upper 24 bits become the mantissa.
     excess_bits = weight.bit_length() - 24
     return weight >> excess_bits, exponent + excess_bits
 
@@ -196,6 +197,7 @@ def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, sh
     # 64 bits were dropped below the square and 32 below the divisor. Alpha's unit has 24 bits, and so has the
     # quotient.
     exponent = 64 - 32 + 24 - 24 + spread_shift - square_shift - 2 * accuracy.g_shift - shift
+    # This is 1 for a quotient of 25 bits, and 0 for one of 24.
     excess_bits = mantissa >> 24
     return mantissa >> excess_bits, exponent + excess_bits
 
@@ -269,6 +271,7 @@ def upper_quotient(numerator: int, denominator: int) -> int:
     """
     shift = denominator.bit_length() - 32
     if shift < 0:
+        # A short denominator is made longer, so that the shift is not negative.
         numerator <<= 32
         denominator <<= 32
         shift += 32

@@ -558,7 +558,8 @@ class ReferenceRobot:
 
         It is the b_hat for which this robot's own estimate would be x_bar, the estimate of its neighbours,
         and None if x_bar is so near 1/2 that it carries no information. This changes nothing. The filter
-        calls it when its test rejects. Subclasses may override it for a filter of their own.
+        calls it when its test rejects, or always if it has none. Subclasses may override it for a filter of
+        their own.
         """
         return assumed_accuracy_update(self._n, self._t, self.x_bar, self._conventions)
 
