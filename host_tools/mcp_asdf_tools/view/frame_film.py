@@ -1,4 +1,4 @@
-"""Films of logs without events, such as those of real robots: what their frames say."""
+"""Histories of logs without events, such as those of real robots, from their frames alone."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from mcp_asdf_tools.view.film import History, RunDescription
 from mcp_asdf_tools.view.films import STATES_PER_SECOND, steps_between_states
 from mcp_asdf_tools.view.heard_robots import LatestRobotValues
 
-_LONGEST_LOG = 366 * 24 * 3600.0
-"""Seconds; a longer one mixes clocks. Ticks of a film have 32 bits."""
+_MAX_LOG_SECONDS = 366 * 24 * 3600.0
+"""Longest time that a log may span. A longer one mixes clocks, and its ticks may not fit in 32 bits."""
 
 
 @dataclass(frozen=True)
 class FrameLogHistory:
-    """A film of a log's frames.
+    """The history that the frames of a log show, and what a user should know about the log.
 
     Attributes:
-        film: The film, which has ended. It has no floor and no links, as no frame shows them.
-        has_telemetry: Whether a robot sends telemetry: x and b_hat are in no other frame.
-        summary: What was met in the log.
+        history: The history, which has ended. It has no floor and no links, as no frame shows them.
+        has_telemetry: Whether a robot sent telemetry; without it x and b_hat are unknown.
+        summary: The log's channels, and how many of its lines were skipped.
     """
 
     history: History
@@ -41,24 +41,26 @@ def read_frame_history(
     fill_ratio: float | None = None,
     true_accuracy: float | None = None,
 ) -> FrameLogHistory:
-    """Return the film of what the robots of a log say, as ``BusRecorder`` shows a bus that is live.
+    """Return the history that the frames of ``log`` show, as ``BusRecorder`` records that of a live bus.
 
-    It reads the log twice, first for its robots and its length. The true ``fill_ratio`` and
-    ``true_accuracy`` are drawn if they are known. Raises UsageError if the log cannot be read, has no values
-    of a robot, or its times cannot be those of one run.
+    Only frames of ``channel`` count; None takes those of all. ``fill_ratio`` and ``true_accuracy``, which no
+    frame shows, are for the page; None if unknown. The log is read twice. Raises UsageError if it cannot be
+    read, has no values of a robot, or if its times span nothing or more than a year.
     """
-    heard_robots = LatestRobotValues(frame_format, true_accuracy)
+    # The first reading finds the robots and the length, on which the spacing of the states depends.
+    robot_values = LatestRobotValues(frame_format, true_accuracy)
     start, end = math.inf, -math.inf
     for frame in read_log(log, channel):
-        heard_robots.receive(frame, frame.timestamp)
+        robot_values.receive(frame, frame.timestamp)
         start, end = min(start, frame.timestamp), max(end, frame.timestamp)
-    robots, seconds = heard_robots.ids, end - start
+    robots = robot_values.ids
+    seconds = end - start
     if not robots:
         raise UsageError(
             f"{log} has no estimate and no telemetry of a robot, so there is nothing to see; is --subject "
             "right?"
         )
-    if not 0 < seconds < _LONGEST_LOG:
+    if not 0 < seconds < _MAX_LOG_SECONDS:
         raise UsageError(
             f"the times of the frames in {log} span {seconds:g} s, so they cannot be shown; record them with "
             "absolute times of one clock: candump -L, or candump -t a"
@@ -70,22 +72,25 @@ def read_frame_history(
     last_tick = int(seconds * STATES_PER_SECOND) + 1
     ticks_between_states = steps_between_states(last_tick, len(robots))
     no_links = np.zeros((len(robots), len(robots)), np.bool_)
-    heard_robots = LatestRobotValues(frame_format, true_accuracy)
+    robot_values = LatestRobotValues(frame_format, true_accuracy)
     summary = LogSummary()
     next_tick, now = 0, 0.0
 
     def add_states_before(time: float) -> None:
+        """Add the states that are due before ``time``, in seconds from the start of the log."""
         nonlocal next_tick
         while next_tick / STATES_PER_SECOND < time:
-            history.add(heard_robots.state(next_tick, next_tick / STATES_PER_SECOND, robots, no_links))
+            seconds_at_tick = next_tick / STATES_PER_SECOND
+            history.add(robot_values.state(next_tick, seconds_at_tick, robots, no_links))
             next_tick += ticks_between_states
 
     for frame in read_log(log, channel, summary):
-        now = max(now, frame.timestamp - start)  # of two buses, frames may be out of order
+        # Frames of two buses may be out of order, but the time of a history must not go back.
+        now = max(now, frame.timestamp - start)
         add_states_before(now)
-        heard_robots.receive(frame, now)
+        robot_values.receive(frame, now)
     add_states_before(last_tick / STATES_PER_SECOND)
-    history.add(heard_robots.state(next_tick, now, robots, no_links))
-    history.report = heard_robots.roster.report(now)
+    history.add(robot_values.state(next_tick, now, robots, no_links))
+    history.report = robot_values.roster.report(now)
     history.has_ended = True
-    return FrameLogHistory(history, heard_robots.has_telemetry, summary)
+    return FrameLogHistory(history, robot_values.has_telemetry, summary)

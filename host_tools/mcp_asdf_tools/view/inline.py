@@ -1,4 +1,4 @@
-"""A run inside a notebook."""
+"""The page of a run inside a notebook."""
 
 from __future__ import annotations
 
@@ -20,26 +20,31 @@ from mcp_asdf_tools.view.page import page
 
 @dataclass(frozen=True)
 class Shown:
-    """The ``page`` of a run, in HTML that needs nothing else: the last line of a notebook's cell shows it."""
+    """The page of a run; as the last value of a notebook's cell it is shown below the cell.
+
+    Attributes:
+        page: The page as HTML that needs no other file.
+    """
 
     page: str
 
     def save(self, path: Path | str) -> None:
-        """Write the page. Raises UsageError if that cannot be done."""
+        """Write the page to a file, which it replaces. Raises UsageError if that cannot be done."""
         write_atomically(path, self.page)
 
     def _repr_html_(self) -> str:
-        """What a notebook asks for."""
+        """Return the page in a frame, as the HTML that a notebook shows."""
         style = "width: 100%; height: 720px; border: 0"
         return f'<iframe srcdoc="{html.escape(self.page)}" style="{style}"></iframe>'
 
 
 @naming_extras()
 def show(results: Any, *, trial: int = 0, where: Mapping[str, Any] | None = None) -> Shown:
-    """A trial as the page that ``mcp-asdf view`` shows: of an Experiment, which is run for it, or of a table.
+    """Return the page of one trial, as ``mcp-asdf view`` shows it.
 
-    ``where`` chooses one of several experiments by its parameters. Raises UsageError if several are left, or
-    there is no such trial.
+    ``results`` is an Experiment, whose trial is run for this, or a table of results. ``trial`` is the trial's
+    number. ``where`` chooses one of several experiments of a table by its parameters. Raises UsageError if
+    several are left, or there is no such trial.
     """
     if trial < 0:
         raise UsageError(f"trial is {trial}; give 0 or more")

@@ -1,6 +1,6 @@
-"""The page: one HTML file with its style, its scripts and, if it is sent to somebody, the film as JSON.
+"""The page of a run: one HTML file with its style, its scripts and, if it stands alone, the history as JSON.
 
-A film is a stage and blocks of states in base64 (``page/film.js`` reads them).
+In JSON a history is its description ("stage") and blocks of states in base64, which ``page/film.js`` reads.
 """
 
 from __future__ import annotations
@@ -21,101 +21,132 @@ from mcp_asdf_tools.world.topology import MAX_ON_BUS
 
 _FOLDER = Path(__file__).parent / "page"
 _MODULES = ("arena", "bus", "charts", "colours", "film", "main", "panels", "player", "playground", "worker")
-"""Of ``page/``; they import each other as ``view/NAME``."""
+"""Scripts of the folder ``page``, which import each other as ``view/NAME``."""
 
 
 def page(history: History | None = None) -> str:
-    """The page with a film in it; without one it asks the server that it comes from."""
-    data = "null"
-    if history is not None:
-        update = history.states_since()
-        stage, states = update.description, update.states
-        content = {"stage": encode_description(stage), "block": encode_states(states, stage)}
-        data = json.dumps(content).replace("<", "\\u003c")  # no text in it can end the script
-    return _empty_page().replace("__POLICY__", "").replace("__FILM__", data)
+    """Return the page with all states of ``history`` in it, as HTML that needs no other file.
+
+    Without a history the page asks the server that it comes from for one.
+    """
+    if history is None:
+        return _fill_page(data="null")
+    update = history.states_since()
+    content = {
+        "stage": encode_description(update.description),
+        "block": encode_states(update.states, update.description),
+    }
+    # Without "<", no text in the history, such as a file's name, can end the script that it is in.
+    data = json.dumps(content).replace("<", "\\u003c")
+    return _fill_page(data)
 
 
 def playground(module: bytes) -> str:
-    """The page that computes its films itself, with firmware, engine and arena as a WebAssembly module."""
+    """Return the page that computes its runs itself.
+
+    ``module`` is a WebAssembly module of firmware, engine and arena.
+    """
     data = json.dumps({"module": base64.b64encode(module).decode("ascii")})
-    policy = " 'wasm-unsafe-eval'; worker-src data:"
-    return _empty_page().replace("__POLICY__", policy).replace("__FILM__", data)
+    return _fill_page(data, extra_script_policy=" 'wasm-unsafe-eval'; worker-src data:")
+
+
+def _fill_page(data: str, extra_script_policy: str = "") -> str:
+    """Return the page with ``data`` as its JSON, and a text added to its security policy for scripts."""
+    return _empty_page().replace("__POLICY__", extra_script_policy).replace("__FILM__", data)
 
 
 @cache
 def _empty_page() -> str:
-    """The page before a film is put in."""
-    modules = {f"view/{name}": _as_url(_read(f"{name}.js")) for name in _MODULES}
-    parts = {
-        "__STYLE__": _read("uplot/uPlot.min.css") + _read("page.css"),
-        "__MODULES__": json.dumps({"imports": modules}),
-        "__UPLOT_LICENSE__": _read("uplot/LICENSE"),
-        "__UPLOT__": _read("uplot/uPlot.iife.min.js"),
+    """Return the page with style and scripts, but with placeholders for its policy and its data."""
+    module_urls = {f"view/{name}": _encode_script_url(_read_file(f"{name}.js")) for name in _MODULES}
+    content_by_placeholder = {
+        "__STYLE__": _read_file("uplot/uPlot.min.css") + _read_file("page.css"),
+        "__MODULES__": json.dumps({"imports": module_urls}),
+        "__UPLOT_LICENSE__": _read_file("uplot/LICENSE"),
+        "__UPLOT__": _read_file("uplot/uPlot.iife.min.js"),
     }
-    text = _read("page.html")
-    for place, content in parts.items():
-        text = text.replace(place, content)
-    return text
+    html = _read_file("page.html")
+    for placeholder, content in content_by_placeholder.items():
+        html = html.replace(placeholder, content)
+    return html
 
 
-def _read(name: str) -> str:
+def _read_file(name: str) -> str:
+    """Return the text of a file of the folder ``page``."""
     return (_FOLDER / name).read_text(encoding="utf-8")
 
 
-def _as_url(script: str) -> str:
-    """A module as a URL, since a page opened as a file may load no other files."""
+def _encode_script_url(script: str) -> str:
+    """Return a URL that contains a script, since a page opened as a file may load no other files."""
     return "data:text/javascript;base64," + base64.b64encode(script.encode()).decode("ascii")
 
 
-# --- Films as JSON ------------------------------------------------------------------------------------
+# --- Histories as JSON --------------------------------------------------------------------------------
 
-_SCALE, _UNKNOWN = 65534, 65535
-"""Values 0 .. 1 are 16-bit integers: a step is a tenth of what a screen shows."""
-
-
-def encode_description(stage: RunDescription) -> dict[str, Any]:
-    """A stage as plain values; the floor as rows of bits, each padded to whole bytes."""
-    floor = None
-    if stage.floor is not None:
-        rows, columns = stage.floor.shape
-        bits = _text(np.packbits(stage.floor, axis=1).tobytes())
-        floor = {"rows": rows, "columns": columns, "bits": bits}
-    plain = vars(stage) | {"twin": [*stage.unfiltered_errors]}
-    del plain["unfiltered_errors"]
-    return plain | {
-        "flawed": [*stage.flawed],
-        "floor": floor,
-        "quantities": QUANTITIES,
-    }
+_ONE = 65534
+"""The value 1 in a page, where values 0 .. 1 are 16-bit integers: a step is a tenth of what a screen
+shows."""
+_UNKNOWN = 65535
+"""A value in a page that is not known."""
 
 
-def encode_states(states: Sequence[State], stage: RunDescription) -> dict[str, Any]:
-    """A block of states: ticks (32 bits), quantities and positions (16 bits), links, deflated.
+def encode_description(description: RunDescription) -> dict[str, Any]:
+    """Return a description as plain values by the names that the page's scripts use.
 
-    Each series is stored as its differences, which are mostly small or 0. Links are a bit for each two
-    robots; of more than MAX_ON_BUS their number in each state (32 bits), then ids (16 bits). O(states N^2).
+    "twin" has the errors without a filter, "quantities" names the values of a state, and "floor" has its
+    rows,
+    columns and bits: each row starts at a new byte, and all are compressed, in base64.
     """
-    parts = [np.array([each.tick for each in states], "<u4").tobytes()]
-    values = np.stack([each.values for each in states])
-    parts += [_series(values[:, index]) for index in range(len(QUANTITIES))]
-    positions = [each.positions for each in states if each.positions is not None]
-    if stage.sides is not None:
-        places = np.stack(positions) / np.array(stage.sides) + 0.5
-        parts += [_series(places[..., axis]) for axis in (0, 1)]
-    if len(stage.robots) > MAX_ON_BUS:
-        parts.append(np.array([len(each.neighbours) for each in states], "<u4").tobytes())
-        parts += [each.neighbours.astype("<u2").tobytes() for each in states]
+    floor = None
+    if description.floor is not None:
+        rows, columns = description.floor.shape
+        row_bytes = np.packbits(description.floor, axis=1).tobytes()
+        floor = {"rows": rows, "columns": columns, "bits": _compress_to_base64(row_bytes)}
+    plain = dict(vars(description))
+    plain["twin"] = list(plain.pop("unfiltered_errors"))
+    plain["flawed"] = list(description.flawed)
+    plain["floor"] = floor
+    plain["quantities"] = QUANTITIES
+    return plain
+
+
+def encode_states(states: Sequence[State], description: RunDescription) -> dict[str, Any]:
+    """Return states as their "count" and their "data", compressed and in base64. O(states N^2).
+
+    The data are, one after the other: the ticks (32 bits each); a series of each quantity, then of x and y of
+    the positions if robots move (16 bits a value, see ``_encode_series``); the links. For at most MAX_ON_BUS
+    robots the links have a bit for each pair of robots in each state; for more, the number of links in each
+    state (32 bits each), then receiver and sender of each link (16 bits each).
+    """
+    sections = [np.array([state.tick for state in states], "<u4").tobytes()]
+    values = np.stack([state.values for state in states])
+    sections += [_encode_series(values[:, quantity]) for quantity in range(len(QUANTITIES))]
+    if description.sides is not None:
+        positions = np.stack([state.positions for state in states if state.positions is not None])
+        # From metres from the middle of the arena to shares of its sides.
+        positions_in_arena = positions / np.array(description.sides) + 0.5
+        sections += [_encode_series(positions_in_arena[..., axis]) for axis in (0, 1)]
+    if len(description.robots) > MAX_ON_BUS:
+        sections.append(np.array([len(state.neighbours) for state in states], "<u4").tobytes())
+        sections += [state.neighbours.astype("<u2").tobytes() for state in states]
     else:
-        links = np.stack([each.neighbours.ravel() for each in states])
-        parts.append(np.packbits(links, axis=1, bitorder="little").tobytes())
-    return {"count": len(states), "data": _text(b"".join(parts))}
+        links = np.stack([state.neighbours.ravel() for state in states])
+        sections.append(np.packbits(links, axis=1, bitorder="little").tobytes())
+    return {"count": len(states), "data": _compress_to_base64(b"".join(sections))}
 
 
-def _series(values: NDArray[np.float64]) -> bytes:
-    """Series of values 0 .. 1, shape (states, N), one robot after the other."""
-    known = np.nan_to_num(np.rint(np.clip(values, 0.0, 1.0) * _SCALE), nan=_UNKNOWN).astype(np.uint16)
-    return np.diff(known.T, axis=1, prepend=np.uint16(0)).astype("<u2").tobytes()
+def _encode_series(values: NDArray[np.float64]) -> bytes:
+    """Encode values of robots, shape (states, N), as 16-bit differences from state to state, robot by robot.
+
+    Values are limited to 0 .. 1, and NaN means unknown. The first difference of each robot is from 0, and all
+    are modulo 65536. Most are small or 0, so that they compress well.
+    """
+    scaled_values = np.rint(np.clip(values, 0.0, 1.0) * _ONE)
+    numbers = np.nan_to_num(scaled_values, nan=_UNKNOWN).astype(np.uint16)
+    differences = np.diff(numbers.T, axis=1, prepend=np.uint16(0))
+    return differences.astype("<u2").tobytes()
 
 
-def _text(content: bytes) -> str:
+def _compress_to_base64(content: bytes) -> str:
+    """Return bytes deflated by zlib, in base64."""
     return base64.b64encode(zlib.compress(content, 9)).decode("ascii")
