@@ -9,20 +9,25 @@ from itertools import pairwise
 
 from mcp_asdf_tools.common.errors import UsageError
 
-_FEWEST = 10
-_MOST_BIAS = 0.02
-_LEAST_ACCURACY = 0.55
+_MIN_READINGS = 10
+"""Readings needed over each colour."""
+_MAX_BIAS = 0.02
+"""Error of estimates from which on the user is warned."""
+_MIN_ACCURACY = 0.55
+"""Mean accuracy below which the readings do not distinguish the colours; 0.5 would be chance."""
+_HALF_95_PERCENT_WIDTH = 1.96 / 2
+"""Half of the 1.96 standard deviations of a 95 % interval: the mean of two accuracies is half their sum."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a sensor is worth with its best threshold.
+    """The best threshold of a ground sensor, and how accurate the sensor is with it.
 
     Attributes:
-        threshold: Readings below it are on one side; a whole number if all readings are.
+        threshold: Reading that separates the colours; a whole number if all readings are.
         black_is: The side on which a tile is taken for black, ``below`` or ``above``.
-        accuracy: Share of the readings that are on the right side, over black and over white tiles.
-        readings: How many there are over each.
+        accuracy: Share of the readings that are on the right side of it, over black and over white tiles.
+        readings: Number of readings over black and over white tiles.
     """
 
     threshold: float
@@ -32,17 +37,24 @@ class Calibration:
 
     @property
     def b_hat(self) -> float:
-        """To start with: the mean of both accuracies, each (right + 1) / (readings + 2), so never 1."""
+        """Accuracy for the robot to assume at its start: the mean of both colours' accuracies.
+
+        Each is taken as (right readings + 1) / (readings + 2), Laplace's rule, so it is never 0 or 1.
+        """
         return sum((p * n + 1) / (n + 2) for p, n in self._colours()) / 2
 
     @property
     def uncertainty(self) -> float:
         """Half the width of the 95 % interval of ``b_hat``, at least that of one wrong reading a colour."""
-        return 0.98 * math.sqrt(sum(max(p * (1 - p), 1 / n) / n for p, n in self._colours()))
+        return _HALF_95_PERCENT_WIDTH * math.sqrt(
+            sum(max(p * (1 - p), 1 / n) / n for p, n in self._colours())
+        )
 
     @property
     def bias(self) -> float:
-        """How much too black such sensors show every floor, since the method knows one accuracy.
+        """How much too black such sensors make every floor look, as a share of its tiles.
+
+        It is not 0 if the colours' accuracies differ, since the method has one accuracy for both.
 
         With b + d on black and b - d on white, black is seen with probability f b + (1 - f)(1 - b) + d, from
         which eq. 3 makes f + d / (2 b - 1).
@@ -52,8 +64,8 @@ class Calibration:
 
     @property
     def warning(self) -> str | None:
-        """What to do where the colours differ so much that estimates are off by more than 0.02."""
-        if abs(self.bias) <= _MOST_BIAS:
+        """Advice for the user if the bias exceeds 0.02 to either side; None if not."""
+        if abs(self.bias) <= _MAX_BIAS:
             return None
         return (
             f"the colours differ too much: x_hat is off by {self.bias:+.3f} on every floor, whatever b_hat; "
@@ -61,30 +73,51 @@ class Calibration:
         )
 
     def _colours(self) -> Iterable[tuple[float, int]]:
+        """Return the accuracy and the number of readings of each colour."""
         return zip(self.accuracy.values(), self.readings.values(), strict=True)
 
 
 def calibrate(rows: Sequence[tuple[float, bool]]) -> Calibration:
-    """The threshold with which the worse colour is seen best; of several the one in the widest gap.
+    """Return the calibration with the threshold at which the worse colour is recognised best.
 
-    O(n log n). Raises UsageError for too few readings, and for some that do not tell the colours apart.
+    Each row is a reading and whether its tile was black. Of several such thresholds the one with the largest
+    sum of accuracies is taken, then the one in the widest gap between readings. O(n log n). Raises UsageError
+    for fewer than 10 readings over a colour, and for readings that do not distinguish the colours.
     """
-    black = sum(is_black for _, is_black in rows)
-    readings = {"black": black, "white": len(rows) - black}
-    for colour, count in readings.items():
-        if count < _FEWEST:
-            raise UsageError(f"{count} readings over {colour} tiles; take {_FEWEST} or more, better 1000")
-    is_whole = all(reading.is_integer() for reading, _ in rows)
-    best, found, below = (0.0, 0.0, 0.0), None, [0, 0]
-    for (low, is_black), (high, _) in pairwise(sorted(rows)):
-        below[is_black] += 1
-        threshold = math.ceil((low + high) / 2) if is_whole else low + (high - low) / 2
-        right = below[1] / black, 1 - below[0] / readings["white"]
-        for side, pair in (("below", right), ("above", (1 - right[0], 1 - right[1]))):
-            rank = (min(pair), sum(pair), high - low)
-            if low < high and rank > best:
-                accuracy = dict(zip(readings, pair, strict=True))
-                best, found = rank, Calibration(threshold, side, accuracy, readings)
-    if found is None or best[1] < 2 * _LEAST_ACCURACY:
+    black_count = sum(is_black for _, is_black in rows)
+    reading_counts = {"black": black_count, "white": len(rows) - black_count}
+    for colour, count in reading_counts.items():
+        if count < _MIN_READINGS:
+            raise UsageError(
+                f"{count} readings over {colour} tiles; take {_MIN_READINGS} or more, better 1000"
+            )
+    has_whole_numbers = all(reading.is_integer() for reading, _ in rows)
+    best_rank = (0.0, 0.0, 0.0)
+    best_calibration = None
+    black_below = 0
+    white_below = 0
+    for (reading, is_black), (next_reading, _) in pairwise(sorted(rows)):
+        if is_black:
+            black_below += 1
+        else:
+            white_below += 1
+        gap = next_reading - reading
+        if gap == 0.0:  # no threshold fits between equal readings
+            continue
+        # Sensors with whole numbers compare with whole numbers: the threshold is one, too.
+        threshold = math.ceil((reading + next_reading) / 2) if has_whole_numbers else reading + gap / 2
+        black_accuracy = black_below / reading_counts["black"]
+        white_accuracy = 1 - white_below / reading_counts["white"]
+        accuracy_by_side = {
+            "below": {"black": black_accuracy, "white": white_accuracy},
+            "above": {"black": 1 - black_accuracy, "white": 1 - white_accuracy},
+        }
+        for black_side, accuracy in accuracy_by_side.items():
+            rank = (min(accuracy.values()), sum(accuracy.values()), gap)
+            if rank > best_rank:
+                best_rank = rank
+                best_calibration = Calibration(threshold, black_side, accuracy, reading_counts)
+    _, best_accuracy_sum, _ = best_rank
+    if best_calibration is None or best_accuracy_sum < 2 * _MIN_ACCURACY:
         raise UsageError("the readings do not tell black from white; does the sensor look at the floor?")
-    return found
+    return best_calibration

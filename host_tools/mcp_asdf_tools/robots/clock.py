@@ -1,4 +1,7 @@
-"""Clocks of a swarm: a tick ends when all frames have arrived, or when its time slot ends."""
+"""Clocks of a swarm, which decide when a tick ends.
+
+In lockstep it ends when all frames have arrived, in real time when its period is over.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,17 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 ClockKind = Literal["lockstep", "real-time"]
-"""Kinds of clocks."""
+"""Name of a clock, as an option and in reports."""
+
+_RECEIVING_SHARE = 0.5
+"""Share of a tick's period in which robots wait for frames; the rest is for settling, the end of the tick."""
 
 
 class RealTimeClock:
-    """Tick k begins k periods after the first, or as soon after that as tick k - 1 is over.
+    """Clock by which tick k begins k periods after the first, or as soon after that as tick k - 1 is over.
 
-    Robots listen for the first half of the period; the rest is for settling. Frames that come later are
-    heard in the next tick.
+    Robots receive frames for the first half of the period; the rest is for settling. Frames that come later
+    are received in the next tick.
     """
 
     def __init__(
@@ -24,36 +30,50 @@ class RealTimeClock:
         now: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
+        """Create a clock, which starts with the first call of ``begin``.
+
+        ``now`` returns the time in seconds, and ``sleep`` waits for a number of seconds.
+        """
         self._period = 1 / steps_per_second
         self._now = now
         self._sleep = sleep
         self._start = 0.0
-        self._late: list[float] = []
+        """Time at which tick 0 begins, or would have begun."""
+        self._lateness: list[float] = []
+        """Seconds by which each tick so far has begun too late."""
 
     def begin(self, tick: int) -> None:
-        """Sleep until the tick's time has come."""
-        if not self._late:
+        """Sleep until the time of this tick has come, and record how late it begins.
+
+        The first tick begins at once, whatever its number. Call this once for each tick.
+        """
+        if not self._lateness:
             self._start = self._now() - tick * self._period
-        due = self._start + tick * self._period
+        begin_time = self._start + tick * self._period
+        seconds_left = begin_time - self._now()
         # A sleep may end early, by the resolution of its timer.
-        while (left := due - self._now()) > 0:
-            self._sleep(left)
-        self._late.append(-left)
+        while seconds_left > 0:
+            self._sleep(seconds_left)
+            seconds_left = begin_time - self._now()
+        self._lateness.append(-seconds_left)
 
     def patience(self, tick: int) -> float:
-        """Seconds left to wait for frames of this tick: until the middle of the period."""
-        return max(0.0, self._start + (tick + 0.5) * self._period - self._now())
+        """Return the seconds left to wait for frames of this tick: until the middle of its period, or 0."""
+        deadline = self._start + (tick + _RECEIVING_SHARE) * self._period
+        return max(0.0, deadline - self._now())
 
     def figures(self) -> dict[str, Any] | None:
-        """Lateness of the beginnings of ticks, in seconds; ``drift`` is that of the last one.
+        """Return how late ticks have begun, for JSON; None before the first tick.
 
-        A tick counts as late if it begins after more than half a period.
+        Keys: ``mean_lateness`` and ``max_lateness`` in seconds; ``late_ticks``, the number of ticks late by
+        more than half a period, in which no time was left for frames; ``drift``, the lateness of the last
+        tick.
         """
-        if not self._late:
+        if not self._lateness:
             return None
         return {
-            "mean_lateness": math.fsum(self._late) / len(self._late),
-            "max_lateness": max(self._late),
-            "late_ticks": sum(late > self._period / 2 for late in self._late),
-            "drift": self._late[-1],
+            "mean_lateness": math.fsum(self._lateness) / len(self._lateness),
+            "max_lateness": max(self._lateness),
+            "late_ticks": sum(lateness > self._period / 2 for lateness in self._lateness),
+            "drift": self._lateness[-1],
         }

@@ -13,33 +13,35 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import install_instruction
 
 RobotMaker = Callable[[Config, int, float], Robot]
-"""Makes a robot from a config, a robot id and an initial assumed accuracy."""
+"""Makes a robot from its settings, its id and b_hat, the accuracy that it assumes of its sensor at first."""
 
 FIRMWARES = {
     "native": ("mcp_asdf.native", "NativeRobot"),
     "mirror": ("mcp_asdf.mirror", "MirrorRobot"),
     "reference": ("mcp_asdf.reference", "ReferenceRobot"),
 }
+"""Module and class of each firmware that comes with the project, by name."""
 
 
 _MEMBERS: dict[type[Any], list[str]] = {
     kind: sorted(name for name in dir(kind) if not name.startswith("_")) for kind in (Robot, FixedPointRobot)
 }
-"""What robots of either kind have."""
+"""Names of the public members that each kind of robot must have."""
 
 
 def firmware_names() -> extensions.Names:
-    """Names of the firmwares that come with the project, then of installed extensions."""
+    """Return the names of the firmwares that come with the project, then of installed extensions."""
     return extensions.Names(FIRMWARES, extensions.FIRMWARES)
 
 
 def _make_by_extension(
     name: str, make: Callable[..., Any], config: Config, robot_id: int, b_hat: float
 ) -> Robot:
-    """Make a robot of an extension.
+    """Call an extension's ``make``, and return its robot if that has all members of a robot.
 
-    Raises UsageError, naming what the object lacks, unless it is an ``mcp_asdf.Robot``; one that takes raw
-    messages has to be an ``mcp_asdf.FixedPointRobot``.
+    A robot with ``receive_all``, which takes estimates as integers, needs the members of
+    ``mcp_asdf.FixedPointRobot``, any other those of ``mcp_asdf.Robot``. Raises UsageError, naming the missing
+    members.
     """
     robot = make(config, robot_id, b_hat)
     kind = FixedPointRobot if hasattr(robot, "receive_all") else Robot
@@ -53,7 +55,7 @@ def _make_by_extension(
 
 
 def load_firmware(name: str) -> RobotMaker:
-    """The class of the firmware called ``name``.
+    """Return the class of the firmware called ``name``, or the maker that an installed extension has.
 
     Raises UsageError if there is no such firmware, it has not been built, or it cannot be imported.
     """
@@ -62,6 +64,7 @@ def load_firmware(name: str) -> RobotMaker:
             raise UsageError(f"firmware is {name!r}; choose one of {', '.join(firmware_names())}")
         return partial(_make_by_extension, name, extensions.load(extensions.FIRMWARES, name))
     module, class_name = FIRMWARES[name]
+    # Imported only now: the native firmware may not have been built, and the others do not need it.
     try:
         return cast(RobotMaker, getattr(import_module(module), class_name))
     except ImportError as error:

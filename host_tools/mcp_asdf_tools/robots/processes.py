@@ -17,7 +17,7 @@ from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.node import Subjects
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
-_PATIENCE = 10.0
+_EXIT_TIMEOUT = 10.0
 """Seconds that a process has to end after SIGTERM."""
 
 
@@ -61,7 +61,7 @@ class NodeProcesses:
         }
         if any(bus_of(robot).interface == "socketcan" for robot in self._commands):
             # A virtual CAN interface of Linux delivers a frame on the processor of its sender. With several
-            # one robot may hear a command before the estimate that it followed; lockstep needs one order.
+            # one robot may receive a command before the estimate that it followed; lockstep needs one order.
             os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
     def __enter__(self) -> NodeProcesses:
@@ -78,7 +78,10 @@ class NodeProcesses:
         return self
 
     def check(self) -> None:
-        """Raises LockstepError, with its error output, if a process has ended. O(processes)."""
+        """Check that all processes still run. O(processes).
+
+        Raises LockstepError, with the exit code and the error output, if one has ended.
+        """
         for robot, process in self._processes.items():
             if process.poll() is not None:
                 errors = process.stderr.read().strip() if process.stderr else ""
@@ -92,27 +95,33 @@ class NodeProcesses:
             process.terminate()
         for robot, process in self._processes.items():
             try:
-                report = process.communicate(timeout=_PATIENCE)[0]
+                report = process.communicate(timeout=_EXIT_TIMEOUT)[0]
             except subprocess.TimeoutExpired:
                 process.kill()
                 report = process.communicate()[0]
-            with suppress(ValueError):  # it was killed, or failed before it could report
+            # A process that was killed, or failed early, has printed no report: its robot gets no entry.
+            with suppress(ValueError):
                 self.reports[robot] = json.loads(report)
 
 
 def _options(robot: RobotSetup, subjects: Subjects) -> list[str]:
-    """Options of a robot, in one word each, so that a negative number is not taken for an option."""
-    plain, filters = robot.plain(), robot.config.filter
-    table = plain.pop("table", None)
-    if filters is Filter.ADAPTIVE:
-        plain |= {"omega": table["omega"], "neighbours": table["q"]}
-    if filters is Filter.ALWAYS:
-        plain["activation"] = "always"
-    plain |= {
-        "filter": filter_of_one_robot(filters).name,
+    """Return the options of ``mcp-asdf node`` for a robot, such as ``--filter-period=100``.
+
+    Name and value are one argument, so that a negative number is not taken for an option.
+    """
+    values_by_name = robot.plain()
+    firmware_filter = robot.config.filter
+    # The process generates the t-table, the thresholds of the test, again from these two values.
+    table = values_by_name.pop("table", None)
+    if firmware_filter is Filter.ADAPTIVE:
+        values_by_name |= {"omega": table["omega"], "neighbours": table["q"]}
+    if firmware_filter is Filter.ALWAYS:
+        values_by_name["activation"] = "always"
+    values_by_name |= {
+        "filter": filter_of_one_robot(firmware_filter).name,
         "subject": subjects.estimates.subject,
         "priority": subjects.estimates.priority,
         "telemetry_subject": subjects.telemetry.subject,
         "command_subject": subjects.commands.subject,
     }
-    return [f"--{name.replace('_', '-')}={value}" for name, value in plain.items()]
+    return [f"--{name.replace('_', '-')}={value}" for name, value in values_by_name.items()]

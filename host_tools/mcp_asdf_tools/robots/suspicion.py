@@ -9,7 +9,7 @@ from typing import TypeAlias
 from mcp_asdf.fixed_point import alpha_units
 
 WATCHED_AFTER = 32
-"""Estimates of a sender before its alpha is watched: one of a robot that has just begun doubles honestly."""
+"""Estimates of a sender before its alpha is watched: that of a robot that has just begun doubles honestly."""
 
 
 class Suspicion(Enum):
@@ -25,15 +25,16 @@ MEANINGS = {
     Suspicion.UNKNOWN: "its id is not among those of --allow, so its estimates are dropped",
     Suspicion.JUMP: "its alpha doubled at once: it has recalibrated (its telemetry counts updates), or lies",
 }
-"""A line on each."""
+"""What each kind of event means, for the user."""
 
 Suspicions: TypeAlias = Counter[tuple[Suspicion, int]]
-"""Estimates by kind of event and sender."""
+"""Number of suspicious estimates by kind of event and id of the sender."""
 
 
 class AlphaWatch:
-    """Detects confidences that jump: those of at least twice the sender's last one, after WATCHED_AFTER.
+    """Detects when the alpha of a sender, its confidence, jumps to at least twice its last value.
 
+    The first WATCHED_AFTER estimates of a sender are not watched.
     An honest alpha is nearly proportional to the observations behind it, so after k of them it grows by a
     k-th with the next. It doubles at once only if b_hat is re-estimated, or if as many estimates were missed
     as came before. An alpha of at most half the last one is no jump: the sender has begun anew, and its
@@ -46,7 +47,10 @@ class AlphaWatch:
         """Of each sender: its last alpha in units of 2^-24, and its estimates since it began."""
 
     def is_jump(self, sender: int, alpha_word: int) -> bool:
-        """Count the next estimate of ``sender``, and return whether its alpha, a word, is a jump. O(1)."""
+        """Count the next estimate of ``sender``, and return whether its alpha is a jump. O(1).
+
+        ``alpha_word`` is the alpha as frames' decoders return it: mantissa and shift in 32 bits.
+        """
         last_alpha, estimate_count = self._last_alpha_and_count.get(sender, (0, 0))
         alpha = alpha_units(alpha_word)
         has_begun_anew = 2 * alpha <= last_alpha

@@ -290,7 +290,7 @@ def test_a_process_that_ends_is_named_with_what_it_said() -> None:
 
 
 def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(processes, "_PATIENCE", 0.1)
+    monkeypatch.setattr(processes, "_EXIT_TIMEOUT", 0.1)
     nodes = NodeProcesses([record(3)], lambda robot: BusChoice("udp_multicast", {}), Subjects(), 10)
     stubborn = f"trap '' TERM; echo '{{}}'; touch {tmp_path}/up; exec sleep 1000"
     nodes._commands = {3: ["sh", "-c", stubborn], 4: ["echo", '{"steps": 1}']}
