@@ -17,6 +17,7 @@ from mcp_asdf.robot import (
     Config,
     Filter,
 )
+from mcp_asdf.table import MIN_Q
 from mcp_asdf_tools.common.parameters import ParameterError, parameter, parameters_of, value_of
 from mcp_asdf_tools.robots.filters import FILTERS, Activation, SwarmFilter
 from mcp_asdf_tools.robots.firmwares import firmware_names
@@ -82,17 +83,17 @@ class Population(WorldSettings):
             raise ParameterError("memory", f"memory is {self.memory}; it must be a multiple of 4")
 
     def unused_parameters(self) -> dict[str, str]:
-        """Parameters without effect here, with the reason."""
+        """Return the names of the parameters that have no effect in this population, with the reason."""
         return self._unused_of_drift() | self.swarm_filter.unused_parameters_with(self.activation)
 
     def _unused_of_drift(self) -> dict[str, str]:
-        """Parameters of drifts that this kind of drift does not have."""
+        """Return the parameters of drifts that this kind of drift does not have, with the reason."""
         reason = f"drift is {self.drift}"
         return {"lowest_accuracy": reason} if self.drift == "none" else {}
 
     @property
     def drifting(self) -> int:
-        """How many of the first robots have sensors that drift."""
+        """Number of robots whose sensors drift; they are the first by id."""
         return self.flawed if self.drift_of == "flawed" else self.robots
 
     @property
@@ -106,21 +107,28 @@ class Population(WorldSettings):
         return self.swarm_filter.describe(self.activation)
 
     def is_flawed(self, robot: int) -> bool:
-        """True if a robot is among the flawed."""
+        """Return whether a robot, by id, is among the flawed, which assume a wrong accuracy at the start."""
         return bool(robot < self.flawed)
 
     def b_hat(self, robot: int) -> float:
-        """Assumed accuracy of a robot at the start, within the firmware's [2**-20, 1 - 2**-20]."""
-        correct = self.unflawed_accuracy or self.true_accuracy
-        accuracy = self.flawed_accuracy if self.is_flawed(robot) else correct
+        """Return the accuracy that a robot assumes at the start, in the firmware's [2**-20, 1 - 2**-20]."""
+        if self.is_flawed(robot):
+            accuracy = self.flawed_accuracy
+        else:
+            # 0 is the parameter's way to ask for the true accuracy.
+            accuracy = self.unflawed_accuracy or self.true_accuracy
         return min(max(accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
 
     def config(self, robot: int) -> Config:
-        """Settings of a robot's firmware. The table covers N - 1 neighbours, 127 at most."""
+        """Return the settings of a robot's firmware.
+
+        A robot with the adaptive filter has a t-table, the thresholds of its test, with exact entries for up
+        to N - 1 neighbours, 127 at most; others have none.
+        """
         firmware_filter = self.swarm_filter.firmware_filter_of(self.is_flawed(robot), self.activation)
         table = None
         if firmware_filter is Filter.ADAPTIVE:
-            neighbours = min(max(2, self.robots - 1), MAX_ID)
+            neighbours = min(max(MIN_Q, self.robots - 1), MAX_ID)
             table = generate(self.omega, neighbours)
         return Config(table, firmware_filter, self.filter_period // self.comms_period, self.memory)
 
@@ -129,27 +137,36 @@ class Population(WorldSettings):
         return RobotSetup(robot, self.firmware, self.b_hat(robot), self.config(robot), self.comms_period)
 
     def parameters(self) -> dict[str, Any]:
-        """All parameters as plain numbers and words, which the class takes back."""
+        """Return all parameters by name as numbers and texts, from which the class can be made again."""
         return {name: _plain(getattr(self, name)) for name in parameters_of(type(self))}
 
 
 def _plain(value: Any) -> Any:
+    """Return a parameter's value as a number or a text: a Decimal as a float, other objects as their text."""
     if isinstance(value, Decimal):
         return float(value)
     return value if isinstance(value, int | float) else str(value)
 
 
-def flawed_count(given: Any, robots: int) -> int:
-    """A count or share of ``robots`` as a count. Raises ParameterError if it is neither, or out of range."""
-    text, count = str(given), -1
+def flawed_count(count_or_share: Any, robots: int) -> int:
+    """Return the number of flawed robots that a count such as 6, or a share such as 0.3 or 30%, stands for.
+
+    A share of ``robots`` becomes the nearest count, halves up. Raises ParameterError if the value is neither
+    a count nor a share, or out of range.
+    """
+    text = str(count_or_share)
+    count = -1  # out of range, for a value that is neither
     if text.isascii() and text.isdigit():
         count = int(text)
     else:
         with suppress(ValueError):
-            share = float(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
-            count = math.floor(share * robots + 0.5) if 0 <= share <= 1 else -1
+            divisor = 100 if text.endswith("%") else 1
+            share = float(text.removesuffix("%")) / divisor
+            if 0 <= share <= 1:
+                count = math.floor(share * robots + 0.5)
     if not 0 <= count <= robots:
         raise ParameterError(
-            "flawed", f"flawed is {given!r}; give a count, 0 to {robots}, or a share such as '30%' or 0.3"
+            "flawed",
+            f"flawed is {count_or_share!r}; give a count, 0 to {robots}, or a share such as '30%' or 0.3",
         )
     return count

@@ -65,6 +65,7 @@ class NodeProcesses:
             os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
     def __enter__(self) -> NodeProcesses:
+        """Start all processes. They may not be up yet when this returns."""
         pipe = subprocess.PIPE
         for robot, command in self._commands.items():
             self._processes[robot] = subprocess.Popen(
@@ -91,6 +92,8 @@ class NodeProcesses:
                 )
 
     def __exit__(self, *_: object) -> None:
+        """End all processes, and keep what they report; those that do not end in time are killed."""
+        # All are asked first, so that they end side by side.
         for process in self._processes.values():
             process.terminate()
         for robot, process in self._processes.items():

@@ -33,11 +33,21 @@ from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
 ANSWER_TIMEOUT = 10.0
 """Seconds that a robot has to answer."""
 
+_B_HAT_UNITS = 2**24
+"""Units of b_hat in telemetry that make 1."""
+
+_UPDATE_COUNT_MODULUS = 2**8
+"""Number of values of the updates in telemetry, which wrap."""
+
 _HOW_TO_HAVE_A_BUS_EACH = "write {robot} where the id stands in the channel, such as --channel 'vcan{robot}'"
 
 
 def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
-    """Raise UsageError if a swarm of these settings cannot have the remote robots of ``wiring``."""
+    """Check that a swarm with these settings can have the remote robots of ``wiring``.
+
+    Remote robots run in other programs. Raises UsageError if there are more robots than ids, an id is none of
+    the swarm's, a subject is taken, a fault would crash a remote robot, or a shared bus does not fit.
+    """
     remote = wiring.remote
     if not remote:
         return
@@ -61,7 +71,11 @@ def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
 
 
 def _check_remote_on_shared_bus(settings: SwarmSettings, *, is_every_robot_remote: bool) -> None:
-    """Raise UsageError if the robots cannot share one bus, on which all receive all frames at once."""
+    """Check that remote robots can share one bus, on which all of them receive all frames at once.
+
+    Raises UsageError if some robots are not remote, or if faults, latency or the topology would have to keep
+    a frame from a robot.
+    """
     if not is_every_robot_remote:
         raise UsageError(f"robots here and elsewhere need a bus each: {_HOW_TO_HAVE_A_BUS_EACH}")
     is_undisturbed = not settings.faults and settings.latency == 0
@@ -87,6 +101,7 @@ class RemoteFirmware:
     """
 
     def __init__(self, setup: RobotSetup) -> None:
+        """Begin with what is known of a robot before its first frame: the setup that it was started with."""
         self.id = setup.id
         self.t = 0
         self.b_hat = setup.b_hat
@@ -106,16 +121,19 @@ class RemoteFirmware:
         """Do nothing: the robot was commanded to settle."""
 
     def update_from_estimate(self, estimate: Estimate) -> None:
-        """Keep what a broadcast of the robot reveals."""
+        """Take x_hat, the robot's local estimate, from its broadcast."""
         self.x_hat = estimate.x_hat / Q23_ONE
 
     def update_from_telemetry(self, telemetry: Telemetry) -> None:
-        """Keep what the robot's answer to *settle* reveals. Call this in every tick."""
+        """Take x, b_hat and the number of updates from the robot's answer to *settle*.
+
+        Call this in every tick: the number of updates in telemetry wraps.
+        """
         self.x = telemetry.x / Q23_ONE
-        self.b_hat = telemetry.b_hat / 2**24
+        self.b_hat = telemetry.b_hat / _B_HAT_UNITS
         # Telemetry has the lowest 8 bits of the number of updates. That suffices as it comes in every tick.
         updates = self.counters.updates
-        new_updates = (telemetry.updates - updates) % 256
+        new_updates = (telemetry.updates - updates) % _UPDATE_COUNT_MODULUS
         self.counters = Counters(updates=updates + new_updates)
 
 
@@ -193,21 +211,31 @@ class Driver:
         return [(self.nodes[sender_of(frame)], frame) for frame in frames]
 
     def _observe_at_once(self, observations: Mapping[int, Observation | None]) -> None:
-        """Let robots observe, and wait for the estimates of those whose round is over."""
+        """Command robots to observe, and wait for the estimates of those whose round is over."""
         self._lockstep.observe(observations)
-        broadcasting = [robot for robot, z in observations.items() if self.nodes[robot].observe(z)]
-        for robot, estimate in self._lockstep.estimates(broadcasting).items():
+        broadcasting_robots = []
+        for robot, z in observations.items():
+            # The half of the robot in this process counts its ticks, so it knows when its round is over.
+            is_broadcast_due = self.nodes[robot].observe(z)
+            if is_broadcast_due:
+                broadcasting_robots.append(robot)
+        for robot, estimate in self._lockstep.estimates(broadcasting_robots).items():
             self._firmware(robot).update_from_estimate(estimate)
 
     def settle(self, robots: Collection[int]) -> None:
-        """Let ``robots`` settle. Raises as ``Lockstep``."""
+        """Command ``robots`` to settle: to end the tick. Their telemetry updates what is known of them.
+
+        Raises LockstepError if one does not answer in turn, can.CanError if the bus does not take the
+        commands.
+        """
         for robot, telemetry in self._lockstep.settle(robots).items():
             self._firmware(robot).update_from_telemetry(telemetry)
             self.nodes[robot].settle()
+        # Frames of different robots come in any order: sorted, a run does not depend on it.
         self._frames_for_next_tick.sort(key=sender_of)
 
     def _call_check(self) -> None:
-        """Call what the last ``wait_until_up`` has set."""
+        """Call the ``check`` of the last ``wait_until_up``, which may raise an error."""
         self._check()
 
     def _firmware(self, robot: int) -> RemoteFirmware:
@@ -217,7 +245,12 @@ class Driver:
         return firmware
 
     def _handle_frame(self, frame: can.Message) -> None:
-        """Report a frame on the bus, and keep it if one of the robots sent it and it is no answer."""
+        """Report a frame on the bus, and keep it if one of the robots sent it.
+
+        An estimate is kept for this tick, the first of each robot only; telemetry is not, since it is the
+        answer to *settle*; any other frame is kept for the next tick. An error frame is counted by all
+        robots.
+        """
         if self._on_frame is not None:
             self._on_frame(frame)
         if frame.is_error_frame:  # its identifier describes the error, and has no sender

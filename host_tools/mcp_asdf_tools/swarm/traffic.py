@@ -54,7 +54,12 @@ class Traffic:
         return sum(getattr(reception, count_name) for reception in self.receptions)
 
     def figures(self) -> dict[str, Any]:
-        """Return the counts as plain values, for JSON."""
+        """Return the counts as plain values, for JSON.
+
+        Keys are the counts of this class, and sums over all robots of those of ``Reception``.
+        ``id_conflicts`` has the count of each robot whose id another node used, by id; ``rejected`` a count
+        for each reason.
+        """
         counts = {name: value for name, value in vars(self).items() if name != "receptions"}
         rejected = Counter[Rejection]()
         id_conflicts = {}
