@@ -76,4 +76,5 @@ def _connect_client(dask: Any, address: str) -> Any:
 
 
 def _no_scheduler_error(address: str, reason: str) -> UsageError:
+    """Return the error that says why nothing at ``address`` can be used, and how to start a scheduler."""
     return UsageError(f"no Dask scheduler at {address}: {reason}; start one: dask scheduler")

@@ -79,7 +79,7 @@ class _Curves:
         ]
 
     def draw(self, axes: Axes, experiments: Sequence[Trials]) -> None:
-        """Draw the curves of some experiments into a panel."""
+        """Draw the curves of some experiments into a panel, one for each value of ``hue``."""
         for hue_value, colour in self.colours.items():
             values_by_x = {
                 _value(trials.experiment, self.x): _measure(trials, self.y, self.limits)
@@ -123,7 +123,10 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
         panel_height = 3.8 if len(facet_values) == 1 else 2.6
         figure, panels = create_panels(len(facet_values), panel_height, len(hue_values))
         for axes, facet_value in zip(panels, facet_values, strict=True):
-            curves.draw(axes, [each for each in experiments if _value(each.experiment, facet) == facet_value])
+            experiments_of_panel = [
+                trials for trials in experiments if _value(trials.experiment, facet) == facet_value
+            ]
+            curves.draw(axes, experiments_of_panel)
             axes.set_title(parameter_with_value(facet, facet_value), fontsize=MEDIUM)
     marks = f"points are medians over the trials, {describe_intervals(experiments)}"
     caption = make_caption(experiments, marks, limits)
@@ -180,7 +183,11 @@ def _sorted_values(experiments: Sequence[Trials], name: str) -> list[Any]:
 
 
 def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str | Measure, facet: str) -> None:
-    """Raise UsageError for names that are none, or if the experiments differ in what is not shown."""
+    """Raise UsageError for unknown names, or if the experiments differ in a parameter that is not shown.
+
+    ``x``, ``hue`` and ``facet`` must be parameters, the last two may be empty; ``y`` must be one of MEASURES
+    or a function. The number of trials may differ.
+    """
     known_names = parameters_of(Experiment)
     for option, name in (("x", x), ("hue", hue), ("facet", facet)):
         is_left_out = name == "" and option != "x"

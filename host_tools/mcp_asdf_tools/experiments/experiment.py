@@ -46,9 +46,10 @@ class Experiment(Population):
 
     @property
     def lacking_in_c(self) -> str:
-        """Return the parameter whose value the engine in C lacks, so that trials run message by message.
+        """The parameter whose value the engine in C lacks, so that trials run in Python, message by message.
 
-        It is empty if the engine can run the experiment.
+        It is the name of a parameter, such as "firmware", or empty if the engine can run the experiment.
+        Raises UsageError if the sensor is an extension that cannot be loaded.
         """
         if self.firmware != "native":
             return "firmware"

@@ -132,7 +132,7 @@ def read_metadata(table: pa.Table) -> dict[str, Any]:
 
 
 def trials_to_table(trials: Trials) -> pa.Table:
-    """Return the trials of an experiment as rows."""
+    """Return the trials of an experiment as rows of a table with the columns and metadata stated above."""
     trial_count = len(trials.numbers)
     columns: dict[str, Any] = {
         name: [value] * trial_count for name, value in trials.experiment.parameters().items()
@@ -236,7 +236,7 @@ def _check_list_lengths(experiment: Experiment, table: pa.Table) -> None:
 
 
 def score_table(table: pa.Table, limits: Limits) -> pa.Table:
-    """Return the table with H, h_K and h_e for other limits. O(rows)."""
+    """Return the table with the scores H, h_K and h_e computed anew with these limits. O(rows)."""
     table = add_missing_parameters(table, len(table))
     rows = table.select([*PARAMETER_NAMES, "k", "e"]).to_pylist()
     scores_by_row = [_score_row(row, limits) for row in rows]
@@ -249,5 +249,6 @@ def score_table(table: pa.Table, limits: Limits) -> pa.Table:
 def _score_row(row: dict[str, Any], limits: Limits) -> dict[str, float]:
     """Return the scores of the trial in a row, by their names."""
     k_max, e_max = limits.of(Experiment.from_recording(row))
+    # score takes and returns arrays of trials: here they have a single one.
     scores = score([row["k"]], [row["e"]], k_max, e_max)
-    return {name: float(values[0]) for name, values in scores.items()}
+    return {name: float(score_of_trial) for name, (score_of_trial,) in scores.items()}

@@ -122,9 +122,11 @@ def _is_same_value(parameter_value: object, requested_value: Any) -> bool:
 
 
 def write_csv(path: Path, experiments: Iterable[Trials], limits: Limits = PAPERS) -> None:
-    """Write a line for each trial: parameters, scores, means over the robots, sums of tests and updates.
+    """Write a CSV file with a header and a line for each trial.
 
-    Raises UsageError if that cannot be done.
+    A line has the parameters, the trial's number, its scores with these ``limits``, means of K, e and the
+    final b_hat over the robots, sums of their tests and updates, and the limits. An existing file is replaced
+    when the new one is complete. Raises UsageError if it cannot be written.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -147,7 +149,10 @@ def write_csv(path: Path, experiments: Iterable[Trials], limits: Limits = PAPERS
 
 def _mean_final_b_hat(trials: Trials) -> NDArray[np.float64]:
     """Return each trial's mean b_hat over the robots after the last filter step; NaN if there was none."""
-    if not trials.b_hat.shape[1]:
-        return np.full(len(trials.numbers), np.nan)
-    means: NDArray[np.float64] = trials.b_hat[:, -1].mean(axis=1)
+    trial_count, filter_step_count, _robots = trials.b_hat.shape
+    if filter_step_count == 0:
+        return np.full(trial_count, np.nan)
+    last_filter_step = filter_step_count - 1
+    final_b_hat = trials.b_hat[:, last_filter_step, :]
+    means: NDArray[np.float64] = final_b_hat.mean(axis=1)
     return means

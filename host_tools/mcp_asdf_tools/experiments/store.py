@@ -48,6 +48,7 @@ _ResultKey = tuple[Any, ...]
 
 
 def _result_key(experiment: Experiment) -> _ResultKey:
+    """Return what experiments have alike whose trials of one number have the same results."""
     return tuple(value for name, value in experiment.parameters().items() if name != "trials")
 
 
@@ -163,6 +164,7 @@ class Store:
             self.flush()
 
     def _unwritten_row_count(self) -> int:
+        """Return how many finished trials are only in memory."""
         return sum(len(table) for table in self._unwritten)
 
     def _is_part_due(self) -> bool:
@@ -172,7 +174,7 @@ class Store:
         return now - self._last_written >= allowed_seconds
 
     def flush(self) -> None:
-        """Write all that has not been written as a part. Raises UsageError if that fails."""
+        """Write all that has not been written as a part, if there is any. Raises UsageError if that fails."""
         if self._unwritten:
             self.reserve()
             table = pa.concat_tables(self._unwritten)

@@ -49,7 +49,8 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
     if experiment.topology == "fully-connected":
         return _run_native(experiment, numbers, sampling_interval)
     # Elsewhere a trial has a series of x for each robot: a few trials at a time bound the memory.
-    bytes_of_trial = 4 * experiment.robots * (experiment.steps + 1)
+    bytes_in_value = 4
+    bytes_of_trial = bytes_in_value * experiment.robots * (experiment.steps + 1)
     batch_size = min(max(SERIES_BYTES // bytes_of_trial, 1), TRIALS_AT_ONCE)
     batches = [numbers[start : start + batch_size] for start in range(0, trials, batch_size)]
     return _concatenate([_run_native(experiment, batch, sampling_interval) for batch in batches])
@@ -71,7 +72,7 @@ def _concatenate(batches: Sequence[Trials]) -> Trials:
 def _convergence_and_errors(
     experiment: Experiment, x_series: NDArray[Any], unit: float
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return K and e of each robot, shape (trials, N) each.
+    """Return K and e of each robot, shape (trials, N) each: its convergence step, and its error |x - f| then.
 
     ``x_series`` is x in units of ``unit``, shape (trials, N or 1, steps + 1): one series stands for all
     robots of its trial.
@@ -79,7 +80,8 @@ def _convergence_and_errors(
     steps = np.array(
         [[convergence_step(series, DELTA / unit) for series in trial_series] for trial_series in x_series]
     )
-    x_at_convergence = np.take_along_axis(x_series, steps[..., np.newaxis], 2)[..., 0]
+    step_axis = 2
+    x_at_convergence = np.take_along_axis(x_series, steps[..., np.newaxis], step_axis).squeeze(step_axis)
     errors = abs(x_at_convergence.astype(np.float64) * unit - experiment.fill_ratio)
     shape = (len(x_series), experiment.robots)
     return np.broadcast_to(steps, shape).astype(np.int64), np.broadcast_to(errors, shape).copy()
@@ -144,8 +146,12 @@ def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -
 
 
 def _alpha_of_words(alpha_words: NDArray[np.uint32]) -> Floats:
-    """Return the exact values of alpha words: a mantissa above a shift of 5 bits."""
-    mantissas = alpha_words >> 8
+    """Return the exact values of alpha words, the robots' confidences as the firmware packs them in 32 bits.
+
+    The upper 24 bits of a word are its mantissa, the lowest five bits are the shift of the mantissa.
+    """
+    bits_below_mantissa = 8
+    mantissas = alpha_words >> bits_below_mantissa
     shifts = (alpha_words & SHIFT_MAX).astype(np.int32)
     return np.ldexp(mantissas / UNITS_PER_ALPHA, shifts)
 
@@ -263,7 +269,7 @@ class MessageSwarm:
             robots[receiver].receive_raw(sender, x_hat_raw, alpha_raw)
 
     def values_of(self, quantity: str) -> list[float]:
-        """Return a quantity of each robot at present."""
+        """Return one of QUANTITIES of each robot at present, by id."""
         return [getattr(robot, quantity) for robot in self.robots]
 
     def snapshot(self) -> list[list[float]]:
