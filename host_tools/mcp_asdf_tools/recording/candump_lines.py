@@ -48,6 +48,7 @@ def parse_line(line: str) -> can.Message | None:
 
 
 def _frame_of_log_line(match: re.Match[str]) -> can.Message | None:
+    """Return the frame of a match of _LOG_LINE, such as ``vcan0 123#AB``; None as ``_frame``."""
     flags = None if match["flags"] is None else int(match["flags"], 16)
     data = match["data"] if flags is None else match["fd_data"]
     remote_length = None if match["remote"] is None else int(match["remote_length"] or 0)
@@ -55,6 +56,10 @@ def _frame_of_log_line(match: re.Match[str]) -> can.Message | None:
 
 
 def _frame_of_console_line(match: re.Match[str]) -> can.Message | None:
+    """Return the frame of a match of _CONSOLE_LINE, such as ``vcan0 123 [1] AB``.
+
+    None as ``_frame``, and if the line has not as many bytes as it states.
+    """
     # Two digits mark CAN FD. Its bit-rate switch and error state are told by -x only, as B and E.
     length_text = match["length"] or ""
     flags = None

@@ -35,8 +35,10 @@ def add_log_option(output: argparse._ArgumentGroup, beside: str) -> None:
 
 
 def check_log(path: Path | str) -> None:
-    """Raises UsageError if there is no log that can be read, or an empty one; names its part if its run was
-    cut off."""
+    """Raise UsageError if a log is missing, cannot be read or is empty.
+
+    The message names the log's part, ``NAME.log.part``, if there is one: then the run was cut off.
+    """
     try:
         with Path(path).open("rb") as file:
             is_empty = not file.read(1)
@@ -236,6 +238,6 @@ def _checked(
 
 
 def _quote(text: str) -> str:
-    """Return the beginning of a line in quotes."""
+    """Return a line in quotes, cut to _LONGEST_QUOTE characters and dots if it is longer."""
     shown = text.strip()
     return repr(shown if len(shown) <= _LONGEST_QUOTE else f"{shown[:_LONGEST_QUOTE]}...")
