@@ -74,7 +74,7 @@ HOT uint32_t alpha_word_from_mantissa(uint32_t mantissa, uint32_t exponent)
     if (is_negative) {
         return shift_right(mantissa, (0U - exponent) & 31U) << 8; /* whole units, with shift 0 */
     }
-    return exponent <= ALPHA_SHIFT_MAX ? mantissa << 8 | exponent : ALPHA_MAX;
+    return exponent <= ALPHA_SHIFT_MAX ? (mantissa << 8) | exponent : ALPHA_MAX;
 }
 
 /* Alpha where x_hat is 0 or 1 (eq. 4, first two cases), after rare_observations observations of the rarer
@@ -110,8 +110,8 @@ ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uin
     /* 32 = 64 bits below the products + 24 of alpha - 32 below the divisor - 24 of the quotient */
     uint32_t exponent = 32U - 2U * g_shift - shift + spread_shift - square_shift;
     uint32_t mantissa = divide_24(shift_left(square, square_shift) >> 1, upper(spread, spread_shift) >> 1);
-    const uint32_t excess_bit = mantissa >> 24 & 1U; /* the quotient is in [2^23, 2^25) */
-    mantissa >>= excess_bit;                         /* a shift by at most 1 */
+    const uint32_t excess_bit = (mantissa >> 24) & 1U; /* the quotient is in [2^23, 2^25) */
+    mantissa >>= excess_bit;                           /* a shift by at most 1 */
     exponent += excess_bit;
     const confidence_t alpha = {mantissa, exponent};
     return alpha;
@@ -153,8 +153,9 @@ HOT estimate_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accur
     return result;
 }
 
-/* Count an observation, and form the local estimate. At the memory, t and n are halved: this keeps the share
- * of black, and new observations weigh more. */
+/* Count the observation z, and form the local estimate x_hat (Q23) and its alpha word. When t reaches the
+ * memory, t and n are halved: this keeps the share of black, and new observations weigh more. Returns OK, or
+ * ERR_OBSERVATION if z is no observation; the robot is then as it was. */
 HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observation_t z)
 {
     if ((uint32_t)z > (uint32_t)MCP_ASDF_BLACK) {
@@ -163,7 +164,7 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observ
     uint32_t t = robot->t + 1U, n = robot->n + (uint32_t)z; /* <= 2^31 */
     if (t >= robot->config->memory) {
         t >>= 1;
-        n = (n + (n >> 1 & 1U)) >> 1; /* to nearest, ties to even */
+        n = (n + ((n >> 1) & 1U)) >> 1; /* to nearest, ties to even */
     }
     robot->t = t;
     robot->n = n;
@@ -181,8 +182,8 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observ
 /* Value of an alpha word in units of 2^-24, below 2^55. */
 ALWAYS_INLINE word_pair_t alpha_units(uint32_t alpha) { return shift_left_wide(alpha >> 8, alpha); }
 
-/* Add a neighbour's estimate with alpha > 0 to the sums of the open round. The comments say by how much each
- * sum grows at most. */
+/* Add a neighbour's estimate (x_hat as Q23, an alpha word above 0) to the sums of the open round, and count
+ * it. The comments say by how much each sum grows at most. */
 HOT void add_estimate(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
 {
     mcp_asdf_open_t *const open = &robot->open;
@@ -202,7 +203,7 @@ HOT uint32_t round_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_h
     /* The sum of alpha x_hat is 2^32 upper_sum + lower_sum, as Q23. */
     const uint64_t upper_sum = alpha_x_high + high_word(alpha_x_low); /* < 2^53 + 2^30 */
     const uint32_t lower_sum = low_word(alpha_x_low);
-    uint64_t dividend = upper_sum << 9 | lower_sum >> 23; /* whole units of alpha: <= alpha < 2^62 */
+    uint64_t dividend = (upper_sum << 9) | (lower_sum >> 23); /* whole units of alpha: <= alpha < 2^62 */
     if (high_word(alpha) == 0U) {
         /* So few units that both fit in a word: 32 bits of the fraction are appended. */
         dividend = join(low_word(dividend), lower_sum << 9);
@@ -335,14 +336,15 @@ ALWAYS_INLINE bool is_valid_table(const uint32_t *table) { return (void)table, t
 
 #endif
 
-/* Informed estimate x as Q23: by rounds (eq. 7), or by the robust filter. */
+/* Returns the informed estimate x as Q23: by the closed round and the robot's own estimate (eq. 7), or by the
+ * robust filter. */
 uint32_t mcp_asdf_x(const mcp_asdf_t *robot)
 {
     return mcp_asdf_is_robust(robot->config) ? crowd_estimate(robot, robot->x_hat)
                                              : combine_with_round(robot, robot->x_hat, robot->alpha);
 }
 
-/* Social estimate x_bar as Q23: eq. 7 without an own estimate, or the robust filter's. */
+/* Returns the social estimate x_bar as Q23: by the closed round alone (eq. 5), or by the robust filter. */
 uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot)
 {
     return mcp_asdf_is_robust(robot->config) ? crowd_estimate(robot, MCP_ASDF_HALF)
@@ -351,8 +353,11 @@ uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot)
 
 /* ---- Receive ---- */
 
-/* Add a neighbour's estimate to the open round or, with the robust filter, to the crowd: the first one of a
- * sender in a round. Counts every call. */
+/* Add the estimate of `sender` (x_hat as Q23, alpha an alpha word) to the open round or, with the robust
+ * filter, to the crowd, unless the sender has been received from in this round. Every call counts as
+ * accepted, repeated or rejected. Returns OK, also for an estimate without confidence (alpha 0), which counts
+ * as accepted but changes no sum and no vote; REPEATED; or ERR_SENDER or ERR_X_HAT if the estimate is not
+ * valid, in this order. */
 mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha)
 {
     if (sender > MCP_ASDF_MAX_ID || sender == robot->id) {
@@ -363,15 +368,17 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
         ++robot->counters.rejected;
         return MCP_ASDF_ERR_X_HAT;
     }
-    uint8_t *const senders = &robot->heard.of[sender >> 3]; /* bits of eight senders */
-    const uint32_t old_senders = *senders, new_senders = old_senders | UINT32_C(1) << (sender & 7U);
+    /* The set of this round's senders: bit (id mod 8) of byte (id div 8). */
+    uint8_t *const senders = &robot->heard.of[sender >> 3];
+    const uint32_t old_senders = *senders, new_senders = old_senders | (UINT32_C(1) << (sender & 7U));
     if (old_senders == new_senders) {
         ++robot->counters.repeated;
         return MCP_ASDF_REPEATED;
     }
     ++robot->counters.accepted;
     *senders = (uint8_t)new_senders;
-    if (alpha >> 8 == 0U) { /* the sender has no confidence: it takes no part in sums or votes */
+    /* With a mantissa of 0 (the upper 24 bits of an alpha word) alpha is 0, whatever the shift below it. */
+    if ((alpha >> 8) == 0U) {
         return MCP_ASDF_OK;
     }
     if (mcp_asdf_is_robust(robot->config)) {
@@ -427,7 +434,8 @@ NOINLINE mcp_asdf_status_t update_b_hat(mcp_asdf_t *robot)
 
 /* ---- Rounds ---- */
 
-/* Close the round and begin the next, and run the filter every filter_period rounds. */
+/* Close the round and begin the next with empty sums and no senders. Every filter_period rounds the filter
+ * runs in between. Returns UPDATED if it has re-estimated b_hat, else OK. */
 HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
 {
     mcp_asdf_status_t status = MCP_ASDF_OK;
@@ -443,7 +451,8 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
     return status;
 }
 
-/* Observe, then settle; an invalid observation does nothing. */
+/* Observe z, then settle. Returns what settling returns, or ERR_OBSERVATION if z is no observation; then
+ * nothing is settled. */
 mcp_asdf_status_t mcp_asdf_step(mcp_asdf_t *robot, mcp_asdf_observation_t z)
 {
     const mcp_asdf_status_t status = mcp_asdf_observe(robot, z);
@@ -452,8 +461,9 @@ mcp_asdf_status_t mcp_asdf_step(mcp_asdf_t *robot, mcp_asdf_observation_t z)
 
 /* ---- Init ---- */
 
-/* Status of mcp_asdf_init() for these arguments: OK, or the first error in its order. A difference of
- * unsigned numbers checks both ends of a range, as a number below the range wraps. */
+/* Returns the status of mcp_asdf_init() for these arguments: OK, or the first of ERR_CONFIG, ERR_TABLE,
+ * ERR_ID and ERR_B_HAT that applies. A difference of unsigned numbers checks both ends of a range, as a
+ * number below the range wraps. */
 static mcp_asdf_status_t check_init_arguments(const mcp_asdf_config_t *config, uint8_t id, uint32_t b_hat)
 {
     if (config->filter_period == 0U || config->memory < MCP_ASDF_MEMORY_MIN ||
@@ -471,7 +481,8 @@ static mcp_asdf_status_t check_init_arguments(const mcp_asdf_config_t *config, u
                                                                                 : MCP_ASDF_OK;
 }
 
-/* Initialise a robot, if the arguments are valid. */
+/* Initialise *robot with the settings `config`, the id (0 .. 127) and b_hat (Q32). Returns OK, or the first
+ * error and leaves *robot as it was. */
 mcp_asdf_status_t mcp_asdf_init(mcp_asdf_t *robot, const mcp_asdf_config_t *config, uint8_t id,
                                 uint32_t b_hat)
 {

@@ -94,6 +94,6 @@ ALWAYS_INLINE uint32_t hash_word(uint32_t hash, uint32_t word)
 /* The largest mantissa and shift of an alpha word, and the word of the largest alpha. */
 #define ALPHA_MANTISSA_MAX UINT32_C(0xFFFFFF)
 #define ALPHA_SHIFT_MAX 31U
-#define ALPHA_MAX (ALPHA_MANTISSA_MAX << 8 | ALPHA_SHIFT_MAX)
+#define ALPHA_MAX ((ALPHA_MANTISSA_MAX << 8) | ALPHA_SHIFT_MAX)
 
 #endif

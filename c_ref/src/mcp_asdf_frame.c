@@ -16,11 +16,11 @@
 #define ID_BITS_SENT_AS_ONE (UINT32_C(3) << 21) /* receivers ignore them */
 #define ID_SERVICE (UINT32_C(1) << 25)
 #define ID_ANONYMOUS (UINT32_C(1) << 24)
-#define ID_RESERVED (UINT32_C(1) << 23 | UINT32_C(1) << 7)
+#define ID_RESERVED ((UINT32_C(1) << 23) | (UINT32_C(1) << 7))
 #define ID_NODE_MASK 0x7FU
-#define NOT_IN_ID                                                                                            \
-    UINT32_C(0xE0000000) /* more than 29 bits: such a number must not pass for an identifier                 \
-                          */
+#define NOT_IN_ID UINT32_C(0xE0000000) /* bits 29 .. 31, which no identifier has */
+/* All bits that must be as the subject has them. Priority, sender and the bits sent as 1 may be anything. */
+#define CHECKED_ID_BITS (MCP_ASDF_FRAME_MASK | NOT_IN_ID)
 
 /* The tail byte. */
 #define TAIL_SINGLE_FRAME 0xE0U /* start, end and toggle bit */
@@ -33,16 +33,16 @@ typedef mcp_asdf_frame_status_t status_t;
 /* ---- Little-endian numbers --------------------------------------------------------------------------------
  */
 
-/* Read a number from 3 bytes. */
+/* Returns the number in the 3 bytes at `bytes`, below 2^24. */
 static uint32_t read_24(const uint8_t *bytes)
 {
-    return bytes[0] | (uint32_t)bytes[1] << 8 | (uint32_t)bytes[2] << 16;
+    return bytes[0] | ((uint32_t)bytes[1] << 8) | ((uint32_t)bytes[2] << 16);
 }
 
-/* Read a number from 4 bytes. */
-static uint32_t read_32(const uint8_t *bytes) { return read_24(bytes) | (uint32_t)bytes[3] << 24; }
+/* Returns the number in the 4 bytes at `bytes`. */
+static uint32_t read_32(const uint8_t *bytes) { return read_24(bytes) | ((uint32_t)bytes[3] << 24); }
 
-/* Write the lowest 24 bits of a number to 3 bytes. */
+/* Write the lowest 24 bits of `value` to the 3 bytes at `bytes`. */
 static void write_24(uint8_t *bytes, uint32_t value)
 {
     bytes[0] = (uint8_t)value;
@@ -50,7 +50,7 @@ static void write_24(uint8_t *bytes, uint32_t value)
     bytes[2] = (uint8_t)(value >> 16);
 }
 
-/* Write a number to 4 bytes. */
+/* Write `value` to the 4 bytes at `bytes`. */
 static void write_32(uint8_t *bytes, uint32_t value)
 {
     write_24(bytes, value);
@@ -59,7 +59,8 @@ static void write_32(uint8_t *bytes, uint32_t value)
 
 /* ---- What all messages have in common --------------------------------------------------------------- */
 
-/* Whether a node may send frames of a format: OK, or the first error. */
+/* Check the sender and the format of a message before it is encoded. Returns ERR_NODE if `node` is above 127,
+ * else ERR_FORMAT if the subject or the priority of `format` is out of range, else OK. */
 static status_t check_sender_and_format(const mcp_asdf_frame_format_t *format, uint8_t node)
 {
     if (node > MCP_ASDF_NODE_MAX) {
@@ -70,19 +71,22 @@ static status_t check_sender_and_format(const mcp_asdf_frame_format_t *format, u
                : MCP_ASDF_FRAME_OK;
 }
 
-/* Write all of a frame but the first 7 bytes of its data: identifier, flags, length and tail byte. */
+/* Write what encloses the content of every message: the identifier (from `priority`, `subject` and `node`),
+ * no flags, the length of 8, and as the last byte of data the tail byte, with `transfer_id` modulo 32. The
+ * content, data[0] to data[6], stays as it is. The caller has checked the ranges. */
 static void write_envelope(mcp_asdf_frame_t *frame, uint8_t priority, uint16_t subject, uint8_t node,
                            uint8_t transfer_id)
 {
-    frame->id = (uint32_t)priority << 26 | ID_BITS_SENT_AS_ONE | MCP_ASDF_FRAME_FILTER(subject) | node;
+    frame->id = ((uint32_t)priority << 26) | ID_BITS_SENT_AS_ONE | MCP_ASDF_FRAME_FILTER(subject) | node;
     frame->flags = 0;
     frame->length = FRAME_BYTES;
     frame->data[7] = (uint8_t)(TAIL_SINGLE_FRAME | (transfer_id & TAIL_TRANSFER_ID_MASK));
 }
 
-/* First reason to refuse a frame that has a flag, or not the expected identifier. If nothing else is wrong
- * with the identifier, its subject is. */
-static status_t explain_refusal(const mcp_asdf_frame_t *frame)
+/* Returns the first reason to refuse a frame of which check_envelope() has found a flag or an unexpected
+ * identifier, in the order of mcp_asdf_frame_status_t. If no flag and no single bit of the identifier is the
+ * reason, the subject is. */
+static status_t find_refusal_reason(const mcp_asdf_frame_t *frame)
 {
     if ((frame->flags & MCP_ASDF_FRAME_ERROR) != 0U) {
         return MCP_ASDF_FRAME_ERR_ERROR_FRAME;
@@ -105,12 +109,13 @@ static status_t explain_refusal(const mcp_asdf_frame_t *frame)
     return (frame->id & ID_RESERVED) != 0U ? MCP_ASDF_FRAME_ERR_RESERVED_BITS : MCP_ASDF_FRAME_ERR_SUBJECT;
 }
 
-/* Whether a frame is a message of a subject, whatever its content: OK, or the first reason to refuse it. */
+/* Check all of a frame but the content of its message: flags, identifier, length and tail byte. Returns OK if
+ * it is a single-frame message of `subject` (0 .. 6143), else the first reason to refuse it, in the order of
+ * mcp_asdf_frame_status_t. */
 static status_t check_envelope(const mcp_asdf_frame_t *frame, uint16_t subject)
 {
-    if ((frame->flags & ANY_FLAG) != 0U ||
-        (frame->id & (MCP_ASDF_FRAME_MASK | NOT_IN_ID)) != MCP_ASDF_FRAME_FILTER(subject)) {
-        return explain_refusal(frame);
+    if ((frame->flags & ANY_FLAG) != 0U || (frame->id & CHECKED_ID_BITS) != MCP_ASDF_FRAME_FILTER(subject)) {
+        return find_refusal_reason(frame);
     }
     if (frame->length != FRAME_BYTES) {
         return MCP_ASDF_FRAME_ERR_LENGTH;
@@ -119,10 +124,10 @@ static status_t check_envelope(const mcp_asdf_frame_t *frame, uint16_t subject)
                                                                      : MCP_ASDF_FRAME_ERR_MULTI_FRAME;
 }
 
-/* Id of the node that sent a frame, 0 .. 127. */
+/* Returns the id of the node that sent `frame`, 0 .. 127. */
 static uint8_t read_node(const mcp_asdf_frame_t *frame) { return (uint8_t)(frame->id & ID_NODE_MASK); }
 
-/* Number of the message among those of its sender, 0 .. 31. */
+/* Returns the number of the message in `frame` among those of its sender and kind, modulo 32. */
 static uint8_t read_transfer_id(const mcp_asdf_frame_t *frame)
 {
     return (uint8_t)(frame->data[7] & TAIL_TRANSFER_ID_MASK);
@@ -130,7 +135,8 @@ static uint8_t read_transfer_id(const mcp_asdf_frame_t *frame)
 
 /* ---- Confidence: alpha words and binary32 ----------------------------------------------------------- */
 
-/* The binary32 number of an alpha word: exact for every word. */
+/* Returns the bits of the binary32 number that an alpha word stands for: mantissa (bits 8 to 31) times
+ * 2^shift (bits 0 to 4) in units of 2^-24. Exact for every word. */
 static uint32_t binary32_from_alpha_word(uint32_t alpha)
 {
     uint32_t mantissa = alpha >> 8, exponent = BINARY32_UNIT_EXPONENT + (alpha & ALPHA_SHIFT_MAX);
@@ -142,11 +148,11 @@ static uint32_t binary32_from_alpha_word(uint32_t alpha)
         mantissa <<= 1;
         --exponent;
     }
-    return exponent << 23 | (mantissa & BINARY32_FRACTION_MASK);
+    return (exponent << 23) | (mantissa & BINARY32_FRACTION_MASK);
 }
 
-/* The word of the largest alpha not above a binary32 number >= 0; exact for what binary32_from_alpha_word()
- * returned. */
+/* Returns the word of the largest alpha that is not above a number, given as the bits of a binary32 number
+ * that is finite and not negative. Exact for what binary32_from_alpha_word() returned. */
 static uint32_t alpha_word_from_binary32(uint32_t binary32)
 {
     const uint32_t exponent = binary32 >> 23;
@@ -155,15 +161,15 @@ static uint32_t alpha_word_from_binary32(uint32_t binary32)
         /* Bits below the unit are lost; all of them in subnormal numbers, too, which lack the implicit bit.
          */
         const uint32_t lost_bits = BINARY32_UNIT_EXPONENT - exponent;
-        return lost_bits < 24U ? mantissa >> lost_bits << 8 : 0U;
+        return lost_bits < 24U ? (mantissa >> lost_bits) << 8 : 0U;
     }
     const uint32_t shift = exponent - BINARY32_UNIT_EXPONENT;
-    return shift <= ALPHA_SHIFT_MAX ? mantissa << 8 | shift : ALPHA_MAX;
+    return shift <= ALPHA_SHIFT_MAX ? (mantissa << 8) | shift : ALPHA_MAX;
 }
 
 /* ---- Estimate --------------------------------------------------------------------------------------- */
 
-/* Write an estimate to a frame, if it is valid. */
+/* Write an estimate to a frame. Returns OK, or the first error and leaves *frame as it was. */
 mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,
                                                  const mcp_asdf_frame_format_t *format,
                                                  const mcp_asdf_estimate_t *message)
@@ -181,7 +187,8 @@ mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,
     return MCP_ASDF_FRAME_OK;
 }
 
-/* Read an estimate from a frame, if it is a valid one. */
+/* Read an estimate from a frame of `subject`. Returns OK, or the first reason to refuse the frame and leaves
+ * *message as it was. */
 mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, uint16_t subject,
                                                  const mcp_asdf_frame_t *frame)
 {
@@ -205,7 +212,7 @@ mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, u
 
 /* ---- Heartbeat -------------------------------------------------------------------------------------- */
 
-/* Write a heartbeat to a frame, if it is valid. */
+/* Write a heartbeat to a frame. Returns OK, or the first error and leaves *frame as it was. */
 mcp_asdf_frame_status_t mcp_asdf_encode_heartbeat(mcp_asdf_frame_t *frame, uint8_t priority,
                                                   const mcp_asdf_heartbeat_t *message)
 {
@@ -231,7 +238,7 @@ mcp_asdf_frame_status_t mcp_asdf_encode_heartbeat(mcp_asdf_frame_t *frame, uint8
 
 /* ---- Telemetry -------------------------------------------------------------------------------------- */
 
-/* Write telemetry to a frame, if it is valid. */
+/* Write telemetry to a frame. Returns OK, or the first error and leaves *frame as it was. */
 mcp_asdf_frame_status_t mcp_asdf_encode_telemetry(mcp_asdf_frame_t *frame,
                                                   const mcp_asdf_frame_format_t *format,
                                                   const mcp_asdf_telemetry_t *message)
@@ -255,7 +262,8 @@ mcp_asdf_frame_status_t mcp_asdf_encode_telemetry(mcp_asdf_frame_t *frame,
 
 /* ---- Command ---------------------------------------------------------------------------------------- */
 
-/* Read a command from a frame, if it is a valid one. */
+/* Read a command from a frame of `subject`. Returns OK, or the first reason to refuse the frame and leaves
+ * *message as it was. */
 mcp_asdf_frame_status_t mcp_asdf_decode_command(mcp_asdf_command_t *message, uint16_t subject,
                                                 const mcp_asdf_frame_t *frame)
 {

@@ -14,8 +14,9 @@
 
 /* ---- Invariants ---- */
 
-/* Make *fresh a robot that has just formed x_hat and alpha from the t, n and b_hat of `robot`: one with an
- * observation less observes once more. Returns false if there can be no such robot. */
+/* Make *fresh a robot with the settings `config` that has just formed x_hat and alpha from the t, n and b_hat
+ * of `robot`: one that has an observation less observes once more. Returns false, with *fresh of no use, if
+ * there can be no such robot. */
 static bool recompute_estimate(const mcp_asdf_t *robot, const mcp_asdf_config_t *config, mcp_asdf_t *fresh)
 {
     if (robot->n > robot->t ||
@@ -31,10 +32,11 @@ static bool recompute_estimate(const mcp_asdf_t *robot, const mcp_asdf_config_t 
     return true;
 }
 
-/* Whether an alpha word is one that a robot forms: bits 7..5 are 0, and the shift is the smallest. */
+/* Whether an alpha word is one that a robot forms: bits 5 to 7 are 0, and the shift (bits 0 to 4) is 0 unless
+ * the highest bit of the mantissa is set, so that no smaller shift would do. */
 static bool is_canonical(uint32_t alpha)
 {
-    return (alpha & 0xE0U) == 0U && (alpha >> 31 != 0U || (alpha & 0x1FU) == 0U);
+    return (alpha & 0xE0U) == 0U && ((alpha >> 31) != 0U || (alpha & 0x1FU) == 0U);
 }
 
 /* Whether accuracy, x_hat and alpha follow from t, n and b_hat (I4 and I5). After a re-estimate of b_hat,
@@ -57,33 +59,41 @@ static bool is_valid_estimate(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 
 #if MCP_ASDF_WITH_ASDF
 
-/* Whether sums of alpha and of alpha x_hat are in their ranges and give a mean of at most 1.0. */
+/* Whether the sums over the messages of a round are in their ranges, and give a mean of x_hat weighted by
+ * alpha of at most 1.0. `alpha` is the sum of alpha in units of 2^-24; the sum of alpha x_hat is
+ * 2^32 alpha_x_high + alpha_x_low, in units of 2^-47 (mcp_asdf_closed_t). */
 static bool is_valid_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
-    /* The sum of alpha x_hat from bit 32 up: may wrap, but not within the limits below. */
+    /* Where the mean is 1.0, the sum of alpha x_hat is 2^23 alpha. Neither fits in 64 bits, so that both are
+     * compared in two pieces: from bit 32 up, and the 32 bits below. upper_sum may wrap, but then one of its
+     * two terms is out of its range, which is checked first. */
     const uint64_t upper_sum = alpha_x_high + (alpha_x_low >> 32);
-    const uint64_t upper_limit = alpha >> 9; /* the same where the mean is 1.0: 2^23 alpha / 2^32 */
-    return alpha <= MCP_ASDF_MAX_ID * ALPHA_MANTISSA << 31 && alpha_x_low < UINT64_C(1) << 62 &&
-           alpha_x_high < UINT64_C(1) << 53 &&
+    const uint64_t upper_limit = alpha >> 9; /* 2^23 alpha / 2^32 */
+    return alpha <= (MCP_ASDF_MAX_ID * ALPHA_MANTISSA) << 31 && alpha_x_low < (UINT64_C(1) << 62) &&
+           alpha_x_high < (UINT64_C(1) << 53) &&
            (upper_sum < upper_limit ||
-            (upper_sum == upper_limit && (uint32_t)alpha_x_low <= (uint32_t)alpha << 23));
+            /* The lower 32 bits of the sum and of 2^23 alpha decide where the upper ones are equal. */
+            (upper_sum == upper_limit && (uint32_t)alpha_x_low <= ((uint32_t)alpha << 23)));
 }
 
-/* Whether `count` estimates can have these sums: each alpha at least one unit, none too large, no mean above
- * 1.0, no variance below 0. */
+/* Whether open->count estimates with alpha > 0 can have these sums: every alpha has at least one unit of
+ * 2^-24 and at most ALPHA_MANTISSA 2^31, no mean is above 1.0, and no variance below 0. The ranges in the
+ * comments show that no product wraps. */
 static bool are_valid_sums(const mcp_asdf_open_t *open)
 {
     const uint32_t m = open->count;
     return m <= MCP_ASDF_MAX_ID && open->x <= m * MCP_ASDF_ONE && /* < 2^30 */
            open->x_squared <= (uint64_t)open->x * MCP_ASDF_ONE &&
-           m * open->x_squared >= (uint64_t)open->x * open->x &&          /* < 2^60 */
-           open->alpha >= m && open->alpha <= m * ALPHA_MANTISSA << 31 && /* < 2^62 */
+           m * open->x_squared >= (uint64_t)open->x * open->x &&            /* < 2^60 */
+           open->alpha >= m && open->alpha <= (m * ALPHA_MANTISSA) << 31 && /* < 2^62 */
            open->alpha_x_low <= (uint64_t)open->x * UINT32_MAX &&
            open->alpha_x_high <= open->x * (ALPHA_MANTISSA >> 1) &&
            is_valid_mean(open->alpha, open->alpha_x_low, open->alpha_x_high);
 }
 
-/* Whether estimates can have led to the sums of both rounds; with the robust filter all are 0. */
+/* Whether received estimates can have led to the sums of the closed and of the open round. With the robust
+ * filter there are no sums: the number of estimates in the open round and the alpha of the closed one must be
+ * 0, so that all other sums are 0, too. */
 static bool are_valid_rounds(const mcp_asdf_t *robot)
 {
     return is_valid_mean(robot->closed.alpha, robot->closed.alpha_x_low, robot->closed.alpha_x_high) &&
@@ -91,7 +101,7 @@ static bool are_valid_rounds(const mcp_asdf_t *robot)
            (!mcp_asdf_is_robust(robot->config) || (robot->open.count == 0U && robot->closed.alpha == 0U));
 }
 
-/* Number of estimates in the sums of the open round. */
+/* Returns the number of estimates in the sums of the open round, 0 in a build without these sums. */
 static uint32_t count_of_open_round(const mcp_asdf_t *robot) { return robot->open.count; }
 
 #else
@@ -126,19 +136,20 @@ static bool is_valid_crowd(const mcp_asdf_t *robot) { return (void)robot, true; 
 
 #endif
 
-/* Whether the senders of the open round are at least as many as its estimates with alpha > 0, and the robot
- * is not among them. */
+/* Whether the set of senders fits the open round: it has at least as many members as the sums have estimates,
+ * and the robot itself is none of them. The bit of a sender is bit (id mod 8) of byte (id div 8). */
 static bool are_valid_senders(const mcp_asdf_t *robot)
 {
     uint32_t sender_count = 0;
     for (uint8_t id = 0; id <= MCP_ASDF_MAX_ID; ++id) { /* at most 128 turns */
-        sender_count += robot->heard.of[id >> 3] >> (id & 7) & 1;
+        sender_count += (robot->heard.of[id >> 3] >> (id & 7)) & 1;
     }
     return count_of_open_round(robot) <= sender_count &&
-           (robot->heard.of[robot->id >> 3] >> (robot->id & 7) & 1) == 0;
+           ((robot->heard.of[robot->id >> 3] >> (robot->id & 7)) & 1) == 0;
 }
 
-/* Whether calls of the firmware can have led to this state. *fresh is memory for another robot. */
+/* Whether calls of the firmware can have led to this state. Overwrites *fresh, which is memory for another
+ * robot. */
 static bool is_valid_state(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
     const mcp_asdf_config_t *const config = robot->config;
@@ -184,37 +195,39 @@ static uint32_t pass_word(image_t *image, uint32_t value)
     return word;
 }
 
-/* Pass two half words as one word, the first in its lower half. */
+/* Pass *first and *second through the image as one word, *first in its lower half. If the image is read, both
+ * are replaced. */
 static void pass_half_words(image_t *image, uint16_t *first, uint16_t *second)
 {
-    const uint32_t word = pass_word(image, (uint32_t)*second << 16 | *first);
+    const uint32_t word = pass_word(image, ((uint32_t)*second << 16) | *first);
     *first = (uint16_t)word;
     *second = (uint16_t)(word >> 16);
 }
 
-/* Pass four bytes as the word of which they are the little-endian bytes. */
+/* Pass the four bytes at `bytes` through the image, as the word of which they are the little-endian bytes. If
+ * the image is read, they are replaced. */
 static void pass_bytes(image_t *image, uint8_t *bytes)
 {
     uint32_t word = 0;
     for (uint8_t i = 0; i < 4U; ++i) { /* at most 4 turns */
-        word |= (uint32_t)bytes[i] << 8 * i;
+        word |= (uint32_t)bytes[i] << (8 * i);
     }
     word = pass_word(image, word);
     for (uint8_t i = 0; i < 4U; ++i) { /* at most 4 turns */
-        bytes[i] = (uint8_t)(word >> 8 * i);
+        bytes[i] = (uint8_t)(word >> (8 * i));
     }
 }
 
 #if MCP_ASDF_WITH_ASDF
 
-/* Pass a 64-bit sum as two words, the lower one first. */
+/* Pass *sum through the image as two words, the lower one first. If the image is read, it is replaced. */
 static void pass_sum(image_t *image, uint64_t *sum)
 {
     const uint32_t low = pass_word(image, (uint32_t)*sum);
-    *sum = (uint64_t)pass_word(image, (uint32_t)(*sum >> 32)) << 32 | low;
+    *sum = ((uint64_t)pass_word(image, (uint32_t)(*sum >> 32)) << 32) | low;
 }
 
-/* Pass the sums of both rounds: 16 words. */
+/* Pass the sums of the closed and of the open round through the image: 16 words. */
 static void pass_rounds(image_t *image, mcp_asdf_t *robot)
 {
     pass_sum(image, &robot->closed.alpha);
@@ -262,7 +275,8 @@ static void copy_crowd(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { (void)robot
 
 #endif
 
-/* Pass all members of a robot, except the config and what follows from b_hat alone. */
+/* Pass all members of `robot` through the image, except the config and what follows from b_hat alone. With
+ * `is_robust` the image has the crowd in place of the rounds. */
 static void pass_state(image_t *image, mcp_asdf_t *robot, bool is_robust)
 {
     robot->accuracy.b_hat = pass_word(image, robot->accuracy.b_hat);
@@ -281,17 +295,17 @@ static void pass_state(image_t *image, mcp_asdf_t *robot, bool is_robust)
     }
     pass_half_words(image, &robot->counters.accepted, &robot->counters.repeated);
     pass_half_words(image, &robot->counters.rejected, &robot->counters.tests);
-    const uint32_t last_word = pass_word(image, robot->counters.updates | (uint32_t)robot->updated << 16 |
-                                                    (uint32_t)robot->id << 24);
+    const uint32_t last_word = pass_word(image, robot->counters.updates | ((uint32_t)robot->updated << 16) |
+                                                    ((uint32_t)robot->id << 24));
     robot->counters.updates = (uint16_t)last_word;
     robot->updated = (uint8_t)(last_word >> 16);
     robot->id = (uint8_t)(last_word >> 24);
 }
 
-/* First word of an image. Images with the robust filter have another one. */
+/* Returns the first word of an image: that of a robot with the robust filter, or with any other. */
 static uint32_t magic_word(bool is_robust) { return is_robust ? IMAGE_MAGIC | ROBUST_IMAGE : IMAGE_MAGIC; }
 
-/* Write the image of a robot: the magic word, the state, and the hash of both. */
+/* Write the image of `robot` to `image`: the magic word, the state, and the hash of both. */
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
     image_t output = {NULL, image, HASH_START};
@@ -302,7 +316,9 @@ void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
     (void)pass_word(&output, output.hash);
 }
 
-/* Read a robot from an image, check it, and only then write *robot. */
+/* Read a robot from `image`, check it, and only then write *robot. Returns OK; ERR_CONFIG or ERR_TABLE if
+ * `config` is not valid; or ERR_IMAGE if the image is damaged, is that of another filter, or holds a state to
+ * which no calls lead. */
 mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *config,
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {

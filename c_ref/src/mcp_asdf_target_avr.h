@@ -54,7 +54,7 @@ static inline uint32_t shift_left(uint32_t value, uint32_t count)
     return shift_left_by(value, (uint8_t)count);
 }
 
-/* shift_right_by(), likewise. */
+/* shift_right_by(), with a count in a word as on other targets. */
 static inline uint32_t shift_right(uint32_t value, uint32_t count)
 {
     return shift_right_by(value, (uint8_t)count);
@@ -94,13 +94,15 @@ NOINLINE uint32_t divide_by_bits(uint32_t a, uint32_t d, uint8_t bits)
             }
             a <<= 1; /* < 2 d */
         }
-        quotient = quotient << 8 | byte;
+        quotient = (quotient << 8) | byte;
         turns = 8;
     }
     return quotient;
 }
 
+/* floor(2^24 a / d), in the range of divide_by_bits(). */
 static inline uint32_t divide_24(uint32_t a, uint32_t d) { return divide_by_bits(a, d, 24); }
+/* floor(2^31 a / d), likewise. */
 static inline uint32_t divide_31(uint32_t a, uint32_t d) { return divide_by_bits(a, d, 31); }
 #endif
 

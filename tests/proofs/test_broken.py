@@ -38,7 +38,7 @@ BROKEN = (
     ("", "1000", "multiply_high(ratio, ratio)", "multiply_high(ratio, g)"),
     ("", "1000", "x_bar = ~x_bar;", "x_bar = 0U - x_bar;"),
     ("", "1000", "dividend < divisor ? dividend : divisor", "dividend"),
-    ("", "1000", "upper_sum << 9 | lower_sum >> 23", "upper_sum << 9 | lower_sum >> 24"),
+    ("", "1000", "(upper_sum << 9) | (lower_sum >> 23)", "upper_sum << 9 | lower_sum >> 24"),
     ("", "1000", "sum - product >= alpha", "sum - product > alpha"),
     ("", "1000", "b_hat < MCP_ASDF_B_HAT_MAX ? b_hat", "b_hat <= MCP_ASDF_B_HAT_MIN ? b_hat"),
     (
@@ -63,7 +63,7 @@ BROKEN = (
     ("update_crowd", "1000", "statistics.trend >> 8", "statistics.trend >> 7"),
     ("", "1000", "b_hat > MCP_ASDF_B_HAT_MIN ? b_hat", "b_hat > 0U ? b_hat"),
     ("mcp_asdf_observe", "1000", "config->memory)", "config->memory - (robot->config->memory == 1U << 30))"),
-    ("mcp_asdf_observe", "1000", "(n >> 1 & 1U)", "(n & 1U)"),
+    ("mcp_asdf_observe", "1000", "((n >> 1) & 1U)", "(n & 1U)"),
     ("mcp_asdf_observe", "1000", "robot->updated = 0;", ""),
     ("mcp_asdf_receive", "1000", "sender == robot->id", "(sender == robot->id && sender != 0U)"),
     ("mcp_asdf_receive", "1000", "== robot->id", "== robot->id || (sender == 127U && robot->id == 90U)"),
