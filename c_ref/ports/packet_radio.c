@@ -22,7 +22,8 @@ static volatile uint8_t
     rejected_packets;           /* lost since the queue was full, modulo 256; by the receiving side */
 static uint8_t damaged_packets; /* with a wrong checksum, modulo 256; written by the other side */
 
-/* Collect the bytes of a packet, and add the packet to the queue. Bytes before a mark are skipped. */
+/* Collect the bytes of a packet, and add the packet to the queue when it is complete. Bytes before a mark are
+ * skipped. A packet for which the queue had no room when it began counts in rejected_packets. */
 void radio_receive_byte(uint8_t byte)
 {
     static uint8_t byte_count; /* bytes of this packet so far, with its mark */
@@ -42,21 +43,22 @@ void radio_receive_byte(uint8_t byte)
     }
 }
 
-/* CRC-8 of a packet without its last byte. */
+/* Returns the CRC-8 of the first FRAME_BYTES bytes of `packet`: all but the checksum. */
 static uint8_t checksum(const uint8_t *packet)
 {
     uint8_t crc = 0;
     for (uint8_t i = 0; i < FRAME_BYTES; ++i) {
         crc ^= packet[i];
         for (uint8_t bit = 0; bit < 8; ++bit) {
-            crc = (uint8_t)(crc << 1 ^ (crc & 0x80 ? CRC_POLYNOMIAL : 0));
+            crc = (uint8_t)((crc << 1) ^ (crc & 0x80 ? CRC_POLYNOMIAL : 0));
         }
     }
     return crc;
 }
 
-/* Take packets out of the queue until one is undamaged, and read its frame. Returns false if there is none.
- */
+/* Take packets out of the queue until one is undamaged, and write its frame to *frame. Every packet with a
+ * wrong checksum counts in damaged_packets and is dropped. Returns false, and leaves *frame as it was, if no
+ * undamaged packet is waiting. */
 bool radio_next_frame(mcp_asdf_frame_t *frame)
 {
     while (taken_packets != received_packets) {
@@ -72,7 +74,7 @@ bool radio_next_frame(mcp_asdf_frame_t *frame)
         }
         *frame = (mcp_asdf_frame_t){.length = DATA_BYTES};
         for (uint8_t i = 0; i < ID_BYTES; ++i) {
-            frame->id |= (uint32_t)packet[i] << 8 * i;
+            frame->id |= (uint32_t)packet[i] << (8 * i);
         }
         for (uint8_t i = 0; i < DATA_BYTES; ++i) {
             frame->data[i] = packet[ID_BYTES + i];
@@ -82,12 +84,12 @@ bool radio_next_frame(mcp_asdf_frame_t *frame)
     return false;
 }
 
-/* Send a frame as a packet, after a mark. */
+/* Send the id and the data of `frame` as a packet, after a mark. Waits until the line has accepted it. */
 void radio_send(const mcp_asdf_frame_t *frame)
 {
     uint8_t packet[PACKET_BYTES];
     for (uint8_t i = 0; i < FRAME_BYTES; ++i) {
-        packet[i] = i < ID_BYTES ? (uint8_t)(frame->id >> 8 * i) : frame->data[i - ID_BYTES];
+        packet[i] = i < ID_BYTES ? (uint8_t)(frame->id >> (8 * i)) : frame->data[i - ID_BYTES];
     }
     packet[FRAME_BYTES] = checksum(packet);
     port_put(MARK);

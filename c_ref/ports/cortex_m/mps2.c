@@ -23,12 +23,16 @@ typedef struct {
 #define ENABLE_RECEIVER 0xAU  /* in control: the receiver, and its interrupt */
 #define RECEIVER_INTERRUPT 2U /* in interrupt: cleared by writing 1 */
 #define QUEUE_SIZE 128U       /* a power of two */
+#define RECEIVER_ENABLE_BIT 1 /* of the UART's receiver in the NVIC registers below */
 
 #define UART ((volatile uart_t *)0x40004000)
-/* In both registers a bit that is written as 0 does nothing. Bit 0 is the UART's receiver. */
-#define ENABLE_INTERRUPTS (*(volatile uint32_t *)0xE000E100)
-#define DISABLE_INTERRUPTS (*(volatile uint32_t *)0xE000E180)
-#define VECTORS (*(volatile uint32_t *)0xE000ED08)
+/* Registers of the processor. In the first two a bit that is written as 1 enables or disables an interrupt,
+ * and one written as 0 does nothing; bit 0 is the UART's receiver. The third is the address of the vector
+ * table.
+ */
+#define NVIC_SET_ENABLE (*(volatile uint32_t *)0xE000E100)
+#define NVIC_CLEAR_ENABLE (*(volatile uint32_t *)0xE000E180)
+#define SCB_VECTOR_TABLE (*(volatile uint32_t *)0xE000ED08)
 
 /* Received bytes, and PORT_LOST, on their way from the interrupt to the program. Each side writes only its
  * own count of entries, modulo 256. */
@@ -51,7 +55,7 @@ void port_put(char byte)
 static void handle_received_byte(void)
 {
     if ((uint8_t)(entries_put - entries_taken) > QUEUE_SIZE - 2) {
-        DISABLE_INTERRUPTS = 1;
+        NVIC_CLEAR_ENABLE = RECEIVER_ENABLE_BIT;
         return;
     }
     UART->interrupt = RECEIVER_INTERRUPT;
@@ -87,12 +91,13 @@ static const handler_t vectors[] __attribute__((aligned(128))) = {
     handle_received_byte,
 };
 
-/* Set the speed of the serial line, and switch on sender, receiver and interrupt. */
+/* Set the speed of the serial line, and switch on sender, receiver and interrupt. Replaces the vector table
+ * of the whole processor by the one above, which has the receiver's interrupt. */
 void uart_start(void)
 {
     UART->divisor = CLOCK / BAUD;
-    VECTORS = (uint32_t)(uintptr_t)vectors;
-    ENABLE_INTERRUPTS = 1;
+    SCB_VECTOR_TABLE = (uint32_t)(uintptr_t)vectors;
+    NVIC_SET_ENABLE = RECEIVER_ENABLE_BIT;
     UART->control = ENABLE_SENDER | ENABLE_RECEIVER;
 }
 
@@ -103,7 +108,7 @@ int port_get(void)
         return PORT_NOTHING;
     }
     const int byte = queue[entries_taken++ % QUEUE_SIZE];
-    ENABLE_INTERRUPTS = 1;
+    NVIC_SET_ENABLE = RECEIVER_ENABLE_BIT;
     return byte;
 }
 

@@ -46,7 +46,8 @@ static void set_receive_buffer(const bus_t *bus)
     }
 }
 
-/* Ask the kernel to deliver only frames of the bus's subjects, and reports of errors. */
+/* Ask the kernel to deliver only frames of bus->subjects, and reports of REPORTED_ERRORS. Stores in
+ * bus->is_filtered whether it filters: if it refuses, all frames arrive, and the node refuses the others. */
 static void set_filters(bus_t *bus)
 {
     struct can_filter filters[2];

@@ -228,8 +228,9 @@ static void handle_end_of_tick(run_t *run)
     }
 }
 
-/* Pass a frame to the node, which in lockstep may end a tick. The first frame under the node's own id prints
- * a warning. */
+/* Pass `frame` to the node, and print a warning at the first frame under the node's own id. In lockstep the
+ * frame may be a command that ends a tick, so that handle_end_of_tick() is called after every frame: it may
+ * save the state, and end the run. */
 static void handle_frame(run_t *run, const mcp_asdf_frame_t *frame)
 {
     const bool had_no_collision = run->node.counts.id_collisions == 0;

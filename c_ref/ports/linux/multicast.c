@@ -185,7 +185,7 @@ static uint8_t *put_text(uint8_t *end, const char *text) { return put_bytes(end,
 static uint8_t *put_number(uint8_t *end, uint64_t number, int byte_count)
 {
     for (int i = byte_count - 1; i >= 0; --i) {
-        *end++ = (uint8_t)(number >> 8 * i);
+        *end++ = (uint8_t)(number >> (8 * i));
     }
     return end;
 }
@@ -271,7 +271,7 @@ static bool read_number(reader_t *reader, uint32_t *number)
         if (!read_byte(reader, &next_byte)) {
             return false;
         }
-        *number = *number << 8 | next_byte;
+        *number = (*number << 8) | next_byte;
     }
     return true;
 }
@@ -296,8 +296,9 @@ static bool skip_value(reader_t *reader)
     return first_byte == MSGPACK_NIL ? skip(reader, 1) : read_number(reader, &number);
 }
 
-/* Read the datagram field by field. Returns false at the first byte that python-can would not have written
- * for a classic data frame. */
+/* Read a datagram of `size` bytes, field by field: it must have the 11 fields listed above, in their order,
+ * and be a classic data frame. Any time and any channel will do. Writes *frame and returns true, or returns
+ * false, and leaves *frame as it was, at the first byte that differs. */
 bool multicast_unpack(struct canfd_frame *frame, const uint8_t *datagram, size_t size)
 {
     reader_t reader = {datagram, size};
@@ -313,6 +314,8 @@ bool multicast_unpack(struct canfd_frame *frame, const uint8_t *datagram, size_t
         !skip_text(&reader, BEFORE_DATA) || !read_byte(&reader, &byte_count)) {
         return false;
     }
+    /* msgpack has the length of the data twice: as the value of "dlc" (data_length), and as the size of the
+     * bytes that are the value of "data" (byte_count). */
     const bool is_extended = extended == MSGPACK_TRUE;
     if ((!is_extended && extended != MSGPACK_FALSE) || id > (is_extended ? CAN_EFF_MASK : CAN_SFF_MASK) ||
         data_length != byte_count || data_length > CAN_MAX_DLEN) {

@@ -126,8 +126,9 @@ void node_settle(node_t *node)
 
 /* ---- Receiving -------------------------------------------------------------------------------------- */
 
-/* Carry out a command: observe or settle. Counts it as followed, or as refused if it came in a wrong order; a
- * command for another robot changes nothing. */
+/* Carry out a command: begin a tick with an observation or without, or settle. Counts it in
+ * followed_commands, or in refused_commands if it is in a wrong order: a settle command for any tick but the
+ * open one, or a repeated command to begin the open tick. A command for another robot changes nothing. */
 static void handle_command(node_t *node, const mcp_asdf_command_t *command)
 {
     const bool is_settle = command->action == MCP_ASDF_SETTLE;
@@ -135,8 +136,10 @@ static void handle_command(node_t *node, const mcp_asdf_command_t *command)
     if (command->target != node->settings->id && command->target != MCP_ASDF_EVERY_ROBOT) {
         return;
     }
-    /* A settle command must be for the open tick. An observe command for the open tick is a repetition. */
-    if (is_settle != is_for_open_tick) {
+    /* A settle command must be for the open tick. An observe command must be for another tick, earlier or
+     * later: it begins that tick, and ends one that is still open. */
+    const bool is_in_order = is_settle == is_for_open_tick;
+    if (!is_in_order) {
         ++node->counts.refused_commands;
         return;
     }
@@ -149,7 +152,8 @@ static void handle_command(node_t *node, const mcp_asdf_command_t *command)
     }
 }
 
-/* Value of an alpha word in units of 2^-24, below 2^55. */
+/* Returns the value of an alpha word (mantissa in bits 8 to 31, shift in bits 0 to 4) in units of 2^-24,
+ * below 2^55. */
 static uint64_t alpha_to_units(uint32_t alpha_word)
 {
     return (uint64_t)(alpha_word >> 8) << (alpha_word & 31U);
@@ -181,7 +185,7 @@ static void receive_estimate(node_t *node, const mcp_asdf_estimate_t *estimate)
     if (node->senders != NULL) {
         check_alpha_jump(node, estimate);
     }
-    if (!has_own_id && (node->settings->ignored_senders[sender / 8] >> sender % 8 & 1) != 0) {
+    if (!has_own_id && ((node->settings->ignored_senders[sender / 8] >> (sender % 8)) & 1) != 0) {
         ++node->counts.ignored_estimates;
         return;
     }

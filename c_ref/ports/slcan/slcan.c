@@ -12,12 +12,12 @@
 
 /* ---- Lines of frames -------------------------------------------------------------------------------- */
 
-/* Write the lowest hexadecimal digits of a value, the highest of them first. Returns where the text goes on.
- */
+/* Write the lowest `digit_count` hexadecimal digits of `value` to `text`, in capitals, the highest of them
+ * first and without a terminating zero. Returns the address after the last one. */
 static char *write_hex(char *text, uint32_t value, uint8_t digit_count)
 {
     for (uint8_t digits_left = digit_count; digits_left > 0; --digits_left) {
-        *text++ = "0123456789ABCDEF"[value >> 4 * (digits_left - 1U) & 15];
+        *text++ = "0123456789ABCDEF"[(value >> (4 * (digits_left - 1U))) & 15];
     }
     return text;
 }
@@ -42,12 +42,13 @@ static bool parse_hex(uint32_t *value, const char *text, uint8_t digit_count)
         if (digit == NO_DIGIT) {
             return false;
         }
-        *value = *value << 4 | digit;
+        *value = (*value << 4) | digit;
     }
     return true;
 }
 
-/* Convert a frame to a line. Returns its length, 0 if the frame has no line. */
+/* Write `frame` to `line` as text, without the carriage return that ends a line. Returns the number of
+ * characters; 0, with nothing written, for an FD or error frame and for an id or a length out of range. */
 uint8_t slcan_format_frame(char line[SLCAN_LINE_MAX], const mcp_asdf_frame_t *frame)
 {
     const bool is_standard = (frame->flags & MCP_ASDF_FRAME_STANDARD) != 0;

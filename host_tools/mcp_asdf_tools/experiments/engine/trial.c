@@ -7,13 +7,18 @@ static uint64_t steps_between_tests(const mcp_asdf_experiment_t *experiment)
     return (uint64_t)experiment->configs[0]->filter_period * experiment->comms_period;
 }
 
+/* Returns the number of series of x in a trial: 1 if x is the same in all robots, else one a robot. x is the
+ * same if every robot combines the estimates of all robots, its own included. That fails if it receives from
+ * some only (links), if its own estimate is newer than the broadcasts (comms_period), if a liar broadcasts
+ * another estimate than its own, and with the robust filter, where x depends on the order of messages. */
 uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment)
 {
-    bool is_same = !trial_is_linked(experiment) && experiment->comms_period == 1 && experiment->liars == 0;
-    for (uint32_t j = 0; j < experiment->robots && is_same; ++j) {
-        is_same = !mcp_asdf_is_robust(experiment->configs[j]);
+    bool has_common_x =
+        !trial_is_linked(experiment) && experiment->comms_period == 1 && experiment->liars == 0;
+    for (uint32_t j = 0; j < experiment->robots && has_common_x; ++j) {
+        has_common_x = !mcp_asdf_is_robust(experiment->configs[j]);
     }
-    return is_same ? 1 : experiment->robots;
+    return has_common_x ? 1 : experiment->robots;
 }
 
 trial_t trial_outcome(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome,
@@ -28,7 +33,7 @@ trial_t trial_outcome(const mcp_asdf_experiment_t *experiment, const mcp_asdf_ou
                      records == 0 ? 0 : outcome->records + index * records};
 }
 
-/* Sums of all messages but one: exact, so equal to adding the others. */
+/* Returns the sums `all` without the message whose sums are `one`: exact, so equal to adding the others. */
 static mcp_asdf_open_t subtract_message(mcp_asdf_open_t all, const mcp_asdf_open_t *one)
 {
     all.alpha -= one->alpha;

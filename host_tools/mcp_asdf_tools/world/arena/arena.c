@@ -55,7 +55,8 @@ IN_LOOPS bool tile_is_black(const mcp_asdf_arena_t *arena, double x, double y)
     /* By way of signed numbers, for which processors have an instruction. */
     const uint64_t column = (uint64_t)(int64_t)((x + arena->config.width / 2) * arena->tiles_per_metre);
     const uint64_t row = (uint64_t)(int64_t)((y + arena->config.height / 2) * arena->tiles_per_metre);
-    return (double)(int64_t)(splitmix(arena->colour_seed + (column << 32 | row)) >> 11) < arena->black_limit;
+    return (double)(int64_t)(splitmix(arena->colour_seed + ((column << 32) | row)) >> 11) <
+           arena->black_limit;
 }
 
 int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y)

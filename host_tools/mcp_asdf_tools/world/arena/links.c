@@ -163,7 +163,9 @@ FOR_EACH_TARGET static void reset_tick(mcp_asdf_arena_t *arena)
     arena->link_count = arena->visible_count = arena->touchable_count = 0;
 }
 
-/* Note that a pair, whose squared distance is `squared`, is visible or touchable. */
+/* Add `pair`, whose squared distance is `squared` (m^2), to the visible pairs and to the touchable ones if it
+ * is near enough. Both robots of a visible pair are marked in needs_steering, of a touchable one in
+ * may_touch. */
 static void add_near_pair(mcp_asdf_arena_t *arena, mcp_asdf_pair_t pair, double squared)
 {
     const double touching = touching_distance(&arena->config);
@@ -194,8 +196,8 @@ static void classify_candidates(mcp_asdf_arena_t *arena)
         links[link_count] =
             candidates[p]; /* overwritten if not: half of them are, which no branch could predict */
         link_count += (uint32_t)is_linked;
-        in_range[candidates[p].a] |= is_linked << candidates[p].b % 64;
-        in_range[candidates[p].b] |= is_linked << candidates[p].a % 64;
+        in_range[candidates[p].a] |= is_linked << (candidates[p].b % 64);
+        in_range[candidates[p].b] |= is_linked << (candidates[p].a % 64);
         if (squared < near_distance * near_distance) {
             add_near_pair(arena, candidates[p], squared);
         }

@@ -80,7 +80,8 @@ IN_LOOPS double sensor_reading(double distance)
 #define WEAK_OBSTACLE 0.1 /* a shorter obstacle vector is ignored if it points ahead, within 5 degrees */
 #define TAN_5_DEGREES 0.08748866352592400522
 
-/* State of the wheels after `state`, where the heading to turn to is `angle` away. A turn on the spot begins
+/* Returns the next state of the wheels, a MCP_ASDF_..._TURN or MCP_ASDF_STRAIGHT, after `state`, where the
+ * heading to turn to is `angle` away, 0 .. pi. A turn on the spot begins
  * at 90 degrees and ends at 70. Exactly 90 is no rare tie: it is what a side sensor alone gives. It counts as
  * a turn on the spot because it does so in the physics simulation. */
 IN_LOOPS uint8_t next_wheels(uint8_t state, double angle)
@@ -91,7 +92,8 @@ IN_LOOPS uint8_t next_wheels(uint8_t state, double angle)
     return angle > 10 * DEGREE ? MCP_ASDF_SOFT_TURN : MCP_ASDF_STRAIGHT;
 }
 
-/* Speed of the wheel on the inner side of the turn. */
+/* Returns the speed in m/s of the wheel on the inner side of the turn, where the outer one has `speed`, for
+ * the state of the wheels and the angle to turn by. */
 IN_LOOPS double inner_speed(uint8_t wheels, double speed, double angle)
 {
     if (wheels == MCP_ASDF_HARD_TURN) {
@@ -100,9 +102,13 @@ IN_LOOPS double inner_speed(uint8_t wheels, double speed, double angle)
     return wheels == MCP_ASDF_SOFT_TURN ? speed * (1 - angle / (PI / 2)) : speed;
 }
 
-/* Set the wheels of a robot with an obstacle vector whose opposite is `angle` from straight ahead. */
+/* Set how `robot` drives on, from its obstacle vector (`ahead`, `left`), in its own frame and without a unit,
+ * whose opposite is `away` from straight ahead, 0 .. pi. Sets avoids, wheels, needs_steering, target_speed
+ * (m/s) and target_spin (rad/s, counterclockwise) of the robot. */
 IN_LOOPS void steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, double left, double away)
 {
+    /* Short, and straight ahead: |left| <= ahead tan 5 degrees holds for no vector that points backwards. The
+     * null vector is weak, too. */
     const bool is_weak =
         ahead * ahead + left * left < WEAK_OBSTACLE * WEAK_OBSTACLE && fabs(left) <= ahead * TAN_5_DEGREES;
     const double angle = is_weak ? 0 : away;
