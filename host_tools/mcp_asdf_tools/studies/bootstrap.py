@@ -1,5 +1,8 @@
 """Bootstrap intervals of medians, quartiles, means and rank correlations over the trials of an experiment.
 
+A sample has a value for each trial. A resample draws as many of its trials again, with replacement; the
+spread of a statistic over many resamples shows how much of it is chance.
+
 All samples of one length are resampled by the same indices. Trial i of every experiment with one seed has the
 same floor and the same random numbers, so what two samples have in common cancels in the difference of their
 statistics.
@@ -42,15 +45,15 @@ class Resampled:
     resamples: NDArray[np.float32]
 
     def __sub__(self, other: Resampled) -> Resampled:
-        """Return the difference of two statistics, resample by resample."""
+        """Return the difference of two statistics: of their values, and of their resamples in pairs."""
         return Resampled(self.value - other.value, self.resamples - other.resamples)
 
     def minus_constant(self, constant: float) -> Resampled:
-        """Subtract a number that is not subject to chance."""
+        """Return the statistic less a number that is not subject to chance."""
         return Resampled(self.value - constant, self.resamples - np.float32(constant))
 
     def interval(self, confidence: float) -> Interval:
-        """Return the percentile interval that covers the share ``confidence`` of the resamples."""
+        """Return the value with the range of the middle resamples, whose share is ``confidence`` (0 to 1)."""
         if np.ptp(self.resamples) == 0:
             # The resamples are float32, so they may differ from the value by rounding.
             return Interval(self.value, self.value, self.value)
@@ -114,6 +117,6 @@ def _spearman(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArra
 
 
 def mean_of_resampled(statistics: Sequence[Resampled]) -> Resampled:
-    """Return the mean of several statistics, resample by resample."""
+    """Return the mean of several statistics: of their values, and of each of their resamples."""
     value = float(np.mean([statistic.value for statistic in statistics]))
     return Resampled(value, np.mean([statistic.resamples for statistic in statistics], axis=0))

@@ -1,4 +1,4 @@
-"""The paper's three sets of experiments, and the cells of which they consist.
+"""The paper's three sets of experiments, the parts of the study, and the cells of which they consist.
 
 A ``Cell`` is one combination of what the paper varies. Some combinations are the same experiment: without
 flawed robots it does not matter what these would assume, nor whether only they filter; where all robots are
@@ -16,8 +16,14 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 
 FLAWED_ACCURACIES = (0.55, 0.75, 0.95)
+"""b_hat, the accuracy that flawed robots assume for their sensors at the start."""
+
 FLAWED_PERCENTS = (0, 10, 30, 50, 100)
+"""P, the percentage of robots that are flawed."""
+
 FILTER_PERIODS = (1000, 2000, 4000)
+"""tau, the steps from one filter step of a robot to the next."""
+
 PAPER_TRIALS = 30
 PAPER_STEPS = 40_000
 
@@ -40,13 +46,13 @@ class Cell:
     """One combination of what the paper varies.
 
     Attributes:
-        part: Set of experiments that it belongs to.
-        fill_ratio: f.
-        true_accuracy: b.
-        flawed_accuracy: b_hat of the flawed robots at the start.
+        study_part: Set of experiments that it belongs to.
+        fill_ratio: f, the share of black floor, which the robots estimate.
+        true_accuracy: b, the accuracy of all sensors.
+        flawed_accuracy: b_hat, the accuracy that flawed robots assume for their sensors at the start.
         flawed_percent: P, the percentage of robots that are flawed.
-        filter: Which robots filter, as ``Experiment.filter``.
-        filter_period: tau in steps.
+        filter: Which robots filter, that is, correct their b_hat: a value of ``Experiment.filter``.
+        filter_period: tau, the steps from one filter step to the next.
     """
 
     study_part: StudyPart
@@ -59,7 +65,7 @@ class Cell:
 
     @property
     def normal(self) -> Cell:
-        """The representative of all cells that are the same experiment as this one."""
+        """The cell that stands for all cells that are the same experiment as this one."""
         filter_name, flawed_accuracy, filter_period = self.filter, self.flawed_accuracy, self.filter_period
         if self.flawed_percent == 0:
             # No robot starts with this value, so any one stands for all.
@@ -76,7 +82,7 @@ class Cell:
 
     @property
     def without_flawed_robots(self) -> Cell:
-        """The same swarm with P = 0."""
+        """The cell of the same swarm without flawed robots, with P = 0."""
         return replace(self, flawed_percent=0)
 
 
@@ -102,7 +108,7 @@ class StudySize:
 
 @cache
 def _shipped_experiments(study_part: StudyPart) -> list[Experiment]:
-    """Read the file that comes with the program for a part of the study."""
+    """Return the experiments of a part of the study, read from the file that comes with the program."""
     return read_experiments(STUDIES / f"{study_part.value}.toml")
 
 
@@ -117,19 +123,23 @@ def cells_of(study_part: StudyPart) -> tuple[Cell, ...]:
 def cell_of(study_part: StudyPart, experiment: Experiment) -> Cell:
     """Return the normal cell to which an experiment of a part belongs."""
     cell = Cell(
-        study_part,
-        experiment.fill_ratio,
-        experiment.true_accuracy,
-        experiment.flawed_accuracy,
-        round(100 * experiment.flawed / experiment.robots),
-        experiment.filter,
-        experiment.filter_period,
+        study_part=study_part,
+        fill_ratio=experiment.fill_ratio,
+        true_accuracy=experiment.true_accuracy,
+        flawed_accuracy=experiment.flawed_accuracy,
+        flawed_percent=round(100 * experiment.flawed / experiment.robots),
+        filter=experiment.filter,
+        filter_period=experiment.filter_period,
     )
     return cell.normal
 
 
 def experiment_of(cell: Cell, study_size: StudySize) -> Experiment:
-    """Return the experiment of a cell. Raises ParameterError for trials, steps or a seed out of range."""
+    """Return the experiment of a cell with the trials, steps and seed of ``study_size``.
+
+    A part whose experiments are shorter keeps its steps. Raises ParameterError for trials, steps or a seed
+    out of range.
+    """
     # All experiments of a part share what the cell does not say.
     common = _shipped_experiments(cell.study_part)[0]
     parameters: dict[str, Any] = {

@@ -39,7 +39,7 @@ EXPECTED_RANGES = {
     Expectation.NOT_ABOVE: "not above {:g}",
     Expectation.NOT_BELOW: "not below \N{MINUS SIGN}{:g}",
 }
-"""The range in which a difference is expected, to be filled with the size."""
+"""The range in which a difference is expected, with a field for the smallest difference that counts."""
 
 CSV_COLUMNS = (
     "seed",
@@ -60,10 +60,13 @@ CSV_COLUMNS = (
 def write_report(
     folder: Path, study_results: StudyResults, decisions: Sequence[Decision], study_size: StudySize
 ) -> None:
-    """Write ``report.html``, which needs no other file, ``report.md`` with ``figures``, ``comparisons.csv``.
+    """Write the report of the study into a folder, which is made if it does not exist.
 
-    Raises UsageError if that cannot be done.
+    The files are ``report.html``, which needs no other file, the same as ``report.md`` with its pictures in
+    ``figures/``, and ``comparisons.csv``, a line for every comparison. Raises UsageError if they cannot be
+    written.
     """
+    # What can fail, the pictures and the Markdown, is made before the first file is written.
     pictures = list(draw_pictures(study_results, study_size))
     images = {
         f"figures/{picture.name}.png": image_of(picture.figure, Path(f"{picture.name}.png"))
@@ -79,7 +82,10 @@ def write_report(
 
 
 def _fill_template(name: str, **context: Any) -> str:
-    """Return one of the templates of this folder, filled in; a name that is missing is an error."""
+    """Return the text of one of the templates of this folder with ``context``, its variables by name.
+
+    Raises jinja2's UndefinedError if the template has a variable that ``context`` lacks.
+    """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 (loads slowly)
 
     environment = Environment(
@@ -99,18 +105,19 @@ def render_markdown(
     study_size: StudySize,
     pictures: Sequence[Picture],
 ) -> str:
-    """Return the report in Markdown."""
-    questions = {
-        question: [decision for decision in decisions if decision.claim.name == claim_name]
-        for claim_name, question in QUESTIONS.items()
-    }
+    """Return the report in Markdown, with links to the pictures in ``figures/``."""
+    answers_by_question: dict[str, list[Decision]] = {}
+    for claim_name, question in QUESTIONS.items():
+        answers = [decision for decision in decisions if decision.claim.name == claim_name]
+        if answers:
+            answers_by_question[question] = answers
     markdown = _fill_template(
         "report.md.j2",
         study_size=study_size,
         decisions=decisions,
         decisions_by_part=_decisions_by_part(decisions),
         verdict_counts=Counter((decision.part_label, decision.verdict) for decision in decisions),
-        answers={question: answers for question, answers in questions.items() if answers},
+        answers=answers_by_question,
         parts=study_results.parts,
         runs=[_describe_run(study_part, study_size) for study_part in study_results.parts],
         versions=", ".join(f"{name} {version}" for name, version in software_versions().items()),
@@ -133,20 +140,28 @@ def render_markdown(
 
 
 def render_page(markdown: str, images: Mapping[str, bytes]) -> str:
-    """Return the report as a page of HTML with the pictures in it; ``images`` are by their link."""
+    """Return the report as an HTML page that contains its pictures.
+
+    ``images`` has the PNG of every picture by its link in the Markdown, such as "figures/series.png".
+    """
     from markdown_it import MarkdownIt  # noqa: PLC0415 (loads slowly)
 
-    def embed_image(source: re.Match[str]) -> str:
-        """Return the attribute of an image with its content in place of its link."""
-        return f'src="data:image/png;base64,{base64.b64encode(images[source[1]]).decode()}"'
+    def embed_image(link_attribute: re.Match[str]) -> str:
+        """Return the attribute src of an image with its content in place of its link."""
+        image_text = base64.b64encode(images[link_attribute[1]]).decode()
+        return f'src="data:image/png;base64,{image_text}"'
 
     body = MarkdownIt("commonmark", {"html": True}).enable("table").render(markdown)
-    return _fill_template("report.html.j2", body=re.sub(r'src="([^"]*)"', embed_image, body))
+    body_with_images = re.sub(r'src="([^"]*)"', embed_image, body)
+    return _fill_template("report.html.j2", body=body_with_images)
 
 
 def _decisions_by_part(decisions: Sequence[Decision]) -> dict[str, list[Decision]]:
-    """Group decisions by the label of their part: the equations first, then the paper's order."""
-    # Jinja's groupby would sort by name; parts without decisions have no group.
+    """Group decisions by the label of their part of the study, such as "dynamic" or "equations".
+
+    The equations come first, then the parts in the paper's order; parts without decisions are left out.
+    """
+    # Jinja's groupby would sort the parts by name.
     groups: dict[str, list[Decision]] = {}
     for study_part in (None, *StudyPart):
         decisions_of_part = [decision for decision in decisions if decision.study_part is study_part]
@@ -156,7 +171,11 @@ def _decisions_by_part(decisions: Sequence[Decision]) -> dict[str, list[Decision
 
 
 def _describe_run(study_part: StudyPart, study_size: StudySize) -> list[object]:
-    """Return a row of the table of what was run."""
+    """Return a row of the report's table of what was run.
+
+    The row has the part's name, its number of experiments, their robots and steps, the trials of each, and
+    the seed.
+    """
     experiment = experiment_of(cells_of(study_part)[0], study_size)
     cell_count = len(cells_of(study_part))
     return [
@@ -170,7 +189,7 @@ def _describe_run(study_part: StudyPart, study_size: StudySize) -> list[object]:
 
 
 def heading_of(claim_name: str) -> str:
-    """Return the heading of a claim: its name with spaces; symbols and names of filters as in the paper."""
+    """Return a claim's heading: its name with spaces, a capital, and the paper's symbols, such as "P"."""
     heading = claim_name.replace("_", " ").replace("b hat", "b_hat")
     heading = re.sub(r"\bp\b", "P", heading)
     heading = re.sub(r"\bplus\b", "ASDF+", heading)
@@ -179,49 +198,69 @@ def heading_of(claim_name: str) -> str:
 
 
 def comparison_table(decision: Decision) -> list[list[str]]:
-    """Return a claim's comparisons as rows of text; the first row has the heads of the columns."""
+    """Return a claim's comparisons as a table: rows of texts, the first of them with the columns' heads.
+
+    The first column has the labels of the rows. The other cells have a mark of MARKS and the difference with
+    its interval; they are empty where the claim has no comparison.
+    """
     rows = list(dict.fromkeys(comparison.row for comparison in decision.comparisons))
     columns = list(dict.fromkeys(_column_head(comparison) for comparison in decision.comparisons))
-    # Not every contrast has a comparison for every swarm: those cells stay empty.
-    texts = {
-        (comparison.row, _column_head(comparison)): " ".join(
-            [MARKS[comparison.holds], format_difference(comparison)]
-        )
-        for comparison in decision.comparisons
-    }
-    return [["", *columns], *([row, *(texts.get((row, column), "") for column in columns)] for row in rows)]
+    texts: dict[tuple[str, str], str] = {}
+    for comparison in decision.comparisons:
+        mark = MARKS[comparison.holds]
+        texts[comparison.row, _column_head(comparison)] = f"{mark} {format_difference(comparison)}"
+    table = [["", *columns]]
+    for row in rows:
+        table.append([row, *(texts.get((row, column), "") for column in columns)])
+    return table
 
 
 def _column_head(comparison: Comparison) -> str:
-    """Return what is compared, and the range in which it is expected."""
-    return f"{comparison.column}: {EXPECTED_RANGES[comparison.expectation].format(comparison.size)}"
+    """Return the head of a comparison's column: its label, and the range of the expected difference."""
+    expected_range = EXPECTED_RANGES[comparison.expectation].format(comparison.size)
+    return f"{comparison.column}: {expected_range}"
 
 
 def format_difference(comparison: Comparison) -> str:
-    """Format a difference with its interval; a number that is not subject to chance has none."""
+    """Format a difference with its interval, such as "12.3 [10.1, 14.0]".
+
+    A difference that is not subject to chance, whose interval has no width, is formatted without it.
+    """
     interval = comparison.interval
     # Scores have points and tenths; confidences, correlations and b_hat are small numbers of any size.
     layout = ".1f" if comparison.size >= SIZES["seen"] else ".3g"
     value, low, high = (format(number, layout).replace("-", "\N{MINUS SIGN}") for number in interval)
-    return value if interval.low == interval.high else f"{value} [{low}, {high}]"
+    if interval.low == interval.high:
+        return value
+    return f"{value} [{low}, {high}]"
 
 
 def summarize(decision: Decision) -> str:
-    """Return how many comparisons hold, fail and are open, and the most and the least favourable of them."""
+    """Return how many comparisons of a claim hold, fail and are open, and the best and the worst difference.
+
+    "3 of 4 hold, 1 open; best 12.3 [10.1, 14.0], worst 1.2 [0.5, 3.0]" is an example. The best difference is
+    the one farthest on the side that the claim expects, in multiples of the smallest one that counts.
+    """
     total = len(decision.comparisons)
     counts = f"{decision.count(True)} of {total} hold"
     if decision.count(False):
         counts += f", {decision.count(False)} fail"
     if decision.count(None):
         counts += f", {decision.count(None)} open"
-    # Sizes make comparisons of different measures comparable.
-    ranked = sorted(decision.comparisons, key=_favour)
-    worst, best = format_difference(ranked[0]), format_difference(ranked[-1])
-    return f"{counts}; {best}" if total == 1 else f"{counts}; best {best}, worst {worst}"
+    ranked = sorted(decision.comparisons, key=_relative_agreement)
+    worst = format_difference(ranked[0])
+    best = format_difference(ranked[-1])
+    if total == 1:
+        return f"{counts}; {best}"
+    return f"{counts}; best {best}, worst {worst}"
 
 
-def _favour(comparison: Comparison) -> float:
-    """Return how far a difference lies on the side on which it is expected, in multiples of the size."""
+def _relative_agreement(comparison: Comparison) -> float:
+    """Return how far a difference lies on the expected side of 0, in multiples of the smallest that counts.
+
+    It is below 0 on the other side. Where no difference is expected, it is minus the distance from 0.
+    """
+    # Relative to its size, a difference of scores can be compared with one of b_hat.
     value = comparison.interval.value / comparison.size
     match comparison.expectation:
         case Expectation.SAME:
@@ -233,7 +272,10 @@ def _favour(comparison: Comparison) -> float:
 
 
 def comparisons_as_csv(decisions: Sequence[Decision], study_size: StudySize) -> str:
-    """Return a line of CSV for every comparison; verdicts are empty where none may be given."""
+    """Return the text of ``comparisons.csv``: CSV_COLUMNS, then a line for every comparison of every claim.
+
+    Verdicts are empty if the trials are fewer or shorter than the paper's.
+    """
     csv_text = io.StringIO()
     writer = csv.writer(csv_text, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
@@ -248,15 +290,21 @@ def comparisons_as_csv(decisions: Sequence[Decision], study_size: StudySize) -> 
             verdict,
         )
         for comparison in decision.comparisons:
-            numbers = (f"{number:.6g}" for number in (comparison.size, *comparison.interval))
+            interval = comparison.interval
+            numbers = (comparison.size, interval.value, interval.low, interval.high)
+            number_texts = [f"{number:.6g}" for number in numbers]
             holds = {True: "yes", False: "no", None: "open"}[comparison.holds]
             expected = comparison.expectation.value
-            writer.writerow([*claim_columns, comparison.label, expected, *numbers, holds])
+            writer.writerow([*claim_columns, comparison.label, expected, *number_texts, holds])
     return csv_text.getvalue()
 
 
 def decisions_as_json(decisions: Sequence[Decision], study_size: StudySize) -> list[dict[str, object]]:
-    """Return claims and verdicts as plain values; a verdict is None where none may be given."""
+    """Return a dictionary for JSON for every decision: the claim, its part, its verdict, and a summary.
+
+    The part is None where equations decide. The verdict is None if the trials are fewer or shorter than the
+    paper's.
+    """
     return [
         {
             "claim": decision.claim.name,

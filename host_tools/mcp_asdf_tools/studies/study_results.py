@@ -19,7 +19,11 @@ from mcp_asdf_tools.studies.bootstrap import (
 from mcp_asdf_tools.studies.cells import Cell, StudyPart
 
 SAMPLES = (*SCORES, "b_hat")
-"""Values of a trial: its scores, and b_hat at the end, averaged over the robots that started with b."""
+"""Values of a trial: its scores, and the final b_hat, averaged over the robots that are not flawed.
+
+The scores are from 0 to 100: h_K for speed of convergence, h_e for accuracy, and H, their mean. b_hat is the
+accuracy that a robot assumes for its sensor.
+"""
 
 MEASURES = (*SAMPLES, "spread of H", "best H of 30", "loss of H", "rank correlation of h_K and h_e")
 """Measures of a cell: medians of SAMPLES, and four more, which ``StudyResults.measure`` describes."""
@@ -29,10 +33,13 @@ BEST_OF_30_QUANTILE = 0.5 ** (1 / 30)
 
 
 class StudyResults:
-    """Trials of the study by cell. Methods raise KeyError for a cell that has not been run."""
+    """Trials of the study by cell, where a cell is one combination of what the paper varies.
+
+    Methods that take a cell raise KeyError if it has not been run.
+    """
 
     def __init__(self, trials_by_cell: Mapping[Cell, Trials]) -> None:
-        """Keep the trials of cells, which must be normal ones."""
+        """Keep trials by cell; every cell must be a normal one, equal to its ``Cell.normal``."""
         self._trials_by_cell = dict(trials_by_cell)
         self._scores = {cell: trials.scores() for cell, trials in trials_by_cell.items()}
         self._measured: dict[tuple[Cell, str], Resampled] = {}
@@ -48,13 +55,13 @@ class StudyResults:
         return [trials for cell, trials in self._trials_by_cell.items() if cell.study_part is study_part]
 
     def sample(self, cell: Cell, name: str) -> Sample:
-        """Return one of SAMPLES: a value for each trial of a cell."""
+        """Return a value for each trial of a cell; ``name``, one of SAMPLES, says which value."""
         if name == "b_hat":
             return final_b_hat_of_healthy_robots(self._trials_by_cell[cell.normal])
         return self._scores[cell.normal][name]
 
     def measure(self, cell: Cell, name: str) -> Resampled:
-        """Return one of MEASURES of a cell, resampled; it is computed once.
+        """Return one of MEASURES of a cell, with its bootstrap resamples; repeated calls compute it once.
 
         - a name of SAMPLES: the median over the trials
         - "spread of H": the interquartile range of H over the trials
@@ -69,7 +76,7 @@ class StudyResults:
         return self._measured[key]
 
     def _compute_measure(self, cell: Cell, name: str) -> Resampled:
-        """Compute one of MEASURES of a normal cell."""
+        """Compute one of MEASURES of a normal cell, with its bootstrap resamples: see ``measure``."""
         match name:
             case "spread of H":
                 return resample_interquartile_range(self.sample(cell, "H"))
@@ -83,16 +90,24 @@ class StudyResults:
                 return resample_median(self.sample(cell, name))
 
     def largest_differences_between_robots(self, study_part: StudyPart) -> dict[str, float]:
-        """Return by how much K and e of the robots of one trial differ at most, over all trials of a part."""
-        k_differences = [
-            np.ptp(trials.convergence_steps, axis=1).max() for trials in self.trials_of(study_part)
-        ]
-        e_differences = [np.ptp(trials.errors, axis=1).max() for trials in self.trials_of(study_part)]
-        return {"K": float(max(k_differences)), "e": float(max(e_differences))}
+        """Return the largest differences between two robots of one trial, over all trials of a part.
+
+        "K" has the difference of their convergence steps, "e" that of their mean errors from then on.
+        """
+        k_differences: list[float] = []
+        e_differences: list[float] = []
+        for trials in self.trials_of(study_part):
+            # Both arrays have the shape (trials, robots).
+            k_differences.append(float(np.ptp(trials.convergence_steps, axis=1).max()))
+            e_differences.append(float(np.ptp(trials.errors, axis=1).max()))
+        return {"K": max(k_differences), "e": max(e_differences)}
 
 
 def final_b_hat_of_healthy_robots(trials: Trials) -> Sample:
-    """Return b_hat after the last filter step, averaged over the robots that started with the right one."""
+    """Return each trial's b_hat after the last filter step, averaged over the robots that are not flawed.
+
+    b_hat is the accuracy that a robot assumes for its sensor.
+    """
     healthy_robots = slice(trials.experiment.flawed, None)  # the first robots are the flawed ones
     final_b_hat: Sample = trials.b_hat[:, -1, healthy_robots].mean(axis=1)
     return final_b_hat

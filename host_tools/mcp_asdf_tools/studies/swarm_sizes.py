@@ -42,18 +42,24 @@ FEWEST_TIMED_STEPS = 100
 
 @cache
 def processor_seconds(experiment: Experiment) -> float:
-    """Return the processor time of one trial on this machine, the best of three measurements."""
-    run_trials(experiment, 0, 1)  # loads what the first trial needs
+    """Return the processor time of one trial on this machine in seconds, the shortest of three measurements.
+
+    The trial runs four times: the first one, which also loads what trials need, is not measured.
+    """
+    run_trials(experiment, first=0, trials=1)
     measurements = []
     for _ in range(3):
         start = process_time()
-        run_trials(experiment, 0, 1)
+        run_trials(experiment, first=0, trials=1)
         measurements.append(process_time() - start)
     return min(measurements)
 
 
 def step_cost(trials: Trials) -> Sample:
-    """Return the processor time in ns of one step of one robot; the same number for each trial."""
+    """Return the processor time of one step of one robot, in ns, measured on this machine now.
+
+    The result is a sample with the same number for each trial, as tables and curves take samples.
+    """
     robots = trials.experiment.robots
     # Small swarms take more steps, so that every measurement is long enough for the clock.
     steps = max(FEWEST_TIMED_STEPS, TIMED_ROBOT_STEPS // robots)
@@ -61,23 +67,33 @@ def step_cost(trials: Trials) -> Sample:
     long_trial = replace(trials.experiment, steps=2 * steps)
     # The difference of two trials leaves out what each costs before its first step.
     seconds = processor_seconds(long_trial) - processor_seconds(short_trial)
-    return np.full(len(trials.numbers), 1e9 * seconds / steps / robots)
+    nanoseconds_per_robot_step = 1e9 * seconds / steps / robots
+    return np.full(len(trials.numbers), nanoseconds_per_robot_step)
 
 
 def row_label(experiment: Experiment) -> str:
-    """Return the number of robots, and how the flawed ones are wrong."""
+    """Return the row label of an experiment, such as "1,000 robots, overconfident"."""
     return f"{experiment.robots:,} robots, {confidence_label(experiment)}"
 
 
 def confidence_label(experiment: Experiment) -> str:
-    """Return how the flawed robots of an experiment are wrong."""
+    """Return whether flawed robots assume a too high or a too low sensor accuracy, as a word for labels.
+
+    The words are "overconfident" and "underconfident".
+    """
     return "overconfident" if is_overconfident(experiment) else "underconfident"
 
 
 def size_table(experiments: Sequence[Trials]) -> str:
-    """Return the table of score, error and cost: a row for each size of swarm, a column for each filter."""
+    """Return a Markdown table of H, late error and processor time: a column for each filter.
+
+    It has a row for each number of robots and kind of flaw. H is the paper's score from 0 to 100, and the
+    late error the mean of |x - f| over the last quarter of a trial: of the estimates x of f, the share of
+    black floor.
+    """
 
     def cell_text(group: Sequence[Trials]) -> str:
+        """Format the three numbers of experiments that share a cell, such as "95.1, 0.012, 250"."""
         cost = mean_of_medians(step_cost, group).value
         return f"{score_text(group)}, {late_error_text(group)}, {cost:.0f}"
 
@@ -86,11 +102,16 @@ def size_table(experiments: Sequence[Trials]) -> str:
 
 
 def draw_sizes(experiments: Sequence[Trials]) -> Figure:
-    """Draw score, late error and cost over the number of robots: a row of panels for each kind of flaw."""
+    """Draw H, late error and processor time over the number of robots, a curve for each filter.
+
+    The first row of panels has the underconfident swarms, the second one the overconfident ones. H and late
+    error are as in ``size_table``; the processor time is measured while this function runs.
+    """
     figure = empty_figure(WIDTH, 4.8)
-    for panels, label in zip(figure.subplots(2, 3), ("underconfident", "overconfident"), strict=True):
+    rows_of_axes = figure.subplots(nrows=2, ncols=3)
+    for axes_of_row, label in zip(rows_of_axes, ("underconfident", "overconfident"), strict=True):
         group = [trials for trials in experiments if confidence_label(trials.experiment) == label]
-        score_axes, error_axes, cost_axes = panels
+        score_axes, error_axes, cost_axes = axes_of_row
         _draw_curve(score_axes, group, "H", label)
         score_axes.set(ylabel="score H", ylim=(0, 100))
         # Errors of the filters differ by more than a factor of ten.
@@ -102,13 +123,16 @@ def draw_sizes(experiments: Sequence[Trials]) -> Figure:
 
 
 def _draw_curve(axes: Axes, experiments: Sequence[Trials], measure: str | Measure, title: str) -> None:
-    """Draw a measure over the number of robots, a curve for each filter."""
+    """Draw a measure over the number of robots, on a logarithmic scale, with a curve for each filter.
+
+    ``measure`` is the name of a score, or a function that returns a value for each trial.
+    """
     plot_curve(experiments, "robots", "filter", measure, ax=axes)
     axes.set(xscale="log", title=title)
 
 
 def main() -> None:
-    """Run the experiments and write table and picture."""
+    """Run the study's experiments, or resume them, and write scale.md and scale.png into the folder."""
     arguments = parse_arguments(__doc__)
     experiments = run_experiments("scale", m.read_experiments("scale"), arguments)
     write_tables(arguments.folder / "scale.md", "Many robots", {"scale": size_table(experiments)})

@@ -79,7 +79,7 @@ def test_the_size_picture_draws_medians(trials_of_two_sizes: list[Trials]) -> No
 
 def test_the_first_trial_is_not_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     events: list[str] = []
-    monkeypatch.setattr(swarm_sizes, "run_trials", lambda *arguments: events.append("trial"))
+    monkeypatch.setattr(swarm_sizes, "run_trials", lambda *arguments, **options: events.append("trial"))
 
     def note_clock() -> float:
         events.append("clock")
