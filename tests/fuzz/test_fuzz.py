@@ -37,7 +37,7 @@ def test_the_page_lists_the_harnesses() -> None:
 
 def test_a_mistake_is_found(tmp_path: Path) -> None:
     """A radio that sends a wrong identifier."""
-    right, wrong = "frame->id >> 8 * i", "frame->id >> 7 * i"
+    right, wrong = "frame->id >> (8 * i)", "frame->id >> (7 * i)"
     text = (PORTS / "packet_radio.c").read_text(encoding="utf-8")
     assert text.count(right) == 1
     (tmp_path / "packet_radio.c").write_text(text.replace(right, wrong))
