@@ -58,7 +58,7 @@ def test_c_tests_pass(preset: str) -> None:
     run("ctest", "--preset", preset, "--test-dir", folder, "--output-junit", report)
 
 
-@pytest.mark.parametrize("preset", ["sanitizers", *slow(name for name in NAMES if name != "sanitizers")])
+@pytest.mark.parametrize("preset", slow(NAMES))
 def test_a_preset_works_in_a_folder_with_a_space(preset: str, tmp_path: Path) -> None:
     """CMake compiles small programs with the preset's flags before it writes the build's rules."""
     skip_without_tools(preset)

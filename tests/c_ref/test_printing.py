@@ -134,7 +134,11 @@ def test_the_sensor_of_the_khepera_prints_the_same(machine: Machine, tmp_path: P
     assert output_of(machine, program, tmp_path / "build")[0] == "250\n1011\n-1\n"
 
 
-@pytest.mark.parametrize("kind", [NODE_OF_32_BITS, CORTEX_A8], ids=lambda kind: kind.name)
+@pytest.mark.parametrize(
+    "kind",
+    [NODE_OF_32_BITS, pytest.param(CORTEX_A8, marks=pytest.mark.slow)],
+    ids=lambda kind: kind.name,
+)
 def test_the_node_prints_the_same(
     kind: Kind, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -112,6 +112,7 @@ def test_the_wheel_passes_the_commands_that_test_a_release(environment: Path, tm
         run(environment / "bin" / program, *words, cwd=tmp_path)
 
 
+@pytest.mark.slow
 def test_the_source_archive_has_every_file_that_git_lists(tmp_path: Path) -> None:
     """It is what pip builds from where there is no wheel, so it shows in a second what a wheel would lack."""
     code = "import sys; from scikit_build_core.build import build_sdist; build_sdist(sys.argv[1])"

@@ -349,6 +349,7 @@ def test_a_verdict_lists_the_mistakes_that_no_frame_would_have_shown() -> None:
     assert "whether it counts voices modulo 16: no frame of this run would have shown it" in listed
 
 
+@pytest.mark.slow
 def test_a_right_controller_leaves_no_known_mistake_open() -> None:
     listed = judge(obedient(**VOTES), surroundings(right(**VOTES))).not_checked
     assert not [line for line in listed if line.startswith("whether it ")]
