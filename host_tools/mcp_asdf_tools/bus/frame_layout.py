@@ -21,9 +21,13 @@ TRANSFER_IDS = 32
 
 Q23_ONE = 1 << 23
 """The number 1 in units of 2**-23, as x_hat and x have it."""
+B_HAT_UNITS = 1 << 24
+"""Units of b_hat in telemetry that make 1."""
 MIN_B_HAT = 1 << 4
 """Smallest b_hat in telemetry, 2**-20 in units of 2**-24."""
-MAX_B_HAT = (1 << 24) - MIN_B_HAT
+MAX_B_HAT = B_HAT_UNITS - MIN_B_HAT
+UPDATE_COUNT_MODULUS = 1 << 8
+"""Number of values of the count of updates in telemetry, which wraps."""
 MAX_FLOAT32_BITS = 0x7F7F_FFFF
 """Bits of the largest finite binary32 number. Infinity, NaN and all negative numbers have larger ones."""
 EVERY_ROBOT = 255

@@ -21,11 +21,13 @@ from mcp_asdf.fixed_point import alpha_from_word, alpha_word_from_float
 from mcp_asdf.robot import Counters, FirmwareError, FixedPointRobot, Observation, Robot, Status
 from mcp_asdf_tools.bus.frame_arrays import decode_estimates
 from mcp_asdf_tools.bus.frame_layout import (
+    B_HAT_UNITS,
     MAX_B_HAT,
     MAX_NODE_ID,
     MIN_B_HAT,
     Q23_ONE,
     TRANSFER_IDS,
+    UPDATE_COUNT_MODULUS,
     Rejection,
 )
 from mcp_asdf_tools.bus.frames import (
@@ -51,12 +53,6 @@ _SENDER_COLUMN = 0
 
 _COUNTER_MODULUS = 2**16
 """Number of values of a counter in the firmware, which wraps: it has 16 bits."""
-
-_B_HAT_UNITS = 2**24
-"""Units of b_hat in telemetry that make 1."""
-
-_UPDATE_COUNT_MODULUS = 2**8
-"""Number of values of the updates in telemetry, which wrap."""
 
 _TICKS_BETWEEN_COUNTS = 64
 """Few enough for 1000 messages a tick: a counter must not gain 2**16 unseen."""
@@ -281,8 +277,8 @@ class BusRobot:
         """
         x = int(self.robot.x * Q23_ONE)
         # A robot that computes in float64 may be nearer to 0 or 1 than telemetry allows. x may be both.
-        b_hat = min(max(int(self.robot.b_hat * _B_HAT_UNITS), MIN_B_HAT), MAX_B_HAT)
-        updates = self.robot.counters.updates % _UPDATE_COUNT_MODULUS
+        b_hat = min(max(int(self.robot.b_hat * B_HAT_UNITS), MIN_B_HAT), MAX_B_HAT)
+        updates = self.robot.counters.updates % UPDATE_COUNT_MODULUS
         transfer_id = self.sent.telemetry % TRANSFER_IDS
         self.sent.telemetry += 1
         telemetry = Telemetry(self.id, x, b_hat, updates, transfer_id)

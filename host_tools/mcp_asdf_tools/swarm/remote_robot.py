@@ -12,7 +12,7 @@ from typing import cast
 import can
 
 from mcp_asdf.robot import Counters, Observation, Robot
-from mcp_asdf_tools.bus.frame_layout import Q23_ONE
+from mcp_asdf_tools.bus.frame_layout import B_HAT_UNITS, Q23_ONE, UPDATE_COUNT_MODULUS
 from mcp_asdf_tools.bus.frames import (
     Estimate,
     FrameFormat,
@@ -32,12 +32,6 @@ from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
 
 ANSWER_TIMEOUT = 10.0
 """Seconds that a robot has to answer."""
-
-_B_HAT_UNITS = 2**24
-"""Units of b_hat in telemetry that make 1."""
-
-_UPDATE_COUNT_MODULUS = 2**8
-"""Number of values of the updates in telemetry, which wrap."""
 
 _HOW_TO_HAVE_A_BUS_EACH = "write {robot} where the id stands in the channel, such as --channel 'vcan{robot}'"
 
@@ -130,10 +124,10 @@ class RemoteFirmware:
         Call this in every tick: the number of updates in telemetry wraps.
         """
         self.x = telemetry.x / Q23_ONE
-        self.b_hat = telemetry.b_hat / _B_HAT_UNITS
+        self.b_hat = telemetry.b_hat / B_HAT_UNITS
         # Telemetry has the lowest 8 bits of the number of updates. That suffices as it comes in every tick.
         updates = self.counters.updates
-        new_updates = (telemetry.updates - updates) % _UPDATE_COUNT_MODULUS
+        new_updates = (telemetry.updates - updates) % UPDATE_COUNT_MODULUS
         self.counters = Counters(updates=updates + new_updates)
 
 
