@@ -21,7 +21,7 @@ from mcp_asdf_tools.cli.parsing import Parser
 from mcp_asdf_tools.cli.verbosity import add_verbosity_option, log_to_standard_error
 from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.extras import naming_extras
-from mcp_asdf_tools.common.signals import INTERRUPTED, interruptible, stopping
+from mcp_asdf_tools.common.signals import INTERRUPTED, exit_code_of_signal, stopping
 from mcp_asdf_tools.common.standard_streams import OutputError, checked_streams
 
 _logger = logging.getLogger("mcp_asdf_tools.cli")
@@ -82,9 +82,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     title = PROGRAM if name is None else f"{PROGRAM} {name}"
     as_json = "--json" in arguments
     work = partial(_show_overview, arguments) if name is None else partial(_run_command, name, arguments[1:])
-    with checked_streams(), interruptible() as exit_code:
+    with checked_streams(), stopping(interrupt=True):
         code = _attempt(title, work, as_json)
-        return _attempt(title, _flush, as_json) or exit_code(code)
+        return _attempt(title, _flush, as_json) or exit_code_of_signal(code)
 
 
 def _attempt(title: str, work: Callable[[], int], as_json: bool) -> int:

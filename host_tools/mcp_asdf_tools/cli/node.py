@@ -18,7 +18,8 @@ from mcp_asdf_tools.cli.parameter_options import add_parameters, settings_from
 from mcp_asdf_tools.cli.recordings import exit_code, recording_for
 from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.signals import INTERRUPTED, has_ended, standard_input, stopping
+from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
+from mcp_asdf_tools.common.standard_streams import has_ended, standard_input
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.events import EventsHeader
 from mcp_asdf_tools.recording.frame_logs import add_log_option

@@ -1,4 +1,8 @@
-"""Atomic writes of one or several files, and reads with a limit on size."""
+"""Atomic writes of one or several files, and reads with a limit on size.
+
+A new file is written under another name in its folder, as a draft, and renamed when it is complete. So a
+reader finds the old file or the new one, also after a kill, a full disk or a power failure, and never a half.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ import logging
 import os
 import secrets
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -16,13 +20,16 @@ from mcp_asdf_tools.common.errors import UsageError
 _logger = logging.getLogger(__name__)
 
 LONGEST_TEXT = 2**24
-"""Bytes of the longest text that people write. A device such as /dev/zero has no end."""
+"""Maximum size in bytes of a text that is read. Without a limit, a device such as /dev/zero has no end."""
+
+_DRAFT_PREFIX = "."
+_DRAFT_SUFFIX = ".tmp"
 
 
 def read_at_most(path: Path | str, max_bytes: int = LONGEST_TEXT) -> bytes:
-    """Return all bytes of a file.
+    """Return the content of a file.
 
-    Raises OSError if it cannot be read, ValueError if it has more than ``max_bytes``.
+    Raises OSError if it cannot be read, ValueError if it has more than ``max_bytes`` bytes.
     """
     with Path(path).open("rb") as file:
         data = file.read(max_bytes + 1)
@@ -32,15 +39,17 @@ def read_at_most(path: Path | str, max_bytes: int = LONGEST_TEXT) -> bytes:
 
 
 def read_text(path: Path | str) -> str:
-    """Return a text that people or programs have written: a file, or standard input if ``path`` is ``-``.
+    """Return the text of a file, or that of standard input if ``path`` is ``-``.
 
-    It is UTF-8, or UTF-16 with a byte order mark, and not longer than LONGEST_TEXT. Raises UsageError.
+    It may be UTF-8 with or without a byte order mark, or UTF-16 with one, as Excel writes it. Raises
+    UsageError if it cannot be read, is no such text, or has more than LONGEST_TEXT bytes.
     """
-    name = "standard input" if str(path) == "-" else str(path)
+    is_standard_input = str(path) == "-"
+    name = "standard input" if is_standard_input else str(path)
     try:
-        data = _read_standard_input() if str(path) == "-" else read_at_most(path)
-        encoding = "utf-16" if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
-        return data.decode(encoding)
+        data = _read_standard_input() if is_standard_input else read_at_most(path)
+        is_utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        return data.decode("utf-16" if is_utf_16 else "utf-8-sig")
     except OSError as error:
         raise UsageError(f"cannot read {name}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
@@ -50,7 +59,10 @@ def read_text(path: Path | str) -> str:
 
 
 def _read_standard_input() -> bytes:
-    """Return all of standard input. Raises OSError if it is closed, ValueError beyond LONGEST_TEXT."""
+    """Return what is left of standard input, up to its end.
+
+    Raises OSError if it is closed, ValueError if that is more than LONGEST_TEXT bytes.
+    """
     if sys.stdin is None:
         raise OSError("it is closed")
     data = sys.stdin.buffer.read(LONGEST_TEXT + 1)
@@ -59,66 +71,71 @@ def _read_standard_input() -> bytes:
     return data
 
 
-def write_together(contents: Mapping[Path, bytes | str]) -> None:
-    """Write files by their paths, texts as UTF-8; they take their names once all are complete, or none does.
+def write_atomically(path: Path | str, data: bytes | str) -> None:
+    """Write one file, a text as UTF-8, in place of the file of its name. Raises UsageError if that fails."""
+    write_together({Path(path): data})
 
-    Each replaces the file of its name; a symbolic link is followed. Raises UsageError if one cannot be
+
+def write_together(data_by_path: Mapping[Path, bytes | str]) -> None:
+    """Write files, texts as UTF-8, each in place of the file of its name: all of them, or none.
+
+    A symbolic link stays, and the file that it leads to is replaced. Raises UsageError if a file cannot be
     written.
     """
-    with replace_together(contents) as drafts:
-        for path, data in contents.items():
-            with explaining(path), drafts[path].open("wb") as file:
+    paths = list(data_by_path)
+    with drafts_for(paths) as drafts:
+        for path, draft in zip(paths, drafts, strict=True):
+            data = data_by_path[path]
+            with explaining(path), draft.open("wb") as file:
                 file.write(data.encode() if isinstance(data, str) else data)
 
 
 @contextmanager
-def replace_when_complete(path: Path) -> Iterator[Path]:
-    """Yield the name of a draft, which takes the place of ``path`` when this context ends without an error.
+def drafts_for(paths: Sequence[Path]) -> Iterator[list[Path]]:
+    """Yield a new name for each path, under which the caller writes a file: its draft.
 
-    It is for files that are too large to be written at once. Raises UsageError if it cannot be written.
+    The drafts take the places of ``paths`` when the context ends; if it ends with an error, they are
+    removed. Raises UsageError if a path cannot be written.
     """
-    with explaining(path), replace_together([path]) as drafts:
-        yield drafts[path]
-
-
-@contextmanager
-def replace_together(paths: Iterable[Path]) -> Iterator[dict[Path, Path]]:
-    """Yield names of drafts by path, which take the places of ``paths`` together.
-
-    They do so when this context ends without an error; otherwise they are removed. Raises UsageError if a
-    path cannot be written.
-    """
-    drafts: dict[Path, Path] = {}
+    drafts: list[Path] = []
     try:
         for path in paths:
-            drafts[path] = check_target(path).with_name(f".{secrets.token_hex(8)}.tmp")
+            # Random names keep two programs apart that write the same file.
+            draft_name = f"{_DRAFT_PREFIX}{secrets.token_hex(8)}{_DRAFT_SUFFIX}"
+            drafts.append(check_target(path).with_name(draft_name))
         yield drafts
-        put_in_place(drafts)
+        rename_drafts(dict(zip(paths, drafts, strict=True)))
     finally:
-        for draft in drafts.values():
+        for draft in drafts:
             with suppress(OSError):
-                draft.unlink()
+                draft.unlink()  # without an error it is there no more
 
 
-def put_in_place(draft_by_path: Mapping[Path, Path]) -> None:
-    """Give complete drafts their names, in this order, each in place of the file that has the name.
+def rename_drafts(draft_by_path: Mapping[Path, Path], obsolete: Iterable[Path] = ()) -> None:
+    """Rename complete files to the paths that they are drafts of, in this order, replacing what is there.
 
-    Raises UsageError if a path cannot be written; what can be known to fail does so before the first rename.
+    Files of ``obsolete`` that exist are removed before the first renaming. Raises UsageError if a path
+    cannot be written; most reasons for that are found before anything is changed.
     """
-    # The disk must have each file before the file has its name: the power may fail.
+    # A file must not have its name before the disk has its content, since the power may fail in between.
     for path, draft in draft_by_path.items():
         with explaining(path):
-            sync_file(draft)
-    targets = {path: check_target(path) for path in draft_by_path}
+            _sync(draft)
+    target_by_path = {path: check_target(path) for path in draft_by_path}
+    for path in obsolete:
+        with explaining(path):
+            path.unlink(missing_ok=True)
     for path, draft in draft_by_path.items():
         with explaining(path):
-            os.replace(draft, targets[path])
+            os.replace(draft, target_by_path[path])
         _logger.info("wrote %s", path)
-    sync_folders(draft_by_path)
+    for folder in {target.parent for target in target_by_path.values()}:
+        with suppress(OSError):  # not every file system can sync a folder
+            _sync(folder)
 
 
-def sync_file(path: Path) -> None:
-    """Wait until the disk has the content of a file or folder. Raises OSError if that fails."""
+def _sync(path: Path) -> None:
+    """Wait until the disk has the content of a file, or the names in a folder. Raises OSError if it fails."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -126,38 +143,22 @@ def sync_file(path: Path) -> None:
         os.close(descriptor)
 
 
-def sync_folders(paths: Iterable[Path]) -> None:
-    """Wait until the disk has the names of files; nothing is done for folders that cannot be synced."""
-    for folder in {path.resolve().parent for path in paths}:
-        with suppress(OSError):
-            sync_file(folder)
-
-
-def write_atomically(path: Path | str, data: bytes | str) -> None:
-    """Write a file, a text as UTF-8, that takes its name when it is complete. Raises UsageError."""
-    write_together({Path(path): data})
-
-
-def write_files(folder: Path, contents: Mapping[str, str]) -> list[Path]:
-    """Write all texts, or none, by file name into ``folder``, which is made if need be; return their paths.
-
-    Raises UsageError if one cannot be written.
-    """
-    make_folder(folder)
-    write_together({folder / name: text for name, text in contents.items()})
-    return [folder / name for name in contents]
+def remove_abandoned_drafts(folder: Path) -> None:
+    """Delete the drafts in a folder that programs left which were killed; nobody may be writing there now."""
+    for draft in folder.glob(f"{_DRAFT_PREFIX}*{_DRAFT_SUFFIX}"):
+        draft.unlink(missing_ok=True)
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder if there is none. Raises UsageError if that cannot be done."""
+    """Create a folder, with the folders above it, if it does not exist. Raises UsageError if that fails."""
     with explaining(folder):
         folder.mkdir(parents=True, exist_ok=True)
 
 
 def check_target(path: Path | str) -> Path:
-    """Return the file that is to be written for ``path``, with links followed.
+    """Return the file that a write to ``path`` replaces: the path itself, or where symbolic links lead to.
 
-    Raises UsageError if it is a folder or a device, or has no folder that may be written to.
+    Raises UsageError if it is a folder or a device, or if nothing can be written to its folder.
     """
     with explaining(path):
         target = Path(path).resolve()
@@ -171,19 +172,19 @@ def check_target(path: Path | str) -> Path:
 
 
 def results_beside(path: Path | str) -> Path:
-    """Return the file for the parameters and results that belong to the output file ``path``.
+    """Return the path of the JSON file with the parameters and results that go with an output file.
 
-    Raises UsageError if either of the two cannot be written.
+    That of ``run.log`` is ``run.log.json``. Raises UsageError if either of the two cannot be written.
     """
+    results_path = Path(f"{path}.json")
     check_target(path)
-    results = Path(f"{path}.json")
-    check_target(results)
-    return results
+    check_target(results_path)
+    return results_path
 
 
 @contextmanager
 def explaining(path: Path | str) -> Iterator[None]:
-    """Turn an OSError while ``path`` is written into a UsageError that names it, with a fix."""
+    """Turn an OSError that is raised while ``path`` is written into a UsageError that names it and a fix."""
     try:
         yield
     except OSError as error:

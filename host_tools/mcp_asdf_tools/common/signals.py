@@ -1,97 +1,68 @@
-"""Ending on Ctrl-C, a polite kill or a closed terminal without losing what is done."""
+"""Signals that ask the program to end: Ctrl-C, a kill, a terminal that closes. Finished work is kept."""
 
 from __future__ import annotations
 
-import os
-import select
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from mcp_asdf_tools.common.errors import UsageError
-
 ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a program to end: Ctrl-C, a kill or service manager, a terminal that closes."""
 
 INTERRUPTED = 130
-"""Exit code of interrupted work; ``interruptible`` turns it into 128 + the signal that came."""
+"""Exit code of work that a signal has ended; ``exit_code_of_signal`` makes it more precise."""
 
-_came: list[int] = []
-"""Signals since the program began, so that one piece of code can count what another has handled."""
+_received_signals: list[int] = []
+"""The signals that came since the last ``stopping(interrupt=True)`` began, in their order."""
 
 
 @contextmanager
-def interruptible() -> Iterator[Callable[[int], int]]:
-    """Let every signal that asks to end raise KeyboardInterrupt, as Ctrl-C does.
+def stopping(interrupt: bool = False) -> Iterator[Callable[[], bool]]:
+    """Handle the signals that ask to end; yield a function that returns whether one has come.
 
-    Yields a function that makes the program's exit code of that of its work. Modules written in C may drop an
-    exception that is raised while they are loaded, so what loads them does it under ``stopping``.
+    Work that is done in steps asks that function between them, and ends by itself. With ``interrupt`` the
+    first signal raises KeyboardInterrupt instead, wherever the program is. (Modules written in C may drop an
+    exception that is raised while they are imported, so imports ask the function.)
+
+    After a first signal Ctrl-C raises KeyboardInterrupt in either case, in case a step does not end; other
+    signals then do nothing. Signals that this process was started to ignore, as by nohup, stay ignored.
+    Outside the main thread, where Python delivers no signals, the function always returns False.
     """
-
-    def interrupt(signum: int, frame: FrameType | None) -> None:
-        _came.append(signum)
-        # Terminals and service managers may send two signals: the second must not disturb the saving.
-        if len(_came) == 1 or signum == signal.SIGINT:
-            raise KeyboardInterrupt
-
-    _came.clear()
-    with _handled_by(interrupt):
-        yield lambda code: 128 + _came[0] if code == INTERRUPTED and _came else code
-
-
-@contextmanager
-def stopping() -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns whether a signal has asked to end, for use between steps of work.
-
-    Ctrl-C after another signal raises KeyboardInterrupt at once, in case a step does not end.
-    Outside the main thread, where Python delivers no signals, the answer is always no.
-    """
-    asked = False
-
-    def note(signum: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        _came.append(signum)
-        if asked and signum == signal.SIGINT:
-            raise KeyboardInterrupt
-        asked = True
-
-    with _handled_by(note):
-        yield lambda: asked
-
-
-@contextmanager
-def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Handle the signals that ask to end, but for those that this process was started to ignore (nohup)."""
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield lambda: False
         return
-    ignored_handlers = (signal.SIG_IGN, None)
-    previous_handlers = {
-        signum: signal.signal(signum, handler)
-        for signum in ENDING_SIGNALS
-        if signal.getsignal(signum) not in ignored_handlers
-    }
+    if interrupt:
+        _received_signals.clear()
+    earlier_count = len(_received_signals)
+
+    def is_requested() -> bool:
+        return len(_received_signals) > earlier_count
+
+    def handle_signal(signal_number: int, frame: FrameType | None) -> None:
+        is_first = not is_requested()
+        _received_signals.append(signal_number)
+        # Terminals and service managers may send two signals: the second must not disturb the saving.
+        raises = interrupt if is_first else signal_number == signal.SIGINT
+        if raises:
+            raise KeyboardInterrupt
+
+    previous_handlers = {number: signal.getsignal(number) for number in ENDING_SIGNALS}
+    handled_signals = [
+        number for number, handler in previous_handlers.items() if handler not in (signal.SIG_IGN, None)
+    ]
+    for number in handled_signals:
+        signal.signal(number, handle_signal)
     try:
-        yield
+        yield is_requested
     finally:
-        for signum, previous_handler in previous_handlers.items():
-            signal.signal(signum, previous_handler)
+        for number in handled_signals:
+            signal.signal(number, previous_handlers[number])
 
 
-def standard_input() -> int:
-    """Return the file descriptor of standard input. Raises UsageError if there is none."""
-    try:
-        if sys.stdin is not None:
-            return sys.stdin.fileno()
-    except (OSError, ValueError):  # closed, or not a file at all
-        pass
-    raise UsageError("there is no standard input; give one, or leave out what reads it")
-
-
-def has_ended(fd: int) -> bool:
-    """Return whether the input from ``fd`` has ended, without waiting; input that is there is discarded."""
-    is_readable = bool(select.select([fd], [], [], 0)[0])
-    return is_readable and not os.read(fd, 1 << 16)
+def exit_code_of_signal(code: int) -> int:
+    """Return an exit code with INTERRUPTED replaced by 128 + the first signal that came, if one did."""
+    if code == INTERRUPTED and _received_signals:
+        return 128 + _received_signals[0]
+    return code

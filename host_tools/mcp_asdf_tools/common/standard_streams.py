@@ -1,37 +1,48 @@
-"""Standard output and standard error of a command, either of which may be closed, full or a broken pipe."""
+"""Standard input, output and error of a command, each of which may be closed, full or a broken pipe."""
 
 from __future__ import annotations
 
 import os
+import select
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from typing import IO, Any, cast
 
+from mcp_asdf_tools.common.errors import UsageError
+
+_READ_SIZE = 1 << 16
+"""Bytes that are read at once from input whose content does not matter."""
+
 
 class OutputError(Exception):
-    """Standard output could not be written; the cause is the OSError.
+    """Standard output could not be written.
 
-    It is no OSError itself: rich ends the program with exit code 1 when a write raises BrokenPipeError, and
-    argparse ignores an OSError.
+    This is not an OSError, as the failure itself is: rich ends the program with exit code 1 when a write
+    raises BrokenPipeError, and argparse ignores an OSError.
+
+    Attributes:
+        is_broken_pipe: Whether the program that read the output has ended.
     """
 
     def __init__(self, cause: OSError) -> None:
+        """Describe the failure of a write that raised ``cause``."""
         super().__init__(f"cannot write to standard output: {cause.strerror}; send it elsewhere")
         self.is_broken_pipe = isinstance(cause, BrokenPipeError)
 
 
 class _CheckedStream:
-    """Text stream that passes everything to another one, and handles the OSErrors of its writes."""
+    """Text stream that passes everything on to another one; a subclass handles the OSErrors of its writes."""
 
     def __init__(self, stream: IO[str]) -> None:
         self._stream = stream
 
     def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the other stream: only those that a class lacks are sought here."""
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write ``text``; returns the number of its characters."""
+        """Write a text, and return the number of its characters, as streams do."""
         try:
             return self._stream.write(text)
         except OSError as error:
@@ -39,18 +50,19 @@ class _CheckedStream:
             return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
-        """Write each of ``lines``, which have their own line ends."""
+        """Write texts one after the other, without adding line ends."""
         for line in lines:
             self.write(line)
 
     def flush(self) -> None:
-        """Write what is buffered."""
+        """Write all text that is buffered."""
         try:
             self._stream.flush()
         except OSError as error:
             self._handle(error)
 
     def _handle(self, error: OSError) -> None:
+        """React to the failure of a write."""
         raise NotImplementedError
 
 
@@ -71,10 +83,11 @@ class _CheckedErrors(_CheckedStream):
 
 @contextmanager
 def checked_streams() -> Iterator[None]:
-    """Let writes to standard output raise OutputError if they fail, and ignore those to standard error.
+    """Replace both output streams: a write to standard output that fails raises OutputError, one to standard
+    error is ignored.
 
-    A stream that was closed when the program was started (``>&-``) is replaced by the null device, as if the
-    user had asked for that.
+    A stream that was closed when the program was started (``>&-``) becomes the null device, as if the user
+    had redirected it there.
     """
     with ExitStack() as stack:
         # sys.stdout is None if it was closed. Without a replacement, the next file that is opened would get
@@ -87,9 +100,25 @@ def checked_streams() -> Iterator[None]:
 
 
 def _discard_output(stream: IO[str]) -> None:
-    """Send what is buffered in ``stream``, and all that follows, to the null device.
+    """Connect a stream's file descriptor to the null device, so that all further output is discarded.
 
-    The interpreter flushes its streams at its end, and would report the same failure once more.
+    Without that the interpreter, which flushes its streams at its end, would report the same failure again.
     """
     with suppress(OSError, ValueError), open(os.devnull, "w") as null_device:
         os.dup2(null_device.fileno(), stream.fileno())
+
+
+def standard_input() -> int:
+    """Return the file descriptor of standard input. Raises UsageError if it is closed or is not a file."""
+    try:
+        if sys.stdin is not None:
+            return sys.stdin.fileno()
+    except (OSError, ValueError):
+        pass
+    raise UsageError("there is no standard input; give one, or leave out what reads it")
+
+
+def has_ended(descriptor: int) -> bool:
+    """Return whether an input has ended, without waiting. Data that is there is read and discarded."""
+    readable_descriptors, _, _ = select.select([descriptor], [], [], 0)
+    return bool(readable_descriptors) and not os.read(descriptor, _READ_SIZE)

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import replace_when_complete
+from mcp_asdf_tools.common.files import drafts_for, explaining
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_tables import (
     FORMAT,
@@ -42,7 +42,8 @@ def write_tables(path: Path, tables: Iterable[pa.Table]) -> None:
     remaining_tables = iter(tables)
     first_table = next(remaining_tables)
     with (
-        replace_when_complete(path) as draft,
+        explaining(path),
+        drafts_for([path]) as [draft],
         pq.ParquetWriter(draft, first_table.schema, compression="zstd") as writer,
     ):
         for table in chain([first_table], remaining_tables):

@@ -19,7 +19,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import check_target
+from mcp_asdf_tools.common.files import check_target, remove_abandoned_drafts
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.output_lock import lock_file, unlock_file
@@ -194,9 +194,9 @@ class Store:
         """
         write_tables(self.output, self._tables_in_order())
         self._unwritten = []
-        unfinished_files = self.parts.glob(".*.tmp")  # left by a process that was killed
-        for path in [*self.parts.glob("*.parquet"), *unfinished_files]:
-            path.unlink(missing_ok=True)
+        for part in self.parts.glob("*.parquet"):
+            part.unlink(missing_ok=True)
+        remove_abandoned_drafts(self.parts)
         unlock_file(self._lock_path)
         with suppress(OSError):  # there is no folder, or it has files of others
             self.parts.rmdir()

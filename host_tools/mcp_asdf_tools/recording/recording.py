@@ -1,8 +1,7 @@
-"""Recording of a run: its log and its events on their way to disk."""
+"""Recording of a run: writes its log of frames and its file of events to disk while it goes on."""
 
 from __future__ import annotations
 
-import os
 import time
 import zlib
 from collections.abc import Callable, Sequence
@@ -13,58 +12,63 @@ from pathlib import Path
 import can
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import check_target, explaining, sync_folders
+from mcp_asdf_tools.common.files import check_target, explaining, rename_drafts
 from mcp_asdf_tools.recording.events import EventsHeader, EventsWriter, events_path
 from mcp_asdf_tools.recording.frame_logs import PART
 
 LogOutputs = tuple[Callable[[can.Message], None] | None, EventsWriter | None]
-"""What takes the frames, and what takes the events; None where they are not recorded."""
+"""The function that records a frame, and the writer of events; None for what is not recorded."""
 
 _FLUSH_PERIOD = 1.0
 """Seconds after which frames and events are on disk."""
 _MAX_UNFLUSHED = 4096
-"""Frames and lines of events after which they are on disk even earlier."""
+"""Number of frames and lines of events after which they are on disk even before that."""
 _GZIP_FORMAT = 31
-"""``wbits`` of zlib that makes a gzip file, whose header has no time: the same run gives the same events."""
+"""``wbits`` of zlib for a gzip file. Its header has no time: equal runs give equal files of events."""
 
 
 class _PartFile:
-    """A file that is being written: text goes into the memory, and to disk with the next flush."""
+    """A file that grows while a run goes on: text is kept in memory until the next flush.
+
+    Attributes:
+        file: The open file.
+    """
 
     def __init__(self, path: Path, is_compressed: bool) -> None:
-        """Create the file. Raises FileExistsError if there is one."""
-        self.path = path
+        """Create the file, compressed by gzip if asked for. Raises FileExistsError if there is one."""
         self.file = path.open("xb", buffering=0)
         self._compressor = zlib.compressobj(wbits=_GZIP_FORMAT) if is_compressed else None
         self._unwritten = bytearray()
 
     def write(self, text: str) -> None:
-        """Take text, which is on disk after the next flush."""
+        """Keep a text in memory for the next flush."""
         data = text.encode()
         self._unwritten += data if self._compressor is None else self._compressor.compress(data)
 
     def flush(self) -> None:
-        """Write to disk what was taken, so that it can be read from there. Raises OSError if that fails."""
+        """Write to disk what is in memory, so that others can read it there. Raises OSError if it fails."""
         if self._compressor is not None:
+            # A sync flush ends at a whole byte, so that a reader can decompress all text so far.
             self._unwritten += self._compressor.flush(zlib.Z_SYNC_FLUSH)
         self._write_to_disk()
 
     def close(self) -> None:
-        """Write what was taken, with the end of the file, and close it. Raises OSError as ``flush``."""
+        """Write what is in memory and the end of compressed data, and close. Raises OSError as ``flush``."""
         if self._compressor is not None:
             self._unwritten += self._compressor.flush(zlib.Z_FINISH)
         self._write_to_disk()
         self.file.close()
 
     def _write_to_disk(self) -> None:
+        """Write all unwritten bytes. Raises OSError if that fails; then the rest stays unwritten."""
         while self._unwritten:
-            # An almost full disk takes a part of the data before it refuses the rest.
-            written_bytes = self.file.write(self._unwritten)
-            del self._unwritten[:written_bytes]
+            # An almost full disk accepts some of the bytes before it refuses the others.
+            written_count = self.file.write(self._unwritten)
+            del self._unwritten[:written_count]
 
 
 class NoRecording(nullcontext[LogOutputs]):
-    """Stands for a recording where none was asked for."""
+    """Context manager with the interface of ``Recording`` that records nothing."""
 
     failure: str | None = None
 
@@ -73,16 +77,17 @@ class NoRecording(nullcontext[LogOutputs]):
 
 
 class Recording:
-    """Log of a run and, with a header, its events; a context manager that yields what takes them.
+    """Log of a run and, if there is a header, its events; a context manager that yields ``LogOutputs``.
 
-    Both grow as ``NAME.part``, are on disk once a second, and take their names at a regular end, the log
-    last: a log under its own name never has another run's events. After any other end they stay parts. What
-    goes wrong, such as a full disk, ends the recording but not the run. Events are written before the frames
-    that followed from them, so while the disk takes both, the events on it explain the frames on it but for
-    those of open ticks.
+    Both files grow as ``NAME.part``, are on disk once a second, and get their names at a regular end, the
+    log last: a log under its own name never stands beside another run's events. After any other end they
+    stay parts. A problem such as a full disk ends the recording but not the run.
+
+    Events are written before the frames that followed from them. So the events on disk explain the frames
+    on disk, except those of ticks that have not ended, as long as the disk has room for both.
 
     Attributes:
-        failure: Why the recording is not complete; None while nothing is wrong with it.
+        failure: Reason why the recording is not complete; None as long as nothing is wrong.
     """
 
     def __init__(
@@ -92,10 +97,15 @@ class Recording:
         warn: Callable[[str], object],
         channel: str = "vcan0",
     ) -> None:
-        """Prepare to write the log ``path``, in candump's format, and events beside it if there is a header.
+        """Prepare to write the log ``path`` in candump's format, and its events if ``header`` is not None.
 
-        ``warn`` gets a line if the recording fails; it says what is on disk. ``channel`` is that of frames
-        that do not name theirs. Raises UsageError, as entering does, if the log's name or place is unusable.
+        Args:
+            path: The log. Its name must end in ``.log``.
+            header: First line of the events.
+            warn: Called with one line if the recording fails; it says what is on disk.
+            channel: Channel in the log for frames that have none.
+
+        Raises UsageError, as entering the context does, if the files cannot be written.
         """
         if path.suffix.lower() != ".log":
             raise UsageError(
@@ -107,9 +117,9 @@ class Recording:
         self._header = header
         self._channel = channel
         self._warn = warn
-        names = [path] if header is None else [path, events_path(path)]
-        self._targets = [check_target(name) for name in names]
-        self._parts = [target.with_name(target.name + PART) for target in self._targets]
+        self._part_by_path = {path: _part_of(path)}
+        if header is not None:
+            self._part_by_path[events_path(path)] = _part_of(events_path(path))
         self._files: list[_PartFile] = []
         self._is_empty = True
         self._is_over = False
@@ -118,16 +128,17 @@ class Recording:
         self._events = None if header is None else EventsWriter(header, self._write_events_line)
 
     def __enter__(self) -> LogOutputs:
-        for part in self._parts:
-            if part.exists():  # what another run left must not be lost
+        log_part, *events_parts = self._part_by_path.values()
+        for part in (log_part, *events_parts):
+            if part.exists():  # the data that another run left must not be lost
                 raise UsageError(
                     f"{part} is there: another program writes it, or its run was cut off; rename or remove it"
                 )
         with explaining(self._path):
-            log_part, *events_parts = self._parts
             self._files = [_PartFile(log_part, is_compressed=False)]
             self._files += [_PartFile(part, is_compressed=True) for part in events_parts]
-        self._log_writer = can.CanutilsLogWriter(self._files[0])  # type: ignore[arg-type]  # which only writes
+        # The writer uses no method of a file but "write".
+        self._log_writer = can.CanutilsLogWriter(self._files[0])  # type: ignore[arg-type]
         if self._header is not None:
             self._files[1].write(self._header.to_line())
         return self._write_frame, self._events
@@ -139,41 +150,42 @@ class Recording:
         if error_type is None:
             self._attempt(self._rename_parts)
         elif self._is_empty:
-            for part in self._parts:
+            for part in self._part_by_path.values():
                 part.unlink(missing_ok=True)
         else:
             self._fail("the run did not end regularly", "partial data is")
 
     def _rename_parts(self) -> None:
-        """Give the files their names. Raises UsageError if that cannot be done."""
-        for target in self._targets:
-            check_target(target)
-        with explaining(self._path):
-            for part in self._parts:
-                with part.open("rb") as file:
-                    os.fsync(file.fileno())  # a file must not have its name before the disk has its content
-            log_target = self._targets[0]
-            # The old log is removed first: it must never stand beside the events of another run.
-            for old_file in (log_target, events_path(log_target)):
-                old_file.unlink(missing_ok=True)
-            for part, target in reversed(list(zip(self._parts, self._targets, strict=True))):
-                os.replace(part, target)
-            sync_folders(self._targets)
+        """Give the files their names, the log last. Raises UsageError if that fails."""
+        log_path, *events_paths = self._part_by_path
+        log_target = check_target(log_path)
+        # A log must never stand beside the events of another run. So the old log and its events are removed
+        # first, and the new log gets its name when its events have theirs.
+        rename_drafts(
+            {path: self._part_by_path[path] for path in [*events_paths, log_path]},
+            obsolete=[log_target, events_path(log_target)],
+        )
 
     def _write_frame(self, frame: can.Message) -> None:
+        """Record a frame, on the recording's channel if it has none; the frame is not changed."""
         self._flush_if_due()
-        named_frame = copy(frame)
-        # candump's format has one word for the channel.
-        named_frame.channel = "_".join(str(frame.channel or self._channel).split())
-        self._attempt(lambda: self._log_writer.on_message_received(named_frame))
+        logged_frame = copy(frame)
+        channel = str(frame.channel or self._channel)
+        logged_frame.channel = "_".join(channel.split())  # in candump's format a channel has no spaces
+        self._attempt(lambda: self._log_writer.on_message_received(logged_frame))
 
     def _write_events_line(self, line: str) -> None:
+        """Record a line of the file of events."""
         self._flush_if_due()
         if not self._is_over:
-            self._files[1].write(line)
+            _, events_file = self._files
+            events_file.write(line)
 
     def _flush_if_due(self) -> None:
-        """Write to disk what came before. The events that led to the last frame are among it."""
+        """Count an entry that is about to be recorded, and flush those before it if it is time.
+
+        Then events that led to a frame are on disk no later than the frame.
+        """
         self._is_empty = False
         self._unflushed_count += 1
         if self._unflushed_count > _MAX_UNFLUSHED or time.monotonic() >= self._flush_time:
@@ -182,26 +194,15 @@ class Recording:
             self._attempt(self._flush_files)
 
     def _flush_files(self) -> None:
-        """Write to disk what came before, events before frames. Raises OSError if the disk refuses."""
-        self._call_in_order([file.flush for file in self._files])
+        """Flush the events, then the log. Raises OSError if the disk refuses one of them."""
+        _call_all([file.flush for file in reversed(self._files)])
 
     def _close_files(self) -> None:
-        """Write the rest in the same order, and close the files. Raises OSError if the disk refuses."""
-        self._call_in_order([file.close for file in self._files])
-
-    def _call_in_order(self, calls: Sequence[Callable[[], None]]) -> None:
-        """Call a method of each file, the log's last. Raises the first OSError when all have been called."""
-        errors: list[OSError] = []
-        for call in reversed(calls):
-            try:
-                call()
-            except OSError as error:  # the log may still have room, or less to write
-                errors.append(error)
-        if errors:
-            raise errors[0]
+        """Close the events, then the log. Raises OSError if the disk refuses one of them."""
+        _call_all([file.close for file in reversed(self._files)])
 
     def _attempt(self, action: Callable[[], object]) -> None:
-        """Call ``action`` unless the recording has ended; an error in it ends the recording."""
+        """Call ``action`` unless the recording has ended; an OSError or UsageError in it ends that."""
         if self._is_over:
             return
         try:
@@ -212,12 +213,33 @@ class Recording:
             self._fail(str(error), "partial data is")
 
     def _fail(self, reason: str, data_on_disk: str) -> None:
-        """End the recording, and warn once: of the reason, and in which files there is what was recorded."""
+        """End the recording and warn, unless it has ended before.
+
+        The warning is made of the reason, of ``data_on_disk`` and of the names of the parts.
+        """
         if self._is_over:
             return
         self._is_over = True
         self.failure = reason
-        parts = " and ".join(str(part) for part in self._parts)
+        parts = " and ".join(str(part) for part in self._part_by_path.values())
         self._warn(f"the log {self._path} is not complete: {reason}; {data_on_disk} in {parts}")
         for file in self._files:
             file.file.close()
+
+
+def _part_of(path: Path) -> Path:
+    """Return the path of a file while it grows, beside the file that links lead to. Raises UsageError."""
+    target = check_target(path)
+    return target.with_name(f"{target.name}{PART}")
+
+
+def _call_all(calls: Sequence[Callable[[], None]]) -> None:
+    """Call functions in order, all of them even if one fails. Raises the first OSError at the end."""
+    errors: list[OSError] = []
+    for call in calls:
+        try:
+            call()
+        except OSError as error:  # the other file may still have room, or less to write
+            errors.append(error)
+    if errors:
+        raise errors[0]

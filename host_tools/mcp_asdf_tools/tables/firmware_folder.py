@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mcp_asdf import _native
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import write_files
+from mcp_asdf_tools.common.files import make_folder, write_together
 from mcp_asdf_tools.common.versions import own_version
 from mcp_asdf_tools.tables.table_files import format_c_source, table_name
 
@@ -68,10 +68,12 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
         old_checksums = _read_checksums(folder / _CHECKSUMS_FILE)
         _check_unchanged([*other_tables, *(folder / name for name in texts)], old_checksums, checksums)
     texts[_CHECKSUMS_FILE] = "".join(f"{checksum}  {name}\n" for name, checksum in checksums.items())
-    paths = write_files(folder, texts)
+    text_by_path = {folder / name: text for name, text in texts.items()}
+    make_folder(folder)
+    write_together(text_by_path)
     for path in other_tables:
         path.unlink()
-    return paths
+    return list(text_by_path)
 
 
 def _folder_texts(omega: Decimal, q: int) -> dict[str, str]:

@@ -17,7 +17,7 @@ from typing import Any
 
 from mcp_asdf.table import EXTRA_WORDS, FORMAT_VERSION, FRACTION_BITS, Table
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import read_at_most, write_files
+from mcp_asdf_tools.common.files import make_folder, read_at_most, write_together
 from mcp_asdf_tools.tables.thresholds import (
     GENERATOR_VERSION,
     MAX_MESSAGES,
@@ -133,8 +133,13 @@ def write_table(omega: Decimal, q: int, folder: Path) -> list[Path]:
     Both are written, or neither. Raises UsageError if one cannot be.
     """
     name = table_name(omega, q)
-    texts = {f"{name}.c": format_c_source(omega, q), f"{name}.json": format_json(omega, q)}
-    return write_files(folder, texts)
+    text_by_path = {
+        folder / f"{name}.c": format_c_source(omega, q),
+        folder / f"{name}.json": format_json(omega, q),
+    }
+    make_folder(folder)
+    write_together(text_by_path)
+    return list(text_by_path)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,280 @@
+"""Output files are complete or absent, alone and in sets, and a path that cannot be written is named."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import (
+    check_target,
+    drafts_for,
+    remove_abandoned_drafts,
+    rename_drafts,
+    results_beside,
+    write_atomically,
+    write_together,
+)
+
+
+def names_in(folder: Path) -> list[str]:
+    """Return the names of all files in a folder, sorted."""
+    return sorted(path.name for path in folder.iterdir())
+
+
+# --- One file -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("data", "content"), [("k_m ≥ 1\n", b"k_m \xe2\x89\xa5 1\n"), (b"\0\xff", b"\0\xff")]
+)
+def test_a_written_file_replaces_a_longer_one(data: str | bytes, content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"something much longer than what comes next")
+    write_atomically(path, data)
+    assert path.read_bytes() == content
+    assert names_in(tmp_path) == ["file"]
+
+
+def test_a_write_through_a_symbolic_link_replaces_the_file_behind_it(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "folder/file")
+    write_atomically(tmp_path / "link", "new")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "folder/file").read_text() == "new"
+
+
+def test_a_written_file_has_the_usual_permissions(tmp_path: Path) -> None:
+    write_atomically(tmp_path / "written", "x")
+    (tmp_path / "usual").touch()
+    assert (tmp_path / "written").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+def test_an_error_while_a_draft_is_written_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_text("old")
+    with pytest.raises(ZeroDivisionError), drafts_for([path]) as [draft]:
+        draft.write_text("half")
+        raise ZeroDivisionError
+    assert path.read_text() == "old"
+    assert names_in(tmp_path) == ["file"]
+
+
+def test_two_programs_that_write_one_file_do_not_mix_their_data(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    with drafts_for([path]) as [first_draft]:
+        first_draft.write_text("first")
+        with drafts_for([path]) as [second_draft]:
+            second_draft.write_text("second")
+        assert path.read_text() == "second"
+    assert path.read_text() == "first"
+
+
+WRITER_THAT_IS_KILLED = """\
+import os, signal
+from pathlib import Path
+from mcp_asdf_tools.common.files import drafts_for
+with drafts_for([Path("file")]) as [draft]:
+    draft.write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_kill_leaves_the_old_file_and_a_draft_that_can_be_removed(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("old")
+    subprocess.run([sys.executable, "-c", WRITER_THAT_IS_KILLED], cwd=tmp_path, check=False)
+    assert (tmp_path / "file").read_text() == "old"
+    assert len(names_in(tmp_path)) == 2
+    remove_abandoned_drafts(tmp_path)
+    assert names_in(tmp_path) == ["file"]
+
+
+# --- Two files that belong together -------------------------------------------------------------------
+
+
+class RecordedFile(io.FileIO):
+    """File with methods that ``SystemCalls`` can replace."""
+
+    def __init__(self, path: Path, *_: object) -> None:
+        super().__init__(path, "w")
+
+
+class SystemCalls:
+    """Replacements of system calls that record them, and of which one may fail.
+
+    Attributes:
+        calls: Name of each call, and the name of the file that it is about.
+    """
+
+    def __init__(
+        self, patch: pytest.MonkeyPatch, failing_index: int | None, failure: BaseException | None
+    ) -> None:
+        """Replace the calls by ``patch``; that with the index ``failing_index`` raises ``failure``."""
+        self.calls: list[tuple[str, str]] = []
+        self._failing_index = failing_index
+        self._failure = failure
+        for owner, name in (
+            (RecordedFile, "write"),
+            (RecordedFile, "close"),
+            (os, "fsync"),
+            (os, "replace"),
+        ):
+            patch.setattr(owner, name, self._recorded(name, getattr(owner, name)))
+        patch.setattr(Path, "open", self._recorded("open", RecordedFile))
+
+    def _recorded(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function that records a call and then calls ``function``, or fails."""
+
+        def call(file: Any, *arguments: Any) -> Any:
+            index = len(self.calls)
+            self.calls.append((name, _file_name(file)))
+            if index == self._failing_index and self._failure is not None:
+                if name == "close":
+                    function(file)  # a close that fails closes the file all the same
+                raise self._failure
+            return function(file, *arguments)
+
+        return call
+
+
+def _file_name(file: RecordedFile | Path | int) -> str:
+    """Return the name of an open file, of a path or of what a file descriptor is connected to."""
+    if isinstance(file, RecordedFile):
+        return Path(str(file.name)).name
+    if isinstance(file, int):
+        return Path(os.readlink(f"/dev/fd/{file}")).name
+    return file.name
+
+
+DISK_IS_FULL = OSError(errno.ENOSPC, "No space left on device")
+WRITE_ONE = ["open", "write", "close"]
+CALLS = [*WRITE_ONE, *WRITE_ONE, "fsync", "fsync", "replace", "replace", "fsync"]
+"""System calls of a write of two files in one folder, in their order."""
+FIRST_REPLACE = CALLS.index("replace")
+FOLDER_SYNC = len(CALLS) - 1
+
+
+def replace_old_files(
+    folder: Path, failing_index: int | None = None, failure: BaseException | None = None
+) -> SystemCalls:
+    """Replace the files "a" and "b" with the content "old" by "new"; return the system calls.
+
+    That with the index ``failing_index`` raises ``failure``.
+    """
+    paths = [folder / "a", folder / "b"]
+    for path in paths:
+        path.write_text("old")
+    with pytest.MonkeyPatch.context() as patch:
+        system_calls = SystemCalls(patch, failing_index, failure)
+        write_together(dict.fromkeys(paths, "new"))
+    return system_calls
+
+
+def contents_of(folder: Path) -> dict[str, str]:
+    """Return the content of each file in a folder, by its name."""
+    return {path.name: path.read_text() for path in sorted(folder.iterdir())}
+
+
+def test_two_files_are_written_with_these_system_calls(tmp_path: Path) -> None:
+    system_calls = replace_old_files(tmp_path)
+    assert [name for name, _ in system_calls.calls] == CALLS
+    assert contents_of(tmp_path) == {"a": "new", "b": "new"}
+
+
+@pytest.mark.parametrize("index", range(FIRST_REPLACE + 1))
+def test_a_full_disk_leaves_both_old_files(index: int, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"cannot write .*/[ab]: No space left on device; choose a folder"):
+        replace_old_files(tmp_path, index, DISK_IS_FULL)
+    assert contents_of(tmp_path) == {"a": "old", "b": "old"}
+
+
+@pytest.mark.parametrize("index", range(FIRST_REPLACE + 1))
+def test_ctrl_c_leaves_both_old_files(index: int, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        replace_old_files(tmp_path, index, KeyboardInterrupt())
+    assert contents_of(tmp_path) == {"a": "old", "b": "old"}
+
+
+def test_a_failure_between_the_renamings_leaves_two_complete_files(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"cannot write .*/b: No space left on device"):
+        replace_old_files(tmp_path, FIRST_REPLACE + 1, DISK_IS_FULL)
+    assert contents_of(tmp_path) == {"a": "new", "b": "old"}
+
+
+def test_a_folder_that_cannot_be_synced_is_no_error(tmp_path: Path) -> None:
+    replace_old_files(tmp_path, FOLDER_SYNC, DISK_IS_FULL)
+    assert contents_of(tmp_path) == {"a": "new", "b": "new"}
+
+
+def test_files_get_their_names_when_the_disk_has_their_contents(tmp_path: Path) -> None:
+    """So whenever the power fails, a name stands for the old content or for all of the new one."""
+    first_sync, second_sync, *renamings, folder_sync = replace_old_files(tmp_path).calls[6:]
+    (_, first_draft), (_, second_draft) = first_sync, second_sync
+    assert renamings == [("replace", first_draft), ("replace", second_draft)]
+    assert folder_sync == ("fsync", tmp_path.name)
+
+
+def test_obsolete_files_are_removed_before_the_first_renaming(tmp_path: Path) -> None:
+    for name in ("draft", "obsolete"):
+        (tmp_path / name).touch()
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(UsageError):
+        SystemCalls(patch, failing_index=1, failure=DISK_IS_FULL)  # index 0 is the sync of the draft
+        rename_drafts({tmp_path / "file": tmp_path / "draft"}, obsolete=[tmp_path / "obsolete"])
+    assert names_in(tmp_path) == ["draft"]
+
+
+# --- Paths that cannot be written ---------------------------------------------------------------------
+
+
+def test_a_folder_is_no_output_file(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=f"cannot write {tmp_path}: it is not a regular file; choose"):
+        write_atomically(tmp_path, "x")
+
+
+def test_a_pipe_is_no_output_file(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(UsageError, match=r"pipe: it is not a regular file; choose another name"):
+        write_atomically(tmp_path / "pipe", "x")
+
+
+def test_an_output_file_needs_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"missing/file: its folder does not exist; make it first"):
+        write_atomically(tmp_path / "missing/file", "x")
+
+
+def test_a_path_below_a_file_is_refused_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match=f"cannot write {tmp_path}/file/below: "):
+        write_atomically(tmp_path / "file/below", "x")
+
+
+def test_an_output_file_needs_a_folder_that_may_be_written_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Tests may run as root, for whom every folder may be written to.
+    monkeypatch.setattr(os, "access", lambda path, mode: path != tmp_path)
+    with pytest.raises(UsageError, match="you may not write to its folder; choose another"):
+        check_target(tmp_path / "file")
+
+
+def test_the_results_of_an_output_file_stand_beside_it(tmp_path: Path) -> None:
+    assert results_beside(tmp_path / "run.log") == tmp_path / "run.log.json"
+
+
+def test_results_are_refused_if_the_output_file_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=f"cannot write {tmp_path}: it is not a regular file"):
+        results_beside(tmp_path)
+
+
+def test_results_are_refused_if_their_own_file_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "run.log.json").mkdir()
+    with pytest.raises(UsageError, match=r"run\.log\.json: it is not a regular file"):
+        results_beside(tmp_path / "run.log")
