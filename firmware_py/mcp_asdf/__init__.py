@@ -6,10 +6,9 @@ integers, and ``NativeRobot`` runs the C itself. ``mcp_asdf.robot`` has the inte
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.reference import AUTHORS, PAPER, Conventions, ReferenceRobot
 from mcp_asdf.robot import (
     Config,
     Counters,
@@ -24,7 +23,9 @@ from mcp_asdf.robot import (
 from mcp_asdf.table import Table, TableError
 
 if TYPE_CHECKING:
+    from mcp_asdf.mirror import MirrorRobot
     from mcp_asdf.native import NativeRobot
+    from mcp_asdf.reference import AUTHORS, PAPER, Conventions, ReferenceRobot
 
 __all__ = [
     "AUTHORS",
@@ -46,11 +47,22 @@ __all__ = [
     "TableError",
 ]
 
+_MODULE_OF_NAME = {
+    "MirrorRobot": "mirror",
+    "NativeRobot": "native",
+    "AUTHORS": "reference",
+    "PAPER": "reference",
+    "Conventions": "reference",
+    "ReferenceRobot": "reference",
+}
+"""Modules of the names that are imported at their first use."""
+
 
 def __getattr__(name: str) -> Any:
-    """Import ``NativeRobot`` at its first use, so that the rest works where the C has not been compiled."""
-    if name == "NativeRobot":
-        from mcp_asdf.native import NativeRobot  # noqa: PLC0415
+    """Import an implementation, or what belongs to it, at its first use.
 
-        return NativeRobot
+    So a program loads only the firmware that it runs, and the others work where the C has not been compiled.
+    """
+    if name in _MODULE_OF_NAME:
+        return getattr(import_module(f"{__name__}.{_MODULE_OF_NAME[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

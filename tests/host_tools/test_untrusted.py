@@ -37,7 +37,7 @@ from mcp_asdf_tools.recording.events import EventsHeader, EventsReader
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.tables.table_files import check_file, format_c_source, format_json
-from mcp_asdf_tools.world.topology import parse_graph
+from mcp_asdf_tools.world.graph import parse_graph
 from support import PATIENCE, draws
 from wire import record
 

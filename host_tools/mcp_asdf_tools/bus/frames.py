@@ -13,8 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-
-import can
+from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.bus import frame_layout as layout
 from mcp_asdf_tools.bus.alpha_words import alpha_word_from_bits, alpha_word_to_bits
@@ -29,6 +28,9 @@ from mcp_asdf_tools.bus.frame_layout import (
     Rejection,
     check_range,
 )
+
+if TYPE_CHECKING:
+    import can
 
 MAX_SUBJECT = 6143
 """Largest subject identifier that Cyphal leaves to applications; the bits reach 8191."""
@@ -167,7 +169,7 @@ def encode_estimate(estimate: Estimate, frame_format: FrameFormat, timestamp: fl
         estimate.transfer_id,
         {"x_hat": estimate.x_hat, "alpha": alpha_word_to_bits(estimate.alpha)},
     )
-    return _make_frame(frame_format.identifier(estimate.sender), payload, timestamp)
+    return make_frame(frame_format.identifier(estimate.sender), payload, timestamp)
 
 
 def decode_estimate(frame: can.Message, frame_format: FrameFormat) -> Estimate | Rejection:
@@ -194,7 +196,7 @@ def encode_heartbeat(heartbeat: Heartbeat, timestamp: float = 0.0) -> can.Messag
         },
     )
     identifier = _identifier(HEARTBEAT_PRIORITY, HEARTBEAT_SUBJECT, heartbeat.sender)
-    return _make_frame(identifier, payload, timestamp)
+    return make_frame(identifier, payload, timestamp)
 
 
 def decode_heartbeat(frame: can.Message) -> Heartbeat | Rejection:
@@ -222,7 +224,7 @@ def encode_telemetry(
     payload = layout.TELEMETRY.pack(
         telemetry.transfer_id, {"x": telemetry.x, "b_hat": telemetry.b_hat, "updates": telemetry.updates}
     )
-    return _make_frame(frame_format.identifier(telemetry.sender), payload, timestamp)
+    return make_frame(frame_format.identifier(telemetry.sender), payload, timestamp)
 
 
 def decode_telemetry(
@@ -246,7 +248,7 @@ def encode_command(
         command.transfer_id,
         {"tick": command.tick, "target": command.target, "action": command.action.value},
     )
-    return _make_frame(frame_format.identifier(command.sender), payload, timestamp)
+    return make_frame(frame_format.identifier(command.sender), payload, timestamp)
 
 
 def decode_command(frame: can.Message, frame_format: FrameFormat = COMMAND_FORMAT) -> Command | Rejection:
@@ -342,7 +344,12 @@ def _identifier(priority: int, subject: int, node_id: int) -> int:
     return priority << PRIORITY_SHIFT | _SENT_AS_ONE | subject << SUBJECT_SHIFT | node_id
 
 
-def _make_frame(identifier: int, payload: int, timestamp: float) -> can.Message:
-    """Return a classic frame with a 29-bit identifier that this program is about to send."""
+def make_frame(identifier: int, payload: int, timestamp: float) -> can.Message:
+    """Return a classic frame with a 29-bit identifier that this program is about to send.
+
+    The payload is the frame's 8 bytes of data as a number whose lowest byte is the first.
+    """
+    import can  # noqa: PLC0415 (it loads slowly, and the format of frames is needed without any)
+
     data = payload.to_bytes(FRAME_BYTES, "little")
     return can.Message(timestamp=timestamp, arbitration_id=identifier, data=data, is_rx=False)

@@ -10,10 +10,12 @@ import pickle
 import sys
 from collections.abc import Iterable, Iterator
 from functools import cache
-from importlib import metadata
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mcp_asdf_tools.common.errors import UsageError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 FIRMWARES = "mcp_asdf.firmwares"
 """Classes of robots: ``(config, id, b_hat) -> mcp_asdf.Robot``."""
@@ -98,14 +100,16 @@ def check_for_workers(name: str) -> None:
 
 
 @cache
-def _entry_points(group: str) -> dict[str, metadata.EntryPoint]:
-    """Return a group's entry points by name. Reading all that is installed takes a tenth of a second."""
-    return {point.name: point for point in metadata.entry_points(group=group)}
+def _entry_points(group: str) -> list[EntryPoint]:
+    """Return the entry points of a group. Reading all that is installed takes up to a tenth of a second."""
+    from importlib.metadata import entry_points  # noqa: PLC0415 (it loads slowly)
+
+    return list(entry_points(group=group))
 
 
 def installed_names(group: str) -> list[str]:
     """Return the names of the installed extensions of a group, sorted."""
-    return sorted(_entry_points(group))
+    return sorted({entry_point.name for entry_point in _entry_points(group)})
 
 
 def load(group: str, name: str) -> Any:
@@ -115,18 +119,19 @@ def load(group: str, name: str) -> Any:
     """
     if isinstance(name, ObjectName):
         return name.extension
-    point = _entry_points(group).get(name)
-    if point is None:
+    candidates = [entry_point for entry_point in _entry_points(group) if entry_point.name == name]
+    if not candidates:
         raise UsageError(f"no extension {name!r} is installed in the entry point group {group}")
-    offers = [
-        f"{offer.dist.name if offer.dist else '?'} ({offer.value})"
-        for offer in metadata.entry_points(group=group, name=name)
-    ]
-    if len(offers) > 1:
+    if len(candidates) > 1:
+        offers = [
+            f"{candidate.dist.name if candidate.dist else '?'} ({candidate.value})"
+            for candidate in candidates
+        ]
         raise UsageError(
             f"the extension {name!r} is offered by {' and '.join(offers)}; uninstall all but one"
         )
+    entry_point = candidates[0]
     try:
-        return point.load()
+        return entry_point.load()
     except Exception as error:  # an import may raise anything
-        raise UsageError(f"the extension {name!r} ({point.value}) cannot be loaded: {error}") from error
+        raise UsageError(f"the extension {name!r} ({entry_point.value}) cannot be loaded: {error}") from error

@@ -12,8 +12,7 @@ from typing import Any, Literal
 
 from mcp_asdf_tools.common.parameters import ParameterError, parameter
 from mcp_asdf_tools.robots.population import Population
-from mcp_asdf_tools.world.sensors import has_one_accuracy
-from mcp_asdf_tools.world.topology import MAX_ON_BUS
+from mcp_asdf_tools.world.graph import MAX_ON_BUS
 
 MAX_TRIALS = 10**6
 MAX_EXPERIMENTS = 100_000
@@ -51,6 +50,8 @@ class Experiment(Population):
         It is the name of a parameter, such as "firmware", or empty if the engine can run the experiment.
         Raises UsageError if the sensor is an extension that cannot be loaded.
         """
+        from mcp_asdf_tools.world.sensors import has_one_accuracy  # noqa: PLC0415 (numpy loads slowly)
+
         if self.firmware != "native":
             return "firmware"
         if self.topology == "dynamic":

@@ -20,7 +20,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import read_at_most
 from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment, combinations
-from mcp_asdf_tools.world.topology import is_text_of_edges
+from mcp_asdf_tools.world.graph import is_text_of_edges
 
 STUDIES = Path(__file__).with_name("studies")
 GRID = "grid"

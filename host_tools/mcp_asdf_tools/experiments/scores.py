@@ -8,12 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from mcp_asdf_tools.common.errors import UsageError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
+
     from mcp_asdf_tools.experiments.experiment import Experiment
 
 DELTA = 0.01
@@ -33,6 +33,8 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
     the informed estimate of steps 0 .. T, in any unit that ``delta`` has too. NaN settles at the last step at
     the earliest. O(T), with constant extra memory.
     """
+    import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
+
     chunk_starts = np.arange(0, len(series), _CHUNK)
     # Entry i is the extreme of chunk i and all after it; the last entry is that of the last value.
     lowest = np.append(_extreme_to_end(np.minimum, np.minimum.reduceat(series, chunk_starts)), series[-1])
@@ -93,6 +95,8 @@ def score(
     ``convergence_steps`` and ``errors`` have the shape (trials, robots). Scores are 0 .. 100 if no K and e is
     above its limit; H is the mean of the other two. An error of NaN counts as e_max.
     """
+    import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
+
     k = np.asarray(convergence_steps, dtype=np.float64)
     e = np.nan_to_num(np.asarray(errors, dtype=np.float64), nan=e_max)
     h_k = _scaled_mean(k, k_max)
@@ -102,6 +106,8 @@ def score(
 
 def _scaled_mean(values: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
     """Return 100 times the mean of 1 - value / limit over the robots, times exp(-IQR / limit)."""
+    import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
+
     mean_scores = (1.0 - values / limit).mean(axis=1)
     scaled: NDArray[np.float64] = 100.0 * mean_scores * np.exp(-_interquartile_range(values) / limit)
     return scaled
@@ -109,6 +115,8 @@ def _scaled_mean(values: NDArray[np.float64], limit: float) -> NDArray[np.float6
 
 def _interquartile_range(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return upper less lower quartile of each row; a quartile between two values is their middle."""
+    import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
+
     upper, lower = np.percentile(values, [75, 25], axis=1, method="midpoint")
     ranges: NDArray[np.float64] = upper - lower
     return ranges

@@ -22,7 +22,6 @@ from mcp_asdf_tools.common.parameters import ParameterError, parameter, paramete
 from mcp_asdf_tools.robots.filters import FILTERS, Activation, SwarmFilter
 from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
-from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from mcp_asdf_tools.world.settings import MAX_PERIOD, WorldSettings
 
 Drifting = Literal["all", "flawed"]
@@ -67,6 +66,8 @@ class Population(WorldSettings):
     firmware: str = parameter("firmware of the robots", default="native", choices=firmware_names())
 
     def __post_init__(self) -> None:
+        from mcp_asdf_tools.tables.thresholds import parse_omega  # noqa: PLC0415 (mpmath loads slowly)
+
         super().__post_init__()
         object.__setattr__(self, "flawed", flawed_count(self.flawed, self.robots))
         with value_of("omega"):
@@ -125,6 +126,8 @@ class Population(WorldSettings):
         A robot with the adaptive filter has a t-table, the thresholds of its test, with exact entries for up
         to N - 1 neighbours, 127 at most; others have none.
         """
+        from mcp_asdf_tools.tables.thresholds import generate  # noqa: PLC0415 (mpmath loads slowly)
+
         firmware_filter = self.swarm_filter.firmware_filter_of(self.is_flawed(robot), self.activation)
         table = None
         if firmware_filter is Filter.ADAPTIVE:

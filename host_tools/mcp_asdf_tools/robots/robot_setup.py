@@ -19,7 +19,6 @@ from mcp_asdf.table import Table
 from mcp_asdf_tools.bus.frame_layout import MAX_NODE_ID
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.firmwares import load_firmware
-from mcp_asdf_tools.tables.thresholds import generate, omega_from_word
 
 _FILTERS_BY_NAME = {firmware_filter.name.lower(): firmware_filter for firmware_filter in Filter}
 _TYPES: dict[str, type[Any]] = {
@@ -167,6 +166,8 @@ def _plain_table(table: Table) -> dict[str, Any]:
     neighbours with an exact threshold; ``checksum``. Raises UsageError if omega has more than 9 decimal
     places, which no table generated here has.
     """
+    from mcp_asdf_tools.tables.thresholds import omega_from_word  # noqa: PLC0415 (mpmath loads slowly)
+
     # Without such an omega the table could not be generated again.
     omega = omega_from_word(table.omega_word)
     if omega is None:
@@ -186,6 +187,8 @@ def _table_from_plain(plain_table: Any, robot_id: Any) -> Table:
     Raises UsageError, naming the robot, if the generated table has another checksum than the one recorded in
     ``plain_table``: the robot would not be the same.
     """
+    from mcp_asdf_tools.tables.thresholds import generate  # noqa: PLC0415 (mpmath loads slowly)
+
     table = generate(Decimal(plain_table["omega"]), plain_table["q"])
     checksum = _checksum_of(table)
     if checksum != plain_table["checksum"]:

@@ -13,8 +13,8 @@ from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.robot_setup import RobotSetup, format_ids, parse_ids
 from mcp_asdf_tools.swarm.fault_injection.kinds import LinkFault
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
+from mcp_asdf_tools.world.graph import MAX_ON_BUS
 from mcp_asdf_tools.world.settings import MAX_PERIOD
-from mcp_asdf_tools.world.topology import MAX_ON_BUS
 
 MAX_ROBOTS_AND_TOOLS = 126
 """Ids 0 .. 125: where tools join, 126 and 127 are theirs, as in Cyphal."""

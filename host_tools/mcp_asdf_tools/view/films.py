@@ -35,8 +35,8 @@ from mcp_asdf_tools.view.film import MAX_STATES, History, RunDescription, State
 from mcp_asdf_tools.view.heard_robots import LatestRobotValues
 from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.floor_code import make_floor_code
+from mcp_asdf_tools.world.graph import MAX_ON_BUS
 from mcp_asdf_tools.world.settings import WorldSettings
-from mcp_asdf_tools.world.topology import MAX_ON_BUS
 from mcp_asdf_tools.world.world import World
 
 _MAX_FLOOR_PIXELS = 800

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.view.film import QUANTITIES, History, RunDescription, State
-from mcp_asdf_tools.world.topology import MAX_ON_BUS
+from mcp_asdf_tools.world.graph import MAX_ON_BUS
 
 _FOLDER = Path(__file__).parent / "page"
 _MODULES = ("arena", "bus", "charts", "colours", "film", "main", "panels", "player", "playground", "worker")

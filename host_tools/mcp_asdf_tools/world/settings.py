@@ -16,8 +16,7 @@ from mcp_asdf_tools.common.parameters import (
     parameters_of,
     value_of,
 )
-from mcp_asdf_tools.world.floor_code import make_floor_code
-from mcp_asdf_tools.world.topology import MAX_ON_BUS, MAX_ROBOTS, Graph, parse_edges, parse_graph
+from mcp_asdf_tools.world.graph import MAX_ON_BUS, MAX_ROBOTS, Graph, parse_edges, parse_graph
 
 MAX_STEPS = 10**9
 MAX_PERIOD = 2**32 - 1
@@ -323,5 +322,7 @@ def _check_floor(settings: WorldSettings) -> None:
         return
     if settings.tile != _default_of(settings, "tile"):
         raise ParameterError("tile", f"tile is {settings.tile} but floor is code, without tiles")
+    from mcp_asdf_tools.world.floor_code import make_floor_code  # noqa: PLC0415 (numpy loads slowly)
+
     # The pattern itself is not needed here: making it raises ParameterError for a fill ratio it cannot have.
     make_floor_code(settings.fill_ratio)

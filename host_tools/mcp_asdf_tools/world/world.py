@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.common import extensions
 from mcp_asdf_tools.world.arena import Arena
+from mcp_asdf_tools.world.graph import Graph
 from mcp_asdf_tools.world.philox import OBSERVATION_STREAM, Stream
 from mcp_asdf_tools.world.sensors import black_probabilities, make_sensor_model
 from mcp_asdf_tools.world.settings import WorldSettings
-from mcp_asdf_tools.world.topology import CheckedTopology, FixedTopology, Graph, Topology
+from mcp_asdf_tools.world.topology import CheckedTopology, FixedTopology, Topology, graph_topology
 
 _STEPS_AT_ONCE = 64
 """Steps that ``SteppedWorld`` computes together, which is faster than one by one."""
@@ -168,7 +169,7 @@ def _make_topology(settings: WorldSettings, trial: int) -> Topology:
         return FixedTopology(neighbours=~np.eye(settings.robots, dtype=np.bool_))
     # Settings have a Graph exactly if their topology is "graph".
     if isinstance(settings.graph, Graph):
-        return settings.graph.topology(settings.robots)
+        return graph_topology(settings.graph, settings.robots)
     name = str(settings.topology)
     make_topology = cast(_TopologyMaker, extensions.load(extensions.TOPOLOGIES, name))
     return CheckedTopology(make_topology(settings, trial), name, settings.robots)

@@ -14,7 +14,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import MAX_EXPERIMENTS, Experiment, combinations, grid
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
-from mcp_asdf_tools.world.topology import MAX_ON_BUS
+from mcp_asdf_tools.world.graph import MAX_ON_BUS
 from support import ROOT, blocks
 
 # --- Values ----------------------------------------------------------------------------------------------

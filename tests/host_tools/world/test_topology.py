@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.world.topology import Graph, parse_graph
+from mcp_asdf_tools.world.graph import Graph, parse_graph
+from mcp_asdf_tools.world.topology import graph_topology
 
 
 def parse_file(content: str, folder: Path) -> Graph:
@@ -23,7 +24,7 @@ def parse_file(content: str, folder: Path) -> Graph:
 
 def neighbours_in(graph: Graph, robots: int) -> list[list[int]]:
     """Return the ids that each robot receives from."""
-    (neighbours,) = graph.topology(robots).advance(1)
+    (neighbours,) = graph_topology(graph, robots).advance(1)
     return [np.flatnonzero(row).tolist() for row in neighbours]
 
 

@@ -13,8 +13,8 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.world.arena import Arena, allocate_memory, make_config
+from mcp_asdf_tools.world.graph import Graph
 from mcp_asdf_tools.world.sensors import black_probabilities, make_sensor_model
-from mcp_asdf_tools.world.topology import Graph
 
 RECORD = np.dtype(
     [("beta", "u8"), *((name, "u4") for name in ("t", "n", "x_hat", "alpha", "x_bar", "x", "b_hat"))],

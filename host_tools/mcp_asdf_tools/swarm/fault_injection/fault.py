@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar
-
-import can
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.common.parameters import parameter
 from mcp_asdf_tools.robots.robot_setup import format_ids
-from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
-from mcp_asdf_tools.swarm.fault_injection.random_words import FaultRandom, RandomWords, hit_threshold
+from mcp_asdf_tools.swarm.fault_injection.random_words import FaultRandom, hit_threshold
+
+if TYPE_CHECKING:
+    import can
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
+    from mcp_asdf_tools.swarm.fault_injection.random_words import RandomWords
 
 MAX_TICK = 2**32 - 1
 
@@ -153,6 +156,8 @@ class FaultRun:
 
     def active_frames(self, sent_frames: Sequence[SentFrame]) -> NDArray[np.bool_]:
         """Return for which frames the fault is active, shape (frames,)."""
+        import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
+
         is_active = [self.fault.is_active(sent_frame.tick, sent_frame.sender) for sent_frame in sent_frames]
         return np.array(is_active, np.bool_)
 
@@ -161,6 +166,8 @@ class FaultRun:
 
         Frames for which the fault is not active get zeros.
         """
+        import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
+
         frame_count, receiver_count = deliveries.receivers.shape
         random_words = np.zeros((frame_count, receiver_count, words_per_receiver), np.uint64)
         for index in np.flatnonzero(self.active_frames(deliveries.sent_frames)).tolist():

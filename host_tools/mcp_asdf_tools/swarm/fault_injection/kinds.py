@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
-
-import can
-import numpy as np
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from mcp_asdf_tools.bus.alpha_words import float32_bits, float32_value
 from mcp_asdf_tools.bus.frame_layout import (
@@ -18,12 +15,17 @@ from mcp_asdf_tools.bus.frame_layout import (
     Q23_ONE,
     TRANSFER_IDS,
 )
-from mcp_asdf_tools.bus.frames import Estimate, decode_estimate, encode_estimate
+from mcp_asdf_tools.bus.frames import Estimate, decode_estimate, encode_estimate, make_frame
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import parameter
-from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
 from mcp_asdf_tools.swarm.fault_injection.fault import MAX_TICK, Fault, FaultRun, Outage
-from mcp_asdf_tools.swarm.fault_injection.random_words import RandomWords, choose_bits, hit_threshold
+from mcp_asdf_tools.swarm.fault_injection.random_words import choose_bits, hit_threshold
+
+if TYPE_CHECKING:
+    import can
+
+    from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
+    from mcp_asdf_tools.swarm.fault_injection.random_words import RandomWords
 
 # --- Links: a frame on its way to one receiver ---
 
@@ -43,6 +45,8 @@ class LinkFault(Fault):
 
         The hits are counted. O(frames receivers).
         """
+        import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
+
         random_words = run.words_for_deliveries(deliveries, 1 + self.extra_words)
         hit_words, extra_words = random_words[:, :, 0], random_words[:, :, 1:]
         # The words of inactive frames are zeros, which would be hits.
@@ -128,6 +132,8 @@ class Corrupt(LinkFault):
 
     def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
         """Return the deliveries with bits flipped, one entry for each frame and receiver."""
+        import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
+
         # Entry i of the result is the frame of index frame_indices[i] for the receiver receivers[i] alone.
         frame_indices, receivers = hit.receivers.nonzero()
         entry_count, receiver_count = len(frame_indices), hit.receivers.shape[1]
@@ -243,8 +249,8 @@ class Liar(Fault):
         if not isinstance(estimate, Estimate) or not run.hits_frame(sent_frame):
             return sent_frame
         identifier = run.frame_format.identifier(estimate.sender)
-        data = _encode_claim(self.x, self.alpha, estimate.transfer_id)
-        return sent_frame.with_false_estimate(_make_frame(identifier, data, sent_frame.frame.timestamp))
+        payload = _encode_claim(self.x, self.alpha, estimate.transfer_id)
+        return sent_frame.with_false_estimate(make_frame(identifier, payload, sent_frame.frame.timestamp))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -300,7 +306,7 @@ class Babble(Fault):
         frames = []
         for repetition in range(self.frames):
             _, content = run.random.words_for_node(node, tick, repetition)
-            frames.append(_make_frame(identifier, content.to_bytes(FRAME_BYTES, "little"), timestamp))
+            frames.append(make_frame(identifier, content, timestamp))
         return frames
 
 
@@ -332,23 +338,17 @@ class Sybil(Fault):
         if self.ids is None or not run.hits_node(node, tick):
             return []
         run.hit_count += len(self.ids)
-        data = _encode_claim(self.x, self.alpha, tick % TRANSFER_IDS)
+        payload = _encode_claim(self.x, self.alpha, tick % TRANSFER_IDS)
         identifiers = [run.frame_format.identifier(robot) for robot in sorted(self.ids)]
-        return [_make_frame(identifier, data, timestamp) for identifier in identifiers]
+        return [make_frame(identifier, payload, timestamp) for identifier in identifiers]
 
 
-def _make_frame(identifier: int, data: bytes, timestamp: float) -> can.Message:
-    """Return a frame that a node is about to send."""
-    return can.Message(timestamp=timestamp, arbitration_id=identifier, data=data, is_rx=False)
-
-
-def _encode_claim(x: float, alpha: float, transfer_id: int) -> bytes:
-    """Return the data of an estimate that claims exactly ``x`` and ``alpha``.
+def _encode_claim(x: float, alpha: float, transfer_id: int) -> int:
+    """Return the payload of an estimate that claims exactly ``x`` and ``alpha``.
 
     The codec of estimates does not serve here: it rounds alpha to the numbers that the firmware can have.
     """
-    payload = ESTIMATE.pack(transfer_id, {"x_hat": round(x * Q23_ONE), "alpha": float32_bits(alpha)})
-    return payload.to_bytes(FRAME_BYTES, "little")
+    return ESTIMATE.pack(transfer_id, {"x_hat": round(x * Q23_ONE), "alpha": float32_bits(alpha)})
 
 
 FAULT_KINDS: tuple[type[Fault], ...] = (

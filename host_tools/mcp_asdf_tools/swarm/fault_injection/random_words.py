@@ -14,14 +14,15 @@ import struct
 from enum import IntEnum
 from fractions import Fraction
 from functools import cache
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
-from mcp_asdf_tools.swarm.delivery import SentFrame
+    from mcp_asdf_tools.swarm.delivery import SentFrame
 
-RandomWords: TypeAlias = NDArray[np.uint64]
+    RandomWords: TypeAlias = NDArray[np.uint64]
 
 _KEY = struct.Struct("<IIIBBBB")
 
@@ -64,6 +65,8 @@ class FaultRandom:
         A receiver's words are the same for every ``receiver_count``. Copies whose numbers are equal modulo
         256 share their words.
         """
+        import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
+
         key = (*_frame_key(sent_frame), copy_number % 256, _Purpose.RECEIVERS)  # one byte for the number
         hash_bytes = self._hash_bytes(receiver_count * words_per_receiver, *key)
         return np.frombuffer(hash_bytes, "<u8").reshape(receiver_count, words_per_receiver)
@@ -103,6 +106,8 @@ def choose_bits(bit_counts: NDArray[np.int64], random_words: RandomWords) -> NDA
         The masks of the chosen bits, shape (words,). Where more bits are to be chosen than there are, it has
         all of them. All choices are equally likely up to 2**-52.
     """
+    import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
+
     lowest_bit = np.uint64(1)
     chosen_bits = np.zeros(len(bit_counts), np.uint64)
     bits_to_choose = random_words.shape[1]

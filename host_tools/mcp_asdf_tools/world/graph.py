@@ -1,0 +1,220 @@
+"""Graphs: which robots receive from which where they do not move, given as edges, and reading them."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from operator import index
+from pathlib import Path
+from typing import Any
+
+from mcp_asdf.robot import MAX_ID
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import read_at_most
+
+_EDGES_IN_ONE_LINE = re.compile(r"[0-9>;\s]*")
+_NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+# Behind an edge other tools write a weight, or its attributes in braces as networkx does.
+_EDGE = re.compile(
+    r"(?P<first_id>[0-9]{1,5})(?:\s*(?P<arrow>>)\s*|\s+)(?P<second_id>[0-9]{1,5})"
+    rf"(?:\s+(?:{_NUMBER}|\{{.*\}}))?",
+    re.ASCII,
+)
+
+MAX_ROBOTS = 2**16
+"""Largest number of robots without a bus: ids have 16 bits."""
+MAX_ON_BUS = MAX_ID + 1
+"""Largest number of robots on a bus, and of those that can all receive from each other."""
+
+
+@dataclass(frozen=True)
+class Graph:
+    """Directed links between robots.
+
+    Attributes:
+        links: (sender, receiver) for each pair of robots of which one receives from the other.
+        source: The file that they come from, if any; graphs with the same links are equal.
+    """
+
+    links: frozenset[tuple[int, int]]
+    source: str = field(default="graph", compare=False)
+
+    def __str__(self) -> str:
+        """Return the edges in one line, which ``parse_graph`` takes back, such as ``3 5; 5 > 7``.
+
+        In ``3 5`` both robots receive from each other; in ``5 > 7`` only 7 receives from 5.
+        """
+        edges = []
+        for sender, receiver in sorted(self.links):
+            if (receiver, sender) not in self.links:
+                edges.append(f"{sender} > {receiver}")
+            elif sender < receiver:  # an edge of both directions is written once
+                edges.append(f"{sender} {receiver}")
+        return "; ".join(edges)
+
+    def check(self, robots: int) -> None:
+        """Check that the graph is one of ``robots`` robots. O(links).
+
+        Raises UsageError unless all ids are among 0 .. robots - 1, and no robot has more neighbours than a
+        round of the firmware holds messages.
+        """
+        unknown_ids = {robot for link in self.links for robot in link if robot >= robots}
+        if unknown_ids:
+            raise UsageError(
+                f"{self.source} names robot {min(unknown_ids)}, but the ids of {robots} robots are 0 to "
+                f"{robots - 1}; take more robots or remove the edge"
+            )
+        neighbour_counts = Counter(receiver for _, receiver in self.links)
+        for receiver, count in sorted(neighbour_counts.items()):
+            if count > MAX_ID:
+                raise UsageError(
+                    f"in {self.source} robot {receiver} hears {count} others, but a round of the firmware "
+                    f"holds {MAX_ID}; remove edges"
+                )
+
+
+def parse_graph(description: Any) -> Graph:
+    """Return the graph that a file, a text or an object describes.
+
+    A text has edges in one line, separated by semicolons; any other text is the path of a file. An object is
+    a list of pairs (both hear each other), a boolean array [receiver, sender], or a graph of networkx.
+
+    An edge is ``3 5`` if robots 3 and 5 hear each other, ``3 > 5`` if only 5 hears 3. In a file each line has
+    one; empty lines and everything after a ``#`` are ignored, and so is a weight or ``{...}`` behind an edge.
+    An edge without ``>`` may be listed in both directions. Raises UsageError, naming the line, for anything
+    else, for ids outside 0 .. 65535, for repeated edges and for a graph without edges. O(lines).
+    """
+    if not isinstance(description, str | Path):
+        return _parse_lines(_format_edges(description), "edge", "graph")
+    if isinstance(description, str) and is_text_of_edges(description):
+        return _parse_lines(description.split(";"), "edge", "graph")
+    try:
+        lines = read_at_most(description).decode("utf-8-sig").splitlines()
+    except (OSError, ValueError) as error:
+        raise UsageError(
+            f"cannot read the graph {description}: {error}; give a text file of edges"
+        ) from error
+    return _parse_lines(lines, "line", str(description))
+
+
+def is_text_of_edges(text: str) -> bool:
+    """Return whether a text holds edges in one line, or nothing, and is no path of a file."""
+    return _EDGES_IN_ONE_LINE.fullmatch(text) is not None
+
+
+def parse_edges(text: Any) -> Graph:
+    """Return the graph of edges in one line, such as ``3 5; 5 > 7``.
+
+    In ``3 5`` both robots receive from each other; in ``5 > 7`` only 7 receives from 5. This is for the
+    graphs in recordings and results, which come from others: where ``parse_graph`` would take a text for the
+    path of a file and open it, this function raises UsageError. So it does for any other text or object.
+    """
+    if not isinstance(text, str) or not is_text_of_edges(text):
+        raise UsageError(
+            f"graph is {text!r}, but a recording or a file of results has to hold the edges themselves, such "
+            "as '3 5; 5 > 7': it may not name a file"
+        )
+    return parse_graph(text)
+
+
+def _format_edges(graph: Any) -> list[str]:
+    """Return the edges of an object as texts: ``3 5`` of both directions, ``3 > 5`` from 3 to 5 alone.
+
+    The object is as ``parse_graph`` takes it: pairs of ids, a square boolean array [receiver, sender], or a
+    graph of networkx. Raises UsageError for any other.
+    """
+    import numpy as np  # noqa: PLC0415 (it loads slowly, and texts and files need none of it)
+
+    pairs, is_directed = graph, False
+    if isinstance(graph, np.ndarray) and graph.dtype == np.bool_:
+        if graph.ndim != 2 or graph.shape[0] != graph.shape[1]:
+            raise UsageError(f"graph has shape {graph.shape}; give a square array, [receiver, sender]")
+        pairs = [(sender, receiver) for receiver, sender in np.argwhere(graph)]
+        is_directed = True
+    elif hasattr(graph, "is_directed") and hasattr(graph, "edges"):
+        pairs, is_directed = list(graph.edges()), graph.is_directed()
+    sign = "> " if is_directed else ""
+    # operator.index takes integers of any kind, and refuses all that is none.
+    try:
+        return [f"{index(first)} {sign}{index(second)}" for first, second in pairs]
+    except (TypeError, ValueError):
+        fix = "give a file, edges such as '3 5; 5 > 7', pairs of ids, a boolean array, or a networkx graph"
+        raise UsageError(f"graph is {graph!r}; {fix}") from None
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """An edge as it is written.
+
+    Attributes:
+        sender: Id that is written first.
+        receiver: Id that is written second.
+        is_one_way: Whether ``>`` stands between the ids, so that only the receiver receives from the sender.
+        line_number: Number of its line, from 1, or of the edge in a text of one line.
+    """
+
+    sender: int
+    receiver: int
+    is_one_way: bool
+    line_number: int
+
+    @property
+    def links(self) -> list[tuple[int, int]]:
+        """The (sender, receiver) pairs that the edge stands for: one, or both directions."""
+        link = (self.sender, self.receiver)
+        return [link] if self.is_one_way else [link, link[::-1]]
+
+    def is_reverse_of(self, other: _Edge) -> bool:
+        """Whether both are the same edge of both directions, written from either end."""
+        is_reversed = (self.sender, self.receiver) == (other.receiver, other.sender)
+        return is_reversed and not self.is_one_way and not other.is_one_way
+
+
+def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
+    """Return the graph of the edges in ``lines``.
+
+    Comments behind a ``#`` and empty lines are left out. For messages, ``unit`` is "edge" or "line", as which
+    the lines are counted from 1, and ``source`` is the file's name or "graph". Raises UsageError for a line
+    that is no edge and for an edge that is there already, and if there is none at all.
+    """
+    edge_of_link: dict[tuple[int, int], _Edge] = {}
+    for line_number, line in enumerate(lines, start=1):
+        text = line.partition("#")[0].strip()
+        if not text:
+            continue
+        edge = _parse_edge(text, f"{source}, {unit} {line_number}", line_number)
+        for link in edge.links:
+            # The first edge with this link stays in the dictionary.
+            earlier_edge = edge_of_link.setdefault(link, edge)
+            if earlier_edge is not edge and not edge.is_reverse_of(earlier_edge):
+                sender, receiver = link
+                raise UsageError(
+                    f"{source}, {unit} {line_number}: that robot {receiver} hears {sender} is in {unit} "
+                    f"{earlier_edge.line_number} already; remove one of them"
+                )
+    if not edge_of_link:
+        raise UsageError(f"{source} has no edge, so no robot would hear another; write edges such as '3 5'")
+    return Graph(frozenset(edge_of_link), source)
+
+
+def _parse_edge(text: str, position: str, line_number: int) -> _Edge:
+    """Return the edge that a line without its comment holds: ``3 5`` of both directions, or ``3 > 5``.
+
+    ``position`` says where the line stands, such as "a.txt, line 7", and begins messages. Raises UsageError
+    for a text that is no edge, an id that is too large, and an edge from a robot to itself.
+    """
+    match = _EDGE.fullmatch(text)
+    if match is None or max(int(match["first_id"]), int(match["second_id"])) >= MAX_ROBOTS:
+        fix = f"write two ids, 0 to {MAX_ROBOTS - 1}, such as '3 5' or '3 > 5'"
+        raise UsageError(f"{position}: {text!r} is not an edge; {fix}")
+    edge = _Edge(
+        sender=int(match["first_id"]),
+        receiver=int(match["second_id"]),
+        is_one_way=match["arrow"] is not None,
+        line_number=line_number,
+    )
+    if edge.sender == edge.receiver:
+        raise UsageError(f"{position}: robot {edge.sender} cannot be its own neighbour; remove the edge")
+    return edge
