@@ -17,7 +17,6 @@ from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.cli.experiment_options import add_where, chosen
 from mcp_asdf_tools.cli.failures import report_failure
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.extras import install_instruction
 from mcp_asdf_tools.common.files import check_target, write_atomically
 from mcp_asdf_tools.common.signals import stopping
 from mcp_asdf_tools.recording.events import events_path
@@ -25,7 +24,7 @@ from mcp_asdf_tools.recording.events import events_path
 if TYPE_CHECKING:
     from mcp_asdf_tools.view.film import History
 
-EPILOG = f"""\
+EPILOG = """\
 examples:
   mcp-asdf view run.parquet                         # trial 0 of what simulate has kept
   mcp-asdf view grid.parquet --where filter=none --trial 3
@@ -35,8 +34,7 @@ examples:
   mcp-asdf view --interface socketcan --channel vcan0       # robots elsewhere that send telemetry
 mcp-asdf swarm --view shows a swarm as it runs.
 The page is for browsers of this computer alone; Ctrl-C ends it. A recording need not hold positions and
-floor: they follow from its seed and parameters. The server needs an
-extra; {install_instruction("view")}
+floor: they follow from its seed and parameters.
 exit code: 0 done, 1 the bus failed, 2 bad usage, 130 interrupted"""
 
 _WAKING_INTERVAL = 0.2

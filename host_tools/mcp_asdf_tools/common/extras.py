@@ -14,8 +14,6 @@ EXTRAS = {
     "pyarrow": "study",
     "scipy": "study",
     "distributed": "cluster",
-    "starlette": "view",
-    "uvicorn": "view",
 }
 """The extra of ``pyproject.toml`` that brings each module outside the base installation."""
 

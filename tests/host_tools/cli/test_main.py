@@ -295,7 +295,6 @@ def test_a_missing_extra_is_named_in_one_line(tmp_path: Path) -> None:
         "score x.parquet": ("pyarrow", "study"),
         "plot x.parquet x.png": ("matplotlib", "study"),
         "reproduce --quick": ("matplotlib", "study"),
-        "swarm --steps 3 --view": ("uvicorn", "view"),
         "swarm --firmware reference --log reference.log": ("scipy", "study"),
     }
     codes, errors = in_base(tmp_path, needed)

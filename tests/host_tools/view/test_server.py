@@ -1,101 +1,299 @@
-"""The server answers browsers of this computer that show its own page, and nobody else."""
+"""The server of the page: whom it answers, the events that it sends, how it ends, and its port."""
 
 from __future__ import annotations
 
 import http.client
 import json
 import socket
-from contextlib import closing
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, suppress
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.view import server
 from mcp_asdf_tools.view.film import History, HistoryUpdate, RunDescription, State
 from mcp_asdf_tools.view.page import page
 from mcp_asdf_tools.view.server import serving
-from support import PATIENCE
+from support import PATIENCE, wait_until
 
-STAGE = RunDescription("two </script> robots", [0, 1], fill_ratio=0.5)
+DESCRIPTION = RunDescription("two </script> robots", [0, 1], fill_ratio=0.5)
 STATES = [State(tick, np.full((4, 2), 0.25), np.zeros((2, 2), np.bool_), None) for tick in range(5)]
-OVER = History(STAGE, STATES)
 
 
-def answer(url: str, path: str = "/", **headers: str) -> tuple[int, str]:
-    """Status and content of the answer to a request with these headers."""
+@pytest.fixture(scope="module")
+def url() -> Iterator[str]:
+    """The URL of a page, whose run has ended, while it is served."""
+    with serving(History(DESCRIPTION, STATES)) as url:
+        yield url
+
+
+def get(url: str, path: str = "/", **headers: str) -> tuple[int, str]:
+    """Send a GET request; return status and content of the answer."""
     with closing(http.client.HTTPConnection(urlsplit(url).netloc, timeout=PATIENCE)) as connection:
         connection.request("GET", path, headers=headers)
         with connection.getresponse() as response:
             return response.status, response.read().decode()
 
 
-def test_only_the_page_itself_is_answered_and_on_this_computer_alone() -> None:
-    with serving(OVER) as url:
-        port = urlsplit(url).port or 0
-        assert url.startswith("http://127.0.0.1:")
-        own = {"Origin": f"http://127.0.0.1:{port}", "Sec-Fetch-Site": "same-origin"}
-        for headers in ({}, own, {"Host": f"localhost:{port}"}, {"Sec-Fetch-Site": "none"}):
-            assert answer(url, **headers) == (200, page())
-        strangers = {
-            "Host": ("evil.example", f"evil.example:{port}", "127.0.0.1", f"127.0.0.1:{port + 1}"),
-            "Origin": ("http://evil.example", "null", f"https://127.0.0.1:{port}", url.replace("7.0", "7.1")),
-            "Sec-Fetch-Site": ("cross-site", "same-site"),
-        }
-        for name, values in strangers.items():
-            for value in values:
-                statuses = {answer(url, path, **{name: value})[0] for path in ("/", "/events")}
-                assert statuses == {403}, value
-        assert answer(url, "/etc/passwd")[0] == 404
-        with socket.socket() as other, pytest.raises(ConnectionRefusedError):
-            other.connect(("127.0.0.2", port))
+def read_events(url: str) -> list[tuple[str, Any]]:
+    """Read the stream of events until it ends; return the name and the content of each event."""
+    _, text = get(url, "/events")
+    lines = [event.splitlines() for event in text.split("\n\n") if event]
+    return [(name.removeprefix("event: "), json.loads(data.removeprefix("data: "))) for name, data in lines]
 
 
-class Growing(History):
-    """History that grows each time somebody has looked: by a state, a report, a robot, and then no more."""
+def connect(url: str, request: str = "") -> socket.socket:
+    """Return a socket that is connected to the server and has sent the text of a request."""
+    address = urlsplit(url)
+    client = socket.create_connection((address.hostname, address.port), timeout=PATIENCE)
+    client.sendall(request.encode())
+    return client
 
-    looks = 0
+
+def read_to(client: socket.socket, end: str) -> None:
+    """Read from a socket until the text so far ends with ``end``."""
+    text = b""
+    while not text.endswith(end.encode()):
+        text += client.recv(1)
+
+
+def request_for(url: str, path: str) -> str:
+    return f"GET {path} HTTP/1.0\r\nHost: {urlsplit(url).netloc}\r\n\r\n"
+
+
+# --- Whom it answers ----------------------------------------------------------------------------------
+
+
+def test_server_sends_the_page_to_a_user_who_opens_it(url: str) -> None:
+    assert get(url) == (200, page())
+
+
+def test_server_ignores_the_query_of_an_address(url: str) -> None:
+    assert get(url, "/?step=3") == (200, page())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("Host", "localhost:PORT"),
+        ("Origin", "http://127.0.0.1:PORT"),
+        ("Origin", "http://localhost:PORT"),
+        ("Sec-Fetch-Site", "same-origin"),
+        ("Sec-Fetch-Site", "none"),
+    ],
+)
+def test_server_answers_its_own_page(url: str, name: str, value: str) -> None:
+    port = str(urlsplit(url).port)
+    status, _ = get(url, **{name: value.replace("PORT", port)})
+    assert status == 200
+
+
+@pytest.mark.parametrize("path", ["/", "/events"])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("Host", "evil.example"),
+        ("Host", "evil.example:PORT"),
+        ("Host", "127.0.0.1"),
+        ("Host", "127.0.0.1:1"),
+        ("Origin", "http://evil.example"),
+        ("Origin", "null"),
+        ("Origin", "https://127.0.0.1:PORT"),
+        ("Origin", "http://127.1.0.1:PORT"),
+        ("Sec-Fetch-Site", "cross-site"),
+        ("Sec-Fetch-Site", "same-site"),
+    ],
+)
+def test_server_refuses_requests_of_other_sites(url: str, path: str, name: str, value: str) -> None:
+    port = str(urlsplit(url).port)
+    answer = get(url, path, **{name: value.replace("PORT", port)})
+    assert answer == (403, "this page is for this computer alone")
+
+
+def test_server_refuses_a_request_without_a_host(url: str) -> None:
+    with connect(url, "GET / HTTP/1.0\r\n\r\n") as client:
+        assert client.makefile().readline() == "HTTP/1.0 403 Forbidden\n"
+
+
+def test_server_has_no_other_files(url: str) -> None:
+    assert get(url, "/etc/passwd") == (404, "there is no such page")
+
+
+def test_server_listens_on_one_address_alone(url: str) -> None:
+    with socket.socket() as client, pytest.raises(ConnectionRefusedError):
+        client.connect(("127.0.0.2", urlsplit(url).port))
+
+
+def test_answers_are_neither_cached_nor_embedded_by_other_sites(url: str) -> None:
+    with connect(url, request_for(url, "/")) as client:
+        head = client.makefile().read().partition("<!doctype")[0]
+    assert "Cache-Control: no-store\n" in head
+    assert "Cross-Origin-Resource-Policy: same-origin\n" in head
+    assert "X-Content-Type-Options: nosniff\n" in head
+    assert "X-Frame-Options: DENY\n" in head
+
+
+# --- Events -------------------------------------------------------------------------------------------
+
+
+class ScriptedHistory(History):
+    """A live history of robots 0 and 1 that changes each time after the server has read its states."""
+
+    def __init__(self) -> None:
+        super().__init__(DESCRIPTION)
+        self.add(STATES[0])
+        self._reads = 0
 
     def states_since(self, generation: int = -1, index: int = 0) -> HistoryUpdate:
-        found = super().states_since(generation, index)
-        self.looks += 1
-        if self.looks == 2:
+        update = super().states_since(generation, index)
+        self._reads += 1
+        if self._reads == 1:
             self.add(STATES[1])
-        if self.looks == 3:
+        elif self._reads == 2:
             self.report = {"robots": [], "frames": []}
-        if self.looks == 4:
+        elif self._reads == 3:
             self.add_robot(7)
-        self.has_ended = self.looks == 6
-        return found
+        else:
+            self.has_ended = True
+        return update
 
 
-def test_events_are_the_film_and_end_with_the_run() -> None:
-    """Also where a state and a report come, a robot joins and the run ends while somebody watches."""
-    live = Growing(STAGE)
-    live.add(STATES[0])
-    for history, robots, counts in ((live, [[0, 1], [0, 1, 7]], [1, 1, 2]), (OVER, [[0, 1]], [5])):
-        with serving(history) as url:
-            told = [each.splitlines() for each in answer(url, "/events")[1].split("\n\n") if each]
-        assert told.pop() == ["event: end", "data: null"]
-        contents = [(name, json.loads(data.removeprefix("data: "))) for name, data in told]
-        stages = [content for name, content in contents if name == "event: stage"]
-        assert [each["robots"] for each in stages] == robots
-        assert [content["count"] for name, content in contents if name == "event: block"] == counts
-        reports = [content for name, content in contents if name == "event: report"]
-        assert reports == [history.report] * (history is live)
-        assert {(each["title"], each["fill_ratio"]) for each in stages} == {(STAGE.title, 0.5)}
+@pytest.fixture(scope="module")
+def live_events() -> list[tuple[str, Any]]:
+    with serving(ScriptedHistory()) as url:
+        return read_events(url)
 
 
-def test_a_port_is_free_again_at_once_and_one_that_is_taken_is_named() -> None:
-    with serving(OVER, 65535) as url, socket.create_connection(("127.0.0.1", 65535)) as client:
-        client.sendall(b"GET / HTTP/1.0\r\n\r\n")
-        assert client.makefile().read().startswith("HTTP/1.1 403"), "the server closes first"
-    with serving(OVER, 65535) as again:
-        assert again == url == "http://127.0.0.1:65535/"
+def test_events_follow_a_run_in_the_order_in_which_it_goes(live_events: list[tuple[str, Any]]) -> None:
+    names = [name for name, _ in live_events]
+    assert names == ["stage", "block", "block", "report", "stage", "block", "end"]
+
+
+def test_a_robot_that_joins_begins_the_history_anew(live_events: list[tuple[str, Any]]) -> None:
+    robots = [content["robots"] for name, content in live_events if name == "stage"]
+    counts = [content["count"] for name, content in live_events if name == "block"]
+    assert robots == [[0, 1], [0, 1, 7]]
+    assert counts == [1, 1, 2]
+
+
+def test_events_have_the_latest_report(live_events: list[tuple[str, Any]]) -> None:
+    assert dict(live_events)["report"] == {"robots": [], "frames": []}
+
+
+def test_a_run_that_has_ended_comes_in_one_block(url: str) -> None:
+    (_, description), (_, block), end = read_events(url)
+    assert description["title"] == "two </script> robots"
+    assert block["count"] == 5
+    assert end == ("end", None)
+
+
+# --- Clients that break off, stay silent or do not read ------------------------------------------------
+
+
+def test_two_pages_follow_one_run() -> None:
+    history = History(DESCRIPTION)
+    with serving(history) as url, connect(url, request_for(url, "/events")) as first:
+        history.add(STATES[0])
+        with connect(url, request_for(url, "/events")) as second:
+            history.has_ended = True
+            texts = [client.makefile().read() for client in (first, second)]
+    assert [text.count("event: block") for text in texts] == [1, 1]
+
+
+def test_server_ends_the_stream_of_a_page_that_was_closed() -> None:
+    threads_before = threading.active_count()
+    with serving(History(DESCRIPTION)) as url:
+        with connect(url, request_for(url, "/events")) as client:
+            read_to(client, "\n\n")
+            assert threading.active_count() == threads_before + 2
+        wait_until(lambda: threading.active_count() == threads_before + 1)
+
+
+def test_a_client_that_breaks_off_leaves_no_message(capfd: pytest.CaptureFixture[str]) -> None:
+    with serving(History(DESCRIPTION, STATES * 1000)) as url:
+        client = connect(url, request_for(url, "/events"))
+        # Without lingering, closing a connection resets it, which fails the server's next write.
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        client.close()
+        assert get(url)[0] == 200
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("request_text", ["", "GET / HTTP/1.0\r\n", "\x00\xff"])
+def test_a_client_that_completes_no_request_keeps_nobody_waiting(
+    request_text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_SHUTDOWN_SECONDS", PATIENCE)
+    monkeypatch.setattr(server._PageRequestHandler, "timeout", PATIENCE)
+    start_time = time.monotonic()
+    with serving(History(DESCRIPTION)) as url:
+        client = connect(url, request_text)
+        assert get(url)[0] == 200
+    with client:
+        assert time.monotonic() - start_time < PATIENCE / 2
+
+
+def test_server_gives_up_a_client_that_is_too_slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server._PageRequestHandler, "timeout", 0.05)
+    with serving(History(DESCRIPTION)) as url, connect(url, "GET / HTTP/1.0\r\n") as client:
+        assert client.recv(1) == b""
+
+
+def test_server_breaks_off_a_client_that_does_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_SHUTDOWN_SECONDS", 0.05)
+    monkeypatch.setattr(server, "page", lambda: "x" * 20_000_000)
+    threads_before = threading.active_count()
+    with serving(History(DESCRIPTION)) as url:
+        client = connect(url, request_for(url, "/"))
+        client.recv(1)
+    with client:
+        wait_until(lambda: threading.active_count() == threads_before)
+
+
+def test_server_refuses_more_connections_than_it_has_threads_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_MAX_CONNECTIONS", 1)
+    with serving(History(DESCRIPTION)) as url, connect(url, request_for(url, "/events")) as first:
+        first.recv(1)
+        answer = b""
+        with suppress(ConnectionError), connect(url, request_for(url, "/")) as second:
+            answer = second.recv(1)
+    assert answer == b""
+
+
+def test_the_end_of_the_server_is_the_last_event_of_an_open_page() -> None:
+    with serving(History(DESCRIPTION)) as url:
+        client = connect(url, request_for(url, "/events"))
+        client.recv(1)
+    with client:
+        assert client.makefile().read().endswith("event: end\ndata: null\n\n")
+
+
+# --- Ports --------------------------------------------------------------------------------------------
+
+
+def test_a_port_is_free_again_at_once() -> None:
+    with serving(History(DESCRIPTION), 65535) as url, connect(url, "GET / HTTP/1.0\r\n\r\n") as client:
+        client.makefile().read()  # the server closes first, so that its port is in TIME_WAIT
+    with serving(History(DESCRIPTION), 65535) as url:
+        assert url == "http://127.0.0.1:65535/"
+
+
+def test_a_port_that_is_taken_is_named() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(UsageError, match=rf"127.0.0.1:{port}: Address already in use; choose another"):
-            serving(OVER, port).__enter__()
-    for port in (-1, 65536):
-        with pytest.raises(UsageError, match=f"--port is {port}; choose 1 to 65535"):
-            serving(OVER, port).__enter__()
+        expected = rf"127.0.0.1:{port}: Address already in use; choose another --port"
+        with pytest.raises(UsageError, match=expected):
+            serving(History(DESCRIPTION), port).__enter__()
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_port_out_of_range_is_refused(port: int) -> None:
+    with pytest.raises(UsageError, match=f"--port is {port}; choose 1 to 65535"):
+        serving(History(DESCRIPTION), port).__enter__()
