@@ -51,9 +51,9 @@ FAULTS = {
     "estimate: mirror image": "return {ONE => (ONE ^ 1)} - x_hat if is_mirrored",
     "alpha_word: cap": "if exponent > {SHIFT_MAX => SHIFT_MAX ^ 1}:",
     "mean": "// (closed.alpha + own_alpha{ =>  | 1})",
-    "test": "{table.entry(m) => (table.entry(m) ^ 1)} * spread",
+    "test": "{table.entry(m) => (table.entry(m) ^ 1)} * scaled_variance",
     "test: fewest messages": "= {2 => 3} if config.filter == Filter.ADAPTIVE",
-    "halving: ties to even": "round_up = (s.n >> 1) & {1 => 0}",
+    "halving: ties to even": "s.n = {round(s.n / 2) => s.n // 2}",
     "counters": "COUNTER_MASK = {0xFFFF => 0xFFFE}",
     "filter period": "if s.filter_left {== 0 => <= 1}:",
     "vote: gain": "VOTES_OF_MAX_GAIN = {32 => 16}",
@@ -67,7 +67,7 @@ FAULTS = {
     "robust: test": "SIGMAS_SQUARED = {12 => 13}",
     "robust: variance": "variance = {max => min}(",
     "robust: way back": "return None if is_initial else {crowd.first => None}",
-    "restore": "repeated=words[27] >> 16{ =>  & 0x7FFF}",
+    "restore": "repeated=accepted_and_repeated >> 16{ =>  & 0x7FFF}",
 }
 """Faults by name, as `mirror_with` reads them: places in SOURCES and what is wrong there, often one bit."""
 

@@ -393,8 +393,10 @@ WRONG |= {
     "colours exchanged": firmware("alone", "colour = {index(z) => 1 - index(z)}"),
     "rounds x_hat up": firmware("first black tiles", "s.updated = 0{ => ; s.x_hat += 0 < s.x_hat < HALF}"),
     "alpha of 20 bits": firmware("alone", "s.updated = 0{ => ; s.alpha &= 0xFFFF_F01F}"),
-    "halves down": firmware("stray commands", "round_up = {(s.n >> 1) & 1 => 0}", config=HALVED),
-    "halves up": firmware("threshold of 5 messages", "round_up = {(s.n >> 1) & 1 => 1}", config=HALVED),
+    "halves down": firmware("stray commands", "s.n = {round(s.n / 2) => s.n // 2}", config=HALVED),
+    "halves up": firmware(
+        "threshold of 5 messages", "s.n = {round(s.n / 2) => (s.n + 1) // 2}", config=HALVED
+    ),
     "broadcasts x": firmware("nothing seen", "return {self.s.x_hat => self.x_raw}\n"),
     # Ends of ranges
     "x_hat at least 0.01": firmware("alone", "is_mirrored else {x_hat => max(x_hat, ONE // 100)}, alpha"),
@@ -438,7 +440,7 @@ WRONG |= {
     "a square of 54 bits": firmware(
         "threshold of 126 messages", "return {difference => (1 << 54) - 1 & difference} * difference >"
     ),
-    "a spread of 56 bits": firmware("large sums", "open_round.x * open_round.x{ =>  & (1 << 56) - 1}"),
+    "a spread of 56 bits": firmware("large sums", "sum_x_squared - sum_x * sum_x{ =>  & (1 << 56) - 1}"),
     "b_hat wrong for t below 500": firmware(
         "few observations", "return reestimate(s.t, s.n{ =>  + (s.t < 500)}, round_mean("
     ),
@@ -447,7 +449,7 @@ WRONG |= {
     ),
     "eq. 8 wrong for sums of alpha below 1": firmware(
         "few observations",
-        "return upper_quotient(closed.alpha_x{ =>  + ((closed.alpha < 1 << 24) << 22)}, closed.alpha * ONE)",
+        "return q32_quotient(closed.alpha_x{ =>  + ((closed.alpha < 1 << 24) << 22)}, closed.alpha * ONE)",
     ),
     "eq. 8 never shifts up": firmware(
         "no information",
@@ -461,11 +463,11 @@ WRONG |= {
     "tests in float64": firmware(
         "threshold of 126 messages",
         "return {difference * difference => float(difference) * difference} > limit",
-        "limit = {(table.entry(m) * spread) >> FRACTION_BITS => "
-        "table.entry(m) / 2**FRACTION_BITS * float(spread)}",
+        "limit = {(table.entry(m) * scaled_variance) >> FRACTION_BITS => "
+        "table.entry(m) / 2**FRACTION_BITS * float(scaled_variance)}",
     ),
     "thresholds of 23 fraction bits": firmware(
-        "threshold of 10 messages", "{table.entry(m) => (table.entry(m) & ~7)} * spread"
+        "threshold of 10 messages", "{table.entry(m) => (table.entry(m) & ~7)} * scaled_variance"
     ),
     "tests though it should not": set_up(
         "re-estimates without a test", ALWAYS, filter=Filter.ADAPTIVE, table=DEFAULT["table"]
@@ -494,7 +496,7 @@ WRONG |= {
     "gain without end": robust("many votes", "VOTES_MAX = 1 << {14 => 15}"),
     "starts at the first vote": robust(
         "few voices",
-        "position = x_hat << 7{ => ; crowd.centre = crowd.centre if crowd.votes > 1 else position}",
+        "position = q30_from_q23(x_hat){ => ; crowd.centre = crowd.centre if crowd.votes > 1 else position}",
     ),
     "s never shrinks": robust("few voices", "> crowd.spread else {-spread_step => 0}"),
     "s grows at equality": robust("few voices", "distance {> => >=} crowd.spread else -spread_step"),
@@ -572,16 +574,16 @@ WRONG |= {
     ),
     "a trend of 7/8 stays": robust("limits of the trend", "self.trend {< => <=} TREND_MOVING_UP"),
     "r uninformative from 2^-11 on": robust(
-        "centre at 1/2", "    if g < {INFORMATIVE_G => INFORMATIVE_G << 1}:"
+        "centre at 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G << 1}:"
     ),
-    "r uninformative to 2^-13": robust("centre at 1/2", "    if g < {INFORMATIVE_G => INFORMATIVE_G >> 1}:"),
-    "r uninformative at 2^-12": robust("centre at 1/2", "    if g {< => <=} INFORMATIVE_G:"),
+    "r uninformative to 2^-13": robust("centre at 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G >> 1}:"),
+    "r uninformative at 2^-12": robust("centre at 1/2", "minus_one {< => <=} INFORMATIVE_G:"),
     "robust test in float32": robust_in_floats("test of the least spread", "<f"),
     "robust test in float64": robust_in_floats("test of the least spread", "<d"),
     **{
         f"{what} of 23 bits": robust("test of the least spread", f"{place}{{ =>  >> 9 << 9}}")
         for what, place in (
-            ("n/t", "observed_share = upper_quotient(n, t)"),
+            ("n/t", "observed_share = q32_quotient(n, t)"),
             ("r", "fill_ratio = crowd_fill_ratio(crowd)"),
             ("p", "predicted_share = black_seen_as_black + white_seen_as_black"),
         )

@@ -54,48 +54,69 @@ Q32_ONE = 1 << 32
 """1 in units of 2**-32, which no word holds; where a word is needed, MAX_WORD stands for it."""
 
 INFORMATIVE_G = 1 << 20
-"""Smallest |2 p - 1|, in units of 2**-32, of an accuracy or an estimate p that carries information."""
+"""2**-12 in units of 2**-32: smallest |2 p - 1| of an accuracy or an estimate p that carries information."""
 
 COUNTER_MASK = 0xFFFF
 """Counters of events have 16 bits."""
 
-# The robust filter's constants, by the names that they have in C. The centre and the spread are in units of
-# 2**-30, the trend in units of 2**-16.
+# The robust filter's constants, by the names that they have in C; docs/robust.md has the reasons. The centre
+# and the spread are in units of 2**-30, the trend in units of 2**-16.
 CENTRE_START = 1 << 29
+"""Centre of the votes before the first one: 1/2."""
 SPREAD_MIN = 1 << 18
+"""Smallest spread: 2**-12."""
 SPREAD_MAX = 1 << 28
+"""Largest spread, and that before the first vote: 1/4."""
 VOTES_MAX = 1 << 14
+"""More votes are not counted, so that the gain does not fall below 2**-12."""
 VOTES_OF_MAX_GAIN = 32
+"""Up to 63 votes the gain stays at that of 32 votes, 1/8."""
 VOTES_MIN_WHILE_MOVING = 1 << 8
+"""While the centre moves, votes are halved down to about this number."""
 TREND_START = 1 << 15
+"""Trend before the first vote: 1/2."""
 TREND_SHIFT = 8
+"""With every vote the trend loses 2**-8 of itself, so it remembers about 256 votes."""
 TREND_STEP_UP = 255
+"""What a vote that moves the centre up adds to the trend."""
 TREND_STEP_EVEN = 128
+"""What a vote that does not move the centre adds to the trend: about half."""
 TREND_MOVING_DOWN = 1 << 13
+"""The centre moves down if the trend is below 1/8."""
 TREND_MOVING_UP = 7 << 13
+"""The centre moves up if the trend is at least 7/8."""
 REJECTED_SIGMAS_SQUARED = 12
+"""The test rejects beyond sqrt(12) standard deviations."""
 SENDERS_MIN = 3
+"""Smallest number of senders among which one that is wrong can be outvoted."""
 
 IMAGE_MAGIC = 0x4D435302
+"""First word of an image: "MCS" and the version of its layout."""
 ROBUST_IMAGE = 1 << 7
+"""Bit of the first word that marks an image of the robust filter."""
 IMAGE_WORDS = 31
+IMAGE_SIZE = 4 * IMAGE_WORDS
+"""Length of an image in bytes."""
 
 
 @dataclass(frozen=True)
 class Accuracy:
     """The assumed accuracy b_hat, and values that depend on it alone: see ``mcp_asdf_accuracy_t``.
 
-    They are computed when b_hat changes, so that an observation takes less time. The weights are in units of
-    2**-30, b_hat and c in units of 2**-32.
+    They are computed when b_hat changes, so that an observation takes less time. Two symbols are short for
+    terms of eq. 3 and 4: c = min(b_hat, 1 - b_hat) is the probability of an error of a sensor that is right
+    more often than not, and g = 1 - 2 c = |2 b_hat - 1|, the square root of the paper's d, says how much an
+    observation tells.
 
     Attributes:
-        b_hat: Accuracy that the robot assumes of its sensor.
-        c: Probability of an error, min(b_hat, 1 - b_hat); MAX_WORD if b_hat carries no information.
-        common: Weight of an observation of the more frequent colour in alpha, (g / (1 - c))**2 with
-            g = 1 - 2 c. For this and for ``rare``, g is shifted until its highest bit is set.
-        rare: Weight of an observation of the rarer colour, (g / c)**2; c is shifted likewise.
+        b_hat: Accuracy that the robot assumes of its sensor, in units of 2**-32.
+        c: Probability of an error, in units of 2**-32; MAX_WORD if b_hat carries no information.
+        common: Weight of an observation of the more frequent colour in alpha, (g / (1 - c))**2, in units of
+            2**-30. For this and for ``rare``, g is shifted until its highest bit is set.
+        rare: Weight of an observation of the rarer colour, (g / c)**2, in units of 2**-30; c is shifted
+            likewise.
         g_shift: Number of bits by which g was shifted.
-        rare_shift: Twice the number of bits by which c was shifted.
+        rare_shift: Twice the number of bits by which c was shifted, because ``rare`` has c squared.
     """
 
     b_hat: int
@@ -119,11 +140,15 @@ def multiply_high(a: int, b: int) -> int:
     return (a * b) >> 32
 
 
+def divide_24(dividend: int, divisor: int) -> int:
+    """Return dividend / divisor in units of 2**-24, rounded down. In C it takes numbers of 31 bits."""
+    return (dividend << 24) // divisor
+
+
 def square_of_ratio(g: int, p: int) -> int:
     """Return (g / p)**2 in units of 2**-30, for g and p in [2**31, 2**32)."""
-    # The C divides for 24 bits of the quotient; the last shift brings these to units of 2**-31.
-    ratio = (((g >> 1) << 24) // (p >> 1)) << 7
-    return multiply_high(ratio, ratio)
+    ratio = divide_24(g >> 1, p >> 1) << 7  # units of 2**-31
+    return multiply_high(ratio, ratio)  # 2**-62 becomes 2**-30
 
 
 def accuracy_of(b_hat: int) -> Accuracy:
@@ -131,9 +156,10 @@ def accuracy_of(b_hat: int) -> Accuracy:
 
     In C this is ``set_b_hat``.
     """
+    # Both in units of 2**-32: a sensor that is wrong more often than not tells as much as its opposite.
     c = min(b_hat, Q32_ONE - b_hat)
-    g = Q32_ONE - 2 * c
-    # Shifted, so that the quotients keep 24 bits also where g or c is small.
+    g = Q32_ONE - 2 * c  # |2 b_hat - 1|
+    # Shifted, so that the quotients keep 24 bits also where g or c is small. 1 - c is at least 1/2 anyway.
     g_shift = leading_zeros(g)
     c_shift = leading_zeros(c)
     return Accuracy(
@@ -152,13 +178,13 @@ def accuracy_of(b_hat: int) -> Accuracy:
 def alpha_word_from_mantissa(mantissa: int, exponent: int) -> int:
     """Convert a confidence, mantissa * 2**exponent units of 2**-24, to an alpha word, rounded down.
 
-    An alpha word has a mantissa of 24 bits above a shift of 5. The given mantissa has 24 bits, of which the
-    highest is set. The result is ALPHA_MAX for a confidence that no alpha word can hold.
+    An alpha word has a mantissa in bits 8 to 31 above a shift in bits 0 to 4. ``mantissa`` has 24 bits, of
+    which the highest is set. The result is ALPHA_MAX for a confidence that no alpha word can hold.
     """
     if exponent > SHIFT_MAX:
         return ALPHA_MAX
     if exponent < 0:
-        # The shift cannot be negative, so the mantissa loses the bits below a unit.
+        # The shift cannot be negative, so it is 0, and the mantissa loses the bits below a unit.
         return (mantissa >> -exponent) << 8
     return (mantissa << 8) | exponent
 
@@ -166,13 +192,20 @@ def alpha_word_from_mantissa(mantissa: int, exponent: int) -> int:
 def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int, int]:
     """Return alpha, the confidence, where x_hat is 0 or 1 (eq. 4, first two cases), as mantissa and exponent.
 
-    This is rare_count (g / c)**2 + (t - rare_count) (g / (1 - c))**2, where ``rare_count`` of t > 0
-    observations are of the rarer colour, c is the probability of an error and g = 1 - 2 c. The result stands
-    for mantissa * 2**exponent units of 2**-24, with a mantissa of 24 bits.
+    The paper's numerators, multiplied out, leave a sum without a difference:
+
+        alpha = rare_count (g / c)**2 + (t - rare_count) (g / (1 - c))**2
+
+    where ``rare_count`` of t > 0 observations are of the rarer colour, c is the probability of an error and
+    g = 1 - 2 c. The result stands for mantissa * 2**exponent units of 2**-24, with a mantissa of 24 bits.
     """
+    # ``weight`` is alpha in units of 2**(exponent - 24). It begins with the term of the more frequent colour.
     weight = (t - rare_count) * accuracy.common
-    exponent = 24 - 30 - 2 * accuracy.g_shift  # from the weights' unit of 2**-30 to that of alpha
+    # Weights have the unit 2**-30, and were formed with g 2**g_shift in place of g.
+    exponent = 24 - 30 - 2 * accuracy.g_shift
     if rare_count != 0:
+        # ``rare`` was formed with c 2**c_shift, so it is too small by 2**rare_shift. The other term is made
+        # as small, and the exponent makes up for both.
         weight = rare_count * accuracy.rare + (weight >> accuracy.rare_shift)
         exponent += accuracy.rare_shift
     # The upper 24 bits become the mantissa.
@@ -183,22 +216,26 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
 def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, shift: int) -> tuple[int, int]:
     """Return alpha, the confidence, where 0 < x_hat < 1 (eq. 4, last case), as mantissa and exponent.
 
-    This is (g total)**2 total / (rarer (total - rarer)) / 2**shift, where ``total`` and ``rarer`` are the
-    numbers of all observations and of those of the rarer colour, both times 2**shift, and ``scale`` is
-    g total times 2**g_shift. The result stands for mantissa * 2**exponent units of 2**-24, with a mantissa of
-    24 bits.
+    With d = g**2, and with n of t observations of the rarer colour, which changes nothing, that case is
+
+        alpha = d t**3 / (n (t - n)) = (g t)**2 t / (n (t - n))
+
+    Here ``total`` is t 2**shift, ``rarer`` is n 2**shift, and ``scale`` is g total 2**g_shift: all three have
+    been shifted up to keep their upper bits. The result stands for mantissa * 2**exponent units of 2**-24,
+    with a mantissa of 24 bits.
     """
-    square = multiply_high(multiply_high(scale, scale), total)
-    spread = rarer * (total - rarer)
-    square_shift = leading_zeros(square)
-    spread_shift = 64 - spread.bit_length()
-    # 31 bits of either: the quotient has 24 or 25.
-    mantissa = (((square << square_shift) >> 1) << 24) // ((spread << spread_shift) >> 33)
-    # 64 bits were dropped below the square and 32 below the divisor. Alpha's unit has 24 bits, and so has the
-    # quotient.
-    exponent = 64 - 32 + 24 - 24 + spread_shift - square_shift - 2 * accuracy.g_shift - shift
-    # This is 1 for a quotient of 25 bits, and 0 for one of 24.
-    excess_bits = mantissa >> 24
+    numerator = multiply_high(multiply_high(scale, scale), total)  # (g t)**2 t without its lower 64 bits
+    denominator = rarer * (total - rarer)  # n (t - n), a number of up to 64 bits
+    # Either is shifted up to its full length, 32 and 64 bits, and divided by its upper 31 bits.
+    numerator_shift = leading_zeros(numerator)
+    denominator_shift = 64 - denominator.bit_length()
+    upper_numerator = (numerator << numerator_shift) >> 1
+    upper_denominator = (denominator << denominator_shift) >> 33
+    mantissa = divide_24(upper_numerator, upper_denominator)  # has 24 or 25 bits
+    # All shifts are undone. The numerator had lost 64 bits, and then the denominator lost 32 more than it
+    # (33 and 1). The quotient has 24 fraction bits, as has alpha.
+    exponent = 64 - 32 + denominator_shift - numerator_shift - 2 * accuracy.g_shift - shift
+    excess_bits = mantissa >> 24  # 1 for a quotient of 25 bits, and 0 for one of 24
     return mantissa >> excess_bits, exponent + excess_bits
 
 
@@ -206,25 +243,31 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
     """Return x_hat (eq. 3) and its confidence as an alpha word (eq. 4) after n black of t > 0 observations.
 
     x_hat, the estimated share of black tiles, is in units of 2**-23. It is 1/2, with the alpha word 0, if the
-    assumed accuracy carries no information.
+    assumed accuracy carries no information. Otherwise it is
+
+        x_hat = (n / t + b_hat - 1) / (2 b_hat - 1)     clamped to 0 .. 1
 
     White and black are mirror images, and so are b_hat and 1 - b_hat. So the share of the rarer colour is
-    estimated, for an accuracy above 1/2, and mirrored where that is not the robot's case.
+    estimated, for an accuracy 1 - c above 1/2, and mirrored where that is not the robot's case. With that
+    accuracy, and p for the observed share of the rarer colour, eq. 3 is (p - c) / g with g = 1 - 2 c.
     """
     rare_count = min(n, t - n)
+    # Both counts are shifted by as many bits, so that t has 32 bits and products keep their upper bits.
     shift = leading_zeros(t)
-    total = t << shift  # at least 2**31, so that products keep their upper bits
-    rarer = rare_count << shift
+    total = t << shift
+    rarer = rare_count << shift  # p total
     # On a floor without the rarer colour so many observations would show it, by errors of the sensor.
-    errors = multiply_high(accuracy.c, total)
+    errors = multiply_high(accuracy.c, total)  # c total
     x_hat = 0
     if rarer <= errors:
         if accuracy.c == MAX_WORD:  # b_hat carries no information
             return HALF, 0
         mantissa, exponent = confidence_at_end(accuracy, t, rare_count)
     else:
+        # (p - c) / g with both sides multiplied by ``total``, and shifted so that the divisor has 32 bits.
         scale = (total - 2 * errors) << accuracy.g_shift  # g total
-        x_hat = ((rarer - errors) << (accuracy.g_shift + 22)) // (scale >> 1)  # (p - c) / g
+        excess = (rarer - errors) << accuracy.g_shift  # (p - c) total
+        x_hat = divide_24(excess, scale >> 1) >> 2  # from units of 2**-25, for half of the divisor, to 2**-23
         mantissa, exponent = confidence_inside(accuracy, total, rarer, scale, shift)
     # Black is the other colour if white is the rarer one, and once more if the sensor takes black for white.
     is_white_rarer = n >= t - n
@@ -238,10 +281,14 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
 def informed_estimate(closed: Closed, x_hat: int, alpha: int) -> int:
     """Return x (eq. 7): the mean of the closed round's x_hat and an own one, weighted by their confidence.
 
+    With sums over the messages j of the closed round it is
+
+        x = (alpha x_hat + sum alpha_j x_hat_j) / (alpha + sum alpha_j)
+
     ``x_hat`` and the result are in units of 2**-23, and ``alpha``, its confidence, is an alpha word. The
     result is ``x_hat`` if nobody has confidence. For an own alpha of 0 it is x_bar (eq. 5).
     """
-    own_alpha = alpha_units(alpha)
+    own_alpha = alpha_units(alpha)  # units of 2**-24, as the sum of alpha
     if closed.alpha + own_alpha == 0:
         return x_hat
     return (closed.alpha_x + own_alpha * x_hat) // (closed.alpha + own_alpha)
@@ -250,24 +297,33 @@ def informed_estimate(closed: Closed, x_hat: int, alpha: int) -> int:
 def asdf_test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
     """Return whether a robot's x_hat differs too much from the m >= 2 estimates received in a round (eq. 12).
 
-    Squared and multiplied out this is (sum x - m x_hat)**2 > k_m (m sum x**2 - (sum x)**2), where k_m is the
-    table's threshold for m estimates, and the sums are those of the open round.
+    With X and S, the mean and the standard deviation of the received x_hat, and the t-score t, eq. 12 is
+
+        |X - x_hat| > (t / sqrt(m) + 1) S
+
+    Squared and multiplied by m**2, so that it takes neither a root nor a division, this is
+
+        (sum_x - m x_hat)**2 > k_m (m sum_x_squared - sum_x**2)
+
+    where the sums are those of the open round and k_m = (t / sqrt(m) + 1)**2 m / (m - 1) is in the table.
     """
     m = open_round.count
-    difference = open_round.x - m * x_hat
-    spread = m * open_round.x_squared - open_round.x * open_round.x
-    limit = (table.entry(m) * spread) >> FRACTION_BITS  # entries are in units of 2**-26
+    sum_x = open_round.x  # units of 2**-23, as x_hat
+    sum_x_squared = open_round.x_squared  # units of 2**-46, as both sides of the comparison
+    difference = sum_x - m * x_hat  # m (X - x_hat)
+    scaled_variance = m * sum_x_squared - sum_x * sum_x  # m (m - 1) S**2
+    limit = (table.entry(m) * scaled_variance) >> FRACTION_BITS  # entries have 26 fraction bits
     return difference * difference > limit
 
 
 # ---- The filter: eq. 8 ----
 
 
-def upper_quotient(numerator: int, denominator: int) -> int:
+def q32_quotient(numerator: int, denominator: int) -> int:
     """Return numerator / denominator in units of 2**-32, or a little less, with the bits that the C computes.
 
-    The C (``quotient``) divides by the upper 32 bits of the denominator, rounded up to an even number so that
-    the quotient is never too large, and takes the bits in the same places of the numerator.
+    In C this is ``quotient``. It divides by the upper 32 bits of the denominator, rounded up to an even
+    number so that the quotient is never too large, and takes the bits in the same places of the numerator.
     """
     shift = denominator.bit_length() - 32
     if shift < 0:
@@ -275,50 +331,72 @@ def upper_quotient(numerator: int, denominator: int) -> int:
         numerator <<= 32
         denominator <<= 32
         shift += 32
-    return ((numerator >> shift) << 31) // ((denominator >> (shift + 1)) + 1)
+    upper_numerator = numerator >> shift
+    # The divisor is halved, so 31 bits more in the dividend make the quotient's unit 2**-32.
+    half_of_upper_denominator = (denominator >> (shift + 1)) + 1
+    return (upper_numerator << 31) // half_of_upper_denominator
 
 
 def round_mean(closed: Closed) -> int:
-    """Return x_bar (eq. 5), the weighted mean of a closed round's x_hat, in units of 2**-32, for eq. 8.
+    """Return x_bar, the weighted mean of a closed round's x_hat, in units of 2**-32, for eq. 8.
 
-    The sum of the weights, which are the alpha, must not be 0.
+    It is sum alpha_j x_hat_j / sum alpha_j (eq. 5). The sum of alpha, the divisor, must not be 0.
     """
-    return upper_quotient(closed.alpha_x, closed.alpha * ONE)
+    # alpha x_hat is in units of 2**-47, and alpha in units of 2**-24: ONE, 2**23, makes them alike.
+    return q32_quotient(closed.alpha_x, closed.alpha * ONE)
 
 
 def reestimate(t: int, n: int, x_bar: int) -> int | None:
     """Return the accuracy b_hat for which the robot's x_hat would be x_bar, its neighbours' (eq. 8).
 
-    ``n`` of ``t`` > 0 observations were black. ``x_bar`` and the result are in units of 2**-32, and the
-    result is clamped to B_HAT_MIN .. B_HAT_MAX. Returns None, so that b_hat stays, if x_bar is so near 1/2
-    that it carries no information.
+    ``n`` of ``t`` > 0 observations were black. ``x_bar`` and the result are in units of 2**-32. The result is
+
+        b_hat = (n / t + x_bar - 1) / (2 x_bar - 1)     clamped to B_HAT_MIN .. B_HAT_MAX
+
+    Returns None, so that b_hat stays, if x_bar is so near 1/2 that it carries no information.
     """
-    if x_bar < Q32_HALF:  # exchange the colours, which changes no accuracy but makes g positive
-        x_bar = MAX_WORD - x_bar
+    if x_bar < Q32_HALF:
+        # Black and white are exchanged, which leaves the accuracy as it is but makes the divisor positive.
+        x_bar = MAX_WORD - x_bar  # 1 - x_bar, less one unit, so that a word of the C can hold it
         n = t - n
-    g = 2 * x_bar - Q32_ONE
-    if g < INFORMATIVE_G:
+    two_x_bar_minus_one = 2 * x_bar - Q32_ONE
+    if two_x_bar_minus_one < INFORMATIVE_G:
         return None
-    # With both sides of eq. 8 multiplied by t. The quotient may be below 0 or above 1.
-    b_hat = upper_quotient(n * Q32_ONE - t * (Q32_ONE - x_bar), t * g)
+    # Both sides of the fraction are multiplied by t, and in units of 2**-32.
+    numerator = n * Q32_ONE - t * (Q32_ONE - x_bar)
+    denominator = t * two_x_bar_minus_one
+    b_hat = q32_quotient(numerator, denominator)  # may be below 0 or above 1
     return min(max(b_hat, B_HAT_MIN), B_HAT_MAX)
 
 
 # ---- The robust filter, which is not the paper's ----
 
 
+def q30_from_q23(x_hat: int) -> int:
+    """Convert an estimate from units of 2**-23 to units of 2**-30, those of the crowd's centre. Exact."""
+    return x_hat << 7
+
+
+def q23_from_q30(centre: int) -> int:
+    """Convert the crowd's centre from units of 2**-30 to units of 2**-23, rounded down."""
+    return centre >> 7
+
+
 def update_crowd(crowd: Crowd, sender: int, x_hat: int) -> None:
     """Count a received x_hat, in units of 2**-23, as a vote, by which the robust filter's crowd changes.
 
-    It moves the centre of the votes, their spread and the trend of the centre's moves, and notes the sender.
-    The first votes move the centre by 1/8 of their distance. This share, the gain, falls with the number of
-    votes, so that centre and spread converge. Senders whose ids are equal modulo 32 count as one.
+    The centre moves towards the vote by gain * min(distance, spread), where distance is that of the vote from
+    the centre. The spread grows by gain / 2 of itself if the distance is above it, and shrinks by as much
+    otherwise. The gain is a power of two that falls with the number of votes, from 1/8 to 2**-12, so that
+    both converge. The trend counts the moves that go up, and the sender is noted; senders whose ids are equal
+    modulo 32 count as one.
     """
     crowd.voices |= 1 << (sender & 31)
     crowd.votes = min(crowd.votes + 1, VOTES_MAX)
-    gain_shift = max(crowd.votes, VOTES_OF_MAX_GAIN).bit_length() - 3  # the gain is 2**-gain_shift
+    # The gain is 2**-gain_shift: 32 votes have 6 bits, and shift by 3.
+    gain_shift = max(crowd.votes, VOTES_OF_MAX_GAIN).bit_length() - 3
 
-    position = x_hat << 7  # in the unit of the centre
+    position = q30_from_q23(x_hat)
     is_above = position > crowd.centre
     distance = position - crowd.centre if is_above else crowd.centre - position
     # A vote farther away than the spread moves the centre no more than one at that distance: this limits
@@ -331,6 +409,7 @@ def update_crowd(crowd: Crowd, sender: int, x_hat: int) -> None:
     new_spread = crowd.spread + (spread_step if distance > crowd.spread else -spread_step)
     crowd.spread = min(max(new_spread, SPREAD_MIN), SPREAD_MAX)
 
+    # A moving average of the directions, in units of 2**-16: about 1 for up, 1/2 for no move, 0 for down.
     crowd.trend -= crowd.trend >> TREND_SHIFT
     if step == 0:
         crowd.trend += TREND_STEP_EVEN
@@ -348,24 +427,30 @@ def robust_test_rejects(crowd: Crowd, t: int, n: int) -> bool:
 
     The crowd, the robust filter's summary of the received estimates, is taken to be right. If D is the
     difference between n / t and the share of black that the initial b_hat and the crowd's centre predict, the
-    test rejects for D**2 > 12 (v / t + (g spread)**2): v / t is the variance of n / t, and g spread, with
-    g = |2 b_hat - 1|, the uncertainty of the prediction.
+    test rejects for
+
+        D**2 > 12 (v / t + (g spread)**2)
+
+    Here v / t is the variance of n / t, and g spread, with g = |2 b_hat - 1|, the uncertainty of the
+    prediction: eq. 1, b_hat centre + (1 - b_hat) (1 - centre), changes by g where the centre changes by 1.
     """
     # Shares are in units of 2**-32, squares in units of 2**-64.
     initial_b_hat = crowd.first
     fill_ratio = crowd_fill_ratio(crowd)
     black_seen_as_black = multiply_high(initial_b_hat, fill_ratio)
+    # MAX_WORD stands for 1, so that either difference fits a word of the C.
     white_seen_as_black = multiply_high(MAX_WORD - initial_b_hat, MAX_WORD - fill_ratio)
     predicted_share = black_seen_as_black + white_seen_as_black
-    observed_share = upper_quotient(n, t)
+    observed_share = q32_quotient(n, t)
     # The larger of two estimates: either is 0 if its share is 0 or 1.
     variance = max(multiply_high(share, Q32_ONE - share) for share in (observed_share, predicted_share))
 
     g = abs(2 * initial_b_hat - Q32_ONE)
-    g_spread = multiply_high(g, crowd.spread << 2)
+    spread = crowd.spread << 2  # from units of 2**-30 to 2**-32
+    g_spread = multiply_high(g, spread)
     spread_limit = REJECTED_SIGMAS_SQUARED * (g_spread * g_spread)
     difference_squared = (observed_share - predicted_share) ** 2
-    # Multiplied by t, so that v needs no division.
+    # Both sides are multiplied by t, so that v needs no division: t (D**2 - 12 (g spread)**2) > 12 v.
     return multiply_high(t, difference_squared - spread_limit) > REJECTED_SIGMAS_SQUARED * variance
 
 
@@ -379,7 +464,8 @@ def is_valid_estimate(s: State) -> bool:
     """
     if s.updated:
         # x_hat and alpha are older than b_hat, so only their form can be checked.
-        # An alpha word that a robot computes has the smallest shift, and bits 5 to 7 are 0.
+        # A robot computes alpha words with the smallest shift: either it is 0, or the mantissa, in the bits
+        # above, has its highest bit set. Bits 5 to 7 are 0.
         has_smallest_shift = s.alpha >> 31 == 1 or s.alpha & SHIFT_MAX == 0
         is_canonical = s.alpha & 0xE0 == 0 and has_smallest_shift
         return s.updated == 1 and s.t > 0 and s.x_hat <= ONE and is_canonical
@@ -453,7 +539,7 @@ class Crowd:
         if self.votes == 0:
             return self == Crowd(first=b_hat)
         return (
-            self.centre <= ONE << 7
+            self.centre <= q30_from_q23(ONE)
             and SPREAD_MIN <= self.spread <= SPREAD_MAX
             and self.voices != 0
             and B_HAT_MIN <= self.first <= B_HAT_MAX
@@ -540,12 +626,10 @@ class MirrorRobot(FixedPointView):
         s.n += colour
         if s.t >= self.config.memory:
             # Halving keeps the share of black tiles, and lets new observations weigh more than old ones.
-            s.t >>= 1
-            # To nearest, ties to even: an odd n is rounded up if that makes the half even.
-            round_up = (s.n >> 1) & 1
-            s.n = (s.n + round_up) >> 1
+            s.t //= 2
+            s.n = round(s.n / 2)  # the half of an odd n is a tie, which round() takes to the even number
         s.x_hat, s.alpha = estimate(s.t, s.n, s.accuracy)
-        s.updated = 0
+        s.updated = 0  # x_hat and alpha follow from the present b_hat again
         return Status.OK
 
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
@@ -723,7 +807,7 @@ class MirrorRobot(FixedPointView):
         With the robust filter it is the centre of all received x_hat, or ``x_hat`` before the first.
         """
         if self.config.filter == Filter.ROBUST:
-            return self.s.crowd.centre >> 7 if self.s.crowd.votes else x_hat
+            return q23_from_q30(self.s.crowd.centre) if self.s.crowd.votes else x_hat
         return informed_estimate(self.s.closed, x_hat, alpha)
 
     @property
@@ -793,9 +877,9 @@ class MirrorRobot(FixedPointView):
         """
         image_bytes = bytes(memoryview(image))  # memoryview refuses a number, of which bytes makes zeros
         check_config(config)
-        words = (
-            struct.unpack(f"<{IMAGE_WORDS}I", image_bytes) if len(image_bytes) == 4 * IMAGE_WORDS else (0,)
-        )
+        if len(image_bytes) != IMAGE_SIZE:
+            image_bytes = bytes(IMAGE_SIZE)  # zeros, which are refused below like any damaged image
+        words = struct.unpack(f"<{IMAGE_WORDS}I", image_bytes)
         # The magic word differs between versions of the image and with the robust filter.
         if words[0] != _image_magic(config) or checksum(words[:-1]) != words[-1]:
             raise FirmwareError(Status.ERR_IMAGE, "the image is damaged or of another version")
@@ -852,28 +936,31 @@ def _decode_state(config: Config, words: tuple[int, ...]) -> State:
     """
     _, b_hat, t, n, x_hat, alpha, filter_left = words[:7]
     round_or_crowd = words[7:23]
+    sender_words = words[23:27]
+    # Numbers that have less than 32 bits share a word, as `MirrorRobot.save` packs them.
+    accepted_and_repeated, rejected_and_tests, updates_updated_and_id = words[27:30]
     state = State(
-        id=words[29] >> 24,
+        id=updates_updated_and_id >> 24,
         accuracy=accuracy_of(b_hat),
         t=t,
         n=n,
         x_hat=x_hat,
         alpha=alpha,
         filter_left=filter_left,
-        heard=list(words[23:27]),
-        accepted=words[27] & COUNTER_MASK,
-        repeated=words[27] >> 16,
-        rejected=words[28] & COUNTER_MASK,
-        tests=words[28] >> 16,
-        updates=words[29] & COUNTER_MASK,
-        updated=(words[29] >> 16) & 0xFF,
+        heard=list(sender_words),
+        accepted=accepted_and_repeated & COUNTER_MASK,
+        repeated=accepted_and_repeated >> 16,
+        rejected=rejected_and_tests & COUNTER_MASK,
+        tests=rejected_and_tests >> 16,
+        updates=updates_updated_and_id & COUNTER_MASK,
+        updated=(updates_updated_and_id >> 16) & 0xFF,
     )
     if config.filter == Filter.ROBUST:
         centre, spread, voices, first, votes_and_trend = round_or_crowd[:5]
         state.crowd = Crowd(centre, spread, voices, first, votes_and_trend & 0xFFFF, votes_and_trend >> 16)
     else:
         *sum_words, open_x, open_count = round_or_crowd
-        # Pairs of words, the lower one first, become numbers of 64 bits.
+        # Pairs of words, the lower one first, become seven numbers of 64 bits.
         long_sums = struct.unpack("<7Q", struct.pack("<14I", *sum_words))
         state.closed = Closed(*long_sums[:3])
         state.open = Sums(*long_sums[3:])
