@@ -1,6 +1,7 @@
-"""Sensors that age otherwise than the built-in ones; docs/extending.md says how to write some.
+"""Sensors whose accuracy changes in other ways than that of the built-in ones, and the rates of all changes.
 
-Each starts at ``true_accuracy`` and stays within ``lowest_accuracy`` and 1.
+Each starts at ``true_accuracy`` and stays within ``lowest_accuracy`` and 1. docs/extending.md says how to
+write such sensors.
 """
 
 from __future__ import annotations
@@ -15,11 +16,15 @@ from mcp_asdf_tools.world.philox import SENSOR_STREAM, Stream
 from mcp_asdf_tools.world.sensors import Accuracies
 from mcp_asdf_tools.world.settings import WorldSettings
 
+DRIFT_RATE = -1e-5
+"""Change of the accuracy in one step where all built-in sensors age alike."""
+
 STEPS_BEFORE_LOSS = 20_000
 LOSS_AT_ONCE = 0.2
 
 MEAN_RATE = -5e-6
 RATE_DEVIATION = 5e-6
+"""Mean and standard deviation, over the robots, of an accuracy's change in one step."""
 
 DIFFUSION = 0.001
 """Standard deviation of a wandering accuracy's change in one step."""

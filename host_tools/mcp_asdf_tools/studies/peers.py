@@ -7,19 +7,16 @@ from __future__ import annotations
 
 import math
 import random
-from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import betainc, betaln  # type: ignore[import-untyped]
 
 from mcp_asdf import Config, ReferenceRobot, Status
 from mcp_asdf.fixed_point import ALPHA_MAX
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import B_HAT_MARGIN, Filter, Observation
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.studies.ageing_sensors import DIFFUSION, WanderingSensors
-from mcp_asdf_tools.world.sensors import Accuracies, DriftingSensors, SensorModel
+from mcp_asdf_tools.studies.ageing_sensors import DIFFUSION, DRIFT_RATE
+from mcp_asdf_tools.world.sensors import Accuracies
 from mcp_asdf_tools.world.settings import WorldSettings
 
 ROBOTS_WITH_LIARS = 20
@@ -33,10 +30,10 @@ FLOOR_AFTER_CHANGE = 0.95
 
 _LABELS = {
     "BayesCpfRobot": "BayesCPF",
-    "AgeingBayesCpfRobot": "BayesCPF",
-    "AllCountsRobot": "all counts",
-    "OracleRobot": "knows b now",
-    "MeanAccuracyRobot": "knows its mean",
+    "DriftingBayesCpfRobot": "BayesCPF",
+    "WanderingBayesCpfRobot": "BayesCPF",
+    "KnownAccuracyRobot": "knows b now",
+    "KnownMeanAccuracyRobot": "knows its mean",
 }
 
 
@@ -95,7 +92,14 @@ class BayesCpfRobot(ReferenceRobot):
     An extended Kalman filter over b. It measures how many of the tiles since the last update were black,
     given the mean of the informed estimates since then, in which older ones weigh more. The estimate is cut
     to [1/2, 1] as the mean of a truncated normal distribution. At the start b has the variance 0.04.
+
+    Attributes:
+        drift_rate: Change of b in one step that the filter expects.
+        diffusion: Standard deviation of the random change of b in one step that the filter expects.
     """
+
+    drift_rate = 0.0
+    diffusion = 0.0
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
         super().__init__(config, robot_id, b_hat)
@@ -124,7 +128,9 @@ class BayesCpfRobot(ReferenceRobot):
         weights = range(len(self._x_since_update), 0, -1)
         x = float(np.average(self._x_since_update, weights=weights))
         self._n_since_update, self._t_since_update, self._x_since_update = 0, 0, []
-        self._predict(t)
+        # What is known of the drift moves b, and what is random in it makes b less certain.
+        self._mean += self.drift_rate * t
+        self._variance += self.diffusion**2 * t
         if t * min(self._mean, 1 - self._mean) < 5:
             return None  # the binomial count is not near enough to a normal distribution
         # The measurement is n; its expectation t (x b + (1 - x)(1 - b)) has this slope in b.
@@ -135,9 +141,6 @@ class BayesCpfRobot(ReferenceRobot):
         self._mean += gain * (n - expected)
         self._variance *= 1 - gain * slope
         return min(max(self._truncated_mean(), 0.5 + 1e-6), 1 - 1e-6)
-
-    def _predict(self, steps: int) -> None:
-        """Move mean and variance by what is known of the drift in so many steps: here none."""
 
     def _truncated_mean(self) -> float:
         """Return the mean of the estimate's normal distribution, cut to [1/2, 1]."""
@@ -152,143 +155,52 @@ class BayesCpfRobot(ReferenceRobot):
         return self._mean + deviation * math.sqrt(2 / math.pi) / mass * density_difference
 
 
-class AllCountsRobot(ReferenceRobot):
-    """A bound, not a peer: at every filter step the posterior mean of f from all robots' counts at once.
-
-    A robot's b_hat is right with probability 0.9; otherwise any accuracy in [1/2, 1] is as likely.
-    """
-
-    _fill_ratios = np.linspace(0.0005, 0.9995, 1000)
-    _newest_swarm: ClassVar[list[AllCountsRobot]] = []
-
-    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
-        super().__init__(config, robot_id, b_hat)
-        if robot_id == 0:  # swarms are made one after the other, each from robot 0 on
-            AllCountsRobot._newest_swarm = []
-        self._swarm = AllCountsRobot._newest_swarm
-        self._swarm.append(self)
-        self._rounds, self._estimate = 0, 0.5
-
-    def settle(self) -> Status:
-        """Close the round; the last robot of the swarm estimates f for all at the end of a filter period."""
-        status = super().settle()
-        self._rounds += 1
-        is_last_robot = self.id == len(self._swarm) - 1
-        if is_last_robot and self._rounds % self._config.filter_period == 0:
-            # Robots observe independently, so their likelihoods multiply.
-            log_likelihood = np.sum([robot._log_likelihood() for robot in self._swarm], axis=0)
-            weights = np.exp(log_likelihood - log_likelihood.max())
-            estimate = float(np.average(self._fill_ratios, weights=weights))
-            for robot in self._swarm:
-                robot._estimate = estimate
-        return status
-
-    def _log_likelihood(self) -> NDArray[np.float64]:
-        """Return the log likelihood of the robot's counts for each of ``_fill_ratios``."""
-        f, black, white = self._fill_ratios, self.n, self.t - self.n
-        p = f * self.b_hat + (1 - f) * (1 - self.b_hat)
-        if_b_hat_is_right = black * np.log(p) + white * np.log1p(-p)
-        # While b goes from 1/2 to 1, p goes from 1/2 to f: the likelihood is averaged between these.
-        beta_mass = betainc(black + 1, white + 1, f) - betainc(black + 1, white + 1, 0.5)
-        average = np.maximum(beta_mass / (f - 0.5), 1e-300)
-        if_b_hat_is_wrong = betaln(black + 1, white + 1) + np.log(average)
-        mixture: NDArray[np.float64] = np.logaddexp(
-            np.log(0.9) + if_b_hat_is_right, np.log(0.1) + if_b_hat_is_wrong
-        )
-        return mixture
-
-    @property
-    def x(self) -> float:
-        """The posterior mean at the last filter step; 1/2 before the first one."""
-        return self._estimate
-
-
 # --- Robots that know how sensors age --------------------------------------------------------------------
 
 
-class KnownSensors:
-    """The built-in sensors, whose accuracies the robots of the newest trial may ask for.
+class DriftingBayesCpfRobot(BayesCpfRobot):
+    """BayesCPF as it is meant: the filter knows how fast all sensors drift, but not how far they have."""
 
-    Attributes:
-        settings: The settings of the trial's world.
-        diffusion: Standard deviation of an accuracy's random change in one step.
-    """
-
-    newest: ClassVar[KnownSensors]
-    diffusion = 0.0
-
-    def __init__(self, settings: WorldSettings, trial: int) -> None:
-        self.settings = settings
-        self._sensors = self._make_sensors(trial)
-        self._accuracies_by_step: list[list[float]] = []
-        KnownSensors.newest = self
-
-    def advance(self, steps: int) -> Accuracies:
-        """Return the accuracies of the next steps, and keep those on black tiles."""
-        black, white = self._sensors.advance(steps)
-        self._accuracies_by_step += np.broadcast_to(black, (steps, black.shape[1])).tolist()
-        return black, white
-
-    def _make_sensors(self, trial: int) -> SensorModel:
-        """Return the sensors that are known."""
-        return DriftingSensors(self.settings, trial)
-
-    def true_accuracy(self, step: int, robot: int) -> float:
-        """Return b of a robot in a step that has been reached."""
-        accuracies = self._accuracies_by_step[step]
-        return accuracies[robot % len(accuracies)]  # one number stands for all robots
+    drift_rate = DRIFT_RATE
 
 
-class KnownWanderingSensors(KnownSensors):
-    """Sensors that age each in its own way, whose accuracies the robots of the newest trial may ask for."""
+class WanderingBayesCpfRobot(BayesCpfRobot):
+    """BayesCPF with sensors that wander: the filter knows how fast, but not in which direction."""
 
     diffusion = DIFFUSION
 
-    def _make_sensors(self, trial: int) -> SensorModel:
-        """Return the sensors that are known."""
-        return WanderingSensors(self.settings, trial)
 
+class KnownAccuracyRobot(ReferenceRobot):
+    """A robot without a filter that knows its accuracy at each moment, as all drift by DRIFT_RATE."""
 
-class AgeingBayesCpfRobot(BayesCpfRobot):
-    """BayesCPF as it is meant: the filter knows how sensors drift, but not how far they have."""
-
-    def _predict(self, steps: int) -> None:
-        """Move the mean by the drift's rate, and widen the variance by its diffusion."""
-        sensors = KnownSensors.newest
-        self._mean += sensors.settings.drift_rate * steps
-        self._variance += sensors.diffusion**2 * steps
-
-
-class OracleRobot(ReferenceRobot):
-    """A robot that knows its sensor's accuracy at each moment, without a filter."""
-
-    _steps = 0
+    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        super().__init__(config, robot_id, b_hat)
+        self._true_accuracy = b_hat
 
     def observe(self, z: Observation) -> Status:
         """Set b_hat, and count an observation as the reference does."""
-        b_hat = self._accuracy_to_assume(KnownSensors.newest.true_accuracy(self._steps, self.id))
-        self._b_hat = min(b_hat, 1 - B_HAT_MARGIN)
-        self._steps += 1
+        self._b_hat = min(self._accuracy_to_assume(), 1 - B_HAT_MARGIN)
+        self._true_accuracy += DRIFT_RATE
         return super().observe(z)
 
-    def _accuracy_to_assume(self, true_accuracy: float) -> float:
-        """Return b_hat for an observation that is made with the given accuracy."""
-        return true_accuracy
+    def _accuracy_to_assume(self) -> float:
+        """Return b_hat for the next observation."""
+        return self._true_accuracy
 
 
-class MeanAccuracyRobot(OracleRobot):
+class KnownMeanAccuracyRobot(KnownAccuracyRobot):
     """A robot that knows the mean accuracy over the observations that it counts: one sum beside t and n."""
 
     _accuracy_sum = 0.0
 
-    def _accuracy_to_assume(self, true_accuracy: float) -> float:
-        """Return the mean accuracy of all observations that t counts, this one included."""
-        self._accuracy_sum += true_accuracy
+    def _accuracy_to_assume(self) -> float:
+        """Return the mean accuracy of all observations that t counts, the next one included."""
+        self._accuracy_sum += self._true_accuracy
         observations = self.t + 1
         mean_accuracy = self._accuracy_sum / observations
         if observations == self._config.memory:
             self._accuracy_sum /= 2  # as t and n will be
-        return float(mean_accuracy)
+        return mean_accuracy
 
 
 # --- Hard worlds -----------------------------------------------------------------------------------------

@@ -12,32 +12,54 @@ from functools import cache
 from time import process_time
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
 from mcp_asdf_tools.common.figures import WIDTH, empty_figure, save_figure
-from mcp_asdf_tools.experiments.curve_plot import plot_curve
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies.bootstrap import Sample
-from mcp_asdf_tools.studies.error_tables import (
+from mcp_asdf_tools.studies.study_program import (
+    FLAWS,
+    MOVING,
     Measure,
-    is_overconfident,
+    Rows,
     late_error_text,
     late_errors,
     markdown_table,
-    mean_of_medians,
+    mean_over_experiments,
     parse_arguments,
-    run_experiments,
+    run_rows,
     score_text,
     write_tables,
 )
-from mcp_asdf_tools.studies.peers import column_label
+
+SIZES_AND_TRIALS = {20: 12, 100: 12, 300: 12, 1000: 12, 3000: 3, 10_000: 3}
+"""Trials by the number of robots: a few trials of many robots show as much as many of a few."""
 
 TIMED_ROBOT_STEPS = 1_000_000
 FEWEST_TIMED_STEPS = 100
+
+TABLE_HEAD = "H, error of the last quarter, ns of processor time for each robot and step"
+
+
+def size_rows() -> dict[str, list[Experiment]]:
+    """Return moving swarms of six sizes, 30 % of them flawed, on a seed that no tuning has seen."""
+    rows: dict[str, list[Experiment]] = {}
+    for flaw, sensors in FLAWS.items():
+        for robots, trials in SIZES_AND_TRIALS.items():
+            rows[f"{robots:,} robots, {flaw}"] = m.grid(
+                **MOVING,
+                **sensors,
+                robots=robots,
+                flawed="30%",
+                filter=["none", "robust"],
+                steps=10_000,
+                trials=trials,
+                seed=65536,
+            )
+    return rows
 
 
 @cache
@@ -71,72 +93,45 @@ def step_cost(trials: Trials) -> Sample:
     return np.full(len(trials.numbers), nanoseconds_per_robot_step)
 
 
-def row_label(experiment: Experiment) -> str:
-    """Return the row label of an experiment, such as "1,000 robots, overconfident"."""
-    return f"{experiment.robots:,} robots, {confidence_label(experiment)}"
+def size_text(experiments: Sequence[Trials]) -> str:
+    """Format H, late error and processor time of experiments that share a cell: "95.1, 0.012, 250".
 
-
-def confidence_label(experiment: Experiment) -> str:
-    """Return whether flawed robots assume a too high or a too low sensor accuracy, as a word for labels.
-
-    The words are "overconfident" and "underconfident".
+    H is the paper's score from 0 to 100, and the late error the mean of |x - f| over the last quarter of a
+    trial: of the estimates x of f, the share of black floor. The processor time is that of ``step_cost``.
     """
-    return "overconfident" if is_overconfident(experiment) else "underconfident"
+    cost = mean_over_experiments(step_cost, experiments).value
+    return f"{score_text(experiments)}, {late_error_text(experiments)}, {cost:.0f}"
 
 
-def size_table(experiments: Sequence[Trials]) -> str:
-    """Return a Markdown table of H, late error and processor time: a column for each filter.
-
-    It has a row for each number of robots and kind of flaw. H is the paper's score from 0 to 100, and the
-    late error the mean of |x - f| over the last quarter of a trial: of the estimates x of f, the share of
-    black floor.
-    """
-
-    def cell_text(group: Sequence[Trials]) -> str:
-        """Format the three numbers of experiments that share a cell, such as "95.1, 0.012, 250"."""
-        cost = mean_of_medians(step_cost, group).value
-        return f"{score_text(group)}, {late_error_text(group)}, {cost:.0f}"
-
-    head = "H, error of the last quarter, ns of processor time for each robot and step"
-    return markdown_table(head, experiments, row_label, column_label, cell_text)
-
-
-def draw_sizes(experiments: Sequence[Trials]) -> Figure:
+def draw_sizes(rows: Rows) -> Figure:
     """Draw H, late error and processor time over the number of robots, a curve for each filter.
 
-    The first row of panels has the underconfident swarms, the second one the overconfident ones. H and late
-    error are as in ``size_table``; the processor time is measured while this function runs.
+    The first row of panels has the underconfident swarms, the second one the overconfident ones. The three
+    measures are those of ``size_text``; the processor time is measured while this function runs.
     """
+    experiments = [trials for experiments_of_row in rows.values() for trials in experiments_of_row]
     figure = empty_figure(WIDTH, 4.8)
-    rows_of_axes = figure.subplots(nrows=2, ncols=3)
-    for axes_of_row, label in zip(rows_of_axes, ("underconfident", "overconfident"), strict=True):
-        group = [trials for trials in experiments if confidence_label(trials.experiment) == label]
+    rows_of_axes = figure.subplots(nrows=len(FLAWS), ncols=3)
+    measures: tuple[str | Measure, ...] = ("H", late_errors, step_cost)
+    for (flaw, sensors), axes_of_row in zip(FLAWS.items(), rows_of_axes, strict=True):
+        for axes, measure in zip(axes_of_row, measures, strict=True):
+            m.plot_curve(experiments, "robots", measure, hue="filter", where=sensors, ax=axes)
+            axes.set(xscale="log", title=flaw)
         score_axes, error_axes, cost_axes = axes_of_row
-        _draw_curve(score_axes, group, "H", label)
         score_axes.set(ylabel="score H", ylim=(0, 100))
         # Errors of the filters differ by more than a factor of ten.
-        _draw_curve(error_axes, group, late_errors, label)
         error_axes.set(ylabel="error of the last quarter", yscale="log")
-        _draw_curve(cost_axes, group, step_cost, label)
         cost_axes.set(ylabel="ns, robot and step", ylim=(0, None))
     return figure
-
-
-def _draw_curve(axes: Axes, experiments: Sequence[Trials], measure: str | Measure, title: str) -> None:
-    """Draw a measure over the number of robots, on a logarithmic scale, with a curve for each filter.
-
-    ``measure`` is the name of a score, or a function that returns a value for each trial.
-    """
-    plot_curve(experiments, "robots", "filter", measure, ax=axes)
-    axes.set(xscale="log", title=title)
 
 
 def main() -> None:
     """Run the study's experiments, or resume them, and write scale.md and scale.png into the folder."""
     arguments = parse_arguments(__doc__)
-    experiments = run_experiments("scale", m.read_experiments("scale"), arguments)
-    write_tables(arguments.folder / "scale.md", "Many robots", {"scale": size_table(experiments)})
-    save_figure(draw_sizes(experiments), arguments.folder / "scale.png")
+    rows = run_rows("scale", size_rows(), arguments)
+    tables = {"scale": markdown_table(TABLE_HEAD, rows, size_text)}
+    write_tables(arguments.folder / "scale.md", "Many robots", tables)
+    save_figure(draw_sizes(rows), arguments.folder / "scale.png")
 
 
 if __name__ == "__main__":

@@ -16,9 +16,6 @@ from mcp_asdf_tools.studies.bootstrap import Sample
 from mcp_asdf_tools.studies.cells import Cell, StudyPart, cells_of
 from mcp_asdf_tools.studies.study_results import SAMPLES, StudyResults
 
-UNDERCONFIDENT = {"fill_ratio": 0.55, "true_accuracy": 0.95, "flawed_accuracy": 0.55}
-OVERCONFIDENT = {"fill_ratio": 0.95, "true_accuracy": 0.55, "flawed_accuracy": 0.95}
-
 PLANTED_TRIALS = 30
 STUDY_CELLS = {cell for study_part in StudyPart for cell in cells_of(study_part)}
 
@@ -72,4 +69,7 @@ class PlantedResults(StudyResults):
 def short_trials(**parameters: Any) -> list[Trials]:
     """Run the experiments of a grid for two short trials, recorded every 100 steps."""
     settings: dict[str, Any] = {"robots": 4, "flawed": 1, "steps": 400, "filter_period": 100, "trials": 2}
-    return [run_trials(experiment, 0, 2, 100) for experiment in m.grid(**settings | parameters)]
+    return [
+        run_trials(experiment, first=0, trials=2, sampling_interval=100)
+        for experiment in m.grid(**settings | parameters)
+    ]

@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import trapezoid  # type: ignore[import-untyped]
 from scipy.stats import truncnorm  # type: ignore[import-untyped]
 
 import mcp_asdf_tools as m
-from host_tools.studies.conftest import UNDERCONFIDENT
 from mcp_asdf import Config, Filter, Status
 from mcp_asdf.fixed_point import ALPHA_MAX
 from mcp_asdf.robot import B_HAT_MARGIN, Observation
@@ -19,16 +17,16 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.firmwares import RobotMaker
 from mcp_asdf_tools.studies import ageing, peers, robust_filter
-from mcp_asdf_tools.studies.ageing_sensors import WanderingSensors
-from mcp_asdf_tools.world.sensors import DriftingSensors
+from mcp_asdf_tools.studies.ageing_sensors import DRIFT_RATE
+from mcp_asdf_tools.studies.study_program import FLAWS
 
 
 def error_of(true_fill_ratio: float = 0.55, **changes: Any) -> float:
     """Return the error at the end of a short trial of 20 moving robots, without the last five."""
-    world: dict[str, Any] = {**UNDERCONFIDENT, "topology": "dynamic", "latency": 1, "steps": 4000}
+    world: dict[str, Any] = {**FLAWS["underconfident"], "topology": "dynamic", "latency": 1, "steps": 4000}
     (experiment,) = m.grid(**{**world, "trials": 1, "seed": 77, **changes})
-    x = run_trials(experiment, 0, 1, 50).records["x"][0, -20:, :15]
-    return float(abs(x - true_fill_ratio).mean())
+    x = run_trials(experiment, first=0, trials=1, sampling_interval=50).records["x"]
+    return float(abs(x[0, -20:, :15] - true_fill_ratio).mean())
 
 
 @pytest.fixture(scope="module")
@@ -39,14 +37,6 @@ def error_without_filter() -> float:
 @pytest.fixture(scope="module")
 def error_with_robust_filter() -> float:
     return error_of(filter="robust")
-
-
-@pytest.mark.slow
-def test_all_counts_are_a_bound_of_the_robust_filter(
-    error_with_robust_filter: float, error_without_filter: float
-) -> None:
-    bound = error_of(firmware=peers.AllCountsRobot, filter="none")
-    assert bound < error_with_robust_filter < error_without_filter / 3
 
 
 @pytest.mark.slow
@@ -86,44 +76,58 @@ def test_a_changing_floor_ends_with_the_other_fill_ratio() -> None:
 
 
 def ageing_error_of(**changes: Any) -> float:
-    """Return the error at the end of a short trial in which all sensors lose 0.4 alike."""
-    world: dict[str, Any] = {"steps": 4000, "drift": "linear", "drift_rate": -1e-4, "fill_ratio": 0.75}
-    robots: dict[str, Any] = {"robots": 10, "flawed": 0, "sensor": peers.KnownSensors, "filter": "none"}
+    """Return the error at the end of a short trial in which all sensors lose accuracy as the study's do."""
+    world: dict[str, Any] = {"steps": 4000, "drift": "linear", "fill_ratio": 0.75}
+    robots: dict[str, Any] = {"robots": 10, "flawed": 0, "filter": "none", "drift_rate": DRIFT_RATE}
     (experiment,) = m.grid(**{**world, **robots, "seed": 7, "trials": 1, **changes})
-    return float(abs(run_trials(experiment, 0, 1, 100).records["x"][0, -5:] - 0.75).mean())
+    x = run_trials(experiment, first=0, trials=1, sampling_interval=100).records["x"]
+    return float(abs(x[0, -5:] - 0.75).mean())
+
+
+@pytest.fixture
+def fast_drift(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let sensors age ten times as fast, and robots know it, so that a trial can be short."""
+    monkeypatch.setattr(peers, "DRIFT_RATE", 10 * DRIFT_RATE)
+    monkeypatch.setattr(peers.DriftingBayesCpfRobot, "drift_rate", 10 * DRIFT_RATE)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("firmware", ["reference", peers.OracleRobot])
-def test_a_robot_that_knows_its_sensor_now_is_wrong(firmware: Any) -> None:
-    assert ageing_error_of(firmware=firmware) > 0.06
+@pytest.mark.parametrize("firmware", ["reference", peers.KnownAccuracyRobot])
+def test_a_robot_that_knows_its_sensor_now_is_wrong(firmware: Any, fast_drift: None) -> None:
+    assert ageing_error_of(firmware=firmware, drift_rate=10 * DRIFT_RATE) > 0.06
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("memory", [2**31, 1024])
-def test_a_robot_that_knows_the_accuracy_of_what_it_counts_is_right(memory: int) -> None:
-    assert ageing_error_of(firmware=peers.MeanAccuracyRobot, memory=memory) < 0.03
+def test_a_robot_that_knows_the_accuracy_of_what_it_counts_is_right(memory: int, fast_drift: None) -> None:
+    firmware = peers.KnownMeanAccuracyRobot
+    assert ageing_error_of(firmware=firmware, memory=memory, drift_rate=10 * DRIFT_RATE) < 0.03
 
 
-@pytest.mark.slow
-def test_bayescpf_makes_use_of_the_known_drift() -> None:
-    knowing, unknowing = (
-        ageing_error_of(firmware=firmware, filter="asdf-plus")
-        for firmware in (peers.AgeingBayesCpfRobot, peers.BayesCpfRobot)
-    )
-    assert knowing != unknowing
+@pytest.mark.parametrize(
+    ("firmware", "filter_name", "label"),
+    [
+        ("native", "robust", "robust"),
+        (peers.RememberingRobot, "none", "no filter with memory"),
+        (peers.RememberingRobot, "asdf-minus", "ASDF- with memory"),
+        (peers.BayesCpfRobot, "asdf-plus", "BayesCPF"),
+        (peers.WanderingBayesCpfRobot, "asdf-plus", "BayesCPF"),
+        (peers.KnownAccuracyRobot, "none", "knows b now"),
+        (peers.KnownMeanAccuracyRobot, "none", "knows its mean"),
+        (peers.LossyRobot, "asdf-plus", "ASDF+"),
+    ],
+)
+def test_a_column_is_named_after_its_peer_or_filter(firmware: Any, filter_name: str, label: str) -> None:
+    assert peers.column_label(Experiment(firmware=firmware, filter=filter_name)) == label
 
 
 def test_every_peer_has_a_column_of_its_own() -> None:
-    experiments = [*robust_filter.peer_experiments(), *ageing.peer_experiments()]
-    firmwares = {experiment.firmware for experiment in experiments} - {"native"}
-    labels = {peers.column_label(experiment) for experiment in experiments if experiment.firmware != "native"}
-    assert len(firmwares) == 6
-    assert labels == {
+    rows = [*robust_filter.peer_rows().values(), *ageing.peer_rows().values()]
+    experiments = [experiment for row in rows for experiment in row if experiment.firmware != "native"]
+    assert {peers.column_label(experiment) for experiment in experiments} == {
         "no filter with memory",
         "ASDF- with memory",
         "BayesCPF",
-        "all counts",
         "knows b now",
         "knows its mean",
     }
@@ -245,115 +249,53 @@ def test_an_estimate_far_outside_stays_where_it_is() -> None:
     assert robot._truncated_mean() == 3.0
 
 
-KNOWN_DRIFT = Experiment(robots=2, flawed=0, steps=200, filter_period=100, drift="linear", drift_rate=-1e-3)
-WANDERING = replace(KNOWN_DRIFT, drift="none", drift_rate=0)
-
-
 def test_bayescpf_for_ageing_sensors_moves_its_estimate_by_the_drift() -> None:
-    peers.KnownSensors(KNOWN_DRIFT, 0)
-    robot = bayescpf_robot(peers.AgeingBayesCpfRobot)
-    assert robot.reestimate_b_hat() == pytest.approx(posterior_b_hat(0.7, 0.04))
+    robot = bayescpf_robot(peers.DriftingBayesCpfRobot)
+    assert robot.reestimate_b_hat() == pytest.approx(posterior_b_hat(0.8 - 100 * 1e-5, 0.04))
 
 
-def test_bayescpf_for_ageing_sensors_is_less_certain_where_they_wander() -> None:
-    peers.KnownWanderingSensors(WANDERING, 0)
-    robot = bayescpf_robot(peers.AgeingBayesCpfRobot)
+def test_bayescpf_for_wandering_sensors_is_less_certain_of_its_estimate() -> None:
+    robot = bayescpf_robot(peers.WanderingBayesCpfRobot)
     assert robot.reestimate_b_hat() == pytest.approx(posterior_b_hat(0.8, 0.04 + 100 * 0.001**2))
 
 
-def test_known_sensors_have_the_accuracy_of_each_robot_and_step() -> None:
-    sensors = peers.KnownWanderingSensors(WANDERING, 3)
-    wandering = WanderingSensors(WANDERING, 3)
-    for _ in range(2):
-        sensors.advance(50)
-    black, _ = wandering.advance(100)
-    assert peers.KnownSensors.newest is sensors
-    assert [sensors.true_accuracy(70, robot) for robot in (0, 1)] == black[70].tolist()
-
-
-def test_known_sensors_are_the_built_in_ones() -> None:
-    sensors, built_in = peers.KnownSensors(KNOWN_DRIFT, 3), DriftingSensors(KNOWN_DRIFT, 3)
-    black, _ = built_in.advance(100)
-    sensors.advance(100)
-    assert sensors.true_accuracy(70, 1) == black[70, 0]
-
-
-def test_one_accuracy_stands_for_all_robots() -> None:
-    sensors = peers.KnownSensors(WANDERING, 0)
-    sensors.advance(1)
-    assert sensors.true_accuracy(0, 1) == sensors.true_accuracy(0, 0) == KNOWN_DRIFT.true_accuracy
-
-
-def known_accuracies(*accuracies: float) -> None:
-    """Let the robots of the newest trial have these accuracies in the first steps."""
-    sensors = peers.KnownSensors(KNOWN_DRIFT, 0)
-    sensors._accuracies_by_step = [[accuracy] for accuracy in accuracies]
-
-
-def test_an_oracle_assumes_its_accuracy_of_the_moment() -> None:
-    known_accuracies(0.9, 0.7, 1.0)
-    robot = peers.OracleRobot(WITHOUT_FILTER, 0, 0.9)
+def test_a_robot_may_know_its_accuracy_of_the_moment() -> None:
+    robot = peers.KnownAccuracyRobot(WITHOUT_FILTER, 0, 0.9)
     b_hats = []
     for _ in range(3):
         robot.observe(Observation.BLACK)
         b_hats.append(robot.b_hat)
-    assert b_hats == [0.9, 0.7, 1 - B_HAT_MARGIN]
+    assert b_hats == pytest.approx([0.9, 0.9 - 1e-5, 0.9 - 2e-5])
 
 
-def test_a_robot_may_assume_the_mean_accuracy_of_what_it_counts() -> None:
-    known_accuracies(0.9, 0.7, 0.8)
-    robot = peers.MeanAccuracyRobot(WITHOUT_FILTER, 0, 0.9)
+def test_a_robot_with_a_perfect_sensor_assumes_a_little_less() -> None:
+    robot = peers.KnownAccuracyRobot(WITHOUT_FILTER, 0, 1 - B_HAT_MARGIN)
+    robot._true_accuracy = 1.0
+    robot.observe(Observation.BLACK)
+    assert robot.b_hat == 1 - B_HAT_MARGIN
+
+
+@pytest.fixture
+def drift_of_a_tenth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the accuracy change by -0.1 with each observation."""
+    monkeypatch.setattr(peers, "DRIFT_RATE", -0.1)
+
+
+def test_a_robot_may_know_the_mean_accuracy_of_what_it_counts(drift_of_a_tenth: None) -> None:
+    robot = peers.KnownMeanAccuracyRobot(WITHOUT_FILTER, 0, 0.9)
     for _ in range(3):
         robot.observe(Observation.BLACK)
-    assert robot.b_hat == pytest.approx(0.8)
+    assert robot.b_hat == pytest.approx((0.9 + 0.8 + 0.7) / 3)
 
 
-def test_the_sum_of_accuracies_is_halved_with_the_counts() -> None:
-    known_accuracies(*[0.9] * 64, 0.6)
-    robot = peers.MeanAccuracyRobot(replace(WITHOUT_FILTER, memory=64), 0, 0.9)
-    for _ in range(65):
+def test_the_sum_of_accuracies_is_halved_with_the_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(peers, "DRIFT_RATE", 0.0)
+    robot = peers.KnownMeanAccuracyRobot(replace(WITHOUT_FILTER, memory=64), 0, 0.9)
+    for _ in range(64):
         robot.observe(Observation.BLACK)
+    robot._true_accuracy = 0.6
+    robot.observe(Observation.BLACK)
     assert robot.b_hat == pytest.approx((32 * 0.9 + 0.6) / 33)
-
-
-def all_counts_swarm(*counts: tuple[int, int]) -> list[peers.AllCountsRobot]:
-    """Make a swarm whose robots have read so many black tiles of so many, and let a filter period pass."""
-    swarm = [peers.AllCountsRobot(WITHOUT_FILTER, robot_id, 0.9) for robot_id in range(len(counts))]
-    for robot, (black, total) in zip(swarm, counts, strict=True):
-        for index in range(total):
-            robot.observe(Observation.BLACK if index < black else Observation.WHITE)
-    for _ in range(WITHOUT_FILTER.filter_period):
-        for robot in swarm:
-            robot.settle()
-    return swarm
-
-
-def test_all_counts_agree_with_numerical_integration() -> None:
-    (robot,) = all_counts_swarm((7, 10))
-    f, b = 0.8, np.linspace(0.5, 1, 20_001)
-    p = f * b + (1 - f) * (1 - b)
-    # NumPy's own trapezoid came with version 2 only.
-    if_wrong = trapezoid(p**7 * (1 - p) ** 3, x=b) / 0.5
-    p_right = f * 0.9 + (1 - f) * 0.1
-    expected = 0.9 * p_right**7 * (1 - p_right) ** 3 + 0.1 * if_wrong
-    likelihood = float(np.exp(np.interp(f, robot._fill_ratios, robot._log_likelihood())))
-    assert likelihood == pytest.approx(expected, rel=1e-3)
-
-
-def test_all_robots_take_the_posterior_mean_of_all_counts() -> None:
-    swarm = all_counts_swarm((74, 100), (74, 100), (74, 100))  # of f = 0.8 and b = 0.9
-    assert swarm[0].x == swarm[1].x == swarm[2].x == pytest.approx(0.8, abs=0.02)
-
-
-def test_all_counts_wait_for_the_end_of_a_filter_period() -> None:
-    robot = peers.AllCountsRobot(WITHOUT_FILTER, 0, 0.9)
-    robot.step(Observation.BLACK)
-    assert robot.x == 0.5
-
-
-def test_a_new_swarm_shares_nothing_with_the_last_one() -> None:
-    first, second = all_counts_swarm((9, 10)), all_counts_swarm((1, 10))
-    assert (first[0]._swarm, second[0]._swarm) == (first, second)
 
 
 def test_a_lossy_radio_loses_three_messages_in_ten() -> None:

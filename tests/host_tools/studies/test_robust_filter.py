@@ -1,4 +1,4 @@
-"""The study of the robust filter: rows, cells and picture of its page."""
+"""The study of the robust filter: its experiments, cells and picture."""
 
 from __future__ import annotations
 
@@ -9,72 +9,132 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-import mcp_asdf_tools as m
-from host_tools.studies.conftest import OVERCONFIDENT, UNDERCONFIDENT, short_trials
+from host_tools.studies.conftest import short_trials
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.studies import error_tables, peers, robust_filter
-from mcp_asdf_tools.studies.ageing_sensors import WanderingSensors
+from mcp_asdf_tools.studies import peers, robust_filter, study_program
+from mcp_asdf_tools.studies.study_program import BOTH_FLAWS
 from support import ROOT
 
 MOVING: dict[str, Any] = {"topology": "dynamic", "latency": 1, "robots": 20, "flawed": 6}
 
 
-@pytest.mark.parametrize(
-    ("changes", "row"),
-    [
-        ({}, "moving"),
-        ({"topology": "fully-connected", "latency": 0}, "fully connected"),
-        ({"robots": 21}, "moving, 21 robots"),
-        ({"density": 3}, "moving, density 3"),
-        ({"latency": 0}, "moving, latency 0"),
-        ({"white_offset": -0.1}, "moving, b -0.1 on white"),
-        ({"sensor": WanderingSensors}, "moving, sensors age each in its own way"),
-        ({"drift": "linear"}, "moving, sensors age alike"),
-    ],
-)
-def test_a_row_beyond_the_grid_says_what_is_different(changes: dict[str, Any], row: str) -> None:
-    assert robust_filter.beyond_row(Experiment(**MOVING | changes)) == row
+def parameters_of(experiments: list[Experiment], *names: str) -> set[tuple[Any, ...]]:
+    """Return the different values of some parameters that experiments have."""
+    return {tuple(getattr(experiment, name) for name in names) for experiment in experiments}
+
+
+# --- Experiments -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("changes", "row"),
+    ("row", "robots", "flawed"),
+    [("moving, 10 % flawed", 20, 2), ("fully connected, 30 % flawed", 10, 3), ("moving, 0 % flawed", 20, 0)],
+)
+def test_the_grid_has_swarms_of_the_papers_sizes(row: str, robots: int, flawed: int) -> None:
+    experiments = robust_filter.grid_rows()[row]
+    assert parameters_of(experiments, "robots", "flawed") == {(robots, flawed)}
+
+
+def test_the_grid_has_eight_kinds_of_flawed_swarms_with_each_filter() -> None:
+    experiments = robust_filter.grid_rows()["moving, 30 % flawed"]
+    worlds = parameters_of(experiments, "fill_ratio", "true_accuracy", "flawed_accuracy")
+    assert len(worlds) == 8
+    assert len(experiments) == 8 * 4
+
+
+def test_the_grid_has_30_trials_as_long_as_the_papers() -> None:
+    (size,) = parameters_of(robust_filter.grid_rows()["moving, 10 % flawed"], "trials", "steps", "seed")
+    assert size == (30, 40_000, 4711)
+
+
+@pytest.mark.parametrize(
+    ("row", "parameter", "value"),
     [
-        ({"steps": 20_000}, "moving, 30 % flawed"),
-        ({"steps": 10_000}, "moving, 30 % flawed, 10,000 steps"),
-        ({"steps": 20_000, "flawed": 0}, "moving, 0 % flawed"),
+        ("moving", "density", 1),
+        ("moving", "latency", 1),
+        ("moving, latency 0", "latency", 0),
+        ("moving, density 0.25", "density", 0.25),
+        ("moving, 3 robots", "robots", 3),
+        ("moving, b -0.1 on white", "white_offset", -0.1),
+        ("moving, sensors age alike", "drift_rate", -1e-5),
+        ("fully connected, 5 robots", "robots", 5),
     ],
 )
-def test_a_row_of_peers_says_how_many_robots_are_flawed(changes: dict[str, Any], row: str) -> None:
-    assert robust_filter.peer_row(Experiment(**MOVING | changes)) == row
+def test_a_row_beyond_the_grid_is_named_after_what_is_different(
+    row: str, parameter: str, value: float
+) -> None:
+    assert parameters_of(robust_filter.beyond_rows()[row], parameter) == {(value,)}
 
 
-def test_hard_worlds_have_the_rows_of_the_page() -> None:
-    rows = {robust_filter.world_row(experiment) for experiment in robust_filter.world_experiments()}
-    page = (ROOT / "docs/robust.md").read_text(encoding="utf-8")
-    table = page.partition("<!-- worlds -->")[2].partition("<!-- end -->")[0]
-    assert rows == set(re.findall(r"^\| ((?:fully|moving)[^|]*) \|", table, re.MULTILINE))
+def test_large_fully_connected_swarms_have_fewer_trials() -> None:
+    rows = robust_filter.beyond_rows()
+    assert parameters_of(rows["fully connected, 127 robots"], "trials", "steps") == {(12, 20_000)}
+    assert parameters_of(rows["fully connected"], "trials", "steps") == {(30, 20_000)}
+
+
+@pytest.mark.parametrize(
+    ("row", "steps", "flawed"),
+    [
+        ("moving, 0 % flawed", 20_000, 0),
+        ("moving, 30 % flawed", 20_000, 6),
+        ("fully connected, 30 % flawed, 10,000 steps", 10_000, 3),
+    ],
+)
+def test_peers_share_three_worlds_with_the_usual_filters(row: str, steps: int, flawed: int) -> None:
+    experiments = robust_filter.peer_rows()[row]
+    assert parameters_of(experiments, "steps", "flawed", "trials") == {(steps, flawed, 8)}
+    assert len(experiments) == 2 * 7  # two kinds of flaws, seven columns of the table
+
+
+def test_fully_connected_swarms_with_liars_have_12_trials() -> None:
+    experiments = robust_filter.world_rows()["fully connected, 1 liar"]
+    assert parameters_of(experiments, "trials", "flawed", "latency") == {(12, 6, 0)}
+
+
+def test_the_floor_changes_for_robots_with_a_short_memory() -> None:
+    experiments = robust_filter.world_rows()["moving, the floor changes, 5 liars"]
+    assert parameters_of(experiments, "memory", "steps", "trials") == {(4096, 40_000, 8)}
+
+
+# --- Cells -----------------------------------------------------------------------------------------------
 
 
 def test_liars_are_not_counted_in_the_error() -> None:
     (trials,) = short_trials(robots=20, flawed=0, firmware=peers.five_liars, filter="none")
     trials.records["x"][:, :, :15] = trials.experiment.fill_ratio
-    assert robust_filter.late_errors_of_honest_robots(trials) == pytest.approx([0, 0])
+    seen = robust_filter.as_honest_robots_see_it(trials)
+    assert study_program.late_errors(seen).tolist() == [0, 0]
+
+
+def test_all_robots_are_counted_where_none_lies() -> None:
+    (trials,) = short_trials(robots=20, flawed=0, firmware=peers.LossyRobot, filter="none")
+    assert robust_filter.as_honest_robots_see_it(trials).records["x"].shape[2] == 20
 
 
 def test_the_error_after_the_floor_changes_is_that_of_the_new_floor() -> None:
     (trials,) = short_trials(sensor=peers.ChangingFloor, filter="none")
     trials.records["x"][:] = 0.95
-    assert robust_filter.late_errors_of_honest_robots(trials) == pytest.approx([0, 0])
+    seen = robust_filter.as_honest_robots_see_it(trials)
+    assert study_program.late_errors(seen).tolist() == [0, 0]
 
 
-def test_a_cell_of_the_grid_has_score_errors_and_harm() -> None:
+def test_a_cell_of_the_grid_has_score_errors_and_harm(few_resamples: None) -> None:
     (trials,) = short_trials(filter="robust")
-    assert re.fullmatch(r"[\d.]+.*, 0\.\d+.*, 0\.\d+, [\d.]+.* %", robust_filter.grid_text([trials]))
+    cell = robust_filter.grid_text([trials])
+    number = r"[\d.]+( \([\d.]+\.\.[\d.]+\))?"
+    assert re.fullmatch(rf"{number}, 0\.\d+( \(.*\))?, 0\.\d+, {number} %", cell)
 
 
-def test_a_cell_without_healthy_robots_has_no_harm() -> None:
+def test_harm_is_a_percentage(few_resamples: None) -> None:
+    (trials,) = short_trials(filter="robust")
+    trials.b_hat[:, -1, :] = trials.experiment.true_accuracy
+    trials.b_hat[:, -1, 3] = 0.5  # one of the three healthy robots
+    assert robust_filter.grid_text([trials]).endswith(", 33.3 %")
+
+
+def test_a_cell_without_healthy_robots_has_no_harm(few_resamples: None) -> None:
     (trials,) = short_trials(filter="robust", flawed=4)
     assert not robust_filter.grid_text([trials]).endswith("%")
 
@@ -82,94 +142,46 @@ def test_a_cell_without_healthy_robots_has_no_harm() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("share", ["10 %", "30 %"])
 @pytest.mark.parametrize(("filter_name", "column"), [("none", 0), ("asdf-minus", 1), ("robust", 3)])
-def test_the_page_has_what_few_trials_of_another_seed_give(share: str, filter_name: str, column: int) -> None:
+def test_the_page_has_what_three_trials_of_another_seed_give(
+    share: str, filter_name: str, column: int
+) -> None:
     page = (ROOT / "docs/robust.md").read_text(encoding="utf-8")
     row = re.search(rf"^\| moving, {share} flawed \|(.*)\|$", page, re.MULTILINE)
     assert row is not None
     h, late_error = (float(text.split()[0]) for text in row[1].split("|")[column].split(", ")[:2])
     study_results = [
-        run_trials(replace(experiment, seed=5), 0, 3, 1000)
-        for experiment in m.read_experiments("robust_grid")
-        if experiment.is_dynamic
-        and experiment.filter == filter_name
-        and error_tables.flawed_label(experiment) == f"{share} flawed"
+        run_trials(replace(experiment, seed=5), first=0, trials=3, sampling_interval=1000)
+        for experiment in robust_filter.grid_rows()[f"moving, {share} flawed"]
+        if experiment.filter == filter_name
     ]
-    scores = error_tables.mean_of_medians(lambda trials: trials.scores()["H"], study_results)
+    scores = study_program.mean_over_experiments(study_program.h_scores, study_results)
     assert scores.value == pytest.approx(h, abs=5)
-    errors = error_tables.mean_of_medians(error_tables.late_errors, study_results)
+    errors = study_program.mean_over_experiments(study_program.late_errors, study_results)
     assert errors.value == pytest.approx(late_error, rel=0.5)
 
 
-def test_the_robust_picture_has_a_panel_for_each_world(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown: dict[str, list[Trials]] = {}
+# --- Picture ---------------------------------------------------------------------------------------------
 
-    def note_panels(panels: dict[str, list[Trials]]) -> Figure:
-        shown.update(panels)
+
+def test_the_picture_has_a_panel_for_each_swarm_and_kind_of_flaw(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiments_by_panel: dict[str, list[Trials]] = {}
+
+    def record_panels(panels: dict[str, list[Trials]]) -> Figure:
+        experiments_by_panel.update(panels)
         return Figure()
 
-    monkeypatch.setattr(robust_filter, "plot_errors_over_time", note_panels)
-    common: dict[str, Any] = {**MOVING, "filter": "none", "sensors": [UNDERCONFIDENT, OVERCONFIDENT]}
-    grid = short_trials(**{**common, "flawed": [6, 10]})
-    worlds = short_trials(**common, firmware=peers.five_liars)
-    robust_filter.draw_errors(grid, worlds)
-    assert {title: len(experiments) for title, experiments in shown.items()} == {
-        f"{world}, {flaw}": 1
-        for flaw in ("underconfident", "overconfident")
-        for world in ("30 % flawed", "30 % flawed and 5 liars", "50 % flawed")
+    monkeypatch.setattr(robust_filter, "plot_errors_over_time", record_panels)
+    trials = short_trials(**MOVING, filter="none", sensors=BOTH_FLAWS)
+    grid = {"moving, 30 % flawed": trials, "moving, 50 % flawed": trials}
+    robust_filter.draw_errors(grid, {"moving, 5 liars": trials})
+    fill_ratios = {
+        title: [each.experiment.fill_ratio for each in panel] for title, panel in experiments_by_panel.items()
     }
-
-
-def test_a_curve_leaves_out_liars_and_most_of_the_values() -> None:
-    (trials,) = short_trials(robots=20, flawed=0, firmware=peers.five_liars, filter="none", steps=3200)
-    thinned = robust_filter.thin_out(trials)
-    assert thinned.records["x"].shape == (2, 17, 15)
-    assert thinned.sampling_interval == 200
-    assert thinned.records["x"][:, -1].tolist() == trials.records["x"][:, -1, :15].tolist()
-
-
-# --- Experiments -----------------------------------------------------------------------------------------
-
-
-def test_peers_meet_each_filter_in_three_worlds_and_two_ways_to_be_wrong() -> None:
-    experiments = robust_filter.peer_experiments()
-    rows = {robust_filter.peer_row(experiment) for experiment in experiments}
-    assert rows == {
-        "moving, 0 % flawed",
-        "moving, 30 % flawed",
-        "fully connected, 30 % flawed, 10,000 steps",
-    }
-    assert len(experiments) == len(rows) * 2 * 8  # eight columns of the table
-
-
-def test_peers_and_worlds_have_a_seed_and_trials_of_their_own() -> None:
-    experiments = [*robust_filter.peer_experiments(), *robust_filter.world_experiments()]
-    assert {experiment.seed for experiment in experiments} == {4713}
-    assert {experiment.trials for experiment in experiments} == {8, 12}
-    assert {experiment.steps for experiment in experiments} == {10_000, 20_000, 40_000}
-
-
-def test_hard_worlds_are_45_experiments() -> None:
-    experiments = robust_filter.world_experiments()
-    assert len(experiments) == 2 * 3 + (3 + 2 * 2) + 2 * 4 * 4
-    assert {experiment.flawed for experiment in experiments} == {6}
-
-
-def test_the_floor_changes_for_robots_with_a_short_memory() -> None:
-    changing = [experiment for experiment in robust_filter.world_experiments() if experiment.sensor]
-    assert {(experiment.memory, experiment.steps) for experiment in changing} == {(4096, 40_000)}
-
-
-def test_a_swarm_has_parameters_if_all_are_equal() -> None:
-    (experiment,) = m.grid(**UNDERCONFIDENT)
-    assert robust_filter.has_parameters(experiment, UNDERCONFIDENT)
-    assert not robust_filter.has_parameters(experiment, {**UNDERCONFIDENT, "fill_ratio": 0.95})
-
-
-def test_robots_beyond_the_grid_also_have_sensors_that_wander() -> None:
-    experiments = robust_filter.wandering_experiments()
-    rows = {robust_filter.beyond_row(experiment) for experiment in experiments}
-    assert rows == {"moving, sensors age each in its own way"}
-    assert [experiment.filter for experiment in experiments] == ["none", "asdf-plus", "robust"]
-    assert {(experiment.seed, experiment.trials, experiment.steps) for experiment in experiments} == {
-        (4712, 30, 20_000)
+    assert fill_ratios == {
+        "30 % flawed, underconfident": [0.55],
+        "30 % flawed and 5 liars, underconfident": [0.55],
+        "50 % flawed, underconfident": [0.55],
+        "30 % flawed, overconfident": [0.95],
+        "30 % flawed and 5 liars, overconfident": [0.95],
+        "50 % flawed, overconfident": [0.95],
     }

@@ -1,8 +1,9 @@
 """What this project's own studies share: their options, measures of errors, and tables with intervals.
 
-Each study is a program: it runs experiments, or resumes them, and writes tables and a picture into a folder.
-In a trial each robot estimates f, the share of black floor, as x; b_hat is the accuracy that it assumes for
-its sensor, b the true one. A flawed robot starts with a wrong b_hat, a healthy one with the right one.
+Each study is a program. It runs the experiments of labelled rows, or resumes them, and writes tables with
+these rows and a picture into a folder. In a trial each robot estimates f, the share of black floor, as x;
+b_hat is the accuracy that it assumes for its sensor, b the true one. A flawed robot starts with a wrong
+b_hat, a healthy one with the right one.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,11 +22,26 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.studies.bootstrap import (
     Interval,
+    Resampled,
     Sample,
     mean_of_resampled,
-    resample_mean,
     resample_median,
 )
+from mcp_asdf_tools.studies.peers import column_label
+
+MOVING: dict[str, Any] = {"topology": "dynamic", "latency": 1}
+"""Parameters of swarms that move; without them, every robot receives from all others."""
+
+FLAWS: dict[str, dict[str, Any]] = {
+    "underconfident": {"fill_ratio": 0.55, "true_accuracy": 0.95, "flawed_accuracy": 0.55},
+    "overconfident": {"fill_ratio": 0.95, "true_accuracy": 0.55, "flawed_accuracy": 0.95},
+}
+"""Parameters of the two kinds of flawed robots, which assume a far worse or a far better accuracy than b."""
+
+BOTH_FLAWS = list(FLAWS.values())
+ALL_FILTERS = ["none", "asdf-minus", "asdf-plus", "robust"]
+FILTERS_OF_HEALTHY_SWARMS = ["none", "asdf-plus", "robust"]
+"""The filters that differ where no robot is flawed: only flawed robots filter with ASDF-."""
 
 CONFIDENCE = 0.95
 QUICK_TRIALS, QUICK_STEPS = 2, 4000
@@ -38,14 +55,17 @@ INTERVAL_NOTE = (
 )
 
 Measure = Callable[[Trials], Sample]
-"""Gives a value for each trial of an experiment."""
+"""Returns a value for each trial of an experiment."""
+
+Rows = Mapping[str, Sequence[Trials]]
+"""The results of a table's rows, by the label that a row begins with."""
 
 
 # --- Running ---------------------------------------------------------------------------------------------
 
 
 def parse_arguments(description: str | None) -> argparse.Namespace:
-    """Parse the options of a study's program."""
+    """Parse the options of a study's program: folder, workers and quick."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("folder", metavar="FOLDER", type=Path, help="for results, tables and picture")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default 1)")
@@ -54,47 +74,51 @@ def parse_arguments(description: str | None) -> argparse.Namespace:
     return parser.parse_args()
 
 
-def run_experiments(
-    name: str, experiments: Sequence[Experiment], arguments: argparse.Namespace, record: int = 1000
-) -> list[Trials]:
-    """Run experiments, return their trials, and write these into the file ``FOLDER/name.parquet``.
+def run_rows(
+    name: str,
+    experiments_by_row: Mapping[str, Sequence[Experiment]],
+    arguments: argparse.Namespace,
+    record: int = 1000,
+) -> dict[str, list[Trials]]:
+    """Run the experiments of a table's rows, and return their trials by the labels of the rows.
 
-    FOLDER, the number of processes and whether to run a short form are options in ``arguments``. The trials
-    have x, every robot's estimate, at every ``record``-th step. If the file has some of the results from an
-    earlier call that was interrupted, only the others are run.
+    ``arguments`` are the options of the program. The trials are also written into ``FOLDER/name.parquet``,
+    with x, every robot's estimate, at every ``record``-th step. If an earlier call was interrupted, only what
+    the file lacks is run.
     """
     if arguments.quick:
-        experiments = [
-            replace(experiment, trials=QUICK_TRIALS, steps=min(experiment.steps, QUICK_STEPS))
-            for experiment in experiments
-        ]
+        experiments_by_row = {
+            label: [_shorten(experiment) for experiment in experiments]
+            for label, experiments in experiments_by_row.items()
+        }
+    all_experiments = [experiment for row in experiments_by_row.values() for experiment in row]
     make_folder(arguments.folder)
     output = arguments.folder / f"{name}.parquet"
-    # Classes of this package have a dot in their names, and other processes cannot load them.
-    workers: int = arguments.workers
-    if any("." in experiment.firmware + experiment.sensor for experiment in experiments):
-        workers = 1
-    return m.experiments_in(m.simulate(experiments, output, workers=workers, record=record))
+    table = m.simulate(all_experiments, output, workers=arguments.workers, record=record)
+    trials_by_experiment = {trials.experiment: trials for trials in m.experiments_in(table)}
+    return {
+        label: [trials_by_experiment[experiment] for experiment in experiments]
+        for label, experiments in experiments_by_row.items()
+    }
+
+
+def _shorten(experiment: Experiment) -> Experiment:
+    """Return the experiment with the trials and steps of the quick form."""
+    return replace(experiment, trials=QUICK_TRIALS, steps=min(experiment.steps, QUICK_STEPS))
 
 
 # --- Measures --------------------------------------------------------------------------------------------
 
 
-def late_errors(
-    trials: Trials, honest_robots: int | None = None, late_fill_ratio: float | None = None
-) -> Sample:
+def late_errors(trials: Trials) -> Sample:
     """Return the late error of each trial: the mean of |x - f| over its last quarter and over its robots.
 
-    x is a robot's recorded estimate, f the share of black floor. ``honest_robots`` limits the mean to the
-    first robots; None stands for all. ``late_fill_ratio`` is f in the last quarter; None stands for the
-    experiment's.
+    x is a robot's recorded estimate, f the share of black floor.
     """
-    if late_fill_ratio is None:
-        late_fill_ratio = trials.experiment.fill_ratio
     x = trials.records["x"]  # shape (trials, recorded steps, robots)
     quarter_length = max(1, x.shape[1] // 4)  # a short trial has few values, but at least one counts
-    late_x = x[:, -quarter_length:, :honest_robots]
-    errors: Sample = abs(late_x - late_fill_ratio).mean(axis=(1, 2))
+    late_x = x[:, -quarter_length:, :]
+    errors: Sample = abs(late_x - trials.experiment.fill_ratio).mean(axis=(1, 2))
     return errors
 
 
@@ -113,23 +137,18 @@ def harmed_shares(trials: Trials) -> Sample:
     return np.asarray(is_harmed.mean(axis=1))
 
 
-def mean_of_medians(measure: Measure, experiments: Sequence[Trials]) -> Interval:
+def mean_over_experiments(
+    measure: Measure,
+    experiments: Sequence[Trials],
+    resample: Callable[[Sample], Resampled] = resample_median,
+) -> Interval:
     """Return the median of a measure over the trials of each experiment, averaged over the experiments.
 
-    The result has its interval of CONFIDENCE.
+    The result has its interval of CONFIDENCE. ``resample`` computes another statistic than the median.
     """
     # All experiments are resampled by the same trials, which had the same floors and random numbers.
-    medians = [resample_median(measure(trials)) for trials in experiments]
-    return mean_of_resampled(medians).interval(CONFIDENCE)
-
-
-def mean_of_means(measure: Measure, experiments: Sequence[Trials]) -> Interval:
-    """Return the mean of a measure over the trials of each experiment, averaged over the experiments.
-
-    The result has its interval of CONFIDENCE. It serves for what is so rare that its median would be 0.
-    """
-    means = [resample_mean(measure(trials)) for trials in experiments]
-    return mean_of_resampled(means).interval(CONFIDENCE)
+    statistics = [resample(measure(trials)) for trials in experiments]
+    return mean_of_resampled(statistics).interval(CONFIDENCE)
 
 
 # --- Text ------------------------------------------------------------------------------------------------
@@ -160,18 +179,15 @@ def format_interval(interval: Interval, format_value: Callable[[float], str], to
     return f"{value_text} ({low_text}..{high_text})"
 
 
-def late_error_text(experiments: Sequence[Trials], measure: Measure = late_errors) -> str:
-    """Format the late error of experiments that share a cell of a table, such as "0.012 (0.010..0.015)".
-
-    It is the mean of |x - f| over the last quarter of a trial, unless ``measure`` computes another one.
-    """
-    interval = mean_of_medians(measure, experiments)
+def late_error_text(experiments: Sequence[Trials]) -> str:
+    """Format the late error of experiments that share a cell of a table, such as "0.012 (0.010..0.015)"."""
+    interval = mean_over_experiments(late_errors, experiments)
     return format_interval(interval, format_error, tolerance=interval.value / 10)
 
 
 def score_text(experiments: Sequence[Trials]) -> str:
     """Format H, the score from 0 to 100, of experiments that share a cell of a table, such as "95.1"."""
-    interval = mean_of_medians(h_scores, experiments)
+    interval = mean_over_experiments(h_scores, experiments)
     return format_interval(interval, format_tenths, tolerance=0.5)
 
 
@@ -180,55 +196,40 @@ def h_scores(trials: Trials) -> Sample:
     return trials.scores()["H"]
 
 
-def under_and_over_text(experiments: Sequence[Trials], measure: Measure = late_errors) -> str:
+def under_and_over_text(experiments: Sequence[Trials]) -> str:
     """Format two late errors of experiments that share a cell of a table, such as "0.012, 0.034".
 
     The first is that of the underconfident swarms, the second that of the overconfident ones; one is left out
-    if there are no such swarms. ``measure`` computes the late error of each trial.
+    if there are no such swarms.
     """
-    underconfident = [trials for trials in experiments if not is_overconfident(trials.experiment)]
-    overconfident = [trials for trials in experiments if is_overconfident(trials.experiment)]
-    return ", ".join(late_error_text(group, measure) for group in (underconfident, overconfident) if group)
+    texts: list[str] = []
+    for sensors in BOTH_FLAWS:
+        group = [
+            trials for trials in experiments if trials.experiment.true_accuracy == sensors["true_accuracy"]
+        ]
+        if group:
+            texts.append(late_error_text(group))
+    return ", ".join(texts)
 
 
-def is_overconfident(experiment: Experiment) -> bool:
-    """Return whether the sensors are poor (b below 0.6), so that flawed robots can only overestimate them."""
-    return experiment.true_accuracy < 0.6
+# --- Tables ----------------------------------------------------------------------------------------------
 
 
-def topology_label(experiment: Experiment) -> str:
-    """Return "moving" or "fully connected", the label of an experiment's topology in tables."""
-    return "moving" if experiment.is_dynamic else "fully connected"
+def markdown_table(head: str, rows: Rows, text_of: Callable[[Sequence[Trials]], str]) -> str:
+    """Return a table in Markdown with a row for each label, and a column for each filter or peer.
 
-
-def flawed_label(experiment: Experiment) -> str:
-    """Return the percentage of flawed robots for the tables, such as "30 % flawed"."""
-    return f"{round(100 * experiment.flawed / experiment.robots)} % flawed"
-
-
-def markdown_table(
-    head: str,
-    experiments: Sequence[Trials],
-    row_of: Callable[[Experiment], str],
-    column_of: Callable[[Experiment], str],
-    text_of: Callable[[Sequence[Trials]], str],
-) -> str:
-    """Return a table in Markdown with a cell for all experiments that have the same row and column label.
-
-    ``row_of`` and ``column_of`` return an experiment's labels, and ``text_of`` formats the experiments of a
-    cell; a cell without experiments is empty. Rows and columns are in the order of the experiments. ``head``
-    is the text of the upper left corner, which says what the numbers are.
+    ``text_of`` formats the experiments that share a cell; a cell without experiments is empty. The columns
+    are in the order in which the rows need them. ``head`` is the text of the upper left corner, which says
+    what the numbers are.
     """
-    # Experiments that differ only in f, b or b_hat often share a cell.
-    cells: dict[tuple[str, str], list[Trials]] = {}
-    for trials in experiments:
-        row_and_column = (row_of(trials.experiment), column_of(trials.experiment))
-        cells.setdefault(row_and_column, []).append(trials)
-    rows = list(dict.fromkeys(row for row, _ in cells))
-    columns = list(dict.fromkeys(column for _, column in cells))
+    cells: dict[str, dict[str, list[Trials]]] = {}
+    for row, experiments in rows.items():
+        for trials in experiments:
+            cells.setdefault(row, {}).setdefault(column_label(trials.experiment), []).append(trials)
+    columns = list(dict.fromkeys(column for cells_of_row in cells.values() for column in cells_of_row))
     lines = [f"| {head} | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
-    for row in rows:
-        texts = [text_of(cells[row, column]) if (row, column) in cells else "" for column in columns]
+    for row, cells_of_row in cells.items():
+        texts = [text_of(cells_of_row[column]) if column in cells_of_row else "" for column in columns]
         lines.append(f"| {row} | {' | '.join(texts)} |")
     return "\n".join(lines)
 
