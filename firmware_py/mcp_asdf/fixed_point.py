@@ -52,6 +52,8 @@ SHIFT_MAX = 31
 """Largest shift of an alpha word, which is also the mask of the shift's bits."""
 ALPHA_MAX = (MANTISSA_MAX << 8) | SHIFT_MAX
 """The alpha word of the largest confidence, 2**31 - 2**7."""
+LARGEST_ALPHA_UNITS = MANTISSA_MAX << SHIFT_MAX
+"""The largest confidence in units of 2**-24: a number of 55 bits."""
 
 
 def b_hat_to_raw(b_hat: float) -> int:
@@ -110,7 +112,8 @@ def alpha_word_from_float(alpha: float) -> int:
     check_alpha(alpha)
     # A huge float would overflow below. The limit is above ALPHA_MAX, so it does not change the result.
     limited_alpha = min(alpha, 2.0**31)
-    return alpha_word_from_units(math.floor(math.ldexp(limited_alpha, 24)))
+    units = math.ldexp(limited_alpha, 24)  # times 2**24, without rounding
+    return alpha_word_from_units(math.floor(units))
 
 
 def add_estimate(sums: Sums, x_hat: int, alpha: int) -> None:
@@ -122,11 +125,13 @@ def add_estimate(sums: Sums, x_hat: int, alpha: int) -> None:
     units = alpha_units(alpha)
     if units == 0:
         return
-    # alpha x_hat has up to 78 bits, too many for a 64-bit number of the C. So alpha is split into its lower
-    # 32 bits and the rest, and the products of either with x_hat are summed up on their own.
     sums.alpha += units
-    sums.alpha_x_low += (units & MAX_WORD) * x_hat
-    sums.alpha_x_high += (units >> 32) * x_hat
+    # alpha has up to 55 bits and x_hat 24, so their product is too long for a 64-bit number of the C. The
+    # lower 32 bits of alpha and the rest are multiplied and summed up on their own.
+    low_half = units & MAX_WORD
+    high_half = units >> 32
+    sums.alpha_x_low += low_half * x_hat
+    sums.alpha_x_high += high_half * x_hat
     sums.x_squared += x_hat * x_hat
     sums.x += x_hat
     sums.count += 1
@@ -139,9 +144,11 @@ def is_valid_mean(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
     of the second sum are those of `Sums`: products with the lower 32 bits of alpha, and with the rest. The
     three arguments are not negative.
     """
-    alpha_x = (alpha_x_high << 32) + alpha_x_low
-    largest_alpha = (MAX_ID * MANTISSA_MAX) << SHIFT_MAX
-    return alpha <= largest_alpha and alpha_x_low < 1 << 62 and alpha_x <= alpha * ONE
+    alpha_x = (alpha_x_high << 32) + alpha_x_low  # units of 2**-47
+    largest_sum = MAX_ID * LARGEST_ALPHA_UNITS
+    # 127 products of a word and x_hat, at most 2**23 each, are below 2**62. With the mean, the limit of
+    # alpha bounds the upper half.
+    return alpha <= largest_sum and alpha_x_low < 1 << 62 and alpha_x <= alpha * ONE
 
 
 def are_valid_sums(sums: Sums) -> bool:
@@ -149,17 +156,19 @@ def are_valid_sums(sums: Sums) -> bool:
 
     None of the sums is negative, since the words that hold them have no sign.
     """
+    m, sum_x, sum_x_squared = sums.count, sums.x, sums.x_squared
     return (
-        sums.count <= MAX_ID
-        and sums.x <= sums.count * ONE
-        and sums.x_squared <= sums.x * ONE
+        m <= MAX_ID
+        # No x_hat is above 1, so none is below its square.
+        and sum_x <= m * ONE
+        and sum_x_squared <= sum_x * ONE
         # No sample has a negative variance (Cauchy and Schwarz).
-        and sums.count * sums.x_squared >= sums.x * sums.x
+        and m * sum_x_squared >= sum_x * sum_x
         # Messages have an alpha of at least one unit.
-        and sums.count <= sums.alpha <= (sums.count * MANTISSA_MAX) << SHIFT_MAX
-        # The halves of an alpha are at most MAX_WORD and MANTISSA_MAX >> 1.
-        and sums.alpha_x_low <= sums.x * MAX_WORD
-        and sums.alpha_x_high <= sums.x * (MANTISSA_MAX >> 1)
+        and m <= sums.alpha <= m * LARGEST_ALPHA_UNITS
+        # The lower half of an alpha is at most a full word, the upper half at most that of the largest.
+        and sums.alpha_x_low <= sum_x * MAX_WORD
+        and sums.alpha_x_high <= sum_x * (LARGEST_ALPHA_UNITS >> 32)
         and is_valid_mean(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)
     )
 

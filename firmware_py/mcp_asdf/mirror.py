@@ -822,9 +822,11 @@ class MirrorRobot(FixedPointView):
         for member in fields(State):
             value = getattr(self.s, member.name)
             if isinstance(value, (Sums, Accuracy, Closed, Crowd)):
-                values.update({f"{member.name}_{m.name}": getattr(value, m.name) for m in fields(value)})
+                for inner_member in fields(value):
+                    values[f"{member.name}_{inner_member.name}"] = getattr(value, inner_member.name)
             elif isinstance(value, list):
-                values.update({f"{member.name}_{i}": word for i, word in enumerate(value)})
+                for word_index, word in enumerate(value):
+                    values[f"{member.name}_{word_index}"] = word
             else:
                 values[member.name] = value
         return values
@@ -835,8 +837,12 @@ class MirrorRobot(FixedPointView):
         False means that the state, or the image from which it was restored, was damaged.
         """
         s, config = self.s, self.config
-        is_robust = config.filter == Filter.ROBUST
-        heard_count = sum(word.bit_count() for word in s.heard)
+        if config.filter == Filter.ROBUST:
+            has_no_rounds = s.open.count == s.closed.alpha == 0  # this filter keeps no sums of rounds
+            is_filter_state_valid = has_no_rounds and s.crowd.is_valid(s.accuracy.b_hat)
+        else:
+            is_filter_state_valid = s.crowd == Crowd()
+        sender_count = sum(word.bit_count() for word in s.heard)
         return (
             s.id <= MAX_ID
             and s.n <= s.t < config.memory
@@ -845,15 +851,19 @@ class MirrorRobot(FixedPointView):
             and is_valid_estimate(s)
             and is_valid_mean(s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high)
             and are_valid_sums(s.open)
-            and (s.crowd.is_valid(s.accuracy.b_hat) if is_robust else s.crowd == Crowd())
-            and (not is_robust or s.open.count == s.closed.alpha == 0)
-            and s.open.count <= heard_count
-            and (s.heard[s.id >> 5] >> (s.id & 31)) & 1 == 0  # a robot does not hear itself
+            and is_filter_state_valid
+            and s.open.count <= sender_count  # senders without confidence are in no sum
+            and (s.heard[s.id >> 5] >> (s.id & 31)) & 1 == 0  # a robot does not receive from itself
             and 1 <= s.filter_left <= config.filter_period
         )
 
     def save(self) -> bytes:
-        """Return the state as ``mcp_asdf_save`` writes it: 31 little-endian words, the last a checksum."""
+        """Return the state as ``mcp_asdf_save`` writes it: 31 little-endian words, the last a checksum.
+
+        Word 0 marks the version. Words 1 to 6 are about the robot's own estimate and filter, 7 to 22 about
+        the rounds or the robust filter, 23 to 26 are the senders of the open round, and 27 to 29 counters,
+        with the id.
+        """
         s = self.s
         words = [_image_magic(self.config), s.accuracy.b_hat, s.t, s.n, s.x_hat, s.alpha, s.filter_left]
         if self.config.filter == Filter.ROBUST:
@@ -861,7 +871,7 @@ class MirrorRobot(FixedPointView):
         else:
             words += _encode_rounds(s)
         words += s.heard
-        # Counters have 16 bits, so two of them share a word.
+        # Counters have 16 bits, so two of them share a word; the id and ``updated`` have 8.
         words.append(s.accepted | (s.repeated << 16))
         words.append(s.rejected | (s.tests << 16))
         words.append(s.updates | (s.updated << 16) | (s.id << 24))
@@ -889,6 +899,7 @@ class MirrorRobot(FixedPointView):
         robot = cls.__new__(cls)
         robot.config = config
         robot.s = _decode_state(config, words)
+        # The robust filter uses five of words 7 to 22, and `_encode_crowd` writes 0 to the others.
         has_words_beyond_crowd = config.filter == Filter.ROBUST and any(words[12:23])
         if not robot.holds_invariants() or has_words_beyond_crowd:
             raise FirmwareError(Status.ERR_IMAGE, "the image does not fit the configuration")
@@ -922,11 +933,11 @@ def _encode_rounds(s: State) -> list[int]:
 def _encode_crowd(crowd: Crowd) -> list[int]:
     """Return the robust filter's summary of the received estimates as words 7 to 22 of an image.
 
-    With that filter no sums of a round are kept, so that the image has their place for it: five words are
-    used, and eleven are 0.
+    With that filter no sums of a round are kept, so that the image has their words for it: five are used, and
+    eleven are 0.
     """
-    used_words = [crowd.centre, crowd.spread, crowd.voices, crowd.first, crowd.votes | (crowd.trend << 16)]
-    return used_words + [0] * 11
+    votes_and_trend = crowd.votes | (crowd.trend << 16)  # 16 bits each
+    return [crowd.centre, crowd.spread, crowd.voices, crowd.first, votes_and_trend, *[0] * 11]
 
 
 def _decode_state(config: Config, words: tuple[int, ...]) -> State:

@@ -53,21 +53,32 @@ MAX_OMEGA = 0.9
 
 # The robust filter's constants, by the names that they have in the C; ``docs/robust.md`` has the reasons.
 SPREAD_MIN = 2.0**-12
+"""Smallest spread of the votes."""
 SPREAD_MAX = 0.25
+"""Largest spread of the votes, and that before the first vote."""
 VOTES_MAX = 2**14
+"""More votes are not counted, so that the gain does not fall below 2**-12."""
 VOTES_OF_MAX_GAIN = 32
+"""Up to 63 votes the gain stays at that of 32 votes, 1/8."""
 VOTES_MIN_WHILE_MOVING = 2**8
+"""While the centre moves, votes are halved down to about this number."""
 TREND_SHIFT = 8
+"""With every vote the trend loses 2**-8 of itself, so it remembers about 256 votes."""
 TREND_MOVING_DOWN = 1 / 8
+"""The centre moves down if the trend is below this."""
 TREND_MOVING_UP = 7 / 8
+"""The centre moves up if the trend is at least this."""
 REJECTED_SIGMAS_SQUARED = 12
+"""The robust filter's test rejects beyond sqrt(12) standard deviations."""
 SENDERS_MIN = 3
+"""Smallest number of senders among which one that is wrong can be outvoted."""
 STEP_MIN = 2.0**-30
 """A vote that moves the centre by less does not move it at all in the firmware."""
 SENDER_BITS = 32
 """The firmware notes who has voted in a mask of so many bits: ids that are equal modulo 32 share a bit."""
 
 COUNTER_MODULUS = 2**16
+"""Counters of events have 16 bits in the firmware."""
 
 
 @dataclass(frozen=True)
@@ -119,20 +130,30 @@ class Estimate(NamedTuple, Generic[Number]):
 def local_estimate(n: int, t: int, b: Number, conventions: Conventions = PAPER) -> Number:
     """Return the estimated share of black tiles, x_hat in [0, 1], after ``n`` black among ``t`` observations.
 
-    ``b`` in [0, 1] is the assumed accuracy of the sensor (eq. 3). The result is 1/2 before the first
-    observation, and for a ``b`` so near 1/2 that the sensor carries no information (but see
-    ``Conventions.guarded``). Raises ValueError for counts or a ``b`` out of range. O(1).
+    ``b`` in [0, 1] is the assumed accuracy of the sensor. The result is (eq. 3)
+
+        x_hat = (n / t + b - 1) / (2 b - 1)     clamped to [0, 1]
+
+    It is 1/2 before the first observation, and for a ``b`` so near 1/2 that the sensor carries no information
+    (but see ``Conventions.guarded``). Raises ValueError for counts or a ``b`` out of range. O(1).
     """
     _check_counts(n, t)
     _check_is_in_unit_interval(b, "b")
     number = _number_type(b)
     if t == 0 or _carries_no_information(b, conventions):
         return number(0.5)
-    return _quotient_in_unit_interval(number(n) / t + b - 1, 2 * b - 1)
+    observed_share = number(n) / t
+    return _quotient_in_unit_interval(numerator=observed_share + b - 1, denominator=2 * b - 1)
 
 
 def local_confidence(n: int, t: int, b: Number, conventions: Conventions = PAPER) -> Number:
     """Return the confidence alpha >= 0 of what `local_estimate` returns for the same arguments (eq. 4). O(1).
+
+    With d = (2 b - 1)**2 it is
+
+        alpha = d (n / (1 - b)**2 + (t - n) / b**2)     if x_hat is 0
+                d ((t - n) / (1 - b)**2 + n / b**2)     if x_hat is 1
+                d t**3 / (n (t - n))                    otherwise
 
     It is 0 before the first observation, and ``conventions.zero_confidence`` for a ``b`` so near 1/2 that the
     sensor carries no information. Raises ZeroDivisionError where alpha is infinite: for a perfect sensor,
@@ -144,16 +165,19 @@ def local_confidence(n: int, t: int, b: Number, conventions: Conventions = PAPER
         return number(0)
     if _carries_no_information(b, conventions):
         return number(conventions.zero_confidence)
-    d = (2 * b - 1) ** 2
-    # In the first two cases the printed numerators are multiplied out, which leaves no difference to cancel:
-    # t w^2 - (2w - 1)(t - n) = n w^2 + (t - n)(1 - w)^2.
+    d = (2 * b - 1) ** 2  # the paper's name
+    # The paper prints the first case as d (t b^2 - (2 b - 1)(t - n)) / (b^2 (b - 1)^2). The bracket is
+    # n b^2 + (t - n) (1 - b)^2, a sum in which nothing cancels. The second case is the first with the colours
+    # exchanged.
     if x_hat == 0:
         alpha = d * (n / (1 - b) ** 2 + (t - n) / b**2)
     elif x_hat == 1:
         alpha = d * ((t - n) / (1 - b) ** 2 + n / b**2)
     else:
         alpha = d * t**3 / (n * (t - n))
-    return alpha or number(conventions.zero_confidence)
+    if alpha == 0:  # as d is, for a ``b`` of 1/2 under conventions that do not guard against it
+        return number(conventions.zero_confidence)
+    return alpha
 
 
 # ---- The social and the informed estimate ----
@@ -162,7 +186,8 @@ def local_confidence(n: int, t: int, b: Number, conventions: Conventions = PAPER
 def social_estimate(estimates: Sequence[Estimate[Number]]) -> Number:
     """Return x_bar in [0, 1]: the mean of the neighbours' x_hat, weighted by their alpha (eq. 5). O(m).
 
-    It is 1/2 where the equation is undefined, because no estimate has alpha > 0.
+    It is sum alpha_j x_hat_j / sum alpha_j over the estimates j, and 1/2 where this is undefined, because no
+    estimate has alpha > 0. Raises ValueError for an estimate that is out of range.
     """
     return _weighted_mean(estimates, default=0.5)
 
@@ -179,7 +204,12 @@ def social_confidence(estimates: Sequence[Estimate[Number]]) -> Number:
 def informed_estimate(own_estimate: Estimate[Number], estimates: Sequence[Estimate[Number]]) -> Number:
     """Return x in [0, 1]: the mean of the x_hat of a robot and of its neighbours, weighted by their alpha.
 
-    This is eq. 7 in its second form. The result is the robot's x_hat if all confidences are 0. O(m).
+    This is eq. 7 in its second form, with sums over the neighbours' estimates j:
+
+        x = (alpha x_hat + sum alpha_j x_hat_j) / (alpha + sum alpha_j)
+
+    The result is the robot's x_hat if all confidences are 0. Raises ValueError for an estimate that is out of
+    range. O(m).
     """
     # The own estimate is a term like the others, so robots that all hear each other get the same bits.
     all_estimates = [own_estimate]
@@ -193,16 +223,22 @@ def informed_estimate(own_estimate: Estimate[Number], estimates: Sequence[Estima
 def assumed_accuracy_update(n: int, t: int, x_bar: Number, conventions: Conventions = PAPER) -> Number | None:
     """Return the accuracy b_hat for which a robot's own estimate would be ``x_bar``, its neighbours' (eq. 8).
 
-    ``x_bar`` is in [0, 1], and ``n`` of ``t`` observations were black. The result is kept off 0 and 1 as
-    ``conventions`` says. Returns None, so that b_hat stays, before the first observation and if ``x_bar`` is
-    so near 1/2 that it carries no information. O(1).
+    ``x_bar`` is in [0, 1], and ``n`` of ``t`` observations were black. The result is
+
+        b_hat = (n / t + x_bar - 1) / (2 x_bar - 1)     clamped to [0, 1]
+
+    and kept off 0 and 1 as ``conventions`` says. Returns None, so that b_hat stays, before the first
+    observation and if ``x_bar`` is so near 1/2 that it carries no information. Raises ValueError for counts
+    or an ``x_bar`` out of range. O(1).
     """
     _check_counts(n, t)
     _check_is_in_unit_interval(x_bar, "x_bar")
     if t == 0 or _carries_no_information(x_bar, conventions):
         return None
     number = _number_type(x_bar)
-    b_hat = _quotient_in_unit_interval(number(n) / t + x_bar - 1, 2 * x_bar - 1)
+    observed_share = number(n) / t
+    b_hat = _quotient_in_unit_interval(numerator=observed_share + x_bar - 1, denominator=2 * x_bar - 1)
+    # At 0 or 1 the next alpha could be infinite.
     if b_hat <= conventions.clamp_at:
         return number(conventions.clamp_to)
     if b_hat >= 1 - conventions.clamp_at:
@@ -229,8 +265,13 @@ def asdf_test_rejects(
 ) -> bool:
     """Return whether ``x_hat`` differs too much from the local estimates of m neighbours (eq. 12). O(m).
 
+    With X and S, the mean and the standard deviation of the neighbours' estimates, it does if
+
+        |X - x_hat| > (t_{m-1,(1-omega)/2} / sqrt(m) + 1) S
+
     It never does for m < 2, where the sample has no variance. ``omega``, between 0 and 1, is the type II
-    error probability of the test. Raises ValueError if an estimate is infinite or NaN.
+    error probability of the test, and ``t_{...}`` what `t_score` returns. Raises ValueError if an estimate is
+    infinite or NaN.
     """
     if not all(map(math.isfinite, (x_hat, *neighbours))):
         raise ValueError(f"x_hat is {x_hat}, its neighbours' {list(neighbours)}; all must be finite")
@@ -239,8 +280,10 @@ def asdf_test_rejects(
         return False
     # mean and stdev of `statistics` are exact before they are rounded: equal estimates have no deviation.
     deviation = abs(mean(neighbours) - x_hat)
-    interval = (t_score(m, omega, conventions) / math.sqrt(m) + 1) * stdev(neighbours)
-    return deviation > interval or (deviation == interval and not conventions.strict)
+    limit = (t_score(m, omega, conventions) / math.sqrt(m) + 1) * stdev(neighbours)
+    if conventions.strict:
+        return deviation > limit
+    return deviation >= limit
 
 
 # ---- The robust filter ----
@@ -256,7 +299,7 @@ class Crowd:
         trend: Share of the centre's recent moves that went up; a move too small to count is half of one.
         votes: Number of votes up to VOTES_MAX, halved while the centre moves: a vote weighs less, the more
             there were before.
-        voices: Ids of the robots that have voted, modulo SENDER_BITS.
+        voices: Ids of the robots that have voted, modulo SENDER_BITS: the test waits until there are some.
     """
 
     centre: float = 0.5
@@ -274,20 +317,24 @@ class Crowd:
 def crowd_after_vote(crowd: Crowd, sender: int, x_hat: float) -> Crowd:
     """Return the robust filter's summary of the received estimates with one more, ``x_hat`` in [0, 1]. O(1).
 
-    The new x_hat moves the centre, the spread and the trend of the crowd. ``sender`` is noted among those who
-    have voted. The given crowd is not changed.
+    The new x_hat, a vote, moves the centre and the spread as `step_and_spread_after_vote` says. The trend
+    moves by 1/256 of its distance to 1 if the centre goes up, to 0 if it goes down, and to 1/2 if it stays.
+    ``sender`` is noted among those who have voted. The given crowd is not changed.
     """
     _check_is_in_unit_interval(x_hat, "x_hat")
     votes = min(crowd.votes + 1, VOTES_MAX)
     step, spread = step_and_spread_after_vote(votes, crowd.centre, crowd.spread, x_hat)
-    # The trend is a moving average of the directions, 1 for up and 0 for down.
-    direction = float(step > 0) if abs(step) >= STEP_MIN else 0.5
+    is_still = abs(step) < STEP_MIN  # then the firmware's centre stays where it is
+    is_up = step > 0
+    direction = 0.5 if is_still else float(is_up)
+    # The firmware has 32 bits for the senders, so ids that are equal modulo 32 count as one.
+    sender_bit = sender % SENDER_BITS
     return Crowd(
         centre=crowd.centre + step,
         spread=spread,
         trend=crowd.trend + (direction - crowd.trend) / 2**TREND_SHIFT,
         votes=votes,
-        voices=crowd.voices | {sender % SENDER_BITS},
+        voices=crowd.voices | {sender_bit},
     )
 
 
@@ -297,9 +344,10 @@ def step_and_spread_after_vote(
     """Return by how much a received ``x_hat`` moves the robust filter's centre, and the new spread. O(1).
 
     The centre moves towards x_hat by a share of the distance, the gain, where a distance above the spread
-    counts as one that equals it. The spread grows if the distance is above it, and shrinks otherwise, so that
-    it converges to the median of the distances. The gain falls with ``votes``, the number of received
-    estimates with this one: it is 1/8 up to 63 votes, 1/16 up to 127 votes, and so on to 2**-12.
+    counts as one that equals it. The spread grows by gain / 2 of itself if the distance is above it, and
+    shrinks by as much otherwise, so that it converges to the median of the distances. The gain falls with
+    ``votes``, the number of received estimates with this one: it is 1/8 up to 63 votes, 1/16 up to 127 votes,
+    and so on to 2**-12.
 
     This is Robbins and Monro's stochastic approximation of Huber's M-estimate.
     """
@@ -307,10 +355,11 @@ def step_and_spread_after_vote(
     # A power of two, so that the firmware shifts instead of dividing: 32 votes have 6 bits, and give 2**-3.
     gain_exponent = max(votes, VOTES_OF_MAX_GAIN).bit_length() - 3
     gain = number(2.0**-gain_exponent)
-    distance = x_hat - centre
-    clamped_distance = max(-spread, min(distance, spread))
-    step = gain * clamped_distance
-    widening = gain / 2 if abs(distance) > spread else -gain / 2
+    difference = x_hat - centre
+    # A vote farther away than the spread moves the centre no more than one at that distance.
+    clamped_difference = max(-spread, min(difference, spread))
+    step = gain * clamped_difference
+    widening = gain / 2 if abs(difference) > spread else -gain / 2
     new_spread = spread * (1 + widening)
     return step, max(number(SPREAD_MIN), min(new_spread, number(SPREAD_MAX)))
 
@@ -318,10 +367,14 @@ def step_and_spread_after_vote(
 def robust_test_rejects(n: int, t: int, b: float, centre: float, spread: float) -> bool:
     """Return whether ``n`` black among ``t`` > 0 observations contradict ``b``, the assumed accuracy. O(1).
 
-    They do if the share n/t is too far from the one that a sensor of that accuracy would see on a floor whose
-    share of black tiles is ``centre``, give or take ``spread``: both are of the robust filter's summary of
-    received estimates. `robust_test_sides` has the formula. Raises ValueError for counts, a ``b`` or a
-    ``centre`` out of range.
+    ``centre`` and ``spread`` are those of the robust filter's summary of received estimates, which is taken
+    to be right. The counts contradict ``b`` if
+
+        (n / t - p)**2 > 12 (v / t + (2 b - 1)**2 spread**2)
+
+    where p is the share of black that a sensor of accuracy ``b`` sees if ``centre`` is the share of black
+    tiles, and v / t the variance of n / t. `robust_test_sides` computes both sides. Raises ValueError for
+    counts, a ``b`` or a ``centre`` out of range.
     """
     _check_counts(n, t)
     _check_is_in_unit_interval(b, "b")
@@ -335,12 +388,16 @@ def robust_test_sides(n: int, t: int, b: Number, centre: Number, spread: Number)
 
     The test is about ``b``, the assumed accuracy. The sides are D**2 and 12 (v/t + (2b - 1)**2 spread**2),
     where D is the difference of the observed share n/t and the predicted one p = b centre + (1 - b)(1 -
-    centre), and v is the larger of their variances p (1 - p) and n/t (1 - n/t).
+    centre) (eq. 1), and v is the larger of their variances p (1 - p) and n/t (1 - n/t).
     """
-    observed_share = _number_type(b)(n) / t
+    number = _number_type(b)
+    observed_share = number(n) / t
     predicted_share = b * centre + (1 - b) * (1 - centre)
+    # Each of these estimates of the variance is 0 if its share is 0 or 1.
     variance = max(predicted_share * (1 - predicted_share), observed_share * (1 - observed_share))
-    limit = REJECTED_SIGMAS_SQUARED * (variance / t + (2 * b - 1) ** 2 * spread**2)
+    # The prediction is uncertain, too: it changes by 2 b - 1 where the centre changes by 1.
+    prediction_variance = (2 * b - 1) ** 2 * spread**2
+    limit = REJECTED_SIGMAS_SQUARED * (variance / t + prediction_variance)
     return (observed_share - predicted_share) ** 2, limit
 
 
@@ -460,7 +517,9 @@ class ReferenceRobot:
         """Estimates with confidence of the last closed round; none with the robust filter."""
         self._crowd = Crowd()
         self._filter_left = config.filter_period
+        """Rounds until the filter runs next."""
         self._counts = dict.fromkeys(Counters.__dataclass_fields__, 0)
+        """Numbers of events, by the names of `Counters`."""
 
     def observe(self, z: Observation) -> Status:
         """Count an observation, and compute x_hat and alpha from all observations so far. O(1).

@@ -22,16 +22,22 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 MAGIC = 0x4D435400
+"""Word 0 of every table, without its q."""
 FORMAT_VERSION = 2
 FRACTION_BITS = 26
+"""Entries are in units of 2**-26."""
 EXTRA_WORDS = 3
 """Number of words that are no entries: two before the entries, and the checksum."""
 MIN_Q = 2
 MAX_Q = 127
+"""A robot receives from at most 127 others, so no larger q is of use."""
 MAX_OMEGA_WORD = round(0.9 * 2**32)
+"""Largest omega, 0.9, in units of 2**-32."""
 MAX_WORD = 2**32 - 1
 FNV_OFFSET = 0x811C9DC5
+"""Hash of no words, as FNV-1a defines it."""
 FNV_PRIME = 0x01000193
+"""Factor by which FNV-1a multiplies the hash at every word."""
 
 
 class TableError(ValueError):
@@ -63,7 +69,9 @@ class Table:
 
     def entry(self, m: int) -> int:
         """Return the threshold k for ``m`` >= 2 messages, in units of 2**-26. O(1)."""
-        return self.entries[min(m, self.q + 1) - 2]
+        # The first entry is for m = 2, and the last, that of q + 1, for every m > q.
+        m_of_entry = min(m, self.q + 1)
+        return self.entries[m_of_entry - 2]
 
     def words(self) -> tuple[int, ...]:
         """Return the table as the 32-bit words that the firmware reads, the last one a checksum. O(q)."""
@@ -113,5 +121,5 @@ def checksum(words: Sequence[int]) -> int:
     """Return the hash FNV-1a, taken over 32-bit words instead of bytes. O(len(words))."""
     hash_value = FNV_OFFSET
     for word in words:
-        hash_value = (hash_value ^ word) * FNV_PRIME & MAX_WORD
+        hash_value = ((hash_value ^ word) * FNV_PRIME) & MAX_WORD
     return hash_value
