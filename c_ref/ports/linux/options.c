@@ -30,7 +30,7 @@ extern const uint32_t MCP_ASDF_NODE_TABLE[];
     X(SUBJECT, "subject", "3000", 0, MCP_ASDF_SUBJECT_MAX)                                                   \
     X(TELEMETRY_SUBJECT, "telemetry-subject", "3001", 0, MCP_ASDF_SUBJECT_MAX)                               \
     X(COMMAND_SUBJECT, "command-subject", "3002", 0, MCP_ASDF_SUBJECT_MAX)                                   \
-    X(RECEIVE_BUFFER, "receive-buffer", "0", 0, INT32_MAX)                                                   \
+    X(RECEIVE_BUFFER, "receive-buffer", "1048576", 0, INT32_MAX)                                             \
     X(SAVE_PERIOD, "save-period", "0", 0, UINT32_MAX)                                                        \
     X(HOP_LIMIT, "hop-limit", "1", 0, 255)                                                                   \
     X(ID, "id", NULL, 0, MCP_ASDF_MAX_ID)                                                                    \
@@ -93,7 +93,7 @@ static const char usage[] =
     "  --steps N              end after so many (0: no limit)\n"
     "  --telemetry-period STEPS  between telemetry frames (0: none; in lockstep every step)\n"
     "  --subject N, --telemetry-subject N, --command-subject N  0 to 6143 (3000, 3001, 3002)\n"
-    "  --receive-buffer BYTES of the kernel (0: its default)\n"
+    "  --receive-buffer BYTES for frames that wait in the kernel (0: its default, some 280 frames)\n"
     "  --state FILE           go on from there, and save there at the end\n"
     "  --save-period STEPS    save there in between, too (0: no)\n"
     "\n"

@@ -7,6 +7,7 @@ import configparser
 import errno
 import logging
 import math
+import socket
 import time
 from collections import deque
 from contextlib import suppress
@@ -39,6 +40,12 @@ _REAL = ("modprobe can-raw", "ip link set {} up type can bitrate 500000")
 _MOST_ECHOES = 4096
 _LONGEST_WAIT = 1.0
 """Seconds."""
+_RECEIVE_BUFFER_BYTES = 1 << 20
+"""Room for datagrams of a multicast group that a busy program has not read yet.
+
+The kernel counts some 770 bytes for each, and by default has room for fewer than 300. A swarm of 128 robots
+may broadcast more at once.
+"""
 _PROTOCOL_ERROR = 0x8
 """Class of an error frame in SocketCAN's identifiers: damaged on its way."""
 _PAUSE = 0.001
@@ -243,12 +250,16 @@ class SerialAdapter(Connection):
         adapter = cast(slcanBus, bus)
         self._port = adapter.serialPortOrig
         self._unfinished_line = adapter._buffer
+        # The port of an adapter at socket://HOST:PORT has a socket; that of a serial line has none.
+        self._socket: socket.socket | None = getattr(self._port, "_socket", None)
 
     def shutdown(self) -> None:
         """Leave the bus, and close the port, which python-can leaves open if the adapter takes no command."""
         super().shutdown()
         with suppress(OSError):
             self._port.close()
+        if self._socket is not None:  # pyserial leaves it open if the other end has closed the connection
+            self._socket.close()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         try:
@@ -274,6 +285,8 @@ class Multicast(Connection):
         """Take over ``bus``, as ``Connection``."""
         super().__init__(bus, returns_own)
         self._group = cast(UdpMulticastBus, bus)._multicast
+        # The kernel grants less where the system's limit is lower, and says nothing.
+        self._group._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
         # If an own datagram is lost, the same one from elsewhere is taken for it, once.
         self._own: deque[tuple[bytes, can.Message]] = deque(maxlen=_MOST_ECHOES)
 

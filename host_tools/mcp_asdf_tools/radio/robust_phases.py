@@ -172,7 +172,8 @@ def trend_limits(bench: Bench) -> None:
 
 def uninformative(bench: Bench) -> None:
     """Let the test reject with a centre that is just informative, and just not, on either side of 1/2."""
-    crowd = bench.firmware.s.crowd
+    state = bench.firmware.s
+    crowd = state.crowd
     # As many of these votes are above 1/2 as below, and those at 1/2 bring the centre there.
     values = [HALF - (AT_HALF >> 7), HALF, HALF + (AT_HALF >> 7)] * (_ALL // 3)
 
@@ -186,11 +187,18 @@ def uninformative(bench: Bench) -> None:
         if not _observe_until_rejected(bench):
             return
         bench.activity = f"a test with a centre {offset} units from 1/2"
-        bench.skip_to_test_round()
         final_values = votes_to_centre(crowd, (1 << 29) + offset)
         if final_values is None:
             bench.not_exercised.append(bench.activity)
             return
+        # The final votes bring the centre nearer to the observed share, and the test may then no longer
+        # reject. More observations of the colour that is seen more often take the share away from it.
+        crowd_at_test = copy(crowd)
+        for value in final_values:
+            update_crowd(crowd_at_test, 0, value)
+        while not robust_test_rejects(crowd_at_test, state.t, state.n):
+            bench.play_tick(Observation(2 * state.n > state.t))
+        bench.skip_to_test_round()
         _vote(bench, final_values)
 
 

@@ -60,6 +60,16 @@ def test_an_adapter_that_closes_is_a_bus_that_is_gone() -> None:
             bus.recv(PATIENCE)
 
 
+def test_the_socket_of_an_adapter_that_has_closed_is_closed() -> None:
+    with serial_adapter([], stays_open=False) as choice:
+        bus = choice.open()
+        with pytest.raises(BusGoneError):
+            bus.recv(PATIENCE)
+        connection = bus._port._socket
+        bus.shutdown()
+    assert connection.fileno() == -1
+
+
 def failing_connection(error: Exception, descriptor: int = 5) -> Connection:
     """Return a connection to a bus that raises ``error`` whenever it is used."""
     bus = Mock(channel_info="can0", protocol=can.CanProtocol.CAN_20)

@@ -56,6 +56,15 @@ def test_a_malformed_datagram_is_one_damaged_frame_and_what_follows_is_heard() -
             assert (heard[0] is Rejection.ERROR_FRAME) == is_damaged, data
 
 
+def test_a_burst_of_four_estimates_from_each_robot_waits_in_the_socket_of_a_multicast_group() -> None:
+    choice = multicast(GROUP)
+    with choice.open() as sender, choice.open() as receiver:
+        for number in range(4 * 126):
+            sender.send(can.Message(arbitration_id=number))
+        received = [receiver.recv(PATIENCE) for _ in range(4 * 126)]
+    assert [frame.arbitration_id for frame in received if frame is not None] == [*range(4 * 126)]
+
+
 def test_no_node_hears_itself_on_a_bus_that_echoes() -> None:
     """But one that asks for it, which gets back what it has sent."""
     choice, draw = multicast(GROUP), random.Random(2)
