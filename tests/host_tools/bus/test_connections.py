@@ -13,7 +13,7 @@ import serial  # type: ignore[import-untyped]
 
 from mcp_asdf_tools.bus.bus_errors import BusGoneError
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
-from mcp_asdf_tools.bus.interfaces import BusChoice, Connection
+from mcp_asdf_tools.bus.interfaces import BusChoice, Connection, SerialAdapter
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
 from mcp_asdf_tools.radio.real_time import RadioRun
@@ -63,10 +63,12 @@ def test_an_adapter_that_closes_is_a_bus_that_is_gone() -> None:
 def test_the_socket_of_an_adapter_that_has_closed_is_closed() -> None:
     with serial_adapter([], stays_open=False) as choice:
         bus = choice.open()
+        assert isinstance(bus, SerialAdapter)
         with pytest.raises(BusGoneError):
             bus.recv(PATIENCE)
-        connection = bus._port._socket
+        connection = bus._socket
         bus.shutdown()
+    assert connection is not None
     assert connection.fileno() == -1
 
 
