@@ -1,4 +1,8 @@
-"""Lines that candump writes: to a log (``-L``, ``-l``) or to a console, with any of its time stamps."""
+"""Parser of the lines that candump writes, with any of its time stamps.
+
+A line of a log (``candump -L`` or ``-l``) is ``(1.5) vcan0 123#AB``, the same on a console
+``(1.5)  vcan0  123   [1]  AB``.
+"""
 
 from __future__ import annotations
 
@@ -8,92 +12,122 @@ from datetime import UTC, datetime
 import can
 
 LONGEST_LINE = 4096
-"""Characters; a CAN FD frame with all of candump's additions has a tenth of that."""
+"""Maximum length of a line in characters. A CAN FD frame with all that candump adds has a tenth of that."""
 
-_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+_COLOUR_CODE = re.compile(r"\x1b\[[0-9;]*m")
 _TIME = r"(?:\((?P<time>[^()]*)\)\s+)?"
+_ID = r"(?P<id>[0-9A-F]{3}|[0-9A-F]{8})"
 _LOG_LINE = re.compile(
-    rf"{_TIME}(?P<channel>\S+)\s+(?P<id>[0-9A-F]{{3}}|[0-9A-F]{{8}})#"
-    r"(?:(?P<remote>R)(?P<remote_length>[0-8])?|#(?P<flags>[0-9A-F])(?P<fd_data>[0-9A-F.]*)|(?P<data>[0-9A-F.]*))"
-    r"(?:_[9A-F])?(?:\s+(?P<direction>[RT]))?",
-    re.IGNORECASE | re.ASCII,
+    rf"""
+    {_TIME}
+    (?P<channel>\S+)\s+
+    {_ID}\#
+    (?:
+        (?P<remote>R)(?P<remote_length>[0-8])?              # a remote frame: 123#R5
+        | \#(?P<fd_flags>[0-9A-F])(?P<fd_data>[0-9A-F.]*)   # a frame of CAN FD: 123##1AB
+        | (?P<data>[0-9A-F.]*)                              # a classic frame: 123#AB or 123#AB.CD
+    )
+    (?:_[9A-F])?                                            # a raw length beyond 8
+    (?:\s+(?P<direction>[RT]))?
+    """,
+    re.VERBOSE | re.IGNORECASE | re.ASCII,
 )
 _CONSOLE_LINE = re.compile(
-    rf"{_TIME}(?P<channel>\S+)\s+(?:(?P<direction>[RT])X\s+(?P<flags>\S\s\S)\s+)?"
-    r"(?P<id>[0-9A-F]{3}|[0-9A-F]{8})\s+(?:\[(?P<length>[0-9]{1,2})\]|\{[9A-F]\})"
-    r"(?:\s+(?P<remote>remote request)|(?P<data>(?:\s+[0-9A-F]{2})*))"
-    r"(?:\s+(?:'.*'|ERRORFRAME))?",
-    re.IGNORECASE | re.ASCII,
+    rf"""
+    {_TIME}
+    (?P<channel>\S+)\s+
+    (?:(?P<direction>[RT])X\s+(?P<fd_flags>\S\s\S)\s+)?     # only with candump -x: RX B E
+    {_ID}\s+
+    (?:\[(?P<length>[0-9]{{1,2}})\]|\{{[9A-F]\}})           # a length, or a raw length beyond 8
+    (?:\s+(?P<remote>remote\ request)|(?P<data>(?:\s+[0-9A-F]{{2}})*))
+    (?:\s+(?:'.*'|ERRORFRAME))?
+    """,
+    re.VERBOSE | re.IGNORECASE | re.ASCII,
 )
 _ERROR_FLAG = 0x20000000
-_BIT_RATE_SWITCH, _ERROR_STATE = 1, 2
-_MAX_DATA_BYTES = {False: 8, True: 64}
-"""Of a classic frame and of one of CAN FD."""
+"""Bit of the identifier that marks an error frame."""
+_BIT_RATE_SWITCH = 1
+_ERROR_STATE = 2
+"""Flags of a CAN FD frame in a log."""
+_MAX_CLASSIC_BYTES = 8
+_MAX_FD_BYTES = 64
 
 
 def parse_line(line: str) -> can.Message | None:
-    """Return the frame of a line of candump, or None if the line is none.
+    """Return the frame in a line of candump, or None if the line holds no complete and possible frame.
 
-    Its time is 0 if the line has none, and counts from 1970 in UTC if the line has a date. A raw length
-    beyond 8 (``_B``) says nothing about the content, so it is dropped.
+    The frame's time is 0 if the line has none, and counts from 1970 in UTC if the line has a date. A raw
+    length beyond 8 (``_B``) is ignored, as such a frame has 8 bytes of data.
     """
     if len(line) > LONGEST_LINE:
         return None
-    text = _COLOURS.sub("", line).strip()
-    match = _LOG_LINE.fullmatch(text)
-    if match is not None:
-        return _frame_of_log_line(match)
-    match = _CONSOLE_LINE.fullmatch(text)
-    return None if match is None else _frame_of_console_line(match)
+    plain_line = _COLOUR_CODE.sub("", line).strip()
+    log_match = _LOG_LINE.fullmatch(plain_line)
+    if log_match is not None:
+        return _frame_of_log_line(log_match)
+    console_match = _CONSOLE_LINE.fullmatch(plain_line)
+    if console_match is not None:
+        return _frame_of_console_line(console_match)
+    return None
 
 
 def _frame_of_log_line(match: re.Match[str]) -> can.Message | None:
-    """Return the frame of a match of _LOG_LINE, such as ``vcan0 123#AB``; None as ``_frame``."""
-    flags = None if match["flags"] is None else int(match["flags"], 16)
-    data = match["data"] if flags is None else match["fd_data"]
-    remote_length = None if match["remote"] is None else int(match["remote_length"] or 0)
-    return _frame(match, flags, data or "", remote_length)
+    """Return the frame of a match of _LOG_LINE, or None as ``_make_frame``."""
+    if match["remote"] is not None:
+        return _make_frame(match, remote_length=int(match["remote_length"] or 0))
+    if match["fd_flags"] is not None:
+        return _make_frame(match, match["fd_data"], fd_flags=int(match["fd_flags"], 16))
+    return _make_frame(match, match["data"])
 
 
 def _frame_of_console_line(match: re.Match[str]) -> can.Message | None:
-    """Return the frame of a match of _CONSOLE_LINE, such as ``vcan0 123 [1] AB``.
+    """Return the frame of a match of _CONSOLE_LINE.
 
-    None as ``_frame``, and if the line has not as many bytes as it states.
+    None as ``_make_frame``, and if the line has not as many bytes of data as it states.
     """
-    # Two digits mark CAN FD. Its bit-rate switch and error state are told by -x only, as B and E.
     length_text = match["length"] or ""
-    flags = None
-    if len(length_text) == 2:
-        flags = 0
-        if "B" in (match["flags"] or ""):
-            flags |= _BIT_RATE_SWITCH
-        if "E" in (match["flags"] or ""):
-            flags |= _ERROR_STATE
-    data = "".join((match["data"] or "").split())
     if match["remote"] is not None:
-        return _frame(match, None, "", int(length_text or 0))
-    if length_text and int(length_text) != len(data) // 2:
-        return None  # a line that was cut
-    return _frame(match, flags, data, None)
+        return _make_frame(match, remote_length=int(length_text or 0))
+    hex_digits = "".join((match["data"] or "").split())
+    if length_text and int(length_text) != len(hex_digits) // 2:
+        return None  # the line was cut
+    is_fd = len(length_text) == 2  # candump writes [8] for a classic frame, [08] for one of CAN FD
+    return _make_frame(match, hex_digits, fd_flags=_parse_console_flags(match) if is_fd else None)
 
 
-def _frame(
-    match: re.Match[str], fd_flags: int | None, data_text: str, remote_length: int | None
+def _parse_console_flags(match: re.Match[str]) -> int:
+    """Return the flags of a CAN FD frame, which are 0 if the line lacks them: only candump -x shows them."""
+    letters = match["fd_flags"] or ""
+    bit_rate_switch = _BIT_RATE_SWITCH if "B" in letters else 0
+    error_state = _ERROR_STATE if "E" in letters else 0
+    return bit_rate_switch | error_state
+
+
+def _make_frame(
+    match: re.Match[str], data_text: str = "", fd_flags: int | None = None, remote_length: int | None = None
 ) -> can.Message | None:
-    """Return the frame of a matched line; None if its data, its time or its id is none.
+    """Return the frame of a line, or None if it has an impossible time, identifier or amount of data.
 
-    ``fd_flags`` is None for a classic frame, ``remote_length`` for one that is no remote frame.
+    Args:
+        match: The groups time, channel, id and direction of the line.
+        data_text: Hexadecimal digits of the data; points between bytes are ignored.
+        fd_flags: Flags of a CAN FD frame; None for a classic frame.
+        remote_length: Length that a remote frame asks for; None for any other frame.
     """
-    timestamp = _seconds(match["time"])
+    timestamp = _parse_time(match["time"])
+    if timestamp is None:
+        return None
+    hex_digits = data_text.replace(".", "")
+    byte_count, odd_digits = divmod(len(hex_digits), 2)
+    max_bytes = _MAX_CLASSIC_BYTES if fd_flags is None else _MAX_FD_BYTES
+    if odd_digits or byte_count > max_bytes:
+        return None
     arbitration_id = int(match["id"], 16)
     is_extended_id = len(match["id"]) == 8
-    is_fd = fd_flags is not None
-    digits = data_text.replace(".", "")
-    if timestamp is None or len(digits) % 2 or len(digits) // 2 > _MAX_DATA_BYTES[is_fd]:
-        return None
     if is_extended_id and arbitration_id & _ERROR_FLAG:
         return can.Message(timestamp=timestamp, channel=match["channel"], is_error_frame=True)
-    if arbitration_id >= (2**29 if is_extended_id else 2**11):
+    id_bits = 29 if is_extended_id else 11
+    if arbitration_id >= 1 << id_bits:
         return None
     return can.Message(
         timestamp=timestamp,
@@ -101,17 +135,17 @@ def _frame(
         arbitration_id=arbitration_id,
         is_extended_id=is_extended_id,
         is_remote_frame=remote_length is not None,
-        dlc=len(digits) // 2 if remote_length is None else remote_length,
-        data=bytes.fromhex(digits),
-        is_fd=is_fd,
+        dlc=byte_count if remote_length is None else remote_length,
+        data=bytes.fromhex(hex_digits),
+        is_fd=fd_flags is not None,
         bitrate_switch=bool((fd_flags or 0) & _BIT_RATE_SWITCH),
         error_state_indicator=bool((fd_flags or 0) & _ERROR_STATE),
         is_rx=(match["direction"] or "R").upper() == "R",
     )
 
 
-def _seconds(text: str | None) -> float | None:
-    """Return a time stamp in seconds, 0 where there is none; None if it is neither a number nor a date."""
+def _parse_time(text: str | None) -> float | None:
+    """Return a time stamp in seconds: 0 if there is none, None if it is neither a number nor a date."""
     if text is None:
         return 0.0
     try:

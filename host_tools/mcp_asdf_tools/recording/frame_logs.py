@@ -1,4 +1,4 @@
-"""Logs of frames: complete ones in any of python-can's formats, and parts that a run left."""
+"""Reader of the frames in a log, in any format of candump or python-can, complete or cut off."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ import can
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.candump_lines import LONGEST_LINE, parse_line
 
-_LATEST = 1e11
-"""Seconds; the times of frames are below. No number is no time, either."""
+_MAX_TIME = 1e11
+"""Seconds, more than 3000 years. A frame with a later time is damaged or hostile."""
 _TEXT_READERS: dict[str, Any] = {".asc": can.ASCReader, ".csv": can.CSVReader, ".trc": can.TRCReader}
 _SUFFIXES = ".log (candump), .asc, .blf, .csv, .mf4 or .trc"
 _LONGEST_QUOTE = 60
+"""Characters of a line that an error message shows."""
 
 PART = ".part"
 """Suffix, behind all others, of a file that is not complete."""
@@ -37,7 +38,7 @@ def add_log_option(output: argparse._ArgumentGroup, beside: str) -> None:
 def check_log(path: Path | str) -> None:
     """Raise UsageError if a log is missing, cannot be read or is empty.
 
-    The message names the log's part, ``NAME.log.part``, if there is one: then the run was cut off.
+    If it is missing but ``NAME.log.part`` is there, a run was cut off, and the message says so.
     """
     try:
         with Path(path).open("rb") as file:
@@ -52,12 +53,12 @@ def check_log(path: Path | str) -> None:
 
 @dataclass
 class LogSummary:
-    """What was met while a log was read, complete once its last frame is read.
+    """Counts of frames and of other lines in a log; complete when its last frame has been read.
 
     Attributes:
-        channels: Number of frames by channel, in the order in which the channels come; without those frames
-            whose format names none.
-        skipped_lines: Number of lines that were left out since they are no frames.
+        channels: Number of frames by channel, in the order in which the channels appear. Frames of a format
+            without channels are not counted.
+        skipped_lines: Number of lines that are no frames.
         first_skipped: Number and text of the first such line; None if there is none.
     """
 
@@ -65,11 +66,11 @@ class LogSummary:
     skipped_lines: int = 0
     first_skipped: str | None = None
 
-    def skip_line(self, number: int, text: str) -> None:
-        """Count a line that is no frame."""
+    def skip_line(self, number: int, line: str) -> None:
+        """Count a line that is no frame, and keep its number and text if it is the first one."""
         self.skipped_lines += 1
         if self.first_skipped is None:
-            self.first_skipped = f"line {number}, {_quote(text)}"
+            self.first_skipped = f"line {number}, {_quote(line)}"
 
     @property
     def channel_names(self) -> str:
@@ -79,7 +80,7 @@ class LogSummary:
 
     @property
     def warning(self) -> str | None:
-        """How many lines were left out, and which is the first; None if all are frames."""
+        """A sentence on how many lines were skipped, and which is the first; None if none was."""
         if self.first_skipped is None:
             return None
         if self.skipped_lines == 1:
@@ -92,95 +93,104 @@ class LogSummary:
 def read_log(
     path: Path | str, channel: str | None = None, summary: LogSummary | None = None
 ) -> Iterator[can.Message]:
-    """Yield the frames of a log, in its order: all, or those of one channel. The suffix gives the format.
+    """Yield the frames of a log in its order: all of them, or those of one channel.
 
-    Lines of candump that are no frames are left out. ``summary`` counts them, and the frames of each channel.
-    Of a part (``NAME.log.part``) it reads the frames that are complete. Raises UsageError, naming the place,
-    if the log cannot be read, is malformed in another format, or holds no frame.
+    Everything that reads recorded frames does it here, so every format can be read everywhere. The suffix
+    gives the format; behind it ``.part`` may stand for a run that was cut off, and ``.gz`` for a compressed
+    log. Lines of candump that are no frames are skipped. Of a part, the complete frames are yielded.
+
+    Args:
+        path: The log.
+        channel: Only frames of this channel are yielded; None stands for all channels.
+        summary: Counts the frames of all channels and the skipped lines.
+
+    Raises UsageError, naming the line if there are lines, if the log cannot be read, is malformed in a
+    format other than candump's, or has no frame.
     """
-    check_log(path)  # some readers would create a missing file
-    summary = LogSummary() if summary is None else summary
-    frame_count = yielded_count = 0
+    check_log(path)  # some readers of python-can would create a missing file
+    if summary is None:
+        summary = LogSummary()
+    has_frame = has_frame_of_channel = False
     for frame in _read_frames(Path(path), summary):
-        frame_count += 1
+        has_frame = True
         if frame.channel is not None:
             summary.channels[str(frame.channel)] += 1
         if channel is None or str(frame.channel) == channel:
-            yielded_count += 1
+            has_frame_of_channel = True
             yield frame
-    if not frame_count:
+    if not has_frame:
         first_line = f": {summary.first_skipped}, is none of candump's" if summary.first_skipped else ""
         raise UsageError(f"the log {path} holds no frame{first_line}; does its suffix match its format?")
-    if not yielded_count:
+    if not has_frame_of_channel:
         raise UsageError(
             f"the log {path} has no frame of {channel}, but of {summary.channel_names}; choose one of them"
         )
 
 
 def _read_frames(path: Path, summary: LogSummary) -> Iterator[can.Message]:
-    """Yield all frames of a log; lines of candump that are none go to ``summary``.
-
-    Raises UsageError if the log cannot be read or is malformed.
-    """
+    """Yield the frames of all channels, and count the lines that are skipped. Raises UsageError."""
     name = path.name.lower().removesuffix(".gz")
+    is_part = name.endswith(PART)
     suffix = Path(name.removesuffix(PART)).suffix
     try:
         if suffix == ".log":
             with _open_text(path) as lines:
-                yield from _read_candump(lines, summary, is_part=name.endswith(PART))
+                yield from _parse_candump_lines(lines, summary, is_part)
         elif suffix in _TEXT_READERS:
             with _open_text(path) as lines:
-                yield from _checked(_TEXT_READERS[suffix](lines), path, lines)
+                frames = _TEXT_READERS[suffix](lines)
+                yield from _explain_errors(frames, path, lines)
         else:
-            with _open_binary(path, suffix) as reader:
-                yield from _checked(reader, path)
-    except (
-        OSError,
-        EOFError,
-        zlib.error,
-    ) as error:  # the last two: a compressed file that was cut or damaged
-        reason = getattr(error, "strerror", None) or error
-        raise UsageError(f"cannot read the log {path}: {reason}") from error
+            with _open_binary(path, suffix) as frames:
+                yield from _explain_errors(frames, path)
+    except OSError as error:
+        raise UsageError(f"cannot read the log {path}: {error.strerror or error}") from error
+    except (EOFError, zlib.error) as error:  # a compressed file was cut or is damaged
+        raise UsageError(f"cannot read the log {path}: {error}") from error
 
 
-class _CountedLines:
-    """Iterator over the lines of a text file, each cut at LONGEST_LINE.
+class _NumberedLines:
+    """Iterator over the lines of a text file, each cut to LONGEST_LINE + 1 characters.
 
     Attributes:
-        number: Number of the latest line, from 1.
-        text: The latest line, with its end.
+        number: Number of the line read last, from 1.
+        line: The line read last, with its end if that was not cut.
     """
 
     def __init__(self, file: IO[str]) -> None:
         self._file = file
         self.number = 0
-        self.text = ""
+        self.line = ""
 
-    def __iter__(self) -> _CountedLines:
+    def __iter__(self) -> _NumberedLines:
         return self
 
     def __next__(self) -> str:
-        self.text = self._file.readline(LONGEST_LINE + 1)
-        if not self.text:
+        self.line = self._file.readline(LONGEST_LINE + 1)
+        if not self.line:
             raise StopIteration
         self.number += 1
-        rest = self.text
-        while rest and not rest.endswith("\n"):  # a line without an end must not fill the memory
-            rest = self._file.readline(LONGEST_LINE + 1)
-        return self.text
+        # The rest of a longer line is read in pieces: a line without an end must not fill the memory.
+        piece = self.line
+        while piece and not piece.endswith("\n"):
+            piece = self._file.readline(LONGEST_LINE + 1)
+        return self.line
 
     def close(self) -> None:
-        """Close the file, as readers do at its end."""
+        """Close the file; readers of python-can do it when they have read all lines."""
         self._file.close()
 
 
 @contextmanager
-def _open_text(path: Path) -> Iterator[_CountedLines]:
-    """Open a text that may be compressed and may begin with a byte order mark; any bytes can be read."""
-    encoding: dict[str, Any] = {"encoding": "utf-8-sig", "errors": "backslashreplace"}
+def _open_text(path: Path) -> Iterator[_NumberedLines]:
+    """Open a log of lines, which may be compressed and may begin with a byte order mark.
+
+    Bytes that are no UTF-8 become escapes, so any file can be read. Raises OSError if it cannot be opened.
+    """
     is_compressed = path.suffix.lower() == ".gz"
+    encoding: dict[str, Any] = {"encoding": "utf-8-sig", "errors": "backslashreplace"}
     with gzip.open(path, "rt", **encoding) if is_compressed else path.open(**encoding) as file:
-        yield _CountedLines(file)
+        yield _NumberedLines(file)
 
 
 def _open_binary(path: Path, suffix: str) -> Any:
@@ -200,29 +210,33 @@ def _open_binary(path: Path, suffix: str) -> Any:
         ) from error
 
 
-def _read_candump(lines: _CountedLines, summary: LogSummary, is_part: bool) -> Iterator[can.Message]:
-    """Yield the frames of candump's lines; of a part without the last line if that has no end."""
+def _parse_candump_lines(lines: _NumberedLines, summary: LogSummary, is_part: bool) -> Iterator[can.Message]:
+    """Yield the frames in candump's lines, and count other lines that are not empty as skipped.
+
+    The last line of a part is ignored if it has no end, since it may have been cut anywhere.
+    """
     for line in lines:
-        if is_part and not line.endswith("\n") and len(line) <= LONGEST_LINE:
+        is_unfinished = not line.endswith("\n") and len(line) <= LONGEST_LINE
+        if is_part and is_unfinished:
             return
         frame = parse_line(line)
-        if frame is not None and abs(frame.timestamp) < _LATEST:
+        if frame is not None and _has_possible_time(frame):
             yield frame
         elif line.strip():
             summary.skip_line(lines.number, line)
 
 
-def _checked(
-    frames: Iterable[can.Message], path: Path, lines: _CountedLines | None = None
+def _explain_errors(
+    frames: Iterable[can.Message], path: Path, lines: _NumberedLines | None = None
 ) -> Iterator[can.Message]:
-    """Yield frames of a reader of python-can.
+    """Yield the frames of a reader of python-can until one is malformed; that raises UsageError.
 
-    Raises UsageError at the first that is malformed. It names the line if ``lines`` are those of a text.
+    The message names the line if the reader reads ``lines``, and the number of frames before it otherwise.
     """
     frame_count = 0
     try:
         for frame in frames:
-            if not abs(frame.timestamp) < _LATEST:
+            if not _has_possible_time(frame):
                 raise ValueError(f"its time is {frame.timestamp:g} s")
             frame_count += 1
             yield frame
@@ -231,13 +245,18 @@ def _checked(
     except Exception as error:  # readers raise errors of any kind
         position = f"after frame {frame_count}"
         if lines is not None:
-            position = f"in line {lines.number}, {_quote(lines.text)}"
+            position = f"in line {lines.number}, {_quote(lines.line)}"
         raise UsageError(
             f"the log {path} is malformed {position}, or its suffix is wrong: it must be {_SUFFIXES}"
         ) from error
 
 
-def _quote(text: str) -> str:
-    """Return a line in quotes, cut to _LONGEST_QUOTE characters and dots if it is longer."""
-    shown = text.strip()
-    return repr(shown if len(shown) <= _LONGEST_QUOTE else f"{shown[:_LONGEST_QUOTE]}...")
+def _has_possible_time(frame: can.Message) -> bool:
+    """Return whether a frame's time is a number within a range that all that use it can count with."""
+    return abs(frame.timestamp) < _MAX_TIME  # false for NaN, too
+
+
+def _quote(line: str) -> str:
+    """Return a line in quotes; a long one is cut after _LONGEST_QUOTE characters, and dots follow."""
+    text = line.strip()
+    return repr(text if len(text) <= _LONGEST_QUOTE else f"{text[:_LONGEST_QUOTE]}...")
