@@ -1,25 +1,27 @@
-"""The events of a run: how each robot started, and what it observed and received, in a file beside the log.
+"""File of events of a run: how each robot started, and what it observed and received in every tick.
 
-They are enough to run every robot again. The events of ``run.log`` are in ``run.log.events``, a text of one
-JSON value a line, compressed by gzip. The first line describes the run (`EventsHeader`); what it lacks has
-its default, only its robots have to be there. Every other line is either
+That is enough to run every robot again. The events of ``run.log`` are in ``run.log.events``, a text
+compressed by gzip, with one JSON value a line. The first line describes the run (`EventsHeader`): only its
+robots have to be there, everything else has a default. Every other line is either
 
-- ``[robot, event, ...]``: the next events of one robot, in order. An event is
+- ``[robot id, event, ...]``: the next events of one robot, in order. An event is
 
   ====================== ===============================================================================
   0, 1, 2                a tick began, in which the robot observed white, black, nothing
-  3                      the tick ended (all four are the numbers of ``frame_layout.Action``)
-  [sender, x_hat, alpha] it received an estimate, which its firmware may have refused; integers as in
-                         ``mcp_asdf_tools.bus.frames.Estimate``
-  [x_hat, alpha]         a fault gave its last broadcast these values, alpha as binary32 bits of the frame
-  "silent"               a fault kept its last broadcast from the bus
-  "restart"              it started anew, as in the header
+  3                      the tick ended (these four are the values of ``frame_layout.Action``)
+  [sender, x_hat, alpha] the robot received an estimate, which its firmware may have refused; integers as
+                         in ``mcp_asdf_tools.bus.frames.Estimate``
+  [x_hat, alpha]         a fault changed the robot's last broadcast to these values; alpha as the 32 bits of
+                         the IEEE number in the frame
+  "silent"               a fault kept the robot's last broadcast from the bus
+  "restart"              the robot started again in the state of the header
   ====================== ===============================================================================
 
-- ``"186BB92A#0000603333F307E5"``: a frame on the bus that no robot sent (a fault), as candump writes it.
+- ``"186BB92A#0000603333F307E5"``: a frame on the bus that no robot sent, but a fault; as candump writes it.
 
-Version 3 of the format is read, too. It is not compressed, and has ``"1b"`` for estimates that the file has
-before: the last one of each sender whose bit is set in the hexadecimal mask, by rising id.
+Version 3 of the format is read, too. It is not compressed, and may have a hexadecimal mask such as ``"1b"``
+in place of estimates. It stands for the last estimate in the file of each sender whose bit is set, here of
+robots 0, 1, 3 and 4 in this order.
 """
 
 from __future__ import annotations
@@ -46,47 +48,56 @@ from mcp_asdf_tools.robots.robot_setup import RobotSetup
 FORMAT = "mcp-asdf events"
 VERSION = 4
 _READABLE_VERSIONS = (3, VERSION)
-"""Version 1 had binary32 bits for alpha, and t-tables of another format; 2 had each estimate once a receiver,
-without compression."""
+"""Version 1 had alpha as the bits of an IEEE number and t-tables of another format. Version 2 repeated each
+estimate for every receiver, without compression."""
 
 Event = int | str | list[int]
-"""One event as the file has it."""
+"""One event of a robot as the file has it; the table above lists the forms."""
 SETTLE = Action.SETTLE.value
+"""Event: the tick ended."""
 SILENT = "silent"
+"""Event: the last broadcast did not reach the bus."""
 RESTART = "restart"
+"""Event: the robot started again."""
 
 MAX_LINE_LENGTH = 2**24
-"""Characters. A damaged or hostile file must not fill the memory with one line."""
+"""Maximum number of characters in a line: a damaged or hostile file must not fill the memory with one."""
 _MAX_EVENTS_PER_LINE = 100_000
-"""Events after which a robot's line is written before the tick ends: a flood of frames stays readable."""
-_MAX_WORD = 2**32 - 1
+"""Number of events after which a line is written before the tick has ended. So the line of a robot that
+received a flood of frames is short enough to be read."""
+_MAX_INTEGER = 2**32 - 1
+"""Maximum of the integers in an event: all of them have at most 32 bits in the firmware."""
 _SENDER_MASK = re.compile(r"[0-9a-f]{1,32}")
 _GZIP_MAGIC = b"\x1f\x8b"
+"""First two bytes of every file that is compressed by gzip."""
 
 
 def events_path(log: Path | str) -> Path:
-    """Return the path of a log's events; those of a part are a part.
+    """Return the path of a log's events: ``run.log.events`` for ``run.log``.
 
-    Raises UsageError if the path is one of events itself.
+    A part belongs to a part: ``run.log.events.part`` to ``run.log.part``. Raises UsageError if ``log`` is
+    the path of a file of events.
     """
     path = Path(log)
     if path.suffix == ".events":
         raise UsageError(
             f"{path} is what happened to the robots of a log; give the log, {path.with_suffix('')}"
         )
-    return Path(f"{path.with_suffix('')}.events{PART}" if path.suffix == PART else f"{path}.events")
+    if path.suffix == PART:
+        return Path(f"{path.with_suffix('')}.events{PART}")
+    return Path(f"{path}.events")
 
 
 @dataclass(frozen=True)
 class EventsHeader:
-    """Description of a run.
+    """Description of a run, which is the first line of its events.
 
     Attributes:
-        robots: The robots whose events follow; no two with one id.
-        seed: Of everything random; None if nothing was.
-        frames: Format of estimates.
-        parameters: All settings of the run, for people who read the file.
-        versions: Of the software.
+        robots: Initial states of the robots whose events follow. No two have the same id.
+        seed: Seed of all random numbers; None if there were none.
+        frames: Subject and priority of the robots' estimates.
+        parameters: All settings of the run by name, for people and for ``mcp-asdf view``.
+        versions: Versions of the software by name.
     """
 
     robots: Sequence[RobotSetup]
@@ -96,8 +107,11 @@ class EventsHeader:
     versions: dict[str, str] = field(default_factory=software_versions)
 
     def to_line(self) -> str:
-        """Return the first line of a file of events. Raises ValueError for a parameter that JSON lacks."""
-        plain = {
+        """Return the first line of a file of events, with its end.
+
+        Raises ValueError if a parameter has a value that JSON cannot express, such as NaN.
+        """
+        plain_header = {
             "format": FORMAT,
             "version": VERSION,
             "versions": self.versions,
@@ -106,26 +120,27 @@ class EventsHeader:
             "parameters": self.parameters,
             "robots": [robot.plain() for robot in self.robots],
         }
-        return json.dumps(plain, allow_nan=False) + "\n"
+        return json.dumps(plain_header, allow_nan=False) + "\n"
 
 
 # --- Writing ---------------------------------------------------------------------------------------------
 
 
 class EventRecorder:
-    """Recorder of one robot's events: a line each time that the robot ends a tick."""
+    """Recorder of one robot's events, which writes a line each time that the robot ends a tick."""
 
     def __init__(self, robot_id: int, write_line: Callable[[str], object]) -> None:
+        """Record the events of a robot; ``write_line`` is called with each line, with its end."""
         self._robot_id = robot_id
         self._write_line = write_line
         self._events: list[Event] = []
 
     def record_observation(self, z: Observation | None) -> None:
-        """Record that a tick began, in which the robot observed ``z``, or nothing."""
+        """Record that a tick began, in which the robot observed the colour ``z``; None for no observation."""
         self._events.append(Action.to_observe(z).value)
 
     def record_estimates(self, estimates: Sequence[list[int]]) -> None:
-        """Record that the robot received estimates: sender, x_hat and alpha each. O(estimates)."""
+        """Record that the robot received estimates, each a list of sender, x_hat and alpha. O(estimates)."""
         self._events += estimates
         if len(self._events) > _MAX_EVENTS_PER_LINE:
             self.flush()
@@ -136,15 +151,18 @@ class EventRecorder:
         self.flush()
 
     def record_restart(self) -> None:
-        """Record that the robot started anew."""
+        """Record that the robot started again in the state of the header."""
         self._events.append(RESTART)
 
     def record_silence(self) -> None:
-        """Record that the last broadcast did not go out."""
+        """Record that the robot's last broadcast did not reach the bus."""
         self._events.append(SILENT)
 
     def record_false_values(self, x_hat: int, alpha_bits: int) -> None:
-        """Record that the last broadcast went out with these values instead of the robot's."""
+        """Record that the robot's last broadcast went out with these values in place of its own.
+
+        ``alpha_bits`` are the 32 bits of the IEEE number in the frame.
+        """
         self._events.append([x_hat, alpha_bits])
 
     def record_foreign_frame(self, frame: can.Message) -> None:
@@ -152,35 +170,37 @@ class EventRecorder:
         self._write_line(_line_of_frame(frame))
 
     def flush(self) -> None:
-        """Write the events recorded so far, if there are any."""
+        """Write the events since the last line as a line, if there are any."""
         if self._events:
-            self._write_line(json.dumps([self._robot_id, *self._events], separators=(",", ":")) + "\n")
+            line = json.dumps([self._robot_id, *self._events], separators=(",", ":"))
+            self._write_line(f"{line}\n")
             self._events = []
 
 
 class EventsWriter:
-    """Writer of all lines of events after the header.
+    """Writer of all lines of a file of events but the header.
 
     Attributes:
-        recorders: The recorder of each robot of the header, by id.
+        recorders: Recorder of each robot in the header, by the robot's id.
     """
 
     def __init__(self, header: EventsHeader, write_line: Callable[[str], object]) -> None:
-        """Create a recorder for each robot of ``header``; ``write_line`` gets each line with its end."""
+        """Create the recorders; ``write_line`` is called with each line, with its end."""
         self._write_line = write_line
         self.recorders = {robot.id: EventRecorder(robot.id, write_line) for robot in header.robots}
 
     def record_injected_frame(self, frame: can.Message) -> None:
-        """Record a frame on the bus that no robot sent."""
+        """Record a frame on the bus that no robot sent, but a fault."""
         self._write_line(_line_of_frame(frame))
 
     def finish(self) -> None:
-        """Write what robots have recorded of ticks that have not ended."""
+        """Write the events of ticks that have not ended."""
         for recorder in self.recorders.values():
             recorder.flush()
 
 
 def _line_of_frame(frame: can.Message) -> str:
+    """Return the line for a frame: a JSON text of the frame as candump writes it."""
     return f'"{format_frame(frame)}"\n'
 
 
@@ -189,7 +209,7 @@ def _line_of_frame(frame: can.Message) -> str:
 
 @dataclass(frozen=True)
 class RobotEvents:
-    """The next events of one robot."""
+    """The next events of one robot, in order: a line of the file."""
 
     robot_id: int
     events: Sequence[Event]
@@ -197,17 +217,17 @@ class RobotEvents:
 
 @dataclass(frozen=True)
 class InjectedFrame:
-    """A frame that no robot sent, as candump writes it."""
+    """A frame that no robot sent, but a fault: a line of the file, with the frame as candump writes it."""
 
     text: str
 
 
 class EventsReader:
-    """Reader of a file of events. A context manager, which closes the file.
+    """Reader of a file of events, and a context manager that closes the file.
 
     Attributes:
         header: Description of the run.
-        is_part: Whether the run was cut off: a last line without an end is left out then.
+        is_part: Whether the run was cut off. Then a last line without an end is ignored.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -233,14 +253,17 @@ class EventsReader:
         self._file.close()
 
     def entries(self) -> Iterator[RobotEvents | InjectedFrame]:
-        """Yield what the lines after the header hold. Raises UsageError, naming the line, if one is wrong."""
+        """Yield the content of each line after the header, with the masks of version 3 replaced by estimates.
+
+        Raises UsageError, which names the line, for a malformed one.
+        """
         robot_ids = {robot.id for robot in self.header.robots}
         last_estimates: dict[int, list[int]] = {}
         for value in self._values:
             if isinstance(value, str):
                 yield InjectedFrame(value)
                 continue
-            if not (isinstance(value, list) and value and is_plain_int(value[0])):
+            if not (isinstance(value, list) and value and _is_whole_number(value[0])):
                 raise self.error("neither a robot with its events nor a frame")
             robot_id, *plain_events = value
             if robot_id not in robot_ids:
@@ -251,28 +274,34 @@ class EventsReader:
             yield RobotEvents(robot_id, events)
 
     def error(self, text: str) -> UsageError:
-        """Return an error that names the line read last."""
+        """Return a UsageError with a text about the line that was read last."""
         return UsageError(f"{self._path}, line {self._line_number}: {text}")
 
     def _parse_event(self, event: Any, last_estimates: dict[int, list[int]]) -> Sequence[Event]:
-        """Return the event, or the estimates that a mask of version 3 stands for.
+        """Check the JSON value of an event, and return it, or the estimates that a mask of version 3 means.
 
-        An estimate is noted in ``last_estimates``, by its sender, for the masks that follow.
+        ``last_estimates`` has the last estimate of each sender in the file; an estimate is added to it.
+        Raises UsageError for a value that is no event, and for a mask with a sender without an estimate.
         """
         if isinstance(event, str) and _SENDER_MASK.fullmatch(event):
-            mask = int(event, 16)
-            senders = [sender for sender in range(MAX_ID + 1) if mask >> sender & 1]
-            if not last_estimates.keys() >= set(senders):
-                raise self.error(f"{event!r} refers to a robot of which no message is told before")
-            return [last_estimates[sender] for sender in senders]
+            return self._estimates_of_mask(event, last_estimates)
         if not _is_event(event):
             raise self.error(f"{event!r} is no event")
         if isinstance(event, list) and len(event) == 3:
-            last_estimates[event[0]] = event
+            sender = event[0]
+            last_estimates[sender] = event
         return (event,)
 
+    def _estimates_of_mask(self, mask_text: str, last_estimates: dict[int, list[int]]) -> Sequence[Event]:
+        """Return the last estimates of the senders in a mask of version 3, by rising id."""
+        mask = int(mask_text, 16)
+        senders = [sender for sender in range(MAX_ID + 1) if (mask >> sender) & 1]
+        if not all(sender in last_estimates for sender in senders):
+            raise self.error(f"{mask_text!r} refers to a robot of which no message is told before")
+        return [last_estimates[sender] for sender in senders]
+
     def _read_values(self) -> Iterator[Any]:
-        """Yield the JSON value of each line. Raises UsageError for a line that has none."""
+        """Yield the value of each line. Raises UsageError for a line that is not JSON."""
         for line in self._read_lines():
             try:
                 value = json.loads(line)
@@ -281,9 +310,10 @@ class EventsReader:
             yield value
 
     def _read_lines(self) -> Iterator[str]:
-        """Yield the lines of the file, of a part those that are complete.
+        """Yield the lines of the file; those of a part as far as they are complete.
 
-        Raises UsageError if the file is damaged, or cut off and no part.
+        ``_line_number`` is that of the last line, or that of the place which an error is about. Raises
+        UsageError if the file is damaged, or if it ends too early and is not a part.
         """
         line_number = 0
         while True:
@@ -305,51 +335,68 @@ class EventsReader:
                 raise self.error(f"not JSON of at most {MAX_LINE_LENGTH} characters")
             yield line
 
-    def _parse_header(self, plain: Any) -> EventsHeader:
-        """Return the description of a run. A setting that it lacks is newer, and has its default."""
-        if not isinstance(plain, dict) or plain.get("format") != FORMAT:
+    def _parse_header(self, plain_header: Any) -> EventsHeader:
+        """Return the description of a run in the JSON value of the first line.
+
+        Settings that are missing have their defaults: the file was written before they existed. Raises
+        UsageError for another format or version, and for a value that is impossible.
+        """
+        if not isinstance(plain_header, dict) or plain_header.get("format") != FORMAT:
             raise self.error(f'"format": "{FORMAT}" is missing')
-        if plain.get("version") not in _READABLE_VERSIONS:
-            versions = " and ".join(map(str, _READABLE_VERSIONS))
+        version = plain_header.get("version")
+        if version not in _READABLE_VERSIONS:
+            readable_versions = " and ".join(map(str, _READABLE_VERSIONS))
             raise self.error(
-                f"the format is version {plain.get('version')}, and versions {versions} are read here; "
+                f"the format is version {version}, and versions {readable_versions} are read here; "
                 "replay the log with the mcp-asdf that wrote it, or record the run again"
             )
         try:
-            robots = tuple(RobotSetup.from_plain(plain_robot) for plain_robot in plain["robots"])
-            frames = FrameFormat(**plain.get("frames", {}))
+            robots = tuple(RobotSetup.from_plain(plain_robot) for plain_robot in plain_header["robots"])
+            frames = FrameFormat(**plain_header.get("frames", {}))
         except KeyError as error:
             raise self.error(f"{error} is missing") from error
         except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
             raise self.error(str(error)) from error
-        parameters, software = plain.get("parameters", {}), plain.get("versions", {})
-        for name, value in (("parameters", parameters), ("versions", software)):
-            if not isinstance(value, dict):
-                raise self.error(f"{name} is {value!r}; it must be an object in braces")
         if len({robot.id for robot in robots}) < len(robots):
             raise self.error("two robots have the same id")
-        return EventsHeader(robots, plain.get("seed"), frames, parameters, software)
+        return EventsHeader(
+            robots,
+            plain_header.get("seed"),
+            frames,
+            parameters=self._object_in(plain_header, "parameters"),
+            versions=self._object_in(plain_header, "versions"),
+        )
+
+    def _object_in(self, plain_header: dict[str, Any], key: str) -> dict[str, Any]:
+        """Return the JSON object at a key of the header, or an empty one. Raises UsageError if it is none."""
+        value = plain_header.get(key, {})
+        if not isinstance(value, dict):
+            raise self.error(f"{key} is {value!r}; it must be an object in braces")
+        return value
 
 
 def _open_text(path: Path) -> IO[str]:
-    """Open a text that may be compressed. Raises OSError if it cannot be read."""
+    """Open a text, which may be compressed by gzip. Raises OSError if it cannot be read."""
     with path.open("rb") as file:
         is_compressed = file.read(2) == _GZIP_MAGIC
-    # Bytes that are no ASCII become escapes, which are no JSON, so the line with them is reported.
+    # Bytes that are no ASCII become escapes. These are no JSON, so their line is reported as malformed.
     if is_compressed:
         return gzip.open(path, "rt", encoding="ascii", errors="backslashreplace", newline="\n")
     return path.open(encoding="ascii", errors="backslashreplace", newline="\n")
 
 
 def _is_event(event: Any) -> bool:
-    """Return whether a JSON value is an event."""
+    """Return whether a JSON value is one of the events that the head of this file lists."""
     if isinstance(event, list):
-        return len(event) in (2, 3) and all(map(is_plain_int, event)) and max(event) <= _MAX_WORD
+        if len(event) not in (2, 3):
+            return False
+        return all(map(_is_whole_number, event)) and max(event) <= _MAX_INTEGER
     if isinstance(event, str):
         return event in (SILENT, RESTART)
-    return is_plain_int(event) and event <= SETTLE
+    return _is_whole_number(event) and event <= SETTLE
 
 
-def is_plain_int(value: Any) -> bool:
-    """Return whether a JSON value is an integer >= 0; a bool, which Python counts as one, is not."""
+def _is_whole_number(value: Any) -> bool:
+    """Return whether a JSON value is an integer of at least 0, and not true or false."""
+    # For isinstance, a bool is an int, too.
     return type(value) is int and value >= 0

@@ -1,4 +1,8 @@
-"""Replay of a log: every robot runs again on its recorded events, and its broadcasts are compared."""
+"""Replay of a log: its robots run again on their events, and their broadcasts are compared with the log.
+
+The same firmware makes the same broadcasts of the same events, bit for bit. So a difference shows that the
+log, the events or the firmware have changed.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ from dataclasses import dataclass, replace
 import can
 import numpy as np
 
-from mcp_asdf.robot import Robot
+from mcp_asdf.robot import Observation, Robot
 from mcp_asdf_tools.bus.alpha_words import alpha_word_to_bits, float32_value
 from mcp_asdf_tools.bus.frame_layout import TRANSFER_IDS, Action
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, alpha_float32_bits, decode_estimate, format_frame
@@ -28,14 +32,14 @@ from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
 @dataclass(frozen=True)
 class Broadcast:
-    """One broadcast of a robot that runs again.
+    """A broadcast that a robot makes again, with the values that its frame had on the bus.
 
     Attributes:
-        tick: Number of the tick that it belongs to, from 1 at the robot's start.
-        transfer_id: Number of the broadcast since then modulo 32.
-        x_hat: Local estimate in units of 2**-23.
-        alpha_bits: Local confidence as the frame has it, in binary32 bits.
-        is_false: Whether a fault replaced the firmware's values by these.
+        tick: Number of the robot's tick, from 1 at its start.
+        transfer_id: Number of the broadcast since the robot's start, modulo 32.
+        x_hat: Local estimate of the fill ratio in units of 2**-23.
+        alpha_bits: Confidence in x_hat, as the 32 bits of an IEEE number.
+        is_false: Whether a fault had replaced the firmware's values by these.
     """
 
     tick: int
@@ -53,20 +57,22 @@ class RepeatedRobot:
         broadcasts: Its broadcasts that have not been found in the log yet, in order.
     """
 
-    def __init__(self, record: RobotSetup) -> None:
-        """Start the robot like the one recorded."""
-        self.robot = BusRobot(record, FrameFormat())
+    def __init__(self, setup: RobotSetup) -> None:
+        """Start the robot in its recorded initial state."""
+        self.robot = BusRobot(setup, FrameFormat())
         self.broadcasts: deque[Broadcast] = deque()
 
     def apply_events(self, events: Iterable[Event]) -> None:
-        """Let the robot live through ``events``, in order. O(events).
+        """Repeat events in their order, and append the broadcasts that follow from them. O(events).
 
         Raises ValueError for an event that cannot follow the one before it.
         """
+        # Estimates that were received one after the other are passed on together, which is much faster.
         estimates: list[Event] = []
         for event in events:
-            if isinstance(event, list) and len(event) == 3:
-                estimates.append(event)  # handed over together, which is much faster
+            is_estimate = isinstance(event, list) and len(event) == 3
+            if is_estimate:
+                estimates.append(event)
                 continue
             self._receive(estimates)
             estimates = []
@@ -74,31 +80,44 @@ class RepeatedRobot:
         self._receive(estimates)
 
     def _receive(self, estimates: list[Event]) -> None:
+        """Pass received estimates to the robot, each a list of sender, x_hat and alpha."""
         if estimates:
             self.robot.receive_all(np.array(estimates, np.uint32))
 
     def _apply_event(self, event: Event) -> None:
-        """Let an event other than an estimate happen."""
+        """Repeat an event that is not an estimate. Raises ValueError if it needs a broadcast before it."""
         if isinstance(event, list):
             x_hat, alpha_bits = event
-            last_broadcast = self._take_back_broadcast("falsified")
-            false_broadcast = replace(last_broadcast, x_hat=x_hat, alpha_bits=alpha_bits, is_false=True)
-            self.broadcasts.append(false_broadcast)
+            broadcast = self._remove_last_broadcast("falsified")
+            self.broadcasts.append(replace(broadcast, x_hat=x_hat, alpha_bits=alpha_bits, is_false=True))
+        elif event == SILENT:
+            self._remove_last_broadcast(SILENT)
         elif event == RESTART:
             self.robot.restart()
-        elif event == SILENT:
-            self._take_back_broadcast(SILENT)
         elif event == SETTLE:
             self.robot.settle()
-        elif self.robot.observe(Action(event).observation):
+        else:
+            self._observe_and_broadcast(Action(event).observation)
+
+    def _observe_and_broadcast(self, observation: Observation | None) -> None:
+        """Begin a tick with an observation, or with none, and append the broadcast if the robot makes one."""
+        makes_broadcast = self.robot.observe(observation)
+        if makes_broadcast:
             estimate = self.robot.next_estimate()
-            alpha_bits = alpha_word_to_bits(estimate.alpha)
             self.broadcasts.append(
-                Broadcast(self.robot.ticks, estimate.transfer_id, estimate.x_hat, alpha_bits)
+                Broadcast(
+                    tick=self.robot.ticks,
+                    transfer_id=estimate.transfer_id,
+                    x_hat=estimate.x_hat,
+                    alpha_bits=alpha_word_to_bits(estimate.alpha),
+                )
             )
 
-    def _take_back_broadcast(self, description: str) -> Broadcast:
-        """Remove and return the last broadcast. Raises ValueError, with the description, if there is none."""
+    def _remove_last_broadcast(self, description: str) -> Broadcast:
+        """Remove and return the last broadcast.
+
+        Raises ValueError if there is none, with a description of what should have happened to it.
+        """
         if not self.broadcasts:
             raise ValueError(f"robot {self.robot.id} has a broadcast {description} before it made one")
         return self.broadcasts.pop()
@@ -106,16 +125,16 @@ class RepeatedRobot:
 
 @dataclass
 class ReplayVerdict:
-    """Result of a comparison.
+    """Result of the comparison of a log with the broadcasts that its robots make again.
 
     Attributes:
-        reproduced: Broadcasts of the log that the robots made again, bit for bit.
-        falsified: Those that went out with the values that a fault gave them.
-        foreign: Frames under a robot's id that it did not send.
-        not_logged: Broadcasts that the log lacks.
-        beyond: Estimates after the last event, if the events were cut off.
-        other: Frames that are no estimate of a recorded robot.
-        difference: The first broadcast that is not reproduced, in words; None if all are.
+        reproduced: Number of broadcasts in the log that the robots made again, bit for bit.
+        falsified: Number of those that a fault had given other values, which the log has, too.
+        foreign: Number of frames under a robot's id that the robot did not send.
+        not_logged: Number of broadcasts that the log lacks.
+        beyond: Number of broadcasts in the log after the last event, if the events were cut off.
+        other: Number of frames that are no estimate of a recorded robot.
+        difference: Sentence on the first broadcast that is not reproduced; None if all are.
     """
 
     reproduced: int = 0
@@ -128,18 +147,19 @@ class ReplayVerdict:
 
 
 def verify(log: Iterable[can.Message], events: EventsReader) -> ReplayVerdict:
-    """Run every robot of ``events`` again, and compare its broadcasts with those of ``log``.
+    """Run every robot of a file of events again, and compare its broadcasts with the frames of a log.
 
-    Stops at the first difference. Time O(events + frames), memory O(broadcasts). Raises UsageError if the log
-    or the events cannot be read, or the events contradict each other.
+    Stops at the first difference. Takes O(events + frames) time and O(broadcasts) memory. Raises UsageError
+    if the log or the events cannot be read, or if the events contradict each other.
     """
     robots = _start_robots(events)
-    foreign_frames = Counter(
-        entry.text for entry in _apply_entries(events, robots) if isinstance(entry, InjectedFrame)
-    )
+    foreign_frames: Counter[str] = Counter()
+    for entry in _apply_entries(events, robots):
+        if isinstance(entry, InjectedFrame):
+            foreign_frames[entry.text] += 1
     comparison = _Comparison(robots, foreign_frames, events)
-    for number, frame in enumerate(log, start=1):
-        comparison.compare_frame(number, frame)
+    for frame_number, frame in enumerate(log, start=1):
+        comparison.compare_frame(frame_number, frame)
         if comparison.verdict.difference is not None:
             return comparison.verdict
     comparison.verdict.not_logged += sum(len(robot.broadcasts) for robot in robots.values())
@@ -147,27 +167,29 @@ def verify(log: Iterable[can.Message], events: EventsReader) -> ReplayVerdict:
 
 
 def rerun(events: EventsReader) -> Iterator[tuple[int, Robot]]:
-    """Run every robot again, and yield its id and its state each time that it settles.
+    """Run every robot again, and yield its id and the robot each time that it has ended a tick.
 
-    Robots settle in the order of the file. O(1) an event. Raises UsageError as ``verify``.
+    The robot is yielded in its state at that time, and changes afterwards. The order is that of the file.
+    O(1) per event. Raises UsageError as ``verify``.
     """
     robots = _start_robots(events)
     for entry in _apply_entries(events, robots):
         if isinstance(entry, RobotEvents) and entry.events and entry.events[-1] == SETTLE:
             repeated_robot = robots[entry.robot_id]
-            repeated_robot.broadcasts.clear()  # nothing compares them here
+            # Nothing compares the broadcasts here, so they must not fill the memory.
+            repeated_robot.broadcasts.clear()
             yield entry.robot_id, repeated_robot.robot.robot
 
 
 def _start_robots(events: EventsReader) -> dict[int, RepeatedRobot]:
-    """Start all robots of a header; returns them by id."""
-    return {record.id: RepeatedRobot(record) for record in events.header.robots}
+    """Return a robot in its initial state for each one in the header of the events, by id."""
+    return {setup.id: RepeatedRobot(setup) for setup in events.header.robots}
 
 
 def _apply_entries(
     events: EventsReader, robots: dict[int, RepeatedRobot]
 ) -> Iterator[RobotEvents | InjectedFrame]:
-    """Yield the entries of a file of events, each after its robot has lived through it."""
+    """Yield the entries of a file of events; a robot repeats its events before their entry is yielded."""
     for entry in events.entries():
         if isinstance(entry, RobotEvents):
             try:
@@ -178,7 +200,7 @@ def _apply_entries(
 
 
 class _Comparison:
-    """Comparison of a log with the broadcasts of robots that have run again.
+    """Comparison of the frames of a log with the broadcasts of robots that have run again.
 
     Attributes:
         verdict: The result so far.
@@ -187,51 +209,53 @@ class _Comparison:
     def __init__(
         self, robots: dict[int, RepeatedRobot], foreign_frames: Counter[str], events: EventsReader
     ) -> None:
-        """Compare with ``robots``, which have run; ``foreign_frames`` counts frames that none of them
-        sent."""
+        """Prepare to compare.
+
+        Args:
+            robots: The robots, which have repeated all events.
+            foreign_frames: How often each frame was on the bus that a fault sent, as candump writes it.
+            events: The events, for the format of estimates and whether the run was cut off.
+        """
         self.verdict = ReplayVerdict()
         self._robots = robots
         self._foreign_frames = foreign_frames
         self._frame_format = events.header.frames
         self._is_part = events.is_part
 
-    def compare_frame(self, number: int, frame: can.Message) -> None:
-        """Compare a frame of the log, by its number from 1, and count it, or set the difference."""
+    def compare_frame(self, frame_number: int, frame: can.Message) -> None:
+        """Count the next frame of the log in the verdict, or set the verdict's difference.
+
+        ``frame_number``, from 1, is for the text of the difference. A broadcast that the frame reproduces is
+        removed from those of the robot, with all that are before it.
+        """
         estimate = decode_estimate(frame, self._frame_format)
         if not isinstance(estimate, Estimate) or estimate.sender not in self._robots:
             self.verdict.other += 1
             return
         broadcasts = self._robots[estimate.sender].broadcasts
-        index = _index_of_broadcast(estimate, broadcasts)
-        alpha_bits, frame_text = alpha_float32_bits(frame), format_frame(frame)
+        index = _index_of_broadcast(estimate.transfer_id, broadcasts)
         is_reproduced = (
             index is not None
             and broadcasts[index].x_hat == estimate.x_hat
-            and broadcasts[index].alpha_bits == alpha_bits
+            and broadcasts[index].alpha_bits == alpha_float32_bits(frame)
         )
-        # A frame that foreign nodes sent, too, is the robot's only if it is next: a later match is chance.
+        # A fault may have sent the same frame as a robot. Then the frame is the robot's if the broadcast is
+        # the robot's next one: one that comes later is equal by chance.
         is_next = is_reproduced and index == 0
+        frame_text = format_frame(frame)
         if self._foreign_frames[frame_text] and not is_next:
             self._foreign_frames[frame_text] -= 1
             self.verdict.foreign += 1
-        elif is_reproduced and index is not None:
+        elif index is not None and is_reproduced:
             self._count_reproduced(broadcasts, index)
         elif self._is_part and not broadcasts:
             self.verdict.beyond += 1
         else:
-            expectation = "makes no more broadcasts"
-            if broadcasts:
-                expected = broadcasts[index or 0]
-                expected_values = _format_values(expected.x_hat, expected.alpha_bits, expected.transfer_id)
-                expectation = f"in tick {expected.tick} it makes {expected_values}"
-            values = _format_values(estimate.x_hat, alpha_bits, estimate.transfer_id)
-            self.verdict.difference = (
-                f"frame {number} at {frame.timestamp:.6f} s: robot {estimate.sender} broadcast "
-                f"{values}, but {expectation}"
-            )
+            expected = broadcasts[index or 0] if broadcasts else None
+            self.verdict.difference = _describe_difference(frame_number, frame, estimate, expected)
 
     def _count_reproduced(self, broadcasts: deque[Broadcast], index: int) -> None:
-        """Count and remove the broadcast at ``index``, and those before it, which the log lacks."""
+        """Remove and count the broadcast at ``index``, and those before it, which the log lacks."""
         for _ in range(index):
             broadcasts.popleft()
         self.verdict.not_logged += index
@@ -241,18 +265,38 @@ class _Comparison:
             self.verdict.reproduced += 1
 
 
-def _index_of_broadcast(estimate: Estimate, broadcasts: deque[Broadcast]) -> int | None:
-    """Return the index of the next broadcast with the estimate's transfer_id; 0 in a log without gaps.
+def _describe_difference(
+    frame_number: int, frame: can.Message, estimate: Estimate, expected: Broadcast | None
+) -> str:
+    """Return a sentence with the values of a frame and those that the robot makes instead.
 
-    None if there is none among the next 32, after which the transfer_ids repeat.
+    ``estimate`` is what the frame says, ``expected`` the broadcast that should be there; None if the robot
+    makes no more.
+    """
+    values = _format_values(estimate.x_hat, alpha_float32_bits(frame), estimate.transfer_id)
+    expectation = "makes no more broadcasts"
+    if expected is not None:
+        expected_values = _format_values(expected.x_hat, expected.alpha_bits, expected.transfer_id)
+        expectation = f"in tick {expected.tick} it makes {expected_values}"
+    return (
+        f"frame {frame_number} at {frame.timestamp:.6f} s: robot {estimate.sender} broadcast "
+        f"{values}, but {expectation}"
+    )
+
+
+def _index_of_broadcast(transfer_id: int, broadcasts: deque[Broadcast]) -> int | None:
+    """Return the index of the next broadcast with a transfer_id; it is 0 as long as the log has no gaps.
+
+    Return None if none of the next 32 broadcasts has it. After these the transfer_ids repeat.
     """
     for index in range(min(len(broadcasts), TRANSFER_IDS)):
-        if broadcasts[index].transfer_id == estimate.transfer_id:
+        if broadcasts[index].transfer_id == transfer_id:
             return index
     return None
 
 
 def _format_values(x_hat: int, alpha_bits: int, transfer_id: int) -> str:
+    """Return the values of a broadcast in words: as hexadecimal integers and as numbers."""
     return (
         f"x_hat {x_hat:#08x} ({x_hat / 2**23:.7f}), "
         f"alpha {alpha_bits:#010x} ({float32_value(alpha_bits):.7g}), "
