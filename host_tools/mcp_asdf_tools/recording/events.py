@@ -350,6 +350,8 @@ class EventsReader:
                 f"the format is version {version}, and versions {readable_versions} are read here; "
                 "replay the log with the mcp-asdf that wrote it, or record the run again"
             )
+        if not isinstance(plain_header.get("robots"), list):
+            raise self.error(f"robots is {plain_header.get('robots')!r}; it must be a list in brackets")
         try:
             robots = tuple(RobotSetup.from_plain(plain_robot) for plain_robot in plain_header["robots"])
             frames = FrameFormat(**plain_header.get("frames", {}))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from decimal import Decimal
 from typing import Any
 
 from mcp_asdf.robot import (
@@ -187,9 +186,9 @@ def _table_from_plain(plain_table: Any, robot_id: Any) -> Table:
     Raises UsageError, naming the robot, if the generated table has another checksum than the one recorded in
     ``plain_table``: the robot would not be the same.
     """
-    from mcp_asdf_tools.tables.thresholds import generate  # noqa: PLC0415 (mpmath loads slowly)
+    from mcp_asdf_tools.tables.thresholds import generate, parse_omega  # noqa: PLC0415 (mpmath loads slowly)
 
-    table = generate(Decimal(plain_table["omega"]), plain_table["q"])
+    table = generate(parse_omega(str(plain_table["omega"])), plain_table["q"])
     checksum = _checksum_of(table)
     if checksum != plain_table["checksum"]:
         raise UsageError(

@@ -1,0 +1,114 @@
+"""Every form of a line that candump writes gives the frame that was on the bus."""
+
+from __future__ import annotations
+
+import subprocess
+
+import pytest
+
+from mcp_asdf_tools.bus.frames import format_frame
+from mcp_asdf_tools.recording.candump_lines import parse_line
+from support import require
+
+FRAME = "186BB92A#0000603333F307E5"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        f"(1.5) vcan0 {FRAME}",
+        f"(0000000001.500000) vcan0 {FRAME} R\n",
+        f"(1.5)   vcan0 {FRAME.lower()}\r\n",
+        f"(1.5) vcan0 {FRAME}_B",
+        "(1.5) vcan0 186BB92A#00.00.60.33.33.F3.07.E5",
+        f"(1970-01-01 00:00:01.500000) vcan0 {FRAME}",
+        " (0000000001.500000)  vcan0  186BB92A   [8]  00 00 60 33 33 F3 07 E5",
+        " (1970-01-01 00:00:01.500000)  vcan0  RX - -  186BB92A   [8]  00 00 60 33 33 F3 07 E5",
+        "(1.5)  vcan0  186BB92A   {B}  00 00 60 33 33 F3 07 E5   '..`33...'",
+        " \x1b[31m(1.5)  vcan0  186BB92A   [8]  00 00 60 33 33 F3 07 E5\x1b[0m",
+    ],
+)
+def test_all_forms_of_a_line_give_the_same_frame(line: str) -> None:
+    frame = parse_line(line)
+    assert frame is not None
+    assert (frame.timestamp, frame.channel, format_frame(frame)) == (1.5, "vcan0", FRAME)
+    assert frame.is_extended_id and frame.is_rx and not frame.is_fd
+
+
+def test_a_line_without_a_time_stamp_has_time_zero() -> None:
+    frame = parse_line("  can1  123   [2]  01 FF")
+    assert frame is not None
+    assert (frame.timestamp, frame.channel, format_frame(frame)) == (0.0, "can1", "123#01FF")
+
+
+def test_an_identifier_of_three_digits_is_a_standard_one() -> None:
+    frame = parse_line("(1.5) can1 123#01FF")
+    assert frame is not None
+    assert not frame.is_extended_id
+
+
+@pytest.mark.parametrize("line", ["(1.5) can0 123#00 T", "(1.5)  can0  TX - -  123   [1]  00"])
+def test_a_frame_that_this_computer_sent_is_marked_as_sent(line: str) -> None:
+    frame = parse_line(line)
+    assert frame is not None
+    assert not frame.is_rx
+
+
+@pytest.mark.parametrize("line", ["(1.5) can0 123##3AB", "(1.5)  can0  RX B E  123  [01]  AB"])
+def test_a_frame_of_can_fd_has_its_bit_rate_switch_and_error_state(line: str) -> None:
+    frame = parse_line(line)
+    assert frame is not None
+    assert frame.is_fd and frame.bitrate_switch and frame.error_state_indicator
+    assert frame.data == b"\xab"
+
+
+@pytest.mark.parametrize("line", ["(1.5) can0 123#R5", "(1.5)  can0  123   [5]  remote request"])
+def test_a_remote_frame_has_the_length_that_it_asks_for(line: str) -> None:
+    frame = parse_line(line)
+    assert frame is not None
+    assert frame.is_remote_frame
+    assert frame.dlc == 5
+    assert frame.data == b""
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "",
+        "# recorded in the laboratory",
+        "DROPCOUNT: dropped 3 CAN frames on 'can0' socket (total drops 3)",
+        "\tcontroller-problem{rx-error-passive}",
+        "(1.5) vcan0",
+        "(1.5) vcan0 186BB92A#000",
+        "(1.5) vcan0 186BB92A#0000603333F307E500",
+        "(1.5) vcan0 186BB92A#xyz",
+        "(1.5) vcan0 800#00",
+        "(yesterday) vcan0 123#00",
+        "(1.5)  vcan0  123   [3]  01 FF",
+        "(1.5)  vcan0  123   [1]  00000001",
+        f"(1.5) {'v' * 5000} 123#00",
+    ],
+)
+def test_a_line_without_a_complete_and_possible_frame_gives_none(line: str) -> None:
+    assert parse_line(line) is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "186BB92A#0000603333F307E5",
+        "123#",
+        "123#R",
+        "7FF#R5",
+        "123##1001122334455667788990011",
+        "20000080#0000000000000000",
+    ],
+)
+def test_a_line_of_a_log_means_the_same_as_the_console_form_that_log2long_makes_of_it(text: str) -> None:
+    log2long = require("log2long", "can-utils")
+    log_line = f"(2.500000) can0 {text}"
+    result = subprocess.run([log2long], input=f"{log_line}\n", capture_output=True, text=True, check=True)
+    log_frame, console_frame = parse_line(log_line), parse_line(result.stdout)
+    assert log_frame is not None and console_frame is not None
+    console_frame.bitrate_switch = log_frame.bitrate_switch  # which log2long leaves out
+    assert console_frame.equals(log_frame, timestamp_delta=None)

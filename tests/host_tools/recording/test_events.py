@@ -1,0 +1,258 @@
+"""Files of events give back what was recorded, older versions are read, and malformed lines are named."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from events_files import events_file
+from mcp_asdf.robot import Config, Filter, Observation
+from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.recording import events as events_module
+from mcp_asdf_tools.recording.events import (
+    EventsHeader,
+    EventsReader,
+    InjectedFrame,
+    RobotEvents,
+    events_path,
+)
+from mcp_asdf_tools.recording.frame_logs import read_log
+from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
+from mcp_asdf_tools.tables.thresholds import generate
+from messages import FRAMES
+from wire import record
+
+ROBOTS = (
+    record(0, "native", 0.1 + 0.2),
+    record(7, "mirror", filter=Filter.ALWAYS, comms_period=5, memory=64),
+    RobotSetup(127, "reference", 0.95, Config(None, Filter.OFF, filter_period=3)),
+    RobotSetup(3, "native", 2.0**-20, Config(generate(Decimal("0.123456789"), 2))),
+)
+HEADER = EventsHeader(ROBOTS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
+FIRST_LINE = HEADER.to_line()
+
+
+def read_entries(path: Path) -> list[RobotEvents | InjectedFrame]:
+    """Return all entries of a file of events."""
+    with EventsReader(path) as reader:
+        return list(reader.entries())
+
+
+# --- What is read is what was written -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("log", "events"),
+    [("run.log", "run.log.events"), ("run.log.part", "run.log.events.part"), ("a/b", "a/b.events")],
+)
+def test_events_stand_beside_their_log(log: str, events: str) -> None:
+    assert events_path(log) == Path(events)
+
+
+def test_a_file_of_events_is_no_log() -> None:
+    with pytest.raises(UsageError, match=r"run\.log\.events is what happened to the robots of a log; give"):
+        events_path("run.log.events")
+
+
+def test_the_header_comes_back(tmp_path: Path) -> None:
+    with events_file(tmp_path / "x", HEADER):
+        pass
+    with EventsReader(tmp_path / "x") as reader:
+        assert reader.header == HEADER
+
+
+def test_a_header_with_a_number_that_json_lacks_is_refused() -> None:
+    header = EventsHeader([], None, FrameFormat(), {"fill_ratio": math.nan})
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        header.to_line()
+
+
+def test_the_events_of_ticks_come_back(tmp_path: Path) -> None:
+    with events_file(tmp_path / "x", HEADER) as writer:
+        recorder = writer.recorders[7]
+        recorder.record_observation(Observation.BLACK)
+        recorder.record_estimates([[3, 2**23, 2**32 - 1], [127, 0, 0]])
+        recorder.record_settle()
+        recorder.record_observation(Observation.WHITE)
+        recorder.record_settle()
+    assert read_entries(tmp_path / "x") == [
+        RobotEvents(7, [1, [3, 2**23, 2**32 - 1], [127, 0, 0], 3]),
+        RobotEvents(7, [0, 3]),
+    ]
+
+
+def test_the_events_of_faults_come_back(tmp_path: Path) -> None:
+    with events_file(tmp_path / "x", HEADER) as writer:
+        recorder = writer.recorders[7]
+        recorder.record_observation(None)
+        recorder.record_false_values(5, 2**31)
+        recorder.record_silence()
+        recorder.record_restart()
+    assert read_entries(tmp_path / "x") == [RobotEvents(7, [2, [5, 2**31], "silent", "restart"])]
+
+
+def test_injected_frames_come_back_as_candump_writes_them(tmp_path: Path) -> None:
+    with events_file(tmp_path / "x", HEADER) as writer:
+        for frame in FRAMES.values():
+            writer.record_injected_frame(frame)
+    assert read_entries(tmp_path / "x") == [InjectedFrame(text) for text in FRAMES]
+
+
+def test_a_flood_of_estimates_is_written_in_several_lines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(events_module, "_MAX_EVENTS_PER_LINE", 10)
+    with events_file(tmp_path / "x", HEADER) as writer:
+        for _ in range(4):
+            writer.recorders[7].record_estimates([[3, 1, 2]] * 6)
+    assert read_entries(tmp_path / "x") == [RobotEvents(7, [[3, 1, 2]] * 12)] * 2
+
+
+# --- Version 3 ----------------------------------------------------------------------------------------
+
+FIRST_LINE_OF_VERSION_3 = FIRST_LINE.replace('"version": 4', '"version": 3')
+
+
+def test_a_mask_of_version_3_stands_for_the_last_estimates_of_its_senders(tmp_path: Path) -> None:
+    """The mask "9" has the bits of robots 0 and 3."""
+    lines = '[7,1,[3,9,8],[0,1,2],3]\n[0,1,"9",[3,5,5],3]\n'
+    (tmp_path / "x").write_text(FIRST_LINE_OF_VERSION_3 + lines)
+    assert read_entries(tmp_path / "x") == [
+        RobotEvents(7, [1, [3, 9, 8], [0, 1, 2], 3]),
+        RobotEvents(0, [1, [0, 1, 2], [3, 9, 8], [3, 5, 5], 3]),
+    ]
+
+
+def test_a_log_that_version_3_wrote_is_replayed() -> None:
+    log = Path(__file__).parent / "version_3.log"
+    with EventsReader(events_path(log)) as reader:
+        verdict = verify(read_log(log), reader)
+    assert verdict == ReplayVerdict(reproduced=51, falsified=5, foreign=2, other=8)
+
+
+# --- Files that were cut or damaged -------------------------------------------------------------------
+
+
+def test_compressed_events_that_were_cut_are_refused_with_the_line(swarm_log: Path, tmp_path: Path) -> None:
+    data = events_path(swarm_log).read_bytes()
+    (tmp_path / "x").write_bytes(data[: len(data) // 2])
+    with pytest.raises(UsageError, match=r"x, line \d+: the file ends here, in the middle; was it cut\?"):
+        read_entries(tmp_path / "x")
+
+
+def test_compressed_events_with_a_wrong_byte_are_refused(swarm_log: Path, tmp_path: Path) -> None:
+    data = bytearray(events_path(swarm_log).read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    (tmp_path / "x").write_bytes(data)
+    with pytest.raises(UsageError, match=r"x, line \d+: "):
+        read_entries(tmp_path / "x")
+
+
+def test_a_part_of_compressed_events_is_read_up_to_any_cut(tmp_path: Path) -> None:
+    with events_file(tmp_path / "x.events", HEADER) as writer:
+        for tick in range(5):
+            writer.recorders[7].record_estimates([[3, tick, tick]])
+            writer.recorders[7].record_settle()
+    data, all_entries = (tmp_path / "x.events").read_bytes(), read_entries(tmp_path / "x.events")
+    part = tmp_path / "x.events.part"
+    for size in range(len(data) - 30, len(data)):
+        part.write_bytes(data[:size])
+        entries = read_entries(part)
+        assert entries == all_entries[: len(entries)], f"cut after {size} bytes"
+
+
+def test_a_complete_part_gives_all_entries(tmp_path: Path) -> None:
+    (tmp_path / "x.part").write_text(f"{FIRST_LINE}[7,1,3]\n[0,1,3]\n")
+    assert read_entries(tmp_path / "x.part") == [RobotEvents(7, [1, 3]), RobotEvents(0, [1, 3])]
+
+
+def test_a_line_without_an_end_does_not_fill_the_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(events_module, "MAX_LINE_LENGTH", 2000)
+    with gzip.open(tmp_path / "x", "wt") as file:
+        file.write(f"{FIRST_LINE}[{10**6 * '0,'}")
+    with pytest.raises(UsageError, match="line 2: not JSON of at most 2000 characters"):
+        read_entries(tmp_path / "x")
+
+
+# --- Malformed lines ----------------------------------------------------------------------------------
+
+
+def changed_header(key: str, value: Any) -> str:
+    """Return the first line with another value at a key, which may be one of the first robot."""
+    plain_header = json.loads(FIRST_LINE)
+    target = plain_header if key in plain_header else plain_header["robots"][0]
+    target[key] = value
+    return json.dumps(plain_header)
+
+
+@pytest.mark.parametrize(
+    ("first_line", "message"),
+    [
+        ("", '"format": "mcp-asdf events" is missing'),
+        ("\n", "not JSON"),
+        ("{}", '"format": "mcp-asdf events" is missing'),
+        ("(1.0) vcan0 1#00", "not JSON"),
+        ("[" * 100_000, "not JSON"),
+        ("\xff\xfe", "not JSON"),
+        (changed_header("version", 2), "the format is version 2, and versions 3 and 4 are read here; replay"),
+        (changed_header("version", 5), "the format is version 5, and versions 3 and 4 are read here"),
+        (changed_header("robots", 5), "robots is 5; it must be a list in brackets"),
+        (changed_header("robots", json.loads(FIRST_LINE)["robots"][:1] * 2), "two robots have the same id"),
+        (changed_header("frames", {"subject": 6144, "priority": 4}), "subject is 6144"),
+        (changed_header("parameters", []), "parameters is []; it must be an object in braces"),
+        (changed_header("versions", "5"), "versions is '5'; it must be an object in braces"),
+        (changed_header("filter", "x"), "filter is 'x'; it must be one of adaptive, always, off"),
+        (changed_header("table", {"omega": "x", "q": 20, "checksum": 1}), "omega is 'x', not a decimal"),
+        (changed_header("table", {"omega": "0.05", "q": 20}), "'checksum' is missing"),
+    ],
+    ids=lambda text: text[-40:],
+)
+def test_a_malformed_header_is_refused(first_line: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "x").write_text(first_line, encoding="latin-1")
+    with pytest.raises(UsageError) as caught:
+        read_entries(tmp_path / "x")
+    assert f"x, line 1: {message}" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("[0,1", "line 2: not JSON"),
+        ("\n", "line 2: not JSON"),
+        ("[0,1,3]\n{}", "line 3: neither a robot with its events nor a frame"),
+        ("[]", "line 2: neither a robot with its events nor a frame"),
+        ("[true,1]", "line 2: neither a robot with its events nor a frame"),
+        ("[5,1]", "line 2: robot 5 is not in the first line"),
+        ('[0,1,[1,2,3],"2"]\n[7,"6"]', "line 3: '6' refers to a robot of which no message is told before"),
+        ("[0,4]", "line 2: 4 is no event"),
+        ("[0,-1]", "line 2: -1 is no event"),
+        ("[0,1.0]", "line 2: 1.0 is no event"),
+        ("[0,[1]]", "line 2: [1] is no event"),
+        ("[0,[1,2,3,4]]", "line 2: [1, 2, 3, 4] is no event"),
+        ("[0,[1,2,-3]]", "line 2: [1, 2, -3] is no event"),
+        ("[0,[1,2,4294967296]]", "line 2: [1, 2, 4294967296] is no event"),
+        ('[0,"lost"]', "line 2: 'lost' is no event"),
+        ('[0,""]', "line 2: '' is no event"),
+        (f'[0,"{"1" * 33}"]', f"line 2: '{'1' * 33}' is no event"),
+    ],
+)
+def test_a_malformed_line_is_refused_with_its_number(lines: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "x").write_text(FIRST_LINE + lines)
+    with pytest.raises(UsageError) as caught:
+        read_entries(tmp_path / "x")
+    assert f"x, {message}" in str(caught.value)
+
+
+def test_a_missing_file_of_events_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"cannot read .*absent: No such file"):
+        EventsReader(tmp_path / "absent")
