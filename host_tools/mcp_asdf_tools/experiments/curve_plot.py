@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError, offer
@@ -27,6 +25,7 @@ from mcp_asdf_tools.experiments.plot_labels import (
     varying_parameters,
 )
 from mcp_asdf_tools.experiments.plot_panels import (
+    Series,
     colours_of_filters,
     create_panels,
     describe_intervals,
@@ -42,51 +41,6 @@ MEASURES = (*SCORES, "K", "e")
 
 Measure = Callable[[Trials], NDArray[np.float64]]
 """Returns a value for each trial of an experiment."""
-
-
-@dataclass(frozen=True)
-class _Curves:
-    """What a picture of curves shows.
-
-    Attributes:
-        x: Parameter along the axis.
-        x_values: Its values in all panels.
-        hue: Parameter with a curve for each value; empty for one curve.
-        colours: Colour of each curve, by the value of ``hue``.
-        y: What is shown over ``x``.
-        limits: Limits of the scores.
-    """
-
-    x: str
-    x_values: list[Any]
-    hue: str
-    colours: dict[Any, str]
-    y: str | Measure
-    limits: Limits
-
-    @property
-    def y_label(self) -> str:
-        """Return the name of the measure."""
-        return self.y if isinstance(self.y, str) else getattr(self.y, "__name__", "y")
-
-    def legend_handles(self) -> list[Line2D]:
-        """Return an entry for each value of ``hue``."""
-        if not self.hue:
-            return []
-        return [
-            legend_handle(parameter_with_value(self.hue, value), colour, line="-")
-            for value, colour in self.colours.items()
-        ]
-
-    def draw(self, axes: Axes, experiments: Sequence[Trials]) -> None:
-        """Draw the curves of some experiments into a panel, one for each value of ``hue``."""
-        for hue_value, colour in self.colours.items():
-            values_by_x = {
-                _value(trials.experiment, self.x): _measure(trials, self.y, self.limits)
-                for trials in experiments
-                if not self.hue or _value(trials.experiment, self.hue) == hue_value
-            }
-            _draw_curve(axes, values_by_x, self.x_values, colour)
 
 
 def plot_curve(  # noqa: PLR0913 (each is given by name)
@@ -106,54 +60,76 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
     unknown parameters, and if the experiments differ in any other.
     """
     _check_axes(experiments, x, hue, y, facet)
-    hue_values: list[Any] = _sorted_values(experiments, hue) if hue else [None]
-    colours = colours_of_filters(hue_values) if hue == "filter" else ordered_colours(len(hue_values))
-    curves = _Curves(
-        x, _sorted_values(experiments, x), hue, dict(zip(hue_values, colours, strict=True)), y, limits
-    )
+    all_series = _series_by_hue(experiments, hue)
+    x_values = _sorted_values(experiments, x)
+    y_label = y if isinstance(y, str) else getattr(y, "__name__", "y")
+    handles = [legend_handle(series.label, series.colour, line="-") for series in all_series] if hue else []
+
+    def draw_panel(axes: Axes, series_of_panel: Sequence[Series]) -> None:
+        """Draw a curve for each series."""
+        for series in series_of_panel:
+            samples = {
+                _value(trials.experiment, x): _measure(trials, y, limits) for trials in series.experiments
+            }
+            _draw_curve(axes, samples, x_values, series.colour)
+
     if ax is not None:
         if facet:
             raise UsageError("facet makes panels and ax is one; give one of them")
-        return _draw_into(ax, curves, experiments)
-    if not facet:
-        figure, (axes,) = create_panels(1, 3.8, len(hue_values))
-        curves.draw(axes, experiments)
-    else:
-        facet_values = _sorted_values(experiments, facet)
-        panel_height = 3.8 if len(facet_values) == 1 else 2.6
-        figure, panels = create_panels(len(facet_values), panel_height, len(hue_values))
-        for axes, facet_value in zip(panels, facet_values, strict=True):
-            experiments_of_panel = [
-                trials for trials in experiments if _value(trials.experiment, facet) == facet_value
-            ]
-            curves.draw(axes, experiments_of_panel)
-            axes.set_title(parameter_with_value(facet, facet_value), fontsize=MEDIUM)
+        draw_panel(ax, all_series)
+        ax.set(xlabel=parameter_in_words(x), ylabel=y_label)
+        if hue:
+            ax.legend(handles=handles, frameon=False, fontsize=SMALL)
+        return cast(Figure, ax.get_figure(root=True))
+    titles_and_series = [("", all_series)]
+    if facet:
+        titles_and_series = [
+            (
+                parameter_with_value(facet, value),
+                [_select_value(series, facet, value) for series in all_series],
+            )
+            for value in _sorted_values(experiments, facet)
+        ]
+    panel_height = 2.6 if len(titles_and_series) > 1 else 3.8
+    figure, panels = create_panels(len(titles_and_series), panel_height, len(all_series))
+    for axes, (title, series_of_panel) in zip(panels, titles_and_series, strict=True):
+        draw_panel(axes, series_of_panel)
+        axes.set_title(title, fontsize=MEDIUM)
     marks = f"points are medians over the trials, {describe_intervals(experiments)}"
     caption = make_caption(experiments, marks, limits)
-    return label_figure(figure, parameter_in_words(x), curves.y_label, caption, curves.legend_handles())
+    return label_figure(figure, parameter_in_words(x), y_label, caption, handles)
 
 
-def _draw_into(axes: Axes, curves: _Curves, experiments: Sequence[Trials]) -> Figure:
-    """Draw curves, labels and a legend into axes of the user's, and return their figure."""
-    curves.draw(axes, experiments)
-    axes.set(xlabel=parameter_in_words(curves.x), ylabel=curves.y_label)
-    if curves.hue:
-        axes.legend(handles=curves.legend_handles(), frameon=False, fontsize=SMALL)
-    return cast(Figure, axes.get_figure(root=True))
+def _series_by_hue(experiments: Sequence[Trials], hue: str) -> list[Series]:
+    """Return a series for each value of the parameter ``hue``, or one of all experiments if it is empty."""
+    if not hue:
+        return [Series("", ordered_colours(1)[0], list(experiments))]
+    hue_values = _sorted_values(experiments, hue)
+    colours = colours_of_filters(hue_values) if hue == "filter" else ordered_colours(len(hue_values))
+    return [
+        _select_value(Series(parameter_with_value(hue, value), colour, list(experiments)), hue, value)
+        for value, colour in zip(hue_values, colours, strict=True)
+    ]
+
+
+def _select_value(series: Series, name: str, value: Any) -> Series:
+    """Return the series with only those experiments whose parameter has this value."""
+    return series.select(lambda experiment: _value(experiment, name) == value)
 
 
 def _draw_curve(
-    axes: Axes, values_by_x: Mapping[Any, NDArray[np.float64]], x_values: Sequence[Any], colour: str
+    axes: Axes, samples: Mapping[Any, NDArray[np.float64]], x_values: Sequence[Any], colour: str
 ) -> None:
-    """Draw a curve through the medians of the values at those ``x_values`` that have some.
+    """Draw a curve through the medians of samples, which have a value for each trial, by their x value.
 
-    Where an x value is a long text, such as a graph, values stand side by side with shortened labels.
+    Where one of the ``x_values``, those of all panels, is a long text, such as a graph, they stand side by
+    side with shortened labels.
     """
-    measured_x = [x for x in x_values if x in values_by_x]
+    measured_x = [x for x in x_values if x in samples]
     has_long_texts = any(isinstance(x, str) and len(x) > MAX_LABEL_LENGTH for x in x_values)
     if measured_x:
         positions = [x_values.index(x) for x in measured_x] if has_long_texts else measured_x
-        draw_band(axes, positions, median_intervals(values_by_x[x] for x in measured_x), colour, "o-")
+        draw_band(axes, positions, median_intervals(samples[x] for x in measured_x), colour, "o-")
     if has_long_texts:
         axes.set_xticks(range(len(x_values)), [shorten(x) for x in x_values])
     clean(axes)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOURS, MEDIUM, WIDTH, add_caption, add_legend, empty_figure
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.robots.filters import FILTERS
 
@@ -22,6 +24,26 @@ MIN_TRIALS_OF_INTERVAL = 6
 _MAX_SERIES = 8
 _MAX_PANELS = 32
 _LEGEND_AND_CAPTION_HEIGHT = 1.4  # inches
+
+
+@dataclass(frozen=True)
+class Series:
+    """Experiments that a picture shows in one colour, with one entry of its legend.
+
+    Attributes:
+        label: Text of the legend.
+        colour: Colour of all that is drawn of the series.
+        experiments: What is drawn, all panels together.
+    """
+
+    label: str
+    colour: str
+    experiments: list[Trials]
+
+    def select(self, is_selected: Callable[[Experiment], bool]) -> Series:
+        """Return the series with only those experiments for which ``is_selected`` returns true."""
+        selected = [trials for trials in self.experiments if is_selected(trials.experiment)]
+        return replace(self, experiments=selected)
 
 
 def create_panel_grid(

@@ -27,6 +27,7 @@ from mcp_asdf_tools.experiments.plot_labels import (
     varying_parameters,
 )
 from mcp_asdf_tools.experiments.plot_panels import (
+    Series,
     colours_of_filters,
     create_panel_grid,
     label_figure,
@@ -55,35 +56,32 @@ _GOLDEN_RATIO = 0.618
 _MARKERS = "osD^v"
 
 
-def group_into_series(
-    experiments: Sequence[Trials], series_name: SeriesName | None = None
-) -> dict[str, list[Trials]]:
-    """Return the experiments of each series, the ones that pictures show in one colour, by the series' name.
+def group_into_series(experiments: Sequence[Trials], series_name: SeriesName | None = None) -> list[Series]:
+    """Return the experiments of equal names as series, in the colour of their filter if they have only one.
 
     Both series and the experiments in them are in the order of FILTERS, and otherwise as they are passed. By
     default a series is named by its filter and by the parameters in which the experiments differ, but for
     those that pictures show otherwise (CELL_PARAMETERS).
     """
     varying_names = varying_parameters(experiments, excluded=CELL_PARAMETERS)
-    series: dict[str, list[Trials]] = {}
+    experiments_by_name: dict[str, list[Trials]] = {}
     for trials in sorted(experiments, key=lambda trials: sort_key("filter", trials.experiment.filter)):
         if series_name is None:
             name = name_series(trials.experiment, varying_names)
         else:
             name = series_name(trials.experiment)
-        series.setdefault(name, []).append(trials)
-    return series
+        experiments_by_name.setdefault(name, []).append(trials)
+    colours = colours_of_filters([_common_filter(group) for group in experiments_by_name.values()])
+    return [
+        Series(name, colour, group)
+        for (name, group), colour in zip(experiments_by_name.items(), colours, strict=True)
+    ]
 
 
-def _colours_of_series(series: dict[str, list[Trials]]) -> list[str]:
-    """Return a colour for each series: its filter's, or a free one if they have several."""
-    filter_names = []
-    for experiments in series.values():
-        different_names = {trials.experiment.filter for trials in experiments}
-        has_one_filter = len(different_names) == 1
-        # An empty name, which is no filter's, gets a colour that is free.
-        filter_names.append(different_names.pop() if has_one_filter else "")
-    return colours_of_filters(filter_names)
+def _common_filter(experiments: Sequence[Trials]) -> str:
+    """Return the name of the filter that all experiments have, or an empty name if they have several."""
+    different_names = {trials.experiment.filter for trials in experiments}
+    return different_names.pop() if len(different_names) == 1 else ""
 
 
 def _sorted_attributes(experiments: Sequence[Trials], name: str) -> list[float]:
@@ -111,44 +109,41 @@ def plot_boxes(
     series of ``group_into_series``. A point for each trial shows what a box hides: cells whose trials fall
     into two groups. Raises UsageError if there are more panels or series than fit a picture.
     """
-    series = group_into_series(experiments, series_name)
-    colours = _colours_of_series(series)
+    all_series = group_into_series(experiments, series_name)
     fill_ratios = _sorted_attributes(experiments, "fill_ratio")
     accuracies = _sorted_attributes(experiments, "true_accuracy")
-    figure, grid = create_panel_grid(len(fill_ratios), len(accuracies), 2.6, len(series), sharex=False)
+    figure, grid = create_panel_grid(len(fill_ratios), len(accuracies), 2.6, len(all_series), sharex=False)
     for (row, column), axes in np.ndenumerate(grid):
         f, b = fill_ratios[row], accuracies[column]
-        series_of_panel = [
-            [
-                trials
-                for trials in experiments_of_series
-                if (trials.experiment.fill_ratio, trials.experiment.true_accuracy) == (f, b)
-            ]
-            for experiments_of_series in series.values()
-        ]
-        _draw_box_panel(axes, series_of_panel, colours, limits)
+        _draw_box_panel(axes, [_select_panel(series, f, b) for series in all_series], limits)
         axes.set_title(f"$f = {f:g}$, $b = {b:g}$", fontsize=MEDIUM)
     x_label = r"$\hat{b} - b$ of flawed robots, and their proportion $P$"
     caption = make_caption(experiments, _BOX_MARKS, limits)
-    handles = [legend_handle(name, colour, "s") for name, colour in zip(series, colours, strict=True)]
+    handles = [legend_handle(series.label, series.colour, "s") for series in all_series]
     return label_figure(figure, x_label, "score $H$", caption, handles)
 
 
-def _draw_box_panel(
-    axes: Axes, series: Sequence[Sequence[Trials]], colours: Sequence[str], limits: Limits
-) -> None:
+def _select_panel(series: Series, f: float, b: float) -> Series:
+    """Return the series with only those experiments that have this f and this b."""
+    return series.select(lambda experiment: (experiment.fill_ratio, experiment.true_accuracy) == (f, b))
+
+
+def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limits) -> None:
     """Draw a box for each experiment of a panel.
 
     Along the x axis there is a slot for each share P of flawed robots and offset of their b_hat from b, in
-    which the boxes of the series stand side by side. ``series`` has the panel's experiments by series.
+    which the boxes of the series stand side by side.
     """
-    slots = sorted({_slot_of(trials.experiment) for experiments in series for trials in experiments})
-    box_width = _SLOT_WIDTH / len(series)
-    for series_index, (experiments, colour) in enumerate(zip(series, colours, strict=True)):
-        for trials in experiments:
-            slot_index = slots.index(_slot_of(trials.experiment))
-            middle = slot_index + (series_index + 0.5) * box_width - 0.43
-            _draw_box(axes, trials.scores(limits)["H"], middle, 0.85 * box_width, colour)
+    slots = sorted(
+        {_slot_of(trials.experiment) for series in series_of_panel for trials in series.experiments}
+    )
+    box_width = _SLOT_WIDTH / len(series_of_panel)
+    for series_index, series in enumerate(series_of_panel):
+        # From the middle of a slot, whose position is a whole number.
+        offset = (series_index + 0.5) * box_width - _SLOT_WIDTH / 2
+        for trials in series.experiments:
+            middle = slots.index(_slot_of(trials.experiment)) + offset
+            _draw_box(axes, trials.scores(limits)["H"], middle, 0.85 * box_width, series.colour)
     axes.set(ylim=(0, 103), xlim=(-0.5, len(slots) - 0.5))
     axes.set_xticks(range(len(slots)), [f"{offset:+.2g}\n{share:.0%}" for share, offset in slots])
     clean(axes)
@@ -188,17 +183,17 @@ def plot_scatter(experiments: Sequence[Trials], limits: Limits = PAPERS) -> Figu
     who assume a worse one red; each b has a marker. Raises UsageError if there are more panels or series
     than fit a picture.
     """
-    series = group_into_series(experiments)
+    all_series = group_into_series(experiments)
     fill_ratios = _sorted_attributes(experiments, "fill_ratio")
     accuracies = _sorted_attributes(experiments, "true_accuracy")
     shares = sorted({flawed_share(trials.experiment) for trials in experiments})
-    rows = [(name, f) for name in series for f in fill_ratios]
-    figure, grid = create_panel_grid(len(rows), len(shares), 1.7, len(series))
+    rows = [(series, f) for series in all_series for f in fill_ratios]
+    figure, grid = create_panel_grid(len(rows), len(shares), 1.7, len(all_series))
     # An entry of the legend for each b and offset of b_hat that occurs.
     handles: dict[tuple[float, float], Line2D] = {}
     for (row, column), axes in np.ndenumerate(grid):
-        name, f = rows[row]
-        for trials in series[name]:
+        series, f = rows[row]
+        for trials in series.experiments:
             experiment = trials.experiment
             is_of_panel = (experiment.fill_ratio, flawed_share(experiment)) == (f, shares[column])
             if not is_of_panel:
@@ -209,7 +204,7 @@ def plot_scatter(experiments: Sequence[Trials], limits: Limits = PAPERS) -> Figu
             scores = trials.scores(limits)
             axes.plot(scores["h_K"], scores["h_e"], marker, color=colour, markersize=3, alpha=0.6)
             handles[b, offset] = legend_handle(_describe_accuracy(b, offset), colour, marker)
-        axes.set_title(f"{name}\n$f = {f:g}$, $P$ = {shares[column]:.0%}", fontsize=SMALL)
+        axes.set_title(f"{series.label}\n$f = {f:g}$, $P$ = {shares[column]:.0%}", fontsize=SMALL)
         axes.set(xlim=(-4, 104), ylim=(-4, 104))
         clean(axes)
     caption = make_caption(experiments, _SCATTER_MARKS, limits)
