@@ -6,20 +6,11 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import can
-
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extensions import check_for_workers
 from mcp_asdf_tools.common.extras import naming_extras
-from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials, select_experiments, single_experiment
 from mcp_asdf_tools.experiments.scores import E_MAX, PAPERS, SCORES, Limits
-from mcp_asdf_tools.experiments.sweep import run_in_memory, run_sweep
-from mcp_asdf_tools.swarm.carrier import Wiring
-from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
-from mcp_asdf_tools.swarm.settings import SwarmSettings
-from mcp_asdf_tools.swarm.swarm import Swarm
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
@@ -27,6 +18,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from mcp_asdf_tools.experiments.curve_plot import Measure
+    from mcp_asdf_tools.experiments.results import Trials
+    from mcp_asdf_tools.swarm.run import SwarmRun
+    from mcp_asdf_tools.swarm.settings import SwarmSettings
+    from mcp_asdf_tools.swarm.swarm import Swarm
 
     Results: TypeAlias = pa.Table | list[Trials]
     """What pictures are drawn of: a table of trials, or experiments from ``experiments_in``."""
@@ -34,11 +29,16 @@ if TYPE_CHECKING:
 
 @naming_extras()
 def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
-    """A swarm in this process, before its first step: a context manager, in which ``tick`` takes a step.
+    """Return a swarm before its first step: a context manager, in which its method ``tick`` takes a step.
 
     With a ``channel`` it is on python-can's virtual bus of that name, for others in this process to join.
     Without, which is faster, frames go from robot to robot; the robots end in the same bits.
     """
+    import can
+
+    from mcp_asdf_tools.swarm.carrier import Wiring
+    from mcp_asdf_tools.swarm.swarm import Swarm
+
     if channel is None:
         return Swarm(settings, Wiring())
     options: dict[str, Any] = {"preserve_timestamps": True, "receive_own_messages": True}
@@ -48,6 +48,8 @@ def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
 @naming_extras()
 def emulate(settings: SwarmSettings) -> SwarmRun:
     """Run a swarm with its CAN frames to its end. Ctrl-C ends it early and keeps what was done."""
+    from mcp_asdf_tools.swarm.run import run_swarm
+
     with start_swarm(settings) as swarm:
         return run_swarm(swarm)
 
@@ -74,8 +76,10 @@ def simulate(
     if output is None:
         return _simulate_in_memory(experiment_list, workers, record, quiet)
 
-    from mcp_asdf_tools.experiments.result_files import read_table  # noqa: PLC0415 (pyarrow loads slowly)
-    from mcp_asdf_tools.experiments.store import Store  # noqa: PLC0415
+    from mcp_asdf_tools.common.progress_bar import progress
+    from mcp_asdf_tools.experiments.result_files import read_table
+    from mcp_asdf_tools.experiments.store import Store
+    from mcp_asdf_tools.experiments.sweep import run_sweep
 
     store = Store(Path(output), experiment_list, record)
     with progress("trials", store.missing_count, quiet) as report:
@@ -110,9 +114,11 @@ def _check_extension_objects(experiments: list[Experiment], workers: int) -> Non
 
 def _simulate_in_memory(experiments: list[Experiment], workers: int, record: int, quiet: bool) -> pa.Table:
     """Run experiments, and return the table of their trials without a file."""
-    import pyarrow as pa  # noqa: PLC0415 (loads slowly)
+    import pyarrow as pa
 
-    from mcp_asdf_tools.experiments.result_tables import trials_to_table  # noqa: PLC0415
+    from mcp_asdf_tools.common.progress_bar import progress
+    from mcp_asdf_tools.experiments.result_tables import trials_to_table
+    from mcp_asdf_tools.experiments.sweep import run_in_memory
 
     trial_count = sum(experiment.trials for experiment in dict.fromkeys(experiments))
     with progress("trials", trial_count, quiet) as report:
@@ -126,7 +132,7 @@ def score(table: pa.Table, k_max: float | None = None, e_max: float | None = Non
 
     Raises UsageError for limits of 0 or less.
     """
-    from mcp_asdf_tools.experiments.result_tables import score_table  # noqa: PLC0415 (pyarrow loads slowly)
+    from mcp_asdf_tools.experiments.result_tables import score_table
 
     return score_table(table, Limits(k_max, E_MAX if e_max is None else e_max))
 
@@ -144,7 +150,7 @@ def plot_boxes(
     experiments by their parameters, and the figure's method ``savefig`` writes a file. Raises UsageError if
     no experiment is left, or there are more than fit a picture.
     """
-    from mcp_asdf_tools.experiments import score_plots  # noqa: PLC0415 (matplotlib loads slowly)
+    from mcp_asdf_tools.experiments import score_plots
 
     return score_plots.plot_boxes(_experiments_to_plot(results, where), limits)
 
@@ -157,7 +163,7 @@ def plot_scatter(
 
     Raises UsageError as ``plot_boxes``.
     """
-    from mcp_asdf_tools.experiments import score_plots  # noqa: PLC0415 (matplotlib loads slowly)
+    from mcp_asdf_tools.experiments import score_plots
 
     return score_plots.plot_scatter(_experiments_to_plot(results, where), limits)
 
@@ -182,7 +188,7 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
     for a name that is no parameter, if the experiments differ in what is not shown, and for limits where
     ``y`` is no score.
     """
-    from mcp_asdf_tools.experiments import curve_plot  # noqa: PLC0415 (matplotlib loads slowly)
+    from mcp_asdf_tools.experiments import curve_plot
 
     if limits is not None and y not in SCORES:
         raise UsageError("limits would do nothing: they are for scores, and y is none; leave them out")
@@ -196,7 +202,7 @@ def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> F
 
     Raises UsageError as ``plot_boxes``, and for trials that are too short for a filter step.
     """
-    from mcp_asdf_tools.experiments import time_plots  # noqa: PLC0415 (matplotlib loads slowly)
+    from mcp_asdf_tools.experiments import time_plots
 
     return time_plots.plot_accuracy_bands(_experiments_to_plot(results, where))
 
@@ -207,7 +213,8 @@ def plot_series(results: Results, *, trial: int = 0, where: Mapping[str, Any] | 
 
     Raises UsageError if several experiments are left, there is no such trial, or it was not recorded.
     """
-    from mcp_asdf_tools.experiments import time_plots  # noqa: PLC0415 (matplotlib loads slowly)
+    from mcp_asdf_tools.experiments import time_plots
+    from mcp_asdf_tools.experiments.results import single_experiment
 
     experiment = single_experiment(_experiments_to_plot(results, where))
     return time_plots.plot_series([experiment], trial)
@@ -228,12 +235,10 @@ def _experiments_to_plot(results: pa.Table | list[Trials], where: Mapping[str, A
 
     Raises UsageError if there is none.
     """
-    if isinstance(results, list):
-        experiments = results
-    else:
-        from mcp_asdf_tools.experiments.result_tables import experiments_in  # noqa: PLC0415
+    from mcp_asdf_tools.experiments.result_tables import experiments_in
+    from mcp_asdf_tools.experiments.results import select_experiments
 
-        experiments = experiments_in(results)
+    experiments = results if isinstance(results, list) else experiments_in(results)
     selected = select_experiments(experiments, where or {})
     if not selected:
         raise UsageError("there is no experiment to draw; give results of one or more")

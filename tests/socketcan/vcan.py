@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,4 +33,4 @@ def making(name: str) -> tuple[str, str]:
 
 def connect(name: str) -> can.BusABC:
     """A connection to an interface, as every command opens it."""
-    return choose_bus(argparse.Namespace(interface="socketcan", channel=name)).open()
+    return choose_bus({"interface": "socketcan", "channel": name}).open()

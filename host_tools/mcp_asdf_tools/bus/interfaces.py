@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import configparser
 import errno
 import logging
@@ -10,6 +9,7 @@ import math
 import socket
 import time
 from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, cast
@@ -325,36 +325,17 @@ class Multicast(Connection):
         return frame, False
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the bus options that python-can's own tools have, except those for CAN FD."""
-    group = parser.add_argument_group(
-        "bus (default: inside this process; python-can's CAN_* variables and files are honoured)",
-        argument_default=argparse.SUPPRESS,
-    )
-    kinds = "kind of bus: socketcan, slcan, udp_multicast, pcan or another of python-can's"
-    known = sorted(can.VALID_INTERFACES)
-    group.add_argument("-i", "--interface", metavar="INTERFACE", choices=known, help=kinds)
-    channels = "bus of that kind, such as can0, vcan0, /dev/ttyACM0 or 239.74.163.2"
-    group.add_argument("-c", "--channel", metavar="CHANNEL", help=channels)
-    group.add_argument("-b", "--bitrate", type=int, help="bits per second, where the interface sets them")
-    further = "further settings of the interface, such as app_name=MyCanApp serial=1234"
-    group.add_argument("--bus-kwargs", type=_setting, nargs="+", metavar="KEY=VALUE", help=further)
+def choose_bus(typed_settings: Mapping[str, Any]) -> BusChoice:
+    """Return the bus that the user chooses, in this process if nothing says which.
 
-
-def _setting(text: str) -> tuple[str, str]:
-    name, is_one, value = text.partition("=")
-    if not is_one:
-        raise argparse.ArgumentTypeError(f"{text} is no KEY=VALUE")
-    return name, value
-
-
-def choose_bus(args: argparse.Namespace) -> BusChoice:
-    """Decide on a bus. Raises UsageError if python-can's variables or files cannot be read."""
-    given = {name: getattr(args, name) for name in ("interface", "channel", "bitrate") if name in args}
-    asked = _inherited() | given | dict(getattr(args, "bus_kwargs", ()))
-    kind, interface = asked.pop("bustype", None), asked.pop("interface", None)
+    ``typed_settings`` are the arguments of ``can.Bus`` that the user has typed, such as interface and
+    channel. Where they leave it open, python-can's files, variables and ``can.rc`` decide. Raises UsageError
+    if these cannot be read.
+    """
+    settings = _inherited() | dict(typed_settings)
+    kind, interface = settings.pop("bustype", None), settings.pop("interface", None)
     chosen = str(interface or kind or DEFAULT_INTERFACE)
-    return BusChoice(chosen, _DEFAULTS.get(chosen, {}) | asked)
+    return BusChoice(chosen, _DEFAULTS.get(chosen, {}) | settings)
 
 
 def _inherited() -> dict[str, Any]:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import asdict
 
-from mcp_asdf_tools.cli.again import json_report
+from mcp_asdf_tools.cli.output import json_report, warn
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import LONGEST_TEXT, read_text
 from mcp_asdf_tools.robots.calibration import calibrate
@@ -21,6 +20,7 @@ Columns may be separated by commas, semicolons, tabs or spaces. A header names t
 others are ignored. Readings of -1, words in place of a number and comments are left out and counted. Input
 may have up to {LONGEST_TEXT >> 20} MiB.
 exit code: 0 done, 2 bad usage"""
+LIBRARIES = ()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Calibrate the sensor by its readings, and print threshold and accuracy; return exit code 0."""
     readings = parse_readings(read_text(args.file), "standard input" if args.file == "-" else args.file)
-    left_out = _left_out_in_words(readings)
+    left_out = _describe_left_out_lines(readings)
     try:
         calibration = calibrate(readings.rows)
     except UsageError as error:
@@ -49,11 +49,11 @@ def run(args: argparse.Namespace) -> int:
         print(left_out)
     print(f"start with --b-hat {calibration.b_hat:.4f} (+- {calibration.uncertainty:.4f}, 95 %)")
     if calibration.warning is not None:
-        print(f"mcp-asdf calibrate: {calibration.warning}", file=sys.stderr)
+        warn("calibrate", calibration.warning)
     return 0
 
 
-def _left_out_in_words(readings: Readings) -> str:
+def _describe_left_out_lines(readings: Readings) -> str:
     """Return how many lines were left out and why, or an empty text if none was."""
     if not readings.left_out:
         return ""

@@ -4,29 +4,17 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import cast
-
-from rich.console import Console
+from typing import TYPE_CHECKING, Any, cast
 
 from mcp_asdf.robot import Status
-from mcp_asdf_tools.cli.again import json_report, print_again
+from mcp_asdf_tools.cli.output import json_report, print_again
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.progress_bar import progress
 from mcp_asdf_tools.common.signals import INTERRUPTED
-from mcp_asdf_tools.crosscheck.compare import (
-    CheckScenario,
-    Failure,
-    Firmware,
-    RobotUnderTest,
-    compare_firmwares,
-    run_crosscheck,
-    shrink,
-)
-from mcp_asdf_tools.crosscheck.operation_count import count_operations, measure_storage
-from mcp_asdf_tools.crosscheck.oracle import Audit
-from mcp_asdf_tools.crosscheck.report import CrosscheckReport
-from mcp_asdf_tools.crosscheck.scenario import Scenario, parse_scenario
-from mcp_asdf_tools.robots.firmwares import load_firmware
+
+if TYPE_CHECKING:
+    from mcp_asdf_tools.crosscheck.compare import CheckScenario, Failure, Firmware
+    from mcp_asdf_tools.crosscheck.oracle import Audit
+    from mcp_asdf_tools.crosscheck.scenario import Scenario
 
 EPILOG = """\
 examples:
@@ -37,25 +25,33 @@ Random and adversarial scenarios run through the C and through its mirror in Pyt
 state, output or status ends the run with the shortest scenario that shows it and the line that replays it.
 exit code: 0 all is well, 1 a check failed, 2 bad usage, 128 + signal if
 interrupted (what was done is reported)"""
+LIBRARIES = ("mpmath", "rich.console")
 
-STEPS, SEED = 25_000, 1
+_DEFAULT_STEPS = 25_000
+_DEFAULT_SEED = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
-    parser.add_argument("--steps", type=int, metavar="N", help=f"calls to make and compare (default {STEPS})")
-    parser.add_argument("--seed", type=int, metavar="S", help=f"of the scenarios, 0 or more (default {SEED})")
+    parser.add_argument(
+        "--steps", type=int, metavar="N", help=f"calls to make and compare (default {_DEFAULT_STEPS})"
+    )
+    parser.add_argument(
+        "--seed", type=int, metavar="S", help=f"of the scenarios, 0 or more (default {_DEFAULT_SEED})"
+    )
     parser.add_argument("--replay", metavar="LINE", help="run one scenario, as a failed check printed it")
 
 
 def run(args: argparse.Namespace) -> int:
     """Replay one scenario, or run the whole check; return exit code 1 if a check failed."""
+    from mcp_asdf_tools.crosscheck.scenario import parse_scenario
+
     if args.replay is not None:
         if (args.steps, args.seed) != (None, None):
             raise UsageError("--replay runs one scenario; it does not go with --steps or --seed")
         return _replay(parse_scenario(args.replay), args.json)
-    steps = STEPS if args.steps is None else args.steps
-    seed = SEED if args.seed is None else args.seed
+    steps = _DEFAULT_STEPS if args.steps is None else args.steps
+    seed = _DEFAULT_SEED if args.seed is None else args.seed
     if steps < 1:
         raise UsageError(f"--steps is {steps}; choose 1 or more")
     if seed < 0:
@@ -63,41 +59,60 @@ def run(args: argparse.Namespace) -> int:
     return _check_all(steps, seed, args)
 
 
-def _firmware(name: str) -> Firmware:
-    """Return the class of robots of a firmware that can be compared with another."""
-    return cast(Firmware, load_firmware(name))
+def _load_comparable(name: str) -> Firmware:
+    """Return the class of robots of a firmware that can be compared with another, "native" or "mirror"."""
+    from mcp_asdf_tools.robots.firmwares import load_firmware
+
+    return cast("Firmware", load_firmware(name))
 
 
 def _check_with(audit: Audit) -> CheckScenario:
     """Return a check that compares native and mirror, and lets ``audit`` check what they do."""
-    native, mirror = _firmware("native"), _firmware("mirror")
-    return lambda scenario: compare_firmwares(scenario, native, mirror, audit.check_call)
+    from mcp_asdf_tools.crosscheck.compare import compare_firmwares
+
+    native, mirror = _load_comparable("native"), _load_comparable("mirror")
+
+    def check_scenario(scenario: Scenario) -> Failure | None:
+        return compare_firmwares(scenario, native, mirror, audit.check_call)
+
+    return check_scenario
 
 
 def _replay(scenario: Scenario, as_json: bool) -> int:
     """Run one scenario through native and mirror, and print whether they agree; return 1 if they differ."""
+    from mcp_asdf_tools.crosscheck.compare import RobotUnderTest
+    from mcp_asdf_tools.crosscheck.oracle import Audit
+
     failure = _check_with(Audit())(scenario)
-    status = RobotUnderTest(_firmware("native"), scenario.setup).last_result.outcome
+    status = RobotUnderTest(_load_comparable("native"), scenario.setup).last_result.outcome
     is_robot_valid = status == Status.OK.name
     if as_json:
-        if failure is not None:
-            call_count = len(failure.scenario.calls)
-        elif is_robot_valid:
-            call_count = len(scenario.calls)
-        else:
-            call_count = 0
-        report = {
-            "ok": failure is None,
-            "status": status,
-            "calls": call_count,
-            "failure": None if failure is None else failure.as_dict(),
-        }
-        print(json_report(report))
-    elif failure is None and not is_robot_valid:
-        print(f"native and mirror both refuse to make this robot ({status}); no call was made")
+        print(json_report(_replay_report(scenario, failure, status, is_robot_valid)))
+    elif failure is not None:
+        print(failure)
+    elif is_robot_valid:
+        print(f"native and mirror agree in every bit over {len(scenario.calls)} calls")
     else:
-        print(failure or f"native and mirror agree in every bit over {len(scenario.calls)} calls")
+        print(f"native and mirror both refuse to make this robot ({status}); no call was made")
     return 0 if failure is None else 1
+
+
+def _replay_report(
+    scenario: Scenario, failure: Failure | None, status: str, is_robot_valid: bool
+) -> dict[str, Any]:
+    """Return the outcome of one scenario as plain values; ``calls`` counts those that were made."""
+    if failure is not None:
+        call_count = len(failure.scenario.calls)
+    elif is_robot_valid:
+        call_count = len(scenario.calls)
+    else:
+        call_count = 0
+    return {
+        "ok": failure is None,
+        "status": status,
+        "calls": call_count,
+        "failure": None if failure is None else failure.as_dict(),
+    }
 
 
 def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
@@ -105,13 +120,21 @@ def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
 
     Returns exit code 1 if a check failed, and INTERRUPTED if Ctrl-C ended it before that.
     """
+    from rich.console import Console
+
+    from mcp_asdf_tools.common.progress_bar import progress
+    from mcp_asdf_tools.crosscheck.compare import run_crosscheck
+    from mcp_asdf_tools.crosscheck.operation_count import count_operations, measure_storage
+    from mcp_asdf_tools.crosscheck.oracle import Audit
+    from mcp_asdf_tools.crosscheck.report import CrosscheckReport
+
     audit = Audit()
     check_scenario = _check_with(audit)
     counts = count_operations()
     with progress("calls", steps, args.json) as on_calls:
         result = run_crosscheck(check_scenario, seed, steps, on_calls)
     if result.failure is not None:
-        result.failure = _shortest(result.failure)
+        result.failure = _find_shortest(result.failure)
     report = CrosscheckReport(seed, result, audit, counts, measure_storage())
     if args.json:
         print(json_report(report.as_dict()))
@@ -125,8 +148,11 @@ def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
     return INTERRUPTED if result.interrupted else 0
 
 
-def _shortest(failure: Failure) -> Failure:
+def _find_shortest(failure: Failure) -> Failure:
     """Return the failure with the shortest scenario that shows it, or as it is if Ctrl-C ends the search."""
+    from mcp_asdf_tools.crosscheck.compare import shrink
+    from mcp_asdf_tools.crosscheck.oracle import Audit
+
     try:
         return shrink(failure, _check_with(Audit()))
     except KeyboardInterrupt:

@@ -7,9 +7,8 @@ import sys
 from pathlib import Path
 
 from mcp_asdf_tools.bus.dbc import ANY_NODE_MASK, dbc_text
-from mcp_asdf_tools.bus.frames import FrameFormat
-from mcp_asdf_tools.cli.again import json_report
-from mcp_asdf_tools.common.files import write_atomically
+from mcp_asdf_tools.cli import options
+from mcp_asdf_tools.cli.output import json_report
 
 EPILOG = f"""\
 examples:
@@ -19,8 +18,7 @@ examples:
 The entries for any node are those of node 0: let the tool ignore the lower 8 bits of the identifier,
 `cantools decode -m {ANY_NODE_MASK:#X} mcp_asdf.dbc`. Where a tool cannot, use --per-node.
 exit code: 0 done, 2 bad usage"""
-
-_DEFAULTS = FrameFormat()
+LIBRARIES = ()
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,23 +33,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         help="nodes with entries of their own: ids 0 to 127",
     )
-    parser.add_argument(
-        "--subject",
-        type=int,
-        default=_DEFAULTS.subject,
-        help="Cyphal subject of the estimates, 0 to 6143 (default %(default)s)",
-    )
-    parser.add_argument(
-        "--priority",
-        type=int,
-        default=_DEFAULTS.priority,
-        help="of the estimates, 0 (first) to 7 (default %(default)s)",
-    )
+    options.add_estimate_format(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the DBC file, or print its text without ``--output``; return exit code 0."""
-    text = dbc_text(FrameFormat(args.subject, args.priority), args.per_node)
+    from mcp_asdf_tools.common.files import write_atomically
+
+    text = dbc_text(options.estimate_format_of(args), args.per_node)
     if args.output is not None:
         write_atomically(args.output, text)
     if args.json:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mcp_asdf_tools.cli.again import json_report
-from mcp_asdf_tools.cli.table import add_table_options, table_of
-from mcp_asdf_tools.tables.firmware_folder import write_firmware
-from mcp_asdf_tools.tables.table_files import describe_table
+from mcp_asdf_tools.cli import options
+from mcp_asdf_tools.cli.output import json_report
 
 EPILOG = """\
 examples:
@@ -18,6 +16,7 @@ With CMake: add_subdirectory(vendor/mcp_asdf), link mcp_asdf::mcp_asdf. Without:
 Of several such folders in one CMake project the first makes the library, and each adds its table.
 Its own files it replaces, and leaves one table; sha256sums.txt says which files are as they were written.
 exit code: 0 done, 2 bad usage"""
+LIBRARIES = ("mpmath",)
 
 _USAGE = """\
 The table is: extern const uint32_t {symbol}[];
@@ -32,12 +31,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
     parser.add_argument("folder", metavar="DIR", type=Path, help="folder for the files, made if need be")
     parser.add_argument("--force", action="store_true", help="also replace files that somebody has changed")
-    add_table_options(parser)
+    options.add_table_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the files into the folder, and print their names and how to use them; return exit code 0."""
-    omega, q = table_of(args)
+    from mcp_asdf_tools.tables.firmware_folder import write_firmware
+    from mcp_asdf_tools.tables.table_files import describe_table
+
+    omega, q = options.table_of(args)
     files = [str(path) for path in write_firmware(omega, q, args.folder, args.force)]
     symbol = describe_table(omega, q)["symbol"]
     if args.json:

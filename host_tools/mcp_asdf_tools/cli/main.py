@@ -11,14 +11,14 @@ import logging
 import shlex
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from importlib import import_module
+from types import ModuleType
 from typing import Protocol, cast
 
-from mcp_asdf_tools.cli.failures import report_failure
+from mcp_asdf_tools.cli.output import log_to_standard_error, report_failure
 from mcp_asdf_tools.cli.parsing import Parser
-from mcp_asdf_tools.cli.verbosity import add_verbosity_option, log_to_standard_error
 from mcp_asdf_tools.common.errors import UsageError, offer
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.signals import INTERRUPTED, exit_code_of_signal, stopping
@@ -64,9 +64,13 @@ class Command(Protocol):
     ``EPILOG`` holds the examples that ``--help`` ends with, one a line, indented, starting with the
     program's name, explained behind a ``#`` if need be. The options ``--json`` and ``--verbose`` are added
     to every command here, and ``run`` finds the former as ``args.json``.
+
+    What takes long to import, the module imports within functions, so that ``--help`` is quick. ``LIBRARIES``
+    names such modules of others that ``run`` cannot do without; they are imported before it is called.
     """
 
     EPILOG: str
+    LIBRARIES: tuple[str, ...]
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the command's options."""
@@ -135,6 +139,7 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
     """Import and run one command only, so that the others' libraries stay unloaded; return its exit code."""
     command = _load(name)
     args = _parser_for(name, command).parsed(arguments)
+    _import_all(command.LIBRARIES)
     with log_to_standard_error(args.verbose):
         if args.verbose:
             _log_start(args)
@@ -151,7 +156,7 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
 
 def _log_start(args: argparse.Namespace) -> None:
     """Log versions and command line, and in detail the value of every option."""
-    from mcp_asdf_tools.common.versions import software_versions  # noqa: PLC0415 (it loads slowly)
+    from mcp_asdf_tools.common.versions import software_versions
 
     versions = ", ".join(f"{software} {version}" for software, version in software_versions().items())
     _logger.info("%s, on %s", versions, sys.platform)
@@ -162,19 +167,31 @@ def _log_start(args: argparse.Namespace) -> None:
 
 def _load(name: str) -> Command:
     """Import the module of a command. Raises KeyboardInterrupt afterwards if a signal came meanwhile."""
+    (command,) = _import_all([f"{__package__}.{name}"])
+    return cast(Command, command)
+
+
+def _import_all(names: Iterable[str]) -> list[ModuleType]:
+    """Import modules, and return them. Raises KeyboardInterrupt afterwards if a signal came meanwhile."""
     # Inside the import of a library an interruption may be turned into any other error.
     with stopping() as was_interrupted:
-        command = cast(Command, import_module(f"mcp_asdf_tools.cli.{name}"))
+        modules = [import_module(name) for name in names]
     if was_interrupted():
         raise KeyboardInterrupt
-    return command
+    return modules
 
 
 def _parser_for(name: str, command: Command) -> Parser:
     """Return the parser of a command, with the options that all commands have and with its own."""
     parser = Parser(f"{PROGRAM} {name}", COMMANDS[name], command.EPILOG)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, for machines")
-    add_verbosity_option(parser)
+    parser.add_argument(
+        "-v",
+        "--verbose",
+        action="count",
+        default=0,
+        help="log on standard error what is opened, run and written; -vv: details, too, for a bug report",
+    )
     command.add_arguments(parser)
     return parser
 
@@ -189,7 +206,7 @@ def _show_overview(arguments: Sequence[str]) -> int:
     parser.add_argument("command", metavar="COMMAND", nargs="?", help="one of these; each has its own --help")
     args, _ = parser.parse_known_args(arguments)
     if args.version:
-        from mcp_asdf_tools.common.versions import own_version  # noqa: PLC0415 (it loads slowly)
+        from mcp_asdf_tools.common.versions import own_version
 
         print(f"{PROGRAM} {own_version()}")
         return 0

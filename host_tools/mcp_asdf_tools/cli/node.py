@@ -7,35 +7,29 @@ import logging
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-
-from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.cli.again import json_report, print_again
-from mcp_asdf_tools.cli.failures import report_failure
-from mcp_asdf_tools.cli.parameter_options import add_parameters, settings_from
-from mcp_asdf_tools.cli.recordings import exit_code, recording_for
-from mcp_asdf_tools.cli.robot_options import add_robot_options, add_subject_options, robot_of, subjects_of
+from mcp_asdf_tools.cli import options
+from mcp_asdf_tools.cli.output import (
+    exit_code_with,
+    json_report,
+    print_again,
+    recording_for,
+    report_failure,
+)
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
 from mcp_asdf_tools.common.standard_streams import has_ended, standard_input
-from mcp_asdf_tools.common.versions import software_versions
-from mcp_asdf_tools.recording.events import EventsHeader
-from mcp_asdf_tools.recording.frame_logs import add_log_option
 from mcp_asdf_tools.robots.filters import describe_filters
-from mcp_asdf_tools.robots.node import (
-    BusLink,
-    FrameTaker,
-    RobotNode,
-    RunOutcome,
-    filters_for,
-    run_node,
-    state_of,
-)
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.robot_setup import parse_ids
-from mcp_asdf_tools.robots.suspicion import MEANINGS, Suspicion
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from mcp_asdf_tools.bus.interfaces import BusChoice
+    from mcp_asdf_tools.robots.node import FrameTaker, RobotNode, RunOutcome
+    from mcp_asdf_tools.robots.suspicion import Suspicion
 
 EPILOG = """\
 examples:
@@ -44,6 +38,7 @@ examples:
 The robot observes and settles as command frames tell it (docs/frame.md): try "mcp-asdf radio --verify" on
 it. The C node, mcp_asdf_node, runs by a clock of its own, too, and reads a sensor (docs/socketcan.md).
 exit code: 0 done, 1 the bus failed, 2 bad usage, 128 + signal if one came before --steps were done"""
+LIBRARIES = ("numpy", "can", "rich.console")
 
 
 _logger = logging.getLogger(__name__)
@@ -51,39 +46,42 @@ _logger = logging.getLogger(__name__)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    add_robot_options(parser, "native", "robot id and node id, 0 to 127, unique on the bus")
-    add_parameters(parser, Population, "heartbeats", ("steps_per_second",))
+    options.add_robot_options(parser, "native", "robot id and node id, 0 to 127, unique on the bus")
+    options.add_parameters(parser, Population, "heartbeats", ("steps_per_second",))
     group = parser.add_argument_group("run")
     group.add_argument("--steps", type=int, metavar="N", help="end after N steps (default: at Ctrl-C)")
     group.add_argument("--allow", metavar="IDS", help="take estimates of these ids only, such as 0-19+30")
     group.add_argument("--until-eof", action="store_true", help="also stop at end of input")
-    interfaces.add_arguments(parser)
-    add_subject_options(parser)
+    options.add_bus_options(parser)
+    options.add_subject_options(parser)
     output = parser.add_argument_group("output")
-    add_log_option(output, "FILE.events gets what a replay needs")
+    options.add_log_option(output, "FILE.events gets what a replay needs")
     output.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the robot until it ends, write its log, and print its results; return the exit code."""
-    setup = robot_of(args)
-    subjects = subjects_of(args)
-    choice = interfaces.choose_bus(args)
+    from mcp_asdf_tools.common.versions import software_versions
+    from mcp_asdf_tools.recording.events import EventsHeader
+    from mcp_asdf_tools.robots.node import RobotNode, state_of
+
+    setup = options.robot_of(args)
+    subjects = options.subjects_of(args)
+    choice = options.bus_of(args)
     if args.allow is not None:
         setup = replace(setup, allow=parse_ids(args.allow, "--allow"))
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
-    rate_args = argparse.Namespace(steps_per_second=args.steps_per_second)
-    rate = settings_from(rate_args, Population).steps_per_second
-    parameters = {"steps_per_second": rate, "steps": args.steps}
+    steps_per_second = _steps_per_second_of(args)
+    parameters = {"steps_per_second": steps_per_second, "steps": args.steps}
     header = EventsHeader([setup], None, subjects.estimates, parameters)
     recording = recording_for("node", args.log, header, choice)
     with recording as (log, events):
-        node = RobotNode(setup, subjects, rate, None if events is None else events.recorders[setup.id])
+        recorder = None if events is None else events.recorders[setup.id]
+        node = RobotNode(setup, subjects, steps_per_second, recorder)
         outcome = _run_on_bus(args, node, choice, log)
-    description = describe_filters([setup.config.filter])
     results = {
-        "filter": description,
+        "filter": describe_filters([setup.config.filter]),
         "steps": node.ticks,
         **vars(outcome),
         "robot": state_of(node),
@@ -98,17 +96,28 @@ def run(args: argparse.Namespace) -> int:
         }
         print(json_report(report))
     elif not args.quiet:
-        print(_summary(node, results, f"on {choice}"))
+        print(_format_summary(node, results, str(choice)))
         print_again(args)
     if outcome.has_failed:
-        return exit_code(recording, report_failure("mcp-asdf node", outcome.ending, args.json))
-    return exit_code(recording, INTERRUPTED if outcome.is_interrupted else 0)
+        return exit_code_with(recording, report_failure("mcp-asdf node", outcome.ending, args.json))
+    return exit_code_with(recording, INTERRUPTED if outcome.is_interrupted else 0)
+
+
+def _steps_per_second_of(args: argparse.Namespace) -> int:
+    """Return the steps in a second of the robot's time. Raises UsageError for a number out of range."""
+    # The other options of the same class are of the robot, which ``robot_of`` reads.
+    own_args = argparse.Namespace(steps_per_second=args.steps_per_second)
+    return options.settings_from(own_args, Population).steps_per_second
 
 
 def _run_on_bus(
-    args: argparse.Namespace, node: RobotNode, choice: interfaces.BusChoice, log: FrameTaker | None
+    args: argparse.Namespace, node: RobotNode, choice: BusChoice, log: FrameTaker | None
 ) -> RunOutcome:
     """Join the bus and run the node until its steps are done, it is stopped or the bus fails."""
+    from rich.console import Console
+
+    from mcp_asdf_tools.robots.node import BusLink, filters_for, run_node
+
     console = Console(stderr=True, quiet=args.quiet)
     with ExitStack() as stack:
         bus = stack.enter_context(choice.open())
@@ -126,6 +135,8 @@ def _run_on_bus(
 
 def _suspicion_printer(node: RobotNode, console: Console) -> Callable[[], None]:
     """Return a function that prints new kinds of suspicious estimates, each once for each sender."""
+    from mcp_asdf_tools.robots.suspicion import MEANINGS
+
     reported: set[tuple[Suspicion, int]] = set()
 
     def print_new_suspicions() -> None:
@@ -136,8 +147,8 @@ def _suspicion_printer(node: RobotNode, console: Console) -> Callable[[], None]:
     return print_new_suspicions
 
 
-def _summary(node: RobotNode, results: dict[str, Any], where: str) -> str:
-    """Return the lines that sum up a run; ``where`` names the bus, as in "on virtual vcan0"."""
+def _format_summary(node: RobotNode, results: dict[str, Any], bus_name: str) -> str:
+    """Return the lines that sum up a run for a reader; ``bus_name`` is such as "virtual vcan0"."""
     robot, frames, counters = node.robot, results["frames"], node.counters
     return (
         f"run       {node.ticks} ticks as robot {node.id}; {results['ending']}\n"
@@ -145,7 +156,7 @@ def _summary(node: RobotNode, results: dict[str, Any], where: str) -> str:
         f"filter    {results['filter']}; b_hat {robot.b_hat:.4f}, {counters.tests} tests, "
         f"{counters.updates} updates\n"
         f"sent      {frames['estimates_sent']} estimates, {frames['heartbeats_sent']} heartbeats, "
-        f"{frames['telemetry_sent']} telemetry {where}\n"
+        f"{frames['telemetry_sent']} telemetry on {bus_name}\n"
         f"heard     {frames['delivered']} estimates, {frames['refused']} of them refused, and "
         f"{sum(frames['rejected'].values())} other frames"
     )

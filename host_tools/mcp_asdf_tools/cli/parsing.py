@@ -9,6 +9,12 @@ from typing import Any, NoReturn
 from mcp_asdf_tools.common.errors import UsageError, offer
 
 
+def describe_unknown_value(value: str, known_values: Iterable[str]) -> str:
+    """Return what is wrong with a value that is none of the known ones, and the nearest of them."""
+    known_values = list(known_values)
+    return f"{value!r} is none of {', '.join(known_values)}{offer(value, known_values)}"
+
+
 class Parser(argparse.ArgumentParser):
     """ArgumentParser of one command, which raises UsageError where argparse's own ends the program."""
 
@@ -41,10 +47,7 @@ class Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Raise ArgumentError, with the nearest choice, for a value that is none of an option's choices."""
         if action.choices is not None and value not in action.choices:
-            known = ", ".join(map(str, action.choices))
-            raise argparse.ArgumentError(
-                action, f"{value!r} is none of {known}{offer(value, action.choices)}"
-            )
+            raise argparse.ArgumentError(action, describe_unknown_value(value, action.choices))
 
     def error(self, message: str) -> NoReturn:
         """Raise UsageError, which ends the program as any other does."""

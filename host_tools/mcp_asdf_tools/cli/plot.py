@@ -8,7 +8,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
-from mcp_asdf_tools.cli import experiment_options as options
+from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.scores import SCORES
 from mcp_asdf_tools.library import PLOTS
@@ -23,6 +23,10 @@ examples:
   mcp-asdf plot grid.parquet none.png --where filter=none --where fill_ratio=0.95
   mcp-asdf plot run.parquet series.svg --kind series --trial 0     # needs simulate --record
 exit code: 0 done, 2 bad usage"""
+LIBRARIES = ("numpy", "matplotlib", "pyarrow")
+
+_PLOT_OPTIONS = ("trial", "x", "hue", "y", "facet")
+"""Options that are passed to the function of a kind of picture under the same name."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,32 +36,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--kind", choices=[*PLOTS], default="boxes", help="what to draw (default %(default)s)"
     )
-    options.add_where(parser)
+    options.add_where_option(parser)
     parser.add_argument("--trial", metavar="N", type=int, help="which one, for series (default 0)")
     group = parser.add_argument_group("curves")
     group.add_argument("--x", metavar="NAME", help="parameter along the axis")
     group.add_argument("--hue", metavar="NAME", help="parameter with a curve for each value")
     group.add_argument("--y", metavar="NAME", help="H, h_K, h_e, K or e (default H)")
     group.add_argument("--facet", metavar="NAME", help="parameter with a panel for each value")
-    options.add_limits(parser)
+    options.add_limit_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw the picture, and print its path."""
-    from mcp_asdf_tools.common.figures import check_plot_path, save_figure  # noqa: PLC0415
+    """Draw the picture into its file, and print the file's path; return exit code 0."""
+    from mcp_asdf_tools.common.figures import check_plot_path, save_figure
 
     check_plot_path(args.picture)
-    plot_options: dict[str, Any] = {
-        name: getattr(args, name)
-        for name in ("trial", "x", "hue", "y", "facet")
-        if getattr(args, name) is not None
-    }
-    typed_limits = options.limits_given(args)
-    _check_options(args.kind, plot_options, typed_limits)
-    if typed_limits:
-        plot_options["limits"] = options.limits_of(args)
-    experiments = options.chosen(args)
-    save_figure(PLOTS[args.kind](experiments, **plot_options), args.picture)
+    keywords = _plot_keywords(args)
+    experiments = options.read_selected_experiments(args)
+    draw = PLOTS[args.kind]
+    save_figure(draw(experiments, **keywords), args.picture)
     if args.json:
         report = {"picture": str(args.picture), "kind": args.kind, "experiments": len(experiments)}
         print(json.dumps(report))
@@ -66,14 +63,32 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _check_options(kind: str, plot_options: dict[str, Any], typed_limits: list[str]) -> None:
-    """Raise UsageError for the first option that would do nothing in a picture of this kind."""
-    typed_options = [(name, f"--{name}") for name in plot_options]
-    typed_options += [("limits", option) for option in typed_limits]
-    for name, option in typed_options:
-        kinds = [other for other, plot in PLOTS.items() if name in signature(plot).parameters]
-        if kind not in kinds:
-            message = f"it is for {' and '.join(kinds)}, and kind is {kind}"
-            raise UsageError(f"{option} would do nothing: {message}; leave it out")
-        if name == "limits" and plot_options.get("y", "H") not in SCORES:
+def _plot_keywords(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the keyword arguments, by the options that the user typed, for the function of the picture.
+
+    Raises UsageError for the first option that would do nothing in a picture of this kind, and for limits
+    out of range.
+    """
+    keywords: dict[str, Any] = {}
+    for name in _PLOT_OPTIONS:
+        value = getattr(args, name)
+        if value is not None:
+            _check_kind_has(args.kind, name, f"--{name}")
+            keywords[name] = value
+    for option in options.typed_limit_options(args):
+        _check_kind_has(args.kind, "limits", option)
+        if keywords.get("y", "H") not in SCORES:
             raise UsageError(f"{option} would do nothing: it is for scores, and y is none; leave it out")
+        keywords["limits"] = options.limits_of(args)
+    return keywords
+
+
+def _check_kind_has(kind: str, keyword: str, option: str) -> None:
+    """Raise UsageError unless the function of this kind of picture takes ``keyword``, as ``option`` sets it.
+
+    The message names the kinds that the option is for.
+    """
+    kinds_with_it = [name for name, draw in PLOTS.items() if keyword in signature(draw).parameters]
+    if kind not in kinds_with_it:
+        reason = f"it is for {' and '.join(kinds_with_it)}, and kind is {kind}"
+        raise UsageError(f"{option} would do nothing: {reason}; leave it out")

@@ -7,37 +7,28 @@ from contextlib import ExitStack
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
-
-from rich.console import Console
+from typing import TYPE_CHECKING, Any
 
 from mcp_asdf.robot import B_HAT_MARGIN, Filter
-from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.cli import parameter_options
-from mcp_asdf_tools.cli.again import json_report, print_again
-from mcp_asdf_tools.cli.failures import report_failure
-from mcp_asdf_tools.cli.recordings import exit_code, recording_for
-from mcp_asdf_tools.cli.robot_options import (
-    add_robot_options,
-    add_subject_options,
-    robot_of,
-    subjects_of,
-    swarm_filter_of,
+from mcp_asdf_tools.cli import options
+from mcp_asdf_tools.cli.output import (
+    exit_code_with,
+    json_report,
+    print_again,
+    recording_for,
+    report_failure,
 )
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import check_target, results_beside, write_atomically
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
-from mcp_asdf_tools.common.versions import software_versions
-from mcp_asdf_tools.radio.controller_link import BenchOptions
-from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings, choose_ids
-from mcp_asdf_tools.radio.real_time import RadioRun
-from mcp_asdf_tools.radio.verification import Verification, details, markdown
-from mcp_asdf_tools.recording.events import EventsHeader
-from mcp_asdf_tools.recording.frame_logs import add_log_option
 from mcp_asdf_tools.robots.filters import FilteringRobots, describe_filters
-from mcp_asdf_tools.robots.node import BusLink, filters_for
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from mcp_asdf_tools.bus.interfaces import BusChoice
+    from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 
 EPILOG = """\
 examples:
@@ -50,6 +41,7 @@ been reset just before (or, with --wait, just after) and obey command frames (do
 through one phase for each claim and each class of fault, and must do, bit for bit, what its model does.
 exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 128 + signal if
 interrupted"""
+LIBRARIES = ("numpy", "can", "rich.console")
 
 _WORLD_PARAMETERS = (
     "robots",
@@ -64,41 +56,28 @@ _WORLD_PARAMETERS = (
     "seed",
 )
 """Parameters of a swarm that hold for the controller and its neighbours together."""
+_VERIFICATION_OPTIONS = ("timeout", "wait", "report")
 _DEFAULT_PHASE_TICKS = 25
 _DEFAULT_TIMEOUT = 2.0
 """Seconds."""
 
+# --- Options ---------------------------------------------------------------------------------------------
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    add_robot_options(parser, "mirror", "robot id of the controller, 0 to 127")
-    _add_neighbours(parser)
-    _add_verification(parser)
-    interfaces.add_arguments(parser)
-    add_subject_options(parser)
+    options.add_robot_options(parser, "mirror", "robot id of the controller, 0 to 127")
+    _add_neighbour_options(parser)
+    _add_verification_options(parser)
+    options.add_bus_options(parser)
+    options.add_subject_options(parser)
     output = parser.add_argument_group("output")
-    add_log_option(output, "with --verify FILE.events gets what 'mcp-asdf replay FILE' needs")
+    options.add_log_option(output, "with --verify FILE.events gets what 'mcp-asdf replay FILE' needs")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Verify the controller with --verify, or else emulate its neighbours; return the exit code."""
-    if args.report is not None:
-        check_target(args.report)
-    settings, choice = settings_of(args), interfaces.choose_bus(args)
-    if choice.is_private and "interface" not in args:
-        raise UsageError(
-            f"say with --interface on which bus the controller is: the bus {choice} is inside this process, "
-            "where nothing else is"
-        )
-    console = Console(stderr=True, quiet=args.json)
-    return (_verify if args.verify else _emulate)(args, settings, choice, console)
-
-
-def _add_neighbours(parser: argparse.ArgumentParser) -> None:
+def _add_neighbour_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the world, the neighbours and the disturbances."""
-    parameter_options.add_parameters(
-        parser, SwarmSettings, "controller, neighbours and world", _WORLD_PARAMETERS
-    )
+    options.add_parameters(parser, SwarmSettings, "controller, neighbours and world", _WORLD_PARAMETERS)
     group = parser.add_argument_group("neighbours")
     group.add_argument(
         "--first-id",
@@ -124,7 +103,7 @@ def _add_neighbours(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_verification(parser: argparse.ArgumentParser) -> None:
+def _add_verification_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options that go with --verify."""
     group = parser.add_argument_group("verification")
     group.add_argument("--verify", action="store_true", help="drive the controller in lockstep and judge it")
@@ -150,32 +129,137 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
 
     Raises UsageError for a value out of range and for options that contradict each other.
     """
+    from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids
+
+    _check_run_options(args)
+    controller = options.robot_of(args)
+    world = options.settings_from(args, SwarmSettings, steps=_DEFAULT_PHASE_TICKS)
+    neighbour_ids = choose_ids(controller.id, world.robots - 1, args.first_id)
+    # Neighbours assume the true accuracy, as far as the firmware can: it needs a margin to 0 and 1.
+    b_hat = min(max(world.true_accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
+    config = controller.config
+    if options.swarm_filter_of(args).filtering_robots is FilteringRobots.FLAWED:
+        # Of this swarm the controller alone is in doubt, so its neighbours do not recalibrate.
+        config = replace(config, table=None, filter=Filter.OFF)
+    neighbours = tuple(replace(controller, id=robot, b_hat=b_hat, config=config) for robot in neighbour_ids)
+    faults = tuple(parse_fault(text) for text in args.faults)
+    return RadioSettings(controller, neighbours, world, options.subjects_of(args), faults)
+
+
+def _check_run_options(args: argparse.Namespace) -> None:
+    """Raise UsageError for --steps or times out of range, and for options that need --verify without it."""
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
-    for name in ("timeout", "wait", "report"):
+    for name in _VERIFICATION_OPTIONS:
         value = getattr(args, name)
         if value is not None and not args.verify:
             raise UsageError(f"--{name} is for a verification; add --verify or leave it out")
         if isinstance(value, float) and not 0 < value < float("inf"):
             raise UsageError(f"{name} is {value}; it must be above 0 seconds")
-    controller = robot_of(args)
-    world = parameter_options.settings_from(args, SwarmSettings, steps=_DEFAULT_PHASE_TICKS)
-    ids = choose_ids(controller.id, world.robots - 1, args.first_id)
-    b_hat = min(max(world.true_accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
-    config = controller.config
-    if swarm_filter_of(args).filtering_robots is FilteringRobots.FLAWED:
-        # Of this swarm the controller alone is in doubt, so its neighbours do not recalibrate.
-        config = replace(config, table=None, filter=Filter.OFF)
-    neighbours = tuple(replace(controller, id=robot, b_hat=b_hat, config=config) for robot in ids)
-    faults = tuple(parse_fault(text) for text in args.faults)
-    return RadioSettings(controller, neighbours, world, subjects_of(args), faults)
 
 
-def _report(
-    args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice
-) -> dict[str, Any]:
-    """Return everything that is needed to repeat the run, as plain values."""
+# --- Runs ------------------------------------------------------------------------------------------------
+
+
+def run(args: argparse.Namespace) -> int:
+    """Verify the controller with --verify, or else emulate its neighbours; return the exit code."""
+    from rich.console import Console
+
+    from mcp_asdf_tools.common.files import check_target
+
+    if args.report is not None:
+        check_target(args.report)
+    settings = settings_of(args)
+    choice = options.bus_of(args)
+    if choice.is_private and "interface" not in args:
+        raise UsageError(
+            f"say with --interface on which bus the controller is: the bus {choice} is inside this process, "
+            "where nothing else is"
+        )
+    console = Console(stderr=True, quiet=args.json)
+    if args.verify:
+        return _verify(args, settings, choice, console)
+    return _emulate_neighbours(args, settings, choice, console)
+
+
+def _verify(args: argparse.Namespace, settings: RadioSettings, choice: BusChoice, console: Console) -> int:
+    """Take the controller through all phases, print the verdict and write the report; return an exit code."""
+    from mcp_asdf_tools.common.files import write_atomically
+    from mcp_asdf_tools.radio.controller_link import BenchOptions
+    from mcp_asdf_tools.radio.verification import Verification, details, markdown
+    from mcp_asdf_tools.recording.events import EventsHeader
+
+    report = _make_report(args, settings, choice)
+    controller, seed = settings.controller, settings.swarm.seed
+    header = EventsHeader([controller], seed, settings.subjects.estimates, report["parameters"])
+    recording = recording_for("radio", args.log, header, choice)
+    with ExitStack() as at_end:
+        with recording as (log, events), choice.open() as bus, stopping() as should_stop:
+            bench_options = BenchOptions(
+                bus, args.steps or _DEFAULT_PHASE_TICKS, args.timeout or _DEFAULT_TIMEOUT, args.wait
+            )
+            if log is not None:
+                bench_options.log = log
+            bench_options.recorder = None if events is None else events.recorders[controller.id]
+            bench_options.should_stop = should_stop
+            verification = Verification(settings, bench_options)
+            with console.status("") as status:
+                bench_options.progress = lambda ticks: status.update(
+                    f"tick {ticks}   {verification.bench.activity}"
+                )
+                verdict = verification.run()
+            report["verdict"] = verdict.plain()
+            text = f"filter: {report['filter']}\n\n{details(verdict)}\n{verdict.headline}\n"
+            at_end.callback(_print_report, args, text, report)  # even if a file cannot be completed
+        if args.report is not None:
+            write_atomically(args.report, markdown(verdict, report))
+    code = INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
+    return exit_code_with(recording, code)
+
+
+def _emulate_neighbours(
+    args: argparse.Namespace, settings: RadioSettings, choice: BusChoice, console: Console
+) -> int:
+    """Run the neighbours until --steps are done or Ctrl-C, print and write results; return the exit code."""
+    from mcp_asdf_tools.common.files import results_beside, write_atomically
+    from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
+    from mcp_asdf_tools.radio.real_time import RadioRun
+    from mcp_asdf_tools.robots.node import BusLink, filters_for
+
+    results_path = None if args.log is None else results_beside(args.log)
+    recording = recording_for("radio", args.log, None, choice)
+    with ExitStack() as at_end:
+        with recording as (log, _), choice.open() as bus, stopping() as should_stop:
+            bus.set_filters(filters_for(settings.subjects.estimates, settings.subjects.telemetry))
+            link = BusLink(bus, should_stop, endures=True, log=log)
+            radio_run = RadioRun(Neighbourhood(settings), link, args.steps)
+            with console.status("") as status:
+                radio_run.on_tick = lambda: status.update(
+                    f"tick {radio_run.neighbours.tick}   frames sent {radio_run.sent_count}, "
+                    f"estimates heard {radio_run.estimate_count}"
+                )
+                radio_run.run()
+            report = _make_report(args, settings, choice)
+            report["results"] = radio_run.figures()
+            text = _format_results(report["results"], report["filter"])
+            at_end.callback(_print_report, args, text, report)  # even if a file cannot be completed
+        if results_path is not None:
+            write_atomically(results_path, json_report(report) + "\n")
+    outcome = radio_run.outcome
+    if outcome.has_failed:
+        return exit_code_with(recording, report_failure("mcp-asdf radio", outcome.ending, args.json))
+    return exit_code_with(recording, INTERRUPTED if outcome.is_interrupted else 0)
+
+
+# --- Reports ---------------------------------------------------------------------------------------------
+
+
+def _make_report(args: argparse.Namespace, settings: RadioSettings, choice: BusChoice) -> dict[str, Any]:
+    """Return everything that is needed to repeat the run, as plain values; results are still to be added."""
+    from mcp_asdf_tools.common.versions import software_versions
+
     robots = [settings.controller, *settings.neighbours]
+    world_parameters = settings.swarm.parameters()
     return {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "filter": describe_filters(robot.config.filter for robot in robots),
@@ -185,7 +269,7 @@ def _report(
             "subjects": {
                 name: asdict(frame_format) for name, frame_format in vars(settings.subjects).items()
             },
-            **{name: settings.swarm.parameters()[name] for name in _WORLD_PARAMETERS},
+            **{name: world_parameters[name] for name in _WORLD_PARAMETERS},
             "faults": [str(fault) for fault in settings.faults],
             "verify": args.verify,
             "steps": args.steps,
@@ -196,7 +280,7 @@ def _report(
     }
 
 
-def _print(args: argparse.Namespace, text: str, report: dict[str, Any]) -> None:
+def _print_report(args: argparse.Namespace, text: str, report: dict[str, Any]) -> None:
     """Print the report as JSON with --json, or else the text and the line that makes the run again."""
     if args.json:
         print(json_report(report))
@@ -205,65 +289,7 @@ def _print(args: argparse.Namespace, text: str, report: dict[str, Any]) -> None:
     print_again(args, seed=report["parameters"]["seed"])
 
 
-def _verify(
-    args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice, console: Console
-) -> int:
-    """Take the controller through all phases, print the verdict and write the report; return an exit code."""
-    report = _report(args, settings, choice)
-    controller, seed = settings.controller, settings.swarm.seed
-    header = EventsHeader([controller], seed, settings.subjects.estimates, report["parameters"])
-    recording = recording_for("radio", args.log, header, choice)
-    with ExitStack() as ending:
-        with recording as (log, events), choice.open() as bus, stopping() as should_stop:
-            options = BenchOptions(
-                bus, args.steps or _DEFAULT_PHASE_TICKS, args.timeout or _DEFAULT_TIMEOUT, args.wait
-            )
-            options.log = options.log if log is None else log
-            options.recorder = None if events is None else events.recorders[controller.id]
-            options.should_stop = should_stop
-            verification = Verification(settings, options)
-            with console.status("") as status:
-                options.progress = lambda ticks: status.update(
-                    f"tick {ticks}   {verification.bench.activity}"
-                )
-                verdict = verification.run()
-            report |= {"verdict": verdict.plain()}
-            text = f"filter: {report['filter']}\n\n{details(verdict)}\n{verdict.headline}\n"
-            ending.callback(_print, args, text, report)  # even if a file cannot be completed
-        if args.report is not None:
-            write_atomically(args.report, markdown(verdict, report))
-    code = INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
-    return exit_code(recording, code)
-
-
-def _emulate(
-    args: argparse.Namespace, settings: RadioSettings, choice: interfaces.BusChoice, console: Console
-) -> int:
-    """Run the neighbours until --steps are done or Ctrl-C, print and write results; return the exit code."""
-    results = None if args.log is None else results_beside(args.log)
-    recording = recording_for("radio", args.log, None, choice)
-    with ExitStack() as ending:
-        with recording as (log, _), choice.open() as bus, stopping() as should_stop:
-            bus.set_filters(filters_for(settings.subjects.estimates, settings.subjects.telemetry))
-            link = BusLink(bus, should_stop, endures=True, log=log)
-            run = RadioRun(Neighbourhood(settings), link, args.steps)
-            with console.status("") as status:
-                run.on_tick = lambda: status.update(
-                    f"tick {run.neighbours.tick}   frames sent {run.sent_count}, "
-                    f"estimates heard {run.estimate_count}"
-                )
-                run.run()
-            report = _report(args, settings, choice) | {"results": run.figures()}
-            text = _results(report["results"], report["filter"])
-            ending.callback(_print, args, text, report)  # even if a file cannot be completed
-        if results is not None:
-            write_atomically(results, json_report(report) + "\n")
-    if run.outcome.has_failed:
-        return exit_code(recording, report_failure("mcp-asdf radio", run.outcome.ending, args.json))
-    return exit_code(recording, INTERRUPTED if run.outcome.is_interrupted else 0)
-
-
-def _results(results: dict[str, Any], filters: str) -> str:
+def _format_results(results: dict[str, Any], filters: str) -> str:
     """Return the lines that sum up a run in real time for a reader."""
     lines = [
         f"run         {results['steps']} steps; {results['ending']}",
@@ -273,7 +299,8 @@ def _results(results: dict[str, Any], filters: str) -> str:
         f"the bus failed {results['bus_failures']} times",
         f"neighbours  mean x {results['mean_x']:.5f}, spread {results['spread_x']:.5f}",
     ]
-    lines += [f"fault       {each['fault']}: struck {each['injected']} times" for each in results["faults"]]
+    for fault in results["faults"]:
+        lines.append(f"fault       {fault['fault']}: struck {fault['injected']} times")
     for sender, count in results["id_conflicts"].items():
         lines.append(
             f"node-id conflict: another node sent {count} messages as robot {sender}; see --first-id"

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections import deque
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.table import Table
-
-from mcp_asdf_tools.cli.again import json_report, print_again
+from mcp_asdf_tools.cli.output import json_report, print_again, warn
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.recording.events import EventsReader, events_path
-from mcp_asdf_tools.recording.frame_logs import PART, LogSummary, check_log, read_log
-from mcp_asdf_tools.recording.replay import ReplayVerdict, verify
-from mcp_asdf_tools.robots.filters import describe_filters
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from mcp_asdf_tools.recording.frame_logs import LogSummary
+    from mcp_asdf_tools.recording.replay import ReplayVerdict
 
 EPILOG = """\
 examples:
@@ -26,6 +25,7 @@ examples:
 Checking needs the file FILE.events that swarm and radio write beside their logs. To play a log onto a bus,
 use python-can's can_player.
 exit code: 0 done, 1 a broadcast is not reproduced, 2 bad usage, 128 + signal if interrupted"""
+LIBRARIES = ("numpy", "can", "rich.console")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,54 +44,79 @@ def run(args: argparse.Namespace) -> int:
 
     Returns exit code 1 if one does not. Raises UsageError if there is nothing to compare.
     """
-    events = args.events or events_path(args.log)
-    check_log(args.log)
-    if args.log.suffix == PART:
-        _warn(f"{args.log} is incomplete: its run was cut off")
-    if args.events is None and not events.exists():
-        raise UsageError(
-            f"there is no {events}, without which nothing can be checked: swarm, radio and node write it "
-            "beside their logs; give it as --events, or see what the frames say with mcp-asdf view"
-        )
-    progress = Console(stderr=True)
+    from rich.console import Console
+
+    from mcp_asdf_tools.recording.events import EventsReader
+    from mcp_asdf_tools.recording.frame_logs import LogSummary, read_log
+    from mcp_asdf_tools.recording.replay import verify
+    from mcp_asdf_tools.robots.filters import describe_filters
+
+    events_path = _check_files(args)
     summary = LogSummary()
     frames = read_log(args.log, args.channel, summary)
-    with EventsReader(events) as events_reader, progress.status("running the robots again"):
+    progress = Console(stderr=True)
+    with EventsReader(events_path) as events_reader, progress.status("running the robots again"):
         verdict = verify(frames, events_reader)
-        with suppress(UsageError):  # the rest of the log only tells its channels
+        # The rest of the log is read to its end for the summary alone, which counts frames by channel.
+        with suppress(UsageError):
             deque(frames, maxlen=0)
     filters = describe_filters(robot.config.filter for robot in events_reader.header.robots)
     if args.json:
-        print(json_report(_report(args, events, summary, verdict, filters)))
+        print(json_report(_report(args, events_path, summary, verdict, filters)))
     else:
         console = Console(soft_wrap=True)
         console.print(_table_of(verdict))
         console.print(filters, highlight=False)
         print_again(args)
     if summary.warning is not None:
-        _warn(f"of {args.log} {summary.warning}")
+        warn("replay", f"of {args.log} {summary.warning}")
     if verdict.difference is not None:
-        _warn(f"not reproduced: {verdict.difference}")
-        if args.channel is None and len(summary.channels) > 1:
-            _warn(
-                f"{args.log} has frames of {summary.channel_names}: if it has the same frames of each, "
-                "choose one by --channel"
-            )
+        _warn_of_difference(args, verdict.difference, summary)
         return 1
     if not verdict.reproduced + verdict.falsified:
-        raise UsageError(f"{args.log} holds no estimate of the robots in {events}; do they belong together?")
+        raise UsageError(
+            f"{args.log} holds no estimate of the robots in {events_path}; do they belong together?"
+        )
     return 0
 
 
-def _warn(text: str) -> None:
-    """Print a line to standard error."""
-    print(f"mcp-asdf replay: {text}", file=sys.stderr)
+def _check_files(args: argparse.Namespace) -> Path:
+    """Return the path of the file of events, and warn if the log is incomplete.
+
+    Raises UsageError if the log cannot be read, and if it has no events beside it where none are named.
+    """
+    from mcp_asdf_tools.recording.events import events_path
+    from mcp_asdf_tools.recording.frame_logs import PART, check_log
+
+    events: Path = args.events or events_path(args.log)
+    check_log(args.log)
+    if args.log.suffix == PART:
+        warn("replay", f"{args.log} is incomplete: its run was cut off")
+    if args.events is None and not events.exists():
+        raise UsageError(
+            f"there is no {events}, without which nothing can be checked: swarm, radio and node write it "
+            "beside their logs; give it as --events, or see what the frames say with mcp-asdf view"
+        )
+    return events
+
+
+def _warn_of_difference(args: argparse.Namespace, difference: str, summary: LogSummary) -> None:
+    """Print what is not reproduced, and a likely reason if the log has frames of several buses."""
+    warn("replay", f"not reproduced: {difference}")
+    if args.channel is None and len(summary.channels) > 1:
+        warn(
+            "replay",
+            f"{args.log} has frames of {summary.channel_names}: if it has the same frames of each, "
+            "choose one by --channel",
+        )
 
 
 def _report(
     args: argparse.Namespace, events: Path, summary: LogSummary, verdict: ReplayVerdict, filters: str
 ) -> dict[str, object]:
     """Return the result as plain values for JSON."""
+    from mcp_asdf_tools.recording.frame_logs import PART
+
     return {
         "log": str(args.log),
         "events": str(events),
@@ -106,6 +131,8 @@ def _report(
 
 def _table_of(verdict: ReplayVerdict) -> Table:
     """Return a table with the number of frames of each kind."""
+    from rich.table import Table
+
     table = Table(box=None, padding=(0, 1), show_header=False)
     table.add_column(justify="right", style="bold")
     table.add_column()

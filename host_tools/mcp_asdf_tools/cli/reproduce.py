@@ -7,15 +7,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.cli.again import json_report, print_again
-from mcp_asdf_tools.cli.sweep import add_scheduler, telling_what_is_left
+from mcp_asdf_tools.cli import options
+from mcp_asdf_tools.cli.output import json_report, print_again, reporting_missing_trials
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import make_folder
 from mcp_asdf_tools.common.parameters import ParameterError
-from mcp_asdf_tools.common.progress_bar import progress
-from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.sweep import run_sweep
 from mcp_asdf_tools.studies.cells import (
     FILTER_PERIODS,
     Cell,
@@ -25,13 +20,9 @@ from mcp_asdf_tools.studies.cells import (
     cells_of,
     experiment_of,
 )
-from mcp_asdf_tools.studies.claims import decide
-from mcp_asdf_tools.studies.study_results import StudyResults
-
-PAPER_SIZE = StudySize()
-QUICK_SIZE = StudySize(trials=10, steps=10_000)
 
 if TYPE_CHECKING:
+    from mcp_asdf_tools.experiments.results import Trials
     from mcp_asdf_tools.experiments.store import Store
 
 EPILOG = """\
@@ -44,51 +35,56 @@ The same command resumes a run that was interrupted, and makes the report of a f
 trials it runs those that are new.
 exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 128 + signal if interrupted (what
 was finished is kept)"""
+LIBRARIES = ("numpy", "matplotlib", "pyarrow", "rich.progress")
+
+PAPER_SIZE = StudySize()
+QUICK_SIZE = StudySize(trials=10, steps=10_000)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    add = parser.add_argument
-    quick = f"{QUICK_SIZE.trials} trials of {QUICK_SIZE.steps} steps: whether it works, without verdicts"
-    add("--quick", action="store_true", help=quick)
-    add(
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help=f"{QUICK_SIZE.trials} trials of {QUICK_SIZE.steps} steps: whether it works, without verdicts",
+    )
+    parser.add_argument(
         "--output", metavar="FOLDER", type=Path, help="for report and results (default: reproduction[-quick])"
     )
-    parts = [study_part.value for study_part in StudyPart]
-    add("--part", action="append", choices=parts, help="only this part; may be repeated (default: all)")
-    add("--trials", type=int, metavar="N", help=f"of each experiment (default {PAPER_SIZE.trials})")
-    add("--steps", type=int, metavar="N", help=f"at most, of a trial (default {PAPER_SIZE.steps})")
-    add("--seed", type=int, metavar="N", help=f"of all random numbers (default {PAPER_SIZE.seed})")
-    options.add_workers(parser)
-    add_scheduler(parser)
+    parser.add_argument(
+        "--part",
+        action="append",
+        choices=[study_part.value for study_part in StudyPart],
+        help="only this part; may be repeated (default: all)",
+    )
+    parser.add_argument(
+        "--trials", type=int, metavar="N", help=f"of each experiment (default {PAPER_SIZE.trials})"
+    )
+    parser.add_argument(
+        "--steps", type=int, metavar="N", help=f"at most, of a trial (default {PAPER_SIZE.steps})"
+    )
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help=f"of all random numbers (default {PAPER_SIZE.seed})"
+    )
+    options.add_worker_option(parser)
+    options.add_scheduler_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the trials that are missing, decide the claims and write the report; returns the exit code."""
-    from mcp_asdf_tools.studies import report  # noqa: PLC0415 (matplotlib loads slowly)
+    """Run the trials that are missing, decide the claims and write the report; return exit code 0."""
+    from mcp_asdf_tools.studies import report
+    from mcp_asdf_tools.studies.claims import decide
+    from mcp_asdf_tools.studies.study_results import StudyResults
 
-    workers = options.check_workers(args.workers)
+    workers = options.workers_of(args)
     study_size = study_size_from(args)
-    parts = [study_part for study_part in StudyPart if args.part is None or study_part.value in args.part]
     folder = args.output or Path("reproduction-quick" if args.quick else "reproduction")
+    parts = [study_part for study_part in StudyPart if args.part is None or study_part.value in args.part]
     stores = open_stores(folder, parts, study_size)
-    if not args.json:
-        print(f"{sum(store.missing_count for store in stores.values())} trials to run", file=sys.stderr)
-
-    from mcp_asdf_tools.experiments.result_files import stream_experiments  # noqa: PLC0415
-
-    trials_by_cell: dict[Cell, Trials] = {}
-    with telling_what_is_left(list(stores.values())):
-        for study_part, store in stores.items():
-            with progress(f"{study_part.value}: trials", store.missing_count, args.json) as bar:
-                run_sweep(store, workers, bar, args.scheduler)
-            trials_by_cell |= {
-                cell_of(study_part, trials.experiment): trials for trials in stream_experiments(store.output)
-            }
-
-    study_results = StudyResults(trials_by_cell)
+    study_results = StudyResults(_run_missing_trials(stores, workers, args))
     decisions = decide(study_results)
     report.write_report(folder, study_results, decisions, study_size)
+
     claims = report.decisions_as_json(decisions, study_size)
     if args.json:
         print(json_report({"report": str(folder / "report.html"), "claims": claims}))
@@ -123,17 +119,42 @@ def open_stores(folder: Path, parts: list[StudyPart], study_size: StudySize) -> 
 
     Raises UsageError for a size out of range, results of another study, and a folder that cannot be written.
     """
+    from mcp_asdf_tools.common.files import make_folder
+    from mcp_asdf_tools.experiments.store import Store
+
     try:
-        experiments = {
+        experiments_by_part = {
             study_part: [experiment_of(cell, study_size) for cell in cells_of(study_part)]
             for study_part in parts
         }
     except ParameterError as error:
         raise UsageError(f"--{error.key}: {error}") from error
-    from mcp_asdf_tools.experiments.store import Store  # noqa: PLC0415 (pyarrow loads slowly)
-
     make_folder(folder)
     return {
-        study_part: Store(folder / f"{study_part.value}.parquet", experiments[study_part])
-        for study_part in parts
+        study_part: Store(folder / f"{study_part.value}.parquet", experiments)
+        for study_part, experiments in experiments_by_part.items()
     }
+
+
+def _run_missing_trials(
+    stores: dict[StudyPart, Store], workers: int, args: argparse.Namespace
+) -> dict[Cell, Trials]:
+    """Run the trials that the stores lack, part by part, and return all trials by cell of the study.
+
+    Progress goes to standard error, unless --json is given.
+    """
+    from mcp_asdf_tools.common.progress_bar import progress
+    from mcp_asdf_tools.experiments.result_files import stream_experiments
+    from mcp_asdf_tools.experiments.sweep import run_sweep
+
+    if not args.json:
+        missing_count = sum(store.missing_count for store in stores.values())
+        print(f"{missing_count} trials to run", file=sys.stderr)
+    trials_by_cell = {}
+    with reporting_missing_trials(list(stores.values())):
+        for study_part, store in stores.items():
+            with progress(f"{study_part.value}: trials", store.missing_count, args.json) as report_progress:
+                run_sweep(store, workers, report_progress, args.scheduler)
+            for trials in stream_experiments(store.output):
+                trials_by_cell[cell_of(study_part, trials.experiment)] = trials
+    return trials_by_cell

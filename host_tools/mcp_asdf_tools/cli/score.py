@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.cli.again import json_report
-from mcp_asdf_tools.experiments.results import write_csv
+from mcp_asdf_tools.cli import options
+from mcp_asdf_tools.cli.output import json_report
 
 EPILOG = """\
 examples:
@@ -15,30 +14,30 @@ examples:
   mcp-asdf score grid.parquet --k-max 40000 --e-max 0.45
   mcp-asdf score grid.parquet --csv grid.csv        # a line for every trial
 exit code: 0 done, 2 bad usage"""
+LIBRARIES = ("numpy", "pyarrow", "rich.console")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
     parser.add_argument("file", metavar="FILE", type=Path, help="results: .parquet")
     parser.add_argument("--csv", metavar="FILE", type=Path, help="write a line for every trial")
-    options.add_limits(parser)
+    options.add_limit_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Read results, write their trials as CSV if asked to, and print their scores; return exit code 0."""
-    from mcp_asdf_tools.experiments.result_files import (  # noqa: PLC0415 (pyarrow loads slowly)
-        read_table,
-        stream_experiments,
-    )
-    from mcp_asdf_tools.experiments.result_tables import read_metadata  # noqa: PLC0415
+    from mcp_asdf_tools.cli.score_table import print_scores, summarize
+    from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
+    from mcp_asdf_tools.experiments.result_tables import read_metadata
+    from mcp_asdf_tools.experiments.results import write_csv
 
     metadata = read_metadata(read_table(args.file, ["trial"]))
     limits = options.limits_of(args)
     if args.csv is not None:
         write_csv(args.csv, stream_experiments(args.file), limits)
-    rows = options.summary(stream_experiments(args.file), limits)
+    rows = summarize(stream_experiments(args.file), limits)
     if args.json:
         print(json_report({**metadata, "experiments": rows}))
     else:
-        options.show(rows, str(args.file))
+        print_scores(rows, str(args.file))
     return 0

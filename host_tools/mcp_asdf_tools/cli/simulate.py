@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mcp_asdf_tools.cli import experiment_options as options
-from mcp_asdf_tools.cli.again import json_report, print_again
+from mcp_asdf_tools.cli import options
+from mcp_asdf_tools.cli.output import json_report, print_again
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.library import simulate
 
 EPILOG = """\
 examples:
@@ -19,6 +18,7 @@ examples:
   mcp-asdf simulate --drift linear --drift-rate=-1e-5 --memory 2000
 FILE is an experiment (.toml). Equal parameters give equal results.
 exit code: 0 done, 2 bad usage, 128 + signal if interrupted"""
+LIBRARIES = ("numpy", "pyarrow", "rich.console")
 
 _ROBOT_STEPS_FOR_PROCESSES = 10**8
 """Steps of all robots from which on further processes pay: fewer take a second or two in this one."""
@@ -27,31 +27,31 @@ _ROBOT_STEPS_FOR_PROCESSES = 10**8
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
     parser.add_argument("file", metavar="FILE", nargs="?", type=Path, help="describes the experiment: .toml")
-    options.add_run(parser, "keep the results: .parquet")
+    options.add_experiment_options(parser, "keep the results: .parquet")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the experiment, write its results if ``--output`` names a file, and print its scores; return 0."""
-    from mcp_asdf_tools.experiments.result_tables import (  # noqa: PLC0415 (pyarrow loads slowly)
-        experiments_in,
-        read_metadata,
-    )
+    from mcp_asdf_tools.cli.score_table import print_scores, summarize
+    from mcp_asdf_tools.experiments.result_tables import experiments_in, read_metadata
+    from mcp_asdf_tools.library import simulate
 
     experiments = options.experiments_of(args)
     if len(experiments) > 1:
         raise UsageError(f"{args.file} describes {len(experiments)} experiments; run it with mcp-asdf sweep")
     experiment = experiments[0]
-    workers = options.check_workers(args.workers)
+    workers = options.workers_of(args)
     limits = options.limits_of(args)
     robot_steps = experiment.trials * experiment.robots * experiment.steps
     if experiment.firmware == "native" and robot_steps < _ROBOT_STEPS_FOR_PROCESSES:
         workers = 1
-    output = None if args.output is None else options.checked_output(args.output)
-    table = simulate(experiment, output, workers=workers, record=args.record, quiet=args.json)
-    rows = options.summary(experiments_in(table), limits)
+    if args.output is not None:
+        options.check_results_path(args.output)
+    table = simulate(experiment, args.output, workers=workers, record=args.record, quiet=args.json)
+    rows = summarize(experiments_in(table), limits)
     if args.json:
         print(json_report({**read_metadata(table), **rows[0]}))
     else:
-        options.show(rows, "one experiment")
+        print_scores(rows, "one experiment")
         print_again(args, seed=experiment.seed)
     return 0

@@ -10,37 +10,31 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
-import can
-from rich.console import Console
-
-from mcp_asdf_tools.bus import interfaces
-from mcp_asdf_tools.bus.frames import FrameFormat
-from mcp_asdf_tools.bus.interfaces import BusChoice
-from mcp_asdf_tools.bus.slcan_server import HOST, SlcanServer
-from mcp_asdf_tools.cli import parameter_options, view
-from mcp_asdf_tools.cli.again import json_report, print_again
-from mcp_asdf_tools.cli.failures import report_failure
-from mcp_asdf_tools.cli.recordings import exit_code, recording_for
+from mcp_asdf_tools.cli import options
+from mcp_asdf_tools.cli.output import (
+    announce_page,
+    exit_code_with,
+    json_report,
+    print_again,
+    recording_for,
+    report_failure,
+    sleep_until,
+    warn,
+)
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import results_beside, write_atomically
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
-from mcp_asdf_tools.recording.events import EventsHeader
-from mcp_asdf_tools.recording.frame_logs import add_log_option
-from mcp_asdf_tools.recording.recording import LogOutputs
 from mcp_asdf_tools.robots.clock import ClockKind
-from mcp_asdf_tools.robots.lockstep import LockstepError
-from mcp_asdf_tools.robots.node import Subjects
-from mcp_asdf_tools.robots.processes import NodeProcesses
-from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.fault_injection.kinds import FAULT_KINDS
-from mcp_asdf_tools.swarm.live_view import LiveView
-from mcp_asdf_tools.swarm.remote_robot import check_remote
-from mcp_asdf_tools.swarm.run import Baselines, SwarmRun, results_of, run_swarm
 from mcp_asdf_tools.swarm.settings import MAX_ROBOTS_AND_TOOLS, SwarmSettings
-from mcp_asdf_tools.swarm.summary import comparison, load_warning, one_line, summary, summary_table
-from mcp_asdf_tools.swarm.swarm import Swarm
 
 if TYPE_CHECKING:
+    import can
+    from rich.console import Console
+
+    from mcp_asdf_tools.bus.interfaces import BusChoice
+    from mcp_asdf_tools.recording.recording import LogOutputs
+    from mcp_asdf_tools.swarm.carrier import Wiring
+    from mcp_asdf_tools.swarm.run import SwarmRun
     from mcp_asdf_tools.view.films import SwarmRecorder
 
 EPILOG = """\
@@ -61,6 +55,7 @@ With {robot} in the channel each robot has a bus of its own, and frames are carr
 settings give the same run to the bit, and the same log, on every bus. docs/swarm.md says more.
 exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 128 + signal
 if interrupted (what was done is saved)"""
+LIBRARIES = ("numpy", "can", "rich.console")
 
 _logger = logging.getLogger(__name__)
 
@@ -69,19 +64,21 @@ _STARTING_TIMEOUT = 60.0
 _DEFAULT_PACE = 500.0
 """Steps a second with ``--view``, unless another number is given."""
 
-_DEFAULTS = SwarmSettings()
+# --- Options ---------------------------------------------------------------------------------------------
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare all options of the command."""
-    parameter_options.add_common_parameters(parser, SwarmSettings, "swarm and world")
-    _add_faults(parser)
-    _add_bus_and_output(parser)
-    parameter_options.add_further_parameters(parser, SwarmSettings)
-    _add_frame_options(parser)
+    options.add_common_parameters(parser, SwarmSettings, "swarm and world")
+    _add_fault_options(parser)
+    options.add_bus_options(parser)
+    _add_remote_options(parser)
+    _add_output_options(parser)
+    options.add_further_parameters(parser, SwarmSettings)
+    options.add_estimate_format(parser.add_argument_group("frames"))
 
 
-def _add_faults(parser: argparse.ArgumentParser) -> None:
+def _add_fault_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options of disturbances and of the clock, with a help that lists all kinds of fault."""
     kind_lines = []
     for kind in FAULT_KINDS:
@@ -104,22 +101,21 @@ def _add_faults(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--clock",
         choices=get_args(ClockKind),
-        default=_DEFAULTS.clock,
+        default=SwarmSettings.clock,
         help="a tick ends when all frames have arrived, or with its time slot (default %(default)s)",
     )
 
 
-def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of the bus, of who else is on it, and of what is written and shown."""
-    interfaces.add_arguments(parser)
-    elsewhere = parser.add_argument_group("robots and programs elsewhere")
-    elsewhere.add_argument(
+def _add_remote_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of programs and robots that are not in this process."""
+    group = parser.add_argument_group("robots and programs elsewhere")
+    group.add_argument(
         "--slcan",
         metavar="PORT",
         type=int,
         help="let other programs join the bus as an slcan adapter at this TCP port (0: any free one)",
     )
-    remote_robots = elsewhere.add_mutually_exclusive_group()
+    remote_robots = group.add_mutually_exclusive_group()
     remote_robots.add_argument(
         "--processes", action="store_true", help="run each robot as a process with a connection of its own"
     )
@@ -130,99 +126,36 @@ def _add_bus_and_output(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="this robot is a controller there that obeys command frames; repeatable",
     )
-    output = parser.add_argument_group("output (beside a log, FILE.json gets all parameters and results)")
-    add_log_option(output, "FILE.events gets what each robot saw and heard")
-    output.add_argument(
+
+
+def _add_output_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of what is written and shown."""
+    group = parser.add_argument_group("output (beside a log, FILE.json gets all parameters and results)")
+    options.add_log_option(group, "FILE.events gets what each robot saw and heard")
+    group.add_argument(
         "--compare",
         action="store_true",
         help="also run the same swarm without a filter, with ASDF- and with the robust filter",
     )
-    output.add_argument("--view", action="store_true", help="show the run in a browser as it goes")
-    output.add_argument(
+    group.add_argument("--view", action="store_true", help="show the run in a browser as it goes")
+    group.add_argument(
         "--pace",
         metavar="N",
         type=float,
         help=f"steps a second with --view; 0 for any (default {_DEFAULT_PACE:g})",
     )
-    view.add_server_options(output)
-    output.add_argument(
+    options.add_port_option(group)
+    group.add_argument(
         "--quiet", action="store_true", help="nothing while it runs, and one line for a summary"
     )
 
 
-def _add_frame_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of the format of estimates."""
-    default_format = _DEFAULTS.frames
-    group = parser.add_argument_group("frames")
-    group.add_argument(
-        "--subject",
-        type=int,
-        metavar="N",
-        default=default_format.subject,
-        help="Cyphal subject of estimates, 0 to 6143 (default %(default)s)",
-    )
-    group.add_argument(
-        "--priority",
-        type=int,
-        metavar="N",
-        default=default_format.priority,
-        help="priority of estimates, 0 (first) to 7 (default %(default)s)",
-    )
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """The options of a run, and what they describe.
-
-    Attributes:
-        args: The parsed options.
-        settings: Settings of the swarm.
-        choice: The bus.
-        wiring: Which robots are on which bus.
-    """
-
-    args: argparse.Namespace
-    settings: SwarmSettings
-    choice: BusChoice
-    wiring: Wiring
-
-    @property
-    def console(self) -> Console:
-        """The console that shows the progress of the run, or nothing with --quiet or --json."""
-        return Console(quiet=self.args.quiet or self.args.json)
-
-
-def run(args: argparse.Namespace) -> int:
-    """Run the swarm, write its log and results, and print a summary; return the exit code."""
-    settings, choice = settings_of(args), interfaces.choose_bus(args)
-    plan = _Plan(args, settings, choice, wiring_of(args, settings, choice))
-    _check(plan)
-    results = None if args.log is None else results_beside(args.log)
-    header = EventsHeader(settings.robot_setups(), settings.seed, settings.frames, settings.plain())
-    recording = recording_for("swarm", args.log, header, choice)
-    try:
-        with ExitStack() as ending:
-            recorder = _start_view(plan, ending)
-            with recording as outputs:
-                outcome, report, seconds = _emulate(plan, outputs, recorder)
-                # Printed even if a file cannot be completed.
-                ending.callback(_print, plan, outcome, report, seconds)
-            if results is not None:
-                write_atomically(results, json_report(report) + "\n")
-    except (LockstepError, can.CanError) as error:
-        return report_failure("mcp-asdf swarm", str(error), args.json)
-    if outcome.failure is not None:
-        code = report_failure("mcp-asdf swarm", f"failed in {outcome.failure}", args.json)
-        return exit_code(recording, code)
-    return exit_code(recording, INTERRUPTED if outcome.interrupted else 0)
-
-
 def settings_of(args: argparse.Namespace) -> SwarmSettings:
     """Return the settings that the options describe. Raises UsageError for a value out of range."""
-    return parameter_options.settings_from(
+    return options.settings_from(
         args,
         SwarmSettings,
-        frames=FrameFormat(args.subject, args.priority),
+        frames=options.estimate_format_of(args),
         faults=args.faults,
         clock=args.clock,
     )
@@ -234,6 +167,9 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, choice: BusChoi
     ``choice`` is the bus of all robots without a ``--device``. Raises UsageError if the options contradict
     each other or the settings.
     """
+    from mcp_asdf_tools.swarm.carrier import Wiring
+    from mcp_asdf_tools.swarm.remote_robot import check_remote
+
     devices = dict(_parse_device(text) for text in args.device)
     if len(devices) < len(args.device):
         raise UsageError(f"two devices are one robot: {', '.join(args.device)}; give each an id of its own")
@@ -258,6 +194,10 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, choice: BusChoi
 
 def _parse_device(text: str) -> tuple[int, BusChoice]:
     """Return robot id and bus of a text such as ``3=slcan:socket://127.0.0.1:20001``. Raises UsageError."""
+    import can
+
+    from mcp_asdf_tools.bus.interfaces import BusChoice
+
     robot, _, bus_text = text.partition("=")
     interface, _, channel = bus_text.partition(":")
     if not (robot.isascii() and robot.isdigit() and channel) or interface not in can.VALID_INTERFACES:
@@ -270,42 +210,120 @@ def _parse_device(text: str) -> tuple[int, BusChoice]:
     return int(robot), BusChoice(interface, settings)
 
 
-def _check(plan: _Plan) -> None:
-    """Raise UsageError for options that contradict each other, or that would do nothing."""
-    args, settings = plan.args, plan.settings
+@dataclass(frozen=True)
+class _RunPlan:
+    """What a run needs to know.
+
+    Attributes:
+        args: The parsed options, for what concerns output.
+        settings: Settings of the swarm.
+        choice: The bus of all robots that have none of their own.
+        wiring: Which robots are on which bus.
+        console: Where progress is shown; quiet with --quiet or --json.
+    """
+
+    args: argparse.Namespace
+    settings: SwarmSettings
+    choice: BusChoice
+    wiring: Wiring
+    console: Console
+
+
+def _plan_run(args: argparse.Namespace) -> _RunPlan:
+    """Return the run that the options describe.
+
+    Raises UsageError for options that contradict each other, or that would do nothing.
+    """
+    from rich.console import Console
+
+    settings = settings_of(args)
+    choice = options.bus_of(args)
+    wiring = wiring_of(args, settings, choice)
     for option in ("pace", "port"):
         if getattr(args, option) is not None and not args.view:
             raise UsageError(f"--{option} is for the page of --view; add --view, or leave it out")
-    if args.compare and plan.wiring.remote:
+    if args.compare and wiring.remote:
         raise UsageError(
             "--compare runs the swarm again with other filters, but robots elsewhere run once; leave it out"
         )
-    if args.slcan is not None and plan.choice.has_channels:
+    if args.slcan is not None and choice.has_channels:
         raise UsageError(
-            f"--slcan needs one bus for all, and {plan.choice} is one for each robot; choose one of them"
+            f"--slcan needs one bus for all, and {choice} is one for each robot; choose one of them"
         )
     if args.slcan is not None and settings.robots > MAX_ROBOTS_AND_TOOLS:
         raise UsageError(
             f"robots is {settings.robots}; with --slcan take at most {MAX_ROBOTS_AND_TOOLS}, since tools use "
             "the ids 126 and 127"
         )
+    return _RunPlan(args, settings, choice, wiring, Console(quiet=args.quiet or args.json))
 
 
-def _emulate(
-    plan: _Plan, outputs: LogOutputs, recorder: SwarmRecorder | None
-) -> tuple[SwarmRun, dict[str, Any], float]:
-    """Run the swarm to its end or Ctrl-C; return its outcome, a report of plain values, and seconds.
+# --- The run ---------------------------------------------------------------------------------------------
 
-    The seconds are those of this swarm alone, without its baselines.
 
-    Raises LockstepError if robots elsewhere do not start, can.CanError if their bus fails before they have.
+@dataclass(frozen=True)
+class _RunResult:
+    """How a run has ended.
+
+    Attributes:
+        outcome: The swarm after its last step.
+        report: Parameters and results as plain values, for JSON.
+        seconds: How long this swarm took, without its baselines.
     """
+
+    outcome: SwarmRun
+    report: dict[str, Any]
+    seconds: float
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the swarm, write its log and results, and print a summary; return the exit code."""
+    from can import CanError
+
+    from mcp_asdf_tools.common.files import results_beside, write_atomically
+    from mcp_asdf_tools.recording.events import EventsHeader
+    from mcp_asdf_tools.robots.lockstep import LockstepError
+
+    plan = _plan_run(args)
+    settings = plan.settings
+    results_path = None if args.log is None else results_beside(args.log)
+    header = EventsHeader(settings.robot_setups(), settings.seed, settings.frames, settings.plain())
+    recording = recording_for("swarm", args.log, header, plan.choice)
+    try:
+        with ExitStack() as at_end:
+            recorder = _start_view(plan, at_end)
+            with recording as log_outputs:
+                result = _emulate(plan, log_outputs, recorder)
+                # Printed even if a file cannot be completed.
+                at_end.callback(_print_result, plan, result)
+            if results_path is not None:
+                write_atomically(results_path, json_report(result.report) + "\n")
+    except (LockstepError, CanError) as error:
+        return report_failure("mcp-asdf swarm", str(error), args.json)
+    if result.outcome.failure is not None:
+        code = report_failure("mcp-asdf swarm", f"failed in {result.outcome.failure}", args.json)
+        return exit_code_with(recording, code)
+    return exit_code_with(recording, INTERRUPTED if result.outcome.interrupted else 0)
+
+
+def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | None) -> _RunResult:
+    """Run the swarm to its end or Ctrl-C, with its baselines beside it if --compare asks for them.
+
+    ``log_outputs`` and ``recorder``, if there is one, get what happens. Raises LockstepError if robots
+    elsewhere do not start, can.CanError if their bus fails before they have.
+    """
+    from mcp_asdf_tools.robots.node import Subjects
+    from mcp_asdf_tools.robots.processes import NodeProcesses
+    from mcp_asdf_tools.swarm.live_view import LiveView
+    from mcp_asdf_tools.swarm.run import Baselines, results_of, run_swarm
+    from mcp_asdf_tools.swarm.swarm import Swarm
+
     settings = plan.settings
     start_time = time.monotonic()
     baselines = Baselines(settings) if plan.args.compare else None
     with ExitStack() as stack:
         slcan_port = _serve_slcan(plan, stack)
-        swarm = stack.enter_context(Swarm(settings, plan.wiring, *outputs))
+        swarm = stack.enter_context(Swarm(settings, plan.wiring, *log_outputs))
         process_robots = settings.robot_setups() if plan.args.processes else []
         subjects = Subjects(estimates=settings.frames) if process_robots else Subjects()
         processes = NodeProcesses(process_robots, plan.choice.of_robot, subjects, settings.steps_per_second)
@@ -329,22 +347,23 @@ def _emulate(
             report["compared"] = {
                 filter_name: results_of(baseline) for filter_name, baseline in baselines.swarms.items()
             }
-    return outcome, report, seconds
+    return _RunResult(outcome, report, seconds)
 
 
-def _start_view(plan: _Plan, ending: ExitStack) -> SwarmRecorder | None:
-    """Return a recorder of the run whose page is served until ``ending`` closes, or None without --view.
+def _start_view(plan: _RunPlan, at_end: ExitStack) -> SwarmRecorder | None:
+    """Return a recorder of the run whose page is served until ``at_end`` closes, or None without --view.
 
     The page's address is printed.
     """
     if not plan.args.view:
         return None
-    from mcp_asdf_tools.view.films import SwarmRecorder  # noqa: PLC0415
-    from mcp_asdf_tools.view.server import serving  # noqa: PLC0415
+    from mcp_asdf_tools.view.films import SwarmRecorder
+    from mcp_asdf_tools.view.server import serving
 
     recorder = SwarmRecorder(plan.settings, _DEFAULT_PACE if plan.args.pace is None else plan.args.pace)
-    view.announce(plan.args, ending.enter_context(serving(recorder.history, plan.args.port)))
-    ending.push(lambda kind, error, trace: _end_view(recorder, kind is None))
+    url = at_end.enter_context(serving(recorder.history, plan.args.port))
+    announce_page(url, plan.args.json)
+    at_end.push(lambda error_type, error, traceback: _end_view(recorder, error_type is None))
     return recorder
 
 
@@ -354,42 +373,51 @@ def _end_view(recorder: SwarmRecorder, is_regular: bool) -> None:
     sys.stdout.flush()
     if is_regular:
         with stopping() as should_stop:
-            view.wait(should_stop)
+            sleep_until(should_stop)
 
 
-def _serve_slcan(plan: _Plan, stack: ExitStack) -> int | None:
+def _serve_slcan(plan: _RunPlan, stack: ExitStack) -> int | None:
     """Let other programs join the bus until ``stack`` closes; return the TCP port, None without --slcan."""
     if plan.args.slcan is None:
         return None
+    from mcp_asdf_tools.bus.slcan_server import HOST, SlcanServer
+
     server = stack.enter_context(SlcanServer(plan.choice.open(), plan.args.slcan))
     # On standard error: with port 0 the user needs the number, and standard output may be JSON.
     print(f"the bus is an slcan adapter, too: socket://{HOST}:{server.port}", file=sys.stderr, flush=True)
     return server.port
 
 
-def _print(plan: _Plan, outcome: SwarmRun, report: dict[str, Any], seconds: float) -> None:
+# --- The summary -----------------------------------------------------------------------------------------
+
+
+def _print_result(plan: _RunPlan, result: _RunResult) -> None:
     """Print the results: as JSON, in one line (--quiet), as a table on a terminal, else in lines with tabs.
 
     The sentence that compares filters follows in any case but JSON.
     """
-    args, console = plan.args, Console()
-    if args.json:
-        print(json_report(report))
+    from rich.console import Console
+
+    from mcp_asdf_tools.swarm.summary import comparison, load_warning, one_line, summary, summary_table
+
+    if plan.args.json:
+        print(json_report(result.report))
         return
-    rows = summary(outcome, str(plan.choice), seconds)
-    if args.quiet:
-        print(one_line(outcome))
+    console = Console()  # unlike that of the plan it prints with --quiet, too
+    settings, report = plan.settings, result.report
+    rows = summary(result.outcome, str(plan.choice), result.seconds)
+    if plan.args.quiet:
+        print(one_line(result.outcome))
     elif console.is_terminal:
         console.print(summary_table(rows))
     else:
         print("\n".join("\t".join(row) for row in rows))
-    if not args.quiet:
-        warning = load_warning(outcome.results)
+    if not plan.args.quiet:
+        warning = load_warning(result.outcome.results)
         if warning is not None:
-            print(f"mcp-asdf swarm: {warning}", file=sys.stderr)
-        print_again(args, seed=outcome.settings.seed)
+            warn("swarm", warning)
+        print_again(plan.args, seed=settings.seed)
     if "compared" in report:
-        settings = outcome.settings
         results_by_filter = {settings.filter: report["results"], **report["compared"]}
         sentence = comparison(results_by_filter, settings)
         console.print(sentence, soft_wrap=not console.is_terminal, markup=False, highlight=False)

@@ -6,11 +6,14 @@ import argparse
 from collections.abc import Sequence
 from decimal import Decimal
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from mcp_asdf_tools.cli.again import json_report, print_again
+from mcp_asdf_tools.cli import options
+from mcp_asdf_tools.cli.output import json_report, print_again
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.tables.table_files import TableCheck, check_file, describe_table, write_table
-from mcp_asdf_tools.tables.thresholds import MAX_MESSAGES, OMEGA_PLACES, parse_omega
+
+if TYPE_CHECKING:
+    from mcp_asdf_tools.tables.table_files import TableCheck
 
 EPILOG = """\
 examples:
@@ -18,9 +21,7 @@ examples:
   mcp-asdf table --omega 0.1 --neighbours 30 --output build/tables
   mcp-asdf table --check tables/*.c tables/*.json # are they what the generator makes?
 exit code: 0 done, 1 a table is not what it should be, 2 bad usage"""
-
-_DEFAULT_OMEGA = "0.05"
-_DEFAULT_NEIGHBOURS = 127
+LIBRARIES = ("mpmath",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,46 +31,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     job.add_argument(
         "--check", metavar="FILE", type=Path, nargs="+", help="check generated .c or .json files"
     )
-    add_table_options(parser)
-
-
-def add_table_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that describe a t-table, which ``table_of`` reads."""
-    parser.add_argument(
-        "--omega",
-        help="type II error probability, above 0 and at most 0.9, "
-        f"at most {OMEGA_PLACES} decimal places (default {_DEFAULT_OMEGA})",
-    )
-    parser.add_argument(
-        "--neighbours",
-        metavar="Q",
-        type=int,
-        help="q, maximum number of neighbours with an exact threshold, 2 to 127 "
-        f"(default {_DEFAULT_NEIGHBOURS})",
-    )
-
-
-def table_of(args: argparse.Namespace) -> tuple[Decimal, int]:
-    """Return omega and the number of neighbours q of the table that the options describe.
-
-    Raises UsageError for an omega that no table has.
-    """
-    omega = parse_omega(_DEFAULT_OMEGA if args.omega is None else args.omega)
-    neighbours = _DEFAULT_NEIGHBOURS if args.neighbours is None else args.neighbours
-    return omega, neighbours
+    options.add_table_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write a table, or check files; return exit code 1 if a file is not what the generator makes."""
+    from mcp_asdf_tools.tables.table_files import check_file
+
     if args.output is not None:
-        return _write(*table_of(args), args)
+        omega, q = options.table_of(args)
+        return _write(omega, q, args)
     if args.omega is not None or args.neighbours is not None:
         raise UsageError("--omega and --neighbours go with --output; a table to be checked states its own")
-    return _report([check_file(path) for path in args.check], args.json)
+    return _print_checks([check_file(path) for path in args.check], args.json)
 
 
 def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
     """Write the table of omega and q, and print its size and its errors; return exit code 0."""
+    from mcp_asdf_tools.tables.table_files import describe_table, write_table
+    from mcp_asdf_tools.tables.thresholds import MAX_MESSAGES
+
     files = [str(path) for path in write_table(omega, q, args.output)]
     facts = describe_table(omega, q)
     if args.json:
@@ -86,7 +67,7 @@ def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
     return 0
 
 
-def _report(checks: Sequence[TableCheck], as_json: bool) -> int:
+def _print_checks(checks: Sequence[TableCheck], as_json: bool) -> int:
     """Print the outcome of checks; return the exit code, 1 if a table is not what it should be."""
     ok = all(check.problem is None for check in checks)
     if as_json:

@@ -1,7 +1,6 @@
 """The one exception that the command line turns into a message and exit code 2."""
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 
 _LONGEST = 800
 """Characters of a message; of a longer one the middle is left out."""
@@ -24,6 +23,8 @@ class UsageError(ValueError):
 
 def offer(word: str, known: Iterable[str]) -> str:
     """Return a question that offers the nearest of the ``known`` words; an empty text if none is near."""
+    from difflib import get_close_matches  # noqa: PLC0415 (only a mistake needs it)
+
     nearest_words = get_close_matches(word, list(known), n=1)
     return f"; did you mean {nearest_words[0]}?" if nearest_words else ""
 

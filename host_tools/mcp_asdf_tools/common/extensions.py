@@ -6,7 +6,6 @@ example of each group.
 
 from __future__ import annotations
 
-import pickle
 import sys
 from collections.abc import Iterable, Iterator
 from functools import cache
@@ -61,19 +60,23 @@ class RecordedName(str):
 
 
 class Names:
-    """Names that come with the project, then those of a group's extensions, which are sought when needed."""
+    """Names that come with the project, then those of a group's extensions, which are sought when needed.
+
+    Attributes:
+        built_in: The names that come with the project.
+    """
 
     def __init__(self, built_in_names: Iterable[str], group: str) -> None:
-        self._built_in_names = list(built_in_names)
+        self.built_in = list(built_in_names)
         self._group = group
 
     def __contains__(self, name: object) -> bool:
         if isinstance(name, ObjectName | RecordedName):
             return True
-        return name in self._built_in_names or name in installed_names(self._group)
+        return name in self.built_in or name in installed_names(self._group)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._built_in_names + installed_names(self._group))
+        return iter(self.built_in + installed_names(self._group))
 
 
 def name_object(value: Any) -> Any:
@@ -87,6 +90,8 @@ def check_for_workers(name: str) -> None:
     """Raise UsageError if the extension of this name is an object that worker processes cannot import."""
     if not isinstance(name, ObjectName):
         return
+    import pickle  # noqa: PLC0415 (only several workers need it)
+
     fix = "put it at the top level of a module that can be imported, install it, or take one worker"
     try:
         pickle.dumps(name.extension)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import gzip
 import zlib
 from collections import Counter
@@ -27,12 +26,6 @@ _LONGEST_QUOTE = 60
 
 PART = ".part"
 """Suffix, behind all others, of a file that is not complete."""
-
-
-def add_log_option(output: argparse._ArgumentGroup, beside: str) -> None:
-    """Declare ``--log``; ``beside`` names the contents of the files beside the log."""
-    text = f"keep all frames as candump does, in a file that ends in .log; {beside}"
-    output.add_argument("--log", metavar="FILE", type=Path, help=text)
 
 
 def check_log(path: Path | str) -> None:

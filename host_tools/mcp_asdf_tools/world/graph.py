@@ -12,7 +12,6 @@ from typing import Any
 
 from mcp_asdf.robot import MAX_ID
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import read_at_most
 
 _EDGES_IN_ONE_LINE = re.compile(r"[0-9>;\s]*")
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
@@ -86,6 +85,8 @@ def parse_graph(description: Any) -> Graph:
     An edge without ``>`` may be listed in both directions. Raises UsageError, naming the line, for anything
     else, for ids outside 0 .. 65535, for repeated edges and for a graph without edges. O(lines).
     """
+    from mcp_asdf_tools.common.files import read_at_most  # noqa: PLC0415 (only a path needs it)
+
     if not isinstance(description, str | Path):
         return _parse_lines(_format_edges(description), "edge", "graph")
     if isinstance(description, str) and is_text_of_edges(description):

@@ -23,8 +23,9 @@ from datagrams import odd_datagrams, packed
 from mcp_asdf_tools.bus.datagrams import unpack_data_frame
 from mcp_asdf_tools.bus.frame_layout import Rejection
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
-from mcp_asdf_tools.bus.interfaces import BusChoice, Connection, add_arguments, choose_bus
+from mcp_asdf_tools.bus.interfaces import BusChoice, Connection
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.cli.options import add_bus_options, bus_of
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.node import filters_for
 from multicast import multicast
@@ -134,8 +135,8 @@ def test_waits_end_however_often_the_time_of_day_is_set_back(monkeypatch: pytest
 
 def chosen(*words: str) -> BusChoice:
     parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    return choose_bus(parser.parse_args(words))
+    add_bus_options(parser)
+    return bus_of(parser.parse_args(words))
 
 
 def test_another_process_joins_the_bus_by_its_arguments() -> None:

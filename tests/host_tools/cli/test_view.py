@@ -18,6 +18,7 @@ import pytest
 
 from mcp_asdf_tools.cli import view
 from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.cli.output import sleep_until
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_files import write_tables
 from mcp_asdf_tools.experiments.result_tables import trials_to_table
@@ -107,14 +108,13 @@ def test_a_page_is_served_until_it_is_asked_to_end(
 
     def look(should_stop: Callable[[], bool]) -> None:
         answers = [True, should_stop()]
-        wait(answers.pop)
+        sleep_until(answers.pop)
         assert answers == []
         url = re.search(r"http://127\.0\.0\.1:\d+/", capsys.readouterr().err)
         assert url is not None
         told.append(urlopen(f"{url[0]}events").read().decode())
 
-    wait = view.wait
-    monkeypatch.setattr(view, "wait", look)
+    monkeypatch.setattr(f"mcp_asdf_tools.cli.{line.split(maxsplit=1)[0]}.sleep_until", look)
     assert main(line.split()) == 0
     assert told[0].startswith("event: stage\n") and told[0].endswith("event: end\ndata: null\n\n")
 
@@ -131,8 +131,10 @@ def test_a_bus_is_watched_until_it_is_asked_to_end(
     monkeypatch.setattr(BusRecorder, "record", failing)
     assert main(["view", "--interface", "udp_multicast", "--channel", "239.74.163.77"]) == 1
     assert "mcp-asdf view: the bus failed: it is off" in capsys.readouterr().err
-    monkeypatch.setattr("mcp_asdf_tools.cli.swarm.run_swarm", failing)
-    monkeypatch.setattr(view, "wait", None)  # nobody looks at a run that an error ended
+    monkeypatch.setattr("mcp_asdf_tools.swarm.run.run_swarm", failing)
+    monkeypatch.setattr(
+        "mcp_asdf_tools.cli.swarm.sleep_until", None
+    )  # nobody looks at a run that an error ended
     assert main(["swarm", "--robots", "4", "--steps", "20", "--view"]) == 1
     assert "mcp-asdf swarm: it is off" in capsys.readouterr().err
 

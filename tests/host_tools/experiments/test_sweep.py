@@ -427,7 +427,7 @@ def test_simulate_takes_options_over_a_file(tmp_path: Path, answer: Callable[...
 
 def test_a_short_experiment_starts_no_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = Mock(side_effect=UsageError("that is enough"))
-    monkeypatch.setattr("mcp_asdf_tools.cli.simulate.simulate", asked)
+    monkeypatch.setattr("mcp_asdf_tools.library.simulate", asked)
     for words in ("--steps 999999", "--steps 1000000", "--steps 1000 --firmware mirror"):
         assert cli.main(f"simulate --robots 20 --trials 5 --workers 1024 {words}".split()) == 2
     assert [each.kwargs["workers"] for each in asked.call_args_list] == [1, 1024, 1024]

@@ -26,9 +26,9 @@ from mcp_asdf_tools.bus.frames import (
     decode_command,
     decode_telemetry,
 )
-from mcp_asdf_tools.bus.interfaces import BusChoice, choose_bus
+from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.cli import main as cli
-from mcp_asdf_tools.cli.robot_options import robot_of, subjects_of
+from mcp_asdf_tools.cli.options import bus_of, robot_of, subjects_of
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots import processes
 from mcp_asdf_tools.robots.lockstep import Lockstep, LockstepError
@@ -274,7 +274,7 @@ def test_a_process_is_told_all_of_its_robot(own: RobotSetup) -> None:
     read = cli._parser_for(name, cli._load(name)).parse_args(words)
     record = replace(robot_of(read), allow=read.allow and parse_ids(read.allow, "--allow"))
     assert (record, subjects_of(read), read.steps_per_second) == (own, SUBJECTS, 3)
-    assert (read.until_eof, read.json, str(choose_bus(read))) == (True, True, str(choice))
+    assert (read.until_eof, read.json, str(bus_of(read))) == (True, True, str(choice))
 
 
 def test_a_process_that_ends_is_named_with_what_it_said() -> None:

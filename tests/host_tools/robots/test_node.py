@@ -105,7 +105,7 @@ def test_a_link_that_endures_counts_failures_and_one_that_does_not_ends_the_run(
     outcome = run_node(node(5), BusLink(bus))
     assert outcome.has_failed and not outcome.is_interrupted
     assert outcome.ending == "the bus failed: no luck [Error Code 100]"
-    monkeypatch.setattr("mcp_asdf_tools.cli.node.run_node", lambda *_: outcome)
+    monkeypatch.setattr("mcp_asdf_tools.robots.node.run_node", lambda *_: outcome)
     assert main(["node", "--id", "5", "--quiet"]) == 1
     assert capsys.readouterr() == ("", f"mcp-asdf node: {outcome.ending}\n")
     bus.recv.side_effect, heard = None, can.Message(is_rx=True)

@@ -13,7 +13,7 @@ import pytest
 from browser import browser_page, until
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.cli import swarm as swarm_command
-from mcp_asdf_tools.cli.experiment_options import experiments_of
+from mcp_asdf_tools.cli.options import experiments_of
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.run import run_swarm

@@ -1,0 +1,515 @@
+"""Options that several commands share, each with the function that reads it from the parsed arguments.
+
+An option therefore means the same in every command, and its help is written once. Options of one command
+alone stand in its module. Nothing here loads numpy or python-can before a command runs, so ``--help`` is
+quick.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Collection
+from decimal import Decimal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from mcp_asdf.robot import MAX_ID, FirmwareError
+from mcp_asdf_tools.bus.frames import COMMAND_FORMAT, TELEMETRY_FORMAT, FrameFormat
+from mcp_asdf_tools.cli.parsing import describe_unknown_value
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.extensions import Names
+from mcp_asdf_tools.common.parameters import Parameter, ParameterError, parameters_of
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.scores import E_MAX, Limits
+from mcp_asdf_tools.robots.filters import FILTERS, SwarmFilter
+from mcp_asdf_tools.robots.firmwares import firmware_names
+from mcp_asdf_tools.robots.population import Population
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
+
+if TYPE_CHECKING:
+    from mcp_asdf_tools.bus.interfaces import BusChoice
+    from mcp_asdf_tools.experiments.results import Trials
+    from mcp_asdf_tools.robots.node import Subjects
+
+Settings = TypeVar("Settings", bound=Population)
+
+# --- Options made from declared parameters ---------------------------------------------------------------
+
+COMMON_PARAMETERS = (
+    "robots",
+    "topology",
+    "graph",
+    "fill_ratio",
+    "sensor",
+    "density",
+    "steps_per_second",
+    "steps",
+    "seed",
+    "flawed",
+    "filter",
+    "filter_period",
+    "firmware",
+    "trials",
+)
+"""Parameters that users change most; the help lists them before all others."""
+
+_FILTER_MEANINGS = "What --filter may be:\n" + "\n".join(
+    f"  {swarm_filter.name:11} {swarm_filter.meaning}" for swarm_filter in FILTERS.values()
+)
+
+
+def option_of(parameter_name: str) -> str:
+    """Return the option that sets a parameter, such as ``--filter-period`` for ``filter_period``."""
+    return f"--{parameter_name.replace('_', '-')}"
+
+
+def add_common_parameters(parser: argparse.ArgumentParser, kind: Any, title: str) -> None:
+    """Add a group ``title`` of options for those parameters of the class ``kind`` that are common."""
+    names = [name for name in parameters_of(kind) if name in COMMON_PARAMETERS]
+    add_parameters(parser, kind, title, names)
+
+
+def add_further_parameters(parser: argparse.ArgumentParser, kind: Any) -> None:
+    """Add a group of options for those parameters of the class ``kind`` that are not common."""
+    names = [name for name in parameters_of(kind) if name not in COMMON_PARAMETERS]
+    add_parameters(parser, kind, "further parameters", names)
+
+
+def add_parameters(parser: argparse.ArgumentParser, kind: Any, title: str, names: Collection[str]) -> None:
+    """Add a group ``title`` of options for the named parameters of the class ``kind``.
+
+    The options keep the order in which the class declares its parameters. The parsed value of an option that
+    the user leaves out is None.
+    """
+    group = parser.add_argument_group(title, _FILTER_MEANINGS if "filter" in names else None)
+    for name, parameter in parameters_of(kind).items():
+        if name in names:
+            _add_option(group, parameter)
+
+
+def _add_option(group: argparse._ArgumentGroup, parameter: Parameter) -> None:
+    """Add the option of one parameter, with its meaning and default as help."""
+    meaning = parameter.text
+    if parameter.default != "":
+        meaning += f" (default {parameter.default})"
+    group.add_argument(
+        option_of(parameter.name), help=meaning.replace("%", "%%"), **_keywords_of_value(parameter)
+    )
+
+
+def _keywords_of_value(parameter: Parameter) -> dict[str, Any]:
+    """Return what ``add_argument`` has to know about the values of a parameter: type, choices and metavar."""
+    if isinstance(parameter.choices, Names):
+        return _keywords_of_names(parameter.choices)
+    if parameter.choices:
+        return {"choices": parameter.choices}
+    return {
+        # A value of another type, such as a count or share, is parsed by the class of the parameters.
+        "type": parameter.kind if parameter.kind in (int, float) else str,
+        "metavar": parameter.name.split("_")[-1].upper(),
+    }
+
+
+def _keywords_of_names(names: Names) -> dict[str, Any]:
+    """Return what ``add_argument`` has to know about an option whose value is one of these names.
+
+    The help shows the names that come with the project, such as ``{native,mirror,reference,...}``: the search
+    for installed extensions would take longer than all else that it needs. Any of the names is accepted.
+    """
+
+    def check_name(name: str) -> str:
+        if name not in names:
+            raise argparse.ArgumentTypeError(describe_unknown_value(name, names))
+        return name
+
+    return {"type": check_name, "metavar": f"{{{','.join([*names.built_in, '...'])}}}"}
+
+
+def settings_from(
+    args: argparse.Namespace,
+    kind: type[Settings],
+    base_values: dict[str, Any] | None = None,
+    **other_values: Any,
+) -> Settings:
+    """Return settings of the class ``kind`` with the values of the options that the user gave.
+
+    ``base_values`` hold where an option was left out; ``other_values`` hold in any case. Raises UsageError,
+    which names the option, for a value that the class refuses and for an option that would have no effect.
+    """
+    option_values = {
+        name: getattr(args, name) for name in parameters_of(kind) if getattr(args, name, None) is not None
+    }
+    try:
+        settings = kind(**{**(base_values or {}), **option_values, **other_values})
+    except ParameterError as error:
+        raise UsageError(_name_option(error)) from error
+    for name, reason in settings.unused_parameters().items():
+        if name in option_values:
+            raise UsageError(f"{option_of(name)} would do nothing: {reason}; leave it out")
+    return settings
+
+
+def _name_option(error: ParameterError) -> str:
+    """Return the message of ``error`` with the option's name at its start, in place of the parameter's."""
+    message = str(error)
+    if message.startswith(f"{error.key} "):
+        return option_of(error.key) + message.removeprefix(error.key)
+    return f"{option_of(error.key)}: {message}"
+
+
+# --- One robot -------------------------------------------------------------------------------------------
+
+_ROBOT_PARAMETERS = ("filter", "activation", "comms_period", "filter_period", "omega", "memory")
+"""Parameters of a population that are settings of each of its robots."""
+
+
+def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: str) -> None:
+    """Add the options of a robot; ``firmware`` is the default one, and ``id_help`` the help of ``--id``."""
+    group = parser.add_argument_group("robot")
+    group.add_argument("--id", type=int, metavar="ID", required=True, help=id_help)
+    group.add_argument(
+        "--b-hat",
+        type=float,
+        metavar="B",
+        default=0.95,
+        help="accuracy that it assumes (default %(default)s)",
+    )
+    group.add_argument(
+        "--neighbours",
+        type=int,
+        metavar="Q",
+        help=f"neighbours that its t-table is made for, 2 to 127 (default {MAX_ID})",
+    )
+    group.add_argument(
+        "--firmware",
+        default=firmware,
+        help="firmware of the robot (default %(default)s)",
+        **_keywords_of_names(firmware_names()),
+    )
+    add_parameters(parser, Population, "robot's configuration", _ROBOT_PARAMETERS)
+
+
+def robot_of(args: argparse.Namespace) -> RobotSetup:
+    """Return the robot that the options describe, checked by making it once.
+
+    Raises UsageError for a value out of range and for options that contradict each other.
+    """
+    neighbours = MAX_ID if args.neighbours is None else args.neighbours
+    if not 2 <= neighbours <= MAX_ID:
+        raise UsageError(f"--neighbours is {neighbours}; it must be 2 to {MAX_ID}")
+    robot_args = argparse.Namespace(**{name: getattr(args, name) for name in _ROBOT_PARAMETERS})
+    # Options and checks are those of a population, so the robot is taken from one in which it has all the
+    # neighbours that its t-table is made for. It is the flawed one, since asdf-minus is for these alone.
+    population = settings_from(robot_args, Population, robots=neighbours + 1, flawed=1)
+    config = population.config(0)
+    if config.table is None and args.neighbours is not None:
+        raise UsageError("--neighbours would do nothing: the robot uses no t-table; leave it out")
+    robot_setup = RobotSetup(args.id, args.firmware, args.b_hat, config, population.comms_period)
+    try:
+        robot_setup.make_robot()
+    except FirmwareError as error:
+        raise UsageError(str(error)) from error
+    return robot_setup
+
+
+def swarm_filter_of(args: argparse.Namespace) -> SwarmFilter:
+    """Return the filter that ``--filter`` names, or the default where the option was not given."""
+    return FILTERS[args.filter or parameters_of(Population)["filter"].default]
+
+
+# --- T-tables --------------------------------------------------------------------------------------------
+
+_DEFAULT_OMEGA = "0.05"
+_DEFAULT_NEIGHBOURS = 127
+
+
+def add_table_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that describe a t-table, which ``table_of`` reads."""
+    parser.add_argument(
+        "--omega",
+        help="type II error probability, above 0 and at most 0.9, at most 9 decimal places "
+        f"(default {_DEFAULT_OMEGA})",
+    )
+    parser.add_argument(
+        "--neighbours",
+        metavar="Q",
+        type=int,
+        help="q, maximum number of neighbours with an exact threshold, 2 to 127 "
+        f"(default {_DEFAULT_NEIGHBOURS})",
+    )
+
+
+def table_of(args: argparse.Namespace) -> tuple[Decimal, int]:
+    """Return omega and the number of neighbours q of the table that the options describe.
+
+    Raises UsageError for an omega that no table has.
+    """
+    from mcp_asdf_tools.tables.thresholds import parse_omega
+
+    omega = parse_omega(_DEFAULT_OMEGA if args.omega is None else args.omega)
+    neighbours = _DEFAULT_NEIGHBOURS if args.neighbours is None else args.neighbours
+    return omega, neighbours
+
+
+# --- Bus, frames and logs --------------------------------------------------------------------------------
+
+
+def add_bus_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the bus, which ``bus_of`` reads: python-can's own, without those for CAN FD.
+
+    An option that the user leaves out is no attribute of the parsed arguments.
+    """
+    group = parser.add_argument_group(
+        "bus (default: inside this process; python-can's CAN_* variables and files are honoured)",
+        argument_default=argparse.SUPPRESS,
+    )
+    group.add_argument(
+        "-i",
+        "--interface",
+        metavar="INTERFACE",
+        type=_check_interface,
+        help="kind of bus: socketcan, slcan, udp_multicast, pcan or another of python-can's",
+    )
+    group.add_argument(
+        "-c",
+        "--channel",
+        metavar="CHANNEL",
+        help="bus of that kind, such as can0, vcan0, /dev/ttyACM0 or 239.74.163.2",
+    )
+    group.add_argument("-b", "--bitrate", type=int, help="bits per second, where the interface sets them")
+    group.add_argument(
+        "--bus-kwargs",
+        type=_parse_bus_setting,
+        nargs="+",
+        metavar="KEY=VALUE",
+        help="further settings of the interface, such as app_name=MyCanApp serial=1234",
+    )
+
+
+def _check_interface(name: str) -> str:
+    """Return the name of an interface. Raises ArgumentTypeError, with the nearest, if python-can has none."""
+    # These names are not an option's ``choices``, since the help would load python-can for them.
+    import can
+
+    if name not in can.VALID_INTERFACES:
+        raise argparse.ArgumentTypeError(describe_unknown_value(name, sorted(can.VALID_INTERFACES)))
+    return name
+
+
+def _parse_bus_setting(text: str) -> tuple[str, str]:
+    """Return name and value of a text such as ``serial=1234``. Raises ArgumentTypeError for any other."""
+    name, equals_sign, value = text.partition("=")
+    if not equals_sign:
+        raise argparse.ArgumentTypeError(f"{text} is no KEY=VALUE")
+    return name, value
+
+
+def bus_of(args: argparse.Namespace) -> BusChoice:
+    """Return the bus that the options describe, with python-can's own settings where they leave it open.
+
+    Raises UsageError if python-can's variables or files cannot be read.
+    """
+    from mcp_asdf_tools.bus.interfaces import choose_bus
+
+    typed_settings = {
+        name: getattr(args, name) for name in ("interface", "channel", "bitrate") if name in args
+    }
+    return choose_bus(typed_settings | dict(getattr(args, "bus_kwargs", ())))
+
+
+def add_estimate_format(group: argparse._ActionsContainer) -> None:
+    """Add the options of the format of estimates, which ``estimate_format_of`` reads."""
+    default_format = FrameFormat()
+    group.add_argument(
+        "--subject",
+        type=int,
+        metavar="N",
+        default=default_format.subject,
+        help="Cyphal subject of estimates, 0 to 6143 (default %(default)s)",
+    )
+    group.add_argument(
+        "--priority",
+        type=int,
+        metavar="N",
+        default=default_format.priority,
+        help="priority of estimates, 0 (first) to 7 (default %(default)s)",
+    )
+
+
+def estimate_format_of(args: argparse.Namespace) -> FrameFormat:
+    """Return the format of estimates that the options describe. Raises UsageError if it is invalid."""
+    return FrameFormat(args.subject, args.priority)
+
+
+def add_subject_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the formats of estimates, telemetry and commands, which ``subjects_of`` reads."""
+    group = parser.add_argument_group("frames")
+    add_estimate_format(group)
+    group.add_argument(
+        "--telemetry-subject",
+        type=int,
+        metavar="N",
+        default=TELEMETRY_FORMAT.subject,
+        help="Cyphal subject of telemetry (default %(default)s)",
+    )
+    group.add_argument(
+        "--command-subject",
+        type=int,
+        metavar="N",
+        default=COMMAND_FORMAT.subject,
+        help="Cyphal subject of commands (default %(default)s)",
+    )
+
+
+def subjects_of(args: argparse.Namespace) -> Subjects:
+    """Return the formats of frames that the options describe. Raises UsageError if they are invalid."""
+    from mcp_asdf_tools.robots.node import Subjects
+
+    return Subjects(
+        estimate_format_of(args),
+        FrameFormat(args.telemetry_subject, TELEMETRY_FORMAT.priority),
+        FrameFormat(args.command_subject, COMMAND_FORMAT.priority),
+    )
+
+
+def add_log_option(group: argparse._ArgumentGroup, files_beside: str) -> None:
+    """Add the option ``--log``; ``files_beside`` says for its help what the files beside the log hold."""
+    group.add_argument(
+        "--log",
+        metavar="FILE",
+        type=Path,
+        help=f"keep all frames as candump does, in a file that ends in .log; {files_beside}",
+    )
+
+
+def add_port_option(group: argparse._ActionsContainer) -> None:
+    """Add the option ``--port`` of commands that serve a page."""
+    group.add_argument("--port", type=int, help="TCP port of the page (default: any free one)")
+
+
+# --- Experiments and their results -----------------------------------------------------------------------
+
+
+def add_experiment_options(parser: argparse.ArgumentParser, output_help: str) -> None:
+    """Add the options of a command that runs experiments: parameters, output, limits of scores and workers.
+
+    The parsed value of a parameter that the user leaves out is None. ``output_help`` is the help of
+    ``--output``.
+    """
+    parser.add_argument("--output", metavar="FILE", type=Path, help=output_help)
+    parser.add_argument(
+        "--record",
+        metavar="STEPS",
+        type=int,
+        default=0,
+        help="also keep every robot's values, every STEPS steps (default: only the scores)",
+    )
+    add_worker_option(parser)
+    add_common_parameters(parser, Experiment, "experiment (values replace those of FILE)")
+    add_limit_options(parser)
+    add_further_parameters(parser, Experiment)
+
+
+def experiments_of(args: argparse.Namespace) -> list[Experiment]:
+    """Return the experiments of FILE, or the default one without a file, with the options' parameters.
+
+    Raises UsageError for a value out of range, and if ``--record`` is longer than a trial.
+    """
+    from mcp_asdf_tools.experiments.experiment_files import read_experiments
+
+    if args.file is None:
+        base_values: list[dict[str, Any]] = [{}]
+    else:
+        base_values = [experiment.parameters() for experiment in read_experiments(args.file)]
+    experiments = [settings_from(args, Experiment, values) for values in base_values]
+    shortest_trial = min(experiment.steps for experiment in experiments)
+    if not 0 <= args.record <= shortest_trial:
+        raise UsageError(f"--record is {args.record}; choose 1 to {shortest_trial} steps, or 0 for none")
+    return experiments
+
+
+def check_results_path(path: Path) -> None:
+    """Raise UsageError unless the name of a file for results ends in .parquet."""
+    if path.suffix != ".parquet":
+        raise UsageError(f"cannot write results to {path}: choose a name that ends in .parquet")
+
+
+def add_worker_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--workers``, the number of processes that run trials."""
+    parser.add_argument(
+        "--workers",
+        type=int,
+        metavar="N",
+        default=len(os.sched_getaffinity(0)),
+        help="processes (default %(default)s: one per processor)",
+    )
+
+
+def workers_of(args: argparse.Namespace) -> int:
+    """Return the number of worker processes. Raises UsageError if it is not 1 to 1024."""
+    workers: int = args.workers
+    if not 1 <= workers <= 1024:
+        raise UsageError(f"--workers is {workers}; choose 1 to 1024")
+    return workers
+
+
+def add_scheduler_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--scheduler``, which runs trials on a cluster."""
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="run on the Dask cluster with this scheduler, such as tcp://HOST:8786, not in processes here",
+    )
+
+
+def add_limit_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options for K_max and e_max, the convergence time K and the error e that score 0."""
+    group = parser.add_argument_group("scores")
+    group.add_argument(
+        "--k-max", type=float, metavar="STEPS", help="K that scores 0 (default: the length of a trial)"
+    )
+    group.add_argument("--e-max", type=float, metavar="ERROR", help=f"e that scores 0 (default: {E_MAX})")
+
+
+def limits_of(args: argparse.Namespace) -> Limits:
+    """Return the limits that the user typed, or else the paper's. Raises UsageError for one of 0 or less."""
+    return Limits(args.k_max, E_MAX if args.e_max is None else args.e_max)
+
+
+def typed_limit_options(args: argparse.Namespace) -> list[str]:
+    """Return the options for K_max and e_max that the user has typed, such as ``["--e-max"]``."""
+    values = {"--k-max": args.k_max, "--e-max": args.e_max}
+    return [option for option, value in values.items() if value is not None]
+
+
+def add_where_option(group: argparse._ActionsContainer) -> None:
+    """Add the option ``--where``, whose conditions ``read_selected_experiments`` applies."""
+    group.add_argument(
+        "--where",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="only experiments with this parameter, such as filter=none; repeatable",
+    )
+
+
+def read_selected_experiments(args: argparse.Namespace) -> list[Trials]:
+    """Read the results file ``args.file``, and return the experiments that meet all ``--where`` conditions.
+
+    Raises UsageError, with the existing values, for a condition on no parameter and one that nothing meets.
+    """
+    from mcp_asdf_tools.experiments.result_files import read_table
+    from mcp_asdf_tools.experiments.result_tables import experiments_in
+    from mcp_asdf_tools.experiments.results import describe_differences, select_experiments
+
+    experiments = experiments_in(read_table(args.file))
+    for condition in args.where:
+        name, equals_sign, value = condition.partition("=")
+        if not equals_sign:
+            differences = describe_differences(experiments)
+            raise UsageError(
+                f"--where {condition}: write NAME=VALUE; the experiments differ in {differences}"
+            )
+        experiments = select_experiments(experiments, {name: value})
+    return experiments

@@ -1,0 +1,164 @@
+"""What commands print: results as JSON, failures, the line for the same run again, and logs with ``-v``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import shlex
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mcp_asdf_tools.bus.interfaces import BusChoice
+    from mcp_asdf_tools.experiments.store import Store
+    from mcp_asdf_tools.recording.events import EventsHeader
+    from mcp_asdf_tools.recording.recording import NoRecording, Recording
+
+_logger = logging.getLogger(__name__)
+
+_LOGGED_PACKAGES = ("mcp_asdf_tools", "can")
+"""Packages whose logs help to find the cause of a failure."""
+
+_SECONDS_BETWEEN_CHECKS = 0.2
+"""Time between two checks whether Ctrl-C was pressed."""
+
+# --- Results and failures --------------------------------------------------------------------------------
+
+
+def json_report(report: object) -> str:
+    """Return a report of plain values as indented JSON."""
+    return json.dumps(report, indent=2)
+
+
+def print_again(args: argparse.Namespace, **settled_parameters: object) -> None:
+    """Print the command line that makes the same run again.
+
+    It is what the user typed. In front of it are those ``settled_parameters``, such as the seed, that the
+    user left to their defaults, since a later version may have other defaults.
+    """
+    program, *words = args.command_line
+    typed_options = {word.partition("=")[0] for word in words}
+    settled_options = []
+    for name, value in settled_parameters.items():
+        option = f"--{name.replace('_', '-')}"
+        if option not in typed_options:
+            settled_options.append(f"{option}={value}")
+    print(f"again: {program} {shlex.join([*settled_options, *words])}".rstrip())
+
+
+def report_failure(title: str, message: str, as_json: bool, exit_code: int = 1) -> int:
+    """Print that a command failed to standard error, as a line of text or of JSON; return ``exit_code``.
+
+    ``title`` names the command as the user typed it, such as "mcp-asdf node".
+    """
+    if as_json:
+        line = json.dumps({"command": title, "error": message, "exit_code": exit_code})
+    else:
+        line = f"{title}: {message}"
+    print(line, file=sys.stderr, flush=True)
+    return exit_code
+
+
+def warn(command: str, text: str) -> None:
+    """Print a line to standard error that names the command, such as "node"."""
+    print(f"mcp-asdf {command}: {text}", file=sys.stderr)
+
+
+@contextmanager
+def reporting_missing_trials(stores: Sequence[Store]) -> Iterator[None]:
+    """Print to standard error how many trials are left if Ctrl-C or a signal ends this context."""
+    missing_at_start = sum(store.missing_count for store in stores)
+    try:
+        yield
+    except KeyboardInterrupt:
+        still_missing = sum(store.missing_count for store in stores)
+        print(f"{still_missing} of {missing_at_start} trials left; the same command goes on", file=sys.stderr)
+        raise
+
+
+# --- Recordings ------------------------------------------------------------------------------------------
+
+
+def recording_for(
+    command: str, path: Path | None, header: EventsHeader | None, choice: BusChoice
+) -> Recording | NoRecording:
+    """Return the recording of frames in the log ``path``, or one that keeps nothing if there is no ``path``.
+
+    With ``header`` it has a file of events beside the log. A failure while it records is printed to standard
+    error at once, with the name of the ``command``.
+    """
+    from mcp_asdf_tools.recording.recording import NoRecording, Recording
+
+    if path is None:
+        return NoRecording()
+    _logger.info("recording the frames in %s", path)
+    return Recording(path, header, lambda text: warn(command, text), choice.channel or choice.interface)
+
+
+def exit_code_with(recording: Recording | NoRecording, code: int) -> int:
+    """Return the exit code of a command that would end with ``code`` if its recording were complete.
+
+    An incomplete recording gives 2, but a failure of the run itself, 1, is what matters more.
+    """
+    return code if recording.failure is None or code == 1 else 2
+
+
+# --- Pages in a browser ----------------------------------------------------------------------------------
+
+
+def announce_page(url: str, as_json: bool) -> None:
+    """Print the address of a page: to standard error, or as JSON to standard output."""
+    if as_json:
+        print(json.dumps({"url": url}), flush=True)
+    else:
+        print(f"the page is at {url} (Ctrl-C ends it)", file=sys.stderr, flush=True)
+
+
+def sleep_until(should_stop: Callable[[], bool]) -> None:
+    """Sleep until ``should_stop`` returns True."""
+    while not should_stop():
+        time.sleep(_SECONDS_BETWEEN_CHECKS)
+
+
+# --- Logs ------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def log_to_standard_error(verbosity: int) -> Iterator[None]:
+    """Log to standard error inside this context: nothing if ``verbosity`` is 0, at 1 INFO, beyond DEBUG."""
+    if verbosity == 0:
+        yield
+        return
+    level = logging.INFO if verbosity == 1 else logging.DEBUG
+    handler = _StandardErrorHandler(level)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    loggers = [logging.getLogger(package) for package in _LOGGED_PACKAGES]
+    former_levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.addHandler(handler)
+        logger.setLevel(level)
+    try:
+        yield
+    finally:
+        for logger, former_level in zip(loggers, former_levels, strict=True):
+            logger.removeHandler(handler)
+            logger.setLevel(former_level)
+
+
+class _StandardErrorHandler(logging.Handler):
+    """Handler that prints to whatever ``sys.stderr`` is at the time.
+
+    While a progress bar is shown, rich replaces that stream, so that lines do not run into the bar.
+    """
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print one record as a line."""
+        try:
+            print(self.format(record), file=sys.stderr, flush=True)
+        except Exception:
+            self.handleError(record)

@@ -1,0 +1,77 @@
+"""Scores of experiments, summed up over the trials: as plain values for JSON, and as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.scores import Limits
+
+_MEDIAN_FORMATS = {"h_K": ".2f", "h_e": ".2f", "K": "g", "e": ".5f", "updates": "g"}
+"""Measures of which a table has the median, with its format."""
+
+
+def summarize(experiments: Iterable[Trials], limits: Limits) -> list[dict[str, Any]]:
+    """Return for each experiment a row of plain values: its parameters, and its measures' quartiles.
+
+    A measure, such as the score H, has an entry of its own: ``{"q25": ..., "median": ..., "q75": ...}``.
+    """
+    rows = []
+    for trials in experiments:
+        experiment = trials.experiment
+        k_max, e_max = limits.of(experiment)
+        row: dict[str, Any] = {
+            "parameters": experiment.parameters(),
+            "filter": experiment.filter_description,
+            "trials": len(trials.numbers),
+            "limits": {"k_max": k_max, "e_max": e_max},
+        }
+        rows.append(row | _quartiles(trials, limits))
+    return rows
+
+
+def _quartiles(trials: Trials, limits: Limits) -> dict[str, dict[str, float]]:
+    """Return the quartiles of each measure over the trials, by the measure's name."""
+    quartiles = {}
+    for name, values in trials.measures(limits).items():
+        q25, median, q75 = np.percentile(values, [25, 50, 75]).tolist()
+        quartiles[name] = {"q25": q25, "median": median, "q75": q75}
+    return quartiles
+
+
+def print_scores(rows: Sequence[dict[str, Any]], title: str) -> None:
+    """Print a summary: a row for each experiment, a column for each parameter in which they differ."""
+    varying_parameters = [
+        name for name in rows[0]["parameters"] if len({row["parameters"][name] for row in rows}) > 1
+    ]
+    table = Table(title=title, title_justify="left", caption=_caption(rows), caption_justify="left")
+    for name in (*varying_parameters, "trials", "H", *_MEDIAN_FORMATS):
+        table.add_column(name, justify="right", no_wrap=True)
+    for row in rows:
+        trial_count, planned_count = row["trials"], row["parameters"]["trials"]
+        score = row["H"]
+        table.add_row(
+            *(str(row["parameters"][name]) for name in varying_parameters),
+            f"{trial_count}" if trial_count >= planned_count else f"{trial_count} of {planned_count}",
+            f"{score['median']:.2f} [{score['q25']:.2f}, {score['q75']:.2f}]",
+            *(format(row[name]["median"], style) for name, style in _MEDIAN_FORMATS.items()),
+        )
+    # Lines longer than a terminal wrap; columns that shrink to fit would lose figures.
+    width = Console(width=10_000).measure(table).maximum
+    Console(width=width).print(table)
+
+
+def _caption(rows: Sequence[dict[str, Any]]) -> str:
+    """Return what a summary's table has below it: the filters, and the limits of the scores."""
+    filters = sorted({row["filter"] for row in rows})
+    k_maxima = sorted({row["limits"]["k_max"] for row in rows})
+    e_max = min(row["limits"]["e_max"] for row in rows)
+    # Without --k-max each experiment's limit is the length of its own trials.
+    k_max = f"{k_maxima[0]:g}" if len(k_maxima) == 1 else "the length of a trial"
+    limits = f"K_max {k_max}, e_max {e_max:.6g}; medians over the trials, H with quartiles"
+    return "\n".join([*filters, limits])
