@@ -33,7 +33,9 @@ def python(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str
 
 def fake_command(monkeypatch: pytest.MonkeyPatch, work: Mock | Callable[[], int]) -> None:
     """Let ``mcp-asdf table`` call ``work``, whose result is its exit code."""
-    command = SimpleNamespace(EPILOG="", add_arguments=lambda parser: None, run=lambda args: work())
+    command = SimpleNamespace(
+        EPILOG="", LIBRARIES=(), add_arguments=lambda parser: None, run=lambda args: work()
+    )
     monkeypatch.setattr(cli, "_load", lambda name: command)
 
 
@@ -317,27 +319,37 @@ def test_the_library_names_a_missing_extra_as_the_command_does(tmp_path: Path) -
     assert [line.endswith(install_instruction("study")) for line in messages] == [True] * len(calls)
 
 
-def test_a_command_loads_only_the_libraries_that_it_uses() -> None:
-    """Each takes about as long to load as all that an overview needs, or much longer."""
-    base = ["can", "mpmath", "numpy", "rich"]
-    steps = [
-        ("--help", []),
-        ("tabel", []),
-        ("table --help", ["mpmath"]),
-        (CHECK, ["mpmath"]),
-        ("dbc --help", ["can", "mpmath"]),
-        *((f"{name} --help", base) for name in ("node", "radio", "replay", "swarm")),
-        ("swarm --steps 1 --quiet", base),
-    ]
+SLOW_LIBRARIES = ["can", "cffi", "matplotlib", "mpmath", "numpy", "pyarrow", "rich", "scipy"]
+"""Libraries of which each takes longer to import than all that a help needs."""
+
+
+def libraries_loaded_by(lines: Iterable[str]) -> list[list[str]]:
+    """Run commands one by one in a new Python; return the slow libraries loaded after each, sorted."""
     script = (
         "import sys; from mcp_asdf_tools.cli.main import main\n"
-        f"for line in {[line for line, _ in steps]}:\n"
+        f"for line in {[*lines]}:\n"
         "    main(line.split())\n"
-        "    print('LOADED', *sorted({*sys.modules} & {'can', 'matplotlib', 'mpmath', 'numpy', 'pyarrow',\n"
-        "        'rich', 'scipy'}))"
+        f"    print('LOADED', *sorted({{*sys.modules}} & {{*{SLOW_LIBRARIES}}}))\n"
     )
-    lines = [line for line in python("-c", script).stdout.splitlines() if line.startswith("LOADED")]
-    assert [line.split()[1:] for line in lines] == [loaded for _, loaded in steps]
+    output = python("-c", script).stdout.splitlines()
+    return [line.split()[1:] for line in output if line.startswith("LOADED")]
+
+
+def test_no_help_loads_a_slow_library() -> None:
+    lines = ["--help", *(f"{name} --help" for name in cli.COMMANDS)]
+    assert libraries_loaded_by(lines) == [[]] * len(lines)
+
+
+def test_a_name_that_is_no_command_loads_no_slow_library() -> None:
+    assert libraries_loaded_by(["tabel"]) == [[]]
+
+
+def test_the_check_of_a_table_loads_mpmath_alone() -> None:
+    assert libraries_loaded_by([CHECK]) == [["mpmath"]]
+
+
+def test_a_swarm_loads_neither_matplotlib_nor_pyarrow_nor_scipy() -> None:
+    assert libraries_loaded_by(["swarm --steps 1 --quiet"]) == [["can", "mpmath", "numpy", "rich"]]
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
