@@ -13,7 +13,6 @@ from crosschecks import FAULTS, ROBOT, SEED, BrokenRobot, mirror_with
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Observation, Status
-from mcp_asdf_tools.cli import crosscheck as command
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.crosscheck import oracle
 from mcp_asdf_tools.crosscheck.compare import Firmware
@@ -30,14 +29,14 @@ STORAGE = {"tables": {30: 132}, "images": {0: 124, 127: 124}}
 @pytest.fixture(autouse=True)
 def skip_counting(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace counting, which takes seconds, by what it may return."""
-    monkeypatch.setattr(command, "count_operations", lambda: COUNTS)
-    monkeypatch.setattr(command, "measure_storage", lambda: STORAGE)
+    monkeypatch.setattr("mcp_asdf_tools.crosscheck.operation_count.count_operations", lambda: COUNTS)
+    monkeypatch.setattr("mcp_asdf_tools.crosscheck.operation_count.measure_storage", lambda: STORAGE)
 
 
 def use_mirror(monkeypatch: pytest.MonkeyPatch, mirror: Firmware) -> None:
     """Let the command load another mirror."""
     firmwares = {"native": NativeRobot, "mirror": mirror}
-    monkeypatch.setattr(command, "load_firmware", firmwares.__getitem__)
+    monkeypatch.setattr("mcp_asdf_tools.robots.firmwares.load_firmware", firmwares.__getitem__)
 
 
 def main(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
@@ -126,8 +125,8 @@ def test_a_claim_about_time_or_memory_that_does_not_hold_fails_the_check(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(command, "count_operations", lambda: operations)
-    monkeypatch.setattr(command, "measure_storage", lambda: storage)
+    monkeypatch.setattr("mcp_asdf_tools.crosscheck.operation_count.count_operations", lambda: operations)
+    monkeypatch.setattr("mcp_asdf_tools.crosscheck.operation_count.measure_storage", lambda: storage)
     code, output, _ = main(capsys, "--steps", "1", "--seed", "0", "--json")
     assert (code, json.loads(output)["problems"]) == (1, [problem])
 
