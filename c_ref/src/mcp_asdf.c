@@ -18,6 +18,12 @@
 #define TABLE_OMEGA_MAX UINT32_C(3865470566) /* 0.9 as Q32 */
 #define THRESHOLD_ONE (UINT32_C(1) << 26)    /* thresholds k_m are Q26 in 32 bits: below 64 */
 
+/* The exponents of alpha count the bits behind the binary point of these numbers. */
+#define ALPHA_FRACTION_BITS 24U    /* of a unit of alpha */
+#define WEIGHT_FRACTION_BITS 30U   /* of accuracy->common and accuracy->rare, before their shifts */
+#define QUOTIENT_FRACTION_BITS 24U /* of a result of divide_24() */
+#define BITS_BELOW_MANTISSA 40U    /* bits of a 64-bit number behind the 24 of its mantissa */
+
 /* The filters that are built. */
 #define FILTER_FIRST ((uint32_t)(MCP_ASDF_WITH_ASDF ? MCP_ASDF_ADAPTIVE : MCP_ASDF_ROBUST))
 #define FILTER_LAST ((uint32_t)(MCP_ASDF_WITH_ROBUST ? MCP_ASDF_ROBUST : MCP_ASDF_OFF))
@@ -32,42 +38,48 @@ ASSERT(b_hat_mirrors, MCP_ASDF_B_HAT_MIN + MCP_ASDF_B_HAT_MAX == 0); /* modulo 2
 
 /* ---- The local estimate: eq. 3 and 4 ---- */
 
-/* (g / p)^2 as Q30, for g and p in [2^31, 2^32), from a quotient of 24 or 25 bits. */
+/* (g / p)^2 as Q30, for two numbers in [2^31, 2^32) of one format. */
 static uint32_t square_of_ratio(uint32_t g, uint32_t p)
 {
-    const uint32_t ratio = divide_24(g >> 1, p >> 1) << 7; /* Q31, in (2^30, 2^32) */
-    return multiply_high(ratio, ratio);                    /* [2^28, 2^32) */
+    /* Both are halved for divide_24(), which takes a divisor of at most 2^31; the quotient stays g / p. */
+    const uint32_t ratio = divide_24(g >> 1, p >> 1) << 7; /* Q24 to Q31: (2^30, 2^32) */
+    return multiply_high(ratio, ratio);                    /* Q31 Q31 = Q62, to Q30: [2^28, 2^32) */
 }
 
-/* Assume an accuracy b_hat, as Q32 in its range, and compute all of mcp_asdf_accuracy_t that follows from it.
- */
+/* Assume an accuracy b_hat, as Q32 from MCP_ASDF_B_HAT_MIN to MCP_ASDF_B_HAT_MAX, and compute all of
+ * mcp_asdf_accuracy_t that follows from it, so that an observation needs no division for it. */
 static void set_b_hat(mcp_asdf_t *robot, uint32_t b_hat)
 {
     mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
+    /* 0U - x is 1 - x as Q32: 1.0 is 2^32, which is 0 in 32 bits. */
     const uint32_t c = b_hat < Q32_HALF ? b_hat : 0U - b_hat; /* min(b_hat, 1 - b_hat): [2^12, 2^31] */
     const uint32_t g = 0U - 2U * c;                           /* 1 - 2c: [0, 2^32 - 2^13] */
     const uint32_t g_shift = leading_zeros(g), c_shift = leading_zeros(c); /* [0, 31], [0, 19] */
     accuracy->b_hat = b_hat;
     accuracy->c = g < INFORMATIVE_G ? UINT32_MAX : c;
-    /* g and c are shifted until their highest bit is set, so that the quotients keep their bits. */
+    /* Both sides of a ratio are shifted until their highest bit is set, so that its quotient has as many
+     * significant bits as it can. A weight is too large then by 2^(2 g_shift), and the one of the rare colour
+     * too small by 2^rare_shift; confidence_at_end() takes this into account. 1 - c is at least 1/2, and
+     * needs no shift. */
     accuracy->common = square_of_ratio(shift_left(g, g_shift), 0U - c);
     accuracy->rare = square_of_ratio(shift_left(g, g_shift), shift_left(c, c_shift));
     accuracy->g_shift = g_shift;
     accuracy->rare_shift = 2U * c_shift;
 }
 
-/* A local estimate: x_hat as Q23, and the word of alpha. */
+/* A local estimate: x_hat as Q23, and alpha as an alpha word. */
 typedef struct {
     uint32_t x_hat, alpha;
 } estimate_t;
 
-/* mantissa 2^exponent units of alpha, 2^-24 each; the exponent modulo 2^32. */
+/* A confidence of mantissa 2^exponent units of 2^-24. The mantissa is in [2^23, 2^24), the exponent at least
+ * -22, and in two's complement if it is negative. */
 typedef struct {
     uint32_t mantissa, exponent;
 } confidence_t;
 
-/* The word of the largest alpha not above mantissa 2^exponent units, for a mantissa in [2^23, 2^24) and an
- * exponent modulo 2^32, which is at least -22. */
+/* Returns the alpha word (mantissa in bits 31 to 8, shift in bits 4 to 0) of the largest alpha that is not
+ * above mantissa 2^exponent units; both are as in confidence_t. */
 HOT uint32_t alpha_word_from_mantissa(uint32_t mantissa, uint32_t exponent)
 {
     const bool is_negative = exponent >> 31 != 0U;
@@ -77,19 +89,26 @@ HOT uint32_t alpha_word_from_mantissa(uint32_t mantissa, uint32_t exponent)
     return exponent <= ALPHA_SHIFT_MAX ? (mantissa << 8) | exponent : ALPHA_MAX;
 }
 
-/* Alpha where x_hat is 0 or 1 (eq. 4, first two cases), after rare_observations observations of the rarer
- * colour among t: rare_observations (g / c)^2 + (t - rare_observations) (g / (1 - c))^2. */
+/* Returns alpha where x_hat is 0 or 1 (eq. 4, first two cases), that is
+ *
+ *     rare_observations (g / c)^2 + (t - rare_observations) (g / (1 - c))^2
+ *
+ * after t observations, rare_observations of them of the rarer colour. The squares are accuracy->rare and
+ * accuracy->common, in the units of mcp_asdf_accuracy_t. `g_shift` is that of the accuracy, at most 31. */
 ALWAYS_INLINE confidence_t confidence_at_end(uint32_t t, uint32_t rare_observations, uint32_t g_shift,
                                              const mcp_asdf_accuracy_t *accuracy)
 {
     uint64_t sum = multiply(t - rare_observations, accuracy->common); /* < 2^63 */
-    /* 40 bits below the mantissa + 24 of alpha - 30 of the weights */
-    uint32_t exponent = 34U - 2U * g_shift;
+    /* So far a unit of the sum is 2^(-30 - 2 g_shift), that of the common colour's weight. The mantissa will
+     * be the upper 24 bits of the sum, so its last bit is worth 2^40 of that; alpha counts units of 2^-24. */
+    uint32_t exponent = BITS_BELOW_MANTISSA - WEIGHT_FRACTION_BITS + ALPHA_FRACTION_BITS - 2U * g_shift;
     if (rare_observations != 0U) {
+        /* The rare colour's weight has units 2^rare_shift times as large: the sum changes to these. */
         sum = multiply(rare_observations, accuracy->rare) +
               shift_right_64(sum, accuracy->rare_shift); /* < 2^64 */
         exponent += accuracy->rare_shift;
     }
+    /* The sum is shifted until its highest bit is set, first by a whole word where the upper one is 0. */
     if (high_word(sum) == 0U) {
         sum = join(low_word(sum), 0);
         exponent -= 32U;
@@ -99,16 +118,25 @@ ALWAYS_INLINE confidence_t confidence_at_end(uint32_t t, uint32_t rare_observati
     return alpha;
 }
 
-/* Alpha where x_hat is between 0 and 1 (eq. 4, last case): with p = rarer / total and t = total 2^-shift it
- * is g^2 t / (p (1 - p)). `scale` is g total, shifted by g_shift. */
+/* Returns alpha where x_hat is between 0 and 1 (eq. 4, last case), which is g^2 t / (p (1 - p)) with the
+ * share p = rarer / total of the rarer colour.
+ *   total     t 2^shift                    [2^31, 2^32)
+ *   rarer     p t 2^shift                  [2^11, total / 2]
+ *   scale     g t 2^(shift + g_shift)      [2^30, 2^32) */
 ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uint32_t scale, uint32_t g_shift,
                                              uint32_t shift)
 {
+    /* alpha = (g t)^2 t / (p t (1 - p) t), from the numbers with their shifts: of g^2 t^3 the upper word of
+     * three, which is 2^-64 of it, and both words of p (1 - p) t^2. */
     const uint32_t square = multiply_high(multiply_high(scale, scale), total); /* [2^27, 2^32) */
     const uint64_t spread = multiply(rarer, total - rarer);                    /* [2^41, 2^62] */
+    /* Both are shifted until their highest bit is set, and of the divisor the upper word is taken. */
     const uint32_t square_shift = leading_zeros(square), spread_shift = leading_zeros(high_word(spread));
-    /* 32 = 64 bits below the products + 24 of alpha - 32 below the divisor - 24 of the quotient */
-    uint32_t exponent = 32U - 2U * g_shift - shift + spread_shift - square_shift;
+    /* The exponent takes back what was shifted or cut off: 64 bits of the dividend and 32 of the divisor, and
+     * the points of the quotient and of a unit of alpha; g_shift twice, and the shift of t, which the
+     * dividend has three times and the divisor twice; then the two shifts above. */
+    uint32_t exponent = 64U - 32U - QUOTIENT_FRACTION_BITS + ALPHA_FRACTION_BITS - 2U * g_shift - shift;
+    exponent = exponent + spread_shift - square_shift;
     uint32_t mantissa = divide_24(shift_left(square, square_shift) >> 1, upper(spread, spread_shift) >> 1);
     const uint32_t excess_bit = (mantissa >> 24) & 1U; /* the quotient is in [2^23, 2^25) */
     mantissa >>= excess_bit;                           /* a shift by at most 1 */
@@ -117,37 +145,44 @@ ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uin
     return alpha;
 }
 
-/* x_hat (eq. 3) and alpha (eq. 4) after n black observations of t > 0.
+/* Returns x_hat (eq. 3) and alpha (eq. 4) after n black observations of t > 0, with a sensor of this
+ * accuracy.
  *
- * White and black are mirror images, and so are b_hat and 1 - b_hat. So the share p of the rarer colour is
- * estimated, under an accuracy above 1/2, and mirrored where that is not the robot's case. */
+ * White and black are mirror images, and so are b_hat and 1 - b_hat. So only one case is computed, and
+ * mirrored where it is another: how much of the floor has the rarer colour, of which a share p was observed,
+ * if the sensor is wrong with probability c = min(b_hat, 1 - b_hat). That is x = (p - c) / (1 - 2c), or 0 if
+ * p is below c. */
 HOT estimate_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accuracy)
 {
     const uint32_t g_shift = accuracy->g_shift & 31U; /* whatever damaged memory holds */
     const uint32_t white = t - n, rare_observations = n < white ? n : white;
-    /* Both are shifted, so that t has 32 bits. */
+    /* Numbers of observations are multiplied by 2^shift, with which t fills 32 bits. */
     const uint32_t shift = leading_zeros(t);
-    const uint32_t total = shift_left(t, shift);                 /* [2^31, 2^32) */
-    const uint32_t rarer = shift_left(rare_observations, shift); /* <= total / 2 */
+    const uint32_t total = shift_left(t, shift);                 /* t: [2^31, 2^32) */
+    const uint32_t rarer = shift_left(rare_observations, shift); /* p t: at most total / 2 */
     /* On a floor without the rarer colour the sensor would show it so often, by its errors. */
     const uint32_t errors = multiply_high(accuracy->c, total); /* c t */
     uint32_t x = 0;
     confidence_t alpha;
-    if (rarer <= errors) { /* always so without information */
+    if (rarer <= errors) { /* always so without information, where c is 2^32 - 1 */
         if (accuracy->c == UINT32_MAX) {
             const estimate_t no_information = {MCP_ASDF_HALF, 0};
             return no_information;
         }
         alpha = confidence_at_end(t, rare_observations, g_shift, accuracy);
     } else {
-        /* x = (p - c) / g, with both sides multiplied by t */
+        /* x = (p t - c t) / (g t) with g = 1 - 2c. Both are shifted by g_shift, which leaves their quotient
+         * as it is, so that the divisor has 31 or 32 bits. */
         const uint32_t scale = shift_left(total - 2U * errors, g_shift); /* g t: [2^30, 2^32) */
         const uint32_t above = shift_left(rarer - errors, g_shift);      /* <= scale / 2, where x is 1/2 */
-        x = divide_24(above, scale >> 1) >> 2;
+        /* Divided by scale / 2, a Q24 of 2 x is a Q25 of x. */
+        x = divide_24(above, scale >> 1) >> 2; /* Q25 to Q23 */
         alpha = confidence_inside(total, rarer, scale, g_shift, shift);
     }
-    const bool is_mirrored =
-        ((n - white) ^ accuracy->b_hat) >> 31 != 0U; /* either white is rarer or b_hat < 1/2 */
+    /* x is the share of black if black is the rarer colour (n - white is negative: bit 31 is set) and the
+     * sensor is right more often than wrong (bit 31 of b_hat is set), or if neither is so. If only one is so,
+     * the bits differ, and x is the share of white. */
+    const bool is_mirrored = ((n - white) ^ accuracy->b_hat) >> 31 != 0U;
     const estimate_t result = {is_mirrored ? MCP_ASDF_ONE - x : x,
                                alpha_word_from_mantissa(alpha.mantissa, alpha.exponent)};
     return result;
@@ -163,8 +198,10 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observ
     }
     uint32_t t = robot->t + 1U, n = robot->n + (uint32_t)z; /* <= 2^31 */
     if (t >= robot->config->memory) {
-        t >>= 1;
-        n = (n + ((n >> 1) & 1U)) >> 1; /* to nearest, ties to even */
+        t >>= 1; /* exact, as the memory is even */
+        /* An odd n lies between two halves: 1 is added first if the lower of them is odd, so that the result
+         * is the even one. */
+        n = (n + ((n >> 1) & 1U)) >> 1;
     }
     robot->t = t;
     robot->n = n;
@@ -179,11 +216,13 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observ
 
 #if MCP_ASDF_WITH_ASDF
 
-/* Value of an alpha word in units of 2^-24, below 2^55. */
+/* Value of an alpha word in units of 2^-24, below 2^55. The shift is in bits 4 to 0, and shift_left_wide()
+ * ignores the others. */
 ALWAYS_INLINE word_pair_t alpha_units(uint32_t alpha) { return shift_left_wide(alpha >> 8, alpha); }
 
 /* Add a neighbour's estimate (x_hat as Q23, an alpha word above 0) to the sums of the open round, and count
- * it. The comments say by how much each sum grows at most. */
+ * it. The product alpha x_hat is summed in two parts, for the lower and the upper word of alpha. The comments
+ * say by how much each sum grows at most. */
 HOT void add_estimate(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
 {
     mcp_asdf_open_t *const open = &robot->open;
@@ -196,24 +235,27 @@ HOT void add_estimate(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
     ++open->count;
 }
 
-/* Mean of x_hat weighted by alpha (eq. 5 and 7), from the sums of a round with alpha > 0: as Q32, 1.0 as
- * 2^32 - 1 or little less. */
+/* Returns the mean of x_hat weighted by alpha (eq. 5 and 7), from the sums of a round as mcp_asdf_closed_t
+ * has them, with alpha > 0: as Q32, less than 8 units too small, so that 1.0 is 2^32 - 1 or little less. */
 HOT uint32_t round_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
-    /* The sum of alpha x_hat is 2^32 upper_sum + lower_sum, as Q23. */
+    /* The sum of alpha x_hat in units of 2^-23 of a unit of alpha: 2^32 upper_sum + lower_sum. */
     const uint64_t upper_sum = alpha_x_high + high_word(alpha_x_low); /* < 2^53 + 2^30 */
     const uint32_t lower_sum = low_word(alpha_x_low);
-    uint64_t dividend = (upper_sum << 9) | (lower_sum >> 23); /* whole units of alpha: <= alpha < 2^62 */
+    /* Without its 23 bits behind the point, in whole units of alpha like the divisor: <= alpha < 2^62. */
+    uint64_t dividend = (upper_sum << 9) | (lower_sum >> 23);
     if (high_word(alpha) == 0U) {
-        /* So few units that both fit in a word: 32 bits of the fraction are appended. */
+        /* In so small sums those 23 bits count. Dividend and alpha fit in a word, and are multiplied by 2^32
+         * before the bits are appended. */
         dividend = join(low_word(dividend), lower_sum << 9);
         alpha = join(low_word(alpha), 0);
     }
     return quotient(dividend, alpha);
 }
 
-/* x (eq. 7) as Q23: the mean of a closed round and an own estimate, or x_hat if nobody has confidence. It is
- * the exact quotient of the sums, rounded down. */
+/* Returns x (eq. 7) as Q23: the mean of x_hat over a closed round and the robot's own estimate, each weighted
+ * by its alpha. It is the exact quotient of the sums, rounded down, or x_hat if all alphas are 0. `own_alpha`
+ * is an alpha word, x_hat is Q23. */
 HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, uint32_t own_alpha)
 {
     const word_pair_t own_units = alpha_units(own_alpha);
@@ -223,9 +265,12 @@ HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, 
     }
     const uint64_t alpha_x_low = closed->alpha_x_low + multiply(own_units.low, x_hat);
     const uint64_t alpha_x_high = closed->alpha_x_high + multiply(own_units.high, x_hat);
-    /* The upper 23 bits of the mean are right or one too small. The remainder of the division is below
-     * 2 alpha, and shows which: both sides of the difference are taken modulo 2^64. */
+    /* Q32 to Q23. The mean is at most 7 of its units too small, and a unit of x has 512 of these: x is right
+     * or one too small. */
     const uint32_t x = round_mean(alpha, alpha_x_low, alpha_x_high) >> 9;
+    /* Which, the remainder sum - x alpha of the division shows: it is below 2 alpha < 2^63, and at least
+     * alpha if x is one too small. Sum and product may have more than 64 bits; their lower 64 are enough, as
+     * their difference modulo 2^64 is the remainder. */
     const uint64_t sum = alpha_x_low + join(low_word(alpha_x_high), 0);
     const uint64_t product = multiply(x, low_word(alpha)) + join(x * high_word(alpha), 0);
     return x + (uint32_t)(sum - product >= alpha);
@@ -238,19 +283,24 @@ ALWAYS_INLINE uint32_t combine_with_round(const mcp_asdf_t *robot, uint32_t x_ha
     return informed_estimate(&robot->closed, x_hat, alpha);
 }
 
-/* Whether x_hat differs too much from the m >= 2 estimates of the open round (eq. 12). Squared and multiplied
- * out, this is (sum x - m x_hat)^2 > k_m (m sum x^2 - (sum x)^2). */
+/* Whether x_hat differs too much from the m >= 2 estimates of the open round (eq. 12). With the table's
+ * threshold k_m, squared and multiplied out, this is
+ *
+ *     (sum x - m x_hat)^2 > k_m (m sum x^2 - (sum x)^2)
+ *
+ * where the bracket on the right is m^2 times the variance of the estimates. */
 static bool asdf_test_rejects(const mcp_asdf_t *robot)
 {
     const uint32_t *const table = robot->config->table;
     const uint32_t q = MCP_ASDF_READ_WORD(&table[0]) & 0xFFU, m = robot->open.count;
     const uint32_t k = MCP_ASDF_READ_WORD(&table[m <= q ? m : q + 1U]);              /* Q26 */
-    const uint32_t x_sum = robot->open.x, m_x_hat = m * robot->x_hat;                /* < 2^30 */
+    const uint32_t x_sum = robot->open.x, m_x_hat = m * robot->x_hat;                /* Q23: < 2^30 */
     const uint32_t difference = x_sum > m_x_hat ? x_sum - m_x_hat : m_x_hat - x_sum; /* < 2^30 */
     const uint64_t spread =
-        m * robot->open.x_squared - multiply(x_sum, x_sum); /* [0, m^2 / 4 2^46] (Cauchy): < 2^58 */
-    /* k spread is formed from its halves. The left side is an integer, so that rounding the right side down
-     * decides alike. */
+        m * robot->open.x_squared - multiply(x_sum, x_sum); /* Q46: [0, m^2 / 4 2^46] (Cauchy): < 2^58 */
+    /* k spread would be a Q72. It is formed from the two words of spread, and shifted to Q46: the upper word
+     * by 32 - 26 to the left, the lower one by 26 to the right. The left side is an integer, so that rounding
+     * the right side down decides alike. */
     const uint64_t upper_part = multiply(k, high_word(spread)) << 6; /* < 2^64 */
     return multiply(difference, difference) > upper_part + (multiply(k, low_word(spread)) >> 26);
 }
@@ -296,8 +346,13 @@ ALWAYS_INLINE void clear_round_sums(mcp_asdf_t *robot)
     open->count = 0;
 }
 
-/* Whether a t-table is undamaged and in order. Words 0 .. q + 1 are magic and q, omega, k_2 .. k_q, and k for
- * m > q; the last is FNV-1a over them, by words. The k fall strictly and stay above 1. */
+/* Whether a t-table is undamaged and in order. Its words are
+ *
+ *     0            TABLE_MAGIC + q, the number of neighbours up to which it has thresholds: 2 .. 127
+ *     1            omega, the tolerated error probability of the test, as Q32
+ *     2 .. q       thresholds k_m for m estimates, Q26: they fall strictly and stay above 1
+ *     q + 1        the threshold for any m above q
+ *     q + 2        FNV-1a over the words before it */
 static bool is_valid_table(const uint32_t *table)
 {
     const uint32_t head = MCP_ASDF_READ_WORD(&table[0]);
@@ -308,13 +363,13 @@ static bool is_valid_table(const uint32_t *table)
     uint32_t hash = HASH_START, previous = 0;
     for (uint8_t i = 0; i < hash_index; ++i) { /* at most 129 turns */
         const uint32_t word = MCP_ASDF_READ_WORD(&table[i]);
-        if (word >= previous && i > 2U) {
+        if (word >= previous && i > 2U) { /* the first threshold, word 2, follows no other */
             return false;
         }
         previous = word;
         hash = hash_word(hash, word);
     }
-    /* An omega of 0 wraps, and is out of range, too. */
+    /* `previous` is the last threshold. An omega of 0 wraps, and is out of range, too. */
     return previous > THRESHOLD_ONE && hash == MCP_ASDF_READ_WORD(&table[hash_index]) &&
            MCP_ASDF_READ_WORD(&table[1]) - 1U < TABLE_OMEGA_MAX;
 }
@@ -391,24 +446,25 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
 
 /* ---- The filter: eq. 8 ---- */
 
-/* The b_hat for which x_hat would be x_bar (eq. 8), for x_bar as Q32 and t > 0; 0 if x_bar carries no
- * information. It is (n / t + x_bar - 1) / (2 x_bar - 1), multiplied by t above and below. */
+/* Returns the b_hat, as Q32, for which x_hat would be x_bar (eq. 8), for x_bar as Q32 and t > 0; or 0 if
+ * x_bar carries no information, as it is near 1/2. It is (n / t + x_bar - 1) / (2 x_bar - 1), both sides
+ * multiplied by t, and limited to the range of b_hat. */
 static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t x_bar)
 {
     const uint32_t t = robot->t;
     uint32_t n = robot->n;
-    if (x_bar < Q32_HALF) { /* exchange the colours */
+    if (x_bar < Q32_HALF) { /* exchange the colours, so that 2 x_bar - 1 is not negative */
         x_bar = ~x_bar;     /* 1 - x_bar, and 2^-32 less */
         n = t - n;
     }
-    const uint32_t g = 2U * x_bar; /* 2 x_bar - 1, modulo 2^32 */
+    const uint32_t g = 2U * x_bar; /* 2 x_bar - 1 as Q32: the 1 is 2^32, which is lost in 32 bits */
     if (g < INFORMATIVE_G) {
         return 0;
     }
     const uint64_t divisor = multiply(t, g); /* t (2 x_bar - 1): < 2^63 */
     /* n - t (1 - x_bar), in two's complement: within 2^63 of 0 */
     const uint64_t difference = join(n, 0) - multiply(t, 0U - x_bar);
-    const uint64_t dividend = difference >> 63 == 0U ? difference : 0U;
+    const uint64_t dividend = difference >> 63 == 0U ? difference : 0U; /* 0 if it is negative */
     uint32_t b_hat = quotient(dividend < divisor ? dividend : divisor, divisor);
     b_hat = b_hat > MCP_ASDF_B_HAT_MIN ? b_hat : MCP_ASDF_B_HAT_MIN;
     return b_hat < MCP_ASDF_B_HAT_MAX ? b_hat : MCP_ASDF_B_HAT_MAX;

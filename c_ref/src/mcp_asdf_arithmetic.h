@@ -34,18 +34,20 @@ typedef struct {
     uint32_t high, low;
 } word_pair_t;
 
-/* value 2^count, count in [0, 31]; of other counts the lower 5 bits. Lemma shift_left_wide. */
+/* Returns value 2^count, count in [0, 31]; of other counts the lower 5 bits. Lemma shift_left_wide. */
 ALWAYS_INLINE word_pair_t shift_left_wide(uint32_t value, uint32_t count)
 {
     const uint32_t masked = count & 31U;
+    /* The upper word is value / 2^(32 - count), in shifts by 1 and by 31 - count, as no shift may be 32. */
     const word_pair_t shifted = {shift_right(value >> 1, COMPLEMENT(count, masked)),
                                  shift_left(value, masked)};
     return shifted;
 }
 
-/* Upper word of value 2^count modulo 2^64, count in [0, 31]. Lemma upper. */
+/* Returns the upper word of value 2^count modulo 2^64, count in [0, 31]. Lemma upper. */
 ALWAYS_INLINE uint32_t upper(uint64_t value, uint32_t count)
 {
+    /* The bits that cross over from the lower word: shifted by 1 and by 31 - count, as no shift may be 32. */
     return shift_left(high_word(value), count) | shift_right(low_word(value) >> 1, count ^ 31U);
 }
 
@@ -59,11 +61,12 @@ ALWAYS_INLINE void add(uint64_t *sum, uint64_t term)
     FENCE();
 }
 
-/* The upper 32 bits of 0 <= a <= d and half of those of d > 0, rounded up, for divide_24() and divide_31():
- * the dividend and the divisor, in that order. Their quotient is at most 2^-31 + 2^-30 a / d less than a / d,
- * and never more. Lemma ratio. */
+/* Returns a dividend and a divisor of 32 bits for divide_31(), for 0 <= a <= d, d > 0: the upper 32 bits of
+ * a, and half of those of d, rounded up, which is in [2^30, 2^31]. Half of their quotient is at most 2^-31 +
+ * 2^-30 a / d less than a / d, and never more. Lemma ratio. */
 ALWAYS_INLINE word_pair_t ratio(uint64_t a, uint64_t d)
 {
+    /* Both are shifted alike until the highest bit of d is set, by a whole word first. */
     if (high_word(d) == 0U) {
         a = join(low_word(a), 0);
         d = join(low_word(d), 0);
@@ -73,10 +76,12 @@ ALWAYS_INLINE word_pair_t ratio(uint64_t a, uint64_t d)
     return words;
 }
 
-/* a / d as Q32, for d > 0 and 0 <= a <= d: at most 7 units too small, never too large. Lemma quotient. */
+/* Returns a / d as Q32, for d > 0 and 0 <= a <= d: at most 7 units too small, never too large, so that 1.0 is
+ * below 2^32. Lemma quotient. */
 SHARED uint32_t quotient(uint64_t a, uint64_t d)
 {
     const word_pair_t words = ratio(a, d);
+    /* 2^31 times a quotient by half of the divisor is 2^32 times that by all of it. */
     return divide_31(words.high, words.low);
 }
 

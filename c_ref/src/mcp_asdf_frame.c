@@ -6,7 +6,7 @@
 
 #define FRAME_BYTES 8U
 
-/* Parts of a binary32 number. Numbers from infinity on are infinity, NaN, and all with the sign bit set. */
+/* Parts of a binary32 number: a sign bit, 8 bits of an exponent, 23 bits of a fraction. */
 #define BINARY32_INFINITY UINT32_C(0x7F800000)
 #define BINARY32_FRACTION_MASK UINT32_C(0x007FFFFF)
 #define BINARY32_IMPLICIT_BIT UINT32_C(0x00800000)
@@ -135,10 +135,15 @@ static uint8_t read_transfer_id(const mcp_asdf_frame_t *frame)
 
 /* ---- Confidence: alpha words and binary32 ----------------------------------------------------------- */
 
+/* Whether the bits of a binary32 number are those of a number that alpha can be: finite and not negative. As
+ * integers, infinity, all NaN and all numbers with the sign bit set are at least those of infinity. */
+static bool is_finite_and_positive(uint32_t binary32) { return binary32 < BINARY32_INFINITY; }
+
 /* Returns the bits of the binary32 number that an alpha word stands for: mantissa (bits 8 to 31) times
  * 2^shift (bits 0 to 4) in units of 2^-24. Exact for every word. */
 static uint32_t binary32_from_alpha_word(uint32_t alpha)
 {
+    /* ALPHA_SHIFT_MAX is also the mask of the bits that hold the shift. */
     uint32_t mantissa = alpha >> 8, exponent = BINARY32_UNIT_EXPONENT + (alpha & ALPHA_SHIFT_MAX);
     if (mantissa == 0U) {
         return 0;
@@ -187,8 +192,8 @@ mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,
     return MCP_ASDF_FRAME_OK;
 }
 
-/* Read an estimate from a frame of `subject`. Returns OK, or the first reason to refuse the frame and leaves
- * *message as it was. */
+/* Read an estimate from a frame of `subject`: sender, transfer id, x_hat as Q23 and alpha as an alpha word.
+ * Returns OK, or the first reason to refuse the frame and leaves *message as it was. */
 mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, uint16_t subject,
                                                  const mcp_asdf_frame_t *frame)
 {
@@ -200,7 +205,7 @@ mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, u
     if (x_hat > MCP_ASDF_ONE) {
         return MCP_ASDF_FRAME_ERR_X_HAT;
     }
-    if (alpha_binary32 >= BINARY32_INFINITY) {
+    if (!is_finite_and_positive(alpha_binary32)) {
         return MCP_ASDF_FRAME_ERR_ALPHA;
     }
     message->node = read_node(frame);

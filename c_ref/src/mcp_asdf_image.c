@@ -14,9 +14,10 @@
 
 /* ---- Invariants ---- */
 
-/* Make *fresh a robot with the settings `config` that has just formed x_hat and alpha from the t, n and b_hat
- * of `robot`: one that has an observation less observes once more. Returns false, with *fresh of no use, if
- * there can be no such robot. */
+/* Compute in *fresh a robot with the settings `config` that has just formed x_hat and alpha from the t, n and
+ * b_hat of `robot`, to compare the two. It is a new robot that is given all observations but one, and makes
+ * the last one itself. Returns false, with *fresh of no use, if there can be no such robot: n is above t, or
+ * the id or b_hat is out of range. */
 static bool recompute_estimate(const mcp_asdf_t *robot, const mcp_asdf_config_t *config, mcp_asdf_t *fresh)
 {
     if (robot->n > robot->t ||
@@ -24,6 +25,7 @@ static bool recompute_estimate(const mcp_asdf_t *robot, const mcp_asdf_config_t 
         return false;
     }
     if (robot->t != 0U) {
+        /* The order of observations does not matter: if any was black, a black one may be the last. */
         const mcp_asdf_observation_t last = robot->n != 0U ? MCP_ASDF_BLACK : MCP_ASDF_WHITE;
         fresh->t = robot->t - 1U;
         fresh->n = robot->n - (uint32_t)last;
@@ -39,22 +41,31 @@ static bool is_canonical(uint32_t alpha)
     return (alpha & 0xE0U) == 0U && ((alpha >> 31) != 0U || (alpha & 0x1FU) == 0U);
 }
 
-/* Whether accuracy, x_hat and alpha follow from t, n and b_hat (I4 and I5). After a re-estimate of b_hat,
- * x_hat and alpha still follow from the old one, which is not known. *fresh is memory for another robot,
- * which the caller has, since a stack may have room for few. */
+/* Whether two accuracies with the same b_hat agree in all that follows from it. */
+static bool has_same_accuracy(const mcp_asdf_accuracy_t *accuracy, const mcp_asdf_accuracy_t *fresh)
+{
+    return accuracy->c == fresh->c && accuracy->common == fresh->common && accuracy->rare == fresh->rare &&
+           accuracy->g_shift == fresh->g_shift && accuracy->rare_shift == fresh->rare_shift;
+}
+
+/* Whether accuracy, x_hat and alpha follow from t, n and b_hat (I4 and I5 of docs/invariants.md), and t is
+ * below the memory. Rejects an id out of range, too, as no robot can have it. The caller lends *fresh, memory
+ * for the robot that is computed to compare with, since a small stack may have room for few. */
 static bool is_valid_estimate(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
-    const mcp_asdf_accuracy_t *const accuracy = &robot->accuracy;
     /* The other robot needs no filter, and so no table. A constant config would take RAM on an AVR. */
     mcp_asdf_config_t config = *robot->config;
     config.filter = MCP_ASDF_WITH_ASDF ? MCP_ASDF_OFF : MCP_ASDF_ROBUST;
-    return robot->t < config.memory && recompute_estimate(robot, &config, fresh) &&
-           accuracy->c == fresh->accuracy.c && accuracy->common == fresh->accuracy.common &&
-           accuracy->rare == fresh->accuracy.rare && accuracy->g_shift == fresh->accuracy.g_shift &&
-           accuracy->rare_shift == fresh->accuracy.rare_shift &&
-           ((robot->updated == 1U && robot->t != 0U && robot->x_hat <= MCP_ASDF_ONE &&
-             is_canonical(robot->alpha)) ||
-            (robot->updated == 0U && robot->x_hat == fresh->x_hat && robot->alpha == fresh->alpha));
+    if (robot->t >= config.memory || !recompute_estimate(robot, &config, fresh) ||
+        !has_same_accuracy(&robot->accuracy, &fresh->accuracy)) {
+        return false;
+    }
+    if (robot->updated == 1U) {
+        /* b_hat was re-estimated since the last observation: x_hat and alpha still follow from the old one,
+         * which is not known. */
+        return robot->t != 0U && robot->x_hat <= MCP_ASDF_ONE && is_canonical(robot->alpha);
+    }
+    return robot->updated == 0U && robot->x_hat == fresh->x_hat && robot->alpha == fresh->alpha;
 }
 
 #if MCP_ASDF_WITH_ASDF
@@ -136,29 +147,37 @@ static bool is_valid_crowd(const mcp_asdf_t *robot) { return (void)robot, true; 
 
 #endif
 
+/* Whether `id` (0 .. 127) is among the senders of the open round. Its bit is bit (id mod 8) of byte
+ * (id div 8). */
+static bool has_sender(const mcp_asdf_t *robot, uint8_t id)
+{
+    return ((robot->heard.of[id >> 3] >> (id & 7)) & 1) != 0;
+}
+
 /* Whether the set of senders fits the open round: it has at least as many members as the sums have estimates,
- * and the robot itself is none of them. The bit of a sender is bit (id mod 8) of byte (id div 8). */
+ * and the robot itself is none of them. There may be more, as an estimate with alpha 0 enters no sum. */
 static bool are_valid_senders(const mcp_asdf_t *robot)
 {
     uint32_t sender_count = 0;
     for (uint8_t id = 0; id <= MCP_ASDF_MAX_ID; ++id) { /* at most 128 turns */
-        sender_count += (robot->heard.of[id >> 3] >> (id & 7)) & 1;
+        sender_count += has_sender(robot, id) ? 1U : 0U;
     }
-    return count_of_open_round(robot) <= sender_count &&
-           ((robot->heard.of[robot->id >> 3] >> (robot->id & 7)) & 1) == 0;
+    return count_of_open_round(robot) <= sender_count && !has_sender(robot, robot->id);
 }
 
-/* Whether calls of the firmware can have led to this state. Overwrites *fresh, which is memory for another
- * robot. */
+/* Whether calls of the firmware can have led to this state. The caller lends *fresh, memory in which another
+ * robot is computed to compare with; its contents do not matter, before or after. */
 static bool is_valid_state(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
     const mcp_asdf_config_t *const config = robot->config;
-    return is_valid_estimate(robot, fresh) && /* checks the id, too */
-           are_valid_rounds(robot) && is_valid_crowd(robot) && are_valid_senders(robot) &&
+    /* The estimate comes first: this checks the robot's id, on which are_valid_senders() relies. */
+    return is_valid_estimate(robot, fresh) && are_valid_rounds(robot) && is_valid_crowd(robot) &&
+           are_valid_senders(robot) &&
+           /* Rounds until the filter runs: it starts at filter_period, and is set to it again at 0. */
            robot->filter_left != 0U && robot->filter_left <= config->filter_period;
 }
 
-/* Whether calls of the firmware can have led to this state. */
+/* Whether calls of the firmware can have led to the state of `robot`. */
 bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)
 {
     mcp_asdf_t fresh;
@@ -265,7 +284,7 @@ static void pass_crowd(image_t *image, mcp_asdf_t *robot)
     crowd->spread = unused_words == 0U ? crowd->spread : 0U; /* no crowd has a spread of 0 */
 }
 
-/* Give a robot the crowd of a new one: images of other filters have none. */
+/* Copy the crowd of the new robot `fresh` to `robot`. */
 static void copy_crowd(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { robot->crowd = fresh->crowd; }
 
 #else
@@ -325,10 +344,13 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
     image_t input = {image, NULL, HASH_START};
     mcp_asdf_t restored = {0}, fresh;
     const bool is_robust = mcp_asdf_is_robust(config);
+    /* While an image is read, the value that is passed to pass_word() does not matter. */
     const bool has_magic_word = pass_word(&input, 0) == magic_word(is_robust);
     pass_state(&input, &restored, is_robust);
     const uint32_t hash = input.hash;
     const bool is_undamaged = has_magic_word && pass_word(&input, 0) == hash;
+    /* Errors of the config come before those of the image. The new robot gives the restored one what an image
+     * leaves out: what follows from b_hat, and the crowd where the filter is another. */
     const mcp_asdf_status_t status = mcp_asdf_init(&fresh, config, restored.id, restored.accuracy.b_hat);
     if (status == MCP_ASDF_ERR_CONFIG || status == MCP_ASDF_ERR_TABLE) {
         return status;
@@ -337,7 +359,7 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
         return MCP_ASDF_ERR_IMAGE;
     }
     if (!is_robust) {
-        copy_crowd(&restored, &fresh);
+        copy_crowd(&restored, &fresh); /* images of other filters have none */
     }
     restored.config = config;
     restored.accuracy = fresh.accuracy;

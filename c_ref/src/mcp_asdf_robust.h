@@ -15,7 +15,7 @@
 #include "mcp_asdf.h"
 #include "mcp_asdf_arithmetic.h"
 
-/* Eq. 8 for x_bar as Q32: the new b_hat, or 0 if x_bar carries no information. */
+/* Returns the new b_hat by eq. 8, as Q32, for x_bar as Q32; or 0 if x_bar carries no information. */
 static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t x_bar);
 
 #if MCP_ASDF_WITH_ROBUST
@@ -36,7 +36,8 @@ static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t x_bar);
 ALWAYS_INLINE uint32_t q30_from_q23(uint32_t x_hat) { return x_hat << 7; }
 ALWAYS_INLINE uint32_t q23_from_q30(uint32_t position) { return position >> 7; }
 
-/* -number if the mask is all ones, number if it is 0: without a branch, modulo 2^32. */
+/* Returns -number if the mask is all ones, number if it is 0: without a branch, modulo 2^32. In two's
+ * complement -number is ~number + 1: the XOR with all ones is the ~, and subtracting all ones adds 1. */
 ALWAYS_INLINE uint32_t negate_if(uint32_t number, uint32_t mask) { return (number ^ mask) - mask; }
 
 /* Initialise the crowd of a new robot, whose other members are 0. The initial b_hat is kept for the tests; it
@@ -62,15 +63,16 @@ ALWAYS_INLINE crowd_statistics_t statistics_after_vote(crowd_statistics_t statis
 {
     const uint32_t centre = statistics.centre, spread = statistics.spread;
     const uint32_t votes = statistics.votes + (statistics.votes < MCP_ASDF_VOTES_MAX ? 1U : 0U);
-    /* The gain is 2^-gain_shift: only the highest bit of the number counts, which the OR keeps from being
-     * below that of VOTES_OF_MAX_GAIN. */
+    /* The gain is 2^-gain_shift. Only the highest bit of the number of votes counts for it; the OR sees to it
+     * that this is at least that of VOTES_OF_MAX_GAIN. */
     const uint32_t gain_shift = 29U - leading_zeros(votes | VOTES_OF_MAX_GAIN); /* log2(votes) - 2: [3, 12] */
     const uint32_t spread_step = shift_right(spread, gain_shift + 1U);          /* <= spread / 16 */
     const uint32_t difference = centre - q30_from_q23(x_hat); /* modulo 2^32: within 2^30 of 0 */
     const uint32_t is_up_mask =
         0U - (difference >> 31); /* all ones if the vote is above the centre, else 0 */
     const uint32_t distance = negate_if(difference, is_up_mask);
-    /* Votes outside the spread widen it, votes inside narrow it: it converges to the median distance. */
+    /* Votes outside the spread widen it and votes inside narrow it, by the same step. It rests where both are
+     * equally frequent: at the median distance. */
     uint32_t limited_distance = distance, new_spread = spread - spread_step;
     if (distance > spread) {
         limited_distance = spread;
@@ -80,14 +82,16 @@ ALWAYS_INLINE crowd_statistics_t statistics_after_vote(crowd_statistics_t statis
         new_spread = new_spread > MCP_ASDF_SPREAD_MIN ? new_spread : MCP_ASDF_SPREAD_MIN;
     }
     const uint32_t step = shift_right(limited_distance, gain_shift);
-    /* A vote that does not move the centre counts as half up, half down. */
+    /* Each vote takes 1/256 of the trend away, and one that moves the centre up adds as much of its range. A
+     * vote that does not move the centre counts as half up, half down. */
     const uint32_t trend_step = step == 0U ? TREND_STEP_EVEN : is_up_mask & TREND_STEP_UP;
     const uint32_t trend = statistics.trend - (statistics.trend >> 8) + trend_step; /* < 2^16 */
     const crowd_statistics_t result = {centre - negate_if(step, is_up_mask), new_spread, votes, trend};
     return result;
 }
 
-/* Count a received x_hat, Q23, as one vote, and remember that its sender has voted. */
+/* Count a received x_hat, Q23, as one vote: it changes the centre, the spread, the number of votes and the
+ * trend, and the bit of its sender is set in the voices. */
 HOT void update_crowd(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
 {
     mcp_asdf_crowd_t *const crowd = &robot->crowd;
@@ -100,13 +104,13 @@ HOT void update_crowd(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
     crowd->spread = statistics.spread;
 }
 
-/* The centre as Q23, or x_hat, the caller's own estimate, before the first vote. */
+/* Returns the centre as Q23; before the first vote x_hat, which the caller chooses for that case. */
 ALWAYS_INLINE uint32_t crowd_estimate(const mcp_asdf_t *robot, uint32_t x_hat)
 {
     return robot->crowd.votes == 0U ? x_hat : q23_from_q30(robot->crowd.centre);
 }
 
-/* The centre as Q32, with 2^32 - 1 for 1.0. */
+/* Returns the centre as Q32, which the test and eq. 8 need, with 2^32 - 1 for 1.0. */
 ALWAYS_INLINE uint32_t crowd_fill_ratio(const mcp_asdf_t *robot)
 {
     return robot->crowd.centre >> 30 == 0U ? robot->crowd.centre << 2 : UINT32_MAX;
@@ -129,11 +133,14 @@ ALWAYS_INLINE bool is_crowd_moving(uint32_t trend)
     return ((trend + TREND_MOVING_DOWN) & 0xFFFFU) < 2U * TREND_MOVING_DOWN;
 }
 
-/* Whether n black observations of t > 0 contradict the initial b_hat, if the crowd's centre r is right: n / t
- * deviates by more than sqrt(12) standard deviations from the share p = b_hat r + (1 - b_hat)(1 - r) that
- * they predict. With D = n / t - p this is D^2 > 12 (v / t + (g spread)^2): v / t is the variance of n / t,
- * for the larger v of p (1 - p) and n / t (1 - n / t), and g spread, g = |2 b_hat - 1|, the uncertainty of p.
- */
+/* Whether n black observations of t > 0 contradict the initial b_hat, if the crowd's centre r is right. Then
+ * black is observed with probability p = b_hat r + (1 - b_hat)(1 - r). The test rejects if the share n / t
+ * deviates from that by more than sqrt(12) standard deviations:
+ *
+ *     (n / t - p)^2 > 12 (v / t + (g spread)^2)
+ *
+ * Here v / t is the variance of n / t, for the larger v of p (1 - p) and n / t (1 - n / t); and g spread,
+ * with g = |2 b_hat - 1|, is how far p may be off because r is. */
 static bool robust_test_rejects(const mcp_asdf_t *robot)
 {
     /* Shares are Q32, their squares Q64. 1 - x is 0U - x, or ~x, which is 2^-32 less and never out of range.
@@ -141,20 +148,24 @@ static bool robust_test_rejects(const mcp_asdf_t *robot)
     const uint32_t b_hat = robot->crowd.first, r = crowd_fill_ratio(robot);
     const uint32_t p = multiply_high(b_hat, r) + multiply_high(~b_hat, ~r); /* < 2^32 - 1 */
     const uint32_t share = quotient(robot->n, robot->t);                    /* n / t */
-    const uint32_t d = share > p ? share - p : p - share;                   /* |D| */
+    const uint32_t d = share > p ? share - p : p - share;                   /* |n / t - p| */
     const uint32_t v_share = multiply_high(share, 0U - share), v_p = multiply_high(p, 0U - p); /* <= 2^30 */
+    /* |2 b_hat - 1|: below 1/2 it is 1 - 2 b_hat; above, the 1 is 2^32, which is lost in 32 bits. */
     const uint32_t g = b_hat >> 31 == 0U ? 0U - 2U * b_hat : 2U * b_hat;
-    const uint32_t g_spread = multiply_high(g, robot->crowd.spread << 2);                 /* < 2^30 */
+    const uint32_t g_spread = multiply_high(g, robot->crowd.spread << 2); /* the spread is Q30; < 2^30 */
     const uint64_t spread_limit = REJECTED_SIGMAS_SQUARED * multiply(g_spread, g_spread); /* < 12 2^60 */
-    const uint64_t square = multiply(d, d), excess = square - spread_limit; /* used where it is positive */
-    /* t excess as Q32, below 2^64: multiplied by t, so that v needs no division */
+    /* What is left of the left side for 12 v / t; used where it is positive. */
+    const uint64_t square = multiply(d, d), excess = square - spread_limit;
+    /* Both sides are multiplied by t, so that v needs no division. t excess is formed as Q32, of which 32
+     * bits below the point are cut off: < 2^64. */
     const uint64_t t_excess =
         multiply(robot->t, high_word(excess)) + high_word(multiply(robot->t, low_word(excess)));
     return square > spread_limit &&
            t_excess > multiply(REJECTED_SIGMAS_SQUARED, v_share > v_p ? v_share : v_p);
 }
 
-/* Run the robust filter at the end of a round, for t > 0. Returns the new b_hat, or 0 if it stays.
+/* Run the robust filter at the end of a round, for t > 0. Returns the new b_hat as Q32, or 0 if it stays.
+ * Counts the test if there is one.
  *
  * Nothing is tested while the crowd moves, nor before three senders have voted. Otherwise the initial b_hat
  * is tested: if it is rejected, b_hat is re-estimated from the centre; if not, b_hat is the initial one

@@ -132,7 +132,7 @@ ALWAYS_INLINE uint32_t leading_zeros(uint32_t value) { return (uint32_t)__builti
 
 #if !MCP_ASDF_SPLIT_MULTIPLY
 #ifndef __AVR__
-/* a b, and floor(a b / 2^32): exact. Lemmas multiply, multiply_high. */
+/* The product a b, and its upper word, floor(a b / 2^32): exact. Lemmas multiply, multiply_high. */
 ALWAYS_INLINE uint64_t multiply(uint32_t a, uint32_t b) { return (uint64_t)a * b; }
 #endif
 ALWAYS_INLINE uint32_t multiply_high(uint32_t a, uint32_t b) { return high_word(multiply(a, b)); }
@@ -140,16 +140,17 @@ ALWAYS_INLINE uint32_t multiply_high(uint32_t a, uint32_t b) { return high_word(
 
 /* ---- Division ------------------------------------------------------------------------------------------ */
 
-/* Long division. A digit of up to 13 bits is estimated from the upper bits of rest and divisor, never too
- * large and less than 2 too small, so the rest stays in [0, 2 d) and arithmetic modulo 2^32 gives it exactly.
- * The last rest corrects the quotient: it is the exact floor however the digits were estimated. Of all digits
- * d is the divisor, and prepare(d) what they share: d is in [2^29, 2^31], or in [2^30, 2^31] where prepare()
- * takes a reciprocal from the table. Lemmas prepare, estimate_digit. */
+/* Long division, from the highest digit of the quotient to the lowest. A digit of up to 13 bits is estimated
+ * from the upper bits of the rest and of the divisor d, never too large and less than 2 too small, so the
+ * rest stays in [0, 2 d) and arithmetic modulo 2^32 gives it exactly. The last rest corrects the quotient: it
+ * is the exact floor however the digits were estimated. prepare(d) is computed once for all digits; d is in
+ * [2^29, 2^31], or in [2^30, 2^31] where prepare() takes a reciprocal from the table. Lemmas prepare,
+ * estimate_digit. */
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_HARDWARE
-/* What estimate_digit() divides by: a number above d / 2^15, so that no digit is too large. */
+/* Returns what estimate_digit() divides by: a number above d / 2^15, so that no digit is too large. */
 ALWAYS_INLINE uint32_t prepare(uint32_t d) { return (d >> 15) + 1U; }
 
-/* The next digit of a quotient, rest 2^bits / d, as (rest / 2^(15 - bits)) / (d / 2^15). */
+/* Returns the next digit of a quotient, rest 2^bits / d, as (rest / 2^(15 - bits)) / (d / 2^15). */
 ALWAYS_INLINE uint32_t estimate_digit(uint32_t rest, uint32_t prepared, uint32_t bits)
 {
     return (rest >> (15U - bits)) / prepared;
@@ -157,31 +158,34 @@ ALWAYS_INLINE uint32_t estimate_digit(uint32_t rest, uint32_t prepared, uint32_t
 #endif
 
 #if MCP_ASDF_DIVIDE != MCP_ASDF_DIVIDE_BY_BITS
-/* Return the next `bits` <= 12 bits of a quotient, and leave in *rest what is to be divided after them: below
- * 2 d, before and after. Lemma take_digit. */
+/* Returns the next digit of a quotient *rest / d, its next `bits` <= 12 bits, and updates *rest to what is to
+ * be divided after them: below 2 d, before and after. Lemma take_digit. */
 ALWAYS_INLINE uint32_t take_digit(uint32_t *rest, uint32_t d, uint32_t prepared, uint32_t bits)
 {
     const uint32_t digit = estimate_digit(*rest, prepared, bits);
-    *rest = (*rest << bits) - digit * d; /* modulo 2^32 */
+    *rest = (*rest << bits) - digit * d; /* both modulo 2^32; the difference is below 2^32 */
     return digit;
 }
 
-/* floor(2^24 a / d) for a < 2 d and 2^29 <= d <= 2^31: below 2^25. The reciprocals begin at 2^30. Lemma
+/* Returns floor(2^24 a / d), the quotient a / d as Q24, for a < 2 d and 2^29 <= d <= 2^31: below 2^25. Lemma
  * divide_24. */
 SHARED uint32_t divide_24(uint32_t a, uint32_t d)
 {
     if (MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE && d >> 30 == 0U) {
-        a <<= 1; /* the same quotient */
+        a <<= 1; /* The reciprocals of the table begin at 2^30. Both are doubled: the quotient stays. */
         d <<= 1;
     }
+    /* Two digits of 12 bits, and one more if the rest is not below d. */
     const uint32_t prepared = prepare(d), first = take_digit(&a, d, prepared, 12);
     const uint32_t second = take_digit(&a, d, prepared, 12);
     return (first << 12) + second + (uint32_t)(a >= d);
 }
 
-/* floor(2^31 a / d) for a < 2 d and 2^30 <= d <= 2^31: below 2^32. Lemma divide_31. */
+/* Returns floor(2^31 a / d), the quotient a / d as Q31, for a < 2 d and 2^30 <= d <= 2^31: below 2^32. Lemma
+ * divide_31. */
 ALWAYS_INLINE uint32_t divide_31(uint32_t a, uint32_t d)
 {
+    /* Digits of 12, 12 and 7 bits, and one more if the rest is not below d. */
     const uint32_t prepared = prepare(d), first = take_digit(&a, d, prepared, 12);
     const uint32_t second = take_digit(&a, d, prepared, 12), third = take_digit(&a, d, prepared, 7);
     return (first << 19) + (second << 7) + third + (uint32_t)(a >= d);

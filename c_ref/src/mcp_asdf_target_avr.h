@@ -3,7 +3,8 @@
 #define MCP_ASDF_TARGET_AVR_H
 
 #ifdef __AVR__
-/* avr-gcc calls a loop even for a shift by 32. It is little-endian, and defines what another member reads. */
+/* A uint64_t and its two words, lower one first. avr-gcc calls a loop even for a shift by 32, so that words
+ * are taken from memory instead. It is little-endian, and defines what another member of a union reads. */
 typedef union {
     uint64_t both;
     uint32_t word[2];
@@ -61,7 +62,8 @@ static inline uint32_t shift_right(uint32_t value, uint32_t count)
 }
 
 #if !MCP_ASDF_HAS_CLZ && MCP_ASDF_DIVIDE != MCP_ASDF_DIVIDE_BY_INCLUDER
-/* Leading zeros of value > 0, 31 for 0: first of whole bytes, then of bits in the byte that is not 0. */
+/* Returns the number of leading zeros of value > 0, or 31 for 0: first those of whole bytes, then those in
+ * the first byte that is not 0. */
 WARM uint32_t leading_zeros(uint32_t value)
 {
     uint8_t zeros = 0;
@@ -77,9 +79,9 @@ WARM uint32_t leading_zeros(uint32_t value)
 #endif
 
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_BITS
-/* floor(2^bits a / d) for bits 24 and 31, a < 2 d and d <= 2^31, which keeps a below 2^32: long division bit
- * by bit, from the highest. The quotient has bits + 1 bits, which are collected in bytes: to shift a byte
- * takes a quarter of the time of a word. Lemma divide_by_bits. */
+/* Returns floor(2^bits a / d) for bits 24 and 31, a < 2 d and d <= 2^31, which keeps a below 2^32. It is long
+ * division bit by bit, from the highest. The quotient has bits + 1 bits, which are collected in bytes, as to
+ * shift a byte takes a quarter of the time of a word. Lemma divide_by_bits. */
 NOINLINE uint32_t divide_by_bits(uint32_t a, uint32_t d, uint8_t bits)
 {
     uint32_t quotient = 0;

@@ -4,26 +4,33 @@
 #define MCP_ASDF_TARGET_SMALL_H
 
 #if MCP_ASDF_SPLIT_MULTIPLY
-/* a b, by long multiplication with digits of 16 bits: a = 2^16 a1 + a0, b likewise. */
+/* Returns the product a b, by long multiplication with digits of 16 bits:
+ *
+ *     (2^16 a1 + a0)(2^16 b1 + b0) = 2^32 a1 b1 + 2^16 (a1 b0 + a0 b1) + a0 b0
+ *
+ * Each product of digits is at most (2^16 - 1)^2. As in long multiplication on paper, the upper half of each
+ * sum is carried to the next one to the left, which therefore stays below 2^32. */
 WARM uint64_t multiply(uint32_t a, uint32_t b)
 {
     const uint32_t a0 = a & 0xFFFFU, a1 = a >> 16, b0 = b & 0xFFFFU, b1 = b >> 16;
-    const uint32_t low = a0 * b0;                          /* (2^16 - 1)^2 < 2^32, as are the others */
-    const uint32_t middle = a1 * b0 + (low >> 16);         /* (2^16 - 1)^2 + 2^16 - 1 < 2^32 */
-    const uint32_t middle2 = a0 * b1 + (middle & 0xFFFFU); /* the same */
-    const uint32_t high = a1 * b1 + (middle >> 16) + (middle2 >> 16); /* upper word of a product < 2^64 */
-    return (uint64_t)high << 32 | middle2 << 16 | (low & 0xFFFFU);
+    const uint32_t low = a0 * b0;
+    const uint32_t middle = a1 * b0 + (low >> 16);
+    const uint32_t both_middles = a0 * b1 + (middle & 0xFFFFU);
+    const uint32_t high = a1 * b1 + (middle >> 16) + (both_middles >> 16);
+    /* Bits 32 to 63, 16 to 31 and 0 to 15. The carry of both_middles is in `high` already: here it is shifted
+     * out of the word. */
+    return (uint64_t)high << 32 | both_middles << 16 | (low & 0xFFFFU);
 }
 
-/* The upper word of a b, in the same way; the lower one is not put together. */
+/* Returns the upper word of the product a b, in the same way; the lower one is not put together. */
 WARM uint32_t multiply_high(uint32_t a, uint32_t b)
 {
     const uint32_t a1 = a >> 16, b1 = b >> 16;
-    a &= 0xFFFFU; /* in place: gcc then finds registers for all */
+    a &= 0xFFFFU; /* a0 and b0, in place: gcc then finds registers for all */
     b &= 0xFFFFU;
     const uint32_t middle = a1 * b + (a * b >> 16);
-    const uint32_t middle2 = a * b1 + (middle & 0xFFFFU);
-    return a1 * b1 + (middle >> 16) + (middle2 >> 16);
+    const uint32_t both_middles = a * b1 + (middle & 0xFFFFU);
+    return a1 * b1 + (middle >> 16) + (both_middles >> 16);
 }
 #endif
 
@@ -33,7 +40,8 @@ WARM uint32_t multiply_high(uint32_t a, uint32_t b)
 #else
 #define ZEROS HOT
 #endif
-/* Leading zeros of value > 0, 31 for 0, by bisection: halve the places in which the highest bit can be. */
+/* Returns the number of leading zeros of value > 0, or 31 for 0, by bisection: if the upper 16 bits are 0,
+ * the lower ones take their place and 16 zeros are counted; then the same with 8 bits of these, 4 and 2. */
 ZEROS uint32_t leading_zeros(uint32_t value)
 {
     uint32_t zeros = 0;
@@ -58,28 +66,30 @@ ZEROS uint32_t leading_zeros(uint32_t value)
 #endif
 
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE
-/* 256 (1 / y - 1), rounded, and 1, at the middles y of 64 steps from 1/2 to 1, and at 1. */
+/* Reciprocals 1 / y of y in [1/2, 1], in 64 steps: 256 (1 / y - 1), rounded, at the middle y of each step,
+ * and 1 as the last entry, for y = 1. */
 static const uint8_t reciprocals[65] MCP_ASDF_ROM = {
     253, 245, 238, 230, 223, 216, 210, 203, 197, 191, 185, 179, 173, 168, 162, 157, 152,
     147, 142, 137, 133, 128, 124, 119, 115, 111, 107, 103, 99,  95,  92,  88,  85,  81,
     78,  74,  71,  68,  65,  62,  59,  56,  53,  50,  47,  44,  42,  39,  36,  34,  31,
     29,  26,  24,  22,  19,  17,  15,  12,  10,  8,   6,   4,   2,   1};
 
-/* 2^46 / d for d in [2^30, 2^31], at most 0.71 2^-13 of it too small, never too large: [2^15 - 4, 2^16]. The
- * reciprocal r of y = d / 2^31 from the table is improved by one Newton step, r (2 - y r). It comes from
- * below, as y is rounded up. */
+/* Returns 2^46 / d for d in [2^30, 2^31], at most 0.71 2^-13 of it too small, never too large: it is in
+ * [2^15 - 4, 2^16]. With y = d / 2^31 this is 1 / y as Q15. The table has a reciprocal r of 8 bits, which one
+ * Newton step improves: r (2 - y r). The result comes from below, as y is rounded up. */
 ALWAYS_INLINE uint32_t prepare(uint32_t d)
 {
     const uint32_t step = (d >> 24) - 64U; /* above 64 only where memory is damaged */
     const uint32_t r = 255U + (uint32_t)MCP_ASDF_READ_BYTE(&reciprocals[step <= 64U ? step : 64U]); /* Q8 */
-    const uint32_t y_r = ((d >> 8) + 1U) * r; /* r is in [256, 508], so this is 1 +- 2^-6 as Q31 */
-    return (r * ((0U - y_r) >> 9)) >> 15;     /* Q8 Q22 = Q30 <= 2.0; then Q15 */
+    const uint32_t y_r = ((d >> 8) + 1U) * r; /* Q23 Q8 = Q31: r is in [256, 508], so this is 1 +- 2^-6 */
+    /* 2 - y r is 0U - y_r as Q31, where 2.0 is 2^32, and so 0 in 32 bits. */
+    return (r * ((0U - y_r) >> 9)) >> 15; /* Q8 Q22 = Q30 <= 2.0; then Q15 */
 }
 #endif
 
 #if MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE || MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_INCLUDER
-/* The next digit of a quotient, rest 2^bits / d, from prepare(d) = 2^46 / d: as (rest / 2^15) (2^46 / d) /
- * 2^(31 - bits). The product is < 2^32 for rest < 2 d. */
+/* Returns the next digit of a quotient, rest 2^bits / d, from prepare(d) = 2^46 / d. It is formed as
+ * (rest / 2^15) (2^46 / d) / 2^(31 - bits), whose product is < 2^32 for rest < 2 d. */
 ALWAYS_INLINE uint32_t estimate_digit(uint32_t rest, uint32_t prepared, uint32_t bits)
 {
     return ((rest >> 15) * prepared) >> (31U - bits);
