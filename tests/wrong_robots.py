@@ -18,7 +18,7 @@ from mcp_asdf.fixed_point import ONE
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Filter, Observation
 from mcp_asdf.table import Table
-from mcp_asdf_tools.bus.alpha_words import alpha_word_from_bits, float32_bits, float32_value
+from mcp_asdf_tools.bus.alpha_words import alpha_word_from_float32_bits, float32_bits, float32_value
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Action, Rejection
 from mcp_asdf_tools.bus.frames import (
     Command,
@@ -272,7 +272,7 @@ def accepts(reason: Rejection) -> Act:
         if decode_estimate(frame, FrameFormat()) is not reason:
             return right(frame)
         content = int.from_bytes(frame.data.ljust(8, b"\0"), "little")
-        alpha = alpha_word_from_bits(min(content >> 24 & 0x7FFF_FFFF, 0x7F7F_FFFF))
+        alpha = alpha_word_from_float32_bits(min(content >> 24 & 0x7FFF_FFFF, 0x7F7F_FFFF))
         node.robot.receive_raw(frame.arbitration_id & 0x7F, min(content & 0xFF_FFFF, ONE), alpha)
         return []
 

@@ -1,7 +1,9 @@
-"""Conversions of the confidence alpha between the firmware's word, IEEE binary32 bits and Python's float.
+"""Conversions of the confidence alpha between alpha words, IEEE binary32 bits and Python's float.
 
-A word is 32 bits: a mantissa of 24 bits above a shift of 5 bits, worth mantissa * 2**shift * 2**-24
-(``mcp_asdf.fixed_point``). A frame carries the same number as binary32, so that other tools can read it.
+An alpha word is the firmware's 32 bits of a confidence: a mantissa of 24 bits above a shift of 5 bits, worth
+mantissa * 2**shift * 2**-24 (``mcp_asdf.fixed_point``). A frame carries the same number as binary32, so that
+other tools can read it. binary32 bits are a sign, a biased exponent of 8 bits and a fraction of 23 bits,
+worth (1 + fraction / 2**23) * 2**(biased exponent - 127).
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import struct
 from mcp_asdf.fixed_point import ALPHA_MAX, SHIFT_MAX
 
 FRACTION_BITS = 23
+"""Length of a binary32 number's fraction, which is the lowest of its bits."""
 FRACTION_MASK = (1 << FRACTION_BITS) - 1
 IMPLICIT_BIT = 1 << FRACTION_BITS
 """Highest bit of a normal binary32 number's significand, which its bits leave out."""
@@ -19,39 +22,44 @@ UNIT_EXPONENT = 126
 """Biased exponent of the binary32 numbers whose last bit is worth 2**-24, the unit of a word with shift 0."""
 
 
-def alpha_word_to_bits(word: int) -> int:
-    """Return the binary32 bits of an alpha word, any 32 bits. The value is the same, exactly."""
-    mantissa, shift = word >> 8, word & SHIFT_MAX
+def float32_bits_from_alpha_word(alpha_word: int) -> int:
+    """Return the binary32 bits of the number that an alpha word, any 32 bits, stands for. Exact."""
+    mantissa = alpha_word >> 8
+    shift = alpha_word & SHIFT_MAX
     if mantissa == 0:
         return 0
-    # A normal number has its highest bit at the place of the implicit one.
+    # The mantissa is shifted up until its highest bit is where binary32 has the bit that it leaves out.
     normalizing_shift = MANTISSA_BITS - mantissa.bit_length()
+    significand = mantissa << normalizing_shift
     biased_exponent = UNIT_EXPONENT + shift - normalizing_shift
-    return (biased_exponent << FRACTION_BITS) + (mantissa << normalizing_shift) - IMPLICIT_BIT
+    return (biased_exponent << FRACTION_BITS) + (significand - IMPLICIT_BIT)
 
 
-def alpha_word_from_bits(bits: int) -> int:
-    """Return the word of the largest confidence not above a finite number >= 0 of these binary32 bits.
+def alpha_word_from_float32_bits(bits: int) -> int:
+    """Convert the binary32 bits of a finite number >= 0 to an alpha word, rounded down.
 
-    The inverse of ``alpha_word_to_bits``, except that the word has the smallest possible shift.
-    Parts smaller than 2**-24 are lost; numbers above the largest confidence, 2**31 - 2**7, become that.
+    Parts smaller than 2**-24 are lost; numbers above the largest confidence, 2**31 - 2**7, become that. Of
+    the words with the same value the result is the one with the smallest shift.
     """
-    mantissa = bits & FRACTION_MASK | IMPLICIT_BIT
+    mantissa = (bits & FRACTION_MASK) | IMPLICIT_BIT
     shift = (bits >> FRACTION_BITS) - UNIT_EXPONENT
-    if shift < 0:  # a subnormal number has no implicit bit, but none of its bits is left here
-        return mantissa >> -shift << 8
-    return mantissa << 8 | shift if shift <= SHIFT_MAX else ALPHA_MAX
+    if shift > SHIFT_MAX:
+        return ALPHA_MAX
+    if shift < 0:
+        # Bits below 2**-24 are dropped. A subnormal number has no implicit bit, but it loses all 24 bits.
+        return (mantissa >> -shift) << 8
+    return (mantissa << 8) | shift
 
 
 def float32_value(bits: int) -> float:
-    """Return the number of binary32 ``bits``, exactly. Not a number in, not a number out."""
+    """Return the number that binary32 bits stand for, exactly. It may be infinite or NaN."""
     value: float = struct.unpack("<f", struct.pack("<I", bits))[0]
     return value
 
 
 def float32_bits(value: float) -> int:
-    """Return the binary32 bits nearest to a number.
+    """Return the binary32 bits of the number nearest to ``value``.
 
-    Raises OverflowError if there is none near, that is from about 2**128 on.
+    Raises OverflowError if ``value`` is beyond the largest such number, which is almost 2**128.
     """
     return int.from_bytes(struct.pack("<f", value), "little")

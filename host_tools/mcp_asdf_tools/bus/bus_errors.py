@@ -35,18 +35,19 @@ def failure_of_bus(error: Exception, bus: can.BusABC) -> can.CanError | None:
 
     The failure is a BusGoneError unless the bus may work again.
     """
-    causes = [*_causes(error)]
+    causes = list(_causes(error))
+    # An error of the operating system decides, also where a driver has wrapped it in one of its own.
     system_error = _system_error_among(causes)
     if system_error is not None:
         if _may_pass(system_error):
-            return error if isinstance(error, can.CanError) else _passing(error)
-        return _gone(error, system_error)
+            return error if isinstance(error, can.CanError) else _wrap_in_can_error(error)
+        return _create_bus_gone_error(error, system_error)
     decoding_error = next((cause for cause in causes if isinstance(cause, _DECODING_ERRORS)), None)
     if decoding_error is not None:
         # Operations on a closed port or socket raise these errors, too.
-        return _gone(error, decoding_error) if _is_closed(bus) else None
+        return _create_bus_gone_error(error, decoding_error) if _is_closed(bus) else None
     # A driver's own error may be a state of the bus that passes, such as bus-off or a full queue.
-    return error if isinstance(error, can.CanError) else _gone(error, error)
+    return error if isinstance(error, can.CanError) else _create_bus_gone_error(error, error)
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
@@ -57,7 +58,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def _system_error_among(causes: Iterable[BaseException]) -> OSError | None:
-    """Return the first that the operating system or pyserial has raised; None if there is none."""
+    """Return the first cause that the operating system or pyserial has raised; None if there is none."""
     for cause in causes:
         # python-can's own time-out is an OSError, too.
         if isinstance(cause, OSError) and not isinstance(cause, can.CanError):
@@ -72,18 +73,19 @@ def _may_pass(error: OSError) -> bool:
     return is_timeout or error.errno in _PASSING_FAILURES
 
 
-def _passing(error: Exception) -> can.CanOperationError:
-    """Return an interface's bare OSError as an error of the bus."""
+def _wrap_in_can_error(error: Exception) -> can.CanOperationError:
+    """Return a can.CanError with the message of ``error``, which is none, and with it as its cause."""
     failure = can.CanOperationError(str(error))
     failure.__cause__ = error
     return failure
 
 
-def _gone(error: Exception, cause: BaseException) -> BusGoneError:
-    """Return the error of a bus that is gone, with the messages of both."""
-    gone = BusGoneError(str(error) if cause is error else f"{error}: {cause}")
-    gone.__cause__ = error
-    return gone
+def _create_bus_gone_error(error: Exception, cause: BaseException) -> BusGoneError:
+    """Return a BusGoneError with the messages of ``error`` and of the exception that caused it."""
+    message = str(error) if cause is error else f"{error}: {cause}"
+    failure = BusGoneError(message)
+    failure.__cause__ = error
+    return failure
 
 
 def _is_closed(bus: can.BusABC) -> bool:
@@ -94,4 +96,5 @@ def _is_closed(bus: can.BusABC) -> bool:
         return False
     except (can.CanError, OSError, ValueError):
         return True
+    # A closed socket has the descriptor -1.
     return isinstance(descriptor, int) and descriptor < 0

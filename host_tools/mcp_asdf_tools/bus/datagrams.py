@@ -19,15 +19,19 @@ _MAX_DATA_BYTES = 8
 _LARGEST_IDENTIFIER = {False: 0x7FF, True: 0x1FFF_FFFF}
 """By whether the identifier is an extended one."""
 
-# Bytes of msgpack that begin a value.
+# Bytes of msgpack that begin a value; the "8" ones are followed by a length in one byte.
 _MAP_OF_11 = b"\x8b"
 _NIL, _FALSE, _TRUE = 0xC0, 0xC2, 0xC3
 _BYTES_8 = b"\xc4"
 _TEXT_8 = 0xD9
 _SHORT_TEXT, _SHORT_TEXT_MAX = 0xA0, 0xBF
+"""The lower 5 bits of such a byte are the length of the text."""
 _SHORT_NUMBER_MAX = 0x7F
+"""A byte up to this is a number itself."""
 _NUMBER_SIZES = {0xCC: 1, 0xCD: 2, 0xCE: 4}
+"""Bytes of the unsigned number that follows."""
 _FLOAT_SIZES = {0xCA: 4, 0xCB: 8}
+"""Bytes of the floating-point number that follows."""
 
 
 def unpack_data_frame(datagram: bytes) -> can.Message | None:
@@ -44,7 +48,11 @@ def unpack_data_frame(datagram: bytes) -> can.Message | None:
 
 
 def _read_data_frame(reader: _Reader) -> can.Message:
-    """Read the fields in python-can's order. Raises _MalformedError if one is not as it should be."""
+    """Read the fields in python-can's order, and return the frame that they describe.
+
+    Raises _MalformedError if a field is not as it should be, if the frame is no classic data frame, or if
+    bytes are left behind the last field.
+    """
     reader.skip_exactly(_MAP_OF_11 + _packed_name("timestamp"))
     reader.skip_scalar()
     reader.skip_exactly(_packed_name("arbitration_id"))
@@ -57,21 +65,23 @@ def _read_data_frame(reader: _Reader) -> can.Message:
     reader.skip_exactly(_packed_name("dlc"))
     length = reader.take_number()
     reader.skip_exactly(_packed_name("data") + _BYTES_8)
-    data = reader.take(reader.take_byte())
+    data_size = reader.take_byte()
+    data = reader.take(data_size)
     is_fd = reader.take_flag("is_fd")
     has_bit_rate_switch = reader.take_flag("bitrate_switch")
     has_error_state = reader.take_flag("error_state_indicator")
 
     is_data_frame = not (is_remote or is_error or is_fd or has_bit_rate_switch or has_error_state)
-    is_consistent = length == len(data) <= _MAX_DATA_BYTES and identifier <= _LARGEST_IDENTIFIER[is_extended]
-    if not (is_data_frame and is_consistent and reader.is_at_end):
+    has_valid_length = length == len(data) <= _MAX_DATA_BYTES
+    has_valid_identifier = identifier <= _LARGEST_IDENTIFIER[is_extended]
+    if not (is_data_frame and has_valid_length and has_valid_identifier and reader.is_at_end):
         raise _MalformedError
     return can.Message(arbitration_id=identifier, is_extended_id=is_extended, dlc=length, data=data)
 
 
 @cache
 def _packed_name(name: str) -> bytes:
-    """Return a field's name as a msgpack text of less than 32 bytes."""
+    """Return a field's name, of less than 32 letters, as msgpack packs it: a byte with the length, and it."""
     return bytes([_SHORT_TEXT | len(name)]) + name.encode("ascii")
 
 
@@ -92,25 +102,31 @@ class _Reader:
         return self._position == len(self._datagram)
 
     def take(self, size: int) -> bytes:
-        """Return the next ``size`` bytes."""
+        """Return the next ``size`` bytes, and go on behind them.
+
+        Raises _MalformedError, and takes none, if fewer are left.
+        """
         end = self._position + size
         if end > len(self._datagram):
             raise _MalformedError
-        taken = self._datagram[self._position : end]
+        next_bytes = self._datagram[self._position : end]
         self._position = end
-        return taken
+        return next_bytes
 
     def take_byte(self) -> int:
         """Return the next byte."""
         return self.take(1)[0]
 
     def skip_exactly(self, expected: bytes) -> None:
-        """Skip bytes that have to be ``expected``."""
+        """Skip the next bytes. Raises _MalformedError if they are not ``expected``."""
         if self.take(len(expected)) != expected:
             raise _MalformedError
 
     def take_flag(self, name: str) -> bool:
-        """Return the boolean value of the field ``name``, which comes next."""
+        """Return the boolean value of the field ``name``, which comes next.
+
+        Raises _MalformedError if another field comes next, or one that is not boolean.
+        """
         self.skip_exactly(_packed_name(name))
         flag = self.take_byte()
         if flag not in (_FALSE, _TRUE):
@@ -118,11 +134,17 @@ class _Reader:
         return flag == _TRUE
 
     def take_number(self) -> int:
-        """Return a whole number from 0 to 2^32 - 1, in 1, 2, 3 or 5 bytes."""
+        """Return the next value, a whole number from 0 to 2^32 - 1 in 1, 2, 3 or 5 bytes.
+
+        Raises _MalformedError if it is something else.
+        """
         return self._take_number_after(self.take_byte())
 
     def skip_scalar(self) -> None:
-        """Skip nil, a number or a text of less than 256 bytes, which need not be UTF-8: nobody reads it."""
+        """Skip the next value: nil, a number or a text of less than 256 bytes, which need not be UTF-8.
+
+        Raises _MalformedError if it is something else.
+        """
         first = self.take_byte()
         if _SHORT_TEXT <= first <= _SHORT_TEXT_MAX:
             self.take(first - _SHORT_TEXT)
@@ -134,7 +156,7 @@ class _Reader:
             self._take_number_after(first)
 
     def _take_number_after(self, first: int) -> int:
-        """Return the whole number whose first byte has been read."""
+        """Return the whole number whose first byte has been read, as ``first``."""
         if first <= _SHORT_NUMBER_MAX:
             return first
         if first not in _NUMBER_SIZES:

@@ -29,6 +29,9 @@ ANY_NODE_MASK = 0x1FFF_FF00
 _EXTENDED_IDENTIFIER = 1 << 31
 """Mark of a 29-bit identifier in a DBC file."""
 
+_LARGEST_FLOAT32 = "3.4028234663852886E+38"
+"""Largest finite binary32 number, in the decimal digits that identify it."""
+
 
 @dataclass(frozen=True)
 class _Entry:
@@ -68,16 +71,18 @@ def dbc_text(estimate_format: FrameFormat, nodes: Sequence[int] | None = None) -
         for kind, identifier in _identified_kinds(estimate_format, node)
     ]
     node_names = " ".join(f"Robot{suffix}" for suffix in suffix_by_node.values())
+    # NS_ (new symbols) and BS_ (bit rate) are empty, but have to be there.
     sections = ['VERSION ""\n', "NS_ :\n", "BS_:\n", f"BU_: {node_names}\n"]
     sections += [_message_section(entry) for entry in entries]
-    sections += [
-        "".join(line for entry in entries for line in lines_of_section(entry))
-        for lines_of_section in (_comments, _value_descriptions, _float_types)
-    ]
+    # The format wants all comments first, then the names of values, then the signals that are floats.
+    for lines_of_entry in (_comments, _value_descriptions, _float_types):
+        lines = [line for entry in entries for line in lines_of_entry(entry)]
+        sections.append("".join(lines))
     return "\n".join(sections)
 
 
 def _check_unique(nodes: Sequence[int]) -> None:
+    """Raise UsageError if a node is listed twice."""
     for node in nodes:
         if nodes.count(node) > 1:
             raise UsageError(f"node {node} is listed twice; each id belongs to one node")
@@ -104,19 +109,25 @@ def _message_section(entry: _Entry) -> str:
 
 
 def _signal(field: Field) -> str:
-    """Return a signal's name, bits, scale and range: ``x : 0|24@1+ (1,0) [0|5]``; 1 is for little endian."""
-    sign = "-" if field.is_float else "+"
+    """Return a signal's name, bits, scale and range, such as ``SG_ x : 0|24@1+ (1,0) [0|5]``.
+
+    There, 0 is the first bit, 24 the number of bits, 1 stands for little endian and + for unsigned; (1,0) are
+    factor and offset.
+    """
     if field.is_float:
-        minimum, maximum = "0", "3.4028234663852886E+38"
+        sign = "-"
+        minimum, maximum = "0", _LARGEST_FLOAT32
     else:
+        sign = "+"
         # The file has no way to describe a gap, so a special value belongs to the range.
-        largest = max(field.maximum, field.special_value or 0)
-        minimum, maximum = _number(field.minimum * field.unit), _number(largest * field.unit)
+        largest_integer = max(field.maximum, field.special_value or 0)
+        minimum = _format_number(field.minimum * field.unit)
+        maximum = _format_number(largest_integer * field.unit)
     bits = f"{field.first_bit}|{field.bit_count}@1{sign}"
-    return f"SG_ {field.name} : {bits} ({_number(field.unit)},0) [{minimum}|{maximum}]"
+    return f"SG_ {field.name} : {bits} ({_format_number(field.unit)},0) [{minimum}|{maximum}]"
 
 
-def _number(value: float) -> str:
+def _format_number(value: float) -> str:
     """Return a number with all its digits, without a point if it is an integer."""
     return str(int(value)) if value.is_integer() else repr(value).upper()
 
@@ -131,7 +142,7 @@ def _comments(entry: _Entry) -> list[str]:
 
 
 def _value_descriptions(entry: _Entry) -> list[str]:
-    """Return the VAL_ lines: the names of the values of signals that have names."""
+    """Return the VAL_ lines: the names of values, for each signal whose values have names."""
     lines = []
     for field in entry.kind.fields:
         if field.value_names:
@@ -142,6 +153,7 @@ def _value_descriptions(entry: _Entry) -> list[str]:
 
 def _float_types(entry: _Entry) -> list[str]:
     """Return the SIG_VALTYPE_ lines: the signals that are binary32 numbers."""
+    # The 1 is DBC's number for the type binary32.
     return [
         f"SIG_VALTYPE_ {entry.identifier} {field.name} : 1;\n"
         for field in entry.kind.fields

@@ -36,8 +36,8 @@ class EstimateArray:
     """Estimates of many frames; entry i of each array belongs to frame i.
 
     Attributes:
-        rows: Sender, x_hat (unit 2**-23) and alpha (word) of each frame, shape (frames, 3), in the layout
-            that a robot's ``receive_all`` takes. Undefined where ``is_estimate`` is false.
+        rows: Sender, x_hat (unit 2**-23) and alpha word of each frame, shape (frames, 3), in the layout that
+            a robot's ``receive_all`` takes. Undefined where ``is_estimate`` is false.
         is_estimate: Whether each frame holds an estimate, shape (frames,).
     """
 
@@ -54,37 +54,48 @@ def decode_estimates(
     bit 0 is the lowest of the first byte.
     """
     identifiers = np.array([_identifier_of_data_frame(frame) for frame in frames], np.uint32)
-    payloads = np.frombuffer(b"".join([_padded_data(frame) for frame in frames]), "<u8") ^ bit_flips
-    x_hat, alpha_bits = _extract(_X_HAT, payloads), _extract(_ALPHA, payloads)
+    all_data = b"".join([_padded_data(frame) for frame in frames])
+    # 8 bytes of data are one number, the first byte lowest.
+    payloads = np.frombuffer(all_data, "<u8") ^ bit_flips
+    x_hat = _extract(_X_HAT, payloads)
+    alpha_bits = _extract(_ALPHA, payloads)
 
-    is_estimate = identifiers & np.uint32(_COMPARED_IDENTIFIER_BITS) == frame_format.subject << SUBJECT_SHIFT
+    # The checks of ``decode_estimate``: the subject, the tail byte, and the fields in their ranges.
+    compared_bits = identifiers & np.uint32(_COMPARED_IDENTIFIER_BITS)
+    is_estimate = compared_bits == frame_format.subject << SUBJECT_SHIFT
     is_estimate &= _extract(START_END_TOGGLE, payloads) == START_END_TOGGLE.maximum
     is_estimate &= (x_hat <= _X_HAT.maximum) & (alpha_bits <= _ALPHA.maximum)
 
     rows = np.empty((len(frames), 3), np.uint32)
     rows[:, 0] = identifiers & np.uint32(NODE_ID_MASK)
     rows[:, 1] = x_hat
-    rows[:, 2] = _alpha_words_from_bits(alpha_bits.astype(np.int64))
+    rows[:, 2] = _alpha_words_from_float32_bits(alpha_bits.astype(np.int64))
     return EstimateArray(rows, is_estimate)
 
 
-def _alpha_words_from_bits(bits: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return ``alpha_word_from_bits`` of all numbers in an array at once."""
-    mantissas = bits & FRACTION_MASK | IMPLICIT_BIT
+def _alpha_words_from_float32_bits(bits: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return ``alpha_word_from_float32_bits`` of all numbers in an array at once."""
+    mantissas = (bits & FRACTION_MASK) | IMPLICIT_BIT
     shifts = (bits >> FRACTION_BITS) - UNIT_EXPONENT
-    # After 24 bits nothing of a mantissa is left, and NumPy shifts by no more than 63.
+    # A word's shift cannot be negative, so the mantissa loses bits instead. After 24 bits nothing of it is
+    # left, and NumPy shifts by no more than 63.
     lost_bits = np.clip(-shifts, 0, MANTISSA_BITS)
-    words = mantissas >> lost_bits << 8 | np.maximum(shifts, 0)
-    return np.where(shifts <= SHIFT_MAX, words, ALPHA_MAX)
+    kept_mantissas = mantissas >> lost_bits
+    alpha_words = (kept_mantissas << 8) | np.maximum(shifts, 0)
+    return np.where(shifts <= SHIFT_MAX, alpha_words, ALPHA_MAX)
 
 
 def _extract(field: Field, payloads: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Return a field's integers from the 64 bits of data of many frames."""
-    return payloads >> np.uint64(field.first_bit) & np.uint64(field.mask)
+    return (payloads >> np.uint64(field.first_bit)) & np.uint64(field.mask)
 
 
 def _identifier_of_data_frame(frame: can.Message) -> int:
-    """Return a frame's identifier if it can hold an estimate, and otherwise one that is of no subject."""
+    """Return the identifier of a classic data frame with a 29-bit identifier and 8 bytes of data.
+
+    No other frame can hold an estimate. For these the result is _IDENTIFIER_OF_NO_SUBJECT, which every later
+    comparison with a subject fails.
+    """
     is_special = frame.is_error_frame or frame.is_remote_frame or frame.is_fd or not frame.is_extended_id
     if is_special or len(frame.data) != FRAME_BYTES:
         return _IDENTIFIER_OF_NO_SUBJECT

@@ -92,7 +92,10 @@ class Action(Enum):
 
     @property
     def observation(self) -> Observation | None:
-        """The observation that the action carries; None if it carries none. Fails if it is SETTLE."""
+        """The observation that the action carries; None if it carries none.
+
+        Raises ValueError for SETTLE, which is no observation.
+        """
         return None if self is Action.OBSERVE_NONE else Observation(self.value)
 
 
@@ -112,7 +115,7 @@ class Field:
         bit_count: Its length.
         meaning: What it holds, in a few words.
         minimum: Smallest integer that it may hold.
-        maximum: Largest integer that it may hold, besides ``special_value``.
+        maximum: Largest integer that it may hold, besides ``special_value``; by default what fits.
         special_value: One more integer that it may hold; None for none.
         value_names: Names of its integers, by value; empty if they are plain numbers.
         rejection: Why a frame is refused in which the field holds another integer; None where no decoder
@@ -135,6 +138,7 @@ class Field:
 
     def __post_init__(self) -> None:
         if self.maximum < 0:
+            # The dataclass is frozen, so that an assignment would be refused.
             object.__setattr__(self, "maximum", self.mask)
 
     @property
@@ -144,14 +148,14 @@ class Field:
 
     def extract(self, payload: int) -> int:
         """Return the field's integer from a frame's 64 bits of data."""
-        return payload >> self.first_bit & self.mask
+        return (payload >> self.first_bit) & self.mask
 
     def is_legal(self, value: int) -> bool:
         """Return whether a frame may hold ``value`` in this field."""
         return self.minimum <= value <= self.maximum or value == self.special_value
 
     def insert(self, value: int) -> int:
-        """Return ``value`` at the field's place in the data. Raises UsageError if it is not legal."""
+        """Return ``value`` shifted to the field's bits in the data. Raises UsageError if it is not legal."""
         if value != self.special_value:
             check_range(self.name, value, self.minimum, self.maximum)
         return value << self.first_bit
@@ -199,7 +203,10 @@ class FrameKind:
         return payload
 
     def unpack(self, payload: int) -> dict[str, int] | Rejection:
-        """Return the integers in 64 bits of data by field name, or the first reason to refuse them."""
+        """Return the integers in 64 bits of data by field name, or the first reason to refuse them.
+
+        The tail byte, which all kinds of frames have, is left out.
+        """
         values = {}
         for field in self.fields:
             value = field.extract(payload)
@@ -210,6 +217,7 @@ class FrameKind:
 
 
 def _names(enum: type[Enum]) -> dict[int, str]:
+    """Return the names of an enumeration's members by their values."""
     return {member.value: member.name for member in enum}
 
 

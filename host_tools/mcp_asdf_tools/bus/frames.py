@@ -16,7 +16,7 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.bus import frame_layout as layout
-from mcp_asdf_tools.bus.alpha_words import alpha_word_from_bits, alpha_word_to_bits
+from mcp_asdf_tools.bus.alpha_words import alpha_word_from_float32_bits, float32_bits_from_alpha_word
 from mcp_asdf_tools.bus.frame_layout import (
     FRAME_BYTES,
     MAX_NODE_ID,
@@ -38,14 +38,19 @@ MAX_PRIORITY = 7
 HEARTBEAT_SUBJECT = 7509
 HEARTBEAT_PRIORITY = 4
 
+# A Cyphal message's 29-bit identifier, from its highest bit: 3 bits of priority; the service and the
+# anonymous bit, which are 0; a reserved bit, 0; 2 bits that are 1; 13 bits of subject; a reserved bit, 0; and
+# 7 bits of the sender's node id.
 NODE_ID_MASK = 0x7F
 SUBJECT_SHIFT, PRIORITY_SHIFT = 8, 26
 _SENT_AS_ONE = 3 << 21
 """Two bits that Cyphal sends as 1 and asks receivers to ignore."""
-IGNORED_IDENTIFIER_BITS = MAX_PRIORITY << PRIORITY_SHIFT | _SENT_AS_ONE | NODE_ID_MASK
+IGNORED_IDENTIFIER_BITS = (MAX_PRIORITY << PRIORITY_SHIFT) | _SENT_AS_ONE | NODE_ID_MASK
 """Bits of an identifier that do not decide whether a frame is of a subject."""
 
-_SERVICE_BIT, _ANONYMOUS_BIT, _RESERVED_BITS = 1 << 25, 1 << 24, 1 << 23 | 1 << 7
+_SERVICE_BIT = 1 << 25
+_ANONYMOUS_BIT = 1 << 24
+_RESERVED_BITS = (1 << 23) | (1 << 7)
 _BITS_THAT_MUST_BE_ZERO = _SERVICE_BIT | _ANONYMOUS_BIT | _RESERVED_BITS
 
 
@@ -85,8 +90,8 @@ class Estimate:
     Attributes:
         sender: Robot id, 0 .. 127.
         x_hat: Local estimate in units of 2**-23, 0 .. 2**23.
-        alpha: Local confidence as the firmware's word, any 32 bits; decoded with the smallest shift, as the
-            firmware forms its own.
+        alpha: Local confidence as an alpha word (``alpha_words``), any 32 bits; decoded with the smallest
+            shift, as the firmware forms its own.
         transfer_id: Number of the sender's broadcast modulo 32.
     """
 
@@ -160,28 +165,30 @@ FrameContent = Estimate | Heartbeat | Telemetry | Rejection
 
 
 def encode_estimate(estimate: Estimate, frame_format: FrameFormat, timestamp: float = 0.0) -> can.Message:
-    """Return the frame of an estimate. ``timestamp`` is in seconds.
+    """Return the frame of an estimate, which carries alpha as binary32 bits. ``timestamp`` is in seconds.
 
-    Raises UsageError for a value out of range; so do the other encoders.
+    Raises UsageError, as the other encoders, for a value outside the range that `Estimate` names.
     """
+    # An alpha word may be any 32 bits. `pack` checks the other values, and alpha only as binary32 bits.
     check_range("alpha", estimate.alpha, 0, 0xFFFF_FFFF)
-    payload = layout.ESTIMATE.pack(
-        estimate.transfer_id,
-        {"x_hat": estimate.x_hat, "alpha": alpha_word_to_bits(estimate.alpha)},
-    )
+    alpha_bits = float32_bits_from_alpha_word(estimate.alpha)
+    payload = layout.ESTIMATE.pack(estimate.transfer_id, {"x_hat": estimate.x_hat, "alpha": alpha_bits})
     return make_frame(frame_format.identifier(estimate.sender), payload, timestamp)
 
 
 def decode_estimate(frame: can.Message, frame_format: FrameFormat) -> Estimate | Rejection:
-    """Return the estimate in any frame, or the reason why it holds none."""
+    """Return the estimate in any frame, or the reason why it holds none.
+
+    Only the subject of ``frame_format`` is compared, as receivers ignore a frame's priority.
+    """
     payload = _payload_of_subject(frame, frame_format.subject)
     if isinstance(payload, Rejection):
         return payload
     values = layout.ESTIMATE.unpack(payload)
     if isinstance(values, Rejection):
         return values
-    alpha = alpha_word_from_bits(values["alpha"])
-    return Estimate(sender_of(frame), values["x_hat"], alpha, TRANSFER_ID.extract(payload))
+    alpha_word = alpha_word_from_float32_bits(values["alpha"])
+    return Estimate(sender_of(frame), values["x_hat"], alpha_word, TRANSFER_ID.extract(payload))
 
 
 def encode_heartbeat(heartbeat: Heartbeat, timestamp: float = 0.0) -> can.Message:
@@ -265,9 +272,13 @@ def decode_command(frame: can.Message, frame_format: FrameFormat = COMMAND_FORMA
 
 
 def decode_frame(frame: can.Message, estimate_format: FrameFormat) -> FrameContent:
-    """Return the estimate, heartbeat or telemetry in any frame, or the reason why it is no estimate."""
+    """Return the estimate, heartbeat or telemetry in any frame, or the reason why it is no estimate.
+
+    The result is ``Rejection.SUBJECT`` for a frame of another subject, and also for a heartbeat or telemetry
+    with a value out of range.
+    """
     estimate = decode_estimate(frame, estimate_format)
-    if estimate is not Rejection.SUBJECT:
+    if estimate is not Rejection.SUBJECT:  # an estimate, or a frame that can hold nothing else
         return estimate
     heartbeat = decode_heartbeat(frame)
     if isinstance(heartbeat, Heartbeat):
@@ -294,10 +305,14 @@ def payload_of(frame: can.Message) -> int:
 
 
 def format_frame(frame: can.Message) -> str:
-    """Return identifier and data as candump writes them, with a mark for remote and error frames."""
+    """Return identifier and data as candump writes them, such as ``106BB82A#0000400000803FE0``.
+
+    A remote frame has an R in place of its data, and an error frame an E before its identifier.
+    """
     if frame.is_remote_frame:
         return f"{frame.arbitration_id:08X}#R"
     error_mark = "E" if frame.is_error_frame else ""
+    # candump tells 29-bit identifiers from those of 11 bits by the number of digits.
     digits = 8 if frame.is_extended_id or frame.is_error_frame else 3
     return f"{error_mark}{frame.arbitration_id:0{digits}X}#{frame.data.hex().upper()}"
 
@@ -307,7 +322,8 @@ def _payload_of_subject(frame: can.Message, subject: int) -> int | Rejection:
     is_special = frame.is_error_frame or frame.is_remote_frame or frame.is_fd or not frame.is_extended_id
     if is_special or frame.arbitration_id & _BITS_THAT_MUST_BE_ZERO:
         return _rejection_of_special_frame(frame)
-    if frame.arbitration_id & ~IGNORED_IDENTIFIER_BITS != subject << SUBJECT_SHIFT:
+    subject_bits = frame.arbitration_id & ~IGNORED_IDENTIFIER_BITS
+    if subject_bits != subject << SUBJECT_SHIFT:
         return Rejection.SUBJECT
     if len(frame.data) != FRAME_BYTES:
         return Rejection.LENGTH
@@ -341,7 +357,7 @@ def _rejection_of_special_frame(frame: can.Message) -> Rejection:
 def _identifier(priority: int, subject: int, node_id: int) -> int:
     """Return the 29-bit identifier of a message. Raises UsageError if ``node_id`` is not 0 .. 127."""
     check_range("sender", node_id, 0, MAX_NODE_ID)
-    return priority << PRIORITY_SHIFT | _SENT_AS_ONE | subject << SUBJECT_SHIFT | node_id
+    return (priority << PRIORITY_SHIFT) | _SENT_AS_ONE | (subject << SUBJECT_SHIFT) | node_id
 
 
 def make_frame(identifier: int, payload: int, timestamp: float) -> can.Message:

@@ -35,11 +35,13 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
     "virtual": {"channel": "vcan0", "preserve_timestamps": True},
     "udp_multicast": {"hop_limit": 0},
 }
-_VIRTUAL = ("modprobe vcan", "ip link add dev {} type vcan", "ip link set {} up")
-_REAL = ("modprobe can-raw", "ip link set {} up type can bitrate 500000")
-_MOST_ECHOES = 4096
-_LONGEST_WAIT = 1.0
-"""Seconds."""
+_SETUP_OF_VIRTUAL_BUS = ("modprobe vcan", "ip link add dev {} type vcan", "ip link set {} up")
+_SETUP_OF_REAL_BUS = ("modprobe can-raw", "ip link set {} up type can bitrate 500000")
+"""Commands that create a bus of SocketCAN, with a gap for its name."""
+_MAX_OWN_DATAGRAMS = 4096
+"""Datagrams that a connection has sent, and remembers until the group returns them."""
+_MAX_SECONDS_PER_READ = 1.0
+"""python-can waits by the time of day, which may be set back: no wait takes longer than this by that."""
 _RECEIVE_BUFFER_BYTES = 1 << 20
 """Room for datagrams of a multicast group that a busy program has not read yet.
 
@@ -48,15 +50,16 @@ may broadcast more at once.
 """
 _PROTOCOL_ERROR = 0x8
 """Class of an error frame in SocketCAN's identifiers: damaged on its way."""
-_PAUSE = 0.001
+_PAUSE_AFTER_FAILURE = 0.001
 """Seconds between two attempts to read from an interface that raises an exception each time."""
-_LONGEST_LINE = 1024
-"""Bytes of a serial adapter's line; that of a CAN FD frame has 145."""
+_MAX_LINE_BYTES = 1024
+"""Longest line that a serial adapter may send; that of a CAN FD frame has 145 bytes."""
 _MAX_STANDARD_ID, _MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
 _MAX_BYTES, _MAX_FD_BYTES = 8, 64
-_ROBOT = "{robot}"
-_UDP_PORT = 43113
-"""python-can's."""
+_ROBOT_PLACEHOLDER = "{robot}"
+"""Stands for a robot's id in the channel of a bus that each robot has for itself."""
+_DEFAULT_UDP_PORT = 43113
+"""Port of multicast groups in python-can."""
 
 
 @dataclass(frozen=True)
@@ -76,72 +79,83 @@ class BusChoice:
 
     @property
     def channel(self) -> str | None:
-        """The bus among those of its kind; None is the interface's own default."""
+        """Name of the bus among those of its kind, such as can0; None is the interface's own default."""
         channel = self.settings.get("channel")
         return None if channel is None else str(channel)
 
     @property
     def has_channels(self) -> bool:
         """True if each robot has a bus of its own: the channel has a place for the id, as in vcan{robot}."""
-        return _ROBOT in (self.channel or "")
+        return _ROBOT_PLACEHOLDER in (self.channel or "")
 
     @property
     def is_private(self) -> bool:
         """True if no other program can be on the bus, and the user gave nothing but its name."""
-        plain = _DEFAULTS[DEFAULT_INTERFACE] | {"channel": self.settings.get("channel")}
-        return self.interface == DEFAULT_INTERFACE and self.settings == plain
+        default_settings = _DEFAULTS[DEFAULT_INTERFACE] | {"channel": self.settings.get("channel")}
+        return self.interface == DEFAULT_INTERFACE and self.settings == default_settings
 
     def of_robot(self, robot: int) -> BusChoice:
-        """The bus of a robot, if each has one, else this bus."""
+        """Return the bus of a robot, if each has one for itself, else this bus."""
         if self.channel is None or not self.has_channels:
             return self
-        own: dict[str, Any] = {"channel": self.channel.replace(_ROBOT, str(robot))}
+        own_settings: dict[str, Any] = {"channel": self.channel.replace(_ROBOT_PLACEHOLDER, str(robot))}
         if self.interface == "udp_multicast":
             # Linux hands the frames of every group joined on this host to all sockets of a port.
-            own["port"] = int(self.settings.get("port", _UDP_PORT)) + robot
-        return BusChoice(self.interface, self.settings | own)
+            own_settings["port"] = int(self.settings.get("port", _DEFAULT_UDP_PORT)) + robot
+        return BusChoice(self.interface, self.settings | own_settings)
 
     def open(self, returns_own: bool = False) -> can.BusABC:
         """Join the bus as one more node. Raises UsageError if that is impossible.
 
         The connection marks others' frames as received, on any interface, and waits by a clock that nobody
-        sets. Own frames it returns, once they have been on the bus, if ``returns_own``, and else never.
+        sets. It returns the frames that it has sent itself, once they have been on the bus, if
+        ``returns_own``, and else never.
         """
-        echo = {"receive_own_messages": True} if returns_own and self.interface != "udp_multicast" else {}
+        settings = dict(self.settings)
+        # `Multicast` decides by itself, since python-can's multicast always returns own frames.
+        if returns_own and self.interface != "udp_multicast":
+            settings["receive_own_messages"] = True
         try:
-            bus = can.Bus(interface=self.interface, single_handle=True, **self.settings | echo)
+            bus = can.Bus(interface=self.interface, single_handle=True, **settings)
         except Exception as error:  # an interface may raise anything
-            raise UsageError(f"cannot open the bus {self}: {self._explain(error)}") from error
-        if bus.channel_info == can.BusABC.channel_info:
+            raise UsageError(f"cannot open the bus {self}: {self._explain_failure(error)}") from error
+        if bus.channel_info == can.BusABC.channel_info:  # the interface gave it no name
             bus.channel_info = self.channel or self.interface
         _logger.info("opened the bus %s", self)
         _logger.debug("the bus is a %s with the settings %s", type(bus).__name__, self.settings)
-        connection = {"udp_multicast": Multicast, "slcan": SerialAdapter}.get(self.interface, Connection)
-        return connection(bus, returns_own)
+        connection_class = {"udp_multicast": Multicast, "slcan": SerialAdapter}.get(
+            self.interface, Connection
+        )
+        return connection_class(bus, returns_own)
 
     def arguments(self) -> list[str]:
-        """Options with which a command in another process joins the same bus.
+        """Return the options with which a command in another process joins the same bus.
 
-        Raises UsageError if no other process can.
+        For example ``["--interface=socketcan", "--bus-kwargs", "channel=vcan0"]``. Raises UsageError if the
+        bus is inside this process, so that no other can join it.
         """
         if self.interface == DEFAULT_INTERFACE:
             raise UsageError(
                 f"the bus {self} is inside this process, so no other can join it; "
                 "choose --interface socketcan or udp_multicast"
             )
-        words = [f"{name}={value}" for name, value in self.settings.items()]
-        return [f"--interface={self.interface}", *(["--bus-kwargs", *words] if words else [])]
+        options = [f"--interface={self.interface}"]
+        if self.settings:
+            options.append("--bus-kwargs")
+            options += [f"{name}={value}" for name, value in self.settings.items()]
+        return options
 
-    def _explain(self, cause: Exception) -> str:
-        """The failure and its fix."""
+    def _explain_failure(self, cause: Exception) -> str:
+        """Return what went wrong when the bus was opened, and how to fix it."""
         if self.interface not in can.VALID_INTERFACES:
             return f"there is no such interface; choose one of {', '.join(sorted(can.VALID_INTERFACES))}"
         is_missing = isinstance(cause, OSError) and cause.errno in (errno.ENODEV, errno.EAFNOSUPPORT)
         if self.interface != "socketcan" or not is_missing:
             return f"{cause}; see --interface, --channel and --bus-kwargs"
         channel = self.channel or "can0"
-        ways = _VIRTUAL if channel.startswith("vcan") else _REAL
-        return f"{cause}; as root, create it with: " + " && ".join(way.format(channel) for way in ways)
+        commands = _SETUP_OF_VIRTUAL_BUS if channel.startswith("vcan") else _SETUP_OF_REAL_BUS
+        command_line = " && ".join(command.format(channel) for command in commands)
+        return f"{cause}; as root, create it with: {command_line}"
 
 
 class Connection(can.BusABC):
@@ -154,7 +168,10 @@ class Connection(can.BusABC):
     """
 
     def __init__(self, bus: can.BusABC, returns_own: bool = False) -> None:
-        """Take over ``bus``, which closes with this connection, and returns own frames or not."""
+        """Take over ``bus``, which closes with this connection.
+
+        ``returns_own`` says whether frames that are sent through this connection come back from ``recv``.
+        """
         self._bus = bus
         self._returns_own = returns_own
         self._was_undecodable = False
@@ -168,22 +185,26 @@ class Connection(can.BusABC):
             self._send(msg, timeout)
         except Exception as error:  # an interface may raise anything
             failure = failure_of_bus(error, self._bus)
-            if failure is None or failure is error:
+            if failure is None or failure is error:  # as it is: no failure of the bus, or already named one
                 raise
             raise failure from error
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Return the next frame that passes the filters, as ``can.BusABC.recv``.
 
-        Raises BusGoneError if the bus is gone.
+        Returns None if none has come within ``timeout`` seconds; None as the timeout waits for ever. Raises
+        BusGoneError, or another can.CanError, if the bus fails.
         """
-        end = math.inf if timeout is None else time.monotonic() + timeout
+        deadline = math.inf if timeout is None else time.monotonic() + timeout
         while True:
-            seconds_left = end - time.monotonic()
-            frame, is_filtered = self._receive(min(max(seconds_left, 0.0), _LONGEST_WAIT))
-            if frame is not None and (is_filtered or self._matches_filters(frame)):
+            seconds_left = deadline - time.monotonic()
+            wait_seconds = min(max(seconds_left, 0.0), _MAX_SECONDS_PER_READ)
+            frame, has_passed_filters = self._receive(wait_seconds)
+            # Some interfaces filter by themselves; for the others it is done here.
+            if frame is not None and (has_passed_filters or self._matches_filters(frame)):
                 frame.is_rx = True  # on SocketCAN python-can marks what comes from this computer as sent
                 return frame
+            # Not before the read, so that a timeout of 0 reads once what is there.
             if seconds_left <= 0.0:
                 return None
 
@@ -194,23 +215,27 @@ class Connection(can.BusABC):
             self._bus.shutdown()
 
     def _receive(self, timeout: float) -> tuple[can.Message | None, bool]:
-        """Return what ``_recv_internal`` returns, and an error frame in place of undecodable input."""
+        """Return the next frame, or None after ``timeout`` seconds, and whether it has passed the filters.
+
+        An error frame, which has, stands for input that cannot be decoded, or that no CAN controller can have
+        sent. Raises can.CanError if the bus fails.
+        """
         try:
-            frame, is_filtered = self._recv_internal(timeout)
-            is_decodable = frame is None or _can_be_sent(frame)
+            frame, has_passed_filters = self._recv_internal(timeout)
+            is_undecodable = frame is not None and not _can_be_sent(frame)
         except Exception as error:  # an interface may raise anything
             failure = failure_of_bus(error, self._bus)
             if failure is not None:
                 raise failure from error
-            frame, is_filtered, is_decodable = None, False, False
-        if not is_decodable:
+            is_undecodable = True
+        if is_undecodable:
             if self._was_undecodable:
-                time.sleep(_PAUSE)  # an interface that always fails must not keep the processor busy
-            frame, is_filtered = self._error_frame(time.time()), True
-        self._was_undecodable = not is_decodable
-        return frame, is_filtered
+                time.sleep(_PAUSE_AFTER_FAILURE)  # an interface that always fails would keep the CPU busy
+            frame, has_passed_filters = self._create_error_frame(time.time()), True
+        self._was_undecodable = is_undecodable
+        return frame, has_passed_filters
 
-    def _error_frame(self, timestamp: float) -> can.Message:
+    def _create_error_frame(self, timestamp: float) -> can.Message:
         """Return the error frame that stands for undecodable input."""
         return can.Message(
             timestamp=timestamp,
@@ -237,8 +262,10 @@ def _can_be_sent(frame: can.Message) -> bool:
     if frame.is_error_frame:  # its identifier has bits that describe the error
         return True
     has_valid_id = frame.is_extended_id or frame.arbitration_id <= _MAX_STANDARD_ID
-    has_right_length = len(frame.data) == (0 if frame.is_remote_frame else frame.dlc)
-    return has_valid_id and has_right_length and frame.dlc <= (_MAX_FD_BYTES if frame.is_fd else _MAX_BYTES)
+    # A remote frame states the length of the answer, and has no data itself.
+    expected_bytes = 0 if frame.is_remote_frame else frame.dlc
+    max_bytes = _MAX_FD_BYTES if frame.is_fd else _MAX_BYTES
+    return has_valid_id and len(frame.data) == expected_bytes and frame.dlc <= max_bytes
 
 
 class SerialAdapter(Connection):
@@ -263,15 +290,15 @@ class SerialAdapter(Connection):
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         try:
-            received = super()._recv_internal(timeout)
+            frame_and_filtered = super()._recv_internal(timeout)
         except Exception:
             # python-can keeps a line that is no text, and would add all that follow to it.
             self._unfinished_line.clear()
             raise
-        if len(self._unfinished_line) > _LONGEST_LINE:
+        if len(self._unfinished_line) > _MAX_LINE_BYTES:
             self._unfinished_line.clear()
             raise ValueError("a line has no end")
-        return received
+        return frame_and_filtered
 
 
 class Multicast(Connection):
@@ -287,18 +314,19 @@ class Multicast(Connection):
         self._group = cast(UdpMulticastBus, bus)._multicast
         # The kernel grants less where the system's limit is lower, and says nothing.
         self._group._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
-        # If an own datagram is lost, the same one from elsewhere is taken for it, once.
-        self._own: deque[tuple[bytes, can.Message]] = deque(maxlen=_MOST_ECHOES)
+        # Datagrams that were sent and have not come back, with their frames. If one is lost, the same one
+        # from elsewhere is taken for it, once.
+        self._own_frames: deque[tuple[bytes, can.Message]] = deque(maxlen=_MAX_OWN_DATAGRAMS)
 
     def _send(self, msg: can.Message, timeout: float | None) -> None:
         datagram = pack_message(msg)
-        self._own.append((datagram, msg))
+        self._own_frames.append((datagram, msg))
         self._group.send(datagram, timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         while (received := self._group.recv(timeout)) is not None:
             datagram, _, timestamp = received
-            own_frame = self._take_own(datagram)
+            own_frame = self._pop_own_frame(datagram)
             if own_frame is None:
                 return self._decode(datagram, timestamp)
             if self._returns_own:
@@ -307,20 +335,22 @@ class Multicast(Connection):
             timeout = 0.0  # the caller waits again for the rest of its time
         return None, False
 
-    def _take_own(self, datagram: bytes) -> can.Message | None:
-        """Return the own frame that has come back, if it is one, and forget it."""
-        for index, (own_datagram, frame) in enumerate(self._own):
+    def _pop_own_frame(self, datagram: bytes) -> can.Message | None:
+        """Remove and return the own frame that was sent as ``datagram``, or None if none was."""
+        for index, (own_datagram, frame) in enumerate(self._own_frames):
             if own_datagram == datagram:
-                del self._own[index]
+                del self._own_frames[index]
                 return frame
         return None
 
     def _decode(self, datagram: bytes, timestamp: float) -> tuple[can.Message, bool]:
-        """Return another's frame, or an error frame for a datagram that holds none, and whether it passes any
-        filter."""
+        """Return the frame in another node's datagram, and False: it has not been filtered.
+
+        For a datagram that holds no frame, return an error frame, and True: it passes every filter.
+        """
         frame = unpack_data_frame(datagram)
         if frame is None:
-            return self._error_frame(timestamp), True
+            return self._create_error_frame(timestamp), True
         frame.timestamp, frame.channel = timestamp, self.channel_info
         return frame, False
 
@@ -332,14 +362,18 @@ def choose_bus(typed_settings: Mapping[str, Any]) -> BusChoice:
     channel. Where they leave it open, python-can's files, variables and ``can.rc`` decide. Raises UsageError
     if these cannot be read.
     """
-    settings = _inherited() | dict(typed_settings)
-    kind, interface = settings.pop("bustype", None), settings.pop("interface", None)
-    chosen = str(interface or kind or DEFAULT_INTERFACE)
-    return BusChoice(chosen, _DEFAULTS.get(chosen, {}) | settings)
+    settings = _load_python_can_settings() | dict(typed_settings)
+    # "bustype" is the old name, which python-can's files may still have.
+    old_interface = settings.pop("bustype", None)
+    interface = str(settings.pop("interface", None) or old_interface or DEFAULT_INTERFACE)
+    return BusChoice(interface, _DEFAULTS.get(interface, {}) | settings)
 
 
-def _inherited() -> dict[str, Any]:
-    """Settings of files, variables and ``can.rc``; later ones override earlier ones."""
+def _load_python_can_settings() -> dict[str, Any]:
+    """Return the settings of files, variables and ``can.rc``; later ones override earlier ones.
+
+    Raises UsageError if a file or a variable cannot be read.
+    """
     try:
         return load_file_config() | load_environment_config() | can.rc
     except (configparser.Error, OSError, TypeError, ValueError) as error:

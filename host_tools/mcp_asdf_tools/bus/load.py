@@ -26,8 +26,10 @@ def worst_case_bits(frame: can.Message) -> int:
     """
     if frame.is_error_frame:
         return _ERROR_FRAME_BITS
+    # From the start of the frame to the end of its checksum, without data.
     header_and_checksum_bits = 54 if frame.is_extended_id else 34
     stuffable_bits = header_and_checksum_bits + 8 * len(frame.data)
+    # After the first bit, one is stuffed after every four.
     return stuffable_bits + (stuffable_bits - 1) // 4 + _UNSTUFFED_BITS
 
 

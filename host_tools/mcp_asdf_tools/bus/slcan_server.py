@@ -20,10 +20,13 @@ HOST = "127.0.0.1"
 
 _OK, _ERROR = b"\r", b"\a"
 _MAX_LINE_BYTES = 32
+"""No legal line is longer: that of a frame with 8 bytes and a 29-bit identifier has 26."""
 _SEND_TIMEOUT = 1.0
+"""Longest time to wait for room on the bus, in seconds."""
 _SEND_BUFFER_BYTES = 1 << 16
 # Bit rate, time stamps, filters, polling: an adapter accepts them, but they mean nothing on this bus.
 _IGNORED_COMMANDS = b"SsYZMmXWA"
+# Versions of hardware and firmware, serial number, and status flags, none of which is set.
 _ANSWERS = {b"V": b"V1013\r", b"v": b"v0100\r", b"N": b"N0001\r", b"F": b"F00\r"}
 
 
@@ -82,6 +85,7 @@ class SlcanServer:
                     client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
                     client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
                     self._client = client
+                    # ``__exit__`` may have missed this client, whose socket was not known to it yet.
                     if self._is_closing:
                         return
                     self._answer_lines(client)
@@ -97,10 +101,10 @@ class SlcanServer:
     def _handle_line(self, line: bytes) -> bytes:
         """Do what a line without its end asks for, and return the answer."""
         command = line[:1]
-        if command in (b"O", b"L", b"C"):
+        if command in (b"O", b"L", b"C"):  # open, open to listen only, close
             self._is_channel_open = command != b"C"
             return _OK
-        if command in (b"t", b"T", b"r", b"R"):
+        if command in (b"t", b"T", b"r", b"R"):  # a data frame or a remote frame to send
             frame = parse_frame(line)
             if frame is None or not self._is_channel_open:
                 return _ERROR
@@ -111,7 +115,7 @@ class SlcanServer:
         return _OK if is_accepted else _ERROR
 
     def _send_on_bus(self, frame: can.Message) -> bytes:
-        """Send a frame of the client on the bus, and return the answer."""
+        """Send a frame of the client on the bus, and return the protocol's answer, success or failure."""
         try:
             self._bus.send(frame, timeout=_SEND_TIMEOUT)
         except can.CanError:
@@ -143,10 +147,14 @@ def _listen_at(port: int) -> socket.socket:
 
 
 def format_frame_line(frame: can.Message) -> bytes:
-    """Return the slcan line of a classic frame, with its end."""
+    """Return the slcan line of a classic frame, such as ``t1232AABB`` and its end, a carriage return.
+
+    That is the command, the identifier, the number of bytes and the data, all in hexadecimal digits.
+    """
     command = "r" if frame.is_remote_frame else "t"
     identifier = f"{frame.arbitration_id:03X}"
     if frame.is_extended_id:
+        # A capital letter announces an identifier of 29 bits.
         command, identifier = command.upper(), f"{frame.arbitration_id:08X}"
     data = "" if frame.is_remote_frame else frame.data.hex().upper()
     return f"{command}{identifier}{frame.dlc}{data}\r".encode()
@@ -159,6 +167,7 @@ def parse_frame(line: bytes) -> can.Message | None:
     command = line[:1]
     is_extended = command.isupper()
     is_remote = command in (b"r", b"R")
+    # The number of bytes is one digit behind the identifier, whose digits begin at index 1.
     length_index = 1 + (8 if is_extended else 3)
     data_digits = line[length_index + 1 :].decode("ascii", errors="replace")
     if is_remote and data_digits:  # python-can would drop the data of a remote frame without a word
@@ -183,6 +192,7 @@ def _read_lines(client: socket.socket) -> Iterator[bytes]:
     """
     unfinished_line = b""
     while received := client.recv(4096):
+        # What follows the last end of a line is the beginning of the next one.
         *lines, unfinished_line = (unfinished_line + received).split(b"\r")
         yield from lines
         if len(unfinished_line) > _MAX_LINE_BYTES:

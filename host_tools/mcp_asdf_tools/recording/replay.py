@@ -14,7 +14,7 @@ import can
 import numpy as np
 
 from mcp_asdf.robot import Observation, Robot
-from mcp_asdf_tools.bus.alpha_words import alpha_word_to_bits, float32_value
+from mcp_asdf_tools.bus.alpha_words import float32_bits_from_alpha_word, float32_value
 from mcp_asdf_tools.bus.frame_layout import TRANSFER_IDS, Action
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, alpha_float32_bits, decode_estimate, format_frame
 from mcp_asdf_tools.recording.events import (
@@ -109,7 +109,7 @@ class RepeatedRobot:
                     tick=self.robot.ticks,
                     transfer_id=estimate.transfer_id,
                     x_hat=estimate.x_hat,
-                    alpha_bits=alpha_word_to_bits(estimate.alpha),
+                    alpha_bits=float32_bits_from_alpha_word(estimate.alpha),
                 )
             )
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import can
 
-from mcp_asdf_tools.bus.alpha_words import alpha_word_to_bits, float32_value
+from mcp_asdf_tools.bus.alpha_words import float32_bits_from_alpha_word, float32_value
 from mcp_asdf_tools.bus.frame_layout import Q23_ONE, TRANSFER_IDS, Rejection
 from mcp_asdf_tools.bus.frames import Estimate, FrameContent, Heartbeat, Telemetry, format_frame
 from mcp_asdf_tools.robots.suspicion import AlphaWatch
@@ -191,7 +191,7 @@ def format_content(frame: can.Message, content: FrameContent) -> str:
     itself.
     """
     if isinstance(content, Estimate):
-        alpha = float32_value(alpha_word_to_bits(content.alpha))
+        alpha = float32_value(float32_bits_from_alpha_word(content.alpha))
         return f"estimate {content.transfer_id}: x_hat {content.x_hat / Q23_ONE:.4f}, alpha {alpha:.6g}"
     if isinstance(content, Heartbeat):
         health, mode = _format_name(content.health), _format_name(content.mode)

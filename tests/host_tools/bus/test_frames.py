@@ -25,9 +25,9 @@ from hypothesis import strategies as st
 
 from mcp_asdf.fixed_point import ALPHA_MAX, alpha_from_word, alpha_word_from_float
 from mcp_asdf_tools.bus.alpha_words import (
-    alpha_word_from_bits,
-    alpha_word_to_bits,
+    alpha_word_from_float32_bits,
     float32_bits,
+    float32_bits_from_alpha_word,
     float32_value,
 )
 from mcp_asdf_tools.bus.frame_arrays import decode_estimates
@@ -360,7 +360,7 @@ def value_of_word(word: int) -> Fraction:
 @settings(fixed_examples, max_examples=draws(1000))
 @given(st.integers(0, 2**32 - 1) | st.integers(0, 2**24 - 1).map(lambda mantissa: mantissa << 8))
 def test_every_alpha_word_is_sent_exactly(word: int) -> None:
-    bits = alpha_word_to_bits(word)
+    bits = float32_bits_from_alpha_word(word)
     assert Fraction(float32_value(bits)) == value_of_word(word) == Fraction(alpha_from_word(word))
 
 
@@ -382,7 +382,7 @@ def test_the_frame_holds_the_float_of_its_alpha_word() -> None:
 @example(float32_bits(2.0**-24))
 def test_a_float_off_the_grid_is_rounded_down_and_a_large_one_saturates(bits: int) -> None:
     value = Fraction(float(np.uint32(bits).view(np.float32)))
-    word = alpha_word_from_bits(bits)
+    word = alpha_word_from_float32_bits(bits)
     assert value_of_word(word) == min(value // ALPHA_UNIT * ALPHA_UNIT, value_of_word(ALPHA_MAX))
     assert word == alpha_word_from_float(float(value))
 
@@ -391,7 +391,7 @@ def test_a_float_off_the_grid_is_rounded_down_and_a_large_one_saturates(bits: in
 @given(st.integers(0, MAX_FLOAT32_BITS))
 def test_a_decoded_alpha_word_has_the_firmware_s_form(bits: int) -> None:
     """Its spare bits are 0, and its shift is the smallest, so that equal numbers are equal words."""
-    word = alpha_word_from_bits(bits)
+    word = alpha_word_from_float32_bits(bits)
     assert word & 0xE0 == 0
     assert word >> 31 == 1 or word % 256 == 0
 

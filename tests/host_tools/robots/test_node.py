@@ -17,7 +17,7 @@ import can
 import pytest
 
 from mcp_asdf.robot import FixedPointRobot, Observation
-from mcp_asdf_tools.bus.alpha_words import alpha_word_from_bits, float32_bits
+from mcp_asdf_tools.bus.alpha_words import alpha_word_from_float32_bits, float32_bits
 from mcp_asdf_tools.bus.frames import COMMAND_FORMAT, Estimate, FrameFormat, decode_estimate, encode_estimate
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS
@@ -179,7 +179,7 @@ def test_suspicious_estimates_are_told_once_for_each_kind_and_sender(
             for sender, bits in (said | dict.fromkeys((5, 30, 127), many)).items():
                 bus.send(
                     encode_estimate(
-                        Estimate(sender, 9, alpha_word_from_bits(bits), tick % 32), FrameFormat()
+                        Estimate(sender, 9, alpha_word_from_float32_bits(bits), tick % 32), FrameFormat()
                     ),
                     timeout=1,
                 )
