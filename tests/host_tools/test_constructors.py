@@ -35,7 +35,7 @@ def attempt(kind: Any, name: str, value: Any) -> None:
     if declared.kind in (int, float):
         assert type(made) is declared.kind
         assert made == declared.kind(value)
-        assert declared.least <= made <= declared.most
+        assert declared.minimum <= made <= declared.maximum
     if declared.choices:
         assert made in declared.choices
 
@@ -47,8 +47,8 @@ def test_a_wrong_value_is_coerced_or_refused(kind: Any, name: str) -> None:
         attempt(kind, name, value)
     declared = parameters_of(kind)[name]
     if declared.kind in (int, float):
-        for value in (declared.least, declared.most):
+        for value in (declared.minimum, declared.maximum):
             assert declared.checked(value) == value
-        for value in (declared.least - 1, 2 * declared.most + 1):
+        for value in (declared.minimum - 1, 2 * declared.maximum + 1):
             with pytest.raises(UsageError, match=f"{name} is .*; it must be .* to "):
                 declared.checked(value)

@@ -90,7 +90,7 @@ def add_parameters(parser: argparse.ArgumentParser, kind: Any, title: str, names
 
 def _add_option(group: argparse._ArgumentGroup, parameter: Parameter) -> None:
     """Add the option of one parameter, with its meaning and default as help."""
-    meaning = parameter.text
+    meaning = parameter.meaning
     if parameter.default != "":
         meaning += f" (default {parameter.default})"
     group.add_argument(

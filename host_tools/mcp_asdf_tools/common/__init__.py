@@ -1,1 +1,1 @@
-"""Errors, files, signals, parameters and figures: what any program needs. Knows nothing of robots."""
+"""Errors, files, signals, parameters and figures, as any program needs them: nothing here is about robots."""

@@ -1,28 +1,33 @@
-"""The one exception that the command line turns into a message and exit code 2."""
+"""The exception for requests that cannot be done, which the command line turns into exit code 2."""
 
 from collections.abc import Iterable
 
-_LONGEST = 800
-"""Characters of a message; of a longer one the middle is left out."""
+_MAX_LENGTH = 800
+"""Maximum length of a message in characters."""
 
 
 class UsageError(ValueError):
     """A request that cannot be done as asked; the message names the value and the fix.
 
-    It is one line, whatever others have written into it: white space becomes single spaces, other characters
-    that do not print are escaped, and of a long one the middle is left out.
+    A message may quote anything, such as a hostile file, and is one line that can be printed all the same:
+    white space becomes single spaces, other characters that do not print are escaped, and the middle of a
+    message that is too long is replaced by dots.
     """
 
     def __init__(self, message: str) -> None:
         line = " ".join(message.split())
-        shown = "".join(char if char.isprintable() else _escape(char) for char in line)
-        if len(shown) > _LONGEST:
-            shown = f"{shown[: _LONGEST // 2]} ... {shown[-_LONGEST // 2 :]}"
-        super().__init__(shown)
+        printable_line = "".join(char if char.isprintable() else _escape(char) for char in line)
+        if len(printable_line) > _MAX_LENGTH:
+            half = _MAX_LENGTH // 2
+            printable_line = f"{printable_line[:half]} ... {printable_line[-half:]}"
+        super().__init__(printable_line)
 
 
 def offer(word: str, known: Iterable[str]) -> str:
-    """Return a question that offers the nearest of the ``known`` words; an empty text if none is near."""
+    """Return the end of a message that offers the known word nearest to a misspelt one.
+
+    It is ``; did you mean robots?`` for ``robot``, and empty if no known word is near.
+    """
     from difflib import get_close_matches  # noqa: PLC0415 (only a mistake needs it)
 
     nearest_words = get_close_matches(word, list(known), n=1)
@@ -30,5 +35,5 @@ def offer(word: str, known: Iterable[str]) -> str:
 
 
 def _escape(character: str) -> str:
-    """Return a character that does not print as Python writes it in a text."""
+    """Return a character as an escape sequence of Python, such as ``\\x1b``."""
     return character.encode("unicode_escape").decode("ascii")

@@ -1,7 +1,7 @@
-"""Extensions: objects of other distributions, offered through entry points, and objects of this process.
+"""Extensions: classes and functions of users that take the place of firmware, topologies or sensors.
 
-Entry points are read from what is installed, so worker processes find the same ones. docs/extending.md has an
-example of each group.
+An extension is installed, and found by its name through an entry point, or it is an object of this process.
+Worker processes find the same installed extensions. docs/extending.md has an example of each group.
 """
 
 from __future__ import annotations
@@ -25,17 +25,19 @@ SENSORS = "mcp_asdf.sensors"
 
 
 class ObjectName(str):
-    """Name of a class or function that is used in place of an installed extension, together with that object.
+    """Name of an object of this process that is used as an extension, together with the object.
 
-    It is a text as the names of installed extensions are, so reports and results show it. Two are equal if
-    they are of the same object. Pickle sends the object by its module and name, so that another process can
-    have it if it can import it.
+    It is a text, as the names of installed extensions are, so reports and results show it. Two of them are
+    equal if their objects are the same. It can be pickled if another process can import the object.
+
+    Attributes:
+        extension: The object, such as a class.
     """
 
     extension: Any
 
     def __new__(cls, extension: Any) -> ObjectName:
-        """Name an object by its module and qualified name, or by those of its class."""
+        """Name an object by its module and qualified name; if it has none, by that of its class."""
         qualified_name = getattr(extension, "__qualname__", type(extension).__qualname__)
         name = super().__new__(cls, f"{extension.__module__}.{qualified_name}")
         name.extension = extension
@@ -56,11 +58,13 @@ class ObjectName(str):
 
 
 class RecordedName(str):
-    """Name of an extension in a recording or in results, which can be read where it is not installed."""
+    """Name of an extension in a recording or in results. These can be read where it is not installed."""
 
 
 class Names:
-    """Names that come with the project, then those of a group's extensions, which are sought when needed.
+    """The names that a parameter may have: built-in ones, then those of a group's installed extensions.
+
+    Extensions are looked up when a name is not built in, or when all names are asked for: that is slow.
 
     Attributes:
         built_in: The names that come with the project.
@@ -80,14 +84,14 @@ class Names:
 
 
 def name_object(value: Any) -> Any:
-    """Return the name of an object that may be an extension; a text, and what cannot be called, as it is."""
+    """Return an object that can be called as an ObjectName; return a text, or anything else, unchanged."""
     if isinstance(value, str) or not callable(value):
         return value
     return ObjectName(value)
 
 
 def check_for_workers(name: str) -> None:
-    """Raise UsageError if the extension of this name is an object that worker processes cannot import."""
+    """Raise UsageError if a name is that of an object which worker processes cannot import."""
     if not isinstance(name, ObjectName):
         return
     import pickle  # noqa: PLC0415 (only several workers need it)
@@ -97,10 +101,9 @@ def check_for_workers(name: str) -> None:
         pickle.dumps(name.extension)
     except Exception as error:  # pickle raises errors of many kinds
         raise UsageError(f"{name} cannot be sent to worker processes: {error}; {fix}") from error
-    is_of_session = name.extension.__module__ == "__main__" and not hasattr(
-        sys.modules["__main__"], "__file__"
-    )
-    if is_of_session:
+    # What is typed in a Python session or a notebook can be pickled, but no other process has it.
+    is_session = not hasattr(sys.modules["__main__"], "__file__")
+    if is_session and name.extension.__module__ == "__main__":
         raise UsageError(f"{name} exists in this session only, and not in worker processes; {fix}")
 
 
@@ -118,9 +121,9 @@ def installed_names(group: str) -> list[str]:
 
 
 def load(group: str, name: str) -> Any:
-    """Return the extension of that name.
+    """Return the extension of a group that has a name: an object of this process, or an installed one.
 
-    Raises UsageError unless it is an object of this process, or exactly one is installed and can be imported.
+    Raises UsageError if no extension of that name is installed, if several are, or if its import fails.
     """
     if isinstance(name, ObjectName):
         return name.extension

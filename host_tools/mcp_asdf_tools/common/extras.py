@@ -1,4 +1,4 @@
-"""How the project is installed, and the extras that only some commands need."""
+"""Commands that install the project, and its extras: dependencies that only some commands need."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ EXTRAS = {
     "scipy": "study",
     "distributed": "cluster",
 }
-"""The extra of ``pyproject.toml`` that brings each module outside the base installation."""
+"""The extra of ``pyproject.toml`` that installs a module, by the name of the module."""
 
 # Nothing is published yet, so only a clone can be installed. A release changes these two, to "mcp-asdf" and
 # "run"; docs/installing.md and docs/ci.md then have to follow, as tests/release/test_installing.py says.
@@ -24,21 +24,21 @@ PIP_PLACE = "in a clone of mcp-asdf run"
 
 
 def install_command(extra: str = "") -> str:
-    """Return the shell command that installs the project, with one of its extras if ``extra`` names one."""
+    """Return the shell command that installs the project, with an extra unless ``extra`` is empty."""
     target = f"'{PIP_TARGET}[{extra}]'" if extra else PIP_TARGET
     return f"pip install {target}"
 
 
 def install_instruction(extra: str = "") -> str:
-    """Return what an error message asks the user to do to install the project: where, and which command."""
+    """Return the part of an error message that asks the user to install the project: where, and how."""
     return f"{PIP_PLACE}: {install_command(extra)}"
 
 
 @contextmanager
 def naming_extras() -> Iterator[None]:
-    """Turn the failure to import a module of an extra into a UsageError that names the extra.
+    """Turn the failed import of a module of an extra into a UsageError that says how to install the extra.
 
-    It serves as a context manager and as a decorator.
+    This is a context manager that can be used as a decorator, too. Other failures pass unchanged.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""Figures: their common style, and files of them, in which equal figures give equal bytes."""
+"""Style of all figures, and files of them: equal figures give equal bytes."""
 
 from __future__ import annotations
 
@@ -17,82 +17,95 @@ from matplotlib.figure import Figure
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, write_atomically
 
-_STAMPS: dict[str, dict[str, None]] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-"""Formats, and what must be left out of them to keep the date away."""
+_METADATA_BY_SUFFIX: dict[str, dict[str, None]] = {
+    ".png": {},
+    ".svg": {"Date": None},
+    ".pdf": {"CreationDate": None},
+}
+"""Suffixes of pictures, and the metadata with a date, which matplotlib leaves out if they are None."""
 
 
 def check_plot_path(path: Path) -> Path:
-    """Return ``path``. Raises UsageError if no plot can be written there."""
+    """Return the path of a picture unchanged. Raises UsageError if no picture can be written there."""
     _format_of(path)
     check_target(path)
     return path
 
 
 def _format_of(path: Path) -> str:
-    """Return the suffix of a picture's file, in lower case. Raises UsageError for any other suffix."""
+    """Return the suffix of a picture in lower case. Raises UsageError if it is not one of a picture."""
     suffix = path.suffix.lower()
-    if suffix not in _STAMPS:
-        raise UsageError(f"cannot plot to {path.name}: choose a name that ends in {', '.join(_STAMPS)}")
+    if suffix not in _METADATA_BY_SUFFIX:
+        suffixes = ", ".join(_METADATA_BY_SUFFIX)
+        raise UsageError(f"cannot plot to {path.name}: choose a name that ends in {suffixes}")
     return suffix
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure. Raises UsageError if that cannot be done."""
+    """Write a figure to a file whose suffix gives the format. Raises UsageError if that fails."""
     write_atomically(check_plot_path(path), image_of(figure, path))
 
 
 def image_of(figure: Figure, path: Path) -> bytes:
-    """Return the content of the file ``path`` for a figure.
+    """Return the bytes of a figure in the format that the suffix of ``path`` gives.
 
-    Raises UsageError if its name is not that of a picture.
+    Nothing is written. Raises UsageError if the suffix is not one of a picture.
     """
-    image, suffix = io.BytesIO(), _format_of(path)
+    image = io.BytesIO()
+    suffix = _format_of(path)
     with rc_context({"svg.hashsalt": "mcp-asdf", "svg.fonttype": "path"}):
-        figure.savefig(image, format=suffix[1:], dpi=150, metadata=_STAMPS[suffix])
+        figure.savefig(image, format=suffix[1:], dpi=150, metadata=_METADATA_BY_SUFFIX[suffix])
     return image.getvalue()
 
 
 # --- One style for all -----------------------------------------------------------------------------------
 
 WIDTH = 9.0
-"""Inches of a figure with several panels, so that letters are of one size on a page."""
-SMALL, MEDIUM = 8, 10
-"""Sizes of letters: of ticks, legends and captions; of titles and labels."""
+"""Width in inches of a figure with several panels. It is always the same, so that all letters of a page with
+several figures have the same size."""
+SMALL = 8
+"""Size in points of the letters at ticks, in legends and in captions."""
+MEDIUM = 10
+"""Size in points of the letters in titles and labels."""
 
 COLOURS = (
     *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a4f7d", "#222222"),
     *("#999999", "#f0e442", "#6a3d9a", "#7a5230"),
 )
-"""For what has no colour of its own; the first eight stay apart for the colour-blind."""
+"""Colours of lines without a fixed colour. Colour-blind people can tell the first eight apart."""
 
-FLAWED, OTHER, INK = COLOURS[1], COLOURS[0], COLOURS[7]
-"""Flawed robots, healthy ones, the truth."""
+OTHER = COLOURS[0]
+"""Colour of robots that are not flawed."""
+FLAWED = COLOURS[1]
+"""Colour of flawed robots, whose assumed accuracy is wrong at the start."""
+INK = COLOURS[7]
+"""Colour of true values."""
 
 _LOW_TO_HIGH = LinearSegmentedColormap.from_list("low to high", ["#440154", "#31688e", "#35b779", "#d8c51c"])
 
 
 def ordered_colours(count: int) -> list[str]:
-    """Return colours from dark to light for values in order."""
+    """Return this many colours from dark to light, for lines of values that have an order."""
     return [to_hex(_LOW_TO_HIGH(index / max(1, count - 1))) for index in range(count)]
 
 
 class Drawing(Figure):
-    """A figure that the last line of a notebook's cell shows."""
+    """A figure that a notebook shows if it is the value of a cell."""
 
     def _repr_png_(self) -> bytes:
-        """What a notebook asks for."""
+        """Return the bytes of the figure as PNG; notebooks call this."""
         return image_of(self, Path("cell.png"))
 
 
 def empty_figure(width: float, height: float) -> Figure:
-    """Return a figure of this size in inches, which needs no display."""
+    """Return a new figure of a size in inches, which can be drawn without a display."""
     figure = Drawing(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def clean(axes: Axes) -> None:
-    """Give a panel light lines to read values by, small letters, and no frame."""
+    """Style a panel: light horizontal lines to read values by, small letters, no frame above and right."""
     axes.grid(axis="y", color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=SMALL)
@@ -100,44 +113,53 @@ def clean(axes: Axes) -> None:
         axes.spines[side].set_visible(False)
 
 
-_MOST_COLUMNS = 6
+_MAX_LEGEND_COLUMNS = 6
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Add a legend above the panels, in as many columns as the figure's width has room for."""
-    for columns in range(min(len(handles), _MOST_COLUMNS), 0, -1):
+    """Add a legend above the panels, in as many columns as the figure's width has room for, at most six."""
+    # The width of a legend is only known when it has been added, so the largest number is tried first.
+    for column_count in range(min(len(handles), _MAX_LEGEND_COLUMNS), 0, -1):
         legend = figure.legend(
-            handles=handles, loc="outside upper center", ncols=columns, frameon=False, fontsize=SMALL
+            handles=handles, loc="outside upper center", ncols=column_count, frameon=False, fontsize=SMALL
         )
-        if columns == 1 or legend.get_window_extent().width < figure.bbox.width:
+        if column_count == 1 or legend.get_window_extent().width < figure.bbox.width:
             return
         legend.remove()
 
 
-def add_caption(figure: Figure, axis: str, words: str) -> None:
-    """Add the name of the common x axis, if any, and below it what a reader of the figure has to know."""
-    # A symbol and its value stay on one line.
-    text = words.replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}")
+_LETTERS_PER_INCH = 15.5
+"""Number of small letters that fit into an inch of a line."""
+
+
+def add_caption(figure: Figure, x_label: str, caption: str) -> None:
+    """Add a caption below the panels, in lines that fit, and above it the label of their common x axis.
+
+    ``x_label`` may be empty.
+    """
+    # With these spaces, a symbol and its value stay on one line.
+    text = caption.replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}")
     lines = textwrap.wrap(text, round(_LETTERS_PER_INCH * figure.get_figwidth()))
-    if axis:
-        lines.insert(0, axis)
+    if x_label:
+        lines.insert(0, x_label)
     figure.supxlabel("\n".join(lines), fontsize=SMALL)
 
 
-_LETTERS_PER_INCH = 15.5
+_LARGE_NUMBER = 1 << 16
+"""Smallest power of two that is written as one."""
 
 
 def number_in_words(value: float | str) -> str:
-    """Return a value for a legend or title: whole numbers in full, large powers of two as such."""
+    """Return a value as a legend or a title shows it: 0.5 as "0.5", 5.0 as "5", 65536 as "2^16".
+
+    A text has spaces in place of underscores.
+    """
     if isinstance(value, str):
         return value.replace("_", " ")
     if value != int(value):
         return f"{value:g}"
     integer = int(value)
     is_power_of_two = integer & (integer - 1) == 0
-    if integer >= _LARGE and is_power_of_two:
+    if integer >= _LARGE_NUMBER and is_power_of_two:
         return f"2^{integer.bit_length() - 1}"
     return f"{integer}"
-
-
-_LARGE = 1 << 16

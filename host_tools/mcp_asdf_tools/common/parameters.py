@@ -1,7 +1,8 @@
-"""Parameters: fields of dataclasses with a meaning, a range and a default, declared in one place.
+"""Declaration of parameters: fields of dataclasses with a meaning, a range or choices, and a default.
 
-A class of parameters is a frozen dataclass that declares each with `parameter` and calls `check_parameters`
-in its ``__post_init__``. Options, TOML keys, JSON and table columns follow from these declarations.
+A class of parameters is a frozen dataclass that declares each field with `parameter` and calls
+`check_parameters` in its ``__post_init__``. Options of the command line, TOML keys, JSON keys and columns of
+results follow from these declarations.
 """
 
 from __future__ import annotations
@@ -18,7 +19,11 @@ from mcp_asdf_tools.common.extensions import Names
 
 
 class ParameterError(UsageError):
-    """A value that a parameter cannot have; ``key`` names the parameter."""
+    """A value that a parameter cannot have.
+
+    Attributes:
+        key: Name of the parameter.
+    """
 
     def __init__(self, key: str, message: str) -> None:
         super().__init__(message)
@@ -27,7 +32,7 @@ class ParameterError(UsageError):
 
 @contextmanager
 def value_of(key: str) -> Iterator[None]:
-    """Turn a UsageError about the value of this parameter into a ParameterError."""
+    """Turn a UsageError in this context into a ParameterError for the parameter named ``key``."""
     try:
         yield
     except UsageError as error:
@@ -36,28 +41,31 @@ def value_of(key: str) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A declared parameter of a class.
+    """Declaration of a parameter of a class.
 
     Attributes:
-        name: Name of the field; its option has dashes in place of underscores.
-        kind: int, float or str; a value of any other type is checked by the class.
-        choices: Texts that it may be, those of a ``Literal`` or the ones declared; empty: any.
+        name: Name of the field. Its option has dashes in place of underscores.
+        kind: Type of the field. Values of int, float and str are checked here, others by the class.
+        choices: Texts that it may be, from its ``Literal`` type or its declaration; empty for any text.
         default: Value if none is given.
-        text: Meaning in one line, with the unit.
-        least: Smallest value, for numbers.
-        most: Largest value, for numbers.
+        meaning: One line on what it means, with the unit.
+        minimum: Smallest value, for a number.
+        maximum: Largest value, for a number.
     """
 
     name: str
     kind: Any
     choices: Collection[str] | Names
     default: Any
-    text: str
-    least: float
-    most: float
+    meaning: str
+    minimum: float
+    maximum: float
 
     def checked(self, value: Any) -> Any:
-        """Return ``value`` in the field's type. Raises ParameterError for what is none, or out of range."""
+        """Return a value, a number in the field's type.
+
+        Raises ParameterError if the value is of another type, out of range or none of the choices.
+        """
         if self.kind in (int, float):
             return self._number(value)
         if self.choices and not (isinstance(value, str) and value in self.choices):
@@ -67,7 +75,10 @@ class Parameter:
         return value
 
     def _number(self, value: Any) -> float:
-        """Return a value as a number of the field's type; a float may stand for a whole number."""
+        """Return a value as a number of the field's type; 5.0 may stand for 5.
+
+        Raises ParameterError if it is not a finite number, is out of range, or is not whole but has to be.
+        """
         try:
             is_number = not isinstance(value, bool | str | bytes) and math.isfinite(value)
             number: float = self.kind(value) if is_number else math.nan
@@ -77,54 +88,70 @@ class Parameter:
             raise self._error(value, "give a number")
         if self.kind is int and number != value:
             raise self._error(value, "give a whole number")
-        if not self.least <= number <= self.most:
-            raise self._error(value, f"it must be {_plain(self.least)} to {_plain(self.most)}")
+        if not self.minimum <= number <= self.maximum:
+            limits = f"{_format_limit(self.minimum)} to {_format_limit(self.maximum)}"
+            raise self._error(value, f"it must be {limits}")
         return number
 
     def _error(self, value: Any, fix: str) -> ParameterError:
+        """Return an error that names the parameter, the value and what to do."""
         return ParameterError(self.name, f"{self.name} is {value!r}; {fix}")
 
 
-def _plain(limit: float) -> str:
+def _format_limit(limit: float) -> str:
+    """Return a limit as a text: a whole number with all its digits, any other in short."""
     return str(limit) if isinstance(limit, int) else f"{limit:g}"
 
 
 def parameter(
-    text: str,
-    least: float = -math.inf,
-    most: float = math.inf,
+    meaning: str,
+    minimum: float = -math.inf,
+    maximum: float = math.inf,
     *,
     default: Any,
     choices: Collection[str] | Names = (),
 ) -> Any:
-    """Declare a field of a dataclass with its meaning in one line, its default, and its range or choices."""
-    return field(default=default, metadata={"choices": choices, "parameter": (text, least, most)})
+    """Declare a field of a dataclass: its meaning in one line, its range if it is a number, and its default.
+
+    ``choices`` are the texts that it may be; those of a ``Literal`` type need not be listed.
+    """
+    metadata = {"meaning": meaning, "minimum": minimum, "maximum": maximum, "choices": choices}
+    return field(default=default, metadata=metadata)
 
 
 def parameters_of(kind: Any) -> dict[str, Parameter]:
-    """Return the declared parameters of a class, by name, in order."""
+    """Return the declared parameters of a class by name, in the order of their declaration."""
     return _declared(kind)
 
 
 @cache
 def _declared(kind: Any) -> dict[str, Parameter]:
-    """Read the declarations from the fields of a dataclass."""
+    """Read the parameters of a class from the fields of its dataclass."""
     types = get_type_hints(kind)
     parameters = {}
     for declared_field in fields(kind):
-        metadata = declared_field.metadata
-        if "parameter" not in metadata:
-            continue
-        name, field_type = declared_field.name, types[declared_field.name]
+        name, metadata = declared_field.name, declared_field.metadata
+        if "meaning" not in metadata:
+            continue  # a field that is no parameter
+        field_type = types[name]
         is_literal = get_origin(field_type) is Literal
-        choices = get_args(field_type) if is_literal else metadata["choices"]
-        text, least, most = metadata["parameter"]
-        parameters[name] = Parameter(name, field_type, choices, declared_field.default, text, least, most)
+        parameters[name] = Parameter(
+            name=name,
+            kind=field_type,
+            choices=get_args(field_type) if is_literal else metadata["choices"],
+            default=declared_field.default,
+            meaning=metadata["meaning"],
+            minimum=metadata["minimum"],
+            maximum=metadata["maximum"],
+        )
     return parameters
 
 
 def check_parameters(settings: Any) -> None:
-    """Check every parameter of an instance. Raises ParameterError for the first that is wrong."""
+    """Check all parameters of an instance, and convert numbers to their types in place.
+
+    Raises ParameterError for the first parameter that is wrong.
+    """
     for name, declared in parameters_of(type(settings)).items():
-        # Settings are frozen, but for this moment of their making.
+        # Settings are frozen, but this is called while they are created.
         object.__setattr__(settings, name, declared.checked(getattr(settings, name)))

@@ -11,48 +11,58 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.text import Text
 
 _SECONDS_BETWEEN_LINES = 60.0
-"""Time between lines of progress where there is no terminal."""
+"""Shortest time from one line of progress to the next where there is no terminal."""
 
 
 @contextmanager
 def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[[float], None]]:
-    """Show progress on standard error: a bar in terminals and notebooks, elsewhere a line a minute.
+    """Show progress on standard error: a bar in terminals and notebooks, a line a minute elsewhere.
 
-    Yields a function that adds to the count.
+    Yields a function to be called with the number of units that have been done since its last call.
+
+    Args:
+        unit: Plural noun for what is counted, such as "trials".
+        total: Number of units in all.
+        quiet: Whether nothing is shown.
     """
     console = Console(stderr=True)
-    is_bar = console.is_terminal or console.is_jupyter
+    can_show_bar = console.is_terminal or console.is_jupyter
     columns = (TextColumn(unit), BarColumn(), MofNCompleteColumn(), _Rate())
-    start = last_line = time.monotonic()
-    done = 0.0
-    with Progress(*columns, console=console, disable=quiet or not is_bar, transient=True) as bar:
+    start_time = last_line_time = time.monotonic()
+    done_count = 0.0
+    with Progress(*columns, console=console, disable=quiet or not can_show_bar, transient=True) as bar:
         task = bar.add_task(unit, total=total)
 
         def add(count: float) -> None:
-            nonlocal done, last_line
-            done += count
+            nonlocal done_count, last_line_time
+            done_count += count
             bar.advance(task, count)
             now = time.monotonic()
-            if not (is_bar or quiet) and now - last_line >= _SECONDS_BETWEEN_LINES:
-                last_line = now
-                console.print(f"{unit}: {done:g} of {total:g}, {rate_in_words(done, total, now - start)}")
+            is_line_due = now - last_line_time >= _SECONDS_BETWEEN_LINES
+            if is_line_due and not can_show_bar and not quiet:
+                last_line_time = now
+                rate = rate_in_words(done_count, total, now - start_time)
+                console.print(f"{unit}: {done_count:g} of {total:g}, {rate}")
 
         yield add
 
 
 class _Rate(ProgressColumn):
-    """Column of a bar that shows ``rate_in_words``."""
+    """Column of a progress bar with the rate and the time left, as ``rate_in_words`` gives them."""
 
     def render(self, task: Task) -> Text:
-        """Return the text of the column."""
+        """Return the present text of the column; rich calls this."""
         return Text(rate_in_words(task.completed, task.total or 0.0, task.elapsed or 0.0))
 
 
-def rate_in_words(done: float, total: float, seconds: float) -> str:
-    """Return the rate so far and the time left at that rate; an empty text before anything is done."""
-    if not done or not seconds:
+def rate_in_words(done_count: float, total: float, seconds: float) -> str:
+    """Return the rate so far and the time left at that rate, such as ``2.5/s, 0:01:20 left``.
+
+    The text is empty as long as nothing is done.
+    """
+    if not done_count or not seconds:
         return ""
-    seconds_left = round((total - done) * seconds / done)
+    seconds_left = round((total - done_count) * seconds / done_count)
     minutes, remaining_seconds = divmod(seconds_left, 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{done / seconds:.3g}/s, {hours}:{minutes:02}:{remaining_seconds:02} left"
+    return f"{done_count / seconds:.3g}/s, {hours}:{minutes:02}:{remaining_seconds:02} left"

@@ -1,4 +1,4 @@
-"""Which version of this project runs."""
+"""Versions of this project and of the software that it uses, for results and reports."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from importlib import metadata
 
 
 def own_version() -> str:
-    """Return the installed version of this project."""
+    """Return the version of this project that is installed."""
     return metadata.version("mcp-asdf")
 
 
@@ -21,4 +21,5 @@ def software_versions() -> dict[str, str]:
 
 @cache
 def _version(name: str) -> str:
+    """Return the installed version of a distribution. To look it up takes some milliseconds."""
     return metadata.version(name)

@@ -82,7 +82,7 @@ _MEANINGS = {
 @cache
 def describe_columns() -> dict[str, dict[str, str]]:
     """Return unit and meaning of each column, by its name; the unit is "1" where there is none."""
-    meanings = {name: declared.text for name, declared in parameters_of(Experiment).items()} | _MEANINGS
+    meanings = {name: declared.meaning for name, declared in parameters_of(Experiment).items()} | _MEANINGS
     return {name: {"unit": _UNITS.get(name, "1"), "meaning": meaning} for name, meaning in meanings.items()}
 
 

@@ -64,13 +64,13 @@ def _parse_option(fault_text: str, kind: type[Fault], option: str, value: str) -
             raise _option_error(fault_text, option, value, " or ".join(declared.choices))
         return value
     number_type = float if declared.kind is float else int
-    limits = f"{declared.least:g} to {declared.most:g}"
+    limits = f"{declared.minimum:g} to {declared.maximum:g}"
     requirement = f"a whole number, {limits}" if number_type is int else f"a number, {limits}"
     try:
         number = number_type(value)
     except ValueError:
         raise _option_error(fault_text, option, value, requirement) from None
-    if not declared.least <= number <= declared.most:  # also if it is not a number
+    if not declared.minimum <= number <= declared.maximum:  # also if it is not a number
         raise _option_error(fault_text, option, value, requirement)
     return number
 
