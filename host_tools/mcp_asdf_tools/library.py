@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extensions import check_for_workers
 from mcp_asdf_tools.common.extras import naming_extras
-from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.experiment import Experiment, grid
+from mcp_asdf_tools.experiments.experiment_files import read_experiments
 from mcp_asdf_tools.experiments.scores import E_MAX, PAPERS, SCORES, Limits
+from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
@@ -20,11 +22,32 @@ if TYPE_CHECKING:
     from mcp_asdf_tools.experiments.curve_plot import Measure
     from mcp_asdf_tools.experiments.results import Trials
     from mcp_asdf_tools.swarm.run import SwarmRun
-    from mcp_asdf_tools.swarm.settings import SwarmSettings
     from mcp_asdf_tools.swarm.swarm import Swarm
 
     Results: TypeAlias = pa.Table | list[Trials]
     """What pictures are drawn of: a table of trials, or experiments from ``experiments_in``."""
+
+__all__ = [
+    "Experiment",
+    "SwarmSettings",
+    "UsageError",
+    "emulate",
+    "experiments_in",
+    "grid",
+    "plot_bands",
+    "plot_boxes",
+    "plot_curve",
+    "plot_scatter",
+    "plot_series",
+    "read_experiments",
+    "read_table",
+    "score",
+    "simulate",
+    "start_swarm",
+]
+
+
+# --- Swarms ----------------------------------------------------------------------------------------------
 
 
 @naming_extras()
@@ -54,6 +77,9 @@ def emulate(settings: SwarmSettings) -> SwarmRun:
         return run_swarm(swarm)
 
 
+# --- Experiments and their results -----------------------------------------------------------------------
+
+
 @naming_extras()
 def simulate(
     experiments: Experiment | Iterable[Experiment],
@@ -77,7 +103,6 @@ def simulate(
         return _simulate_in_memory(experiment_list, workers, record, quiet)
 
     from mcp_asdf_tools.common.progress_bar import progress
-    from mcp_asdf_tools.experiments.result_files import read_table
     from mcp_asdf_tools.experiments.store import Store
     from mcp_asdf_tools.experiments.sweep import run_sweep
 
@@ -124,6 +149,25 @@ def _simulate_in_memory(experiments: list[Experiment], workers: int, record: int
     with progress("trials", trial_count, quiet) as report:
         results = run_in_memory(experiments, record, workers, report)
     return pa.concat_tables([trials_to_table(trials) for trials in results]).combine_chunks()
+
+
+@naming_extras()
+def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Table:
+    """Read a results file, or all files of a folder, such as the parts of a sweep, into one table.
+
+    Returns all columns if ``columns`` is None. Raises UsageError for any other file.
+    """
+    from mcp_asdf_tools.experiments import result_files
+
+    return result_files.read_table(path, columns)
+
+
+@naming_extras()
+def experiments_in(table: pa.Table) -> list[Trials]:
+    """Return the experiments of a table, each with its trials, in the order of their first rows. O(rows)."""
+    from mcp_asdf_tools.experiments import result_tables
+
+    return result_tables.experiments_in(table)
 
 
 @naming_extras()
@@ -235,7 +279,6 @@ def _experiments_to_plot(results: pa.Table | list[Trials], where: Mapping[str, A
 
     Raises UsageError if there is none.
     """
-    from mcp_asdf_tools.experiments.result_tables import experiments_in
     from mcp_asdf_tools.experiments.results import select_experiments
 
     experiments = results if isinstance(results, list) else experiments_in(results)

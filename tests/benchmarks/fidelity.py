@@ -13,6 +13,7 @@ tests/data/reference_scores/.
 from __future__ import annotations
 
 import csv
+import os
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -27,7 +28,6 @@ from scipy.stats import ks_2samp  # type: ignore[import-untyped]
 
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.scores import E_MAX, score
-from mcp_asdf_tools.experiments.sweep import default_workers
 from mcp_asdf_tools.experiments.trials import run_trials
 
 FOLDER = Path(__file__).parents[1] / "data/reference_scores"
@@ -96,7 +96,7 @@ def agrees(part: str) -> bool:
     """Print a part as a table; whether all its tests pass."""
     path, trials = PARTS[part]
     cells = read_cells(path)
-    with ProcessPoolExecutor(default_workers()) as pool:
+    with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         samples = list(pool.map(partial(simulate, trials=trials), [cell.experiment for cell in cells]))
     print(f"\n{part}: medians of H, ours and the other; p-values of {', '.join(SCORES)}")
     values = [p_values(own, cell.scores) for own, cell in zip(samples, cells, strict=True)]

@@ -272,8 +272,3 @@ def _interrupts_delayed() -> Iterator[None]:
             signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
     if is_stop_requested():
         signal.raise_signal(signal.SIGINT)
-
-
-def default_workers() -> int:
-    """Return the number of processors that this process may use."""
-    return len(os.sched_getaffinity(0))
