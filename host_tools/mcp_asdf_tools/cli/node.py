@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         setup = replace(setup, allow=parse_ids(args.allow, "--allow"))
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
-    steps_per_second = _steps_per_second_of(args)
+    steps_per_second = options.value_of(args, Population, "steps_per_second")
     parameters = {"steps_per_second": steps_per_second, "steps": args.steps}
     header = EventsHeader([setup], None, subjects.estimates, parameters)
     recording = recording_for("node", args.log, header, choice)
@@ -101,13 +101,6 @@ def run(args: argparse.Namespace) -> int:
     if outcome.has_failed:
         return exit_code_with(recording, report_failure("mcp-asdf node", outcome.ending, args.json))
     return exit_code_with(recording, INTERRUPTED if outcome.is_interrupted else 0)
-
-
-def _steps_per_second_of(args: argparse.Namespace) -> int:
-    """Return the steps in a second of the robot's time. Raises UsageError for a number out of range."""
-    # The other options of the same class are of the robot, which ``robot_of`` reads.
-    own_args = argparse.Namespace(steps_per_second=args.steps_per_second)
-    return options.settings_from(own_args, Population).steps_per_second
 
 
 def _run_on_bus(

@@ -150,6 +150,21 @@ def settings_from(
     return settings
 
 
+def value_of(args: argparse.Namespace, kind: Any, name: str) -> Any:
+    """Return the value of one parameter of the class ``kind``: what the user gave, or else the default.
+
+    Raises UsageError, which names the option, for a value that the parameter alone cannot have.
+    """
+    parameter = parameters_of(kind)[name]
+    value = getattr(args, name)
+    if value is None:
+        return parameter.default
+    try:
+        return parameter.checked(value)
+    except ParameterError as error:
+        raise UsageError(_name_option(error)) from error
+
+
 def _name_option(error: ParameterError) -> str:
     """Return the message of ``error`` with the option's name at its start, in place of the parameter's."""
     message = str(error)
@@ -215,7 +230,7 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
 
 def swarm_filter_of(args: argparse.Namespace) -> SwarmFilter:
     """Return the filter that ``--filter`` names, or the default where the option was not given."""
-    return FILTERS[args.filter or parameters_of(Population)["filter"].default]
+    return FILTERS[value_of(args, Population, "filter")]
 
 
 # --- T-tables --------------------------------------------------------------------------------------------
