@@ -29,6 +29,18 @@ ASDF_PLUS: str = "asdf-plus"
 
 SHORTEST_PERIOD = FILTER_PERIODS[0]
 
+PAPER_FIGURES = {
+    "dynamic_asdf-minus": "3a",
+    "dynamic_asdf-plus": "3b",
+    "dynamic_scatter": "4",
+    "topologies_asdf-minus": "5a",
+    "topologies_asdf-plus": "5b",
+    "series": "6",
+    "physical_asdf-plus": "8a",
+    "physical_scatter": "8b",
+}
+"""Numbers of the paper's figures, by the name of the picture that shows the same."""
+
 UNFILTERED_SERIES_CELL = Cell(
     study_part=StudyPart.FULLY_CONNECTED,
     fill_ratio=0.95,
@@ -61,119 +73,106 @@ class Picture:
     figure: Figure
 
 
+def _make_picture(name: str, title: str, figure: Figure) -> Picture:
+    """Return a picture, with the number of the paper's figure added to its title if it has one."""
+    if name in PAPER_FIGURES:
+        title += f" (the paper's figure {PAPER_FIGURES[name]})"
+    return Picture(name, title, figure)
+
+
 def draw_pictures(study_results: StudyResults, study_size: StudySize) -> Iterator[Picture]:
     """Draw the pictures of all parts of the study that have results, one after the other.
 
     A picture of two parts is drawn only if both have results. The picture of single trials needs values over
     time, which the results do not have: for this picture two trials of length ``study_size.steps`` run again.
     """
-    has_dynamic = StudyPart.DYNAMIC in study_results.parts
-    has_fully_connected = StudyPart.FULLY_CONNECTED in study_results.parts
-    if has_dynamic:
-        yield _draw_score_boxes(study_results, StudyPart.DYNAMIC, ASDF_MINUS, paper_figure="3a")
-        yield _draw_score_boxes(study_results, StudyPart.DYNAMIC, ASDF_PLUS, paper_figure="3b")
-        yield _draw_score_scatter(study_results, StudyPart.DYNAMIC, paper_figure="4")
-        yield _draw_b_hat_bands(study_results, StudyPart.DYNAMIC)
-    if has_fully_connected:
-        yield _draw_score_boxes(study_results, StudyPart.FULLY_CONNECTED, ASDF_MINUS)
-        yield _draw_score_boxes(study_results, StudyPart.FULLY_CONNECTED, ASDF_PLUS)
-        yield _draw_score_scatter(study_results, StudyPart.FULLY_CONNECTED)
-        yield _draw_b_hat_bands(study_results, StudyPart.FULLY_CONNECTED)
-    if has_dynamic and has_fully_connected:
-        yield _draw_boxes_by_topology(study_results, ASDF_MINUS, paper_figure="5a")
-        yield _draw_boxes_by_topology(study_results, ASDF_PLUS, paper_figure="5b")
-    if has_fully_connected:
+    parts = study_results.parts
+    for study_part in (StudyPart.DYNAMIC, StudyPart.FULLY_CONNECTED):
+        if study_part in parts:
+            yield _draw_score_boxes(study_results, study_part, ASDF_MINUS)
+            yield _draw_score_boxes(study_results, study_part, ASDF_PLUS)
+            yield _draw_score_scatter(study_results, study_part)
+            yield _draw_b_hat_bands(study_results, study_part)
+    if StudyPart.DYNAMIC in parts and StudyPart.FULLY_CONNECTED in parts:
+        yield _draw_boxes_by_topology(study_results, ASDF_MINUS)
+        yield _draw_boxes_by_topology(study_results, ASDF_PLUS)
+    if StudyPart.FULLY_CONNECTED in parts:
         yield _draw_single_trials(study_size)
-    if StudyPart.PHYSICAL in study_results.parts:
-        yield _draw_score_boxes(study_results, StudyPart.PHYSICAL, ASDF_PLUS, paper_figure="8a")
-        yield _draw_score_scatter(study_results, StudyPart.PHYSICAL, paper_figure="8b")
+    if StudyPart.PHYSICAL in parts:
+        yield _draw_score_boxes(study_results, StudyPart.PHYSICAL, ASDF_PLUS)
+        yield _draw_score_scatter(study_results, StudyPart.PHYSICAL)
 
 
 def _select_by_filter(
     study_results: StudyResults, study_part: StudyPart, filter_names: Sequence[str]
 ) -> list[Trials]:
     """Return the trials of a part's experiments with these filters, in the order of ``filter_names``."""
-    selected: list[Trials] = []
-    for filter_name in filter_names:
-        for trials in study_results.trials_of(study_part):
-            if trials.experiment.filter == filter_name:
-                selected.append(trials)
+    return [
+        trials
+        for filter_name in filter_names
+        for trials in study_results.trials_of(study_part)
+        if trials.experiment.filter == filter_name
+    ]
+
+
+def _select_with_shortest_period(
+    study_results: StudyResults, study_part: StudyPart, filter_names: Sequence[str]
+) -> list[Trials]:
+    """Return the trials of a part's experiments with these filters, of which those with SHORTEST_PERIOD.
+
+    Experiments without a filter have no period, and are returned if ``filter_names`` has UNFILTERED. ASDF- is
+    another filter where no robot is flawed, or all are: none at P = 0 %, where P is the share of flawed
+    robots, and ASDF+ at P = 100 %. If ``filter_names`` has ASDF-, these experiments are returned as
+    experiments with ASDF-, too, since the study does not run them twice.
+    """
+    unfiltered = _select_by_filter(study_results, study_part, [UNFILTERED])
+    filtered = [
+        trials
+        for trials in _select_by_filter(study_results, study_part, [ASDF_MINUS, ASDF_PLUS])
+        if trials.experiment.filter_period == SHORTEST_PERIOD
+    ]
+    selected = [trials for trials in [*unfiltered, *filtered] if trials.experiment.filter in filter_names]
+    if ASDF_MINUS in filter_names:
+        same_as_asdf_minus = [trials for trials in unfiltered if trials.experiment.flawed == 0]
+        same_as_asdf_minus += [trials for trials in filtered if _all_flawed(trials.experiment)]
+        selected += [
+            replace(trials, experiment=replace(trials.experiment, filter=ASDF_MINUS))
+            for trials in same_as_asdf_minus
+        ]
     return selected
 
 
-def _select_shortest_period(experiments: Sequence[Trials]) -> list[Trials]:
-    """Return the experiments without a filter, and those whose robots filter every SHORTEST_PERIOD steps."""
-    return [
-        trials
-        for trials in experiments
-        if trials.experiment.filter == UNFILTERED or trials.experiment.filter_period == SHORTEST_PERIOD
-    ]
+def _all_flawed(experiment: Experiment) -> bool:
+    """Return whether all robots of an experiment are flawed."""
+    return bool(experiment.flawed == experiment.robots)
 
 
-def _asdf_minus_without_or_with_only_flawed_robots(
-    study_results: StudyResults, study_part: StudyPart
-) -> list[Trials]:
-    """Return a part's trials with ASDF- at P = 0 % and at P = 100 %, where P is the share of flawed robots.
-
-    ASDF- has no experiments of its own there, so trials with other filters are returned with ASDF- as their
-    filter: at P = 0 % no robot filters, as without a filter; at P = 100 % all robots do, as with ASDF+ (here
-    with SHORTEST_PERIOD).
-    """
-    unfiltered = _select_by_filter(study_results, study_part, [UNFILTERED])
-    all_filter = _select_shortest_period(_select_by_filter(study_results, study_part, [ASDF_PLUS]))
-    without_flawed = [trials for trials in unfiltered if trials.experiment.flawed == 0]
-    only_flawed = [trials for trials in all_filter if trials.experiment.flawed == trials.experiment.robots]
-    return [
-        replace(trials, experiment=replace(trials.experiment, filter=ASDF_MINUS))
-        for trials in [*without_flawed, *only_flawed]
-    ]
-
-
-def _add_paper_figure(title: str, paper_figure: str) -> str:
-    """Append the number of the paper's figure, such as "3a", to a title, unless the number is empty."""
-    if not paper_figure:
-        return title
-    return f"{title} (the paper's figure {paper_figure})"
-
-
-def _draw_score_boxes(
-    study_results: StudyResults, study_part: StudyPart, filter_name: str, paper_figure: str = ""
-) -> Picture:
+def _draw_score_boxes(study_results: StudyResults, study_part: StudyPart, filter_name: str) -> Picture:
     """Draw box plots of H, a trial's score from 0 to 100, of a part's swarms without and with a filter.
 
-    A box shows the trials of one experiment. ``paper_figure`` is the number of the paper's figure for the
-    title, empty if there is none.
+    A box shows the trials of one experiment.
     """
     experiments = _select_by_filter(study_results, study_part, [UNFILTERED, filter_name])
     if filter_name == ASDF_MINUS:
-        # Where all robots are flawed, all filter under ASDF- as under ASDF+: the picture of ASDF+ shows these
-        # swarms.
-        experiments = [
-            trials for trials in experiments if trials.experiment.flawed < trials.experiment.robots
-        ]
-    title = f"H of {study_part.label} swarms without filter and with {FILTERS[filter_name].typeset_term}"
-    return Picture(
+        # Where all robots are flawed, ASDF- is ASDF+, whose picture shows these swarms.
+        experiments = [trials for trials in experiments if not _all_flawed(trials.experiment)]
+    return _make_picture(
         name=f"{study_part.value}_{filter_name}",
-        title=_add_paper_figure(title, paper_figure),
+        title=f"H of {study_part.label} swarms without filter and with {FILTERS[filter_name].typeset_term}",
         figure=score_plots.plot_boxes(experiments),
     )
 
 
-def _draw_score_scatter(
-    study_results: StudyResults, study_part: StudyPart, paper_figure: str = ""
-) -> Picture:
+def _draw_score_scatter(study_results: StudyResults, study_part: StudyPart) -> Picture:
     """Draw h_e, a trial's score for accuracy, against h_K, its score for speed, of all trials of a part.
 
     It shows swarms without a filter, with ASDF- and with ASDF+, of which only those with the shortest filter
-    period tau. ``paper_figure`` is the number of the paper's figure for the title, empty if there is none.
+    period tau.
     """
-    all_periods = _select_by_filter(study_results, study_part, [UNFILTERED, ASDF_MINUS, ASDF_PLUS])
-    experiments = _select_shortest_period(all_periods)
-    experiments += _asdf_minus_without_or_with_only_flawed_robots(study_results, study_part)
-    title = f"Accuracy against convergence of {study_part.label} swarms, tau = {SHORTEST_PERIOD}"
-    return Picture(
+    experiments = _select_with_shortest_period(study_results, study_part, [UNFILTERED, ASDF_MINUS, ASDF_PLUS])
+    return _make_picture(
         name=f"{study_part.value}_scatter",
-        title=_add_paper_figure(title, paper_figure),
+        title=f"Accuracy against convergence of {study_part.label} swarms, tau = {SHORTEST_PERIOD}",
         figure=score_plots.plot_scatter(experiments),
     )
 
@@ -183,31 +182,30 @@ def _draw_b_hat_bands(study_results: StudyResults, study_part: StudyPart) -> Pic
 
     It shows the swarms in which some robots are flawed, but not all, with the shortest filter period tau.
     """
-    all_filter = _select_shortest_period(_select_by_filter(study_results, study_part, [ASDF_PLUS]))
-    experiments = [trials for trials in all_filter if 0 < trials.experiment.flawed < trials.experiment.robots]
-    return Picture(
+    all_filter = _select_with_shortest_period(study_results, study_part, [ASDF_PLUS])
+    experiments = [
+        trials for trials in all_filter if trials.experiment.flawed > 0 and not _all_flawed(trials.experiment)
+    ]
+    return _make_picture(
         name=f"{study_part.value}_bands",
         title=f"b_hat of all robots of {study_part.label} swarms with ASDF+, tau = {SHORTEST_PERIOD}",
         figure=time_plots.plot_accuracy_bands(experiments),
     )
 
 
-def _draw_boxes_by_topology(study_results: StudyResults, filter_name: str, paper_figure: str) -> Picture:
+def _draw_boxes_by_topology(study_results: StudyResults, filter_name: str) -> Picture:
     """Draw box plots of H, a trial's score from 0 to 100, of dynamic swarms beside fully connected ones.
 
     In a dynamic swarm robots move and reach only those nearby. Both kinds are shown without a filter and with
-    this filter, of which the shortest period tau. ``paper_figure`` is the number of the paper's figure.
+    this filter, of which the shortest period tau.
     """
     experiments: list[Trials] = []
     for study_part in (StudyPart.DYNAMIC, StudyPart.FULLY_CONNECTED):
-        all_periods = _select_by_filter(study_results, study_part, [UNFILTERED, filter_name])
-        experiments += _select_shortest_period(all_periods)
-        if filter_name == ASDF_MINUS:
-            experiments += _asdf_minus_without_or_with_only_flawed_robots(study_results, study_part)
-    filters_shown = f"without filter and with {FILTERS[filter_name].typeset_term}, tau = {SHORTEST_PERIOD}"
-    return Picture(
+        experiments += _select_with_shortest_period(study_results, study_part, [UNFILTERED, filter_name])
+    filters_shown = f"without filter and with {FILTERS[filter_name].typeset_term}"
+    return _make_picture(
         name=f"topologies_{filter_name}",
-        title=_add_paper_figure(f"H in both topologies {filters_shown}", paper_figure),
+        title=f"H in both topologies {filters_shown}, tau = {SHORTEST_PERIOD}",
         figure=score_plots.plot_boxes(experiments, series_name=_topology_and_filter),
     )
 
@@ -225,19 +223,17 @@ def _draw_single_trials(study_size: StudySize) -> Picture:
     and the seed of ``study_size``, and recorded every SERIES_SAMPLING_INTERVAL steps.
     """
     # The study keeps no values over time, but a trial that is run again gives the same values.
-    recorded: list[Trials] = []
-    for filter_name in (UNFILTERED, ASDF_PLUS):
-        cell = replace(UNFILTERED_SERIES_CELL, filter=filter_name)
-        trials = run_trials(
-            experiment_of(cell, study_size),
+    recorded = [
+        run_trials(
+            experiment_of(replace(UNFILTERED_SERIES_CELL, filter=filter_name), study_size),
             first=SERIES_TRIAL,
             trials=1,
             sampling_interval=SERIES_SAMPLING_INTERVAL,
         )
-        recorded.append(trials)
-    title = "A trial without filter and one with ASDF+: f = 0.95, b = 0.55, b_hat = 0.95, P = 50 %"
-    return Picture(
+        for filter_name in (UNFILTERED, ASDF_PLUS)
+    ]
+    return _make_picture(
         name="series",
-        title=_add_paper_figure(title, paper_figure="6"),
+        title="A trial without filter and one with ASDF+: f = 0.95, b = 0.55, b_hat = 0.95, P = 50 %",
         figure=time_plots.plot_series(recorded, SERIES_TRIAL),
     )
