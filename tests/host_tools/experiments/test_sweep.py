@@ -38,9 +38,9 @@ from support import PATIENCE, ROOT, interruptible, slow, wait_until
 from trials import noted_jobs
 
 GRID = [
-    Experiment(robots=4, flawed=flawed, filter=mode, steps=8000, trials=40)
+    Experiment(robots=4, flawed=flawed, filter=filter_name, steps=8000, trials=40)
     for flawed in (1, 2)
-    for mode in FILTERS
+    for filter_name in FILTERS
 ]
 
 
@@ -124,9 +124,9 @@ def test_an_interrupted_sweep_runs_only_what_is_missing(
     run_sweep(interrupted_sweep, 1)
     assert [(job.first, job.count) for job in jobs_run] == [(32, 8)]
     experiments = experiments_in(read_table(interrupted_sweep.output))
-    for trials, uninterrupted in zip(experiments, [Job(each, 0, 40).run() for each in GRID[:3]], strict=True):
-        assert trials.experiment == uninterrupted.experiment
-        assert (trials.errors == uninterrupted.errors).all()
+    for trials, experiment in zip(experiments, GRID[:3], strict=True):
+        assert trials.experiment == experiment
+        assert (trials.errors == Job(experiment, first=0, count=40).run().errors).all()
 
 
 def test_a_finished_sweep_leaves_its_output_alone_in_the_folder(
@@ -194,14 +194,13 @@ def test_results_of_another_version_are_never_overwritten(
         Store(output, GRID[:2])
 
 
-def test_workers_give_what_one_process_gives(output: Path, tmp_path: Path) -> None:
-    """They may be started from another thread, too."""
-    reported: list[int] = []
+def test_workers_of_another_thread_give_what_one_process_gives(output: Path, tmp_path: Path) -> None:
+    reported_trials: list[int] = []
     with ThreadPoolExecutor(1) as thread:
-        thread.submit(run_sweep, Store(output, GRID), 2, report=reported.append).result()
-    run_sweep(Store(tmp_path / "one.parquet", GRID), 1)
+        thread.submit(run_sweep, Store(output, GRID), workers=2, report=reported_trials.append).result()
+    run_sweep(Store(tmp_path / "one.parquet", GRID), workers=1)
     assert read_table(output).equals(read_table(tmp_path / "one.parquet"))
-    assert sum(reported) == 40 * len(GRID)
+    assert sum(reported_trials) == 40 * len(GRID)
 
 
 def test_results_in_memory_are_those_of_a_file(output: Path) -> None:
@@ -210,7 +209,7 @@ def test_results_in_memory_are_those_of_a_file(output: Path) -> None:
     assert pa.concat_tables(tables).combine_chunks().equals(read_table(output).combine_chunks())
 
 
-class Deadly(Job):
+class DeadlyJob(Job):
     """A job that kills the process that runs it."""
 
     def run(self) -> Trials:
@@ -219,9 +218,9 @@ class Deadly(Job):
 
 
 def test_a_worker_that_is_killed_ends_the_sweep_with_an_error(output: Path) -> None:
-    deadly = (Deadly(job.experiment, job.first, job.count) for job in jobs_of(Store(output, GRID)))
+    deadly_jobs = (DeadlyJob(job.experiment, job.first, job.count) for job in jobs_of(Store(output, GRID)))
     with pytest.raises(UsageError, match="a worker process was killed"):
-        list(sweep.run_jobs(deadly, workers=2))
+        list(sweep.run_jobs(deadly_jobs, workers=2))
 
 
 # --- The store -------------------------------------------------------------------------------------------
@@ -235,11 +234,11 @@ def test_a_short_sweep_is_written_once(output: Path, monkeypatch: pytest.MonkeyP
     written: list[str] = []
     write_tables = result_files.write_tables
 
-    def noted(path: Path, tables: Any) -> None:
+    def record_and_write(path: Path, tables: Any) -> None:
         written.append(path.name)
         write_tables(path, tables)
 
-    monkeypatch.setattr(store_module, "write_tables", noted)
+    monkeypatch.setattr(store_module, "write_tables", record_and_write)
     monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 1e9)
     run_sweep(Store(output, GRID[:2]), 1)
     assert written == ["grid.parquet"]
@@ -351,102 +350,230 @@ def test_one_process_may_open_an_output_twice(output: Path) -> None:
 # --- Progress --------------------------------------------------------------------------------------------
 
 
-def test_progress_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """Rate and time left: in a bar, or where there is no terminal as a line now and then."""
-    words = progress_bar.rate_in_words
-    found = [words(30, 120, 60.0), words(1, 10_001, 2.0), words(9, 9, 3.0), words(0, 9, 3.0)]
-    assert found == ["0.5/s, 0:03:00 left", "0.5/s, 5:33:20 left", "3/s, 0:00:00 left", ""]
+@pytest.mark.parametrize(
+    ("finished", "total", "seconds", "text"),
+    [
+        (30, 120, 60.0, "0.5/s, 0:03:00 left"),
+        (1, 10_001, 2.0, "0.5/s, 5:33:20 left"),
+        (9, 9, 3.0, "3/s, 0:00:00 left"),
+        (0, 9, 3.0, ""),
+    ],
+)
+def test_progress_is_a_rate_and_the_time_left(finished: int, total: int, seconds: float, text: str) -> None:
+    assert progress_bar.rate_in_words(finished, total, seconds) == text
+
+
+def test_a_bar_shows_the_rate() -> None:
     task: Any = SimpleNamespace(completed=30, total=120, elapsed=60.0)
-    assert progress_bar._Rate().render(task).plain == found[0]
-    now = [0.0]
+    assert progress_bar._Rate().render(task).plain == "0.5/s, 0:03:00 left"
+
+
+def report_slow_progress(monkeypatch: pytest.MonkeyPatch, *, quiet: bool) -> None:
+    """Report six of eight trials in two minutes, from 30 s on."""
+    now = [100.0]
     monkeypatch.setattr(progress_bar, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    lines = ["trials: 3 of 8, 0.05/s, 0:01:40 left", "trials: 6 of 8, 0.05/s, 0:00:40 left"]
-    for quiet, bar, said in ((False, "", lines), (True, "", []), (False, "1", None)):
-        monkeypatch.setenv("FORCE_COLOR", bar)  # a terminal, to rich
-        now[0] = 100.0
-        with progress_bar.progress("trials", 8, quiet) as add:
-            for now[0] in (130.0, 160.0, 219.0, 220.0):
-                add(1.5)
-        err = capsys.readouterr().err
-        # A bar is erased in the end.
-        assert "6/8" in err and err.endswith("\x1b[2K") if bar else err.splitlines() == said
+    with progress_bar.progress("trials", 8, quiet) as report:
+        for seconds in (130.0, 160.0, 219.0, 220.0):
+            now[0] = seconds
+            report(1.5)
+
+
+def test_progress_is_a_line_a_minute_where_there_is_no_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "")
+    report_slow_progress(monkeypatch, quiet=False)
+    assert capsys.readouterr().err.splitlines() == [
+        "trials: 3 of 8, 0.05/s, 0:01:40 left",
+        "trials: 6 of 8, 0.05/s, 0:00:40 left",
+    ]
+
+
+def test_progress_is_a_bar_in_a_terminal_and_is_erased_in_the_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # which rich takes for a terminal
+    report_slow_progress(monkeypatch, quiet=False)
+    errors = capsys.readouterr().err
+    erase_line = "\x1b[2K"
+    assert "6/8" in errors
+    assert errors.endswith(erase_line)
+
+
+def test_quiet_progress_is_not_shown(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "")
+    report_slow_progress(monkeypatch, quiet=True)
+    assert capsys.readouterr().err == ""
 
 
 # --- Commands --------------------------------------------------------------------------------------------
 
 
+GRID_OF_TWO = "robots = 4\nsteps = 300\nfilter_period = 100\ntrials = 3\nflawed = [1, 2]\n"
+
+
 @pytest.fixture
-def answer(capsys: pytest.CaptureFixture[str]) -> Callable[..., dict[str, Any]]:
-    """Runs a command that must succeed; its answer in JSON."""
+def grid_file(tmp_path: Path) -> Path:
+    """A file that describes two experiments of three trials."""
+    path = tmp_path / "grid.toml"
+    path.write_text(GRID_OF_TWO)
+    return path
+
+
+@pytest.fixture
+def run_for_json(capsys: pytest.CaptureFixture[str]) -> Callable[..., dict[str, Any]]:
+    """A function that runs a command, which must succeed, and returns its answer in JSON."""
 
     def run(*arguments: str | Path) -> dict[str, Any]:
         assert cli.main([*map(str, arguments), "--json"]) == 0
-        found: dict[str, Any] = json.loads(capsys.readouterr().out)
-        return found
+        answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return answer
 
     return run
 
 
-def test_sweep_and_score(
-    tmp_path: Path, answer: Callable[..., dict[str, Any]], capsys: pytest.CaptureFixture[str]
+def test_sweep_runs_a_file_into_results_beside_it(
+    grid_file: Path, run_for_json: Callable[..., dict[str, Any]]
 ) -> None:
-    grid, results = tmp_path / "grid.toml", tmp_path / "grid.parquet"
-    grid.write_text("robots = 4\nsteps = 300\nfilter_period = 100\ntrials = 3\nflawed = [1, 2]\n")
-    found = answer("sweep", grid, "--workers", "1")
-    assert (found["run"], found["output"]) == (6, str(results))
-    assert answer("sweep", grid, "--workers", "1")["run"] == 0
-    scored = answer("score", results, "--csv", tmp_path / "grid.csv")["experiments"]
-    assert scored == found["experiments"]
-    assert len((tmp_path / "grid.csv").read_text().splitlines()) == 7
-    other = answer("score", results, "--k-max", "300", "--e-max", "0.5")["experiments"]
-    assert all(each["limits"] == {"k_max": 300, "e_max": 0.5} for each in other)
-    assert cli.main(["sweep", str(grid), "--workers", "1"]) == 0
-    out = capsys.readouterr().out
-    assert "K_max 300, e_max 0.45; medians over the trials, H with quartiles" in out and "again:" in out
-    found_h = np.split(read_table(results)["H"].to_numpy(), 2)
-    head, *rows = (re.split(" *[│┃] *", line)[1:-1] for line in out.splitlines() if line[0] in "│┃")
+    answer = run_for_json("sweep", grid_file, "--workers", "1")
+    assert (answer["run"], answer["output"]) == (6, str(grid_file.with_suffix(".parquet")))
+
+
+def test_sweep_of_finished_results_runs_nothing(
+    grid_file: Path, run_for_json: Callable[..., dict[str, Any]]
+) -> None:
+    run_for_json("sweep", grid_file, "--workers", "1")
+    assert run_for_json("sweep", grid_file, "--workers", "1")["run"] == 0
+
+
+def test_score_reports_what_sweep_does(grid_file: Path, run_for_json: Callable[..., dict[str, Any]]) -> None:
+    answer = run_for_json("sweep", grid_file, "--workers", "1")
+    scored = run_for_json("score", grid_file.with_suffix(".parquet"))
+    assert scored["experiments"] == answer["experiments"]
+
+
+def test_score_writes_a_line_of_csv_for_each_trial(
+    grid_file: Path, run_for_json: Callable[..., dict[str, Any]]
+) -> None:
+    run_for_json("sweep", grid_file, "--workers", "1")
+    csv_file = grid_file.with_suffix(".csv")
+    run_for_json("score", grid_file.with_suffix(".parquet"), "--csv", csv_file)
+    assert len(csv_file.read_text().splitlines()) == 1 + 6
+
+
+def test_score_takes_other_limits(grid_file: Path, run_for_json: Callable[..., dict[str, Any]]) -> None:
+    run_for_json("sweep", grid_file, "--workers", "1")
+    results = grid_file.with_suffix(".parquet")
+    scored = run_for_json("score", results, "--k-max", "300", "--e-max", "0.5")
+    limits = [experiment["limits"] for experiment in scored["experiments"]]
+    assert limits == [{"k_max": 300, "e_max": 0.5}] * 2
+
+
+def table_of(output: str) -> list[list[str]]:
+    """Return the cells of the table that a command has printed, row by row."""
+    lines = [line for line in output.splitlines() if line[0] in "│┃"]
+    return [re.split(" *[│┃] *", line)[1:-1] for line in lines]
+
+
+def test_sweep_prints_what_its_table_is_of(grid_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["sweep", str(grid_file), "--workers", "1"]) == 0
+    output = capsys.readouterr().out
+    assert "K_max 300, e_max 0.45; medians over the trials, H with quartiles" in output
+    assert "again:" in output
+
+
+def test_sweep_prints_medians_of_each_experiment(
+    grid_file: Path, run_for_json: Callable[..., dict[str, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    experiments = run_for_json("sweep", grid_file, "--workers", "1")["experiments"]
+    cli.main(["sweep", str(grid_file), "--workers", "1"])
+    head, *rows = table_of(capsys.readouterr().out)
     assert head == ["flawed", "trials", "H", "h_K", "h_e", "K", "e", "updates"]
-    for number, each, row, trials in zip((1, 2), scored, rows, found_h, strict=True):
-        q25, median, q75 = np.percentile(trials, (25, 50, 75))
-        assert row[:3] == [f"{number}", "3", f"{median:.2f} [{q25:.2f}, {q75:.2f}]"]
-        h_k, h_e, steps, error, updates = (each[name]["median"] for name in head[3:])
-        assert row[3:] == [f"{h_k:.2f}", f"{h_e:.2f}", f"{steps:g}", f"{error:.5f}", f"{updates:g}"]
+    for experiment, row in zip(experiments, rows, strict=True):
+        h_k, h_e, k, e, updates = (experiment[name]["median"] for name in ("h_K", "h_e", "K", "e", "updates"))
+        assert row[3:] == [f"{h_k:.2f}", f"{h_e:.2f}", f"{k:g}", f"{e:.5f}", f"{updates:g}"]
 
 
-def test_simulate_takes_options_over_a_file(tmp_path: Path, answer: Callable[..., dict[str, Any]]) -> None:
-    path, output = tmp_path / "one.toml", tmp_path / "one.parquet"
+def test_sweep_prints_the_score_with_its_quartiles(
+    grid_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cli.main(["sweep", str(grid_file), "--workers", "1"])
+    _, *rows = table_of(capsys.readouterr().out)
+    scores = np.split(read_table(grid_file.with_suffix(".parquet"))["H"].to_numpy(), 2)
+    for flawed, row, h in zip((1, 2), rows, scores, strict=True):
+        lower_quartile, median, upper_quartile = np.percentile(h, (25, 50, 75))
+        assert row[:3] == [str(flawed), "3", f"{median:.2f} [{lower_quartile:.2f}, {upper_quartile:.2f}]"]
+
+
+@pytest.fixture
+def one_experiment(tmp_path: Path) -> Path:
+    """A file that describes one short experiment."""
+    path = tmp_path / "one.toml"
     path.write_text("steps = 100\nrobots = 3\nflawed = 1\n")
-    found = answer("simulate", path, "--robots", "6", "--flawed", "50%", "--trials", "4", "--omega", "0.1")
-    parameters = found["parameters"]
+    return path
+
+
+def test_simulate_takes_options_over_a_file(
+    one_experiment: Path, run_for_json: Callable[..., dict[str, Any]]
+) -> None:
+    options = ["--robots", "6", "--flawed", "50%", "--trials", "4", "--omega", "0.1"]
+    answer = run_for_json("simulate", one_experiment, *options)
+    parameters = answer["parameters"]
     assert [parameters[name] for name in ("steps", "robots", "flawed", "omega")] == [100, 6, 3, 0.1]
-    assert (found["trials"], found["limits"]) == (4, {"k_max": 100, "e_max": 0.45})
-    assert list(tmp_path.iterdir()) == [path]
-    answer("simulate", path, "--output", output, "--record", "100")
-    assert len(read_table(output)) == 30
+    assert (answer["trials"], answer["limits"]) == (4, {"k_max": 100, "e_max": 0.45})
 
 
-def test_a_short_experiment_starts_no_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = Mock(side_effect=UsageError("that is enough"))
-    monkeypatch.setattr("mcp_asdf_tools.library.simulate", asked)
-    for words in ("--steps 999999", "--steps 1000000", "--steps 1000 --firmware mirror"):
-        assert cli.main(f"simulate --robots 20 --trials 5 --workers 1024 {words}".split()) == 2
-    assert [each.kwargs["workers"] for each in asked.call_args_list] == [1, 1024, 1024]
+def test_simulate_writes_results_if_it_is_asked_to(
+    one_experiment: Path, tmp_path: Path, run_for_json: Callable[..., dict[str, Any]]
+) -> None:
+    run_for_json("simulate", one_experiment)
+    assert list(tmp_path.iterdir()) == [one_experiment]
+    run_for_json("simulate", one_experiment, "--output", tmp_path / "one.parquet", "--record", "100")
+    assert len(read_table(tmp_path / "one.parquet")) == 30
+
+
+@pytest.mark.parametrize(
+    ("options", "workers"),
+    [
+        ("--steps 999999", 1),
+        ("--steps 1000000", 1024),
+        ("--steps 1000 --firmware mirror", 1024),
+    ],
+)
+def test_a_short_experiment_starts_no_processes(
+    options: str, workers: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulate = Mock(side_effect=UsageError("that is enough"))
+    monkeypatch.setattr("mcp_asdf_tools.library.simulate", simulate)
+    assert cli.main(f"simulate --robots 20 --trials 5 --workers 1024 {options}".split()) == 2
+    assert simulate.call_args.kwargs["workers"] == workers
 
 
 MANY = "--robots 1000 --trials 1 --steps 20"
 
 
-def test_a_thousand_robots_are_simulated_where_they_move_or_are_in_a_graph(
-    tmp_path: Path, answer: Callable[..., dict[str, Any]]
+def test_a_thousand_robots_are_simulated_where_they_move(
+    run_for_json: Callable[..., dict[str, Any]],
 ) -> None:
-    (tmp_path / "ring").write_text("".join(f"{i} {(i + 1) % 1000}\n" for i in range(1000)))
-    for topology in ("dynamic", f"graph --graph {tmp_path / 'ring'}"):
-        found = answer("simulate", *MANY.split(), "--topology", *topology.split(), "--filter-period", "20")
-        assert found["parameters"]["robots"] == 1000 and found["trials"] == 1
+    answer = run_for_json("simulate", *MANY.split(), "--topology", "dynamic", "--filter-period", "20")
+    assert (answer["parameters"]["robots"], answer["trials"]) == (1000, 1)
+
+
+def test_a_thousand_robots_are_simulated_in_a_graph(
+    tmp_path: Path, run_for_json: Callable[..., dict[str, Any]]
+) -> None:
+    ring = tmp_path / "ring"
+    ring.write_text("".join(f"{robot} {(robot + 1) % 1000}\n" for robot in range(1000)))
+    answer = run_for_json(
+        "simulate", *MANY.split(), "--topology", "graph", "--graph", ring, "--filter-period", "20"
+    )
+    assert (answer["parameters"]["robots"], answer["trials"]) == (1000, 1)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "message"),
     [
         ("simulate --robots 0", "--robots is 0; it must be 1 to 65536"),
         (f"simulate {MANY}", "--robots is 1000, but each would hear 999 others, and a round of the firmware"),
@@ -468,25 +595,25 @@ def test_a_thousand_robots_are_simulated_where_they_move_or_are_in_a_graph(
         ("plot absent.parquet x.gif", "ends in"),
     ],
 )
-def test_bad_usage_is_told(arguments: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_usage_is_reported(arguments: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(arguments.split()) == 2
-    assert words in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 # --- Signals ---------------------------------------------------------------------------------------------
 
-SMALL = Experiment(firmware="mirror", steps=20, trials=100, robots=4)
-SLOW = Experiment(firmware="mirror", steps=400, trials=400, robots=4)
+SHORT_SWEEP = Experiment(firmware="mirror", steps=20, trials=100, robots=4)
+LONG_SWEEP = Experiment(firmware="mirror", steps=400, trials=400, robots=4)
 
 
 @pytest.fixture
 def slow_sweep(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """A sweep that takes long, in a process group of its own as in a terminal."""
     (tmp_path / "slow.toml").write_text("firmware = 'mirror'\nsteps = 400\ntrials = 400\nrobots = 4\n")
-    words = ["-m", "mcp_asdf_tools.cli.main", "sweep", str(tmp_path / "slow.toml"), "--workers", "2"]
+    command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", "sweep", str(tmp_path / "slow.toml")]
     with interruptible():
         process = subprocess.Popen(
-            [sys.executable, *words], cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True
+            [*command, "--workers", "2"], cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True
         )
     yield process
     if process.poll() is None:
@@ -519,24 +646,24 @@ def test_a_signal_keeps_what_is_finished(
     assert slow_sweep.returncode == 128 + number
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
-    done = sum(len(read_table(path)) for path in parts.glob("*.parquet"))
-    assert 0 < done == 400 - Store(tmp_path / "slow.parquet", [SLOW]).missing_count
+    finished_trials = sum(len(read_table(path)) for path in parts.glob("*.parquet"))
+    assert 0 < finished_trials == 400 - Store(tmp_path / "slow.parquet", [LONG_SWEEP]).missing_count
 
 
 def test_ctrl_c_while_a_part_is_written_loses_nothing(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = Store(output, [SMALL])
+    store = Store(output, [SHORT_SWEEP])
     write_tables = result_files.write_tables
 
-    def interrupted(path: Path, tables: Any) -> None:
+    def write_and_interrupt(path: Path, tables: Any) -> None:
         write_tables(path, tables)
         if path != output and len(row_counts(store.parts)) == 1:
             signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 0.0)
-    monkeypatch.setattr(store_module, "write_tables", interrupted)
+    monkeypatch.setattr(store_module, "write_tables", write_and_interrupt)
     with interruptible(), pytest.raises(KeyboardInterrupt):
         run_sweep(store, workers=1)
-    assert 0 < Store(output, [SMALL]).missing_count == store.missing_count < SMALL.trials
+    assert 0 < Store(output, [SHORT_SWEEP]).missing_count == store.missing_count < SHORT_SWEEP.trials
 
 
 def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen[str]) -> None:
