@@ -67,7 +67,10 @@ def _effective_values(experiments: Sequence[Trials], name: str) -> set[Any]:
 
 
 def name_series(experiment: Experiment, varying_names: Sequence[str]) -> str:
-    """Return the filter's name and the varying parameters that have an effect, such as "ASDF+, omega 2"."""
+    """Return the name of an experiment's series, such as "ASDF+, omega 2".
+
+    It has the name of the filter, and those parameters of ``varying_names`` that have an effect.
+    """
     names = [filter_name(experiment)]
     for name in varying_names:
         if has_effect(experiment, name):
