@@ -57,8 +57,8 @@ class RealTimeClock:
             seconds_left = begin_time - self._now()
         self._lateness.append(-seconds_left)
 
-    def patience(self, tick: int) -> float:
-        """Return the seconds left to wait for frames of this tick: until the middle of its period, or 0."""
+    def seconds_left_to_receive(self, tick: int) -> float:
+        """Return how many seconds are left of the first half of this tick's period; 0 if it is over."""
         deadline = self._start + (tick + _RECEIVING_SHARE) * self._period
         return max(0.0, deadline - self._now())
 

@@ -310,7 +310,7 @@ class Carrier:
 
     def _timeout(self, tick: int) -> float | None:
         """Return how many seconds to wait for frames of this tick; None if all must arrive."""
-        return None if self._clock is None else self._clock.patience(tick)
+        return None if self._clock is None else self._clock.seconds_left_to_receive(tick)
 
     def deliver(self, tick: int) -> Deliveries:
         """Let each robot receive its frames of this tick, after all have been sent; returns the deliveries.

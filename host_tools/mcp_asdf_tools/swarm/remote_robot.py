@@ -37,10 +37,15 @@ _HOW_TO_HAVE_A_BUS_EACH = "write {robot} where the id stands in the channel, suc
 
 
 def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
-    """Check that a swarm with these settings can have the remote robots of ``wiring``.
+    """Check that a swarm with these settings can have the remote robots of ``wiring``, if there are any.
 
-    Remote robots run in other programs. Raises UsageError if there are more robots than ids, an id is none of
-    the swarm's, a subject is taken, a fault would crash a remote robot, or a shared bus does not fit.
+    Remote robots run in other programs, and a driver commands them over the bus. Raises UsageError
+
+    - if there are so many robots that no id is left for the driver,
+    - if a remote robot's id is none of the swarm's,
+    - if the estimates have the subject of commands or of telemetry,
+    - if a fault would crash a remote robot, which is beyond this program's reach, or
+    - if the robots share a bus, but a setting needs a bus for each (`_check_remote_on_shared_bus`).
     """
     remote = wiring.remote
     if not remote:
@@ -53,10 +58,11 @@ def check_remote(settings: SwarmSettings, wiring: Wiring) -> None:
     all_robots = set(range(settings.robots))
     if not remote <= all_robots:
         raise UsageError(f"robot {max(remote)} is to run elsewhere, but ids are 0 to {settings.robots - 1}")
-    Subjects(estimates=settings.frames)  # raises UsageError if commands or telemetry have this subject
+    # The driver needs subjects for commands and telemetry, too. The class refuses equal ones.
+    Subjects(estimates=settings.frames)
     for fault in settings.faults:
-        crashing_robots = fault.robots or all_robots
-        if isinstance(fault, Crash) and not remote.isdisjoint(crashing_robots):
+        affected_robots = fault.robots or all_robots  # a fault without robots affects all
+        if isinstance(fault, Crash) and not remote.isdisjoint(affected_robots):
             raise UsageError(
                 f"fault {fault} cannot affect robots that run elsewhere; name others, or use busoff"
             )
@@ -72,6 +78,7 @@ def _check_remote_on_shared_bus(settings: SwarmSettings, *, is_every_robot_remot
     """
     if not is_every_robot_remote:
         raise UsageError(f"robots here and elsewhere need a bus each: {_HOW_TO_HAVE_A_BUS_EACH}")
+    # On one bus every frame reaches every robot at once, and nothing can keep it from one.
     is_undisturbed = not settings.faults and settings.latency == 0
     if not is_undisturbed or settings.topology != "fully-connected":
         raise UsageError(
@@ -201,11 +208,14 @@ class Driver:
                 self._observe_at_once({robot: observations[robot]})
         else:
             self._observe_at_once(observations)
-        frames = [*other_frames, *(frame for _, frame in sorted(self._estimate_frames.items()))]
-        return [(self.nodes[sender_of(frame)], frame) for frame in frames]
+        estimate_frames = [frame for _, frame in sorted(self._estimate_frames.items())]
+        return [(self.nodes[sender_of(frame)], frame) for frame in other_frames + estimate_frames]
 
     def _observe_at_once(self, observations: Mapping[int, Observation | None]) -> None:
-        """Command robots to observe, and wait for the estimates of those whose round is over."""
+        """Command robots to observe, and wait for the estimates of those whose round is over.
+
+        Their halves in this process observe, too, and take x_hat from the estimates.
+        """
         self._lockstep.observe(observations)
         broadcasting_robots = []
         for robot, z in observations.items():
@@ -239,7 +249,7 @@ class Driver:
         return firmware
 
     def _handle_frame(self, frame: can.Message) -> None:
-        """Report a frame on the bus, and keep it if one of the robots sent it.
+        """Report a frame on the bus to ``on_frame``, and keep it if one of the robots sent it.
 
         An estimate is kept for this tick, the first of each robot only; telemetry is not, since it is the
         answer to *settle*; any other frame is kept for the next tick. An error frame is counted by all

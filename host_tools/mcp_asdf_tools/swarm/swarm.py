@@ -119,10 +119,13 @@ class Swarm:
         self._delivery_queue = DeliveryQueue(
             self._current_neighbours, self.faults.on_delivery, settings.latency
         )
-        on_received = None if on_frame is None else _marked_as_received(on_frame, wiring)
+        if on_frame is not None:
+            # Without a bus frames have no channel, so they get the name that logs are to have.
+            channel = wiring.channel if wiring.open_bus is None else None
+            on_frame = _mark_as_received(on_frame, channel)
         self._carrier = Carrier(self.nodes, self._delivery_queue, settings.frames, self.clock)
-        self._carrier.join(wiring, on_received)
-        self._drivers = self._create_drivers(wiring, on_received)
+        self._carrier.join(wiring, on_frame)
+        self._drivers = self._create_drivers(wiring, on_frame)
 
     def _create_robot(self, record: RobotSetup) -> BusRobot:
         """Create a robot, or the half in this process of a remote one."""
@@ -133,14 +136,17 @@ class Swarm:
         return create(record, self.settings.frames, recorders.get(record.id))
 
     def _create_drivers(self, wiring: Wiring, on_frame: FrameTaker | None) -> list[Driver]:
-        """Create the drivers of remote robots, one for each bus."""
+        """Create the drivers of remote robots, one for each bus.
+
+        ``on_frame`` is called with every frame on these buses, commands included.
+        """
         remote_nodes = [node for node in self.nodes if node.id in wiring.remote]
-        groups = [[node] for node in remote_nodes]
+        nodes_by_bus = [[node] for node in remote_nodes]
         if wiring.is_shared and remote_nodes:
-            groups = [remote_nodes]
+            nodes_by_bus = [remote_nodes]
         order_matters = self.settings.swarm_filter.order_matters
         drivers = []
-        for nodes in groups:
+        for nodes in nodes_by_bus:
             bus = self._carrier.bus_connections[nodes[0].id].bus
             drivers.append(Driver(bus, nodes, self.settings.frames, on_frame, order_matters))
         return drivers
@@ -215,7 +221,10 @@ class Swarm:
         return [] if self._external_robot is None else deliveries.frames_for(self._external_robot)
 
     def _survives(self, node: BusRobot) -> bool:
-        """Let a robot crash or rejoin as the faults require in this tick; returns whether it is alive."""
+        """Let a robot crash or rejoin as the faults require in this tick; returns whether it is alive.
+
+        A robot that stays as it was, alive or dead, is not changed.
+        """
         outage = self.faults.robot_outage(node.id)
         if outage is None and not node.is_alive:
             node.rejoin()
@@ -329,16 +338,17 @@ def _sender_id(robot_frame: RobotFrame) -> int:
     return robot.id
 
 
-def _marked_as_received(on_frame: FrameTaker, wiring: Wiring) -> FrameTaker:
-    """Return a callback that marks a frame as received and passes it on.
+def _mark_as_received(on_frame: FrameTaker, channel: str | None) -> FrameTaker:
+    """Return a callback that marks a frame as received, and passes it on to ``on_frame``.
 
-    SocketCAN marks frames from this computer as sent, and without a bus a frame has no channel.
+    It also sets the frame's channel to ``channel``, unless that is None.
     """
 
     def mark_and_pass_on(frame: can.Message) -> None:
+        # SocketCAN marks frames from this computer as sent.
         frame.is_rx = True
-        if wiring.open_bus is None:
-            frame.channel = wiring.channel
+        if channel is not None:
+            frame.channel = channel
         on_frame(frame)
 
     return mark_and_pass_on

@@ -62,4 +62,4 @@ def test_sleeps_that_end_early_are_gone_on_with_and_patience_ends_in_the_middle_
     assert watch.now >= 1000 + PERIOD
     for now, left in ((0.125, 0.0625), (0.15625, 0.03125), (9, 0)):
         watch.now = 1000 + now
-        assert clock.patience(1) == left
+        assert clock.seconds_left_to_receive(1) == left

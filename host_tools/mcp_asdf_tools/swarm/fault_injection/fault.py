@@ -65,7 +65,7 @@ class Fault:
     robots: frozenset[int] | None = None
 
     def check(self) -> None:
-        """Raise UsageError if the options do not make a fault together."""
+        """Raise UsageError if an option is missing that the kind of fault needs."""
 
     def on_tick(self, node: int, tick: int, run: FaultRun) -> Outage | None:
         """Return how the fault keeps ``node`` off the bus in this tick; None if it does not.
@@ -143,8 +143,7 @@ class FaultRun:
         """Return whether the fault is active for a node and hits it in this tick. Counts nothing."""
         if not self.fault.is_active(tick, node):
             return False
-        random_word, _ = self.random.words_for_node(node, tick)
-        return random_word <= hit_threshold(self.fault.rate)
+        return self.random.hit_word(node, tick) <= hit_threshold(self.fault.rate)
 
     def hits_frame(self, sent_frame: SentFrame) -> bool:
         """Return whether the fault is active for a frame's sender and hits the frame, and count the hit."""
@@ -164,13 +163,16 @@ class FaultRun:
     def words_for_deliveries(self, deliveries: Deliveries, words_per_receiver: int) -> RandomWords:
         """Draw random words for each frame and receiver, shape (frames, receivers, words per receiver).
 
-        Frames for which the fault is not active get zeros.
+        A copy of a frame that a fault has duplicated, which has another copy number, gets other words than
+        the frame itself. Frames for which the fault is not active get zeros.
         """
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
         frame_count, receiver_count = deliveries.receivers.shape
         random_words = np.zeros((frame_count, receiver_count, words_per_receiver), np.uint64)
-        for index in np.flatnonzero(self.active_frames(deliveries.sent_frames)).tolist():
+        # Frames that cannot be hit need no words.
+        active_indices = np.flatnonzero(self.active_frames(deliveries.sent_frames))
+        for index in active_indices.tolist():
             random_words[index] = self.random.words_for_receivers(
                 deliveries.sent_frames[index], deliveries.copy_number, receiver_count, words_per_receiver
             )

@@ -40,7 +40,8 @@ class Faults:
         self._runs: list[FaultRun] = []
         faults_of_kind = Counter[str]()
         for fault in self.faults:
-            random = FaultRandom(seed, fault.name, faults_of_kind[fault.name])
+            # Two faults of one kind have different numbers, and so draw different random words.
+            random = FaultRandom(seed, fault.name, fault_number=faults_of_kind[fault.name])
             faults_of_kind[fault.name] += 1
             self._runs.append(FaultRun(fault=fault, random=random, frame_format=frame_format))
         self._tick = -1
@@ -95,6 +96,7 @@ class Faults:
             return SentFrame(frame, sender, self._tick)
         if self.is_off_bus(sender):
             return None
+        # Frames with the same identifier in a tick draw different random words by their repetition.
         repetition = self._frames_sent[sender, frame.arbitration_id]
         self._frames_sent[sender, frame.arbitration_id] += 1
         sent_frame = SentFrame(frame, sender, self._tick, repetition)
@@ -109,8 +111,9 @@ class Faults:
         O(faults frames receivers).
         """
         receivers = in_range.copy()
-        receivers[:, list(self._outages)] = False
-        deliveries = [Deliveries(sent_frames, receivers, np.zeros(len(sent_frames), np.uint64))]
+        receivers[:, list(self._outages)] = False  # nodes that are off the bus receive nothing
+        no_bit_flips = np.zeros(len(sent_frames), np.uint64)
+        deliveries = [Deliveries(sent_frames, receivers, no_bit_flips)]
         for run in self._runs:
             changed_deliveries: list[Deliveries] = []
             for unchanged in deliveries:

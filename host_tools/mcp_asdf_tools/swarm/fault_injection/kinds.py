@@ -43,10 +43,12 @@ class LinkFault(Fault):
     def on_delivery(self, deliveries: Deliveries, run: FaultRun) -> list[Deliveries]:
         """Return the deliveries that are spared, and what ``change`` makes of those that are hit.
 
-        The hits are counted. O(frames receivers).
+        Whether a frame is hit on its way to a receiver is drawn for each of them. The hits are counted.
+        O(frames receivers).
         """
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
+        # The first word for a frame and a receiver decides on the hit; ``change`` gets the others.
         random_words = run.words_for_deliveries(deliveries, 1 + self.extra_words)
         hit_words, extra_words = random_words[:, :, 0], random_words[:, :, 1:]
         # The words of inactive frames are zeros, which would be hits.
@@ -111,7 +113,7 @@ class Duplicate(LinkFault):
     def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
         """Return the deliveries, and copies of them that are later by ``ticks``."""
         # A bit for each duplicate fault, so that copies made by different faults have different numbers.
-        copy_number = hit.copy_number | 1 << run.random.fault_number
+        copy_number = hit.copy_number | (1 << run.random.fault_number)
         copies = replace(hit, delay=hit.delay + self.ticks, copy_number=copy_number)
         return [hit, copies]
 
@@ -131,7 +133,10 @@ class Corrupt(LinkFault):
         return self.bits
 
     def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
-        """Return the deliveries with bits flipped, one entry for each frame and receiver."""
+        """Return the deliveries with bits flipped, one entry for each frame and receiver.
+
+        ``extra_words`` chooses the bits: a word for each.
+        """
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
         # Entry i of the result is the frame of index frame_indices[i] for the receiver receivers[i] alone.
@@ -142,7 +147,8 @@ class Corrupt(LinkFault):
 
         sent_frames = [hit.sent_frames[index] for index in frame_indices.tolist()]
         byte_counts = [min(len(sent_frame.frame.data), FRAME_BYTES) for sent_frame in sent_frames]
-        new_flips = choose_bits(8 * np.array(byte_counts, np.int64), extra_words[frame_indices, receivers])
+        bit_counts = 8 * np.array(byte_counts, np.int64)
+        new_flips = choose_bits(bit_counts, extra_words[frame_indices, receivers])
         # A bit that an earlier fault has flipped is flipped back.
         bit_flips = hit.bit_flips[frame_indices] ^ new_flips
         return [replace(hit, sent_frames=sent_frames, receivers=single_receivers, bit_flips=bit_flips)]
@@ -163,8 +169,11 @@ class OutageFault(Fault):
         raise NotImplementedError
 
     def on_tick(self, node: int, tick: int, run: FaultRun) -> Outage | None:
-        """Return the outage while one lasts or if one begins, and count the tick."""
-        # The memory of a node is the number of ticks that its outage lasted on, the last tick included.
+        """Return the outage while one lasts or if one begins, and count the tick as a hit.
+
+        Returns None, and counts nothing, for a node that is on the bus.
+        """
+        # The memory of a node is the number of ticks that its outage went on at the last tick, that included.
         ticks_left = max(run.memory.get(node, 0) - 1, 0)
         if ticks_left == 0 and run.hits_node(node, tick):
             ticks_left = self.ticks
@@ -214,7 +223,10 @@ class Freeze(Fault):
     summary = "a broadcast repeats the estimate of the robot's last regular one"
 
     def on_send(self, sent_frame: SentFrame, run: FaultRun) -> SentFrame:
-        """Return the frame with the old estimate if it is hit; frames that are no estimate are spared."""
+        """Return the frame with the values of the robot's last estimate that was not frozen, if it is hit.
+
+        Its transfer_id stays. Frames that are no estimate are not changed, nor is a robot's first estimate.
+        """
         estimate = decode_estimate(sent_frame.frame, run.frame_format)
         if not isinstance(estimate, Estimate):
             return sent_frame
@@ -244,7 +256,10 @@ class Liar(Fault):
     alpha: float = parameter("confidence that is claimed", 0, float32_value(MAX_FLOAT32_BITS), default=1e6)
 
     def on_send(self, sent_frame: SentFrame, run: FaultRun) -> SentFrame:
-        """Return the frame with the false estimate if it is hit; frames that are no estimate are spared."""
+        """Return the frame with ``x`` and ``alpha`` in place of the robot's own estimate, if it is hit.
+
+        Frames that are no estimate are not changed.
+        """
         estimate = decode_estimate(sent_frame.frame, run.frame_format)
         if not isinstance(estimate, Estimate) or not run.hits_frame(sent_frame):
             return sent_frame
@@ -272,11 +287,12 @@ class Collide(Fault):
             raise UsageError(f"fault {self.name} needs the id to send under, such as id=3")
 
     def on_send(self, sent_frame: SentFrame, run: FaultRun) -> SentFrame:
-        """Return the frame under the other id if it is hit."""
+        """Return the frame with the other node's id in its identifier, if it is hit."""
         if self.id is None or not run.hits_frame(sent_frame):
             return sent_frame
         frame = copy.copy(sent_frame.frame)
-        frame.arbitration_id = frame.arbitration_id & ~MAX_NODE_ID | self.id  # the lowest seven bits
+        # The sender's id is in the lowest seven bits of the identifier.
+        frame.arbitration_id = (frame.arbitration_id & ~MAX_NODE_ID) | self.id
         return replace(sent_frame, frame=frame)
 
 
@@ -297,17 +313,19 @@ class Babble(Fault):
     frames: int = parameter("frames per tick", 0, 10_000, default=10)
 
     def extra_frames(self, node: int, tick: int, timestamp: float, run: FaultRun) -> list[can.Message]:
-        """Return the random frames if the node is hit, and count them."""
+        """Return ``frames`` frames with the node's identifier and 64 random bits of data each.
+
+        Returns none in a tick in which the fault does not hit the node. The frames count as hits of the
+        fault.
+        """
         if not run.hits_node(node, tick):
             return []
         run.hit_count += self.frames
-        # Of the two words of a node the first has decided on the hit; the second is the frame's content.
         identifier = run.frame_format.identifier(node)
-        frames = []
-        for repetition in range(self.frames):
-            _, content = run.random.words_for_node(node, tick, repetition)
-            frames.append(make_frame(identifier, content, timestamp))
-        return frames
+        return [
+            make_frame(identifier, run.random.content_word(node, tick, index), timestamp)
+            for index in range(self.frames)
+        ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -334,7 +352,11 @@ class Sybil(Fault):
             raise UsageError(f"fault {self.name} needs the ids to send under, such as ids=30-39")
 
     def extra_frames(self, node: int, tick: int, timestamp: float, run: FaultRun) -> list[can.Message]:
-        """Return an estimate under each of the ids if the node is hit, and count them."""
+        """Return a false estimate, ``x`` with confidence ``alpha``, under each of the fault's ``ids``.
+
+        Returns none in a tick in which the fault does not hit the node. The frames count as hits of the
+        fault.
+        """
         if self.ids is None or not run.hits_node(node, tick):
             return []
         run.hit_count += len(self.ids)
@@ -348,7 +370,8 @@ def _encode_claim(x: float, alpha: float, transfer_id: int) -> int:
 
     The codec of estimates does not serve here: it rounds alpha to the numbers that the firmware can have.
     """
-    return ESTIMATE.pack(transfer_id, {"x_hat": round(x * Q23_ONE), "alpha": float32_bits(alpha)})
+    x_hat = round(x * Q23_ONE)  # units of 2**-23
+    return ESTIMATE.pack(transfer_id, {"x_hat": x_hat, "alpha": float32_bits(alpha)})
 
 
 FAULT_KINDS: tuple[type[Fault], ...] = (

@@ -29,8 +29,9 @@ def parse_fault(fault_text: str) -> Fault:
     first_item, *items = (item.strip() for item in fault_text.split(","))
     name, equals_sign, rate = first_item.partition("=")
     if name not in _KINDS_BY_NAME:
-        fix = offer(name, _KINDS_BY_NAME) or f"; choose one of {', '.join(_KINDS_BY_NAME)}"
-        raise UsageError(f"fault {fault_text!r}: no kind is called {name!r}{fix}")
+        # Either text continues the message, and begins with a semicolon.
+        ending = offer(name, _KINDS_BY_NAME) or f"; choose one of {', '.join(_KINDS_BY_NAME)}"
+        raise UsageError(f"fault {fault_text!r}: no kind is called {name!r}{ending}")
     kind = _KINDS_BY_NAME[name]
 
     options = [*_COMMON_OPTIONS, *kind.own_options()]
@@ -40,8 +41,8 @@ def parse_fault(fault_text: str) -> Fault:
     for item in items:
         option, _, value = item.partition("=")
         if option not in options:
-            fix = offer(option, options) or f"; its options are {', '.join(options)}"
-            raise UsageError(f"fault {fault_text!r}: {name} has no option {option!r}{fix}")
+            ending = offer(option, options) or f"; its options are {', '.join(options)}"
+            raise UsageError(f"fault {fault_text!r}: {name} has no option {option!r}{ending}")
         field_name = _FIELD_OF_OPTION.get(option, option)
         if field_name in values:
             raise UsageError(f"fault {fault_text!r}: {option} is given twice; give it once")
@@ -56,7 +57,8 @@ def parse_fault(fault_text: str) -> Fault:
 
 def _parse_option(fault_text: str, kind: type[Fault], option: str, value: str) -> Any:
     """Return the value of an option of a fault. Raises UsageError if it is not a legal one."""
-    declared = parameters_of(kind).get(_FIELD_OF_OPTION.get(option, option))
+    field_name = _FIELD_OF_OPTION.get(option, option)
+    declared = parameters_of(kind).get(field_name)
     if declared is None:  # all options that are no declared parameters are sets of ids
         return parse_ids(value, f"fault {fault_text!r}: {option}")
     if declared.choices:
@@ -70,7 +72,7 @@ def _parse_option(fault_text: str, kind: type[Fault], option: str, value: str) -
         number = number_type(value)
     except ValueError:
         raise _option_error(fault_text, option, value, requirement) from None
-    if not declared.minimum <= number <= declared.maximum:  # also if it is not a number
+    if not declared.minimum <= number <= declared.maximum:  # this refuses NaN, too
         raise _option_error(fault_text, option, value, requirement)
     return number
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     RandomWords: TypeAlias = NDArray[np.uint64]
 
 _KEY = struct.Struct("<IIIBBBB")
+"""What a word is for, as `FaultRandom._hash_bytes` hashes it, and a byte of 0 that makes it 16 bytes."""
 
 
 class _Purpose(IntEnum):
@@ -49,13 +50,26 @@ class FaultRandom:
             seed.to_bytes(16, "little") + f"{fault_name} {fault_number}".encode()
         )
 
-    def words_for_node(self, node: int, tick: int, repetition: int = 0) -> tuple[int, int]:
+    def hit_word(self, node: int, tick: int) -> int:
+        """Return the word that decides whether the fault hits a node in a tick."""
+        word, _ = self._words_for_node(node, tick, 0)
+        return word
+
+    def content_word(self, node: int, tick: int, index: int) -> int:
+        """Return the word that is the content of the frame of this index among a node's in a tick."""
+        _, word = self._words_for_node(node, tick, index)
+        return word
+
+    def _words_for_node(self, node: int, tick: int, repetition: int) -> tuple[int, int]:
         """Return two words for a node in a tick; other repetitions have other words."""
-        return struct.unpack("<2Q", self._hash_bytes(2, tick, repetition, 0, node, 0, _Purpose.NODE))
+        # 0 stands for the identifier and the copy number of a frame, as there is none.
+        hash_bytes = self._hash_bytes(2, tick, repetition, 0, node, 0, _Purpose.NODE)
+        return struct.unpack("<2Q", hash_bytes)
 
     def word_for_frame(self, sent_frame: SentFrame) -> int:
         """Return a word for a frame, the same for all of its receivers."""
-        return int.from_bytes(self._hash_bytes(1, *_frame_key(sent_frame), 0, _Purpose.FRAME), "little")
+        hash_bytes = self._hash_bytes(1, *_frame_key(sent_frame), 0, _Purpose.FRAME)
+        return int.from_bytes(hash_bytes, "little")
 
     def words_for_receivers(
         self, sent_frame: SentFrame, copy_number: int, receiver_count: int, words_per_receiver: int
@@ -67,7 +81,8 @@ class FaultRandom:
         """
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
-        key = (*_frame_key(sent_frame), copy_number % 256, _Purpose.RECEIVERS)  # one byte for the number
+        # The key has one byte for the copy number.
+        key = (*_frame_key(sent_frame), copy_number % 256, _Purpose.RECEIVERS)
         hash_bytes = self._hash_bytes(receiver_count * words_per_receiver, *key)
         return np.frombuffer(hash_bytes, "<u8").reshape(receiver_count, words_per_receiver)
 
