@@ -69,7 +69,7 @@ class Wire(can.BusABC):
             self._waiting.append(arriving)
             for other in self.nodes:
                 if other is not node:
-                    self.say(other, other.hear(frame))
+                    self.say(other, other.receive_frame(frame))
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Let all nodes hear a frame of the tool, and return it to the tool, marked as its own."""
@@ -77,7 +77,7 @@ class Wire(can.BusABC):
         self.sent.append(msg)
         self._waiting.append(msg)
         for node in self.nodes:
-            self.say(node, node.hear(msg))
+            self.say(node, node.receive_frame(msg))
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """The next frame, at once; if none is on its way, the time of ``still`` has passed in vain."""

@@ -218,7 +218,7 @@ def as_subject(mask: int) -> Callable[[can.Message], None]:
 # --- Wrong nodes: what they hear ---
 
 
-@wrong("_obey", "nothing seen", "a buffer of 4 commands")
+@wrong("_follow_command", "nothing seen", "a buffer of 4 commands")
 def _(node: Any, right: Act, command: Command) -> list[can.Message]:
     node.waiting = 0 if command.action is Action.SETTLE else getattr(node, "waiting", 0) + 1
     return right(command) if node.waiting <= 4 else []
@@ -293,14 +293,14 @@ def to_nearest(frame: can.Message) -> can.Message:
 # --- Wrong nodes: commands ---
 
 
-@wrong("_obey", "stray commands", "settles in any tick")
+@wrong("_follow_command", "stray commands", "settles in any tick")
 def _(node: Any, right: Act, command: Command) -> Any:
     if command.action is Action.SETTLE and command.target in (ID, EVERY_ROBOT):
         node._tick_of_command = command.tick
     return right(command)
 
 
-@wrong("_obey", "nothing seen", "stays in a tick")
+@wrong("_follow_command", "nothing seen", "stays in a tick")
 def _(node: Any, right: Act, command: Command) -> Any:
     return [] if not node.is_settled and command.tick != node._tick_of_command else right(command)
 
@@ -331,7 +331,8 @@ def sends(subject: int, spoil: Callable[[can.Message], list[can.Message] | objec
 def numbers_of(bits: int) -> Wrong:
     """A controller that keeps so many bits of the number of a tick."""
     return node(
-        "unusual commands", _obey=given(lambda command: replace(command, tick=command.tick % 2**bits))
+        "unusual commands",
+        _follow_command=given(lambda command: replace(command, tick=command.tick % 2**bits)),
     )
 
 
@@ -476,7 +477,7 @@ WRONG |= {
         "re-estimates without a test", "messages_needed = 2 if config.filter == Filter.ADAPTIVE else {1 => 2}"
     ),
     **{
-        f"{most} messages in a tick": node("a crowded tick", hear=takes_messages(most))
+        f"{most} messages in a tick": node("a crowded tick", receive_frame=takes_messages(most))
         for most in (200, 256, 500)
     },
     # The robust filter: votes
@@ -595,13 +596,15 @@ WRONG |= {
         "many rejections", "(s.updates + 1) & {COUNTER_MASK => 31}"
     ),
     # What it hears
-    "compares the priority of estimates": node("unusual identifiers", hear=compares(3000, 7 << 26)),
-    "compares ignored bits of estimates": node("unusual identifiers", hear=compares(3000, 3 << 21)),
+    "compares the priority of estimates": node("unusual identifiers", receive_frame=compares(3000, 7 << 26)),
+    "compares ignored bits of estimates": node("unusual identifiers", receive_frame=compares(3000, 3 << 21)),
     "refuses large alphas": node(
         "nothing seen",
-        hear=drops(lambda frame: is_estimate(frame) and alpha_float32_bits(frame) >= float32_bits(2.0**31)),
+        receive_frame=drops(
+            lambda frame: is_estimate(frame) and alpha_float32_bits(frame) >= float32_bits(2.0**31)
+        ),
     ),
-    "rounds foreign alphas": node("nothing seen", hear=given(to_nearest)),
+    "rounds foreign alphas": node("nothing seen", receive_frame=given(to_nearest)),
     "hears itself": node(
         "its own id", _receive=given(lambda each: replace(each, sender=99) if each.sender == ID else each)
     ),
@@ -609,13 +612,13 @@ WRONG |= {
         "between ticks", _receive=lambda node, right, message: None if node.is_settled else right(message)
     ),
     **{
-        f"accepts frames with {reason.name}": node("invalid frames", hear=accepts(reason))
+        f"accepts frames with {reason.name}": node("invalid frames", receive_frame=accepts(reason))
         for reason in Rejection
         if Rejection.STANDARD_ID.value >= reason.value >= Rejection.RESERVED_BITS.value
         or reason in (Rejection.REMOTE_FRAME, Rejection.LENGTH, Rejection.ALPHA)
     },
     **{
-        name: node("invalid frames", hear=reads(reason, mend))
+        name: node("invalid frames", receive_frame=reads(reason, mend))
         for name, reason, mend in (
             ("does not look at the start bit", Rejection.MULTI_FRAME, put(7, lambda byte: byte | 1 << 7)),
             ("does not look at the end bit", Rejection.MULTI_FRAME, put(7, lambda byte: byte | 1 << 6)),
@@ -633,26 +636,36 @@ WRONG |= {
     "answers late": node(
         "nothing seen", observe=lambda node, right, z: ([] if node.is_settled else node.settle()) + right(z)
     ),
-    "obeys others": node("stray commands", _obey=given(lambda command: replace(command, target=ID))),
+    "obeys others": node(
+        "stray commands", _follow_command=given(lambda command: replace(command, target=ID))
+    ),
     "ignores settles for every robot": node(
         "unusual commands",
-        _obey=drops(lambda command: command.target == EVERY_ROBOT and command.action is Action.SETTLE),
+        _follow_command=drops(
+            lambda command: command.target == EVERY_ROBOT and command.action is Action.SETTLE
+        ),
     ),
-    "obeys one node": node("unusual commands", _obey=drops(lambda command: command.sender != DRIVER_ID)),
+    "obeys one node": node(
+        "unusual commands", _follow_command=drops(lambda command: command.sender != DRIVER_ID)
+    ),
     "checks the spare byte": node(
         "unusual commands",
-        hear=drops(lambda frame: isinstance(decode_command(frame), Command) and frame.data[6] != 0),
+        receive_frame=drops(lambda frame: isinstance(decode_command(frame), Command) and frame.data[6] != 0),
     ),
-    "compares the priority of commands": node("unusual commands", hear=compares(3002, 7 << 26)),
-    "compares ignored bits of commands": node("unusual commands", hear=compares(3002, 3 << 21)),
+    "compares the priority of commands": node("unusual commands", receive_frame=compares(3002, 7 << 26)),
+    "compares ignored bits of commands": node("unusual commands", receive_frame=compares(3002, 3 << 21)),
     "numbers of 8 bits": numbers_of(8),
     "numbers of 31 bits": numbers_of(31),
     "ignores older numbers": node(
         "unusual commands",
-        _obey=lambda node, right, each: [] if each.tick < (node._tick_of_command or 0) else right(each),
+        _follow_command=lambda node, right, each: (
+            [] if each.tick < (node._tick_of_command or 0) else right(each)
+        ),
     ),
     "estimate before heartbeat": node("nothing seen", observe=lambda node, right, z: right(z)[::-1]),
-    "hangs": node("nothing seen", hear=lambda node, right, frame: right(frame) if node.ticks < 200 else []),
+    "hangs": node(
+        "nothing seen", receive_frame=lambda node, right, frame: right(frame) if node.ticks < 200 else []
+    ),
     # The wire
     "another priority": sends(3000, flip(1 << 26)),
     "another priority of telemetry": sends(3001, flip(1 << 27)),

@@ -54,7 +54,7 @@ def test_a_node_on_a_controller_has_the_bits_of_a_python_node(
     draw, frames = random.Random(5), list[can.Message]()
     options = ("--lockstep", "--b-hat", 0.75, "--filter-period", 5, "--steps", 25)
     with CNode(built(PLAIN, tmp_path_factory), "can0", 3, *options) as node:
-        lockstep = Lockstep(wire, timeout=PATIENCE, watch=frames.append)
+        lockstep = Lockstep(wire, timeout=PATIENCE, on_frame=frames.append)
         lockstep.wait_until_up([3], PATIENCE)
         for tick in range(25):
             lockstep.observe({3: Observation(draw.randrange(2))})

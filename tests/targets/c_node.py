@@ -202,7 +202,7 @@ def assert_same_run(log: Iterable[can.Message], figures: dict[str, Any], node: R
         if frame.arbitration_id & MAX_NODE_ID == node.id:
             said.append(frame)
         else:
-            answers += node.hear(frame)
+            answers += node.receive_frame(frame)
     assert content(greeted_once(said)) == content(answers)
     assert_same_robot(figures, node)
 
@@ -214,7 +214,7 @@ def drive(bus: can.BusABC, robots: Collection[int], ticks: int, seed: int) -> li
     """
     draw = random.Random(seed)
     frames: list[can.Message] = []
-    lockstep = Lockstep(bus, timeout=PATIENCE, watch=frames.append)
+    lockstep = Lockstep(bus, timeout=PATIENCE, on_frame=frames.append)
     lockstep.wait_until_up(robots, PATIENCE)
     for _ in range(ticks):
         lockstep.observe({robot: Observation(draw.randrange(2)) for robot in robots})

@@ -127,7 +127,7 @@ class Model:
         if not self.is_open:
             return b"\a"
         is_unwell = self.dropped > 0 or self.node.unsettled > 0
-        answers = self.node.hear(frame)
+        answers = self.node.receive_frame(frame)
         for answer in answers:
             if isinstance(decode_heartbeat(answer), Heartbeat):
                 answer.data[4] = is_unwell  # health: advisory

@@ -86,7 +86,7 @@ def test_the_bits_are_those_of_a_python_node_that_hears_the_same(
         nonlocal odd
         group.send(datagram)
         if frame is not None and is_classic(frame):
-            answers.extend(expected.hear(frame))
+            answers.extend(expected.receive_frame(frame))
         else:
             odd += 1
 

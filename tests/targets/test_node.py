@@ -115,10 +115,10 @@ def test_no_frame_whatever_makes_them_differ(start: Start, bus: UnixBus, chosen:
     expected = twin(ID, 0.75, SUBJECTS, 3, filter=chosen, allow=frozenset((0, *range(2, 6))), **config)
     draw = random.Random(chosen)
     frames = [any_frame(draw) for _ in range(3000)]
-    answers = expected.start() + [answer for frame in frames for answer in expected.hear(frame)]
+    answers = expected.start() + [answer for frame in frames for answer in expected.receive_frame(frame)]
     ends = (Action.SETTLE, Action.OBSERVE_BLACK, Action.SETTLE)  # the last answer shows that all was heard
     frames += [command_frame(expected._tick_of_command or 0, ID, action) for action in ends]
-    answers += [answer for frame in frames[-3:] for answer in expected.hear(frame)]
+    answers += [answer for frame in frames[-3:] for answer in expected.receive_frame(frame)]
     for number, frame in enumerate(frames):
         bus.send(frame)
         if number % 20 == 19:  # else the answers fill the socket and are dropped

@@ -125,7 +125,7 @@ class ControllerLink:
         (first_heartbeat,) = self.model.start()
         self.comparison = Comparison(settings.subjects, first_heartbeat)
         self.lockstep = Lockstep(
-            options.bus, settings.subjects, options.timeout, watch=self._take_frame, check=self._check_stop
+            options.bus, settings.subjects, options.timeout, on_frame=self._take_frame, check=self._check_stop
         )
         self.tick_index = 0
         self._tick_numbers_skipped = 0
@@ -245,7 +245,7 @@ class ControllerLink:
         is_sent_to_controller = not frame.is_rx
         if is_sent_to_controller:
             frame.timestamp = time.time()
-            self._expected += self.model.hear(frame)
+            self._expected += self.model.receive_frame(frame)
         self.options.log(frame)
         if is_sent_to_controller:
             return

@@ -188,6 +188,7 @@ class BusRobot:
         self.ticks = 0
         self.sent = FramesSent()
         self.robot = self._make_firmware()
+        # Frames carry integers, which only a robot in fixed point takes as they are.
         takes_integers = hasattr(self.robot, "receive_all")
         self._port = cast(FixedPointRobot, self.robot) if takes_integers else RoundingPort(self.robot)
         self._ticks_to_broadcast = self._comms_period
@@ -211,7 +212,7 @@ class BusRobot:
     def observe(self, z: Observation | None) -> bool:
         """Begin a tick, with an observation or without, and return whether a broadcast is due.
 
-        It stays due until a tick has ended.
+        It is due in the last tick of a round, and stays due until a tick has ended.
         """
         if self.recorder is not None:
             self.recorder.record_observation(z)
@@ -237,14 +238,13 @@ class BusRobot:
 
     def _update_counters(self) -> None:
         """Add what the firmware's counters, which wrap at 2**16, have gained since the last call."""
-        # Modulo 2**16 the own counts equal the firmware's of the last call, so the difference is the gain.
         firmware_counts = vars(self.robot.counters)
-        self._counters = Counters(
-            **{
-                name: count + (firmware_counts[name] - count) % _COUNTER_MODULUS
-                for name, count in vars(self._counters).items()
-            }
-        )
+        counts = {}
+        for name, last_count in vars(self._counters).items():
+            # Modulo 2**16 this equals the firmware's count at the last call, so the difference is the gain.
+            gain = (firmware_counts[name] - last_count) % _COUNTER_MODULUS
+            counts[name] = last_count + gain
+        self._counters = Counters(**counts)
 
     # --- Frames to send ---
 
@@ -265,6 +265,7 @@ class BusRobot:
 
     def heartbeat(self, now: float) -> can.Message:
         """Return the next heartbeat, stamped ``now`` (seconds), and count it; see ``is_heartbeat_due``."""
+        # There is one heartbeat a second, from second 0 on.
         uptime = self.sent.heartbeats
         self.sent.heartbeats += 1
         return encode_heartbeat(Heartbeat(self.id, uptime, uptime % TRANSFER_IDS), timestamp=now)

@@ -60,6 +60,7 @@ class Calibration:
         which eq. 3 makes f + d / (2 b - 1).
         """
         black, white = self.accuracy.values()
+        # In the terms of the docstring the numerator is d, and the denominator 2 b - 1.
         return (black - white) / 2 / (black + white - 1)
 
     @property
@@ -96,6 +97,7 @@ def calibrate(rows: Sequence[tuple[float, bool]]) -> Calibration:
     best_calibration = None
     black_below = 0
     white_below = 0
+    # A threshold between two readings that follow each other has all readings up to the first below it.
     for (reading, is_black), (next_reading, _) in pairwise(sorted(rows)):
         if is_black:
             black_below += 1
@@ -106,6 +108,7 @@ def calibrate(rows: Sequence[tuple[float, bool]]) -> Calibration:
             continue
         # Sensors with whole numbers compare with whole numbers: the threshold is one, too.
         threshold = math.ceil((reading + next_reading) / 2) if has_whole_numbers else reading + gap / 2
+        # The shares of right readings if black is below the threshold; if it is above, the others are right.
         black_accuracy = black_below / reading_counts["black"]
         white_accuracy = 1 - white_below / reading_counts["white"]
         accuracy_by_side = {

@@ -94,7 +94,11 @@ class SwarmFilter:
         )
 
     def firmware_filter_of(self, is_flawed: bool, activation: Activation) -> Filter:
-        """Return the firmware filter of a robot; ``Filter.OFF`` if it does not re-estimate b_hat."""
+        """Return the firmware filter of a robot; ``Filter.OFF`` if it does not re-estimate b_hat.
+
+        The ``activation`` "always" selects the one without a test, where the swarm's filter has one;
+        "adaptive" selects the one with a test.
+        """
         if not self.applies_to(is_flawed):
             return Filter.OFF
         if activation == "always" and self.firmware_filter_without_test is not None:
@@ -201,10 +205,14 @@ def describe_filters(firmware_filters: Iterable[Filter]) -> str:
 
 
 def _could_set(swarm_filter: SwarmFilter, values: Collection[Filter]) -> bool:
-    """Return whether the robots of a swarm with this filter may have exactly these firmware filters."""
+    """Return whether the robots of a swarm with this filter may have exactly these firmware filters.
+
+    ``values`` are the firmware filters of all its robots, each once.
+    """
     active_values = set(values) - {Filter.OFF}
     if not swarm_filter.is_on:
         return not active_values
+    # With ASDF- some robots filter and others do not; with ASDF+ and the robust filter all do.
     has_idle_robots = Filter.OFF in values
     needs_idle_robots = swarm_filter.filtering_robots is FilteringRobots.FLAWED
     is_set_by_filter = bool(active_values) and active_values <= swarm_filter.active_firmware_filters

@@ -66,7 +66,7 @@ class Lockstep:
         bus: can.BusABC,
         subjects: Subjects | None = None,
         timeout: float = 2.0,
-        watch: Callable[[can.Message], None] = lambda frame: None,
+        on_frame: Callable[[can.Message], None] = lambda frame: None,
         check: Callable[[], None] = lambda: None,
     ) -> None:
         """Prepare to command robots over ``bus``, which is left open at the end. Nothing is sent yet.
@@ -75,7 +75,7 @@ class Lockstep:
             bus: Connection to the robots' bus.
             subjects: Formats of the messages; None for the default ones.
             timeout: Seconds that robots have to answer. After half of them a command is repeated once.
-            watch: Called with every frame that comes in and, with ``is_rx`` false, every command sent.
+            on_frame: Called with every frame that comes in and, with ``is_rx`` false, every command sent.
             check: Called several times per second of waiting; it may raise an error that ends the wait.
         """
         self.tick = 0
@@ -83,7 +83,7 @@ class Lockstep:
         self._bus = bus
         self._subjects = subjects or Subjects()
         self._timeout = timeout
-        self._watch = watch
+        self._on_frame = on_frame
         self._check = check
         self._sent_command_count = 0
         self._estimates: dict[int, Estimate] = {}
@@ -178,7 +178,7 @@ class Lockstep:
             self._sent_command_count += 1
         send_all(self._bus, frames, self._timeout)
         for frame in frames:
-            self._watch(frame)
+            self._on_frame(frame)
 
     def _wait_for_answers(
         self, robots: Collection[int], answers: Mapping[int, Answer], expected_answer: str
@@ -233,7 +233,7 @@ class Lockstep:
                 self._check()
                 next_check = now + _SECONDS_BETWEEN_CHECKS
             if frame is not None and frame.is_rx:  # some buses return the commands sent here
-                self._watch(frame)
+                self._on_frame(frame)
                 self._store_answer(frame)
                 yield frame
             # What is already in the receive buffer still counts after the time, but not without end.

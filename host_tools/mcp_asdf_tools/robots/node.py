@@ -39,7 +39,6 @@ _STATE_ATTRIBUTES = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 ACCEPTANCE_MASK = 0x039F_FF80
 """Identifier bits that a receiver checks; see docs/frame.md."""
 
-
 SEND_TIMEOUT = 2.0
 """Seconds after which a bus that takes no frame counts as failed."""
 
@@ -82,7 +81,10 @@ class Subjects:
 
 
 def filters_for(*formats: FrameFormat) -> CanFilters:
-    """Return filters for python-can that let only frames of these formats through."""
+    """Return filters for python-can that let only frames of these formats through, one for each.
+
+    Their priority does not matter, and the sender may be any node.
+    """
     return [
         {
             "can_id": frame_format.subject << _SUBJECT_SHIFT,
@@ -205,25 +207,25 @@ class RobotNode:
         self.is_settled = True
         return [self.bus_robot.telemetry(self._now)]
 
-    def hear(self, frame: can.Message) -> list[can.Message]:
+    def receive_frame(self, frame: can.Message) -> list[can.Message]:
         """Receive any frame that this node has not sent itself, and return the frames that answer it.
 
         Only commands that the robot follows have answers, see ``observe`` and ``settle``. An estimate goes to
         the robot, and also to the recorder if another node sent it under this robot's id. Any other frame is
         counted as rejected.
         """
-        content = decode_estimate(frame, self.subjects.estimates)
+        content: Estimate | Command | Rejection = decode_estimate(frame, self.subjects.estimates)
+        if content is Rejection.SUBJECT:  # a message, but no estimate
+            content = decode_command(frame, self.subjects.commands)
+        if isinstance(content, Command):
+            return self._follow_command(content)
         if isinstance(content, Estimate):
+            # A replay knows what the robot has sent itself, but not what another sends under its id.
             if content.sender == self.id and self.bus_robot.recorder is not None:
                 self.bus_robot.recorder.record_foreign_frame(frame)
             self._receive(content)
-            return []
-        command: Command | Rejection = content
-        if content is Rejection.SUBJECT:
-            command = decode_command(frame, self.subjects.commands)
-        if isinstance(command, Command):
-            return self._obey(command)
-        self.reception.rejected[command] += 1
+        else:
+            self.reception.rejected[content] += 1
         return []
 
     def figures(self) -> dict[str, Any]:
@@ -256,13 +258,12 @@ class RobotNode:
             self.reception.events[Suspicion.JUMP, estimate.sender] += 1
         self.bus_robot.receive(estimate)
 
-    def _obey(self, command: Command) -> list[can.Message]:
-        """Follow a command and return the answers; count it as disobeyed and return none if it is out of
-        turn.
+    def _follow_command(self, command: Command) -> list[can.Message]:
+        """Follow a command, and return the frames that answer it.
 
         A *settle* ends the tick with its number, and no other. A command to observe begins a tick, unless the
-        tick with its number is still open, since then it is a repetition. Commands for other robots are
-        ignored.
+        tick with its number is still open, since then it is a repetition. A command that comes out of turn is
+        not followed, but counted as disobeyed, and has no answer. Commands for other robots are ignored.
         """
         if command.target not in (self.id, EVERY_ROBOT):
             return []
@@ -311,7 +312,8 @@ class BusLink:
     Attributes:
         bus: The connection; its filters should pass only frames that the node needs.
         should_stop: Called before each read; if it returns true, the read raises Stopped.
-        endures: Whether to go on when the bus fails, as in real time. A bus that is gone ends the run anyway.
+        endures: Whether `send` and `receive` return instead of raising can.CanError when the bus fails, as a
+            run in real time needs it. A bus that is gone raises in any case.
         log: Takes all frames sent and received, stamped with the time of day; None for no log.
         failures: How often sending or receiving failed.
         last_failure: Failure of the last attempt; None if it succeeded.
@@ -333,7 +335,7 @@ class BusLink:
         try:
             self.bus.send(frame, timeout=SEND_TIMEOUT)
         except can.CanError as error:
-            self._count_failure(error)
+            self._count_or_raise(error)
             return False
         self.last_failure = None
         if self.log is not None:
@@ -342,10 +344,11 @@ class BusLink:
         return True
 
     def receive(self, seconds: float) -> can.Message | None:
-        """Wait for a frame of another node, at most ``seconds`` and at most a tenth of a second.
+        """Wait for a frame of another node, at most ``seconds`` and at most a tenth of a second; log it.
 
-        Returns None if no frame came, the bus failed and the link endures it, or the frame was one that this
-        node sent. Raises Stopped if the node was asked to stop, can.CanError as ``send``.
+        Returns None if no frame came, or one that this node has sent. A failure of the bus is counted; it
+        gives None if the link ``endures`` failures and the bus is not gone, and raises can.CanError
+        otherwise. Raises Stopped if the node was asked to stop.
         """
         if self.should_stop():
             raise Stopped
@@ -353,29 +356,33 @@ class BusLink:
         try:
             frame = self.bus.recv(seconds)
         except can.CanError as error:
-            self._count_failure(error)
+            self._count_or_raise(error)
             time.sleep(seconds)  # a bus that fails at once must not keep the processor busy
             return None
-        if frame is None or not frame.is_rx:
+        if frame is None or not frame.is_rx:  # some buses return the frames that were sent here
             return None
         self.last_failure = None
         if self.log is not None:
             self.log(frame)
         return frame
 
-    def catch_up(self, take: FrameTaker) -> None:
-        """Hand the frames that wait in the receive buffer to ``take``, up to 4096 of them, without waiting.
+    def catch_up(self, on_frame: FrameTaker) -> None:
+        """Call ``on_frame`` with the frames in the receive buffer, up to 4096 of them, without waiting.
 
-        A node whose ticks are late calls this, as it has no time left to wait for frames.
+        A node whose ticks are late calls this, as it has no time left to wait for frames. Raises as
+        ``receive``.
         """
         for _ in range(_MAX_FRAMES_AT_ONCE):
             frame = self.receive(0)
             if frame is None:
                 return
-            take(frame)
+            on_frame(frame)
 
-    def _count_failure(self, error: can.CanError) -> None:
-        """Count and remember a failure; raise it if the bus is gone or the link does not endure failures."""
+    def _count_or_raise(self, error: can.CanError) -> None:
+        """Count and remember a failure of the bus.
+
+        Raises it again if the bus is gone, or if the link does not endure failures.
+        """
         self.failures += 1
         self.last_failure = error
         if not self.endures or isinstance(error, BusGoneError):
@@ -402,7 +409,7 @@ class RunOutcome:
 def run_node(
     node: RobotNode, link: BusLink, ticks: int | None = None, watch: Callable[[], None] = lambda: None
 ) -> RunOutcome:
-    """Let a node follow commands until it has done ``ticks`` ticks, or without end if None.
+    """Let a node follow commands until it has done ``ticks`` ticks, or without end if that is None.
 
     ``watch`` is called after each wait for a frame, at least ten times per second. The run ends early when
     the link is asked to stop, on Ctrl-C, or when the bus fails; the result says which. Only a run with a
@@ -415,7 +422,7 @@ def run_node(
         while not node.is_settled or ticks is None or node.ticks < ticks:
             received_frame = link.receive(_MAX_WAIT)
             if received_frame is not None:
-                for answer in node.hear(received_frame):
+                for answer in node.receive_frame(received_frame):
                     link.send(answer)
             watch()
     except (Stopped, KeyboardInterrupt):
@@ -435,7 +442,7 @@ def send_all(bus: can.BusABC, frames: Iterable[can.Message], timeout: float) -> 
     """
     for frame in frames:
         deadline = time.monotonic() + timeout
-        while True:
+        while True:  # until the queue has room for this frame
             try:
                 bus.send(frame, timeout=timeout)
                 break

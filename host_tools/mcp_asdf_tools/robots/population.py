@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import Any, Literal
@@ -88,9 +87,10 @@ class Population(WorldSettings):
         return self._unused_of_drift() | self.swarm_filter.unused_parameters_with(self.activation)
 
     def _unused_of_drift(self) -> dict[str, str]:
-        """Return the parameters of drifts that this kind of drift does not have, with the reason."""
-        reason = f"drift is {self.drift}"
-        return {"lowest_accuracy": reason} if self.drift == "none" else {}
+        """Return the parameters of drifts that have no effect with this kind of drift, with the reason."""
+        if self.drift == "none":
+            return {"lowest_accuracy": "drift is none"}
+        return {}
 
     @property
     def drifting(self) -> int:
@@ -133,7 +133,9 @@ class Population(WorldSettings):
         if firmware_filter is Filter.ADAPTIVE:
             neighbours = min(max(MIN_Q, self.robots - 1), MAX_ID)
             table = generate(self.omega, neighbours)
-        return Config(table, firmware_filter, self.filter_period // self.comms_period, self.memory)
+        # The firmware counts rounds, of comms_period steps each, where the paper's tau counts steps.
+        rounds_between_tests = self.filter_period // self.comms_period
+        return Config(table, firmware_filter, rounds_between_tests, self.memory)
 
     def setup_of(self, robot: int) -> RobotSetup:
         """Return how a robot starts."""
@@ -158,18 +160,24 @@ def flawed_count(count_or_share: Any, robots: int) -> int:
     a count nor a share, or out of range.
     """
     text = str(count_or_share)
-    count = -1  # out of range, for a value that is neither
     if text.isascii() and text.isdigit():
         count = int(text)
+        if count <= robots:
+            return count
     else:
-        with suppress(ValueError):
-            divisor = 100 if text.endswith("%") else 1
-            share = float(text.removesuffix("%")) / divisor
-            if 0 <= share <= 1:
-                count = math.floor(share * robots + 0.5)
-    if not 0 <= count <= robots:
-        raise ParameterError(
-            "flawed",
-            f"flawed is {count_or_share!r}; give a count, 0 to {robots}, or a share such as '30%' or 0.3",
-        )
-    return count
+        share = _parse_share(text)
+        if 0 <= share <= 1:  # this refuses NaN, too
+            return math.floor(share * robots + 0.5)
+    raise ParameterError(
+        "flawed",
+        f"flawed is {count_or_share!r}; give a count, 0 to {robots}, or a share such as '30%' or 0.3",
+    )
+
+
+def _parse_share(text: str) -> float:
+    """Return the number that a text such as ``0.3`` or ``30%`` stands for; NaN if it stands for none."""
+    divisor = 100 if text.endswith("%") else 1
+    try:
+        return float(text.removesuffix("%")) / divisor
+    except ValueError:
+        return math.nan

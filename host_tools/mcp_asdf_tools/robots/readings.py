@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from mcp_asdf_tools.common.errors import UsageError
@@ -52,12 +53,12 @@ def parse_readings(text: str, name: str) -> Readings:
             readings.left_out["comment"] += 1
             continue
         fields = _split(line)
-        if columns is None:
+        if columns is None:  # the first line that is neither empty nor a comment
             columns = _columns_of_header(fields, position)
             if columns is not None:
                 header = fields
                 continue
-            columns = _Columns(0, 1, 2)
+            columns = _Columns(reading=0, colour=1, count=2)
         if fields == header:
             readings.left_out["header"] += 1
             continue
@@ -76,7 +77,15 @@ def parse_readings(text: str, name: str) -> Readings:
 
 @dataclass(frozen=True)
 class _Columns:
-    """Positions of the two columns among ``count``, to which R adds a name of each row without a header."""
+    """Where a line has the reading and the colour.
+
+    Attributes:
+        reading: Index of the column with the reading.
+        colour: Index of the column with the colour.
+        count: Number of columns.
+        has_header: Whether the first line names them. R then begins every other line with one more field,
+            the name of the row.
+    """
 
     reading: int
     colour: int
@@ -112,27 +121,28 @@ def _columns_of_header(fields: Sequence[str], position: str) -> _Columns | None:
 def _split(line: str) -> list[str]:
     """Return the fields of a line in lower case, without quotes."""
     separator = next((character for character in _SEPARATORS if character in line), None)
-    fields = line.split(separator)  # None: at white space
+    fields = line.split(separator)  # None splits at white space
     return [text.strip().strip(_QUOTES).strip().lower() for text in fields]
 
 
 def _parse_number(text: str, position: str) -> float | None:
-    """Return a number with a point or a comma; None for a word or nothing in its place.
+    """Return the number in a text such as ``512``, ``512.5`` or ``512,5``; None for a text without digits.
 
-    Raises UsageError for what has digits and is no finite number: leaving it out would hide a misread form.
+    Raises UsageError, naming the ``position``, for a text that has digits but is no finite number. To leave
+    it out would hide that a form of numbers is misread.
     """
     if not any(character.isdigit() for character in text):
         return None
-    try:
-        number = float(text.replace(",", ".") if "." not in text else text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise UsageError(
-            f"{position} has the reading {text!r}, which is no number; write it as 512, 512.5 or 512,5 "
-            "(with semicolons between columns), without separators of thousands and units"
-        )
-    return number
+    # A comma beside a point is a separator of thousands, which float() refuses.
+    text_with_point = text if "." in text else text.replace(",", ".")
+    with suppress(ValueError):
+        number = float(text_with_point)
+        if math.isfinite(number):
+            return number
+    raise UsageError(
+        f"{position} has the reading {text!r}, which is no number; write it as 512, 512.5 or 512,5 "
+        "(with semicolons between columns), without separators of thousands and units"
+    )
 
 
 def _count(number: int, noun: str) -> str:

@@ -50,7 +50,7 @@ def parse_ids(text: str, name: str) -> frozenset[int]:
         try:
             item_ids = range(int(first), int(last if dash else first) + 1)
         except ValueError:
-            item_ids = range(0)
+            item_ids = range(0)  # which is refused like a range that ends before it starts
         if not item_ids or item_ids[-1] > MAX_NODE_ID:
             raise UsageError(f"{name} is {text!r}; it must be ids 0 to {MAX_NODE_ID} such as 0+3-5")
         ids.update(item_ids)
@@ -58,7 +58,8 @@ def parse_ids(text: str, name: str) -> frozenset[int]:
 
 
 def format_ids(ids: frozenset[int]) -> str:
-    """Return the text that ``parse_ids`` reads back."""
+    """Return the text that ``parse_ids`` reads back, such as ``0+3-5`` for 0, 3, 4 and 5."""
+    # A range of adjacent ids starts where the id before is missing, and ends where the next one is.
     range_starts = sorted(node_id for node_id in ids if node_id - 1 not in ids)
     range_ends = sorted(node_id for node_id in ids if node_id + 1 not in ids)
     return "+".join(
@@ -144,12 +145,13 @@ class RobotSetup:
         check_settings(config)  # names the wrong setting, which the C cannot
         allow = parse_ids(str(plain["allow"]), "allow") if "allow" in plain else None
         setup = cls(plain["id"], plain["firmware"], plain["b_hat"], config, comms_period, allow)
-        setup.make_robot()  # raises here if the firmware refuses it
+        # The robot is not needed, but the firmware refuses here what is wrong with its id or b_hat.
+        setup.make_robot()
         return setup
 
 
 def _check_periods(comms_period: int, filter_period: int) -> None:
-    """Raise UsageError unless both are in range, and the second a multiple of the first."""
+    """Raise UsageError unless both are in range, in ticks, and filter_period a multiple of comms_period."""
     if not 1 <= comms_period <= MAX_FILTER_PERIOD:
         raise UsageError(f"comms_period is {comms_period}; choose 1 .. {MAX_FILTER_PERIOD}")
     if not 1 <= filter_period <= MAX_FILTER_PERIOD or filter_period % comms_period:

@@ -181,7 +181,7 @@ class Driver:
             bus,
             Subjects(estimates=frame_format),
             ANSWER_TIMEOUT,
-            watch=self._handle_frame,
+            on_frame=self._handle_frame,
             check=self._call_check,
         )
 

@@ -52,7 +52,7 @@ def test_a_controller_among_its_neighbours_is_a_robot_in_a_swarm(changes: dict[s
     for tick in range(120):
         for frame in neighbourhood.finish(controller.observe(neighbourhood.begin())):
             assert frame.arbitration_id & 0x7F != 40 or frame.timestamp == tick / world.steps_per_second
-            controller.hear(frame)
+            controller.receive_frame(frame)
         controller.settle()
     with Swarm(world, Wiring()) as swarm:
         expected = [state(each.robot) for each in run_swarm(swarm).nodes]

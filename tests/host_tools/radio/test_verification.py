@@ -410,7 +410,7 @@ def test_a_node_that_the_controller_hears_is_named_and_not_blamed_on_it(
 ) -> None:
     talker = Mock()
     talker.start.return_value = []
-    talker.hear.side_effect = lambda frame: [encoded(message)] if is_command(frame) else []
+    talker.receive_frame.side_effect = lambda frame: [encoded(message)] if is_command(frame) else []
     verdict = judge(Wire(obedient(), talker), phases=PHASES[:2])
     assert verdict.difference is None
     if kind is None:

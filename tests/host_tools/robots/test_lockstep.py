@@ -99,7 +99,7 @@ def test_a_driven_swarm_does_what_a_loop_of_calls_does(firmware: str) -> None:
     robots, ids = [node(i, firmware, 0.55 + 0.1 * i) for i in range(4)], range(4)
     twins = [node(i, firmware, 0.55 + 0.1 * i).robot for i in ids]
     wire, draw, seen = Lossy(*robots, loses=is_lost), random.Random(5), list[can.Message]()
-    lockstep = Lockstep(wire, timeout=0.02, watch=seen.append)
+    lockstep = Lockstep(wire, timeout=0.02, on_frame=seen.append)
     for _ in range(120):
         z = {robot: draw.choice(COLOURS) for robot in ids}
         lockstep.observe(z)

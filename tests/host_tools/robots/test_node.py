@@ -136,7 +136,7 @@ def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[s
                 cut = can.Message(arbitration_id=stranger.arbitration_id, data=stranger.data[:7])
                 for frame in (stranger, cut):
                     bus.send(frame, timeout=1)
-                    twin.hear(frame)
+                    twin.receive_frame(frame)
             lockstep.settle({5})
             twin.settle()
 

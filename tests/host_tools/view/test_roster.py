@@ -86,7 +86,7 @@ def test_the_page_counts_the_jumps_that_a_node_counts(alphas: list[int], jumps: 
     for tick, alpha in enumerate(alphas):
         estimate = Estimate(3, 1 << 22, alpha << 8, tick % 32)
         heard.receive(FRAME, estimate, 0.0)
-        listener.hear(encode_estimate(estimate, FrameFormat()))
+        listener.receive_frame(encode_estimate(estimate, FrameFormat()))
     assert heard.row(0.0)["jumps"] == listener.reception.events[Suspicion.JUMP, 3] == jumps
 
 
