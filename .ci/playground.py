@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import shutil
 import subprocess
 import sys
@@ -9,43 +10,67 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from mcp_asdf_tools.common.files import write_atomically
-from mcp_asdf_tools.view.page import playground
+from mcp_asdf_tools.view.page import PageAdditions, assemble_page
 
 ROOT = Path(__file__).resolve().parents[1]
-TOOLS = ROOT / "host_tools/mcp_asdf_tools"
-_OWN, _ENGINE, _ARENA = TOOLS / "view/playground", TOOLS / "experiments/engine", TOOLS / "world/arena"
-_SOURCES = (
-    _OWN / "playground.c",
-    *(_ENGINE / f"{name}.c" for name in ("engine", "lanes", "trial")),
-    *(_ARENA / f"{name}.c" for name in ("arena", "links", "motion", "steering")),
+PLAYGROUND = ROOT / "docs/playground"
+ENGINE = ROOT / "host_tools/mcp_asdf_tools/experiments/engine"
+ARENA = ROOT / "host_tools/mcp_asdf_tools/world/arena"
+SOURCES = (
+    PLAYGROUND / "playground.c",
+    *(ENGINE / f"{name}.c" for name in ("engine", "lanes", "trial")),
+    *(ARENA / f"{name}.c" for name in ("arena", "links", "motion", "steering")),
     ROOT / "tables/t_table_omega05_q127.c",
     ROOT / "c_ref/ports/memory.c",
 )
-_INCLUDES = (_OWN / "include", _ENGINE, _ARENA, ROOT / "c_ref/src")
-_EXPORTS = (
-    *("settings", "records", "errors", "positions", "links", "pixels"),
-    *("run", "side", "film"),
-)
+INCLUDE_FOLDERS = (PLAYGROUND / "include", ENGINE, ARENA, ROOT / "c_ref/src")
+EXPORTED_ARRAYS = ("settings", "records", "errors", "positions", "links", "pixels")
+EXPORTED_FUNCTIONS = ("run_trial", "arena_side", "record_motion")
 
 
-def compiled() -> bytes:
-    """The module. Raises SystemExit with one line if the tools are missing or refuse it."""
-    missing = [tool for tool in ("clang", "wasm-ld") if shutil.which(tool) is None]
-    if missing:
+def compile_module() -> bytes:
+    """Return firmware, engine, arena and playground as one WebAssembly module.
+
+    Raises SystemExit with one line if the tools are missing or refuse the code.
+    """
+    missing_tools = [tool for tool in ("clang", "wasm-ld") if shutil.which(tool) is None]
+    if missing_tools:
         raise SystemExit(
-            f"the playground needs {' and '.join(missing)}: install Debian's packages clang and lld"
+            f"the playground needs {' and '.join(missing_tools)}: install Debian's packages clang and lld"
         )
+    exports = EXPORTED_ARRAYS + EXPORTED_FUNCTIONS
     with TemporaryDirectory() as folder:
         module = Path(folder, "playground.wasm")
-        command = ["clang", "--target=wasm32", "-ffreestanding", "-std=c99", "-O3", "-nostdlib"]
-        command += [f"-I{path}" for path in _INCLUDES]
-        command += ["-Wl,--no-entry", "-Wl,-z,stack-size=1048576", "-Wl,--strip-all"]
-        command += [f"-Wl,--export={name}" for name in _EXPORTS]
-        done = subprocess.run([*command, "-o", module, *_SOURCES], check=False)
-        if done.returncode:
+        command = [
+            *("clang", "--target=wasm32", "-ffreestanding", "-std=c99", "-O3", "-nostdlib"),
+            *(f"-I{path}" for path in INCLUDE_FOLDERS),
+            *("-Wl,--no-entry", "-Wl,-z,stack-size=1048576", "-Wl,--strip-all"),
+            *(f"-Wl,--export={name}" for name in exports),
+        ]
+        compilation = subprocess.run([*command, "-o", module, *SOURCES], check=False)
+        if compilation.returncode != 0:
             raise SystemExit("clang cannot compile the playground for WebAssembly; it says why above")
         return module.read_bytes()
 
 
+def build_page(module: bytes) -> str:
+    """Return the page that computes its runs itself, by a WebAssembly module."""
+
+    def read_file(name: str) -> str:
+        return (PLAYGROUND / name).read_text(encoding="utf-8")
+
+    additions = PageAdditions(
+        entry_script="playground/playground",
+        scripts={
+            "playground/playground": read_file("playground.js"),
+            "playground/worker": read_file("worker.js"),
+        },
+        style=read_file("playground.css"),
+        html=read_file("playground.html"),
+        script_policy=" 'wasm-unsafe-eval'; worker-src data:",
+    )
+    return assemble_page({"module": base64.b64encode(module).decode("ascii")}, additions)
+
+
 if __name__ == "__main__":
-    write_atomically(Path(sys.argv[1]), playground(compiled()).encode())
+    write_atomically(Path(sys.argv[1]), build_page(compile_module()).encode())

@@ -13,14 +13,14 @@ import pytest
 from support import PATIENCE
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Frame, Page
+    from playwright.sync_api import Browser, Frame, Page
 
 CHROMIUM = ("chromium", "chromium-headless-shell")
 
 
 @contextmanager
-def browser_page(width: int = 1280, height: int = 800) -> Iterator[Page]:
-    """An empty page of Debian's Chromium; fails at its end if a script of the page failed.
+def running_browser() -> Iterator[Browser]:
+    """Debian's Chromium; starting it takes longer than most tests.
 
     Skips the test where the browser or playwright is not installed.
     """
@@ -31,16 +31,23 @@ def browser_page(width: int = 1280, height: int = 800) -> Iterator[Page]:
     with api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
         try:
-            page = browser.new_page(viewport={"width": width, "height": height})
-            errors: list[str] = []
-            page.on("pageerror", lambda error: errors.append(str(error)))
-            page.on(
-                "console", lambda message: errors.append(message.text) if message.type == "error" else None
-            )
-            yield page
-            assert errors == []
+            yield browser
         finally:
             browser.close()
+
+
+@contextmanager
+def new_page(browser: Browser, width: int = 1280, height: int = 800) -> Iterator[Page]:
+    """An empty page of the browser; fails at its end if a script of the page failed."""
+    page = browser.new_page(viewport={"width": width, "height": height})
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    try:
+        yield page
+        assert errors == []
+    finally:
+        page.close()
 
 
 def until(page: Page | Frame, condition: str) -> Any:

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+from browser import new_page, running_browser
 from support import DRAWS_ALL
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
 
 TIMEOUT, SLOW_TIMEOUT = 300, 1200
 """Seconds that a test may take before it fails as one that hangs; those in a guest kernel have no limit."""
@@ -39,3 +45,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         is_slow = item.get_closest_marker("slow") is not None
         item.add_marker(pytest.mark.timeout(SLOW_TIMEOUT if is_slow else TIMEOUT))
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    """A browser for all tests of a module."""
+    with running_browser() as chromium:
+        yield chromium
+
+
+@pytest.fixture
+def browser(chromium: Browser) -> Iterator[Page]:
+    """An empty page of a browser; the test fails if a script of the page does."""
+    with new_page(chromium) as browser:
+        yield browser

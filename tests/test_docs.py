@@ -10,12 +10,16 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
-from browser import browser_page
+from browser import new_page
 from mcp_asdf_tools.cli import main as cli
 from support import PAGES, ROOT, TABLE, block_with, blocks, require, run, version_of_header
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)")
 
@@ -210,9 +214,9 @@ def test_the_documentation_is_built(site: Path) -> None:
 
 
 @pytest.mark.slow
-def test_no_page_is_wider_than_a_phone(site: Path) -> None:
+def test_no_page_is_wider_than_a_phone(site: Path, chromium: Browser) -> None:
     """Each row of a table stands by itself there, and each cell names its column."""
-    with browser_page(width=390) as browser:
+    with new_page(chromium, width=390) as browser:
         for path in sorted(site.rglob("index.html")):
             browser.goto(path.as_uri(), wait_until="domcontentloaded")
             wide = browser.evaluate(

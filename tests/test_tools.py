@@ -15,7 +15,9 @@ from proofs.source import HERE, Variant
 from support import PAGES, ROOT, blocks, require, run
 
 C_FILES = sorted(
-    path for folder in ("c_ref", "host_tools", "tables", "tests") for path in (ROOT / folder).rglob("*.[ch]")
+    path
+    for folder in ("c_ref", "docs", "host_tools", "tables", "tests")
+    for path in (ROOT / folder).rglob("*.[ch]")
 )
 ARENA, ENGINE = (f"host_tools/mcp_asdf_tools/{folder}" for folder in ("world/arena", "experiments/engine"))
 INCLUDES = [f"-I{ROOT / folder}" for folder in ("c_ref/src", "c_ref/ports", ARENA, ENGINE)]
@@ -101,7 +103,7 @@ ROOMS = (
     ),
     Room(
         "wasm",
-        ("c_ref/ports/wasm/*.c", "host_tools/mcp_asdf_tools/view/playground/*.c"),
+        ("c_ref/ports/wasm/*.c", "docs/playground/*.c"),
         gcc=("clang", *WASM),
         packages="clang",
         clang=WASM,
@@ -152,6 +154,8 @@ def test_the_page_is_formatted_and_biome_finds_nothing() -> None:
         "--config-path=.ci",
         "--error-on-warnings",
         "host_tools/mcp_asdf_tools/view/page",
+        "docs/playground",
+        "docs/javascripts",
     )
 
 

@@ -1,6 +1,6 @@
 """The page of a run: one HTML file with its style, its scripts and, if it stands alone, the history as JSON.
 
-In JSON a history is its description ("stage") and blocks of states in base64, which ``page/film.js`` reads.
+In JSON a history is its description and blocks of states in base64, which ``page/history.js`` reads.
 """
 
 from __future__ import annotations
@@ -8,7 +8,8 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from mcp_asdf_tools.view.film import QUANTITIES, History, RunDescription, State
 from mcp_asdf_tools.world.graph import MAX_ON_BUS
 
 _FOLDER = Path(__file__).parent / "page"
-_MODULES = ("arena", "bus", "charts", "colours", "film", "main", "panels", "player", "playground", "worker")
+_SCRIPTS = ("arena", "bus", "charts", "colours", "history", "main", "panels", "player", "view")
 """Scripts of the folder ``page``, which import each other as ``view/NAME``."""
 
 
@@ -30,47 +31,63 @@ def page(history: History | None = None) -> str:
     Without a history the page asks the server that it comes from for one.
     """
     if history is None:
-        return _fill_page(data="null")
+        return assemble_page(None)
     update = history.states_since()
     content = {
-        "stage": encode_description(update.description),
+        "description": encode_description(update.description),
         "block": encode_states(update.states, update.description),
     }
-    # Without "<", no text in the history, such as a file's name, can end the script that it is in.
-    data = json.dumps(content).replace("<", "\\u003c")
-    return _fill_page(data)
+    return assemble_page(content)
 
 
-def playground(module: bytes) -> str:
-    """Return the page that computes its runs itself.
+@dataclass(frozen=True)
+class PageAdditions:
+    """What another page than that of a run has in addition; the defaults add nothing.
 
-    ``module`` is a WebAssembly module of firmware, engine and arena.
+    Attributes:
+        entry_script: Name of the script that runs first.
+        scripts: Further scripts by the names under which they are imported.
+        style: CSS after that of the view.
+        html: HTML at the end of the body.
+        script_policy: Further sources of scripts that the page's security policy allows.
     """
-    data = json.dumps({"module": base64.b64encode(module).decode("ascii")})
-    return _fill_page(data, extra_script_policy=" 'wasm-unsafe-eval'; worker-src data:")
+
+    entry_script: str = "view/main"
+    scripts: Mapping[str, str] = field(default_factory=dict)
+    style: str = ""
+    html: str = ""
+    script_policy: str = ""
 
 
-def _fill_page(data: str, extra_script_policy: str = "") -> str:
-    """Return the page with ``data`` as its JSON, and a text added to its security policy for scripts."""
-    return _empty_page().replace("__POLICY__", extra_script_policy).replace("__FILM__", data)
-
-
-@cache
-def _empty_page() -> str:
-    """Return the page with style and scripts, but with placeholders for its policy and its data."""
-    module_urls = {f"view/{name}": _encode_script_url(_read_file(f"{name}.js")) for name in _MODULES}
+def assemble_page(content: object, additions: PageAdditions = PageAdditions()) -> str:
+    """Return the page with ``content`` in it as JSON, as HTML that needs no other file."""
+    more_urls = {name: _encode_script_url(script) for name, script in additions.scripts.items()}
+    script_urls = _encode_view_scripts() | more_urls
     content_by_placeholder = {
-        "__STYLE__": _read_file("uplot/uPlot.min.css") + _read_file("page.css"),
-        "__MODULES__": json.dumps({"imports": module_urls}),
+        "__POLICY__": additions.script_policy,
+        "__STYLE__": _read_file("uplot/uPlot.min.css") + _read_file("page.css") + additions.style,
+        "__MODULES__": json.dumps({"imports": script_urls}),
+        "__ENTRY_SCRIPT__": additions.entry_script,
         "__UPLOT_LICENSE__": _read_file("uplot/LICENSE"),
         "__UPLOT__": _read_file("uplot/uPlot.iife.min.js"),
+        "__MORE_HTML__": additions.html,
+        # The last one, since it may hold any text. Without "<", none of it, such as a file's name, can end
+        # the script that it is in.
+        "__CONTENT__": json.dumps(content).replace("<", "\\u003c"),
     }
     html = _read_file("page.html")
-    for placeholder, content in content_by_placeholder.items():
-        html = html.replace(placeholder, content)
+    for placeholder, text in content_by_placeholder.items():
+        html = html.replace(placeholder, text)
     return html
 
 
+@cache
+def _encode_view_scripts() -> dict[str, str]:
+    """Return the URLs of the scripts of the folder ``page`` by the names under which they are imported."""
+    return {f"view/{name}": _encode_script_url(_read_file(f"{name}.js")) for name in _SCRIPTS}
+
+
+@cache
 def _read_file(name: str) -> str:
     """Return the text of a file of the folder ``page``."""
     return (_FOLDER / name).read_text(encoding="utf-8")
@@ -84,30 +101,28 @@ def _encode_script_url(script: str) -> str:
 # --- Histories as JSON --------------------------------------------------------------------------------
 
 _ONE = 65534
-"""The value 1 in a page, where values 0 .. 1 are 16-bit integers: a step is a tenth of what a screen
-shows."""
+"""The value 1 in a page, where values 0 .. 1 are 16-bit integers: finer than what a screen shows."""
 _UNKNOWN = 65535
 """A value in a page that is not known."""
 
 
 def encode_description(description: RunDescription) -> dict[str, Any]:
-    """Return a description as plain values by the names that the page's scripts use.
+    """Return a description as plain values for the page's scripts, by the names of its attributes.
 
-    "twin" has the errors without a filter, "quantities" names the values of a state, and "floor" has its
-    rows,
-    columns and bits: each row starts at a new byte, and all are compressed, in base64.
+    "quantities" names the values of a state. "floor" has its rows, columns and bits: each row starts at a new
+    byte, and all are compressed, in base64.
     """
     floor = None
     if description.floor is not None:
         rows, columns = description.floor.shape
         row_bytes = np.packbits(description.floor, axis=1).tobytes()
         floor = {"rows": rows, "columns": columns, "bits": _compress_to_base64(row_bytes)}
-    plain = dict(vars(description))
-    plain["twin"] = list(plain.pop("unfiltered_errors"))
-    plain["flawed"] = list(description.flawed)
-    plain["floor"] = floor
-    plain["quantities"] = QUANTITIES
-    return plain
+    return vars(description) | {
+        "flawed": list(description.flawed),
+        "unfiltered_errors": list(description.unfiltered_errors),
+        "floor": floor,
+        "quantities": QUANTITIES,
+    }
 
 
 def encode_states(states: Sequence[State], description: RunDescription) -> dict[str, Any]:
@@ -123,7 +138,7 @@ def encode_states(states: Sequence[State], description: RunDescription) -> dict[
     sections += [_encode_series(values[:, quantity]) for quantity in range(len(QUANTITIES))]
     if description.sides is not None:
         positions = np.stack([state.positions for state in states if state.positions is not None])
-        # From metres from the middle of the arena to shares of its sides.
+        # Metres from the middle of the arena become shares of its sides.
         positions_in_arena = positions / np.array(description.sides) + 0.5
         sections += [_encode_series(positions_in_arena[..., axis]) for axis in (0, 1)]
     if len(description.robots) > MAX_ON_BUS:

@@ -196,7 +196,7 @@ class _PageRequestHandler(BaseHTTPRequestHandler):
 def _generate_events(history: History) -> Iterator[str]:
     """Yield the new server-sent events of a history, perhaps none, at each step, until it has ended.
 
-    The events are a "stage" (the description) at the start and for each new generation, after which all
+    The events are a "description" at the start and for each new generation, after which all
     states come again; a "block" for the states that are new; a "report" for each new one; at last an "end".
     """
     generation = -1  # no history has this one, so the first update begins with a description
@@ -209,7 +209,7 @@ def _generate_events(history: History) -> Iterator[str]:
         update = history.states_since(generation, sent_states)
         events = []
         if update.generation != generation:
-            events.append(_format_event("stage", encode_description(update.description)))
+            events.append(_format_event("description", encode_description(update.description)))
             generation = update.generation
             sent_states = 0
         if update.states:

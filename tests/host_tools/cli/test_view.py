@@ -116,7 +116,7 @@ def test_a_page_is_served_until_it_is_asked_to_end(
 
     monkeypatch.setattr(f"mcp_asdf_tools.cli.{line.split(maxsplit=1)[0]}.sleep_until", look)
     assert main(line.split()) == 0
-    assert told[0].startswith("event: stage\n") and told[0].endswith("event: end\ndata: null\n\n")
+    assert told[0].startswith("event: description\n") and told[0].endswith("event: end\ndata: null\n\n")
 
 
 def test_a_bus_is_watched_until_it_is_asked_to_end(

@@ -1,8 +1,9 @@
-"""The page in a real browser: it shows a history, goes where one drags the time, and follows a run."""
+"""The page in a real browser: it shows a history, has controls, and follows a run as it goes."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import can
 import numpy as np
 import pytest
 
-from browser import browser_page, until
+from browser import new_page, until
 from mcp_asdf_tools.bus.frame_layout import Health
 from mcp_asdf_tools.bus.frames import Estimate, Heartbeat
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -27,194 +28,319 @@ from mcp_asdf_tools.view.server import serving
 from mcp_asdf_tools.world.arena import Arena
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Browser, Page
+
+pytestmark = pytest.mark.slow
 
 SETTINGS = SwarmSettings(
     robots=8, flawed="50%", steps=300, filter="asdf-minus", filter_period=50, topology="dynamic", density=4
 )
-IS_SHOWN = "window.view && view.arena.places.length > 0 && view.charts.drawn > 0"
-ALL = """[...Array(view.film.length).keys()].map((sample) => {
-    const { film, film: { stage } } = view, robots = stage.robots.map((_, robot) => robot);
-    return [
-        stage.quantities.map((name) => robots.map((robot) => film.value(name, robot, sample))),
-        robots.map((i) => robots.map((j) => film.heard(sample, i).some(([each]) => each === j))),
-        robots.map((robot) => film.position(robot, sample)),
-    ]; })"""
-INK = "view.arena.context.getImageData(0, 0, view.arena.canvas.width, view.arena.canvas.height).data"
-COLOURS = f"new Set(new Uint32Array({INK}.buffer)).size"
+IS_DRAWN = "window.view && view.arena.centres.length > 0 && view.charts.drawnStateCount > 0"
+ALL_STATES = """[...Array(view.history.stateCount).keys()].map((state) => {
+    const { history } = view, robots = history.description.robots.map((_, robot) => robot);
+    return {
+        values: history.description.quantities.map((name) =>
+            robots.map((robot) => history.value(name, robot, state))),
+        neighbours: robots.map((receiver) => robots.map((sender) =>
+            history.links(state, receiver).some(([linked]) => linked === sender))),
+        positions: robots.map((robot) => history.position(robot, state)),
+    }; })"""
+PIXELS = "view.arena.context.getImageData(0, 0, view.arena.canvas.width, view.arena.canvas.height).data"
+FRAME_LINES = "document.getElementById('frames').textContent"
 
 
 @pytest.fixture(scope="module")
 def history() -> History:
-    camera = SwarmRecorder(SETTINGS)
+    """The history of a swarm whose robots move and recalibrate."""
+    recorder = SwarmRecorder(SETTINGS)
     with Swarm(SETTINGS, Wiring()) as swarm:
-        run_swarm(swarm, [camera])
-    return camera.history
+        run_swarm(swarm, [recorder])
+    return recorder.history
 
 
-@pytest.mark.slow
-def test_the_page_shows_a_film_and_follows_a_run(history: History, tmp_path: Path) -> None:
-    """One browser for all that is tested always: starting it takes longer than the rest."""
-    path, step = tmp_path / "run.html", 1 / 65534
-    path.write_text(page(history))
-    update = history.states_since()
-    stage, states = update.description, update.states
-    with browser_page() as browser:
-        browser.goto(path.as_uri())
-        until(browser, IS_SHOWN)
-        for (values, links, places), state in zip(browser.evaluate(ALL), states, strict=True):
-            assert state.positions is not None and stage.sides is not None
-            assert np.abs(values - state.values).max() <= step
-            assert np.array_equal(links, state.neighbours)
-            assert np.abs(places - state.positions).max() <= step * max(stage.sides)
-
-        browser.evaluate("view.player.pause()")
-        browser.locator("#time").fill("200")
-        # Robots are where the frame last drawn has them.
-        until(browser, "document.getElementById('clock').textContent.startsWith('step 200 of')")
-        x, y = until(browser, "view.arena.places[2].map((each) => each / view.arena.ratio)")
-        browser.locator("#arena").click(position={"x": x, "y": y})
-        assert until(browser, "view.chosen") == 2
-        assert "Robot 2, flawed at the start" in browser.locator("#robot").inner_text()
-        assert browser.evaluate(COLOURS) > 50
-        follow_a_run(browser, history)
+@pytest.fixture(scope="module")
+def file(history: History, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of the history, as a file."""
+    file = tmp_path_factory.mktemp("browser") / "run.html"
+    file.write_text(page(history))
+    return file
 
 
-def follow_a_run(browser: Page, history: History) -> None:
-    """States come and a robot joins while the page is open; it goes along until the run has ended."""
-    update = history.states_since()
-    stage, states = update.description, update.states
-    live = History(stage)
-    with serving(live) as url:
-        for state in states[:50]:
-            live.add(state)
-        browser.goto(url)
-        until(browser, f"{IS_SHOWN} && view.film.length === 50")
-        for state in states[50:]:
-            live.add(state)
-        until(browser, f"view.film.length === {len(states)} && view.player.tick > 250")
-    bus = History(RunDescription("a bus", [5]))
-    with serving(bus) as url:
-        bus.add(states[0]._replace(values=states[0].values[:, :1], neighbours=np.eye(1) > 1, positions=None))
-        browser.goto(url)
-        until(browser, f"{IS_SHOWN} && view.film.robots === 1")
-        bus.add_robot(9)
-        until(browser, "view.film.robots === 2 && view.film.length === 1")
-        assert browser.evaluate("Number.isNaN(view.film.value('x', 1, 0))")
-        check_the_table(browser, bus)
-        bus.has_ended = True
-        until(browser, "document.getElementById('state').textContent === 'the run has ended'")
+def open_file(browser: Page, file: Path, address: str = "") -> None:
+    """Open a page from a file, and wait until it is drawn."""
+    browser.goto(f"{file.as_uri()}{address}")
+    until(browser, IS_DRAWN)
 
 
-def check_the_table(browser: Page, bus: History) -> None:
-    """A row for each robot, a silent one greyed, and frames through the filter."""
-    roster, text = Roster(), "document.getElementById('frames').textContent"
-    for robot, now in ((9, 0.0), (5, 9.0)):
-        for content in (Estimate(robot, 0, 0, 3), Heartbeat(robot, 60, 4, Health.WARNING)):
-            roster.receive(can.Message(), content, now)
-    bus.report = roster.report(10.0)
-    until(browser, "document.querySelectorAll('#roster tbody tr').length === 2")
-    rows = [row.split() for row in browser.locator("#roster tbody tr").all_inner_texts()]
-    rest = ["%", "0", *["\N{EN DASH}"] * 3, "0"]
-    assert rows[0] == ["5", "1.0", "s", "warning", "operational", "1.0/s", "0.0", *rest]
-    assert rows[1] == ["9", "10.0", "s", "warning", "operational", "0.0/s", "0.0", *rest]
-    assert browser.locator("#roster tr.silent").count() == 1
-    browser.locator("#roster button").last.press("Enter")
-    assert browser.evaluate("view.film.stage.robots[view.chosen]") == 9
-    assert browser.evaluate(text).count("\n") == 3
-    browser.locator("#filter").fill("9 heartbeat")
-    assert browser.evaluate(text).strip() == "0.000 s  9  heartbeat 4: warning, operational, up 60 s"
+def open_file_paused(browser: Page, file: Path) -> None:
+    """Open a page from a file, and pause it at the start."""
+    open_file(browser, file)
+    browser.evaluate("view.player.pause()")
+    browser.evaluate("view.player.seek(0)")
 
 
-def check_marks(browser: Page, path: Path) -> None:
-    """Faults stand in the header; they, a death and a return are marked; the dead are in no mean."""
+# --- A recording --------------------------------------------------------------------------------------
+
+
+def test_the_page_has_the_values_links_and_positions_of_all_states(
+    browser: Page, file: Path, history: History
+) -> None:
+    open_file(browser, file)
+    smallest_step = 1 / 65534
+    states = history.states_since().states
+    for shown, state in zip(browser.evaluate(ALL_STATES), states, strict=True):
+        assert state.positions is not None
+        assert np.abs(np.array(shown["values"]) - state.values).max() <= smallest_step
+        assert np.array_equal(shown["neighbours"], state.neighbours)
+        longest_side = max(SETTINGS.sides)
+        assert np.abs(shown["positions"] - state.positions).max() <= smallest_step * longest_side
+
+
+def test_the_page_has_the_links_of_more_than_128_robots(browser: Page, tmp_path: Path) -> None:
+    experiment = Experiment(topology="dynamic", robots=140, steps=40, trials=1)
+    many_robots = recompute_trial_history(run_trials(experiment, 0, 1), 0)
+    (tmp_path / "many.html").write_text(page(many_robots))
+    receivers_and_senders = np.argwhere(Arena(experiment).record(40).adjacency[-1])
+    first_receiver = receivers_and_senders[0, 0]
+    expected = receivers_and_senders[:, ::-1].tolist()
+
+    open_file(browser, tmp_path / "many.html")
+    assert browser.evaluate("view.history.links(view.history.stateCount - 1)") == expected
+    links = browser.evaluate(f"view.history.links(view.history.stateCount - 1, {first_receiver})")
+    assert links == [link for link in expected if link[1] == first_receiver]
+
+
+def test_the_arena_is_drawn_in_many_colours(browser: Page, file: Path) -> None:
+    open_file(browser, file)
+    assert browser.evaluate(f"new Set(new Uint32Array({PIXELS}.buffer)).size") > 50
+
+
+def test_nothing_comes_from_a_network(browser: Page, file: Path) -> None:
+    schemes = set[str]()
+    browser.on("request", lambda request: schemes.add(request.url.partition(":")[0]))
+    open_file(browser, file)
+    assert schemes <= {"file", "data", "blob"}
+
+
+@pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1024, 700), (420, 900)])
+def test_everything_fits_on_the_screen(chromium: Browser, file: Path, width: int, height: int) -> None:
+    with new_page(chromium, width, height) as browser:
+        open_file(browser, file)
+        assert browser.evaluate("document.documentElement.scrollWidth") <= width
+        for name in ("#arena", "#charts", "#figures", "#events", "#play", "#time"):
+            box = browser.locator(name).bounding_box()
+            assert box is not None and min(box["width"], box["height"]) > 10, name
+        assert browser.evaluate("view.charts.views.every(({ plot }) => plot.over.clientHeight > 40)")
+
+
+@pytest.mark.parametrize(("scheme", "is_dark"), [("light", False), ("dark", True)])
+def test_the_page_has_the_colours_of_the_system(
+    browser: Page, file: Path, scheme: str, is_dark: bool
+) -> None:
+    open_file(browser, file)
+    browser.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+    background = browser.evaluate("getComputedStyle(document.body).backgroundColor")
+    red_channel = int(re.findall(r"\d+", background)[0])
+    assert (red_channel < 128) == is_dark
+
+
+# --- Controls -----------------------------------------------------------------------------------------
+
+
+def test_a_recording_plays_to_its_end(browser: Page, file: Path) -> None:
+    open_file(browser, file)
+    browser.locator("#speed").select_option("1000")
+    until(browser, "view.player.tick === view.player.end && !view.player.isPlaying")
+
+
+def test_the_button_pauses_and_plays(browser: Page, file: Path) -> None:
+    open_file(browser, file)
+    browser.locator("#play").click()
+    assert not browser.evaluate("view.player.isPlaying")
+    browser.locator("#play").click()
+    assert browser.evaluate("view.player.isPlaying")
+
+
+def test_the_time_line_leads_to_a_step(browser: Page, file: Path) -> None:
+    open_file_paused(browser, file)
+    browser.locator("#time").fill("200")
+    until(browser, "document.getElementById('clock').textContent === 'step 200 of 300, 20.0 s'")
+
+
+def test_a_click_follows_a_robot(browser: Page, file: Path) -> None:
+    open_file_paused(browser, file)
+    x, y = until(browser, "view.arena.centres[2].map((pixel) => pixel / view.arena.pixelRatio)")
+    browser.locator("#arena").click(position={"x": x, "y": y})
+    assert until(browser, "view.followedRobot") == 2
+    until(browser, "document.querySelector('#robot h2').textContent === 'Robot 2, flawed at the start'")
+
+
+def test_the_arrow_keys_follow_one_robot_after_the_other(browser: Page, file: Path) -> None:
+    open_file_paused(browser, file)
+    browser.locator("#arena").focus()
+    followed_robots = []
+    for key in ("ArrowRight", "ArrowLeft", "ArrowLeft", "ArrowDown"):
+        browser.keyboard.press(key)
+        followed_robots.append(browser.evaluate("view.followedRobot"))
+    assert followed_robots == [0, 7, 6, 7]
+
+
+def test_escape_follows_no_robot(browser: Page, file: Path) -> None:
+    open_file_paused(browser, file)
+    browser.evaluate("view.followRobot(2)")
+    browser.keyboard.press("Escape")
+    assert browser.evaluate("view.followedRobot") is None
+
+
+def test_keys_and_buttons_lead_from_event_to_event(browser: Page, file: Path) -> None:
+    open_file_paused(browser, file)
+    first, second, *_ = browser.evaluate("[...new Set(view.history.events.map(({ tick }) => tick))]")
+    ticks = []
+    for key in ("n", "n", "p"):
+        browser.keyboard.press(key)
+        ticks.append(browser.evaluate("view.player.tick"))
+    browser.locator("#later").click()
+    ticks.append(browser.evaluate("view.player.tick"))
+    assert ticks == [first, second, first, second]
+
+
+def test_a_click_on_an_event_leads_to_its_time_and_robot(browser: Page, file: Path) -> None:
+    open_file_paused(browser, file)
+    browser.evaluate("view.player.seek(300)")
+    until(browser, "document.querySelectorAll('#events button').length > 0")
+    browser.locator("#events button").last.click()
+    assert browser.evaluate("view.followedRobot !== null")
+    assert browser.evaluate("view.player.tick") % SETTINGS.filter_period == 0
+
+
+def test_the_address_has_step_and_robot(browser: Page, file: Path) -> None:
+    open_file_paused(browser, file)
+    browser.evaluate("view.player.seek(120)")
+    browser.evaluate("view.followRobot(5)")
+    until(browser, "location.hash === '#step=120&robot=5'")
+
+
+def test_an_address_leads_to_its_step_and_robot(browser: Page, file: Path) -> None:
+    open_file(browser, file, "#step=120&robot=5")
+    until(browser, "view.player.tick === 120 && view.followedRobot === 5")
+    assert not browser.evaluate("view.player.isPlaying")
+
+
+# --- Faults and deaths --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def file_with_faults(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a run of robots 3 and 8 with two faults, in which robot 8 is dead from tick 4 to 6."""
     states = [State(tick, np.full((4, 2), 0.5), np.eye(2) > 1, None) for tick in range(11)]
     for state in states[4:7]:
         state.values[:3, 1] = np.nan
     states[5].values[0, 0] = 0.75
     faults = [("loss=0.2", 0, None), ("liar=1.0", 2, 9)]
-    stage = RunDescription("two", [3, 8], fill_ratio=0.5, steps=10, faults=faults)
-    path.write_text(page(History(stage, states)))
-    browser.goto(f"{path.as_uri()}#step=5")
-    until(browser, IS_SHOWN)
+    description = RunDescription("two", [3, 8], fill_ratio=0.5, steps=10, faults=faults)
+    file = tmp_path_factory.mktemp("faults") / "faults.html"
+    file.write_text(page(History(description, states)))
+    return file
+
+
+def test_faults_stand_in_the_header(browser: Page, file_with_faults: Path) -> None:
+    open_file(browser, file_with_faults)
     assert browser.locator("#faults").inner_text() == "loss=0.2; liar=1.0"
+
+
+def test_dead_robots_are_in_no_figure(browser: Page, file_with_faults: Path) -> None:
+    open_file(browser, file_with_faults, "#step=5")
     figures = [browser.locator(f"#{name}").inner_text() for name in ("mean-x", "spread", "wrong")]
     assert figures == ["0.750", "0.000", "0 of 1"]
-    events = browser.evaluate("view.film.events.map(({ tick, text }) => `${tick} ${text}`).join(', ')")
-    assert events == "1 fault: loss=0.2, 2 fault: liar=1.0, 4 dead, 7 back, 9 fault over: liar=1.0"
-    width, data = "document.getElementById('marks').width", "getContext('2d').getImageData"
-    ink = f"document.getElementById('marks').{data}(0, 0, {width}, 1).data.filter((each, i) => i % 4 === 3)"
-    places = np.flatnonzero(list(browser.evaluate(f"[...{ink}]")))[::2] / (browser.evaluate(width) - 2)
-    assert places == pytest.approx([0.1, 0.2, 0.4, 0.7, 0.9], abs=0.01)
 
 
-def check_keys_and_address(browser: Page, path: Path) -> None:
-    """Arrows choose a robot, n and p lead to events, and the address brings back what was seen."""
-    browser.mouse.move(0, 0)
-    browser.locator("#arena").focus()
-    for key, robot in (("ArrowRight", 0), ("ArrowLeft", 7), ("ArrowLeft", 6), ("ArrowDown", 7)):
-        browser.keyboard.press(key)
-        assert browser.evaluate("view.chosen") == robot
-    browser.evaluate("view.player.seek(0)")
-    ticks = browser.evaluate("[...new Set(view.film.events.map(({ tick }) => tick))]")
-    for key, tick in (("n", ticks[0]), ("n", ticks[1]), ("p", ticks[0])):
-        browser.keyboard.press(key)
-        assert browser.evaluate("view.player.tick") == tick
-    browser.locator("#later").click()
-    assert browser.evaluate("view.player.tick") == ticks[1]
-    until(browser, f"location.hash.startsWith('#step={ticks[1]}&robot=')")
-    browser.goto("about:blank")
-    browser.goto(f"{path.as_uri()}#step=120&robot=5")
-    until(browser, f"{IS_SHOWN} && view.player.tick === 120 && view.chosen === 5 && !view.player.isPlaying")
+def test_faults_deaths_and_returns_are_events(browser: Page, file_with_faults: Path) -> None:
+    open_file(browser, file_with_faults)
+    events = browser.evaluate("view.history.events.map(({ tick, text }) => `${tick} ${text}`)")
+    assert events == ["1 fault: loss=0.2", "2 fault: liar=1.0", "4 dead", "7 back", "9 fault over: liar=1.0"]
 
 
-@pytest.mark.slow
-def test_all_controls_work_on_screens_of_any_size(history: History, tmp_path: Path) -> None:
-    path, asked = tmp_path / "run.html", list[str]()
-    path.write_text(page(history))
-    with browser_page() as browser:
-        browser.on("request", lambda request: asked.append(request.url.partition(":")[0]))
-        for width, height, is_dark in ((1920, 1080, False), (1024, 700, True), (420, 900, False)):
-            browser.emulate_media(color_scheme="dark" if is_dark else "light")
-            browser.set_viewport_size({"width": width, "height": height})
-            browser.goto("about:blank")  # a page that plays keeps its step in the address, which interrupts
-            browser.goto(path.as_uri())
-            until(browser, f"{IS_SHOWN} && view.player.tick > 0")
-            assert browser.evaluate("document.documentElement.scrollWidth") <= width
-            for name in ("#arena", "#charts", "#figures", "#events", "#play", "#time"):
-                box = browser.locator(name).bounding_box()
-                assert box is not None and min(box["width"], box["height"]) > 10, name
-            assert browser.evaluate("view.charts.plots.every((each) => each.plot.over.clientHeight > 40)")
-            background = browser.evaluate("getComputedStyle(document.body).backgroundColor")
-            assert (int(re.findall(r"\d+", background)[0]) < 128) == is_dark
-        browser.locator("#play").click()
-        assert not browser.evaluate("view.player.isPlaying")
-        browser.locator("#speed").select_option("1000")
-        browser.keyboard.press("Escape")
-        browser.locator("#play").click()
-        until(browser, "view.player.tick === view.player.end && !view.player.isPlaying")
-        until(browser, "document.querySelectorAll('#events button').length > 0")
-        browser.locator("#events button").last.click()
-        until(browser, "view.chosen !== null && view.player.tick % 50 === 0")
-        browser.keyboard.press("Escape")
-        assert browser.evaluate("view.chosen") is None
-        check_keys_and_address(browser, path)
-        check_marks(browser, tmp_path / "faults.html")
-    assert set(asked) <= {"file", "data", "blob"}, "nothing comes from a network"
+def test_events_are_marked_on_the_time_line(browser: Page, file_with_faults: Path) -> None:
+    open_file(browser, file_with_faults, "#step=5")
+    width = browser.evaluate("document.getElementById('marks').width")
+    row = f"document.getElementById('marks').getContext('2d').getImageData(0, 0, {width}, 1).data"
+    opacities = browser.evaluate(f"[...{row}].filter((_, index) => index % 4 === 3)")
+    first_pixels = np.flatnonzero(opacities)[::2]  # each mark is two pixels wide
+    assert first_pixels / (width - 2) == pytest.approx([0.1, 0.2, 0.4, 0.7, 0.9], abs=0.01)
 
 
-@pytest.mark.slow
-def test_the_page_shows_who_hears_whom_among_many(tmp_path: Path) -> None:
-    experiment = Experiment(topology="dynamic", robots=140, steps=40, trials=1)
-    history = recompute_trial_history(run_trials(experiment, 0, 1), 0)
-    hears = np.argwhere(Arena(experiment).record(40).adjacency[-1])
-    (tmp_path / "many.html").write_text(page(history))
-    with browser_page() as browser:
-        browser.goto((tmp_path / "many.html").as_uri())
-        until(browser, IS_SHOWN)
-        shown = browser.evaluate("[...Array(view.film.length).keys()].map((at) => view.film.heard(at))")
-        one = browser.evaluate(f"view.film.heard(view.film.length - 1, {hears[0, 0]})")
-    assert [state.neighbours[:, ::-1].tolist() for state in history.states_since().states] == shown
-    assert shown[-1] == hears[:, ::-1].tolist() and one == [
-        each for each in shown[-1] if each[1] == hears[0, 0]
+# --- A run as it goes ---------------------------------------------------------------------------------
+
+
+def test_the_page_follows_a_run(browser: Page, history: History) -> None:
+    update = history.states_since()
+    live = History(update.description)
+    with serving(live) as url:
+        for state in update.states[:50]:
+            live.add(state)
+        browser.goto(url)
+        until(browser, f"{IS_DRAWN} && view.history.stateCount === 50")
+        for state in update.states[50:]:
+            live.add(state)
+        until(browser, f"view.history.stateCount === {len(update.states)} && view.player.tick > 250")
+
+
+def test_the_page_says_when_a_run_has_ended(browser: Page) -> None:
+    live = History(RunDescription("one robot", [0]))
+    with serving(live) as url:
+        browser.goto(url)
+        live.has_ended = True
+        until(browser, "document.getElementById('state').textContent === 'the run has ended'")
+
+
+@pytest.fixture
+def bus_browser(browser: Page) -> Iterator[Page]:
+    """The page of a bus: robot 5 has sent values, robot 9 comes later, and both are in the table."""
+    live = History(RunDescription("a bus", [5]))
+    live.add(State(1, np.full((4, 1), 0.5), np.eye(1) > 1, None))
+    roster = Roster()
+    for robot, now in ((9, 0.0), (5, 9.0)):
+        roster.receive(can.Message(), Estimate(robot, 0, 0, 3), now)
+        roster.receive(can.Message(), Heartbeat(robot, 60, 4, Health.WARNING), now)
+    with serving(live) as url:
+        browser.goto(url)
+        until(browser, f"{IS_DRAWN} && view.history.robotCount === 1")
+        live.add_robot(9)
+        live.report = roster.report(10.0)
+        until(browser, "document.querySelectorAll('#roster tbody tr').length === 2")
+        yield browser
+
+
+def test_a_robot_that_joins_has_no_values_before(bus_browser: Page) -> None:
+    until(bus_browser, "view.history.robotCount === 2 && view.history.stateCount === 1")
+    assert bus_browser.evaluate("Number.isNaN(view.history.value('x', 1, 0))")
+
+
+def test_the_table_has_a_row_for_each_robot(bus_browser: Page) -> None:
+    rows = [" ".join(row.split()) for row in bus_browser.locator("#roster tbody tr").all_inner_texts()]
+    assert rows == [
+        "5 1.0 s warning operational 1.0/s 0.0 % 0 – – – 0",  # noqa: RUF001
+        "9 10.0 s warning operational 0.0/s 0.0 % 0 – – – 0",  # noqa: RUF001
     ]
+
+
+def test_the_row_of_a_silent_robot_is_grey(bus_browser: Page) -> None:
+    assert bus_browser.locator("#roster tr.silent button").all_inner_texts() == ["9"]
+
+
+def test_the_button_of_a_row_follows_its_robot(bus_browser: Page) -> None:
+    until(bus_browser, "view.history.robotCount === 2")
+    bus_browser.locator("#roster button").last.press("Enter")
+    assert bus_browser.evaluate("view.history.description.robots[view.followedRobot]") == 9
+
+
+def test_frames_are_listed_with_the_latest_first(bus_browser: Page) -> None:
+    lines = bus_browser.evaluate(FRAME_LINES).splitlines()
+    assert lines[0].strip() == "9.000 s  5  heartbeat 4: warning, operational, up 60 s"
+    assert [line.split()[:3] for line in lines] == [["9.000", "s", "5"]] * 2 + [["0.000", "s", "9"]] * 2
+
+
+def test_the_filter_shows_frames_that_have_all_its_words(bus_browser: Page) -> None:
+    bus_browser.locator("#filter").fill("9 heartbeat")
+    line = bus_browser.evaluate(FRAME_LINES)
+    assert line.strip() == "0.000 s  9  heartbeat 4: warning, operational, up 60 s"

@@ -205,11 +205,11 @@ def test_a_page_has_all_of_a_film(robots: int, moves: int) -> None:
     history = [State(7 * i, values[i], links[i], places[i] if moves else None) for i in range(5)]
     whole = page(History(stage, history))
     assert not re.findall("__[A-Z_]+__", whole) and "Permission is hereby granted" in whole
-    (text,) = re.findall('<script id="film"[^>]*>(.*?)</script>', whole)
-    told, block = (json.loads(text)[name] for name in ("stage", "block"))
+    (text,) = re.findall('<script id="history"[^>]*>(.*?)</script>', whole)
+    told, block = (json.loads(text)[name] for name in ("description", "block"))
     bits = np.unpackbits(inflated(told["floor"].pop("bits"), "u1").reshape(3, 2), axis=1)
     assert np.array_equal(bits[:, :11], floor) and told["floor"] == {"rows": 3, "columns": 11}
-    assert [told[name] for name in ("quantities", "flawed", "twin")] == [
+    assert [told[name] for name in ("quantities", "flawed", "unfiltered_errors")] == [
         ["x", "x_hat", "b_hat", "b"],
         [0],
         [],

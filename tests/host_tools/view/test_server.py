@@ -173,11 +173,11 @@ def live_events() -> list[tuple[str, Any]]:
 
 def test_events_follow_a_run_in_the_order_in_which_it_goes(live_events: list[tuple[str, Any]]) -> None:
     names = [name for name, _ in live_events]
-    assert names == ["stage", "block", "block", "report", "stage", "block", "end"]
+    assert names == ["description", "block", "block", "report", "description", "block", "end"]
 
 
 def test_a_robot_that_joins_begins_the_history_anew(live_events: list[tuple[str, Any]]) -> None:
-    robots = [content["robots"] for name, content in live_events if name == "stage"]
+    robots = [content["robots"] for name, content in live_events if name == "description"]
     counts = [content["count"] for name, content in live_events if name == "block"]
     assert robots == [[0, 1], [0, 1, 7]]
     assert counts == [1, 1, 2]

@@ -1,215 +1,253 @@
-// The arena: floor, robots, their radio range, and who hears whom.
+// The arena: the floor, the robots with their radio ranges, and the links between them.
 
 import { colour, colourOfError } from "view/colours";
 
-const BODY_RADIUS = 0.0704;
-const TURN = 2 * Math.PI;
+const BODY_RADIUS = 0.0704; // metres
+const FULL_TURN = 2 * Math.PI;
+const CIRCLE_SIDES = [2.5, 2.5]; // around the circle of radius 1 on which robots stand that do not move
 const MANY_ROBOTS = 128;
 const MANY_LINKS = 240;
-const MOST_LINKS = 4000; // more would be one grey disc
+const MAX_LINKS = 4000; // more would be one grey disc
 
+/** Draws states of a history on a canvas, in pixels of the screen. */
 export class Arena {
   constructor(canvas) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
-    this.places = [];
+    this.centres = []; // of the robots, as last drawn
+    this.specialColours = new Map(); // by robot, in place of that of its error
     new ResizeObserver(() => this.#resize()).observe(canvas);
     this.#resize();
   }
 
-  show(film) {
-    this.film = film;
-    this.floor = null;
-    this.flawed = new Set(film.stage.flawed);
-    this.liars = new Set(film.stage.liars);
+  /** Takes the history that is to be drawn from now on. */
+  show(history) {
+    this.history = history;
+    this.floorImage = null;
+    this.flawedRobots = new Set(history.description.flawed);
   }
 
-  /** Paints the floor again, in new colours. */
+  /** Makes the next `draw` paint the floor again, in new colours. */
   recolour() {
-    this.floor = null;
+    this.floorImage = null;
     this.isBlank = true;
   }
 
   #resize() {
-    const ratio = window.devicePixelRatio || 1;
     const { width, height } = this.canvas.getBoundingClientRect();
-    this.canvas.width = Math.max(1, Math.round(width * ratio));
-    this.canvas.height = Math.max(1, Math.round(height * ratio));
-    this.ratio = ratio;
-    this.isBlank = true;
+    this.pixelRatio = window.devicePixelRatio || 1;
+    this.canvas.width = Math.max(1, Math.round(width * this.pixelRatio));
+    this.canvas.height = Math.max(1, Math.round(height * this.pixelRatio));
+    this.isBlank = true; // a canvas that changes its size loses its content
   }
 
-  /** Maps metres to pixels; robots that do not move stand on a circle of radius 1. */
-  #fit() {
-    const [width, height] = this.film.stage.sides ?? [2.5, 2.5];
-    const margin = 3 * this.ratio;
-    const across = (this.canvas.width - 2 * margin) / width;
-    const down = (this.canvas.height - 2 * margin) / height;
-    this.scale = Math.min(across, down);
+  /** Draws the state at a tick; the robot `followedRobot` stands out, unless it is null. */
+  draw(tick, followedRobot) {
+    const { context, canvas, history } = this;
+    this.isBlank = false;
+    const isHidden = canvas.width === 1;
+    if (isHidden) return;
+    this.#fitToCanvas();
+    context.clearRect(0, 0, canvas.width, canvas.height);
+    this.#drawFloor();
+    const state = history.stateAt(tick);
+    this.centres = this.#centresAt(tick, state);
+    this.radius = this.#radiusOfRobots();
+    if (history.robotsMove) this.#drawRanges(state, followedRobot);
+    this.#drawLinks(history.links(state), followedRobot);
+    // The first robots, among which the flawed ones are, are drawn last and so above the others.
+    for (let robot = history.robotCount - 1; robot >= 0; robot--) {
+      this.#drawRobot(robot, state, followedRobot);
+    }
+  }
+
+  /** Sets scale (pixels per metre), middle and size so that the arena fills the canvas but for a margin. */
+  #fitToCanvas() {
+    const [width, height] = this.history.description.sides ?? CIRCLE_SIDES;
+    const margin = 3 * this.pixelRatio;
+    const horizontalScale = (this.canvas.width - 2 * margin) / width;
+    const verticalScale = (this.canvas.height - 2 * margin) / height;
+    this.scale = Math.min(horizontalScale, verticalScale);
     this.middle = [this.canvas.width / 2, this.canvas.height / 2];
     this.size = [width * this.scale, height * this.scale];
   }
 
-  #toPixels([x, y]) {
+  /** Returns the pixel of a point in metres from the middle, whose y axis points up. */
+  #toPixel([x, y]) {
     return [this.middle[0] + x * this.scale, this.middle[1] - y * this.scale];
   }
 
-  /** Where the robots are at a tick, between two samples on the line from one to the other. */
-  #place(tick) {
-    const { film } = this;
-    const sample = film.sampleAt(tick);
-    const next = Math.min(sample + 1, film.length - 1);
-    const span = film.ticks[next] - film.ticks[sample];
-    const share = span > 0 ? Math.min((tick - film.ticks[sample]) / span, 1) : 0;
-    this.places = film.stage.robots.map((_, robot) => {
-      if (!film.moves) {
-        const angle = (TURN * robot) / film.robots - TURN / 4;
-        return this.#toPixels([Math.cos(angle), -Math.sin(angle)]);
-      }
-      const [x, y] = film.position(robot, sample);
-      const [nextX, nextY] = film.position(robot, next);
-      return this.#toPixels([x + share * (nextX - x), y + share * (nextY - y)]);
+  /** Returns the pixels of all robots' centres; between two states they move on a straight line. */
+  #centresAt(tick, state) {
+    const { history } = this;
+    if (!history.robotsMove) {
+      return history.description.robots.map((_, robot) => this.#centreOnCircle(robot));
+    }
+    const nextState = Math.min(state + 1, history.stateCount - 1);
+    const ticksBetween = history.ticks[nextState] - history.ticks[state];
+    const share = ticksBetween > 0 ? Math.min((tick - history.ticks[state]) / ticksBetween, 1) : 0;
+    return history.description.robots.map((_, robot) => {
+      const [x, y] = history.position(robot, state);
+      const [nextX, nextY] = history.position(robot, nextState);
+      return this.#toPixel([x + share * (nextX - x), y + share * (nextY - y)]);
     });
-    return sample;
   }
 
-  /** Draws the state at a tick; `chosen` is the robot followed, or null. */
-  draw(tick, chosen) {
-    const { context, film } = this;
-    this.isBlank = false;
-    if (this.canvas.width === 1) return; // hidden
-    this.#fit();
-    context.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    this.#drawFloor();
-    const sample = this.#place(tick);
-    this.radius = film.moves
-      ? Math.max(BODY_RADIUS * this.scale, (film.robots > MANY_ROBOTS ? 2.5 : 6) * this.ratio)
-      : Math.min((this.scale * Math.PI) / film.robots / 1.6, 15 * this.ratio);
-    if (film.moves) this.#drawRanges(sample, chosen);
-    this.#drawLinks(film.heard(sample), chosen);
-    for (let robot = film.robots - 1; robot >= 0; robot--) this.#drawRobot(robot, sample, chosen);
+  /** Returns the pixel of a robot that does not move: clockwise on a circle, the first at the top. */
+  #centreOnCircle(robot) {
+    const angle = (FULL_TURN * robot) / this.history.robotCount - FULL_TURN / 4;
+    return this.#toPixel([Math.cos(angle), -Math.sin(angle)]);
+  }
+
+  #radiusOfRobots() {
+    const { robotCount, robotsMove } = this.history;
+    if (robotsMove) {
+      const smallestRadius = robotCount > MANY_ROBOTS ? 2.5 : 6;
+      return Math.max(BODY_RADIUS * this.scale, smallestRadius * this.pixelRatio);
+    }
+    const radiusBetweenNeighbours = (this.scale * Math.PI) / robotCount / 1.6;
+    return Math.min(radiusBetweenNeighbours, 15 * this.pixelRatio);
+  }
+
+  /** Returns left, top, width and height of the arena in pixels. */
+  #bounds() {
+    const [width, height] = this.size;
+    return [this.middle[0] - width / 2, this.middle[1] - height / 2, width, height];
   }
 
   #drawFloor() {
-    const { context, film } = this;
-    const [width, height] = this.size;
-    const [left, top] = [this.middle[0] - width / 2, this.middle[1] - height / 2];
-    const { floor } = film.stage;
+    const { context, history } = this;
+    const [left, top, width, height] = this.#bounds();
+    const { floor } = history.description;
     if (floor) {
-      this.floor ??= paintedFloor(floor);
+      this.floorImage ??= paintFloor(floor);
+      // Tiles that are smaller than pixels are averaged; larger ones keep their edges.
       context.imageSmoothingEnabled = floor.columns > width / 3;
-      context.drawImage(this.floor, left, top, width, height);
+      context.drawImage(this.floorImage, left, top, width, height);
     }
-    if (film.moves) {
+    if (history.robotsMove) {
       context.strokeStyle = colour("soft");
-      context.lineWidth = 1.5 * this.ratio;
+      context.lineWidth = 1.5 * this.pixelRatio;
       context.strokeRect(left, top, width, height);
     }
   }
 
-  #drawRanges(sample, chosen) {
-    const { context, film } = this;
-    const [width, height] = this.size;
+  /** Draws a disc of the radio range around each robot, as far as it is inside the arena. */
+  #drawRanges(state, followedRobot) {
+    const { context, history } = this;
+    const range = history.description.radio_range * this.scale;
     context.save();
     context.beginPath();
-    context.rect(this.middle[0] - width / 2, this.middle[1] - height / 2, width, height);
+    context.rect(...this.#bounds());
     context.clip();
-    context.lineWidth = this.ratio;
-    this.places.forEach(([x, y], robot) => {
+    context.lineWidth = this.pixelRatio;
+    this.centres.forEach(([x, y], robot) => {
+      const robotColour = colourOfError(history.bHatError(robot, state));
       context.beginPath();
-      context.arc(x, y, film.stage.radio_range * this.scale, 0, TURN);
-      context.strokeStyle = context.fillStyle = colourOfError(film.wrongness(robot, sample));
-      context.globalAlpha = robot === chosen ? 0.16 : 0.035;
+      context.arc(x, y, range, 0, FULL_TURN);
+      context.fillStyle = robotColour;
+      context.globalAlpha = robot === followedRobot ? 0.16 : 0.035;
       context.fill();
-      context.globalAlpha = robot === chosen ? 0.9 : 0.22;
+      context.strokeStyle = robotColour;
+      context.globalAlpha = robot === followedRobot ? 0.9 : 0.22;
       context.stroke();
     });
     context.restore();
   }
 
-  #drawLinks(links, chosen) {
-    const { context } = this;
-    const isOfChosen = (pair) => pair.includes(chosen);
-    this.#drawLines(
-      links.length > MOST_LINKS ? [] : links.filter((pair) => !isOfChosen(pair)),
-      colour("link"),
-      links.length > MANY_LINKS ? 0.16 : 0.75,
-    );
-    this.#drawLines(links.filter(isOfChosen), colour("focus"), 1);
-    context.globalAlpha = 1;
+  /** Draws the links between robots; if there are too many, only those of the followed robot. */
+  #drawLinks(links, followedRobot) {
+    const isOfFollowedRobot = (link) => link.includes(followedRobot);
+    if (links.length <= MAX_LINKS) {
+      const otherLinks = links.filter((link) => !isOfFollowedRobot(link));
+      this.#drawLines(otherLinks, colour("link"), links.length > MANY_LINKS ? 0.16 : 0.75);
+    }
+    this.#drawLines(links.filter(isOfFollowedRobot), colour("focus"), 1);
+    this.context.globalAlpha = 1;
   }
 
-  #drawLines(pairs, style, alpha) {
+  #drawLines(links, strokeStyle, alpha) {
     const { context } = this;
-    context.lineWidth = 1.4 * this.ratio;
-    context.strokeStyle = style;
+    context.lineWidth = 1.4 * this.pixelRatio;
+    context.strokeStyle = strokeStyle;
     context.globalAlpha = alpha;
     context.beginPath();
-    for (const [sender, receiver] of pairs) {
-      context.moveTo(...this.places[sender]);
-      context.lineTo(...this.places[receiver]);
+    for (const [sender, receiver] of links) {
+      context.moveTo(...this.centres[sender]);
+      context.lineTo(...this.centres[receiver]);
     }
     context.stroke();
   }
 
-  #drawRobot(robot, sample, chosen) {
-    const { context, radius } = this;
-    const [x, y] = this.places[robot];
-    const isGone = this.film.gone.has(robot) && Number.isNaN(this.film.value("b_hat", robot, sample));
-    context.globalAlpha = isGone ? 0.4 : 1;
+  /** Draws a robot's body, a dark edge if it was flawed at the start, its id, and a ring if it is followed. */
+  #drawRobot(robot, state, followedRobot) {
+    const { context, history, radius, pixelRatio } = this;
+    const [x, y] = this.centres[robot];
+    const isFlawed = this.flawedRobots.has(robot);
+    const isLost = history.robotsOnceLost.has(robot) && Number.isNaN(history.value("b_hat", robot, state));
+    context.globalAlpha = isLost ? 0.4 : 1;
     context.beginPath();
-    context.arc(x, y, radius, 0, TURN);
-    context.fillStyle = this.liars.has(robot)
-      ? colour("liar")
-      : colourOfError(this.film.wrongness(robot, sample));
+    context.arc(x, y, radius, 0, FULL_TURN);
+    context.fillStyle = this.#colourOfRobot(robot, state);
     context.fill();
-    context.lineWidth = Math.min((this.flawed.has(robot) ? 2.6 : 1) * this.ratio, radius / 2);
-    context.strokeStyle = colour(this.flawed.has(robot) ? "ink" : "card");
+    context.lineWidth = Math.min((isFlawed ? 2.6 : 1) * pixelRatio, radius / 2);
+    context.strokeStyle = colour(isFlawed ? "ink" : "card");
     context.stroke();
-    if (robot === chosen) {
+    if (robot === followedRobot) {
       context.beginPath();
-      context.arc(x, y, radius + 4 * this.ratio, 0, TURN);
+      context.arc(x, y, radius + 4 * pixelRatio, 0, FULL_TURN);
       context.strokeStyle = colour("focus");
-      context.lineWidth = 2.5 * this.ratio;
+      context.lineWidth = 2.5 * pixelRatio;
       context.stroke();
     }
-    this.#drawId(String(this.film.stage.robots[robot]), x, y);
+    this.#drawId(String(history.description.robots[robot]), x, y);
     context.globalAlpha = 1;
   }
 
-  /** An id, where it fits into its disc at a size that one can read. */
-  #drawId(id, x, y) {
-    const { context, radius, ratio } = this;
-    const size = Math.min(Math.max(9 * ratio, 0.95 * radius), (1.6 * radius) / (0.6 * id.length));
-    if (size < 7 * ratio) return;
-    context.fillStyle = colour("card");
-    context.font = `600 ${size}px system-ui, sans-serif`;
-    context.textAlign = "center";
-    context.textBaseline = "middle";
-    context.fillText(id, x, y + 0.5 * ratio);
+  #colourOfRobot(robot, state) {
+    const specialColour = this.specialColours.get(robot);
+    if (specialColour !== undefined) return colour(specialColour);
+    return colourOfError(this.history.bHatError(robot, state));
   }
 
-  /** The robot under a mouse event, or null. */
+  /** Writes an id into a robot's body, if it fits there in letters that are large enough to read. */
+  #drawId(id, x, y) {
+    const { context, radius, pixelRatio } = this;
+    const comfortableSize = Math.max(9 * pixelRatio, 0.95 * radius);
+    const largestFittingSize = (1.6 * radius) / (0.6 * id.length);
+    const fontSize = Math.min(comfortableSize, largestFittingSize);
+    if (fontSize < 7 * pixelRatio) return;
+    context.fillStyle = colour("card");
+    context.font = `600 ${fontSize}px system-ui, sans-serif`;
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    context.fillText(id, x, y + 0.5 * pixelRatio);
+  }
+
+  /** Returns the robot at the position of a mouse event, or null. */
   robotAt({ offsetX, offsetY }) {
-    const [x, y] = [offsetX * this.ratio, offsetY * this.ratio];
-    const distances = this.places.map((place) => Math.hypot(place[0] - x, place[1] - y));
-    const nearest = distances.indexOf(Math.min(...distances));
-    return distances[nearest] < Math.max(1.6 * this.radius, 14 * this.ratio) ? nearest : null;
+    const [mouseX, mouseY] = [offsetX * this.pixelRatio, offsetY * this.pixelRatio];
+    const distances = this.centres.map(([x, y]) => Math.hypot(x - mouseX, y - mouseY));
+    const nearestRobot = distances.indexOf(Math.min(...distances));
+    const largestDistance = Math.max(1.6 * this.radius, 14 * this.pixelRatio);
+    return distances[nearestRobot] < largestDistance ? nearestRobot : null;
   }
 }
 
-/** The tiles as a picture, one pixel each. */
-function paintedFloor({ rows, columns, bits }) {
+/** Returns a canvas with the floor, one pixel for each tile. */
+function paintFloor({ rows, columns, bits }) {
   const canvas = document.createElement("canvas");
-  [canvas.width, canvas.height] = [columns, rows];
+  canvas.width = columns;
+  canvas.height = rows;
   const context = canvas.getContext("2d");
   context.fillStyle = colour("white-tile");
   context.fillRect(0, 0, columns, rows);
   context.fillStyle = colour("black-tile");
-  const stride = Math.ceil(columns / 8);
+  const bytesPerRow = Math.ceil(columns / 8);
   for (let row = 0; row < rows; row++) {
     for (let column = 0; column < columns; column++) {
-      const isBlack = (bits[row * stride + (column >> 3)] >> (7 - (column & 7))) & 1;
+      const byte = bits[row * bytesPerRow + (column >> 3)];
+      const isBlack = (byte >> (7 - (column & 7))) & 1; // the first tile is the highest bit
       if (isBlack) context.fillRect(column, row, 1, 1);
     }
   }

@@ -1,83 +1,103 @@
-// The robots of a bus: a table with a row for each, and the frames as they pass, through a filter.
+// The robots of a bus: a table with a row for each robot, and the frames as they pass, through a filter.
 
-import { element, find, shown, write } from "view/panels";
+import { createElement, findElement, formatValue, writeText } from "view/panels";
 
-const MOST_FRAMES = 10000;
-const MOST_LINES = 300;
-/** Of each column of the table in page.html: its text, and whether that is alarming. */
+const MAX_KEPT_FRAMES = 10000;
+const MAX_SHOWN_FRAMES = 300;
+const ALARMING_LOSS = 0.01;
+/** The columns of the table in page.html: the text of each, and whether it is alarming. */
 const COLUMNS = [
-  [(row) => row.robot],
-  [(row) => `${row.seen.toFixed(1)} s`],
-  [(row) => row.health ?? "–", (row) => (row.health ?? "nominal") !== "nominal"],
-  [(row) => row.mode ?? "–", (row) => (row.mode ?? "operational") !== "operational"],
-  [(row) => `${row.rate.toFixed(1)}/s`],
-  [(row) => `${(100 * row.loss).toFixed(1)} %`, (row) => row.loss >= 0.01],
-  [(row) => row.conflicts, (row) => row.conflicts > 0],
-  [(row) => shown(row.x)],
-  [(row) => shown(row.b_hat)],
-  [(row) => row.updates ?? "–"],
-  [(row) => row.jumps],
+  { text: (row) => row.robot },
+  { text: (row) => `${row.seen.toFixed(1)} s` },
+  { text: (row) => row.health ?? "–", isAlarming: (row) => (row.health ?? "nominal") !== "nominal" },
+  { text: (row) => row.mode ?? "–", isAlarming: (row) => (row.mode ?? "operational") !== "operational" },
+  { text: (row) => `${row.rate.toFixed(1)}/s` },
+  { text: (row) => `${(100 * row.loss).toFixed(1)} %`, isAlarming: (row) => row.loss >= ALARMING_LOSS },
+  { text: (row) => row.conflicts, isAlarming: (row) => row.conflicts > 0 },
+  { text: (row) => formatValue(row.x) },
+  { text: (row) => formatValue(row.b_hat) },
+  { text: (row) => row.updates ?? "–" },
+  { text: (row) => row.jumps },
 ];
 
+/** Returns whether a frame's sender or text has a word of the filter: a number is a robot's id. */
+function matchesWord(word, robot, text) {
+  return /^\d+$/.test(word) ? robot === Number(word) : text.includes(word);
+}
+
 export class Bus {
-  /** `onChoose` takes a robot's id. */
+  /** Prepares the table and the list; `onChoose` is called with the id of a robot that a user chooses. */
   constructor(onChoose) {
     this.onChoose = onChoose;
-    this.rows = new Map();
+    this.tableRows = new Map();
     this.frames = [];
-    find("filter").addEventListener("input", () => this.#list());
+    findElement("filter").addEventListener("input", () => this.#listFrames());
   }
 
-  /** Takes a report as view/roster.py makes it; no frame says where robots are. O(robots + frames). */
-  take({ robots, frames }) {
+  /** Shows a report, as `Roster.report` makes it, in place of the arena. O(robots + frames). */
+  showReport({ robots, frames }) {
     document.body.classList.add("bus");
-    find("bus").hidden = false;
-    const body = find("roster").tBodies[0];
-    robots.forEach((row, place) => {
-      if (!this.rows.has(row.robot)) {
-        const made = this.#row(row.robot);
-        this.rows.set(row.robot, made);
-        body.insertBefore(made, body.rows[place] ?? null);
+    findElement("bus").hidden = false;
+    const tableBody = findElement("roster").tBodies[0];
+    robots.forEach((row, index) => {
+      if (!this.tableRows.has(row.robot)) {
+        const tableRow = this.#createRow(row.robot);
+        this.tableRows.set(row.robot, tableRow);
+        // The report is sorted by id, and so are the rows before this one.
+        tableBody.insertBefore(tableRow, tableBody.rows[index] ?? null);
       }
-      const shownRow = this.rows.get(row.robot);
-      shownRow.classList.toggle("silent", row.silent);
-      COLUMNS.forEach(([text, isAlarming], column) => {
-        const cell = shownRow.cells[column];
-        write(column ? cell : cell.firstChild, text(row));
-        cell.classList.toggle("alarm", !row.silent && (isAlarming?.(row) ?? false));
-      });
+      this.#fillRow(this.tableRows.get(row.robot), row);
     });
-    const silent = robots.filter((row) => row.silent).length;
-    write(find("roster").caption, `${robots.length} robots, ${silent} silent`);
-    this.frames = [...this.frames, ...frames].slice(-MOST_FRAMES);
-    this.#list();
+    const silentCount = robots.filter((row) => row.silent).length;
+    writeText(findElement("roster").caption, `${robots.length} robots, ${silentCount} silent`);
+    this.frames = [...this.frames, ...frames].slice(-MAX_KEPT_FRAMES);
+    this.#listFrames();
   }
 
-  #row(robot) {
-    const row = element("tr");
-    const head = Object.assign(element("th"), { scope: "row" });
-    const button = Object.assign(element("button"), { type: "button", title: "follow" });
-    button.addEventListener("click", () => this.onChoose(robot));
+  /** Returns an empty row for a robot, whose id is a button that chooses the robot. */
+  #createRow(robotId) {
+    const tableRow = createElement("tr");
+    const head = createElement("th");
+    head.scope = "row";
+    const button = createElement("button");
+    button.type = "button";
+    button.title = "follow";
+    button.addEventListener("click", () => this.onChoose(robotId));
     head.append(button);
-    row.append(head, ...COLUMNS.slice(1).map(() => element("td")));
-    return row;
+    tableRow.append(head, ...COLUMNS.slice(1).map(() => createElement("td")));
+    return tableRow;
   }
 
-  /** Marks the row of a robot, or none. */
-  follow(robot) {
-    for (const [id, row] of this.rows) row.firstChild.firstChild.setAttribute("aria-pressed", id === robot);
+  #fillRow(tableRow, row) {
+    tableRow.classList.toggle("silent", row.silent);
+    COLUMNS.forEach(({ text, isAlarming }, column) => {
+      const cell = tableRow.cells[column];
+      const textElement = column === 0 ? cell.firstChild : cell; // the first cell has the button
+      writeText(textElement, text(row));
+      cell.classList.toggle("alarm", !row.silent && (isAlarming?.(row) ?? false));
+    });
   }
 
-  /** The frames that the filter lets through, the latest first; they stay while the mouse is on them. */
-  #list() {
-    if (find("frames").matches(":hover")) return;
-    const words = find("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
-    const passes = (robot, text) => (word) =>
-      /^\d+$/.test(word) ? robot === Number(word) : text.includes(word);
-    const lines = this.frames
-      .filter(([, robot, text]) => words.every(passes(robot, text)))
-      .slice(-MOST_LINES)
-      .map(([seconds, robot, text]) => `${seconds.toFixed(3).padStart(9)} s  ${robot ?? "–"}  ${text}`);
-    find("frames").textContent = lines.reverse().join("\n");
+  /** Marks the row of the robot with this id, or none if it is undefined. */
+  follow(robotId) {
+    for (const [id, tableRow] of this.tableRows) {
+      const button = tableRow.firstChild.firstChild;
+      button.setAttribute("aria-pressed", id === robotId);
+    }
+  }
+
+  /** Lists the frames that have all words of the filter, the latest first. */
+  #listFrames() {
+    // Lines must not move away while somebody reads or selects them.
+    if (findElement("frames").matches(":hover")) return;
+    const words = findElement("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
+    const matchingFrames = this.frames.filter(([, robot, text]) =>
+      words.every((word) => matchesWord(word, robot, text)),
+    );
+    const lines = matchingFrames.slice(-MAX_SHOWN_FRAMES).map(([seconds, robot, text]) => {
+      const time = seconds.toFixed(3).padStart(9);
+      return `${time} s  ${robot ?? "–"}  ${text}`;
+    });
+    findElement("frames").textContent = lines.reverse().join("\n");
   }
 }

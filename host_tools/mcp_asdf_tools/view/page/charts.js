@@ -1,162 +1,265 @@
-// Charts of all robots over time. Long films are thinned to the extremes of each column of the screen.
+// Charts over time, drawn by uPlot. Of a long history each column of the screen shows its extremes.
 
 import { colour, colourOfError } from "view/colours";
-import { element } from "view/panels";
-import { FILTERS } from "view/playground";
+import { createElement } from "view/panels";
 
-const COLUMNS = 480;
-const MEAN = { label: "mean error of x: ", data: meanErrors };
-const ERROR = {
-  label: "mean error of x: median and middle half of runs",
-  data: (film) => film.comparison.data(),
+/** The filters' names on the page, by the names that programs use; each is also the name of a colour. */
+export const FILTER_LABELS = {
+  none: "no filter",
+  "asdf-minus": "ASDF−",
+  "asdf-plus": "ASDF+",
+  robust: "robust",
 };
-const PANELS = [
-  { name: "b_hat", label: "b_hat: trust in the own sensor", symbol: "b" },
-  { name: "x_hat", label: "x_hat: what each sees by itself", symbol: "f" },
-  { name: "x", label: "x: what each believes after hearing its neighbours", symbol: "f" },
-];
 
-/** First and end of the samples in each column of the screen. */
-function columnsOf(film) {
-  const count = Math.min(COLUMNS, film.length);
-  const start = (column) => Math.floor((column * film.length) / count);
-  return Array.from({ length: count }, (_, column) => [start(column), start(column + 1)]);
-}
+const MAX_COLUMNS = 480; // of the screen, for which states are summed up
+const AXIS_HEIGHT = 20; // of the lowest chart, which has the labels of the time axis
 
-/** Smallest and largest value of each column, as data for uPlot: ticks, a row per robot, then the truth. */
-function thinned(film, { name, symbol }) {
-  const columns = columnsOf(film);
-  const { ticks } = film;
-  const series = film.stage.robots.map((_, robot) =>
-    columns.flatMap(([first, end]) => extremes(film, name, robot, first, end)),
-  );
-  return [
-    columns.flatMap(([first, end]) => [ticks[first], ticks[end - 1] + (end - first === 1 ? 1e-6 : 0)]),
-    ...series,
-    columns.flatMap(([first]) => new Array(2).fill(truthOf(film, symbol, first))),
-  ];
-}
-
-/** Mean error of x over time, and that of the twin without a filter, as data for uPlot. O(samples robots). */
-function meanErrors(film) {
-  const { fill_ratio: f, twin = [], steps } = film.stage;
-  const columns = columnsOf(film);
-  const ticks = columns.map(([first]) => film.ticks[first]);
-  const errors = columns.map(([first, end]) => {
-    let [sum, count] = [0, 0];
-    for (let at = first * film.robots; at < end * film.robots; at++) {
-      const x = film.value("x", at % film.robots, Math.floor(at / film.robots));
-      if (!Number.isNaN(x)) [sum, count] = [sum + Math.abs(x - f), count + 1];
-    }
-    return count ? sum / count : null;
-  });
-  const part = (tick) => Math.min(Math.floor((tick * twin.length) / (steps + 1)), twin.length - 1);
-  return [ticks, errors, ticks.map((tick) => twin[part(tick)] ?? null)];
-}
-
-/** The colour of a robot's line: at each time that of the robot on the floor. */
-function stroke(plot, film, robot) {
-  const { left, width } = plot.bbox;
-  const gradient = plot.ctx.createLinearGradient(left, 0, left + Math.max(width, 1), 0);
-  let before = null;
-  for (const [sample] of columnsOf(film)) {
-    const now = colourOfError(film.wrongness(robot, sample));
-    if (now === before) continue;
-    const place = (plot.valToPos(film.ticks[sample], "x", true) - left) / width;
-    const at = Number.isFinite(place) ? Math.min(Math.max(place, 0), 1) : 0;
-    if (before !== null) gradient.addColorStop(at, before);
-    gradient.addColorStop(at, now);
-    before = now;
-  }
-  return gradient;
-}
-
-/** The true b of the first robot or f; null if unknown. */
-function truthOf(film, symbol, sample) {
-  const value = symbol === "b" ? film.value("b", 0, sample) : film.stage.fill_ratio;
-  return Number.isNaN(value) ? null : value;
-}
-
-/** Lowest and highest value of some samples, in the order in which they came; null for unknown ones. */
-function extremes(film, name, robot, first, end) {
-  let [low, high, lowAt, highAt] = [Number.POSITIVE_INFINITY, Number.NEGATIVE_INFINITY, 0, 0];
-  for (let sample = first; sample < end; sample++) {
-    const value = film.value(name, robot, sample);
-    if (value < low) [low, lowAt] = [value, sample];
-    if (value > high) [high, highAt] = [value, sample];
-  }
-  if (low > high) return [null, null];
-  return lowAt <= highAt ? [low, high] : [high, low];
-}
-
-/** Room for all but the first moments, when estimates still jump between 0 and 1. */
-function limits([, ...series]) {
-  let [low, high] = [1, 0];
-  for (const values of series) {
-    for (let i = Math.floor(values.length / 25); i < values.length; i++) {
-      if (values[i] === null) continue;
-      low = Math.min(low, values[i]);
-      high = Math.max(high, values[i]);
-    }
-  }
-  if (low > high) return [0, 1];
-  const margin = Math.max(0.06 * (high - low), 0.01);
-  return [low - margin, high + margin];
-}
-
-/** A series of uPlot. */
-function line(stroke, width, more = {}) {
+/** Returns the options of a line of uPlot. */
+export function lineOptions(stroke, width, more = {}) {
   return { stroke, width, points: { show: false }, ...more };
 }
 
+/** Returns the first state of each column of the screen, and the state after its last. */
+function stateRanges(history) {
+  const count = Math.min(MAX_COLUMNS, history.stateCount);
+  const start = (column) => Math.floor((column * history.stateCount) / count);
+  return Array.from({ length: count }, (_, column) => [start(column), start(column + 1)]);
+}
+
+/** Returns the true b, of the first robot, or f in a state; null if unknown. */
+function truthOf(history, symbol, state) {
+  const value = symbol === "b" ? history.value("b", 0, state) : history.description.fill_ratio;
+  return Number.isNaN(value) ? null : value;
+}
+
+/** Returns a robot's lowest and highest value in some states, in the order in which they came; null if unknown. */
+function findExtremes(history, quantity, robot, firstState, endState) {
+  let lowest = Number.POSITIVE_INFINITY;
+  let highest = Number.NEGATIVE_INFINITY;
+  let lowestState = 0;
+  let highestState = 0;
+  for (let state = firstState; state < endState; state++) {
+    const value = history.value(quantity, robot, state);
+    if (value < lowest) {
+      lowest = value;
+      lowestState = state;
+    }
+    if (value > highest) {
+      highest = value;
+      highestState = state;
+    }
+  }
+  if (lowest > highest) return [null, null];
+  return lowestState <= highestState ? [lowest, highest] : [highest, lowest];
+}
+
+/** A chart with a line for each robot, and a dashed one for the truth. */
+class RobotLinesChart {
+  /** Prepares the chart of a quantity; the symbol of the truth is "b" or "f". */
+  constructor(history, quantity, label, symbol) {
+    this.history = history;
+    this.quantity = quantity;
+    this.label = label;
+    this.symbol = symbol;
+    this.relativeHeight = 1;
+    this.hasRobotLines = true;
+  }
+
+  get names() {
+    return [];
+  }
+
+  get seriesOptions() {
+    // b_hat keeps its value from one recalibration to the next; the others change all the time.
+    const paths = this.quantity === "b_hat" ? uPlot.paths.stepped({ align: 1 }) : undefined;
+    const robotLines = this.history.description.robots.map((_, robot) =>
+      lineOptions((plot) => this.#createGradient(plot, robot), 1.2, { alpha: 0.7, paths }),
+    );
+    return { series: [{}, ...robotLines, lineOptions(colour("truth"), 1.5, { dash: [6, 4] })] };
+  }
+
+  /** Returns the colour of a robot's line, which at each time is that of the robot in the arena. */
+  #createGradient(plot, robot) {
+    const { history } = this;
+    const { left, width } = plot.bbox;
+    const gradient = plot.ctx.createLinearGradient(left, 0, left + Math.max(width, 1), 0);
+    let previousColour = null;
+    for (const [state] of stateRanges(history)) {
+      const stateColour = colourOfError(history.bHatError(robot, state));
+      if (stateColour === previousColour) continue;
+      const share = (plot.valToPos(history.ticks[state], "x", true) - left) / width;
+      const stop = Number.isFinite(share) ? Math.min(Math.max(share, 0), 1) : 0;
+      // Two stops at the same place change the colour at once.
+      if (previousColour !== null) gradient.addColorStop(stop, previousColour);
+      gradient.addColorStop(stop, stateColour);
+      previousColour = stateColour;
+    }
+    return gradient;
+  }
+
+  /** Returns uPlot's data, two points for each column of the screen: ticks, each robot's values, the truth. */
+  computeData() {
+    const { history, quantity, symbol } = this;
+    const ranges = stateRanges(history);
+    const ticks = ranges.flatMap(([first, end]) => {
+      const isOneState = end - first === 1;
+      // uPlot needs ticks that rise, also where both points are of the same state.
+      return [history.ticks[first], history.ticks[end - 1] + (isOneState ? 1e-6 : 0)];
+    });
+    const valuesByRobot = history.description.robots.map((_, robot) =>
+      ranges.flatMap(([first, end]) => findExtremes(history, quantity, robot, first, end)),
+    );
+    const truths = ranges.flatMap(([first]) => {
+      const truth = truthOf(history, symbol, first);
+      return [truth, truth];
+    });
+    return [ticks, ...valuesByRobot, truths];
+  }
+}
+
+/** A chart of the robots' mean error of x and, if known, that of the same robots without a filter. */
+class MeanErrorChart {
+  constructor(history) {
+    this.history = history;
+    this.label = "mean error of x: ";
+    this.relativeHeight = 1;
+    this.hasRobotLines = false;
+  }
+
+  /** The colour and the text of each line, for the label. */
+  get names() {
+    const { filter, unfiltered_errors: unfilteredErrors } = this.history.description;
+    const filters = unfilteredErrors.length > 0 ? [filter, "none"] : [filter];
+    return filters.map((name) =>
+      name in FILTER_LABELS ? [name, FILTER_LABELS[name]] : ["ink", "these robots"],
+    );
+  }
+
+  get seriesOptions() {
+    const [[ownColour], [otherColour] = ["none"]] = this.names;
+    const lines = [ownColour, otherColour].map((name) => lineOptions(() => colour(name), 2));
+    return { series: [{}, ...lines] };
+  }
+
+  /** Returns uPlot's data: ticks, mean errors, and mean errors without a filter. O(states robots). */
+  computeData() {
+    const { history } = this;
+    const ranges = stateRanges(history);
+    const ticks = ranges.map(([first]) => history.ticks[first]);
+    const errors = ranges.map(([first, end]) => this.#computeMeanError(first, end));
+    const unfilteredErrors = ticks.map((tick) => this.#unfilteredErrorAt(tick));
+    return [ticks, errors, unfilteredErrors];
+  }
+
+  /** Returns the mean of |x - f| over robots and states; null if all x are unknown. */
+  #computeMeanError(firstState, endState) {
+    const { history } = this;
+    let sum = 0;
+    let count = 0;
+    for (let state = firstState; state < endState; state++) {
+      for (let robot = 0; robot < history.robotCount; robot++) {
+        const x = history.value("x", robot, state);
+        if (Number.isNaN(x)) continue;
+        sum += Math.abs(x - history.description.fill_ratio);
+        count++;
+      }
+    }
+    return count === 0 ? null : sum / count;
+  }
+
+  /** Returns the mean error without a filter at a tick; null if unknown. */
+  #unfilteredErrorAt(tick) {
+    const { unfiltered_errors: errors, steps } = this.history.description;
+    const index = Math.floor((tick * errors.length) / (steps + 1));
+    return errors[Math.min(index, errors.length - 1)] ?? null;
+  }
+}
+
+/** Returns the charts of a history, from top to bottom. */
+export function chartsOf(history) {
+  const charts = [
+    new RobotLinesChart(history, "b_hat", "b_hat: trust in the own sensor", "b"),
+    new RobotLinesChart(history, "x_hat", "x_hat: what each sees by itself", "f"),
+    new RobotLinesChart(history, "x", "x: what each believes after hearing its neighbours", "f"),
+  ];
+  const isTruthKnown = history.description.fill_ratio !== null;
+  return isTruthKnown ? [new MeanErrorChart(history), ...charts] : charts;
+}
+
+/** Returns the limits of a chart's y axis: all values but the first ones, which still jump between 0 and 1. */
+function computeLimits([, ...series]) {
+  let lowest = 1;
+  let highest = 0;
+  for (const values of series) {
+    for (let index = Math.floor(values.length / 25); index < values.length; index++) {
+      if (values[index] === null) continue;
+      lowest = Math.min(lowest, values[index]);
+      highest = Math.max(highest, values[index]);
+    }
+  }
+  if (lowest > highest) return [0, 1];
+  const margin = Math.max(0.06 * (highest - lowest), 0.01);
+  return [lowest - margin, highest + margin];
+}
+
+/**
+ * The charts of a page, one below the other.
+ *
+ * A chart has a label, `names` (colours and texts in the label), `relativeHeight`, `seriesOptions` and
+ * `computeData()` for uPlot, and, if `hasRobotLines`, a `history` and the `symbol` of the truth.
+ */
 export class Charts {
   constructor(parent) {
     this.parent = parent;
-    this.plots = [];
-    this.chosen = null;
-    new ResizeObserver(() => this.#fit()).observe(parent);
+    this.views = []; // of each chart: the chart, uPlot's plot, and the elements that change
+    this.followedRobot = null;
+    this.drawnStateCount = 0;
+    new ResizeObserver(() => this.#fitToParent()).observe(parent);
   }
 
-  show(film) {
-    this.film = film;
-    this.drawn = -1;
-    const panels = film.comparison
-      ? [ERROR, PANELS[0]]
-      : film.stage.fill_ratio === null
-        ? PANELS
-        : [MEAN, ...PANELS];
-    const isSame = film.robots === this.plots[0]?.robots && panels.length === this.plots.length;
-    if (!isSame) this.rebuild(panels);
-    this.update();
+  /** Replaces all charts by those of another history. */
+  show(history, charts) {
+    this.history = history;
+    this.#createViews(charts);
   }
 
-  /** Makes all charts anew, for another number of robots or in other colours. */
-  rebuild(panels = this.plots.map(({ panel }) => panel)) {
-    for (const { plot } of this.plots) plot.destroy();
+  /** Makes all charts anew, in new colours. */
+  recolour() {
+    this.#createViews(this.views.map(({ chart }) => chart));
+  }
+
+  #createViews(charts) {
+    for (const { plot } of this.views) plot.destroy();
     this.parent.replaceChildren();
-    this.plots = panels.map((panel, index) => this.#panel(panel, index === panels.length - 1));
-    this.drawn = -1;
-    this.#fit();
+    this.views = charts.map((chart, index) => this.#createView(chart, index === charts.length - 1));
+    this.#fitToParent();
+    this.invalidate();
     this.update();
-    this.follow(this.chosen);
+    this.follow(this.followedRobot);
   }
 
-  #panel(panel, isLast) {
-    const box = element("div", "", "chart");
-    const label = element("p", panel.label);
-    const truth = element("span");
-    if (panel === MEAN) label.append(...this.#namesOfErrors());
+  #createView(chart, isLast) {
+    const box = createElement("div", "", "chart");
+    const label = createElement("p", chart.label);
+    for (const [colourName, text] of chart.names) {
+      const name = createElement("b", text);
+      name.style.setProperty("--colour", `var(--${colourName})`);
+      label.append(name);
+    }
+    const truth = createElement("span");
     label.append(truth);
     box.append(label);
     this.parent.append(box);
-    const options = this.#options(panel, isLast);
-    const plot = new uPlot(options, [[0], ...options.series.slice(1).map(() => [null])], box);
-    const now = element("div", "", "now");
-    plot.over.append(now);
-    return { plot, panel, now, truth, robots: this.film.robots };
+    const options = this.#plotOptions(chart, isLast);
+    const emptyData = [[0], ...options.series.slice(1).map(() => [null])];
+    const plot = new uPlot(options, emptyData, box);
+    const presentLine = createElement("div", "", "now");
+    plot.over.append(presentLine);
+    return { chart, plot, presentLine, truth };
   }
 
-  #options(panel, isLast) {
+  /** Returns uPlot's options of a chart; only the last one has the labels of the time axis. */
+  #plotOptions(chart, isLast) {
     const axis = {
       stroke: colour("soft"),
       grid: { stroke: colour("line"), width: 1 },
@@ -168,111 +271,69 @@ export class Charts {
       padding: [22, 26, 0, 0],
       legend: { show: false },
       cursor: { show: false },
-      scales: { x: { time: false }, y: { range: (plot) => limits(plot.data ?? []) } },
+      scales: { x: { time: false }, y: { range: (plot) => computeLimits(plot.data ?? []) } },
       axes: [
         { ...axis, size: isLast ? 26 : 6, values: isLast ? undefined : () => [] },
         { ...axis, size: 46, space: 24 },
       ],
-      ...(panel === ERROR
-        ? this.#comparison()
-        : { series: [{}, ...(panel === MEAN ? this.#meanErrors() : this.#linesOfRobots(panel))] }),
+      ...chart.seriesOptions,
     };
   }
 
-  /** Colour and name of this run's error and, if known, its twin's. */
-  #errors() {
-    const { filter, twin } = this.film.stage;
-    const names = twin?.length ? [filter, "none"] : [filter];
-    return names.map((name) => (name in FILTERS ? [name, FILTERS[name]] : ["ink", "these robots"]));
-  }
-
-  #namesOfErrors() {
-    return this.#errors().map(([name, text]) => {
-      const word = element("b", text);
-      word.style.setProperty("--colour", `var(--${name})`);
-      return word;
-    });
-  }
-
-  #meanErrors() {
-    const names = [...this.#errors(), ["none"]].slice(0, 2);
-    return names.map(([name]) => line(() => colour(name), 2));
-  }
-
-  #linesOfRobots({ name }) {
-    const paths = name === "b_hat" ? uPlot.paths.stepped({ align: 1 }) : undefined;
-    return [
-      ...this.film.stage.robots.map((_, robot) =>
-        line((plot) => stroke(plot, this.film, robot), 1.2, { alpha: 0.7, paths }),
-      ),
-      line(colour("truth"), 1.5, { dash: [6, 4] }),
-    ];
-  }
-
-  /** For each filter the median error; for the chosen one a band around it, and, thin, that of this run. */
-  #comparison() {
-    const names = Object.keys(FILTERS);
-    const nothing = "transparent";
-    const ofChosen = (name, alpha) => (name === this.film.comparison.chosen ? colour(name) + alpha : nothing);
-    const lines = names.flatMap((name) => [
-      line(() => colour(name), 2.2),
-      line(nothing, 1),
-      line(nothing, 1),
-      line(() => ofChosen(name, ""), 0.7),
-    ]);
-    const bands = names.map((name, at) => ({
-      series: [4 * at + 3, 4 * at + 2],
-      fill: () => ofChosen(name, "30"),
-    }));
-    return { series: [{}, ...lines], bands };
-  }
-
-  #fit() {
+  /** Shares the parent's height among the charts; the last one gets the height of the axis in addition. */
+  #fitToParent() {
     const height = this.parent.clientHeight - 6;
     const width = this.parent.clientWidth - 12;
     if (height <= 0 || width <= 0) return;
-    const parts = this.plots.map(({ panel }) => (panel === ERROR ? 1.6 : 1));
-    const whole = parts.reduce((sum, each) => sum + each, 0);
-    const isLast = (index) => index === this.plots.length - 1;
-    const heights = parts.map(
-      (part, index) => Math.floor(((height - 20) * part) / whole) + 20 * isLast(index),
-    );
-    this.parent.style.gridTemplateRows = heights.map((each) => `${each}px`).join(" ");
-    this.plots.forEach(({ plot }, index) => {
+    const totalShares = this.views.reduce((sum, { chart }) => sum + chart.relativeHeight, 0);
+    const heights = this.views.map(({ chart }, index) => {
+      const ownHeight = Math.floor(((height - AXIS_HEIGHT) * chart.relativeHeight) / totalShares);
+      return index === this.views.length - 1 ? ownHeight + AXIS_HEIGHT : ownHeight;
+    });
+    this.parent.style.gridTemplateRows = heights.map((pixels) => `${pixels}px`).join(" ");
+    this.views.forEach(({ plot }, index) => {
       plot.setSize({ width, height: heights[index] });
     });
   }
 
-  /** The robot whose lines stand out, or null. */
+  /** Makes the lines of a robot stand out, or of none if it is null. */
   follow(robot) {
-    this.chosen = robot;
-    for (const { plot, panel } of this.plots) {
-      if (!panel.symbol) continue;
-      plot.series.slice(1, -1).forEach((series, each) => {
-        series.alpha = robot === null ? 0.7 : robot === each ? 1 : 0.2;
-        series.width = robot === each ? 2.6 : 1.2;
+    this.followedRobot = robot;
+    for (const { chart, plot } of this.views) {
+      if (!chart.hasRobotLines) continue;
+      const robotLines = plot.series.slice(1, -1); // between the ticks and the truth
+      robotLines.forEach((line, lineRobot) => {
+        const isFollowed = lineRobot === robot;
+        const fadedAlpha = robot === null ? 0.7 : 0.2;
+        line.alpha = isFollowed ? 1 : fadedAlpha;
+        line.width = isFollowed ? 2.6 : 1.2;
       });
       plot.redraw(false);
     }
   }
 
-  /** Takes samples that have come since, and errors of other runs. O(samples). */
+  /** Makes the next `update` draw, although no states have come. */
+  invalidate() {
+    this.drawnStateCount = -1;
+  }
+
+  /** Draws all charts again if states have come since the last time. O(states robots). */
   update() {
-    if (this.film?.comparison?.isNew) this.drawn = -1;
-    if (!this.film || this.film.length === this.drawn || this.film.length === 0) return;
-    this.drawn = this.film.length;
-    for (const { plot, panel, truth } of this.plots) {
-      plot.setData(panel.data ? panel.data(this.film) : thinned(this.film, panel));
-      if (!panel.symbol) continue;
-      const value = truthOf(this.film, panel.symbol, this.film.length - 1);
-      truth.textContent = value === null ? "" : `${panel.symbol} = ${+value.toFixed(3)}`;
+    const stateCount = this.history?.stateCount ?? 0;
+    if (stateCount === 0 || stateCount === this.drawnStateCount) return;
+    this.drawnStateCount = stateCount;
+    for (const { chart, plot, truth } of this.views) {
+      plot.setData(chart.computeData());
+      if (!chart.hasRobotLines) continue;
+      const value = truthOf(this.history, chart.symbol, stateCount - 1);
+      truth.textContent = value === null ? "" : `${chart.symbol} = ${+value.toFixed(3)}`;
     }
   }
 
-  /** Moves the line that marks the present. */
-  mark(tick) {
-    for (const { plot, now } of this.plots) {
-      now.style.transform = `translateX(${plot.valToPos(tick, "x")}px)`;
+  /** Moves the line that marks the present to a tick. */
+  markPresent(tick) {
+    for (const { plot, presentLine } of this.views) {
+      presentLine.style.transform = `translateX(${plot.valToPos(tick, "x")}px)`;
     }
   }
 }

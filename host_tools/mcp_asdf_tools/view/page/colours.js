@@ -1,42 +1,53 @@
-// Colours, read from the style, where those of a light and a dark system are in one place.
+// Colours, read from the style sheet, which has those of light and dark pages in one place.
 
-const cache = new Map();
+const MIDDLE_GREY = [169, 169, 169];
+const LARGEST_ERROR = 0.4;
+const COLOUR_STEPS = 64;
 
-function cached(key, make) {
-  if (!cache.has(key)) cache.set(key, make());
-  return cache.get(key);
+const colourCache = new Map();
+
+/** Returns the colour that was computed for `key`, or computes it now. */
+function cacheColour(key, compute) {
+  if (!colourCache.has(key)) colourCache.set(key, compute());
+  return colourCache.get(key);
 }
 
-/** A colour of the style by its name, as #rrggbb. */
+/** Returns the colour that the style sheet calls `name`, as #rrggbb. */
 export function colour(name) {
-  return cached(name, () => {
-    document.body.style.outlineColor = `var(--${name})`; // of no outline: it is there to be computed
-    const found = getComputedStyle(document.body).outlineColor.match(/\d+/g);
-    return `#${found.map((each) => Number(each).toString(16).padStart(2, "0")).join("")}`;
+  return cacheColour(name, () => {
+    // Browsers compute a variable's colour only for a property that uses it; this outline is never drawn.
+    document.body.style.outlineColor = `var(--${name})`;
+    const channels = getComputedStyle(document.body).outlineColor.match(/\d+/g);
+    const digits = channels.map((channel) => Number(channel).toString(16).padStart(2, "0"));
+    return `#${digits.join("")}`;
   });
 }
 
-/** Reads all colours again, after a change between light and dark. */
-export function forgetColours() {
-  cache.clear();
+/** Makes `colour` read the style sheet again, after a change between light and dark. */
+export function clearColours() {
+  colourCache.clear();
 }
 
-function channels(hex) {
-  return [1, 3, 5].map((at) => Number.parseInt(hex.slice(at, at + 2), 16));
-}
-
-const MIDDLE = [169, 169, 169];
-const MOST = 0.4;
-
-/** Colour of a robot that is wrong by |b_hat - b|: blue, over grey, to orange from 0.4 on. */
+/** Returns the colour of a robot with this error |b_hat - b|: from blue over grey to orange, from 0.4 on. */
 export function colourOfError(error) {
   if (Number.isNaN(error)) return colour("soft"); // unknown
-  const step = Math.round(64 * Math.min(error / MOST, 1));
-  return cached(`error ${step}`, () => {
-    const share = step / 64;
-    const [from, to] =
-      share < 0.5 ? [channels(colour("right")), MIDDLE] : [MIDDLE, channels(colour("wrong"))];
-    const way = share < 0.5 ? 2 * share : 2 * share - 1;
-    return `rgb(${from.map((each, i) => Math.round(each + way * (to[i] - each))).join(",")})`;
-  });
+  const step = Math.round(COLOUR_STEPS * Math.min(error / LARGEST_ERROR, 1));
+  return cacheColour(`error ${step}`, () => colourOfShare(step / COLOUR_STEPS));
+}
+
+/** Returns the colour at a share, 0 to 1, of the scale from blue to orange. */
+function colourOfShare(share) {
+  if (share < 0.5) return mixColours(parseChannels(colour("right")), MIDDLE_GREY, 2 * share);
+  return mixColours(MIDDLE_GREY, parseChannels(colour("wrong")), 2 * share - 1);
+}
+
+/** Returns the channels red, green and blue, 0 to 255, of a colour #rrggbb. */
+function parseChannels(hexColour) {
+  return [1, 3, 5].map((start) => Number.parseInt(hexColour.slice(start, start + 2), 16));
+}
+
+/** Returns the colour at a share of the line from one colour to another, which are given by channels. */
+function mixColours(from, to, share) {
+  const channels = from.map((value, index) => Math.round(value + share * (to[index] - value)));
+  return `rgb(${channels.join(",")})`;
 }

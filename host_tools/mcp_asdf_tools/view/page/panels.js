@@ -1,115 +1,137 @@
-// What stands beside the arena: figures of the swarm, numbers of one robot, recalibrations.
+// What stands beside the arena: figures of the swarm, numbers of one robot, events; and helpers for elements.
 
-const MOST_EVENTS = 40;
-const WRONG = 0.1;
+const MAX_SHOWN_EVENTS = 40;
+const MAX_SHOWN_SENDERS = 8;
+const LARGE_ERROR = 0.1; // of a b_hat that counts as wrong
 
-export const find = (id) => document.getElementById(id);
+/** Returns the element of the page with this id. */
+export const findElement = (id) => document.getElementById(id);
 
-/** A new element with text and class, if any. */
-export function element(name, text = "", className = "") {
-  const made = document.createElement(name);
-  made.textContent = text;
-  if (className) made.className = className;
-  return made;
+/** Returns a new element with a text and a class. */
+export function createElement(name, text = "", className = "") {
+  const element = document.createElement(name);
+  element.textContent = text;
+  if (className) element.className = className;
+  return element;
 }
 
-/** Writes a text where it differs, so that what stays the same is not drawn again. */
-export function write(place, text) {
-  if (place.textContent !== String(text)) place.textContent = text;
+/** Writes a text into an element unless it is there already, since each write makes the browser lay out again. */
+export function writeText(element, text) {
+  if (element.textContent !== String(text)) element.textContent = text;
 }
 
-export function shown(value, digits = 3) {
+/** Returns a value as text with some digits after the point, or a dash if it is null or NaN. */
+export function formatValue(value, digits = 3) {
   return value === null || Number.isNaN(value) ? "–" : value.toFixed(digits);
 }
 
-function known(values) {
+function removeUnknown(values) {
   return values.filter((value) => !Number.isNaN(value));
 }
 
-function mean(found) {
-  return found.length ? found.reduce((sum, value) => sum + value, 0) / found.length : Number.NaN;
+/** Returns the mean of values; NaN of none. */
+function mean(values) {
+  if (values.length === 0) return Number.NaN;
+  return values.reduce((sum, value) => sum + value, 0) / values.length;
 }
 
-/** Four figures of the swarm in a sample, without the robots that are silent or dead. */
-export function showFigures(film, sample) {
-  const f = film.stage.fill_ratio;
-  const robots = film.stage.robots.map((_, robot) => robot);
-  const x = known(robots.map((robot) => film.value("x", robot, sample)));
-  const judged = known(robots.map((robot) => film.wrongness(robot, sample)));
-  const figures = {
-    "mean-x": shown(mean(x)),
-    "mean-error": f === null ? "–" : shown(mean(x.map((value) => Math.abs(value - f)))),
-    spread: shown(x.length ? Math.max(...x) - Math.min(...x) : Number.NaN),
-    wrong: judged.length ? `${judged.filter((value) => value > WRONG).length} of ${judged.length}` : "–",
-  };
-  for (const [name, value] of Object.entries(figures)) write(find(name), value);
+/** Shows four figures of the swarm in a state; robots that are silent or dead do not count. */
+export function showFigures(history, state) {
+  const fillRatio = history.description.fill_ratio;
+  const robots = history.description.robots.map((_, robot) => robot);
+  const x = removeUnknown(robots.map((robot) => history.value("x", robot, state)));
+  const bHatErrors = removeUnknown(robots.map((robot) => history.bHatError(robot, state)));
+  const meanError = fillRatio === null ? null : mean(x.map((value) => Math.abs(value - fillRatio)));
+  const spread = x.length === 0 ? null : Math.max(...x) - Math.min(...x);
+  const wrongCount = bHatErrors.filter((error) => error > LARGE_ERROR).length;
+  writeText(findElement("mean-x"), formatValue(mean(x)));
+  writeText(findElement("mean-error"), formatValue(meanError));
+  writeText(findElement("spread"), formatValue(spread));
+  writeText(findElement("wrong"), bHatErrors.length === 0 ? "–" : `${wrongCount} of ${bHatErrors.length}`);
 }
 
-/** The numbers of the robot that is followed, or how to follow one. */
-export function showRobot(film, sample, robot) {
-  const [title, list] = find("robot").children;
+/** Shows the numbers of a robot in a state, or how to follow one if `robot` is null. */
+export function showRobot(history, state, robot) {
+  const [title, list] = findElement("robot").children;
   if (robot === null) {
     title.textContent =
       "Click a robot, or choose one by the arrow keys, to follow it and to read its numbers";
     list.replaceChildren();
     return;
   }
-  const flawed = film.stage.flawed.includes(robot) ? ", flawed at the start" : "";
-  title.textContent = `Robot ${film.stage.robots[robot]}${flawed}`;
-  const heard = film.heard(sample, robot).map(([sender]) => film.stage.robots[sender]);
-  const value = (name) => film.value(name, robot, sample);
+  const { robots, flawed, fill_ratio: fillRatio } = history.description;
+  const flawedText = flawed.includes(robot) ? ", flawed at the start" : "";
+  title.textContent = `Robot ${robots[robot]}${flawedText}`;
+  const formatQuantity = (quantity) => formatValue(history.value(quantity, robot, state), 4);
   const rows = [
-    ["b_hat", shown(value("b_hat"), 4)],
-    ["b", shown(value("b"), 4)],
-    ["x_hat", shown(value("x_hat"), 4)],
-    ["f", shown(film.stage.fill_ratio, 4)],
-    ["x", shown(value("x"), 4)],
-    ["hears", heard.length > 8 ? `${heard.length} robots` : heard.join(" ") || "–"],
+    ["b_hat", formatQuantity("b_hat")],
+    ["b", formatQuantity("b")],
+    ["x_hat", formatQuantity("x_hat")],
+    ["f", formatValue(fillRatio, 4)],
+    ["x", formatQuantity("x")],
+    ["hears", formatSenders(history, state, robot)],
   ];
-  list.replaceChildren(...rows.flatMap(([name, text]) => [element("dt", name), element("dd", text)]));
+  const cells = rows.flatMap(([name, text]) => [createElement("dt", name), createElement("dd", text)]);
+  list.replaceChildren(...cells);
 }
 
-/** An event in words, the new b_hat of a recalibration in the colour of what it did. */
-function wordsOf(film, { robot, sample, before, after, text }) {
-  const who = robot === undefined ? "" : `robot ${film.stage.robots[robot]}: `;
-  if (text) return [who + text];
-  const truth = film.value("b", robot, sample);
-  const isBetter = Math.abs(after - truth) <= Math.abs(before - truth);
-  const look = Number.isNaN(truth) ? "" : isBetter ? "better" : "worse";
-  return [`${who}b_hat ${before.toFixed(2)} → `, element("span", after.toFixed(2), look)];
+/** Returns the ids of the robots that a robot receives from in a state, or how many they are if too many. */
+function formatSenders(history, state, robot) {
+  const senderIds = history.links(state, robot).map(([sender]) => history.description.robots[sender]);
+  if (senderIds.length > MAX_SHOWN_SENDERS) return `${senderIds.length} robots`;
+  return senderIds.join(" ") || "–";
 }
 
-/** Marks on the time line where faults began or ended, and where robots died or came back. */
-export function showMarks(film, total) {
-  const canvas = find("marks");
-  const key = `${film.events.length} ${total} ${canvas.clientWidth}`;
-  if (canvas.dataset.key === key) return;
+/** Returns an event as texts and elements; a new b_hat is coloured by whether it is better than the old one. */
+function describeEvent(history, { robot, state, before, after, text }) {
+  const prefix = robot === undefined ? "" : `robot ${history.description.robots[robot]}: `;
+  if (text) return [prefix + text];
+  const truth = history.value("b", robot, state);
+  let className = "";
+  if (!Number.isNaN(truth)) {
+    className = Math.abs(after - truth) <= Math.abs(before - truth) ? "better" : "worse";
+  }
+  return [`${prefix}b_hat ${before.toFixed(2)} → `, createElement("span", after.toFixed(2), className)];
+}
+
+/** Marks on the time line, of `totalSteps` steps, where faults began or ended and robots were lost or back. */
+export function showMarks(history, totalSteps) {
+  const canvas = findElement("marks");
+  const key = `${history.events.length} ${totalSteps} ${canvas.clientWidth}`;
+  if (canvas.dataset.key === key) return; // they are drawn already
   canvas.dataset.key = key;
   canvas.width = canvas.clientWidth;
   const context = canvas.getContext("2d");
   context.fillStyle = getComputedStyle(canvas).color;
-  for (const { isMark, tick } of film.events) {
-    if (isMark) context.fillRect(Math.round((tick / total) * (canvas.width - 2)), 0, 2, canvas.height);
+  for (const { isMark, tick } of history.events) {
+    if (isMark) {
+      const left = Math.round((tick / totalSteps) * (canvas.width - 2));
+      context.fillRect(left, 0, 2, canvas.height);
+    }
   }
 }
 
-/** The last events before a tick; each leads to its time. */
-export function showEvents(film, tick, onSeek) {
-  const { events } = film;
-  const parent = find("events");
-  const end = events.findLastIndex((event) => event.tick <= tick) + 1;
-  const key = `${end}`;
-  const isHeld = parent.dataset.end !== "" && parent.matches(":hover"); // it must not move under the mouse
-  if (parent.dataset.end === key || isHeld) return;
+/** Lists the last events up to a tick, the latest first; `onSeek` is called with one that a user clicks. */
+export function showEvents(history, tick, onSeek) {
+  const { events } = history;
+  const parent = findElement("events");
+  const eventCount = events.findLastIndex((event) => event.tick <= tick) + 1;
+  const key = String(eventCount);
+  const isListed = parent.dataset.end === key;
+  // What somebody is about to click must not move away.
+  const isUnderMouse = parent.dataset.end !== "" && parent.matches(":hover");
+  if (isListed || isUnderMouse) return;
   parent.dataset.end = key;
-  const list = element("ol");
-  for (const event of events.slice(Math.max(0, end - MOST_EVENTS), end).reverse()) {
-    const row = element("button");
-    row.append(element("time", String(event.tick)), ...wordsOf(film, event));
-    row.addEventListener("click", () => onSeek(event));
-    const item = element("li");
-    item.append(row);
+  const list = createElement("ol");
+  const shownEvents = events.slice(Math.max(0, eventCount - MAX_SHOWN_EVENTS), eventCount);
+  for (const event of shownEvents.reverse()) {
+    const button = createElement("button");
+    button.append(createElement("time", String(event.tick)), ...describeEvent(history, event));
+    button.addEventListener("click", () => onSeek(event));
+    const item = createElement("li");
+    item.append(button);
     list.append(item);
   }
-  parent.replaceChildren(element("h2", end ? `Events (${end})` : "No recalibration yet"), list);
+  const heading = eventCount === 0 ? "No recalibration yet" : `Events (${eventCount})`;
+  parent.replaceChildren(createElement("h2", heading), list);
 }
