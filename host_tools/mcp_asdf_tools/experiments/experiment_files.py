@@ -1,12 +1,12 @@
-"""Files that describe experiments, in TOML.
+"""Reader of TOML files that describe experiments.
 
-A line ``key = value`` stands for every parameter of Experiment that differs from its default. A list in place
-of a value makes a grid: one experiment for each combination. So does a list of tables under any name: each
-holds parameters that vary together. Tables ``[[grid]]`` hold grids of their own, each on top of the keys
-above them. Paths of graphs are relative to the file's folder.
+A line ``key = value`` sets a parameter of Experiment; all others have their defaults. A list in place of a
+value makes a grid: an experiment for each combination of values. So does a list of tables under any name, of
+which each has parameters that vary together. A table ``[[grid]]`` is a grid of its own, to which the keys
+above all these tables are added. Paths of graphs are relative to the folder of the file.
 
-Every error names file and line. A name without a suffix is that of a file that comes with the program, in the
-folder ``studies``.
+Every error names the file and the line. A name without a suffix is that of a file that comes with the
+program, in the folder ``studies``.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from mcp_asdf_tools.world.graph import is_text_of_edges
 STUDIES = Path(__file__).with_name("studies")
 GRID = "grid"
 
-_HEADER = re.compile(r"\s*\[\[\s*grid\s*\]\]")
+_GRID_LINE = re.compile(r"\s*\[\[\s*grid\s*\]\]")
 _KEY = re.compile(r"""(?:^|[{,])\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
 
 
 def read_experiments(path: Path | str) -> list[Experiment]:
-    """Return the experiments of a TOML file, in its order.
+    """Return the experiments that a TOML file describes, in its order.
 
-    Raises UsageError, naming the line, for anything invalid, and for a file that names no parameter.
+    Raises UsageError, which names the line if it can, if anything is invalid or the file sets no parameter.
     """
     path = Path(path)
     if not path.suffix and not path.exists():
@@ -56,7 +56,7 @@ def read_experiments(path: Path | str) -> list[Experiment]:
 
 
 def _read_toml_text(path: Path) -> str:
-    """Return the text of a file. Raises UsageError if it cannot be read or is not UTF-8."""
+    """Return the text of a file. Raises UsageError if it cannot be read, is too long or is not UTF-8."""
     try:
         return read_at_most(path).decode("utf-8-sig")
     except OSError as error:
@@ -66,9 +66,9 @@ def _read_toml_text(path: Path) -> str:
 
 
 def _parse_grids(path: Path, text: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return the parameters above the grids of a file, and those of each grid, at least one.
+    """Return the keys above the grids of a file, and the keys of each grid.
 
-    Raises UsageError for what is no TOML, and for a file that names no parameter.
+    A file without a grid has one without keys. Raises UsageError if the text is not TOML or has no key.
     """
     try:
         content = tomllib.loads(text)
@@ -84,7 +84,10 @@ def _parse_grids(path: Path, text: str) -> tuple[dict[str, Any], list[dict[str, 
 
 
 def _shipped_file(name: Path) -> Path:
-    """Return the file of that name that comes with the program. Raises UsageError if there is none."""
+    """Return the path of a file that comes with the program, by its name without a suffix.
+
+    Raises UsageError if there is none of that name.
+    """
     shipped_files = {path.stem: path for path in sorted(STUDIES.glob("*.toml"))}
     if str(name) not in shipped_files:
         names = ", ".join(shipped_files)
@@ -95,32 +98,33 @@ def _shipped_file(name: Path) -> Path:
 class _KeyLines:
     """Line numbers of the keys in a TOML file, for error messages.
 
-    They are found by a search for ``key =``, so a key in a string may be taken for one, too.
+    The parser of TOML does not give them, so they are found by a search for ``key =``. Such a text within a
+    string is found, too; then a message names one line too many.
     """
 
     def __init__(self, path: Path, text: str) -> None:
-        """Find the lines of each key. Grids are numbered from 1; keys above them are in grid 0."""
+        """Find the lines of all keys. Grids are numbered from 1; the keys above them belong to grid 0."""
         self._path = path
         self._lines: dict[tuple[int, str], list[str]] = {}
         grid_number = 0
         for line_number, line in enumerate(text.splitlines(), start=1):
-            if _HEADER.match(line):
+            if _GRID_LINE.match(line):
                 grid_number += 1
             for key in _KEY.findall(line):
                 self._lines.setdefault((grid_number, key), []).append(str(line_number))
 
     def error_at(self, grid_number: int, key: str, message: str) -> UsageError:
-        """Return an error that names the lines of ``key`` in a grid, or else above the grids."""
+        """Return an error that names the lines of a key in a grid, or above the grids if it is not there."""
         lines = self._lines.get((grid_number, key)) or self._lines.get((0, key), [])
-        place = f", line {' or '.join(lines)}" if lines else ""
-        return UsageError(f"{self._path}{place}: {message}")
+        position = f", line {' or '.join(lines)}" if lines else ""
+        return UsageError(f"{self._path}{position}: {message}")
 
 
 def _with_graph_from_folder(parameters: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the parameters, with the path of a graph's file from where this process runs.
+    """Return parameters in which the path of a graph leads from the folder of the file of experiments.
 
-    Paths in a file of experiments are relative to its folder. Raises ParameterError for a path that leads to
-    no regular file: a pipe or a device might never end.
+    Parameters with edges in place of a path are returned unchanged. Raises ParameterError for a path of
+    anything but a regular file: a pipe or a device might never end.
     """
     graph = parameters.get("graph", "")
     if not isinstance(graph, str) or is_text_of_edges(graph):

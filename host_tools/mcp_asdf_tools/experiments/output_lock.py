@@ -1,4 +1,7 @@
-"""Locks by which one process at a time works on an output; the system frees them when the process ends."""
+"""Lock files by which one process at a time works on an output.
+
+The system releases a lock when its process ends in any way, so a process that was killed leaves none.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,18 @@ import os
 from pathlib import Path
 
 _LOCKED_FILES: dict[Path, int] = {}
-"""Descriptors of the files that this process has locked. To close any descriptor of a file frees its lock."""
+"""File descriptors of the lock files that this process has locked. They stay open, since a process loses its
+lock when it closes any of its descriptors of the file."""
+_MAX_ID_LENGTH = 20
+"""Bytes that are read of a lock file, which is more than any process id has."""
 
 
 def lock_file(path: Path) -> str | None:
-    """Lock a file, which is made if need be, for this process.
+    """Lock a file for this process, and create it if it does not exist.
 
-    Returns None if this process has it now, or had it before, and the number of the process that has it
-    otherwise. Where the system or the file system has no locks, every process gets it. Raises OSError if the
-    file cannot be made.
+    Returns None if this process has the lock now or had it before. If another process has it, returns the
+    id of that process as a text. On Windows, and on file systems without locks, every process gets the lock.
+    Raises OSError if the file cannot be created.
     """
     try:
         import fcntl  # noqa: PLC0415
@@ -26,12 +32,14 @@ def lock_file(path: Path) -> str | None:
         try:
             fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            holder = os.read(descriptor, 20).decode("ascii", "replace")
+            owner_id = os.read(descriptor, _MAX_ID_LENGTH).decode("ascii", "replace")
             os.close(descriptor)
-            is_locked = error.errno in (errno.EACCES, errno.EAGAIN)
-            return holder if is_locked else None
+            # Any other error means that there are no locks.
+            has_owner = error.errno in (errno.EACCES, errno.EAGAIN)
+            return owner_id if has_owner else None
         if not _is_still_at(path, descriptor):
-            # The process that had it removed the file in the meantime: lock the one that is there now.
+            # Between opening and locking, the process that had the lock removed the file: try again with the
+            # file that is there now, which others try to lock, too.
             os.close(descriptor)
             continue
         os.ftruncate(descriptor, 0)
@@ -41,12 +49,13 @@ def lock_file(path: Path) -> str | None:
 
 
 def _is_still_at(path: Path, descriptor: int) -> bool:
-    """Return whether the open file is the one that has the name ``path`` now."""
+    """Return whether an open file is the one that has the name ``path`` now, and not one that was removed."""
     return path.exists() and os.path.samestat(os.fstat(descriptor), path.stat())
 
 
 def unlock_file(path: Path) -> None:
-    """Remove a file that this process has locked; nothing happens if it has not."""
+    """Remove a lock file and release its lock, if this process has it."""
     if path in _LOCKED_FILES:
+        # Removed first: once the lock is released, another process may have locked the file.
         path.unlink(missing_ok=True)
         os.close(_LOCKED_FILES.pop(path))

@@ -1,4 +1,4 @@
-"""Parquet files of results: writing them, reading them with checks, and reading them a few rows at a time."""
+"""Parquet files of results: how they are written, read, checked, and read a few rows at a time."""
 
 from __future__ import annotations
 
@@ -31,13 +31,14 @@ from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, Trials
 from mcp_asdf_tools.world.settings import FORMER_PARAMETERS
 
 _ROW_GROUPS_IN_MEMORY = 4
-"""Row groups that are kept: rows that are taken together stand close to each other."""
+"""Number of row groups that are kept after they were read. Rows that are needed together usually stand close
+to each other, so few are enough."""
 
 
 def write_tables(path: Path, tables: Iterable[pa.Table]) -> None:
-    """Write tables of the same columns, at least one, as the row groups of one Parquet file.
+    """Write tables of the same columns, at least one, to a Parquet file; each becomes a row group.
 
-    The file takes its name when it is complete. Raises UsageError if it cannot be written.
+    The file has its name only once it is complete. Raises UsageError if it cannot be written.
     """
     remaining_tables = iter(tables)
     first_table = next(remaining_tables)
@@ -51,14 +52,15 @@ def write_tables(path: Path, tables: Iterable[pa.Table]) -> None:
 
 
 def parts_folder(output: Path) -> Path:
-    """Return the folder of the parts of a sweep that writes to ``output`` and is not finished."""
+    """Return the folder where a sweep keeps its parts until it can write ``output``."""
     return output.with_name(f"{output.name}.parts")
 
 
 def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read a file that ``write_tables`` wrote, or all files of a folder, such as the parts of a sweep.
+    """Return the rows of a file that ``write_tables`` wrote, or of all files in a folder.
 
-    Returns all columns if ``columns`` is None. Raises UsageError for any other file.
+    ``columns`` names the columns to be read; None stands for all. Raises UsageError if a file cannot be read
+    or has anything but results in the present format.
     """
     row_groups = RowGroups()
     row_groups.add(Path(path))
@@ -66,9 +68,9 @@ def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Tab
 
 
 def stream_experiments(path: Path) -> Iterator[Trials]:
-    """Yield the experiments of a file, or of a folder of files, with only one of them in memory.
+    """Yield the experiments of a file, or of all files in a folder, in the order of their first rows.
 
-    They come in the order of their first rows. Raises UsageError as ``read_table``.
+    Only one experiment at a time is in memory. Raises UsageError as ``read_table``.
     """
     row_groups = RowGroups()
     row_groups.add(path)
@@ -86,15 +88,18 @@ def stream_experiments(path: Path) -> Iterator[Trials]:
 
 
 class _Rows(Protocol):
-    """Rows that stand one after the other in ``RowGroups``, the first at ``first_row``."""
+    """Consecutive rows of a ``RowGroups``, in a file or in memory."""
 
     @property
-    def first_row(self) -> int: ...
+    def first_row(self) -> int:
+        """Number of the first row, that is of rows before it."""
 
     @property
-    def row_count(self) -> int: ...
+    def row_count(self) -> int:
+        """Number of rows."""
 
-    def read(self, columns: Sequence[str] | None = None) -> pa.Table: ...
+    def read(self, columns: Sequence[str] | None = None) -> pa.Table:
+        """Return the rows, with some columns or all."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +119,7 @@ class RowGroup:
     row_count: int
 
     def read(self, columns: Sequence[str] | None = None) -> pa.Table:
-        """Read some columns, or all; a parameter without a column has its default.
+        """Return the rows, with some columns or all, in which a parameter without a column has its default.
 
         Raises UsageError if the file cannot be read.
         """
@@ -125,7 +130,7 @@ class RowGroup:
         with _name_file_in_errors(self.path):
             table = file.read_row_group(self.index, columns=stored_columns)
             table.validate(full=True)
-        # A file has its metadata twice, and these are the ones that were checked.
+        # A file has its metadata twice, and the two may differ; these are the ones that were checked.
         table = table.replace_schema_metadata(file.schema_arrow.metadata)
         table = add_missing_parameters(table, self.row_count)
         return table if columns is None else table.select(columns)
@@ -133,25 +138,35 @@ class RowGroup:
 
 @dataclass(frozen=True)
 class RowsInMemory:
-    """A table that has not been written, as part of ``RowGroups``."""
+    """A table that is in no file.
+
+    Attributes:
+        table: The table.
+        first_row: Number of rows before it in ``RowGroups``.
+    """
 
     table: pa.Table
     first_row: int
 
     @property
     def row_count(self) -> int:
-        """Return the number of rows."""
+        """The number of rows."""
         return len(self.table)
 
     def read(self, columns: Sequence[str] | None = None) -> pa.Table:
-        """Return some columns, or all."""
+        """Return the rows, with some columns or all."""
         return self.table if columns is None else self.table.select(columns)
 
 
 class RowGroups:
-    """The rows of many files as one sequence, of which only a few row groups are in memory."""
+    """The rows of many files as one sequence, of which only a few row groups are in memory.
+
+    Attributes:
+        row_count: Number of rows.
+    """
 
     def __init__(self) -> None:
+        """Create an empty sequence."""
         self._row_groups: list[_Rows] = []
         self._read_cached = lru_cache(maxsize=_ROW_GROUPS_IN_MEMORY)(self._read)
         self.row_count = 0
@@ -160,11 +175,12 @@ class RowGroups:
         return iter(self._row_groups)
 
     def add(self, path: Path) -> None:
-        """Append the rows of a file, or of the Parquet files in a folder, in the order of their names.
+        """Append the rows of a file, or those of all Parquet files in a folder in the order of their names.
 
         Raises UsageError as ``read_table``.
         """
-        for file_path in sorted(path.glob("*.parquet")) or [path]:
+        files_in_folder = sorted(path.glob("*.parquet"))
+        for file_path in files_in_folder or [path]:
             file = _open_checked(file_path)
             for index in range(file.num_row_groups):
                 _check_former_parameters(file_path, file, index)
@@ -172,30 +188,34 @@ class RowGroups:
                 self._append(RowGroup(file_path, index, self.row_count, row_count))
 
     def add_table(self, table: pa.Table) -> None:
-        """Append the rows of a table."""
+        """Append the rows of a table, which stay in memory."""
         self._append(RowsInMemory(table, self.row_count))
 
     def _append(self, rows: _Rows) -> None:
+        """Append rows, which begin where the sequence has ended so far."""
         self._row_groups.append(rows)
         self.row_count += rows.row_count
 
     def take(self, rows: NDArray[np.int64], columns: Sequence[str] | None = None) -> pa.Table:
         """Return rows by their numbers, in the order of ``rows``, with some columns or all."""
         first_rows = [row_group.first_row for row_group in self._row_groups]
-        group_of_each_row = np.searchsorted(first_rows, rows, side="right") - 1
-        tables, positions = [], []
-        for group_index in np.unique(group_of_each_row):
-            positions_in_group = np.flatnonzero(group_of_each_row == group_index)
-            rows_in_group = rows[positions_in_group] - first_rows[group_index]
+        group_of_row = np.searchsorted(first_rows, rows, side="right") - 1
+        tables, positions = [], []  # of each row group: its rows that are requested, and where in ``rows``
+        for group_index in np.unique(group_of_row):
+            positions_of_group = np.flatnonzero(group_of_row == group_index)
+            rows_in_group = rows[positions_of_group] - first_rows[group_index]
             table = self._read_cached(group_index, None if columns is None else tuple(columns))
             tables.append(table.take(rows_in_group))
-            positions.append(positions_in_group)
-        # The tables follow the row groups; the rows have to follow the request.
+            positions.append(positions_of_group)
+        # The rows are now in the order of the row groups, and have to be in that of the request.
         requested_order = np.argsort(np.concatenate(positions))
         return pa.concat_tables(tables).combine_chunks().take(requested_order)
 
     def _read(self, group_index: int, columns: tuple[str, ...] | None) -> pa.Table:
-        """Read a row group for ``_read_cached``, in one chunk: to take rows from many chunks is slow."""
+        """Return a row group with some columns or all; ``_read_cached`` calls this and keeps the result.
+
+        It is in one chunk of memory, since rows are taken slowly from many.
+        """
         return self._row_groups[group_index].read(columns).combine_chunks()
 
 
@@ -203,7 +223,7 @@ class RowGroups:
 
 
 def _open_checked(path: Path) -> Any:
-    """Open a file that ``write_tables`` wrote. Raises UsageError for any other."""
+    """Open a file of results. Raises UsageError unless it is one in the present format, and has rows."""
     with _name_file_in_errors(path):
         file = pq.ParquetFile(path)
         _check_metadata(path, file.schema_arrow.metadata or {})
@@ -215,7 +235,10 @@ def _open_checked(path: Path) -> Any:
 
 @contextmanager
 def _name_file_in_errors(path: Path) -> Iterator[None]:
-    """Turn what goes wrong while ``path`` is read into a UsageError that names it."""
+    """Turn an error in this context, in which ``path`` is read, into a UsageError that names it.
+
+    If the file is missing since its sweep is not finished, the message says so.
+    """
     try:
         yield
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
@@ -243,7 +266,10 @@ def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> None:
 
 
 def _check_former_parameters(path: Path, file: Any, row_group_index: int) -> None:
-    """Raise UsageError if a row group has a parameter of earlier versions with a value that had an effect."""
+    """Raise UsageError if a row group has a parameter that does not exist any more, and that had an effect.
+
+    FORMER_PARAMETERS has the value of each such parameter that had no effect.
+    """
     for name, value_without_effect in FORMER_PARAMETERS.items():
         if name not in file.schema_arrow.names:
             continue
@@ -256,9 +282,9 @@ def _check_former_parameters(path: Path, file: Any, row_group_index: int) -> Non
 
 
 def _check_schema(path: Path, schema: Any) -> None:
-    """Raise UsageError if columns are missing, double or of another type than results have.
+    """Raise UsageError if columns are missing, there twice or of another type than those of results.
 
-    A parameter may be missing: it is newer than the file.
+    A parameter may be missing, since it may be newer than the file.
     """
     missing_columns = set(column_types()) - set(PARAMETER_NAMES) - set(schema.names)
     if missing_columns:

@@ -1,19 +1,20 @@
-"""Results of trials as tables of pyarrow.
+"""Results of trials as tables of pyarrow, which files of results contain.
 
-A table has a row for each trial: the experiment's parameters, a column each, and
+A table has a row for each trial, with a column for each parameter of the experiment and
 
-- ``trial``, its number;
-- ``H``, ``h_K`` and ``h_e``, its scores with the paper's K_max and e_max;
-- ``k`` and ``e``, lists over the robots: convergence steps and errors;
-- ``b_hat``, the assumed accuracies after each filter step, one robot after the other within a step;
-- ``tests`` and ``updates``, lists over the robots;
-- ``record_t`` to ``record_b_hat``, lists in the same order: values at step 0 and every ``sampling_interval``
-  steps, where recorded.
+- ``trial``, the number of the trial;
+- ``H``, ``h_K`` and ``h_e``, the paper's scores (0 to 100) with its limits K_max and e_max;
+- ``k`` and ``e``, lists with a value of each robot: convergence steps and errors;
+- ``b_hat``, a list of the accuracies that robots assume: those of all robots after the first filter step,
+  then those after the second, and so on;
+- ``tests`` and ``updates``, lists with a value of each robot: hypothesis tests, and re-estimates of b_hat;
+- ``record_t`` to ``record_b_hat``, lists in the order of ``b_hat``: values at step 0 and then every
+  ``sampling_interval`` steps; empty if nothing was recorded.
 
-The metadata hold, under the key ``mcp-asdf``, JSON with the format's version, the versions of the software,
-the threshold delta, ``sampling_interval``, and unit and meaning of each of ``columns``. Rows of equal
-parameters belong to one experiment. A parameter without a column has its default: a table from before there
-was such a parameter can be read.
+The metadata have JSON under the key ``mcp-asdf``: the version of the format, the versions of the software,
+the threshold delta, ``sampling_interval``, and unit and meaning of each of ``columns``. Rows with the same
+parameters belong to one experiment. A parameter without a column has its default, so that a table can be
+read which was written before the parameter existed.
 """
 
 from __future__ import annotations
@@ -45,10 +46,10 @@ _LIST_COLUMNS = {
     "tests": ("tests", "int32"),
     "updates": ("updates", "int32"),
 }
-"""Columns of lists: the attribute of ``Trials`` that each column contains, and the type of its elements."""
+"""Columns of lists, with the attribute of ``Trials`` that each contains and the type of its elements."""
 
 INDEX_COLUMNS = (*PARAMETER_NAMES, "trial")
-"""Columns that identify the trial of a row."""
+"""Columns that tell which trial of which experiment a row is."""
 
 _UNITS = {
     **dict.fromkeys(("width", "height", "radio_range", "tile"), "m"),
@@ -81,7 +82,7 @@ _MEANINGS = {
 
 @cache
 def describe_columns() -> dict[str, dict[str, str]]:
-    """Return unit and meaning of each column, by its name; the unit is "1" where there is none."""
+    """Return the unit and the meaning of each column by its name. The unit is "1" if there is none."""
     meanings = {name: declared.meaning for name, declared in parameters_of(Experiment).items()} | _MEANINGS
     return {name: {"unit": _UNITS.get(name, "1"), "meaning": meaning} for name, meaning in meanings.items()}
 
@@ -100,15 +101,17 @@ def column_types() -> dict[str, Any]:
     element_types = {name: getattr(pa, type_name)() for name, (_, type_name) in _LIST_COLUMNS.items()}
     element_types |= {f"record_{name}": pa.float64() for name in QUANTITIES}
     for name, element_type in element_types.items():
-        # Elements are named as in a file that was read, so that equal rows give equal files.
+        # This is the name that elements have when a file has been read: so equal rows give equal files,
+        # whether they were read or not.
         types[name] = pa.list_(pa.field("element", element_type))
     return types
 
 
 def add_missing_parameters(table: pa.Table, row_count: int) -> pa.Table:
-    """Return the table with its columns in order, where a parameter that it lacks has its default.
+    """Return a table with its columns in the usual order, in which missing parameters have their defaults.
 
-    ``row_count`` is given apart, since a table without columns does not know it.
+    Columns of other names come last. ``row_count`` is the number of rows, which a table without columns does
+    not know.
     """
     defaults = Experiment().parameters()
     columns = {}
@@ -122,7 +125,7 @@ def add_missing_parameters(table: pa.Table, row_count: int) -> pa.Table:
 
 
 def read_metadata(table: pa.Table) -> dict[str, Any]:
-    """Return format, versions, delta and sampling interval of a table, without the columns' descriptions."""
+    """Return the metadata of a table: format, versions, delta and sampling_interval."""
     metadata: dict[str, Any] = json.loads(table.schema.metadata[METADATA_KEY])
     metadata.pop("columns", None)
     return metadata
@@ -132,17 +135,17 @@ def read_metadata(table: pa.Table) -> dict[str, Any]:
 
 
 def trials_to_table(trials: Trials) -> pa.Table:
-    """Return the trials of an experiment as rows of a table with the columns and metadata stated above."""
+    """Return trials as the rows of a table with the columns and metadata that this file's head lists."""
     trial_count = len(trials.numbers)
     columns: dict[str, Any] = {
         name: [value] * trial_count for name, value in trials.experiment.parameters().items()
     }
     columns |= {"trial": trials.numbers, **trials.scores()}
     for name, (attribute, _) in _LIST_COLUMNS.items():
-        columns[name] = _flatten_each_trial(getattr(trials, attribute))
+        columns[name] = _flatten_trials(getattr(trials, attribute))
     nothing_recorded = np.empty((trial_count, 0))
     for name in QUANTITIES:
-        columns[f"record_{name}"] = _flatten_each_trial(trials.records.get(name, nothing_recorded))
+        columns[f"record_{name}"] = _flatten_trials(trials.records.get(name, nothing_recorded))
     metadata = {
         "format": FORMAT,
         "versions": software_versions(),
@@ -154,13 +157,13 @@ def trials_to_table(trials: Trials) -> pa.Table:
     return pa.table(arrays, metadata={METADATA_KEY: json.dumps(metadata)})
 
 
-def _flatten_each_trial(values: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return a flat array for each trial, which is the first axis of ``values``."""
+def _flatten_trials(values: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return the values of each trial as a flat array; trials are the first axis of ``values``."""
     return [values_of_trial.ravel() for values_of_trial in values]
 
 
 def experiments_in(table: pa.Table) -> list[Trials]:
-    """Return the experiments of a table in the order of their first rows. O(rows)."""
+    """Return the trials in a table by experiment, in the order of the experiments' first rows. O(rows)."""
     complete_table = add_missing_parameters(table, len(table)).combine_chunks()
     return [
         trials_from_rows(experiment, complete_table.take(rows))
@@ -169,13 +172,14 @@ def experiments_in(table: pa.Table) -> list[Trials]:
 
 
 def rows_by_experiment(table: pa.Table) -> dict[Experiment, NDArray[np.int64]]:
-    """Return the rows of each experiment in a table, in the order of the experiments' first rows. O(rows).
+    """Return the indices of the rows of each experiment, in the order of the experiments' first rows.
 
-    The table needs all columns of parameters. Raises ParameterError for a value that no experiment has.
+    The table must have a column for each parameter. O(rows). Raises ParameterError for a value that no
+    experiment can have.
     """
     parameters = table.select(PARAMETER_NAMES)
     numbered_rows = parameters.append_column("row", pa.array(np.arange(len(table))))
-    # Groups keep the order of their first rows only without threads.
+    # With threads, pyarrow returns groups in any order; without, in that of their first rows.
     groups = numbered_rows.group_by([*PARAMETER_NAMES], use_threads=False).aggregate([("row", "list")])
     rows: dict[Experiment, list[NDArray[np.int64]]] = {}
     for group in groups.to_pylist():
@@ -185,14 +189,15 @@ def rows_by_experiment(table: pa.Table) -> dict[Experiment, NDArray[np.int64]]:
 
 
 def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
-    """Return the trials in the rows of a table, all of ``experiment``, in the order of their numbers.
+    """Return the rows of a table as trials of an experiment, sorted by their numbers.
 
-    Raises UsageError if a list has not the length that the experiment gives it.
+    All rows must be of the experiment. Raises UsageError if a list has another length than it must have.
     """
     _check_list_lengths(experiment, table)
     table = table.sort_by("trial")
 
     def read_lists(column: str, *shape: int) -> NDArray[Any]:
+        """Return a column of lists as an array with the axes trial, and then ``shape``."""
         flat_values: NDArray[Any] = pc.list_flatten(table[column]).to_numpy()
         return flat_values.reshape(len(table), *shape)
 
@@ -215,28 +220,32 @@ def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
 
 
 def _check_list_lengths(experiment: Experiment, table: pa.Table) -> None:
-    """Raise UsageError if a column has gaps, or lists of a length that the experiment does not give them.
+    """Raise UsageError if a column has missing values, or lists of another length than they must have.
 
     O(values).
     """
     robots = experiment.robots
     lengths = dict.fromkeys(_LIST_COLUMNS, robots)
     lengths["b_hat"] = robots * (experiment.steps // experiment.filter_period)
-    # How often robots were recorded is not a parameter: the first list sets the length for all of them.
-    recorded_values = pc.list_value_length(table["record_t"])[0].as_py() or 0
-    whole_samples = recorded_values - recorded_values % robots
-    lengths |= {f"record_{name}": whole_samples for name in QUANTITIES}
+    # How often values were recorded is not a parameter. So the first list gives the length of all of them,
+    # rounded down to complete samples of all robots.
+    first_length = pc.list_value_length(table["record_t"])[0].as_py() or 0
+    record_length = first_length - first_length % robots
+    lengths |= {f"record_{name}": record_length for name in QUANTITIES}
+    has_gaps_in_numbers = table["trial"].null_count > 0
     for name, length in lengths.items():
         list_lengths = pc.list_value_length(table[name])
         gap_count = list_lengths.null_count + pc.list_flatten(table[name]).null_count
-        gap_count += table["trial"].null_count
-        if gap_count or set(list_lengths.unique().to_pylist()) != {length}:
+        if has_gaps_in_numbers or gap_count or set(list_lengths.unique().to_pylist()) != {length}:
             problem = f"column {name} has gaps, or lists that have not {length} values"
             raise UsageError(f"the results are damaged: {problem}; run mcp-asdf sweep again")
 
 
 def score_table(table: pa.Table, limits: Limits) -> pa.Table:
-    """Return the table with the scores H, h_K and h_e computed anew with these limits. O(rows)."""
+    """Return a table with its scores H, h_K and h_e computed anew with other limits K_max and e_max.
+
+    O(rows).
+    """
     table = add_missing_parameters(table, len(table))
     rows = table.select([*PARAMETER_NAMES, "k", "e"]).to_pylist()
     scores_by_row = [_score_row(row, limits) for row in rows]
@@ -247,8 +256,8 @@ def score_table(table: pa.Table, limits: Limits) -> pa.Table:
 
 
 def _score_row(row: dict[str, Any], limits: Limits) -> dict[str, float]:
-    """Return the scores of the trial in a row, by their names."""
+    """Return the scores H, h_K and h_e of the trial in a row, by their names."""
     k_max, e_max = limits.of(Experiment.from_recording(row))
-    # score takes and returns arrays of trials: here they have a single one.
+    # The function takes and returns arrays with an entry of each trial; here there is a single one.
     scores = score([row["k"]], [row["e"]], k_max, e_max)
     return {name: float(score_of_trial) for name, (score_of_trial,) in scores.items()}

@@ -1,9 +1,9 @@
-"""The results of a sweep on disk, finished or not, so that no finished trial is lost or run twice.
+"""The results of a sweep on disk, finished or not: no trial that has run is lost, and none runs twice.
 
-Results are gathered in memory and written as parts into the folder ``OUTPUT.parts``. Once all trials are
-there, they are written to the file OUTPUT in the order of the experiments, and the folder is removed; a sweep
-that ends before its first part is due writes that file alone. A sweep that was interrupted therefore resumes
-where it stopped, and a larger one runs only the trials that are new.
+While the sweep goes on, results are collected in memory and written now and then as a part: a file in the
+folder ``OUTPUT.parts``. When all trials have run, all results are written to the file OUTPUT in the order of
+the experiments, and the folder is removed. A short sweep writes no part. So a sweep that was interrupted goes
+on where it stopped, and one with more trials runs only those that are new.
 """
 
 from __future__ import annotations
@@ -30,43 +30,51 @@ from mcp_asdf_tools.experiments.result_tables import (
     rows_by_experiment,
     trials_to_table,
 )
-from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
 
 _MAX_ROWS = 20_000
-"""Rows of a part, and of a row group of the output."""
+"""Maximum number of rows in a part, and in a row group of the output. A row is a trial."""
 
 _MAX_BYTES = 50_000_000
-"""Size of the lists in a part, where those of so many rows would be larger."""
+"""Maximum size of the lists in these rows. It makes rows fewer if they are long."""
 
 _SECONDS_BETWEEN_PARTS = 1.0
+"""Shortest time from one part to the next; a process that is killed loses the results since the last part."""
 _SHARE_BETWEEN_PARTS = 0.01
-"""Work that may be lost when the process is killed: this time, or this share of the sweep's time so far if
-that is more. So a sweep of a day writes hundreds of parts, not tens of thousands."""
+"""Shortest time as a share of the time that the sweep has taken so far, if that is more. So a sweep of a day
+writes hundreds of parts, not tens of thousands."""
+
+_RECORDED_QUANTITIES = len(QUANTITIES)
+_BYTES_PER_VALUE = 8
+"""Size of a value in a list, that is at most of a double."""
 
 _ResultKey = tuple[Any, ...]
-"""The parameters that decide the results of a trial, so all but the number of trials."""
+"""Values of the parameters that decide the results of a trial."""
 
 
 def _result_key(experiment: Experiment) -> _ResultKey:
-    """Return what experiments have alike whose trials of one number have the same results."""
+    """Return the values of all parameters but the number of trials.
+
+    Experiments with the same key have the same results in trials of the same number.
+    """
     return tuple(value for name, value in experiment.parameters().items() if name != "trials")
 
 
 class Store:
-    """The results of a sweep on disk, finished or not.
+    """The results of a sweep on disk and in memory, finished or not.
 
     Attributes:
-        output: The file of a finished sweep.
-        parts: The folder of an unfinished one.
-        experiments: What the sweep consists of, without repetitions.
-        sampling_interval: Steps between recorded values; 0 for none.
+        output: File of all results, which exists when the sweep is finished.
+        parts: Folder of the results so far.
+        experiments: The experiments of the sweep, each once.
+        sampling_interval: Steps from one recorded value to the next; 0 if none is recorded.
     """
 
     def __init__(self, output: Path, experiments: Iterable[Experiment], sampling_interval: int = 0) -> None:
-        """Open the results of ``experiments`` that exist already.
+        """Find the results of ``experiments`` that exist already.
 
-        Raises UsageError if the files contain other results, which would be lost, or cannot be written, or
-        another process is at work on them.
+        An unfinished sweep is reserved for this process. Raises UsageError if the files have other results,
+        which would be lost, if they cannot be written, or if another process is at work on them.
         """
         self.output = output
         self.parts = parts_folder(output)
@@ -75,8 +83,9 @@ class Store:
         self._rows_per_part = min([_MAX_ROWS, *map(self._rows_that_fit, self.experiments)])
         self._row_groups = RowGroups()
         self._unwritten: list[pa.Table] = []
-        self._started = self._last_written = time.monotonic()
-        # For each trial the number of its row, or -1. Rows are numbered through files, then unwritten tables.
+        self._start_time = self._last_write_time = time.monotonic()
+        # For each trial, the number of its row, or -1 if it has no result. Rows are numbered consecutively,
+        # first those of all files, then those of tables that are not written yet.
         self._row_of_trial: dict[_ResultKey, NDArray[np.int64]] = {}
         for experiment in self.experiments:
             key = _result_key(experiment)
@@ -91,32 +100,36 @@ class Store:
         self._find_existing_trials()
 
     def _rows_that_fit(self, experiment: Experiment) -> int:
-        """Return how many trials of an experiment have lists of at most _MAX_BYTES; at least 1."""
-        values_of_robot = 4 + experiment.steps // experiment.filter_period  # K, e, tests, updates and b_hat
+        """Return how many trials of an experiment have lists of at most _MAX_BYTES together; at least 1."""
+        filter_steps = experiment.steps // experiment.filter_period
+        values_per_robot = 4 + filter_steps  # K, e, tests and updates, and b_hat after each filter step
         if self.sampling_interval:
-            values_of_robot += 8 * (1 + experiment.steps // self.sampling_interval)
-        return max(1, _MAX_BYTES // (8 * experiment.robots * values_of_robot))
+            samples = 1 + experiment.steps // self.sampling_interval
+            values_per_robot += _RECORDED_QUANTITIES * samples
+        bytes_per_trial = _BYTES_PER_VALUE * experiment.robots * values_per_robot
+        return max(1, _MAX_BYTES // bytes_per_trial)
 
     # --- Existing results --------------------------------------------------------------------------------
 
     def _find_existing_trials(self) -> None:
-        """Set the row of each trial in the files. Raises UsageError if they have results of others."""
+        """Set the row of each trial that is in the files. Raises UsageError if they have other results."""
         for row_group in self._row_groups:
             table = row_group.read(INDEX_COLUMNS)
-            numbers = table["trial"].to_numpy()
+            trial_numbers = table["trial"].to_numpy()
             metadata = read_metadata(table)
-            is_like_ours = (
+            is_comparable = (
                 metadata["sampling_interval"] == self.sampling_interval
                 and metadata["versions"]["mcp-asdf"] == software_versions()["mcp-asdf"]
             )
             for experiment, rows in rows_by_experiment(table).items():
                 row_of_trial = self._row_of_trial.get(_result_key(experiment), np.empty(0, np.int64))
-                if not is_like_ours or numbers[rows].max() >= len(row_of_trial):
+                # The array is empty for an experiment that is not in the sweep.
+                if not is_comparable or trial_numbers[rows].max() >= len(row_of_trial):
                     raise UsageError(
                         f"{self.output} or its parts hold results of other experiments, recordings or "
                         "versions; choose another name or move it away"
                     )
-                row_of_trial[numbers[rows]] = row_group.first_row + rows
+                row_of_trial[trial_numbers[rows]] = row_group.first_row + rows
 
     def missing(self, experiment: Experiment) -> list[int]:
         """Return the numbers of the trials of an experiment that have no results yet."""
@@ -125,7 +138,7 @@ class Store:
 
     @property
     def missing_count(self) -> int:
-        """Return how many trials of all experiments have no results yet."""
+        """The number of trials of all experiments that have no results yet."""
         return sum(int((self._rows_of(experiment) < 0).sum()) for experiment in self.experiments)
 
     def _rows_of(self, experiment: Experiment) -> NDArray[np.int64]:
@@ -135,25 +148,30 @@ class Store:
     # --- New results -------------------------------------------------------------------------------------
 
     def reserve(self) -> None:
-        """Keep other processes from this output until it is finished. Raises UsageError if one has it."""
+        """Create the folder of parts, and keep other processes from this output until it is finished.
+
+        Raises UsageError if another process is at work on it, or if the folder cannot be created.
+        """
         try:
             self.parts.mkdir(exist_ok=True)
-            holder = lock_file(self._lock_path)
+            owner_id = lock_file(self._lock_path)
         except OSError as error:
             raise UsageError(f"cannot make the folder {self.parts}: {error.strerror}") from error
-        if holder is not None:
+        if owner_id is not None:
             raise UsageError(
-                f"process {holder} is at work on {self.output}; wait for it or choose another name"
+                f"process {owner_id} is at work on {self.output}; wait for it or choose another name"
             )
 
     @property
     def _lock_path(self) -> Path:
+        """The lock file, by its absolute path: the same file has one name, wherever the process is."""
         return self.parts.resolve() / ".lock"
 
     def add(self, trials: Trials) -> None:
-        """Add the results of a job; a part is written if there is enough for one, or the last is long ago.
+        """Add the results of some trials of an experiment.
 
-        Raises UsageError if a part cannot be written.
+        All that is in memory is written as a part if it has enough rows, or if the last part is old enough.
+        Raises UsageError if the part cannot be written.
         """
         table = trials_to_table(trials)
         first_row = self._row_groups.row_count + self._unwritten_row_count()
@@ -164,33 +182,33 @@ class Store:
             self.flush()
 
     def _unwritten_row_count(self) -> int:
-        """Return how many finished trials are only in memory."""
+        """Return the number of results that are only in memory."""
         return sum(len(table) for table in self._unwritten)
 
     def _is_part_due(self) -> bool:
-        """Return whether more work would be lost in a kill than the constants above allow."""
+        """Return whether the last part is so old that a kill would lose more work than it may."""
         now = time.monotonic()
-        allowed_seconds = max(_SECONDS_BETWEEN_PARTS, _SHARE_BETWEEN_PARTS * (now - self._started))
-        return now - self._last_written >= allowed_seconds
+        allowed_seconds = max(_SECONDS_BETWEEN_PARTS, _SHARE_BETWEEN_PARTS * (now - self._start_time))
+        return now - self._last_write_time >= allowed_seconds
 
     def flush(self) -> None:
-        """Write all that has not been written as a part, if there is any. Raises UsageError if that fails."""
+        """Write the results that are only in memory as a part. Raises UsageError if that fails."""
         if self._unwritten:
             self.reserve()
             table = pa.concat_tables(self._unwritten)
-            # By name, parts are in the order of their rows.
+            # Sorted by their names, parts are in the order of their rows.
             part = self.parts / f"{self._row_groups.row_count:012}-{len(table)}.parquet"
             write_tables(part, [table])
             self._row_groups.add(part)
             self._unwritten = []
-        self._last_written = time.monotonic()
+        self._last_write_time = time.monotonic()
 
     # --- The finished file -------------------------------------------------------------------------------
 
     def finish(self) -> None:
-        """Write the output file and remove the parts; nothing can be added after that.
+        """Write the output file, remove the parts and release the output. Nothing can be added afterwards.
 
-        All trials have to be there. Raises UsageError if the file cannot be written.
+        All trials must have results. Raises UsageError if the file cannot be written.
         """
         write_tables(self.output, self._tables_in_order())
         self._unwritten = []
@@ -198,19 +216,20 @@ class Store:
             part.unlink(missing_ok=True)
         remove_abandoned_drafts(self.parts)
         unlock_file(self._lock_path)
-        with suppress(OSError):  # there is no folder, or it has files of others
+        with suppress(OSError):  # there is no folder, or somebody has put other files into it
             self.parts.rmdir()
 
     def _tables_in_order(self) -> Iterator[pa.Table]:
-        """Yield all rows in the order of experiments and trials, as tables of the size of a row group."""
+        """Yield all results in the order of experiments and trials, in tables of the size of a row group."""
         if self._unwritten:
             self._row_groups.add_table(pa.concat_tables(self._unwritten))
         rows = np.concatenate([self._rows_of(experiment) for experiment in self.experiments])
-        # A row that was made for a smaller sweep states fewer trials than its experiment has now.
-        counts = [experiment.trials for experiment in self.experiments]
-        stated_trials = np.repeat(np.array(counts, np.uint64), counts)
+        # The column "trials" is written anew: a row from a sweep with fewer trials has another number there
+        # than its experiment has now.
+        trial_counts = [experiment.trials for experiment in self.experiments]
+        trials_column = np.repeat(np.array(trial_counts, np.uint64), trial_counts)
         for start in range(0, len(rows), self._rows_per_part):
             stop = start + self._rows_per_part
             table = self._row_groups.take(rows[start:stop])
             column_index = table.column_names.index("trials")
-            yield table.set_column(column_index, "trials", pa.array(stated_trials[start:stop]))
+            yield table.set_column(column_index, "trials", pa.array(trials_column[start:stop]))

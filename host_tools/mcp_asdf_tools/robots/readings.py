@@ -1,11 +1,10 @@
-"""Readings of a ground sensor over tiles of known colour, as text of a sensor, R, Excel or pandas."""
+"""Parser of a sensor's readings over tiles of known colour, as a sensor, R, Excel or pandas writes them."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 
 from mcp_asdf_tools.common.errors import UsageError
@@ -13,20 +12,23 @@ from mcp_asdf_tools.common.errors import UsageError
 _IS_BLACK = {"black": True, "1": True, "white": False, "0": False}
 _COLOUR_NAMES = ("colour", "color")
 _NO_ANSWER = -1.0
-"""What ``tile_sensor`` of docs/khepera.md prints when the sensor did not answer."""
+"""Reading that ``tile_sensor`` of docs/khepera.md prints if the sensor did not answer."""
 _SEPARATORS = ";\t,"
-"""The first of these in a line separates its columns; without any, white space does."""
-_EXCEL_SEPARATOR = "sep="
+"""Characters that may separate columns: the first of these that a line contains does. If it contains none of
+them, white space separates its columns."""
+_EXCEL_SEPARATOR_LINE = "sep="
+"""Beginning of a line by which Excel learns the separator."""
 _QUOTES = "\"'"
 
 
 @dataclass
 class Readings:
-    """Readings, and the lines of their text that hold none.
+    """Readings in a text, and the number of lines without one.
 
     Attributes:
-        rows: Each reading with whether its tile was black.
-        left_out: Number of lines that were left out, by the reason.
+        rows: The readings, each with whether its tile was black.
+        left_out: Number of lines that were left out, by the reason: "comment", "header", "no number" or
+            "reading -1".
     """
 
     rows: list[tuple[float, bool]] = field(default_factory=list)
@@ -34,31 +36,33 @@ class Readings:
 
 
 def parse_readings(text: str, name: str) -> Readings:
-    """Return the readings in lines such as ``512,black``.
+    """Return the readings in a text with lines such as ``512,black``.
 
-    The columns may be separated by commas, semicolons, tabs or spaces. A header names the columns
-    ``reading`` and ``colour``, others are ignored; without a header there are these two. With semicolons,
-    tabs or spaces a number may have a decimal comma. Left out are readings of -1, words in place of a number
-    (``NA``, ``nan``, an error text), comments, and a header that comes again. Raises UsageError, which names
-    the text by ``name``, the line and its form, for anything else.
+    Columns may be separated by commas, semicolons, tabs or spaces; unless it is by commas, a number may have
+    a decimal comma. A header may name the columns ``reading`` and ``colour`` among others, which are ignored.
+    Without a header, a line has these two.
+
+    Readings of -1, words in place of a number (``NA``, ``nan``, an error text), comments and repeated headers
+    are left out and counted. Raises UsageError, which names the text by ``name``, the line and what it should
+    look like, for any other line.
     """
     readings = Readings()
     header: Sequence[str] | None = None
     columns: _Columns | None = None
-    for number, line in enumerate(text.splitlines(), start=1):
-        position = f"{name}, line {number}: {line.strip()!r}"
-        if not line.strip() or line.lower().startswith(_EXCEL_SEPARATOR):
+    for line_number, line in enumerate(text.splitlines(), start=1):
+        position = f"{name}, line {line_number}: {line.strip()!r}"
+        if not line.strip() or line.lower().startswith(_EXCEL_SEPARATOR_LINE):
             continue
         if line.lstrip().startswith("#"):
             readings.left_out["comment"] += 1
             continue
         fields = _split(line)
-        if columns is None:  # the first line that is neither empty nor a comment
+        if columns is None:  # this is the first line that is not empty and no comment
             columns = _columns_of_header(fields, position)
             if columns is not None:
                 header = fields
                 continue
-            columns = _Columns(reading=0, colour=1, count=2)
+            columns = _Columns(reading_index=0, colour_index=1, count=2)
         if fields == header:
             readings.left_out["header"] += 1
             continue
@@ -77,23 +81,26 @@ def parse_readings(text: str, name: str) -> Readings:
 
 @dataclass(frozen=True)
 class _Columns:
-    """Where a line has the reading and the colour.
+    """Positions of the two columns that matter in every line.
 
     Attributes:
-        reading: Index of the column with the reading.
-        colour: Index of the column with the colour.
-        count: Number of columns.
-        has_header: Whether the first line names them. R then begins every other line with one more field,
-            the name of the row.
+        reading_index: Index of the reading.
+        colour_index: Index of the tile's colour.
+        count: Number of columns that a line has.
+        has_header: Whether a header names them. Then a line may have one column more at its beginning: R
+            writes a name for each row, but no header above these names.
     """
 
-    reading: int
-    colour: int
+    reading_index: int
+    colour_index: int
     count: int
     has_header: bool = False
 
     def choose(self, fields: Sequence[str], position: str) -> tuple[str, str]:
-        """Return reading and colour of a line. Raises UsageError if it has another number of columns."""
+        """Return the reading and the colour of a line.
+
+        Raises UsageError, which begins with ``position``, if the line has another number of columns.
+        """
         has_row_name = self.has_header and len(fields) == self.count + 1
         if len(fields) != self.count and not has_row_name:
             raise UsageError(
@@ -101,19 +108,21 @@ class _Columns:
                 "reading and the colour of its tile, such as 512,black, or name the columns in the first line"
             )
         offset = 1 if has_row_name else 0
-        return fields[self.reading + offset], fields[self.colour + offset]
+        return fields[self.reading_index + offset], fields[self.colour_index + offset]
 
 
 def _columns_of_header(fields: Sequence[str], position: str) -> _Columns | None:
-    """Return the columns that a header names, None if the line is none.
+    """Return the columns that a header names, or None if the line is a reading and not a header.
 
-    Raises UsageError for a header that lacks one: a line of words alone, of which none is a colour.
+    A line without digits and colours is a header. Raises UsageError, which begins with ``position``, if it
+    lacks one of the two columns.
     """
-    colour_columns = [index for index, name in enumerate(fields) if name in _COLOUR_NAMES]
-    if "reading" in fields and colour_columns:
-        return _Columns(fields.index("reading"), colour_columns[0], len(fields), has_header=True)
+    colour_indices = [index for index, name in enumerate(fields) if name in _COLOUR_NAMES]
+    if "reading" in fields and colour_indices:
+        return _Columns(fields.index("reading"), colour_indices[0], count=len(fields), has_header=True)
     has_digit = any(character.isdigit() for name in fields for character in name)
-    if has_digit or any(name in _IS_BLACK for name in fields):
+    has_colour = any(name in _IS_BLACK for name in fields)
+    if has_digit or has_colour:
         return None
     raise UsageError(f"{position} is a header without the columns reading and colour; rename them so")
 
@@ -121,30 +130,30 @@ def _columns_of_header(fields: Sequence[str], position: str) -> _Columns | None:
 def _split(line: str) -> list[str]:
     """Return the fields of a line in lower case, without quotes."""
     separator = next((character for character in _SEPARATORS if character in line), None)
-    fields = line.split(separator)  # None splits at white space
+    fields = line.split(separator)  # None stands for white space
     return [text.strip().strip(_QUOTES).strip().lower() for text in fields]
 
 
 def _parse_number(text: str, position: str) -> float | None:
-    """Return the number in a text such as ``512``, ``512.5`` or ``512,5``; None for a text without digits.
+    """Return a number with a decimal point or comma; None for a text without digits, such as ``NA``.
 
-    Raises UsageError, naming the ``position``, for a text that has digits but is no finite number. To leave
-    it out would hide that a form of numbers is misread.
+    Raises UsageError, which begins with ``position``, for a text that has digits and is no finite number: if
+    it were left out, nobody would notice that the file has another form.
     """
     if not any(character.isdigit() for character in text):
         return None
-    # A comma beside a point is a separator of thousands, which float() refuses.
-    text_with_point = text if "." in text else text.replace(",", ".")
-    with suppress(ValueError):
-        number = float(text_with_point)
-        if math.isfinite(number):
-            return number
-    raise UsageError(
-        f"{position} has the reading {text!r}, which is no number; write it as 512, 512.5 or 512,5 "
-        "(with semicolons between columns), without separators of thousands and units"
-    )
+    try:
+        number = float(text if "." in text else text.replace(",", "."))
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise UsageError(
+            f"{position} has the reading {text!r}, which is no number; write it as 512, 512.5 or 512,5 "
+            "(with semicolons between columns), without separators of thousands and units"
+        )
+    return number
 
 
 def _count(number: int, noun: str) -> str:
-    """Return a number with its noun, which has an s unless it is one."""
+    """Return a number with its noun in the singular or plural, such as ``2 columns``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
