@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -262,16 +262,6 @@ def plot_series(results: Results, *, trial: int = 0, where: Mapping[str, Any] | 
 
     experiment = single_experiment(_experiments_to_plot(results, where))
     return time_plots.plot_series([experiment], trial)
-
-
-PLOTS: dict[str, Callable[..., Figure]] = {
-    "boxes": plot_boxes,
-    "scatter": plot_scatter,
-    "curve": plot_curve,
-    "bands": plot_bands,
-    "series": plot_series,
-}
-"""The pictures by their kind on the command line, which takes the options of each from its function."""
 
 
 def _experiments_to_plot(results: pa.Table | list[Trials], where: Mapping[str, Any] | None) -> list[Trials]:

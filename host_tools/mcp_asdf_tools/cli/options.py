@@ -1,8 +1,8 @@
 """Options that several commands share, each with the function that reads it from the parsed arguments.
 
 An option therefore means the same in every command, and its help is written once. Options of one command
-alone stand in its module. Nothing here loads numpy or python-can before a command runs, so ``--help`` is
-quick.
+alone stand in its module. What only some of these options need is imported by their functions, so that the
+``--help`` of a command is quick.
 """
 
 from __future__ import annotations
@@ -14,25 +14,23 @@ from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from mcp_asdf.robot import MAX_ID, FirmwareError
-from mcp_asdf_tools.bus.frames import COMMAND_FORMAT, TELEMETRY_FORMAT, FrameFormat
 from mcp_asdf_tools.cli.parsing import describe_unknown_value
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extensions import Names
 from mcp_asdf_tools.common.parameters import Parameter, ParameterError, parameters_of
-from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.scores import E_MAX, Limits
-from mcp_asdf_tools.robots.filters import FILTERS, SwarmFilter
-from mcp_asdf_tools.robots.firmwares import firmware_names
-from mcp_asdf_tools.robots.population import Population
-from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
 if TYPE_CHECKING:
+    from mcp_asdf_tools.bus.frames import FrameFormat
     from mcp_asdf_tools.bus.interfaces import BusChoice
+    from mcp_asdf_tools.experiments.experiment import Experiment
     from mcp_asdf_tools.experiments.results import Trials
+    from mcp_asdf_tools.experiments.scores import Limits
+    from mcp_asdf_tools.robots.filters import SwarmFilter
     from mcp_asdf_tools.robots.node import Subjects
+    from mcp_asdf_tools.robots.population import Population
+    from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
-Settings = TypeVar("Settings", bound=Population)
+Settings = TypeVar("Settings", bound="Population")
 
 # --- Options made from declared parameters ---------------------------------------------------------------
 
@@ -53,10 +51,6 @@ COMMON_PARAMETERS = (
     "trials",
 )
 """Parameters that users change most; the help lists them before all others."""
-
-_FILTER_MEANINGS = "What --filter may be:\n" + "\n".join(
-    f"  {swarm_filter.name:11} {swarm_filter.meaning}" for swarm_filter in FILTERS.values()
-)
 
 
 def option_of(parameter_name: str) -> str:
@@ -82,10 +76,18 @@ def add_parameters(parser: argparse.ArgumentParser, kind: Any, title: str, names
     The options keep the order in which the class declares its parameters. The parsed value of an option that
     the user leaves out is None.
     """
-    group = parser.add_argument_group(title, _FILTER_MEANINGS if "filter" in names else None)
+    group = parser.add_argument_group(title, _describe_filters() if "filter" in names else None)
     for name, parameter in parameters_of(kind).items():
         if name in names:
             _add_option(group, parameter)
+
+
+def _describe_filters() -> str:
+    """Return a line on each filter, for the help."""
+    from mcp_asdf_tools.robots.filters import FILTERS
+
+    lines = [f"  {swarm_filter.name:11} {swarm_filter.meaning}" for swarm_filter in FILTERS.values()]
+    return "\n".join(["What --filter may be:", *lines])
 
 
 def _add_option(group: argparse._ArgumentGroup, parameter: Parameter) -> None:
@@ -181,6 +183,10 @@ _ROBOT_PARAMETERS = ("filter", "activation", "comms_period", "filter_period", "o
 
 def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: str) -> None:
     """Add the options of a robot; ``firmware`` is the default one, and ``id_help`` the help of ``--id``."""
+    from mcp_asdf.robot import MAX_ID
+    from mcp_asdf_tools.robots.firmwares import firmware_names
+    from mcp_asdf_tools.robots.population import Population
+
     group = parser.add_argument_group("robot")
     group.add_argument("--id", type=int, metavar="ID", required=True, help=id_help)
     group.add_argument(
@@ -210,6 +216,10 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
 
     Raises UsageError for a value out of range and for options that contradict each other.
     """
+    from mcp_asdf.robot import MAX_ID, FirmwareError
+    from mcp_asdf_tools.robots.population import Population
+    from mcp_asdf_tools.robots.robot_setup import RobotSetup
+
     neighbours = MAX_ID if args.neighbours is None else args.neighbours
     if not 2 <= neighbours <= MAX_ID:
         raise UsageError(f"--neighbours is {neighbours}; it must be 2 to {MAX_ID}")
@@ -230,6 +240,9 @@ def robot_of(args: argparse.Namespace) -> RobotSetup:
 
 def swarm_filter_of(args: argparse.Namespace) -> SwarmFilter:
     """Return the filter that ``--filter`` names, or the default where the option was not given."""
+    from mcp_asdf_tools.robots.filters import FILTERS
+    from mcp_asdf_tools.robots.population import Population
+
     return FILTERS[value_of(args, Population, "filter")]
 
 
@@ -335,6 +348,8 @@ def bus_of(args: argparse.Namespace) -> BusChoice:
 
 def add_estimate_format(group: argparse._ActionsContainer) -> None:
     """Add the options of the format of estimates, which ``estimate_format_of`` reads."""
+    from mcp_asdf_tools.bus.frames import FrameFormat
+
     default_format = FrameFormat()
     group.add_argument(
         "--subject",
@@ -354,11 +369,15 @@ def add_estimate_format(group: argparse._ActionsContainer) -> None:
 
 def estimate_format_of(args: argparse.Namespace) -> FrameFormat:
     """Return the format of estimates that the options describe. Raises UsageError if it is invalid."""
+    from mcp_asdf_tools.bus.frames import FrameFormat
+
     return FrameFormat(args.subject, args.priority)
 
 
 def add_subject_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the formats of estimates, telemetry and commands, which ``subjects_of`` reads."""
+    from mcp_asdf_tools.bus.frames import COMMAND_FORMAT, TELEMETRY_FORMAT
+
     group = parser.add_argument_group("frames")
     add_estimate_format(group)
     group.add_argument(
@@ -379,6 +398,7 @@ def add_subject_options(parser: argparse.ArgumentParser) -> None:
 
 def subjects_of(args: argparse.Namespace) -> Subjects:
     """Return the formats of frames that the options describe. Raises UsageError if they are invalid."""
+    from mcp_asdf_tools.bus.frames import COMMAND_FORMAT, TELEMETRY_FORMAT, FrameFormat
     from mcp_asdf_tools.robots.node import Subjects
 
     return Subjects(
@@ -412,6 +432,8 @@ def add_experiment_options(parser: argparse.ArgumentParser, output_help: str) ->
     The parsed value of a parameter that the user leaves out is None. ``output_help`` is the help of
     ``--output``.
     """
+    from mcp_asdf_tools.experiments.experiment import Experiment
+
     parser.add_argument("--output", metavar="FILE", type=Path, help=output_help)
     parser.add_argument(
         "--record",
@@ -431,6 +453,7 @@ def experiments_of(args: argparse.Namespace) -> list[Experiment]:
 
     Raises UsageError for a value out of range, and if ``--record`` is longer than a trial.
     """
+    from mcp_asdf_tools.experiments.experiment import Experiment
     from mcp_asdf_tools.experiments.experiment_files import read_experiments
 
     if args.file is None:
@@ -480,6 +503,8 @@ def add_scheduler_option(parser: argparse.ArgumentParser) -> None:
 
 def add_limit_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for K_max and e_max, the convergence time K and the error e that score 0."""
+    from mcp_asdf_tools.experiments.scores import E_MAX
+
     group = parser.add_argument_group("scores")
     group.add_argument(
         "--k-max", type=float, metavar="STEPS", help="K that scores 0 (default: the length of a trial)"
@@ -489,6 +514,8 @@ def add_limit_options(parser: argparse.ArgumentParser) -> None:
 
 def limits_of(args: argparse.Namespace) -> Limits:
     """Return the limits that the user typed, or else the paper's. Raises UsageError for one of 0 or less."""
+    from mcp_asdf_tools.experiments.scores import E_MAX, Limits
+
     return Limits(args.k_max, E_MAX if args.e_max is None else args.e_max)
 
 

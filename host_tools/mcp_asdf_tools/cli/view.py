@@ -7,13 +7,13 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.cli.output import announce_page, report_failure, sleep_until, warn
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import stopping
 
 if TYPE_CHECKING:
+    from mcp_asdf_tools.bus.frames import FrameFormat
     from mcp_asdf_tools.view.film import History
 
 EPILOG = """\
@@ -40,6 +40,8 @@ _OPTIONS_OF_FRAMES = ("fill_ratio", "true_accuracy", "subject", "channel")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
+    from mcp_asdf_tools.bus.frames import FrameFormat
+
     parser.add_argument(
         "file", metavar="FILE", type=Path, nargs="?", help="results (.parquet) or a log; without one, a bus"
     )
@@ -77,6 +79,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _frame_format_of(args: argparse.Namespace) -> FrameFormat:
     """Return the format of estimates. Raises UsageError if --subject is none."""
+    from mcp_asdf_tools.bus.frames import FrameFormat
+
     return FrameFormat() if args.subject is None else FrameFormat(args.subject)
 
 

@@ -8,7 +8,6 @@ one with a smaller rate does.
 
 from __future__ import annotations
 
-import hashlib
 import math
 import struct
 from enum import IntEnum
@@ -45,6 +44,8 @@ class FaultRandom:
 
     def __init__(self, seed: int, fault_name: str, fault_number: int) -> None:
         """Prepare the hash. ``seed`` has up to 128 bits."""
+        import hashlib  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
+
         self.fault_number = fault_number
         self._seeded_hash = hashlib.shake_128(
             seed.to_bytes(16, "little") + f"{fault_name} {fault_number}".encode()
