@@ -50,7 +50,8 @@ static uint8_t checksum(const uint8_t *packet)
     for (uint8_t i = 0; i < FRAME_BYTES; ++i) {
         crc ^= packet[i];
         for (uint8_t bit = 0; bit < 8; ++bit) {
-            crc = (uint8_t)((crc << 1) ^ (crc & 0x80 ? CRC_POLYNOMIAL : 0));
+            const bool is_top_bit_set = (crc & 0x80) != 0; /* the shift moves it out */
+            crc = (uint8_t)((crc << 1) ^ (is_top_bit_set ? CRC_POLYNOMIAL : 0));
         }
     }
     return crc;
@@ -84,12 +85,16 @@ bool radio_next_frame(mcp_asdf_frame_t *frame)
     return false;
 }
 
-/* Send the id and the data of `frame` as a packet, after a mark. Waits until the line has accepted it. */
+/* Send a packet of `frame`: the byte MARK, with which a receiver finds its beginning, the id, lowest byte
+ * first, the data, and the checksum of both. Waits until the line has accepted all of it. */
 void radio_send(const mcp_asdf_frame_t *frame)
 {
     uint8_t packet[PACKET_BYTES];
-    for (uint8_t i = 0; i < FRAME_BYTES; ++i) {
-        packet[i] = i < ID_BYTES ? (uint8_t)(frame->id >> (8 * i)) : frame->data[i - ID_BYTES];
+    for (uint8_t i = 0; i < ID_BYTES; ++i) {
+        packet[i] = (uint8_t)(frame->id >> (8 * i));
+    }
+    for (uint8_t i = 0; i < DATA_BYTES; ++i) {
+        packet[ID_BYTES + i] = frame->data[i];
     }
     packet[FRAME_BYTES] = checksum(packet);
     port_put(MARK);
@@ -98,4 +103,5 @@ void radio_send(const mcp_asdf_frame_t *frame)
     }
 }
 
+/* Returns the number of packets that were damaged or found the queue full, modulo 256. */
 uint8_t radio_lost_packets(void) { return (uint8_t)(rejected_packets + damaged_packets); }

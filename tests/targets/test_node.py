@@ -270,9 +270,12 @@ def test_observations_come_from_a_file_or_the_standard_input(
         assert (figures["estimates"], figures["telemetry"], figures["heartbeats"]) == (300, 3, 1)
 
 
-def test_what_is_no_observation_ends_the_run(start: Start, bus: UnixBus, tmp_path: Path) -> None:
+@pytest.mark.parametrize("character", ["x", "\0"])
+def test_a_character_that_is_no_observation_ends_the_run(
+    start: Start, bus: UnixBus, tmp_path: Path, character: str
+) -> None:
     text = tmp_path / "observations"
-    text.write_text("1 x", encoding="ascii")
+    text.write_text(f"1 {character}", encoding="ascii")
     node = start(*FAST, "--observations", text)
     bus.hear_out()
     figures = node.summary(status=1)

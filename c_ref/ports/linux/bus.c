@@ -104,7 +104,8 @@ static int open_multicast(bus_t *bus)
     return error;
 }
 
-/* Open the socket of the kind that the name asks for. Returns 0 or an errno. */
+/* Open the socket of the kind that the name asks for, a CAN interface, a Unix socket or a multicast group,
+ * and store it in bus->fd. Returns 0 or an errno. */
 static int open_socket(bus_t *bus)
 {
     if (bus->is_multicast) {
@@ -210,18 +211,34 @@ static bus_event_t handle_receive_error(bus_t *bus)
     return error == ECONNRESET ? BUS_CLOSED : BUS_NOTHING;
 }
 
-/* Decode a packet of `size` bytes, which is 0 for one that is longer than any frame. Writes *frame for
- * BUS_FRAME; counts error frames and packets that are no frame, and returns BUS_OTHER for them. */
+/* Copy the frame that the kernel has written as a packet: a struct can_frame, or a struct canfd_frame, of
+ * which the classic one is the beginning. Returns false if the packet has the size of neither. */
+static bool unpack_kernel_frame(struct canfd_frame *raw, const uint8_t *packet, size_t size)
+{
+    if (size != CAN_MTU && size != CANFD_MTU) {
+        return false;
+    }
+    memcpy(raw, packet, size);
+    return true;
+}
+
+/* Decode a packet of `size` bytes, which is 0 for one that is longer than any frame. Returns BUS_FRAME and
+ * writes *frame, or returns BUS_OTHER for error frames and for packets that are no frame, which are counted.
+ */
 static bus_event_t decode_packet(bus_t *bus, mcp_asdf_frame_t *frame, const uint8_t *packet, size_t size)
 {
     struct canfd_frame raw = {0};
-    const bool is_fd = !bus->is_multicast && size == CANFD_MTU;
-    if (bus->is_multicast ? !multicast_unpack(&raw, packet, size) : size != CAN_MTU && !is_fd) {
+    bool is_frame, is_fd;
+    if (bus->is_multicast) {
+        is_frame = multicast_unpack(&raw, packet, size);
+        is_fd = false; /* datagrams with FD frames are refused */
+    } else {
+        is_frame = unpack_kernel_frame(&raw, packet, size);
+        is_fd = size == CANFD_MTU;
+    }
+    if (!is_frame) {
         ++bus->counts.odd_packets;
         return BUS_OTHER;
-    }
-    if (!bus->is_multicast) {
-        memcpy(&raw, packet, size); /* a classic frame is the beginning of an FD frame */
     }
     if ((raw.can_id & CAN_ERR_FLAG) != 0) {
         handle_error_frame(bus, &raw);
@@ -231,8 +248,8 @@ static bus_event_t decode_packet(bus_t *bus, mcp_asdf_frame_t *frame, const uint
     return BUS_FRAME;
 }
 
-/* Read one packet without waiting, and count it. Own datagrams, which a multicast group returns, are skipped.
- */
+/* Read one packet without waiting, count it as received, and decode it. Own datagrams, which a multicast
+ * group returns, are not counted: they are BUS_OTHER. */
 bus_event_t bus_receive(bus_t *bus, mcp_asdf_frame_t *frame)
 {
     uint8_t packet[MULTICAST_SIZE];
@@ -249,10 +266,15 @@ bus_event_t bus_receive(bus_t *bus, mcp_asdf_frame_t *frame)
                              .msg_control = control.bytes,
                              .msg_controllen = sizeof control.bytes};
     const ssize_t size = recvmsg(bus->fd, &message, MSG_DONTWAIT);
-    if (size < 0 || (size == 0 && !bus->is_multicast)) { /* a datagram may be empty */
-        return size == 0 ? BUS_CLOSED : handle_receive_error(bus);
+    if (size < 0) {
+        return handle_receive_error(bus);
     }
-    if (bus->is_multicast && memcmp(&sender, &bus->group.own_address, COMPARED_ADDRESS_SIZE) == 0) {
+    if (size == 0 && !bus->is_multicast) { /* the end of a connection; but a datagram may be empty */
+        return BUS_CLOSED;
+    }
+    const bool is_own_datagram =
+        bus->is_multicast && memcmp(&sender, &bus->group.own_address, COMPARED_ADDRESS_SIZE) == 0;
+    if (is_own_datagram) {
         return BUS_OTHER;
     }
     ++bus->counts.received;
@@ -278,7 +300,8 @@ static ssize_t try_send(const bus_t *bus, const struct can_frame *frame)
     return send(bus->group.send_fd, datagram, size, MSG_DONTWAIT | MSG_NOSIGNAL);
 }
 
-/* Send a frame; while the send queue is full, wait a millisecond and try again, until the timeout. */
+/* Send a frame; while the send queue is full, wait a millisecond and try again, until the timeout. Counts
+ * each wait in queue_full, and closes a multicast group that cannot be reached. */
 bool bus_send(void *context, const mcp_asdf_frame_t *frame)
 {
     bus_t *bus = context;

@@ -116,7 +116,8 @@ static void open_bus(bus_t *bus)
     }
 }
 
-/* Make the node, with the state of its file if there is one. Ends the program with a message on failure. */
+/* Initialise run->node, and restore its robot from the state's file if there is one. Ends the program with a
+ * message on failure. */
 static void set_up_node(run_t *run)
 {
     const options_t *options = &run->options;
@@ -146,7 +147,8 @@ static void set_up_source(run_t *run)
     }
 }
 
-/* Open the bus that the options name. Ends the program with a message on failure. */
+/* Set up run->bus as the options say, and open it: its name, network and buffer, and the subjects that it
+ * receives. Ends the program with a message on failure. */
 static void set_up_bus(run_t *run)
 {
     const options_t *options = &run->options;
@@ -272,7 +274,7 @@ static bool read_observation(run_t *run, mcp_asdf_action_t *observation)
 {
     source_t *source = &run->source;
     const bool is_read = source_next(source, observation);
-    if (source->invalid_character != 0) {
+    if (source->is_invalid) {
         (void)fprintf(stderr, "mcp_asdf_node: character %lu of %s is no observation; write 0, 1 or -\n",
                       (unsigned long)source->characters_read + 1, source->path);
         end_run(run, "observations not valid", EXIT_FAILURE);

@@ -97,11 +97,32 @@ static bool prepare_to_send(int fd, const address_t *address, unsigned interface
     return error == 0 && connect(fd, &address->any, address_size(address)) == 0;
 }
 
-/* Open both sockets, and find out the address of this node's datagrams. Returns 0 or an errno. */
+/* Open the socket that receives. Returns whether that worked, else errno says why not. */
+static bool open_receiver(multicast_t *group, const address_t *address, unsigned interface_index)
+{
+    group->receive_fd = socket(address->any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    return group->receive_fd >= 0 && prepare_to_receive(group->receive_fd, address, interface_index);
+}
+
+/* Open the socket that sends, and store the address of its datagrams in group->own_address. Returns whether
+ * that worked, else errno says why not. */
+static bool open_sender(multicast_t *group, const address_t *address, unsigned interface_index)
+{
+    socklen_t own_address_size = sizeof group->own_address;
+    group->send_fd = socket(address->any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    if (group->send_fd < 0 || !prepare_to_send(group->send_fd, address, interface_index, group->hop_limit)) {
+        return false;
+    }
+    memset(&group->own_address, 0, sizeof group->own_address); /* it is compared byte by byte */
+    return getsockname(group->send_fd, (struct sockaddr *)&group->own_address, &own_address_size) == 0;
+}
+
+/* Open both sockets of the group that `name` names. Returns 0, or an errno with both closed: EINVAL if the
+ * name is malformed, ENODEV if there is no interface group->network. */
 int multicast_open(multicast_t *group, const char *name)
 {
     address_t address;
-    socklen_t own_address_size = sizeof group->own_address;
+    /* 0 where no interface is named, which leaves it to the kernel, and where there is none of that name. */
     const unsigned interface_index = group->network != NULL ? if_nametoindex(group->network) : 0;
     group->receive_fd = group->send_fd = -1;
     if (!parse_group_name(&address, name)) {
@@ -110,14 +131,8 @@ int multicast_open(multicast_t *group, const char *name)
     if (group->network != NULL && interface_index == 0) {
         return ENODEV;
     }
-    group->receive_fd = socket(address.any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-    group->send_fd = socket(address.any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
-    memset(&group->own_address, 0, sizeof group->own_address);
-    if (group->receive_fd < 0 || group->send_fd < 0 ||
-        !prepare_to_receive(group->receive_fd, &address, interface_index) ||
-        !prepare_to_send(group->send_fd, &address, interface_index, group->hop_limit) ||
-        getsockname(group->send_fd, (struct sockaddr *)&group->own_address, &own_address_size) != 0) {
-        const int error = errno;
+    if (!open_receiver(group, &address, interface_index) || !open_sender(group, &address, interface_index)) {
+        const int error = errno; /* closing may change it */
         multicast_close(group);
         return error;
     }
@@ -138,50 +153,61 @@ void multicast_close(multicast_t *group)
 
 /* ---- Datagrams -------------------------------------------------------------------------------------- */
 
-/* A datagram is a msgpack map of 11 fields in python-can's order. These strings are the bytes between the
- * values that vary: names of fields, each after a byte with its length, and values that are always the same.
- * Some strings are split, since a hexadecimal escape would take the letters that follow for digits. */
-#define BEFORE_TIME "\x8B\xA9timestamp"
-#define BEFORE_ID                                                                                            \
-    "\xAE"                                                                                                   \
-    "arbitration_id"
-#define BEFORE_EXTENDED "\xAEis_extended_id"
+/* A datagram is a msgpack map of 11 fields in python-can's order:
+ *
+ *     timestamp              seconds, a number of 64 bits
+ *     arbitration_id         a number in its shortest form
+ *     is_extended_id         true for an id of 29 bits
+ *     is_remote_frame        false
+ *     is_error_frame         false
+ *     channel                nil, or a text
+ *     dlc                    number of bytes of data
+ *     data                   bytes, after their number
+ *     is_fd                  false
+ *     bitrate_switch         false
+ *     error_state_indicator  false
+ *
+ * The strings below are what stands before each value that varies: the name of its field, and the fields
+ * before it that are always the same. The byte before a name is 0xA0 + its length; it is a string of its own,
+ * since a hexadecimal escape would take letters that follow for digits. */
+#define NAME(length_byte, name) length_byte name
+#define MAP_OF_11 "\x8B"
+#define FALSE "\xC2"
+#define BEFORE_TIME MAP_OF_11 NAME("\xA9", "timestamp")
+#define BEFORE_ID NAME("\xAE", "arbitration_id")
+#define BEFORE_EXTENDED NAME("\xAE", "is_extended_id")
 #define BEFORE_CHANNEL                                                                                       \
-    "\xAFis_remote_frame\xC2\xAEis_error_frame\xC2\xA7"                                                      \
-    "channel"
-#define BEFORE_LENGTH                                                                                        \
-    "\xA3"                                                                                                   \
-    "dlc"
-#define BEFORE_DATA                                                                                          \
-    "\xA4"                                                                                                   \
-    "data\xC4"
+    NAME("\xAF", "is_remote_frame") FALSE NAME("\xAE", "is_error_frame") FALSE NAME("\xA7", "channel")
+#define BEFORE_DLC NAME("\xA3", "dlc")
+#define BEFORE_DATA NAME("\xA4", "data")
 #define AFTER_DATA                                                                                           \
-    "\xA5is_fd\xC2\xAE"                                                                                      \
-    "bitrate_switch\xC2\xB5"                                                                                 \
-    "error_state_indicator\xC2"
+    NAME("\xA5", "is_fd")                                                                                    \
+    FALSE NAME("\xAE", "bitrate_switch") FALSE NAME("\xB5", "error_state_indicator") FALSE
 
-/* First bytes of msgpack values: these are whole values, */
+/* First bytes of msgpack values. A number below 128 is its own first byte. These are whole values, */
 #define MSGPACK_NIL 0xC0
 #define MSGPACK_FALSE 0xC2
 #define MSGPACK_TRUE 0xC3
-/* and after these the value follows, big-endian. */
+/* after these a number follows, big-endian, */
 #define MSGPACK_FLOAT32 0xCA
 #define MSGPACK_FLOAT64 0xCB
 #define MSGPACK_UINT8 0xCC
 #define MSGPACK_UINT32 0xCE
-#define MSGPACK_STRING8 0xD9 /* a byte with the length, then the text */
+/* and after these a byte with the length, then the bytes or the text. */
+#define MSGPACK_BYTES8 0xC4
+#define MSGPACK_STRING8 0xD9
 
-/* Append bytes to a datagram. Returns where it goes on. */
+/* Append bytes to a datagram that ends at `end`. Returns its new end. */
 static uint8_t *put_bytes(uint8_t *end, const void *bytes, size_t size)
 {
     memcpy(end, bytes, size);
     return end + size;
 }
 
-/* Append a text to a datagram, without its terminating zero. Returns where it goes on. */
+/* Append a text without its terminating zero. Returns the new end. */
 static uint8_t *put_text(uint8_t *end, const char *text) { return put_bytes(end, text, strlen(text)); }
 
-/* Append the lowest bytes of a number to a datagram, big-endian. Returns where it goes on. */
+/* Append the lowest `byte_count` bytes of a number, big-endian. Returns the new end. */
 static uint8_t *put_number(uint8_t *end, uint64_t number, int byte_count)
 {
     for (int i = byte_count - 1; i >= 0; --i) {
@@ -190,25 +216,28 @@ static uint8_t *put_number(uint8_t *end, uint64_t number, int byte_count)
     return end;
 }
 
-/* Pack a frame as python-can does, with nil as the channel. Returns the size of the datagram. */
+/* Pack a data frame with a 29-bit id of 2^16 or more as python-can's udp_multicast does: a msgpack map of the
+ * fields above, with `time` in seconds since 1970 and nil as the channel. Returns the size of the datagram.
+ */
 size_t multicast_pack(uint8_t datagram[MULTICAST_SIZE], const struct can_frame *frame, double time)
 {
     const uint8_t data_length = frame->can_dlc <= CAN_MAX_DLEN ? frame->can_dlc : CAN_MAX_DLEN;
-    uint64_t time_bits;
+    uint64_t time_bits; /* of an IEEE 754 number, which msgpack stores as it is */
     memcpy(&time_bits, &time, sizeof time_bits);
     uint8_t *end = put_text(datagram, BEFORE_TIME);
     *end++ = MSGPACK_FLOAT64;
-    end = put_number(end, time_bits, 8);
+    end = put_number(end, time_bits, sizeof time_bits);
     end = put_text(end, BEFORE_ID);
     *end++ = MSGPACK_UINT32; /* the shortest form of an id of 2^16 or more */
-    end = put_number(end, frame->can_id & CAN_EFF_MASK, 4);
+    end = put_number(end, frame->can_id & CAN_EFF_MASK, sizeof frame->can_id);
     end = put_text(end, BEFORE_EXTENDED);
     *end++ = MSGPACK_TRUE;
     end = put_text(end, BEFORE_CHANNEL);
     *end++ = MSGPACK_NIL;
-    end = put_text(end, BEFORE_LENGTH);
-    *end++ = data_length; /* a number below 128 is its own first byte */
+    end = put_text(end, BEFORE_DLC);
+    *end++ = data_length; /* as a number below 128 */
     end = put_text(end, BEFORE_DATA);
+    *end++ = MSGPACK_BYTES8;
     *end++ = data_length;
     end = put_bytes(end, frame->data, data_length);
     end = put_text(end, AFTER_DATA);
@@ -221,7 +250,7 @@ typedef struct {
     size_t bytes_left;
 } reader_t;
 
-/* Skip bytes. Returns false if there are fewer. */
+/* Skip `size` bytes. Returns false, and skips none, if fewer are left. */
 static bool skip(reader_t *reader, uint64_t size)
 {
     if (reader->bytes_left < size) {
@@ -243,7 +272,7 @@ static bool read_byte(reader_t *reader, uint8_t *byte)
     return true;
 }
 
-/* Skip a text. Returns false if something else is there. */
+/* Skip a text, without its terminating zero. Returns false if something else is there. */
 static bool skip_text(reader_t *reader, const char *text)
 {
     const uint8_t *const start = reader->next;
@@ -266,8 +295,9 @@ static bool read_number(reader_t *reader, uint32_t *number)
         return false;
     }
     *number = 0;
-    /* 1, 2 or 4 bytes follow. */
-    for (int bytes_left = 1 << (first_byte - MSGPACK_UINT8); bytes_left > 0; --bytes_left) {
+    /* The three first bytes from MSGPACK_UINT8 to MSGPACK_UINT32 announce 1, 2 and 4 bytes. */
+    const int byte_count = 1 << (first_byte - MSGPACK_UINT8);
+    for (int i = 0; i < byte_count; ++i) {
         if (!read_byte(reader, &next_byte)) {
             return false;
         }
@@ -276,24 +306,47 @@ static bool read_number(reader_t *reader, uint32_t *number)
     return true;
 }
 
-/* Skip a time or the name of a channel: nil, a number or a text. Returns false if something else is there. */
+/* Skip a time or the name of a channel: nil, a number or a text, in any of msgpack's forms of up to 255
+ * characters. Returns false if something else is there. */
 static bool skip_value(reader_t *reader)
 {
     if (reader->bytes_left == 0) {
         return false;
     }
     const uint8_t first_byte = *reader->next;
-    if ((first_byte & 0xE0) == 0xA0) {
-        return skip(reader, 1 + (first_byte & 0x1FU)); /* a text of up to 31 bytes */
+    if ((first_byte & 0xE0) == 0xA0) { /* a text of up to 31 bytes: its length is in the lower 5 bits */
+        return skip(reader, 1 + (first_byte & 0x1FU));
     }
-    if (first_byte == MSGPACK_FLOAT32 || first_byte == MSGPACK_FLOAT64) {
-        return skip(reader, first_byte == MSGPACK_FLOAT32 ? 5 : 9);
+    if (first_byte == MSGPACK_FLOAT32) {
+        return skip(reader, 1 + sizeof(uint32_t));
+    }
+    if (first_byte == MSGPACK_FLOAT64) {
+        return skip(reader, 1 + sizeof(uint64_t));
     }
     if (first_byte == MSGPACK_STRING8) {
         return reader->bytes_left > 1 && skip(reader, 2U + reader->next[1]);
     }
+    if (first_byte == MSGPACK_NIL) {
+        return skip(reader, 1);
+    }
     uint32_t number;
-    return first_byte == MSGPACK_NIL ? skip(reader, 1) : read_number(reader, &number);
+    return read_number(reader, &number);
+}
+
+/* Read the bytes at the end of a datagram's data field: their number, which must be `data_length`, then the
+ * bytes, which are copied to `data`. Returns false if something else is there. */
+static bool read_data(reader_t *reader, uint8_t data[CAN_MAX_DLEN], uint32_t data_length)
+{
+    uint8_t first_byte, byte_count;
+    if (!read_byte(reader, &first_byte) || first_byte != MSGPACK_BYTES8 || !read_byte(reader, &byte_count)) {
+        return false;
+    }
+    const uint8_t *const start = reader->next;
+    if (byte_count != data_length || byte_count > CAN_MAX_DLEN || !skip(reader, byte_count)) {
+        return false;
+    }
+    memcpy(data, start, byte_count);
+    return true;
 }
 
 /* Read a datagram of `size` bytes, field by field: it must have the 11 fields listed above, in their order,
@@ -303,29 +356,31 @@ bool multicast_unpack(struct canfd_frame *frame, const uint8_t *datagram, size_t
 {
     reader_t reader = {datagram, size};
     uint32_t id, data_length;
-    uint8_t extended, byte_count;
+    uint8_t extended, data[CAN_MAX_DLEN];
     if (size > MULTICAST_SIZE) {
         return false;
     }
-    if (!skip_text(&reader, BEFORE_TIME) || !skip_value(&reader) || !skip_text(&reader, BEFORE_ID) ||
-        !read_number(&reader, &id) || !skip_text(&reader, BEFORE_EXTENDED) ||
-        !read_byte(&reader, &extended) || !skip_text(&reader, BEFORE_CHANNEL) || !skip_value(&reader) ||
-        !skip_text(&reader, BEFORE_LENGTH) || !read_number(&reader, &data_length) ||
-        !skip_text(&reader, BEFORE_DATA) || !read_byte(&reader, &byte_count)) {
+    /* Each step reads what stands behind the one before, and the first that fails ends the chain. */
+    const bool has_all_fields =
+        skip_text(&reader, BEFORE_TIME) && skip_value(&reader) &&                   /* timestamp */
+        skip_text(&reader, BEFORE_ID) && read_number(&reader, &id) &&               /* arbitration_id */
+        skip_text(&reader, BEFORE_EXTENDED) && read_byte(&reader, &extended) &&     /* is_extended_id */
+        skip_text(&reader, BEFORE_CHANNEL) && skip_value(&reader) &&                /* channel */
+        skip_text(&reader, BEFORE_DLC) && read_number(&reader, &data_length) &&     /* dlc */
+        skip_text(&reader, BEFORE_DATA) && read_data(&reader, data, data_length) && /* data */
+        skip_text(&reader, AFTER_DATA) && reader.bytes_left == 0;
+    if (!has_all_fields) {
         return false;
     }
-    /* msgpack has the length of the data twice: as the value of "dlc" (data_length), and as the size of the
-     * bytes that are the value of "data" (byte_count). */
     const bool is_extended = extended == MSGPACK_TRUE;
-    if ((!is_extended && extended != MSGPACK_FALSE) || id > (is_extended ? CAN_EFF_MASK : CAN_SFF_MASK) ||
-        data_length != byte_count || data_length > CAN_MAX_DLEN) {
+    if (!is_extended && extended != MSGPACK_FALSE) {
         return false;
     }
-    const uint8_t *const data = reader.next;
-    if (!skip(&reader, data_length) || !skip_text(&reader, AFTER_DATA) || reader.bytes_left != 0) {
+    if (id > (is_extended ? CAN_EFF_MASK : CAN_SFF_MASK)) {
         return false;
     }
-    *frame = (struct canfd_frame){.can_id = id | (is_extended ? CAN_EFF_FLAG : 0), .len = byte_count};
+    *frame =
+        (struct canfd_frame){.can_id = id | (is_extended ? CAN_EFF_FLAG : 0), .len = (uint8_t)data_length};
     memcpy(frame->data, data, data_length);
     return true;
 }

@@ -8,7 +8,9 @@
 #include <string.h>
 #include <unistd.h>
 
-/* What read_sensor() and read_stream() return if there is no observation: an action that none is. */
+/* What read_sensor() and read_stream() return if they cannot read an observation. It is the one action that
+ * is no observation. MCP_ASDF_OBSERVE_NONE is another case: the stream says that the robot has seen nothing.
+ */
 #define NOTHING_READ MCP_ASDF_SETTLE
 
 /* Open the stream, or see whether the sensor's file can be opened. Returns 0 or an errno. */
@@ -17,6 +19,15 @@ int source_open(source_t *source)
     const bool is_standard_input = strcmp(source->path, "-") == 0 && !source->is_sensor;
     source->fd = is_standard_input ? STDIN_FILENO : open(source->path, O_RDONLY | O_CLOEXEC);
     return source->fd < 0 ? errno : 0;
+}
+
+/* Returns the observation that '0', '1' or '-' stands for. */
+static mcp_asdf_action_t action_of_character(char character)
+{
+    if (character == '-') {
+        return MCP_ASDF_OBSERVE_NONE;
+    }
+    return character == '1' ? MCP_ASDF_OBSERVE_BLACK : MCP_ASDF_OBSERVE_WHITE;
 }
 
 /* Read the sensor's file: white or black, or NOTHING_READ if it cannot be read or contains neither. */
@@ -31,14 +42,11 @@ static mcp_asdf_action_t read_sensor(const source_t *source)
         }
         (void)close(fd);
     }
-    if (colour == '1') {
-        return MCP_ASDF_OBSERVE_BLACK;
-    }
-    return colour == '0' ? MCP_ASDF_OBSERVE_WHITE : NOTHING_READ;
+    return colour == '0' || colour == '1' ? action_of_character(colour) : NOTHING_READ;
 }
 
-/* Make sure that the buffer has a character to read, but do not wait for one. Returns whether it has. Notes
- * the end of the stream, and errors. */
+/* Read more of the stream if the buffer has no character left, but do not wait for it. Returns whether the
+ * buffer has a character now. Sets has_ended at the end of the stream and after an error, and then error. */
 static bool fill_buffer(source_t *source)
 {
     struct pollfd input = {.fd = source->fd, .events = POLLIN};
@@ -49,37 +57,38 @@ static bool fill_buffer(source_t *source)
         return false;
     }
     const ssize_t size = read(source->fd, source->buffer, sizeof source->buffer);
-    source->error = size < 0 && errno != EINTR && errno != EAGAIN ? errno : 0;
-    source->has_ended = size == 0 || source->error != 0;
+    const bool has_failed = size < 0 && errno != EINTR && errno != EAGAIN; /* these two: try again later */
+    source->error = has_failed ? errno : 0;
+    source->has_ended = size == 0 || has_failed;
     source->next_index = 0;
     source->buffer_length = size > 0 ? (size_t)size : 0;
     return size > 0;
 }
 
-/* Read the next observation of the stream: white, black or none, or NOTHING_READ if no character is ready. An
- * invalid character is noted, and ends the stream. */
+/* Read the next observation of the stream, after any white space: white (0), black (1) or that there is none
+ * (-). Returns NOTHING_READ if no character is ready, at the end of the stream, and before any other
+ * character, for which is_invalid and has_ended are set. */
 static mcp_asdf_action_t read_stream(source_t *source)
 {
-    static const char symbols[] = "01-"; /* the index of a symbol is its mcp_asdf_action_t */
-    while (source->invalid_character == 0 && fill_buffer(source)) {
+    while (!source->is_invalid && fill_buffer(source)) {
         const char character = source->buffer[source->next_index];
-        /* strchr() would find a character 0 at the end of the symbols. */
-        const char *symbol = character == 0 ? NULL : strchr(symbols, character);
-        if (symbol == NULL && isspace((unsigned char)character) == 0) {
-            source->invalid_character = character;
+        const bool is_white_space = isspace((unsigned char)character) != 0;
+        if (character != '0' && character != '1' && character != '-' && !is_white_space) {
+            source->is_invalid = true;
             source->has_ended = true;
-            break;
+            return NOTHING_READ;
         }
         ++source->next_index;
         ++source->characters_read;
-        if (symbol != NULL) {
-            return (mcp_asdf_action_t)(symbol - symbols);
+        if (!is_white_space) {
+            return action_of_character(character);
         }
     }
     return NOTHING_READ;
 }
 
-/* Read an observation from the sensor or the stream. Returns false if there is none. */
+/* Read an observation from the sensor or the stream. Returns false if none can be read; *observation is then
+ * MCP_ASDF_OBSERVE_NONE, and counts as missing unless the stream has ended. */
 bool source_next(source_t *source, mcp_asdf_action_t *observation)
 {
     *observation = source->is_sensor ? read_sensor(source) : read_stream(source);

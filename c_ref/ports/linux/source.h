@@ -13,9 +13,9 @@
  *   is_sensor           read anew in every tick, as a GPIO's value file: "0" is white and "1" black, and what
  *                       follows is ignored. Otherwise a stream of 0 (white), 1 (black) and - (no
  *                       observation); white space is ignored
- *   has_ended           whether the stream has come to its end
- *   invalid_character   a character of the stream that is none of these, or 0; the stream stops before it
- *   characters_read     characters of the stream used so far
+ *   has_ended           whether the stream has come to its end, or stopped as below
+ *   is_invalid          whether the next character of the stream is none of these; the stream stops before it
+ *   characters_read     characters of the stream used so far, white space included
  *   missing             ticks without an observation: the stream had none ready, the sensor could not be read
  *   error               errno of a failed read of the stream, or 0; the stream stops there
  *   fd                  of the stream
@@ -24,8 +24,7 @@
 typedef struct {
     const char *path;
     bool is_sensor;
-    bool has_ended;
-    char invalid_character;
+    bool has_ended, is_invalid;
     uint32_t characters_read, missing;
     int error, fd;
     size_t next_index, buffer_length;
