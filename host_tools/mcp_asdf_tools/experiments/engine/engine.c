@@ -1,9 +1,11 @@
 /* Trials side by side, with a lane for every robot. engine.h is the manual.
  *
- * Sixteen trials of fully connected swarms take their steps together, or up to eight in their arenas. Robots
- * observe, receive (in an arena message by message) and settle in lanes. The steps in which the filter may
- * test or t reaches the memory, and the last one, are the firmware's own: before them what the lanes have
- * changed is stored in the robots. Without lanes the firmware takes every step.
+ * A lane is an entry of the arrays in lanes_t, which the compiler turns into vector instructions: one
+ * instruction computes the estimates of many robots. Sixteen trials of fully connected swarms take their
+ * steps together, or up to eight in their arenas. Robots observe, receive (in an arena message by message)
+ * and settle in lanes. The steps in which the filter may test or t reaches the memory, and the last one, are
+ * taken by the firmware, in a mcp_asdf_t for each robot: before such a step the values of the lanes are
+ * stored in these, and after it they are loaded again. Without lanes the firmware takes every step.
  */
 #include <string.h>
 
@@ -46,7 +48,7 @@ typedef struct {
 
 /* --- Observations --- */
 
-/* Draw the random words of steps 4 group .. 4 group + 3. */
+/* Draw the random words of steps 4 group .. 4 group + 3 for all lanes of `count` rows. */
 FOR_EACH_TARGET static void draw_words(lanes_t *rows, uint32_t count, uint64_t seed, uint32_t group)
 {
     for (lanes_t *row = rows; row < rows + count; ++row) {
@@ -61,8 +63,16 @@ FOR_EACH_TARGET static void draw_words(lanes_t *rows, uint32_t count, uint64_t s
     }
 }
 
-/* Set the limits of step k: the probability of black, which on a white floor is that of a mistake. The floor
- * is random, so a branch on it could not be predicted. */
+/* Returns the probability of black, in units of 2^-31, for a robot that observes black on a black floor with
+ * the probability `black`: on a white floor that of a mistake, 1 - black. The floor is random, so that a
+ * branch on it could not be predicted; the product is 0 on a black floor. */
+static uint32_t probability_of_black(uint32_t black, uint32_t is_floor_white)
+{
+    return black + is_floor_white * (MCP_ASDF_ENGINE_CERTAIN - 2 * black);
+}
+
+/* Set black_limit, below which a draw makes a robot observe black, for all robots of the active trials in
+ * step k. */
 static void set_black_limits(const run_t *run, uint32_t k)
 {
     const mcp_asdf_experiment_t *const experiment = run->experiment;
@@ -72,16 +82,17 @@ static void set_black_limits(const run_t *run, uint32_t k)
         const uint8_t *const floor = run->arenas == NULL ? NULL : run->arenas[l].black;
         uint32_t lane = l;
         for (uint32_t j = 0; j < experiment->robots; ++j) {
-            const uint32_t is_white = floor != NULL && floor[j] == 0;
-            run->lanes[lane / LANES].black_limit[lane % LANES] =
-                *black + is_white * (MCP_ASDF_ENGINE_CERTAIN - 2 * *black);
+            const uint32_t is_floor_white = floor != NULL && floor[j] == 0;
+            run->lanes[lane / LANES].black_limit[lane % LANES] = probability_of_black(*black, is_floor_white);
             lane += run->parallel_trials;
             black += experiment->robot_stride;
         }
     }
 }
 
-/* Draw and set what decides the observations of step k, unless that has been done for an earlier step. */
+/* Set what decides the observations of step k, the draws and the limits below which they mean black, except
+ * where that has been done in an earlier step: one call of the generator draws for four steps, and limits
+ * stay where nobody moves and the probabilities do not change with the step. */
 static void prepare_observations(const run_t *run, uint32_t k)
 {
     if (k % 4 == 0) {
@@ -94,7 +105,8 @@ static void prepare_observations(const run_t *run, uint32_t k)
 
 /* --- Steps in lanes --- */
 
-/* Let lane `receiver` receive the message of lane `sender`. */
+/* Let the robot of lane `receiver` receive the message of that of lane `sender`: as a vote of the robust
+ * filter, or by adding its sums to those of the round. Counts the message. */
 IN_LOOPS void receive_in_lane(const run_t *run, uint32_t receiver, uint32_t sender)
 {
     lanes_t *const receiver_row = &run->lanes[receiver / LANES];
@@ -115,22 +127,28 @@ static void receive_along_links(const run_t *run)
 {
     const mcp_asdf_experiment_t *const experiment = run->experiment;
     const uint32_t parallel_trials = run->parallel_trials;
-    for (uint32_t l = 0; l < run->active_trials && run->arenas != NULL; ++l) {
+    if (run->arenas == NULL) {
+        /* A graph: there is one trial at a time, so that the lane of a robot is its number. */
+        for (size_t p = 0; p < experiment->arc_count; ++p) {
+            receive_in_lane(run, experiment->arcs[p].b, experiment->arcs[p].a);
+        }
+        return;
+    }
+    for (uint32_t l = 0; l < run->active_trials; ++l) {
         const mcp_asdf_pair_t *const links = run->arenas[l].links;
         const uint32_t count = run->arenas[l].link_count;
         for (uint32_t p = 0; p < count; ++p) {
-            const uint32_t a = links[p].a * parallel_trials + l, b = links[p].b * parallel_trials + l;
-            receive_in_lane(run, a, b);
-            receive_in_lane(run, b, a);
+            const uint32_t lane_a = links[p].a * parallel_trials + l,
+                           lane_b = links[p].b * parallel_trials + l;
+            receive_in_lane(run, lane_a, lane_b);
+            receive_in_lane(run, lane_b, lane_a);
         }
-    }
-    for (size_t p = 0; experiment->arcs != NULL && p < experiment->arc_count; ++p) {
-        receive_in_lane(run, experiment->arcs[p].b, experiment->arcs[p].a);
     }
 }
 
-/* Form the sums over all robots of each trial, and keep them with its first robot: in a fully connected swarm
- * all robots have the same x. */
+/* Add the messages of all robots of each trial, and store the sums as the round of its first robot, without
+ * its own message, which settling adds. One robot is enough: in a fully connected swarm all have the same x.
+ * Row j has robot j of LANES trials. */
 FOR_EACH_TARGET static void sum_all_messages(lanes_t *rows, uint32_t robots)
 {
     lanes_sums_t all = rows->round_sums;
@@ -156,34 +174,49 @@ static void deliver_messages(const run_t *run)
     }
 }
 
-/* Write the estimates of the unwritten steps up to `step` into the outcome, series by series: written one by
- * one, each value would wait for a page of memory of its own. */
+/* Copy the informed estimates of a row, which has the lanes of a step side by side, so that the steps of a
+ * lane are side by side. */
+static void transpose_row(uint32_t series[LANES][STEPS_IN_ROW], const lanes_t *row)
+{
+    for (uint32_t step = 0; step < STEPS_IN_ROW; ++step) {
+        for (uint32_t l = 0; l < LANES; ++l) {
+            series[l][step] = row->x[step][l];
+        }
+    }
+}
+
+/* Write the informed estimates of the unwritten steps, of which `step` is the last, from the lanes into the
+ * outcome, and count no step as unwritten. Each series gets its steps at once: written one by one, each value
+ * would wait for a page of memory of its own. */
 static void write_series(run_t *run, uint32_t step)
 {
+    const size_t steps_of_series = (size_t)run->experiment->steps + 1; /* with step 0 */
     const size_t first_step = (size_t)step + 1 - run->unwritten_steps;
-    const size_t size = run->unwritten_steps * sizeof(uint32_t);
+    const uint32_t lane_count = run->unwritten_steps == 0 ? 0 : run->columns * run->parallel_trials;
     uint32_t series[LANES][STEPS_IN_ROW];
-    for (uint32_t lane = 0; lane < run->columns * run->parallel_trials && run->unwritten_steps != 0; ++lane) {
-        const uint32_t j = lane / run->parallel_trials, l = lane % run->parallel_trials;
-        /* At the first lane of a row its steps by lanes become lanes by steps. */
-        for (uint32_t k = 0; k < LANES * STEPS_IN_ROW && lane % LANES == 0; ++k) {
-            series[k % LANES][k / LANES] = run->lanes[lane / LANES].x[k / LANES][k % LANES];
+    for (uint32_t lane = 0; lane < lane_count; ++lane) {
+        const uint32_t column = lane / run->parallel_trials, l = lane % run->parallel_trials;
+        if (lane % LANES == 0) { /* the first lane of a row */
+            transpose_row(series, &run->lanes[lane / LANES]);
         }
         if (l < run->active_trials) {
-            uint32_t *const x = run->trials[l].x + j * ((size_t)run->experiment->steps + 1);
-            memcpy(x + first_step, series[lane % LANES], size);
+            uint32_t *const x = run->trials[l].x + column * steps_of_series;
+            memcpy(x + first_step, series[lane % LANES], run->unwritten_steps * sizeof *x);
         }
     }
     run->unwritten_steps = 0;
 }
 
-/* End the round of all lanes, and keep the informed estimates after `step`. */
+/* End the round of all lanes, and keep the informed estimates after `step` in the lanes; when these have no
+ * room for more, write them into the outcome. */
 static void settle_lanes(run_t *run, uint32_t step)
 {
     if (run->is_robust) {
         lanes_settle_votes(run->lanes, run->rows, run->unwritten_steps);
     } else {
-        lanes_settle_sums(run->lanes, run->columns == 1 ? 1 : run->rows, run->unwritten_steps);
+        /* If a trial has one series of x, the first row has the rounds: those of robot 0. */
+        const uint32_t rows = run->columns == 1 ? 1 : run->rows;
+        lanes_settle_sums(run->lanes, rows, run->unwritten_steps);
     }
     if (++run->unwritten_steps == STEPS_IN_ROW) {
         write_series(run, step);
@@ -211,8 +244,8 @@ static void step_lanes(run_t *run, uint32_t k)
 
 /* --- Steps of the firmware --- */
 
-/* Give robot j of trial l the state after the steps in lanes, except for members that its next step forms
- * anew. */
+/* Store in robot j of trial l, a mcp_asdf_t, what the steps in lanes have made of it, except for members that
+ * its next step forms anew: the rounds are closed and empty. */
 static void store_in_robot(const run_t *run, uint32_t j, uint32_t l)
 {
     const uint32_t lane = j * run->parallel_trials + l, column = lane % LANES;
@@ -224,13 +257,17 @@ static void store_in_robot(const run_t *run, uint32_t j, uint32_t l)
     robot->n = row->n[column];
     robot->x_hat = row->x_hat[column];
     robot->alpha = row->alpha[column];
-    robot->updated = run->observation_count == 0 ? robot->updated : 0;
+    if (run->observation_count != 0) {
+        robot->updated = 0; /* as mcp_asdf_observe() would have set it */
+    }
     robot->filter_left -= run->ticks;
     robot->counters.accepted = (uint16_t)(robot->counters.accepted + messages);
     lanes_store_filter(row, column, robot);
 }
 
-/* Begin steps in lanes with the values of the robots. Idle lanes have those of robot 0 or trial 0. */
+/* Load the values of all robots into the lanes, before the next steps there. Idle lanes, to which no robot of
+ * an active trial belongs, get those of robot 0 or of trial 0, so that they hold numbers that are possible.
+ */
 static void load_lanes(run_t *run)
 {
     const uint32_t robots = run->experiment->robots, parallel_trials = run->parallel_trials;
@@ -238,14 +275,15 @@ static void load_lanes(run_t *run)
     run->ticks = run->observation_count = 0;
     for (uint32_t lane = 0; lane < run->rows * LANES; ++lane) {
         const uint32_t j = lane / parallel_trials, l = lane % parallel_trials;
+        const trial_t *const trial = &run->trials[l < run->active_trials ? l : 0];
         lanes_t *const row = &run->lanes[lane / LANES];
         row->message_count[lane % LANES] = 0;
-        lanes_load_robot(row, lane % LANES,
-                         &run->trials[l < run->active_trials ? l : 0].robots[j < robots ? j : 0]);
+        lanes_load_robot(row, lane % LANES, &trial->robots[j < robots ? j : 0]);
     }
 }
 
-/* Whether the firmware has to take step k itself. */
+/* Whether the firmware has to take step k, as lanes cannot: without lanes always; at a test of the filter,
+ * where t reaches the memory, and in the last step, after which the robots are results. */
 static bool needs_firmware(const run_t *run, uint32_t k)
 {
     const mcp_asdf_experiment_t *const experiment = run->experiment;
@@ -254,19 +292,31 @@ static bool needs_firmware(const run_t *run, uint32_t k)
            (run->t + 1 == config->memory && trial_observes(experiment, k));
 }
 
-/* Take step k, from 0, by the firmware in all trials, and record it. */
-static void step_firmware(run_t *run, uint32_t k)
+/* Store what the steps in lanes have made of the robots of all active trials in these robots. */
+static void store_lanes(const run_t *run)
 {
-    const mcp_asdf_experiment_t *const experiment = run->experiment;
-    write_series(run, k);
     for (uint32_t l = 0; l < run->active_trials; ++l) {
-        const mcp_asdf_arena_t *const arena = run->arenas == NULL ? NULL : &run->arenas[l];
-        for (uint32_t j = 0; j < experiment->robots && run->has_lanes; ++j) {
+        for (uint32_t j = 0; j < run->experiment->robots; ++j) {
             store_in_robot(run, j, l);
         }
-        trial_tick(experiment, &run->trials[l], arena, k,
-                   (trial_observations_t){run->lanes, l, run->parallel_trials});
-        trial_record(experiment, &run->trials[l], k + 1);
+    }
+}
+
+/* Take step k, from 0, of all active trials by calls of the firmware, and record in the outcome what it has
+ * of the robots after this step. Estimates of earlier steps that are still in lanes are written first. */
+static void step_firmware(run_t *run, uint32_t k)
+{
+    write_series(run, k);
+    if (run->has_lanes) {
+        store_lanes(run);
+    }
+    for (uint32_t l = 0; l < run->active_trials; ++l) {
+        const mcp_asdf_arena_t *const arena = run->arenas == NULL ? NULL : &run->arenas[l];
+        /* Draws and limits of observations are kept in lanes, also where steps are not. */
+        const trial_observations_t observations = {
+            .lanes = run->lanes, .first_lane = l, .parallel_trials = run->parallel_trials};
+        trial_tick(run->experiment, &run->trials[l], arena, k, observations);
+        trial_record(run->experiment, &run->trials[l], k + 1);
     }
     if (run->has_lanes) {
         load_lanes(run);
@@ -275,15 +325,29 @@ static void step_firmware(run_t *run, uint32_t k)
 
 /* --- Runs --- */
 
-/* Start the next active trials, of which the first has this index. `memory` behind the arenas' structs is
- * theirs. Fails as mcp_asdf_engine_run(). */
+/* Name the robot and the trial of each lane, which decide its draws, and set all other values to 0. Idle
+ * lanes beside the active trials draw as trial `index` does. */
+static void number_lanes(run_t *run, uint32_t index)
+{
+    memset(run->lanes, 0, run->rows * sizeof *run->lanes);
+    for (uint32_t lane = 0; lane < run->rows * LANES; ++lane) {
+        const uint32_t l = lane % run->parallel_trials;
+        lanes_t *const row = &run->lanes[lane / LANES];
+        row->trial[lane % LANES] = run->experiment->first_trial + index + (l < run->active_trials ? l : 0);
+        row->robot[lane % LANES] = lane / run->parallel_trials;
+    }
+}
+
+/* Start as many trials as run side by side, or those that are left, of which the first has this index:
+ * robots, arenas and lanes. The memory behind the arenas' structs is theirs. Fails as mcp_asdf_engine_run().
+ */
 static mcp_asdf_status_t start_trials(run_t *run, const mcp_asdf_outcome_t *outcome, uint32_t index)
 {
     const mcp_asdf_experiment_t *const experiment = run->experiment;
-    const uint32_t rest = experiment->trials - index;
-    uint8_t *memory = (void *)(run->arenas + run->parallel_trials);
+    const uint32_t trials_left = experiment->trials - index;
+    uint8_t *arena_memory = (void *)(run->arenas + run->parallel_trials);
     run->first_index = index;
-    run->active_trials = rest < run->parallel_trials ? rest : run->parallel_trials;
+    run->active_trials = trials_left < run->parallel_trials ? trials_left : run->parallel_trials;
     run->unwritten_steps = 0;
     for (uint32_t l = 0; l < run->active_trials; ++l) {
         run->trials[l] = trial_outcome(experiment, outcome, index + l);
@@ -293,28 +357,25 @@ static mcp_asdf_status_t start_trials(run_t *run, const mcp_asdf_outcome_t *outc
         }
         if (experiment->arenas != NULL) {
             const mcp_asdf_arena_config_t *const world = &experiment->arenas[index + l];
-            if (!mcp_asdf_arena_init(&run->arenas[l], world, memory)) {
+            if (!mcp_asdf_arena_init(&run->arenas[l], world, arena_memory)) {
                 return MCP_ASDF_ERR_CONFIG;
             }
-            memory += mcp_asdf_arena_bytes(world);
+            arena_memory += mcp_asdf_arena_bytes(world);
         }
     }
-    memset(run->lanes, 0, run->rows * sizeof *run->lanes);
-    for (uint32_t lane = 0; lane < run->rows * LANES; ++lane) {
-        const uint32_t l = lane % run->parallel_trials;
-        run->lanes[lane / LANES].trial[lane % LANES] =
-            experiment->first_trial + index + (l < run->active_trials ? l : 0);
-        run->lanes[lane / LANES].robot[lane % LANES] = lane / run->parallel_trials;
-    }
+    number_lanes(run, index);
     load_lanes(run);
     return MCP_ASDF_OK;
 }
 
-/* Run the next active trials from their first step to the last. Fails as start_trials(). */
+/* Start trials as start_trials() does, and run them from their first step to the last. Fails as that. */
 static mcp_asdf_status_t run_trials(run_t *run, const mcp_asdf_outcome_t *outcome, uint32_t index)
 {
     const mcp_asdf_status_t status = start_trials(run, outcome, index);
-    for (uint32_t k = 0; k < run->experiment->steps && status == MCP_ASDF_OK; ++k) {
+    if (status != MCP_ASDF_OK) {
+        return status;
+    }
+    for (uint32_t k = 0; k < run->experiment->steps; ++k) {
         if (run->arenas != NULL) {
             mcp_asdf_arena_step(run->arenas, run->active_trials);
         }
@@ -325,7 +386,7 @@ static mcp_asdf_status_t run_trials(run_t *run, const mcp_asdf_outcome_t *outcom
             step_lanes(run, k);
         }
     }
-    return status;
+    return MCP_ASDF_OK;
 }
 
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
@@ -338,7 +399,9 @@ bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
     return has_lanes;
 }
 
-/* Number of trials that run side by side in lanes. */
+/* Returns the number of trials that run side by side in lanes: LANES of fully connected swarms, whose robots
+ * then receive a row at a time; some where moving swarms are small; otherwise 1, and a row has robots of one
+ * trial. */
 static uint32_t count_parallel_trials(const mcp_asdf_experiment_t *experiment)
 {
     if (!trial_is_linked(experiment)) {
@@ -348,12 +411,12 @@ static uint32_t count_parallel_trials(const mcp_asdf_experiment_t *experiment)
         experiment->trials == 0) {
         return 1;
     }
-    /* The trials are divided into runs of about the same size. */
+    /* The trials are divided into as few runs as possible, of about the same size. */
     const uint32_t runs = (experiment->trials + MAX_PARALLEL_ARENAS - 1) / MAX_PARALLEL_ARENAS;
     return (experiment->trials + runs - 1) / runs;
 }
 
-/* Number of rows of lanes for so many trials side by side. */
+/* Returns the number of rows that have a lane for each robot of so many trials side by side. */
 static uint32_t count_rows(const mcp_asdf_experiment_t *experiment, uint32_t parallel_trials)
 {
     return (experiment->robots * parallel_trials + LANES - 1) / LANES;
@@ -375,6 +438,7 @@ mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, b
     mcp_asdf_status_t status = MCP_ASDF_OK;
     const uint32_t parallel_trials = lanes ? count_parallel_trials(experiment) : 1;
     const uint32_t rows = count_rows(experiment, parallel_trials);
+    /* The next address that is a multiple of VECTOR_BYTES: negation modulo 2^64 gives the distance to it. */
     lanes_t *const first_row = (void *)((uint8_t *)memory + -(uintptr_t)memory % VECTOR_BYTES);
     run_t run = {.experiment = experiment,
                  .has_lanes = lanes,

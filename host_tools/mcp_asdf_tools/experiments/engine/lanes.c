@@ -23,6 +23,7 @@ ALWAYS_INLINE void form_message_sums(lanes_t *row, size_t l)
     row->message_sums.alpha_x_high[l] = multiply(alpha.high, row->x_hat[l]);
 }
 
+/* Copy the robot's values into lane l, and form the sums of its message from them. */
 void lanes_load_robot(lanes_t *row, uint32_t l, const mcp_asdf_t *robot)
 {
     row->n[l] = robot->n;
@@ -42,6 +43,8 @@ void lanes_load_robot(lanes_t *row, uint32_t l, const mcp_asdf_t *robot)
     form_message_sums(row, l);
 }
 
+/* Make the t-th observation, which the draws of step k decide, in all lanes of `count` rows: n may grow, and
+ * x_hat, alpha and the sums of the message follow from it. */
 FOR_EACH_TARGET void lanes_observe(lanes_t *rows, uint32_t count, uint32_t t, uint32_t k)
 {
     for (lanes_t *row = rows; row < rows + count; ++row) {
@@ -49,7 +52,8 @@ FOR_EACH_TARGET void lanes_observe(lanes_t *rows, uint32_t count, uint32_t t, ui
         for (uint32_t l = 0; l < LANES; ++l) {
             const mcp_asdf_accuracy_t accuracy = {row->b_hat[l], row->c[l],       row->common[l],
                                                   row->rare[l],  row->g_shift[l], row->rare_shift[l]};
-            const estimate_t message = estimate(t, row->n[l] += lanes_is_black(row, l, k), &accuracy);
+            row->n[l] += lanes_is_black(row, l, k);
+            const estimate_t message = estimate(t, row->n[l], &accuracy);
             row->x_hat[l] = message.x_hat;
             row->alpha[l] = message.alpha;
             form_message_sums(row, l);
@@ -57,6 +61,8 @@ FOR_EACH_TARGET void lanes_observe(lanes_t *rows, uint32_t count, uint32_t t, ui
     }
 }
 
+/* Form the informed estimate of each lane from the sums of its round and its own message, store it in
+ * x[x_row], and clear the sums. */
 FOR_EACH_TARGET void lanes_settle_sums(lanes_t *rows, uint32_t count, uint32_t x_row)
 {
     for (lanes_t *row = rows; row < rows + count; ++row) {
@@ -65,13 +71,16 @@ FOR_EACH_TARGET void lanes_settle_sums(lanes_t *rows, uint32_t count, uint32_t x
             const mcp_asdf_closed_t closed = {row->round_sums.alpha[l], row->round_sums.alpha_x_low[l],
                                               row->round_sums.alpha_x_high[l]};
             row->x[x_row][l] = informed_estimate(&closed, row->x_hat[l], row->alpha[l]);
-            row->round_sums.alpha[l] = row->round_sums.alpha_x_low[l] = row->round_sums.alpha_x_high[l] = 0;
+            row->round_sums.alpha[l] = 0;
+            row->round_sums.alpha_x_low[l] = 0;
+            row->round_sums.alpha_x_high[l] = 0;
         }
     }
 }
 
-/* Count the message of robot `sender` as a vote in lane l, unless its alpha is 0. Both outcomes are computed
- * and one is selected: vectors have no branches. */
+/* Count the message of robot `sender`, x_hat as Q23 and an alpha word, as a vote of the robust filter in lane
+ * l, unless its alpha is 0. The outcome with the vote is computed in any case, and then that or the old
+ * values are selected: vectors have no branches. */
 ALWAYS_INLINE void vote_in_lane(lanes_t *row, size_t l, uint32_t sender, uint32_t x_hat, uint32_t alpha)
 {
     const crowd_statistics_t before = {row->centre[l], row->spread[l], row->votes[l], row->trend[l]};
@@ -81,28 +90,35 @@ ALWAYS_INLINE void vote_in_lane(lanes_t *row, size_t l, uint32_t sender, uint32_
     row->spread[l] = counts ? after.spread : before.spread;
     row->votes[l] = counts ? after.votes : before.votes;
     row->trend[l] = counts ? after.trend : before.trend;
-    row->voices[l] |= (uint32_t)counts << (sender & 31U);
+    row->voices[l] |= (uint32_t)counts << (sender & 31U); /* no bit if it does not count */
 }
 
+/* Count the message of one lane as a vote in another. */
 void lanes_receive_vote(lanes_t *row, uint32_t receiver, const lanes_t *sender_row, uint32_t sender)
 {
     vote_in_lane(row, receiver, sender_row->robot[sender], sender_row->x_hat[sender],
                  sender_row->alpha[sender]);
 }
 
+/* Count the message of each robot as a vote in all others. Row j has robot j of LANES swarms. */
 FOR_EACH_TARGET void lanes_receive_all_votes(lanes_t *rows, uint32_t robots)
 {
     for (uint32_t sender = 0; sender < robots; ++sender) {
-        const lanes_t *const from = &rows[sender];
-        for (lanes_t *to = rows; to < rows + robots; ++to) {
+        const lanes_t *const sender_row = &rows[sender];
+        for (lanes_t *row = rows; row < rows + robots; ++row) {
+            if (row == sender_row) {
+                continue;
+            }
             SIDE_BY_SIDE
-            for (uint32_t l = 0; l < LANES && to != from; ++l) {
-                vote_in_lane(to, l, sender, from->x_hat[l], from->alpha[l]);
+            for (uint32_t l = 0; l < LANES; ++l) {
+                vote_in_lane(row, l, sender, sender_row->x_hat[l], sender_row->alpha[l]);
             }
         }
     }
 }
 
+/* Store the informed estimate of each lane in x[x_row]: the centre of the robust filter. The core's function
+ * takes a robot, of which it reads these two members. */
 FOR_EACH_TARGET void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t x_row)
 {
     for (lanes_t *row = rows; row < rows + count; ++row) {
@@ -114,6 +130,7 @@ FOR_EACH_TARGET void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t 
     }
 }
 
+/* Copy the values of the robust filter in lane l into the robot. */
 void lanes_store_filter(const lanes_t *row, uint32_t l, mcp_asdf_t *robot)
 {
     robot->crowd.centre = row->centre[l];

@@ -13,24 +13,31 @@
 #define LANES_INLINE static inline
 #endif
 
-/* Leading zeros of value > 0; 31 for 0. From the exponent of a binary32, without an instruction that AVX2
- * lacks. Where bit 31 is not set, clearing each bit that follows another one keeps the number from being
- * rounded up to the next power of two. */
+/* Returns the number of leading zeros of value > 0, or 31 for 0. They follow from the exponent of the value
+ * as a binary32 number: this takes no instruction that AVX2 lacks. */
 LANES_INLINE uint32_t leading_zeros(uint32_t value)
 {
+    /* A number with more than 24 bits may be rounded up to the next power of two, with one leading zero less.
+     * So each bit that follows another one is cleared, which leaves the highest one as it is. */
     const uint32_t sparse = (value | 1U) & ~(value >> 1);
     const union {
         float number;
         int32_t bits;
     } as = {(float)(int32_t)sparse};
-    const int32_t zeros = 158 - (as.bits >> 23 & 0x1FF); /* negative numbers, with bit 31 set: below 0 */
-    return (uint32_t)(zeros > 0 ? zeros : 0) & 31U;      /* which is there for analysers only */
+    /* The upper 9 bits are the sign and the exponent, which is biased by 127: 127 + 31 for bit 31. With bit
+     * 31 set the signed number is negative, and its sign makes the difference negative, which means 0 zeros.
+     */
+    const int32_t zeros = 158 - ((as.bits >> 23) & 0x1FF);
+    return (uint32_t)(zeros > 0 ? zeros : 0) & 31U; /* the mask is there for analysers only */
 }
 
-/* 2^46 / d, at most 0.252 2^-13 of it too small, never too large: all d were tried. */
+/* Returns 2^46 / d for d in [2^29, 2^31], at most 0.252 2^-13 of it too small, never too large: all d were
+ * tried. */
 LANES_INLINE uint32_t prepare(uint32_t d)
 {
     const uint32_t y = d >> 8 > UINT32_C(1) << 21 ? d >> 8 : UINT32_C(1) << 21; /* less in damaged memory */
+    /* 2^46 / d = 2^38 / (d / 2^8). The divisor is a little too large, so that the quotient stays too small
+     * when it is rounded to 24 bits. */
     const uint32_t above = y + 2U;
     return (uint32_t)(int32_t)(0x1p38F / (float)(int32_t)above);
 }

@@ -15,23 +15,27 @@ typedef struct {
     uint32_t word[4];
 } philox_t;
 
-/* One round on a counter, with the round's key. Products are exact. */
-IN_LOOPS philox_t philox_round(philox_t counter, uint32_t k0, uint32_t k1)
+/* Returns a counter after one round of mixing, with the round's key of two words. Words 0 and 2 are
+ * multiplied by constants of the generator; the upper halves of the products are mixed with the other words
+ * and the key, and the words change places. */
+IN_LOOPS philox_t philox_round(philox_t counter, uint32_t key0, uint32_t key1)
 {
     const uint64_t product0 = (uint64_t)counter.word[0] * UINT32_C(0xD2511F53);
     const uint64_t product2 = (uint64_t)counter.word[2] * UINT32_C(0xCD9E8D57);
-    return (philox_t){{(uint32_t)(product2 >> 32) ^ counter.word[1] ^ k0, (uint32_t)product2,
-                       (uint32_t)(product0 >> 32) ^ counter.word[3] ^ k1, (uint32_t)product0}};
+    return (philox_t){{(uint32_t)(product2 >> 32) ^ counter.word[1] ^ key0, (uint32_t)product2,
+                       (uint32_t)(product0 >> 32) ^ counter.word[3] ^ key1, (uint32_t)product0}};
 }
 
-/* Four random words, a function of counter and key alone. The key grows by constants from round to round. */
-IN_LOOPS philox_t philox(philox_t counter, uint32_t k0, uint32_t k1)
+/* Returns four random words, a function of the counter and the key of two words alone. The key grows by
+ * constants of the generator from round to round. */
+IN_LOOPS philox_t philox(philox_t counter, uint32_t key0, uint32_t key1)
 {
 #if defined(__GNUC__) && !defined(__clang__)
 #pragma GCC unroll 10 /* so that a loop over many generators has no inner loop */
 #endif
     for (uint32_t round = 0; round < PHILOX_ROUNDS; ++round) {
-        counter = philox_round(counter, k0 + round * UINT32_C(0x9E3779B9), k1 + round * UINT32_C(0xBB67AE85));
+        counter =
+            philox_round(counter, key0 + round * UINT32_C(0x9E3779B9), key1 + round * UINT32_C(0xBB67AE85));
     }
     return counter;
 }

@@ -21,16 +21,20 @@ uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment)
     return has_common_x ? 1 : experiment->robots;
 }
 
+/* Returns the part of the outcome in which the index-th trial has its results, by the sizes that
+ * mcp_asdf_outcome_t states. */
 trial_t trial_outcome(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome,
                       uint32_t index)
 {
     const size_t count = experiment->robots, steps = experiment->steps;
     const uint32_t interval = experiment->sampling_interval;
-    const size_t records = interval == 0 ? 0 : steps / interval * count;
-    return (trial_t){outcome->robots + index * count,
-                     outcome->x + (size_t)index * mcp_asdf_engine_columns(experiment) * (steps + 1),
-                     outcome->b_hat + index * (steps / steps_between_tests(experiment)) * count,
-                     records == 0 ? 0 : outcome->records + index * records};
+    const size_t estimates_of_trial = mcp_asdf_engine_columns(experiment) * (steps + 1);
+    const size_t accuracies_of_trial = steps / steps_between_tests(experiment) * count;
+    const size_t records_of_trial = interval == 0 ? 0 : steps / interval * count;
+    return (trial_t){.robots = outcome->robots + index * count,
+                     .x = outcome->x + index * estimates_of_trial,
+                     .b_hat = outcome->b_hat + index * accuracies_of_trial,
+                     .records = records_of_trial == 0 ? NULL : outcome->records + index * records_of_trial};
 }
 
 /* Returns the sums `all` without the message whose sums are `one`: exact, so equal to adding the others. */
@@ -45,32 +49,35 @@ static mcp_asdf_open_t subtract_message(mcp_asdf_open_t all, const mcp_asdf_open
     return all;
 }
 
-/* Let a robot receive what robot `from` broadcasts: its estimate or, from one of the last robots, a lie.
- * Among many robots ids repeat, so the firmware must not take an id for its own, or for that of a sender
- * which it has received from in this round. */
+/* Let `robot` receive what robot number `sender` of `robots` broadcasts: its estimate or, if it is among the
+ * last ones, which are the liars, the experiment's lie. */
 static void receive_from(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots, mcp_asdf_t *robot,
-                         uint32_t from)
+                         uint32_t sender)
 {
-    const uint8_t own_id = robot->id, sender_id = mcp_asdf_id(&robots[from]);
-    const bool lies = from >= experiment->robots - experiment->liars;
+    const uint8_t own_id = robot->id, sender_id = mcp_asdf_id(&robots[sender]);
+    const bool is_liar = sender >= experiment->robots - experiment->liars;
+    const uint32_t x_hat = is_liar ? experiment->lie[0] : mcp_asdf_x_hat(&robots[sender]);
+    const uint32_t alpha = is_liar ? experiment->lie[1] : mcp_asdf_alpha(&robots[sender]);
     if (experiment->robots > MCP_ASDF_ENGINE_MAX_CONNECTED) {
-        robot->heard.all[0] = robot->heard.all[1] = 0;
+        /* Ids repeat among so many robots. The firmware must not take the sender for one that it has received
+         * from in this round, nor for itself: until the message is received it has another id. */
+        robot->heard.all[0] = 0;
+        robot->heard.all[1] = 0;
         robot->id = sender_id ^ 1;
     }
-    (void)mcp_asdf_receive(robot, sender_id, lies ? experiment->lie[0] : mcp_asdf_x_hat(&robots[from]),
-                           lies ? experiment->lie[1] : mcp_asdf_alpha(&robots[from]));
+    (void)mcp_asdf_receive(robot, sender_id, x_hat, alpha);
     robot->id = own_id;
 }
 
-/* The sums of the messages of robots first .. end - 1: the open round of a neighbour that receives nothing
- * else. */
+/* Returns the sums of the messages of robots first .. end - 1: the open round of a made-up neighbour that
+ * receives nothing else. */
 static mcp_asdf_open_t sum_messages(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots,
                                     uint32_t first, uint32_t end)
 {
     const mcp_asdf_config_t config_without_filter = {NULL, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
     mcp_asdf_t neighbour = {.config = &config_without_filter};
     for (uint32_t j = first; j < end; ++j) {
-        neighbour.id = mcp_asdf_id(&robots[j]) ^ 1;
+        neighbour.id = mcp_asdf_id(&robots[j]) ^ 1; /* any but that of the sender */
         receive_from(experiment, robots, &neighbour, j);
     }
     return neighbour.open;
@@ -123,6 +130,8 @@ static void deliver_messages(const mcp_asdf_experiment_t *experiment, mcp_asdf_t
     }
 }
 
+/* Take step k of a trial: robots receive the messages of the step before if there is latency, observe if it
+ * is time, receive the messages of this step if there is no latency, and settle at the end of a round. */
 void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, const mcp_asdf_arena_t *arena,
                 uint32_t k, trial_observations_t observations)
 {
@@ -132,20 +141,38 @@ void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, c
     if (is_late && k > 0 && trial_closes_round(experiment, k - 1)) {
         deliver_messages(experiment, trial->robots, arena);
     }
-    for (uint32_t j = 0; j < count && trial_observes(experiment, k); ++j) {
-        const uint32_t lane = observations.first_lane + j * observations.parallel_trials;
-        const uint32_t black = lanes_is_black(&observations.lanes[lane / LANES], lane % LANES, k);
-        (void)mcp_asdf_observe(&trial->robots[j], (mcp_asdf_observation_t)black);
+    if (trial_observes(experiment, k)) {
+        for (uint32_t j = 0; j < count; ++j) {
+            const uint32_t lane = observations.first_lane + j * observations.parallel_trials;
+            const uint32_t is_black = lanes_is_black(&observations.lanes[lane / LANES], lane % LANES, k);
+            (void)mcp_asdf_observe(&trial->robots[j], is_black ? MCP_ASDF_BLACK : MCP_ASDF_WHITE);
+        }
     }
-    if (!is_late && closes_round) {
+    if (!closes_round) {
+        return;
+    }
+    if (!is_late) {
         deliver_messages(experiment, trial->robots, arena);
     }
-    for (uint32_t j = 0; j < count && closes_round; ++j) {
+    for (uint32_t j = 0; j < count; ++j) {
         (void)mcp_asdf_settle(&trial->robots[j]);
     }
 }
 
-/* Record the informed estimates after a step, one for each series. */
+/* Returns the values of a robot that the outcome keeps. */
+static mcp_asdf_record_t record_of_robot(const mcp_asdf_t *robot)
+{
+    return (mcp_asdf_record_t){.beta = mcp_asdf_beta(robot),
+                               .t = mcp_asdf_t_count(robot),
+                               .n = mcp_asdf_n_count(robot),
+                               .x_hat = mcp_asdf_x_hat(robot),
+                               .alpha = mcp_asdf_alpha(robot),
+                               .x_bar = mcp_asdf_x_bar(robot),
+                               .x = mcp_asdf_x(robot),
+                               .b_hat = mcp_asdf_b_hat(robot)};
+}
+
+/* Store the informed estimates after a step in the outcome, one for each series of x. */
 static void record_x(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
 {
     const uint32_t columns = mcp_asdf_engine_columns(experiment);
@@ -154,22 +181,29 @@ static void record_x(const mcp_asdf_experiment_t *experiment, const trial_t *tri
     }
 }
 
+/* Store the robots' values after `step` in the outcome: x always, b_hat after a step in which the filter may
+ * have changed it, and all values of a robot at the sampling interval. */
 void trial_record(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
 {
     const uint32_t count = experiment->robots, interval = experiment->sampling_interval;
     const uint64_t period = steps_between_tests(experiment);
     record_x(experiment, trial, step);
-    for (uint32_t j = 0; j < count && step % period == 0; ++j) {
-        trial->b_hat[(step / period - 1) * count + j] = mcp_asdf_b_hat(&trial->robots[j]);
+    if (step % period == 0) {
+        uint32_t *const b_hat = trial->b_hat + (step / period - 1) * count; /* of this test */
+        for (uint32_t j = 0; j < count; ++j) {
+            b_hat[j] = mcp_asdf_b_hat(&trial->robots[j]);
+        }
     }
-    for (uint32_t j = 0; j < count && trial->records != 0 && step % interval == 0; ++j) {
-        const mcp_asdf_t *const robot = &trial->robots[j];
-        trial->records[(step / interval - 1) * (size_t)count + j] = (mcp_asdf_record_t){
-            mcp_asdf_beta(robot),  mcp_asdf_t_count(robot), mcp_asdf_n_count(robot), mcp_asdf_x_hat(robot),
-            mcp_asdf_alpha(robot), mcp_asdf_x_bar(robot),   mcp_asdf_x(robot),       mcp_asdf_b_hat(robot)};
+    if (trial->records != NULL && step % interval == 0) {
+        mcp_asdf_record_t *const records = trial->records + (step / interval - 1) * (size_t)count;
+        for (uint32_t j = 0; j < count; ++j) {
+            records[j] = record_of_robot(&trial->robots[j]);
+        }
     }
 }
 
+/* Initialise the robots of a trial, whose ids count from 0 and repeat after 128, and store their x as that of
+ * step 0. Returns the first error of mcp_asdf_init(). */
 mcp_asdf_status_t trial_start(const mcp_asdf_experiment_t *experiment, const trial_t *trial)
 {
     for (uint32_t j = 0; j < experiment->robots; ++j) {

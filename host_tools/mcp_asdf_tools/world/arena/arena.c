@@ -12,8 +12,9 @@
  */
 #include "arena_private.h"
 
-/* splitmix64: random numbers from a counter and a mixing function that is also a good hash. G. L. Steele,
- * D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014. */
+/* Returns a hash of z, the mixing function of splitmix64, a generator of random numbers that mixes the values
+ * of a counter. G. L. Steele, D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators", OOPSLA
+ * 2014. The multipliers and the step of the counter below are the paper's. */
 IN_LOOPS uint64_t splitmix(uint64_t z)
 {
     z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9U;
@@ -21,7 +22,8 @@ IN_LOOPS uint64_t splitmix(uint64_t z)
     return z ^ (z >> 31);
 }
 
-/* The next random number, uniform in [0, 1), of 53 bits. Moves the counter on. */
+/* Returns the next random number, uniform in [0, 1), and moves the counter on. It has the 53 bits that a
+ * double has. */
 static inline double splitmix_uniform(uint64_t *counter)
 {
     *counter += 0x9E3779B97F4A7C15U;
@@ -37,34 +39,42 @@ static inline double splitmix_uniform(uint64_t *counter)
 #define SENSOR_FORWARD 0.0614
 #define SENSOR_RIGHT 0.01
 
-/* Whether the picture is black at (x, y). A point on the edge of the floor, or beyond it by rounding, belongs
- * to the nearest pixel. */
+/* Returns the index of the pixel at `position`, in pixels from the first one's edge, among `count` in a row
+ * or a column. A point on the edge of the floor, or beyond it by rounding, belongs to the nearest pixel. */
+static uint32_t pixel_index(double position, uint32_t count)
+{
+    const uint32_t index = position > 0 ? (uint32_t)position : 0;
+    return index < count - 1 ? index : count - 1;
+}
+
+/* Whether the picture is black at (x, y). It is stretched over the floor, with its first row in the north and
+ * its first column in the west; the origin of x and y is the middle of the floor. */
 static bool pixel_is_black(const mcp_asdf_arena_config_t *config, double x, double y)
 {
-    const double across = (x / config->width + 0.5) * config->columns;
-    const double down = (0.5 - y / config->height) * config->rows;
-    const uint32_t column = across > 0 ? (uint32_t)across : 0, row = down > 0 ? (uint32_t)down : 0;
-    const uint32_t last_column = config->columns - 1, last_row = config->rows - 1;
-    const size_t line = row < last_row ? row : last_row;
-    return config->image[line * config->columns + (column < last_column ? column : last_column)] != 0;
+    const uint32_t column = pixel_index((x / config->width + 0.5) * config->columns, config->columns);
+    const size_t row = pixel_index((0.5 - y / config->height) * config->rows, config->rows);
+    return config->image[row * config->columns + column] != 0;
 }
 
-/* Whether the tile at (x, y) is black. */
+/* Whether the tile at (x, y) is black: if the hash of its column and row, as a number of 53 bits, is below
+ * the limit. */
 IN_LOOPS bool tile_is_black(const mcp_asdf_arena_t *arena, double x, double y)
 {
-    /* By way of signed numbers, for which processors have an instruction. */
+    /* Doubles are converted by way of signed numbers, for which processors have an instruction. */
     const uint64_t column = (uint64_t)(int64_t)((x + arena->config.width / 2) * arena->tiles_per_metre);
     const uint64_t row = (uint64_t)(int64_t)((y + arena->config.height / 2) * arena->tiles_per_metre);
-    return (double)(int64_t)(splitmix(arena->colour_seed + ((column << 32) | row)) >> 11) <
-           arena->black_limit;
+    const uint64_t hash = splitmix(arena->colour_seed + ((column << 32) | row));
+    return (double)(int64_t)(hash >> 11) < arena->black_limit;
 }
 
+/* Returns 1 if the floor, a picture or tiles, is black at (x, y), else 0. */
 int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y)
 {
     return arena->config.image != NULL ? pixel_is_black(&arena->config, x, y) : tile_is_black(arena, x, y);
 }
 
-/* Coordinates of robot i's ground sensor. */
+/* Coordinates of robot i's ground sensor: its position in the robot's frame, turned by the heading (cx, cy).
+ */
 IN_LOOPS double ground_sensor_x(const mcp_asdf_arena_t *arena, size_t i)
 {
     return arena->x[i] + SENSOR_FORWARD * arena->cx[i] + SENSOR_RIGHT * arena->cy[i];
@@ -75,8 +85,8 @@ IN_LOOPS double ground_sensor_y(const mcp_asdf_arena_t *arena, size_t i)
     return arena->y[i] + SENSOR_FORWARD * arena->cy[i] - SENSOR_RIGHT * arena->cx[i];
 }
 
-/* Store whether tiles are black under all robots. Indices are size_t, as loops whose index cannot wrap around
- * become vectors. */
+/* Store in arena->black whether the tile under each robot is black. Indices are size_t, as loops whose index
+ * cannot wrap around become vectors; colours are words first, as wide as the numbers that decide them. */
 FOR_EACH_TARGET static void read_tiles(const mcp_asdf_arena_t *arena)
 {
     for (size_t first = 0; first < arena->config.robots; first += VECTOR) {
@@ -92,7 +102,7 @@ FOR_EACH_TARGET static void read_tiles(const mcp_asdf_arena_t *arena)
     }
 }
 
-/* Store whether the floor is black under each robot. */
+/* Store in arena->black whether the floor, a picture or tiles, is black under each robot. */
 static void read_floor(const mcp_asdf_arena_t *arena)
 {
     if (arena->config.image == NULL) {
@@ -108,8 +118,9 @@ static void read_floor(const mcp_asdf_arena_t *arena)
 /* ---- Memory -----------------------------------------------------------------------------------------------
  */
 
-/* Reserve the next `count` entries of `size` bytes, rounded up to whole vectors, so that these can be read to
- * their end. Returns their address, NULL if `memory` is, and adds their bytes to `used`. */
+/* Reserve the next `count` entries of `size` bytes behind the first *used bytes of `memory`, rounded up to
+ * whole vectors, so that these can be read to their end. Returns their address, or NULL if `memory` is NULL,
+ * and adds their bytes to *used. */
 static void *allocate(uint8_t *memory, size_t *used, size_t count, size_t size)
 {
     void *const entries = memory == NULL ? NULL : memory + *used;
@@ -117,16 +128,18 @@ static void *allocate(uint8_t *memory, size_t *used, size_t count, size_t size)
     return entries;
 }
 
-/* Largest number of other bodies whose centres can be within `distance` of one. A disc that holds them all
- * has room for the area of each. Circles fill nine tenths of a disc at most, so the little by which bodies
- * may overlap does no harm. */
+/* Returns a number that the other bodies whose centres are within `distance` of one cannot exceed. A disc of
+ * radius distance + BODY_RADIUS holds them all and the one, so that its area is at least that of so many
+ * bodies. Circles fill nine tenths of a disc at most, so the little by which bodies may overlap does no harm.
+ */
 static uint32_t max_neighbours_within(const mcp_asdf_arena_config_t *config, double distance)
 {
-    const double bodies = (distance / BODY_RADIUS + 1) * (distance / BODY_RADIUS + 1) - 1;
+    const double radii = distance / BODY_RADIUS + 1; /* radius of the disc, in radii of a body */
+    const double bodies = radii * radii - 1;
     return bodies < config->robots ? (uint32_t)bodies : config->robots - 1;
 }
 
-/* Reserve memory for all pairs of robots that can be within `distance` of each other. */
+/* Reserve memory, as allocate() does, for all pairs of robots that can be within `distance` of each other. */
 static mcp_asdf_pair_t *allocate_pairs(const mcp_asdf_arena_config_t *config, double distance,
                                        uint8_t *memory, size_t *used)
 {
@@ -154,8 +167,9 @@ static size_t lay_out_memory(mcp_asdf_arena_t *arena, const mcp_asdf_arena_confi
                                 &bodies->motor_change_x,
                                 &bodies->motor_change_y};
     uint8_t **const flags[] = {&arena->black, &arena->wheels, &arena->avoids};
-    size_t used =
-        memory == NULL ? VECTOR_BYTES - 1 : -(uintptr_t)memory % VECTOR_BYTES; /* to align vectors */
+    /* Bytes before the first vector, to align it: negation modulo 2^64 gives the distance to the next
+     * multiple. Without memory it is the most that they can be. */
+    size_t used = memory == NULL ? VECTOR_BYTES - 1 : -(uintptr_t)memory % VECTOR_BYTES;
     for (size_t k = 0; k < sizeof numbers / sizeof *numbers; ++k) {
         *numbers[k] = allocate(memory, &used, robots, sizeof(double));
     }
@@ -170,9 +184,9 @@ static size_t lay_out_memory(mcp_asdf_arena_t *arena, const mcp_asdf_arena_confi
     arena->visible = allocate_pairs(config, SEEING_DISTANCE, memory, &used);
     arena->touchable = allocate_pairs(config, touching_distance(config), memory, &used);
     arena->candidates = allocate_pairs(config, candidate_distance(config), memory, &used);
-    const size_t most_entries = (size_t)robots * max_neighbours_within(config, candidate_distance(config));
+    const size_t max_entries = (size_t)robots * max_neighbours_within(config, candidate_distance(config));
     arena->first_candidate = allocate(memory, &used, (size_t)robots + 1, sizeof *arena->first_candidate);
-    arena->candidates_of = allocate(memory, &used, most_entries, sizeof *arena->candidates_of);
+    arena->candidates_of = allocate(memory, &used, max_entries, sizeof *arena->candidates_of);
     arena->grid.first_of_cell =
         allocate(memory, &used, (size_t)robots + 1, sizeof *arena->grid.first_of_cell);
     arena->grid.robots_by_cell = allocate(memory, &used, robots, sizeof *arena->grid.robots_by_cell);
@@ -182,6 +196,7 @@ static size_t lay_out_memory(mcp_asdf_arena_t *arena, const mcp_asdf_arena_confi
     return used;
 }
 
+/* Returns the bytes of an arena with these settings, by laying it out without memory. */
 size_t mcp_asdf_arena_bytes(const mcp_asdf_arena_config_t *config)
 {
     mcp_asdf_arena_t arena;
@@ -190,7 +205,8 @@ size_t mcp_asdf_arena_bytes(const mcp_asdf_arena_config_t *config)
 
 /* ---- The start ----------------------------------------------------------------------------------------- */
 
-/* Let robots find their neighbours, set their wheels and read the floor where they are now. */
+/* Update what the robots of `count` arenas know where they are now: their links, their wheels, which turn
+ * away from obstacles, and the colour of the floor. */
 static void sense_surroundings(mcp_asdf_arena_t *arenas, uint32_t count)
 {
     for (uint32_t a = 0; a < count; ++a) {
@@ -208,7 +224,7 @@ static void sense_surroundings(mcp_asdf_arena_t *arenas, uint32_t count)
 #define POSITION_STREAM 0x706C616365U
 #define COLOUR_STREAM 0x636F6C6F7572U
 
-/* Whether body i overlaps one with a lower number, which was placed before. */
+/* Whether body i overlaps one with a lower number: robots are placed in this order. */
 static bool overlaps_earlier_robot(const mcp_asdf_arena_t *arena, uint32_t i)
 {
     for (uint32_t j = 0; j < i; ++j) {
@@ -219,7 +235,8 @@ static bool overlaps_earlier_robot(const mcp_asdf_arena_t *arena, uint32_t i)
     return false;
 }
 
-/* Put robot i at a random position without overlap. Returns whether one was found. */
+/* Put robot i at a random position where it overlaps no robot placed before. Returns false if none was found
+ * in PLACING_ATTEMPTS draws. */
 static bool place_robot(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
 {
     for (int attempt = 0; attempt < PLACING_ATTEMPTS; ++attempt) {
@@ -241,7 +258,7 @@ static void draw_heading(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
         x = 2 * splitmix_uniform(counter) - 1;
         y = 2 * splitmix_uniform(counter) - 1;
         squared = x * x + y * y;
-    } while (squared > 1 || squared < 0.01); /* too close to the middle, rounding would show */
+    } while (squared > 1 || squared < 0.01); /* near the middle rounding would show */
     arena->cx[i] = x / sqrt(squared);
     arena->cy[i] = y / sqrt(squared);
 }
@@ -259,6 +276,8 @@ static void set_constants(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t
     arena->max_motor_change = ACCELERATION * arena->substep;
 }
 
+/* Place all robots at rest, with random headings, and let them sense their surroundings. Returns 0 if there
+ * is no room for one of them. */
 int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, void *memory)
 {
     uint64_t counter = splitmix(config->seed ^ POSITION_STREAM);
@@ -276,6 +295,7 @@ int mcp_asdf_arena_init(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *
 
 /* ---- Ticks --------------------------------------------------------------------------------------------- */
 
+/* Move the bodies for one tick, then let the robots sense their new surroundings. */
 void mcp_asdf_arena_step(mcp_asdf_arena_t *arenas, uint32_t count)
 {
     arena_move(arenas, count);

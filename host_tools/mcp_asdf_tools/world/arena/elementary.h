@@ -16,11 +16,13 @@ static const double INVERSE[] = {0,       1,       1. / 2,  1. / 3,  1. / 4,  1.
                                  1. / 8,  1. / 9,  1. / 10, 1. / 11, 1. / 12, 1. / 13, 1. / 14, 1. / 15,
                                  1. / 16, 1. / 17, 1. / 18, 1. / 19, 1. / 20, 1. / 21};
 
-/* Rotate (*cx, *cy), of length 1, by at most 1.6 either way; 0 leaves it to the bit. Error up to 1e-13:
- * series up to angle^17. The last lines are a Newton step that keeps the length at 1. */
+/* Rotate the vector (*cx, *cy), of length 1, by an angle in radians of at most 1.6 either way; 0 leaves it to
+ * the bit. The error is up to 1e-13. */
 IN_LOOPS void arena_rotate(double *cx, double *cy, double angle)
 {
     const double square = angle * angle;
+    /* Power series up to angle^17, from their last terms: `sine` is that of the angle divided by the angle.
+     */
     double sine = 1, cosine = 1;
     for (int n = 17; n >= 3; n -= 2) {
         sine = 1 - sine * square * (INVERSE[n] * INVERSE[n - 1]);
@@ -28,13 +30,14 @@ IN_LOOPS void arena_rotate(double *cx, double *cy, double angle)
     }
     sine *= angle;
     const double x = *cx * cosine - *cy * sine, y = *cx * sine + *cy * cosine;
+    /* A step of Newton's method for 1 / length keeps the length at 1, over any number of rotations. */
     const double scale = 1.5 - 0.5 * (x * x + y * y);
     *cx = angle != 0 ? x * scale : *cx;
     *cy = angle != 0 ? y * scale : *cy;
 }
 
-/* Arc tangent in radians of z in [0, 1]. Halving the angle twice brings it below 0.2, where the series is
- * good to 1e-16. */
+/* Returns the arc tangent, in radians, of z in [0, 1]. Halving the angle twice brings it below 0.2, where the
+ * power series is good to 1e-16. */
 IN_LOOPS double arc_tangent(double z)
 {
     for (int halving = 0; halving < 2; ++halving) {
@@ -48,16 +51,19 @@ IN_LOOPS double arc_tangent(double z)
     return 4 * z * sum;
 }
 
-/* Unsigned angle between (x, y), not both 0, and straight ahead, in [0, pi]. */
+/* Returns the angle between (x, y), not both 0, and straight ahead, which is along x: [0, pi], for both
+ * sides. */
 IN_LOOPS double arena_bearing(double x, double y)
 {
+    /* The first octant by the arc tangent of the smaller over the larger, the rest by symmetry. */
     const double along = fabs(x), across = fabs(y);
     const double angle = arc_tangent(across < along ? across / along : along / across);
     const double acute = across < along ? angle : PI / 2 - angle;
     return x < 0 ? PI - acute : acute;
 }
 
-/* exp(-x) for x in [0, 4]. Relative error below 1e-12: the 16th power of the series for x / 16. */
+/* Returns exp(-x) for x in [0, 4], with a relative error below 1e-12: the 16th power of the power series for
+ * x / 16. */
 IN_LOOPS double arena_fading(double x)
 {
     const double sixteenth = x / 16;

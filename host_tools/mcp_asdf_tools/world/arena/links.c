@@ -7,7 +7,8 @@
 
 #define MAX_ROBOTS_WITHOUT_GRID 128 /* up to which comparing all pairs is fastest */
 
-/* List all pairs closer than `limit` as candidates, in ascending order. Returns their number. */
+/* Write all pairs whose centres are closer than `limit` metres to arena->candidates, in ascending order.
+ * Returns their number. */
 static uint32_t find_candidates_among_all(mcp_asdf_arena_t *arena, double limit)
 {
     uint32_t count = 0;
@@ -24,25 +25,27 @@ static uint32_t find_candidates_among_all(mcp_asdf_arena_t *arena, double limit)
 /* ---- A grid for many robots ------------------------------------------------------------------------------
  */
 
-/* Number of cells of about this size along a side, 1 .. max_cells. */
+/* Returns the number of cells of at least `cell_size` metres along a side, 1 .. max_cells. */
 static uint32_t count_cells(double side, double cell_size, uint32_t max_cells)
 {
     return (uint32_t)clamp(side / cell_size, 1, max_cells);
 }
 
-/* Index of the cell of a coordinate, among `cells` along a side whose middle is 0. */
+/* Returns the index of the cell in which a coordinate lies, among `cells` along a side whose middle is 0. */
 static uint32_t cell_index(double coordinate, double side, uint32_t cells)
 {
     return (uint32_t)clamp((coordinate / side + 0.5) * cells, 0, cells - 1);
 }
 
-/* Sort the robots into cells whose sides are above `limit`, by counting. There are at most as many cells as
- * robots. */
+/* Sort the robots into cells whose sides are above `limit` metres, so that a pair that is closer lies in one
+ * cell or in two that touch. It is a counting sort: count the robots of each cell, sum the counts up to the
+ * ends of the cells, and fill each cell from its end. There are at most as many cells as robots. */
 static void sort_robots_into_cells(mcp_asdf_arena_t *arena, double limit)
 {
     mcp_asdf_grid_t *const grid = &arena->grid;
     const double width = arena->config.width, height = arena->config.height;
     const uint32_t robots = arena->config.robots;
+    /* The factor keeps a cell above the limit when the division by it is rounded. */
     const double cell_size = max_of(1.000001 * limit, sqrt(width * height / robots));
     grid->columns = count_cells(width, cell_size, robots);
     grid->rows = count_cells(height, cell_size, robots);
@@ -53,8 +56,8 @@ static void sort_robots_into_cells(mcp_asdf_arena_t *arena, double limit)
         grid->cell_of_robot[i] = row * grid->columns + cell_index(arena->x[i], width, grid->columns);
         ++grid->first_of_cell[grid->cell_of_robot[i]];
     }
-    for (uint32_t c = 1; c < cells; ++c) {
-        grid->first_of_cell[c] += grid->first_of_cell[c - 1]; /* the end of each cell in robots_by_cell */
+    for (uint32_t cell = 1; cell < cells; ++cell) {
+        grid->first_of_cell[cell] += grid->first_of_cell[cell - 1]; /* its end in robots_by_cell */
     }
     grid->first_of_cell[cells] = robots;
     for (uint32_t i = robots; i-- > 0;) { /* filled from its end, which so becomes its beginning */
@@ -62,25 +65,29 @@ static void sort_robots_into_cells(mcp_asdf_arena_t *arena, double limit)
     }
 }
 
-/* List as candidates robot i's pairs with higher robots, closer than `limit`, in the cells of a row around
- * its column: three cells or, at a wall, two. Returns how many candidates there are now, of `count` before.
- */
+/* Append to the candidates the pairs of robot i with robots of higher numbers that are closer than `limit`
+ * metres, in the cells of a row around its column: three cells or, at a wall, two. `count` is the number of
+ * candidates so far; returns the new one. */
 static uint32_t add_candidates_of_row(mcp_asdf_arena_t *arena, uint32_t i, uint32_t row, double limit,
                                       uint32_t count)
 {
     const mcp_asdf_grid_t *const grid = &arena->grid;
-    const uint32_t column = grid->cell_of_robot[i] % grid->columns, start = row * grid->columns;
-    const uint32_t from = column == 0 ? 0 : column - 1,
-                   last = column + 1 < grid->columns ? column + 1 : column;
-    for (uint32_t k = grid->first_of_cell[start + from]; k < grid->first_of_cell[start + last + 1]; ++k) {
+    const uint32_t column = grid->cell_of_robot[i] % grid->columns;
+    const uint32_t first_column = column == 0 ? 0 : column - 1;
+    const uint32_t last_column = column + 1 < grid->columns ? column + 1 : column;
+    /* Cells of a row follow each other, and so do their robots. */
+    const uint32_t first_cell = row * grid->columns + first_column;
+    const uint32_t last_cell = row * grid->columns + last_column;
+    for (uint32_t k = grid->first_of_cell[first_cell]; k < grid->first_of_cell[last_cell + 1]; ++k) {
         const uint32_t j = grid->robots_by_cell[k];
+        /* Written always, and overwritten unless it counts: a branch could not be predicted. */
         arena->candidates[count] = (mcp_asdf_pair_t){(uint16_t)i, (uint16_t)j};
         count += (j > i) & (squared_distance(arena, i, j) < limit * limit);
     }
     return count;
 }
 
-/* Bring pairs of one first robot into ascending order of the second, by insertion: they are few. */
+/* Sort `count` pairs with the same first robot by their second robot, by insertion, as they are few. */
 static void sort_by_second_robot(mcp_asdf_pair_t *pairs, uint32_t count)
 {
     for (uint32_t p = 1; p < count; ++p) {
@@ -93,18 +100,21 @@ static void sort_by_second_robot(mcp_asdf_pair_t *pairs, uint32_t count)
     }
 }
 
-/* List the same pairs as find_candidates_among_all(), found by cells. Returns their number. */
+/* Write the same pairs as find_candidates_among_all() in the same order, found by cells. Returns their
+ * number. */
 static uint32_t find_candidates_in_cells(mcp_asdf_arena_t *arena, double limit)
 {
     const mcp_asdf_grid_t *const grid = &arena->grid;
     uint32_t count = 0;
     sort_robots_into_cells(arena, limit);
     for (uint32_t i = 0; i < arena->config.robots; ++i) {
-        const uint32_t row = grid->cell_of_robot[i] / grid->columns, before = count;
-        for (uint32_t r = row == 0 ? 0 : row - 1; r <= row + 1 && r < grid->rows; ++r) {
-            count = add_candidates_of_row(arena, i, r, limit, count);
+        const uint32_t row = grid->cell_of_robot[i] / grid->columns, count_before = count;
+        const uint32_t first_row = row == 0 ? 0 : row - 1;
+        const uint32_t last_row = row + 1 < grid->rows ? row + 1 : row;
+        for (uint32_t near_row = first_row; near_row <= last_row; ++near_row) {
+            count = add_candidates_of_row(arena, i, near_row, limit, count);
         }
-        sort_by_second_robot(arena->candidates + before, count - before);
+        sort_by_second_robot(arena->candidates + count_before, count - count_before);
     }
     return count;
 }
@@ -112,7 +122,8 @@ static uint32_t find_candidates_in_cells(mcp_asdf_arena_t *arena, double limit)
 /* ---- Links -----------------------------------------------------------------------------------------------
  */
 
-/* List the other robot of each candidate pair for either robot, from the pairs, by counting. */
+/* Store for each robot the other robots of its candidate pairs, in candidates_of from first_candidate on. It
+ * is a counting sort of the pairs, each of which counts for both of its robots. */
 static void list_candidates_by_robot(mcp_asdf_arena_t *arena)
 {
     const mcp_asdf_pair_t *const pairs = arena->candidates;
@@ -131,7 +142,8 @@ static void list_candidates_by_robot(mcp_asdf_arena_t *arena)
     }
 }
 
-/* List the pairs that could be linked, visible or touchable before the next search. */
+/* Search for the candidates, the pairs that could be linked, visible or touchable before the next search, and
+ * store them as pairs and by robot. */
 static void find_candidates(mcp_asdf_arena_t *arena)
 {
     const double limit = candidate_distance(&arena->config);
@@ -142,8 +154,8 @@ static void find_candidates(mcp_asdf_arena_t *arena)
     arena->ticks_to_search = TICKS_BETWEEN_SEARCHES;
 }
 
-/* Forget the pairs and sets of the tick before. What remains of may_touch and needs_steering is for walls,
- * and for robots that turn. */
+/* Clear the pairs and sets of the tick before. Robots near a wall are marked in may_touch and in
+ * needs_steering; in the latter those that turn or avoid something have been marked by their steering. */
 FOR_EACH_TARGET static void reset_tick(mcp_asdf_arena_t *arena)
 {
     const uint32_t robots = arena->config.robots;
@@ -193,9 +205,11 @@ static void classify_candidates(mcp_asdf_arena_t *arena)
     for (uint32_t p = 0; p < count; ++p) {
         const double squared = squared_distance(arena, candidates[p].a, candidates[p].b);
         const uint64_t is_linked = squared < range * range;
-        links[link_count] =
-            candidates[p]; /* overwritten if not: half of them are, which no branch could predict */
+        /* Written always, and overwritten unless it is a link: about half are, which no branch could predict.
+         */
+        links[link_count] = candidates[p];
         link_count += (uint32_t)is_linked;
+        /* Sets of robots in range of each other, as bits by their numbers modulo 64. */
         in_range[candidates[p].a] |= is_linked << (candidates[p].b % 64);
         in_range[candidates[p].b] |= is_linked << (candidates[p].a % 64);
         if (squared < near_distance * near_distance) {
@@ -209,8 +223,11 @@ static void classify_candidates(mcp_asdf_arena_t *arena)
 static bool blocks_line(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j, uint32_t k)
 {
     const double dx = arena->x[j] - arena->x[i], dy = arena->y[j] - arena->y[i];
-    const double mx = arena->x[k] - arena->x[i], my = arena->y[k] - arena->y[i];
-    const double squared = dx * dx + dy * dy, along = mx * dx + my * dy, across = mx * dy - my * dx;
+    const double body_x = arena->x[k] - arena->x[i], body_y = arena->y[k] - arena->y[i];
+    /* Where the body is along the line and across it, both times the length of the line, so that no root is
+     * needed. */
+    const double squared = dx * dx + dy * dy;
+    const double along = body_x * dx + body_y * dy, across = body_x * dy - body_y * dx;
     return (along > 0) & (along < squared) & (across * across < BODY_RADIUS * BODY_RADIUS * squared);
 }
 
@@ -241,6 +258,7 @@ static void remove_blocked_links(mcp_asdf_arena_t *arena)
     arena->link_count = kept_count;
 }
 
+/* Find the links and the near pairs of this tick, and before that the candidates if it is time. */
 void arena_find_links(mcp_asdf_arena_t *arena)
 {
     if (arena->ticks_to_search == 0) {

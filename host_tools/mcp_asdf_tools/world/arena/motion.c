@@ -9,22 +9,26 @@
 #define PASSES 10 /* of motors and contacts, in each substep */
 #define FRICTION_ROBOTS 0.49
 #define FRICTION_WALL 0.07
+#define WALL (-1) /* in place of the second body of a contact */
 
-/* Move body i for `time` at its present velocity. */
+/* Move body i for `time` seconds at its present velocity. */
 IN_LOOPS void move_body(mcp_asdf_arena_t *arena, uint32_t i, double time)
 {
     arena->x[i] += arena->vx[i] * time;
     arena->y[i] += arena->vy[i] * time;
 }
 
-/* Angle of body i's turn in a whole tick: one substep of it with the spin it had, the rest with the one
- * that the wheels ask for, because the motors are strong enough to reach any spin within a substep. */
+/* Returns the angle by which body i turns in a tick, in radians: for one substep with its present spin, then
+ * with the one that the wheels ask for, because the motors are strong enough to reach any spin within a
+ * substep. */
 IN_LOOPS double turn_in_tick(const mcp_asdf_arena_t *arena, uint32_t i)
 {
     return (arena->spin[i] + (SUBSTEPS - 1) * arena->target_spin[i]) * arena->substep;
 }
 
-/* List the bodies that may touch something in this tick, with the velocities that their wheels ask for. */
+/* Store in *bodies which bodies may touch something in this tick, with the velocities that their wheels ask
+ * for.
+ */
 static void collect_touching_bodies(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies)
 {
     bodies->count = 0;
@@ -56,8 +60,11 @@ static void find_robot_contacts(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t
             const double distance = sqrt(squared);
             const double dx = arena->x[b] - arena->x[a], dy = arena->y[b] - arena->y[a];
             add_contact(arena, bodies,
-                        (mcp_asdf_contact_t){(int)a, (int)b, dx / distance, dy / distance,
-                                             distance - DIAMETER, 0, 0});
+                        (mcp_asdf_contact_t){.a = (int)a,
+                                             .b = (int)b,
+                                             .normal_x = dx / distance,
+                                             .normal_y = dy / distance,
+                                             .gap = distance - DIAMETER});
         }
     }
 }
@@ -69,16 +76,20 @@ static void find_wall_contacts(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t 
     const double x = arena->x[i], y = arena->y[i];
     const double gap_x = arena->config.width / 2 - BODY_RADIUS - fabs(x);
     const double gap_y = arena->config.height / 2 - BODY_RADIUS - fabs(y);
-    if (gap_x < margin) {
-        add_contact(arena, bodies, (mcp_asdf_contact_t){(int)i, -1, x > 0 ? 1 : -1, 0, gap_x, 0, 0});
+    if (gap_x < margin) { /* the wall in the east, or in the west */
+        const double normal_x = x > 0 ? 1 : -1;
+        add_contact(arena, bodies,
+                    (mcp_asdf_contact_t){.a = (int)i, .b = WALL, .normal_x = normal_x, .gap = gap_x});
     }
-    if (gap_y < margin) {
-        add_contact(arena, bodies, (mcp_asdf_contact_t){(int)i, -1, 0, y > 0 ? 1 : -1, gap_y, 0, 0});
+    if (gap_y < margin) { /* the wall in the north, or in the south */
+        const double normal_y = y > 0 ? 1 : -1;
+        add_contact(arena, bodies,
+                    (mcp_asdf_contact_t){.a = (int)i, .b = WALL, .normal_y = normal_y, .gap = gap_y});
     }
 }
 
-/* Find all contacts of this substep. Walls come last, so that no wall gives way where the passes end before
- * all velocities have settled. */
+/* Find all contacts of this substep: what is nearer than two robots can come to each other in it. Walls come
+ * last, so that no wall gives way where the passes end before all velocities have settled. */
 static void find_contacts(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies)
 {
     const double margin = 2 * arena->config.speed * arena->substep;
@@ -89,8 +100,9 @@ static void find_contacts(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodi
     }
 }
 
-/* One pass of the motors: they change velocities towards those that the wheels ask for. Over all passes
- * together they change a velocity by at most what they can give in a substep. */
+/* One pass of the motors: they change velocities towards those that the wheels ask for. The changes of all
+ * passes of a substep together are limited to arena->max_motor_change, so a pass undoes the change of the
+ * ones before it and makes the new one. */
 static void run_motors(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies)
 {
     const double limit = arena->max_motor_change;
@@ -98,8 +110,8 @@ static void run_motors(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies)
         const uint32_t i = bodies->robot[m];
         double change_x = bodies->motor_change_x[m] + bodies->target_vx[m] - arena->vx[i];
         double change_y = bodies->motor_change_y[m] + bodies->target_vy[m] - arena->vy[i];
-        const double squared = change_x * change_x + change_y * change_y,
-                     share = squared > limit * limit ? limit / sqrt(squared) : 1;
+        const double squared = change_x * change_x + change_y * change_y;
+        const double share = squared > limit * limit ? limit / sqrt(squared) : 1;
         change_x *= share;
         change_y *= share;
         arena->vx[i] += change_x - bodies->motor_change_x[m];
@@ -109,31 +121,40 @@ static void run_motors(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies)
     }
 }
 
-/* One pass of a contact: take away the approach that would close more than the gap, and rub against sliding
- * within the cone of friction. Two robots share each change, a wall takes none. */
-static void resolve_contact(mcp_asdf_arena_t *arena, mcp_asdf_contact_t *c)
+/* One pass of a contact: take away the part of the approach that would close more than the gap within a
+ * substep, and let friction act against sliding, with a force of at most the friction coefficient times that
+ * along the normal. Two robots share each change of velocity, while a wall takes none. */
+static void resolve_contact(mcp_asdf_arena_t *arena, mcp_asdf_contact_t *contact)
 {
-    const int a = c->a, b = c->b;
-    const double share = b < 0 ? 1 : 0.5, friction = b < 0 ? FRICTION_WALL : FRICTION_ROBOTS;
-    const double spins = BODY_RADIUS * (arena->target_spin[a] + (b < 0 ? 0 : arena->target_spin[b]));
-    const double relative_vx = arena->vx[a] - (b < 0 ? 0 : arena->vx[b]);
-    const double relative_vy = arena->vy[a] - (b < 0 ? 0 : arena->vy[b]);
-    const double closing = relative_vx * c->normal_x + relative_vy * c->normal_y;
-    const double sliding = relative_vy * c->normal_x - relative_vx * c->normal_y + spins;
+    const int a = contact->a, b = contact->b;
+    const bool is_wall = b < 0;
+    const double share = is_wall ? 1 : 0.5, friction = is_wall ? FRICTION_WALL : FRICTION_ROBOTS;
+    const double normal_x = contact->normal_x, normal_y = contact->normal_y;
+    /* Velocity of the point of contact on a body relative to the other: that of the centres, and along the
+     * surface that of the turning bodies. */
+    const double surface_speed =
+        BODY_RADIUS * (arena->target_spin[a] + (is_wall ? 0 : arena->target_spin[b]));
+    const double relative_vx = arena->vx[a] - (is_wall ? 0 : arena->vx[b]);
+    const double relative_vy = arena->vy[a] - (is_wall ? 0 : arena->vy[b]);
+    const double closing_speed = relative_vx * normal_x + relative_vy * normal_y;
+    const double sliding_speed = relative_vy * normal_x - relative_vx * normal_y + surface_speed;
     /* The sums over all passes are limited, not each pass: a later pass may take back what was too much. */
-    const double normal_change = max_of(0, c->normal_change + share * (closing - c->gap / arena->substep));
+    const double allowed_speed = contact->gap / arena->substep;
+    const double normal_change = max_of(0, contact->normal_change + share * (closing_speed - allowed_speed));
+    const double max_tangent_change = friction * normal_change;
     const double tangent_change =
-        clamp(c->tangent_change + share * sliding, -friction * normal_change, friction * normal_change);
-    const double along = normal_change - c->normal_change, across = tangent_change - c->tangent_change;
-    const double dvx = along * c->normal_x - across * c->normal_y;
-    const double dvy = along * c->normal_y + across * c->normal_x;
-    c->normal_change = normal_change;
-    c->tangent_change = tangent_change;
-    arena->vx[a] -= dvx;
-    arena->vy[a] -= dvy;
-    if (b >= 0) {
-        arena->vx[b] += dvx;
-        arena->vy[b] += dvy;
+        clamp(contact->tangent_change + share * sliding_speed, -max_tangent_change, max_tangent_change);
+    const double along = normal_change - contact->normal_change;
+    const double across = tangent_change - contact->tangent_change;
+    const double change_x = along * normal_x - across * normal_y;
+    const double change_y = along * normal_y + across * normal_x;
+    contact->normal_change = normal_change;
+    contact->tangent_change = tangent_change;
+    arena->vx[a] -= change_x;
+    arena->vy[a] -= change_y;
+    if (!is_wall) {
+        arena->vx[b] += change_x;
+        arena->vy[b] += change_y;
     }
 }
 
@@ -150,8 +171,10 @@ static void limit_speed(mcp_asdf_arena_t *arena, uint32_t i)
     }
 }
 
-/* Form the velocities for the next substep by several passes of motors and contacts. Contacts come after
- * motors: what has not settled after the last pass leaves a body slow, not inside another. */
+/* Change the velocities of the bodies to those of the next substep, by several passes of motors and contacts.
+ * Contacts come after motors: what has not settled after the last pass leaves a body slow, not inside
+ * another.
+ */
 static void change_velocities(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies)
 {
     memset(bodies->motor_change_x, 0, bodies->count * sizeof *bodies->motor_change_x);
@@ -167,7 +190,8 @@ static void change_velocities(mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies
     }
 }
 
-/* Move all bodies of an arena that may touch something, for one tick. */
+/* Move the bodies of an arena that may touch something for one tick, substep by substep, and turn them at its
+ * end: contacts do not depend on headings. */
 static void move_touching_bodies(mcp_asdf_arena_t *arena)
 {
     mcp_asdf_bodies_t *const bodies = &arena->touching;
@@ -226,8 +250,8 @@ IN_LOOPS uint64_t drive_free_bodies(free_bodies_t *bodies)
     return accelerating_count;
 }
 
-/* Copy what the listed bodies are in their arenas. The target velocity is along the heading at the start of
- * the tick, although the heading changes during it. */
+/* Copy positions, velocities and headings of the listed bodies from their arenas. The target velocity is
+ * along the heading at the start of the tick, although the heading changes during it. */
 IN_LOOPS void load_free_bodies(free_bodies_t *bodies)
 {
     for (uint32_t n = 0; n < bodies->count; ++n) {

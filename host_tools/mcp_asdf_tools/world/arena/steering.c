@@ -11,8 +11,8 @@
 static const double SENSOR_AHEAD[SENSORS] = {1, HALF_ROOT, 0, -HALF_ROOT, -1, -HALF_ROOT, 0, HALF_ROOT};
 static const double SENSOR_LEFT[SENSORS] = {0, HALF_ROOT, 1, HALF_ROOT, 0, -HALF_ROOT, -1, -HALF_ROOT};
 
-/* Component along x of the direction on the floor of sensor k, with heading (cx, cy); along y with (cy, -cx).
- */
+/* Returns the component along x of the direction on the floor in which sensor k looks, for a robot with the
+ * heading (cx, cy). Called with (cy, -cx), the heading turned by 90 degrees, it returns that along y. */
 IN_LOOPS double ray_component(double cx, double cy, uint32_t k)
 {
     return cx * SENSOR_AHEAD[k] - cy * SENSOR_LEFT[k];
@@ -22,21 +22,27 @@ IN_LOOPS double ray_component(double cx, double cy, uint32_t k)
  * the near side of the circle. */
 IN_LOOPS void shorten_rays_at_body(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j)
 {
-    const double mx = arena->x[j] - arena->x[i], my = arena->y[j] - arena->y[i];
+    const double dx = arena->x[j] - arena->x[i], dy = arena->y[j] - arena->y[i]; /* to the other's centre */
     const double cx = arena->cx[i], cy = arena->cy[i];
-    const double radius_squared = BODY_RADIUS * BODY_RADIUS, squared = mx * mx + my * my;
+    const double radius_squared = BODY_RADIUS * BODY_RADIUS, squared = dx * dx + dy * dy;
     double *const free_distance = arena->free_distance + (size_t)i * SENSORS;
     SIDE_BY_SIDE
     for (uint32_t k = 0; k < SENSORS; ++k) {
-        const double along = mx * ray_component(cx, cy, k) + my * ray_component(cy, -cx, k);
+        /* The ray passes the other's centre `along` metres from this one. By Pythagoras the squared distance
+         * at which it does so is squared - along^2, and `inside` the square of half the chord within the
+         * circle.
+         */
+        const double along = dx * ray_component(cx, cy, k) + dy * ray_component(cy, -cx, k);
         const double inside = radius_squared - (squared - along * along);
         const double distance = along - BODY_RADIUS - sqrt(max_of(inside, 0));
+        /* Without branches, so that the rays become a vector. */
         const bool meets = (along > 0) & (inside >= 0) & (distance < free_distance[k]);
         free_distance[k] = meets ? distance : free_distance[k];
     }
 }
 
-/* Form the free distances along the rays of all robots, as other bodies leave them. */
+/* Store in arena->free_distance how far the rays of all robots reach before they meet another body, or more
+ * than SENSOR_REACH if there is none. */
 FOR_EACH_TARGET static void shorten_rays_at_bodies(const mcp_asdf_arena_t *arena)
 {
     double *const free_distance = arena->free_distance;
@@ -61,19 +67,23 @@ IN_LOOPS void shorten_rays_at_walls(double *free_distance, double cx, double cy,
     SIDE_BY_SIDE
     for (uint32_t k = 0; k < SENSORS; ++k) {
         const double direction = ray_component(cx, cy, k), slope = fabs(direction);
+        /* From the robot's centre to the wall that the ray approaches, along the axis; along the ray it is
+         * gap / slope. */
         const double gap = direction > 0 ? wall_coordinate - position : wall_coordinate + position;
         const double distance = gap / slope - BODY_RADIUS;
+        /* The ray meets the wall if gap / slope < reach; a slope of 0 makes that false. */
         const bool meets = (gap < reach * slope) & (distance < free_distance[k]);
         free_distance[k] = meets ? distance : free_distance[k];
     }
 }
 
-/* Reading, 0 .. 1, of a sensor whose ray meets something at `distance` from the edge of the body,
- * within its reach. */
+/* Returns the reading, 0 .. 1, of a sensor whose ray meets something at `distance` metres from the edge of
+ * the body, within its reach: 1 when near, and then falling exponentially. docs/arena.md has the source of
+ * the numbers. */
 IN_LOOPS double sensor_reading(double distance)
 {
-    const double far = clamp(4.14 * arena_fading(33 * distance) - 0.085, 0, 1);
-    return distance < 0.04 ? 1 : far;
+    const double far_reading = clamp(4.14 * arena_fading(33 * distance) - 0.085, 0, 1);
+    return distance < 0.04 ? 1 : far_reading;
 }
 
 #define DEGREE (PI / 180)
@@ -122,6 +132,7 @@ IN_LOOPS void steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, doubl
     arena->target_spin[robot] = (left < 0 ? outer - inner : inner - outer) / WHEEL_DISTANCE;
 }
 
+/* Set the wheels of a robot from its obstacle vector, as steer() does. */
 void mcp_asdf_arena_steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, double left)
 {
     steer(arena, robot, ahead, left, arena_bearing(-ahead, -left));
@@ -142,7 +153,8 @@ typedef struct {
     double distance[BATCH * SENSORS + 1];
 } steered_t;
 
-/* Look along the rays of the n-th robot of a batch, and append those that meet something within reach. */
+/* Follow the rays of the n-th robot of a batch up to walls and bodies, and append those that meet something
+ * within reach to the batch's hits. Clears the robot's obstacle vector. */
 IN_LOOPS void cast_rays(steered_t *batch, uint32_t n)
 {
     const mcp_asdf_arena_t *const arena = batch->arena[n];
@@ -158,7 +170,8 @@ IN_LOOPS void cast_rays(steered_t *batch, uint32_t n)
     batch->ahead[n] = batch->left[n] = 0;
 }
 
-/* Set the wheels of the robots of a batch from what their sensors read, and empty the batch. */
+/* Set the wheels of the robots of a batch from what their sensors read, and empty the batch. Each step is a
+ * loop of its own over all robots or hits, so that the costly ones become vectors. */
 FOR_EACH_TARGET static void steer_batch(steered_t *batch)
 {
     double weight[BATCH * SENSORS];
@@ -185,7 +198,8 @@ FOR_EACH_TARGET static void steer_batch(steered_t *batch)
     batch->count = 0;
 }
 
-/* Robots that drive straight on with nothing near keep their wheels, which are set already. */
+/* Set the wheels of all robots, in batches. Robots that drive straight on with nothing near keep theirs,
+ * which are set already. */
 void arena_set_wheels(mcp_asdf_arena_t *arenas, uint32_t count)
 {
     steered_t batch;
