@@ -32,8 +32,8 @@ class Trials:
     Attributes:
         experiment: The definition; its ``trials`` may be more than these.
         numbers: The trials' numbers.
-        convergence_steps: K of each robot, shape (trials, N).
-        errors: e of each robot, shape (trials, N).
+        convergence_steps: K of each robot, the step from which on its x stays within 0.01; shape (trials, N).
+        errors: e of each robot, its error |x - f| at that step; shape (trials, N).
         b_hat: Assumed accuracies after each filter step, shape (trials, T // filter_period, N).
         tests: Hypothesis tests run by each robot, shape (trials, N), modulo 65536, as ``updates``.
         updates: Re-estimates of b_hat by each robot, shape (trials, N).
@@ -57,13 +57,17 @@ class Trials:
         return score(self.convergence_steps, self.errors, *limits.of(self.experiment))
 
     def measures(self, limits: Limits = PAPERS) -> dict[str, NDArray[np.float64 | np.signedinteger]]:
-        """Return a value for each trial, by name: the scores, K and e averaged over the robots, and the sum
-        of the robots' updates."""
+        """Return a value for each trial, by name.
+
+        The names are those of the scores, "K" and "e" for the means of convergence steps and errors over the
+        robots, and "updates" for the sum of the robots' re-estimates of b_hat.
+        """
+        robot_axis = 1
         return {
             **self.scores(limits),
-            "K": self.convergence_steps.mean(axis=1),
-            "e": self.errors.mean(axis=1),
-            "updates": self.updates.sum(axis=1),
+            "K": self.convergence_steps.mean(axis=robot_axis),
+            "e": self.errors.mean(axis=robot_axis),
+            "updates": self.updates.sum(axis=robot_axis),
         }
 
 
@@ -76,10 +80,10 @@ def select_experiments(experiments: Sequence[Trials], where: Mapping[str, Any]) 
     selected = list(experiments)
     for name, value in where.items():
         if name not in PARAMETER_NAMES:
-            fix = (
-                f"{offer(name, PARAMETER_NAMES)}; the experiments differ in {describe_differences(selected)}"
+            raise UsageError(
+                f"where {name}={value}: no parameter is called so{offer(name, PARAMETER_NAMES)}; "
+                f"the experiments differ in {describe_differences(selected)}"
             )
-            raise UsageError(f"where {name}={value}: no parameter is called so{fix}")
         existing_values = {str(trials.experiment.parameters()[name]) for trials in selected}
         selected = [
             trials for trials in selected if _is_same_value(trials.experiment.parameters()[name], value)
@@ -124,27 +128,41 @@ def _is_same_value(parameter_value: object, requested_value: Any) -> bool:
 def write_csv(path: Path, experiments: Iterable[Trials], limits: Limits = PAPERS) -> None:
     """Write a CSV file with a header and a line for each trial.
 
-    A line has the parameters, the trial's number, its scores with these ``limits``, means of K, e and the
-    final b_hat over the robots, sums of their tests and updates, and the limits. An existing file is replaced
-    when the new one is complete. Raises UsageError if it cannot be written.
+    A line has the parameters and the trial's number; its scores H, h_K and h_e with these ``limits``; over
+    the robots, the means of the convergence step K, of the error e then and of the final b_hat, and the sums
+    of tests and updates; and the limits. An existing file is replaced when the new one is complete. Raises
+    UsageError if it cannot be written.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    result_columns = (*SCORES, "mean_K", "mean_e", "mean_b_hat", "tests", "updates", "K_max", "e_max")
-    writer.writerow([*PARAMETER_NAMES, "trial", *result_columns])
+    writer.writerow([*PARAMETER_NAMES, "trial", *_CSV_RESULTS])
     for trials in experiments:
-        measures = trials.measures(limits)
-        columns = [
-            *(measures[name] for name in (*SCORES, "K", "e")),
-            _mean_final_b_hat(trials),
-            trials.tests.sum(axis=1),
-            measures["updates"],
-        ]
         parameters = list(trials.experiment.parameters().values())
-        for number, *values in zip(trials.numbers, *columns, strict=True):
-            results = (f"{value:.10g}" for value in (*values, *limits.of(trials.experiment)))
-            writer.writerow([*parameters, number, *results])
+        results = _csv_results(trials, limits)
+        for index, number in enumerate(trials.numbers):
+            values = [f"{results[name][index]:.10g}" for name in _CSV_RESULTS]
+            writer.writerow([*parameters, number, *values])
     write_atomically(path, text.getvalue())
+
+
+_CSV_RESULTS = (*SCORES, "mean_K", "mean_e", "mean_b_hat", "tests", "updates", "K_max", "e_max")
+"""Columns of a CSV file behind the parameters and the number of the trial."""
+
+
+def _csv_results(trials: Trials, limits: Limits) -> dict[str, NDArray[Any]]:
+    """Return the values of the columns _CSV_RESULTS by name, one for each trial."""
+    k_max, e_max = limits.of(trials.experiment)
+    trial_count = len(trials.numbers)
+    return {
+        **trials.scores(limits),
+        "mean_K": trials.convergence_steps.mean(axis=1),
+        "mean_e": trials.errors.mean(axis=1),
+        "mean_b_hat": _mean_final_b_hat(trials),
+        "tests": trials.tests.sum(axis=1),
+        "updates": trials.updates.sum(axis=1),
+        "K_max": np.full(trial_count, k_max),
+        "e_max": np.full(trial_count, e_max),
+    }
 
 
 def _mean_final_b_hat(trials: Trials) -> NDArray[np.float64]:

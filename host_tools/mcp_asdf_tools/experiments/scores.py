@@ -35,6 +35,8 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
 
+    # Two passes: over the extremes of chunks, to find the few chunks that can hold K, and over these.
+    # Extremes to the end of the series, rather than pairs of values, make it O(T).
     chunk_starts = np.arange(0, len(series), _CHUNK)
     # Entry i is the extreme of chunk i and all after it; the last entry is that of the last value.
     lowest = np.append(_extreme_to_end(np.minimum, np.minimum.reduceat(series, chunk_starts)), series[-1])
@@ -92,8 +94,14 @@ def score(
 ) -> dict[str, NDArray[np.float64]]:
     """Return the SCORES of trials by name, shape (trials,), from K and e of every robot.
 
-    ``convergence_steps`` and ``errors`` have the shape (trials, robots). Scores are 0 .. 100 if no K and e is
-    above its limit; H is the mean of the other two. An error of NaN counts as e_max.
+    ``convergence_steps`` and ``errors`` have the shape (trials, robots). With means over the robots,
+
+        h_K = mean(100 (k_max - K) / k_max) exp(-IQR_K / k_max)
+        h_e = mean(100 (e_max - e) / e_max) exp(-IQR_e / e_max)
+        H = (h_K + h_e) / 2
+
+    where IQR is the interquartile range over the robots. Scores are 0 .. 100 if no K and e is above its
+    limit. An error of NaN counts as e_max.
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
 
@@ -105,7 +113,10 @@ def score(
 
 
 def _scaled_mean(values: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
-    """Return 100 times the mean of 1 - value / limit over the robots, times exp(-IQR / limit)."""
+    """Return 100 times the mean of 1 - value / limit over the robots, times exp(-IQR / limit).
+
+    ``values`` has the shape (trials, robots), and the result the shape (trials,).
+    """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
 
     mean_scores = (1.0 - values / limit).mean(axis=1)

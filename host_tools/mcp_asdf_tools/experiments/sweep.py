@@ -59,6 +59,7 @@ def run_sweep(
     once; as after any error, what was finished is on disk. Raises UsageError if a job cannot be run, a worker
     process of this machine dies, or another process is at work on the output.
     """
+    # Interrupts are delayed while the store changes, so that it is never left in between.
     try:
         if store.missing_count:
             _log_start(store.missing_count, workers, scheduler)
@@ -209,6 +210,7 @@ def _run_on_executor(
             running_and_queued = 2 * count_workers()
             # A cluster may have lost workers, and then more jobs are running than it should have.
             free_slots = max(0, running_and_queued - len(running))
+            # Each call of islice takes the next jobs from the iterator.
             running |= {executor.submit(job.run) for job in islice(jobs, free_slots)}
         if not running:
             return

@@ -77,12 +77,15 @@ def _convergence_and_errors(
     ``x_series`` is x in units of ``unit``, shape (trials, N or 1, steps + 1): one series stands for all
     robots of its trial.
     """
+    delta = DELTA / unit  # in the unit of the series
     steps = np.array(
-        [[convergence_step(series, DELTA / unit) for series in trial_series] for trial_series in x_series]
+        [[convergence_step(series, delta) for series in trial_series] for trial_series in x_series]
     )
+    # One index along the axis of steps for each trial and robot picks x at K.
     step_axis = 2
     x_at_convergence = np.take_along_axis(x_series, steps[..., np.newaxis], step_axis).squeeze(step_axis)
     errors = abs(x_at_convergence.astype(np.float64) * unit - experiment.fill_ratio)
+    # Where one series stands for all robots, so do its K and its error.
     shape = (len(x_series), experiment.robots)
     return np.broadcast_to(steps, shape).astype(np.int64), np.broadcast_to(errors, shape).copy()
 
@@ -108,18 +111,19 @@ def _load_engine() -> ModuleType:
 def _run_native(experiment: Experiment, numbers: range, sampling_interval: int) -> Trials:
     """Run trials of consecutive numbers in the C engine, and convert its integers to the paper's units."""
     engine_trials = _load_engine().run(experiment, numbers[0], len(numbers), sampling_interval)
-    convergence_steps, errors = _convergence_and_errors(experiment, engine_trials.x, 1 / ONE)
+    convergence_steps, errors = _convergence_and_errors(experiment, engine_trials.x, unit=1 / ONE)
     counters = engine_trials.counters
+    records = _records_in_paper_units(experiment, engine_trials.records) if sampling_interval else {}
     return Trials(
-        experiment,
-        list(numbers),
-        convergence_steps,
-        errors,
-        engine_trials.b_hat / 2.0**32,
-        counters["tests"],
-        counters["updates"],
-        _records_in_paper_units(experiment, engine_trials.records) if sampling_interval else {},
-        sampling_interval,
+        experiment=experiment,
+        numbers=list(numbers),
+        convergence_steps=convergence_steps,
+        errors=errors,
+        b_hat=engine_trials.b_hat / 2.0**32,
+        tests=counters["tests"],
+        updates=counters["updates"],
+        records=records,
+        sampling_interval=sampling_interval,
     )
 
 
@@ -129,8 +133,9 @@ def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -
     ``raw_records`` has the engine's dtype RECORD and shape (trials, samples, N).
     """
     initial_b_hat = [b_hat_to_raw(experiment.b_hat(robot)) / 2**32 for robot in range(experiment.robots)]
+    # Counts and confidences are 0 at first.
     initial_values: dict[str, Any] = {"x_hat": 0.5, "x_bar": 0.5, "x": 0.5, "b_hat": initial_b_hat}
-    raw_units = {"x_hat": ONE, "x_bar": ONE, "x": ONE, "beta": UNITS_PER_ALPHA, "b_hat": 2**32}
+    units_in_one = {"x_hat": ONE, "x_bar": ONE, "x": ONE, "beta": UNITS_PER_ALPHA, "b_hat": 2**32}
     trial_count, sample_count, robots = raw_records.shape
     records = {}
     for name in QUANTITIES:
@@ -140,7 +145,7 @@ def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -
         if name == "alpha":
             values[:, 1:] = _alpha_of_words(raw_values)
         else:
-            values[:, 1:] = raw_values / raw_units.get(name, 1)
+            values[:, 1:] = raw_values / units_in_one.get(name, 1)
         records[name] = values
     return records
 
@@ -164,7 +169,7 @@ _STEPS_AT_ONCE = 512
 _COLOURS = (Observation.WHITE, Observation.BLACK)
 
 Pairs = Sequence[Sequence[int]]
-"""Receiver and sender of each message."""
+"""Receiver and sender of each message, as ids in this order."""
 
 
 def _run_by_message(experiment: Experiment, number: int, sampling_interval: int) -> Trials:
@@ -180,18 +185,19 @@ def _run_by_message(experiment: Experiment, number: int, sampling_interval: int)
         if sampling_interval and step % sampling_interval == 0:
             snapshots.append(swarm.snapshot())
     x_series = np.array(x_by_step).T  # shape (N, steps + 1)
-    convergence_steps, errors = _convergence_and_errors(experiment, x_series[np.newaxis], 1.0)
+    # The arrays of Trials have the trial as their first axis, here of length 1.
+    convergence_steps, errors = _convergence_and_errors(experiment, x_series[np.newaxis], unit=1.0)
     counters = [robot.counters for robot in swarm.robots]
     return Trials(
-        experiment,
-        [number],
-        convergence_steps,
-        errors,
-        np.reshape(b_hat_by_filter_step, (1, -1, experiment.robots)),
-        np.array([[robot_counters.tests for robot_counters in counters]]),
-        np.array([[robot_counters.updates for robot_counters in counters]]),
-        _records_of_snapshots(snapshots) if sampling_interval else {},
-        sampling_interval,
+        experiment=experiment,
+        numbers=[number],
+        convergence_steps=convergence_steps,
+        errors=errors,
+        b_hat=np.reshape(b_hat_by_filter_step, (1, -1, experiment.robots)),
+        tests=np.array([[robot_counters.tests for robot_counters in counters]]),
+        updates=np.array([[robot_counters.updates for robot_counters in counters]]),
+        records=_records_of_snapshots(snapshots) if sampling_interval else {},
+        sampling_interval=sampling_interval,
     )
 
 

@@ -30,6 +30,7 @@ def make_floor_code(fill_ratio: float) -> NDArray[np.bool_]:
     """
     modules = CODE_MODULES**2
     black_modules = round(fill_ratio * modules)
+    # A share such as 0.448 is no exact float, so its product may be a little off the whole number.
     if abs(black_modules - fill_ratio * modules) > 1e-9 * modules:
         raise ParameterError(
             "fill_ratio",
@@ -56,24 +57,30 @@ def _fixed_patterns() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     The patterns are three finders, two timing lines and the logo. Both arrays have the shape (CODE_MODULES,
     CODE_MODULES).
     """
-    side, last_corner = CODE_MODULES, CODE_MODULES - _FINDER_MODULES
-    is_black, is_fixed = np.zeros((side, side), np.bool_), np.zeros((side, side), np.bool_)
+    side = CODE_MODULES
+    is_black = np.zeros((side, side), np.bool_)
+    is_fixed = np.zeros((side, side), np.bool_)
 
     # A finder pattern is a black frame around a black square, with a white margin of one module.
     finder = np.ones((_FINDER_MODULES, _FINDER_MODULES), np.bool_)
     finder[1:-1, 1:-1] = False
     finder[2:-2, 2:-2] = True
-    for row, column in ((0, 0), (0, last_corner), (last_corner, 0)):
+    first_of_last_finder = side - _FINDER_MODULES
+    for row, column in ((0, 0), (0, first_of_last_finder), (first_of_last_finder, 0)):
         end_row, end_column = row + _FINDER_MODULES, column + _FINDER_MODULES
         is_black[row:end_row, column:end_column] = finder
         # With the margin, which the edge of the code cuts off on two sides.
         is_fixed[max(0, row - 1) : end_row + 1, max(0, column - 1) : end_column + 1] = True
 
-    # The timing lines, one along a row and one along a column, alternate between black and white.
-    line, between_finders = _FINDER_MODULES - 1, slice(_FINDER_MODULES + 1, last_corner - 1)
-    is_even = np.arange(between_finders.stop - between_finders.start) % 2 == 0
-    is_black[line, between_finders] = is_black[between_finders, line] = is_even
-    is_fixed[line, between_finders] = is_fixed[between_finders, line] = True
+    # A timing line leads from margin to margin of two finders, level with their inner edges. Its modules are
+    # black and white in turn, the first one black.
+    timing_row = timing_column = _FINDER_MODULES - 1
+    start, end = _FINDER_MODULES + 1, first_of_last_finder - 1
+    timing_line = np.arange(end - start) % 2 == 0
+    is_black[timing_row, start:end] = timing_line
+    is_black[start:end, timing_column] = timing_line
+    is_fixed[timing_row, start:end] = True
+    is_fixed[start:end, timing_column] = True
 
     # The logo is white, as modules are from the start.
     middle = slice((side - _LOGO_MODULES) // 2, (side + _LOGO_MODULES) // 2)

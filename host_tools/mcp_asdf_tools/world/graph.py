@@ -14,6 +14,7 @@ from mcp_asdf.robot import MAX_ID
 from mcp_asdf_tools.common.errors import UsageError
 
 _EDGES_IN_ONE_LINE = re.compile(r"[0-9>;\s]*")
+"""Only what edges are made of: a path with nothing else would be taken for edges."""
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 # Behind an edge other tools write a weight, or its attributes in braces as networkx does.
 _EDGE = re.compile(
@@ -129,6 +130,8 @@ def _format_edges(graph: Any) -> list[str]:
     import numpy as np  # noqa: PLC0415 (it loads slowly, and texts and files need none of it)
 
     pairs, is_directed = graph, False
+    # A boolean array has a link for each True, and a graph of networkx knows whether its edges have a
+    # direction. Anything else is iterated as pairs, below.
     if isinstance(graph, np.ndarray) and graph.dtype == np.bool_:
         if graph.ndim != 2 or graph.shape[0] != graph.shape[1]:
             raise UsageError(f"graph has shape {graph.shape}; give a square array, [receiver, sender]")
@@ -165,7 +168,8 @@ class _Edge:
     def links(self) -> list[tuple[int, int]]:
         """The (sender, receiver) pairs that the edge stands for: one, or both directions."""
         link = (self.sender, self.receiver)
-        return [link] if self.is_one_way else [link, link[::-1]]
+        reverse_link = (self.receiver, self.sender)
+        return [link] if self.is_one_way else [link, reverse_link]
 
     def is_reverse_of(self, other: _Edge) -> bool:
         """Whether both are the same edge of both directions, written from either end."""

@@ -45,10 +45,10 @@ def philox(
     """
     c0, c1, c2, c3 = counter
     for round_index in range(_ROUNDS):
-        k0, k1 = (
-            np.uint64((word + round_index * increment) & _LOW_WORD)
-            for word, increment in zip(key, _KEY_INCREMENTS, strict=True)
-        )
+        # Both words of the key grow from round to round, modulo 2**32.
+        k0 = np.uint64((key[0] + round_index * _KEY_INCREMENTS[0]) & _LOW_WORD)
+        k1 = np.uint64((key[1] + round_index * _KEY_INCREMENTS[1]) & _LOW_WORD)
+        # Products have 64 bits; their upper and lower words go different ways.
         product0, product2 = c0 * _MULTIPLIERS[0], c2 * _MULTIPLIERS[1]
         c0, c1, c2, c3 = (
             (product2 >> _WORD_BITS) ^ c1 ^ k0,

@@ -70,8 +70,9 @@ class DriftingSensors:
         drifted = np.clip(drifted, settings.lowest_accuracy, 1.0)
         if settings.drifting == settings.robots:
             return drifted
-        drifts = np.arange(settings.robots) < settings.drifting
-        return np.where(drifts, drifted, settings.true_accuracy)
+        # The robots with the lowest ids drift, and the others keep the accuracy of step 0.
+        is_drifting = np.arange(settings.robots) < settings.drifting
+        return np.where(is_drifting, drifted, settings.true_accuracy)
 
 
 class CheckedSensors:
@@ -129,11 +130,16 @@ def has_one_accuracy(settings: WorldSettings) -> bool:
 
 
 def make_sensor_model(settings: WorldSettings, trial: int) -> SensorModel:
-    """Return the sensor model that settings ask for. Raises UsageError if an extension cannot be loaded."""
+    """Return the sensor model of a trial, before its first step.
+
+    That is the built-in one, or the one of the extension that ``settings.sensor`` names, wrapped so that its
+    answers are checked. Raises UsageError if the extension cannot be loaded.
+    """
     if not settings.sensor:
         return DriftingSensors(settings, trial)
     make_model = cast(_SensorMaker, extensions.load(extensions.SENSORS, settings.sensor))
-    return CheckedSensors(make_model(settings, trial), settings, has_one_accuracy(settings))
+    model = make_model(settings, trial)
+    return CheckedSensors(model, settings, has_one_accuracy=has_one_accuracy(settings))
 
 
 def black_probabilities(

@@ -120,10 +120,12 @@ class WorldSettings:
         """
         # An object is replaced by a name for it first, so that all checks see names.
         for name in _EXTENSION_GROUPS:
-            if hasattr(self, name):
+            if hasattr(self, name):  # the firmware is a parameter of subclasses
                 self._replace_value(name, extensions.name_object(getattr(self, name)))
         check_parameters(self)
-        if not isinstance(self.graph, Graph) and not (isinstance(self.graph, str) and self.graph == ""):
+        # A NumPy array cannot be compared with a text.
+        is_empty_text = isinstance(self.graph, str) and self.graph == ""
+        if not isinstance(self.graph, Graph) and not is_empty_text:
             with value_of("graph"):
                 self._replace_value("graph", parse_graph(self.graph))
         self._check_topology()
@@ -149,8 +151,9 @@ class WorldSettings:
         known_names = cls.__dataclass_fields__
         for name in parameters:
             if name not in known_names:
-                fix = offer(name, known_names) or f"; known are {', '.join(known_names)}"
-                raise ParameterError(name, f"unknown key {name!r}{fix}")
+                # Either text continues the message, and begins with a semicolon.
+                ending = offer(name, known_names) or f"; known are {', '.join(known_names)}"
+                raise ParameterError(name, f"unknown key {name!r}{ending}")
         return cls(**parameters)
 
     @classmethod
@@ -216,18 +219,26 @@ class WorldSettings:
                 if value != _default_of(self, name):
                     message = f"{name} is {value} but robots do not move; choose topology dynamic"
                     raise ParameterError(name, message)
-        if (self.topology == "graph") != isinstance(self.graph, Graph):
-            fix = "give its edges" if self.topology == "graph" else "choose topology graph"
+        # Edges without the topology graph would have no effect, and that topology needs some.
+        needs_graph, has_graph = self.topology == "graph", isinstance(self.graph, Graph)
+        if needs_graph != has_graph:
+            fix = "give its edges" if needs_graph else "choose topology graph"
             raise ParameterError("graph", f"graph is {str(self.graph)!r}: {fix}")
         if isinstance(self.graph, Graph):
             with value_of("graph"):
                 self.graph.check(self.robots)
 
     def _check_sensor(self) -> None:
-        """Raise ParameterError for a sensor that is not installed, or a drift that contradicts itself."""
-        if self.sensor and self.sensor not in extensions.Names((), extensions.SENSORS):
-            installed = ", ".join(extensions.installed_names(extensions.SENSORS)) or "none is installed"
-            raise ParameterError("sensor", f"sensor is {self.sensor!r}; choose an extension: {installed}")
+        """Raise ParameterError for a sensor that is not installed, or parameters of a drift that do not fit.
+
+        Without a drift there may be no rate of it, and a drift may not start below its lowest accuracy.
+        """
+        if self.sensor:
+            # No sensor model is built in under a name: without one, ``sensor`` is empty.
+            known_sensors = extensions.Names(built_in_names=(), group=extensions.SENSORS)
+            if self.sensor not in known_sensors:
+                choices = ", ".join(known_sensors) or "none is installed"
+                raise ParameterError("sensor", f"sensor is {self.sensor!r}; choose an extension: {choices}")
         if self.drift == "none" and self.drift_rate:
             message = f"drift_rate is {self.drift_rate} but drift is none; choose a drift"
             raise ParameterError("drift_rate", message)

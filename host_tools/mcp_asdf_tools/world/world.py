@@ -75,10 +75,11 @@ class World:
         settings, first_step = self.settings, self._next_step
         self._next_step += steps
         words = self._observation_draws.draw_words(steps, first_step)
-        draws = words >> _BITS_BELOW_PROBABILITY_UNIT
+        draws = words >> _BITS_BELOW_PROBABILITY_UNIT  # units of 2**-31, as the probabilities below
         accuracies = self._sensors.advance(steps)
         accuracy_on_black, accuracy_on_white = accuracies
         mean_accuracy = np.broadcast_to((accuracy_on_black + accuracy_on_white) / 2, draws.shape)
+        # Robots observe at the end of every period: with period 3 in the third step, the sixth, and so on.
         steps_passed = np.arange(first_step, first_step + steps) + 1
         observes = steps_passed % settings.observation_period == 0
         if isinstance(self._topology, Arena):
@@ -88,6 +89,7 @@ class World:
             black_probability = np.where(motion.black, on_black, on_white)
             neighbours, positions = motion.adjacency, motion.position
         else:
+            # The floor is not modelled: any tile is black with probability f.
             black_probability, _ = black_probabilities(accuracies, settings.fill_ratio)
             neighbours, positions = self._topology.advance(steps), None
         return Scene(

@@ -60,7 +60,9 @@ class EngineTrials:
             "observation_period": experiment.observation_period,
             "latency": experiment.latency,
             "configs": self._make_configs(experiment),
-            "b_hat": self._array("uint32_t", [b_hat_to_raw(experiment.b_hat(j)) for j in range(robots)]),
+            "b_hat": self._array(
+                "uint32_t", [b_hat_to_raw(experiment.b_hat(robot)) for robot in range(robots)]
+            ),
         }
         members |= self._make_probabilities(experiment, first, trials)
         if experiment.is_dynamic:
@@ -99,6 +101,7 @@ class EngineTrials:
         members = {"black": self._array("uint32_t", black)}
         stride_names = ("trial_stride", "step_stride", "robot_stride")
         for name, bytes_to_next, length in zip(stride_names, black.strides, black.shape, strict=True):
+            # NumPy counts bytes, the C elements.
             members[name] = bytes_to_next // black.itemsize if length > 1 else 0
         return members
 
@@ -160,9 +163,10 @@ def run(
     """Run trials ``first`` .. ``first + trials - 1`` of a native experiment.
 
     Robots are recorded once per ``sampling_interval`` steps unless that is 0. ``lanes`` chooses the faster of
-    two engines with equal results, by default where it can run. Raises UsageError if something is
-    ``lacking_in_c`` or as ``Arena``, FirmwareError as the firmware's init. O(trials steps robots), and four
-    bytes for each estimate.
+    two engines with equal results, which computes several trials side by side; by default it is chosen where
+    it can run. Raises UsageError if the experiment has something that the engine lacks
+    (``Experiment.lacking_in_c``) or its robots find no room in an arena, and FirmwareError if the firmware
+    refuses its settings. O(trials steps robots), and four bytes for each estimate.
     """
     if experiment.lacking_in_c:
         name = experiment.lacking_in_c

@@ -89,7 +89,7 @@ class Arena:
     def record(self, ticks: int) -> Motion:
         """Let ticks pass, and return the state after each. O(ticks N^2)."""
         shape = (ticks, self.settings.robots)
-        position, heading = np.empty((2, *shape, 2))
+        position, heading = np.empty((2, *shape, 2))  # two arrays, each with x and y along its last axis
         black, wheels, avoids = np.empty((3, *shape), np.uint8)
         adjacency = np.zeros((*shape, self.settings.robots), np.bool_)
         # Each array of the C struct has the values of the present tick: every tick they are copied to a row.
@@ -107,13 +107,15 @@ class Arena:
             self.step()
             for name, rows in recorded.items():
                 rows[tick] = present[name]
+            # Robots in range of each other receive both ways.
             lower_ids, higher_ids = self._linked_pairs().T
-            adjacency[tick, lower_ids, higher_ids] = adjacency[tick, higher_ids, lower_ids] = True
+            adjacency[tick, lower_ids, higher_ids] = True
+            adjacency[tick, higher_ids, lower_ids] = True
         return Motion(position, heading, black, wheels, avoids, adjacency)
 
     def _linked_pairs(self) -> NDArray[np.uint16]:
         """Return the pairs of robots that receive from each other now, shape (pairs, 2), lower id first."""
-        bytes_in_pair = 4
+        bytes_in_pair = 4  # two ids of 16 bits
         links = _arena.ffi.buffer(self._arena.links, bytes_in_pair * self._arena.link_count)
         return np.frombuffer(links, np.uint16).reshape(-1, 2)
 
@@ -133,7 +135,9 @@ def allocate_memory(size: int) -> NDArray[np.float64]:
 def make_config(settings: WorldSettings, trial: int, ffi: Any) -> tuple[dict[str, Any], object]:
     """Return the members of a trial's C ``mcp_asdf_arena_config_t``, and an object that must live as long.
 
-    The members point into that object. ``ffi`` is that of the extension module which the struct is for.
+    That object is the picture of the floor, to which a member points, for a floor of kind "code"; it is None
+    for one of tiles, which C generates itself. ``ffi`` is that of the extension module which the struct is
+    for.
     """
     width, height = settings.sides
     members = {
