@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extensions import check_for_workers
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.experiments.experiment import Experiment, grid
 from mcp_asdf_tools.experiments.experiment_files import read_experiments
-from mcp_asdf_tools.experiments.scores import E_MAX, PAPERS, SCORES, Limits
+from mcp_asdf_tools.experiments.plots import KINDS, load_plot
+from mcp_asdf_tools.experiments.scores import E_MAX, Limits
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 if TYPE_CHECKING:
     import pyarrow as pa  # type: ignore[import-untyped]
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
-    from mcp_asdf_tools.experiments.curve_plot import Measure
+    from mcp_asdf_tools.experiments.plots.bands import plot_bands
+    from mcp_asdf_tools.experiments.plots.boxes import plot_boxes
+    from mcp_asdf_tools.experiments.plots.curve import plot_curve
+    from mcp_asdf_tools.experiments.plots.scatter import plot_scatter
+    from mcp_asdf_tools.experiments.plots.series import plot_series
     from mcp_asdf_tools.experiments.results import Trials
     from mcp_asdf_tools.swarm.run import SwarmRun
     from mcp_asdf_tools.swarm.swarm import Swarm
-
-    Results: TypeAlias = pa.Table | list[Trials]
-    """What pictures are drawn of: a table of trials, or experiments from ``experiments_in``."""
 
 __all__ = [
     "Experiment",
@@ -184,95 +184,12 @@ def score(table: pa.Table, k_max: float | None = None, e_max: float | None = Non
 # --- Pictures --------------------------------------------------------------------------------------------
 
 
-@naming_extras()
-def plot_boxes(
-    results: Results, *, where: Mapping[str, Any] | None = None, limits: Limits = PAPERS
-) -> Figure:
-    """Plot boxes of the score H by the share of flawed robots and their accuracy, a panel for each f and b.
+def __getattr__(name: str) -> Any:
+    """Return the function of this name that draws pictures, such as ``plot_boxes``; it loads matplotlib.
 
-    Scores are relative to ``limits``, by default the paper's. As in all pictures, ``where`` chooses
-    experiments by their parameters, and the figure's method ``savefig`` writes a file. Raises UsageError if
-    no experiment is left, or there are more than fit a picture.
+    Raises UsageError, with the fix, if matplotlib is not installed.
     """
-    from mcp_asdf_tools.experiments import score_plots
-
-    return score_plots.plot_boxes(_experiments_to_plot(results, where), limits)
-
-
-@naming_extras()
-def plot_scatter(
-    results: Results, *, where: Mapping[str, Any] | None = None, limits: Limits = PAPERS
-) -> Figure:
-    """Plot the score h_e against h_K with a point for each trial, a row for each f, a column for each P.
-
-    Raises UsageError as ``plot_boxes``.
-    """
-    from mcp_asdf_tools.experiments import score_plots
-
-    return score_plots.plot_scatter(_experiments_to_plot(results, where), limits)
-
-
-@naming_extras()
-def plot_curve(  # noqa: PLR0913 (each is given by name)
-    results: Results,
-    x: str = "",
-    y: str | Measure = "H",
-    *,
-    hue: str = "",
-    facet: str = "",
-    ax: Axes | None = None,
-    where: Mapping[str, Any] | None = None,
-    limits: Limits | None = None,
-) -> Figure:
-    """Plot medians of the measure ``y`` over the parameter ``x``, with their 95 % intervals.
-
-    ``y`` is H, h_K, h_e, K, e, or a function of ``Trials`` that returns a number for each trial. There is a
-    curve for each value of the parameter ``hue``, and a panel for each value of ``facet``, or the curves are
-    drawn into the axes ``ax``. Scores are relative to ``limits``, by default the paper's. Raises UsageError
-    for a name that is no parameter, if the experiments differ in what is not shown, and for limits where
-    ``y`` is no score.
-    """
-    from mcp_asdf_tools.experiments import curve_plot
-
-    if limits is not None and y not in SCORES:
-        raise UsageError("limits would do nothing: they are for scores, and y is none; leave them out")
-    experiments = _experiments_to_plot(results, where)
-    return curve_plot.plot_curve(experiments, x, hue, y, limits or PAPERS, facet=facet, ax=ax)
-
-
-@naming_extras()
-def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> Figure:
-    """Plot b_hat of all robots of all trials over time: medians and the middle 90 %, a panel an experiment.
-
-    Raises UsageError as ``plot_boxes``, and for trials that are too short for a filter step.
-    """
-    from mcp_asdf_tools.experiments import time_plots
-
-    return time_plots.plot_accuracy_bands(_experiments_to_plot(results, where))
-
-
-@naming_extras()
-def plot_series(results: Results, *, trial: int = 0, where: Mapping[str, Any] | None = None) -> Figure:
-    """Plot b_hat, x_hat and x of every robot over time in one recorded trial of one experiment.
-
-    Raises UsageError if several experiments are left, there is no such trial, or it was not recorded.
-    """
-    from mcp_asdf_tools.experiments import time_plots
-    from mcp_asdf_tools.experiments.results import single_experiment
-
-    experiment = single_experiment(_experiments_to_plot(results, where))
-    return time_plots.plot_series([experiment], trial)
-
-
-def _experiments_to_plot(results: pa.Table | list[Trials], where: Mapping[str, Any] | None) -> list[Trials]:
-    """Return the experiments of results whose parameters have the values in ``where``.
-
-    Raises UsageError if there is none.
-    """
-    from mcp_asdf_tools.experiments.results import select_experiments
-
-    experiments = results if isinstance(results, list) else experiments_in(results)
-    selected = select_experiments(experiments, where or {})
-    if not selected:
-        raise UsageError("there is no experiment to draw; give results of one or more")
-    return selected
+    kind = name.removeprefix("plot_")
+    if kind == name or kind not in KINDS:
+        raise AttributeError(f"module {__name__} has no attribute {name}")
+    return load_plot(kind)

@@ -5,15 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.common.errors import UsageError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from matplotlib.figure import Figure
+from mcp_asdf_tools.experiments.plots import KINDS, load_plot
 
 EPILOG = """\
 examples:
@@ -27,8 +23,6 @@ examples:
 exit code: 0 done, 2 bad usage"""
 LIBRARIES = ("numpy", "matplotlib", "pyarrow")
 
-_KINDS = ("boxes", "scatter", "curve", "bands", "series")
-"""Kinds of pictures; the function ``plot_KIND`` of the library draws one."""
 _PLOT_OPTIONS = ("trial", "x", "hue", "y", "facet")
 """Options that are passed to the function of a kind of picture under the same name."""
 
@@ -37,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
     parser.add_argument("file", metavar="FILE", type=Path, help="results: .parquet")
     parser.add_argument("picture", metavar="PICTURE", type=Path, help="what to draw into: .png, .svg or .pdf")
-    parser.add_argument("--kind", choices=_KINDS, default="boxes", help="what to draw (default %(default)s)")
+    parser.add_argument("--kind", choices=KINDS, default="boxes", help="what to draw (default %(default)s)")
     options.add_where_option(parser)
     parser.add_argument("--trial", metavar="N", type=int, help="which one, for series (default 0)")
     group = parser.add_argument_group("curves")
@@ -55,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     check_plot_path(args.picture)
     keywords = _plot_keywords(args)
     experiments = options.read_selected_experiments(args)
-    draw = _function_of(args.kind)
+    draw = load_plot(args.kind)
     save_figure(draw(experiments, **keywords), args.picture)
     if args.json:
         report = {"picture": str(args.picture), "kind": args.kind, "experiments": len(experiments)}
@@ -63,14 +57,6 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(args.picture)
     return 0
-
-
-def _function_of(kind: str) -> Callable[..., Figure]:
-    """Return the function of the library that draws a kind of picture of experiments."""
-    from mcp_asdf_tools import library
-
-    function: Callable[..., Figure] = getattr(library, f"plot_{kind}")
-    return function
 
 
 def _plot_keywords(args: argparse.Namespace) -> dict[str, Any]:
@@ -102,7 +88,7 @@ def _check_kind_has(kind: str, keyword: str, option: str) -> None:
     """
     from inspect import signature
 
-    kinds_with_it = [name for name in _KINDS if keyword in signature(_function_of(name)).parameters]
+    kinds_with_it = [name for name in KINDS if keyword in signature(load_plot(name)).parameters]
     if kind not in kinds_with_it:
         reason = f"it is for {' and '.join(kinds_with_it)}, and kind is {kind}"
         raise UsageError(f"{option} would do nothing: {reason}; leave it out")

@@ -1,10 +1,10 @@
-"""Layout of pictures of results: grids of panels, legends, colours of series, and lines in a band."""
+"""What pictures of results share: grids of panels, legends, series in their colours, and lines in a band."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,35 +15,35 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOURS, MEDIUM, WIDTH, add_caption, add_legend, empty_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.plot_labels import CELL_PARAMETERS, name_series, sort_key, varying_parameters
+from mcp_asdf_tools.experiments.result_tables import experiments_in
+from mcp_asdf_tools.experiments.results import Trials, select_experiments
 from mcp_asdf_tools.robots.filters import FILTERS
+
+if TYPE_CHECKING:
+    import pyarrow as pa  # type: ignore[import-untyped]
 
 MIN_TRIALS_OF_INTERVAL = 6
 """Trials from which on a median has a 95 % interval."""
+
+Results: TypeAlias = "pa.Table | Sequence[Trials]"
+"""What pictures are drawn of: a table of trials, or experiments from ``experiments_in``."""
 
 _MAX_SERIES = 8
 _MAX_PANELS = 32
 _LEGEND_AND_CAPTION_HEIGHT = 1.4  # inches
 
 
-@dataclass(frozen=True)
-class Series:
-    """Experiments that a picture shows in one colour, with one entry of its legend.
+def experiments_to_plot(results: Results, where: Mapping[str, Any] | None) -> list[Trials]:
+    """Return the experiments of results whose parameters have the values in ``where``.
 
-    Attributes:
-        label: Text of the legend.
-        colour: Colour of all that is drawn of the series.
-        experiments: What is drawn, all panels together.
+    Raises UsageError if there is none.
     """
-
-    label: str
-    colour: str
-    experiments: list[Trials]
-
-    def select(self, is_selected: Callable[[Experiment], bool]) -> Series:
-        """Return the series with only those experiments for which ``is_selected`` returns true."""
-        selected = [trials for trials in self.experiments if is_selected(trials.experiment)]
-        return replace(self, experiments=selected)
+    experiments = results if isinstance(results, Sequence) else experiments_in(results)
+    selected = select_experiments(experiments, where or {})
+    if not selected:
+        raise UsageError("there is no experiment to draw; give results of one or more")
+    return selected
 
 
 def create_panel_grid(
@@ -98,6 +98,32 @@ def legend_handle(label: str, colour: str, marker: str = "o", line: Literal["", 
     return Line2D([], [], linestyle=line, marker=marker, color=colour, label=label)
 
 
+# --- Series ----------------------------------------------------------------------------------------------
+
+SeriesName = Callable[[Experiment], str]
+"""Returns the name of the series that an experiment belongs to."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Experiments that a picture shows in one colour, with one entry of its legend.
+
+    Attributes:
+        label: Text of the legend.
+        colour: Colour of all that is drawn of the series.
+        experiments: What is drawn, all panels together.
+    """
+
+    label: str
+    colour: str
+    experiments: list[Trials]
+
+    def select(self, is_selected: Callable[[Experiment], bool]) -> Series:
+        """Return the series with only those experiments for which ``is_selected`` returns true."""
+        selected = [trials for trials in self.experiments if is_selected(trials.experiment)]
+        return replace(self, experiments=selected)
+
+
 def colours_of_filters(filter_names: Sequence[str]) -> list[str]:
     """Return a colour for each series, by the name of its filter.
 
@@ -113,6 +139,47 @@ def colours_of_filters(filter_names: Sequence[str]) -> list[str]:
         colour = remaining_colours.pop(name, None)
         colours.append(next(free_colours) if colour is None else colour)
     return colours
+
+
+def group_into_series(experiments: Sequence[Trials], series_name: SeriesName | None = None) -> list[Series]:
+    """Return the experiments of equal names as series, in the colour of their filter if they have only one.
+
+    Both series and the experiments in them are in the order of FILTERS, and otherwise as they are passed. By
+    default a series is named by its filter and by the parameters in which the experiments differ, but for
+    those that pictures show otherwise (CELL_PARAMETERS).
+    """
+    varying_names = varying_parameters(experiments, excluded=CELL_PARAMETERS)
+    experiments_by_name: dict[str, list[Trials]] = {}
+    for trials in sorted(experiments, key=lambda trials: sort_key("filter", trials.experiment.filter)):
+        if series_name is None:
+            name = name_series(trials.experiment, varying_names)
+        else:
+            name = series_name(trials.experiment)
+        experiments_by_name.setdefault(name, []).append(trials)
+    colours = colours_of_filters([_common_filter(group) for group in experiments_by_name.values()])
+    return [
+        Series(name, colour, group)
+        for (name, group), colour in zip(experiments_by_name.items(), colours, strict=True)
+    ]
+
+
+def _common_filter(experiments: Sequence[Trials]) -> str:
+    """Return the name of the filter that all experiments have, or an empty name if they have several."""
+    different_names = {trials.experiment.filter for trials in experiments}
+    return different_names.pop() if len(different_names) == 1 else ""
+
+
+def sorted_attributes(experiments: Sequence[Trials], name: str) -> list[float]:
+    """Return the different values of an attribute of the experiments, in order."""
+    return sorted({getattr(trials.experiment, name) for trials in experiments})
+
+
+def accuracy_offset(experiment: Experiment) -> float:
+    """Return how much better than b the accuracy is that flawed robots assume; 0 if there are none."""
+    if not experiment.flawed:
+        return 0.0
+    # Rounding makes differences equal that differ by the error of floats alone, such as 0.9 - 0.8 and 0.1.
+    return round(experiment.flawed_accuracy - experiment.true_accuracy, ndigits=9)
 
 
 # --- Medians in their intervals --------------------------------------------------------------------------

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
 from mcp_asdf_tools.common.figures import save_figure
+from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.time_plots import plot_errors_over_time
 from mcp_asdf_tools.studies.ageing_sensors import (
     DRIFT_RATE,
     SuddenlyWorseSensors,

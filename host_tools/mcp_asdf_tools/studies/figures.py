@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 from matplotlib.figure import Figure
 
-from mcp_asdf_tools.experiments import score_plots, time_plots
 from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.plots import bands, boxes, scatter, series
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.filters import FILTERS
@@ -159,7 +159,7 @@ def _draw_score_boxes(study_results: StudyResults, study_part: StudyPart, filter
     return _make_picture(
         name=f"{study_part.value}_{filter_name}",
         title=f"H of {study_part.label} swarms without filter and with {FILTERS[filter_name].typeset_term}",
-        figure=score_plots.plot_boxes(experiments),
+        figure=boxes.plot_boxes(experiments),
     )
 
 
@@ -173,7 +173,7 @@ def _draw_score_scatter(study_results: StudyResults, study_part: StudyPart) -> P
     return _make_picture(
         name=f"{study_part.value}_scatter",
         title=f"Accuracy against convergence of {study_part.label} swarms, tau = {SHORTEST_PERIOD}",
-        figure=score_plots.plot_scatter(experiments),
+        figure=scatter.plot_scatter(experiments),
     )
 
 
@@ -189,7 +189,7 @@ def _draw_b_hat_bands(study_results: StudyResults, study_part: StudyPart) -> Pic
     return _make_picture(
         name=f"{study_part.value}_bands",
         title=f"b_hat of all robots of {study_part.label} swarms with ASDF+, tau = {SHORTEST_PERIOD}",
-        figure=time_plots.plot_accuracy_bands(experiments),
+        figure=bands.plot_bands(experiments),
     )
 
 
@@ -206,7 +206,7 @@ def _draw_boxes_by_topology(study_results: StudyResults, filter_name: str) -> Pi
     return _make_picture(
         name=f"topologies_{filter_name}",
         title=f"H in both topologies {filters_shown}, tau = {SHORTEST_PERIOD}",
-        figure=score_plots.plot_boxes(experiments, series_name=_topology_and_filter),
+        figure=boxes.plot_boxes(experiments, series_name=_topology_and_filter),
     )
 
 
@@ -235,5 +235,5 @@ def _draw_single_trials(study_size: StudySize) -> Picture:
     return _make_picture(
         name="series",
         title="A trial without filter and one with ASDF+: f = 0.95, b = 0.55, b_hat = 0.95, P = 50 %",
-        figure=time_plots.plot_series(recorded, SERIES_TRIAL),
+        figure=series.plot_runs(recorded, SERIES_TRIAL),
     )

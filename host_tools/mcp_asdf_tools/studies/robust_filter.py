@@ -19,9 +19,9 @@ from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
 from mcp_asdf_tools.common.figures import save_figure
+from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials, select_experiments
-from mcp_asdf_tools.experiments.time_plots import plot_errors_over_time
 from mcp_asdf_tools.studies.ageing_sensors import DRIFT_RATE, WanderingSensors
 from mcp_asdf_tools.studies.bootstrap import Interval, Sample, resample_mean
 from mcp_asdf_tools.studies.peers import (

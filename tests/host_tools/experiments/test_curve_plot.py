@@ -23,9 +23,9 @@ from host_tools.experiments.drawn_figures import (
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOURS
-from mcp_asdf_tools.experiments.curve_plot import MEASURES, plot_curve
 from mcp_asdf_tools.experiments.experiment import grid
 from mcp_asdf_tools.experiments.plot_panels import median_interval
+from mcp_asdf_tools.experiments.plots.curve import MEASURES, plot_curve
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.robots.filters import FILTERS
 
@@ -50,7 +50,7 @@ def densities_and_omegas() -> dict[tuple[float, float], Trials]:
 def test_curves_are_medians_in_their_intervals(
     measure: str, densities_and_omegas: dict[tuple[float, float], Trials]
 ) -> None:
-    (axes,) = plot_curve([*densities_and_omegas.values()], "omega", "density", measure).axes
+    (axes,) = plot_curve([*densities_and_omegas.values()], "omega", measure, hue="density").axes
     for line, band, density in zip(axes.lines, axes.collections, (0.5, 2.0), strict=True):
         samples = {
             omega: densities_and_omegas[density, omega].measures()[measure] for omega in (0.02, 0.05, 0.9)
@@ -61,14 +61,14 @@ def test_curves_are_medians_in_their_intervals(
 def test_curves_have_a_legend_of_their_values(
     densities_and_omegas: dict[tuple[float, float], Trials],
 ) -> None:
-    figure = plot_curve([*densities_and_omegas.values()], "omega", "density")
+    figure = plot_curve([*densities_and_omegas.values()], "omega", hue="density")
     assert legend_of(figure) == ["density 0.5", "density 2"]
 
 
 def test_curves_without_panels_have_one_large_one(
     densities_and_omegas: dict[tuple[float, float], Trials],
 ) -> None:
-    figure = plot_curve([*densities_and_omegas.values()], "omega", "density")
+    figure = plot_curve([*densities_and_omegas.values()], "omega", hue="density")
     assert_panels(figure, rows=1, columns=1, panel_height=3.8)
     assert (figure.get_supylabel(), caption_of(figure).split()[0]) == ("H", "omega")
 
@@ -100,7 +100,7 @@ def swarms_of_four_sizes() -> list[Trials]:
 
 @pytest.fixture(scope="module")
 def curves_in_panels(swarms_of_four_sizes: list[Trials]) -> Figure:
-    return plot_curve(swarms_of_four_sizes, "flawed", "filter", facet="robots")
+    return plot_curve(swarms_of_four_sizes, "flawed", hue="filter", facet="robots")
 
 
 def test_each_value_of_a_facet_has_a_panel(curves_in_panels: Figure) -> None:
@@ -132,7 +132,7 @@ def test_the_caption_counts_trials_and_says_when_a_band_is_no_interval(curves_in
 
 
 def test_one_value_of_a_facet_has_one_large_panel(swarms_of_four_sizes: list[Trials]) -> None:
-    figure = plot_curve(swarms_of_four_sizes[:4], "flawed", "filter", facet="robots")
+    figure = plot_curve(swarms_of_four_sizes[:4], "flawed", hue="filter", facet="robots")
     assert titles_of(figure) == ["robots 4"]
     assert_panels(figure, rows=1, columns=1, panel_height=3.8)
 
@@ -153,7 +153,7 @@ def test_a_curve_can_be_of_a_function_in_axes_of_the_user(swarms_of_four_sizes: 
 
 def test_axes_of_the_user_get_a_legend_of_several_curves(swarms_of_four_sizes: list[Trials]) -> None:
     axes = Figure().subplots()
-    plot_curve(swarms_of_four_sizes[:4], "flawed", "filter", ax=axes)
+    plot_curve(swarms_of_four_sizes[:4], "flawed", hue="filter", ax=axes)
     legend = axes.get_legend()
     assert legend is not None
     assert [text.get_text() for text in legend.get_texts()] == ["filter none", "filter robust"]
@@ -163,7 +163,7 @@ def test_axes_of_the_user_get_a_legend_of_several_curves(swarms_of_four_sizes: l
 def test_panels_do_not_go_into_axes_of_the_user(swarms_of_four_sizes: list[Trials]) -> None:
     axes = Figure().subplots()
     with pytest.raises(UsageError, match="give one of them"):
-        plot_curve(swarms_of_four_sizes[:4], "flawed", "filter", facet="robots", ax=axes)
+        plot_curve(swarms_of_four_sizes[:4], "flawed", hue="filter", facet="robots", ax=axes)
 
 
 # --- Parameters ------------------------------------------------------------------------------------------
@@ -206,7 +206,7 @@ def results_by_filter() -> dict[str, Trials]:
 
 
 def test_curves_of_filters_have_their_colours(results_by_filter: dict[str, Trials]) -> None:
-    (axes,) = plot_curve([*results_by_filter.values()], "flawed", "filter").axes
+    (axes,) = plot_curve([*results_by_filter.values()], "flawed", hue="filter").axes
     assert [line.get_color() for line in axes.lines] == [GREY, COLOURS[0], COLOURS[1], GREEN]
 
 

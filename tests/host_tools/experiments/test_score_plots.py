@@ -24,10 +24,11 @@ from host_tools.experiments.drawn_figures import (
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOURS, INK
-from mcp_asdf_tools.experiments.curve_plot import plot_curve
 from mcp_asdf_tools.experiments.plot_panels import colours_of_filters
+from mcp_asdf_tools.experiments.plots.boxes import plot_boxes
+from mcp_asdf_tools.experiments.plots.curve import plot_curve
+from mcp_asdf_tools.experiments.plots.scatter import plot_scatter
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.score_plots import plot_boxes, plot_scatter
 from mcp_asdf_tools.experiments.scores import Limits
 from mcp_asdf_tools.robots.filters import FILTERS
 
@@ -64,7 +65,7 @@ def results() -> list[Trials]:
 
 @pytest.fixture(scope="module")
 def boxes(results: list[Trials]) -> Figure:
-    return plot_boxes(results, LIMITS)
+    return plot_boxes(results, limits=LIMITS)
 
 
 def points_by_position(axes: Axes) -> list[tuple[np.ndarray, np.ndarray, str]]:
@@ -163,7 +164,7 @@ def test_the_caption_has_the_limits_and_explains_the_marks(boxes: Figure) -> Non
 def scatter(results: list[Trials]) -> Figure:
     """Draw the scores of underconfident swarms, and of one that is overconfident."""
     overconfident = results_of(replace(SHORT_EXPERIMENT, flawed=2, true_accuracy=0.55, flawed_accuracy=0.95))
-    return plot_scatter([*results, overconfident], LIMITS)
+    return plot_scatter([*results, overconfident], limits=LIMITS)
 
 
 def panel_titled(figure: Figure, title: str) -> Axes:
@@ -242,7 +243,7 @@ def with_parameters(trials: Trials, **parameters: Any) -> Trials:
 
 
 @pytest.mark.parametrize(
-    "plot", [plot_boxes, plot_scatter, lambda experiments: plot_curve(experiments, "omega", "seed")]
+    "plot", [plot_boxes, plot_scatter, lambda experiments: plot_curve(experiments, "omega", hue="seed")]
 )
 def test_nine_series_do_not_fit_a_picture(plot: Any, results: list[Trials]) -> None:
     experiments = [with_parameters(results[0], seed=seed) for seed in range(9)]

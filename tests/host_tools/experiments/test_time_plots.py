@@ -24,8 +24,10 @@ from host_tools.experiments.drawn_figures import (
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import FLAWED, INK, OTHER
+from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
+from mcp_asdf_tools.experiments.plots.bands import plot_bands
+from mcp_asdf_tools.experiments.plots.series import plot_runs, plot_series
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.experiments.time_plots import plot_accuracy_bands, plot_errors_over_time, plot_series
 
 # --- Errors of swarms ------------------------------------------------------------------------------------
 
@@ -99,7 +101,7 @@ def half_flawed() -> Trials:
 
 @pytest.fixture(scope="module")
 def five_bands(half_flawed: Trials) -> Figure:
-    return plot_accuracy_bands([half_flawed] * 5)
+    return plot_bands([half_flawed] * 5)
 
 
 def test_lines_are_medians_of_flawed_and_of_healthy_robots(five_bands: Figure, half_flawed: Trials) -> None:
@@ -140,7 +142,7 @@ def test_robots_are_off_from_what_they_assumed_at_first(half_flawed: Trials) -> 
     experiment = replace(half_flawed.experiment, unflawed_accuracy=0.8)
     b_hat = half_flawed.b_hat.copy()
     b_hat[:, -1, 2:] = 0.84
-    figure = plot_accuracy_bands([replace(half_flawed, experiment=experiment, b_hat=b_hat)])
+    figure = plot_bands([replace(half_flawed, experiment=experiment, b_hat=b_hat)])
     assert titles_of(figure)[0].endswith("off: 0% of healthy robots")
 
 
@@ -150,25 +152,25 @@ def test_five_bands_have_a_row_of_three_and_one_of_two(five_bands: Figure) -> No
 
 
 def test_four_bands_are_a_square(half_flawed: Trials) -> None:
-    assert_panels(plot_accuracy_bands([half_flawed] * 4), rows=2, columns=2, panel_height=2.1)
+    assert_panels(plot_bands([half_flawed] * 4), rows=2, columns=2, panel_height=2.1)
 
 
 def test_a_swarm_without_healthy_robots_has_one_band_and_no_share(half_flawed: Trials) -> None:
-    figure = plot_accuracy_bands([results_of(replace(half_flawed.experiment, flawed=4))])
+    figure = plot_bands([results_of(replace(half_flawed.experiment, flawed=4))])
     assert len(figure.axes[0].collections) == 1
     assert titles_of(figure)[0].endswith("off: -")
 
 
 def test_bands_of_several_filters_are_ordered_and_named(half_flawed: Trials) -> None:
     unfiltered = results_of(replace(half_flawed.experiment, filter="none"))
-    titles = titles_of(plot_accuracy_bands([half_flawed, unfiltered]))
+    titles = titles_of(plot_bands([half_flawed, unfiltered]))
     assert [title.split("\n")[0] for title in titles] == ["no filter", "ASDF+"]
 
 
 def test_bands_name_parameters_that_have_an_effect(half_flawed: Trials) -> None:
     unfiltered = results_of(replace(half_flawed.experiment, filter="none"))
     other_period = results_of(replace(half_flawed.experiment, filter_period=150))
-    titles = titles_of(plot_accuracy_bands([unfiltered, half_flawed, other_period]))
+    titles = titles_of(plot_bands([unfiltered, half_flawed, other_period]))
     named = [title.split("\n")[1].split(",")[0] for title in titles]
     assert named == ["$f$ = 0.55", "filter period 100", "filter period 150"]
 
@@ -176,7 +178,7 @@ def test_bands_name_parameters_that_have_an_effect(half_flawed: Trials) -> None:
 def test_bands_need_a_filter_step(half_flawed: Trials) -> None:
     without_filter_step = results_of(replace(SHORT_EXPERIMENT, filter_period=1000))
     with pytest.raises(UsageError, match="these trials have no filter step"):
-        plot_accuracy_bands([half_flawed, without_filter_step])
+        plot_bands([half_flawed, without_filter_step])
 
 
 # --- One trial -------------------------------------------------------------------------------------------
@@ -193,7 +195,7 @@ def recorded_runs() -> list[Trials]:
 
 @pytest.fixture(scope="module")
 def series(recorded_runs: list[Trials]) -> Figure:
-    return plot_series(recorded_runs, 0)
+    return plot_runs(recorded_runs, 0)
 
 
 def panel_of(figure: Figure, row: int, column: int) -> Axes:
@@ -269,9 +271,9 @@ def test_the_legend_of_series_tells_robots_apart(series: Figure) -> None:
 
 
 def test_a_single_run_can_be_drawn(recorded_runs: list[Trials]) -> None:
-    assert len(plot_series(recorded_runs[:1], 0).axes) == 3
+    assert len(plot_series(recorded_runs[:1]).axes) == 3
 
 
 def test_a_trial_that_was_not_run_cannot_be_drawn(recorded_runs: list[Trials]) -> None:
     with pytest.raises(UsageError, match=r"there is no trial 1; choose one of 0 \.\. 0"):
-        plot_series(recorded_runs, 1)
+        plot_series(recorded_runs[:1], trial=1)

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from mcp_asdf_tools.experiments import score_plots, time_plots
 from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.plots import bands, boxes, scatter, series
 from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of
 from mcp_asdf_tools.studies.figures import draw_pictures
 from mcp_asdf_tools.studies.study_results import StudyResults
@@ -69,10 +69,10 @@ def note_swarms(
 @pytest.fixture(autouse=True)
 def plots_that_note_swarms(monkeypatch: pytest.MonkeyPatch) -> None:
     for module, function in (
-        (score_plots, "plot_boxes"),
-        (score_plots, "plot_scatter"),
-        (time_plots, "plot_accuracy_bands"),
-        (time_plots, "plot_series"),
+        (boxes, "plot_boxes"),
+        (scatter, "plot_scatter"),
+        (bands, "plot_bands"),
+        (series, "plot_runs"),
     ):
         monkeypatch.setattr(module, function, note_swarms)
 
@@ -152,7 +152,7 @@ def test_asdf_minus_has_its_ends_where_it_is_another_filter(name: str) -> None:
 
 def test_series_are_recorded_trials(monkeypatch: pytest.MonkeyPatch) -> None:
     recorded: list[Any] = []
-    monkeypatch.setattr(time_plots, "plot_series", lambda runs, trial: recorded.extend(runs))
+    monkeypatch.setattr(series, "plot_runs", lambda runs, trial: recorded.extend(runs))
     pictures_of(StudyPart.FULLY_CONNECTED)
     assert [sorted(trials.records) for trials in recorded] == [sorted(recorded[0].records)] * 2
     assert [trials.numbers for trials in recorded] == [[0], [0]]

@@ -25,11 +25,13 @@ from mcp_asdf_tools.experiments.plot_labels import (
     varying_parameters,
 )
 from mcp_asdf_tools.experiments.plot_panels import (
+    Results,
     Series,
     colours_of_filters,
     create_panels,
     describe_intervals,
     draw_band,
+    experiments_to_plot,
     label_figure,
     legend_handle,
     median_intervals,
@@ -44,21 +46,28 @@ Measure = Callable[[Trials], NDArray[np.float64]]
 
 
 def plot_curve(  # noqa: PLR0913 (each is given by name)
-    experiments: Sequence[Trials],
-    x: str,
-    hue: str = "",
+    results: Results,
+    x: str = "",
     y: str | Measure = "H",
-    limits: Limits = PAPERS,
     *,
+    hue: str = "",
     facet: str = "",
     ax: Axes | None = None,
+    where: Mapping[str, Any] | None = None,
+    limits: Limits | None = None,
 ) -> Figure:
-    """Plot the median of ``y``, one of MEASURES or a function, over a parameter ``x``, in its 95 % interval.
+    """Plot medians of the measure ``y`` over the parameter ``x``, with their 95 % intervals.
 
-    There is a curve for each value of the parameter ``hue``, and a panel for each value of ``facet``; or the
-    curves are drawn into ``ax``, whose figure is returned. Flawed robots are a share. Raises UsageError for
-    unknown parameters, and if the experiments differ in any other.
+    ``y`` is H, h_K, h_e, K, e, or a function of ``Trials`` that returns a number for each trial. There is a
+    curve for each value of the parameter ``hue``, and a panel for each value of ``facet``, or the curves are
+    drawn into the axes ``ax``. Flawed robots are a share. Scores are relative to ``limits``, by default the
+    paper's. Raises UsageError for a name that is no parameter, if the experiments differ in what is not
+    shown, and for limits where ``y`` is no score.
     """
+    if limits is not None and y not in SCORES:
+        raise UsageError("limits would do nothing: they are for scores, and y is none; leave them out")
+    limits = limits or PAPERS
+    experiments = experiments_to_plot(results, where)
     _check_axes(experiments, x, hue, y, facet)
     all_series = _series_by_hue(experiments, hue)
     x_values = _sorted_values(experiments, x)

@@ -1,0 +1,76 @@
+"""Errors of swarms over time, for the studies: a panel for each title, and a line for each filter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mcp_asdf_tools.common.figures import SMALL, clean
+from mcp_asdf_tools.experiments.plot_labels import make_caption
+from mcp_asdf_tools.experiments.plot_panels import (
+    colours_of_filters,
+    create_panels,
+    describe_intervals,
+    draw_band,
+    label_figure,
+    legend_handle,
+    median_intervals,
+)
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.scores import PAPERS, Limits
+from mcp_asdf_tools.robots.filters import FILTERS
+
+
+def plot_errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: Limits = PAPERS) -> Figure:
+    """Plot the mean error |x - f| of a swarm over time: a panel for each title, in it a line for each filter.
+
+    x is a robot's informed estimate and f the true share of black tiles, so this is the mean over the robots
+    of a trial; the line is the median over the trials. Trials of one panel and filter are taken together. All
+    must have been recorded, with the same interval. Raises UsageError if there are too many panels.
+    """
+    all_experiments = [trials for experiments in panels.values() for trials in experiments]
+    used_filters = {trials.experiment.filter for trials in all_experiments}
+    colour_by_filter = {
+        name: colour
+        for name, colour in zip(FILTERS, colours_of_filters([*FILTERS]), strict=True)
+        if name in used_filters
+    }
+    figure, grid = create_panels(len(panels), 1.9, len(colour_by_filter))
+    for axes, (title, experiments) in zip(grid, panels.items(), strict=True):
+        axes.set_title(title, fontsize=SMALL, loc="left")
+        for name, colour in colour_by_filter.items():
+            experiments_of_filter = [trials for trials in experiments if trials.experiment.filter == name]
+            _draw_errors(axes, experiments_of_filter, colour)
+        axes.set_yscale("log")
+        clean(axes)
+    handles = [
+        legend_handle(FILTERS[name].typeset_term, colour, marker="", line="-")
+        for name, colour in colour_by_filter.items()
+    ]
+    intervals = describe_intervals(all_experiments)
+    marks = f"lines are medians over the trials of a swarm's mean error, {intervals}"
+    caption = make_caption(all_experiments, marks, limits)
+    return label_figure(figure, "step", "error |x \u2212 f|", caption, handles)
+
+
+def _draw_errors(axes: Axes, experiments: Sequence[Trials], colour: str) -> None:
+    """Draw the median over all trials of a swarm's mean error, in its interval; nothing without trials.
+
+    The time axis is that of the first experiment: all must have been recorded with the same interval.
+    """
+    if not experiments:
+        return
+    robot_axis = 2
+    errors = [
+        abs(trials.records["x"] - trials.experiment.fill_ratio).mean(axis=robot_axis)
+        for trials in experiments
+    ]
+    error_by_trial_and_sample = np.concatenate(errors)
+    # A median over the trials is wanted for each sample, so samples come first.
+    band = median_intervals(error_by_trial_and_sample.T)
+    sample_count = error_by_trial_and_sample.shape[1]
+    steps = np.arange(sample_count) * experiments[0].sampling_interval
+    draw_band(axes, steps, band, colour)

@@ -1,0 +1,162 @@
+"""Accuracies that all robots of all trials assume, over time."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.figures import FLAWED, INK, OTHER, SMALL, clean
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.plot_labels import (
+    CELL_PARAMETERS,
+    filter_name,
+    flawed_share,
+    has_effect,
+    make_caption,
+    parameter_with_value,
+    sort_key,
+    varying_parameters,
+)
+from mcp_asdf_tools.experiments.plot_panels import (
+    Results,
+    create_panels,
+    draw_band,
+    experiments_to_plot,
+    label_figure,
+    legend_handle,
+)
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.scores import PAPERS
+
+ACCURACY_TOLERANCE = 0.05
+"""Change of b_hat from its first value above which a healthy robot counts as misled by its filter."""
+
+_MEDIAN_AND_BAND_PERCENTILES = (50, 5, 95)
+"""Percentiles of the line, the lower and the upper edge of a band."""
+
+_MARKS = "lines are medians over robots and trials, bands the middle 90 %"
+
+_TITLE_WIDTH = 56
+"""Characters in a line of a title. Those of formulas, which are drawn shorter, count in full."""
+
+
+def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> Figure:
+    """Plot b_hat of all robots of all trials over time: medians and the middle 90 %, a panel an experiment.
+
+    b_hat is the accuracy that a robot assumes of its sensor; it is drawn after each filter step. Panels are
+    in the order of their filters; a title ends with the share of healthy robots that their filter has misled:
+    whose b_hat ends more than ACCURACY_TOLERANCE from its first value. Raises UsageError as ``plot_boxes``,
+    and for trials that are too short for a filter step.
+    """
+    experiments = experiments_to_plot(results, where)
+    if any(_filter_step_count(trials) == 0 for trials in experiments):
+        raise UsageError("these trials have no filter step; run more steps, or a shorter filter_period")
+    max_columns = 2 if len(experiments) == 4 else 3  # four make a square
+    figure, panels = create_panels(len(experiments), panel_height=2.1, max_columns=max_columns)
+    ordered_experiments = sorted(experiments, key=lambda trials: sort_key("filter", trials.experiment.filter))
+    titles = _panel_titles(ordered_experiments)
+    for axes, trials, title in zip(panels, ordered_experiments, titles, strict=True):
+        _draw_accuracy_bands(axes, trials)
+        axes.set_title(f"{title}\n{_describe_misled(trials)}", fontsize=SMALL)
+    handles = [
+        legend_handle(label, colour, marker="", line="-")
+        for label, colour in (("flawed", FLAWED), ("healthy", OTHER), ("true", INK))
+    ]
+    caption = make_caption(experiments, _MARKS, PAPERS)
+    return label_figure(figure, "step", r"assumed accuracy $\hat{b}$", caption, handles)
+
+
+def _filter_step_count(trials: Trials) -> int:
+    """Return how many filter steps each trial has."""
+    return int(trials.b_hat.shape[1])
+
+
+def _panel_titles(experiments: Sequence[Trials]) -> list[str]:
+    """Return a title for each experiment: what makes it differ from the others, and its f, b, b_hat and P.
+
+    These letters are the paper's: f is the share of black tiles, b the true accuracy of a sensor, b_hat the
+    accuracy that flawed robots assume at first, and P the share of flawed robots. A first line names the
+    filter if the experiments have several.
+    """
+    # f, b, b_hat, P and the filter are in every title, so they are not looked for among the differences.
+    varying_names = varying_parameters(experiments, excluded=CELL_PARAMETERS)
+    has_several_filters = len({trials.experiment.filter for trials in experiments}) > 1
+    titles = []
+    for trials in experiments:
+        lines = _title_lines(trials.experiment, varying_names)
+        if has_several_filters:
+            lines.insert(0, filter_name(trials.experiment))
+        titles.append("\n".join(lines))
+    return titles
+
+
+def _title_lines(experiment: Experiment, varying_names: Sequence[str]) -> list[str]:
+    """Return the varying parameters that have an effect in the experiment, then f, b, b_hat and P.
+
+    The text is wrapped into lines of up to _TITLE_WIDTH characters.
+    """
+    values = [
+        parameter_with_value(name, experiment.parameters()[name])
+        for name in varying_names
+        if has_effect(experiment, name)
+    ]
+    values.append(f"$f$ = {experiment.fill_ratio:g}")
+    values.append(f"$b$ = {experiment.true_accuracy:g}")
+    values.append(rf"$\hat{{b}}$ = {experiment.flawed_accuracy:g}")
+    values.append(f"$P$ = {flawed_share(experiment):.0%}")
+    # A symbol and its value stay on one line.
+    text = ", ".join(values).replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}")
+    return textwrap.wrap(text, _TITLE_WIDTH)
+
+
+def _draw_accuracy_bands(axes: Axes, trials: Trials) -> None:
+    """Draw b_hat of flawed and of healthy robots over time, and the true accuracy as a dashed line.
+
+    Robots of either kind are left out if there are none.
+    """
+    experiment = trials.experiment
+    steps = experiment.filter_period * np.arange(1, _filter_step_count(trials) + 1)
+    flawed, healthy = _flawed_and_healthy(trials)
+    for colour, b_hat in ((FLAWED, flawed), (OTHER, healthy)):
+        if b_hat.size:
+            trial_axis, robot_axis = 0, 2
+            band = np.percentile(b_hat, _MEDIAN_AND_BAND_PERCENTILES, axis=(trial_axis, robot_axis))
+            draw_band(axes, steps, band, colour)
+    axes.axhline(experiment.true_accuracy, color=INK, linewidth=1.2, linestyle="--")
+    clean(axes)
+
+
+def _flawed_and_healthy(trials: Trials) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return b_hat of the flawed robots, which come first, and of the others.
+
+    Both have the shape (trials, filter steps, robots of that kind).
+    """
+    flawed_count = trials.experiment.flawed
+    return trials.b_hat[:, :, :flawed_count], trials.b_hat[:, :, flawed_count:]
+
+
+def _describe_misled(trials: Trials) -> str:
+    """Return a line for a title such as "more than 0.05 off: 12% of healthy robots".
+
+    That is the share of the healthy robots of all trials whose b_hat after the last filter step differs by
+    more than ACCURACY_TOLERANCE from the one they started with. It is "-" if there are no healthy robots.
+    """
+    _, healthy = _flawed_and_healthy(trials)
+    share = "-"
+    if healthy.size:
+        experiment = trials.experiment
+        # An unflawed accuracy of 0 means that healthy robots start with the true one.
+        has_unflawed_accuracy = experiment.unflawed_accuracy != 0
+        initial_b_hat = experiment.unflawed_accuracy if has_unflawed_accuracy else experiment.true_accuracy
+        last_filter_step = -1
+        final_b_hat = healthy[:, last_filter_step, :]
+        is_misled = abs(final_b_hat - initial_b_hat) > ACCURACY_TOLERANCE
+        share = f"{np.mean(is_misled):.0%} of healthy robots"
+    return f"more than {ACCURACY_TOLERANCE} off: {share}"

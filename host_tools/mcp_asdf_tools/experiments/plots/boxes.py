@@ -1,0 +1,119 @@
+"""Boxes of the score H, by the share of flawed robots and their accuracy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.common.figures import INK, MEDIUM, clean
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.plot_labels import flawed_share, make_caption
+from mcp_asdf_tools.experiments.plot_panels import (
+    Results,
+    Series,
+    SeriesName,
+    accuracy_offset,
+    create_panel_grid,
+    experiments_to_plot,
+    group_into_series,
+    label_figure,
+    legend_handle,
+    sorted_attributes,
+)
+from mcp_asdf_tools.experiments.scores import PAPERS, Limits
+
+_MARKS = (
+    "a point is a trial; boxes from quartile to quartile with the median, whiskers to the last trial within "
+    "1.5 of their length"
+)
+_SLOT_WIDTH = 0.86
+"""Width that the boxes of a slot share, where slots are 1 apart."""
+
+_GOLDEN_RATIO = 0.618
+"""Multiples of it, less their integers, are spread evenly, however many they are."""
+
+
+def plot_boxes(
+    results: Results,
+    *,
+    where: Mapping[str, Any] | None = None,
+    limits: Limits = PAPERS,
+    series_name: SeriesName | None = None,
+) -> Figure:
+    """Plot boxes of the score H by the share of flawed robots and their accuracy, a panel for each f and b.
+
+    They are as in the paper's figures 3 and 5, with a colour for each series of ``group_into_series``. A
+    point for each trial shows what a box hides: cells whose trials fall into two groups. f is the share of
+    black tiles, b the true accuracy of a sensor.
+
+    Scores are relative to ``limits``, by default the paper's. As in all pictures, ``where`` chooses
+    experiments by their parameters, and the figure's method ``savefig`` writes a file. Raises UsageError if
+    no experiment is left, or there are more panels or series than fit a picture.
+    """
+    experiments = experiments_to_plot(results, where)
+    all_series = group_into_series(experiments, series_name)
+    fill_ratios = sorted_attributes(experiments, "fill_ratio")
+    accuracies = sorted_attributes(experiments, "true_accuracy")
+    figure, grid = create_panel_grid(len(fill_ratios), len(accuracies), 2.6, len(all_series), sharex=False)
+    for (row, column), axes in np.ndenumerate(grid):
+        f, b = fill_ratios[row], accuracies[column]
+        _draw_box_panel(axes, [_select_panel(series, f, b) for series in all_series], limits)
+        axes.set_title(f"$f = {f:g}$, $b = {b:g}$", fontsize=MEDIUM)
+    x_label = r"$\hat{b} - b$ of flawed robots, and their proportion $P$"
+    caption = make_caption(experiments, _MARKS, limits)
+    handles = [legend_handle(series.label, series.colour, "s") for series in all_series]
+    return label_figure(figure, x_label, "score $H$", caption, handles)
+
+
+def _select_panel(series: Series, f: float, b: float) -> Series:
+    """Return the series with only those experiments that have this f and this b."""
+    return series.select(lambda experiment: (experiment.fill_ratio, experiment.true_accuracy) == (f, b))
+
+
+def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limits) -> None:
+    """Draw a box for each experiment of a panel.
+
+    Along the x axis there is a slot for each share P of flawed robots and offset of their b_hat from b, in
+    which the boxes of the series stand side by side.
+    """
+    slots = sorted(
+        {_slot_of(trials.experiment) for series in series_of_panel for trials in series.experiments}
+    )
+    box_width = _SLOT_WIDTH / len(series_of_panel)
+    for series_index, series in enumerate(series_of_panel):
+        # From the middle of a slot, whose position is a whole number.
+        offset = (series_index + 0.5) * box_width - _SLOT_WIDTH / 2
+        for trials in series.experiments:
+            middle = slots.index(_slot_of(trials.experiment)) + offset
+            _draw_box(axes, trials.scores(limits)["H"], middle, 0.85 * box_width, series.colour)
+    axes.set(ylim=(0, 103), xlim=(-0.5, len(slots) - 0.5))
+    axes.set_xticks(range(len(slots)), [f"{offset:+.2g}\n{share:.0%}" for share, offset in slots])
+    clean(axes)
+
+
+def _slot_of(experiment: Experiment) -> tuple[float, float]:
+    """Return P, the share of flawed robots, and the offset of the accuracy that they assume."""
+    return flawed_share(experiment), accuracy_offset(experiment)
+
+
+def _draw_box(axes: Axes, scores: NDArray[np.float64], middle: float, width: float, colour: str) -> None:
+    """Draw a box of the trials' scores, and a point for each trial, spread evenly over the box's width."""
+    line = {"color": colour, "linewidth": 0.8}
+    axes.boxplot(
+        scores,
+        positions=[middle],
+        widths=width,
+        showfliers=False,
+        medianprops={"color": INK, "linewidth": 1.2},
+        boxprops=line,
+        whiskerprops=line,
+        capprops=line,
+    )
+    shares_of_width = np.arange(len(scores)) * _GOLDEN_RATIO % 1
+    distances = (shares_of_width - 0.5) * width  # from the middle of the box
+    axes.plot(middle + distances, scores, ".", color=colour, markersize=3.5, alpha=0.6, markeredgewidth=0)

@@ -1,0 +1,89 @@
+"""Scores of accuracy against scores of convergence, with a point for each trial."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from mcp_asdf_tools.common.figures import INK, SMALL, clean
+from mcp_asdf_tools.experiments.plot_labels import flawed_share, make_caption
+from mcp_asdf_tools.experiments.plot_panels import (
+    Results,
+    accuracy_offset,
+    create_panel_grid,
+    experiments_to_plot,
+    group_into_series,
+    label_figure,
+    legend_handle,
+    sorted_attributes,
+)
+from mcp_asdf_tools.experiments.scores import PAPERS, Limits
+
+_MARKS = (
+    "a point is a trial: blue where flawed robots are overconfident, red where they are underconfident, "
+    "darker the farther off"
+)
+_MARKERS = "osD^v"
+
+
+def plot_scatter(
+    results: Results, *, where: Mapping[str, Any] | None = None, limits: Limits = PAPERS
+) -> Figure:
+    """Plot the score h_e against h_K with a point for each trial, a row for each f, a column for each P.
+
+    h_e is the score for a small error, and h_K that for fast convergence; f is the share of black tiles, and
+    P that of flawed robots. As in the paper's figure 4, there are rows for each series, too; swarms whose
+    flawed robots assume a better accuracy than the true one, b, are blue, those who assume a worse one red;
+    each b has a marker. Raises UsageError as ``plot_boxes``.
+    """
+    experiments = experiments_to_plot(results, where)
+    all_series = group_into_series(experiments)
+    fill_ratios = sorted_attributes(experiments, "fill_ratio")
+    accuracies = sorted_attributes(experiments, "true_accuracy")
+    shares = sorted({flawed_share(trials.experiment) for trials in experiments})
+    rows = [(series, f) for series in all_series for f in fill_ratios]
+    figure, grid = create_panel_grid(len(rows), len(shares), 1.7, len(all_series))
+    # An entry of the legend for each b and offset of b_hat that occurs.
+    handles: dict[tuple[float, float], Line2D] = {}
+    for (row, column), axes in np.ndenumerate(grid):
+        series, f = rows[row]
+        for trials in series.experiments:
+            experiment = trials.experiment
+            is_of_panel = (experiment.fill_ratio, flawed_share(experiment)) == (f, shares[column])
+            if not is_of_panel:
+                continue
+            b, offset = experiment.true_accuracy, accuracy_offset(experiment)
+            colour = _colour_of_offset(offset)
+            marker = _MARKERS[accuracies.index(b) % len(_MARKERS)]
+            scores = trials.scores(limits)
+            axes.plot(scores["h_K"], scores["h_e"], marker, color=colour, markersize=3, alpha=0.6)
+            handles[b, offset] = legend_handle(_describe_accuracy(b, offset), colour, marker)
+        axes.set_title(f"{series.label}\n$f = {f:g}$, $P$ = {shares[column]:.0%}", fontsize=SMALL)
+        axes.set(xlim=(-4, 104), ylim=(-4, 104))
+        clean(axes)
+    caption = make_caption(experiments, _MARKS, limits)
+    ordered_handles = [handles[key] for key in sorted(handles)]
+    return label_figure(figure, "convergence score $h_K$", "accuracy score $h_e$", caption, ordered_handles)
+
+
+def _describe_accuracy(b: float, offset: float) -> str:
+    """Return b and the flawed robots' b_hat for a legend; an offset of 0 stands for no flawed robots."""
+    if not offset:
+        return f"$b$ = {b:g}, none flawed"
+    return rf"$b$ = {b:g}, $\hat{{b}}$ = {b + offset:g}"
+
+
+def _colour_of_offset(offset: float) -> str:
+    """Return a blue for an offset above 0 and a red below, darker the farther off, or INK for 0.
+
+    Offsets of -0.5 and 0.5 are the ends of the scale.
+    """
+    if not offset:
+        return INK
+    return to_hex(colormaps["RdBu"](0.5 + offset))

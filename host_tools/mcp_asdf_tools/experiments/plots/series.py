@@ -1,0 +1,170 @@
+"""Single trials over time: what each robot assumes and estimates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.figures import (
+    FLAWED,
+    INK,
+    MEDIUM,
+    OTHER,
+    SMALL,
+    WIDTH,
+    add_legend,
+    clean,
+    empty_figure,
+)
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.plot_labels import filter_name
+from mcp_asdf_tools.experiments.plot_panels import Results, experiments_to_plot
+from mcp_asdf_tools.experiments.results import Trials, single_experiment
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """A quantity that is drawn over time.
+
+    Attributes:
+        name: Its name in the records.
+        label: Its name on the axis.
+        true_symbol: Letter of its true value.
+        true_parameter: Parameter with its true value.
+    """
+
+    name: str
+    label: str
+    true_symbol: str
+    true_parameter: str
+
+
+_QUANTITIES = (
+    _Quantity("b_hat", r"assumed accuracy $\hat{b}$", "b", "true_accuracy"),
+    _Quantity("x_hat", r"local estimate $\hat{x}$", "f", "fill_ratio"),
+    _Quantity("x", r"informed estimate $x$", "f", "fill_ratio"),
+)
+_FLAWED_LABEL, _HEALTHY_LABEL, _TRUE_LABEL = "flawed robots", "healthy robots", "true value"
+
+
+def plot_series(results: Results, *, trial: int = 0, where: Mapping[str, Any] | None = None) -> Figure:
+    """Plot b_hat, x_hat and x of every robot over time in one recorded trial of one experiment.
+
+    Raises UsageError if several experiments are left, there is no such trial, or it was not recorded.
+    """
+    experiment = single_experiment(experiments_to_plot(results, where))
+    return plot_runs([experiment], trial)
+
+
+def plot_runs(runs: Sequence[Trials], trial_number: int) -> Figure:
+    """Plot b_hat, x_hat and x of every robot over time in one trial of each run, as in the paper's figure 6.
+
+    These are the accuracy that a robot assumes, its local estimate and its informed estimate. Runs stand side
+    by side, quantities below each other. Raises UsageError if a run has no such trial, or was not recorded
+    over time.
+    """
+    for trials in runs:
+        _check_recorded_trial(trials, trial_number)
+    figure = empty_figure(WIDTH, 7.5)
+    grid = figure.subplots(len(_QUANTITIES), len(runs), sharex=True, sharey="row", squeeze=False)
+    last_step = max(trials.experiment.steps for trials in runs)
+    for row, quantity in zip(grid, _QUANTITIES, strict=True):
+        for axes, trials in zip(row, runs, strict=True):
+            _draw_quantity(axes, trials, trial_number, quantity)
+        # The panels of a row share their axes, so what is set for the leftmost one holds for all.
+        leftmost_axes = row[0]
+        leftmost_axes.set(xlim=(0, last_step), ylim=_limits_of_quantity(runs, trial_number, quantity))
+        leftmost_axes.set_ylabel(quantity.label, fontsize=MEDIUM)
+    for trials, column in zip(runs, grid.T, strict=True):
+        top_axes, bottom_axes = column[0], column[-1]
+        top_axes.set_title(_series_title(trials.experiment, trial_number), fontsize=SMALL, loc="left")
+        bottom_axes.set_xlabel("step", fontsize=MEDIUM)
+    line_by_label = {line.get_label(): line for axes in grid.flat for line in axes.lines}
+    labels = [label for label in (_FLAWED_LABEL, _HEALTHY_LABEL, _TRUE_LABEL) if label in line_by_label]
+    add_legend(figure, [line_by_label[label] for label in labels])
+    return figure
+
+
+def _check_recorded_trial(trials: Trials, trial_number: int) -> None:
+    """Raise UsageError if there is no trial of that number, or no record over time."""
+    if trial_number not in trials.numbers:
+        existing_numbers = f"{trials.numbers[0]} .. {trials.numbers[-1]}"
+        raise UsageError(f"there is no trial {trial_number}; choose one of {existing_numbers}")
+    if not trials.records:
+        raise UsageError("nothing was recorded over time; run mcp-asdf simulate with --record")
+
+
+def _values_of(trials: Trials, trial_number: int, quantity: _Quantity) -> NDArray[np.float64]:
+    """Return the recorded values of a quantity in one trial, shape (samples, robots)."""
+    trial_index = trials.numbers.index(trial_number)
+    values: NDArray[np.float64] = trials.records[quantity.name][trial_index]
+    return values
+
+
+def _limits_of_quantity(
+    runs: Sequence[Trials], trial_number: int, quantity: _Quantity
+) -> tuple[float, float]:
+    """Return the limits of a quantity's axis, with a margin of 6 % of the values' range, 0.01 at least.
+
+    The true value lies within them, and so do all values but those of the first moments, a fiftieth of the
+    samples, when estimates still jump between 0 and 1.
+    """
+    lows: list[float] = []
+    highs: list[float] = []
+    for trials in runs:
+        values = _values_of(trials, trial_number, quantity)
+        first_moments = len(values) // 50
+        settled_values = np.append(values[first_moments:], _true_value(trials.experiment, quantity))
+        lows.append(float(settled_values.min()))
+        highs.append(float(settled_values.max()))
+    low, high = min(lows), max(highs)
+    margin = max(0.06 * (high - low), 0.01)
+    return low - margin, high + margin
+
+
+def _true_value(experiment: Experiment, quantity: _Quantity) -> float:
+    """Return the value that a quantity estimates."""
+    return float(getattr(experiment, quantity.true_parameter))
+
+
+def _series_title(experiment: Experiment, trial_number: int) -> str:
+    """Return filter, number of robots, topology, seed and trial of a run, in two lines."""
+    title = filter_name(experiment)
+    if experiment.swarm_filter.is_on:
+        title += rf", $\tau$ = {experiment.filter_period}"
+    robots = f"{experiment.robots} robots, {experiment.flawed} flawed"
+    topology = experiment.parameters()["topology"]
+    return f"{title}: {robots},\n{topology}, seed {experiment.seed}, trial {trial_number}"
+
+
+def _draw_quantity(axes: Axes, trials: Trials, trial_number: int, quantity: _Quantity) -> None:
+    """Draw a line for each robot, the flawed ones on top, and a dashed line with a text at the true value."""
+    experiment = trials.experiment
+    values = _values_of(trials, trial_number, quantity)
+    steps = np.arange(len(values)) * trials.sampling_interval
+    draw_style = "steps-post" if quantity.name == "b_hat" else "default"  # b_hat is constant between updates
+    # Flawed robots have the lowest ids, and what is drawn last lies on top.
+    for robot in reversed(range(experiment.robots)):
+        is_flawed = robot < experiment.flawed
+        axes.plot(
+            steps,
+            values[:, robot],
+            color=FLAWED if is_flawed else OTHER,
+            label=_FLAWED_LABEL if is_flawed else _HEALTHY_LABEL,
+            linewidth=1.1,
+            alpha=0.75,
+            drawstyle=draw_style,
+        )
+    true_value = _true_value(experiment, quantity)
+    axes.axhline(true_value, color=INK, label=_TRUE_LABEL, linewidth=1.2, linestyle="--")
+    text = f" {quantity.true_symbol} = {true_value:g}"
+    right_edge = 1  # in this transform x is a share of the panel's width
+    axes.text(right_edge, true_value, text, transform=axes.get_yaxis_transform(), va="center", fontsize=SMALL)
+    clean(axes)
