@@ -174,7 +174,10 @@ def test_a_bus_is_watched_until_it_is_asked_to_end(
         (f"{PLOT} --y H", "--y would do nothing: it is for curve"),
         (f"{PLOT} --kind bands --facet filter", "--facet would do nothing: it is for curve"),
         (f"{PLOT} --kind curve --x omega --trial 0", "--trial would do nothing: it is for series"),
-        (f"{PLOT} --kind series --e-max 0.45", "--e-max would do nothing: it is for boxes and scatter"),
+        (
+            f"{PLOT} --kind series --e-max 0.45",
+            "--e-max would do nothing: it is for boxes and curve and scatter,",
+        ),
         (f"{PLOT} --kind curve --x omega --y K --k-max 9", "--k-max would do nothing: it is for scores"),
         (f"{PLOT} --kind series --where filter=none", "choose one with where fill_ratio=0.55|0.95"),
     ],
