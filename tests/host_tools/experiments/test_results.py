@@ -43,56 +43,89 @@ SHORT = Experiment(robots=4, flawed=1, filter="asdf-plus", steps=300, filter_per
 OTHER = replace(SHORT, filter="none", seed=2**64 - 1)
 
 
+@pytest.fixture(scope="module")
+def results_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file, only to be read, of two experiments with recorded values.
+
+    The trials of the first experiment are in the order 2, 0, 1.
+    """
+    path = tmp_path_factory.mktemp("results") / "results.parquet"
+    tables = [
+        trials_to_table(run_trials(SHORT, 2, 1, sampling_interval=10)),
+        trials_to_table(run_trials(SHORT, 0, 2, sampling_interval=10)),
+        trials_to_table(run_trials(OTHER, 0, 3, sampling_interval=10)),
+    ]
+    write_tables(path, [pa.concat_tables(tables)])
+    return path
+
+
+@pytest.fixture(scope="module")
+def experiments(results_path: Path) -> list[Trials]:
+    """The two experiments of the file, with the trials 0 to 2 of each."""
+    return experiments_in(read_table(results_path))
+
+
+@pytest.fixture(scope="module")
+def measured() -> list[Trials]:
+    """The same experiments, as they were measured."""
+    return [run_trials(experiment, 0, 3, sampling_interval=10) for experiment in (SHORT, OTHER)]
+
+
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """A file of two experiments with values over time, trials of the first in another order."""
-    batches = [(SHORT, 2, 1), (SHORT, 0, 2), (OTHER, 0, 3)]
-    tables = [trials_to_table(run_trials(*batch, sampling_interval=10)) for batch in batches]
-    write_tables(tmp_path / "results.parquet", [pa.concat_tables(tables)])
+    """Path of a file that a test writes."""
     return tmp_path / "results.parquet"
 
 
 # --- What is read is what was written --------------------------------------------------------------------
 
 
-def test_a_file_gives_back_the_experiments_in_the_order_of_their_first_rows(path: Path) -> None:
-    experiments = experiments_in(read_table(path))
+def test_a_file_gives_back_the_experiments_in_the_order_of_their_first_rows(
+    experiments: list[Trials],
+) -> None:
     assert [trials.experiment for trials in experiments] == [SHORT, OTHER]
     assert [trials.numbers for trials in experiments] == [[0, 1, 2], [0, 1, 2]]
 
 
 @pytest.mark.parametrize("name", ["convergence_steps", "errors", "b_hat", "tests", "updates"])
-def test_a_file_gives_back_all_measured_values(name: str, path: Path) -> None:
-    for trials in experiments_in(read_table(path)):
-        measured = run_trials(trials.experiment, 0, 3, sampling_interval=10)
-        assert np.array_equal(getattr(trials, name), getattr(measured, name))
+def test_a_file_gives_back_all_measured_values(
+    name: str, experiments: list[Trials], measured: list[Trials]
+) -> None:
+    for read_trials, measured_trials in zip(experiments, measured, strict=True):
+        assert np.array_equal(getattr(read_trials, name), getattr(measured_trials, name))
 
 
-def test_a_file_gives_back_all_recorded_values(path: Path) -> None:
-    for trials in experiments_in(read_table(path)):
-        measured = run_trials(trials.experiment, 0, 3, sampling_interval=10)
-        assert trials.sampling_interval == 10 and trials.records["x"].shape == (3, 31, 4)
-        for name in QUANTITIES:
-            assert np.array_equal(trials.records[name], measured.records[name]), name
+@pytest.mark.parametrize("name", QUANTITIES)
+def test_a_file_gives_back_all_recorded_values(
+    name: str, experiments: list[Trials], measured: list[Trials]
+) -> None:
+    for read_trials, measured_trials in zip(experiments, measured, strict=True):
+        assert np.array_equal(read_trials.records[name], measured_trials.records[name])
+
+
+def test_a_file_gives_back_how_often_values_were_recorded(experiments: list[Trials]) -> None:
+    """Values of 4 robots were recorded at step 0 and 30 times in 300 steps of 3 trials."""
+    assert experiments[0].sampling_interval == 10
+    assert experiments[0].records["x"].shape == (3, 31, 4)
 
 
 def test_a_file_of_one_robot_without_records_comes_back(path: Path) -> None:
-    alone = replace(SHORT, robots=1)
-    write_tables(path, [trials_to_table(run_trials(alone, 0, 1))])
-    (trials,) = experiments_in(read_table(path))
-    assert (trials.experiment, trials.records) == (alone, {})
+    experiment = replace(SHORT, robots=1)
+    write_tables(path, [trials_to_table(run_trials(experiment, 0, 1))])
+    [trials] = experiments_in(read_table(path))
+    assert (trials.experiment, trials.records) == (experiment, {})
 
 
 def test_experiments_read_one_by_one_may_be_spread_over_files(tmp_path: Path) -> None:
     for number, experiment in enumerate((SHORT, OTHER, SHORT)):
         table = trials_to_table(run_trials(experiment, number, 1))
         write_tables(tmp_path / f"{number}.parquet", [table])
-    experiments = list(stream_experiments(tmp_path))
-    assert [(trials.experiment, trials.numbers) for trials in experiments] == [(SHORT, [0, 2]), (OTHER, [1])]
+    streamed = list(stream_experiments(tmp_path))
+    assert [(trials.experiment, trials.numbers) for trials in streamed] == [(SHORT, [0, 2]), (OTHER, [1])]
 
 
-def test_any_reader_of_parquet_finds_parameters_and_results_of_a_trial(path: Path) -> None:
-    row = pq.read_table(path).to_pylist()[1]
+def test_any_reader_of_parquet_finds_parameters_and_results_of_a_trial(results_path: Path) -> None:
+    row = pq.read_table(results_path).to_pylist()[1]
     trials = run_trials(SHORT, 0, 1)
     assert {name: row[name] for name in SHORT.parameters()} == SHORT.parameters()
     assert row["trial"] == 0
@@ -101,8 +134,8 @@ def test_any_reader_of_parquet_finds_parameters_and_results_of_a_trial(path: Pat
     assert [row[name] for name in SCORES] == [scores[0] for scores in trials.scores().values()]
 
 
-def test_the_metadata_describe_every_column(path: Path) -> None:
-    schema = pq.read_schema(path)
+def test_the_metadata_describe_every_column(results_path: Path) -> None:
+    schema = pq.read_schema(results_path)
     columns = json.loads(schema.metadata[b"mcp-asdf"])["columns"]
     assert list(columns) == schema.names
     assert all(column["meaning"] for column in columns.values())
@@ -110,8 +143,8 @@ def test_the_metadata_describe_every_column(path: Path) -> None:
     assert units == ["step", "step", "m", "m/s", "point of 100", "1"]
 
 
-def test_the_metadata_name_format_versions_and_sampling_interval(path: Path) -> None:
-    assert read_metadata(read_table(path)) == {
+def test_the_metadata_name_format_versions_and_sampling_interval(results_path: Path) -> None:
+    assert read_metadata(read_table(results_path)) == {
         "format": FORMAT,
         "versions": software_versions(),
         "delta": 0.01,
@@ -122,41 +155,47 @@ def test_the_metadata_name_format_versions_and_sampling_interval(path: Path) -> 
 # --- Choosing experiments --------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def both(path: Path) -> list[Trials]:
-    return experiments_in(read_table(path))
+def test_a_number_selects_experiments_in_any_of_its_spellings(experiments: list[Trials]) -> None:
+    assert select_experiments(experiments, {"steps": "3e2", "fill_ratio": 0.55}) == experiments
 
 
-def test_a_number_selects_experiments_in_any_of_its_spellings(both: list[Trials]) -> None:
-    assert select_experiments(both, {"steps": "3e2", "fill_ratio": 0.55}) == both
-    assert select_experiments(both, {"seed": str(OTHER.seed)}) == [both[1]]
-    assert single_experiment(select_experiments(both, {"filter": "none"})) is both[1]
+def test_a_seed_of_64_bits_selects_its_experiment(experiments: list[Trials]) -> None:
+    assert select_experiments(experiments, {"seed": "18446744073709551615"}) == [experiments[1]]
 
 
-def test_a_condition_on_no_parameter_is_answered_with_the_nearest(both: list[Trials]) -> None:
-    words = r"did you mean filter\?; the experiments differ in seed=1\|18446744073709551615, filter="
-    with pytest.raises(UsageError, match=words):
-        select_experiments(both, {"filtr": "none"})
+def test_a_single_experiment_can_be_selected_by_a_text(experiments: list[Trials]) -> None:
+    assert single_experiment(select_experiments(experiments, {"filter": "none"})) is experiments[1]
+
+
+def test_a_misspelt_parameter_is_answered_with_the_nearest(experiments: list[Trials]) -> None:
+    message = r"did you mean filter\?; the experiments differ in seed=1\|18446744073709551615, filter="
+    with pytest.raises(UsageError, match=message):
+        select_experiments(experiments, {"filtr": "none"})
 
 
 @pytest.mark.parametrize(
-    ("where", "words"),
+    ("condition", "message"),
     [
         ({"filter": "non"}, "filter=non: no experiment has it; filter is asdf-plus or none"),
         ({"steps": "many"}, "steps=many: no experiment has it; steps is 300"),
     ],
 )
 def test_a_condition_that_nothing_meets_is_answered_with_the_values(
-    where: dict[str, str], words: str, both: list[Trials]
+    condition: dict[str, str], message: str, experiments: list[Trials]
 ) -> None:
-    with pytest.raises(UsageError, match=words):
-        select_experiments(both, where)
+    with pytest.raises(UsageError, match=message):
+        select_experiments(experiments, condition)
 
 
-def test_several_experiments_in_place_of_one_are_refused_with_their_differences(both: list[Trials]) -> None:
+def test_several_experiments_in_place_of_one_are_refused_with_their_differences(
+    experiments: list[Trials],
+) -> None:
     with pytest.raises(UsageError, match=r"2 experiments match; choose one with where seed=1\|"):
-        single_experiment(both)
-    assert describe_differences(both[:1]) == "no parameters"
+        single_experiment(experiments)
+
+
+def test_a_single_experiment_differs_in_no_parameters(experiments: list[Trials]) -> None:
+    assert describe_differences(experiments[:1]) == "no parameters"
 
 
 # --- Old and damaged files -------------------------------------------------------------------------------
@@ -167,18 +206,18 @@ def test_results_without_a_parameter_have_its_default(name: str, path: Path) -> 
     values = {"trials": 1, "robots": 20, "flawed": 6, name: getattr(Experiment(), name)}
     experiment = replace(SHORT, **values)
     pq.write_table(trials_to_table(run_trials(experiment, 0, 1)).drop_columns([name]), path)
-    (trials,) = stream_experiments(path)
+    [trials] = stream_experiments(path)
     assert trials.experiment == experiments_in(read_table(path))[0].experiment
     assert trials.experiment.parameters()[name] == Experiment().parameters()[name]
 
 
 def test_a_table_without_a_parameter_can_be_scored_again() -> None:
     table = trials_to_table(run_trials(SHORT, 0, 2))
-    again = score_table(table.drop_columns(["latency"]), Limits())
-    assert again["H"].equals(table["H"])
+    scored_table = score_table(table.drop_columns(["latency"]), Limits())
+    assert scored_table["H"].equals(table["H"])
 
 
-def test_results_of_before_a_parameter_stand_beside_newer_ones(tmp_path: Path) -> None:
+def test_results_from_before_a_parameter_can_be_read_together_with_newer_ones(tmp_path: Path) -> None:
     table = trials_to_table(run_trials(SHORT, 0, 2))
     pq.write_table(table.drop_columns(["latency"]), tmp_path / "1.parquet")
     pq.write_table(table, tmp_path / "2.parquet")
@@ -186,12 +225,13 @@ def test_results_of_before_a_parameter_stand_beside_newer_ones(tmp_path: Path) -
 
 
 def with_column(name: str, values: object) -> pa.Table:
+    """Return results in which a column has other values."""
     table = sound_results()
     return table.set_column(table.column_names.index(name), name, values)
 
 
 def damaged_tables() -> Iterator[tuple[pa.Table, str]]:
-    """Tables with one thing wrong, and what the refusal has to name."""
+    """Yield tables with one thing wrong, each with words that the error must contain."""
     table = sound_results()
     yield pa.table({"k": [1]}), "holds no results"
     yield table.slice(0, 0), "holds no trials; run mcp-asdf sweep again"
@@ -210,7 +250,10 @@ def damaged_tables() -> Iterator[tuple[pa.Table, str]]:
 
 
 def tables_with_damaged_column(table: pa.Table, name: str) -> Iterator[tuple[pa.Table, str]]:
-    """Tables in which one column is missing, of another type, empty, or of impossible values."""
+    """Yield tables in which a column is missing, of another type, empty, or has impossible values.
+
+    Each comes with words that the error must contain; empty if any error will do.
+    """
     column_type = table[name].type
     if name not in Experiment().parameters():
         yield table.drop_columns([name]), f"has no {name}"
@@ -258,7 +301,7 @@ def results_with_drift_spread(value: float) -> Any:
 
 def test_results_with_a_former_parameter_that_had_no_effect_are_read(path: Path) -> None:
     pq.write_table(results_with_drift_spread(0.0), path)
-    (trials,) = stream_experiments(path)
+    [trials] = stream_experiments(path)
     assert trials.experiment == SHORT
 
 
@@ -269,10 +312,10 @@ def test_results_with_a_former_parameter_that_had_an_effect_are_refused(path: Pa
 
 
 def test_results_may_not_name_a_file_as_their_graph(path: Path, tmp_path: Path) -> None:
-    """Opening this one, a pipe that nobody writes, would wait for ever."""
+    """The file is a pipe that nobody writes to: to open it would wait for ever."""
     os.mkfifo(tmp_path / "pipe")
-    wired = replace(SHORT, topology="graph", graph="0 1", trials=1)
-    table = trials_to_table(run_trials(wired, 0, 1))
+    experiment = replace(SHORT, topology="graph", graph="0 1", trials=1)
+    table = trials_to_table(run_trials(experiment, 0, 1))
     graphs = pa.array([str(tmp_path / "pipe")])
     pq.write_table(table.set_column(table.column_names.index("graph"), "graph", graphs), path)
     with pytest.raises(UsageError, match="has to hold the edges themselves"):
@@ -282,31 +325,31 @@ def test_results_may_not_name_a_file_as_their_graph(path: Path, tmp_path: Path) 
 # --- Other limits, and CSV -------------------------------------------------------------------------------
 
 
-def test_other_limits_change_the_scores(path: Path) -> None:
-    table, limits = read_table(path), Limits(1000, 0.7)
-    scored_again = score_table(table, limits)
-    scores = experiments_in(table)[1].scores(limits)
-    for name in SCORES:
-        assert scored_again[name].to_pylist()[3:] == scores[name].tolist()
-        assert not scored_again[name].equals(table[name])
+@pytest.mark.parametrize("name", SCORES)
+def test_other_limits_change_the_scores(name: str, results_path: Path, experiments: list[Trials]) -> None:
+    table, limits = read_table(results_path), Limits(1000, 0.7)
+    scores_of_second_experiment = score_table(table, limits)[name].to_pylist()[3:]
+    assert scores_of_second_experiment == experiments[1].scores(limits)[name].tolist()
+    assert scores_of_second_experiment != table[name].to_pylist()[3:]
 
 
-def test_other_limits_change_nothing_but_the_scores(path: Path) -> None:
-    table = read_table(path)
-    scored_again = score_table(table, Limits(1000, 0.7))
+def test_other_limits_change_nothing_but_the_scores(results_path: Path) -> None:
+    table = read_table(results_path)
+    scored_table = score_table(table, Limits(1000, 0.7))
     other_columns = [name for name in table.column_names if name not in SCORES]
-    assert scored_again.schema.equals(table.schema, check_metadata=True)
-    assert scored_again.select(other_columns).equals(table.select(other_columns))
+    assert scored_table.schema.equals(table.schema, check_metadata=True)
+    assert scored_table.select(other_columns).equals(table.select(other_columns))
 
 
 def csv_rows(experiments: list[Trials], limits: Limits, folder: Path) -> list[dict[str, str]]:
+    """Write experiments as CSV, and return the rows that csv reads from it."""
     write_csv(folder / "results.csv", experiments, limits)
     with (folder / "results.csv").open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
 
-def test_csv_has_a_line_for_every_trial(both: list[Trials], tmp_path: Path) -> None:
-    rows = csv_rows(both, Limits(300, 0.55), tmp_path)
+def test_csv_has_a_line_for_every_trial(experiments: list[Trials], tmp_path: Path) -> None:
+    rows = csv_rows(experiments, Limits(300, 0.55), tmp_path)
     assert [(row["filter"], row["trial"], row["seed"]) for row in rows] == [
         ("asdf-plus", "0", "1"),
         ("asdf-plus", "1", "1"),
@@ -317,9 +360,11 @@ def test_csv_has_a_line_for_every_trial(both: list[Trials], tmp_path: Path) -> N
     ]
 
 
-def test_a_line_of_csv_has_scores_means_and_sums_of_its_trial(both: list[Trials], tmp_path: Path) -> None:
+def test_a_line_of_csv_has_scores_means_and_sums_of_its_trial(
+    experiments: list[Trials], tmp_path: Path
+) -> None:
     limits = Limits(300, 0.55)
-    row, trials = csv_rows(both, limits, tmp_path)[1], both[0]
+    row, trials = csv_rows(experiments, limits, tmp_path)[1], experiments[0]
     assert [float(row[name]) for name in SCORES] == pytest.approx(
         [scores[1] for scores in trials.scores(limits).values()]
     )
