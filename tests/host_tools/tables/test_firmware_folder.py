@@ -33,17 +33,29 @@ target_link_libraries(robot PRIVATE mcp_asdf::mcp_asdf)
 
 
 def write_folder(folder: Path, *options: str) -> None:
+    """Run ``mcp-asdf firmware``, which writes the folder."""
     assert main(["firmware", str(folder), *options]) == 0
 
 
-def build(project: Path, program: str, *settings: str, parts: tuple[str, ...] = ("vendor/mcp_asdf",)) -> None:
-    """Build ``project``, a folder, from a program in C and the folders ``parts`` in it."""
+def configure(
+    project: Path, program: str, *settings: str, folders: tuple[str, ...] = ("vendor/mcp_asdf",)
+) -> None:
+    """Write a CMake project that links a program in C with libraries, and let CMake configure its build.
+
+    The libraries are in the ``folders`` of the project. ``settings`` are further options of CMake.
+    """
+    lines = [f"add_subdirectory({name} build_of_folder_{index})" for index, name in enumerate(folders)]
     (project / "robot.c").write_text(program)
-    lines = [f"add_subdirectory({part} build_of_part_{index})" for index, part in enumerate(parts)]
     (project / "CMakeLists.txt").write_text(PROJECT.format("\n".join(lines)))
-    cmake = require("cmake", "cmake")
-    run(cmake, "-S", project, "-B", project / "build", *settings)
-    run(cmake, "--build", project / "build")
+    run(require("cmake", "cmake"), "-S", project, "-B", project / "build", *settings)
+
+
+def build(
+    project: Path, program: str, *settings: str, folders: tuple[str, ...] = ("vendor/mcp_asdf",)
+) -> None:
+    """Configure a project as ``configure`` does, and build it."""
+    configure(project, program, *settings, folders=folders)
+    run("cmake", "--build", project / "build")
 
 
 def test_a_project_builds_the_folder_and_a_robot_starts(tmp_path: Path) -> None:
@@ -97,15 +109,15 @@ def test_two_folders_of_one_project_share_the_library(tmp_path: Path) -> None:
     write_folder(tmp_path / "one", "--omega", "0.1", "--neighbours", "30")
     write_folder(tmp_path / "two")
     write_folder(tmp_path / "three")  # the table of the second one again
-    build(tmp_path, TWO_TABLES, parts=("one", "two", "three"))
+    build(tmp_path, TWO_TABLES, folders=("one", "two", "three"))
     run(tmp_path / "build/robot")
 
 
-@pytest.mark.parametrize("parts", [("core", "vendor/mcp_asdf"), ("vendor/mcp_asdf", "core")])
-def test_a_folder_and_the_package_share_the_library(parts: tuple[str, ...], tmp_path: Path) -> None:
+@pytest.mark.parametrize("folders", [("core", "vendor/mcp_asdf"), ("vendor/mcp_asdf", "core")])
+def test_a_folder_and_the_package_share_the_library(folders: tuple[str, ...], tmp_path: Path) -> None:
     (tmp_path / "core").symlink_to(ROOT / "c_ref")
     write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
-    build(tmp_path, PROGRAM, parts=parts)
+    build(tmp_path, PROGRAM, folders=folders)
     run(tmp_path / "build/robot")
 
 
@@ -115,7 +127,7 @@ def test_folders_of_two_versions_are_refused(tmp_path: Path) -> None:
     lists = tmp_path / "two/CMakeLists.txt"
     lists.write_text(lists.read_text().replace(own_version(), "9.8.7"))
     with pytest.raises(AssertionError) as error:
-        build(tmp_path, TWO_TABLES, parts=("one", "two"))
+        configure(tmp_path, TWO_TABLES, folders=("one", "two"))
     message = " ".join(str(error.value).split())
     assert f"another version ({own_version()}) than this folder (9.8.7)" in message
 
@@ -130,14 +142,17 @@ def test_folders_of_two_versions_are_refused(tmp_path: Path) -> None:
 def test_a_filter_that_is_switched_off_is_left_out_everywhere(
     setting: str, code: str, tmp_path: Path
 ) -> None:
-    """The program is compiled without it, and the library, which refuses a robot that has it."""
+    """It is left out of the header, so that the program fails to compile if it is there, and of the library.
+
+    A library without a filter refuses to start a robot that has it.
+    """
     write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
     config = "MCP_ASDF_CONFIG_ROBUST" if setting == "MCP_ASDF_WITH_ASDF" else "MCP_ASDF_CONFIG_OFF"
     program = PROGRAM.replace("MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega10_q30)", config)
     build(tmp_path, f"{program}{code}\n#error it is there\n#endif\n", f"-D{setting}=OFF")
     run(tmp_path / "build/robot")
-    left_out = "MCP_ASDF_OFF" if setting == "MCP_ASDF_WITH_ASDF" else "MCP_ASDF_ROBUST"
-    (tmp_path / "robot.c").write_text(program.replace(config, f"{{0, 1, 64, {left_out}}}"))
+    missing_filter = "MCP_ASDF_OFF" if setting == "MCP_ASDF_WITH_ASDF" else "MCP_ASDF_ROBUST"
+    (tmp_path / "robot.c").write_text(program.replace(config, f"{{0, 1, 64, {missing_filter}}}"))
     run("cmake", "--build", tmp_path / "build")
     assert subprocess.run([tmp_path / "build/robot"], check=False).returncode == 1
 
@@ -151,18 +166,20 @@ def test_build_shared_libs_makes_a_shared_library(tmp_path: Path) -> None:
     run(tmp_path / "build/robot")
 
 
-def test_a_position_independent_library_goes_into_a_shared_one(tmp_path: Path) -> None:
+def test_cmake_can_be_asked_for_position_independent_code(
+    tmp_path: Path,
+) -> None:
     write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
-    build(
+    configure(
         tmp_path,
         PROGRAM,
         "-DCMAKE_POSITION_INDEPENDENT_CODE=ON",
         "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON",
     )
-    commands = json.loads((tmp_path / "build/compile_commands.json").read_text())
-    core = [entry["command"] for entry in commands if "vendor/mcp_asdf" in entry["file"]]
-    assert len(core) == len(list((tmp_path / "vendor/mcp_asdf").glob("*.c")))
-    assert all("-fPIC" in command for command in core)
+    entries = json.loads((tmp_path / "build/compile_commands.json").read_text())
+    library_commands = [entry["command"] for entry in entries if "vendor/mcp_asdf" in entry["file"]]
+    assert len(library_commands) == len(list((tmp_path / "vendor/mcp_asdf").glob("*.c")))
+    assert all("-fPIC" in command for command in library_commands)
 
 
 # --- Writing into a folder that has files already -------------------------------------------------------
@@ -170,12 +187,13 @@ def test_a_position_independent_library_goes_into_a_shared_one(tmp_path: Path) -
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder that ``mcp-asdf firmware`` has written."""
+    """A folder that ``mcp-asdf firmware`` has written with its default table."""
     write_folder(tmp_path)
     return tmp_path
 
 
 def tables_in(folder: Path) -> list[str]:
+    """Return the names of the t-tables in a folder."""
     return [path.name for path in folder.glob("t_table*.c")]
 
 
@@ -197,11 +215,11 @@ def test_a_changed_file_is_not_replaced(folder: Path, capsys: pytest.CaptureFixt
 
 
 def test_a_file_of_an_earlier_version_is_replaced(folder: Path) -> None:
-    """Of an earlier version are files whose checksums stand in the folder."""
+    """A file is of an earlier version if its checksum stands in the folder, although its text is another."""
     core, checksums = folder / "mcp_asdf.c", folder / "sha256sums.txt"
-    new_text = core.read_bytes()
-    core.write_text("/* earlier */")
-    new_checksum, old_checksum = (hashlib.sha256(text).hexdigest() for text in (new_text, core.read_bytes()))
+    new_text, old_text = core.read_bytes(), b"/* earlier */"
+    new_checksum, old_checksum = hashlib.sha256(new_text).hexdigest(), hashlib.sha256(old_text).hexdigest()
+    core.write_bytes(old_text)
     checksums.write_text(checksums.read_text().replace(new_checksum, old_checksum))
     write_folder(folder)
     assert core.read_bytes() == new_text

@@ -46,8 +46,8 @@ def test_a_table_is_named_after_the_decimal_places_of_omega(omega: str, name: st
 
 
 def test_no_two_tables_share_a_name() -> None:
-    grid = [(n, places) for places in range(1, 5) for n in range(1, 9 * 10 ** (places - 1) + 1)]
-    omegas = {Decimal(n).scaleb(-places) for n, places in grid}
+    """All omegas up to 0.9 with at most four decimal places have different names."""
+    omegas = {Decimal(number).scaleb(-4) for number in range(1, 9001)}
     assert len({table_name(omega, 2) for omega in omegas}) == len(omegas)
 
 
@@ -132,15 +132,27 @@ def test_check_accepts_the_shipped_files(capsys: Capture) -> None:
 
 @pytest.mark.parametrize("file", [C_FILE, JSON_FILE], ids=["C", "JSON"])
 def test_check_notices_a_changed_character_anywhere(file: Path, tmp_path: Path) -> None:
-    """Sixty characters, drawn with a fixed seed, and the end of the file."""
-    source, text, path = random.Random(5), file.read_text(), tmp_path / file.name
-    for index in source.sample([i for i, character in enumerate(text) if character != "\n"], 60):
-        other = source.choice([character for character in '0159aFU/* }],."x' if character != text[index]])
-        path.write_text(text[:index] + other + text[index + 1 :])
-        assert run_table("--check", path) in (1, 2), f"{other!r} at {index} went unnoticed"
-    for changed_text in (text[:-1], text + "\n"):
-        path.write_text(changed_text)
-        assert check_file(path).problem is not None
+    """Sixty characters are changed, one at a time; they are drawn with a fixed seed."""
+    draw, text, path = random.Random(5), file.read_text(), tmp_path / file.name
+    indices = [index for index, character in enumerate(text) if character != "\n"]
+    for index in draw.sample(indices, 60):
+        other_characters = [character for character in '0159aFU/* }],."x' if character != text[index]]
+        path.write_text(text[:index] + draw.choice(other_characters) + text[index + 1 :])
+        assert run_table("--check", path) in (1, 2), f"the change at {index} went unnoticed"
+
+
+@pytest.mark.parametrize("file", [C_FILE, JSON_FILE], ids=["C", "JSON"])
+def test_check_notices_a_missing_line_end(file: Path, tmp_path: Path) -> None:
+    path = tmp_path / file.name
+    path.write_text(file.read_text().removesuffix("\n"))
+    assert check_file(path).problem is not None
+
+
+@pytest.mark.parametrize("file", [C_FILE, JSON_FILE], ids=["C", "JSON"])
+def test_check_notices_a_line_too_many(file: Path, tmp_path: Path) -> None:
+    path = tmp_path / file.name
+    path.write_text(file.read_text() + "\n")
+    assert check_file(path).problem is not None
 
 
 def test_check_accepts_line_ends_of_other_systems(tmp_path: Path) -> None:
@@ -173,7 +185,7 @@ def test_check_reports_in_json(tmp_path: Path, capsys: Capture) -> None:
 
 @pytest.fixture
 def folder_of_wrong_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make the working directory one with files that are no tables."""
+    """Make the working directory one with files that are not tables."""
     monkeypatch.chdir(tmp_path)
     Path("folder.c").mkdir()
     Path("no_symbol.c").touch()
@@ -201,6 +213,6 @@ def folder_of_wrong_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         ("--check table.txt", "table.txt is neither .c nor .json; give a file that --output has written"),
     ],
 )
-def test_table_says_what_it_cannot_do(arguments: str, message: str, capsys: Capture) -> None:
+def test_table_names_what_it_cannot_do(arguments: str, message: str, capsys: Capture) -> None:
     assert run_table(*arguments.split()) == 2
     assert message in capsys.readouterr().err
