@@ -48,7 +48,7 @@ def test_a_wrong_value_is_coerced_or_refused(kind: Any, name: str) -> None:
     declared = parameters_of(kind)[name]
     if declared.kind in (int, float):
         for value in (declared.minimum, declared.maximum):
-            assert declared.checked(value) == value
+            assert declared.convert(value) == value
         for value in (declared.minimum - 1, 2 * declared.maximum + 1):
             with pytest.raises(UsageError, match=f"{name} is .*; it must be .* to "):
-                declared.checked(value)
+                declared.convert(value)

@@ -106,7 +106,7 @@ def test_a_node_names_its_filter(
 ) -> None:
     """Its standard input is at its end, so it stops at once."""
     with Path(os.devnull).open("rb") as empty:
-        monkeypatch.setattr("mcp_asdf_tools.cli.node.standard_input", empty.fileno)
+        monkeypatch.setattr("mcp_asdf_tools.cli.node.standard_input_descriptor", empty.fileno)
         text = printed_by(f"node --id 3 --filter robust --until-eof {output}", capsys)
     assert "robust: the robot recalibrates, by this project's own filter" in text
 

@@ -19,7 +19,7 @@ from mcp_asdf_tools.cli.output import (
 )
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
-from mcp_asdf_tools.common.standard_streams import has_ended, standard_input
+from mcp_asdf_tools.common.standard_streams import has_input_ended, standard_input_descriptor
 from mcp_asdf_tools.robots.filters import describe_filters
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.robot_setup import parse_ids
@@ -116,10 +116,10 @@ def _run_on_bus(
         bus = stack.enter_context(choice.open())
         bus.set_filters(filters_for(node.subjects.estimates, node.subjects.commands))
         was_interrupted = stack.enter_context(stopping())
-        input_descriptor = standard_input() if args.until_eof else None
+        input_descriptor = standard_input_descriptor() if args.until_eof else None
 
         def should_stop() -> bool:
-            return was_interrupted() or (input_descriptor is not None and has_ended(input_descriptor))
+            return was_interrupted() or (input_descriptor is not None and has_input_ended(input_descriptor))
 
         link = BusLink(bus, should_stop, log=log)
         _logger.info("robot %d is up", node.id)

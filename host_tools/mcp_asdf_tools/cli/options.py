@@ -162,7 +162,7 @@ def value_of(args: argparse.Namespace, kind: Any, name: str) -> Any:
     if value is None:
         return parameter.default
     try:
-        return parameter.checked(value)
+        return parameter.convert(value)
     except ParameterError as error:
         raise UsageError(_name_option(error)) from error
 

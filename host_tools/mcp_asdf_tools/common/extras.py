@@ -36,9 +36,9 @@ def install_instruction(extra: str = "") -> str:
 
 @contextmanager
 def naming_extras() -> Iterator[None]:
-    """Turn the failed import of a module of an extra into a UsageError that says how to install the extra.
+    """Context manager, or decorator, that turns the failed import of an extra's module into a UsageError.
 
-    This is a context manager that can be used as a decorator, too. Other failures pass unchanged.
+    The message says how to install the extra. Failed imports of other modules pass unchanged.
     """
     try:
         yield

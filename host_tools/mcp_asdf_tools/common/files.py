@@ -92,10 +92,10 @@ def write_together(data_by_path: Mapping[Path, bytes | str]) -> None:
 
 @contextmanager
 def drafts_for(paths: Sequence[Path]) -> Iterator[list[Path]]:
-    """Yield a new name for each path, under which the caller writes a file: its draft.
+    """Context manager that yields a draft for each path: the name under which the caller writes a file.
 
-    The drafts take the places of ``paths`` when the context ends; if it ends with an error, they are
-    removed. Raises UsageError if a path cannot be written.
+    When the context ends, ``rename_drafts`` renames the drafts to ``paths``. If it ends with an error, they
+    are removed. Raises UsageError if a path cannot be written.
     """
     drafts: list[Path] = []
     try:
@@ -115,7 +115,8 @@ def rename_drafts(draft_by_path: Mapping[Path, Path], obsolete: Iterable[Path] =
     """Rename complete files to the paths that they are drafts of, in this order, replacing what is there.
 
     Files of ``obsolete`` that exist are removed before the first renaming. Raises UsageError if a path
-    cannot be written; most reasons for that are found before anything is changed.
+    cannot be written. Nearly all reasons for that are found before anything is changed; should the system
+    refuse a later renaming, those before it stay.
     """
     # A file must not have its name before the disk has its content, since the power may fail in between.
     for path, draft in draft_by_path.items():
@@ -184,7 +185,7 @@ def results_beside(path: Path | str) -> Path:
 
 @contextmanager
 def explaining(path: Path | str) -> Iterator[None]:
-    """Turn an OSError that is raised while ``path`` is written into a UsageError that names it and a fix."""
+    """Context manager for writing ``path``: it turns an OSError into a UsageError with the path and a fix."""
     try:
         yield
     except OSError as error:

@@ -32,7 +32,7 @@ class ParameterError(UsageError):
 
 @contextmanager
 def value_of(key: str) -> Iterator[None]:
-    """Turn a UsageError in this context into a ParameterError for the parameter named ``key``."""
+    """Context manager that turns a UsageError into a ParameterError for the parameter named ``key``."""
     try:
         yield
     except UsageError as error:
@@ -61,8 +61,8 @@ class Parameter:
     minimum: float
     maximum: float
 
-    def checked(self, value: Any) -> Any:
-        """Return a value, a number in the field's type.
+    def convert(self, value: Any) -> Any:
+        """Return a value that the parameter may have; a number is converted to the field's type.
 
         Raises ParameterError if the value is of another type, out of range or none of the choices.
         """
@@ -154,4 +154,4 @@ def check_parameters(settings: Any) -> None:
     """
     for name, declared in parameters_of(type(settings)).items():
         # Settings are frozen, but this is called while they are created.
-        object.__setattr__(settings, name, declared.checked(getattr(settings, name)))
+        object.__setattr__(settings, name, declared.convert(getattr(settings, name)))

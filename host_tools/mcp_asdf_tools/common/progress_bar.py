@@ -16,9 +16,10 @@ _SECONDS_BETWEEN_LINES = 60.0
 
 @contextmanager
 def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[[float], None]]:
-    """Show progress on standard error: a bar in terminals and notebooks, a line a minute elsewhere.
+    """Context manager that shows progress on standard error.
 
-    Yields a function to be called with the number of units that have been done since its last call.
+    It is a bar in terminals and notebooks, and a line a minute elsewhere. The context manager yields a
+    function, to be called with the number of units that have been done since its last call.
 
     Args:
         unit: Plural noun for what is counted, such as "trials".

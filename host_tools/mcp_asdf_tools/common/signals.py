@@ -20,14 +20,14 @@ _received_signals: list[int] = []
 
 @contextmanager
 def stopping(interrupt: bool = False) -> Iterator[Callable[[], bool]]:
-    """Handle the signals that ask to end; yield a function that returns whether one has come.
+    """Context manager that handles ENDING_SIGNALS, and yields a function: has one of them come?
 
-    Work that is done in steps asks that function between them, and ends by itself. With ``interrupt`` the
+    Work that is done in steps calls the function between them, and ends by itself. With ``interrupt`` the
     first signal raises KeyboardInterrupt instead, wherever the program is. (Modules written in C may drop an
-    exception that is raised while they are imported, so imports ask the function.)
+    exception that is raised while they are imported. So imports are such steps, and use the function.)
 
-    After a first signal Ctrl-C raises KeyboardInterrupt in either case, in case a step does not end; other
-    signals then do nothing. Signals that this process was started to ignore, as by nohup, stay ignored.
+    After the first signal, Ctrl-C raises KeyboardInterrupt in either case, since a step may not end; other
+    signals do nothing then. Signals that this process was started to ignore, as by nohup, stay ignored.
     Outside the main thread, where Python delivers no signals, the function always returns False.
     """
     if threading.current_thread() is not threading.main_thread():

@@ -83,11 +83,10 @@ class _CheckedErrors(_CheckedStream):
 
 @contextmanager
 def checked_streams() -> Iterator[None]:
-    """Replace both output streams: a write to standard output that fails raises OutputError, one to standard
-    error is ignored.
+    """Context manager in which a failing write to standard output raises OutputError.
 
-    A stream that was closed when the program was started (``>&-``) becomes the null device, as if the user
-    had redirected it there.
+    A failing write to standard error is ignored. A stream that was closed when the program was started
+    (``>&-``) becomes the null device, as if the user had redirected it there.
     """
     with ExitStack() as stack:
         # sys.stdout is None if it was closed. Without a replacement, the next file that is opened would get
@@ -108,7 +107,7 @@ def _discard_output(stream: IO[str]) -> None:
         os.dup2(null_device.fileno(), stream.fileno())
 
 
-def standard_input() -> int:
+def standard_input_descriptor() -> int:
     """Return the file descriptor of standard input. Raises UsageError if it is closed or is not a file."""
     try:
         if sys.stdin is not None:
@@ -118,7 +117,7 @@ def standard_input() -> int:
     raise UsageError("there is no standard input; give one, or leave out what reads it")
 
 
-def has_ended(descriptor: int) -> bool:
+def has_input_ended(descriptor: int) -> bool:
     """Return whether an input has ended, without waiting. Data that is there is read and discarded."""
     readable_descriptors, _, _ = select.select([descriptor], [], [], 0)
     return bool(readable_descriptors) and not os.read(descriptor, _READ_SIZE)

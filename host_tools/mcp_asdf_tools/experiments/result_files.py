@@ -235,7 +235,7 @@ def _open_checked(path: Path) -> Any:
 
 @contextmanager
 def _name_file_in_errors(path: Path) -> Iterator[None]:
-    """Turn an error in this context, in which ``path`` is read, into a UsageError that names it.
+    """Context manager for reading ``path``: it turns an error into a UsageError that names the path.
 
     If the file is missing since its sweep is not finished, the message says so.
     """

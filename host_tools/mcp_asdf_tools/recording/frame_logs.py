@@ -121,7 +121,10 @@ def read_log(
 
 
 def _read_frames(path: Path, summary: LogSummary) -> Iterator[can.Message]:
-    """Yield the frames of all channels, and count the lines that are skipped. Raises UsageError."""
+    """Yield the frames of all channels in a log, and count in ``summary`` the lines that are skipped.
+
+    Raises UsageError if the log cannot be read or is malformed.
+    """
     name = path.name.lower().removesuffix(".gz")
     is_part = name.endswith(PART)
     suffix = Path(name.removesuffix(PART)).suffix
@@ -176,7 +179,7 @@ class _NumberedLines:
 
 @contextmanager
 def _open_text(path: Path) -> Iterator[_NumberedLines]:
-    """Open a log of lines, which may be compressed and may begin with a byte order mark.
+    """Context manager that opens a log of lines, which may be compressed or have a byte order mark.
 
     Bytes that are no UTF-8 become escapes, so any file can be read. Raises OSError if it cannot be opened.
     """

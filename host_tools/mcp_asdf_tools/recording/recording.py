@@ -167,7 +167,10 @@ class Recording:
         )
 
     def _write_frame(self, frame: can.Message) -> None:
-        """Record a frame, on the recording's channel if it has none; the frame is not changed."""
+        """Record a frame, which is on disk after the next flush; nothing happens if the recording has failed.
+
+        A frame without a channel is recorded with that of the recording, but not changed itself.
+        """
         self._flush_if_due()
         logged_frame = copy(frame)
         channel = str(frame.channel or self._channel)
@@ -175,7 +178,10 @@ class Recording:
         self._attempt(lambda: self._log_writer.on_message_received(logged_frame))
 
     def _write_events_line(self, line: str) -> None:
-        """Record a line of the file of events."""
+        """Record a line of the file of events, which is on disk after the next flush.
+
+        Nothing happens if the recording has failed.
+        """
         self._flush_if_due()
         if not self._is_over:
             _, events_file = self._files

@@ -167,9 +167,9 @@ def verify(log: Iterable[can.Message], events: EventsReader) -> ReplayVerdict:
 
 
 def rerun(events: EventsReader) -> Iterator[tuple[int, Robot]]:
-    """Run every robot again, and yield its id and the robot each time that it has ended a tick.
+    """Run every robot again, and yield a robot's id and the robot each time that it has ended a tick.
 
-    The robot is yielded in its state at that time, and changes afterwards. The order is that of the file.
+    It is the same object each time, in its present state. The order of robots and ticks is that of the file.
     O(1) per event. Raises UsageError as ``verify``.
     """
     robots = _start_robots(events)
@@ -268,10 +268,13 @@ class _Comparison:
 def _describe_difference(
     frame_number: int, frame: can.Message, estimate: Estimate, expected: Broadcast | None
 ) -> str:
-    """Return a sentence with the values of a frame and those that the robot makes instead.
+    """Return a sentence with the values of a frame and those that should be in its place.
 
-    ``estimate`` is what the frame says, ``expected`` the broadcast that should be there; None if the robot
-    makes no more.
+    Args:
+        frame_number: Number of the frame in the log, from 1.
+        frame: The frame.
+        estimate: The decoded frame.
+        expected: The broadcast that the robot makes instead; None if it makes no more.
     """
     values = _format_values(estimate.x_hat, alpha_float32_bits(frame), estimate.transfer_id)
     expectation = "makes no more broadcasts"
