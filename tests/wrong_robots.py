@@ -359,7 +359,7 @@ WRONG |= {
     "threshold of many messages wrong": set_up("threshold of 30 messages", table=table_wrong_at(30)),
     # The method
     "rejects its own estimate": firmware("own estimate", "return {diff => difference == 0 or diff}erence *"),
-    "tests its informed estimate": firmware("few observations", "s.open, {s.x_hat => self.x_raw})"),
+    "tests its informed estimate": firmware("all white", "s.open, {s.x_hat => self.x_raw})"),
     "tests one message": firmware(
         "rounds without a test",
         "= {2 => 1} if config.filter ==",
@@ -379,7 +379,7 @@ WRONG |= {
     ),
     "divides by 2 b - 1 = 0": firmware("no information", "return {HALF => ONE}, 0"),
     "keeps x_bar in silence": firmware("nothing seen", "{ => if s.open.count: }s.closed = Closed(s."),
-    "a bitmap of 32 senders": firmware("all white", "word_index = {sender >> 5 => 0}"),
+    "a bitmap of 32 senders": firmware("few observations", "word_index = {sender >> 5 => 0}"),
     "does not hear robot 127": firmware("every sender", "0 <= sender {<= => <} MAX_ID"),
     "at most 100 messages": firmware("growing rounds", "status != Status.OK{ =>  or s.open.count > 99}:"),
     "takes the last message of a sender": firmware(
@@ -396,7 +396,7 @@ WRONG |= {
     "alpha of 20 bits": firmware("alone", "s.updated = 0{ => ; s.alpha &= 0xFFFF_F01F}"),
     "halves down": firmware("stray commands", "s.n = {round(s.n / 2) => s.n // 2}", config=HALVED),
     "halves up": firmware(
-        "threshold of 5 messages", "s.n = {round(s.n / 2) => (s.n + 1) // 2}", config=HALVED
+        "threshold of 3 messages", "s.n = {round(s.n / 2) => (s.n + 1) // 2}", config=HALVED
     ),
     "broadcasts x": firmware("nothing seen", "return {self.s.x_hat => self.x_raw}\n"),
     # Ends of ranges
@@ -408,7 +408,7 @@ WRONG |= {
         "alone", "from_mantissa({mantissa => mantissa ^ (n == 0)}, exp"
     ),
     "alpha wrong where x_hat is clamped": firmware(
-        "few observations", "accuracy.rare + {(weight => 0 * (weight} >> acc"
+        "no information", "accuracy.rare + {(weight => 0 * (weight} >> acc"
     ),
     "alpha wrong there after 100 tiles": firmware(
         "all white", "at_end(accuracy, {t => t ^ (t > 100)}, rare_count)"
@@ -433,7 +433,7 @@ WRONG |= {
         "estimates of 0 and 1", "{x_bar < => (x_bar := x_bar * (x_bar < MAX_WORD - 9)) <} Q32_HALF:"
     ),
     "sums of alpha up to 2^45 in eq. 8": firmware(
-        "few observations", "alpha_x, {closed.alpha => min(closed.alpha, 1 << 45)} *"
+        "all white", "alpha_x, {closed.alpha => min(closed.alpha, 1 << 45)} *"
     ),
     "sums of alpha from 2^32 in eq. 8": firmware(
         "few observations", "alpha_x, {closed.alpha => max(closed.alpha, 1 << 32)} *"
@@ -449,7 +449,7 @@ WRONG |= {
         "few observations", "return reestimate(s.t, s.n{ =>  + (100 < s.t < 500)}, round_mean("
     ),
     "eq. 8 wrong for sums of alpha below 1": firmware(
-        "few observations",
+        "threshold of 30 messages",
         "return q32_quotient(closed.alpha_x{ =>  + ((closed.alpha < 1 << 24) << 22)}, closed.alpha * ONE)",
     ),
     "eq. 8 never shifts up": firmware(
@@ -468,7 +468,7 @@ WRONG |= {
         "table.entry(m) / 2**FRACTION_BITS * float(scaled_variance)}",
     ),
     "thresholds of 23 fraction bits": firmware(
-        "threshold of 10 messages", "{table.entry(m) => (table.entry(m) & ~7)} * scaled_variance"
+        "threshold of 3 messages", "{table.entry(m) => (table.entry(m) & ~7)} * scaled_variance"
     ),
     "tests though it should not": set_up(
         "re-estimates without a test", ALWAYS, filter=Filter.ADAPTIVE, table=DEFAULT["table"]

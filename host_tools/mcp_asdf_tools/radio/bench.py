@@ -11,9 +11,9 @@ import can
 from mcp_asdf.robot import MAX_ID, Filter, Observation
 from mcp_asdf_tools.bus.frame_layout import TRANSFER_IDS, Action
 from mcp_asdf_tools.bus.frames import Command, Estimate, encode_estimate
+from mcp_asdf_tools.crosscheck.crafted_rounds import NeighbourEstimate, RobotState
 from mcp_asdf_tools.radio.controller_link import BenchOptions, ControllerLink
 from mcp_asdf_tools.radio.neighbourhood import Neighbourhood, RadioSettings
-from mcp_asdf_tools.radio.rounds import Content, Situation
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 
 BURST = 16
@@ -28,7 +28,7 @@ class Bench(ControllerLink):
 
     Attributes:
         neighbours: Emulated robots around the controller, for phases among neighbours.
-        draw: Random numbers, the same in every run with this seed.
+        rng: Random numbers, the same in every run with this seed.
         activity: What the phase does at present, for the report of a difference.
         not_exercised: Cases that the phases could not bring about, for the verdict.
     """
@@ -37,7 +37,7 @@ class Bench(ControllerLink):
         """Start the model and the neighbours. Nothing is sent to the controller yet."""
         super().__init__(settings, options)
         self.neighbours = Neighbourhood(settings)
-        self.draw = random.Random(settings.swarm.seed)
+        self.rng = random.Random(settings.swarm.seed)
         self.activity = ""
         self.not_exercised: list[str] = []
         self._estimates_by_sender: Counter[int] = Counter()
@@ -50,11 +50,11 @@ class Bench(ControllerLink):
         return [robot for robot in range(MAX_ID + 1) if robot != self.setup.id]
 
     @property
-    def situation(self) -> Situation:
-        """The controller's present state, from which the estimates of a round are computed."""
+    def robot_state(self) -> RobotState:
+        """The controller's present state, for which the estimates of a round are crafted."""
         state = self.firmware.s
         table = self.config.table if self.config.filter is Filter.ADAPTIVE else None
-        return Situation(state.t, state.n, state.x_hat, table)
+        return RobotState(state.t, state.n, state.x_hat, table)
 
     def draw_observation(self) -> Observation:
         """Draw a colour such that the share of black ones stays near 3/5, but not exactly.
@@ -63,13 +63,13 @@ class Bench(ControllerLink):
         """
         state = self.firmware.s
         is_black_share_low = 5 * state.n < 3 * state.t
-        is_black = is_black_share_low if self.draw.random() < 0.8 else not is_black_share_low
+        is_black = is_black_share_low if self.rng.random() < 0.8 else not is_black_share_low
         return Observation(is_black)
 
     def encode_estimates(
-        self, estimates: dict[int, Content] | Iterable[tuple[int, Content]]
+        self, estimates: dict[int, NeighbourEstimate] | Iterable[tuple[int, NeighbourEstimate]]
     ) -> list[can.Message]:
-        """Return frames of estimates, given as (x_hat, alpha) by sender, in order.
+        """Return frames of estimates, given by sender, in order.
 
         Every sender numbers its frames by a transfer_id that goes on from one call to the next. Pairs of
         sender and estimate may name a sender several times.
@@ -86,9 +86,7 @@ class Bench(ControllerLink):
 
     def make_command(self, action: Action) -> Command:
         """Return the command for this action of the controller in the present tick. Nothing is sent."""
-        return Command(
-            DRIVER_ID, self.lockstep.tick, self.setup.id, action, self.draw.randrange(TRANSFER_IDS)
-        )
+        return Command(DRIVER_ID, self.lockstep.tick, self.setup.id, action, self.rng.randrange(TRANSFER_IDS))
 
     # --- Ticks ---
 
@@ -119,13 +117,13 @@ class Bench(ControllerLink):
 
     # --- Rounds ---
 
-    def play_round(self, *estimates: Content, senders: Sequence[int] | None = None) -> None:
-        """Run a round in which the controller receives these estimates, each an (x_hat, alpha).
+    def play_round(self, *estimates: NeighbourEstimate, senders: Sequence[int] | None = None) -> None:
+        """Run a round in which the controller receives these estimates.
 
         They come from ``senders``, as many as estimates; by default from random ones.
         """
         if senders is None:
-            senders = self.draw.sample(self.other_ids, len(estimates))
+            senders = self.rng.sample(self.other_ids, len(estimates))
         self.play_round_of_frames(self.encode_estimates(dict(zip(senders, estimates, strict=True))))
 
     def play_round_of_frames(self, frames: Sequence[can.Message]) -> None:

@@ -25,8 +25,8 @@ from mcp_asdf_tools.bus.frames import (
     sender_of,
 )
 from mcp_asdf_tools.radio.comparison import Comparison, Difference, is_from
+from mcp_asdf_tools.radio.known_mistakes import MistakenModels, RightModel
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
-from mcp_asdf_tools.radio.suspects import FollowedRobot, Lineup
 from mcp_asdf_tools.robots.bus_robot import Recorder
 from mcp_asdf_tools.robots.lockstep import Lockstep
 from mcp_asdf_tools.robots.node import RobotNode, send_all
@@ -99,7 +99,7 @@ class ControllerLink:
         setup: Initial state of the controller.
         config: Configuration of the controller's firmware.
         firmware: The mirror robot that the controller's firmware must equal, bit for bit.
-        lineup: Robots with one known mistake each that have sent the same as ``firmware`` so far.
+        mistaken_models: Robots with one known mistake each that have sent the same as ``firmware`` so far.
         model: The node around ``firmware``; it returns the frames that the controller must send.
         comparison: Comparison of the controller's frames with the model's, with the number of equal ones.
         lockstep: Sends the commands of each tick and waits for the controller's answers.
@@ -112,9 +112,9 @@ class ControllerLink:
         self.options = options
         self.setup = settings.controller
         self.config = self.setup.config
-        self.firmware = FollowedRobot(self.config, self.setup.id, self.setup.b_hat)
-        self.lineup = Lineup.beside(self.firmware, self.setup)
-        self.firmware.lineup = self.lineup
+        self.firmware = RightModel(self.config, self.setup.id, self.setup.b_hat)
+        self.mistaken_models = MistakenModels.beside(self.firmware, self.setup)
+        self.firmware.mistaken_models = self.mistaken_models
         self.model = RobotNode(
             self.setup,
             settings.subjects,
@@ -157,7 +157,7 @@ class ControllerLink:
         self.lockstep.observe({self.setup.id: z})  # the model gets the command, too, by _take_frame
         is_broadcast_due = self.model.sent.estimates != broadcasts_before
         if is_broadcast_due:
-            self.lineup.note_broadcast(self.firmware)
+            self.mistaken_models.keep_broadcasts(self.firmware)
         return is_broadcast_due
 
     def send(self, frames: Sequence[can.Message]) -> None:
@@ -191,14 +191,14 @@ class ControllerLink:
     def compare(self) -> None:
         """Compare all frames since the last comparison. Raises ControllerDiffers.
 
-        If they are equal, the known mistakes that would have shown in them leave the lineup.
+        If they are equal, the known mistakes that would have shown in them are left out from now on.
         """
         telemetry_fields = self._last_telemetry_fields()
         difference = self.take_difference()
         if difference is not None:
-            mistakes = self.lineup.answers_like(telemetry_fields, self.firmware)
+            mistakes = self.mistaken_models.mistakes_with_telemetry(telemetry_fields, self.firmware)
             raise ControllerDiffers(difference, mistakes)
-        self.lineup.drop_different(self.firmware)
+        self.mistaken_models.drop_different(self.firmware)
 
     def take_difference(self) -> Difference | None:
         """Return the first difference among the frames since the last comparison, and forget these frames.

@@ -1,4 +1,9 @@
-"""Phases that put the filter to the test: its period, its thresholds, its re-estimates, and the memory."""
+"""Phases that put the paper's filter to the test: its period, thresholds and re-estimates, and the memory.
+
+A test compares the robot's x_hat with the estimates of a round, every filter period. If it rejects x_hat,
+b_hat, the accuracy that the robot assumes of its sensor, is re-estimated (eq. 8) from x_bar, the weighted
+mean of these estimates.
+"""
 
 from __future__ import annotations
 
@@ -6,232 +11,279 @@ from collections.abc import Callable, Sequence
 
 from mcp_asdf.fixed_point import HALF, ONE
 from mcp_asdf.robot import Filter, Observation
-from mcp_asdf_tools.radio.bench import BURST, Bench
-from mcp_asdf_tools.radio.rounds import (
-    CRAFTED_SIZES,
-    SCALES,
-    Content,
+from mcp_asdf_tools.crosscheck.crafted_rounds import (
+    ALPHA_ONE,
+    ALPHA_SCALES,
+    NeighbourEstimate,
     Update,
-    any_content,
-    at_threshold,
-    far_away,
-    for_update,
-    scaled_alphas,
-    with_large_sums,
+    draw_alphas_of_one_scale,
+    draw_distant_estimates,
+    draw_estimate,
+    draw_round_for_update,
+    draw_round_of_distant_sum,
+    draw_round_of_large_scatter,
+    draw_rounds_at_threshold,
 )
+from mcp_asdf_tools.radio.bench import BURST, Bench
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 
 LONG_RUN = 20_000
 """Observations after which a controller must not have forgotten any, unless its memory is shorter: more than
 2**14, so that narrower counts show."""
-WHITE_TILES = 60
+_WHITE_TILES = 60
 """Tiles before the re-estimate without a black one, beside those of earlier phases."""
-FEW_OBSERVATIONS = (250, 350, 480)
+_EARLY_COUNTS = (250, 350, 480)
 """Observations after which b_hat is re-estimated early."""
-FREQUENT_TESTS = 50
-"""Rounds between tests with which there is time for 2**8 updates."""
+_FREQUENT_TESTS = 50
+"""Ticks between tests with which there is time for 2**8 updates."""
 
-_WANTED = (Update.ABOVE, Update.BELOW, Update.MAXIMUM, Update.MINIMUM, Update.ABOVE, Update.BELOW)
-"""Updates of the rounds just outside their thresholds."""
-_ATTEMPTS = 4
-_MANY = "many observations in a row"
+UPDATES_BY_CRAFTED_SIZE = {
+    2: Update.ABOVE,
+    3: Update.BELOW,
+    5: Update.MAXIMUM,
+    10: Update.MINIMUM,
+    30: Update.ABOVE,
+    126: Update.BELOW,
+}
+"""Sizes of the rounds that lie just inside and just outside the threshold, with the updates of the latter."""
+_MAX_ROUNDS_BEFORE_UPDATE = 4
+"""Tests after which a robot is given up that cannot be brought to an update."""
+_NEAR_HALF = (Update.HALF, Update.FAINT)
+"""Updates for which the share of black tiles must be near 1/2."""
+_MANY_OBSERVATIONS = "many observations in a row"
 
 
-def no_information(bench: Bench) -> None:
-    """A re-estimate that gives b_hat = 1/2, after which the robot knows nothing until the next."""
-    s = bench.firmware.s
-    for wanted in (Update.HALF, Update.FAINT):
+def re_estimate_to_half(bench: Bench) -> None:
+    """Re-estimate b_hat as 1/2, and then as almost 1/2, where the robot knows nothing, or hardly anything."""
+    state = bench.firmware.s
+    for update in _NEAR_HALF:
         bench.activity = "many observations, half of them black"
-        least = 0 if wanted is Update.HALF else s.t // 4096 + 1  # more black ones than white ones
-        while 2 * s.n - s.t != least:
-            bench.skip_ticks(max(abs(2 * s.n - s.t) // 2, 1), lambda: Observation(2 * s.n - s.t < least))  # noqa: B023
-        if wanted is Update.HALF and s.t < 1 << 12:
+        # Black tiles more than white ones.
+        excess = 0 if update is Update.HALF else state.t // 4096 + 1
+        _observe_until_excess(bench, excess)
+        if update is Update.HALF and state.t < 1 << 12:
             bench.skip_to_test_round()
             bench.activity = "a mean so close to 1/2 that the divisor of eq. 8 is below 1"
-            _crafted(bench, [(HALF + (1 << 10) + each, 0x8000_0001) for each in range(1, 4)])
-        _update(bench, wanted)
+            x_hats = [HALF + (1 << 10) + offset for offset in (1, 2, 3)]
+            _play_test_round(bench, [NeighbourEstimate(x_hat, ALPHA_ONE) for x_hat in x_hats])
+        _play_update(bench, update)
         bench.activity = "observations of a robot that knows hardly anything"
         for _ in range(3):
             bench.play_tick(bench.draw_observation())
 
 
-def all_white(bench: Bench) -> None:
-    """A re-estimate before the first black tile."""
+def _observe_until_excess(bench: Bench, excess: int) -> None:
+    """Observe until the robot has seen so many black tiles more than white ones."""
+    state = bench.firmware.s
+
+    def present_excess() -> int:
+        return 2 * state.n - state.t
+
+    while present_excess() != excess:
+        # Half as many as the excess of either colour, so that the wanted one is not passed by much.
+        bench.skip_ticks(max(abs(present_excess()) // 2, 1), lambda: Observation(present_excess() < excess))
+
+
+def re_estimate_without_black(bench: Bench) -> None:
+    """Re-estimate b_hat before the first black tile."""
     bench.activity = "white tiles, and then none until the test"
     # So few that t is still small in the next phases.
-    bench.skip_ticks(WHITE_TILES, lambda: Observation.WHITE)
+    bench.skip_ticks(_WHITE_TILES, lambda: Observation.WHITE)
     bench.skip_to_test_round()
     bench.activity = "a re-estimate without a black tile"
-    _crafted(bench, [(HALF // 2 + each, alpha) for each, alpha in enumerate(scaled_alphas(bench.draw, 5))])
+    alphas = draw_alphas_of_one_scale(bench.rng, 5)
+    _play_test_round(
+        bench, [NeighbourEstimate(HALF // 2 + index, alpha) for index, alpha in enumerate(alphas)]
+    )
 
 
-def ends(bench: Bench) -> None:
-    """Re-estimates whose x_bar is 0 or 1, after which one colour leaves the range that b_hat allows."""
-    s = bench.firmware.s
-    for end in (0, ONE) if s.x_hat > HALF else (ONE, 0):
-        _to_test(bench)
+def re_estimate_from_ends(bench: Bench) -> None:
+    """Re-estimate from an x_bar of 0 and of 1, after which one colour leaves the range that b_hat allows."""
+    for end in (0, ONE) if bench.firmware.s.x_hat > HALF else (ONE, 0):
+        _observe_until_test(bench)
         bench.activity = f"estimates of {end // ONE}"
-        _crafted(bench, [(end, alpha) for alpha in scaled_alphas(bench.draw, 5)])
+        alphas = draw_alphas_of_one_scale(bench.rng, 5)
+        _play_test_round(bench, [NeighbourEstimate(end, alpha) for alpha in alphas])
         bench.activity = f"tiles of one colour, then of the other, after estimates of {end // ONE}"
         for tick in range(12):
             bench.play_tick(Observation(tick // 3 % 2))
 
 
-def large_sums(bench: Bench) -> None:
-    """Rounds whose squares have most bits."""
-    for name in with_large_sums(bench.situation, bench.draw):
-        _to_test(bench)
-        bench.activity = name
-        _crafted(bench, with_large_sums(bench.situation, bench.draw)[name])
+def test_large_sums(bench: Bench) -> None:
+    """Let the filter test rounds in which the squares of eq. 12 have most bits."""
+    _observe_until_test(bench)
+    bench.activity = "a spread of 2^57"
+    _play_test_round(bench, draw_round_of_large_scatter(bench.robot_state, bench.rng))
+    _observe_until_test(bench)
+    bench.activity = "a distance of the sum above 2^27"
+    _play_test_round(bench, draw_round_of_distant_sum(bench.robot_state, bench.rng))
 
 
-def thresholds(m: int, wanted: Update) -> Callable[[Bench], None]:
-    """Rounds of ``m`` messages just inside and just outside k_m; the second one's update is ``wanted``."""
+def threshold_phase(m: int) -> Callable[[Bench], None]:
+    """Return a phase of rounds of ``m`` estimates just inside and just outside k_m, the threshold for m."""
 
     def play(bench: Bench) -> None:
-        for place, where in enumerate(("inside", "outside")):
-            _to_test(bench)
-            rounds = at_threshold(bench.situation, m, wanted, bench.draw)
-            bench.activity = f"{m} messages just {where} the threshold"
-            _crafted(bench, rounds[place])
+        update = UPDATES_BY_CRAFTED_SIZE[m]
+        _observe_until_test(bench)
+        bench.activity = f"{m} messages just inside the threshold"
+        _play_test_round(bench, draw_rounds_at_threshold(bench.robot_state, m, update, bench.rng).inside)
+        _observe_until_test(bench)
+        bench.activity = f"{m} messages just outside the threshold"
+        _play_test_round(bench, draw_rounds_at_threshold(bench.robot_state, m, update, bench.rng).outside)
 
     return play
 
 
-THRESHOLDS = {m: thresholds(m, wanted) for m, wanted in zip(CRAFTED_SIZES, _WANTED, strict=True)}
-
-
-def own_estimate(bench: Bench) -> None:
-    """Messages that all equal the own estimate: the test must not reject at equality."""
-    _to_test(bench)
+def test_own_estimate(bench: Bench) -> None:
+    """Let the filter test estimates that all equal the robot's own, which it must not reject."""
+    _observe_until_test(bench)
     bench.activity = "messages equal to its own estimate"
-    _crafted(bench, [(bench.situation.x_hat, alpha) for alpha in scaled_alphas(bench.draw, 5)])
+    _play_test_round(bench, _draw_own_estimates(bench))
 
 
-def without_test(bench: Bench) -> None:
-    """Play rounds from which only a robot without a test re-estimates: one message, and its own estimate."""
-    _to_test(bench)
+def re_estimate_without_test(bench: Bench) -> None:
+    """Play rounds from which only a robot without a test re-estimates: one estimate, and its own x_hat."""
+    _observe_until_test(bench)
     bench.activity = "a re-estimate from a single message"
-    bench.play_round(*far_away(bench.situation, bench.draw, m=1))
-    _to_test(bench)
+    bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng, m=1))
+    _observe_until_test(bench)
     bench.activity = "a re-estimate from messages equal to its own estimate"
-    bench.play_round(*((bench.situation.x_hat, alpha) for alpha in scaled_alphas(bench.draw, 5)))
+    bench.play_round(*_draw_own_estimates(bench))
 
 
-def few_observations(bench: Bench) -> None:
+def _draw_own_estimates(bench: Bench) -> list[NeighbourEstimate]:
+    """Draw five estimates whose x_hat is the controller's."""
+    alphas = draw_alphas_of_one_scale(bench.rng, 5)
+    return [NeighbourEstimate(bench.robot_state.x_hat, alpha) for alpha in alphas]
+
+
+def re_estimate_early(bench: Bench) -> None:
     """Re-estimate b_hat after few observations, whose share of black tiles leaves b_hat off its limits."""
-    s = bench.firmware.s
-    for t in FEW_OBSERVATIONS:
-        if s.t > t:
+    state = bench.firmware.s
+    for t in _EARLY_COUNTS:
+        if state.t > t:
             continue
         bench.activity = f"{t} observations"
-        bench.skip_ticks(t - s.t, lambda: Observation(5 * s.n < 3 * s.t))
-        for wanted in (Update.ABOVE, Update.BELOW):
+        bench.skip_ticks(t - state.t, lambda: Observation(5 * state.n < 3 * state.t))
+        for update in (Update.ABOVE, Update.BELOW):
             bench.skip_to_test_round()
-            contents = for_update(bench.situation, wanted, bench.draw)
-            if contents is not None:
-                bench.activity = f"a re-estimate after {s.t} observations"
-                bench.play_round(*contents)
+            estimates = draw_round_for_update(bench.robot_state, update, bench.rng)
+            if estimates is not None:
+                bench.activity = f"a re-estimate after {state.t} observations"
+                bench.play_round(*estimates)
                 bench.play_tick(None)
 
 
-def updates_to_see(record: RobotSetup) -> int:
-    """Return how often a run re-estimates: beyond 2**8 times where tests are frequent, else beyond 2**5."""
-    return 257 if record.filter_period <= FREQUENT_TESTS else 33
+def count_updates_to_check(setup: RobotSetup) -> int:
+    """Return how often a run re-estimates b_hat: over 2**8 times if tests are frequent, else over 2**5."""
+    return 257 if setup.filter_period <= _FREQUENT_TESTS else 33
 
 
-def many_updates(bench: Bench) -> None:
+def re_estimate_often(bench: Bench) -> None:
     """Re-estimate until a counter of too few bits shows, and from confidences of every scale."""
-    count = max(updates_to_see(bench.setup) - bench.firmware.s.updates, len(SCALES))
-    for number in range(count):
+    missing_updates = count_updates_to_check(bench.setup) - bench.firmware.s.updates
+    for index in range(max(missing_updates, len(ALPHA_SCALES))):
         bench.skip_to_test_round(bench.draw_observation)
         bench.activity = "one of many re-estimates"
-        x_hats = [x_hat for x_hat, _ in far_away(bench.situation, bench.draw)]
-        alphas = scaled_alphas(bench.draw, len(x_hats), SCALES[number % len(SCALES)])
-        bench.play_round(*zip(x_hats, alphas, strict=True))
+        x_hats = [x_hat for x_hat, _ in draw_distant_estimates(bench.robot_state, bench.rng)]
+        scale = ALPHA_SCALES[index % len(ALPHA_SCALES)]
+        alphas = draw_alphas_of_one_scale(bench.rng, len(x_hats), scale)
+        bench.play_round(*map(NeighbourEstimate, x_hats, alphas))
         bench.play_tick(bench.draw_observation())
 
 
-def no_test(bench: Bench) -> None:
-    """Rounds before and after a test that it would reject, and one at the test with a single message."""
-    _to_test(bench, before=1)
+def play_rounds_without_test(bench: Bench) -> None:
+    """Play rounds that a test would reject around that of the test, which itself has too few estimates."""
+    _observe_until_test(bench, rounds_before=1)
     bench.activity = "a round before that of the test"
-    bench.play_round(*far_away(bench.situation, bench.draw))
+    bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
     bench.activity = "too few messages with a confidence above 0 for a test"
-    silent = [(x_hat, 0) for x_hat, _ in far_away(bench.situation, bench.draw)]
-    loud = far_away(bench.situation, bench.draw, m=1) if bench.config.filter is Filter.ADAPTIVE else []
-    bench.play_round(*loud, *silent)
+    distant_estimates = draw_distant_estimates(bench.robot_state, bench.rng)
+    estimates = [NeighbourEstimate(x_hat, 0) for x_hat, _ in distant_estimates]
+    if bench.config.filter is Filter.ADAPTIVE:
+        estimates = draw_distant_estimates(bench.robot_state, bench.rng, m=1) + estimates
+    bench.play_round(*estimates)
     for _ in range(2):
         bench.avoid_test("a round after that of the test")
-        bench.play_round(*far_away(bench.situation, bench.draw))
+        bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
 
 
-def updates(bench: Bench) -> None:
-    """Re-estimates of each kind but the one that a phase of its own makes."""
-    s = bench.firmware.s
+def re_estimate_to_each_kind(bench: Bench) -> None:
+    """Re-estimate with every kind of update but those for which as many tiles must be black as white."""
+    state = bench.firmware.s
     bench.activity = "more black tiles, for a b_hat that is off 1/2"
-    while 20 * s.n < 11 * s.t:
+    while 20 * state.n < 11 * state.t:
         bench.skip_ticks(BURST, lambda: Observation.BLACK)
-    for wanted in Update:
-        if wanted not in (Update.HALF, Update.FAINT):
-            _update(bench, wanted)
+    for update in Update:
+        if update not in _NEAR_HALF:
+            _play_update(bench, update)
 
 
-def quiet(bench: Bench) -> None:
-    """Messages far away from the estimate of a robot that does not filter, also where a test would be."""
+def play_without_filter(bench: Bench) -> None:
+    """Send estimates far away to a robot that does not filter, also where its filter would run."""
     if bench.setup.filter_period <= LONG_RUN:
-        bench.activity = _MANY
+        bench.activity = _MANY_OBSERVATIONS
         bench.skip_to_test_round(bench.draw_observation)
     for _ in range(5):
         bench.activity = "messages far away"
-        bench.play_round(*far_away(bench.situation, bench.draw))
+        bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
 
 
-def halvings(bench: Bench) -> None:
-    """Halvings of the memory with n modulo 4 as 1, 3, 0 and 2: down, up, and exact twice."""
-    s, memory = bench.firmware.s, bench.config.memory
+def halve_memory(bench: Bench) -> None:
+    """Halve the memory with n modulo 4 as 1, 3, 0 and 2: n is rounded down, up, and exact twice."""
+    state, memory = bench.firmware.s, bench.config.memory
     bench.activity = "observations until the memory is halved"
-    while s.t > memory - 4:
+    while state.t > memory - 4:
         bench.play_tick(bench.draw_observation())
-    for n in (1, 3, 0, 2):
-        bench.skip_ticks(memory - 4 - s.t, bench.draw_observation)
-        blacks = (n - s.n) % 4
-        for place in range(4):
-            bench.play_tick(Observation(place < blacks))
+    for remainder in (1, 3, 0, 2):
+        bench.skip_ticks(memory - 4 - state.t, bench.draw_observation)
+        black_count = (remainder - state.n) % 4
+        for index in range(4):
+            bench.play_tick(Observation(index < black_count))
 
 
-def long_run(bench: Bench) -> None:
-    """So many observations that a memory that is too short shows."""
-    bench.activity = _MANY
+def observe_long(bench: Bench) -> None:
+    """Make so many observations that a memory that is too short shows."""
+    bench.activity = _MANY_OBSERVATIONS
     bench.skip_ticks(max(LONG_RUN - bench.firmware.s.t, BURST), bench.draw_observation)
 
 
-def _to_test(bench: Bench, before: int = 0) -> None:
-    """Observe until the round of the next test begins, at least once: a new b_hat shows then."""
-    bench.activity = _MANY
+# --- Steps ---
+
+
+def _observe_until_test(bench: Bench, rounds_before: int = 0) -> None:
+    """Observe until the round of the next test begins, or some rounds before, but at least once.
+
+    So x_hat shows a b_hat that the last round has changed.
+    """
+    bench.activity = _MANY_OBSERVATIONS
     bench.play_tick(bench.draw_observation())
-    bench.skip_to_test_round(bench.draw_observation, before)
+    bench.skip_to_test_round(bench.draw_observation, rounds_before)
 
 
-def _crafted(bench: Bench, contents: Sequence[Content]) -> None:
-    """A round at the test, and another of the same senders, who count again."""
-    senders = bench.draw.sample(bench.other_ids, len(contents))
-    bench.play_round(*contents, senders=senders)
+def _play_test_round(bench: Bench, estimates: Sequence[NeighbourEstimate]) -> None:
+    """Play the round of the test, and then another of the same senders, who must be counted again."""
+    senders = bench.rng.sample(bench.other_ids, len(estimates))
+    bench.play_round(*estimates, senders=senders)
     bench.avoid_test(f"{bench.activity}; then others of the same senders")
-    bench.play_round(*(any_content(bench.draw) for _ in senders), senders=senders)
+    bench.play_round(*(draw_estimate(bench.rng) for _ in senders), senders=senders)
 
 
-def _update(bench: Bench, wanted: Update) -> None:
-    """A round for which the test makes this update; up to three others first, where it cannot yet."""
-    for _ in range(_ATTEMPTS):
-        if wanted in (Update.HALF, Update.FAINT):
-            bench.skip_to_test_round()
+def _play_update(bench: Bench, update: Update) -> None:
+    """Play a round from which the robot makes this update.
+
+    Where it cannot yet, a few other updates come first. If it still cannot then, this is noted as a case that
+    was not exercised.
+    """
+    for _ in range(_MAX_ROUNDS_BEFORE_UPDATE):
+        if update in _NEAR_HALF:
+            bench.skip_to_test_round()  # observations would change the share of black tiles
         else:
-            _to_test(bench)
-        contents = for_update(bench.situation, wanted, bench.draw)
-        bench.activity = f"a round for a re-estimate: {wanted.value}"
-        if contents is not None:
-            _crafted(bench, contents)
+            _observe_until_test(bench)
+        estimates = draw_round_for_update(bench.robot_state, update, bench.rng)
+        bench.activity = f"a round for a re-estimate: {update.value}"
+        if estimates is not None:
+            _play_test_round(bench, estimates)
             return
-        bench.play_round(*far_away(bench.situation, bench.draw))
-    bench.not_exercised.append(f"a re-estimate: {wanted.value}")
+        bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
+    bench.not_exercised.append(f"a re-estimate: {update.value}")

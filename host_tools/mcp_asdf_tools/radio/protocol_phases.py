@@ -1,12 +1,15 @@
-"""Phases that put frames and commands to the test, before the filter is of interest."""
+"""Phases that put frames and commands to the test, before the filter is of interest.
+
+A tick of the controller begins with an *observe* command and ends with a *settle* command. The estimates that
+it receives from one of its broadcasts to the next make up a round.
+"""
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
-from typing import Any
+from dataclasses import dataclass, replace
+from random import Random
+from typing import Literal
 
 import can
 
@@ -20,345 +23,455 @@ from mcp_asdf_tools.bus.frames import (
     encode_heartbeat,
     encode_telemetry,
 )
+from mcp_asdf_tools.crosscheck.crafted_rounds import (
+    ALPHA_LEAST,
+    EXTREME_ROUNDS,
+    NeighbourEstimate,
+    draw_distant_estimates,
+    draw_estimate,
+)
 from mcp_asdf_tools.radio.bench import Bench
-from mcp_asdf_tools.radio.rounds import EXTREMES, FOREIGN_ALPHAS, any_content, far_away
 from mcp_asdf_tools.robots.lockstep import DRIVER_ID
 
-MOST_SKIPPED = 10_000
-ALONE_TICKS = 72
+_MAX_SKIPPED_TICKS = 10_000
+"""Ticks that a phase skips at most to reach a heartbeat, or the filter's first test."""
+_ALONE_TICKS = 72
 """More than the shortest memory, 64."""
-STRAY_REPEATS = 3
-SIZES = (2, 3, 5, 10, 30, 33, 64, 126)
-"""Messages of growing rounds."""
-CROWDED_REPEATS = 4
+_STRAY_REPEATS = 3
+_ROUND_SIZES = (2, 3, 5, 10, 30, 33, 64, 126)
+_CROWDED_REPEATS = 4
 """Messages of each sender but the last one in the tick with most messages."""
-CROWDED_MESSAGES = CROWDED_REPEATS * (MAX_ID - 1) + 1
+CROWDED_MESSAGES = _CROWDED_REPEATS * (MAX_ID - 1) + 1
 """Messages of that tick."""
 
+# --- Frames that are no estimates ---
 
-Change = Callable[[can.Message], object]
-"""Change of a frame in place."""
-Spoil = Callable[[can.Message, random.Random], object]
-"""Change of an estimate that makes it none."""
-
-
-def _put(frame: can.Message, place: int, content: bytes) -> None:
-    frame.data[place : place + len(content)] = content
+ChangeFrame = Callable[[can.Message, Random], None]
+"""Changes the frame of an estimate so that it is none; what is arbitrary about the change is drawn."""
 
 
-def _between(place: int, length: int, low: int, high: int) -> Spoil:
-    """Puts any number of the range there."""
-    return lambda frame, draw: _put(frame, place, draw.randint(low, high).to_bytes(length, "little"))
+def _write_number(first_byte: int, length: int, minimum: int, maximum: int) -> ChangeFrame:
+    """Return a change that puts any number of this range in some bytes of a frame, the lowest byte first."""
+
+    def change(frame: can.Message, rng: Random) -> None:
+        number = rng.randint(minimum, maximum)
+        frame.data[first_byte : first_byte + length] = number.to_bytes(length, "little")
+
+    return change
 
 
-def _clear(bit: int, frame: can.Message, draw: random.Random) -> None:
-    frame.data[7] &= ~(1 << bit)
+def _clear_tail_bit(bit: int) -> ChangeFrame:
+    """Return a change that clears a bit of the last byte."""
+
+    def change(frame: can.Message, rng: Random) -> None:
+        frame.data[7] &= ~(1 << bit)
+
+    return change
 
 
-def _flip(bit: int, frame: can.Message, draw: random.Random) -> None:
-    frame.arbitration_id ^= 1 << bit
+def _flip_identifier_bit(bit: int) -> ChangeFrame:
+    """Return a change that flips a bit of the identifier."""
+
+    def change(frame: can.Message, rng: Random) -> None:
+        frame.arbitration_id ^= 1 << bit
+
+    return change
 
 
-def _standard(frame: can.Message, draw: random.Random) -> None:
+def _cut_to_length(minimum: int, maximum: int) -> ChangeFrame:
+    """Return a change that leaves only the first bytes, as many as this range allows."""
+
+    def change(frame: can.Message, rng: Random) -> None:
+        frame.dlc = rng.randint(minimum, maximum)
+        frame.data = frame.data[: frame.dlc]
+
+    return change
+
+
+def _use_short_identifier(frame: can.Message, rng: Random) -> None:
+    """Give a frame an identifier of 11 bits."""
     frame.is_extended_id = False
     frame.arbitration_id &= 0x7FF
 
 
-def _remote(frame: can.Message, draw: random.Random) -> None:
+def _make_remote(frame: can.Message, rng: Random) -> None:
+    """Turn a frame into a remote frame, which asks for data."""
     frame.is_remote_frame = True
     frame.data = bytearray()
 
 
-def _shorten(least: int, most: int) -> Spoil:
-    def spoil(frame: can.Message, draw: random.Random) -> None:
-        frame.dlc = draw.randint(least, most)
-        frame.data = frame.data[: frame.dlc]
-
-    return spoil
-
-
-MALFORMED: dict[str, Spoil] = {
-    "an 11-bit identifier": _standard,
-    "a remote frame": _remote,
-    "7 bytes": _shorten(7, 7),
-    "fewer than 7 bytes": _shorten(0, 6),
-    "no single-frame tail byte": _between(7, 1, 0, 0xDF),
-    "a tail byte without the start bit": partial(_clear, 7),
-    "a tail byte without the end bit": partial(_clear, 6),
-    "a tail byte without the toggle bit": partial(_clear, 5),
-    "x_hat above 1": _between(0, 3, Q23_ONE + 2, 0xFF_FFFF),
-    "x_hat one unit above 1": _between(0, 3, Q23_ONE + 1, Q23_ONE + 1),
-    "alpha infinite": _between(3, 4, 0x7F80_0000, 0x7F80_0000),
-    "alpha not a number": _between(3, 4, 0x7F80_0001, 0x7FFF_FFFF),
-    "alpha -0": _between(3, 4, 0x8000_0000, 0x8000_0000),
-    "alpha negative": _between(3, 4, 0x8000_0001, 0xFFFF_FFFF),
-    "a service transfer": partial(_flip, 25),
-    "an anonymous sender": partial(_flip, 24),
-    "reserved bit 23 set": partial(_flip, 23),
-    "reserved bit 7 set": partial(_flip, 7),
-    "another subject": partial(_flip, 20),
-    "another subject of the same upper bits": partial(_flip, 12),
-    "another subject of the same lower bits": partial(_flip, 16),
+MALFORMED: dict[str, ChangeFrame] = {
+    "an 11-bit identifier": _use_short_identifier,
+    "a remote frame": _make_remote,
+    "7 bytes": _cut_to_length(7, 7),
+    "fewer than 7 bytes": _cut_to_length(0, 6),
+    "no single-frame tail byte": _write_number(7, 1, 0, 0xDF),
+    "a tail byte without the start bit": _clear_tail_bit(7),
+    "a tail byte without the end bit": _clear_tail_bit(6),
+    "a tail byte without the toggle bit": _clear_tail_bit(5),
+    "x_hat above 1": _write_number(0, 3, Q23_ONE + 2, 0xFF_FFFF),
+    "x_hat one unit above 1": _write_number(0, 3, Q23_ONE + 1, Q23_ONE + 1),
+    "alpha infinite": _write_number(3, 4, 0x7F80_0000, 0x7F80_0000),
+    "alpha not a number": _write_number(3, 4, 0x7F80_0001, 0x7FFF_FFFF),
+    "alpha -0": _write_number(3, 4, 0x8000_0000, 0x8000_0000),
+    "alpha negative": _write_number(3, 4, 0x8000_0001, 0xFFFF_FFFF),
+    "a service transfer": _flip_identifier_bit(25),
+    "an anonymous sender": _flip_identifier_bit(24),
+    "reserved bit 23 set": _flip_identifier_bit(23),
+    "reserved bit 7 set": _flip_identifier_bit(7),
+    "another subject": _flip_identifier_bit(20),
+    "another subject of the same upper bits": _flip_identifier_bit(12),
+    "another subject of the same lower bits": _flip_identifier_bit(16),
 }
-"""Ways not to be an estimate, each by itself."""
+"""Ways for a frame not to be an estimate, each by itself."""
 
-
-def _with_bits(mask: int, bits: int, frame: can.Message) -> None:
-    """Put these bits of the identifier there."""
-    frame.arbitration_id = frame.arbitration_id & ~mask | bits
-
-
-UNUSUAL_IDENTIFIERS: dict[str, Change] = {
-    **{f"with priority {priority}": partial(_with_bits, 7 << 26, priority << 26) for priority in range(8)},
-    "with identifier bits 22 and 21 clear": partial(_with_bits, 3 << 21, 0),
+FOREIGN_ALPHAS = {
+    "a confidence above the largest": 0x7F7F_FFFF,
+    "a confidence between two multiples of 2^-24": 0x3300_0001 + (1 << 23),
+    "a confidence nearer to the next multiple of 2^-24": 0x3400_0000 - (1 << 21),
+    "a subnormal confidence": 0x0000_0001,
 }
-"""Changes of an identifier that make no difference."""
+"""Confidences that an alpha word cannot hold, as binary32 bits: a receiver must round or limit them."""
 
-UNUSUAL_COMMANDS: dict[str, Change] = {
-    "for every robot": lambda frame: None,
-    "of another node": lambda frame: None,
-    "whose spare byte is not 0": lambda frame: _put(frame, 6, b"\xff"),
-    **UNUSUAL_IDENTIFIERS,
+
+# --- Differences that make none ---
+
+
+@dataclass(frozen=True)
+class IdentifierBits:
+    """Bits of an identifier that a receiver ignores: those of ``mask`` become those of ``value``."""
+
+    mask: int
+    value: int
+
+    def apply(self, frame: can.Message) -> None:
+        """Put the bits in the frame's identifier."""
+        frame.arbitration_id = (frame.arbitration_id & ~self.mask) | self.value
+
+
+UNUSUAL_IDENTIFIERS = {
+    **{f"with priority {priority}": IdentifierBits(7 << 26, priority << 26) for priority in range(8)},
+    "with identifier bits 22 and 21 clear": IdentifierBits(3 << 21, 0),
 }
-"""Differences of a command that make none to the robot; the first two are its sender and its target."""
 
 
-def nothing_seen(bench: Bench) -> None:
-    """Messages for a robot that has observed nothing: x is their mean alone, and the test comes early."""
+@dataclass(frozen=True)
+class CommandVariant:
+    """Differences from the usual commands that make none to the robot.
+
+    Attributes:
+        is_for_every_robot: Whether the target is every robot, not this one alone.
+        is_from_another_node: Whether the sender is a node that does not command otherwise.
+        spare_byte: Content of the byte that has no meaning.
+        identifier: Unusual bits of the identifier; None for the usual ones.
+    """
+
+    is_for_every_robot: bool = False
+    is_from_another_node: bool = False
+    spare_byte: int = 0
+    identifier: IdentifierBits | None = None
+
+
+UNUSUAL_COMMANDS = {
+    "for every robot": CommandVariant(is_for_every_robot=True),
+    "of another node": CommandVariant(is_from_another_node=True),
+    "whose spare byte is not 0": CommandVariant(spare_byte=0xFF),
+    **{name: CommandVariant(identifier=bits) for name, bits in UNUSUAL_IDENTIFIERS.items()},
+}
+
+
+@dataclass(frozen=True)
+class StrayCommand:
+    """A command that a robot must not obey between *observe* and *settle* of a tick.
+
+    Attributes:
+        target: The robot that is tested, another one, or all.
+        tick: The tick that is open, the last one before it, or a later one.
+        action: What is commanded.
+    """
+
+    target: Literal["robot", "other", "all"]
+    tick: Literal["open", "last", "later"]
+    action: Action
+
+
+STRAY_COMMANDS = {
+    "an observe of the open tick": StrayCommand("robot", "open", Action.OBSERVE_WHITE),
+    "an observe of the open tick, for all": StrayCommand("all", "open", Action.OBSERVE_BLACK),
+    "a settle of a later tick": StrayCommand("robot", "later", Action.SETTLE),
+    "a settle of the last tick, for all": StrayCommand("all", "last", Action.SETTLE),
+    "a settle for another robot": StrayCommand("other", "open", Action.SETTLE),
+    "an observe for another robot": StrayCommand("other", "later", Action.OBSERVE_WHITE),
+}
+
+
+# --- The phases ---
+
+
+def receive_before_observing(bench: Bench) -> None:
+    """Send estimates to a robot that has observed nothing: x is their mean alone, and a test comes early."""
     bench.activity = "no observation"
     bench.play_tick(None)
     is_robust = bench.config.filter is Filter.ROBUST
     if not is_robust:
-        extremes(bench)
-    if bench.setup.filter_period <= MOST_SKIPPED:
+        receive_extremes(bench)
+    if bench.setup.filter_period <= _MAX_SKIPPED_TICKS:
         bench.activity = "commands in a row"
         bench.skip_to_test_round()
         bench.activity = "a test before the first observation"
-        bench.play_round(*([] if is_robust else far_away(bench.situation, bench.draw)))
+        bench.play_round(*([] if is_robust else draw_distant_estimates(bench.robot_state, bench.rng)))
 
 
-def alone(bench: Bench) -> None:
-    """The controller hears no messages, and all tiles are white: x_hat is 0, or 1 for b_hat below 1/2."""
-    for tick in range(ALONE_TICKS):
+def observe_alone(bench: Bench) -> None:
+    """Let the controller see white tiles alone, without estimates: x_hat is 0, or 1 for b_hat below 1/2."""
+    for tick in range(_ALONE_TICKS):
         z = None if tick % 9 == 8 else Observation.WHITE
         bench.activity = "no observation" if z is None else "white tiles"
         bench.play_tick(z)
 
 
-def first_black_tiles(bench: Bench) -> None:
-    """Black tiles while x_hat is that of white ones alone, else white: small estimates, and their clamp."""
+def observe_first_black(bench: Bench) -> None:
+    """Observe black whenever x_hat is that of white tiles alone, else mostly white.
+
+    So x_hat is small, or limited to the end of its range.
+    """
     bench.activity = "the first black tiles"
-    white = bench.firmware.s.x_hat
-    for _ in range(ALONE_TICKS):
-        bench.play_tick(Observation(bench.firmware.s.x_hat == white or bench.draw.random() < 0.3))
+    x_hat_of_white = bench.firmware.s.x_hat
+    for _ in range(_ALONE_TICKS):
+        is_black = bench.firmware.s.x_hat == x_hat_of_white or bench.rng.random() < 0.3
+        bench.play_tick(Observation(is_black))
 
 
-def messages_and_silence(bench: Bench) -> None:
-    """Ticks with a few messages of similar weight, and ticks without any."""
+def receive_and_wait(bench: Bench) -> None:
+    """Play ticks with a few estimates of similar confidence, and ticks without any."""
     for _ in range(6):
         bench.avoid_test("a few messages")
-        frames = bench.encode_estimates({robot: any_content(bench.draw, 3) for robot in bench.other_ids[:3]})
-        bench.play_tick(bench.draw_observation(), frames)
+        estimates = {robot: draw_estimate(bench.rng, max_shift=3) for robot in bench.other_ids[:3]}
+        bench.play_tick(bench.draw_observation(), bench.encode_estimates(estimates))
         bench.avoid_test("no messages")
-        for _ in range(2 if bench.draw.random() < 0.5 else 1):
+        for _ in range(2 if bench.rng.random() < 0.5 else 1):
             bench.play_tick(bench.draw_observation())
 
 
-def lost_settles(bench: Bench) -> None:
-    """Every other *settle* does not come; the next *observe* ends the tick and its round all the same."""
+def lose_settles(bench: Bench) -> None:
+    """Leave out every other *settle*: the next *observe* must end the tick and its round all the same."""
     for _ in range(4):
         bench.avoid_test("messages in a tick whose settle is lost")
         bench.observe(bench.draw_observation())
-        bench.send(
-            bench.encode_estimates([(robot, any_content(bench.draw)) for robot in bench.other_ids[5:8]])
-        )
+        _send_any_estimates(bench, bench.other_ids[5:8])
         bench.leave_open()
         bench.activity = "the tick after one whose settle was lost"
         bench.play_tick(bench.draw_observation())
 
 
-STRAY = {
-    "an observe of the open tick": ("robot", "open", Action.OBSERVE_WHITE),
-    "an observe of the open tick, for all": ("all", "open", Action.OBSERVE_BLACK),
-    "a settle of a later tick": ("robot", "later", Action.SETTLE),
-    "a settle of the last tick, for all": ("all", "last", Action.SETTLE),
-    "a settle for another robot": ("other", "open", Action.SETTLE),
-    "an observe for another robot": ("other", "later", Action.OBSERVE_WHITE),
-}
-"""Commands not to be obeyed between *observe* and *settle* of a tick: target, tick and action."""
-
-
-def stray(bench: Bench) -> None:
-    """Commands that must not be obeyed, each kind by itself."""
-    for _ in range(STRAY_REPEATS):
-        for name, (target, when, action) in STRAY.items():
+def send_stray_commands(bench: Bench) -> None:
+    """Send commands that must not be obeyed, each kind by itself."""
+    for _ in range(_STRAY_REPEATS):
+        for name, stray in STRAY_COMMANDS.items():
             bench.avoid_test(name)
             bench.observe(bench.draw_observation())
-            usual, other = bench.make_command(action), _another_robot(bench)
-            targets = {"robot": usual.target, "other": other, "all": EVERY_ROBOT}
-            later = usual.tick + 1 + bench.draw.randrange(1000)
-            tick = {"open": usual.tick, "later": later, "last": usual.tick - 1}[when] % 2**32
-            _send(bench, replace(usual, sender=other, tick=tick, target=targets[target]))
-            bench.send(
-                bench.encode_estimates({robot: any_content(bench.draw) for robot in bench.other_ids[:2]})
+            usual = bench.make_command(stray.action)
+            other_robot = _draw_other_robot(bench)
+            targets = {"robot": usual.target, "other": other_robot, "all": EVERY_ROBOT}
+            ticks = {
+                "open": usual.tick,
+                "later": usual.tick + 1 + bench.rng.randrange(1000),
+                "last": usual.tick - 1,
+            }
+            command = replace(
+                usual, sender=other_robot, tick=ticks[stray.tick] % 2**32, target=targets[stray.target]
             )
+            bench.send([_encode(bench, command)])
+            _send_any_estimates(bench, bench.other_ids[:2])
             bench.settle()
 
 
-def _another_robot(bench: Bench) -> int:
-    """A robot that is neither the controller nor the node that commands it."""
-    return bench.draw.choice([robot for robot in bench.other_ids if robot != DRIVER_ID])
-
-
-def _send(bench: Bench, command: Command, change: Change = lambda frame: None) -> None:
-    frame = encode_command(command, bench.settings.subjects.commands)
-    change(frame)
-    bench.send([frame])
-
-
-def unusual_commands(bench: Bench) -> None:
-    """Commands that differ in what makes no difference.
+def send_unusual_commands(bench: Bench) -> None:
+    """Send commands that differ in what makes no difference.
 
     After each comes the usual one of the same tick, which changes nothing unless the first was not obeyed:
     then the controller misses an observation, or has a round too many messages.
     """
-    for name, change in UNUSUAL_COMMANDS.items():
+    for name, variant in UNUSUAL_COMMANDS.items():
         bench.avoid_test(f"commands {name}", rounds=2)  # the last message is one of the next round
-        other: dict[str, Any] = {"sender": _another_robot(bench)} if name == "of another node" else {}
-        other |= {"target": EVERY_ROBOT} if name == "for every robot" else {}
-        _send(
-            bench, replace(bench.make_command(Action.to_observe(bench.draw_observation())), **other), change
-        )
+        other_robot = _draw_other_robot(bench) if variant.is_from_another_node else None
+        observe = bench.make_command(Action.to_observe(bench.draw_observation()))
+        bench.send([_encode_variant(bench, observe, variant, other_robot)])
         bench.observe(None)
-        bench.send(bench.encode_estimates({robot: any_content(bench.draw) for robot in bench.other_ids[:2]}))
-        _send(bench, replace(bench.make_command(Action.SETTLE), **other), change)
-        bench.send(bench.encode_estimates({bench.other_ids[2]: any_content(bench.draw)}))
+        _send_any_estimates(bench, bench.other_ids[:2])
+        settle = bench.make_command(Action.SETTLE)
+        bench.send([_encode_variant(bench, settle, variant, other_robot)])
+        _send_any_estimates(bench, bench.other_ids[2:3])
         bench.settle()
+    # Numbers of ticks may jump, in both directions.
     for bit in (8, 16, 24, 31):
-        for later, distance in (("higher", 1 << bit), ("lower", 1 - (1 << bit))):
-            bench.avoid_test(f"an observe of a number {later} by about 2^{bit} than that of the open tick")
+        for direction, distance in (("higher", 1 << bit), ("lower", 1 - (1 << bit))):
+            bench.avoid_test(
+                f"an observe of a number {direction} by about 2^{bit} than that of the open tick"
+            )
             bench.observe(bench.draw_observation())
             bench.leave_open(distance)
             bench.play_tick(bench.draw_observation())
 
 
-def unusual_messages(bench: Bench) -> None:
-    """Messages whose identifiers differ in what a receiver ignores."""
-    for name, change in UNUSUAL_IDENTIFIERS.items():
+def receive_unusual_identifiers(bench: Bench) -> None:
+    """Send estimates whose identifiers differ in what a receiver ignores."""
+    for name, identifier in UNUSUAL_IDENTIFIERS.items():
         bench.avoid_test(f"messages {name}")
-        frames = bench.encode_estimates({robot: any_content(bench.draw) for robot in bench.other_ids[:3]})
-        change(frames[0])
+        frames = _encode_any_estimates(bench, bench.other_ids[:3])
+        identifier.apply(frames[0])
         bench.play_round_of_frames(frames)
 
 
-def heartbeats(bench: Bench) -> None:
-    """Ticks in a row until two heartbeats were due, if they come at all often."""
+def wait_for_heartbeats(bench: Bench) -> None:
+    """Skip ticks until the controller must have sent two heartbeats, if they come at all often."""
     bench.activity = "commands in a row"
-    bench.skip_ticks(min(2 * bench.settings.swarm.steps_per_second + 1, MOST_SKIPPED))
+    ticks = 2 * bench.settings.swarm.steps_per_second + 1
+    bench.skip_ticks(min(ticks, _MAX_SKIPPED_TICKS))
 
 
-def invalid(bench: Bench) -> None:
-    """Frames that are no estimates, each kind by itself, before a valid message of the same sender."""
+def receive_malformed(bench: Bench) -> None:
+    """Send frames that are no estimates, each kind by itself, before an estimate of the same sender."""
     for _ in range(2):
-        for name, spoil in MALFORMED.items():
+        for name, change_frame in MALFORMED.items():
             bench.avoid_test(name)
-            pair = bench.draw.sample(bench.other_ids, 2)
-            frames = bench.encode_estimates([(pair[0], any_content(bench.draw))])
-            spoil(frames[0], bench.draw)
-            bench.play_round_of_frames(
-                frames + bench.encode_estimates({each: any_content(bench.draw) for each in pair})
-            )
-    _other_kinds(bench)
+            senders = bench.rng.sample(bench.other_ids, 2)
+            malformed_frames = _encode_any_estimates(bench, senders[:1])
+            change_frame(malformed_frames[0], bench.rng)
+            bench.play_round_of_frames(malformed_frames + _encode_any_estimates(bench, senders))
+    _receive_other_kinds(bench)
 
 
-def _other_kinds(bench: Bench) -> None:
-    """Messages of other kinds, which are no estimates either."""
-    subjects, draw = bench.settings.subjects, bench.draw
-    for sender in draw.sample(bench.other_ids, 3):
+def _receive_other_kinds(bench: Bench) -> None:
+    """Send telemetry and heartbeats of other robots, which are no estimates either."""
+    subjects, rng = bench.settings.subjects, bench.rng
+    for sender in rng.sample(bench.other_ids, 3):
         bench.avoid_test("telemetry and a heartbeat of another robot")
         telemetry = Telemetry(
-            sender, draw.randint(0, Q23_ONE), draw.randint(16, 1 << 23), draw.randrange(256), 0
+            sender,
+            rng.randint(0, Q23_ONE),
+            rng.randint(16, 1 << 23),
+            rng.randrange(256),
+            0,
         )
-        beat = encode_heartbeat(Heartbeat(sender, draw.randrange(1 << 32), 0))
-        frames = [encode_telemetry(telemetry, subjects.telemetry), beat]
-        bench.play_round_of_frames(frames + bench.encode_estimates({sender: any_content(draw)}))
+        heartbeat = Heartbeat(sender, rng.randrange(1 << 32), 0)
+        frames = [encode_telemetry(telemetry, subjects.telemetry), encode_heartbeat(heartbeat)]
+        bench.play_round_of_frames(frames + _encode_any_estimates(bench, [sender]))
 
 
-def every_sender(bench: Bench) -> None:
-    """A round for every id."""
+def receive_from_every_sender(bench: Bench) -> None:
+    """Play a round of one estimate for every id."""
     for sender in bench.other_ids:
         bench.avoid_test(f"one message, of robot {sender}")
-        bench.play_round(any_content(bench.draw), senders=[sender])
+        bench.play_round(draw_estimate(bench.rng), senders=[sender])
 
 
-def alike_ids(bench: Bench) -> None:
-    """Rounds of two senders whose ids differ in one bit."""
-    others = set(bench.other_ids)
-    for bit in (1 << place for place in range(7)):
-        pairs = [(robot, robot | bit) for robot in others if robot & bit == 0 and robot | bit in others]
-        for pair in bench.draw.sample(pairs, 2):
+def receive_from_alike_ids(bench: Bench) -> None:
+    """Play rounds of two senders whose ids differ in one bit."""
+    other_ids = set(bench.other_ids)
+    for bit_index in range(7):
+        bit = 1 << bit_index
+        pairs = [(robot, robot | bit) for robot in other_ids if not robot & bit and robot | bit in other_ids]
+        for pair in bench.rng.sample(pairs, 2):
             bench.avoid_test(f"messages of the robots {pair[0]} and {pair[1]}")
-            bench.play_round(*(any_content(bench.draw) for _ in pair), senders=pair)
+            bench.play_round(*(draw_estimate(bench.rng) for _ in pair), senders=pair)
 
 
-def growing_rounds(bench: Bench) -> None:
-    """Rounds of ever more messages."""
-    for size in SIZES:
+def receive_growing_rounds(bench: Bench) -> None:
+    """Play rounds of ever more estimates."""
+    for size in _ROUND_SIZES:
         bench.avoid_test(f"a round of {size} messages")
-        bench.play_round(*(any_content(bench.draw) for _ in range(size)))
+        bench.play_round(*(draw_estimate(bench.rng) for _ in range(size)))
 
 
-def crowded_tick(bench: Bench) -> None:
-    """Send hundreds of messages in a tick, most of them repeated ones; the last counts: its sender is new."""
+def receive_crowded_tick(bench: Bench) -> None:
+    """Send hundreds of estimates in a tick, most of them repeated; the last counts, as its sender is new."""
     *senders, last_sender = bench.other_ids
     bench.avoid_test(f"a tick with {CROWDED_MESSAGES} messages")
-    sequence = senders * CROWDED_REPEATS + [last_sender]
-    frames = bench.encode_estimates([(sender, any_content(bench.draw)) for sender in sequence])
+    frames = _encode_any_estimates(bench, senders * _CROWDED_REPEATS + [last_sender])
     bench.skip_ticks(-bench.model.ticks % bench.setup.comms_period)
     bench.play_tick(bench.draw_observation(), frames)
     bench.skip_ticks(-bench.model.ticks % bench.setup.comms_period)
 
 
-def extremes(bench: Bench) -> None:
-    """Messages at the ends of the ranges, and confidences that no robot of ours sends."""
-    for name, contents in EXTREMES.items():
+def receive_extremes(bench: Bench) -> None:
+    """Send estimates at the ends of their ranges, and confidences that no robot of ours sends."""
+    for name, estimates in EXTREME_ROUNDS.items():
         bench.avoid_test(name)
-        bench.play_round(*contents)
-    for name, bits in FOREIGN_ALPHAS.items():
+        bench.play_round(*estimates)
+    for name, alpha_bits in FOREIGN_ALPHAS.items():
         bench.avoid_test(name)
         frames = bench.encode_estimates(
-            {robot: (any_content(bench.draw)[0], 0x100) for robot in bench.other_ids[:2]}
+            {
+                robot: NeighbourEstimate(draw_estimate(bench.rng).x_hat, ALPHA_LEAST)
+                for robot in bench.other_ids[:2]
+            }
         )
-        frames[0].data[3:7] = bits.to_bytes(4, "little")
+        frames[0].data[3:7] = alpha_bits.to_bytes(4, "little")
         bench.play_round_of_frames(frames)
 
 
-def same_sender(bench: Bench) -> None:
-    """Several messages of one sender in a round, of which the first counts."""
+def receive_repeated_sender(bench: Bench) -> None:
+    """Send several estimates of one sender in a round, of which the first counts."""
     for repeats in (1, 2, 5):
         bench.avoid_test("different messages of one sender in a round")
-        one, other = bench.draw.sample(bench.other_ids, 2)
-        senders = [one, other] + [one] * repeats
-        bench.play_round_of_frames(
-            bench.encode_estimates([(robot, any_content(bench.draw)) for robot in senders])
-        )
+        repeating_sender, other_sender = bench.rng.sample(bench.other_ids, 2)
+        senders = [repeating_sender, other_sender] + [repeating_sender] * repeats
+        bench.play_round_of_frames(_encode_any_estimates(bench, senders))
 
 
-def own_id(bench: Bench) -> None:
-    """Messages under the controller's own id, which it must not count."""
-    own = bench.settings.controller.id
-    for place in range(4):
-        bench.avoid_test(f"a message under its own id, {own}")
-        frames = bench.encode_estimates({robot: any_content(bench.draw) for robot in bench.other_ids[3:6]})
-        frames.insert(place, *bench.encode_estimates({own: any_content(bench.draw)}))
+def receive_own_id(bench: Bench) -> None:
+    """Send estimates under the controller's own id, which it must not count."""
+    own_id = bench.settings.controller.id
+    for index in range(4):
+        bench.avoid_test(f"a message under its own id, {own_id}")
+        frames = _encode_any_estimates(bench, bench.other_ids[3:6])
+        frames[index:index] = _encode_any_estimates(bench, [own_id])
         bench.play_round_of_frames(frames)
 
 
-def between_ticks(bench: Bench) -> None:
-    """Messages that come after a *settle*, for the next round."""
+def receive_between_ticks(bench: Bench) -> None:
+    """Send estimates after a *settle*, which count in the next round."""
     for _ in range(3):
         bench.avoid_test("messages between a settle and the next observe")
-        bench.send(
-            bench.encode_estimates({robot: any_content(bench.draw) for robot in bench.other_ids[7:10]})
-        )
-        bench.play_round(any_content(bench.draw), senders=bench.other_ids[11:12])
+        _send_any_estimates(bench, bench.other_ids[7:10])
+        bench.play_round(draw_estimate(bench.rng), senders=bench.other_ids[11:12])
+
+
+# --- Steps ---
+
+
+def _encode_any_estimates(bench: Bench, senders: list[int]) -> list[can.Message]:
+    """Draw an estimate for each of these senders, some of which may be equal, and return their frames."""
+    return bench.encode_estimates([(sender, draw_estimate(bench.rng)) for sender in senders])
+
+
+def _send_any_estimates(bench: Bench, senders: list[int]) -> None:
+    """Draw an estimate for each of these senders, and send them in the present tick."""
+    bench.send(_encode_any_estimates(bench, senders))
+
+
+def _draw_other_robot(bench: Bench) -> int:
+    """Draw a robot that is neither the controller nor the node that commands it."""
+    return bench.rng.choice([robot for robot in bench.other_ids if robot != DRIVER_ID])
+
+
+def _encode(bench: Bench, command: Command) -> can.Message:
+    """Return the frame of a command under the controller's subject."""
+    return encode_command(command, bench.settings.subjects.commands)
+
+
+def _encode_variant(
+    bench: Bench, command: Command, variant: CommandVariant, other_robot: int | None
+) -> can.Message:
+    """Return the frame of a command with unusual details; ``other_robot`` sends it unless that is None."""
+    if other_robot is not None:
+        command = replace(command, sender=other_robot)
+    if variant.is_for_every_robot:
+        command = replace(command, target=EVERY_ROBOT)
+    frame = _encode(bench, command)
+    if variant.spare_byte:
+        frame.data[6] = variant.spare_byte
+    if variant.identifier is not None:
+        variant.identifier.apply(frame)
+    return frame

@@ -18,11 +18,10 @@ from mcp_asdf.robot import Filter
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.radio.bench import Bench
 from mcp_asdf_tools.radio.controller_link import BenchOptions, BusDisturbed, ControllerDiffers
-from mcp_asdf_tools.radio.filter_phases import updates_to_see
+from mcp_asdf_tools.radio.filter_phases import UPDATES_BY_CRAFTED_SIZE, count_updates_to_check
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.radio.phases import PHASES, Phase, can_fill_memory, can_wait_for_tests
 from mcp_asdf_tools.radio.protocol_phases import CROWDED_MESSAGES
-from mcp_asdf_tools.radio.rounds import CRAFTED_SIZES
 from mcp_asdf_tools.robots.lockstep import LockstepError
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.swarm.fault_injection.fault import Fault
@@ -160,7 +159,7 @@ def not_checked(setup: RobotSetup) -> list[str]:
     config = setup.config
     has_filter = config.filter is not Filter.OFF
     has_asdf_filter = has_filter and config.filter is not Filter.ROBUST
-    sizes = ", ".join(map(str, CRAFTED_SIZES))
+    sizes = ", ".join(map(str, UPDATES_BY_CRAFTED_SIZE))
     limits = (
         (config.filter is Filter.ADAPTIVE, f"thresholds of rounds of other sizes than {sizes}"),
         (not has_filter, "the test and re-estimates: it does not filter"),
@@ -169,7 +168,7 @@ def not_checked(setup: RobotSetup) -> list[str]:
         (setup.comms_period == 1, "rounds longer than a tick: it broadcasts in each"),
         (not can_fill_memory(setup), f"forgetting: its memory is {config.memory}, too long for a run"),
         (has_asdf_filter, "a re-estimate before its first white tile"),
-        (has_filter, f"a counter of more than {updates_to_see(setup)} updates"),
+        (has_filter, f"a counter of more than {count_updates_to_check(setup)} updates"),
         (has_asdf_filter, "a re-estimate from tiles of both colours before some 200 observations"),
         (True, f"more than {CROWDED_MESSAGES} messages in a tick"),
         (True, "its own clock, sensor and telemetry period: commands replace them"),
@@ -285,7 +284,7 @@ class Verification:
         verdict.not_checked.append(f"counts above t = {state.t} and n = {state.n}")
         verdict.not_checked += [
             f"whether it {mistake}: no frame of this run would have shown it"
-            for mistake in bench.lineup.models
+            for mistake in bench.mistaken_models.models
         ]
 
     def _describe_time(self) -> str:

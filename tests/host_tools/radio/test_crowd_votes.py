@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mcp_asdf.fixed_point import ONE
 from mcp_asdf.mirror import Crowd, update_crowd
-from mcp_asdf_tools.radio.robust_phases import moves_to_trend, votes_to_centre
+from mcp_asdf_tools.radio.crowd_votes import moves_to_trend, votes_to_centre
 
 
 @given(

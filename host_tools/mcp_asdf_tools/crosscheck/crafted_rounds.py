@@ -1,0 +1,445 @@
+"""Estimates crafted for one robot: rounds at the threshold of its test, and others that decide something.
+
+There are two users. The cross-check makes calls with these estimates, of the C firmware and of its mirror.
+The verification of a controller sends them as frames, to the controller and to its model.
+
+x_hat is in units of 2**-23. alpha, the confidence of an estimate, is an alpha word, as the firmware keeps it:
+a mantissa of 24 bits above a shift of 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from fractions import Fraction
+from math import isqrt
+from random import Random
+from typing import NamedTuple
+
+from mcp_asdf.fixed_point import (
+    ALPHA_MAX,
+    B_HAT_MAX,
+    B_HAT_MIN,
+    HALF,
+    ONE,
+    add_estimate,
+    alpha_word_from_units,
+)
+from mcp_asdf.mirror import Closed, asdf_test_rejects, reestimate, round_mean
+from mcp_asdf.robot import Sums
+from mcp_asdf.table import FRACTION_BITS, Table
+
+ALPHA_ONE = 0x8000_0001
+"""The alpha word of 1.0."""
+ALPHA_LEAST = 0x0000_0100
+"""The alpha word of 2**-24, the smallest above 0."""
+
+
+class NeighbourEstimate(NamedTuple):
+    """What a neighbour broadcasts, without its id: its local estimate, and the confidence in it."""
+
+    x_hat: int
+    alpha: int
+
+
+class Update(Enum):
+    """What becomes of b_hat, the accuracy that a robot assumes, at a test that rejects it.
+
+    The value describes it in a verdict.
+    """
+
+    ABOVE = "b_hat above 1/2, off the limit"
+    BELOW = "b_hat below 1/2, off the limit"
+    MAXIMUM = "b_hat at its upper limit"
+    MINIMUM = "b_hat at its lower limit"
+    HALF = "b_hat at 1/2, where the robot knows nothing"
+    FAINT = "b_hat just off 1/2"
+    KEPT = "b_hat kept, as x_bar is 1/2"
+
+
+_NO_INFORMATION, _LITTLE_INFORMATION = 1 << 20, 1 << 28
+"""|2 b_hat - 1| below which a robot knows nothing, or hardly anything, in units of 2**-32."""
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """State of the robot that is to receive a round.
+
+    Attributes:
+        t: Number of its observations.
+        n: Number of black ones among them.
+        x_hat: Its local estimate in units of 2**-23.
+        table: Thresholds of its test; None if it re-estimates b_hat without a test.
+    """
+
+    t: int
+    n: int
+    x_hat: int
+    table: Table | None
+
+    def update_after(self, estimates: Sequence[NeighbourEstimate]) -> Update | None:
+        """Return what becomes of b_hat at the end of a round of these estimates; None if the test passes."""
+        sums = Sums()
+        for x_hat, alpha in estimates:
+            add_estimate(sums, x_hat, alpha)
+        if self.table is not None:
+            # The variance of a single estimate is not defined, so that the test needs two.
+            is_rejected = sums.count >= 2 and asdf_test_rejects(self.table, sums, self.x_hat)
+            if not is_rejected:
+                return None
+        x_bar = round_mean(Closed(sums.alpha, sums.alpha_x_low, sums.alpha_x_high))
+        return classify_update(reestimate(self.t, self.n, x_bar))
+
+
+def classify_update(b_hat: int | None) -> Update:
+    """Return the kind of update that sets b_hat, the accuracy that the robot assumes, to this value.
+
+    ``b_hat`` is in units of 2**-32; None means that the re-estimate has kept the old value.
+    """
+    if b_hat is None:
+        return Update.KEPT
+    if b_hat == B_HAT_MIN:
+        return Update.MINIMUM
+    if b_hat == B_HAT_MAX:
+        return Update.MAXIMUM
+    information = 2 * b_hat - (1 << 32)  # 2 b_hat - 1
+    if abs(information) < _NO_INFORMATION:
+        return Update.HALF
+    if abs(information) < _LITTLE_INFORMATION:
+        return Update.FAINT
+    return Update.ABOVE if information > 0 else Update.BELOW
+
+
+# --- Confidences ---
+
+ALPHA_SCALES = ((1, 4), (10, 20), (24, 28), (25, 41), (48, 55))
+"""Smallest and largest number of bits of the confidences of a round, in units of 2**-24.
+
+They have sums below 2**9 units, where eq. 8 shifts up instead of down, below 2**24 (alpha = 1), below 2**32,
+sums as robots have them, and sums above 2**45.
+"""
+
+
+def draw_normal_alpha(rng: Random, min_shift: int = 1, max_shift: int = 17) -> int:
+    """Draw an alpha word whose mantissa has all of its 24 bits, by default from 1 to 2**17."""
+    mantissa = rng.randrange(1 << 23, 1 << 24)
+    shift = rng.randint(min_shift, max_shift)
+    return (mantissa << 8) | shift
+
+
+def draw_alphas_of_one_scale(rng: Random, count: int, scale: tuple[int, int] | None = None) -> list[int]:
+    """Draw ``count`` alpha words of similar size.
+
+    ``scale`` is the smallest and the largest number of their bits; by default it is one of ``ALPHA_SCALES``.
+    """
+    min_bits, max_bits = rng.choice(ALPHA_SCALES) if scale is None else scale
+    alphas = []
+    for _ in range(count):
+        leading_one = 1 << (rng.randint(min_bits, max_bits) - 1)
+        alphas.append(alpha_word_from_units(leading_one + rng.randrange(leading_one)))
+    return alphas
+
+
+# --- Rounds at the threshold of the test ---
+
+_ROOT_BITS = 100
+"""Fraction bits of a square root, more than any fraction with a denominator of 24 bits can be near to it."""
+_MANY_ESTIMATES = 100
+"""Size of a round from which on its sums have more bits than a float64."""
+_MAX_DRAWS = {False: 300, True: 1500}
+"""Rounds that are drawn to find one that serves, and the same for a round of many estimates."""
+_MAX_DRAWS_TO_MISLEAD_FLOATS = {False: 60, True: 1500}
+"""Those of them that are drawn to find one about which tests in float64 err: of a hundred, one or two do."""
+
+
+_MIN_RANGE = 1 << 13
+"""Smallest distance between the smallest and the largest x_hat of a round that serves.
+
+One unit of 2**-23 then moves it so little that a threshold that is wrong by a millionth shows."""
+
+
+@dataclass(frozen=True)
+class RoundsAtThreshold:
+    """Two rounds that differ by so little that only the first one passes the test."""
+
+    inside: list[NeighbourEstimate]
+    outside: list[NeighbourEstimate]
+
+
+def draw_rounds_at_threshold(
+    robot: RobotState, m: int, preferred_update: Update, rng: Random
+) -> RoundsAtThreshold:
+    """Draw two rounds of ``m`` estimates as close to the threshold as x_hat in units of 2**-23 can be.
+
+    Rounds about which a test in float64 errs are preferred, and among them those whose outer round leads to
+    ``preferred_update``. That round leads to some update in any case. The robot must have a table.
+    """
+    assert robot.table is not None
+    is_large = m >= _MANY_ESTIMATES
+    best_rounds: RoundsAtThreshold | None = None
+    best_rank = (-1, False)
+    for draw_index in range(_MAX_DRAWS[is_large]):
+        # Large sums have the bits that floats lose.
+        gap_share = rng.uniform(0.8 if is_large else 0.05, 1)
+        x_hats = draw_x_hats_at_threshold(robot.x_hat, robot.table.entry(m), m, rng, gap_share)
+        if x_hats is None or max(x_hats[0]) - min(x_hats[0]) < _MIN_RANGE:
+            continue
+        alphas = draw_alphas_of_one_scale(rng, m)
+        inside, outside = (list(map(NeighbourEstimate, side, alphas)) for side in x_hats)
+        update = robot.update_after(outside)
+        if update is Update.KEPT:
+            continue  # would not show that the test has rejected
+        rank = (_count_misled_float_tests(robot, x_hats), update is preferred_update)
+        if rank > best_rank:
+            best_rounds, best_rank = RoundsAtThreshold(inside, outside), rank
+        has_searched_enough = draw_index >= _MAX_DRAWS_TO_MISLEAD_FLOATS[is_large]
+        if best_rank == (2, True) or (best_rank[1] and has_searched_enough):
+            break
+    assert best_rounds is not None, f"no round of {m} estimates lies at the threshold of {robot}"
+    return best_rounds
+
+
+def draw_x_hats_at_threshold(
+    own_x_hat: int, table_entry: int, m: int, rng: Random, gap_share: float
+) -> tuple[list[int], list[int]] | None:
+    """Draw x_hat of two rounds of ``m`` estimates, of which the test (eq. 12) just rejects the second alone.
+
+    Some of the estimates, the near ones, lie at a signed distance u from the robot's own x_hat, and the far
+    ones at u + gap. Then the test rejects where
+
+        (m u + far_count gap) / gap > sqrt(k_m near_count far_count),
+
+    so that u / gap has a threshold, too. The best fractions below and above that threshold are taken. Moving
+    estimates of one group apart in pairs then changes their scatter, not their sum, in still finer steps.
+
+    Args:
+        own_x_hat: x_hat of the robot that receives the rounds.
+        table_entry: k_m, the test's threshold for m estimates, as its table has it.
+        m: Number of estimates, from 2.
+        rng: Draws how many of them are near, and on which side of ``own_x_hat`` the far ones are.
+        gap_share: Gap between the groups, as a share of the largest for which there is room, up to 1.
+
+    Returns:
+        The two lists of x_hat; None if there is no room for groups as drawn.
+    """
+    near_count = rng.randrange(1, m)
+    far_count = m - near_count
+    direction = rng.choice([-1, 1])
+    root = isqrt(table_entry * near_count * far_count << (2 * _ROOT_BITS - FRACTION_BITS))
+    threshold = (Fraction(root, 1 << _ROOT_BITS) - far_count) / m
+    room_ahead, room_behind = (ONE - own_x_hat, own_x_hat) if direction > 0 else (own_x_hat, ONE - own_x_hat)
+    # The far group is at about (threshold + 1) gaps, the near one behind the own x_hat if threshold < 0.
+    largest_gap = room_ahead / (threshold + 1)
+    if threshold < 0:
+        largest_gap = min(largest_gap, room_behind / -threshold)
+    max_gap = int(largest_gap * Fraction(gap_share))
+    if max_gap < 1:
+        return None
+
+    def place_groups(ratio: Fraction) -> list[int]:
+        """Return x_hat of both groups, with u / gap as given; pairs of the near and of the far come first."""
+        factor = max_gap // ratio.denominator
+        near = own_x_hat + direction * factor * ratio.numerator
+        far = near + direction * factor * ratio.denominator
+        near_pairs, far_pairs = near_count // 2, far_count // 2
+        singles = [near] * (near_count % 2) + [far] * (far_count % 2)
+        return [near] * (2 * near_pairs) + [far] * (2 * far_pairs) + singles
+
+    below, above = fractions_around(threshold, max_gap)
+    inside, outside = place_groups(below), place_groups(above)
+    pair_count = near_count // 2 + far_count // 2
+    if pair_count:
+        # Eq. 12 in integers: it rejects while entry * scatter < difference**2 * 2**FRACTION_BITS.
+        difference = sum(outside) - m * own_x_hat
+        largest_rejected = ((difference * difference << FRACTION_BITS) - 1) // table_entry
+        inside = _raise_scatter(outside, pair_count, largest_rejected + 1, is_at_least=True)
+        outside = _raise_scatter(outside, pair_count, largest_rejected, is_at_least=False)
+    has_room = all(0 <= x_hat <= ONE for x_hat in (*inside, *outside))
+    return (inside, outside) if has_room else None
+
+
+def fractions_around(value: Fraction, max_denominator: int) -> tuple[Fraction, Fraction]:
+    """Return the largest fraction that is not above ``value``, and the smallest above it.
+
+    Their denominators are at most ``max_denominator``.
+    """
+    nearest = value.limit_denominator(max_denominator)
+    is_below = nearest <= value
+    # Fractions a/b and c/d with |a d - b c| = 1 are neighbours: all between them have larger denominators.
+    sign = 1 if is_below else -1
+    denominator = -sign * pow(nearest.numerator, -1, nearest.denominator) % nearest.denominator
+    denominator += (max_denominator - denominator) // nearest.denominator * nearest.denominator
+    numerator = (nearest.numerator * denominator + sign) // nearest.denominator
+    neighbour = Fraction(numerator, denominator)
+    return (nearest, neighbour) if is_below else (neighbour, nearest)
+
+
+def scatter_of(x_hats: Sequence[int]) -> int:
+    """Return m Sum x^2 - (Sum x)^2, which is m (m - 1) times the variance of m x_hat."""
+    total = sum(x_hats)
+    return len(x_hats) * sum(x * x for x in x_hats) - total * total
+
+
+def _raise_scatter(x_hats: Sequence[int], pair_count: int, target: int, is_at_least: bool) -> list[int]:
+    """Move x_hat apart in pairs, so that their sum stays, until their scatter reaches a target.
+
+    The scatter, which must not be above ``target`` before, ends there or slightly above with ``is_at_least``,
+    else there or slightly below. The two values of each of the first ``pair_count`` pairs must be equal. Each
+    pair takes nearly all of what the pairs before it have left.
+    """
+    m = len(x_hats)
+    changed = list(x_hats)
+    missing = target - scatter_of(x_hats)
+    for pair_index in range(pair_count):
+        # Two equal values that are moved by ``move`` each add 2 m move**2 to the scatter.
+        move = isqrt(missing // (2 * m))
+        is_last_pair = pair_index == pair_count - 1
+        if is_at_least and is_last_pair and 2 * m * move * move < missing:
+            move += 1
+        changed[2 * pair_index] -= move
+        changed[2 * pair_index + 1] += move
+        missing -= 2 * m * move * move
+    return changed
+
+
+def _count_misled_float_tests(robot: RobotState, x_hats: tuple[list[int], list[int]]) -> int:
+    """Return for how many of two tests in float64 a round inside the threshold and one outside are alike.
+
+    The first test computes all of eq. 12 in float64, the second its right side alone.
+    """
+    assert robot.table is not None
+    decisions = []
+    for side in x_hats:
+        difference = sum(side) - len(side) * robot.x_hat
+        limit = robot.table.entry(len(side)) / 2**FRACTION_BITS * float(scatter_of(side))
+        decisions.append((float(difference) ** 2 > limit, difference * difference > int(limit)))
+    inside, outside = decisions
+    return sum(
+        (is_inside_rejected, is_outside_rejected) != (False, True)
+        for is_inside_rejected, is_outside_rejected in zip(inside, outside, strict=True)
+    )
+
+
+# --- Rounds with another purpose ---
+
+_X_BAR_RANGES = {
+    Update.ABOVE: (0.65, 0.98),
+    Update.BELOW: (0.02, 0.35),
+    Update.MAXIMUM: (0.51, 0.58),
+    Update.MINIMUM: (0.42, 0.49),
+    Update.HALF: (0.7, 0.95),
+    Update.KEPT: (0.5, 0.5),
+    Update.FAINT: (0.7, 0.95),
+}
+"""Range of x_bar, the mean of the neighbours' x_hat, that leads to each update.
+
+That holds where a bit more than half of the observations are black; for HALF exactly half must be, for FAINT
+nearly half."""
+_MAX_DRAWS_FOR_UPDATE = 300
+
+
+def draw_estimate(rng: Random, max_shift: int = 17) -> NeighbourEstimate:
+    """Draw an estimate: any x_hat from 0 to 1, with a confidence from 1 to 2**max_shift."""
+    return NeighbourEstimate(rng.randint(0, ONE), draw_normal_alpha(rng, max_shift=max_shift))
+
+
+def draw_round_for_update(
+    robot: RobotState, update: Update, rng: Random, m: int = 5
+) -> list[NeighbourEstimate] | None:
+    """Draw ``m`` estimates after which the robot makes this update; for KEPT two.
+
+    Returns None if none of many draws has this effect.
+    """
+    for _ in range(_MAX_DRAWS_FOR_UPDATE):
+        if update is Update.KEPT:
+            estimates = _draw_balanced_pair(rng)
+        else:
+            x_bar = round(rng.uniform(*_X_BAR_RANGES[update]) * ONE)
+            max_distance = rng.randint(1, 1 << 16)
+            x_hats = [x_bar + rng.randint(-max_distance, max_distance) for _ in range(m)]
+            limited_x_hats = [min(max(x_hat, 0), ONE) for x_hat in x_hats]
+            estimates = list(map(NeighbourEstimate, limited_x_hats, draw_alphas_of_one_scale(rng, m)))
+        if robot.update_after(estimates) is update:
+            return estimates
+    return None
+
+
+def _draw_balanced_pair(rng: Random) -> list[NeighbourEstimate]:
+    """Draw two estimates of the same confidence whose mean is 1/2."""
+    distance = rng.randint(1, 1 << 12)
+    alpha = draw_normal_alpha(rng)
+    return [NeighbourEstimate(HALF - distance, alpha), NeighbourEstimate(HALF + distance, alpha)]
+
+
+def draw_distant_estimates(robot: RobotState, rng: Random, m: int = 4) -> list[NeighbourEstimate]:
+    """Draw ``m`` estimates that the test rejects: near 0 or 1, whichever is further from the own x_hat."""
+    end = 0 if robot.x_hat > HALF else ONE
+    return [NeighbourEstimate(abs(end - rng.randint(0, 1 << 12)), draw_normal_alpha(rng)) for _ in range(m)]
+
+
+_LARGE_ROUND = 126
+"""Number of all other robots, if one id is left out."""
+
+
+def draw_round_of_large_scatter(robot: RobotState, rng: Random) -> list[NeighbourEstimate]:
+    """Draw a round of 0 and 1 whose scatter, m Sum x^2 - (Sum x)^2, is above 2**56.
+
+    The test passes it, but rejects it if the bits from 2**56 on are left out. The robot must have a table.
+    """
+    assert robot.table is not None
+    m = _LARGE_ROUND
+    threshold = robot.table.entry(m) / 2**FRACTION_BITS
+    best_count, best_margin = 0, 0.0
+    for count_of_ones in range(1, m):
+        # In units of ONE**2, of which 2**56 has 2**10.
+        scatter = count_of_ones * (m - count_of_ones)
+        scatter_without_bits = max(scatter % (1 << 10), 1)
+        difference_squared = max((count_of_ones - m * robot.x_hat / ONE) ** 2, 1)
+        # Both tests must be clear: the test rejects if the squared difference is above threshold * scatter.
+        margin = min(
+            threshold * scatter / difference_squared,
+            difference_squared / (threshold * scatter_without_bits),
+        )
+        if margin > best_margin:
+            best_count, best_margin = count_of_ones, margin
+    x_hats = [ONE] * best_count + [0] * (m - best_count)
+    return list(map(NeighbourEstimate, x_hats, draw_alphas_of_one_scale(rng, m)))
+
+
+def draw_round_of_distant_sum(robot: RobotState, rng: Random) -> list[NeighbourEstimate]:
+    """Draw a round that the test rejects, unless it leaves out the square's bits from 2**54 on.
+
+    |Sum x - m x_hat| is a multiple of 2**27, so that its square is 0 without these bits.
+    """
+    m, unit = _LARGE_ROUND, 1 << 27
+    own_sum = m * robot.x_hat
+    end_sum = m * ONE if robot.x_hat < HALF else 0
+    distance = abs(end_sum - own_sum) // unit * unit
+    total = own_sum + distance if end_sum else own_sum - distance
+    mean, remainder = divmod(total, m)
+    x_hats = [mean + 1] * remainder + [mean] * (m - remainder)
+    # A scatter above 0, but far below the square.
+    x_hats[0] -= 8
+    x_hats[1] += 8
+    return list(map(NeighbourEstimate, x_hats, draw_alphas_of_one_scale(rng, m)))
+
+
+EXTREME_ROUNDS: dict[str, list[NeighbourEstimate]] = {
+    "confidences of 0": [NeighbourEstimate(ONE, 0), NeighbourEstimate(0, 0)],
+    "one confidence of 0 among others": [
+        NeighbourEstimate(ONE, 0),
+        NeighbourEstimate(HALF, ALPHA_ONE),
+        NeighbourEstimate(0, ALPHA_ONE),
+    ],
+    "the least confidence": [NeighbourEstimate(ONE, ALPHA_LEAST)],
+    "the largest confidence": [NeighbourEstimate(0, ALPHA_MAX), NeighbourEstimate(ONE, ALPHA_ONE)],
+    "confidences far apart": [
+        NeighbourEstimate(ONE, ALPHA_LEAST),
+        NeighbourEstimate(0, 0x8000_0010),
+        NeighbourEstimate(HALF + 1, ALPHA_ONE),
+    ],
+    "estimates of 0 and 1": [NeighbourEstimate(x_hat, 0x8000_0005) for x_hat in (0, ONE, 1, ONE - 1)],
+    "126 messages of the largest confidence": [NeighbourEstimate(ONE - 1, ALPHA_MAX)] * _LARGE_ROUND,
+}
+"""Estimates at the ends of their ranges, for one round each, by what they have in common."""

@@ -1,0 +1,341 @@
+"""Models of controllers with one known mistake each, which run beside the right model of a controller.
+
+They show which mistakes the frames of a run tell apart from the right firmware, and which mistake a
+controller that differs seems to have. A mistake is an entry of ``KNOWN_MISTAKES``: add one there to have it
+searched for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+from math import frexp, ldexp
+
+from mcp_asdf.fixed_point import B_HAT_MAX, alpha_from_word
+from mcp_asdf.mirror import (
+    INFORMATIVE_G,
+    REJECTED_SIGMAS_SQUARED,
+    SENDERS_MIN,
+    TREND_MOVING_DOWN,
+    TREND_MOVING_UP,
+    TREND_START,
+    VOTES_MIN_WHILE_MOVING,
+    Crowd,
+    MirrorRobot,
+    crowd_fill_ratio,
+    reestimate,
+    robust_test_rejects,
+)
+from mcp_asdf.robot import Config, Filter, Observation, Status, Sums
+from mcp_asdf.table import FRACTION_BITS, MAX_WORD, Table
+from mcp_asdf_tools.robots.robot_setup import RobotSetup
+
+RobustTest = Callable[[Crowd, int, int], bool]
+"""The robust filter's test: called with crowd, t and n, it returns whether n of t contradict the crowd."""
+
+# --- Tests in other arithmetic ---
+
+
+@dataclass(frozen=True)
+class FloatTest:
+    """The robust filter's test in floating point, or with single values of too few bits.
+
+    Attributes:
+        significant_bits: Significant bits of every intermediate result.
+        prediction_bits: Bits after the point to which the predicted share of black is cut; None if it is not.
+        observed_bits: The same of the observed share, n/t.
+    """
+
+    significant_bits: int = 53
+    prediction_bits: int | None = None
+    observed_bits: int | None = None
+
+    def __call__(self, crowd: Crowd, t: int, n: int) -> bool:
+        """Return True if this test rejects."""
+        if t == 0:
+            return False
+        fit = self._round
+        fill_ratio = fit(crowd_fill_ratio(crowd) / 2**32)
+        b_hat = fit(crowd.first / 2**32)
+        spread = fit(crowd.spread / 2**30)
+        black_seen_as_black = fit(b_hat * fill_ratio)
+        white_seen_as_black = fit(fit(1 - b_hat) * fit(1 - fill_ratio))
+        predicted = _cut_fraction(fit(black_seen_as_black + white_seen_as_black), self.prediction_bits)
+        observed = _cut_fraction(fit(n / t), self.observed_bits)
+        variance = max(fit(share * fit(1 - share)) for share in (observed, predicted))
+        g_spread = fit(fit(2 * b_hat - 1) * spread)
+        uncertainty = fit(fit(variance / t) + fit(g_spread * g_spread))
+        difference = fit(observed - predicted)
+        return fit(difference * difference) > fit(REJECTED_SIGMAS_SQUARED * uncertainty)
+
+    def _round(self, value: float) -> float:
+        """Return ``value`` rounded to the significant bits."""
+        mantissa, exponent = frexp(value)
+        return ldexp(round(ldexp(mantissa, self.significant_bits)), exponent - self.significant_bits)
+
+
+def _cut_fraction(value: float, bits: int | None) -> float:
+    """Return ``value`` rounded down to so many bits after the point; unchanged for None."""
+    return value if bits is None else ldexp(int(ldexp(value, bits)), -bits)
+
+
+def test_with_t_of_14_bits(crowd: Crowd, t: int, n: int) -> bool:
+    """Return what the firmware's test decides if it keeps 14 bits of t; False if none of these is set."""
+    short_t = t % (1 << 14)
+    return short_t != 0 and robust_test_rejects(crowd, short_t, n)
+
+
+# --- Models with a mistake ---
+
+
+@dataclass(frozen=True)
+class RobustRules:
+    """Rules of the robust filter that a controller may get wrong; the defaults are right.
+
+    Attributes:
+        min_trend: Smallest trend of a crowd that stays, in units of 2**-16. The trend is the share of its
+            centre's recent moves that went up.
+        max_trend: Largest trend of a crowd that stays.
+        min_votes_to_halve: Number of votes from which on they are halved while the crowd moves.
+        trend_after_halving: Trend that a halving leaves; None if it does not change.
+        voice_modulus: Senders whose ids are equal modulo this are one voice.
+        halves_before_three_voices: Whether votes are halved before three voices were received.
+        rejects: The test.
+        informative_g: |2 r - 1| from which on the centre r is informative, in units of 2**-32.
+    """
+
+    min_trend: int = TREND_MOVING_DOWN
+    max_trend: int = TREND_MOVING_UP - 1
+    min_votes_to_halve: int = 2 * VOTES_MIN_WHILE_MOVING
+    trend_after_halving: int | None = None
+    voice_modulus: int = 32
+    halves_before_three_voices: bool = True
+    rejects: RobustTest = robust_test_rejects
+    informative_g: int = INFORMATIVE_G
+
+
+class RobotOfOtherRules(MirrorRobot):
+    """The firmware's model with other rules in its robust filter."""
+
+    # Defaults of the class, as models are copies of another robot and are not initialised.
+    rules = RobustRules()
+    voices: frozenset[int] = frozenset()
+    """Voices received, by the rules."""
+
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        status = super()._receive(sender, x_hat, alpha)
+        has_confidence = alpha >> 8 > 0
+        if status == Status.OK and has_confidence:
+            self.voices |= {sender % self.rules.voice_modulus}
+        return status
+
+    def _run_robust_filter(self) -> int | None:
+        s, crowd, rules = self.s, self.s.crowd, self.rules
+        has_enough_voices = len(self.voices) >= SENDERS_MIN
+        is_moving = not rules.min_trend <= crowd.trend <= rules.max_trend
+        if is_moving:
+            may_halve = has_enough_voices or rules.halves_before_three_voices
+            if may_halve and crowd.votes >= rules.min_votes_to_halve:
+                crowd.votes >>= 1
+                if rules.trend_after_halving is not None:
+                    crowd.trend = rules.trend_after_halving
+            return None
+        if not has_enough_voices:
+            return None
+        if rules.rejects(crowd, s.t, s.n):
+            fill_ratio = crowd_fill_ratio(crowd)
+            g = 2 * max(fill_ratio, MAX_WORD - fill_ratio) - (1 << 32)
+            if g < rules.informative_g:
+                return None
+            # Where the firmware has no b_hat, the centre is so near 1/2 that b_hat is at a limit, whichever.
+            return reestimate(s.t, s.n, fill_ratio) or B_HAT_MAX
+        return crowd.first if s.accuracy.b_hat != crowd.first else None
+
+
+class RobotThatTestsInFloat64(MirrorRobot):
+    """The firmware's model with the paper's test in float64."""
+
+    def _run_asdf_filter(self) -> int | None:
+        table, sums = self.config.table, self.s.open
+        if table is None or sums.count < 2 or not rejects_in_float64(table, sums, self.s.x_hat):
+            return None
+        config_without_test = replace(self.config, filter=Filter.ALWAYS)
+        return copy_as(MirrorRobot, self, config_without_test)._run_asdf_filter()
+
+
+def rejects_in_float64(table: Table, sums: Sums, x_hat: int) -> bool:
+    """Return whether eq. 12 rejects, computed in float64 from the exact sums."""
+    m = sums.count
+    difference = float(sums.x - m * x_hat)
+    scatter = float(m * sums.x_squared - sums.x * sums.x)
+    factor: float = table.entry(m) / 2**FRACTION_BITS
+    return difference * difference > factor * scatter
+
+
+def copy_as(model_class: type[MirrorRobot], robot: MirrorRobot, config: Config | None = None) -> MirrorRobot:
+    """Return a robot of this class with a copy of another one's state, and its configuration by default."""
+    model = model_class.__new__(model_class)
+    model.config = robot.config if config is None else config
+    model.s = deepcopy(robot.s)
+    return model
+
+
+# --- The mistakes ---
+
+
+@dataclass(frozen=True)
+class KnownMistake:
+    """A mistake that a controller may have.
+
+    Attributes:
+        name: What such a controller does, as a verb phrase.
+        filters: Filters with which a controller may have this mistake.
+        rules: Its rules, if its robust filter is wrong.
+        actual_filter: The filter that it has in truth, if it has another one than it should.
+        model_class: Its model, if neither.
+    """
+
+    name: str
+    filters: frozenset[Filter]
+    rules: RobustRules | None = None
+    actual_filter: Filter | None = None
+    model_class: type[MirrorRobot] = MirrorRobot
+
+    def make_model(self, right_model: MirrorRobot) -> MirrorRobot:
+        """Return a model with this mistake, in the state of ``right_model``."""
+        if self.actual_filter is not None:
+            config = replace(right_model.config, filter=self.actual_filter)
+            return copy_as(MirrorRobot, right_model, config)
+        if self.rules is None:
+            return copy_as(self.model_class, right_model)
+        model = copy_as(RobotOfOtherRules, right_model)
+        assert isinstance(model, RobotOfOtherRules)
+        model.rules = self.rules
+        return model
+
+
+_ROBUST_MISTAKES = {
+    "halves the votes below 2^8": RobustRules(min_votes_to_halve=VOTES_MIN_WHILE_MOVING),
+    "does not halve the votes down to 2^8": RobustRules(min_votes_to_halve=2 * VOTES_MIN_WHILE_MOVING + 1),
+    "halves the votes from 2^9 - 1 on": RobustRules(min_votes_to_halve=2 * VOTES_MIN_WHILE_MOVING - 1),
+    "sets the trend back when it halves the votes": RobustRules(trend_after_halving=TREND_START),
+    "does not halve the votes before three voices": RobustRules(halves_before_three_voices=False),
+    "counts voices modulo 16": RobustRules(voice_modulus=16),
+    "counts voices modulo 128": RobustRules(voice_modulus=128),
+    "takes a trend of 2^13 for a move": RobustRules(min_trend=TREND_MOVING_DOWN + 1),
+    "takes no trend of 2^13 - 1 for a move": RobustRules(min_trend=TREND_MOVING_DOWN - 1),
+    "takes a trend of 7/8 - 2^-16 for a move": RobustRules(max_trend=TREND_MOVING_UP - 2),
+    "takes no trend of 7/8 for a move": RobustRules(max_trend=TREND_MOVING_UP),
+    "takes r for uninformative too near 1/2 only": RobustRules(informative_g=INFORMATIVE_G - 8),
+    "takes r for uninformative too far from 1/2": RobustRules(informative_g=INFORMATIVE_G + 8),
+    "tests in float32": RobustRules(rejects=FloatTest(significant_bits=24)),
+    "tests in float64": RobustRules(rejects=FloatTest(significant_bits=53)),
+    "tests a prediction of 23 bits": RobustRules(rejects=FloatTest(prediction_bits=23)),
+    "tests a share n/t of 23 bits": RobustRules(rejects=FloatTest(observed_bits=23)),
+    "tests with a t of 14 bits": RobustRules(rejects=test_with_t_of_14_bits),
+}
+
+KNOWN_MISTAKES = (
+    KnownMistake(
+        "re-estimates without a test",
+        frozenset({Filter.ADAPTIVE, Filter.OFF}),
+        actual_filter=Filter.ALWAYS,
+    ),
+    KnownMistake("never re-estimates", frozenset({Filter.ADAPTIVE, Filter.ALWAYS}), actual_filter=Filter.OFF),
+    KnownMistake("tests in float64", frozenset({Filter.ADAPTIVE}), model_class=RobotThatTestsInFloat64),
+    *(
+        KnownMistake(name, frozenset({Filter.ROBUST}), rules=rules)
+        for name, rules in _ROBUST_MISTAKES.items()
+    ),
+)
+
+
+@dataclass
+class MistakenModels:
+    """The models with a mistake whose frames have equalled those of the right model so far.
+
+    Attributes:
+        models: Models by the name of the mistake.
+    """
+
+    models: dict[str, MirrorRobot] = field(default_factory=dict)
+    _right_broadcast: tuple[int, float] | None = None
+    _broadcasts: dict[str, tuple[int, float]] = field(default_factory=dict)
+
+    @classmethod
+    def beside(
+        cls, right_model: MirrorRobot, setup: RobotSetup, mistakes: Iterable[KnownMistake] = KNOWN_MISTAKES
+    ) -> MistakenModels:
+        """Return models of the mistakes that a controller of this setup can have, in the right state."""
+        return cls(
+            {
+                mistake.name: mistake.make_model(right_model)
+                for mistake in mistakes
+                if setup.config.filter in mistake.filters
+            }
+        )
+
+    @property
+    def robust_rules(self) -> list[RobustRules]:
+        """Rules of the models whose robust filter is wrong."""
+        return [model.rules for model in self.models.values() if isinstance(model, RobotOfOtherRules)]
+
+    def keep_broadcasts(self, right_model: MirrorRobot) -> None:
+        """Keep what each model, and the right one, broadcasts now, for ``drop_different``."""
+        self._broadcasts = {name: _broadcast_of(model) for name, model in self.models.items()}
+        self._right_broadcast = _broadcast_of(right_model)
+
+    def mistakes_with_telemetry(
+        self, telemetry: tuple[int, int, int] | None, right_model: MirrorRobot
+    ) -> list[str]:
+        """Return the mistakes with which a controller would send this telemetry.
+
+        It has the fields of ``telemetry_of``, and must differ from that of the right model. The list is empty
+        if no telemetry came.
+        """
+        if telemetry is None or telemetry == telemetry_of(right_model):
+            return []
+        return [name for name, model in self.models.items() if telemetry_of(model) == telemetry]
+
+    def drop_different(self, right_model: MirrorRobot) -> None:
+        """Leave out the models whose last telemetry or broadcast differs from that of the right model."""
+        right_telemetry = telemetry_of(right_model)
+        self.models = {
+            name: model
+            for name, model in self.models.items()
+            if telemetry_of(model) == right_telemetry and self._broadcasts.get(name) == self._right_broadcast
+        }
+
+
+def telemetry_of(robot: MirrorRobot) -> tuple[int, int, int]:
+    """Return the fields of a robot's telemetry: x, b_hat in units of 2**-24, and the updates modulo 2**8."""
+    return robot.x_raw, robot.b_hat_raw >> 8, robot.counters.updates % 256
+
+
+def _broadcast_of(robot: MirrorRobot) -> tuple[int, float]:
+    """Return x_hat and alpha of a robot's estimate."""
+    return robot.x_hat_raw, alpha_from_word(robot.alpha_raw)
+
+
+class RightModel(MirrorRobot):
+    """The right model of a controller; the models with a mistake get the same calls."""
+
+    mistaken_models: MistakenModels
+
+    def observe(self, z: Observation) -> Status:
+        """Observe, as every model with a mistake does."""
+        for model in self.mistaken_models.models.values():
+            model.observe(z)
+        return super().observe(z)
+
+    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        for model in self.mistaken_models.models.values():
+            model.receive_raw(sender, x_hat, alpha)
+        return super()._receive(sender, x_hat, alpha)
+
+    def settle(self) -> Status:
+        """End the round, as every model with a mistake does."""
+        for model in self.mistaken_models.models.values():
+            model.settle()
+        return super().settle()
