@@ -164,7 +164,7 @@ def test_a_failure_is_shown_by_the_fewest_calls_and_a_line_that_replays_it(
     assert code == 1
     assert last_line.startswith("replay: mcp-asdf crosscheck --replay ")
     _, _, _, *replay = shlex.split(last_line)
-    assert len(parse_scenario(replay[1]).calls) == 2
+    assert [call.name for call in parse_scenario(replay[1]).calls] == ["restore", "observe", "observe"]
 
     code, replay_output, _ = main(capsys, *replay)
     assert code == 1
