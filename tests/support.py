@@ -33,8 +33,8 @@ DRAWS_ALL = "MCP_ASDF_TESTS_DRAW_ALL"
 
 
 def draws(number: int) -> int:
-    """Cases that a test marked ``random`` draws: all in ``make verify``, a quarter in ``make test``."""
-    return number if DRAWS_ALL in os.environ else -(-number // 4)
+    """Cases that a test marked ``random`` draws: all in ``make verify``, a tenth in ``make test``."""
+    return number if DRAWS_ALL in os.environ else -(-number // 10)
 
 
 def run(*command: str | Path, cwd: Path = ROOT, **environment: str) -> str:

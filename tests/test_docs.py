@@ -17,6 +17,7 @@ import pytest
 from browser import new_page
 from mcp_asdf_tools.cli import main as cli
 from support import PAGES, ROOT, TABLE, block_with, blocks, require, run, version_of_header
+from targets.c_node import HOST, built
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -70,7 +71,9 @@ LONG_PAGES = (
     "crosscheck.md",
     "experiment_tutorial.md",
     "experiments.md",
+    "frame.md",
     "library.md",
+    "radio.md",
     "reproduce.md",
     "socketcan.md",
     "swarm.md",
@@ -151,15 +154,15 @@ def test_what_is_not_run_is_parsed(command: str) -> None:
     cli._parser_for(name, cli._load(name)).parse_args(words)
 
 
-def test_the_c_node_understands_the_commands(tmp_path: Path) -> None:
+def test_the_c_node_understands_the_commands(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Each gets as far as the interface, the sensor or the file, which are not there by that name."""
-    run(require("cmake"), "-S", ROOT / "c_ref/ports/linux", "-B", tmp_path)
-    run("cmake", "--build", tmp_path)
+    node = built(HOST, tmp_path_factory)
     shown = [command for page in PAGES for command in all_commands(page)]
     for command in [each for each in shown if re.search("(^|[|] )mcp_asdf_node ", each)]:
         words = re.sub(r"v?can0", "none0", command.split("| ")[-1]).replace("/sys/", "/none/").split()
+        assert words[0] == "mcp_asdf_node"
         done = subprocess.run(
-            [tmp_path / words[0], *words[1:]],
+            [*node, *words[1:]],
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,

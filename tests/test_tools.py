@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from _pytest.mark import ParameterSet
 
 from proofs.source import HERE, Variant
 from support import PAGES, ROOT, blocks, require, run
@@ -127,6 +128,17 @@ def each_of(rooms: Iterable[Room]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("room", rooms, ids=lambda room: room.name)
 
 
+def quick_but_arena_and_engine(rooms: Iterable[Room]) -> list[ParameterSet]:
+    """Return the rooms as parameters of an analysis, which takes long for the arena and the engine alone.
+
+    In make test clang warns of these.
+    """
+    return [
+        pytest.param(room, id=room.name, marks=[pytest.mark.slow] if room.name == "arena and engine" else [])
+        for room in rooms
+    ]
+
+
 def test_ruff_finds_nothing() -> None:
     run(require("ruff"), "check")
 
@@ -202,12 +214,12 @@ def test_cppcheck_finds_nothing_in_the_core(variant: Variant) -> None:
     cppcheck(ROOMS[0], *(flag for flag in variant.flags() if flag.startswith("-DMCP")))
 
 
-@each_of(ROOMS[1:])
+@pytest.mark.parametrize("room", quick_but_arena_and_engine(ROOMS[1:]))
 def test_cppcheck_finds_nothing(room: Room) -> None:
     cppcheck(room)
 
 
-@each_of((*ROOMS, TESTS))
+@pytest.mark.parametrize("room", quick_but_arena_and_engine((*ROOMS, TESTS)))
 def test_gcc_and_its_analyser_find_nothing(room: Room, tmp_path: Path) -> None:
     require(room.gcc[0], room.packages)
     how = (

@@ -41,6 +41,15 @@ MACHINES = {
 }
 
 
+for_every_machine = pytest.mark.parametrize(
+    "machine",
+    [
+        pytest.param(MACHINES["-m32"], id="-m32"),
+        pytest.param(MACHINES["armhf"], id="armhf", marks=pytest.mark.slow),  # under emulation
+    ],
+)
+
+
 def require_machine(machine: Machine) -> None:
     require(machine.compiler[0], ARM_PACKAGES)
     for runner in machine.runner:
@@ -106,19 +115,19 @@ def sensor_of_the_khepera() -> str:
     return block_with(KHEPERA, include, "c").replace(include, LIBRARY)
 
 
-@pytest.mark.parametrize("machine", MACHINES.values(), ids=MACHINES)
+@for_every_machine
 def test_the_program_of_the_readme_prints_the_same(machine: Machine, tmp_path: Path) -> None:
     shown = block_with(README, "share of black 0.685", "text")
     assert output_of(machine, program_of_the_readme(), tmp_path / "build") == (shown, "")
 
 
-@pytest.mark.parametrize("machine", MACHINES.values(), ids=MACHINES)
+@for_every_machine
 def test_the_first_robot_of_the_tutorial_prints_the_same(machine: Machine, tmp_path: Path) -> None:
     program = program_of_the_tutorial("main.c")
     assert output_of(machine, program, tmp_path / "build") == ("share of black 1.000\n", "")
 
 
-@pytest.mark.parametrize("machine", MACHINES.values(), ids=MACHINES)
+@for_every_machine
 def test_the_second_robot_of_the_tutorial_prints_the_same(machine: Machine, tmp_path: Path) -> None:
     program = swarm_of_the_tutorial() + program_of_the_tutorial("on_bus.c")
     flags = ("-D_POSIX_C_SOURCE=200809L",)
@@ -127,7 +136,7 @@ def test_the_second_robot_of_the_tutorial_prints_the_same(machine: Machine, tmp_
     assert output_of(machine, program, tmp_path / "build", *flags) == here
 
 
-@pytest.mark.parametrize("machine", MACHINES.values(), ids=MACHINES)
+@for_every_machine
 def test_the_sensor_of_the_khepera_prints_the_same(machine: Machine, tmp_path: Path) -> None:
     (tmp_path / "ground").write_text("200 300\n1000 1023\n-1 0\n")
     program = sensor_of_the_khepera().replace('"ground"', f'"{tmp_path}/ground"')

@@ -3,6 +3,7 @@ all inputs, in every variant."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from proofs.prove import (
     prove_lemma,
     prove_obligations,
 )
-from proofs.source import SOURCES, VARIANTS, Program, nodes, program
+from proofs.source import SOURCES, VARIANTS, Program, Variant, nodes, program
 from support import slow
 
 FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c")
@@ -32,15 +33,27 @@ FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c")
 
 LEMMAS = [*formulas.CONTRACTS, *robust.CONTRACTS, *calls.CONTRACTS, *images.CONTRACTS]
 LONG = ("update_crowd", "mcp_asdf_receive", "asdf_test_rejects")
+CORTEX_M4 = VARIANTS[0]
 
 
-@pytest.mark.parametrize("name", [*(each for each in LEMMAS if each not in LONG), *slow(LONG)])
-def test_lemma(name: str) -> None:
-    done = set[Any]()
+def prove_lemma_in(variants: Iterable[Variant], name: str) -> None:
+    """Prove the lemma of a function in these variants of the core; equal texts are proved once."""
     path = images.IMAGE if name in images.CONTRACTS else CORE
-    for variant in VARIANTS:
-        prove_lemma(program(variant, path), name, {**calls.contracts(variant), **images.CONTRACTS}, done)
-    assert done
+    proved = set[Any]()
+    for variant in variants:
+        prove_lemma(program(variant, path), name, {**calls.contracts(variant), **images.CONTRACTS}, proved)
+    assert proved
+
+
+@pytest.mark.parametrize("name", [*(name for name in LEMMAS if name not in LONG), *slow(LONG)])
+def test_a_function_keeps_its_contract_on_a_cortex_m4(name: str) -> None:
+    prove_lemma_in([CORTEX_M4], name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LEMMAS)
+def test_a_function_keeps_its_contract_in_every_variant(name: str) -> None:
+    prove_lemma_in(VARIANTS, name)
 
 
 def test_sums_of_a_round_stay_possible() -> None:
@@ -70,16 +83,24 @@ def prove_ends(code: Program, name: str, loop: Any) -> None:
 
 
 # design: R34
+@pytest.mark.parametrize("variant", [CORTEX_M4, *slow(VARIANTS[1:])], ids=str)
 @pytest.mark.parametrize("path", FIRMWARE, ids=lambda path: path.name)
-def test_every_loop_ends(path: Path) -> None:
-    """Whatever the variables beside the counter hold, in each turn anew; and nothing calls itself."""
-    for variant in VARIANTS:
-        code = program(variant, path)
-        for name in code.defined_in(path):
-            for loop in (*nodes(code.functions[name], c_ast.For), *nodes(code.functions[name], c_ast.While)):
-                prove_ends(code, name, loop)
-        calls = {name: code.callees(name) for name in code.functions}
-        assert list(TopologicalSorter(calls).static_order())  # which refuses a cycle
+def test_every_loop_ends(path: Path, variant: Variant) -> None:
+    """The variables beside the counter may hold anything, in each turn anew."""
+    code = program(variant, path)
+    for name in code.defined_in(path):
+        for loop in (*nodes(code.functions[name], c_ast.For), *nodes(code.functions[name], c_ast.While)):
+            prove_ends(code, name, loop)
+
+
+# design: R34
+@pytest.mark.parametrize("variant", [CORTEX_M4, *slow(VARIANTS[1:])], ids=str)
+@pytest.mark.parametrize("path", FIRMWARE, ids=lambda path: path.name)
+def test_no_function_calls_itself(path: Path, variant: Variant) -> None:
+    code = program(variant, path)
+    callees_by_function = {name: code.callees(name) for name in code.functions}
+    # A sorter raises CycleError if a function reaches itself through its callees.
+    assert list(TopologicalSorter(callees_by_function).static_order())
 
 
 def test_a_table_that_is_read_has_at_most_129_words() -> None:

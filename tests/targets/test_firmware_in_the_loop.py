@@ -165,7 +165,9 @@ def any_line(draw: random.Random) -> bytes:
 @pytest.mark.parametrize(
     ("target", "number", "filters"),
     [
-        *(("host", 0, Filter.ADAPTIVE), ("host", 1, Filter.ADAPTIVE), ("host", 6, Filter.ROBUST)),
+        ("host", 0, Filter.ADAPTIVE),
+        ("host", 6, Filter.ROBUST),
+        *slow([("host", 1, Filter.ADAPTIVE)]),
         *slow([("cortex-m3", 2, Filter.ADAPTIVE), ("cortex-m3", 7, Filter.ROBUST)]),
         *slow([("rv32imc", 3, Filter.ADAPTIVE), ("cortex-m4", 5, Filter.ADAPTIVE)]),
     ],
@@ -224,7 +226,8 @@ def prepared(target: str, folder: Path) -> str:
         return str(free.getsockname()[1])
 
 
-@pytest.mark.parametrize("target", ["cortex-m3", *slow(["cortex-m4", "rv32imc"])])
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ["cortex-m3", "cortex-m4", "rv32imc"])
 def test_the_commands_of_the_page_work(target: str, tmp_path: Path) -> None:
     """On each board every broadcast is the mirror's, with a filter that is due. The verdict takes minutes;
     it is left out. The image needs a few kilobytes and nothing that is not its own."""

@@ -33,7 +33,7 @@ from mcp_asdf_tools.world import arena
 from mcp_asdf_tools.world.arena import Arena
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import World
-from support import CORE, ROOT, require, run
+from support import CORE, ROOT, require, run, slow
 from trials import check_that_the_engine_is_the_mirror
 
 SHORT = Experiment(robots=10, flawed=3, filter="asdf-plus", steps=700, filter_period=100, trials=3, seed=77)
@@ -108,7 +108,8 @@ ROBUST_EDGES: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize(
     ("base", "changes"),
-    [(SHORT, each) for each in (EDGES | FULL_EDGES).values()]
+    [(SHORT, each) for each in EDGES.values()]
+    + slow((SHORT, each) for each in FULL_EDGES.values())
     + [(replace(MOVING, latency=late), each) for late in (0, 1) for each in (EDGES | MOVING_EDGES).values()]
     + [(ROBUST, each) for each in (EDGES | ROBUST_EDGES).values()]
     + [
@@ -154,8 +155,9 @@ def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
         )
 
 
-def test_lanes_equal_the_firmware_in_random_experiments() -> None:
-    for experiment in random_experiments(20241, 120):
+@pytest.mark.parametrize("count", [30, *slow([120])])
+def test_lanes_equal_the_firmware_in_random_experiments(count: int) -> None:
+    for experiment in random_experiments(20241, count):
         assert_equal_to_the_bit(experiment, first=0, trials=2 if experiment.is_dynamic else 18)
 
 
