@@ -165,7 +165,14 @@ def check_stacks(target: Target, found: Figures) -> None:
         assert touched <= found.stack[name] <= touched + 2 * ALIGNMENT[target.tools] + 8, name
 
 
-@pytest.mark.parametrize("built", [PAPER, Build(), ROBUST], ids=("paper", "both", "robust"))
+@pytest.mark.parametrize(
+    "built",
+    [
+        pytest.param(PAPER, id="paper", marks=pytest.mark.slow),
+        pytest.param(Build(), id="both"),
+        pytest.param(ROBUST, id="robust", marks=pytest.mark.slow),
+    ],
+)
 def test_a_kilobot_holds_its_firmware(built: Build, tmp_path: Path) -> None:
     usable(AVR)
     flash, ram = kilobot(tmp_path / "image", built)

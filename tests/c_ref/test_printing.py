@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
-from support import CORE, PAGES, PATIENCE, ROOT, TABLE, block_with, blocks, require, run
+from support import CORE, PAGES, PATIENCE, ROOT, TABLE, block_with, blocks, require, run, slow
 from targets.c_node import CORTEX_A8, PLAIN, Kind, built
 from targets.test_khepera import LIBRARY
 
@@ -145,7 +145,7 @@ def test_the_sensor_of_the_khepera_prints_the_same(machine: Machine, tmp_path: P
 
 @pytest.mark.parametrize(
     "kind",
-    [NODE_OF_32_BITS, pytest.param(CORTEX_A8, marks=pytest.mark.slow)],
+    slow([NODE_OF_32_BITS, CORTEX_A8]),
     ids=lambda kind: kind.name,
 )
 def test_the_node_prints_the_same(

@@ -13,10 +13,13 @@ from fuzz.harnesses import CHECKED, FAST, HARNESSES, PORTS
 from support import ROOT, slow
 
 MORE = 300_000
+QUICK_HARNESSES = ("multicast", "radio")
+"""Harnesses of ``make test``, in which tests/targets sends noise to a checked robot on a serial line."""
+SLOW_HARNESSES = [name for name in HARNESSES if name not in QUICK_HARNESSES]
 
 
 @pytest.mark.parametrize(("flags", "more"), [(CHECKED, 0), *slow([(FAST, MORE)])], ids=["kept", "more"])
-@pytest.mark.parametrize("name", HARNESSES)
+@pytest.mark.parametrize("name", [*QUICK_HARNESSES, *slow(SLOW_HARNESSES)])
 def test_inputs_find_nothing(
     name: str, flags: tuple[str, ...], more: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

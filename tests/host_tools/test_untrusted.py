@@ -38,7 +38,7 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.tables.table_files import check_file, format_c_source, format_json
 from mcp_asdf_tools.world.graph import parse_graph
-from support import PATIENCE, draws
+from support import PATIENCE, draws, slow
 from wire import record
 
 TABLE = (Decimal("0.05"), 4)
@@ -205,7 +205,7 @@ def limited() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (2**32, 2**32))
 
 
-@pytest.mark.parametrize("case", ["device as graph", "device as table", "200,000 grids"])
+@pytest.mark.parametrize("case", ["device as table", *slow(["device as graph", "200,000 grids"])])
 def test_too_much_is_refused_soon(case: str, tmp_path: Path) -> None:
     """By the command, in bounded memory."""
     grid, endless = tmp_path / "grid.toml", "/dev/zero"

@@ -40,7 +40,12 @@ def test_the_code_forms_these_numbers(variants: tuple[Variant, ...]) -> None:
     assert len(done) > 1 or len(variants) == 1
 
 
-@pytest.mark.parametrize("claims", OF_THE_NUMBERS)
+LONG = (accuracy.of_lengths, robust.of_the_decision)
+
+
+@pytest.mark.parametrize(
+    "claims", [*(claims for claims in OF_THE_NUMBERS if claims not in LONG), *slow(LONG)]
+)
 def test_roundings_are_within_their_limits(claims: Claims) -> None:
     prove_all(claims())
 

@@ -93,6 +93,7 @@ def test_the_bill_names_each_dependency() -> None:
     assert found["metadata"]["component"]["version"] == version_of_header()
 
 
+@pytest.mark.slow
 def test_the_evidence_is_one_archive(tmp_path: Path) -> None:
     script, archive = ROOT / "tests/release/evidence.sh", tmp_path / "evidence.tar.gz"
     with pytest.raises(AssertionError, match=r"no reports in .*; run make test and make verify first"):

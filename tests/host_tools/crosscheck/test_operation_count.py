@@ -234,9 +234,13 @@ class RobotThatSearchesItsTable(MirrorRobot):
     ("firmware", "axis", "growing_calls"),
     [
         (robot_that_loops(lambda state: state.open.count), "m", ["settle", "step"]),
-        (robot_that_loops(lambda state: state.crowd.votes), "m", ["settle, robust", "step, robust"]),
         (RobotThatSearchesItsTable, "q", ["settle", "step"]),
-        *slow([(RobotThatLoopsOverObservations, "t", ["x", "x, robust"])]),
+        *slow(
+            [
+                (robot_that_loops(lambda state: state.crowd.votes), "m", ["settle, robust", "step, robust"]),
+                (RobotThatLoopsOverObservations, "t", ["x", "x, robust"]),
+            ]
+        ),
     ],
 )
 def test_time_that_grows_is_found(firmware: type[MirrorRobot], axis: str, growing_calls: list[str]) -> None:

@@ -14,6 +14,7 @@ from mcp_asdf_tools.experiments.plots import bands, boxes, scatter, series
 from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of
 from mcp_asdf_tools.studies.figures import draw_pictures
 from mcp_asdf_tools.studies.study_results import StudyResults
+from support import slow
 
 
 class ResultsWithoutTrials(StudyResults):
@@ -120,12 +121,16 @@ SHORTEST = {1000}
     ("name", "filters", "periods", "percents"),
     [
         ("dynamic_asdf-minus", {"none", "asdf-minus"}, ANY_PERIOD, {0, 10, 30, 50}),
-        ("dynamic_asdf-plus", {"none", "asdf-plus"}, ANY_PERIOD, {0, 10, 30, 50, 100}),
-        ("dynamic_scatter", {"none", "asdf-minus", "asdf-plus"}, SHORTEST, {0, 10, 30, 50, 100}),
         ("fully_connected_bands", {"asdf-plus"}, SHORTEST, {10, 30, 50}),
-        ("topologies_asdf-minus", {"none", "asdf-minus"}, SHORTEST, {0, 10, 30, 50, 100}),
-        ("series", {"none", "asdf-plus"}, SHORTEST, {50}),
-        ("physical_asdf-plus", {"none", "asdf-plus"}, SHORTEST, {0, 25, 50, 100}),
+        *slow(
+            [
+                ("dynamic_asdf-plus", {"none", "asdf-plus"}, ANY_PERIOD, {0, 10, 30, 50, 100}),
+                ("dynamic_scatter", {"none", "asdf-minus", "asdf-plus"}, SHORTEST, {0, 10, 30, 50, 100}),
+                ("topologies_asdf-minus", {"none", "asdf-minus"}, SHORTEST, {0, 10, 30, 50, 100}),
+                ("series", {"none", "asdf-plus"}, SHORTEST, {50}),
+                ("physical_asdf-plus", {"none", "asdf-plus"}, SHORTEST, {0, 25, 50, 100}),
+            ]
+        ),
     ],
 )
 def test_a_picture_shows_the_swarms_of_the_papers_figure(

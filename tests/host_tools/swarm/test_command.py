@@ -29,7 +29,7 @@ from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.summary import one_line, summary, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
-from support import ROOT, interruptible, slow
+from support import ROOT, interruptible
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
@@ -280,7 +280,8 @@ def test_results_that_cannot_be_written_cost_neither_the_summary_nor_the_log(
 COMPARED = ["swarm", "--robots", "8", "--steps", "600", "--filter-period", "100", "--flawed", "50%"]
 
 
-@pytest.mark.parametrize("own", ["asdf-plus", *slow(["none", "asdf-minus", "robust"])])
+@pytest.mark.slow
+@pytest.mark.parametrize("own", ["asdf-plus", "none", "asdf-minus", "robust"])
 def test_the_other_runs_are_the_same_swarm_with_other_filters(
     own: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

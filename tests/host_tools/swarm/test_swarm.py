@@ -36,6 +36,7 @@ from mcp_asdf_tools.swarm.delivery import SentFrame
 from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
+from support import slow
 from trials import images_by_message
 
 pytestmark = pytest.mark.usefixtures("private_setup")
@@ -66,7 +67,7 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("firmware", ["native", "mirror"])
+@pytest.mark.parametrize("firmware", ["native", *slow(["mirror"])])
 def test_a_swarm_on_a_bus_is_trial_0_to_the_bit(case: str, firmware: str) -> None:
     """Through frames on a bus, by the engine in C where it can, and message by message in Python."""
     parameters = COMMON | CASES[case] | {"firmware": firmware}

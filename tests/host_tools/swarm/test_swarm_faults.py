@@ -63,9 +63,13 @@ def injected(run: SwarmRun) -> list[int]:
 @pytest.mark.parametrize(
     ("faults", "world"),
     [
-        ((), {}),
+        pytest.param((), {}, marks=pytest.mark.slow),
         (MIX, {"telemetry_period": 7, "comms_period": 4}),
-        (MIX, {"topology": "dynamic", "density": 2.0, "latency": 1, "firmware": "mirror"}),
+        pytest.param(
+            MIX,
+            {"topology": "dynamic", "density": 2.0, "latency": 1, "firmware": "mirror"},
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["lossless", "mix", "moving"],
 )

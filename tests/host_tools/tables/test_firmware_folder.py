@@ -105,6 +105,7 @@ int main(void)
 """
 
 
+@pytest.mark.slow
 def test_two_folders_of_one_project_share_the_library(tmp_path: Path) -> None:
     write_folder(tmp_path / "one", "--omega", "0.1", "--neighbours", "30")
     write_folder(tmp_path / "two")
@@ -113,7 +114,13 @@ def test_two_folders_of_one_project_share_the_library(tmp_path: Path) -> None:
     run(tmp_path / "build/robot")
 
 
-@pytest.mark.parametrize("folders", [("core", "vendor/mcp_asdf"), ("vendor/mcp_asdf", "core")])
+@pytest.mark.parametrize(
+    "folders",
+    [
+        ("core", "vendor/mcp_asdf"),
+        pytest.param(("vendor/mcp_asdf", "core"), marks=pytest.mark.slow),
+    ],
+)
 def test_a_folder_and_the_package_share_the_library(folders: tuple[str, ...], tmp_path: Path) -> None:
     (tmp_path / "core").symlink_to(ROOT / "c_ref")
     write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
@@ -136,7 +143,11 @@ def test_folders_of_two_versions_are_refused(tmp_path: Path) -> None:
     ("setting", "code"),
     [
         ("MCP_ASDF_WITH_ROBUST", "#if MCP_ASDF_WITH_ROBUST || !MCP_ASDF_WITH_ASDF"),
-        ("MCP_ASDF_WITH_ASDF", "#if MCP_ASDF_WITH_ASDF || !MCP_ASDF_WITH_ROBUST"),
+        pytest.param(
+            "MCP_ASDF_WITH_ASDF",
+            "#if MCP_ASDF_WITH_ASDF || !MCP_ASDF_WITH_ROBUST",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_filter_that_is_switched_off_is_left_out_everywhere(
@@ -157,6 +168,7 @@ def test_a_filter_that_is_switched_off_is_left_out_everywhere(
     assert subprocess.run([tmp_path / "build/robot"], check=False).returncode == 1
 
 
+@pytest.mark.slow
 def test_build_shared_libs_makes_a_shared_library(tmp_path: Path) -> None:
     write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
     build(tmp_path, PROGRAM, "-DBUILD_SHARED_LIBS=ON")
@@ -166,9 +178,8 @@ def test_build_shared_libs_makes_a_shared_library(tmp_path: Path) -> None:
     run(tmp_path / "build/robot")
 
 
-def test_cmake_can_be_asked_for_position_independent_code(
-    tmp_path: Path,
-) -> None:
+@pytest.mark.slow
+def test_cmake_can_be_asked_for_position_independent_code(tmp_path: Path) -> None:
     write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
     configure(
         tmp_path,
