@@ -453,7 +453,7 @@ def _quotient_in_unit_interval(numerator: Number, denominator: Number) -> Number
         return max(number(0), min(numerator / denominator, number(1)))
     if numerator == 0:
         return number(0.5)
-    return number(numerator > 0)
+    return number(1) if numerator > 0 else number(0)
 
 
 def _sum(terms: Sequence[Number]) -> Number:
@@ -529,7 +529,8 @@ class ReferenceRobot:
         if index(z) not in (Observation.WHITE, Observation.BLACK):
             return Status.ERR_OBSERVATION
         self._t += 1
-        self._n += z == Observation.BLACK
+        if z == Observation.BLACK:
+            self._n += 1
         if self._t == self._config.memory:
             # Halving keeps the share of black tiles, and lets new observations weigh more than old ones.
             self._t //= 2

@@ -142,8 +142,10 @@ def _parse_number(text: str, position: str) -> float | None:
     """
     if not any(character.isdigit() for character in text):
         return None
+    # A comma beside a point is a separator of thousands, which float() refuses.
+    text_with_point = text if "." in text else text.replace(",", ".")
     try:
-        number = float(text if "." in text else text.replace(",", "."))
+        number = float(text_with_point)
     except ValueError:
         number = math.nan
     if not math.isfinite(number):

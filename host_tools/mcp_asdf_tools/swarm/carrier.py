@@ -122,6 +122,7 @@ class ExpectingConnection:
         received = self._read_awaited(awaited, FRAME_TIMEOUT if timeout is None else timeout)
         missing_indices = [index for index in range(len(awaited)) if index not in received]
         missing = [awaited[index] for index in missing_indices]
+        # In lockstep every frame has to arrive, since the run could not be repeated otherwise.
         if missing and timeout is None:
             raise self._loss_error(missing)
         # The overdue frames are the first in ``awaited``, and an earlier call has counted them as missed.
@@ -179,8 +180,11 @@ class ExpectingConnection:
 
     def _loss_error(self, missing: Sequence[SentFrame]) -> SwarmError:
         """Return an error that names some of the missing frames, each identifier once."""
-        identifiers = [sent_frame.frame.arbitration_id for sent_frame in missing[:_MAX_FRAMES_IN_ERROR]]
-        names = [f"frame {identifier:08X}" for identifier in dict.fromkeys(identifiers)]
+        names: list[str] = []
+        for sent_frame in missing[:_MAX_FRAMES_IN_ERROR]:
+            name = f"frame {sent_frame.frame.arbitration_id:08X}"
+            if name not in names:
+                names.append(name)
         if len(missing) > _MAX_FRAMES_IN_ERROR:
             names.append("...")
         return SwarmError(
@@ -246,7 +250,7 @@ class Carrier:
             return
         self._has_bus_per_robot = not wiring.is_shared
         all_robots = list(self._robots)
-        with ExitStack() as open_buses:
+        with ExitStack() as open_buses:  # which closes those that are open if a later one fails
             if wiring.is_shared:
                 bus = open_buses.enter_context(open_bus(all_robots[0]))
                 self._connect_carrier(all_robots, bus, on_frame)

@@ -9,7 +9,6 @@ import random
 import signal
 import socket
 import struct
-import threading
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -30,35 +29,33 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.node import filters_for
 from multicast import multicast
 from robots import ALPHA_ONE
-from support import PATIENCE
-from wire import node_in_a_thread
-
-GROUP = 30
+from support import PATIENCE, wait_until
+from wire import meanwhile, node_in_a_thread
 
 
-def test_a_malformed_datagram_is_one_damaged_frame_and_what_follows_is_heard() -> None:
-    choice, after = multicast(GROUP), Estimate(8, 1, ALPHA_ONE, 3)
+def test_a_malformed_datagram_is_one_error_frame_and_the_next_frame_is_received() -> None:
+    choice, next_estimate = multicast(30), Estimate(8, 1, ALPHA_ONE, 3)
     with choice.open() as bus, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, struct.pack("@I", 0))
         stranger.connect((str(choice.channel), int(choice.settings["port"])))
         bus.set_filters(filters_for(FrameFormat()))
-        for data in odd_datagrams():
-            stranger.send(data)
-            stranger.send(packed(8, arbitration_id=5))  # which the filters leave out
+        for datagram in odd_datagrams():
+            stranger.send(datagram)
+            stranger.send(packed(8, arbitration_id=5))  # a frame that the filters leave out
             stranger.send(packed(8))
-            heard: list[Estimate | Rejection] = []
-            while after not in heard:
+            contents: list[Estimate | Rejection] = []
+            while next_estimate not in contents:
                 frame = bus.recv(PATIENCE)
-                assert frame is not None and frame.dlc == len(frame.data)
-                assert frame.channel == choice.channel
-                heard.append(decode_estimate(frame, FrameFormat()))
-            is_damaged = unpack_data_frame(data) is None
-            assert len(heard) <= 2
-            assert (heard[0] is Rejection.ERROR_FRAME) == is_damaged, data
+                assert frame is not None
+                assert (frame.dlc, frame.channel) == (len(frame.data), choice.channel)
+                contents.append(decode_estimate(frame, FrameFormat()))
+            is_malformed = unpack_data_frame(datagram) is None
+            assert len(contents) <= 2
+            assert (contents[0] is Rejection.ERROR_FRAME) == is_malformed, datagram
 
 
 def test_a_burst_of_four_estimates_from_each_robot_waits_in_the_socket_of_a_multicast_group() -> None:
-    choice = multicast(GROUP)
+    choice = multicast(32)
     with choice.open() as sender, choice.open() as receiver:
         for number in range(4 * 126):
             sender.send(can.Message(arbitration_id=number))
@@ -66,40 +63,93 @@ def test_a_burst_of_four_estimates_from_each_robot_waits_in_the_socket_of_a_mult
     assert [frame.arbitration_id for frame in received if frame is not None] == [*range(4 * 126)]
 
 
-def test_no_node_hears_itself_on_a_bus_that_echoes() -> None:
-    """But one that asks for it, which gets back what it has sent."""
-    choice, draw = multicast(GROUP), random.Random(2)
-    connections = [choice.open(returns_own=number == 2) for number in range(3)]
-    heard: list[list[tuple[int, bytes]]] = [[], [], []]
-    due: list[list[tuple[int, bytes]]] = [[], [], []]
-    for step in range(800):
-        place = draw.randrange(3) if step < 700 else step % 3
-        if step < 700 and draw.random() < 0.5:
-            # Contents come again and again, also from others at the same time.
+IdAndData = tuple[int, bytes]
+
+
+def id_and_data(frame: can.Message) -> IdAndData:
+    return frame.arbitration_id, bytes(frame.data)
+
+
+def receive_all(bus: can.BusABC) -> list[IdAndData]:
+    """Return what has arrived on a bus, without waiting."""
+    frames = []
+    while (frame := bus.recv(0)) is not None:
+        frames.append(id_and_data(frame))
+    return frames
+
+
+def test_a_connection_to_a_multicast_group_does_not_return_what_it_has_sent() -> None:
+    frame = can.Message(arbitration_id=1, data=b"a")
+    choice = multicast(33)
+    with choice.open() as bus, choice.open() as other:
+        bus.send(frame)
+        assert other.recv(PATIENCE) is not None
+        assert bus.recv(0) is None
+
+
+def test_a_connection_that_returns_its_own_frames_does_so_once() -> None:
+    frame = can.Message(arbitration_id=1, data=b"a")
+    with multicast(34).open(returns_own=True) as bus:
+        bus.send(frame)
+        returned_frame = bus.recv(PATIENCE)
+        assert returned_frame is not None
+        assert id_and_data(returned_frame) == (1, b"a")
+        assert returned_frame.timestamp > 0
+        assert bus.recv(0) is None
+
+
+def test_equal_frames_of_several_senders_reach_all_others() -> None:
+    """Contents come again and again, also from others at the same time. The third one gets its own back."""
+    choice, draw = multicast(35), random.Random(2)
+    connections = [choice.open(), choice.open(), choice.open(returns_own=True)]
+    received: list[list[IdAndData]] = [[], [], []]
+    expected: list[list[IdAndData]] = [[], [], []]
+    for _ in range(700):
+        sender = draw.randrange(3)
+        if draw.random() < 0.5:
             frame = can.Message(arbitration_id=draw.randrange(2), data=bytes([draw.randrange(2)]))
-            connections[place].send(frame, timeout=1)
-            for other in {0, 1, 2} - {place} | {2}:
-                due[other].append((frame.arbitration_id, bytes(frame.data)))
-        while (came := connections[place].recv(0)) is not None:
-            heard[place].append((came.arbitration_id, bytes(came.data)))
-            assert came.channel == choice.channel and came.timestamp > 0
-    for place, connection in enumerate(connections):
-        assert sorted(heard[place]) == sorted(due[place]), "replay: random.Random(2)"
+            connections[sender].send(frame, timeout=1)
+            for receiver in {0, 1, 2} - {sender} | {2}:
+                expected[receiver].append(id_and_data(frame))
+        received[sender] += receive_all(connections[sender])
+    for receiver in (0, 1, 2, 0, 1, 2):
+        received[receiver] += receive_all(connections[receiver])
+    for connection in connections:
         connection.shutdown()
+    assert [sorted(frames) for frames in received] == [sorted(frames) for frames in expected]
 
 
-def test_frames_of_other_programs_on_socketcan_are_received() -> None:
-    """The kernel filters, and leaving an adapter that is unplugged is no error."""
+def socketcan_bus() -> Mock:
+    """Return a bus of SocketCAN as python-can has it, which receives one frame of this computer."""
     bus = Mock(channel_info="can0", protocol=can.CanProtocol.CAN_20)
     bus._recv_internal.side_effect = [(can.Message(is_rx=False), True), (None, True)]
-    connection = Connection(bus)
+    return bus
+
+
+def test_frames_of_other_programs_of_this_computer_are_marked_as_received() -> None:
+    connection = Connection(socketcan_bus())
     frame = connection.recv(0)
-    assert frame is not None and frame.is_rx and connection.recv(0) is None
-    connection.set_filters(filters_for(FrameFormat()))
+    assert frame is not None
+    assert frame.is_rx
+    assert connection.recv(0) is None
+
+
+def test_filters_are_those_of_the_kernel_where_it_has_some() -> None:
+    bus = socketcan_bus()
+    Connection(bus).set_filters(filters_for(FrameFormat()))
     bus.set_filters.assert_called_with(filters_for(FrameFormat()))
-    assert (connection.protocol, connection.channel_info) == (bus.protocol, "can0")
+
+
+def test_a_connection_has_the_protocol_and_the_name_of_its_bus() -> None:
+    connection = Connection(socketcan_bus())
+    assert connection.protocol is can.CanProtocol.CAN_20
+    assert connection.channel_info == "can0"
+
+
+def test_leaving_a_bus_whose_adapter_is_unplugged_is_no_error() -> None:
+    bus = socketcan_bus()
     bus.shutdown.side_effect = can.CanOperationError("unplugged")
-    connection.shutdown()
+    Connection(bus).shutdown()
     bus.shutdown.assert_called_once_with()
 
 
@@ -107,30 +157,49 @@ def radio(options: str) -> int:
     return main(["radio", "--interface", "virtual", *options.split()])
 
 
-def test_waits_end_however_often_the_time_of_day_is_set_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Node and radio side by side: each takes the frames of the other, and a signal ends one that waits.
+def set_clock_back(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Let every look at the time of day find it three days earlier.
 
-    Every look at that clock finds it three days earlier.
+    Returns the seconds that connections wait for a bus from now on.
     """
     days, waits = count(step=3 * 86400), list[float]()
     receive = VirtualBus._recv_internal
 
-    def waiting(self: Any, timeout: float | None) -> Any:
-        waits.append(PATIENCE if timeout is None else timeout)
-        assert waits[-1] <= 1, "it would wait for days"
-        return receive(self, timeout)
+    def record_wait(bus: Any, timeout: float | None) -> Any:
+        assert timeout is not None and timeout <= 1, "it would wait for days"
+        waits.append(timeout)
+        return receive(bus, timeout)
 
+    monkeypatch.setattr("can.bus.time", lambda: -next(days))
+    monkeypatch.setattr(VirtualBus, "_recv_internal", record_wait)
+    return waits
+
+
+def test_node_and_radio_answer_each_other_while_the_clock_is_set_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with node_in_a_thread("--id 5 --b-hat 0.55 --activation always"):
-        monkeypatch.setattr("can.bus.time", lambda: -next(days))
-        monkeypatch.setattr(VirtualBus, "_recv_internal", waiting)
+        waits = set_clock_back(monkeypatch)
         assert radio("--id 5 --b-hat 0.56 --activation always --verify --timeout 60") == 1
-    ending = threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGTERM))
-    ending.start()
-    assert radio("--id 5 --robots 3 --interface virtual --channel another") == 0
-    ending.join()
+    assert len(waits) > 5
+
+
+def test_a_signal_ends_a_wait_while_the_clock_is_set_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    waits = set_clock_back(monkeypatch)
+
+    def stop_once_it_waits() -> None:
+        wait_until(lambda: bool(waits))
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    with meanwhile(stop_once_it_waits):
+        assert radio("--id 5 --robots 3 --channel another") == 0
+
+
+def test_a_wait_ends_in_time_while_the_clock_is_set_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    waits = set_clock_back(monkeypatch)
     with chosen("--channel", "mine").open() as bus:
         assert bus.recv(0.01) is None
-    assert len(waits) > 5
+    assert waits
 
 
 def chosen(*words: str) -> BusChoice:
@@ -139,26 +208,61 @@ def chosen(*words: str) -> BusChoice:
     return bus_of(parser.parse_args(words))
 
 
-def test_another_process_joins_the_bus_by_its_arguments() -> None:
-    choice = chosen(
-        "-i", "udp_multicast", "-c", "239.1.1.{robot}", "-b", "500000", "--bus-kwargs", "port=9", "a=b"
-    )
-    own = choice.of_robot(7)
-    assert (choice.has_channels, own.has_channels, str(own)) == (True, False, "udp_multicast 239.1.1.7")
-    assert own.settings == {"hop_limit": 0, "channel": "239.1.1.7", "bitrate": 500000, "port": 16, "a": "b"}
-    again = chosen(*own.arguments())
-    assert again.interface == own.interface
-    assert {name: str(value) for name, value in own.settings.items()} == again.settings
-    assert chosen("-i", "udp_multicast", "-c", "g{robot}").of_robot(2).settings["port"] == 43115
-    assert own.of_robot(3) is own
-    assert chosen("-i", "socketcan", "-c", "vcan{robot}").of_robot(2).settings == {"channel": "vcan2"}
+GROUPS_OF_ROBOTS = ("-i", "udp_multicast", "-c", "239.1.1.{robot}", "--bus-kwargs", "port=9", "a=b")
+"""A group for each robot."""
 
 
-def test_only_a_bus_of_this_process_without_settings_is_private() -> None:
+def test_each_robot_has_its_own_group_and_port() -> None:
+    bus_of_robot = chosen(*GROUPS_OF_ROBOTS).of_robot(7)
+    assert bus_of_robot.settings == {"hop_limit": 0, "channel": "239.1.1.7", "port": 16, "a": "b"}
+    assert str(bus_of_robot) == "udp_multicast 239.1.1.7"
+
+
+def test_the_ports_of_robots_begin_with_python_can_s_own() -> None:
+    choice = chosen("-i", "udp_multicast", "-c", "g{robot}")
+    assert choice.of_robot(2).settings["port"] == 43115
+
+
+def test_robots_on_socketcan_have_no_ports() -> None:
+    choice = chosen("-i", "socketcan", "-c", "vcan{robot}")
+    assert choice.of_robot(2).settings == {"channel": "vcan2"}
+
+
+def test_the_bus_of_a_robot_is_its_bus_whatever_the_id() -> None:
+    choice = chosen(*GROUPS_OF_ROBOTS)
+    bus_of_robot = choice.of_robot(7)
+    assert choice.has_channels
+    assert not bus_of_robot.has_channels
+    assert bus_of_robot.of_robot(3) is bus_of_robot
+
+
+def test_another_process_joins_the_same_bus_by_its_arguments() -> None:
+    choice = chosen(*GROUPS_OF_ROBOTS, "-b", "500000").of_robot(7)
+    same_choice = chosen(*choice.arguments())
+    assert same_choice.interface == choice.interface
+    assert same_choice.settings == {name: str(value) for name, value in choice.settings.items()}
+
+
+def test_a_bus_without_settings_needs_no_further_arguments() -> None:
+    assert chosen("-i", "socketcan").arguments() == ["--interface=socketcan"]
+
+
+def test_no_other_process_joins_a_bus_of_this_one() -> None:
+    with pytest.raises(UsageError, match="the bus virtual vcan0 is inside this process, so no other can"):
+        chosen().arguments()
+
+
+def test_a_bus_of_this_process_is_private_by_default_and_with_another_name() -> None:
     assert chosen().is_private
     assert chosen("--channel", "mine").is_private
-    assert not chosen("--bus-kwargs", "preserve_timestamps=True").is_private
-    assert not chosen("-i", "socketcan", "-c", "vcan0").is_private
+
+
+@pytest.mark.parametrize("words", ["--bus-kwargs preserve_timestamps=True", "-i socketcan -c vcan0"])
+def test_a_bus_with_settings_or_of_another_kind_is_not_private(words: str) -> None:
+    assert not chosen(*words.split()).is_private
+
+
+def test_a_setting_without_a_value_is_refused() -> None:
     with pytest.raises(SystemExit):
         chosen("--bus-kwargs", "no value")
 
@@ -179,50 +283,69 @@ REAL = "as root, create it with: modprobe can-raw && ip link set can0 up type ca
         ("-i udp_multicast -c nowhere", errno.ENODEV, SEE),
     ],
 )
-def test_a_bus_that_cannot_be_opened_is_told_with_the_fix(
+def test_the_failure_to_open_a_bus_is_reported_with_its_fix(
     words: str, number: int, fix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where it is missing, that is how to make it."""
     choice = chosen(*words.split())
-    if fix is VIRTUAL:
-        with pytest.raises(UsageError, match=r"vcan97 up$"):
-            choice.open()
+    monkeypatch.setattr(can, "Bus", Mock(side_effect=OSError(number, "no way")))
+    with pytest.raises(UsageError) as failure:
+        choice.open()
+    assert str(failure.value) == f"cannot open the bus {choice}: [Errno {number}] no way; {fix}"
+
+
+def test_the_failure_to_open_a_bus_that_does_not_exist_says_how_to_create_it() -> None:
+    with pytest.raises(UsageError, match=r"vcan97 up$"):
+        chosen("-i", "socketcan", "-c", "vcan97").open()
+
+
+def test_an_interface_that_python_can_does_not_have_is_refused_with_those_that_it_has() -> None:
     with pytest.raises(UsageError, match=r"there is no such interface; choose one of .*, socketcan, "):
         BusChoice("gremlin", {}).open()
-    monkeypatch.setattr(can, "Bus", Mock(side_effect=OSError(number, "no way")))
-    with pytest.raises(UsageError) as told:
-        choice.open()
-    assert str(told.value) == f"cannot open the bus {choice}: [Errno {number}] no way; {fix}"
 
 
-def test_python_can_s_own_settings_are_honoured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Files, variables, ``can.rc``, options: later ones override earlier ones."""
+def test_python_can_s_files_variables_and_rc_and_then_options_decide_on_the_bus(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Each of them decides on what none of the later ones states."""
     monkeypatch.setenv("HOME", str(tmp_path))
     (tmp_path / ".canrc").write_text("[default]\ninterface=pcan\nchannel=file\nbitrate=5\nport=9\n")
     monkeypatch.setenv("CAN_INTERFACE", "udp_multicast")
     monkeypatch.setattr(can, "rc", {"bustype": "pcan", "channel": "rc", "bitrate": 6})
     settings = {"channel": "mine", "bitrate": 6, "port": "9", "hop_limit": 0}
     assert chosen("-c", "mine") == BusChoice("udp_multicast", settings)
+
+
+def test_a_variable_of_python_can_that_cannot_be_read_is_a_usage_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setenv("CAN_CONFIG", "no JSON")
     with pytest.raises(UsageError, match="variables or configuration files are not valid"):
         chosen()
 
 
-def test_a_bus_without_a_name_has_that_of_its_channel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is asked for own frames where they are wanted, and for one handle, so that it can tell them."""
-    infos = [*[can.BusABC.channel_info] * 2, "Leaf"]
-    opened = Mock(side_effect=[Mock(channel_info=each) for each in infos])
-    monkeypatch.setattr(can, "Bus", opened)
-    own, third = {"receive_own_messages": True}, {"channel": 3}
-    for settings, name, echo in ((third, "3", {}), ({}, "kvaser", own), (third, "Leaf", {})):
-        connection = BusChoice("kvaser", settings).open(returns_own=echo is own)
-        assert (type(connection), connection.channel_info) == (Connection, name)
-        opened.assert_called_with(interface="kvaser", single_handle=True, **settings, **echo)
+@pytest.mark.parametrize(
+    ("driver_name", "settings", "name"),
+    [
+        (can.BusABC.channel_info, {"channel": 3}, "3"),
+        (can.BusABC.channel_info, {}, "kvaser"),
+        ("Leaf", {"channel": 3}, "Leaf"),
+    ],
+)
+def test_a_bus_has_the_name_that_its_driver_gives_or_that_of_its_channel_or_interface(
+    driver_name: str, settings: dict[str, Any], name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(can, "Bus", Mock(return_value=Mock(channel_info=driver_name)))
+    assert BusChoice("kvaser", settings).open().channel_info == name
 
 
-def test_no_other_process_joins_a_bus_of_this_one() -> None:
-    with pytest.raises(
-        UsageError, match="the bus virtual vcan0 is inside this process, so no other can join"
-    ):
-        chosen().arguments()
-    assert chosen("-i", "socketcan").arguments() == ["--interface=socketcan"]
+@pytest.mark.parametrize(
+    ("returns_own", "further_settings"), [(False, {}), (True, {"receive_own_messages": True})]
+)
+def test_a_driver_is_asked_for_own_frames_only_where_they_are_wanted(
+    returns_own: bool, further_settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    open_bus = Mock(return_value=Mock(channel_info="Leaf"))
+    monkeypatch.setattr(can, "Bus", open_bus)
+    BusChoice("kvaser", {"channel": 3}).open(returns_own)
+    # Kvaser's driver can tell own frames only with a single handle.
+    open_bus.assert_called_with(interface="kvaser", single_handle=True, channel=3, **further_settings)

@@ -1,4 +1,4 @@
-"""Time is kept by a clock of the test's own, so nothing here waits."""
+"""The clock of a swarm in real time. Time is kept by a watch of the tests' own, so nothing here waits."""
 
 from __future__ import annotations
 
@@ -8,58 +8,94 @@ import pytest
 
 from mcp_asdf_tools.robots.clock import RealTimeClock
 
+STEPS_PER_SECOND = 8
 PERIOD = 0.125
+"""Seconds from one tick to the next."""
 
 
 @dataclass
 class Watch:
-    """Time that passes only when somebody sleeps or works; a sleep ends ``early`` by so much."""
+    """Time that passes only when somebody sleeps, or a test sets it.
+
+    Attributes:
+        now: Seconds, from 1000 on.
+        missing_sleep: Seconds by which a sleep ends too early, unless it is short itself.
+    """
 
     now: float = 1000.0
-    early: float = 0.0
+    missing_sleep: float = 0.0
 
     def sleep(self, seconds: float) -> None:
         assert seconds > 0
-        self.now += max(seconds, 2 * self.early) - self.early
+        self.now += max(seconds - self.missing_sleep, self.missing_sleep)
 
     def clock(self) -> RealTimeClock:
-        return RealTimeClock(1 / PERIOD, lambda: self.now, self.sleep)
+        return RealTimeClock(STEPS_PER_SECOND, lambda: self.now, self.sleep)
 
 
-@pytest.mark.parametrize(
-    ("work", "began", "late"),
-    [
-        ([0.5, 0, 1, 0.25, 0], [0, 1, 2, 3, 4], [0, 0, 0, 0, 0]),
-        ([2, 0.5, 0.5, 0.5, 0], [0, 2, 2.5, 3, 4], [0, 1, 0.5, 0, 0]),  # late until it has caught up
-        ([1.5] * 9, [1.5 * tick for tick in range(9)], [0.5 * tick for tick in range(9)]),
-    ],
-)
-def test_ticks_begin_at_multiples_of_the_period_or_when_the_last_is_over(
-    work: list[float], began: list[float], late: list[float]
-) -> None:
-    """All in periods; a tick is late after more than half of one."""
-    watch = Watch()
-    clock, found = watch.clock(), []
-    assert clock.figures() is None
-    for tick, periods in enumerate(work, start=5):
+def begin_ticks(watch: Watch, clock: RealTimeClock, periods_of_work: list[float]) -> list[float]:
+    """Begin ticks that take so many periods each, and return when each has begun, in periods."""
+    beginnings = []
+    for tick, periods in enumerate(periods_of_work, start=5):
         clock.begin(tick)
-        found.append((watch.now - 1000) / PERIOD)
+        beginnings.append((watch.now - 1000) / PERIOD)
         watch.now += periods * PERIOD
-    assert found == began
+    return beginnings
+
+
+def test_ticks_that_are_done_in_time_begin_at_multiples_of_the_period() -> None:
+    watch = Watch()
+    assert begin_ticks(watch, watch.clock(), [0.5, 0, 1, 0.25, 0]) == [0, 1, 2, 3, 4]
+
+
+def test_ticks_after_a_long_one_begin_at_once_until_they_have_caught_up() -> None:
+    watch = Watch()
+    assert begin_ticks(watch, watch.clock(), [2, 0.5, 0.5, 0.5, 0]) == [0, 2, 2.5, 3, 4]
+
+
+def test_ticks_that_take_longer_than_the_period_begin_when_the_last_is_over() -> None:
+    watch = Watch()
+    assert begin_ticks(watch, watch.clock(), [1.5, 1.5, 1.5, 1.5]) == [0, 1.5, 3, 4.5]
+
+
+def test_a_clock_has_no_figures_before_the_first_tick() -> None:
+    assert Watch().clock().figures() is None
+
+
+def test_figures_say_in_seconds_how_late_ticks_have_begun() -> None:
+    watch = Watch()
+    clock = watch.clock()
+    # These begin 0, 1, 0.5, 0 and 0 periods late, and only one of them by more than half of one.
+    begin_ticks(watch, clock, [2, 0.5, 0.5, 0.5, 0])
     assert clock.figures() == {
-        "mean_lateness": sum(late) / len(late) * PERIOD,
-        "max_lateness": max(late) * PERIOD,
-        "late_ticks": sum(each > 0.5 for each in late),
-        "drift": late[-1] * PERIOD,
+        "mean_lateness": 0.3 * PERIOD,
+        "max_lateness": PERIOD,
+        "late_ticks": 1,
+        "drift": 0,
     }
 
 
-def test_sleeps_that_end_early_are_gone_on_with_and_patience_ends_in_the_middle_of_the_period() -> None:
-    watch = Watch(early=0.03125)
+def test_the_drift_is_the_lateness_of_the_last_tick() -> None:
+    watch = Watch()
+    clock = watch.clock()
+    begin_ticks(watch, clock, [1.5, 1.5, 1.5, 1.5])
+    figures = clock.figures()
+    assert figures is not None
+    assert figures["drift"] == 1.5 * PERIOD
+
+
+def test_a_tick_does_not_begin_early_when_a_sleep_ends_early() -> None:
+    watch = Watch(missing_sleep=0.03125)
     clock = watch.clock()
     clock.begin(0)
     clock.begin(1)
     assert watch.now >= 1000 + PERIOD
-    for now, left in ((0.125, 0.0625), (0.15625, 0.03125), (9, 0)):
-        watch.now = 1000 + now
-        assert clock.seconds_left_to_receive(1) == left
+
+
+@pytest.mark.parametrize(("now", "seconds_left"), [(0.125, 0.0625), (0.15625, 0.03125), (9, 0)])
+def test_frames_are_waited_for_until_the_middle_of_the_period(now: float, seconds_left: float) -> None:
+    watch = Watch()
+    clock = watch.clock()
+    clock.begin(0)
+    watch.now = 1000 + now
+    assert clock.seconds_left_to_receive(1) == seconds_left
