@@ -54,20 +54,17 @@ def test_a_broadcast_stays_due_until_a_tick_has_ended() -> None:
 
 
 def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
-    """Also in a round of so many messages that a counter wraps several times."""
-    robot = robot_with_counters(
-        10**6, accepted=65_000, updates=65_535, tests=65_534, rejected=1, repeated=65_533
-    )
-    before = robot.counters
-    assert before == Counters(65_000, 65_533, 1, 65_534, 65_535)
+    counters = Counters(accepted=65_000, repeated=65_533, rejected=1, tests=65_534, updates=65_535)
+    robot = robot_with_counters(10**6, **vars(counters))
+    # In a round of so many messages a counter of the firmware wraps several times.
     senders = [5] * 998 + [6, 7]
     estimates = np.array([[sender, 0, ALPHA_ONE] for sender in senders], np.uint32)
     for _ in range(300):
         robot.observe(None)
         robot.receive_all(estimates)
         robot.settle()
-    assert robot.counters == replace(
-        before, accepted=65_002, rejected=1 + 998 * 300, repeated=65_533 + 2 * 299
+    assert robot.counters == Counters(
+        accepted=65_002, repeated=65_533 + 2 * 299, rejected=1 + 998 * 300, tests=65_534, updates=65_535
     )
 
 
@@ -215,43 +212,105 @@ def test_a_setup_with_a_wrong_value_is_refused_by_name(changes: dict[str, Any], 
         RobotSetup.from_plain(record(5).plain() | changes)
 
 
-def test_flawed_robots_are_a_count_or_a_share() -> None:
-    ways = (6, "6", np.int64(4), "44.9%", 0, 0.0, 10, 1.0, "30%", 0.25, "45%", "0.5")
-    counts = [Population(robots=10, flawed=way).flawed for way in ways]
-    assert counts == [6, 6, 4, 4, 0, 0, 10, 10, 3, 3, 5, 5]
-    for wrong in (11, -1, -0.01, 1.01, "150%", True, "x", "nan", None):
-        with pytest.raises(UsageError, match="; give a count, 0 to 10, or a share such as"):
-            Population(robots=10, flawed=wrong)
+@pytest.mark.parametrize(
+    ("flawed", "count"),
+    [(6, 6), ("6", 6), (np.int64(4), 4), (0, 0), (10, 10), (0.0, 0), (1.0, 10), ("30%", 3), ("0.5", 5)],
+)
+def test_flawed_robots_are_a_count_or_a_share(flawed: Any, count: int) -> None:
+    assert Population(robots=10, flawed=flawed).flawed == count
 
 
-@pytest.mark.parametrize("filters", ["none", "asdf-minus", "asdf-plus", "robust"])
-@pytest.mark.parametrize("activation", ["adaptive", "always"])
-def test_a_population_has_a_setup_of_each_robot(filters: str, activation: Activation) -> None:
-    periods: dict[str, Any] = {"comms_period": 2, "filter_period": 4, "memory": 64}
-    accuracies: dict[str, Any] = {"robots": 4, "flawed": 2, "flawed_accuracy": 0.3, "true_accuracy": 1.0}
-    drift: dict[str, Any] = {"drift": "linear", "drift_of": "flawed"}
-    some = Population(**accuracies, **periods, **drift, filter=filters, activation=activation, omega="0.1")
-    off, on = Config(None, Filter.OFF, 2, 64), Config(None, Filter.ALWAYS, 2, 64)
-    if filters == "robust":
-        on = replace(on, filter=Filter.ROBUST)
-    elif activation == "adaptive":
-        on = Config(generate(Decimal("0.1"), 3), Filter.ADAPTIVE, 2, 64)
-    configs = [on if filters != "none" else off] * 2 + [off if filters in ("none", "asdf-minus") else on] * 2
-    b_hat = [0.3, 0.3, 1 - 2**-20, 1 - 2**-20]
-    expected = [RobotSetup(i, "native", b_hat[i], configs[i], 2) for i in range(4)]
-    assert [some.setup_of(robot) for robot in range(4)] == expected
-    assert Population(**some.parameters()) == some
-    assert (some.drifting, some.omega) == (2, Decimal("0.1"))
+@pytest.mark.parametrize(("share", "count"), [("44.9%", 4), ("45%", 5), (0.25, 3)])
+def test_a_share_of_flawed_robots_is_rounded_to_the_nearest_count_halves_up(share: Any, count: int) -> None:
+    assert Population(robots=10, flawed=share).flawed == count
+
+
+@pytest.mark.parametrize("flawed", [11, -1, -0.01, 1.01, "150%", True, "x", "nan", None])
+def test_what_is_neither_a_count_nor_a_share_of_robots_is_refused(flawed: Any) -> None:
+    with pytest.raises(UsageError, match="; give a count, 0 to 10, or a share such as"):
+        Population(robots=10, flawed=flawed)
+
+
+FOUR_ROBOTS: dict[str, Any] = {
+    "robots": 4,
+    "flawed": 2,
+    "flawed_accuracy": 0.3,
+    "true_accuracy": 1.0,
+    "comms_period": 2,
+    "filter_period": 4,
+    "memory": 64,
+    "omega": "0.1",
+}
+OFF = Config(None, Filter.OFF, 2, 64)
+ADAPTIVE = Config(generate(Decimal("0.1"), 3), Filter.ADAPTIVE, 2, 64)
+ALWAYS = Config(None, Filter.ALWAYS, 2, 64)
+ROBUST = Config(None, Filter.ROBUST, 2, 64)
+
+
+@pytest.mark.parametrize(
+    ("filters", "activation", "flawed_config", "other_config"),
+    [
+        ("none", "adaptive", OFF, OFF),
+        ("none", "always", OFF, OFF),
+        ("asdf-minus", "adaptive", ADAPTIVE, OFF),
+        ("asdf-minus", "always", ALWAYS, OFF),
+        ("asdf-plus", "adaptive", ADAPTIVE, ADAPTIVE),
+        ("asdf-plus", "always", ALWAYS, ALWAYS),
+        ("robust", "adaptive", ROBUST, ROBUST),
+        ("robust", "always", ROBUST, ROBUST),
+    ],
+)
+def test_a_population_has_a_setup_of_each_robot(
+    filters: str, activation: Activation, flawed_config: Config, other_config: Config
+) -> None:
+    population = Population(**FOUR_ROBOTS, filter=filters, activation=activation)
+    largest_b_hat = 1 - 2**-20
+    assert [population.setup_of(robot) for robot in range(4)] == [
+        RobotSetup(0, "native", 0.3, flawed_config, 2),
+        RobotSetup(1, "native", 0.3, flawed_config, 2),
+        RobotSetup(2, "native", largest_b_hat, other_config, 2),
+        RobotSetup(3, "native", largest_b_hat, other_config, 2),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("filters", "activation", "unused"),
+    [
+        ("none", "adaptive", {"omega", "activation"}),
+        ("robust", "adaptive", {"omega", "activation"}),
+        ("asdf-minus", "adaptive", set()),
+        ("asdf-plus", "always", {"omega"}),
+    ],
+)
+def test_a_population_knows_which_parameters_its_filter_does_not_use(
+    filters: str, activation: Activation, unused: set[str]
+) -> None:
+    population = Population(**FOUR_ROBOTS, filter=filters, activation=activation, drift="linear")
+    assert set(population.unused_parameters()) == unused
+
+
+def test_a_population_is_made_again_from_its_parameters() -> None:
+    population = Population(**FOUR_ROBOTS, drift="linear", drift_of="flawed")
+    assert Population(**population.parameters()) == population
+
+
+def test_only_the_sensors_of_flawed_robots_drift_if_they_alone_are_to() -> None:
+    assert Population(**FOUR_ROBOTS, drift="linear", drift_of="flawed").drifting == 2
+    assert Population(**FOUR_ROBOTS, drift="linear").drifting == 4
+
+
+def test_a_drift_of_some_robots_without_a_drift_is_refused() -> None:
     with pytest.raises(ParameterError, match="drift_of is flawed but drift is none"):
         Population(drift_of="flawed")
+
+
+def test_a_memory_that_is_no_multiple_of_4_is_refused() -> None:
     with pytest.raises(ParameterError, match="memory is 66; it must be a multiple of 4"):
         Population(memory=66)
-    both = {"omega", "activation"}
-    unused = {"none": both, "robust": both}.get(filters, {"omega"} if activation == "always" else set())
-    assert set(some.unused_parameters()) == unused
 
 
-def test_a_table_is_for_as_many_neighbours_as_a_round_can_have() -> None:
-    for robots, neighbours in ((1, 2), (3, 2), (4, 3), (128, 127), (129, 127)):
-        table = Population(robots=robots, topology="dynamic", filter="asdf-plus").config(0).table
-        assert table is not None and table.q == neighbours
+@pytest.mark.parametrize(("robots", "neighbours"), [(1, 2), (3, 2), (4, 3), (128, 127), (129, 127)])
+def test_a_table_is_for_as_many_neighbours_as_a_round_can_have(robots: int, neighbours: int) -> None:
+    table = Population(robots=robots, topology="dynamic", filter="asdf-plus").config(0).table
+    assert table is not None
+    assert table.q == neighbours

@@ -1,4 +1,4 @@
-"""``mcp-asdf node``: what it reports, refuses and saves, and every way to end."""
+"""Nodes of robots: their frames, their connection to a bus, and the command ``mcp-asdf node``."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import signal
 import time
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock, call
 
 import can
@@ -22,7 +23,7 @@ from mcp_asdf_tools.bus.frames import COMMAND_FORMAT, Estimate, FrameFormat, dec
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS
 from mcp_asdf_tools.robots.lockstep import Lockstep
-from mcp_asdf_tools.robots.node import BusLink, RobotNode, filters_for, run_node, send_all
+from mcp_asdf_tools.robots.node import BusLink, RobotNode, RunOutcome, filters_for, run_node, send_all
 from mcp_asdf_tools.robots.suspicion import MEANINGS, Suspicion
 from support import PATIENCE, ROOT, interruptible
 from wire import join, meanwhile, node, record
@@ -32,36 +33,57 @@ pytestmark = pytest.mark.usefixtures("private_setup")
 WHITE, BLACK = Observation
 
 
-def test_filters_pass_what_decoders_may_accept_and_nothing_else() -> None:
-    """Their mask is the one of docs/frame.md."""
-    draw = random.Random(6)
-    subjects = FrameFormat(3000), COMMAND_FORMAT
+SUBJECTS = FrameFormat(3000), COMMAND_FORMAT
+
+
+def test_the_mask_of_filters_is_that_of_the_page_of_frames() -> None:
     page = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
-    assert f"mask `{filters_for(*subjects)[0]['can_mask']:#010X}`".replace("0X", "0x") in page
+    mask = filters_for(*SUBJECTS)[0]["can_mask"]
+    assert f"mask `0x{mask:08X}`" in page
+
+
+def test_filters_pass_the_frames_that_decoders_accept_and_no_others() -> None:
+    draw = random.Random(6)
+    passed = 0
     with can.Bus(interface="virtual", channel="filters", ignore_config=True) as bus:
-        bus.set_filters(filters_for(*subjects))
-        passed = 0
+        bus.set_filters(filters_for(*SUBJECTS))
         for _ in range(20_000):
-            identifier = draw.choice([draw.randrange(1 << 29), 0x106BB82A ^ 1 << draw.randrange(29)])
+            near_an_estimate = 0x106BB82A ^ (1 << draw.randrange(29))
+            identifier = draw.choice([draw.randrange(1 << 29), near_an_estimate])
             frame = can.Message(arbitration_id=identifier, data=b"\0\0\0\0\0\0\0\xe0")
             frame.is_extended_id = identifier > 0x7FF
-            wanted = any(isinstance(decode_estimate(frame, subject), Estimate) for subject in subjects)
-            assert bus._matches_filters(frame) == wanted, "replay: random.Random(6)"
-            passed += wanted
+            is_accepted = any(isinstance(decode_estimate(frame, subject), Estimate) for subject in SUBJECTS)
+            assert bus._matches_filters(frame) == is_accepted, "replay: random.Random(6)"
+            passed += is_accepted
     assert passed > 1000
 
 
-def test_a_node_s_frames_have_its_own_time_and_number_and_a_heartbeat_begins_each_second() -> None:
-    """By their subjects, 7509 that of heartbeats."""
+def frames_of_200_ticks(subject: int) -> list[tuple[int, float]]:
+    """Return transfer_id and time of a node's frames of a subject.
+
+    Its robot broadcasts in every second tick, and a second of its time has 3 ticks.
+    """
     node = RobotNode(record(5, comms_period=2), steps_per_second=3)
-    frames = node.start() + [each for _ in range(200) for each in node.observe(None) + node.settle()]
-    expected: list[tuple[int, int, float]] = []
-    for tick in range(200):
-        expected += [(7509, tick // 3 % 32, tick / 3)] * (tick % 3 == 0)
-        expected += [(3000, tick // 2 % 32, tick / 3)] * (tick % 2 == 1)
-        expected += [(3001, tick % 32, (tick + 1) / 3)]
-    found = [(each.arbitration_id >> 8 & 0x1FFF, each.data[-1] % 32, each.timestamp) for each in frames]
-    assert found == expected
+    frames = node.start()
+    for _ in range(200):
+        frames += node.observe(None) + node.settle()
+    return [
+        (frame.data[-1] % 32, frame.timestamp)
+        for frame in frames
+        if (frame.arbitration_id >> 8) & 0x1FFF == subject
+    ]
+
+
+def test_a_node_sends_a_heartbeat_at_the_beginning_of_each_second() -> None:
+    assert frames_of_200_ticks(7509) == [(second % 32, second) for second in range(67)]
+
+
+def test_a_node_sends_estimates_in_the_last_tick_of_each_round_with_the_time_of_its_beginning() -> None:
+    assert frames_of_200_ticks(3000) == [(index % 32, (2 * index + 1) / 3) for index in range(100)]
+
+
+def test_a_node_sends_telemetry_at_the_end_of_each_tick() -> None:
+    assert frames_of_200_ticks(3001) == [(tick % 32, (tick + 1) / 3) for tick in range(200)]
 
 
 FRAME = encode_estimate(Estimate(9, 1, 0, 0), FrameFormat())
@@ -69,175 +91,317 @@ FULL, DOWN = errno.ENOBUFS, errno.ENETDOWN
 
 
 def outcomes(*codes: int) -> list[can.CanOperationError | None]:
-    """What calls of a bus do that have these error codes, 0 for success."""
+    """Return what calls of a bus do that have these error codes, 0 for success."""
     return [can.CanOperationError("no luck", code) if code else None for code in codes]
 
 
-def test_a_full_send_queue_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    frames, bus, slept = [can.Message(arbitration_id=n) for n in range(50)], Mock(), list[float]()
-    monkeypatch.setattr(time, "sleep", slept.append)
+@pytest.fixture
+def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Seconds for which the program has paused; none of them passes."""
+    seconds: list[float] = []
+    monkeypatch.setattr(time, "sleep", seconds.append)
+    return seconds
+
+
+def test_frames_wait_for_room_in_a_full_queue(pauses: list[float]) -> None:
+    frames, bus = [can.Message(arbitration_id=identifier) for identifier in range(50)], Mock()
     bus.send.side_effect = cycle(outcomes(FULL, FULL, 0))
     send_all(bus, frames, 10)
-    assert len(slept) == 100
-    assert [each.args[0] for each in bus.send.call_args_list] == [each for each in frames for _ in range(3)]
+    # Each frame is tried three times, with a pause after the first and the second attempt.
+    assert [sending.args[0] for sending in bus.send.call_args_list] == [
+        frame for frame in frames for _ in range(3)
+    ]
+    assert len(pauses) == 100
+
+
+def test_frames_do_not_wait_for_a_bus_that_is_down(pauses: list[float]) -> None:
+    bus = Mock()
     bus.send.side_effect = outcomes(FULL, DOWN)
     with pytest.raises(can.CanOperationError, match="no luck"):
-        send_all(bus, frames, 10)
+        send_all(bus, [FRAME], 10)
+
+
+def test_frames_do_not_wait_longer_than_the_timeout(pauses: list[float]) -> None:
+    bus = Mock()
     bus.send.side_effect = cycle(outcomes(FULL))
     with pytest.raises(can.CanTimeoutError, match="the bus took no frame for 0 s"):
-        send_all(bus, frames, 0)
+        send_all(bus, [FRAME], 0)
 
 
-def test_a_link_that_endures_counts_failures_and_one_that_does_not_ends_the_run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """What the driver marks as sent by itself is not heard."""
-    log, bus, slept = list[can.Message](), Mock(), list[float]()
-    monkeypatch.setattr(time, "sleep", slept.append)
-    bus.send.side_effect, bus.recv.side_effect = outcomes(0, 0, DOWN, DOWN, 0), [*outcomes(DOWN), FRAME]
+def test_a_link_that_endures_counts_what_could_not_be_sent() -> None:
+    bus = Mock()
+    bus.send.side_effect = outcomes(0, DOWN, DOWN, 0)
+    link = BusLink(bus, endures=True)
+    assert [link.send(FRAME) for _ in range(4)] == [True, False, False, True]
+    assert link.failures == 2
+
+
+def test_a_link_that_endures_pauses_when_it_cannot_receive(pauses: list[float]) -> None:
+    bus = Mock()
+    bus.recv.side_effect = outcomes(DOWN)
+    link = BusLink(bus, endures=True)
+    assert link.receive(9) is None
+    assert (link.failures, pauses) == (1, [0.1])
+
+
+def test_a_link_waits_at_most_a_tenth_of_a_second_for_a_frame() -> None:
+    bus = Mock(recv=Mock(return_value=None))
+    for seconds in (9, 0):
+        BusLink(bus).receive(seconds)
+    assert bus.recv.call_args_list == [call(0.1), call(0)]
+
+
+def test_a_link_does_not_receive_what_the_driver_marks_as_sent() -> None:
+    sent_frame, received_frame = can.Message(is_rx=False), can.Message(is_rx=True)
+    bus = Mock(recv=Mock(side_effect=[sent_frame, received_frame]))
+    link = BusLink(bus)
+    assert link.receive(0) is None
+    assert link.receive(0) is received_frame
+
+
+def test_a_link_logs_what_was_sent_and_received_and_the_time_of_sending() -> None:
+    log: list[can.Message] = []
+    bus, received_frame = Mock(), can.Message(is_rx=True)
+    bus.send.side_effect, bus.recv.return_value = outcomes(0, DOWN), received_frame
     link = BusLink(bus, endures=True, log=log.append)
-    assert [link.send(FRAME) for _ in range(5)] == [True, True, False, False, True]
-    assert [link.receive(9), link.receive(0)] == [None, None]
-    assert slept == [0.1] and bus.recv.call_args_list == [call(0.1), call(0)]
-    assert (len(log), link.failures) == (3, 3)
+    link.send(FRAME)
+    link.send(FRAME)  # which fails
+    link.receive(0)
+    assert log == [FRAME, received_frame]
     assert abs(log[0].timestamp - time.time()) < PATIENCE
+
+
+def test_a_late_node_catches_up_with_all_frames_that_wait() -> None:
+    frame = can.Message(is_rx=True)
+    bus = Mock(recv=Mock(side_effect=[frame, frame, None, frame]))
+    received: list[can.Message] = []
+    BusLink(bus).catch_up(received.append)
+    assert received == [frame, frame]
+    assert bus.recv.call_args == call(0)
+
+
+def test_a_bus_that_fails_ends_the_run_of_a_node() -> None:
+    bus = Mock()
     bus.send.side_effect, bus.recv.side_effect = outcomes(0), outcomes(DOWN)
     outcome = run_node(node(5), BusLink(bus))
-    assert outcome.has_failed and not outcome.is_interrupted
-    assert outcome.ending == "the bus failed: no luck [Error Code 100]"
-    monkeypatch.setattr("mcp_asdf_tools.robots.node.run_node", lambda *_: outcome)
-    assert main(["node", "--id", "5", "--quiet"]) == 1
-    assert capsys.readouterr() == ("", f"mcp-asdf node: {outcome.ending}\n")
-    bus.recv.side_effect, heard = None, can.Message(is_rx=True)
-    bus.recv.return_value = heard
-    assert link.receive(0) is log[-1] is heard
-    assert BusLink(bus).receive(0) is heard
-    bus.recv.side_effect, taken = [heard, heard, None, heard], list[can.Message]()
-    BusLink(bus).catch_up(taken.append)
-    assert taken == [heard, heard] and bus.recv.call_args == call(0)
+    assert outcome == RunOutcome("the bus failed: no luck [Error Code 100]", has_failed=True)
 
 
 # The command
 
 
-def test_a_driven_node_reports_what_its_robot_is(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """Also while another node sends under its id."""
-    log, twin = tmp_path / "run.log", node(5, "mirror", 0.7, comms_period=2)
+def test_the_command_of_a_node_fails_with_the_reason_if_its_bus_fails(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outcome = RunOutcome("the bus failed: no luck", has_failed=True)
+    monkeypatch.setattr("mcp_asdf_tools.robots.node.run_node", lambda *_: outcome)
+    assert main(["node", "--id", "5", "--quiet"]) == 1
+    assert capsys.readouterr() == ("", "mcp-asdf node: the bus failed: no luck\n")
 
-    def drive(bus: can.BusABC) -> None:
-        lockstep = Lockstep(bus, timeout=PATIENCE)
-        lockstep.wait_until_up({5}, PATIENCE)
-        for tick in range(40):
-            z = (WHITE, BLACK, None)[tick * tick % 3]
-            lockstep.observe({5: z})
-            twin.observe(z)
-            if tick in (7, 8, 9):
-                stranger = encode_estimate(Estimate(5, tick, 0, tick), FrameFormat())
-                cut = can.Message(arbitration_id=stranger.arbitration_id, data=stranger.data[:7])
-                for frame in (stranger, cut):
-                    bus.send(frame, timeout=1)
-                    twin.receive_frame(frame)
-            lockstep.settle({5})
-            twin.settle()
 
-    robot = "node --id 5 --b-hat 0.7 --comms-period 2 --filter-period 10 --neighbours 20 --steps 40"
-    with join() as bus, meanwhile(lambda: drive(bus)):
-        assert main([*robot.split(), "--json", "--log", str(log)]) == 0
-    captured = capsys.readouterr()
-    report, warning = json.loads(captured.out), "another node sends under this node's own id; give one of"
-    assert captured.err.count(warning) == 1
-    assert isinstance(twin.robot, FixedPointRobot)
-    state = report["results"]["robot"]
-    assert state["raw"] == {name: getattr(twin.robot, f"{name}_raw") for name in state["raw"]}
-    assert state["counters"]["rejected"] == 3
-    assert (report["results"]["ending"], report["results"]["steps"]) == ("all ticks done", 40)
-    assert report["results"]["frames"] == {
-        **{"estimates_sent": 20, "heartbeats_sent": 4, "telemetry_sent": 40, "delivered": 3, "refused": 3},
-        **{"obeyed": 80, "disobeyed": 0, "unsettled": 0, "rejected": {"LENGTH": 3}, "id_conflicts": 3},
+ROBOT_5 = "node --id 5 --b-hat 0.7 --comms-period 2 --filter-period 10 --neighbours 20 --steps 40 --json"
+"""A node that broadcasts in every second tick, and runs its filter in every tenth."""
+
+
+def drive_robot_5(model: RobotNode, bus: can.BusABC) -> None:
+    """Drive robot 5 and its model for 40 ticks.
+
+    In three of them another node sends an estimate under the id of the robot, and the first seven bytes of it
+    once more.
+    """
+    lockstep = Lockstep(bus, timeout=PATIENCE)
+    lockstep.wait_until_up({5}, PATIENCE)
+    for tick in range(40):
+        z = (WHITE, BLACK, None)[tick * tick % 3]
+        lockstep.observe({5: z})
+        model.observe(z)
+        if tick in (7, 8, 9):
+            estimate = encode_estimate(Estimate(5, tick, 0, tick), FrameFormat())
+            short_frame = can.Message(arbitration_id=estimate.arbitration_id, data=estimate.data[:7])
+            for frame in (estimate, short_frame):
+                bus.send(frame, timeout=1)
+                model.receive_frame(frame)
+        lockstep.settle({5})
+        model.settle()
+
+
+def run_robot_5(*options: str) -> RobotNode:
+    """Run the command of robot 5 while it is driven, and return its model."""
+    model = node(5, "mirror", 0.7, comms_period=2)
+    with join() as bus, meanwhile(lambda: drive_robot_5(model, bus)):
+        assert main([*ROBOT_5.split(), *options]) == 0
+    return model
+
+
+def test_a_driven_node_reports_the_state_of_its_model(capsys: pytest.CaptureFixture[str]) -> None:
+    model = run_robot_5()
+    reported_state = json.loads(capsys.readouterr().out)["results"]["robot"]["raw"]
+    assert isinstance(model.robot, FixedPointRobot)
+    assert reported_state == {name: getattr(model.robot, f"{name}_raw") for name in reported_state}
+
+
+def test_a_driven_node_reports_the_frames_that_it_sent_and_received(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run_robot_5()
+    assert json.loads(capsys.readouterr().out)["results"]["frames"] == {
+        "estimates_sent": 20,
+        "heartbeats_sent": 4,
+        "telemetry_sent": 40,
+        "delivered": 3,
+        "refused": 3,
+        "obeyed": 80,
+        "disobeyed": 0,
+        "unsettled": 0,
+        "rejected": {"LENGTH": 3},
+        "id_conflicts": 3,
         "events": [{"event": "conflict", "sender": 5, "estimates": 3}],
     }
+
+
+def test_a_driven_node_reports_its_setup_and_why_it_ended(capsys: pytest.CaptureFixture[str]) -> None:
+    run_robot_5()
+    report = json.loads(capsys.readouterr().out)
     assert report["parameters"]["robot"] == record(5, "native", 0.7, comms_period=2).plain()
-    assert main(["replay", str(log)]) == 0
+    assert (report["results"]["ending"], report["results"]["steps"]) == ("all ticks done", 40)
+    assert report["results"]["robot"]["counters"]["rejected"] == 3
+
+
+def test_a_node_warns_once_of_another_with_its_id(capsys: pytest.CaptureFixture[str]) -> None:
+    run_robot_5()
+    errors = capsys.readouterr().err
+    assert errors.count("another node sends under this node's own id; give one of them another") == 1
+
+
+def test_the_log_of_a_node_is_replayed_with_the_frames_that_others_sent_under_its_id(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    run_robot_5("--log", f"{tmp_path}/run.log")
+    capsys.readouterr()
+    assert main(["replay", f"{tmp_path}/run.log"]) == 0
     assert "3  frames under a robot's id that it did not send" in capsys.readouterr().out
 
 
-def test_suspicious_estimates_are_told_once_for_each_kind_and_sender(
+# Suspicious estimates
+
+SMALL, DOUBLE, HUGE = float32_bits(40.0), float32_bits(80.0), float32_bits(1e30)
+ALPHA_BITS_BY_SENDER = {
+    # Up to 32 estimates may have any alpha. The 33rd has just twice that of the one before, which is a jump;
+    # twice is no jump any more after an alpha that has fallen by half, and less than twice never is.
+    6: [*range(SMALL, SMALL + 32), DOUBLE + 31, *[SMALL] * 33, DOUBLE - 1],
+    7: [SMALL, *[DOUBLE] * 32, HUGE],
+    8: [*[DOUBLE] * 33, *[SMALL] * 32, DOUBLE],
+    9: [DOUBLE, *[SMALL] * 33, DOUBLE],
+}
+"""Alpha of each estimate of robots 6 to 9, as float32 bits."""
+
+
+def send_suspicious_estimates(bus: can.BusABC) -> None:
+    """Drive robot 5 for 70 ticks, while robots 6 to 9 send the estimates above.
+
+    Another node sends an estimate in each tick under the id of the robot, and two that are not allowed do so,
+    too.
+    """
+    lockstep = Lockstep(bus, timeout=PATIENCE)
+    lockstep.wait_until_up({5}, PATIENCE)
+    for tick in range(70):
+        lockstep.observe({5: WHITE})
+        alpha_bits = dict.fromkeys((5, 30, 127), HUGE)
+        alpha_bits |= {
+            sender: bits[tick] for sender, bits in ALPHA_BITS_BY_SENDER.items() if tick < len(bits)
+        }
+        for sender, bits in alpha_bits.items():
+            estimate = Estimate(sender, 9, alpha_word_from_float32_bits(bits), tick % 32)
+            bus.send(encode_estimate(estimate, FrameFormat()), timeout=1)
+        lockstep.settle({5})
+
+
+SUSPICIONS = {
+    ("conflict", 5): 70,
+    ("unknown", 30): 70,
+    ("unknown", 127): 70,
+    ("jump", 6): 1,
+    ("jump", 7): 1,
+    ("jump", 9): 1,
+}
+"""Numbers of these estimates that are suspicious, by kind and sender."""
+
+
+def run_among_suspicious_neighbours(capsys: pytest.CaptureFixture[str]) -> tuple[dict[str, Any], str]:
+    """Run robot 5, which allows ids 6 to 9, among them, and return its report and what it warned of."""
+    with join() as bus, meanwhile(lambda: send_suspicious_estimates(bus)):
+        assert main(["node", "--id=5", "--allow=6+7-9", "--filter=none", "--steps=70", "--json"]) == 0
+    output = capsys.readouterr()
+    return json.loads(output.out), output.err
+
+
+def test_a_node_counts_suspicious_estimates_by_kind_and_sender(capsys: pytest.CaptureFixture[str]) -> None:
+    report, _ = run_among_suspicious_neighbours(capsys)
+    events = report["results"]["frames"]["events"]
+    assert {(event["event"], event["sender"]): event["estimates"] for event in events} == SUSPICIONS
+
+
+def test_a_node_warns_once_of_each_kind_of_suspicious_estimates_and_each_sender(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Those of unknown ids are dropped; own ones are heard, whatever is allowed. A confidence may double when
-    it is new or has fallen, but not after 32 rounds."""
-    few, twice, many = (float32_bits(alpha) for alpha in (40.0, 80.0, 1e30))
-    alphas = {6: [*range(few, few + 32), twice + 31, *[few] * 33, twice - 1], 7: [few, *[twice] * 32, many]}
-    alphas |= {8: [*[twice] * 33, *[few] * 32, twice], 9: [twice, *[few] * 33, twice]}
+    _, errors = run_among_suspicious_neighbours(capsys)
+    warnings = [line for line in errors.splitlines() if ": node " in line]
+    assert sorted(warnings) == sorted(
+        f"mcp-asdf node: node {sender}: {MEANINGS[Suspicion(kind)]}" for kind, sender in SUSPICIONS
+    )
 
-    def drive(bus: can.BusABC) -> None:
-        lockstep = Lockstep(bus, timeout=PATIENCE)
-        lockstep.wait_until_up({5}, PATIENCE)
-        for tick in range(70):
-            lockstep.observe({5: WHITE})
-            said = {each: bits[tick] for each, bits in alphas.items() if tick < len(bits)}
-            for sender, bits in (said | dict.fromkeys((5, 30, 127), many)).items():
-                bus.send(
-                    encode_estimate(
-                        Estimate(sender, 9, alpha_word_from_float32_bits(bits), tick % 32), FrameFormat()
-                    ),
-                    timeout=1,
-                )
-            lockstep.settle({5})
 
-    with join() as bus, meanwhile(lambda: drive(bus)):
-        words = ["--id", "5", "--allow", "6+7-9", "--filter", "none", "--steps", "70", "--json"]
-        assert main(["node", *words]) == 0
-    captured = capsys.readouterr()
-    report = json.loads(captured.out)
-    frames, counters = (report["results"][name] for name in ("frames", "robot"))
-    told = {(each["event"], each["sender"]): each["estimates"] for each in frames["events"]}
-    expected = {("conflict", 5): 70, ("unknown", 30): 70, ("unknown", 127): 70}
-    expected |= {("jump", sender): 1 for sender in (6, 7, 9)}
-    assert told == expected
-    assert frames["delivered"] == 70 + sum(map(len, alphas.values()))
-    assert counters["counters"]["accepted"] == sum(map(len, alphas.values()))
+def test_a_node_drops_the_estimates_of_ids_that_are_not_allowed(capsys: pytest.CaptureFixture[str]) -> None:
+    """Those under its own id reach the firmware, which refuses them."""
+    report, _ = run_among_suspicious_neighbours(capsys)
+    estimates_of_allowed = sum(map(len, ALPHA_BITS_BY_SENDER.values()))
+    assert report["results"]["frames"]["delivered"] == 70 + estimates_of_allowed
+    assert report["results"]["robot"]["counters"]["accepted"] == estimates_of_allowed
+
+
+def test_a_node_reports_the_allowed_ids_as_ranges(capsys: pytest.CaptureFixture[str]) -> None:
+    report, _ = run_among_suspicious_neighbours(capsys)
     assert report["parameters"]["robot"]["allow"] == "6-9"
-    lines = [line for line in captured.err.splitlines() if ": node " in line]
-    assert {*lines} == {
-        f"mcp-asdf node: node {sender}: {MEANINGS[Suspicion(kind)]}" for kind, sender in expected
-    }
-    assert len(lines) == len(expected)
 
+
+# The end of a run
 
 ENDINGS = {"": signal.SIGINT, "--steps 100000": signal.SIGTERM, "--until-eof": None}
+"""Signals by the options of a node that they end; None is the end of its input."""
 
 
 @pytest.mark.parametrize("options", ENDINGS)
 @interruptible()
-def test_it_ends_when_asked_to_with_all_saved(
+def test_a_node_that_is_asked_to_end_saves_its_log_and_says_how_to_run_it_again(
     options: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """It is asked by a signal or the end of its input; input that can be read is no end."""
-    number, (reading, writing) = ENDINGS[options], os.pipe()
-    handlers = [signal.getsignal(each) for each in ENDING_SIGNALS]
+    ending_signal = ENDINGS[options]
+    handlers = [signal.getsignal(number) for number in ENDING_SIGNALS]
+    reading_end, writing_end = os.pipe()
 
-    def end_it(bus: can.BusABC) -> None:
-        os.write(writing, b"something")
+    def end_after_a_tick(bus: can.BusABC) -> None:
+        os.write(writing_end, b"something")  # input that can be read is no end of it
         lockstep = Lockstep(bus, timeout=PATIENCE)
         lockstep.wait_until_up({3}, PATIENCE)
         lockstep.observe({3: BLACK})
         lockstep.settle({3})
-        os.kill(os.getpid(), number or 0)
-        os.close(writing)
+        os.kill(os.getpid(), ending_signal or 0)
+        os.close(writing_end)
 
     words = ["node", "--id", "3", *options.split(), "--log", f"{tmp_path}/run.log"]
-    with os.fdopen(reading) as stdin, join() as bus, meanwhile(lambda: end_it(bus)):
+    with os.fdopen(reading_end) as stdin, join() as bus, meanwhile(lambda: end_after_a_tick(bus)):
         monkeypatch.setattr("sys.stdin", stdin)
-        assert main(words) == (128 + number if number is not None and "--steps" in options else 0)
-    shown = " ".join(capsys.readouterr().out.split())
-    assert "1 ticks as robot 3; stopped" in shown
-    assert shlex.split(shown.partition("again: mcp-asdf ")[2]) == words
+        exit_code = main(words)
+    # Only a run with a number of steps has been interrupted: the others have no other end.
+    assert exit_code == (128 + signal.SIGTERM if "--steps" in options else 0)
+    output = " ".join(capsys.readouterr().out.split())
+    assert "1 ticks as robot 3; stopped" in output
+    assert shlex.split(output.partition("again: mcp-asdf ")[2]) == words
     assert main(["replay", f"{tmp_path}/run.log"]) == 0
-    assert [signal.getsignal(each) for each in ENDING_SIGNALS] == handlers
+    assert [signal.getsignal(number) for number in ENDING_SIGNALS] == handlers
 
 
-BAD = {
+MESSAGES_BY_WRONG_OPTIONS = {
     "": "--id",
     "--id 128": "robot id is 128; choose 0 .. 127",
     "--id 1 --comms-period 3": "--filter-period is 1000; it must be a multiple of comms_period, 3",
@@ -254,13 +418,13 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("arguments", BAD)
-def test_bad_usage(
+@pytest.mark.parametrize("arguments", MESSAGES_BY_WRONG_OPTIONS)
+def test_a_wrong_option_of_a_node_is_reported_and_nothing_is_written(
     arguments: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["node", *shlex.split(arguments)]) == 2
-    captured = capsys.readouterr()
-    assert BAD[arguments] in captured.err
-    assert captured.out == ""
+    output = capsys.readouterr()
+    assert MESSAGES_BY_WRONG_OPTIONS[arguments] in output.err
+    assert output.out == ""
     assert not list(tmp_path.iterdir())
