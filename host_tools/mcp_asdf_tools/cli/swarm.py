@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from mcp_asdf_tools.recording.recording import LogOutputs
     from mcp_asdf_tools.swarm.carrier import Wiring
     from mcp_asdf_tools.swarm.run import SwarmRun
-    from mcp_asdf_tools.view.films import SwarmRecorder
+    from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
 
 EPILOG = """\
 examples:
@@ -357,8 +357,8 @@ def _start_view(plan: _RunPlan, at_end: ExitStack) -> SwarmRecorder | None:
     """
     if not plan.args.view:
         return None
-    from mcp_asdf_tools.view.films import SwarmRecorder
     from mcp_asdf_tools.view.server import serving
+    from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
 
     recorder = SwarmRecorder(plan.settings, _DEFAULT_PACE if plan.args.pace is None else plan.args.pace)
     url = at_end.enter_context(serving(recorder.history, plan.args.port))

@@ -14,7 +14,7 @@ from mcp_asdf_tools.common.signals import stopping
 
 if TYPE_CHECKING:
     from mcp_asdf_tools.bus.frames import FrameFormat
-    from mcp_asdf_tools.view.film import History
+    from mcp_asdf_tools.view.history import History
 
 EPILOG = """\
 examples:
@@ -110,7 +110,8 @@ def _read_recording(args: argparse.Namespace) -> History:
     """
     from mcp_asdf_tools.experiments.results import single_experiment
     from mcp_asdf_tools.recording.events import events_path
-    from mcp_asdf_tools.view.films import recompute_swarm_history, recompute_trial_history
+    from mcp_asdf_tools.view.swarm_log_history import recompute_swarm_history
+    from mcp_asdf_tools.view.trial_history import recompute_trial_history
 
     if args.file.suffix.lower() in _RESULTS:
         experiment = single_experiment(options.read_selected_experiments(args))
@@ -127,7 +128,7 @@ def _read_recording(args: argparse.Namespace) -> History:
 def _read_frame_history(args: argparse.Namespace) -> History:
     """Return the history of a log without events, and print what it lacks to standard error."""
     from mcp_asdf_tools.recording.events import events_path
-    from mcp_asdf_tools.view.frame_film import read_frame_history
+    from mcp_asdf_tools.view.frame_log_history import read_frame_history
 
     channel = getattr(args, "channel", None)
     frame_history = read_frame_history(
@@ -181,7 +182,7 @@ def _serve_bus(args: argparse.Namespace) -> int:
     from can import CanError
 
     from mcp_asdf_tools.bus.interfaces import DEFAULT_INTERFACE
-    from mcp_asdf_tools.view.films import BusRecorder
+    from mcp_asdf_tools.view.bus_recorder import BusRecorder
     from mcp_asdf_tools.view.server import serving
 
     choice = options.bus_of(args)

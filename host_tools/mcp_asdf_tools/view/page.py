@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.view.film import QUANTITIES, History, RunDescription, State
+from mcp_asdf_tools.view.history import QUANTITIES, History, RunDescription, State
 from mcp_asdf_tools.world.graph import MAX_ON_BUS
 
 _FOLDER = Path(__file__).parent / "page"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import selectors
-import socket
 import sys
 import threading
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler
 from socketserver import ThreadingTCPServer
 from typing import Any
@@ -16,17 +16,17 @@ from urllib.parse import urlsplit
 
 from mcp_asdf_tools.bus.slcan_server import HOST
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.view.film import History
+from mcp_asdf_tools.view.history import History
 from mcp_asdf_tools.view.page import encode_description, encode_states, page
 
 _SECONDS_BETWEEN_BLOCKS = 0.1
 """Seconds from one look for new states to the next."""
-_CLIENT_TIMEOUT = 30.0
-"""Longest time in seconds to wait for a client to send its request, or to receive a piece of the answer."""
+_REQUEST_TIMEOUT = 1.0
+"""Seconds without a byte of the request after which a client is given up; browsers send it at once."""
+_ANSWER_TIMEOUT = 30.0
+"""Seconds after which a client is given up that does not read what was sent."""
 _SHUTDOWN_SECONDS = 2.0
 """Longest time that the end of the server waits for the answers that are under way."""
-_MAX_CONNECTIONS = 100
-"""Connections at the same time, each of which has a thread; an open page needs one."""
 _HEADERS = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -54,7 +54,7 @@ def serving(history: History, port: int | None = None) -> Iterator[str]:
             # Streams of events go on until the history ends.
             history.has_ended = True
             server.shutdown()
-            server.end_connections()
+            server.join_threads()
 
 
 def _bind_server(history: History, port: int) -> _PageServer:
@@ -82,50 +82,30 @@ class _PageServer(ThreadingTCPServer):
 
     # A port stays reserved for a minute after its last connection; the next run may use it at once.
     allow_reuse_address = True
-    daemon_threads = True
 
     def __init__(self, history: History, port: int) -> None:
         """Listen on ``port`` of 127.0.0.1, or on any free port if it is 0. Raises OSError if it is taken."""
         super().__init__((HOST, port), _PageRequestHandler)
         self.history = history
         self.port = int(self.server_address[1])
-        self._connections: set[Any] = set()
-        self._connection_closed = threading.Condition()
-
-    def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Return whether to answer a new connection: only if there are fewer than _MAX_CONNECTIONS."""
-        with self._connection_closed:
-            return len(self._connections) < _MAX_CONNECTIONS
+        self._answering_threads: list[threading.Thread] = []
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Start the thread that answers a new connection, and remember the connection until it is closed."""
-        with self._connection_closed:
-            self._connections.add(request)
-        super().process_request(request, client_address)
+        """Start a thread that answers a new connection."""
+        arguments = (request, client_address)
+        thread = threading.Thread(target=self.process_request_thread, args=arguments, daemon=True)
+        self._answering_threads = [*filter(threading.Thread.is_alive, self._answering_threads), thread]
+        thread.start()
 
-    def shutdown_request(self, request: Any) -> None:
-        """Close a connection, whether it was answered or refused."""
-        super().shutdown_request(request)
-        with self._connection_closed:
-            self._connections.discard(request)
-            self._connection_closed.notify_all()
+    def join_threads(self) -> None:
+        """Wait until all connections are answered, but for at most _SHUTDOWN_SECONDS.
 
-    def end_connections(self) -> None:
-        """End all connections: idle ones at once, others when their answer is complete.
-
-        Answers that are not complete after _SHUTDOWN_SECONDS are broken off.
+        The inherited server waits without a limit, so that a client that reads nothing could stop its end.
         """
-        with self._connection_closed:
-            # A thread that waits for a request now reads the end of the connection, and gives up.
-            self._shut_connections(socket.SHUT_RD)
-            self._connection_closed.wait_for(lambda: not self._connections, _SHUTDOWN_SECONDS)
-            self._shut_connections(socket.SHUT_RDWR)
-
-    def _shut_connections(self, direction: int) -> None:
-        """Shut one or both directions of all connections."""
-        for connection in self._connections:
-            with suppress(OSError):  # the client may have closed it just now
-                connection.shutdown(direction)
+        deadline = time.monotonic() + _SHUTDOWN_SECONDS
+        for thread in self._answering_threads:
+            thread.join(max(0.0, deadline - time.monotonic()))
+        self._answering_threads = []
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore that a client broke off or was too slow; print the traceback of any other error."""
@@ -136,20 +116,23 @@ class _PageServer(ThreadingTCPServer):
 class _PageRequestHandler(BaseHTTPRequestHandler):
     """Answers one request: "/" is the page, and "/events" the stream of the history that it follows."""
 
-    timeout = _CLIENT_TIMEOUT
+    timeout = _REQUEST_TIMEOUT
     server: _PageServer
 
     def do_GET(self) -> None:
         """Send the page or the events, or status 403 or 404 and the reason."""
+        self.connection.settimeout(_ANSWER_TIMEOUT)
         path = urlsplit(self.path).path
         if not self._comes_from_own_page():
-            self._send_text(403, "this page is for this computer alone")
+            self.send_error(403, explain="This page is for this computer alone.")
         elif path == "/":
-            self._send_text(200, page(), "text/html")
+            self._send_head("text/html")
+            self.wfile.write(page().encode())
         elif path == "/events":
+            self._send_head("text/event-stream")
             self._send_events()
         else:
-            self._send_text(404, "there is no such page")
+            self.send_error(404)
 
     def _comes_from_own_page(self) -> bool:
         """Return whether the headers are those of a user who opens the page, or of the page itself.
@@ -163,30 +146,27 @@ class _PageRequestHandler(BaseHTTPRequestHandler):
         comes_from_own_site = self.headers.get("Sec-Fetch-Site") in {None, "none", "same-origin"}
         return self.headers.get("Host") in hosts and has_own_origin and comes_from_own_site
 
-    def _send_text(self, status: int, text: str, media_type: str = "text/plain") -> None:
-        """Send a complete answer."""
-        self._send_head(status, media_type)
-        self.wfile.write(text.encode())
-
-    def _send_head(self, status: int, media_type: str) -> None:
-        """Send the status and the headers; the answer ends where the connection does, as in HTTP 1.0."""
-        self.send_response(status)
+    def _send_head(self, media_type: str) -> None:
+        """Send status 200 and the headers; the answer ends where the connection does, as in HTTP 1.0."""
+        self.send_response(200)
         self.send_header("Content-Type", f"{media_type}; charset=utf-8")
+        self.end_headers()
+
+    def end_headers(self) -> None:
+        """Send the headers of every answer, also of errors, and end them."""
         for name, value in _HEADERS.items():
             self.send_header(name, value)
-        self.end_headers()
+        super().end_headers()
 
     def _send_events(self) -> None:
         """Send the history as server-sent events until it has ended, or the client has closed the page."""
-        self._send_head(200, "text/event-stream")
         with selectors.DefaultSelector() as selector:
             selector.register(self.connection, selectors.EVENT_READ)
             for events in _generate_events(self.server.history):
                 self.wfile.write(events.encode())
                 # A browser sends nothing after its request, so only the connection's end can be read.
-                is_closed = selector.select(_SECONDS_BETWEEN_BLOCKS)
-                # At the end of the server it is shut for reading, too; the last events are still sent.
-                if is_closed and not self.server.history.has_ended:
+                is_closed = bool(selector.select(_SECONDS_BETWEEN_BLOCKS))
+                if is_closed:
                     return
 
     def log_message(self, *_: object) -> None:

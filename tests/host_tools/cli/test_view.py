@@ -23,7 +23,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_files import write_tables
 from mcp_asdf_tools.experiments.result_tables import trials_to_table
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.view.films import BusRecorder
+from mcp_asdf_tools.view.bus_recorder import BusRecorder
 
 VIEW, PLOT = "view grid.parquet --export out.html", "plot grid.parquet out.svg"
 ONE = "--where filter=none --where fill_ratio=.950"

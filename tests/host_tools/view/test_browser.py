@@ -20,11 +20,12 @@ from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from mcp_asdf_tools.view.film import History, RunDescription, State
-from mcp_asdf_tools.view.films import SwarmRecorder, recompute_trial_history
+from mcp_asdf_tools.view.history import History, RunDescription, State
 from mcp_asdf_tools.view.page import page
 from mcp_asdf_tools.view.roster import Roster
 from mcp_asdf_tools.view.server import serving
+from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
+from mcp_asdf_tools.view.trial_history import recompute_trial_history
 from mcp_asdf_tools.world.arena import Arena
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus.frame_layout import Q23_ONE
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Telemetry, decode_frame
-from mcp_asdf_tools.view.film import QUANTITIES, State
+from mcp_asdf_tools.view.history import QUANTITIES, State
 from mcp_asdf_tools.view.roster import Q24_ONE, Roster
 
 _X = QUANTITIES.index("x")

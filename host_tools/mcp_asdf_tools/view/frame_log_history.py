@@ -11,9 +11,9 @@ import numpy as np
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.recording.frame_logs import LogSummary, read_log
-from mcp_asdf_tools.view.film import History, RunDescription
-from mcp_asdf_tools.view.films import STATES_PER_SECOND, steps_between_states
-from mcp_asdf_tools.view.heard_robots import LatestRobotValues
+from mcp_asdf_tools.view.bus_recorder import STATES_PER_SECOND
+from mcp_asdf_tools.view.history import History, RunDescription, steps_between_states
+from mcp_asdf_tools.view.robot_values import LatestRobotValues
 
 _MAX_LOG_SECONDS = 366 * 24 * 3600.0
 """Longest time that a log may span. A longer one mixes clocks, and its ticks may not fit in 32 bits."""

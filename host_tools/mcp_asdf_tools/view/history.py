@@ -10,12 +10,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mcp_asdf_tools.world.graph import MAX_ON_BUS
+
 QUANTITIES = ("x", "x_hat", "b_hat", "b")
 """Rows of ``State.values``: informed estimate, local estimate, the accuracy that a robot assumes of its
 sensor, and the sensor's true accuracy."""
 
 MAX_STATES = 10_000
 """Most states of a history: as many as a swarm has steps by default, more than a screen has columns."""
+_MAX_HISTORY_BITS = 4_000_000
+"""Bits of links between robots in all states, which bound the size of a page."""
+_BITS_PER_ROBOT_OF_MANY = 16
+"""Of the values and links of a robot among more than MAX_ON_BUS, whose links are stored as pairs."""
 
 
 @dataclass(frozen=True)
@@ -150,3 +156,14 @@ def _with_unknown_robot(state: State) -> State:
     values = np.pad(state.values, ((0, 0), (0, 1)), constant_values=np.nan)
     neighbours = np.pad(state.neighbours, (0, 1))
     return state._replace(values=values, neighbours=neighbours)
+
+
+def steps_between_states(steps: int, robots: int) -> int:
+    """Return the steps from one state to the next with which a history of ``steps`` steps is short enough.
+
+    It is the smallest number, at least 1, that keeps the page of these ``robots`` to a few megabytes.
+    """
+    bits_per_robot = robots if robots <= MAX_ON_BUS else _BITS_PER_ROBOT_OF_MANY
+    affordable_states = _MAX_HISTORY_BITS // (robots * bits_per_robot)
+    states = min(MAX_STATES, affordable_states)
+    return (steps + states - 1) // states  # rounded up

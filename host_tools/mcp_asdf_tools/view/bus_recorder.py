@@ -1,0 +1,95 @@
+"""The history of the robots on a bus, recorded from their frames."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import can
+import numpy as np
+
+from mcp_asdf_tools.bus.frames import FrameFormat
+from mcp_asdf_tools.view.history import History, RunDescription
+from mcp_asdf_tools.view.robot_values import LatestRobotValues
+
+STATES_PER_SECOND = 10
+"""States that a history has for each second on a bus; they are its ticks."""
+TICKS_PER_REPORT = 5
+"""Ticks from one report on the robots of a bus to the next."""
+
+
+class BusRecorder:
+    """Records the history of the robots on a bus from their frames.
+
+    A bus shows neither positions nor which robot receives from which, so the history has none of these.
+
+    Attributes:
+        history: What was recorded so far; robots are in the order of their first estimate or telemetry.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        frame_format: FrameFormat,
+        title: str,
+        fill_ratio: float | None = None,
+        true_accuracy: float | None = None,
+    ) -> None:
+        """Prepare to record from ``bus`` the estimates of ``frame_format``, heartbeats and telemetry.
+
+        ``fill_ratio`` and ``true_accuracy``, which frames do not show, are for the page; None if unknown.
+        """
+        description = RunDescription(
+            title, robots=[], fill_ratio=fill_ratio, steps_per_second=STATES_PER_SECOND
+        )
+        self.history = History(description)
+        self._bus = bus
+        self._robot_values = LatestRobotValues(frame_format, true_accuracy)
+        self._next_report_tick = 0
+        self._start_time = 0.0
+
+    @property
+    def has_telemetry(self) -> bool:
+        """Whether a robot has sent telemetry; without it x and b_hat stay unknown."""
+        return self._robot_values.has_telemetry
+
+    def record(self, should_stop: Callable[[], bool]) -> None:
+        """Receive frames and add states to the history until ``should_stop``, which is asked after each.
+
+        Time starts anew with each call. Raises can.CanError if the bus fails.
+        """
+        self._start_time = time.monotonic()
+        tick = 0
+        while not should_stop():
+            seconds_to_tick = tick / STATES_PER_SECOND - self._seconds()
+            frame = self._bus.recv(max(seconds_to_tick, 0.0))
+            if frame is not None:
+                self._receive(frame)
+            if seconds_to_tick <= 0:
+                self._add_state(tick)
+                # On a busy computer this leaves ticks out, rather than fall further and further behind.
+                tick = int(self._seconds() * STATES_PER_SECOND) + 1
+
+    def _receive(self, frame: can.Message) -> None:
+        """Take the values of a frame of any node, and add its robot to the history if it is new.
+
+        O(1), or O(states) for a new robot.
+        """
+        new_robot_id = self._robot_values.receive(frame, self._seconds())
+        if new_robot_id is not None:
+            self.history.add_robot(new_robot_id)
+
+    def _seconds(self) -> float:
+        """Return the seconds since recording began."""
+        return time.monotonic() - self._start_time
+
+    def _add_state(self, tick: int) -> None:
+        """Add a state if there are robots, and every TICKS_PER_REPORT ticks replace the history's report."""
+        now = self._seconds()
+        robot_ids = self._robot_values.ids
+        if robot_ids:
+            no_links = np.zeros((len(robot_ids), len(robot_ids)), np.bool_)
+            self.history.add(self._robot_values.state(tick, now, robot_ids, no_links))
+        if tick >= self._next_report_tick:
+            self.history.report = self._robot_values.roster.report(now)
+            self._next_report_tick = tick + TICKS_PER_REPORT

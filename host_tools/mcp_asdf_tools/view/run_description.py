@@ -1,0 +1,110 @@
+"""Descriptions of emulated runs: what the page shows that stays the same during a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.common.parameters import parameters_of
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.robots.population import Population
+from mcp_asdf_tools.swarm.fault_injection.fault import Fault
+from mcp_asdf_tools.view.history import RunDescription, steps_between_states
+from mcp_asdf_tools.world.arena import Arena
+from mcp_asdf_tools.world.floor_code import make_floor_code
+
+_MAX_FLOOR_PIXELS = 800
+"""Pixels along a side of the floor: more than a page shows."""
+_MAX_ERROR_POINTS = 480
+"""Points of the chart's line of the errors without a filter."""
+_MAX_UNFILTERED_ROBOT_STEPS = 20_000_000
+"""Robots times steps of a run that is computed only for that line: it takes a second or two."""
+
+
+def describe_run(
+    settings: Population, trial: int = 0, faults: Sequence[Fault] = (), allow: str = ""
+) -> RunDescription:
+    """Return what stays the same during a trial, or during a swarm's run with ``faults`` and ``allow``.
+
+    ``allow`` is the text of --allow: the ids whose estimates robots accept; "" accepts all. With robots that
+    move this computes the floor. Without faults and ``allow`` it runs the trial without a filter, for up to
+    two seconds, to give its errors. Raises UsageError if the arena cannot be made.
+    """
+    # The run without a filter has neither faults nor refused ids: with them it would be no fair comparison.
+    is_plain_run = not faults and not allow
+    description = RunDescription(
+        title=_format_title(settings, trial),
+        robots=list(range(settings.robots)),
+        flawed=range(settings.flawed),
+        fill_ratio=settings.fill_ratio,
+        steps=settings.steps,
+        steps_per_second=settings.steps_per_second,
+        filter=settings.filter,
+        unfiltered_errors=_compute_unfiltered_errors(settings, trial) if is_plain_run else [],
+        faults=[(str(fault), fault.start, fault.stop) for fault in faults],
+    )
+    if not settings.is_dynamic:
+        return description
+    floor = draw_floor(Arena(settings, trial))
+    return replace(description, sides=settings.sides, radio_range=settings.radio_range, floor=floor)
+
+
+def _compute_unfiltered_errors(settings: Population, trial: int) -> list[float]:
+    """Run a trial without a filter; return the robots' mean error at up to _MAX_ERROR_POINTS points.
+
+    The error is the distance of the informed estimate x from the fill ratio f. Each point is the mean over
+    one of consecutive parts of nearly equal length. The list is empty if the robots have no filter anyway, or
+    the trial is too long or cannot be run by the fast engine in C.
+    """
+    robot_steps = settings.robots * settings.steps
+    if not settings.swarm_filter.is_on or robot_steps > _MAX_UNFILTERED_ROBOT_STEPS:
+        return []
+    parameters = {name: getattr(settings, name) for name in parameters_of(Population)}
+    parameters["filter"] = "none"
+    experiment = Experiment(**parameters, trials=trial + 1)
+    if experiment.lacking_in_c:
+        return []
+    sampling_interval = steps_between_states(settings.steps, settings.robots)
+    trials = run_trials(experiment, first=trial, trials=1, sampling_interval=sampling_interval)
+    estimates = trials.records["x"][0]
+    mean_errors = abs(estimates - settings.fill_ratio).mean(axis=1)
+    point_count = min(_MAX_ERROR_POINTS, len(mean_errors))
+    return [round(float(errors.mean()), 5) for errors in np.array_split(mean_errors, point_count)]
+
+
+def draw_floor(arena: Arena) -> NDArray[np.bool_]:
+    """Return the floor as pixels, True where it is black, the first row in the north. O(pixels).
+
+    There is a pixel for each tile, or _MAX_FLOOR_PIXELS along a side that has more tiles.
+    """
+    settings = arena.settings
+    if settings.floor == "code":
+        return make_floor_code(settings.fill_ratio)
+    width, height = settings.sides
+    columns = min(math.ceil(width / settings.tile), _MAX_FLOOR_PIXELS)
+    rows = min(math.ceil(height / settings.tile), _MAX_FLOOR_PIXELS)
+    return arena.pixels(columns, rows)
+
+
+def _format_title(settings: Population, trial: int) -> str:
+    """Return the run's main parameters as a title: "7 robots, 4 flawed, no filter, dynamic, seed 3".
+
+    It has the filter's period if there is a filter, and the number of a trial other than 0.
+    """
+    title_parts = [
+        f"{settings.robots} robots",
+        f"{settings.flawed} flawed",
+        settings.swarm_filter.typeset_term,
+    ]
+    if settings.swarm_filter.is_on:
+        title_parts.append(f"\N{GREEK SMALL LETTER TAU} = {settings.filter_period}")
+    title_parts.append(str(settings.topology).replace("-", " "))
+    title_parts.append(f"seed {settings.seed}")
+    if trial != 0:
+        title_parts.append(f"trial {trial}")
+    return ", ".join(title_parts)

@@ -1,0 +1,52 @@
+"""States of emulated runs: what robots estimate, and the world around them.
+
+A recording holds no positions, neighbours or true accuracies. They follow from its parameters, and are
+computed again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcp_asdf.robot import Robot
+from mcp_asdf_tools.view.history import State
+from mcp_asdf_tools.world.graph import MAX_ON_BUS
+from mcp_asdf_tools.world.settings import WorldSettings
+from mcp_asdf_tools.world.world import World
+
+
+def collect_estimates(robots: Iterable[Robot]) -> NDArray[np.float64]:
+    """Return x, x_hat and b_hat of robots, shape (3, N)."""
+    return np.array([[robot.x, robot.x_hat, robot.b_hat] for robot in robots]).T
+
+
+def add_world(
+    settings: WorldSettings, trial: int, estimates: NDArray[np.float64], spacing: int
+) -> Iterator[State]:
+    """Yield a state for each of the robots' ``estimates``, with the rest computed from the world again.
+
+    ``estimates`` has x, x_hat and b_hat at ticks 0, ``spacing`` and so on, shape (states, 3, N). The rest is
+    true accuracies, neighbours and positions.
+    """
+    world = World(settings, trial)
+    # The world has no state before the first step, so the state at tick 0 shows that of tick 1.
+    scene = world.advance(1)
+    world_tick = 1
+    for index, estimates_at_tick in enumerate(estimates):
+        tick = index * spacing
+        if tick > world_tick:
+            steps_to_skip = tick - world_tick - 1
+            if steps_to_skip > 0:
+                world.skip(steps_to_skip)
+            scene = world.advance(1)
+            world_tick = tick
+        if settings.robots <= MAX_ON_BUS:
+            neighbours: NDArray[Any] = scene.neighbours[0].copy()
+        else:
+            neighbours = np.argwhere(scene.neighbours[0])
+        positions = None if scene.positions is None else scene.positions[0]
+        yield State(tick, np.vstack([estimates_at_tick, scene.accuracy[0]]), neighbours, positions)

@@ -1,0 +1,58 @@
+"""The history of a running swarm, recorded step by step."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.swarm.settings import SwarmSettings
+from mcp_asdf_tools.swarm.swarm import Swarm
+from mcp_asdf_tools.view.history import History, State, steps_between_states
+from mcp_asdf_tools.view.run_description import describe_run
+from mcp_asdf_tools.view.run_states import collect_estimates
+
+
+class SwarmRecorder:
+    """Hook of ``run_swarm`` that adds the swarm's states to a history, and slows the run to a given pace.
+
+    Attributes:
+        history: The description of the swarm, and its states so far. Its owner sets ``has_ended``.
+    """
+
+    def __init__(self, settings: SwarmSettings, pace: float = 0.0) -> None:
+        """Prepare for a run of at most ``pace`` steps a second; 0 sets no limit.
+
+        Raises UsageError if ``pace`` is below 0 or no number, or if the arena cannot be made.
+        """
+        # Written as "not >=", since NaN is refused, too.
+        if not pace >= 0:
+            raise UsageError(f"--pace is {pace:g}; give steps a second, or 0 for as many as it can")
+        self.history = History(describe_run(settings, faults=settings.faults, allow=settings.allow))
+        self._spacing = steps_between_states(settings.steps, settings.robots)
+        self._seconds_per_step = 1 / pace if pace else 0.0
+        self._next_step_time = 0.0
+
+    def __call__(self, swarm: Swarm) -> None:
+        """Sleep until the next step may begin, and add the present state if it is due. O(robots^2).
+
+        States are due every ``steps_between_states`` ticks.
+        """
+        now = time.monotonic()
+        # After a slow step the schedule starts anew from now: the steps that follow do not hurry to make up
+        # for it.
+        self._next_step_time = max(self._next_step_time + self._seconds_per_step, now)
+        time.sleep(self._next_step_time - now)
+        if swarm.ticks % self._spacing == 0:
+            self.history.add(_read_swarm_state(swarm))
+
+
+def _read_swarm_state(swarm: Swarm) -> State:
+    """Return the present state of a running swarm; robots that are not alive have no estimates."""
+    world = swarm.world
+    estimates = collect_estimates(node.robot for node in swarm.nodes)
+    is_dead = [not node.is_alive for node in swarm.nodes]
+    estimates[:, is_dead] = np.nan
+    values = np.vstack([estimates, world.accuracy])
+    return State(swarm.ticks, values, world.current_neighbours.copy(), world.positions)
