@@ -31,10 +31,12 @@ def python(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str
     return subprocess.run([sys.executable, *arguments], cwd=cwd, capture_output=True, check=False, text=True)
 
 
-def fake_command(monkeypatch: pytest.MonkeyPatch, work: Mock | Callable[[], int]) -> None:
-    """Let ``mcp-asdf table`` call ``work``, whose result is its exit code."""
+def fake_command(
+    monkeypatch: pytest.MonkeyPatch, work: Mock | Callable[[], int], libraries: tuple[str, ...] = ()
+) -> None:
+    """Let ``mcp-asdf table`` import ``libraries`` and call ``work``, whose result is its exit code."""
     command = SimpleNamespace(
-        EPILOG="", LIBRARIES=(), add_arguments=lambda parser: None, run=lambda args: work()
+        EPILOG="", LIBRARIES=libraries, add_arguments=lambda parser: None, run=lambda args: work()
     )
     monkeypatch.setattr(cli, "_load", lambda name: command)
 

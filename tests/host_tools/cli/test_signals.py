@@ -10,15 +10,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from host_tools.cli.test_main import fake_command
 from mcp_asdf_tools.cli import main as cli
-from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
 from mcp_asdf_tools.recording.events import events_path
 from multicast import multicast
@@ -26,126 +25,210 @@ from support import PATIENCE, interruptible, slow
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux's /proc")
 
-KILLED, HUNG_UP = signal.SIGTERM, signal.SIGHUP
-LOG = "--log run.log"
-FAULTS = "--fault liar=0.1 --fault collide=0.1,id=2,robots=1 --fault crash=0.01"
-CASES = [
-    (f"swarm --robots 4 --steps 100000000 --quiet {LOG}", KILLED, None),
-    (f"swarm --robots 5 --steps 100000000 --quiet {FAULTS} {LOG}", signal.SIGKILL, -9),
-    ("node --id 3", HUNG_UP, 0),
-    *slow(
-        [
-            (f"swarm --robots 2 --steps 100000000 --quiet --processes {LOG}", HUNG_UP, None),
-            (f"radio --id 3 --robots 4 --interface virtual {LOG}", KILLED, 0),
-            ("radio --id 3 --interface virtual --verify --wait 1000 --json", HUNG_UP, None),
-            ("simulate --trials 1000000", KILLED, None),
-            ("crosscheck --steps 100000000", HUNG_UP, None),
-            ("reproduce --output study", KILLED, None),
-        ]
-    ),
-]
-"""A command that goes on until it is asked to end, and its exit code once it is at work; before, and if None,
-it is 128 + signal. ``sweep`` has a test of its own, since it keeps finished trials."""
+Capture = pytest.CaptureFixture[str]
+
+# --- Processes -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("line", "number", "code"), CASES)
-@interruptible()
-def test_a_signal_ends_a_process_and_loses_nothing(
-    line: str, number: signal.Signals, code: int | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A log is replayed; what no process survives leaves a part of it."""
-    words = shlex.split(line) + (multicast(31).arguments() if "--processes" in line else [])
-    log, part = tmp_path / "run.log", tmp_path / "run.log.part"
-    with (
-        subprocess.Popen(
-            [sys.executable, "-m", "mcp_asdf_tools.cli.main", *words],
-            cwd=tmp_path,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        ) as running,
-        ExitStack() as in_the_end,
-    ):
-        in_the_end.callback(running.kill)  # also if it goes on where it should have ended
-        wait_until(running, lambda: number == signal.SIGKILL or heeds(running.pid, number))
-        if LOG in line:
-            wait_until(running, lambda: part.exists() and part.stat().st_size > 0)
-        time.sleep(random.uniform(0, 0.5))
-        running.send_signal(number)
-        _, errors = running.communicate(timeout=PATIENCE)
-    is_at_work = LOG in line and code is not None
-    assert running.returncode in ({code} if is_at_work else {code, 128 + number}), errors
-    assert "Traceback" not in errors
-    if LOG in line:
-        is_lost = number == signal.SIGKILL
-        found = part if is_lost else log
-        assert found.stat().st_size > 0 and part.exists() == is_lost == (not log.exists())
-        if events_path(found).exists():
-            assert main(["replay", str(found), "--json"]) == 0
-            out, err = capsys.readouterr()
-            report = json.loads(out)
-            assert report["incomplete"] == ("is incomplete: its run was cut off" in err) == is_lost
-            assert report["verdict"]["reproduced"] > 0 and report["verdict"]["difference"] is None
+@contextmanager
+def start_command(line: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """Run a command as a process in a folder, and kill it in the end if it goes on."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "mcp_asdf_tools.cli.main", *shlex.split(line)],
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
-def wait_until(process: subprocess.Popen[str], holds: Callable[[], bool]) -> None:
-    """Return when something holds. Fails if the process ends before."""
+def wait_until(process: subprocess.Popen[str], condition: Callable[[], bool]) -> None:
+    """Return when a condition holds. Fails if the process ends before, or is killed since it takes too long."""
     deadline = time.monotonic() + PATIENCE
-    while not holds():
+    while not condition():
         assert process.poll() is None, process.communicate()
         if time.monotonic() > deadline:
             process.kill()
         time.sleep(0.02)
 
 
-def heeds(process: int, number: signal.Signals) -> bool:
-    """True if a process handles a signal by now."""
-    lines = Path(f"/proc/{process}/status").read_text().splitlines()
-    (caught,) = (int(line.split()[1], 16) for line in lines if line.startswith("SigCgt"))
-    return bool(caught >> (number - 1) & 1)
+def handles_signal(process: subprocess.Popen[str], number: signal.Signals) -> bool:
+    """Return whether a process has a handler for a signal by now."""
+    lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
+    (caught_signals,) = (int(line.split()[1], 16) for line in lines if line.startswith("SigCgt"))
+    return bool(caught_signals >> (number - 1) & 1)
 
 
-# In this process
+def end_by_signal(process: subprocess.Popen[str], number: signal.Signals) -> str:
+    """Send a signal at some time in the next half second; return what the process wrote to standard error."""
+    time.sleep(random.uniform(0, 0.5))
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=PATIENCE)
+    return errors
 
-ENDINGS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 
-
-@pytest.mark.parametrize("number", ENDINGS)
+@pytest.mark.parametrize(
+    ("line", "number", "code_at_work"),
+    [
+        ("node --id 3", signal.SIGHUP, 0),
+        *slow(
+            [
+                ("radio --id 3 --interface virtual --verify --wait 1000 --json", signal.SIGHUP, None),
+                ("simulate --trials 1000000", signal.SIGTERM, None),
+                ("crosscheck --steps 100000000", signal.SIGHUP, None),
+                ("reproduce --output study", signal.SIGTERM, None),
+            ]
+        ),
+    ],
+)
 @interruptible()
-def test_every_signal_that_asks_to_end_acts_as_ctrl_c(
-    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_signal_ends_a_process_whenever_it_comes(
+    line: str, number: signal.Signals, code_at_work: int | None, tmp_path: Path
 ) -> None:
-    saved = []
+    """A command that goes on until it is asked to end has an exit code of its own for that, once at work."""
+    with start_command(line, tmp_path) as process:
+        wait_until(process, lambda: handles_signal(process, number))
+        errors = end_by_signal(process, number)
+    assert process.returncode in {code_at_work, 128 + number}, errors
+    assert "Traceback" not in errors
+
+
+LONG_SWARM = "swarm --steps 100000000 --quiet --log run.log"
+FAULTS = "--fault liar=0.1 --fault collide=0.1,id=2,robots=1 --fault crash=0.01"
+
+
+def has_frames(log: Path) -> bool:
+    """Return whether a log, or the part of one, holds anything yet."""
+    return log.exists() and log.stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "number"),
+    [("--robots 4", signal.SIGTERM), *slow([("--robots 2 --processes", signal.SIGHUP)])],
+)
+@interruptible()
+def test_a_swarm_that_a_signal_ends_leaves_a_whole_log_that_is_reproduced(
+    options: str, number: signal.Signals, tmp_path: Path, capsys: Capture
+) -> None:
+    bus = shlex.join(multicast(31).arguments()) if "--processes" in options else ""
+    log, part = tmp_path / "run.log", tmp_path / "run.log.part"
+    with start_command(f"{LONG_SWARM} {options} {bus}", tmp_path) as process:
+        wait_until(process, lambda: handles_signal(process, number) and has_frames(part))
+        errors = end_by_signal(process, number)
+    assert process.returncode == 128 + number, errors
+    assert "Traceback" not in errors
+    assert not part.exists()
+    assert cli.main(["replay", str(log), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["incomplete"] is False
+    assert report["verdict"]["reproduced"] > 0
+    assert report["verdict"]["difference"] is None
+
+
+@pytest.mark.slow
+@interruptible()
+def test_a_radio_that_a_signal_ends_leaves_a_whole_log(tmp_path: Path) -> None:
+    log, part = tmp_path / "run.log", tmp_path / "run.log.part"
+    line = "radio --id 3 --robots 4 --interface virtual --log run.log"
+    with start_command(line, tmp_path) as process:
+        wait_until(process, lambda: handles_signal(process, signal.SIGTERM) and has_frames(part))
+        errors = end_by_signal(process, signal.SIGTERM)
+    assert process.returncode == 0, errors
+    assert has_frames(log)
+    assert not part.exists()
+
+
+@interruptible()
+def test_a_swarm_that_is_killed_leaves_a_part_of_its_log_that_is_reproduced(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    part = tmp_path / "run.log.part"
+    with start_command(f"{LONG_SWARM} --robots 5 {FAULTS}", tmp_path) as process:
+        wait_until(process, lambda: has_frames(part) and has_frames(events_path(part)))
+        end_by_signal(process, signal.SIGKILL)
+    assert not (tmp_path / "run.log").exists()
+    assert cli.main(["replay", str(part), "--json"]) == 0
+    output, errors = capsys.readouterr()
+    report = json.loads(output)
+    assert report["incomplete"] is True
+    assert "is incomplete: its run was cut off" in errors
+    assert report["verdict"]["reproduced"] > 0
+    assert report["verdict"]["difference"] is None
+
+
+# --- In this process -------------------------------------------------------------------------------------
+
+EXIT_CODES = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
+
+
+def wait_for_signal(number: signal.Signals) -> int:
+    """Send this process a signal and wait for it; return exit code 0 if it raises nothing."""
+    os.kill(os.getpid(), number)
+    signal.pause()
+    return 0
+
+
+@pytest.mark.parametrize(("number", "exit_code"), EXIT_CODES.items())
+@interruptible()
+def test_a_signal_that_asks_to_end_interrupts_a_command_as_ctrl_c_does(
+    number: signal.Signals, exit_code: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    fake_command(monkeypatch, lambda: wait_for_signal(number))
+    assert cli.main(["table"]) == exit_code
+    assert capsys.readouterr().err == "mcp-asdf table: interrupted\n"
+
+
+@interruptible()
+def test_a_second_signal_does_not_disturb_the_saving(monkeypatch: pytest.MonkeyPatch) -> None:
+    saved: list[str] = []
 
     def work() -> int:
         try:
-            os.kill(os.getpid(), number)
-            signal.pause()
+            return wait_for_signal(signal.SIGTERM)
         finally:
-            for second in (signal.SIGTERM, signal.SIGHUP):  # as terminals and service managers send them
-                os.kill(os.getpid(), second)
+            for number in (signal.SIGTERM, signal.SIGHUP):  # as terminals and service managers send them
+                os.kill(os.getpid(), number)
             saved.append("all")
-        return 0
 
-    handlers = [signal.getsignal(each) for each in ENDINGS]
     fake_command(monkeypatch, work)
-    assert cli.main(["table"]) == ENDINGS[number]
+    assert cli.main(["table"]) == 143
     assert saved == ["all"]
-    assert capsys.readouterr().err == "mcp-asdf table: interrupted\n"
-    assert [signal.getsignal(each) for each in ENDINGS] == handlers
 
 
 @interruptible()
-def test_commands_that_end_by_themselves_tell_the_signal_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A second signal changes nothing, but Ctrl-C acts at once."""
+def test_a_command_leaves_the_handlers_of_signals_as_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+    handlers = [signal.getsignal(number) for number in EXIT_CODES]
+    fake_command(monkeypatch, lambda: wait_for_signal(signal.SIGTERM))
+    cli.main(["table"])
+    assert [signal.getsignal(number) for number in EXIT_CODES] == handlers
 
+
+@interruptible()
+def test_a_command_that_ends_by_itself_has_the_signal_in_its_exit_code(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def work() -> int:
-        with stopping() as is_asked:
-            assert not is_asked()
+        with stopping() as is_requested:
+            assert not is_requested()
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert is_requested()
+        return INTERRUPTED
+
+    fake_command(monkeypatch, work)
+    assert cli.main(["table"]) == 143
+
+
+@interruptible()
+def test_ctrl_c_interrupts_a_command_that_does_not_end_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    def work() -> int:
+        with stopping():
             for _ in range(2):
                 os.kill(os.getpid(), signal.SIGTERM)
-            assert is_asked()
             with pytest.raises(KeyboardInterrupt):
                 os.kill(os.getpid(), signal.SIGINT)
         return INTERRUPTED
@@ -154,35 +237,51 @@ def test_commands_that_end_by_themselves_tell_the_signal_too(monkeypatch: pytest
     assert cli.main(["table"]) == 143
 
 
-def test_what_the_program_was_started_to_ignore_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_signal_that_the_program_was_started_to_ignore_stays_ignored(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def work() -> int:
         os.kill(os.getpid(), signal.SIGHUP)
-        with stopping() as is_asked:
+        with stopping() as is_requested:
             os.kill(os.getpid(), signal.SIGHUP)
-            assert not is_asked()
+            assert not is_requested()
         return 0
 
     fake_command(monkeypatch, work)
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as by nohup
+    handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as by nohup
     try:
         assert cli.main(["table"]) == 0
     finally:
-        signal.signal(signal.SIGHUP, before)
+        signal.signal(signal.SIGHUP, handler)
 
 
 @interruptible()
-def test_ctrl_c_within_an_import_waits_for_its_end(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_ctrl_c_during_the_import_of_a_command_waits_for_its_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    done = []
+    imported: list[str] = []
 
-    def importing(name: str) -> None:
+    def import_slowly(name: str) -> None:
         os.kill(os.getpid(), signal.SIGINT)
-        done.append(name)
+        imported.append(name)
 
-    handler = signal.getsignal(signal.SIGINT)
-    monkeypatch.setattr(cli, "import_module", importing)
+    monkeypatch.setattr(cli, "import_module", import_slowly)
     assert cli.main(["swarm"]) == 130
     assert capsys.readouterr() == ("", "mcp-asdf swarm: interrupted\n")
-    assert done == ["mcp_asdf_tools.cli.swarm"]
-    assert signal.getsignal(signal.SIGINT) is handler
+    assert imported == ["mcp_asdf_tools.cli.swarm"]
+
+
+@interruptible()
+def test_ctrl_c_during_the_import_of_a_library_waits_for_its_end_and_runs_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    imported: list[str] = []
+
+    def import_slowly(name: str) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        imported.append(name)
+
+    fake_command(monkeypatch, lambda: pytest.fail("the command ran"), libraries=("numpy",))
+    monkeypatch.setattr(cli, "import_module", import_slowly)
+    assert cli.main(["table"]) == 130
+    assert imported == ["numpy"]

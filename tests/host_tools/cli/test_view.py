@@ -25,118 +25,169 @@ from mcp_asdf_tools.experiments.result_tables import trials_to_table
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.view.bus_recorder import BusRecorder
 
-VIEW, PLOT = "view grid.parquet --export out.html", "plot grid.parquet out.svg"
-ONE = "--where filter=none --where fill_ratio=.950"
-ANY = "where fill_ratio=0.55|0.95, filter=asdf-plus|none"
+Capture = pytest.CaptureFixture[str]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A swarm's log, and results of four experiments of two trials, with values every 20 steps."""
-    path = tmp_path_factory.mktemp("view")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with run.log, a swarm's log, and grid.parquet, results of four experiments of two trials.
+
+    Filter and fill ratio of the experiments differ; values are kept every 20 steps.
+    """
+    folder = tmp_path_factory.mktemp("recordings")
     common = Experiment(robots=5, filter="asdf-plus", steps=60, filter_period=20, trials=2)
     experiments = [
-        replace(common, filter=name, fill_ratio=fill)
-        for fill in (0.55, 0.95)
-        for name in ("none", "asdf-plus")
+        replace(common, filter=filter_name, fill_ratio=fill_ratio)
+        for fill_ratio in (0.55, 0.95)
+        for filter_name in ("none", "asdf-plus")
     ]
-    tables = [trials_to_table(run_trials(each, 0, 2, 20)) for each in experiments]
-    write_tables(path / "grid.parquet", [pa.concat_tables(tables)])
+    tables = [trials_to_table(run_trials(experiment, 0, 2, 20)) for experiment in experiments]
+    write_tables(folder / "grid.parquet", [pa.concat_tables(tables)])
     swarm = "swarm --robots 5 --filter asdf-plus --steps 60 --filter-period 20 --quiet --log"
-    assert main([*swarm.split(), str(path / "run.log")]) == 0
-    return path
+    assert main([*swarm.split(), str(folder / "run.log")]) == 0
+    return folder
 
 
 @pytest.fixture(autouse=True)
-def place(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.chdir(folder)
-    capsys.readouterr()
+def work_beside_the_recordings(recordings: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    """Let commands find run.log and grid.parquet in their folder."""
+    monkeypatch.chdir(recordings)
+    capsys.readouterr()  # what the fixture of the recordings has printed
+
+
+# --- Recordings ------------------------------------------------------------------------------------------
+
+ONE_EXPERIMENT = "--where filter=none --where fill_ratio=.950"
 
 
 @pytest.mark.parametrize(
     ("options", "count"),
-    [("", 4), ("--where fill_ratio=0.95", 2), (f"--kind series {ONE} --where robots=5", 1)],
+    [
+        ("", 4),
+        ("--where fill_ratio=0.95", 2),
+        (f"--kind series {ONE_EXPERIMENT} --where robots=5", 1),
+    ],
 )
-def test_experiments_are_chosen(
-    options: str, count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_plot_draws_the_experiments_that_meet_all_conditions(
+    options: str, count: int, tmp_path: Path, capsys: Capture
 ) -> None:
     assert main(["plot", "grid.parquet", str(tmp_path / "x.svg"), "--json", *options.split()]) == 0
     assert json.loads(capsys.readouterr().out)["experiments"] == count
 
 
 @pytest.mark.parametrize(
-    ("recording", "title"),
-    [("run.log", "ASDF+"), (f"grid.parquet {ONE} --trial 1", "no filter")],
+    ("recording", "filter_term"),
+    [("run.log", "ASDF+"), (f"grid.parquet {ONE_EXPERIMENT} --trial 1", "no filter")],
 )
-def test_a_log_and_a_trial_are_exported(
-    recording: str, title: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_view_exports_a_log_or_a_trial_as_one_page(
+    recording: str, filter_term: str, tmp_path: Path, capsys: Capture
 ) -> None:
-    target = tmp_path / "run.html"
-    assert main(["view", *recording.split(), "--export", str(target), "--json"]) == 0
+    page = tmp_path / "run.html"
+    assert main(["view", *recording.split(), "--export", str(page), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
-    assert report == {"export": str(target), "bytes": target.stat().st_size, "states": 61}
-    assert f"5 robots, 2 flawed, {title}" in target.read_text()
+    assert report == {"export": str(page), "bytes": page.stat().st_size, "states": 61}
+    assert f"5 robots, 2 flawed, {filter_term}" in page.read_text()
 
 
-def test_a_log_without_events_shows_what_its_frames_say(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log, target = tmp_path / "real.log", tmp_path / "run.html"
+def test_view_of_a_log_without_events_shows_what_its_frames_say(tmp_path: Path, capsys: Capture) -> None:
+    log = tmp_path / "real.log"
     shutil.copy("run.log", log)
-    assert main(["view", str(log), "--export", str(target), "--json"]) == 0
-    said = capsys.readouterr()
-    assert json.loads(said.out)["states"] == 61
-    assert f"mcp-asdf view: there is no {log}.events, which swarm, radio and node write" in said.err
-    assert "no robot sent telemetry" in said.err
+    assert main(["view", str(log), "--export", str(tmp_path / "run.html"), "--json"]) == 0
+    output, errors = capsys.readouterr()
+    assert json.loads(output)["states"] == 61
+    assert f"mcp-asdf view: there is no {log}.events, which swarm, radio and node write" in errors
+    assert "no robot sent telemetry" in errors
 
 
-def test_a_log_of_two_buses_is_shown_of_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log, command = tmp_path / "any.log", ["view", str(tmp_path / "any.log"), "--export"]
+@pytest.fixture
+def log_of_two_buses(tmp_path: Path) -> Path:
+    """A log without events that has the frames of run.log twice, of vcan0 and of can3."""
+    log = tmp_path / "any.log"
     text = Path("run.log").read_text()
     log.write_text(text + text.replace(" vcan0 ", " can3 "))
-    assert main([*command, str(tmp_path / "all.html")]) == 0
-    assert f"{log} has frames of vcan0 and can3; choose one by --channel" in capsys.readouterr().err
-    assert main([*command, str(tmp_path / "one.html"), "--channel", "can3"]) == 0
+    return log
+
+
+def test_view_of_a_log_of_two_buses_asks_to_choose_one(
+    log_of_two_buses: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    assert main(["view", str(log_of_two_buses), "--export", str(tmp_path / "all.html")]) == 0
+    expected = f"{log_of_two_buses} has frames of vcan0 and can3; choose one by --channel"
+    assert expected in capsys.readouterr().err
+
+
+def test_view_of_one_bus_of_a_log_asks_for_nothing(
+    log_of_two_buses: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    command = ["view", str(log_of_two_buses), "--channel", "can3", "--export", str(tmp_path / "one.html")]
+    assert main(command) == 0
     assert "choose one" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("line", ["view run.log", "swarm --robots 4 --steps 20 --quiet --view"])
-def test_a_page_is_served_until_it_is_asked_to_end(
-    line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    told: list[str] = []
+# --- Pages that are served -------------------------------------------------------------------------------
 
-    def look(should_stop: Callable[[], bool]) -> None:
-        answers = [True, should_stop()]
-        sleep_until(answers.pop)
-        assert answers == []
+
+@pytest.mark.parametrize("line", ["view run.log", "swarm --robots 4 --steps 20 --quiet --view"])
+def test_a_page_is_served_until_ctrl_c(line: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    served: list[str] = []
+
+    def read_page(should_stop: Callable[[], bool]) -> None:
+        assert not should_stop()
         url = re.search(r"http://127\.0\.0\.1:\d+/", capsys.readouterr().err)
         assert url is not None
-        told.append(urlopen(f"{url[0]}events").read().decode())
+        served.append(urlopen(f"{url[0]}events").read().decode())
 
-    monkeypatch.setattr(f"mcp_asdf_tools.cli.{line.split(maxsplit=1)[0]}.sleep_until", look)
+    command = line.split(maxsplit=1)[0]
+    monkeypatch.setattr(f"mcp_asdf_tools.cli.{command}.sleep_until", read_page)
     assert main(line.split()) == 0
-    assert told[0].startswith("event: description\n") and told[0].endswith("event: end\ndata: null\n\n")
+    assert served[0].startswith("event: description\n")
+    assert served[0].endswith("event: end\ndata: null\n\n")
 
 
-def test_a_bus_is_watched_until_it_is_asked_to_end(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_command_sleeps_until_it_is_asked_to_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    naps: list[float] = []
+    monkeypatch.setattr("time.sleep", naps.append)
+    answers = iter([False, False, True])
+    sleep_until(lambda: next(answers))
+    assert naps == [0.2, 0.2]
+
+
+WATCH_A_BUS = ["view", "--interface", "udp_multicast", "--channel", "239.74.163.77"]
+
+
+def test_view_of_a_bus_prints_its_address_and_that_nobody_sent_telemetry(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     answers = iter([False, True])
     monkeypatch.setattr(view, "stopping", lambda: nullcontext(lambda: next(answers)))
-    assert main(["view", "--interface", "udp_multicast", "--channel", "239.74.163.77", "--json"]) == 0
-    out, err = capsys.readouterr()
-    assert json.loads(out)["url"].startswith("http://127.0.0.1:") and "no robot sent telemetry" in err
-    failing = Mock(side_effect=can.CanOperationError("it is off"))
-    monkeypatch.setattr(BusRecorder, "record", failing)
-    assert main(["view", "--interface", "udp_multicast", "--channel", "239.74.163.77"]) == 1
+    assert main([*WATCH_A_BUS, "--json"]) == 0
+    output, errors = capsys.readouterr()
+    assert json.loads(output)["url"].startswith("http://127.0.0.1:")
+    assert "no robot sent telemetry" in errors
+
+
+def test_view_reports_a_bus_that_fails(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    monkeypatch.setattr(BusRecorder, "record", Mock(side_effect=can.CanOperationError("it is off")))
+    assert main(WATCH_A_BUS) == 1
     assert "mcp-asdf view: the bus failed: it is off" in capsys.readouterr().err
-    monkeypatch.setattr("mcp_asdf_tools.swarm.run.run_swarm", failing)
-    monkeypatch.setattr(
-        "mcp_asdf_tools.cli.swarm.sleep_until", None
-    )  # nobody looks at a run that an error ended
+
+
+def test_swarm_does_not_keep_the_page_of_a_bus_that_fails(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    failure = Mock(side_effect=can.CanOperationError("it is off"))
+    monkeypatch.setattr("mcp_asdf_tools.swarm.run.run_swarm", failure)
+    waiting = Mock(side_effect=AssertionError("it waits for Ctrl-C"))
+    monkeypatch.setattr("mcp_asdf_tools.cli.swarm.sleep_until", waiting)
     assert main(["swarm", "--robots", "4", "--steps", "20", "--view"]) == 1
     assert "mcp-asdf swarm: it is off" in capsys.readouterr().err
+
+
+# --- Wrong usage -----------------------------------------------------------------------------------------
+
+VIEW = "view grid.parquet --export out.html"
+PLOT = "plot grid.parquet out.svg"
+DIFFERENCES = "fill_ratio=0.55|0.95, filter=asdf-plus|none"
 
 
 @pytest.mark.parametrize(
@@ -147,8 +198,8 @@ def test_a_bus_is_watched_until_it_is_asked_to_end(
         ("view none.log", "there is no log"),
         ("view none.log --export no/such/out.html", "its folder does not exist"),
         ("view none.parquet", "cannot read"),
-        (VIEW, f"4 experiments match; choose one with {ANY}"),
-        (f"{VIEW} {ONE} --trial 9", "no trial 9; choose one of 0 to 1"),
+        (VIEW, f"4 experiments match; choose one with where {DIFFERENCES}"),
+        (f"{VIEW} {ONE_EXPERIMENT} --trial 9", "no trial 9; choose one of 0 to 1"),
         ("view run.log --export out.html --trial 1", "--trial and --where choose from results"),
         ("view run.log --export out.pdf", "choose a name that ends in .html"),
         ("view run.log --port 99999", "--port is 99999"),
@@ -166,7 +217,7 @@ def test_a_bus_is_watched_until_it_is_asked_to_end(
             "where colour=red: no parameter is called so; the experiments differ in fill_ratio",
         ),
         (f"{PLOT} --where filte=none", "no parameter is called so; did you mean filter?"),
-        (f"{PLOT} --where filter", f"differ in {ANY.removeprefix('where ')}"),
+        (f"{PLOT} --where filter", f"differ in {DIFFERENCES}"),
         (f"{PLOT} --where filter=both", "has it; filter is asdf-plus or none"),
         (f"{PLOT} --where filter=none --where filter=asdf-plus", "has it; filter is none"),
         (f"{PLOT} --x omega", "--x would do nothing: it is for curve, and kind is boxes; leave it out"),
@@ -182,8 +233,10 @@ def test_a_bus_is_watched_until_it_is_asked_to_end(
         (f"{PLOT} --kind series --where filter=none", "choose one with where fill_ratio=0.55|0.95"),
     ],
 )
-def test_what_cannot_be_shown_is_refused(line: str, reason: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_shown_is_refused_in_two_lines(line: str, reason: str, capsys: Capture) -> None:
     assert main(line.split()) == 2
-    out, err = capsys.readouterr()
-    assert reason in err and not out and err.count("\n") == 2
-    assert not [*Path().glob("out.*")]
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert reason in errors
+    assert errors.count("\n") == 2
+    assert list(Path().glob("out.*")) == []

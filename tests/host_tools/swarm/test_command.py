@@ -361,13 +361,10 @@ def test_compared_results_are_those_of_the_same_swarm_with_each_filter_alone(
 
 def test_a_comparison_ends_with_the_error_and_b_hat_of_each_filter(capsys: Capture) -> None:
     assert main([*COMPARED, "--filter", "asdf-plus", "--compare", "--quiet"]) == 0
-    assert (
-        capsys.readouterr()
-        .out.splitlines()[-1]
-        .startswith(
-            "Mean error on the same seed: no filter 0.025, ASDF- 0.030, ASDF+ 0.046, robust 0.174. The flawed "
-            "robots took their sensors for 0.55 accurate, now: ASDF- 0.84, ASDF+ 0.80, robust 0.63. "
-        )
+    last_line = capsys.readouterr().out.splitlines()[-1]
+    assert last_line.startswith(
+        "Mean error on the same seed: no filter 0.025, ASDF- 0.030, ASDF+ 0.046, robust 0.174. "
+        "The flawed robots took their sensors for 0.55 accurate, now: ASDF- 0.84, ASDF+ 0.80, robust 0.63. "
     )
 
 
