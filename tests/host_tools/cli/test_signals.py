@@ -48,7 +48,7 @@ def start_command(line: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 def wait_until(process: subprocess.Popen[str], condition: Callable[[], bool]) -> None:
-    """Return when a condition holds. Fails if the process ends before, or is killed since it takes too long."""
+    """Return when a condition holds. Fails if the process ends before, or is killed for its slowness."""
     deadline = time.monotonic() + PATIENCE
     while not condition():
         assert process.poll() is None, process.communicate()
