@@ -26,20 +26,28 @@ static uint8_t damaged_packets; /* with a wrong checksum, modulo 256; written by
  * skipped. A packet for which the queue had no room when it began counts in rejected_packets. */
 void radio_receive_byte(uint8_t byte)
 {
-    static uint8_t byte_count; /* bytes of this packet so far, with its mark */
+    static uint8_t byte_count; /* bytes of this packet so far, with its mark; 0 before that */
     static bool has_room;      /* whether this packet has a slot in the queue */
     if (byte_count == 0) {
-        has_room = (uint8_t)(received_packets - taken_packets) < QUEUE_SLOTS;
-        byte_count = byte == MARK;
+        if (byte == MARK) {
+            has_room = (uint8_t)(received_packets - taken_packets) < QUEUE_SLOTS;
+            byte_count = 1;
+        }
         return;
     }
     if (has_room) {
         queue[received_packets % QUEUE_SLOTS][byte_count - 1] = byte;
     }
-    if (byte_count++ == PACKET_BYTES) {
-        byte_count = 0;
-        received_packets = (uint8_t)(received_packets + has_room);
-        rejected_packets = (uint8_t)(rejected_packets + !has_room);
+    if (byte_count < PACKET_BYTES) {
+        ++byte_count;
+        return;
+    }
+    /* That was the last byte, the checksum. Counting the packet hands its slot over to radio_next_frame(). */
+    byte_count = 0;
+    if (has_room) {
+        received_packets = (uint8_t)(received_packets + 1);
+    } else {
+        rejected_packets = (uint8_t)(rejected_packets + 1);
     }
 }
 

@@ -84,7 +84,9 @@ HOT uint32_t alpha_word_from_mantissa(uint32_t mantissa, uint32_t exponent)
 {
     const bool is_negative = exponent >> 31 != 0U;
     if (is_negative) {
-        return shift_right(mantissa, (0U - exponent) & 31U) << 8; /* whole units, with shift 0 */
+        /* Whole units, with shift 0. 0U - exponent is the amount of a negative exponent, at most 22; the mask
+         * keeps the shift in its range where memory is damaged. */
+        return shift_right(mantissa, (0U - exponent) & 31U) << 8;
     }
     return exponent <= ALPHA_SHIFT_MAX ? (mantissa << 8) | exponent : ALPHA_MAX;
 }
@@ -518,12 +520,12 @@ mcp_asdf_status_t mcp_asdf_step(mcp_asdf_t *robot, mcp_asdf_observation_t z)
 /* ---- Init ---- */
 
 /* Returns the status of mcp_asdf_init() for these arguments: OK, or the first of ERR_CONFIG, ERR_TABLE,
- * ERR_ID and ERR_B_HAT that applies. A difference of unsigned numbers checks both ends of a range, as a
- * number below the range wraps. */
+ * ERR_ID and ERR_B_HAT that applies. */
 static mcp_asdf_status_t check_init_arguments(const mcp_asdf_config_t *config, uint8_t id, uint32_t b_hat)
 {
     if (config->filter_period == 0U || config->memory < MCP_ASDF_MEMORY_MIN ||
         config->memory > MCP_ASDF_MEMORY_MAX || config->memory % 4U != 0U ||
+        /* The difference checks both ends of the range: a number below FILTER_FIRST wraps. */
         (uint32_t)config->filter - FILTER_FIRST > FILTER_LAST - FILTER_FIRST) {
         return MCP_ASDF_ERR_CONFIG;
     }
@@ -533,8 +535,10 @@ static mcp_asdf_status_t check_init_arguments(const mcp_asdf_config_t *config, u
     if (id > MCP_ASDF_MAX_ID) {
         return MCP_ASDF_ERR_ID;
     }
-    return b_hat - MCP_ASDF_B_HAT_MIN > MCP_ASDF_B_HAT_MAX - MCP_ASDF_B_HAT_MIN ? MCP_ASDF_ERR_B_HAT
-                                                                                : MCP_ASDF_OK;
+    if (b_hat < MCP_ASDF_B_HAT_MIN || b_hat > MCP_ASDF_B_HAT_MAX) {
+        return MCP_ASDF_ERR_B_HAT;
+    }
+    return MCP_ASDF_OK;
 }
 
 /* Initialise *robot with the settings `config`, the id (0 .. 127) and b_hat (Q32). Returns OK, or the first

@@ -186,6 +186,7 @@ mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,
     if (message->x_hat > MCP_ASDF_ONE) {
         return MCP_ASDF_FRAME_ERR_X_HAT;
     }
+    /* Bytes 0 to 2: x_hat; 3 to 6: alpha. */
     write_24(&frame->data[0], message->x_hat);
     write_32(&frame->data[3], binary32_from_alpha_word(message->alpha));
     write_envelope(frame, format->priority, format->subject, message->node, message->transfer_id);
@@ -201,6 +202,7 @@ mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, u
     if (status != MCP_ASDF_FRAME_OK) {
         return status;
     }
+    /* Bytes 0 to 2: x_hat; 3 to 6: alpha. */
     const uint32_t x_hat = read_24(&frame->data[0]), alpha_binary32 = read_32(&frame->data[3]);
     if (x_hat > MCP_ASDF_ONE) {
         return MCP_ASDF_FRAME_ERR_X_HAT;
@@ -233,6 +235,7 @@ mcp_asdf_frame_status_t mcp_asdf_encode_heartbeat(mcp_asdf_frame_t *frame, uint8
     if (message->mode > MCP_ASDF_MODE_SOFTWARE_UPDATE) {
         return MCP_ASDF_FRAME_ERR_MODE;
     }
+    /* Bytes 0 to 3: uptime; then a byte each. */
     write_32(&frame->data[0], message->uptime);
     frame->data[4] = message->health;
     frame->data[5] = message->mode;
@@ -258,6 +261,7 @@ mcp_asdf_frame_status_t mcp_asdf_encode_telemetry(mcp_asdf_frame_t *frame,
     if (message->b_hat < MCP_ASDF_FRAME_B_HAT_MIN || message->b_hat > MCP_ASDF_FRAME_B_HAT_MAX) {
         return MCP_ASDF_FRAME_ERR_B_HAT;
     }
+    /* Bytes 0 to 2: x; 3 to 5: b_hat; 6: updates. */
     write_24(&frame->data[0], message->x);
     write_24(&frame->data[3], message->b_hat);
     frame->data[6] = message->updates;
@@ -267,8 +271,8 @@ mcp_asdf_frame_status_t mcp_asdf_encode_telemetry(mcp_asdf_frame_t *frame,
 
 /* ---- Command ---------------------------------------------------------------------------------------- */
 
-/* Read a command from a frame of `subject`. Returns OK, or the first reason to refuse the frame and leaves
- * *message as it was. */
+/* Read a command from a frame of `subject`: sender, transfer id, target, action and tick. Returns OK, or the
+ * first reason to refuse the frame and leaves *message as it was. */
 mcp_asdf_frame_status_t mcp_asdf_decode_command(mcp_asdf_command_t *message, uint16_t subject,
                                                 const mcp_asdf_frame_t *frame)
 {
@@ -276,6 +280,7 @@ mcp_asdf_frame_status_t mcp_asdf_decode_command(mcp_asdf_command_t *message, uin
     if (status != MCP_ASDF_FRAME_OK) {
         return status;
     }
+    /* Bytes 0 to 3: tick; 4: target; 5: action; 6 is spare, and may have any value. */
     const uint8_t target = frame->data[4], action = frame->data[5];
     if (target > MCP_ASDF_NODE_MAX && target != MCP_ASDF_EVERY_ROBOT) {
         return MCP_ASDF_FRAME_ERR_TARGET;

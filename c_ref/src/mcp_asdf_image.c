@@ -136,7 +136,7 @@ static bool is_valid_crowd(const mcp_asdf_t *robot)
     if (crowd->votes == 0U) {
         return is_new && crowd->first == robot->accuracy.b_hat;
     }
-    return crowd->first - MCP_ASDF_B_HAT_MIN <= MCP_ASDF_B_HAT_MAX - MCP_ASDF_B_HAT_MIN &&
+    return crowd->first >= MCP_ASDF_B_HAT_MIN && crowd->first <= MCP_ASDF_B_HAT_MAX &&
            crowd->votes <= MCP_ASDF_VOTES_MAX && crowd->voices != 0U && crowd->centre <= MCP_ASDF_ONE << 7 &&
            crowd->spread >= MCP_ASDF_SPREAD_MIN && crowd->spread <= MCP_ASDF_SPREAD_MAX;
 }
@@ -328,7 +328,8 @@ static uint32_t magic_word(bool is_robust) { return is_robust ? IMAGE_MAGIC | RO
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
     image_t output = {NULL, image, HASH_START};
-    mcp_asdf_t copy = *robot; /* pass_state() may write to its robot */
+    /* pass_state() serves for reading, too: it assigns to all members what pass_word() returns. */
+    mcp_asdf_t copy = *robot;
     const bool is_robust = mcp_asdf_is_robust(robot->config);
     (void)pass_word(&output, magic_word(is_robust));
     pass_state(&output, &copy, is_robust);

@@ -148,20 +148,22 @@ static bool robust_test_rejects(const mcp_asdf_t *robot)
     const uint32_t b_hat = robot->crowd.first, r = crowd_fill_ratio(robot);
     const uint32_t p = multiply_high(b_hat, r) + multiply_high(~b_hat, ~r); /* < 2^32 - 1 */
     const uint32_t share = quotient(robot->n, robot->t);                    /* n / t */
-    const uint32_t d = share > p ? share - p : p - share;                   /* |n / t - p| */
-    const uint32_t v_share = multiply_high(share, 0U - share), v_p = multiply_high(p, 0U - p); /* <= 2^30 */
+    const uint32_t deviation = share > p ? share - p : p - share;           /* |n / t - p| */
+    const uint32_t variance_of_share = multiply_high(share, 0U - share);    /* <= 2^30, as is the next */
+    const uint32_t variance_of_p = multiply_high(p, 0U - p);
     /* |2 b_hat - 1|: below 1/2 it is 1 - 2 b_hat; above, the 1 is 2^32, which is lost in 32 bits. */
     const uint32_t g = b_hat >> 31 == 0U ? 0U - 2U * b_hat : 2U * b_hat;
     const uint32_t g_spread = multiply_high(g, robot->crowd.spread << 2); /* the spread is Q30; < 2^30 */
     const uint64_t spread_limit = REJECTED_SIGMAS_SQUARED * multiply(g_spread, g_spread); /* < 12 2^60 */
-    /* What is left of the left side for 12 v / t; used where it is positive. */
-    const uint64_t square = multiply(d, d), excess = square - spread_limit;
-    /* Both sides are multiplied by t, so that v needs no division. t excess is formed as Q32, of which 32
-     * bits below the point are cut off: < 2^64. */
+    /* By how much the left side exceeds what the spread allows. It is used where it is positive: the rest
+     * must be more than 12 v / t. */
+    const uint64_t square = multiply(deviation, deviation), excess = square - spread_limit;
+    /* Both sides are multiplied by t, so that v needs no division. t excess is formed as Q32: of the product
+     * with the lower word of the Q64 only the upper word is kept. < 2^64 */
     const uint64_t t_excess =
         multiply(robot->t, high_word(excess)) + high_word(multiply(robot->t, low_word(excess)));
-    return square > spread_limit &&
-           t_excess > multiply(REJECTED_SIGMAS_SQUARED, v_share > v_p ? v_share : v_p);
+    const uint32_t variance = variance_of_share > variance_of_p ? variance_of_share : variance_of_p; /* v */
+    return square > spread_limit && t_excess > multiply(REJECTED_SIGMAS_SQUARED, variance);
 }
 
 /* Run the robust filter at the end of a round, for t > 0. Returns the new b_hat as Q32, or 0 if it stays.

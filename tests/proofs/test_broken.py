@@ -48,7 +48,7 @@ BROKEN = (
     ("", "1000", "if (robot->t == 0U)", "if (robot->n == 0U)"),
     ("", "1000", "filter == MCP_ASDF_ADAPTIVE ? 2U : 1U", "filter == MCP_ASDF_ADAPTIVE ? 1U : 2U"),
     ("", "1000", "multiply_high(~b_hat, ~r)", "multiply_high(~b_hat, r)"),
-    ("", "1000", "v_share > v_p ? v_share", "v_share < v_p ? v_share"),
+    ("", "1000", "variance_of_share > variance_of_p ?", "variance_of_share < variance_of_p ?"),
     ("", "1000", "? 0U - 2U * b_hat", "? 1U - 2U * b_hat"),
     ("", "1000", "high_word(multiply(robot->t, low", "low_word(multiply(robot->t, low"),
     ("", "1000", "trend + TREND_MOVING_DOWN", "trend + 0x1FFFU"),

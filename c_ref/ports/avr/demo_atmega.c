@@ -20,9 +20,9 @@ void board_start(void)
     UCSR0B |= _BV(RXEN0) | _BV(RXCIE0); /* atmega.c has set the speed */
     OCR1A = F_CPU / PRESCALER / TICKS_PER_SECOND - 1;
     TCCR1B = _BV(WGM12) | _BV(CS11) | _BV(CS10); /* from 0 to OCR1A and again, every 64 clocks */
-    ADMUX = _BV(REFS0);
-    ADCSRA = _BV(ADEN) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0);
-    sei();
+    ADMUX = _BV(REFS0);                          /* input ADC0, compared with the supply */
+    ADCSRA = _BV(ADEN) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0); /* on, with 1/128 of the clock */
+    sei();                                                     /* from now on interrupts are handled */
 }
 
 /* Whether the timer has reached its end since the last call. */

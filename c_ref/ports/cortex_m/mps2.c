@@ -116,9 +116,9 @@ int port_get(void)
  * the sleep; a masked interrupt ends the sleep, too. */
 void port_sleep(void)
 {
-    __asm__ volatile("cpsid i");
+    __asm__ volatile("cpsid i"); /* mask interrupts */
     if (entries_taken == entries_put) {
-        __asm__ volatile("wfi");
+        __asm__ volatile("wfi"); /* wait for one */
     }
-    __asm__ volatile("cpsie i");
+    __asm__ volatile("cpsie i"); /* and let it be handled */
 }

@@ -25,14 +25,15 @@ static bool parse_group_name(address_t *address, const char *name)
 {
     char host[INET6_ADDRSTRLEN] = {0}, *end_of_port = NULL;
     const bool is_ipv6 = name[0] == '[';
-    const char *const host_start = name + is_ipv6;
-    const char *const host_end = strstr(host_start, is_ipv6 ? "]:" : ":");
+    const char *const separator = is_ipv6 ? "]:" : ":"; /* the address is in brackets, as it has colons */
+    const char *const host_start = is_ipv6 ? name + 1 : name;
+    const char *const host_end = strstr(host_start, separator);
     if (host_end == NULL || (size_t)(host_end - host_start) >= sizeof host) {
         return false;
     }
     memcpy(host, host_start, (size_t)(host_end - host_start));
     /* strtoul() reads a negative number as a very large one, which is refused below. */
-    const unsigned long port = strtoul(host_end + 1 + is_ipv6, &end_of_port, 10);
+    const unsigned long port = strtoul(host_end + strlen(separator), &end_of_port, 10);
     if (*end_of_port != '\0' || port == 0 || port > UINT16_MAX) {
         return false;
     }

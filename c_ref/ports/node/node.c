@@ -166,8 +166,10 @@ static void check_alpha_jump(node_t *node, const mcp_asdf_estimate_t *estimate)
     node_sender_t *sender = &node->senders[estimate->node];
     const uint64_t last_alpha = alpha_to_units(sender->last_alpha), alpha = alpha_to_units(estimate->alpha);
     const bool is_watched = sender->estimate_count == NODE_WATCHED_AFTER;
-    /* The last alpha of a watched sender is not 0: an alpha of 0 ends the watch below. */
-    node->counts.alpha_jumps += is_watched && alpha >= 2 * last_alpha;
+    if (is_watched && alpha >= 2 * last_alpha) {
+        ++node->counts
+              .alpha_jumps; /* the last alpha of a watched sender is not 0: that ends the watch below */
+    }
     if (2 * alpha <= last_alpha) {
         sender->estimate_count = 0; /* the sender has started again, with few observations */
     } else if (!is_watched) {
@@ -190,14 +192,17 @@ static void receive_estimate(node_t *node, const mcp_asdf_estimate_t *estimate)
         return;
     }
     ++node->counts.received_estimates;
-    /* A node does not receive its own frames, so another node uses its id. The firmware rejects the estimate.
-     */
-    node->counts.id_collisions += has_own_id;
+    if (has_own_id) {
+        /* A node does not receive its own frames, so another node uses its id. The firmware rejects the
+         * estimate. */
+        ++node->counts.id_collisions;
+    }
     (void)mcp_asdf_receive(&node->robot, sender, estimate->x_hat, estimate->alpha);
 }
 
 /* Whether a decoder refused a frame before it looked at the content: the frame is not of the decoder's kind.
- * A bus whose kernel filters frames does not deliver such frames. */
+ * A bus whose kernel filters frames does not deliver such frames. The decoder checks in the order of the
+ * numbers, which fall, and the subject last of these. */
 static bool is_other_kind(mcp_asdf_frame_status_t status) { return status >= MCP_ASDF_FRAME_ERR_SUBJECT; }
 
 /* Receive an estimate, carry out a command in lockstep, and count any other frame. */
@@ -219,6 +224,9 @@ void node_handle_frame(node_t *node, const mcp_asdf_frame_t *frame)
             return;
         }
     }
-    node->counts.other_frames += is_other_kind(status);
-    node->counts.rejected_frames += !is_other_kind(status);
+    if (is_other_kind(status)) {
+        ++node->counts.other_frames;
+    } else {
+        ++node->counts.rejected_frames;
+    }
 }

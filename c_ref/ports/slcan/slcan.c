@@ -22,7 +22,7 @@ static char *write_hex(char *text, uint32_t value, uint8_t digit_count)
     return text;
 }
 
-/* Value of a hexadecimal digit, 0 .. 15, or NO_DIGIT for any other character. */
+/* Returns the value of a hexadecimal digit, 0 .. 15, or NO_DIGIT for any other character. */
 static uint8_t parse_digit(char letter)
 {
     if (letter >= '0' && letter <= '9') {
@@ -47,6 +47,15 @@ static bool parse_hex(uint32_t *value, const char *text, uint8_t digit_count)
     return true;
 }
 
+/* Returns the letter with which the line of a frame begins: a small one for an 11-bit identifier. */
+static char kind_of_line(bool is_standard, bool is_remote)
+{
+    if (is_remote) {
+        return is_standard ? 'r' : 'R';
+    }
+    return is_standard ? 't' : 'T';
+}
+
 /* Write `frame` to `line` as text, without the carriage return that ends a line. Returns the number of
  * characters; 0, with nothing written, for an FD or error frame and for an id or a length out of range. */
 uint8_t slcan_format_frame(char line[SLCAN_LINE_MAX], const mcp_asdf_frame_t *frame)
@@ -58,7 +67,7 @@ uint8_t slcan_format_frame(char line[SLCAN_LINE_MAX], const mcp_asdf_frame_t *fr
         return 0;
     }
     char *end = line;
-    *end++ = (is_standard ? "tr" : "TR")[is_remote]; /* t and T: data frame; r and R: remote frame */
+    *end++ = kind_of_line(is_standard, is_remote);
     end = write_hex(end, frame->id, is_standard ? STANDARD_ID_DIGITS : EXTENDED_ID_DIGITS);
     end = write_hex(end, frame->length, 1);
     for (uint8_t i = 0; i < frame->length && !is_remote; ++i) {
@@ -103,7 +112,12 @@ bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length
 /* ---- Sending ---------------------------------------------------------------------------------------- */
 
 /* Increment a counter, which stops at its largest value. */
-static void increment(uint16_t *counter) { *counter = (uint16_t)(*counter + (*counter < UINT16_MAX)); }
+static void increment(uint16_t *counter)
+{
+    if (*counter < UINT16_MAX) {
+        ++*counter;
+    }
+}
 
 /* Add a text to the outbox. Returns false, and counts an unsent line, if there is no room for it. */
 static bool queue_text(slcan_link_t *link, const char *text, uint8_t length)
@@ -122,13 +136,17 @@ void slcan_start(slcan_link_t *link)
     (void)queue_text(link, "\r", 1);
 }
 
-/* Queue a frame as a line, if the bus is open. Returns whether it was queued. */
+/* Queue a frame as a line, if the bus is open. Returns whether it was queued; counts an unsent line if the
+ * outbox has no room for it. */
 bool slcan_send_frame(slcan_link_t *link, const mcp_asdf_frame_t *frame)
 {
-    char line[SLCAN_LINE_MAX + 1];
+    char line[SLCAN_LINE_MAX + 1]; /* with its end */
     const uint8_t length = slcan_format_frame(line, frame);
+    if (!link->is_open || length == 0) {
+        return false;
+    }
     line[length] = '\r';
-    return link->is_open && length > 0 && queue_text(link, line, length + 1);
+    return queue_text(link, line, length + 1);
 }
 
 /* ---- Commands ---------------------------------------------------------------------------------------- */
@@ -158,22 +176,30 @@ static void send_status_flags(slcan_link_t *link)
     send_answer(link, link->unsent_lines > 0 ? with_unsent : without_unsent);
 }
 
-/* Letter of the command on the received line; '\r' for an empty line, and '?' if the line is too long or too
- * short for its letter. Noise that flips one bit makes a V of a T: the length tells them apart. */
+/* Returns the number of characters of a command that begins with a letter. Those with a bit rate are longer:
+ * its number follows, or the registers that set it, in four digits. */
+static uint8_t command_length(char letter)
+{
+    switch (letter) {
+    case 'S':
+        return 2;
+    case 's':
+        return 5;
+    default:
+        return 1;
+    }
+}
+
+/* Returns the letter of the command on the received line; '\r' for an empty line, and '?' if the line is too
+ * long or too short for its letter. Noise that flips one bit makes a V of a T, the letter of a frame: the
+ * length tells them apart. */
 static char parse_command(const slcan_link_t *link)
 {
     if (link->line_length == 0) {
         return '\r';
     }
     const char letter = link->line[0];
-    uint8_t command_length = 1;
-    if (letter == 'S' || letter == 's') {
-        command_length = letter == 'S' ? 2 : 5; /* a bit rate follows: its number, or its registers */
-    }
-    if (link->line_length == command_length) {
-        return letter;
-    }
-    return '?';
+    return link->line_length == command_length(letter) ? letter : '?';
 }
 
 /* Carry out the command on the received line, and answer it. Returns SLCAN_OPENED if it opens the bus. */

@@ -289,11 +289,13 @@ IN_LOOPS void store_free_bodies(const free_bodies_t *bodies)
     }
 }
 
-/* Move the listed bodies for one tick, and empty the list. */
+/* Move and turn the listed bodies, which touch nothing, for one tick, and empty the list. */
 FOR_EACH_TARGET static void move_free_bodies(free_bodies_t *bodies)
 {
+    uint64_t accelerating_count = bodies->count;
     load_free_bodies(bodies);
-    for (int substep = 0; substep < SUBSTEPS && drive_free_bodies(bodies) != 0; ++substep) {
+    for (int substep = 0; substep < SUBSTEPS && accelerating_count != 0; ++substep) {
+        accelerating_count = drive_free_bodies(bodies);
     }
     SIDE_BY_SIDE
     for (uint32_t n = 0; n < bodies->count; ++n) {
@@ -303,9 +305,13 @@ FOR_EACH_TARGET static void move_free_bodies(free_bodies_t *bodies)
     bodies->count = 0;
 }
 
-/* Move those of `count` bodies from `first` on that touch nothing and keep their velocity, to the same bits
- * as move_free_bodies(). Stores which of the others are accelerating and touch nothing; returns whether some
- * may touch something. */
+/* Sort `count` bodies from number `first` on into three kinds, and move those of the first kind for one tick:
+ *
+ *     cruising       touch nothing, keep their velocity and do not turn. They are moved here, to the same
+ * bits as by move_free_bodies(), which they do not need accelerating   touch nothing, but change velocity or
+ * turn. is_accelerating[i] is 1 for these, else 0 touching       may touch something
+ *
+ * Returns whether there is any touching body. */
 FOR_EACH_TARGET static bool move_cruising_bodies(mcp_asdf_arena_t *arena, uint32_t first, uint32_t count,
                                                  uint64_t *restrict is_accelerating)
 {
@@ -319,6 +325,7 @@ FOR_EACH_TARGET static bool move_cruising_bodies(mcp_asdf_arena_t *arena, uint32
     uint64_t some_may_touch = 0;
     SIDE_BY_SIDE
     for (uint32_t i = 0; i < count; ++i) {
+        /* With | and & in place of || and &&, as vectors have no branches. */
         const bool accelerates = (vx[i] != speed[i] * cx[i]) | (vy[i] != speed[i] * cy[i]) | (spin[i] != 0) |
                                  (target_spin[i] != 0);
         const bool keeps_velocity = (!accelerates) & (may_touch[i] == 0);

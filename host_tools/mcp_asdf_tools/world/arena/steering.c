@@ -6,6 +6,7 @@
 #include "arena_private.h"
 
 #define HALF_ROOT 0.70710678118654752440 /* cosine and sine of 45 degrees */
+#define BEYOND_REACH (2 * SENSOR_REACH)  /* free distance along a ray that meets nothing */
 
 /* Directions of the sensors in the robot's own frame, from straight ahead counterclockwise. */
 static const double SENSOR_AHEAD[SENSORS] = {1, HALF_ROOT, 0, -HALF_ROOT, -1, -HALF_ROOT, 0, HALF_ROOT};
@@ -47,7 +48,7 @@ FOR_EACH_TARGET static void shorten_rays_at_bodies(const mcp_asdf_arena_t *arena
 {
     double *const free_distance = arena->free_distance;
     for (size_t r = 0; r < (size_t)arena->config.robots * SENSORS; ++r) {
-        free_distance[r] = 2 * SENSOR_REACH;
+        free_distance[r] = BEYOND_REACH;
     }
     for (uint32_t p = 0; p < arena->visible_count; ++p) {
         shorten_rays_at_body(arena, arena->visible[p].a, arena->visible[p].b);
@@ -55,8 +56,10 @@ FOR_EACH_TARGET static void shorten_rays_at_bodies(const mcp_asdf_arena_t *arena
     }
 }
 
-/* Shorten the rays that meet one of the two walls across an axis. The walls are `wall_coordinate` from the
- * middle of the floor, the robot is at `position`, and (cx, cy) is as ray_component() has it for the axis. */
+/* Shorten the rays of a robot that meet one of the two walls across the x axis or the y axis. Along that axis
+ * the walls are `wall_coordinate` from the middle of the floor and the robot is at `position`; (cx, cy) is
+ * what ray_component() takes for it. free_distance[k] is how far the ray of sensor k reaches, from the edge
+ * of the body, in metres. */
 IN_LOOPS void shorten_rays_at_walls(double *free_distance, double cx, double cy, double wall_coordinate,
                                     double position)
 {
