@@ -193,7 +193,9 @@ static void convert_frame(mcp_asdf_frame_t *frame, const struct canfd_frame *raw
 /* Mark the interface as down. Counts it once: an interface that vanishes goes down first. */
 static void mark_down(bus_t *bus)
 {
-    bus->counts.downs += !bus->is_down;
+    if (!bus->is_down) {
+        ++bus->counts.downs;
+    }
     bus->is_down = true;
 }
 

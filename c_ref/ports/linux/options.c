@@ -110,7 +110,9 @@ static void fail(enum option_index option, const char *value, const char *fix)
     exit(EXIT_USAGE);
 }
 
-/* Value of a numeric option. Ends the program if it is no whole number or out of the option's range. */
+/* Returns the value of a numeric option. Ends the program if it is no whole number or out of the option's
+ * range.
+ */
 static uint32_t parse_number(const option_texts_t texts, enum option_index option)
 {
     const uint32_t minimum = option_table[option].minimum, maximum = option_table[option].maximum;
@@ -178,7 +180,9 @@ static bool has_value(const option_texts_t texts, enum option_index option, cons
     return strcmp(texts[option], value) == 0;
 }
 
-/* The mcp_asdf_filter_t that --filter and --activation ask for. Ends the program if either is unknown. */
+/* Returns the mcp_asdf_filter_t that --filter and --activation ask for. Ends the program if either is
+ * unknown, or if they do not fit together: only the paper's filter, asdf-plus, can be active in every period.
+ */
 static uint8_t parse_filter(const option_texts_t texts)
 {
     const bool is_always_active = has_value(texts, ACTIVATION, "always");
@@ -300,14 +304,18 @@ static node_settings_t parse_node_settings(const option_texts_t texts)
                                 .filter_period = parse_number(texts, FILTER_PERIOD),
                                 .memory = parse_number(texts, MEMORY),
                                 .filter = parse_filter(texts),
-                                .estimate_format = {(uint16_t)parse_number(texts, SUBJECT), 4},
-                                .telemetry_format = {(uint16_t)parse_number(texts, TELEMETRY_SUBJECT), 6},
-                                .command_format = {(uint16_t)parse_number(texts, COMMAND_SUBJECT), 3},
+                                .estimate_format = MCP_ASDF_FORMAT_ESTIMATE,
+                                .telemetry_format = MCP_ASDF_FORMAT_TELEMETRY,
+                                .command_format = MCP_ASDF_FORMAT_COMMAND,
                                 .b_hat = parse_b_hat(texts[B_HAT]),
                                 .ticks_per_second = parse_number(texts, RATE),
                                 .telemetry_period = parse_number(texts, TELEMETRY_PERIOD),
                                 .id = (uint8_t)parse_number(texts, ID),
                                 .lockstep = texts[LOCKSTEP] != NULL};
+    /* The priorities are those of the formats. */
+    settings.estimate_format.subject = (uint16_t)parse_number(texts, SUBJECT);
+    settings.telemetry_format.subject = (uint16_t)parse_number(texts, TELEMETRY_SUBJECT);
+    settings.command_format.subject = (uint16_t)parse_number(texts, COMMAND_SUBJECT);
     if (texts[ALLOW] != NULL) {
         parse_allowed_senders(settings.ignored_senders, texts[ALLOW]);
     }

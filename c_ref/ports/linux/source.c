@@ -95,7 +95,9 @@ bool source_next(source_t *source, mcp_asdf_action_t *observation)
     const bool is_read = *observation != NOTHING_READ;
     if (!is_read) {
         *observation = MCP_ASDF_OBSERVE_NONE;
-        source->missing += !source->has_ended;
+        if (!source->has_ended) {
+            ++source->missing;
+        }
     }
     return is_read;
 }

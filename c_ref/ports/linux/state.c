@@ -49,16 +49,17 @@ const char *state_load(const char *path, mcp_asdf_t *robot, const mcp_asdf_confi
 /* Write an image to a new file, and wait until it is on the disk. Returns 0 or an errno. */
 static int write_file(const char *path, const uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    int error = 0;
     const int fd = open(path, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
     if (fd < 0) {
         return errno;
     }
     errno = ENOSPC; /* for a short write, which sets no errno */
     if (write(fd, image, MCP_ASDF_IMAGE_SIZE) != MCP_ASDF_IMAGE_SIZE || fsync(fd) != 0) {
-        error = errno;
+        const int error = errno; /* closing may change it */
+        (void)close(fd);
+        return error;
     }
-    return close(fd) == 0 || error != 0 ? error : errno;
+    return close(fd) == 0 ? 0 : errno;
 }
 
 /* Wait until the names in the folder of `path` are on the disk, so that a renamed file has its new name. Cuts
@@ -68,8 +69,9 @@ static int sync_folder(char *path)
     char *last_slash = strrchr(path, '/');
     const char *folder = ".";
     if (last_slash != NULL) {
-        const bool is_root = last_slash == path;
-        last_slash[is_root ? 1 : 0] = 0;
+        /* The root's name is its slash; others end before theirs. */
+        char *const end = last_slash == path ? last_slash + 1 : last_slash;
+        *end = '\0';
         folder = path;
     }
     const int fd = open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);

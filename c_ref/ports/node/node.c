@@ -93,7 +93,8 @@ static void end_tick(node_t *node)
     node->is_settled = true;
 }
 
-/* Begin a tick: heartbeat if due, observation, broadcast if due. Ends a tick that is still open. */
+/* Begin a tick: send a heartbeat at the beginning of a second, pass the observation to the firmware, and send
+ * the estimate in a broadcast tick. Ends a tick that is still open, and counts it as unsettled. */
 void node_observe(node_t *node, mcp_asdf_action_t observation)
 {
     if (!node->is_settled) {
@@ -114,7 +115,7 @@ void node_observe(node_t *node, mcp_asdf_action_t observation)
     node->is_settled = false;
 }
 
-/* End the tick, and send telemetry if due; in lockstep it is due in every tick. */
+/* End the tick, and send telemetry if its period has passed; in lockstep in every tick. */
 void node_settle(node_t *node)
 {
     const uint32_t telemetry_period = node->settings->lockstep ? 1 : node->settings->telemetry_period;
@@ -166,9 +167,9 @@ static void check_alpha_jump(node_t *node, const mcp_asdf_estimate_t *estimate)
     node_sender_t *sender = &node->senders[estimate->node];
     const uint64_t last_alpha = alpha_to_units(sender->last_alpha), alpha = alpha_to_units(estimate->alpha);
     const bool is_watched = sender->estimate_count == NODE_WATCHED_AFTER;
+    /* The last alpha of a watched sender is not 0: an alpha of 0 ends the watch below. */
     if (is_watched && alpha >= 2 * last_alpha) {
-        ++node->counts
-              .alpha_jumps; /* the last alpha of a watched sender is not 0: that ends the watch below */
+        ++node->counts.alpha_jumps;
     }
     if (2 * alpha <= last_alpha) {
         sender->estimate_count = 0; /* the sender has started again, with few observations */

@@ -92,7 +92,12 @@ bool slcan_parse_frame(mcp_asdf_frame_t *frame, const char *line, uint8_t length
         parsed.id > (is_standard ? STANDARD_ID_MAX : EXTENDED_ID_MAX)) {
         return false;
     }
-    parsed.flags = (is_standard ? MCP_ASDF_FRAME_STANDARD : 0) | (is_remote ? MCP_ASDF_FRAME_REMOTE : 0);
+    if (is_standard) {
+        parsed.flags |= MCP_ASDF_FRAME_STANDARD;
+    }
+    if (is_remote) {
+        parsed.flags |= MCP_ASDF_FRAME_REMOTE;
+    }
     parsed.length = parse_digit(line[header_length - 1]);
     const uint8_t byte_count = is_remote ? 0 : parsed.length; /* remote frames have a length, but no data */
     if (parsed.length > DATA_LENGTH_MAX || length != header_length + 2 * byte_count) {
@@ -255,7 +260,9 @@ static slcan_event_t handle_line(slcan_link_t *link, mcp_asdf_frame_t *frame)
     return SLCAN_FRAME;
 }
 
-/* Collect received bytes, and handle the line at its end. Returns what the line brought. */
+/* Append a received byte to the line, or at the end of a line handle it. Returns SLCAN_FRAME, and writes
+ * *frame, if the line was a frame, or SLCAN_OPENED if it opened the bus. A line that is too long or has lost
+ * bytes is marked as damaged, and dropped at its end. */
 slcan_event_t slcan_handle_byte(slcan_link_t *link, int byte, mcp_asdf_frame_t *frame)
 {
     slcan_event_t event = SLCAN_NOTHING;

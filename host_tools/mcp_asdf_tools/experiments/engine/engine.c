@@ -111,15 +111,17 @@ IN_LOOPS void receive_in_lane(const run_t *run, uint32_t receiver, uint32_t send
 {
     lanes_t *const receiver_row = &run->lanes[receiver / LANES];
     const lanes_t *const sender_row = &run->lanes[sender / LANES];
-    const uint32_t to = receiver % LANES, from = sender % LANES;
-    ++receiver_row->message_count[to];
+    const lanes_sums_t *const message = &sender_row->message_sums;
+    lanes_sums_t *const round = &receiver_row->round_sums;
+    const uint32_t receiver_lane = receiver % LANES, sender_lane = sender % LANES;
+    ++receiver_row->message_count[receiver_lane];
     if (run->is_robust) {
-        lanes_receive_vote(receiver_row, to, sender_row, from);
+        lanes_receive_vote(receiver_row, receiver_lane, sender_row, sender_lane);
         return;
     }
-    receiver_row->round_sums.alpha[to] += sender_row->message_sums.alpha[from];
-    receiver_row->round_sums.alpha_x_low[to] += sender_row->message_sums.alpha_x_low[from];
-    receiver_row->round_sums.alpha_x_high[to] += sender_row->message_sums.alpha_x_high[from];
+    round->alpha[receiver_lane] += message->alpha[sender_lane];
+    round->alpha_x_low[receiver_lane] += message->alpha_x_low[sender_lane];
+    round->alpha_x_high[receiver_lane] += message->alpha_x_high[sender_lane];
 }
 
 /* Deliver messages along links or arcs, whose order gives each robot its messages by ascending senders. */
@@ -389,6 +391,8 @@ static mcp_asdf_status_t run_trials(run_t *run, const mcp_asdf_outcome_t *outcom
     return MCP_ASDF_OK;
 }
 
+/* Whether steps can be taken in lanes: these keep no robot's values but x, deliver all messages in every
+ * step, have no liars, and know one kind of round, of sums or of votes. */
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
 {
     bool has_lanes =
@@ -422,6 +426,7 @@ static uint32_t count_rows(const mcp_asdf_experiment_t *experiment, uint32_t par
     return (experiment->robots * parallel_trials + LANES - 1) / LANES;
 }
 
+/* Returns the bytes that a run needs at most: lanes, arenas, and some to align the lanes. */
 size_t mcp_asdf_engine_bytes(const mcp_asdf_experiment_t *experiment)
 {
     const uint32_t parallel_trials = count_parallel_trials(experiment);
@@ -432,6 +437,8 @@ size_t mcp_asdf_engine_bytes(const mcp_asdf_experiment_t *experiment)
            parallel_trials * arena_bytes;
 }
 
+/* Run all trials, as many at a time as run side by side, and store their results in the outcome. Returns the
+ * first error; the outcome is then incomplete. */
 mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, bool lanes,
                                       const mcp_asdf_outcome_t *outcome, void *memory)
 {

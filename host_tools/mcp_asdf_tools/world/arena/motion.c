@@ -132,10 +132,11 @@ static void resolve_contact(mcp_asdf_arena_t *arena, mcp_asdf_contact_t *contact
     const double normal_x = contact->normal_x, normal_y = contact->normal_y;
     /* Velocity of the point of contact on a body relative to the other: that of the centres, and along the
      * surface that of the turning bodies. */
-    const double surface_speed =
-        BODY_RADIUS * (arena->target_spin[a] + (is_wall ? 0 : arena->target_spin[b]));
-    const double relative_vx = arena->vx[a] - (is_wall ? 0 : arena->vx[b]);
-    const double relative_vy = arena->vy[a] - (is_wall ? 0 : arena->vy[b]);
+    const double other_vx = is_wall ? 0 : arena->vx[b], other_vy = is_wall ? 0 : arena->vy[b];
+    const double other_spin = is_wall ? 0 : arena->target_spin[b];
+    const double surface_speed = BODY_RADIUS * (arena->target_spin[a] + other_spin);
+    const double relative_vx = arena->vx[a] - other_vx;
+    const double relative_vy = arena->vy[a] - other_vy;
     const double closing_speed = relative_vx * normal_x + relative_vy * normal_y;
     const double sliding_speed = relative_vy * normal_x - relative_vx * normal_y + surface_speed;
     /* The sums over all passes are limited, not each pass: a later pass may take back what was too much. */
@@ -362,6 +363,8 @@ static void move_bodies_of(mcp_asdf_arena_t *arena, free_bodies_t *free_bodies)
     }
 }
 
+/* Move all bodies of `count` arenas for one tick. Those that move freely but change their velocities are
+ * collected over all arenas, and moved side by side. */
 void arena_move(mcp_asdf_arena_t *arenas, uint32_t count)
 {
     free_bodies_t free_bodies;

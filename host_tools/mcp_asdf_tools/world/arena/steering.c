@@ -126,13 +126,15 @@ IN_LOOPS void steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, doubl
         ahead * ahead + left * left < WEAK_OBSTACLE * WEAK_OBSTACLE && fabs(left) <= ahead * TAN_5_DEGREES;
     const double angle = is_weak ? 0 : away;
     const uint8_t wheels = next_wheels(arena->wheels[robot], angle);
-    const double outer = arena->config.speed, inner = inner_speed(wheels, outer, angle);
+    const double outer_speed = arena->config.speed;
+    const double slower_speed = inner_speed(wheels, outer_speed, angle); /* of the inner wheel */
     arena->avoids[robot] = !is_weak;
     arena->wheels[robot] = wheels;
     arena->needs_steering[robot] = wheels != MCP_ASDF_STRAIGHT || !is_weak;
-    arena->target_speed[robot] = (outer + inner) / 2;
+    arena->target_speed[robot] = (outer_speed + slower_speed) / 2;
     /* To the right, away from an obstacle on the left, unless it is on the right. */
-    arena->target_spin[robot] = (left < 0 ? outer - inner : inner - outer) / WHEEL_DISTANCE;
+    arena->target_spin[robot] =
+        (left < 0 ? outer_speed - slower_speed : slower_speed - outer_speed) / WHEEL_DISTANCE;
 }
 
 /* Set the wheels of a robot from its obstacle vector, as steer() does. */
