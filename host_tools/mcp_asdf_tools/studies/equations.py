@@ -1,8 +1,15 @@
-"""Claims of the paper that follow from its equations, without trials: a function of each claim's name."""
+"""Claims of the paper that follow from its equations, without trials: a function of each claim's name.
+
+Each function returns the comparisons that decide its claim. The symbols are the paper's: f is the share of
+black floor, b the accuracy of a sensor, b_hat the accuracy that its robot assumes, and n/t the share of the
+robot's readings that are black. From n/t and b_hat the robot computes x_hat, its estimate of f, and alpha,
+its confidence in it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from itertools import combinations, pairwise
 from math import pi
 
@@ -12,22 +19,41 @@ from mcp_asdf.reference import local_confidence, local_estimate
 from mcp_asdf_tools.studies.cells import FLAWED_ACCURACIES, PAPER_STEPS
 from mcp_asdf_tools.studies.verdicts import Comparison, Expectation, exact_comparison
 
+
+@dataclass(frozen=True)
+class PrintedPanel:
+    """A panel of the paper's Table I: f and b, and what the table prints for them.
+
+    Attributes:
+        f: Share of black floor.
+        b: Accuracy of the sensors.
+        black_share: n/t as printed.
+        estimates: x_hat as printed, by b_hat.
+    """
+
+    f: float
+    b: float
+    black_share: float
+    estimates: Mapping[float, float]
+
+    @property
+    def exact_black_share(self) -> float:
+        """The share of readings that are black, p(z = 1), by equation 1."""
+        return self.f * self.b + (1 - self.f) * (1 - self.b)
+
+
+TABLE_1 = (
+    PrintedPanel(f=0.55, b=0.55, black_share=0.505, estimates={0.55: 0.550, 0.75: 0.510, 0.95: 0.506}),
+    PrintedPanel(f=0.95, b=0.55, black_share=0.545, estimates={0.55: 0.950, 0.75: 0.590, 0.95: 0.550}),
+    PrintedPanel(f=0.55, b=0.95, black_share=0.545, estimates={0.55: 0.950, 0.75: 0.590, 0.95: 0.550}),
+    PrintedPanel(f=0.95, b=0.95, black_share=0.905, estimates={0.55: 1.000, 0.75: 1.000, 0.95: 0.950}),
+)
+
+BLACK_SHARES = sorted({round(panel.exact_black_share, 9) for panel in TABLE_1})
+"""The different n/t of Table I; two panels have the same, but for what float64 rounds."""
+
 OBSERVATIONS = 100_000
 """t of the robots below: enough for n/t to be any share of black readings to five digits."""
-
-PANELS = ((0.55, 0.55), (0.95, 0.55), (0.55, 0.95), (0.95, 0.95))
-"""f and b of the panels of Table I."""
-
-PRINTED_BLACK_SHARES = (0.505, 0.545, 0.545, 0.905)
-"""n/t of each panel, as Table I prints it."""
-
-PRINTED_ESTIMATES = {
-    (0.55, 0.55): {0.55: 0.550, 0.75: 0.510, 0.95: 0.506},
-    (0.55, 0.95): {0.95: 0.550, 0.75: 0.590, 0.55: 0.950},
-    (0.95, 0.55): {0.55: 0.950, 0.75: 0.590, 0.95: 0.550},
-    (0.95, 0.95): {0.95: 0.950, 0.75: 1.000, 0.55: 1.000},
-}
-"""x_hat by b_hat for each panel, as Table I prints it."""
 
 HALF_A_PRINTED_DIGIT = 0.000500001
 ROUNDING = 1e-9
@@ -37,44 +63,14 @@ WIDEST_B_HAT_PAIR = (0.505, 0.995)
 """Ends of the range of b_hat in the paper's figure 2, as we draw it."""
 
 
-def black_share(f: float, b: float) -> float:
-    """Return p(z = 1), the share of readings that are black (eq. 1)."""
-    return f * b + (1 - f) * (1 - b)
-
-
-def _x_hat(share: float, b_hat: float) -> float:
+def _x_hat(black_share: float, b_hat: float) -> float:
     """Return the local estimate of a robot that has read a share of its tiles as black (eq. 3)."""
-    return local_estimate(round(share * OBSERVATIONS), OBSERVATIONS, b_hat)
+    return local_estimate(round(black_share * OBSERVATIONS), OBSERVATIONS, b_hat)
 
 
-def _alpha(share: float, b_hat: float) -> float:
+def _alpha(black_share: float, b_hat: float) -> float:
     """Return the local confidence of a robot that has read a share of its tiles as black (eq. 4)."""
-    return local_confidence(round(share * OBSERVATIONS), OBSERVATIONS, b_hat)
-
-
-def _black_shares_of_table_1() -> list[float]:
-    """Return the different n/t of the four panels, in ascending order."""
-    # Two panels have the same n/t, but for what float64 rounds.
-    return sorted({round(black_share(f, b), 9) for f, b in PANELS})
-
-
-def table_of_observations() -> list[Comparison]:
-    """Compare n/t with the printed values of Table I."""
-    return [
-        _equal_to_printed_digits(f"f {f:g}, b {b:g}", "p(z = 1)", black_share(f, b), printed)
-        for (f, b), printed in zip(PANELS, PRINTED_BLACK_SHARES, strict=True)
-    ]
-
-
-def table_of_local_estimates() -> list[Comparison]:
-    """Compare x_hat with the printed values of Table I."""
-    return [
-        _equal_to_printed_digits(
-            f"f {f:g}, b {b:g}, b_hat {b_hat:g}", "x_hat", _x_hat(black_share(f, b), b_hat), printed
-        )
-        for (f, b), printed_by_b_hat in PRINTED_ESTIMATES.items()
-        for b_hat, printed in printed_by_b_hat.items()
-    ]
+    return local_confidence(round(black_share * OBSERVATIONS), OBSERVATIONS, b_hat)
 
 
 def _equal_to_printed_digits(row: str, name: str, value: float, printed: float) -> Comparison:
@@ -93,37 +89,62 @@ def _rounded(value: float) -> float:
     return round(value, 12)
 
 
+def table_of_observations() -> list[Comparison]:
+    """Compare n/t of each panel, by equation 1, with the digits that the paper's Table I has."""
+    return [
+        _equal_to_printed_digits(
+            f"f {panel.f:g}, b {panel.b:g}", "p(z = 1)", panel.exact_black_share, panel.black_share
+        )
+        for panel in TABLE_1
+    ]
+
+
+def table_of_local_estimates() -> list[Comparison]:
+    """Compare x_hat of each panel and b_hat, by equation 3, with the digits that Table I has."""
+    return [
+        _equal_to_printed_digits(
+            f"f {panel.f:g}, b {panel.b:g}, b_hat {b_hat:g}",
+            "x_hat",
+            _x_hat(panel.exact_black_share, b_hat),
+            printed_estimate,
+        )
+        for panel in TABLE_1
+        for b_hat, printed_estimate in panel.estimates.items()
+    ]
+
+
 def confidence_increases_with_b_hat() -> list[Comparison]:
-    """Compare alpha at each b_hat from 0.505 to 0.995 with that at the b_hat 0.005 lower."""
-    comparisons = []
-    for share in _black_shares_of_table_1():
-        alphas = [_alpha(share, b_hat) for b_hat in np.linspace(0.505, 0.995, 99)]
+    """Compare alpha at each b_hat from 0.505 to 0.995 with that at the b_hat 0.005 lower, for each n/t."""
+    comparisons: list[Comparison] = []
+    for black_share in BLACK_SHARES:
+        alphas = [_alpha(black_share, b_hat) for b_hat in np.linspace(0.505, 0.995, 99)]
         smallest_ratio = min(higher / lower for lower, higher in pairwise(alphas))
         column = "least ratio of alpha to that of a b_hat 0.005 lower, less 1"
-        comparisons.append(_above_zero(f"n/t {share:g}", column, smallest_ratio - 1))
+        comparisons.append(_above_zero(f"n/t {black_share:g}", column, smallest_ratio - 1))
     return comparisons
 
 
 def confidence_grows_a_hundredfold() -> list[Comparison]:
     """Compare the ratio of two alphas with 100, for each pair of the study's b_hat and the widest pair."""
-    return _compare_alpha_ratios([*combinations(FLAWED_ACCURACIES, 2), WIDEST_B_HAT_PAIR], 100)
+    b_hat_pairs = [*combinations(FLAWED_ACCURACIES, 2), WIDEST_B_HAT_PAIR]
+    return _compare_alpha_ratios(b_hat_pairs, claimed_ratio=100)
 
 
 def underconfident_robots_weigh_less() -> list[Comparison]:
     """Compare the ratio of alpha at b_hat 0.95 to that at 0.55 and at 0.75 with 1."""
-    return _compare_alpha_ratios([(0.55, 0.95), (0.75, 0.95)], 1)
+    return _compare_alpha_ratios([(0.55, 0.95), (0.75, 0.95)], claimed_ratio=1)
 
 
-def _compare_alpha_ratios(b_hat_pairs: Iterable[tuple[float, float]], claimed: int) -> list[Comparison]:
-    """Compare the ratio of alpha of the second b_hat to that of the first with ``claimed``, at each n/t."""
+def _compare_alpha_ratios(b_hat_pairs: Iterable[tuple[float, float]], claimed_ratio: int) -> list[Comparison]:
+    """Compare the ratio of alpha at the second b_hat to that at the first with a claim, for each n/t."""
     return [
         _above_zero(
-            f"n/t {share:g}",
-            f"alpha of b_hat {high:g} over that of {low:g}, less {claimed}",
-            _alpha(share, high) / _alpha(share, low) - claimed,
+            f"n/t {black_share:g}",
+            f"alpha of b_hat {high:g} over that of {low:g}, less {claimed_ratio}",
+            _alpha(black_share, high) / _alpha(black_share, low) - claimed_ratio,
         )
         for low, high in b_hat_pairs
-        for share in _black_shares_of_table_1()
+        for black_share in BLACK_SHARES
     ]
 
 
@@ -136,16 +157,16 @@ def low_b_hat_is_volatile() -> list[Comparison]:
 
 
 def physical_density() -> list[Comparison]:
-    """Compare the density of eight robots with a radio range of 0.7 m on the platform with 1.3."""
+    """Compare the density of eight robots with a radio range of 0.7 m on the paper's platform with 1.3."""
     # D = N pi r^2 / (width height)
     density = 8 * pi * 0.7**2 / (3.0353 * 3.0226)
-    return [exact_comparison("", "D less 1.3", _rounded(density - 1.3), Expectation.SAME, 0.05)]
+    return [exact_comparison("", "D less 1.3", _rounded(density - 1.3), Expectation.SAME, size=0.05)]
 
 
 def physical_observations() -> list[Comparison]:
-    """Compare the number of observations of a simulation with that of 1000 s at 2 Hz."""
+    """Compare the ratio of the observations of a simulation to those of 1000 s at 2 Hz with 20."""
     ratio = PAPER_STEPS / (1000 * 2)  # a simulated robot observes in every step
-    return [exact_comparison("", "ratio less 20", _rounded(ratio - 20), Expectation.SAME, 0.5)]
+    return [exact_comparison("", "ratio less 20", _rounded(ratio - 20), Expectation.SAME, size=0.5)]
 
 
 EQUATIONS: Mapping[str, Callable[[], list[Comparison]]] = {

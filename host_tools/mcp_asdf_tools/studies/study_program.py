@@ -222,14 +222,18 @@ def markdown_table(head: str, rows: Rows, text_of: Callable[[Sequence[Trials]], 
     are in the order in which the rows need them. ``head`` is the text of the upper left corner, which says
     what the numbers are.
     """
-    cells: dict[str, dict[str, list[Trials]]] = {}
+    cells: dict[tuple[str, str], list[Trials]] = {}
+    columns: list[str] = []
     for row, experiments in rows.items():
         for trials in experiments:
-            cells.setdefault(row, {}).setdefault(column_label(trials.experiment), []).append(trials)
-    columns = list(dict.fromkeys(column for cells_of_row in cells.values() for column in cells_of_row))
+            column = column_label(trials.experiment)
+            if column not in columns:
+                columns.append(column)
+            # Experiments that differ only in f, b or b_hat share a cell.
+            cells.setdefault((row, column), []).append(trials)
     lines = [f"| {head} | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
-    for row, cells_of_row in cells.items():
-        texts = [text_of(cells_of_row[column]) if column in cells_of_row else "" for column in columns]
+    for row in rows:
+        texts = [text_of(cells[row, column]) if (row, column) in cells else "" for column in columns]
         lines.append(f"| {row} | {' | '.join(texts)} |")
     return "\n".join(lines)
 

@@ -52,8 +52,9 @@ def test_the_study_has_30_long_trials_and_a_seed_of_its_own() -> None:
 
 def test_robots_that_know_the_drift_have_four_trials_and_a_seed_of_their_own() -> None:
     experiments = experiments_of(ageing.peer_rows())
-    sizes = {(experiment.fill_ratio, experiment.trials, experiment.seed) for experiment in experiments}
-    assert sizes == {(0.75, 4, 90126)}
+    sizes = {(experiment.trials, experiment.steps, experiment.seed) for experiment in experiments}
+    assert sizes == {(4, 40_000, 90126)}
+    assert {experiment.fill_ratio for experiment in experiments} == {0.75}
     assert {experiment.flawed for experiment in experiments} == {0}
 
 

@@ -157,9 +157,14 @@ def test_a_remembering_robot_averages_by_alpha_per_observation() -> None:
 
 
 def test_messages_without_confidence_are_not_remembered() -> None:
-    robot = peers.RememberingRobot(WITHOUT_FILTER, 0, 0.9)
-    robot.receive(1, 0.2, 0.0)
-    assert robot.x == robot.x_hat == 0.5
+    robot = peers.RememberingRobot(WITHOUT_FILTER, 127, 0.9)
+    robot.observe(Observation.BLACK)
+    for sender in range(63):
+        robot.receive(sender, 0.9, 0.0)
+    robot.receive(63, 0.2, 8.0)
+    gain_of_first_message = 1 / 8
+    assert robot.x_bar == pytest.approx(0.2)
+    assert robot._weight == gain_of_first_message * 8.0
 
 
 def test_a_repeated_message_is_not_remembered() -> None:
@@ -235,7 +240,7 @@ def test_bayescpf_updates_at_every_filter_step_unless_the_filter_is_off(
     assert robot.counters.updates == updates
 
 
-@pytest.mark.parametrize("mean", [0.4, 0.49, 1.02, 1.3])
+@pytest.mark.parametrize("mean", [0.4, 0.49, 0.5, 1.0, 1.02, 1.3])
 def test_bayescpf_cuts_its_estimate_as_a_truncated_normal_distribution(mean: float) -> None:
     robot = bayescpf_robot()
     robot._mean, robot._variance = mean, 0.01

@@ -93,6 +93,11 @@ def test_fully_connected_swarms_with_liars_have_12_trials() -> None:
     assert parameters_of(experiments, "trials", "flawed", "latency") == {(12, 6, 0)}
 
 
+def test_moving_swarms_with_liars_have_eight_trials_of_20_000_steps() -> None:
+    experiments = robust_filter.world_rows()["moving, 1 liar"]
+    assert parameters_of(experiments, "trials", "steps", "flawed", "latency") == {(8, 20_000, 6, 1)}
+
+
 def test_the_floor_changes_for_robots_with_a_short_memory() -> None:
     experiments = robust_filter.world_rows()["moving, the floor changes, 5 liars"]
     assert parameters_of(experiments, "memory", "steps", "trials") == {(4096, 40_000, 8)}

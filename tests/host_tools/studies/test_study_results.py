@@ -55,6 +55,11 @@ def test_the_loss_of_h_is_against_the_same_swarm_without_flawed_robots(trials: d
     assert measured == pytest.approx(flawless - flawed)
 
 
+def test_a_measure_is_computed_once(trials: dict[Cell, Trials]) -> None:
+    results = StudyResults(trials)
+    assert results.measure(FLAWED_CELL, "H") is results.measure(FLAWED_CELL, "H")
+
+
 def test_a_cell_is_found_by_any_of_its_names(trials: dict[Cell, Trials]) -> None:
     other_name = replace(FLAWLESS_CELL, flawed_accuracy=0.75)
     results = StudyResults(trials)
