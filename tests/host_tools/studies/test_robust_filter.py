@@ -68,6 +68,14 @@ def test_a_row_beyond_the_grid_is_named_after_what_is_different(
     assert parameters_of(robust_filter.beyond_rows()[row], parameter) == {(value,)}
 
 
+def test_a_row_beyond_the_grid_has_as_many_robots_as_it_says() -> None:
+    rows = robust_filter.beyond_rows()
+    robots_by_row = {row: int(match[1]) for row in rows if (match := re.search(r"(\d+) robots", row))}
+    assert sorted(robots_by_row.values()) == [3, 3, 5, 5, 10, 127, 127]
+    for row, robots in robots_by_row.items():
+        assert parameters_of(rows[row], "robots") == {(robots,)}
+
+
 def test_large_fully_connected_swarms_have_fewer_trials() -> None:
     rows = robust_filter.beyond_rows()
     assert parameters_of(rows["fully connected, 127 robots"], "trials", "steps") == {(12, 20_000)}
@@ -178,7 +186,8 @@ def test_the_picture_has_a_panel_for_each_swarm_and_kind_of_flaw(monkeypatch: py
     monkeypatch.setattr(robust_filter, "plot_errors_over_time", record_panels)
     trials = short_trials(**MOVING, filter="none", sensors=BOTH_FLAWS)
     grid = {"moving, 30 % flawed": trials, "moving, 50 % flawed": trials}
-    robust_filter.draw_errors(grid, {"moving, 5 liars": trials})
+    figure = robust_filter.draw_errors(grid, {"moving, 5 liars": trials})
+    assert figure.get_supxlabel() == "step"
     fill_ratios = {
         title: [each.experiment.fill_ratio for each in panel] for title, panel in experiments_by_panel.items()
     }

@@ -317,7 +317,7 @@ def test_peers_and_hard_worlds_have_a_seed_that_no_tuning_has_seen(rows: Any) ->
 def test_the_quick_form_of_a_program_runs_all_its_experiments(
     study: Any, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(study_program, "QUICK_STEPS", 2000)
+    monkeypatch.setattr(study_program, "QUICK_STEPS", 1000)
     monkeypatch.setattr("sys.argv", ["study", str(tmp_path), "--quick", "--workers", "2"])
     monkeypatch.setattr(swarm_sizes, "TIMED_ROBOT_STEPS", 1000)
     study.main()
