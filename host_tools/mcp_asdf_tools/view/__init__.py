@@ -1,1 +1,1 @@
-"""A run as a page in a browser: recorded, live, or computed in the page itself."""
+"""A run as a page in a browser, from a recording or as it goes."""

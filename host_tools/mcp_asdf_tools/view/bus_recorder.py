@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 
 import can
-import numpy as np
 
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.view.history import History, RunDescription
@@ -50,7 +49,7 @@ class BusRecorder:
 
     @property
     def has_telemetry(self) -> bool:
-        """Whether a robot has sent telemetry; without it x and b_hat stay unknown."""
+        """True if a robot has sent telemetry; without it x and b_hat stay unknown."""
         return self._robot_values.has_telemetry
 
     def record(self, should_stop: Callable[[], bool]) -> None:
@@ -61,35 +60,35 @@ class BusRecorder:
         self._start_time = time.monotonic()
         tick = 0
         while not should_stop():
-            seconds_to_tick = tick / STATES_PER_SECOND - self._seconds()
+            seconds_to_tick = tick / STATES_PER_SECOND - self._seconds_since_start()
+            # A frame that has arrived is received even if the state is due: states follow frames.
             frame = self._bus.recv(max(seconds_to_tick, 0.0))
             if frame is not None:
                 self._receive(frame)
             if seconds_to_tick <= 0:
                 self._add_state(tick)
                 # On a busy computer this leaves ticks out, rather than fall further and further behind.
-                tick = int(self._seconds() * STATES_PER_SECOND) + 1
+                tick = int(self._seconds_since_start() * STATES_PER_SECOND) + 1
 
     def _receive(self, frame: can.Message) -> None:
         """Take the values of a frame of any node, and add its robot to the history if it is new.
 
         O(1), or O(states) for a new robot.
         """
-        new_robot_id = self._robot_values.receive(frame, self._seconds())
+        new_robot_id = self._robot_values.receive(frame, self._seconds_since_start())
         if new_robot_id is not None:
             self.history.add_robot(new_robot_id)
 
-    def _seconds(self) -> float:
+    def _seconds_since_start(self) -> float:
         """Return the seconds since recording began."""
         return time.monotonic() - self._start_time
 
     def _add_state(self, tick: int) -> None:
         """Add a state if there are robots, and every TICKS_PER_REPORT ticks replace the history's report."""
-        now = self._seconds()
-        robot_ids = self._robot_values.ids
+        now = self._seconds_since_start()
+        robot_ids = self._robot_values.robot_ids
         if robot_ids:
-            no_links = np.zeros((len(robot_ids), len(robot_ids)), np.bool_)
-            self.history.add(self._robot_values.state(tick, now, robot_ids, no_links))
+            self.history.add(self._robot_values.make_state(tick, now, robot_ids))
         if tick >= self._next_report_tick:
             self.history.report = self._robot_values.roster.report(now)
             self._next_report_tick = tick + TICKS_PER_REPORT

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
+import can
 
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.common.errors import UsageError
@@ -17,6 +18,8 @@ from mcp_asdf_tools.view.robot_values import LatestRobotValues
 
 _MAX_LOG_SECONDS = 366 * 24 * 3600.0
 """Longest time that a log may span. A longer one mixes clocks, and its ticks may not fit in 32 bits."""
+_END = (math.inf, None)
+"""Comes after the last frame of a log."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,21 @@ class FrameLogHistory:
     summary: LogSummary
 
 
+@dataclass(frozen=True)
+class _LogExtent:
+    """What has to be known of a log before its history can be made.
+
+    Attributes:
+        robot_ids: Ids of the robots that sent values, in the order in which they began.
+        start_time: Time of the earliest frame, in seconds of the log's clock.
+        seconds: Seconds from the earliest frame to the latest.
+    """
+
+    robot_ids: list[int]
+    start_time: float
+    seconds: float
+
+
 def read_frame_history(
     log: Path,
     frame_format: FrameFormat,
@@ -47,15 +65,42 @@ def read_frame_history(
     frame shows, are for the page; None if unknown. The log is read twice. Raises UsageError if it cannot be
     read, has no values of a robot, or if its times span nothing or more than a year.
     """
-    # The first reading finds the robots and the length, on which the spacing of the states depends.
+    extent = _measure_log(log, frame_format, channel)
+    history = History(
+        RunDescription(log.name, extent.robot_ids, fill_ratio=fill_ratio, steps_per_second=STATES_PER_SECOND)
+    )
     robot_values = LatestRobotValues(frame_format, true_accuracy)
-    start, end = math.inf, -math.inf
+    summary = LogSummary()
+    timed_frames = _time_frames(read_log(log, channel, summary), extent.start_time)
+    next_seconds, next_frame = next(timed_frames, _END)
+    last_tick = int(extent.seconds * STATES_PER_SECOND) + 1
+    spacing = steps_between_states(last_tick, len(extent.robot_ids))
+    for tick in range(0, last_tick + spacing, spacing):
+        # The last tick is after the last frame, by which the state there is that of the log's end.
+        now = min(tick / STATES_PER_SECOND, extent.seconds)
+        while next_frame is not None and next_seconds <= now:
+            robot_values.receive(next_frame, next_seconds)
+            next_seconds, next_frame = next(timed_frames, _END)
+        history.add(robot_values.make_state(tick, now, extent.robot_ids))
+    history.report = robot_values.roster.report(extent.seconds)
+    history.has_ended = True
+    return FrameLogHistory(history, robot_values.has_telemetry, summary)
+
+
+def _measure_log(log: Path, frame_format: FrameFormat, channel: str | None) -> _LogExtent:
+    """Read a log for its robots and its length, on which the spacing of the states depends.
+
+    Raises UsageError as ``read_frame_history`` does.
+    """
+    robot_values = LatestRobotValues(frame_format, true_accuracy=None)
+    start_time = math.inf
+    end_time = -math.inf
     for frame in read_log(log, channel):
         robot_values.receive(frame, frame.timestamp)
-        start, end = min(start, frame.timestamp), max(end, frame.timestamp)
-    robots = robot_values.ids
-    seconds = end - start
-    if not robots:
+        start_time = min(start_time, frame.timestamp)
+        end_time = max(end_time, frame.timestamp)
+    seconds = end_time - start_time
+    if not robot_values.robot_ids:
         raise UsageError(
             f"{log} has no estimate and no telemetry of a robot, so there is nothing to see; is --subject "
             "right?"
@@ -65,32 +110,18 @@ def read_frame_history(
             f"the times of the frames in {log} span {seconds:g} s, so they cannot be shown; record them with "
             "absolute times of one clock: candump -L, or candump -t a"
         )
+    return _LogExtent(robot_values.robot_ids, start_time, seconds)
 
-    history = History(
-        RunDescription(log.name, robots, fill_ratio=fill_ratio, steps_per_second=STATES_PER_SECOND)
-    )
-    last_tick = int(seconds * STATES_PER_SECOND) + 1
-    ticks_between_states = steps_between_states(last_tick, len(robots))
-    no_links = np.zeros((len(robots), len(robots)), np.bool_)
-    robot_values = LatestRobotValues(frame_format, true_accuracy)
-    summary = LogSummary()
-    next_tick, now = 0, 0.0
 
-    def add_states_before(time: float) -> None:
-        """Add the states that are due before ``time``, in seconds from the start of the log."""
-        nonlocal next_tick
-        while next_tick / STATES_PER_SECOND < time:
-            seconds_at_tick = next_tick / STATES_PER_SECOND
-            history.add(robot_values.state(next_tick, seconds_at_tick, robots, no_links))
-            next_tick += ticks_between_states
+def _time_frames(
+    frames: Iterable[can.Message], start_time: float
+) -> Iterator[tuple[float, can.Message | None]]:
+    """Yield each frame behind its seconds since ``start_time``, which never decrease.
 
-    for frame in read_log(log, channel, summary):
-        # Frames of two buses may be out of order, but the time of a history must not go back.
-        now = max(now, frame.timestamp - start)
-        add_states_before(now)
-        robot_values.receive(frame, now)
-    add_states_before(last_tick / STATES_PER_SECOND)
-    history.add(robot_values.state(next_tick, now, robots, no_links))
-    history.report = robot_values.roster.report(now)
-    history.has_ended = True
-    return FrameLogHistory(history, robot_values.has_telemetry, summary)
+    Frames of two buses may be out of order in a log, but the time of a history must not go back: such a frame
+    gets the seconds of the one before.
+    """
+    seconds = 0.0
+    for frame in frames:
+        seconds = max(seconds, frame.timestamp - start_time)
+        yield seconds, frame

@@ -133,21 +133,38 @@ def encode_states(states: Sequence[State], description: RunDescription) -> dict[
     robots the links have a bit for each pair of robots in each state; for more, the number of links in each
     state (32 bits each), then receiver and sender of each link (16 bits each).
     """
-    sections = [np.array([state.tick for state in states], "<u4").tobytes()]
-    values = np.stack([state.values for state in states])
-    sections += [_encode_series(values[:, quantity]) for quantity in range(len(QUANTITIES))]
+    ticks = np.array([state.tick for state in states], "<u4")
+    sections = [ticks.tobytes()]
+    values = np.stack([state.values for state in states])  # of shape (states, quantities, N)
+    for quantity in range(len(QUANTITIES)):
+        sections.append(_encode_series(values[:, quantity]))
     if description.sides is not None:
         positions = np.stack([state.positions for state in states if state.positions is not None])
-        # Metres from the middle of the arena become shares of its sides.
+        # Metres from the middle of the arena become shares of its sides, 0 to 1 like all other values.
         positions_in_arena = positions / np.array(description.sides) + 0.5
-        sections += [_encode_series(positions_in_arena[..., axis]) for axis in (0, 1)]
+        sections.append(_encode_series(positions_in_arena[:, :, 0]))
+        sections.append(_encode_series(positions_in_arena[:, :, 1]))
     if len(description.robots) > MAX_ON_BUS:
-        sections.append(np.array([len(state.neighbours) for state in states], "<u4").tobytes())
-        sections += [state.neighbours.astype("<u2").tobytes() for state in states]
+        sections.append(_encode_link_pairs(states))
     else:
-        links = np.stack([state.neighbours.ravel() for state in states])
-        sections.append(np.packbits(links, axis=1, bitorder="little").tobytes())
+        sections.append(_encode_link_bits(states))
     return {"count": len(states), "data": _compress_to_base64(b"".join(sections))}
+
+
+def _encode_link_bits(states: Sequence[State]) -> bytes:
+    """Return a bit for each pair of robots in each state, which begins at a new byte, lowest bit first.
+
+    Bit i * N + j of a state is 1 if robot i receives from robot j.
+    """
+    links = np.stack([state.neighbours.ravel() for state in states])
+    return np.packbits(links, axis=1, bitorder="little").tobytes()
+
+
+def _encode_link_pairs(states: Sequence[State]) -> bytes:
+    """Return the number of links in each state (32 bits), then receiver and sender of each link (16 bits)."""
+    link_counts = np.array([len(state.neighbours) for state in states], "<u4")
+    pairs = np.concatenate([state.neighbours for state in states]).astype("<u2")
+    return link_counts.tobytes() + pairs.tobytes()
 
 
 def _encode_series(values: NDArray[np.float64]) -> bytes:
@@ -158,7 +175,8 @@ def _encode_series(values: NDArray[np.float64]) -> bytes:
     """
     scaled_values = np.rint(np.clip(values, 0.0, 1.0) * _ONE)
     numbers = np.nan_to_num(scaled_values, nan=_UNKNOWN).astype(np.uint16)
-    differences = np.diff(numbers.T, axis=1, prepend=np.uint16(0))
+    numbers_by_robot = numbers.T
+    differences = np.diff(numbers_by_robot, axis=1, prepend=np.uint16(0))
     return differences.astype("<u2").tobytes()
 
 

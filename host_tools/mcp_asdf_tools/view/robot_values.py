@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import can
 import numpy as np
-from numpy.typing import NDArray
 
 from mcp_asdf_tools.bus.frame_layout import Q23_ONE
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Telemetry, decode_frame
@@ -35,17 +34,18 @@ class LatestRobotValues:
         known_accuracy = np.nan if true_accuracy is None else true_accuracy
         self._unknown_values = [np.nan, np.nan, np.nan, known_accuracy]
         self._values_by_robot: dict[int, list[float]] = {}
+        self._no_links = np.zeros((0, 0), np.bool_)
 
     @property
-    def ids(self) -> list[int]:
-        """Ids of the robots that have sent values, in the order of the first ones."""
+    def robot_ids(self) -> list[int]:
+        """The ids of the robots that have sent values, in the order in which they began."""
         return list(self._values_by_robot)
 
     def receive(self, frame: can.Message, now: float) -> int | None:
         """Take the values of a frame of any node, received at ``now`` seconds. O(1).
 
-        Return the sender's id if these are its first values, else None. Heartbeats and rejected frames have
-        no values; they only go to the roster.
+        Return the sender's id if these are its first values, else None. The roster receives every frame, but
+        heartbeats and rejected frames have no values.
         """
         content = decode_frame(frame, self._frame_format)
         self.roster.receive(frame, content, now)
@@ -63,15 +63,17 @@ class LatestRobotValues:
             values[_B_HAT] = content.b_hat / Q24_ONE
         return content.sender if is_new else None
 
-    def state(self, tick: int, now: float, robots: list[int], neighbours: NDArray[np.bool_]) -> State:
-        """Return the state at ``now`` seconds, with a column for each id in ``robots``, and no positions.
+    def make_state(self, tick: int, now: float, robot_ids: list[int]) -> State:
+        """Return the state at ``now`` seconds, with a column for each id in ``robot_ids``.
 
-        Robots without a frame in the last SILENT_SECONDS lose their values, here and in states to come, until
-        they send again. No frame shows which robot receives from which, so callers give ``neighbours`` that
-        are all false.
+        It has neither links nor positions, as no frame shows them. Robots without a frame in the last
+        SILENT_SECONDS lose their values, here and in states to come, until they send again.
         """
         for robot_id, values in self._values_by_robot.items():
             if self.roster.robots[robot_id].is_silent(now):
                 values[:] = self._unknown_values
-        columns = [self._values_by_robot.get(robot_id, self._unknown_values) for robot_id in robots]
-        return State(tick, np.array(columns).T, neighbours, positions=None)
+        columns = [self._values_by_robot.get(robot_id, self._unknown_values) for robot_id in robot_ids]
+        # States share this matrix, which would otherwise take most of a long history's memory.
+        if len(self._no_links) != len(robot_ids):
+            self._no_links = np.zeros((len(robot_ids), len(robot_ids)), np.bool_)
+        return State(tick, np.array(columns).T, self._no_links, positions=None)

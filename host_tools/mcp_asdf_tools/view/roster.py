@@ -58,8 +58,8 @@ class RobotOnBus:
     def receive(self, content: Estimate | Heartbeat | Telemetry, now: float) -> None:
         """Update all attributes by the content of one of the robot's frames, received at ``now``. O(1)."""
         if self.is_silent(now):
-            # In a long silence transfer ids may have wrapped around any number of times: a gap counts
-            # nothing.
+            # In a long silence transfer ids may have wrapped around any number of times, so a gap between
+            # them says nothing.
             self._last_transfer_ids.clear()
         self.last_frame_time = now
         self._count_frame(content)
@@ -92,9 +92,8 @@ class RobotOnBus:
         """Return whether a new heartbeat shows that two nodes send with this id.
 
         It does if it equals the latest one, since a node sends each heartbeat once. It also does if it
-        continues
-        not the latest but the one before: that of another node came between. A single node that restarts has
-        smaller uptimes from then on, so it never continues a heartbeat from before the restart.
+        continues not the latest but the one before: that of another node came between. A single node that
+        restarts has smaller uptimes from then on, so it never continues a heartbeat from before the restart.
         """
         latest = self.heartbeat
         previous = self._previous_heartbeat
@@ -118,6 +117,7 @@ class RobotOnBus:
 
         Older times are removed from ``estimate_times``.
         """
+        # So that times neither pile up nor have to be counted, the old ones go each time somebody asks.
         while self.estimate_times and self.estimate_times[0] <= now - RATE_SECONDS:
             self.estimate_times.popleft()
         observed_seconds = min(now - self.first_frame_time, RATE_SECONDS)
@@ -133,6 +133,7 @@ class Roster:
     """
 
     def __init__(self) -> None:
+        """Create a roster without robots and frames."""
         self.robots: dict[int, RobotOnBus] = {}
         self._frame_lines: deque[tuple[float, int | None, str]] = deque(maxlen=_MAX_REPORTED_FRAMES)
 
@@ -150,8 +151,7 @@ class Roster:
         self.robots[content.sender].receive(content, now)
 
     def report(self, now: float) -> dict[str, Any]:
-        """Return what the page's table and list show, as plain values; the next report lists later frames
-        only.
+        """Return what the page's table and list show, as plain values, and forget the frames that it lists.
 
         "robots" has a row for each robot, by rising id. "frames" has [seconds, sender, text] for each of the
         last 4000 frames since the report before; the sender of a rejected frame is None.

@@ -39,6 +39,7 @@ def add_world(
     for index, estimates_at_tick in enumerate(estimates):
         tick = index * spacing
         if tick > world_tick:
+            # Only the scene of the last of these steps is needed; to skip the others is faster.
             steps_to_skip = tick - world_tick - 1
             if steps_to_skip > 0:
                 world.skip(steps_to_skip)

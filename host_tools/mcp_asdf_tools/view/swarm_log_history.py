@@ -58,26 +58,31 @@ def _replay_estimates(events: EventsReader, max_ticks: int, spacing: int) -> Ite
     The first is their start. A robot that did not settle in a tick, since it was dead, has NaN there. Raises
     UsageError if the events go on after ``max_ticks``, and as ``rerun``.
     """
-    columns = {setup.id: column for column, setup in enumerate(events.header.robots)}
-    estimates = collect_estimates(setup.make_robot() for setup in events.header.robots)
+    setups = events.header.robots
+    yield collect_estimates(setup.make_robot() for setup in setups)
+    unknown_estimates = (np.nan, np.nan, np.nan)
+    for tick, estimates_by_robot in enumerate(_replay_ticks(events, max_ticks), start=1):
+        if tick % spacing == 0:
+            rows = [estimates_by_robot.get(setup.id, unknown_estimates) for setup in setups]
+            yield np.array(rows).T
 
-    def estimates_of_living_robots() -> NDArray[np.float64]:
-        has_settled = [robot_id in settled_ids for robot_id in columns]
-        return np.where(has_settled, estimates, np.nan)
 
-    # Events have no ticks, but a living robot settles once in each: when one settles again, a tick is
-    # complete.
-    tick = 0
-    settled_ids = set(columns)  # so that the first settle completes tick 0, the start
+def _replay_ticks(events: EventsReader, max_ticks: int) -> Iterator[dict[int, tuple[float, float, float]]]:
+    """Replay a swarm's events; yield x, x_hat and b_hat of the robots that settled in each tick, by id.
+
+    Raises UsageError if the events go on after ``max_ticks``, and as ``rerun``.
+    """
+    tick = 1
+    estimates_by_robot: dict[int, tuple[float, float, float]] = {}
     for robot_id, robot in rerun(events):
-        if robot_id in settled_ids:
-            if tick % spacing == 0:
-                yield estimates_of_living_robots()
-            settled_ids.clear()
+        # Events have no ticks. But a living robot settles once in each, so the first one that settles again
+        # begins the next tick.
+        if robot_id in estimates_by_robot:
+            yield estimates_by_robot
+            estimates_by_robot = {}
             tick += 1
             if tick > max_ticks:
                 raise events.error(f"the run goes on after the {max_ticks} steps of the first line")
-        settled_ids.add(robot_id)
-        estimates[:, columns[robot_id]] = collect_estimates([robot])[:, 0]
-    if tick % spacing == 0:
-        yield estimates_of_living_robots()
+        estimates_by_robot[robot_id] = (robot.x, robot.x_hat, robot.b_hat)
+    if estimates_by_robot:
+        yield estimates_by_robot
