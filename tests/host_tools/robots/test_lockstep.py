@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import random
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,11 +16,12 @@ import can
 import pytest
 
 from mcp_asdf.fixed_point import alpha_from_word, alpha_word_from_float
-from mcp_asdf.robot import Filter, Observation
+from mcp_asdf.robot import Filter, Observation, Robot
 from mcp_asdf_tools.bus.frame_layout import Action
 from mcp_asdf_tools.bus.frames import (
     COMMAND_FORMAT,
     Command,
+    Estimate,
     FrameFormat,
     Telemetry,
     decode_command,
@@ -47,210 +48,340 @@ COLOURS = (*Observation, None)
 # Driving
 
 
-def decoded(frame: can.Message) -> Command:
-    order = decode_command(frame, COMMAND_FORMAT)
-    assert isinstance(order, Command)
-    return order
+def decode(frame: can.Message) -> Command:
+    """Return the command in a frame of the driver."""
+    command = decode_command(frame, COMMAND_FORMAT)
+    assert isinstance(command, Command)
+    return command
 
 
 def is_telemetry(frame: can.Message) -> bool:
     return isinstance(decode_telemetry(frame), Telemetry)
 
 
-class Lossy(Wire):
-    """A wire on which commands of the tool get lost, and answers of the nodes."""
+class LossyWire(Wire):
+    """A wire that loses commands of the driver, and telemetry of the nodes.
 
-    def __init__(self, *nodes: RobotNode, loses: Callable[[Command, int], bool], mute: int = -1) -> None:
-        """``loses`` is asked of each command, with how often it has been sent; telemetry ``mute`` is lost."""
-        self._loses, self._mute = loses, mute
-        self._times, self.looks = Counter[tuple[int, int, Action]](), 0
+    Attributes:
+        read_count: How often the driver has read from it.
+    """
+
+    def __init__(
+        self, *nodes: RobotNode, is_lost: Callable[[Command, int], bool], lost_telemetry: int = -1
+    ) -> None:
+        """Create a wire to some nodes.
+
+        ``is_lost`` decides on each command, with how often it has been sent. Of the telemetry of each node
+        that of number ``lost_telemetry`` is lost.
+        """
+        self.read_count = 0
+        self._is_lost = is_lost
+        self._lost_telemetry = lost_telemetry
+        self._times_sent = Counter[tuple[int, int, Action]]()
         super().__init__(*nodes)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        order = decoded(msg)
-        self._times[key := (order.tick, order.target, order.action)] += 1
-        if self._loses(order, self._times[key]):
+        command = decode(msg)
+        key = (command.tick, command.target, command.action)
+        self._times_sent[key] += 1
+        if self._is_lost(command, self._times_sent[key]):
             self.sent.append(msg)
         else:
             super().send(msg, timeout)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        self.looks += 1
+        self.read_count += 1
         return super().recv(timeout)
 
     def say(self, node: RobotNode, frames: Sequence[can.Message]) -> None:
-        is_mute = node.sent.telemetry == self._mute and any(map(is_telemetry, frames))
-        super().say(node, [] if is_mute else frames)
+        is_answer_lost = node.sent.telemetry == self._lost_telemetry and any(map(is_telemetry, frames))
+        super().say(node, [] if is_answer_lost else frames)
 
 
-OBSERVES = {(5, 1, "o"), (5, 2, "o"), (5, 3, "o"), (9, 1, "o"), (20, 1, "o")}
-LOST = OBSERVES | {(9, 1, "s"), (20, 2, "s"), (20, 3, "s")}
-"""Commands that are lost once: tick, robot, observe or settle."""
+LOST_COMMANDS = {
+    *((5, 1, "OBSERVE"), (5, 2, "OBSERVE"), (5, 3, "OBSERVE"), (9, 1, "OBSERVE"), (20, 1, "OBSERVE")),
+    *((9, 1, "SETTLE"), (20, 2, "SETTLE"), (20, 3, "SETTLE")),
+}
+"""Commands that are lost when they are sent first: tick, robot and the beginning of the action's name."""
+
+
+def is_lost_once(command: Command, times_sent: int) -> bool:
+    action = command.action.name.partition("_")[0]
+    return times_sent == 1 and (command.tick, command.target, action) in LOST_COMMANDS
+
+
+FOUR_ROBOTS = range(4)
+
+
+def make_four_nodes(firmware: str) -> list[RobotNode]:
+    return [node(robot, firmware, 0.55 + 0.1 * robot) for robot in FOUR_ROBOTS]
+
+
+def drive(
+    lockstep: Lockstep, draw: random.Random
+) -> Iterator[tuple[dict[int, Observation | None], dict[int, Estimate], dict[int, Telemetry]]]:
+    """Drive four robots for 120 ticks, and yield what they observe and answer in each."""
+    for _ in range(120):
+        observations = {robot: draw.choice(COLOURS) for robot in FOUR_ROBOTS}
+        lockstep.observe(observations)
+        estimates = lockstep.estimates((0, 1)) | lockstep.estimates((2, 3))
+        yield observations, estimates, lockstep.settle(FOUR_ROBOTS)
+
+
+def step_together(
+    robots: Sequence[Robot], observations: Mapping[int, Observation | None], estimates: Mapping[int, Estimate]
+) -> None:
+    """Let robots observe, receive the estimates of all others, and settle, by calls."""
+    for robot in robots:
+        z = observations[robot.id]
+        if z is not None:
+            robot.observe(z)
+    for receiver in robots:
+        for sender, estimate in estimates.items():
+            if sender != receiver.id:
+                receiver.receive(sender, estimate.x_hat / 2**23, alpha_from_word(estimate.alpha))
+        receiver.settle()
 
 
 @pytest.mark.parametrize("firmware", ["native", "reference"])
 @still()
-def test_a_driven_swarm_does_what_a_loop_of_calls_does(firmware: str) -> None:
-    """A command that is lost is said again, to those alone who have not answered."""
+def test_driven_robots_answer_as_robots_that_are_called(firmware: str) -> None:
+    """Also when commands are lost: those who have not answered get them again."""
+    lockstep = Lockstep(LossyWire(*make_four_nodes(firmware), is_lost=is_lost_once), timeout=0.02)
+    robots = [called_node.robot for called_node in make_four_nodes(firmware)]
+    for observations, estimates, answers in drive(lockstep, random.Random(5)):
+        step_together(robots, observations, estimates)
+        for robot in robots:
+            assert estimates[robot.id].x_hat == round(robot.x_hat * 2**23)
+            assert estimates[robot.id].alpha == alpha_word_from_float(robot.alpha)
+            answer = answers[robot.id]
+            assert (answer.x, answer.b_hat) == (int(robot.x * 2**23), int(robot.b_hat * 2**24))
+            assert answer.updates == robot.counters.updates % 256
+    assert sum(robot.counters.updates for robot in robots) > 0
 
-    def is_lost(order: Command, times: int) -> bool:
-        return times == 1 and (order.tick, order.target, order.action.name[0].lower()) in LOST
 
-    robots, ids = [node(i, firmware, 0.55 + 0.1 * i) for i in range(4)], range(4)
-    twins = [node(i, firmware, 0.55 + 0.1 * i).robot for i in ids]
-    wire, draw, seen = Lossy(*robots, loses=is_lost), random.Random(5), list[can.Message]()
-    lockstep = Lockstep(wire, timeout=0.02, on_frame=seen.append)
-    for _ in range(120):
-        z = {robot: draw.choice(COLOURS) for robot in ids}
-        lockstep.observe(z)
-        estimates = lockstep.estimates((0, 1)) | lockstep.estimates((2, 3))
-        answers = lockstep.settle(ids)
-        for robot, twin in enumerate(twins):
-            if (colour := z[robot]) is not None:
-                twin.observe(colour)
-            said = estimates[robot]
-            assert (said.sender, said.x_hat) == (robot, round(twin.x_hat * 2**23))
-            assert said.alpha == alpha_word_from_float(twin.alpha)
-        for robot, twin in enumerate(twins):
-            for other in ids:
-                if other != robot:
-                    twin.receive(
-                        other, estimates[other].x_hat / 2**23, alpha_from_word(estimates[other].alpha)
-                    )
-        for robot, twin in enumerate(twins):
-            twin.settle()
-            told = answers[robot]
-            assert (told.x, told.b_hat) == (int(twin.x * 2**23), int(twin.b_hat * 2**24))
-            assert told.updates == twin.counters.updates % 256
-    assert sum(twin.counters.updates for twin in twins) > 0
-    assert (lockstep.tick, lockstep.repeated) == (120, len(LOST))
-    assert [frame for frame in seen if frame.is_rx] == wire.told
-    assert [frame for frame in seen if not frame.is_rx] == wire.sent
-    assert [decoded(frame).transfer_id for frame in wire.sent] == [n % 32 for n in range(120 * 8 + len(LOST))]
-    assert all(robot.unsettled == robot.disobeyed == 0 for robot in robots)
+@still()
+def test_a_lost_command_is_sent_once_more_to_those_who_have_not_answered() -> None:
+    nodes = make_four_nodes("native")
+    wire = LossyWire(*nodes, is_lost=is_lost_once)
+    lockstep = Lockstep(wire, timeout=0.02)
+    for _ in drive(lockstep, random.Random(5)):
+        pass
+    assert lockstep.repeated == len(LOST_COMMANDS)
+    assert len(wire.sent) == 120 * 4 * 2 + len(LOST_COMMANDS)
+    assert all(each_node.unsettled == each_node.disobeyed == 0 for each_node in nodes)
+
+
+@still()
+def test_commands_are_numbered_modulo_32() -> None:
+    wire = Wire(*make_four_nodes("native"))
+    for _ in drive(Lockstep(wire), random.Random(5)):
+        pass
+    assert [decode(frame).transfer_id for frame in wire.sent] == [number % 32 for number in range(120 * 8)]
+
+
+@still()
+def test_the_driver_reports_all_frames_that_it_sends_and_receives() -> None:
+    wire, frames = Wire(*make_four_nodes("native")), list[can.Message]()
+    for _ in drive(Lockstep(wire, on_frame=frames.append), random.Random(5)):
+        pass
+    assert [frame for frame in frames if frame.is_rx] == wire.told
+    assert [frame for frame in frames if not frame.is_rx] == wire.sent
 
 
 def step(lockstep: Lockstep, *robots: int) -> None:
-    """A tick in which no broadcast is waited for."""
+    """Drive a tick in which no broadcast is waited for."""
     lockstep.observe(dict.fromkeys(robots, Observation.WHITE))
     assert set(lockstep.settle(robots)) == {*robots}
 
 
 @still()
-def test_late_robots_are_named_and_what_came_before_it_was_waited_for_counts() -> None:
-    wire = Wire(*(node(i) for i in range(3)))
-    wire.nodes.pop(1)
-    lockstep = Lockstep(wire, timeout=0.02)
+def test_robots_that_send_no_heartbeat_are_named() -> None:
+    lockstep = Lockstep(Wire(node(0), node(2)))
     with pytest.raises(LockstepError, match=r"robot 4, 5 did not send a heartbeat within 0.01 s on wire"):
         lockstep.wait_until_up({0, 2, 4, 5}, 0.01)
-    many = range(10, 20)
+
+
+@still()
+def test_an_error_names_at_most_eight_robots() -> None:
     with pytest.raises(LockstepError, match=r"robot 10, 11, 12, 13, 14, 15, 16, 17, ... did not send"):
-        lockstep.wait_until_up(many, 0.01)
+        Lockstep(Wire()).wait_until_up(range(10, 20), 0.01)
+
+
+def lockstep_without_robot_1() -> Lockstep:
+    """Return a driver of robots 0 to 2, which have been commanded to observe, and of which one is missing."""
+    lockstep = Lockstep(Wire(node(0), node(2)), timeout=0.02)
     lockstep.observe(dict.fromkeys(range(3), Observation.WHITE))
+    return lockstep
+
+
+@still()
+def test_a_robot_that_does_not_broadcast_is_named() -> None:
+    with pytest.raises(LockstepError, match=r"robot 1 did not broadcast its estimate within 0.02 s"):
+        lockstep_without_robot_1().estimates(range(3))
+
+
+@still()
+def test_a_robot_that_does_not_settle_is_named() -> None:
+    with pytest.raises(LockstepError, match=r"robot 1 did not settle within 0.02 s"):
+        lockstep_without_robot_1().settle(range(3))
+
+
+@still()
+def test_an_estimate_that_came_before_it_was_waited_for_counts() -> None:
+    lockstep = lockstep_without_robot_1()
     assert set(lockstep.estimates({2})) == {2}
     assert set(lockstep.estimates({0})) == {0}
-    with pytest.raises(LockstepError, match=r"robot 1 did not broadcast its estimate within 0.02 s"):
-        lockstep.estimates(range(3))
-    with pytest.raises(LockstepError, match=r"robot 1 did not settle within 0.02 s"):
-        lockstep.settle(range(3))
+
+
+@still()
+def test_an_estimate_of_the_last_tick_does_not_count() -> None:
     lockstep = Lockstep(Wire(node(1, comms_period=2)), timeout=0.02)
     step(lockstep, 1)
-    step(lockstep, 1)
+    step(lockstep, 1)  # in which the robot broadcasts
     lockstep.observe({1: Observation.WHITE})
-    with pytest.raises(LockstepError, match="robot 1 did not broadcast"):  # the last tick's does not count
+    with pytest.raises(LockstepError, match="robot 1 did not broadcast"):
         lockstep.estimates({1})
 
 
 @still()
-def test_a_robot_that_restarts_is_noticed_but_one_that_has_run_before_may_be_joined() -> None:
+def test_a_robot_that_has_run_before_may_be_driven() -> None:
     robot = node(1)
     for _ in range(2):
-        wire = Wire(robot)
-        lockstep = Lockstep(wire, timeout=0.02)
+        lockstep = Lockstep(Wire(robot), timeout=0.02)
         for _ in range(3):
             step(lockstep, 1)
     assert robot.ticks == 6
-    wire.nodes[0] = node(1)
-    told = r"robot 1 answered in tick 3 with transfer_id 0, not 6 .*restarted"
-    with pytest.raises(LockstepError, match=told):
+
+
+@still()
+def test_a_robot_that_restarts_while_it_is_driven_ends_the_run() -> None:
+    wire = Wire(node(1))
+    lockstep = Lockstep(wire, timeout=0.02)
+    for _ in range(3):
         step(lockstep, 1)
+    wire.nodes[0] = node(1)
+    with pytest.raises(LockstepError, match=r"in tick 3 with transfer_id 0, not 3 .*restarted"):
+        step(lockstep, 1)
+
+
+class StopWaitingError(Exception):
+    """The caller of the driver does not want to wait any longer."""
+
+
+def stop_waiting() -> None:
+    raise StopWaitingError
 
 
 @pytest.mark.parametrize("kind_of_wire", [Wire, EndlessWire])
 @still()
-def test_the_driver_asks_whether_to_wait_on_also_on_a_bus_that_is_never_quiet(
-    kind_of_wire: type[Wire],
-) -> None:
-    def give_up() -> None:
-        raise ZeroDivisionError
+def test_the_caller_can_end_the_wait_for_heartbeats(kind_of_wire: type[Wire]) -> None:
+    """Also on a bus that is never quiet, as in the next test."""
+    lockstep = Lockstep(kind_of_wire(node(1)), timeout=1e9, check=stop_waiting)
+    with pytest.raises(StopWaitingError):
+        lockstep.wait_until_up({3}, 1e9)
 
-    lockstep = Lockstep(kind_of_wire(node(1)), timeout=1e9, check=give_up)
+
+@pytest.mark.parametrize("kind_of_wire", [Wire, EndlessWire])
+@still()
+def test_the_caller_can_end_the_wait_for_answers(kind_of_wire: type[Wire]) -> None:
+    lockstep = Lockstep(kind_of_wire(node(1)), timeout=1e9, check=stop_waiting)
     lockstep.observe(dict.fromkeys((1, 2), Observation.WHITE))
-    for wait in (lambda: lockstep.wait_until_up({3}, 1e9), lambda: lockstep.settle({2})):
-        with pytest.raises(ZeroDivisionError):
-            wait()
+    with pytest.raises(StopWaitingError):
+        lockstep.settle({2})
 
 
 @still()
-def test_a_bus_that_is_never_quiet_is_listened_to_for_twice_the_time() -> None:
-    wire, before = EndlessWire(node(1)), CLOCK.now
+def test_a_wait_ends_after_twice_the_time_on_a_bus_that_is_never_quiet() -> None:
+    wire, start = EndlessWire(node(1)), CLOCK.now
     with pytest.raises(LockstepError, match="robot 3 did not send a heartbeat within 1 s"):
         Lockstep(wire).wait_until_up({3}, 1.0)
-    assert 2 <= CLOCK.now - before < 2.1
+    assert 2 <= CLOCK.now - start < 2.1
+
+
+THREE_ROBOTS = (1, 2, 3)
+
+
+def wire_that_loses(action: str = "none", lost_telemetry: int = -1) -> LossyWire:
+    """Return a wire that loses all commands of tick 7 to robot 2 with this action, or an answer of all."""
+
+    def is_lost(command: Command, times_sent: int) -> bool:
+        return command.tick == 7 and command.target == 2 and command.action.name.startswith(action)
+
+    return LossyWire(*map(node, THREE_ROBOTS), is_lost=is_lost, lost_telemetry=lost_telemetry)
+
+
+def drive_10_ticks(wire: Wire, message: str) -> None:
+    """Drive three robots on a wire, and expect an error with this message."""
+    lockstep = Lockstep(wire, timeout=0.02)
+    with pytest.raises(LockstepError, match=message):
+        for tick in range(10):
+            lockstep.observe(dict.fromkeys(THREE_ROBOTS, COLOURS[tick % 3]))
+            lockstep.estimates(THREE_ROBOTS)
+            lockstep.settle(THREE_ROBOTS)
 
 
 @pytest.mark.parametrize(
-    ("lost", "mute", "told"),
+    ("action", "message"),
     [
-        ("OBSERVE", -1, "robot 2 did not broadcast its estimate within"),
-        ("SETTLE", -1, "robot 2 did not settle within"),
-        ("none", 8, "robot 1, 2, 3 did not settle within"),
+        ("OBSERVE", "robot 2 did not broadcast its estimate within"),
+        ("SETTLE", "robot 2 did not settle within"),
     ],
 )
 @still()
-def test_a_command_that_is_lost_twice_ends_the_run_and_so_does_an_answer(
-    lost: str, mute: int, told: str
-) -> None:
-    """A repeated command must not make a robot settle twice, though its answer is lost."""
-
-    def is_lost(order: Command, times: int) -> bool:
-        return order.tick == 7 and order.target == 2 and order.action.name.startswith(lost)
-
-    wire, robots = Lossy(*map(node, (1, 2, 3)), loses=is_lost, mute=mute), (1, 2, 3)
-    lockstep, before = Lockstep(wire, timeout=0.02), CLOCK.now
-    with pytest.raises(LockstepError, match=told):
-        for tick in range(10):
-            lockstep.observe(dict.fromkeys(robots, COLOURS[tick % 3]))
-            lockstep.estimates(robots)
-            lockstep.settle(robots)
-    assert wire.looks < 1000, "it waits instead of looking again and again"
-    assert 0.02 <= CLOCK.now - before < 0.021
-    orders = [each.action.name for each in map(decoded, wire.sent) if (each.tick, each.target) == (7, 2)]
-    assert sum(name.startswith(lost) for name in orders) == 2 * (lost != "none")
-    if lost == "none":
-        assert [robot.ticks for robot in wire.nodes] == [8] * 3
-        assert [robot.sent.telemetry for robot in wire.nodes] == [8] * 3
-        assert [robot.disobeyed for robot in wire.nodes] == [1] * 3
+def test_a_command_that_is_lost_twice_ends_the_run(action: str, message: str) -> None:
+    wire = wire_that_loses(action)
+    drive_10_ticks(wire, message)
+    lost_commands = [
+        command
+        for command in map(decode, wire.sent)
+        if (command.tick, command.target) == (7, 2) and command.action.name.startswith(action)
+    ]
+    assert len(lost_commands) == 2
 
 
 @still()
-def test_a_tick_may_be_left_open() -> None:
-    """As if every settle had been lost: the robot ends it when it observes again."""
+def test_the_driver_waits_for_an_answer_instead_of_reading_again_and_again() -> None:
+    wire, start = wire_that_loses("SETTLE"), CLOCK.now
+    drive_10_ticks(wire, "robot 2 did not settle")
+    assert wire.read_count < 1000
+    assert 0.02 <= CLOCK.now - start < 0.021
+
+
+@still()
+def test_an_answer_that_is_lost_ends_the_run() -> None:
+    drive_10_ticks(wire_that_loses(lost_telemetry=8), "robot 1, 2, 3 did not settle within")
+
+
+@still()
+def test_a_repeated_command_does_not_make_a_robot_settle_twice() -> None:
+    wire = wire_that_loses(lost_telemetry=8)
+    drive_10_ticks(wire, "did not settle")
+    for robot in wire.nodes:
+        assert (robot.ticks, robot.sent.telemetry, robot.disobeyed) == (8, 8, 1)
+
+
+@still()
+def test_a_robot_ends_a_tick_that_was_left_open_when_it_observes_again() -> None:
+    """As if every settle had been lost."""
     wire = Wire(node(1, comms_period=2))
     lockstep = Lockstep(wire)
     for distance in (1, 7):
         lockstep.observe({1: Observation.WHITE})
         lockstep.leave_open(distance)
     step(lockstep, 1)
-    assert [decoded(frame).tick for frame in wire.sent] == [0, 1, 8, 8]
-    assert (lockstep.tick, wire.nodes[0].unsettled, wire.nodes[0].robot.t) == (9, 2, 3)
-    assert wire.nodes[0].sent.estimates == 1
+    assert [decode(frame).tick for frame in wire.sent] == [0, 1, 8, 8]
+    assert lockstep.tick == 9
+    robot = wire.nodes[0]
+    assert (robot.unsettled, robot.robot.t, robot.sent.estimates) == (2, 3, 1)
 
 
-@still()
-def test_ids_and_subjects_that_clash_are_refused() -> None:
+def test_the_id_of_the_simulator_is_no_robot_s() -> None:
     with pytest.raises(UsageError, match="robot 126 has the id of the simulator"):
         Lockstep(Wire()).observe({126: Observation.WHITE})
+
+
+def test_kinds_of_messages_must_have_different_subjects() -> None:
     with pytest.raises(UsageError, match=r"subjects \[3001, 3001, 3002\]; choose three different"):
         Subjects(estimates=FrameFormat(3001))
 
@@ -259,7 +390,7 @@ def test_ids_and_subjects_that_clash_are_refused() -> None:
 
 
 SUBJECTS = Subjects(FrameFormat(7, 1), FrameFormat(8, 6), FrameFormat(9, 3))
-RECORDS = (
+SETUPS = (
     record(0, b_hat=0.1 + 0.2, table=generate(parse_omega("0.3"), 3)),
     record(7, "mirror", filter=Filter.ALWAYS, table=None, comms_period=2, memory=64),
     record(8, filter=Filter.ROBUST, table=None),
@@ -267,17 +398,18 @@ RECORDS = (
 )
 
 
-@pytest.mark.parametrize("own", RECORDS)
-def test_a_process_is_told_all_of_its_robot(own: RobotSetup) -> None:
+@pytest.mark.parametrize("setup", SETUPS)
+def test_the_command_of_a_process_has_all_settings_of_its_robot(setup: RobotSetup) -> None:
     choice = BusChoice("udp_multicast", {"channel": "239.1.1.1"})
-    *_, (_, _, _, name, *words) = NodeProcesses([own], lambda robot: choice, SUBJECTS, 3)._commands.values()
-    read = cli._parser_for(name, cli._load(name)).parse_args(words)
-    record = replace(robot_of(read), allow=read.allow and parse_ids(read.allow, "--allow"))
-    assert (record, subjects_of(read), read.steps_per_second) == (own, SUBJECTS, 3)
-    assert (read.until_eof, read.json, str(bus_of(read))) == (True, True, str(choice))
+    processes_of_nodes = NodeProcesses([setup], lambda robot: choice, SUBJECTS, 3)
+    _, _, _, command, *options = processes_of_nodes._commands[setup.id]
+    parsed = cli._parser_for(command, cli._load(command)).parse_args(options)
+    parsed_setup = replace(robot_of(parsed), allow=parsed.allow and parse_ids(parsed.allow, "--allow"))
+    assert (parsed_setup, subjects_of(parsed), parsed.steps_per_second) == (setup, SUBJECTS, 3)
+    assert (parsed.until_eof, parsed.json, str(bus_of(parsed))) == (True, True, str(choice))
 
 
-def test_a_process_that_ends_is_named_with_what_it_said() -> None:
+def test_a_process_that_ends_is_named_with_its_exit_code_and_its_error() -> None:
     choice = multicast(2)
     with (
         choice.open() as bus,
@@ -292,21 +424,40 @@ def test_a_process_that_ends_is_named_with_what_it_said() -> None:
 def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(processes, "_EXIT_TIMEOUT", 0.1)
     nodes = NodeProcesses([record(3)], lambda robot: BusChoice("udp_multicast", {}), Subjects(), 10)
-    stubborn = f"trap '' TERM; echo '{{}}'; touch {tmp_path}/up; exec sleep 1000"
-    nodes._commands = {3: ["sh", "-c", stubborn], 4: ["echo", '{"steps": 1}']}
+    # It prints a report, and then ignores that it is asked to end.
+    script = f"trap '' TERM; echo '{{}}'; touch {tmp_path}/up; exec sleep 1000"
+    nodes._commands = {3: ["sh", "-c", script]}
     with nodes:
-        assert os.getsid(nodes._processes[3].pid) != os.getsid(0), "Ctrl-C is not for it"
         wait_until((tmp_path / "up").exists)
-        nodes._processes[4].wait()
-    assert nodes.reports == {3: {}, 4: {"steps": 1}}
+    assert nodes.reports == {3: {}}
+
+
+def processes_that_run(command: list[str]) -> NodeProcesses:
+    """Return the process of a robot 3 that runs another command."""
+    nodes = NodeProcesses([record(3)], lambda robot: BusChoice("udp_multicast", {}), Subjects(), 10)
+    nodes._commands = {3: command}
+    return nodes
+
+
+def test_the_report_of_a_process_that_has_ended_is_kept() -> None:
+    with processes_that_run(["echo", '{"steps": 1}']) as nodes:
+        nodes._processes[3].wait()
+    assert nodes.reports == {3: {"steps": 1}}
+
+
+def test_ctrl_c_does_not_reach_the_processes() -> None:
+    with processes_that_run(["sleep", "1000"]) as nodes:
+        assert os.getsid(nodes._processes[3].pid) != os.getsid(0)
 
 
 @pytest.mark.parametrize(("interface", "processors"), [("socketcan", [{2}]), ("udp_multicast", [])])
 def test_only_processes_on_socketcan_keep_to_one_processor(
     interface: str, processors: list[set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    choice, other, kept = BusChoice(interface, {}), BusChoice("udp_multicast", {}), list[set[int]]()
-    monkeypatch.setattr("os.sched_getaffinity", {0: {3, 2, 4}}.__getitem__)
-    monkeypatch.setattr("os.sched_setaffinity", lambda process, some: kept.append(some | {process} - {0}))
-    NodeProcesses([record(3), record(4)], {3: choice, 4: other}.__getitem__, Subjects(), 10)
-    assert kept == processors
+    """Of several it is the first; the other robot here is on no socketcan in any case."""
+    calls: list[set[int]] = []
+    monkeypatch.setattr("os.sched_getaffinity", lambda process: {3, 2, 4})
+    monkeypatch.setattr("os.sched_setaffinity", lambda process, processors: calls.append(processors))
+    choices = {3: BusChoice(interface, {}), 4: BusChoice("udp_multicast", {})}
+    NodeProcesses([record(3), record(4)], choices.__getitem__, Subjects(), 10)
+    assert calls == processors
