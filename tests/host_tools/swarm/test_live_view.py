@@ -1,16 +1,13 @@
-"""A running swarm is shown as it is: by a bar on a terminal, by lines of fields in a pipe."""
+"""The view of a running swarm: a bar on a terminal, and lines with fields in a pipe."""
 
 from __future__ import annotations
 
 import io
 import re
-import time
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rich.cells import cell_len
 from rich.console import Console
 
@@ -25,64 +22,121 @@ MOVING = SwarmSettings(
 )
 
 
-def shown(steps: int, compare: bool, **options: Any) -> tuple[str, list[str], NDArray[np.float64]]:
-    """All that a run writes on a console, the mean errors and b_hat after each tick, and at the start."""
-    settings, out = replace(MOVING, steps=steps), io.StringIO()
+@dataclass
+class ViewedRun:
+    """What a run has shown, and what it did.
+
+    Attributes:
+        output: All that was written on the console.
+        mean_errors: Mean error of the swarm, then of each baseline, after each tick; by tick, from 1.
+        b_hat: Assumed accuracies of the robots, at the start and after each tick.
+    """
+
+    output: str = ""
+    mean_errors: dict[int, list[float]] = field(default_factory=dict)
+    b_hat: list[list[float]] = field(default_factory=list)
+
+
+def view_run(steps: int, compare: bool, **console_options: Any) -> ViewedRun:
+    """Run a swarm on a console, with or without baselines beside it."""
+    settings, console_file, viewed_run = replace(MOVING, steps=steps), io.StringIO(), ViewedRun()
     baselines = Baselines(settings) if compare else None
-    errors, b_hat, began = [""], list[list[float]](), time.monotonic()
+    console = Console(file=console_file, **console_options)
 
-    def note(swarm: Swarm) -> None:
-        found = [mean_error(each) for each in (swarm, *(baselines.swarms.values() if baselines else ()))]
-        errors.append("\t".join(f"{each:.5f}" for each in found))
-        b_hat.append([node.robot.b_hat for node in swarm.nodes])
+    def record(swarm: Swarm) -> None:
+        swarms = [swarm, *(baselines.swarms.values() if baselines else ())]
+        viewed_run.mean_errors[swarm.ticks] = [mean_error(each_swarm) for each_swarm in swarms]
+        viewed_run.b_hat.append([node.robot.b_hat for node in swarm.nodes])
 
-    with Swarm(settings, Wiring()) as swarm, LiveView(Console(file=out, **options), baselines) as live:
-        b_hat.append(swarm.b_hat_at_start)
-        run_swarm(swarm, [*([baselines] if baselines else []), note, live])
-    assert baselines is None or 0 < baselines.seconds < time.monotonic() - began
-    return out.getvalue(), errors, np.array(b_hat)
+    with Swarm(settings, Wiring()) as swarm, LiveView(console, baselines) as view:
+        viewed_run.b_hat.append(swarm.b_hat_at_start)
+        run_swarm(swarm, [*([baselines] if baselines else []), record, view])
+    viewed_run.output = console_file.getvalue()
+    return viewed_run
 
 
-@pytest.mark.parametrize("compare", [False, True])
-def test_a_pipe_gets_lines_of_fields(compare: bool) -> None:
-    text, errors, b_hat = shown(390, compare)
-    rows, names = text.splitlines(), ["step", "mean_error", *(["none", "robust"] if compare else [])]
-    assert [row for row in rows if row.startswith("step")] == [
-        "\t".join(
-            f"{name}\t{value}" for name, value in zip(names, (tick, *errors[tick].split()), strict=True)
-        )
-        for tick in range(20, 390, 20)
+def test_a_pipe_gets_the_mean_error_twenty_times_in_a_run() -> None:
+    viewed_run = view_run(390, compare=False)
+    lines = [line for line in viewed_run.output.splitlines() if line.startswith("step")]
+    assert lines == [
+        f"step\t{tick}\tmean_error\t{viewed_run.mean_errors[tick][0]:.5f}" for tick in range(20, 390, 20)
     ]
-    changes = [
-        f"robot\t{robot}\tstep\t{i + 1}\tb_hat\t{b_hat[i, robot]:.4f}\t{b_hat[i + 1, robot]:.4f}"
-        for i, robot in np.argwhere(np.abs(np.diff(b_hat, axis=0)) > 0.002)
-    ]
-    assert [row for row in rows if row.startswith("robot")] == changes
-    assert changes and len(rows) == 19 + len(changes)
 
 
-@pytest.mark.parametrize(("width", "compare"), [(60, True), (80, False), (200, True)])
-def test_a_terminal_gets_a_bar_with_the_present_error(width: int, compare: bool) -> None:
-    text, errors, _ = shown(200, compare, width=width, force_terminal=True, color_system=None)
-    pictures = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\n", text).replace("\r", "\n").splitlines()
-    assert max(map(cell_len, pictures)) <= width
-    drawn = [each for each in pictures if each.strip()]
-    assert drawn[0].startswith("1/200 ") and len(drawn) < 200, (
-        "drawn from the first step on, and now and then"
+def test_a_pipe_gets_the_mean_errors_of_baselines_behind_that_of_the_swarm() -> None:
+    viewed_run = view_run(20, compare=True)
+    own_error, error_without_filter, error_with_robust_filter = viewed_run.mean_errors[20]
+    assert viewed_run.output.splitlines()[-1] == (
+        f"step\t20\tmean_error\t{own_error:.5f}\tnone\t{error_without_filter:.5f}"
+        f"\trobust\t{error_with_robust_filter:.5f}"
     )
-    last = drawn[-1]
-    assert last.startswith("200/200 ") and last.count("━") == (0 if width == 60 else 10)
-    told = re.findall(r"\d\.\d{4}", last)
-    expected = [f"{float(each):.4f}" for each in errors[-1].split()]
-    assert told[:1] == expected[:1] and (width == 60 or told == expected)
-    assert "mean error" in last and (", no filter" in last) == compare
+
+
+def test_a_pipe_gets_each_change_of_b_hat_that_is_more_than_a_correction() -> None:
+    viewed_run = view_run(390, compare=False)
+    expected_lines = []
+    for tick in range(1, 391):
+        for robot, (before, after) in enumerate(zip(*viewed_run.b_hat[tick - 1 : tick + 1], strict=True)):
+            if abs(after - before) > 0.002:
+                expected_lines.append(f"robot\t{robot}\tstep\t{tick}\tb_hat\t{before:.4f}\t{after:.4f}")
+    assert expected_lines
+    assert [line for line in viewed_run.output.splitlines() if line.startswith("robot")] == expected_lines
+
+
+def pictures(output: str) -> list[str]:
+    """Return the pictures of the bar that were drawn one over the other."""
+    lines = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\n", output).replace("\r", "\n").splitlines()
+    return [line for line in lines if line.strip()]
+
+
+TERMINAL: dict[str, Any] = {"force_terminal": True, "color_system": None}
+
+
+def test_a_terminal_gets_a_bar_that_is_drawn_now_and_then_from_the_first_step_to_the_last() -> None:
+    drawn = pictures(view_run(200, compare=False, width=80, **TERMINAL).output)
+    assert drawn[0].startswith("1/200 ")
+    assert drawn[-1].startswith("200/200 ")
+    assert drawn[-1].count("━") == 10
+    assert len(drawn) < 200
+
+
+def test_a_bar_has_the_present_mean_error_beside_it() -> None:
+    viewed_run = view_run(200, compare=False, width=80, **TERMINAL)
+    assert f"mean error {viewed_run.mean_errors[200][0]:.4f}" in pictures(viewed_run.output)[-1]
+    assert "no filter" not in viewed_run.output
+
+
+def test_a_bar_has_the_mean_errors_of_baselines_beside_it() -> None:
+    viewed_run = view_run(200, compare=True, width=200, **TERMINAL)
+    own_error, error_without_filter, error_with_robust_filter = viewed_run.mean_errors[200]
+    assert (
+        f"mean error {own_error:.4f}, no filter {error_without_filter:.4f}, "
+        f"robust {error_with_robust_filter:.4f}"
+    ) in pictures(viewed_run.output)[-1]
+
+
+def test_a_narrow_terminal_gets_as_much_as_fits_and_the_error_of_the_swarm_first() -> None:
+    viewed_run = view_run(200, compare=True, width=60, **TERMINAL)
+    drawn = pictures(viewed_run.output)
+    assert max(map(cell_len, drawn)) <= 60
+    assert f"mean error {viewed_run.mean_errors[200][0]:.4f}" in drawn[-1]
 
 
 @pytest.mark.parametrize("is_terminal", [False, True])
 def test_a_quiet_console_stays_empty(is_terminal: bool) -> None:
-    assert shown(20, True, quiet=True, force_terminal=is_terminal)[0] == ""
+    assert view_run(20, compare=True, quiet=True, force_terminal=is_terminal).output == ""
 
 
-def test_the_other_swarms_keep_step_and_have_no_clock() -> None:
+def test_baselines_are_the_same_swarm_with_other_filters_in_lockstep() -> None:
     swarms = Baselines(replace(MOVING, clock="real-time")).swarms
-    assert [*swarms] == ["none", "robust"] and all(each.clock is None for each in swarms.values())
+    assert list(swarms) == ["none", "robust"]
+    assert [swarm.clock for swarm in swarms.values()] == [None, None]
+
+
+def test_baselines_measure_the_time_that_they_take() -> None:
+    settings = replace(MOVING, steps=5)
+    baselines = Baselines(settings)
+    assert baselines.seconds == 0
+    with Swarm(settings, Wiring()) as swarm:
+        run_swarm(swarm, [baselines])
+    assert 0 < baselines.seconds < 60
