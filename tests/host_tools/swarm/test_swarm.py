@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from itertools import islice
@@ -15,7 +14,7 @@ from can.interfaces import virtual
 from host_tools.swarm.swarms import ON_ONE_BUS, content, one_bus, record, small, states
 from mcp_asdf.fixed_point import alpha_from_word
 from mcp_asdf.robot import FixedPointRobot
-from mcp_asdf_tools.bus.frame_layout import Q23_ONE, Rejection
+from mcp_asdf_tools.bus.frame_layout import Q23_ONE
 from mcp_asdf_tools.bus.frames import (
     Estimate,
     FrameFormat,
@@ -33,7 +32,7 @@ from mcp_asdf_tools.robots.firmwares import FIRMWARES
 from mcp_asdf_tools.swarm import carrier as connection
 from mcp_asdf_tools.swarm.carrier import ExpectingConnection, Wiring
 from mcp_asdf_tools.swarm.delivery import SentFrame
-from mcp_asdf_tools.swarm.run import run_swarm
+from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from support import slow
@@ -78,128 +77,182 @@ def test_a_swarm_on_a_bus_is_trial_0_to_the_bit(case: str, firmware: str) -> Non
         assert states(run.nodes) == native.run(experiment, 0, 1).images()
 
 
-@pytest.mark.parametrize("comms_period", [1, 4])
-def test_frames_have_their_turn_their_time_and_their_number(comms_period: int) -> None:
-    """In each tick heartbeats if a second is over, then estimates if they are due, by rising id."""
+FrameOrder = list[tuple[int, int, int]]
+"""Tick, sender and transfer_id of frames, in their order on the bus."""
+
+
+def record_order(kind: type, comms_period: int) -> FrameOrder:
+    """Return the order of the frames of one kind in 60 ticks, of which 25 are a second."""
     _, frames = record(small(steps_per_second=25, comms_period=comms_period))
-    found: list[tuple[int, type, int, int]] = []
+    order = []
     for frame in frames:
-        said = decode_frame(frame, FrameFormat())
-        assert isinstance(said, Estimate | Heartbeat) and frame.is_rx
-        found.append((round(frame.timestamp * 25), type(said), said.sender, said.transfer_id))
-    expected: list[tuple[int, type, int, int]] = []
-    for tick in range(60):
-        beats = tick % 25 == 0
-        expected += [(tick, Heartbeat, robot, tick // 25) for robot in range(5) if beats]
-        due = tick % comms_period == comms_period - 1
-        expected += [(tick, Estimate, robot, tick // comms_period % 32) for robot in range(5) if due]
-    assert found == expected
+        content_of_frame = decode_frame(frame, FrameFormat())
+        if isinstance(content_of_frame, kind):
+            assert isinstance(content_of_frame, Estimate | Heartbeat)
+            tick = round(frame.timestamp * 25)
+            order.append((tick, content_of_frame.sender, content_of_frame.transfer_id))
+    return order
+
+
+def test_robots_send_heartbeats_by_rising_id_when_a_second_begins() -> None:
+    expected = [(25 * second, robot, second) for second in range(3) for robot in range(5)]
+    assert record_order(Heartbeat, comms_period=1) == expected
+
+
+def test_robots_broadcast_by_rising_id_in_each_tick() -> None:
+    expected = [(tick, robot, tick % 32) for tick in range(60) for robot in range(5)]
+    assert record_order(Estimate, comms_period=1) == expected
+
+
+def test_robots_broadcast_in_the_last_tick_of_each_round() -> None:
+    expected = [(4 * index + 3, robot, index) for index in range(15) for robot in range(5)]
+    assert record_order(Estimate, comms_period=4) == expected
+
+
+def test_frames_are_recorded_as_received_and_heartbeats_come_first() -> None:
+    _, frames = record(small())
+    assert all(frame.is_rx for frame in frames)
+    kinds = [type(decode_frame(frame, FrameFormat())) for frame in frames[:10]]
+    assert kinds == [Heartbeat] * 5 + [Estimate] * 5
 
 
 @pytest.mark.parametrize("firmware", ["native", "mirror"])
-def test_all_informed_estimates_are_the_same_to_the_bit(firmware: str) -> None:
-    """And equal what exact arithmetic makes of the frames alone (eq. 7, floored)."""
-    estimates: list[set[int]] = []
+def test_all_informed_estimates_are_what_exact_arithmetic_makes_of_the_frames(firmware: str) -> None:
+    """That is eq. 7, rounded down to 23 bits."""
+    estimates_by_round: list[set[int]] = []
 
-    def note(swarm: Swarm) -> None:
+    def record_estimates(swarm: Swarm) -> None:
         robots = [node.robot for node in swarm.nodes]
-        estimates.append({robot.x_raw for robot in robots if isinstance(robot, FixedPointRobot)})
+        estimates_by_round.append({robot.x_raw for robot in robots if isinstance(robot, FixedPointRobot)})
 
-    outcome, frames = record(small(firmware=firmware, steps=120), hooks=[note])
-    assert outcome.results["updates"] > 0
+    run, frames = record(small(firmware=firmware, steps=120), hooks=[record_estimates])
+    assert run.results["updates"] > 0
     decoded = [decode_estimate(frame, FrameFormat()) for frame in frames]
     messages = iter([message for message in decoded if isinstance(message, Estimate)])
-    for found in estimates:
-        in_round = list(islice(messages, 5))
-        weights = [Fraction(alpha_from_word(message.alpha)) for message in in_round]
-        products = [weight * message.x_hat for weight, message in zip(weights, in_round, strict=True)]
-        assert found == {sum(products) // sum(weights) if sum(weights) else Q23_ONE // 2}
+    for estimates in estimates_by_round:
+        round_messages = list(islice(messages, 5))
+        weights = [Fraction(alpha_from_word(message.alpha)) for message in round_messages]
+        products = [weight * message.x_hat for weight, message in zip(weights, round_messages, strict=True)]
+        expected = sum(products) // sum(weights) if sum(weights) else Q23_ONE // 2
+        assert estimates == {expected}
+
+
+def telemetry_in(frames: Sequence[can.Message]) -> list[tuple[int, Telemetry]]:
+    """Return the telemetry among frames, each with its tick."""
+    telemetry = []
+    for frame in frames:
+        content_of_frame = decode_telemetry(frame)
+        if isinstance(content_of_frame, Telemetry):
+            telemetry.append((round(10 * frame.timestamp), content_of_frame))
+    return telemetry
+
+
+def test_each_robot_sends_telemetry_in_every_telemetry_period() -> None:
+    _, frames = record(small(telemetry_period=7))
+    order = [(tick, telemetry.sender, telemetry.transfer_id) for tick, telemetry in telemetry_in(frames)]
+    assert order == [(7 * index, robot, index) for index in range(9) for robot in range(5)]
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
-def test_telemetry_is_every_robots_state_and_changes_nothing(firmware: str) -> None:
-    """A frame of each robot every 7 ticks, with what the robots held at that moment."""
-    held: list[list[tuple[int, ...]]] = []
+def test_telemetry_is_the_state_of_the_robot_before_the_tick(firmware: str) -> None:
+    states_by_tick: list[list[tuple[int, ...]]] = []
 
-    def note(swarm: Swarm) -> None:
+    def record_states(swarm: Swarm) -> None:
         robots = [node.robot for node in swarm.nodes]
-        held.append([(int(r.x * Q23_ONE), int(r.b_hat * 2**24), r.counters.updates) for r in robots])
+        states_by_tick.append(
+            [(int(robot.x * Q23_ONE), int(robot.b_hat * 2**24), robot.counters.updates) for robot in robots]
+        )
 
-    talkative = small(firmware=firmware, telemetry_period=7)
-    with Swarm(talkative, Wiring()) as fresh:
-        note(fresh)
-    outcome, frames = record(talkative, hooks=[note])
-    quiet, _ = record(small(firmware=firmware))
-    assert [node.robot.x for node in outcome.nodes] == [node.robot.x for node in quiet.nodes]
-    decoded = [(decode_telemetry(frame), frame.timestamp) for frame in frames]
-    found = [each for each, _ in decoded if isinstance(each, Telemetry)]
-    times = [round(10 * time) for each, time in decoded if isinstance(each, Telemetry)]
-    assert [(each.sender, each.transfer_id) for each in found] == [
-        (robot, turn % 32) for turn in range(9) for robot in range(5)
+    settings = small(firmware=firmware, telemetry_period=7)
+    with Swarm(settings, Wiring()) as new_swarm:
+        record_states(new_swarm)
+    _, frames = record(settings, hooks=[record_states])
+    for tick, telemetry in telemetry_in(frames):
+        expected = states_by_tick[tick][telemetry.sender]
+        assert (telemetry.x, telemetry.b_hat, telemetry.updates) == expected
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+def test_telemetry_changes_nothing_for_the_robots(firmware: str) -> None:
+    with_telemetry, _ = record(small(firmware=firmware, telemetry_period=7))
+    without_telemetry, _ = record(small(firmware=firmware))
+    assert [node.robot.x for node in with_telemetry.nodes] == [
+        node.robot.x for node in without_telemetry.nodes
     ]
-    assert times == [7 * each.transfer_id for each in found]
-    for each in found:
-        assert (each.x, each.b_hat, each.updates) == held[7 * each.transfer_id][each.sender]
-    figures = outcome.results["frames"]
+
+
+def test_telemetry_is_counted_and_not_rejected() -> None:
+    run, _ = record(small(telemetry_period=7))
+    figures = run.results["frames"]
     assert (figures["telemetry_sent"], figures["telemetry_heard"]) == (9 * 5, 9 * 5 * 4)
     assert figures["rejected"] == {}
 
 
 @pytest.mark.parametrize(
-    ("faults", "settings", "reason"),
+    ("settings", "message"),
     [
-        ((), {"frames": FrameFormat(3001), "telemetry_period": 1}, "subject 3001 is that of telemetry"),
-        ((), {"clock": "none"}, "clock is 'none'; choose lockstep or real-time"),
-        ((), {"allow": "0-128"}, "allow is '0-128'; it must be ids 0 to 127"),
-        ("loss", {}, "faults is .*; give several in a list"),
-        (("loss,robots=4+5",), {}, "names robot 5, but the ids of 5 robots are 0 to 4"),
-        (("loss,receivers=5",), {}, "names robot 5, but the ids of 5 robots are 0 to 4"),
+        ({"frames": FrameFormat(3001), "telemetry_period": 1}, "subject 3001 is that of telemetry"),
+        ({"clock": "none"}, "clock is 'none'; choose lockstep or real-time"),
+        ({"allow": "0-128"}, "allow is '0-128'; it must be ids 0 to 127"),
+        ({"faults": "loss"}, "faults is .*; give several in a list"),
+        ({"faults": ("loss,robots=4+5",)}, "names robot 5, but the ids of 5 robots are 0 to 4"),
+        ({"faults": ("loss,receivers=5",)}, "names robot 5, but the ids of 5 robots are 0 to 4"),
     ],
 )
-def test_settings_that_cannot_be(faults: Any, settings: dict[str, Any], reason: str) -> None:
-    right = small("loss,robots=4,receivers=4", frames=FrameFormat(3001), allow="3+0-2+5")
-    assert right.allow == "0-3+5"
-    with pytest.raises(UsageError, match=reason):
-        SwarmSettings(robots=5, faults=faults, **settings)
+def test_settings_that_contradict_each_other_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        SwarmSettings(**{"robots": 5} | settings)
+
+
+def test_faults_may_name_the_last_robot_and_telemetry_that_is_not_sent_has_no_subject() -> None:
+    small("loss,robots=4,receivers=4", frames=FrameFormat(3001))
+
+
+def test_allowed_ids_are_in_rising_order() -> None:
+    assert small(allow="3+0-2+5").allow == "0-3+5"
 
 
 @pytest.mark.parametrize(("robots", "names"), [(8, "7"), (9, "7, ...")])
-def test_lost_frames_end_the_run_with_a_clear_reason(
+def test_a_bus_that_loses_frames_ends_the_run_with_their_names(
     robots: int, names: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the third round on."""
-    usual = virtual.VirtualBus.recv
+    """Here it loses all from the third tick on."""
+    receive = virtual.VirtualBus.recv
     monkeypatch.setattr(connection, "FRAME_TIMEOUT", 0.05)
     with Swarm(small(robots=robots), ON_ONE_BUS) as swarm:
         monkeypatch.setattr(
-            virtual.VirtualBus, "recv", lambda bus, seconds: usual(bus, seconds) if swarm.ticks < 2 else None
+            virtual.VirtualBus,
+            "recv",
+            lambda bus, timeout: receive(bus, timeout) if swarm.ticks < 2 else None,
         )
-        outcome = run_swarm(swarm)
+        run = run_swarm(swarm)
     frames = ", ".join(f"frame 106BB80{robot}" for robot in range(7))
-    told = f"tick 3: the carrier did not hear {frames}, frame 106BB80{names} within 0.05 s on "
-    assert outcome.failure is not None and outcome.failure.startswith(told)
-    assert outcome.results["steps"] == 2 and not outcome.interrupted
+    message = f"tick 3: the carrier did not hear {frames}, frame 106BB80{names} within 0.05 s on "
+    assert run.failure is not None
+    assert run.failure.startswith(message)
+    assert (run.results["steps"], run.interrupted) == (2, False)
 
 
 def estimate(sender: int, tick: int) -> SentFrame:
     return SentFrame(encode_estimate(Estimate(sender, 0, tick, tick % 32), FrameFormat()), sender, tick)
 
 
-def test_a_bus_that_is_never_quiet_does_not_keep_a_robot_listening(monkeypatch: pytest.MonkeyPatch) -> None:
-    waits, babble = Counter[bool](), estimate(9, 0).frame
+def test_a_wait_for_frames_ends_on_a_bus_that_is_never_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After its time it still reads what may have waited in a receive buffer."""
+    reads_in_time, late_reads = list[float](), list[float]()
 
     def receive(timeout: float) -> can.Message:
-        waits[timeout > 0] += 1
-        assert waits[False] < 10_000, "nothing ends the wait"
-        return babble
+        (reads_in_time if timeout > 0 else late_reads).append(timeout)
+        assert len(late_reads) < 10_000, "nothing ends the wait"
+        return estimate(9, 0).frame
 
     with virtual.VirtualBus() as bus:
         connection = ExpectingConnection(bus, "robot 7")
         monkeypatch.setattr(bus, "recv", receive)
         assert connection.receive_expected([estimate(1, 0)], 0.02) == []
-        assert connection.missed_count == 1
-        assert waits[True] > 0
-        assert waits[False] == 4096
+    assert connection.missed_count == 1
+    assert reads_in_time
+    assert len(late_reads) == 4096
 
 
 Pair = tuple[can.BusABC, ExpectingConnection, list[can.Message]]
@@ -264,57 +317,91 @@ def test_a_frame_that_nobody_expects_is_reported(pair: Pair) -> None:
     assert content(unexpected) == content([estimate(1, 0).frame])
 
 
-def test_foreign_traffic_is_counted_and_changes_nothing() -> None:
-    """Garbage, and legal messages from outside the swarm or of another round."""
-    undisturbed, clean = record(small())
-    junk = [
-        can.Message(arbitration_id=0x123, is_extended_id=False, data=b"1234"),
-        can.Message(arbitration_id=0x106BB82A, is_remote_frame=True, dlc=8),
-        can.Message(arbitration_id=0x106BB801, data=b"\xff" * 8),
-        can.Message(arbitration_id=0x106BB801, data=b"\0" * 7),
-        encode_estimate(Estimate(99, Q23_ONE, 0x4F000000, 5), FrameFormat()),
-        encode_estimate(Estimate(1, Q23_ONE, 0x4F000000, 4), FrameFormat()),
-        can.Message(arbitration_id=8, is_error_frame=True),
-    ]
+FOREIGN_FRAMES = [
+    can.Message(arbitration_id=0x123, is_extended_id=False, data=b"1234"),
+    can.Message(arbitration_id=0x106BB82A, is_remote_frame=True, dlc=8),
+    can.Message(arbitration_id=0x106BB801, data=b"\xff" * 8),
+    can.Message(arbitration_id=0x106BB801, data=b"\0" * 7),
+    encode_estimate(Estimate(99, Q23_ONE, 0x4F000000, 5), FrameFormat()),
+    encode_estimate(Estimate(1, Q23_ONE, 0x4F000000, 4), FrameFormat()),
+    can.Message(arbitration_id=8, is_error_frame=True),
+]
+"""Malformed frames, and estimates from outside the swarm, one of them under the id of robot 1."""
 
-    def disturb(swarm: Swarm) -> None:
+
+def run_with_foreign_frames() -> tuple[SwarmRun, list[can.Message]]:
+    """Run a swarm while another program sends these frames after the fifth tick."""
+
+    def send_foreign_frames(swarm: Swarm) -> None:
         if swarm.ticks == 5:
-            with one_bus() as other:
-                for frame in junk:
-                    other.send(frame, timeout=1)
+            with one_bus() as other_program:
+                for frame in FOREIGN_FRAMES:
+                    other_program.send(frame, timeout=1)
 
-    disturbed, frames = record(small(), hooks=[disturb])
-    foreign = content(junk)
-    assert [each for each in content(frames) if each in foreign] == foreign
-    assert [each for each in content(frames) if each not in foreign] == content(clean)
+    return record(small(), hooks=[send_foreign_frames])
+
+
+def test_foreign_frames_are_recorded_among_those_of_the_swarm() -> None:
+    _, frames = run_with_foreign_frames()
+    _, frames_of_swarm = record(small())
+    foreign = content(FOREIGN_FRAMES)
+    assert [frame for frame in content(frames) if frame in foreign] == foreign
+    assert [frame for frame in content(frames) if frame not in foreign] == content(frames_of_swarm)
     assert all(frame.is_rx for frame in frames)
-    assert states(disturbed.nodes) == states(undisturbed.nodes)
-    figures = disturbed.results["frames"]
+
+
+def test_foreign_frames_change_nothing_for_the_robots() -> None:
+    disturbed_run, _ = run_with_foreign_frames()
+    undisturbed_run, _ = record(small())
+    assert states(disturbed_run.nodes) == states(undisturbed_run.nodes)
+
+
+def test_foreign_frames_are_counted_by_each_robot() -> None:
+    run, _ = run_with_foreign_frames()
+    figures = run.results["frames"]
     assert (figures["strays"], figures["errors_heard"]) == (2 * 5, 5)
-    assert figures["id_conflicts"] == {"1": 1}
-    reasons = (Rejection.STANDARD_ID, Rejection.REMOTE_FRAME, Rejection.X_HAT, Rejection.LENGTH)
-    assert figures["rejected"] == {reason.name: 5 for reason in reasons}
+    assert figures["rejected"] == {"STANDARD_ID": 5, "REMOTE_FRAME": 5, "X_HAT": 5, "LENGTH": 5}
 
 
+def test_an_estimate_of_another_program_under_the_id_of_a_robot_is_a_conflict() -> None:
+    run, _ = run_with_foreign_frames()
+    assert run.results["frames"]["id_conflicts"] == {"1": 1}
+
+
+# One seed for a mean above the share of black tiles, and one for a mean below it.
 @pytest.mark.parametrize(("seed", "is_low"), [(11, False), (15, True)])
-def test_results_are_what_the_robots_hold(seed: int, is_low: bool) -> None:
-    outcome, _ = record(small("loss=0.5", seed=seed))
-    results = outcome.results
-    assert (results["mean_x"] < 0.55) == is_low
-    x = [Fraction(node.robot.x) for node in outcome.nodes]
-    error = sum(abs(each - Fraction(0.55)) for each in x) / 5
-    assert results["mean_x"] == pytest.approx(float(sum(x) / 5), abs=1e-15)
-    assert results["mean_error"] == pytest.approx(float(error), abs=1e-15)
-    assert results["spread_x"] == float(max(x) - min(x)) > 0
-    x_hat = [node.robot.x_hat for node in outcome.nodes]
-    assert results["spread_x_hat"] == max(x_hat) - min(x_hat)
-    for group, start, b_hat in (
-        ("flawed", 0.55, [node.robot.b_hat for node in outcome.nodes[:2]]),
-        ("other", 0.95, [node.robot.b_hat for node in outcome.nodes[2:]]),
-    ):
-        found = results["b_hat"][group]
-        assert found["before"] == pytest.approx(start, abs=1e-6)
-        assert found["after"] == pytest.approx(sum(b_hat) / len(b_hat), abs=1e-15)
-        assert (found["after_min"], found["after_max"]) == (min(b_hat), max(b_hat))
-    for name in ("tests", "updates"):
-        assert results[name] == sum(vars(node.robot.counters)[name] for node in outcome.nodes) > 0
+def test_results_have_the_mean_estimate_its_error_and_its_spread(seed: int, is_low: bool) -> None:
+    run, _ = record(small("loss=0.5", seed=seed))
+    x = [Fraction(node.robot.x) for node in run.nodes]
+    mean_error = sum(abs(estimate - Fraction(0.55)) for estimate in x) / 5
+    assert (run.results["mean_x"] < 0.55) == is_low
+    assert run.results["mean_x"] == pytest.approx(float(sum(x) / 5), abs=1e-15)
+    assert run.results["mean_error"] == pytest.approx(float(mean_error), abs=1e-15)
+    assert run.results["spread_x"] == float(max(x) - min(x)) > 0
+
+
+def test_results_have_the_spread_of_local_estimates() -> None:
+    run, _ = record(small("loss=0.5"))
+    x_hat = [node.robot.x_hat for node in run.nodes]
+    assert run.results["spread_x_hat"] == max(x_hat) - min(x_hat)
+
+
+@pytest.mark.parametrize(
+    ("group", "robots", "b_hat_at_start"), [("flawed", slice(0, 2), 0.55), ("other", slice(2, 5), 0.95)]
+)
+def test_results_have_b_hat_of_flawed_and_of_other_robots(
+    group: str, robots: slice, b_hat_at_start: float
+) -> None:
+    run, _ = record(small("loss=0.5"))
+    b_hat = [node.robot.b_hat for node in run.nodes[robots]]
+    result = run.results["b_hat"][group]
+    assert result["before"] == pytest.approx(b_hat_at_start, abs=1e-6)
+    assert result["after"] == pytest.approx(sum(b_hat) / len(b_hat), abs=1e-15)
+    assert (result["after_min"], result["after_max"]) == (min(b_hat), max(b_hat))
+
+
+@pytest.mark.parametrize("counter", ["tests", "updates"])
+def test_results_have_the_sums_of_the_robots_counters(counter: str) -> None:
+    run, _ = record(small("loss=0.5"))
+    counts = [vars(node.robot.counters)[counter] for node in run.nodes]
+    assert run.results[counter] == sum(counts) > 0
