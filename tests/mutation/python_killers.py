@@ -44,7 +44,8 @@ def tests_of(path: Path) -> list[Path]:
     found = [each.relative_to(ROOT) for each in (ROOT / "tests/host_tools").glob("**/test_*.py")]
     rooms = {each.parent if len(each.parts) > 3 else each for each in found}
     own = Path("tests/host_tools", path.parts[2])
-    return [own] if own in rooms and path.parts[2] != "cli" else sorted(rooms)
+    is_tested_everywhere = path.parts[2] in ("cli", "common")
+    return [own] if own in rooms and not is_tested_everywhere else sorted(rooms)
 
 
 @dataclass

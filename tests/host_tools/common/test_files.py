@@ -1,4 +1,4 @@
-"""Output files are complete or absent, alone and in sets, and a path that cannot be written is named."""
+"""Files are read up to a limit, and output files are complete or absent, alone and in sets."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import (
     check_target,
     drafts_for,
+    make_folder,
+    read_at_most,
+    read_text,
     remove_abandoned_drafts,
     rename_drafts,
     results_beside,
@@ -28,6 +31,45 @@ from mcp_asdf_tools.common.files import (
 def names_in(folder: Path) -> list[str]:
     """Return the names of all files in a folder, sorted."""
     return sorted(path.name for path in folder.iterdir())
+
+
+# --- Reading ------------------------------------------------------------------------------------------
+
+
+def test_a_file_of_the_maximum_size_is_read(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"12345")
+    assert read_at_most(tmp_path / "file", 5) == b"12345"
+
+
+def test_a_larger_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"123456")
+    with pytest.raises(ValueError, match="it has more than 5 bytes"):
+        read_at_most(tmp_path / "file", 5)
+
+
+def test_a_file_without_an_end_is_refused() -> None:
+    with pytest.raises(UsageError, match="cannot read /dev/zero: it has more than 16777216 bytes; give a sh"):
+        read_text("/dev/zero")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_text_may_have_a_byte_order_mark(encoding: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("k_m ≥ 1", encoding=encoding)
+    assert read_text(tmp_path / "file") == "k_m ≥ 1"
+
+
+def test_a_file_that_is_no_text_is_refused_with_the_place(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"abc\xff")
+    with pytest.raises(UsageError, match=r"cannot read .*file: it is no text in UTF-8 \(byte 3\)"):
+        read_text(tmp_path / "file")
+
+
+def test_a_missing_text_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"cannot read .*missing: No such file or directory"):
+        read_text(tmp_path / "missing")
+
+
+# Standard input is read by the tests of "mcp-asdf calibrate".
 
 
 # --- One file -----------------------------------------------------------------------------------------
@@ -231,7 +273,36 @@ def test_obsolete_files_are_removed_before_the_first_renaming(tmp_path: Path) ->
     assert names_in(tmp_path) == ["draft"]
 
 
-# --- Paths that cannot be written ---------------------------------------------------------------------
+def test_an_obsolete_file_may_be_missing(tmp_path: Path) -> None:
+    (tmp_path / "draft").write_text("new")
+    rename_drafts({tmp_path / "file": tmp_path / "draft"}, obsolete=[tmp_path / "obsolete"])
+    assert contents_of(tmp_path) == {"file": "new"}
+
+
+def test_writing_files_leaves_no_file_descriptor_open(tmp_path: Path) -> None:
+    open_before = len(os.listdir("/dev/fd"))
+    write_together({tmp_path / "a": "x", tmp_path / "b": "x"})
+    assert len(os.listdir("/dev/fd")) == open_before
+
+
+# --- Folders and paths that cannot be written ---------------------------------------------------------
+
+
+def test_a_folder_is_made_with_those_above_it(tmp_path: Path) -> None:
+    make_folder(tmp_path / "a/b")
+    assert (tmp_path / "a/b").is_dir()
+
+
+def test_a_folder_that_exists_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    make_folder(tmp_path)
+    assert names_in(tmp_path) == ["file"]
+
+
+def test_a_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match=r"cannot write .*/file: File exists; choose a folder that takes it"):
+        make_folder(tmp_path / "file")
 
 
 def test_a_folder_is_no_output_file(tmp_path: Path) -> None:
@@ -260,7 +331,8 @@ def test_an_output_file_needs_a_folder_that_may_be_written_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Tests may run as root, for whom every folder may be written to.
-    monkeypatch.setattr(os, "access", lambda path, mode: path != tmp_path)
+    needed_permissions = os.W_OK | os.X_OK
+    monkeypatch.setattr(os, "access", lambda path, mode: path != tmp_path or mode != needed_permissions)
     with pytest.raises(UsageError, match="you may not write to its folder; choose another"):
         check_target(tmp_path / "file")
 

@@ -111,9 +111,9 @@ def test_a_flood_of_estimates_is_written_in_several_lines(
 ) -> None:
     monkeypatch.setattr(events_module, "_MAX_EVENTS_PER_LINE", 10)
     with events_file(tmp_path / "x", HEADER) as writer:
-        for _ in range(4):
-            writer.recorders[7].record_estimates([[3, 1, 2]] * 6)
-    assert read_entries(tmp_path / "x") == [RobotEvents(7, [[3, 1, 2]] * 12)] * 2
+        for _ in range(6):
+            writer.recorders[7].record_estimates([[3, 1, 2]] * 5)
+    assert read_entries(tmp_path / "x") == [RobotEvents(7, [[3, 1, 2]] * 15)] * 2
 
 
 # --- Version 3 ----------------------------------------------------------------------------------------

@@ -99,6 +99,13 @@ def test_a_line_of_a_million_characters_is_skipped(tmp_path: Path) -> None:
     assert summary.skipped_lines == 1
 
 
+def test_a_line_of_sixty_characters_is_shown_completely(tmp_path: Path) -> None:
+    log, summary = tmp_path / "run.log", LogSummary()
+    log.write_text(f"{'x' * 60}\n(2.0) vcan0 123#00\n")
+    read_times(log, summary)
+    assert summary.first_skipped == f"line 1, '{'x' * 60}'"
+
+
 def test_only_the_beginning_of_a_long_line_is_shown(tmp_path: Path) -> None:
     log, summary = tmp_path / "run.log", LogSummary()
     log.write_text(f"(1.0) vcan0 123#{'0' * 1_000_000}\n(2.0) vcan0 123#00\n")

@@ -110,6 +110,19 @@ def test_many_frames_do_not_wait_for_the_second(
         assert frame_numbers(part) == list(range(20))
 
 
+def test_the_count_of_frames_begins_anew_after_each_flush(
+    clock: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording_module, "_MAX_UNFLUSHED", 20)
+    part = tmp_path / "run.log.part"
+    with recording_frames(tmp_path / "run.log") as record_frame:
+        for number in range(41):
+            record_frame(number)
+        assert frame_numbers(part) == list(range(20))
+        record_frame(41)
+        assert frame_numbers(part) == list(range(41))
+
+
 def test_a_log_has_its_name_and_all_frames_when_the_run_has_ended(tmp_path: Path) -> None:
     with recording_frames(tmp_path / "run.log") as record_frame:
         for number in range(48):
