@@ -37,91 +37,102 @@ from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from wire import record
 
-ID, B_HAT = 3, 0.55
+ID = 3
+"""Id of the controller that is verified."""
+B_HAT = 0.55
+"""b_hat, the accuracy that the controller assumes of its sensor at its start."""
+
 DEFAULT: dict[str, Any] = {"b_hat": 0.95, "filter_period": 1000, "table": generate(parse_omega("0.05"), 127)}
-"""What a controller has that is set up by the defaults."""
-Act = Callable[..., Any]
-"""What a method does instead: it takes the object, the right method and the arguments."""
+"""The configuration of a controller that is set up by the defaults."""
+VOTES: dict[str, Any] = {"filter": Filter.ROBUST, "table": None}
+"""The robust filter, which takes estimates for votes."""
+ALWAYS: dict[str, Any] = {"filter": Filter.ALWAYS, "table": None}
+"""Re-estimates of b_hat without a test."""
+HALVED = {"memory": 512}
+"""A memory that a run fills, so that the counts are halved."""
+SLOW = {"comms_period": 5}
+"""Rounds of several ticks."""
+
+ESTIMATES, TELEMETRY, COMMANDS, HEARTBEATS = 3000, 3001, 3002, 7509
+"""Subjects of frames."""
+USUAL_BITS = {ESTIMATES: 4 << 26 | 3 << 21, COMMANDS: 3 << 26 | 3 << 21}
+"""Priority and reserved bits of the identifiers that nodes usually send, by subject."""
+
+Override = Callable[..., Any]
+"""What a method does instead. It is called with the node, the right method, and the arguments."""
 
 
 def right(**config: Any) -> RobotSetup:
-    """The controller as the verification is told that it is."""
+    """Return the setup of the controller, as the verification knows it."""
     return record(**{"robot": ID, "firmware": "mirror", "b_hat": B_HAT, **config})
 
 
 def surroundings(controller: RobotSetup | None = None, faults: str = "", **world: Any) -> RadioSettings:
-    """A controller, robot 3, among robots 0, 1, 2 and 4."""
-    own = controller or right()
-    neighbours = tuple(replace(own, id=robot, b_hat=0.95) for robot in choose_ids(own.id, 4))
+    """Return settings of a controller, by default robot 3, among robots 0, 1, 2 and 4."""
+    setup = controller or right()
+    neighbours = tuple(replace(setup, id=robot, b_hat=0.95) for robot in choose_ids(setup.id, 4))
     swarm = SwarmSettings(robots=5, **{"seed": 6} | world)
-    return RadioSettings(own, neighbours, swarm, Subjects(), tuple(map(parse_fault, faults.split())))
+    return RadioSettings(setup, neighbours, swarm, Subjects(), tuple(map(parse_fault, faults.split())))
 
 
-def _replaced(kind: type, acts: dict[str, Act]) -> type:
-    """A class of which some methods do something else."""
-
-    def method(name: str, act: Act) -> Act:
-        return lambda self, *args: act(self, partial(getattr(kind, name), self), *args)
-
-    return type("Wrong", (kind,), {name: method(name, act) for name, act in acts.items()})
+# --- Kinds of wrong controllers ---
 
 
 @dataclass(frozen=True)
 class Wrong:
-    """A wrong controller: the phase that finds it by default, and how to make it, with this configuration on
-    top of another."""
+    """A wrong controller.
+
+    Attributes:
+        phase: The phase that finds it with the configuration DEFAULT.
+        config: What its configuration must be, beside that, for the mistake to show.
+        make: Makes the controller, with ``config`` on top of another configuration.
+    """
 
     phase: str
     config: dict[str, Any]
     make: Callable[[dict[str, Any]], RobotNode]
 
 
-def set_up(
+def with_setup(
     phase: str,
     config: dict[str, Any] | None = None,
-    kind: type = RobotNode,
+    node_class: type = RobotNode,
     firmware: Callable[..., Any] = MirrorRobot,
     **actual: Any,
 ) -> Wrong:
-    """A controller that is set up otherwise than said, which is ``config``."""
-    said = config or {}
+    """Return a controller that is set up otherwise than the verification knows, which is by ``config``."""
+    known_config = config or {}
 
-    def make(others: dict[str, Any]) -> RobotNode:
-        settings = {"robot": ID, **others, **said, **actual}
-        own = record(firmware="mirror", **settings)
-        return kind(own, make=lambda: firmware(own.config, own.id, own.b_hat))  # type: ignore[no-any-return]
+    def make(other_config: dict[str, Any]) -> RobotNode:
+        setup = record(**{"robot": ID, "firmware": "mirror", **other_config, **known_config, **actual})
+        node: RobotNode = node_class(setup, make=lambda: firmware(setup.config, setup.id, setup.b_hat))
+        return node
 
-    return Wrong(phase, said, make)
+    return Wrong(phase, known_config, make)
 
 
-def firmware(phase: str, *changes: str, config: dict[str, Any] | None = None) -> Wrong:
-    """A controller whose firmware is the mirror with other text in some places."""
+def with_firmware(phase: str, *changes: str, config: dict[str, Any] | None = None) -> Wrong:
+    """Return a controller whose firmware is the mirror with changes as ``mirror_with`` reads them."""
 
     def make(*arguments: Any) -> Any:
         return mirror_with(*changes)(*arguments)
 
-    return set_up(phase, config, firmware=make)
+    return with_setup(phase, config, firmware=make)
 
 
-VOTES: dict[str, Any] = {"filter": Filter.ROBUST, "table": None}
+def with_robust_firmware(phase: str, *changes: str) -> Wrong:
+    """Return a controller with the robust filter and changes in its firmware."""
+    return with_firmware(phase, *changes, config=VOTES)
 
 
-def robust(phase: str, *changes: str) -> Wrong:
-    """The same with the robust filter."""
-    return firmware(phase, *changes, config=VOTES)
+def with_testless_firmware(phase: str, *changes: str) -> Wrong:
+    """Return a controller that re-estimates without a test, and has changes in its firmware."""
+    return with_firmware(phase, *changes, config=ALWAYS)
 
 
-ALWAYS: dict[str, Any] = {"filter": Filter.ALWAYS, "table": None}
-
-
-def always(phase: str, *changes: str) -> Wrong:
-    """A controller that re-estimates without a test, with other text in some places of its firmware."""
-    return firmware(phase, *changes, config=ALWAYS)
-
-
-def robust_in_floats(phase: str, number_format: str) -> Wrong:
-    """A controller whose robust filter tests in floating point: ``number_format`` is that of ``struct``."""
-    return robust(
+def with_robust_test_in_floats(phase: str, number_format: str) -> Wrong:
+    """Return a controller whose robust filter tests in numbers of this format of ``struct``."""
+    return with_robust_firmware(
         phase,
         f"""def {{robust_test_rejects => robust_test_rejects(crowd, t, n):
     def fit(value):
@@ -138,556 +149,632 @@ def deviates_in_integers}}(crowd: Crowd, t""",
     )
 
 
-def takes_messages(most: int) -> Act:
-    """Takes no more than so many estimates in a tick."""
+def with_node(phase: str, **overrides: Override) -> Wrong:
+    """Return a controller whose node has other methods, by their names."""
 
-    def hear(node: Any, right: Act, frame: can.Message) -> Any:
-        if not is_estimate(frame):
-            return right(frame)
-        tick, count = vars(node).get("taken", (None, 0))
-        count = count + 1 if tick == node.ticks else 1
-        node.taken = node.ticks, count
-        return right(frame) if count <= most else []
+    def method(name: str, override: Override) -> Override:
+        return lambda self, *args: override(self, partial(getattr(RobotNode, name), self), *args)
 
-    return hear
+    methods = {name: method(name, override) for name, override in overrides.items()}
+    return with_setup(phase, node_class=type("WrongNode", (RobotNode,), methods))
 
 
-def node(phase: str, **acts: Act) -> Wrong:
-    """A controller whose node has other methods."""
-    return set_up(phase, kind=_replaced(RobotNode, acts))
+def with_sent_frames(
+    subject: int, change_frame: Callable[[can.Message], list[can.Message] | object]
+) -> Wrong:
+    """Return a controller that sends wrong frames of one subject.
+
+    ``change_frame`` returns a list of frames to send instead of a frame, or else it changes that frame.
+    """
+
+    def send_wrongly(node: Any, usual: Override, *args: Any) -> list[can.Message]:
+        sent_frames: list[can.Message] = []
+        for frame in usual(*args):
+            replacement = change_frame(frame) if subject_of(frame) == subject else None
+            sent_frames += replacement if isinstance(replacement, list) else [frame]
+        return sent_frames
+
+    return with_node("nothing seen", observe=send_wrongly, settle=send_wrongly)
 
 
-WRONG: dict[str, Wrong] = {}
-"""Wrong controllers, by what is wrong with them."""
-
-
-def wrong(method: str, phase: str, name: str) -> Callable[[Act], Act]:
-    """Adds a controller whose node does in one ``method`` what is decorated."""
-
-    def add(act: Act) -> Act:
-        WRONG[name] = node(phase, **{method: act})
-        return act
-
-    return add
-
-
-def given(change: Callable[[Any], object]) -> Act:
-    """Takes something else for what is given."""
-    return lambda self, right, each: right(change(each))
+def with_tick_numbers_of(bits: int) -> Wrong:
+    """Return a controller that keeps so many bits of the number of a tick."""
+    return with_node(
+        "unusual commands",
+        _follow_command=with_changed_argument(lambda command: replace(command, tick=command.tick % 2**bits)),
+    )
 
 
 def table_wrong_at(m: int) -> Table:
-    """The t-table with one entry that is a thousandth too large, if k stays above the next."""
-    right = DEFAULT["table"]
-    entries = [entry + (entry >> 10) * (each == m) for each, entry in enumerate(right.entries, 2)]
-    return Table(right.omega_word, tuple(entries))
+    """Return the default t-table with the entry for m a thousandth too large, if it stays above the next."""
+    right_table = DEFAULT["table"]
+    entries = list(right_table.entries)
+    entries[m - 2] += entries[m - 2] >> 10
+    return Table(right_table.omega_word, tuple(entries))
 
 
-# --- Wrong frames ---
+# --- Overrides of any method ---
 
 
-def change(**values: Callable[[Any], object]) -> Callable[[can.Message], None]:
-    """Changes members of a frame."""
-
-    def spoil(frame: can.Message) -> None:
-        for name, value in values.items():
-            setattr(frame, name, value(getattr(frame, name)))
-
-    return spoil
+def with_changed_argument(change: Callable[[Any], object]) -> Override:
+    """Return an override that calls the right method with another argument."""
+    return lambda node, usual, argument: usual(change(argument))
 
 
-def flip(bits: int) -> Callable[[can.Message], None]:
-    """Flips identifier bits."""
-    return change(arbitration_id=lambda identifier: identifier ^ bits)
+def ignoring(is_ignored: Callable[[Any], bool]) -> Override:
+    """Return an override that does not take some frames, or commands."""
+    return lambda node, usual, argument: [] if is_ignored(argument) else usual(argument)
 
 
-def put(place: int, value: Callable[[int], int]) -> Callable[[can.Message], None]:
-    """Changes a byte."""
-    return change(data=lambda data: data[:place] + bytes([value(data[place]) & 0xFF]) + data[place + 1 :])
+# --- Overrides of receive_frame ---
 
 
-def as_subject(mask: int) -> Callable[[can.Message], None]:
-    """Makes an estimate of a frame whose subject has these bits of that of estimates."""
-    return change(
-        arbitration_id=lambda identifier: (
-            identifier if (identifier >> 8 ^ 3000) & mask else identifier & ~(0x1FFF << 8) | 3000 << 8
-        )
-    )
-
-
-# --- Wrong nodes: what they hear ---
-
-
-@wrong("_follow_command", "nothing seen", "a buffer of 4 commands")
-def _(node: Any, right: Act, command: Command) -> list[can.Message]:
-    node.waiting = 0 if command.action is Action.SETTLE else getattr(node, "waiting", 0) + 1
-    return right(command) if node.waiting <= 4 else []
-
-
-@wrong("_receive", "among neighbours", "drops older transfer ids")
-def _(node: Any, right: Act, message: Estimate) -> None:
-    last, number = vars(node).setdefault("last", {}), message.transfer_id
-    if (number - last.get(message.sender, number - 1)) % 32 < 16:
-        last[message.sender] = number
-        right(message)
+def subject_of(frame: can.Message) -> int:
+    """Return the subject in a frame's identifier."""
+    return frame.arbitration_id >> 8 & 0x1FFF
 
 
 def is_estimate(frame: can.Message) -> bool:
-    """True for a legal one."""
+    """Return whether a frame is a legal estimate."""
     return isinstance(decode_estimate(frame, FrameFormat()), Estimate)
 
 
-def drops(is_dropped: Callable[[Any], bool]) -> Act:
-    """Does not take these frames, or these commands."""
-    return lambda node, right, each: [] if is_dropped(each) else right(each)
+def ignoring_unusual_bits(subject: int, mask: int) -> Override:
+    """Return an override that takes frames of a subject only if these identifier bits are the usual ones."""
+
+    def is_unusual(frame: can.Message) -> bool:
+        return subject_of(frame) == subject and bool((frame.arbitration_id ^ USUAL_BITS[subject]) & mask)
+
+    return ignoring(is_unusual)
 
 
-def compares(subject: int, bits: int) -> Act:
-    """Takes frames of a kind with no other than the usual ones of these identifier bits."""
-    usual = {3000: 4 << 26 | 3 << 21, 3002: 3 << 26 | 3 << 21}[subject]
-    return drops(
-        lambda frame: (
-            frame.arbitration_id >> 8 & 0x1FFF == subject and bool((frame.arbitration_id ^ usual) & bits)
-        )
-    )
+def taking_at_most(max_estimates: int) -> Override:
+    """Return an override that takes no more than so many estimates in a tick."""
+
+    def receive_frame(node: Any, usual: Override, frame: can.Message) -> Any:
+        if not is_estimate(frame):
+            return usual(frame)
+        last_tick, count = vars(node).get("taken", (None, 0))
+        count = count + 1 if last_tick == node.ticks else 1
+        node.taken = node.ticks, count
+        return usual(frame) if count <= max_estimates else []
+
+    return receive_frame
 
 
-def reads(reason: Rejection, mend: Callable[[can.Message], object]) -> Act:
-    """Takes frames that are to be rejected for a reason as if they were mended: a check was left out."""
+def without_check(reason: Rejection, mend: Callable[[can.Message], object]) -> Override:
+    """Return an override that mends frames before it takes them, if they must be rejected for this reason."""
 
-    def hear(node: Any, right: Act, frame: can.Message) -> Any:
+    def receive_frame(node: Any, usual: Override, frame: can.Message) -> Any:
         if decode_estimate(frame, FrameFormat()) is reason:
             frame = copy(frame)
             frame.data = bytearray(frame.data)
             mend(frame)
-        return right(frame)
+        return usual(frame)
 
-    return hear
+    return receive_frame
 
 
-def accepts(reason: Rejection) -> Act:
-    """Reads an estimate out of anything that is to be rejected for a reason."""
+def accepting(reason: Rejection) -> Override:
+    """Return an override that reads an estimate out of all that must be rejected for this reason."""
 
-    def hear(node: Any, right: Act, frame: can.Message) -> Any:
+    def receive_frame(node: Any, usual: Override, frame: can.Message) -> Any:
         if decode_estimate(frame, FrameFormat()) is not reason:
-            return right(frame)
-        content = int.from_bytes(frame.data.ljust(8, b"\0"), "little")
-        alpha = alpha_word_from_float32_bits(min(content >> 24 & 0x7FFF_FFFF, 0x7F7F_FFFF))
-        node.robot.receive_raw(frame.arbitration_id & 0x7F, min(content & 0xFF_FFFF, ONE), alpha)
+            return usual(frame)
+        data = int.from_bytes(frame.data.ljust(8, b"\0"), "little")
+        x_hat = min(data & 0xFF_FFFF, ONE)
+        alpha_bits = min(data >> 24 & 0x7FFF_FFFF, 0x7F7F_FFFF)
+        sender = frame.arbitration_id & 0x7F
+        node.robot.receive_raw(sender, x_hat, alpha_word_from_float32_bits(alpha_bits))
         return []
 
-    return hear
+    return receive_frame
 
 
-def to_nearest(frame: can.Message) -> can.Message:
-    """An estimate whose alpha is the nearest multiple of 2^-24."""
-    if not is_estimate(frame) or (value := float32_value(alpha_float32_bits(frame))) > 1:
+def round_alpha_to_nearest(frame: can.Message) -> can.Message:
+    """Return an estimate with alpha as the nearest multiple of 2^-24; other frames as they are."""
+    if not is_estimate(frame) or float32_value(alpha_float32_bits(frame)) > 1:
         return frame
-    rounded = copy(frame)
-    rounded.data = (
-        frame.data[:3] + float32_bits(round(value * 2**24) / 2**24).to_bytes(4, "little") + frame.data[7:]
-    )
-    return rounded
+    alpha = round(float32_value(alpha_float32_bits(frame)) * 2**24) / 2**24
+    rounded_frame = copy(frame)
+    rounded_frame.data = frame.data[:3] + float32_bits(alpha).to_bytes(4, "little") + frame.data[7:]
+    return rounded_frame
 
 
-# --- Wrong nodes: commands ---
+# --- Overrides of other methods ---
 
 
-@wrong("_follow_command", "stray commands", "settles in any tick")
-def _(node: Any, right: Act, command: Command) -> Any:
+def drop_older_transfer_ids(node: Any, usual: Override, estimate: Estimate) -> None:
+    """Take an estimate only if its transfer_id follows the sender's last one, modulo 32."""
+    last_ids = vars(node).setdefault("last_ids", {})
+    last_id = last_ids.get(estimate.sender, estimate.transfer_id - 1)
+    if (estimate.transfer_id - last_id) % 32 < 16:
+        last_ids[estimate.sender] = estimate.transfer_id
+        usual(estimate)
+
+
+def buffer_4_commands(node: Any, usual: Override, command: Command) -> list[can.Message]:
+    """Lose commands after the fourth since a settle."""
+    waiting = getattr(node, "waiting", 0) + 1
+    node.waiting = 0 if command.action is Action.SETTLE else waiting
+    return usual(command) if node.waiting <= 4 else []
+
+
+def settle_in_any_tick(node: Any, usual: Override, command: Command) -> Any:
+    """Follow a settle command of another tick, too."""
     if command.action is Action.SETTLE and command.target in (ID, EVERY_ROBOT):
         node._tick_of_command = command.tick
-    return right(command)
+    return usual(command)
 
 
-@wrong("_follow_command", "nothing seen", "stays in a tick")
-def _(node: Any, right: Act, command: Command) -> Any:
-    return [] if not node.is_settled and command.tick != node._tick_of_command else right(command)
+def stay_in_tick(node: Any, usual: Override, command: Command) -> Any:
+    """Ignore commands of other ticks until a tick is settled."""
+    return [] if not node.is_settled and command.tick != node._tick_of_command else usual(command)
 
 
-def has_run(node: Any, right: Act) -> Any:
-    """Does a tick of its own before it starts."""
+def tick_before_start(node: Any, usual: Override) -> Any:
+    """Make a tick before the start."""
     node.observe(Observation.BLACK)
     node.settle()
-    return right()
+    return usual()
 
 
-# --- Wrong nodes: the wire ---
+# --- Changes of frames ---
 
 
-def sends(subject: int, spoil: Callable[[can.Message], list[can.Message] | object]) -> Wrong:
-    """A controller that sends the frames that ``spoil`` returns for each of a subject, or else changes it."""
+def change(**changes: Callable[[Any], object]) -> Callable[[can.Message], None]:
+    """Return a change of some members of a frame, by their names."""
 
-    def spoiled(node: Any, right: Act, *args: Any) -> list[can.Message]:
-        sent: list[can.Message] = []
-        for frame in right(*args):
-            instead = spoil(frame) if frame.arbitration_id >> 8 & 0x1FFF == subject else None
-            sent += instead if isinstance(instead, list) else [frame]
-        return sent
+    def change_frame(frame: can.Message) -> None:
+        for name, changed in changes.items():
+            setattr(frame, name, changed(getattr(frame, name)))
 
-    return node("nothing seen", observe=spoiled, settle=spoiled)
+    return change_frame
 
 
-def numbers_of(bits: int) -> Wrong:
-    """A controller that keeps so many bits of the number of a tick."""
-    return node(
-        "unusual commands",
-        _follow_command=given(lambda command: replace(command, tick=command.tick % 2**bits)),
-    )
+def flip_identifier(bits: int) -> Callable[[can.Message], None]:
+    """Return a change that flips identifier bits."""
+    return change(arbitration_id=lambda identifier: identifier ^ bits)
 
 
-HALVED, SLOW = {"memory": 512}, {"comms_period": 5}
+def change_byte(index: int, changed: Callable[[int], int]) -> Callable[[can.Message], None]:
+    """Return a change of one byte, of whose new value the low 8 bits count."""
 
-WRONG |= {
+    def change_data(data: bytearray) -> bytearray:
+        return data[:index] + bytearray([changed(data[index]) & 0xFF]) + data[index + 1 :]
+
+    return change(data=change_data)
+
+
+def as_estimate_if_equal_in(mask: int) -> Callable[[can.Message], None]:
+    """Return a change that gives a frame the subject of estimates if its own equals that in these bits."""
+
+    def change_identifier(identifier: int) -> int:
+        is_different = (identifier >> 8 ^ ESTIMATES) & mask
+        return identifier if is_different else identifier & ~(0x1FFF << 8) | ESTIMATES << 8
+
+    return change(arbitration_id=change_identifier)
+
+
+# --- The wrong controllers ---
+
+WRONG: dict[str, Wrong] = {
+    "a buffer of 4 commands": with_node("nothing seen", _follow_command=buffer_4_commands),
+    "drops older transfer ids": with_node("among neighbours", _receive=drop_older_transfer_ids),
+    "settles in any tick": with_node("stray commands", _follow_command=settle_in_any_tick),
+    "stays in a tick": with_node("nothing seen", _follow_command=stay_in_tick),
     # How it is set up
-    "another b_hat": set_up("nothing seen", b_hat=0.56),
-    "broadcasts in every tick": set_up("nothing seen", SLOW, comms_period=1),
-    "another id": set_up("nothing seen", robot=4),
-    "has run before": node("nothing seen", start=has_run),
-    "another filter period": set_up("all white", filter_period=9),
-    "filters always": set_up("rounds without a test", filter=Filter.ALWAYS),
-    "filters though it should not": set_up(
+    "another b_hat": with_setup("nothing seen", b_hat=0.56),
+    "broadcasts in every tick": with_setup("nothing seen", SLOW, comms_period=1),
+    "another id": with_setup("nothing seen", robot=4),
+    "has run before": with_node("nothing seen", start=tick_before_start),
+    "another filter period": with_setup("all white", filter_period=9),
+    "filters always": with_setup("rounds without a test", filter=Filter.ALWAYS),
+    "filters though it should not": with_setup(
         "no filter", {"filter": Filter.OFF, "table": None}, filter=Filter.ALWAYS
     ),
-    "memory 8192": set_up("threshold of 10 messages", memory=8192),
-    "memory 64": set_up("alone", memory=64),
-    "t-table of omega 0.04": set_up("threshold of 2 messages", table=generate(parse_omega("0.04"), 127)),
+    "memory 8192": with_setup("threshold of 10 messages", memory=8192),
+    "memory 64": with_setup("alone", memory=64),
+    "t-table of omega 0.04": with_setup("threshold of 2 messages", table=generate(parse_omega("0.04"), 127)),
     **{
-        f"threshold of {m} messages wrong": set_up(f"threshold of {m} messages", table=table_wrong_at(m))
+        f"threshold of {m} messages wrong": with_setup(f"threshold of {m} messages", table=table_wrong_at(m))
         for m in (2, 3, 5, 10)
     },
-    "threshold of many messages wrong": set_up("threshold of 30 messages", table=table_wrong_at(30)),
+    "threshold of many messages wrong": with_setup("threshold of 30 messages", table=table_wrong_at(30)),
     # The method
-    "rejects its own estimate": firmware("own estimate", "return {diff => difference == 0 or diff}erence *"),
-    "tests its informed estimate": firmware("all white", "s.open, {s.x_hat => self.x_raw})"),
-    "tests one message": firmware(
+    "rejects its own estimate": with_firmware(
+        "own estimate", "return {diff => difference == 0 or diff}erence *"
+    ),
+    "tests its informed estimate": with_firmware("all white", "s.open, {s.x_hat => self.x_raw})"),
+    "tests one message": with_firmware(
         "rounds without a test",
         "= {2 => 1} if config.filter ==",
         "if {not => s.open.count > 1 and not} asdf_test_rejects",
     ),
-    "never updates": firmware("all white", "return {reestimate(s.t, s.n, round_mean(s.closed)) => None}"),
-    "x_bar not weighted in eq. 8": firmware(
+    "never updates": with_firmware(
+        "all white", "return {reestimate(s.t, s.n, round_mean(s.closed)) => None}"
+    ),
+    "x_bar not weighted in eq. 8": with_firmware(
         "few observations", "s.n, round_mean({s.closed => Closed(s.open.count << 24, s.open.x << 24)}))"
     ),
-    "eq. 8 in float32": firmware("few observations", "min(max({b_hat => b_hat >> 10 << 10}, B_HAT_MIN)"),
-    "b_hat clamped elsewhere": firmware(
+    "eq. 8 in float32": with_firmware("few observations", "min(max({b_hat => b_hat >> 10 << 10}, B_HAT_MIN)"),
+    "b_hat clamped elsewhere": with_firmware(
         "all white", "max(b_hat, {B_HAT_MIN), B_HAT_MAX => 42950), 2**32 - 42950})"
     ),
-    "updates at x_bar = 1/2": firmware("re-estimates", "INFORMATIVE_G:\n        return {None => B_HAT_MAX}"),
-    "a re-estimate changes x_hat at once": firmware(
+    "updates at x_bar = 1/2": with_firmware(
+        "re-estimates", "INFORMATIVE_G:\n        return {None => B_HAT_MAX}"
+    ),
+    "a re-estimate changes x_hat at once": with_firmware(
         "all white", "s.updated = 1{ => ; s.x_hat, s.alpha = estimate(s.t, s.n, s.accuracy)}"
     ),
-    "divides by 2 b - 1 = 0": firmware("no information", "return {HALF => ONE}, 0"),
-    "keeps x_bar in silence": firmware("nothing seen", "{ => if s.open.count: }s.closed = Closed(s."),
-    "a bitmap of 32 senders": firmware("few observations", "word_index = {sender >> 5 => 0}"),
-    "does not hear robot 127": firmware("every sender", "0 <= sender {<= => <} MAX_ID"),
-    "at most 100 messages": firmware("growing rounds", "status != Status.OK{ =>  or s.open.count > 99}:"),
-    "takes the last message of a sender": firmware(
+    "divides by 2 b - 1 = 0": with_firmware("no information", "return {HALF => ONE}, 0"),
+    "keeps x_bar in silence": with_firmware("nothing seen", "{ => if s.open.count: }s.closed = Closed(s."),
+    "a bitmap of 32 senders": with_firmware("few observations", "word_index = {sender >> 5 => 0}"),
+    "does not hear robot 127": with_firmware("every sender", "0 <= sender {<= => <} MAX_ID"),
+    "at most 100 messages": with_firmware(
+        "growing rounds", "status != Status.OK{ =>  or s.open.count > 99}:"
+    ),
+    "takes the last message of a sender": with_firmware(
         "same sender",
         "def {_receive => _receive(self, *message: int) -> Status:\n        "
         "vars(self).setdefault('kept', {})[message[0]] = message; return Status.OK\n\n    "
         'def _take}(self, sender: int, x_hat: int, alpha: int) -> Status:\n        """Add',
         "is_updated = False{ => ; [self._take(*m) for m in vars(self).pop('kept', {}).values()]}",
     ),
-    "loses low bits of alpha": firmware("nothing seen", "units = alpha_units(alpha){ =>  >> 8 << 8}"),
-    "takes alpha = 0 for a little": firmware("nothing seen", "s.open, x_hat, alpha{ =>  or 0x100})"),
-    "colours exchanged": firmware("alone", "colour = {index(z) => 1 - index(z)}"),
-    "rounds x_hat up": firmware("first black tiles", "s.updated = 0{ => ; s.x_hat += 0 < s.x_hat < HALF}"),
-    "alpha of 20 bits": firmware("alone", "s.updated = 0{ => ; s.alpha &= 0xFFFF_F01F}"),
-    "halves down": firmware("stray commands", "s.n = {round(s.n / 2) => s.n // 2}", config=HALVED),
-    "halves up": firmware(
+    "loses low bits of alpha": with_firmware("nothing seen", "units = alpha_units(alpha){ =>  >> 8 << 8}"),
+    "takes alpha = 0 for a little": with_firmware("nothing seen", "s.open, x_hat, alpha{ =>  or 0x100})"),
+    "colours exchanged": with_firmware("alone", "colour = {index(z) => 1 - index(z)}"),
+    "rounds x_hat up": with_firmware(
+        "first black tiles", "s.updated = 0{ => ; s.x_hat += 0 < s.x_hat < HALF}"
+    ),
+    "alpha of 20 bits": with_firmware("alone", "s.updated = 0{ => ; s.alpha &= 0xFFFF_F01F}"),
+    "halves down": with_firmware("stray commands", "s.n = {round(s.n / 2) => s.n // 2}", config=HALVED),
+    "halves up": with_firmware(
         "threshold of 3 messages", "s.n = {round(s.n / 2) => (s.n + 1) // 2}", config=HALVED
     ),
-    "broadcasts x": firmware("nothing seen", "return {self.s.x_hat => self.x_raw}\n"),
+    "broadcasts x": with_firmware("nothing seen", "return {self.s.x_hat => self.x_raw}\n"),
     # Ends of ranges
-    "x_hat at least 0.01": firmware("alone", "is_mirrored else {x_hat => max(x_hat, ONE // 100)}, alpha"),
-    "x_hat wrong below 0.2": firmware(
+    "x_hat at least 0.01": with_firmware(
+        "alone", "is_mirrored else {x_hat => max(x_hat, ONE // 100)}, alpha"
+    ),
+    "x_hat wrong below 0.2": with_firmware(
         "first black tiles", "mirrored else {x_hat => x_hat ^ (0 < x_hat < ONE // 5)}, alpha"
     ),
-    "alpha wrong without a black tile": firmware(
+    "alpha wrong without a black tile": with_firmware(
         "alone", "from_mantissa({mantissa => mantissa ^ (n == 0)}, exp"
     ),
-    "alpha wrong where x_hat is clamped": firmware(
+    "alpha wrong where x_hat is clamped": with_firmware(
         "no information", "accuracy.rare + {(weight => 0 * (weight} >> acc"
     ),
-    "alpha wrong there after 100 tiles": firmware(
+    "alpha wrong there after 100 tiles": with_firmware(
         "all white", "at_end(accuracy, {t => t ^ (t > 100)}, rare_count)"
     ),
-    "alpha of one significant bit below 1/2": firmware(
+    "alpha of one significant bit below 1/2": with_firmware(
         "no information", "{(mantissa >> -exponent) => 1} << 8"
     ),
-    "knows nothing below 2^-10": firmware("no information", "INFORMATIVE_G = 1 << {20 => 22}"),
-    "senders stay heard after an update": firmware(
+    "knows nothing below 2^-10": with_firmware("no information", "INFORMATIVE_G = 1 << {20 => 22}"),
+    "senders stay heard after an update": with_firmware(
         "all white", "s.heard = {[0, 0, 0, 0] => s.heard if is_updated else [0, 0, 0, 0]}"
     ),
-    "senders stay heard after a test": firmware(
+    "senders stay heard after a test": with_firmware(
         "all white",
         "s.heard = {[0, 0, 0, 0] => s.heard if s.filter_left == self.config.filter_period else [0, 0, 0, 0]}",
     ),
-    "messages stay after an update": firmware(
+    "messages stay after an update": with_firmware(
         "all white", "s.open = {Sums() => s.open if is_updated else Sums()}"
     ),
-    "re-estimates before it has observed": firmware("nothing seen", "if {s.t == 0 => False}:\n"),
-    "no re-estimate without a black tile": firmware("all white", "if {s.t == 0 => s.n == 0}:\n"),
-    "x_bar of 1 is 0": firmware(
+    "re-estimates before it has observed": with_firmware("nothing seen", "if {s.t == 0 => False}:\n"),
+    "no re-estimate without a black tile": with_firmware("all white", "if {s.t == 0 => s.n == 0}:\n"),
+    "x_bar of 1 is 0": with_firmware(
         "estimates of 0 and 1", "{x_bar < => (x_bar := x_bar * (x_bar < MAX_WORD - 9)) <} Q32_HALF:"
     ),
-    "sums of alpha up to 2^45 in eq. 8": firmware(
+    "sums of alpha up to 2^45 in eq. 8": with_firmware(
         "all white", "alpha_x, {closed.alpha => min(closed.alpha, 1 << 45)} *"
     ),
-    "sums of alpha from 2^32 in eq. 8": firmware(
+    "sums of alpha from 2^32 in eq. 8": with_firmware(
         "few observations", "alpha_x, {closed.alpha => max(closed.alpha, 1 << 32)} *"
     ),
-    "a square of 54 bits": firmware(
+    "a square of 54 bits": with_firmware(
         "threshold of 126 messages", "return {difference => (1 << 54) - 1 & difference} * difference >"
     ),
-    "a spread of 56 bits": firmware("large sums", "sum_x_squared - sum_x * sum_x{ =>  & (1 << 56) - 1}"),
-    "b_hat wrong for t below 500": firmware(
+    "a spread of 56 bits": with_firmware("large sums", "sum_x_squared - sum_x * sum_x{ =>  & (1 << 56) - 1}"),
+    "b_hat wrong for t below 500": with_firmware(
         "few observations", "return reestimate(s.t, s.n{ =>  + (s.t < 500)}, round_mean("
     ),
-    "b_hat wrong for t from 100 to 500": firmware(
+    "b_hat wrong for t from 100 to 500": with_firmware(
         "few observations", "return reestimate(s.t, s.n{ =>  + (100 < s.t < 500)}, round_mean("
     ),
-    "eq. 8 wrong for sums of alpha below 1": firmware(
+    "eq. 8 wrong for sums of alpha below 1": with_firmware(
         "threshold of 30 messages",
         "return q32_quotient(closed.alpha_x{ =>  + ((closed.alpha < 1 << 24) << 22)}, closed.alpha * ONE)",
     ),
-    "eq. 8 never shifts up": firmware(
+    "eq. 8 never shifts up": with_firmware(
         "no information",
         "denominator.bit_length() - 32{ => \n    if shift < 0:\n"
         "        return (numerator << 16) // denominator << 16}",
     ),
-    "t of 14 bits in eq. 8": firmware(
+    "t of 14 bits in eq. 8": with_firmware(
         "re-estimates", "return reestimate(s.t{ =>  % (1 << 14)}, s.n, round_mean("
     ),
-    "an update counter of 5 bits": firmware("many updates", "(s.updates + 1) & {COUNTER_MASK => 31}"),
-    "tests in float64": firmware(
+    "an update counter of 5 bits": with_firmware("many updates", "(s.updates + 1) & {COUNTER_MASK => 31}"),
+    "tests in float64": with_firmware(
         "threshold of 126 messages",
         "return {difference * difference => float(difference) * difference} > limit",
         "limit = {(table.entry(m) * scaled_variance) >> FRACTION_BITS => "
         "table.entry(m) / 2**FRACTION_BITS * float(scaled_variance)}",
     ),
-    "thresholds of 23 fraction bits": firmware(
+    "thresholds of 23 fraction bits": with_firmware(
         "threshold of 3 messages", "{table.entry(m) => (table.entry(m) & ~7)} * scaled_variance"
     ),
-    "tests though it should not": set_up(
+    "tests though it should not": with_setup(
         "re-estimates without a test", ALWAYS, filter=Filter.ADAPTIVE, table=DEFAULT["table"]
     ),
-    "needs two messages without a test": always(
+    "needs two messages without a test": with_testless_firmware(
         "re-estimates without a test", "messages_needed = 2 if config.filter == Filter.ADAPTIVE else {1 => 2}"
     ),
     **{
-        f"{most} messages in a tick": node("a crowded tick", receive_frame=takes_messages(most))
+        f"{most} messages in a tick": with_node("a crowded tick", receive_frame=taking_at_most(most))
         for most in (200, 256, 500)
     },
     # The robust filter: votes
-    "takes a large alpha for two votes": robust(
+    "takes a large alpha for two votes": with_robust_firmware(
         "few voices",
         "8:{ => \n            if alpha_units(alpha) > 1 << 40: update_crowd(s.crowd, sender, x_hat)}",
     ),
-    "takes alpha = 0 for a vote": robust("few voices", "{elif alpha >> 8 => else}:"),
-    "votes for repeated senders": robust(
+    "takes alpha = 0 for a vote": with_robust_firmware("few voices", "{elif alpha >> 8 => else}:"),
+    "votes for repeated senders": with_robust_firmware(
         "same sender", "            { => update_crowd(s.crowd, sender, x_hat); }return Status.REPEATED"
     ),
-    "does not clamp": robust("few voices", "{min(distance, crowd.spread) => distance} >> gain_shift"),
-    "clamps at 2 s": robust("few voices", "min(distance, { => 2 * }crowd.spread) >> gain_shift"),
-    "constant gain": robust(
+    "does not clamp": with_robust_firmware(
+        "few voices", "{min(distance, crowd.spread) => distance} >> gain_shift"
+    ),
+    "clamps at 2 s": with_robust_firmware(
+        "few voices", "min(distance, { => 2 * }crowd.spread) >> gain_shift"
+    ),
+    "constant gain": with_robust_firmware(
         "few voices", "gain_shift = {max(crowd.votes, VOTES_OF_MAX_GAIN).bit_length() - 3 => 3}"
     ),
-    "gain without end": robust("many votes", "VOTES_MAX = 1 << {14 => 15}"),
-    "starts at the first vote": robust(
+    "gain without end": with_robust_firmware("many votes", "VOTES_MAX = 1 << {14 => 15}"),
+    "starts at the first vote": with_robust_firmware(
         "few voices",
         "position = q30_from_q23(x_hat){ => ; crowd.centre = crowd.centre if crowd.votes > 1 else position}",
     ),
-    "s never shrinks": robust("few voices", "> crowd.spread else {-spread_step => 0}"),
-    "s grows at equality": robust("few voices", "distance {> => >=} crowd.spread else -spread_step"),
-    "s without a floor": robust(
+    "s never shrinks": with_robust_firmware("few voices", "> crowd.spread else {-spread_step => 0}"),
+    "s grows at equality": with_robust_firmware(
+        "few voices", "distance {> => >=} crowd.spread else -spread_step"
+    ),
+    "s without a floor": with_robust_firmware(
         "test of the least spread", "{max(new_spread, SPREAD_MIN) => new_spread}, SPREAD"
     ),
-    "s without a ceiling": robust("few voices", "max(new_spread, SPREAD_MIN), SPREAD_MAX{ =>  << 9})"),
-    "sends its centre as x_hat": robust("few voices", "return {self.s.x_hat => self.x_raw}\n"),
-    "x of the last round": robust(
+    "s without a ceiling": with_robust_firmware(
+        "few voices", "max(new_spread, SPREAD_MIN), SPREAD_MAX{ =>  << 9})"
+    ),
+    "sends its centre as x_hat": with_robust_firmware("few voices", "return {self.s.x_hat => self.x_raw}\n"),
+    "x of the last round": with_robust_firmware(
         "few voices",
         "{if self.config.filter != Filter.ROBUST => if True}:",
         "elif { => True or }alpha",
         "if {self.config.filter == Filter.ROBUST => False}:\n            return",
     ),
-    "x is 1/2 before the first vote": robust("alone", "estimate({self.s.x_hat => HALF}, self"),
+    "x is 1/2 before the first vote": with_robust_firmware("alone", "estimate({self.s.x_hat => HALF}, self"),
     # Its test
-    "takes votes for voices": robust("few voices", "if crowd.{voices.bit_count() => votes} < SENDERS_MIN:"),
-    "voices modulo 128": robust("few voices", "1 << {(sender & 31) => sender}\n    crowd"),
-    "two voices are enough": robust("few voices", "SENDERS_MIN = {3 => 2}"),
-    "three voices are too few": robust("few voices", "SENDERS_MIN = {3 => 4}"),
-    "rejects at 3 sigma": robust("test of a moderate spread", "SIGMAS_SQUARED = {12 => 9}"),
-    "forgets the spread in its test": robust("test of a moderate spread", "{(g_spread * g_spread) => 0}"),
-    "variance of the prediction alone": robust(
+    "takes votes for voices": with_robust_firmware(
+        "few voices", "if crowd.{voices.bit_count() => votes} < SENDERS_MIN:"
+    ),
+    "voices modulo 128": with_robust_firmware("few voices", "1 << {(sender & 31) => sender}\n    crowd"),
+    "two voices are enough": with_robust_firmware("few voices", "SENDERS_MIN = {3 => 2}"),
+    "three voices are too few": with_robust_firmware("few voices", "SENDERS_MIN = {3 => 4}"),
+    "rejects at 3 sigma": with_robust_firmware("test of a moderate spread", "SIGMAS_SQUARED = {12 => 9}"),
+    "forgets the spread in its test": with_robust_firmware(
+        "test of a moderate spread", "{(g_spread * g_spread) => 0}"
+    ),
+    "variance of the prediction alone": with_robust_firmware(
         "test of a moderate spread", "for share in ({observed_share, predicted_share => predicted_share,}))"
     ),
-    "variance of the count alone": robust(
+    "variance of the count alone": with_robust_firmware(
         "test of the least spread", "for share in (observed_share,{ predicted_share => })"
     ),
-    "eq. 8 from its own estimate": robust("few voices", "s.n, {crowd_fill_ratio(crowd) => s.x_hat << 9})"),
-    "tests the present b_hat": robust(
+    "eq. 8 from its own estimate": with_robust_firmware(
+        "few voices", "s.n, {crowd_fill_ratio(crowd) => s.x_hat << 9})"
+    ),
+    "tests the present b_hat": with_robust_firmware(
         "moving up", 'robust_test_rejects({crowd => Crowd(**vars(crowd) | {"first": s.accuracy.b_hat})}, s.t'
     ),
-    "no way back": robust("moving up", "return None if is_initial else {crowd.first => None}"),
+    "no way back": with_robust_firmware("moving up", "return None if is_initial else {crowd.first => None}"),
     # A crowd that moves
-    "does not see that the crowd moves": robust("few voices", "if {crowd.is_moving => False}:"),
-    "tests while the crowd moves": robust(
+    "does not see that the crowd moves": with_robust_firmware("few voices", "if {crowd.is_moving => False}:"),
+    "tests while the crowd moves": with_robust_firmware(
         "limits of the trend", "votes >>= 1\n            {return None => pass}"
     ),
-    "keeps its gain when the crowd moves": robust("few voices", "votes >>= {1 => 0}\n"),
-    "sees only a crowd that moves up": robust(
+    "keeps its gain when the crowd moves": with_robust_firmware("few voices", "votes >>= {1 => 0}\n"),
+    "sees only a crowd that moves up": with_robust_firmware(
         "few voices", "not {TREND_MOVING_DOWN <= self => self}.trend < TREND"
     ),
-    "a trend of 512 moves": robust(
+    "a trend of 512 moves": with_robust_firmware(
         "few voices",
         "TREND_SHIFT = {8 => 9}",
         "TREND_STEP_UP = {255 => 127}",
         "TREND_STEP_EVEN = {128 => 64}",
     ),
-    "halves below the floor": robust(
+    "halves below the floor": with_robust_firmware(
         "few voices", "if crowd.votes {>= 2 * VOTES_MIN_WHILE_MOVING => >= VOTES_MIN_WHILE_MOVING}:"
     ),
-    "does not halve to the floor": robust(
+    "does not halve to the floor": with_robust_firmware(
         "few voices", "if crowd.votes {>= => >} 2 * VOTES_MIN_WHILE_MOVING:"
     ),
-    "halves from 511 votes on": robust(
+    "halves from 511 votes on": with_robust_firmware(
         "moving up", "if crowd.votes >= 2 * VOTES_MIN_WHILE_MOVING{ =>  - 1}:"
     ),
-    "halves by rounding up": robust("moving down", "crowd.votes {>>= 1 => = crowd.votes + 1 >> 1}"),
-    "throws the trend back": robust("few voices", "crowd.votes >>= 1{ => ; crowd.trend = 1 << 15}"),
-    "halves only with three voices": robust(
+    "halves by rounding up": with_robust_firmware(
+        "moving down", "crowd.votes {>>= 1 => = crowd.votes + 1 >> 1}"
+    ),
+    "throws the trend back": with_robust_firmware(
+        "few voices", "crowd.votes >>= 1{ => ; crowd.trend = 1 << 15}"
+    ),
+    "halves only with three voices": with_robust_firmware(
         "few voices",
         "s, crowd = self.s, self.s.crowd\n        if {crowd.is_moving => "
         "crowd.voices.bit_count() < 3:\n            return None\n        if crowd.is_moving}:",
     ),
-    "voices modulo 16": robust("few voices", "crowd.voices |= 1 << (sender & {31 => 15})"),
-    "voices of 31 bits": robust(
+    "voices modulo 16": with_robust_firmware("few voices", "crowd.voices |= 1 << (sender & {31 => 15})"),
+    "voices of 31 bits": with_robust_firmware(
         "few voices", "crowd.voices |= {1 << (sender & 31) => (1 << (sender & 31)) & 0x7FFF_FFFF}"
     ),
-    "a trend of 2^13 moves": robust("limits of the trend", "TREND_MOVING_DOWN {<= => <} self.trend"),
-    "a trend of 2^13 - 1 stays": robust(
+    "a trend of 2^13 moves": with_robust_firmware(
+        "limits of the trend", "TREND_MOVING_DOWN {<= => <} self.trend"
+    ),
+    "a trend of 2^13 - 1 stays": with_robust_firmware(
         "limits of the trend", "TREND_MOVING_DOWN = {1 << 13 => (1 << 13) - 1}"
     ),
-    "a trend of 7/8 - 2^-16 moves": robust(
+    "a trend of 7/8 - 2^-16 moves": with_robust_firmware(
         "limits of the trend", "TREND_MOVING_UP = {7 << 13 => (7 << 13) - 1}"
     ),
-    "a trend of 7/8 stays": robust("limits of the trend", "self.trend {< => <=} TREND_MOVING_UP"),
-    "r uninformative from 2^-11 on": robust(
+    "a trend of 7/8 stays": with_robust_firmware(
+        "limits of the trend", "self.trend {< => <=} TREND_MOVING_UP"
+    ),
+    "r uninformative from 2^-11 on": with_robust_firmware(
         "centre at 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G << 1}:"
     ),
-    "r uninformative to 2^-13": robust("centre at 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G >> 1}:"),
-    "r uninformative at 2^-12": robust("centre at 1/2", "minus_one {< => <=} INFORMATIVE_G:"),
-    "robust test in float32": robust_in_floats("test of the least spread", "<f"),
-    "robust test in float64": robust_in_floats("test of the least spread", "<d"),
+    "r uninformative to 2^-13": with_robust_firmware(
+        "centre at 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G >> 1}:"
+    ),
+    "r uninformative at 2^-12": with_robust_firmware("centre at 1/2", "minus_one {< => <=} INFORMATIVE_G:"),
+    "robust test in float32": with_robust_test_in_floats("test of the least spread", "<f"),
+    "robust test in float64": with_robust_test_in_floats("test of the least spread", "<d"),
     **{
-        f"{what} of 23 bits": robust("test of the least spread", f"{place}{{ =>  >> 9 << 9}}")
+        f"{what} of 23 bits": with_robust_firmware("test of the least spread", f"{place}{{ =>  >> 9 << 9}}")
         for what, place in (
             ("n/t", "observed_share = q32_quotient(n, t)"),
             ("r", "fill_ratio = crowd_fill_ratio(crowd)"),
             ("p", "predicted_share = black_seen_as_black + white_seen_as_black"),
         )
     },
-    "t of 14 bits in the test": robust(
+    "t of 14 bits in the test": with_robust_firmware(
         "test of the least spread", "return multiply_high({t => t % (1 << 14)}, difference_squared"
     ),
-    "an update counter of 5 bits, robust": robust(
+    "an update counter of 5 bits, robust": with_robust_firmware(
         "many rejections", "(s.updates + 1) & {COUNTER_MASK => 31}"
     ),
     # What it hears
-    "compares the priority of estimates": node("unusual identifiers", receive_frame=compares(3000, 7 << 26)),
-    "compares ignored bits of estimates": node("unusual identifiers", receive_frame=compares(3000, 3 << 21)),
-    "refuses large alphas": node(
+    "compares the priority of estimates": with_node(
+        "unusual identifiers", receive_frame=ignoring_unusual_bits(ESTIMATES, 7 << 26)
+    ),
+    "compares ignored bits of estimates": with_node(
+        "unusual identifiers", receive_frame=ignoring_unusual_bits(ESTIMATES, 3 << 21)
+    ),
+    "refuses large alphas": with_node(
         "nothing seen",
-        receive_frame=drops(
+        receive_frame=ignoring(
             lambda frame: is_estimate(frame) and alpha_float32_bits(frame) >= float32_bits(2.0**31)
         ),
     ),
-    "rounds foreign alphas": node("nothing seen", receive_frame=given(to_nearest)),
-    "hears itself": node(
-        "its own id", _receive=given(lambda each: replace(each, sender=99) if each.sender == ID else each)
+    "rounds foreign alphas": with_node(
+        "nothing seen", receive_frame=with_changed_argument(round_alpha_to_nearest)
     ),
-    "deaf between ticks": node(
-        "between ticks", _receive=lambda node, right, message: None if node.is_settled else right(message)
+    "hears itself": with_node(
+        "its own id",
+        _receive=with_changed_argument(
+            lambda estimate: replace(estimate, sender=99) if estimate.sender == ID else estimate
+        ),
+    ),
+    "deaf between ticks": with_node(
+        "between ticks", _receive=lambda node, usual, message: None if node.is_settled else usual(message)
     ),
     **{
-        f"accepts frames with {reason.name}": node("invalid frames", receive_frame=accepts(reason))
+        f"accepts frames with {reason.name}": with_node("invalid frames", receive_frame=accepting(reason))
         for reason in Rejection
         if Rejection.STANDARD_ID.value >= reason.value >= Rejection.RESERVED_BITS.value
         or reason in (Rejection.REMOTE_FRAME, Rejection.LENGTH, Rejection.ALPHA)
     },
     **{
-        name: node("invalid frames", receive_frame=reads(reason, mend))
+        name: with_node("invalid frames", receive_frame=without_check(reason, mend))
         for name, reason, mend in (
-            ("does not look at the start bit", Rejection.MULTI_FRAME, put(7, lambda byte: byte | 1 << 7)),
-            ("does not look at the end bit", Rejection.MULTI_FRAME, put(7, lambda byte: byte | 1 << 6)),
-            ("does not look at the toggle bit", Rejection.MULTI_FRAME, put(7, lambda byte: byte | 1 << 5)),
-            ("x_hat one unit too large", Rejection.X_HAT, put(0, lambda byte: byte - (byte == 1))),
-            ("subjects of 8 bits", Rejection.SUBJECT, as_subject(0xFF)),
-            ("leaves out bit 4 of subjects", Rejection.SUBJECT, as_subject(0x1FEF)),
-            ("leaves out bit 8 of subjects", Rejection.SUBJECT, as_subject(0x1EFF)),
+            (
+                "does not look at the start bit",
+                Rejection.MULTI_FRAME,
+                change_byte(7, lambda byte: byte | 1 << 7),
+            ),
+            (
+                "does not look at the end bit",
+                Rejection.MULTI_FRAME,
+                change_byte(7, lambda byte: byte | 1 << 6),
+            ),
+            (
+                "does not look at the toggle bit",
+                Rejection.MULTI_FRAME,
+                change_byte(7, lambda byte: byte | 1 << 5),
+            ),
+            ("x_hat one unit too large", Rejection.X_HAT, change_byte(0, lambda byte: byte - (byte == 1))),
+            ("subjects of 8 bits", Rejection.SUBJECT, as_estimate_if_equal_in(0xFF)),
+            ("leaves out bit 4 of subjects", Rejection.SUBJECT, as_estimate_if_equal_in(0x1FEF)),
+            ("leaves out bit 8 of subjects", Rejection.SUBJECT, as_estimate_if_equal_in(0x1EFF)),
         )
     },
     # Commands
-    "takes no observation for white": node(
-        "nothing seen", observe=given(lambda z: Observation.WHITE if z is None else z)
+    "takes no observation for white": with_node(
+        "nothing seen", observe=with_changed_argument(lambda z: Observation.WHITE if z is None else z)
     ),
-    "answers late": node(
-        "nothing seen", observe=lambda node, right, z: ([] if node.is_settled else node.settle()) + right(z)
+    "answers late": with_node(
+        "nothing seen", observe=lambda node, usual, z: ([] if node.is_settled else node.settle()) + usual(z)
     ),
-    "obeys others": node(
-        "stray commands", _follow_command=given(lambda command: replace(command, target=ID))
+    "obeys others": with_node(
+        "stray commands", _follow_command=with_changed_argument(lambda command: replace(command, target=ID))
     ),
-    "ignores settles for every robot": node(
+    "ignores settles for every robot": with_node(
         "unusual commands",
-        _follow_command=drops(
+        _follow_command=ignoring(
             lambda command: command.target == EVERY_ROBOT and command.action is Action.SETTLE
         ),
     ),
-    "obeys one node": node(
-        "unusual commands", _follow_command=drops(lambda command: command.sender != DRIVER_ID)
+    "obeys one node": with_node(
+        "unusual commands", _follow_command=ignoring(lambda command: command.sender != DRIVER_ID)
     ),
-    "checks the spare byte": node(
+    "checks the spare byte": with_node(
         "unusual commands",
-        receive_frame=drops(lambda frame: isinstance(decode_command(frame), Command) and frame.data[6] != 0),
-    ),
-    "compares the priority of commands": node("unusual commands", receive_frame=compares(3002, 7 << 26)),
-    "compares ignored bits of commands": node("unusual commands", receive_frame=compares(3002, 3 << 21)),
-    "numbers of 8 bits": numbers_of(8),
-    "numbers of 31 bits": numbers_of(31),
-    "ignores older numbers": node(
-        "unusual commands",
-        _follow_command=lambda node, right, each: (
-            [] if each.tick < (node._tick_of_command or 0) else right(each)
+        receive_frame=ignoring(
+            lambda frame: isinstance(decode_command(frame), Command) and frame.data[6] != 0
         ),
     ),
-    "estimate before heartbeat": node("nothing seen", observe=lambda node, right, z: right(z)[::-1]),
-    "hangs": node(
-        "nothing seen", receive_frame=lambda node, right, frame: right(frame) if node.ticks < 200 else []
+    "compares the priority of commands": with_node(
+        "unusual commands", receive_frame=ignoring_unusual_bits(COMMANDS, 7 << 26)
+    ),
+    "compares ignored bits of commands": with_node(
+        "unusual commands", receive_frame=ignoring_unusual_bits(COMMANDS, 3 << 21)
+    ),
+    "numbers of 8 bits": with_tick_numbers_of(8),
+    "numbers of 31 bits": with_tick_numbers_of(31),
+    "ignores older numbers": with_node(
+        "unusual commands",
+        _follow_command=lambda node, usual, command: (
+            [] if command.tick < (node._tick_of_command or 0) else usual(command)
+        ),
+    ),
+    "estimate before heartbeat": with_node("nothing seen", observe=lambda node, usual, z: usual(z)[::-1]),
+    "hangs": with_node(
+        "nothing seen", receive_frame=lambda node, usual, frame: usual(frame) if node.ticks < 200 else []
     ),
     # The wire
-    "another priority": sends(3000, flip(1 << 26)),
-    "another priority of telemetry": sends(3001, flip(1 << 27)),
-    "another priority of heartbeats": sends(7509, flip(1 << 28)),
-    "bit 23 set": sends(3000, flip(1 << 23)),
-    "bit 7 set": sends(3001, flip(1 << 7)),
-    "CAN FD": sends(3000, change(is_fd=lambda is_fd: True)),
-    "7 bytes": sends(3001, change(data=lambda data: data[:7])),
-    "another tail": sends(3000, put(7, lambda byte: byte & 0x3F)),
-    "transfer ids modulo 16": sends(3000, put(7, lambda byte: byte & 0xEF)),
-    "another transfer id of telemetry": sends(3001, put(7, lambda byte: byte ^ 1)),
-    "transfer ids stand still": sends(7509, put(7, lambda byte: 0xE0)),
-    "x rounded in telemetry": sends(3001, put(0, lambda byte: byte ^ 1)),
-    "b_hat cut in telemetry": sends(3001, put(3, lambda byte: byte + 1)),
-    "another subject of telemetry": sends(3001, flip(1 << 11)),
-    "says it twice": sends(3000, lambda frame: [frame, frame]),
-    "no heartbeats": sends(7509, lambda frame: []),
-    "uptime in ticks": sends(7509, put(0, lambda byte: 10 * byte)),
-    "health caution": sends(7509, put(4, lambda byte: byte | 2)),
-    "mode maintenance": sends(7509, put(5, lambda byte: byte | 2)),
-    "heartbeats twice as often": node(
+    "another priority": with_sent_frames(ESTIMATES, flip_identifier(1 << 26)),
+    "another priority of telemetry": with_sent_frames(TELEMETRY, flip_identifier(1 << 27)),
+    "another priority of heartbeats": with_sent_frames(HEARTBEATS, flip_identifier(1 << 28)),
+    "bit 23 set": with_sent_frames(ESTIMATES, flip_identifier(1 << 23)),
+    "bit 7 set": with_sent_frames(TELEMETRY, flip_identifier(1 << 7)),
+    "CAN FD": with_sent_frames(ESTIMATES, change(is_fd=lambda is_fd: True)),
+    "7 bytes": with_sent_frames(TELEMETRY, change(data=lambda data: data[:7])),
+    "another tail": with_sent_frames(ESTIMATES, change_byte(7, lambda byte: byte & 0x3F)),
+    "transfer ids modulo 16": with_sent_frames(ESTIMATES, change_byte(7, lambda byte: byte & 0xEF)),
+    "another transfer id of telemetry": with_sent_frames(TELEMETRY, change_byte(7, lambda byte: byte ^ 1)),
+    "transfer ids stand still": with_sent_frames(HEARTBEATS, change_byte(7, lambda byte: 0xE0)),
+    "x rounded in telemetry": with_sent_frames(TELEMETRY, change_byte(0, lambda byte: byte ^ 1)),
+    "b_hat cut in telemetry": with_sent_frames(TELEMETRY, change_byte(3, lambda byte: byte + 1)),
+    "another subject of telemetry": with_sent_frames(TELEMETRY, flip_identifier(1 << 11)),
+    "says it twice": with_sent_frames(ESTIMATES, lambda frame: [frame, frame]),
+    "no heartbeats": with_sent_frames(HEARTBEATS, lambda frame: []),
+    "uptime in ticks": with_sent_frames(HEARTBEATS, change_byte(0, lambda byte: 10 * byte)),
+    "health caution": with_sent_frames(HEARTBEATS, change_byte(4, lambda byte: byte | 2)),
+    "mode maintenance": with_sent_frames(HEARTBEATS, change_byte(5, lambda byte: byte | 2)),
+    "heartbeats twice as often": with_node(
         "nothing seen",
-        observe=lambda node, right, z: (node.start() if node.ticks % 10 == 5 else []) + right(z),
+        observe=lambda node, usual, z: (node.start() if node.ticks % 10 == 5 else []) + usual(z),
     ),
 }

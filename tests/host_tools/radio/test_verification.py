@@ -33,7 +33,7 @@ from mcp_asdf_tools.robots.node import RobotNode
 from messages import encoded
 from support import slow
 from wire import CLOCK, EndlessWire, Wire, node_in_a_thread, record, still
-from wrong_robots import B_HAT, DEFAULT, ID, VOTES, WRONG, Wrong, node, right, surroundings
+from wrong_robots import B_HAT, DEFAULT, ID, VOTES, WRONG, Wrong, right, surroundings, with_node
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
@@ -437,7 +437,7 @@ def test_a_controller_may_complain_of_ticks_left_open_and_of_nothing_else(
             frame.data[4] = severity * (robot.unsettled > 0 or robot.ticks >= from_tick)
         return [*heartbeats, estimate]
 
-    controller = node("", observe=observe).make(QUICK)
+    controller = with_node("", observe=observe).make(QUICK)
     difference = str(judge(controller, phases=PHASES[1:7]).difference)
     is_legal = (from_tick, severity) == (10**6, 1)
     assert difference == "None" if is_legal else "heartbeat, health: expected" in difference
@@ -446,7 +446,7 @@ def test_a_controller_may_complain_of_ticks_left_open_and_of_nothing_else(
 
 def test_other_frames_of_the_controller_are_not_judged() -> None:
     own = can.Message(arbitration_id=4 << 26 | 3 << 21 | 7510 << 8 | ID, data=b"any")
-    controller = node("", settle=lambda robot, usual: [*usual(), own]).make(QUICK)
+    controller = with_node("", settle=lambda robot, usual: [*usual(), own]).make(QUICK)
     assert judge(controller, phases=PHASES[:1]).has_passed
 
 
@@ -527,7 +527,7 @@ def test_a_wrong_greeting_is_compared_with_the_right_one() -> None:
         greeting.data[5] = 2
         return [greeting]
 
-    verdict = judge(node("", start=start).make(QUICK), phases=PHASES[:1])
+    verdict = judge(with_node("", start=start).make(QUICK), phases=PHASES[:1])
     assert "heartbeat, mode: expected 107D5503" in str(verdict.difference)
     assert verdict.phases[0].outcome == "failed"
 
