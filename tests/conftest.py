@@ -15,6 +15,9 @@ from support import DRAWS_ALL
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
+LONGEST_TESTS = ("test_python_mutants", "test_types_are_right", "test_c_tests_pass")
+"""Tests that begin first, so that no worker waits for one of them at the end."""
+
 TIMEOUT, SLOW_TIMEOUT = 300, 1200
 """Seconds that a test may take before it fails as one that hangs; those in a guest kernel have no limit."""
 
@@ -38,8 +41,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 
 @pytest.hookimpl(trylast=True)  # when all have been marked that are slow
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    # What takes minutes begins first, so that the other worker has work until the end.
-    items.sort(key=lambda item: "test_python_mutants" not in item.nodeid)
+    items.sort(key=lambda item: not any(name in item.nodeid for name in LONGEST_TESTS))
     if not config.pluginmanager.hasplugin("timeout"):
         return
     for item in items:

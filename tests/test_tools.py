@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -128,13 +128,13 @@ def each_of(rooms: Iterable[Room]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("room", rooms, ids=lambda room: room.name)
 
 
-def quick_but_arena_and_engine(rooms: Iterable[Room]) -> list[ParameterSet]:
-    """Return the rooms as parameters of an analysis, which takes long for the arena and the engine alone.
+def quick_for(names: Collection[str], rooms: Iterable[Room]) -> list[ParameterSet]:
+    """Return the rooms as parameters of an analysis that make test does for the named rooms alone.
 
-    In make test clang warns of these.
+    Of the others make test has the warnings of clang.
     """
     return [
-        pytest.param(room, id=room.name, marks=[pytest.mark.slow] if room.name == "arena and engine" else [])
+        pytest.param(room, id=room.name, marks=[] if room.name in names else [pytest.mark.slow])
         for room in rooms
     ]
 
@@ -219,12 +219,12 @@ def test_cppcheck_finds_nothing_in_the_core(variant: Variant) -> None:
     cppcheck(ROOMS[0], *(flag for flag in variant.flags() if flag.startswith("-DMCP")))
 
 
-@pytest.mark.parametrize("room", quick_but_arena_and_engine(ROOMS[1:]))
+@pytest.mark.parametrize("room", quick_for(("tables", "ports"), ROOMS[1:]))
 def test_cppcheck_finds_nothing(room: Room) -> None:
     cppcheck(room)
 
 
-@pytest.mark.parametrize("room", quick_but_arena_and_engine((*ROOMS, TESTS)))
+@pytest.mark.parametrize("room", quick_for(("core", "tables", "tests"), (*ROOMS, TESTS)))
 def test_gcc_and_its_analyser_find_nothing(room: Room, tmp_path: Path) -> None:
     require(room.gcc[0], room.packages)
     how = (

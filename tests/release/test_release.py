@@ -74,6 +74,7 @@ def test_reference_data_are_those_that_the_page_names() -> None:
     assert dict(re.findall(r"^\| `([^`]+)` \| `([0-9a-f]{64})` \|$", page, re.MULTILINE)) == found
 
 
+@pytest.mark.slow
 def test_the_bill_names_each_dependency() -> None:
     found = bill()
     validator = pytest.importorskip("cyclonedx.validation.json", reason="cyclonedx-bom is not installed")

@@ -14,8 +14,8 @@ from targets import matrix
 from targets.golden_vectors import FILES, HERE, Player, content, played, scenarios, verdict
 from targets.matrix import HOST, TARGETS, WASM, Cell, quick_cell, slow_cells
 
-QUICK_TARGETS = ("avr", "cortex-m0", "host")
-"""Targets of which no two compute in the same way: bit by bit, by a table, and with 64-bit words.
+QUICK_TARGETS = ("avr", "cortex-m0")
+"""The targets that compute least like this computer: bit by bit, and by a table.
 
 For the arithmetic of the others, and for the order of bytes of an s390x, make test has the C tests that
 tests/c_ref/test_presets.py builds.
