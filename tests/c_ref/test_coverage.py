@@ -1,10 +1,12 @@
-"""Every condition of the firmware that can be, is decided both ways by the C tests, and each by itself: MC/DC
-by clang."""
+"""MC/DC of the firmware by its C tests, measured by clang.
+
+Modified condition/decision coverage: every condition has been true and false, and has changed the result of
+its decision by itself.
+"""
 
 from __future__ import annotations
 
 import json
-from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,60 +21,65 @@ from support import CORE, ROOT, TABLE, require, run
 PACKAGES = "clang-19 llvm-19 libclang-rt-19-dev"
 PORTS = ROOT / "c_ref/ports"
 SOURCES = [*sorted(CORE.parent.glob("*.c")), *sorted((PORTS / "node").glob("*.c"))]
-FIRMWARE = {*SOURCES, *CORE.parent.glob("*.h")}
-"""Files whose conditions count."""
-BLACK_BOX = ("frame", "node")
+MEASURED_FILES = {*SOURCES, *CORE.parent.glob("*.h")}
+BLACK_BOX_TESTS = ("frame", "node")
 FLAGS = ("-std=c99", "-O1", "-fprofile-instr-generate", "-fcoverage-mapping", "-fcoverage-mcdc")
 
-Span = tuple[int, ...]
+Span = tuple[int, int, int, int]
 """First line and column, last line and column."""
 Place = tuple[str, str, Span]
-"""Function, file and place."""
+"""Function, file and span."""
 
 
 @dataclass
-class Decisions:
-    """Observed values of the conditions and decisions of some functions.
+class Coverage:
+    """What some programs together have covered of the conditions of some functions.
 
     Attributes:
-        outcomes: How often a condition was true and false, by function, file and place.
-        effects: Whether each condition of a decision changed its result by itself, in its order, likewise.
+        outcome_counts: How often each condition was true and was false.
+        effects: For each decision, whether each of its conditions has changed the result by itself.
     """
 
-    outcomes: dict[Place, list[int]] = field(default_factory=lambda: defaultdict(lambda: [0, 0]))
+    outcome_counts: dict[Place, tuple[int, int]] = field(default_factory=dict)
     effects: dict[Place, list[bool]] = field(default_factory=dict)
 
     def add(self, function: dict[str, Any]) -> None:
-        """Adds what one program saw of a function; what any of them saw counts."""
+        """Add what llvm-cov exports of a function in one program."""
         name = function["name"].replace(";", ":").rpartition(":")[2]
         path = function["filenames"][0]
-        for *span, true, false, _, _, _ in function["branches"]:
-            seen = self.outcomes[name, path, tuple(span)]
-            seen[:] = seen[0] + true, seen[1] + false
+        for branch in function["branches"]:
+            first_line, first_column, last_line, last_column, true_count, false_count, *_ = branch
+            place = (name, path, (first_line, first_column, last_line, last_column))
+            earlier_true, earlier_false = self.outcome_counts.get(place, (0, 0))
+            self.outcome_counts[place] = (earlier_true + true_count, earlier_false + false_count)
         for record in function["mcdc_records"]:
-            key, effects = (name, path, tuple(record[:4])), record[-1]
-            before = self.effects.get(key, [False] * len(effects))
-            self.effects[key] = [a or b for a, b in zip(before, effects, strict=True)]
+            first_line, first_column, last_line, last_column, *_, effects = record
+            place = (name, path, (first_line, first_column, last_line, last_column))
+            earlier_effects = self.effects.get(place, [False] * len(effects))
+            self.effects[place] = [a or b for a, b in zip(earlier_effects, effects, strict=True)]
 
     def missing(self) -> list[tuple[str, str, str]]:
-        """Function, text, and what was not seen: ``true``, ``false``, or ``effect of condition i``."""
-        found = [
-            (place, outcome)
-            for place, counts in self.outcomes.items()
-            for outcome, count in zip(("true", "false"), counts, strict=True)
-            if count == 0
-        ]
-        found += [
-            (place, f"effect of condition {number}")
-            for place, effects in self.effects.items()
-            for number, seen in enumerate(effects, 1)
-            if not seen
-        ]
-        return sorted((name, text_at(path, span), what) for (name, path, span), what in found)
+        """Return function, text and missing outcome of each condition that is not covered.
+
+        An outcome is ``true`` or ``false`` of a condition, or ``effect of condition i`` of a decision.
+        """
+        missing_outcomes: list[tuple[Place, str]] = []
+        for place, (true_count, false_count) in self.outcome_counts.items():
+            if true_count == 0:
+                missing_outcomes.append((place, "true"))
+            if false_count == 0:
+                missing_outcomes.append((place, "false"))
+        for place, effects in self.effects.items():
+            for number, has_effect in enumerate(effects, 1):
+                if not has_effect:
+                    missing_outcomes.append((place, f"effect of condition {number}"))
+        return sorted(
+            (name, text_at(path, span), outcome) for (name, path, span), outcome in missing_outcomes
+        )
 
 
 def text_at(path: str, span: Span) -> str:
-    """A part of a source file on one line."""
+    """Return a span of a source file, on one line."""
     first_line, first_column, last_line, last_column = span
     lines = Path(path).read_text(encoding="utf-8").splitlines()[first_line - 1 : last_line]
     lines[-1] = lines[-1][: last_column - 1]
@@ -80,68 +87,75 @@ def text_at(path: str, span: Span) -> str:
     return " ".join(" ".join(lines).split())
 
 
-def programs(folder: Path) -> Iterator[Path]:
-    """The C tests, as they are built for the project, with counters in them."""
+def build_programs(folder: Path) -> Iterator[Path]:
+    """Build the C tests as for the project, but with counters in them."""
     require("clang-19", PACKAGES)
     tests = ROOT / "tests/c_ref"
-    for name in BLACK_BOX:
-        yield _compiled(folder / name, tests / f"test_{name}.c", *SOURCES, TABLE)
+    for name in BLACK_BOX_TESTS:
+        yield build(folder / name, tests / f"test_{name}.c", *SOURCES, TABLE)
     third = third_object(folder)
-    core = CORE, CORE.with_name("mcp_asdf_image.c"), TABLE
+    core = (CORE, CORE.with_name("mcp_asdf_image.c"), TABLE)
     for variant in HERE:
-        yield _compiled(folder / f"core_{variant}", tests / "test_core.c", *variant.flags())
-        linked = (*core, third, "-lstdc++", "-lm")
-        yield _compiled(folder / f"third_{variant}", *variant.flags(), *linked)
+        yield build(folder / f"core_{variant}", tests / "test_core.c", *variant.flags())
+        yield build(folder / f"third_{variant}", *variant.flags(), *core, third, "-lstdc++", "-lm")
 
 
-def _compiled(program: Path, *arguments: str | Path) -> Path:
+def build(program: Path, *arguments: str | Path) -> Path:
     run("clang-19", *FLAGS, f"-I{CORE.parent}", f"-I{PORTS}", *arguments, "-o", program)
     return program
 
 
-def measured(folder: Path) -> Decisions:
-    """Of all C tests together."""
-    found = Decisions()
-    for program in programs(folder):
-        raw, profile = program.with_suffix(".profraw"), program.with_suffix(".profdata")
-        run(program, LLVM_PROFILE_FILE=str(raw))
-        run(require("llvm-profdata-19", PACKAGES), "merge", "-o", profile, raw)
-        exported = run(
-            *(require("llvm-cov-19", PACKAGES), "export", "-skip-expansions"),
-            *(f"-instr-profile={profile}", program),
-        )
-        for function in json.loads(exported)["data"][0]["functions"]:
-            if Path(function["filenames"][0]) in FIRMWARE:
-                found.add(function)
-    return found
+def run_and_export(program: Path) -> list[dict[str, Any]]:
+    """Run a program, and return what llvm-cov exports of its functions in the measured files."""
+    raw_profile, profile = program.with_suffix(".profraw"), program.with_suffix(".profdata")
+    run(program, LLVM_PROFILE_FILE=str(raw_profile))
+    run(require("llvm-profdata-19", PACKAGES), "merge", "-o", profile, raw_profile)
+    llvm_cov = require("llvm-cov-19", PACKAGES)
+    exported = run(llvm_cov, "export", "-skip-expansions", f"-instr-profile={profile}", program)
+    functions = json.loads(exported)["data"][0]["functions"]
+    return [function for function in functions if Path(function["filenames"][0]) in MEASURED_FILES]
 
 
-CONSTANT = "a constant of each build, so no run can change it; both its values are compiled and tested"
-OF_BUILDS = {
+REASON = "a constant of each build, so no run can change it; both its values are compiled and tested"
+CONSTANT_CONDITIONS = {
     ("divide_24", "MCP_ASDF_DIVIDE == MCP_ASDF_DIVIDE_BY_TABLE && d >> 30 == 0U"): (1,),
     (
         "mcp_asdf_is_robust",
         "MCP_ASDF_WITH_ROBUST && (!MCP_ASDF_WITH_ASDF || config->filter == MCP_ASDF_ROBUST)",
     ): (1, 2),
 }
-UNREACHED = {
-    (*place, f"effect of condition {number}"): CONSTANT
-    for place, numbers in OF_BUILDS.items()
+"""Function and text of decisions, and the numbers of their conditions that are constants of a build."""
+UNREACHABLE = {
+    (*decision, f"effect of condition {number}"): REASON
+    for decision, numbers in CONSTANT_CONDITIONS.items()
     for number in numbers
 }
-"""Conditions that cannot be reached: function, text and value; and the reason."""
+"""What no test can cover, as ``Coverage.missing`` has it, and why."""
+
+
+@pytest.fixture(scope="module")
+def coverage(tmp_path_factory: pytest.TempPathFactory) -> Coverage:
+    """What all C tests together have covered."""
+    coverage = Coverage()
+    for program in build_programs(tmp_path_factory.mktemp("coverage")):
+        for function in run_and_export(program):
+            coverage.add(function)
+    return coverage
 
 
 @pytest.mark.slow
-def test_every_condition_is_tested(tmp_path: Path) -> None:
-    """Missing means missing from all C tests together."""
-    found = measured(tmp_path)
-    without_code = CORE.with_name("mcp_asdf_accessors.c")  # its functions stand in mcp_asdf.h
-    assert {Path(path) for _, path, _ in found.outcomes} == {
-        *(source for source in SOURCES if source != without_code),
+def test_coverage_is_measured_in_every_file_that_has_code(coverage: Coverage) -> None:
+    file_without_code = CORE.with_name("mcp_asdf_accessors.c")  # its functions stand in mcp_asdf.h
+    assert {Path(path) for _, path, _ in coverage.outcome_counts} == {
+        *(source for source in SOURCES if source != file_without_code),
         *(CORE.with_name(f"mcp_asdf{part}.h") for part in ("", "_arithmetic", "_robust")),
         *CORE.parent.glob("mcp_asdf_target*.h"),
     }
-    assert len(found.outcomes) > 150 and sum(map(len, found.effects.values())) > 70
-    missing = found.missing()
-    assert missing == sorted(UNREACHED), "\n".join(map(str, missing))
+    assert len(coverage.outcome_counts) > 150
+    assert sum(map(len, coverage.effects.values())) > 70
+
+
+@pytest.mark.slow
+def test_the_c_tests_together_cover_every_condition_that_can_be(coverage: Coverage) -> None:
+    missing = coverage.missing()
+    assert missing == sorted(UNREACHABLE), "\n".join(map(str, missing))

@@ -1,4 +1,4 @@
-"""MISRA C:2012, by cppcheck's addon: no finding but those that ``misra.toml`` lists with a reason."""
+"""MISRA C:2012: the addon of cppcheck finds only what ``misra.toml`` lists with a reason."""
 
 from __future__ import annotations
 
@@ -23,80 +23,98 @@ TARGETS = {
     "3010": (*ON_AN_AVR, "-DMCP_ASDF_READ_WORD(at)=(*(at))"),
     "2000": ("-D__OPTIMIZE_SIZE__", "--platform=unix32"),
 }
-"""Choices of the targets that tests/c_ref/CMakeLists.txt names, and what else tells them apart."""
-BUILDS = ("-DMCP_ASDF_WITH_ROBUST=0", "-DMCP_ASDF_WITH_ASDF=0")
-"""Builds without a filter, for the first target."""
-WHOLE = ("1001", "3010")
-"""Targets for which all files are checked: choices change only the core, the width of an int all of them."""
-HEADERS = ("-D__GNUC__=12", "-DUINT32_C(v)=((uint32_t)v##U)", "-DUINT64_C(v)=((uint64_t)v##ULL)")
-"""From headers of the system, which cppcheck does not read: constants have the type they are asked for."""
+"""Options of cppcheck for each target, by its choices (the digits of tests/c_ref/CMakeLists.txt)."""
+FIRST_TARGET = "1001"
+BUILDS_OF_ONE_FILTER = ("-DMCP_ASDF_WITH_ROBUST=0", "-DMCP_ASDF_WITH_ASDF=0")
+TARGETS_OF_ALL_FILES = ("1001", "3010")
+"""Targets for which all files are checked. Of the others it is the core alone: their choices change no other
+file, but an int of 16 bits may matter everywhere."""
+SYSTEM_HEADERS = ("-D__GNUC__=12", "-DUINT32_C(v)=((uint32_t)v##U)", "-DUINT64_C(v)=((uint64_t)v##ULL)")
+"""Macros of headers that cppcheck does not read, so that constants have the type that they ask for."""
 
-ADVISORY = frozenset(
+ADVISORY_RULES = frozenset(
     {"1.2", "4.2", "5.9", "8.7", "8.9", "8.11", "8.13", "10.5", "11.4", "11.5", "12.1", "12.3", "12.4"}
     | {"13.3", "13.4", "15.1", "15.4", "15.5", "17.5", "17.8", "18.4", "18.5", "19.2"}
     | {"20.1", "20.5", "20.10", "21.12"}
     | {f"2.{number}" for number in range(3, 8)}
 )
-"""Rules of this category; the record has a place for each exception from any other."""
+"""Rules for which the record names no places: a reason is enough."""
 FINDING = re.compile(r"^([^:\n]+):(\d+) misra-c2012-([\d.]+)$", re.MULTILINE)
 COMMENT = re.compile(r"/\*.*?(\*/|$)")
 
+Findings = defaultdict[str, set[str]]
+"""Places by rule. A place is a file's name and a line of code without its comments and its number."""
 
-def findings(target: str, sources: Path, *build: str) -> dict[str, set[str]]:
-    """Places of each rule's findings under a target's choices: file and line of code, without its number.
 
-    Beside the sources cppcheck writes files of its own, so these are a copy.
-    """
-    files = sorted(sources.glob("*.c")) if target in WHOLE else [sources / CORE.name]
+def find(target: str, sources: Path, *build_options: str) -> Findings:
+    """Return what cppcheck finds in the sources under a target's choices."""
+    files = sorted(sources.glob("*.c")) if target in TARGETS_OF_ALL_FILES else [sources / CORE.name]
     command = ["cppcheck", "--addon=misra", "--std=c99", "--quiet", "--template={file}:{line} {id}"]
+    options = [*SYSTEM_HEADERS, *Variant(target).flags(), *build_options, *TARGETS[target]]
     done = subprocess.run(
-        [*command, *HEADERS, *Variant(target).flags(), *build, *TARGETS[target], *map(str, files)],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
+        [*command, *options, *map(str, files)], capture_output=True, text=True, check=True, timeout=120
     )
     lines = {path.name: path.read_text(encoding="utf-8").splitlines() for path in sources.glob("*.[ch]")}
-    found: defaultdict[str, set[str]] = defaultdict(set)
-    for path, line, rule in FINDING.findall(done.stderr):
+    places_by_rule: Findings = defaultdict(set)
+    for path, line_number, rule in FINDING.findall(done.stderr):
         name = Path(path).name
-        found[rule].add(f"{name}: {' '.join(COMMENT.sub('', lines[name][int(line) - 1]).split())}")
+        code = COMMENT.sub("", lines[name][int(line_number) - 1])
+        places_by_rule[rule].add(f"{name}: {' '.join(code.split())}")
     assert not FINDING.sub("", done.stderr).strip(), done.stderr
-    return found
+    return places_by_rule
 
 
-def record() -> tuple[dict[str, set[str]], set[str]]:
-    """Places of each required rule, and the advisory rules, that the record excepts."""
-    read = tomllib.loads(RECORD.read_text(encoding="utf-8"))
-    places = [(entry["rule"], place) for entry in read["required"] for place in entry["places"]]
-    rules = [entry["rule"] for entry in read["advisory"]]
-    required: defaultdict[str, set[str]] = defaultdict(set)
-    for rule, place in places:
-        required[rule].add(place)
-    return required, set(rules)
+def recorded_places() -> Findings:
+    """Return the places of exceptions from required rules, as the record lists them."""
+    places_by_rule: Findings = defaultdict(set)
+    for entry in tomllib.loads(RECORD.read_text(encoding="utf-8"))["required"]:
+        places_by_rule[entry["rule"]].update(entry["places"])
+    return places_by_rule
+
+
+def recorded_advisory_rules() -> set[str]:
+    """Return the advisory rules that the record excepts."""
+    return {entry["rule"] for entry in tomllib.loads(RECORD.read_text(encoding="utf-8"))["advisory"]}
 
 
 @pytest.fixture
 def sources(tmp_path: Path) -> Path:
+    """A copy of the core's sources, since cppcheck writes files beside what it reads."""
     require("cppcheck", "cppcheck")
     return Path(shutil.copytree(CORE.parent, tmp_path / "src"))
 
 
-def test_misra_finds_nothing_new_for_the_first_target(sources: Path) -> None:
-    required, advisory = record()
-    found = findings("1001", sources)
-    assert {rule for rule, places in found.items() if places - required[rule]} <= advisory
+@pytest.fixture(scope="module")
+def all_findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
+    """What is found for all targets together, and in builds of one filter for the first of them."""
+    require("cppcheck", "cppcheck")
+    sources = Path(shutil.copytree(CORE.parent, tmp_path_factory.mktemp("misra") / "src"))
+    places_by_rule: Findings = defaultdict(set)
+    runs = [(target, "") for target in TARGETS] + [(FIRST_TARGET, build) for build in BUILDS_OF_ONE_FILTER]
+    for target, build in runs:
+        for rule, places in find(target, sources, *build.split()).items():
+            places_by_rule[rule] |= places
+    return places_by_rule
+
+
+def test_nothing_unrecorded_is_found_for_the_first_target(sources: Path) -> None:
+    recorded = recorded_places()
+    unrecorded = {rule for rule, places in find(FIRST_TARGET, sources).items() if places - recorded[rule]}
+    assert unrecorded <= recorded_advisory_rules()
 
 
 @pytest.mark.slow
-def test_misra_finds_what_the_record_lists_and_nothing_else(sources: Path) -> None:
-    """A new finding fails, and so does an entry without a finding."""
-    found: defaultdict[str, set[str]] = defaultdict(set)
-    for run in (*((target,) for target in TARGETS), *(("1001", build) for build in BUILDS)):
-        for rule, places in findings(run[0], sources, *run[1:]).items():
-            found[rule] |= places
-    required, advisory = record()
-    assert {rule: places for rule, places in found.items() if rule not in ADVISORY} == required
-    assert found.keys() & ADVISORY == advisory
-    page = (ROOT / "docs/trust.md").read_text(encoding="utf-8").partition("## MISRA")[2].partition("\n## ")[0]
-    assert set(re.findall(r"\b\d+\.\d+\b", page)) == required.keys()
+def test_required_rules_are_broken_at_the_recorded_places_and_nowhere_else(all_findings: Findings) -> None:
+    found = {rule: places for rule, places in all_findings.items() if rule not in ADVISORY_RULES}
+    assert found == recorded_places()
+
+
+@pytest.mark.slow
+def test_the_recorded_advisory_rules_and_no_others_are_broken(all_findings: Findings) -> None:
+    assert all_findings.keys() & ADVISORY_RULES == recorded_advisory_rules()
+
+
+def test_the_page_names_the_required_rules_that_are_broken() -> None:
+    page = (ROOT / "docs/trust.md").read_text(encoding="utf-8")
+    section = page.partition("## MISRA")[2].partition("\n## ")[0]
+    assert set(re.findall(r"\b\d+\.\d+\b", section)) == recorded_places().keys()

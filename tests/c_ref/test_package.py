@@ -1,8 +1,8 @@
 """The core gets into other projects in each way that docs/porting.md names.
 
-Ways that build here end in a small program, which must succeed. The others' own tools do here what they can
-offline: PlatformIO reads its manifest and Arduino's, and packs the folder, as ESP-IDF does; Kconfig reads
-Zephyr's options.
+Each way that builds here ends in a small program, which must succeed. The tools of the other ways do what
+they can without a network: PlatformIO reads its manifest and Arduino's, and packs the folder, as ESP-IDF
+does; Kconfig reads Zephyr's options.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import re
 import shutil
 import sys
 import tarfile
-from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 import yaml
@@ -29,7 +29,7 @@ HEADERS = {f"{name}.h" for name in (*PARTS, "mcp_asdf_rom")}
 
 # --- The small program -----------------------------------------------------------------------------------
 
-CONSUMER = """
+PROGRAM = """
 #include "mcp_asdf_frame.h"
 #include "mcp_asdf_image.h"
 
@@ -56,30 +56,64 @@ int main(void)
            mcp_asdf_encode_heartbeat(&frame, 4, &beat) != MCP_ASDF_FRAME_OK;
 }
 """
+ROBUST_PROGRAM = PROGRAM.replace(
+    "MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q30)", "MCP_ASDF_CONFIG_ROBUST"
+)
+"""The same with a robot that needs no table."""
 STRICT = ("-pedantic-errors", "-Wall", "-Wextra", "-Werror")
+
+
+def fail_to_compile_with(macro: str) -> str:
+    """Return C code that stops the compiler where a macro is not 0."""
+    return f"#if {macro}\n#error it is there\n#endif\n"
 
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """A folder with the program and the table that it chose."""
-    (tmp_path / "main.c").write_text(CONSUMER)
+    """A folder with the program and with the table that it names."""
+    (tmp_path / "main.c").write_text(PROGRAM)
     shutil.copy(TABLE, tmp_path)
     return tmp_path
 
 
-# --- Ways that build it ----------------------------------------------------------------------------------
+# --- Copied files ----------------------------------------------------------------------------------------
 
-BUILD = """
+
+def compile_copied_core(project: Path) -> None:
+    """Copy the core into a project, and compile it there with nothing beyond C99."""
+    for path in CORE.parent.iterdir():
+        shutil.copy(path, project)
+    for path in (*CORE.parent.glob("*.c"), TABLE):
+        run(require("gcc", "gcc"), "-std=c99", *STRICT, "-c", path.name, cwd=project)
+
+
+def test_a_c_program_links_copied_files(project: Path) -> None:
+    compile_copied_core(project)
+    run(require("clang", "clang"), *STRICT, "main.c", *project.glob("*.o"), "-o", "program", cwd=project)
+    run(project / "program")
+
+
+def test_a_cpp_program_links_copied_files(project: Path) -> None:
+    compile_copied_core(project)
+    (project / "main.c").rename(project / "main.cpp")
+    run(require("g++", "g++"), *STRICT, "main.cpp", *project.glob("*.o"), "-o", "program", cwd=project)
+    run(project / "program")
+
+
+# --- CMake -----------------------------------------------------------------------------------------------
+
+CMAKE_PROJECT = """
 cmake_minimum_required(VERSION 3.21)
 project(consumer LANGUAGES C)
 {}
-add_executable(consumer main.c t_table_omega05_q30.c)
-target_link_libraries(consumer PRIVATE mcp_asdf::mcp_asdf)
-install(TARGETS consumer)
+add_executable(program main.c t_table_omega05_q30.c)
+target_link_libraries(program PRIVATE mcp_asdf::mcp_asdf)
+install(TARGETS program)
 """
-FETCH = """
+ADD_SUBDIRECTORY = f'add_subdirectory("{PACKAGE}" mcp_asdf)'
+FETCH_CONTENT = f"""
 include(FetchContent)
-FetchContent_Declare(mcp_asdf SOURCE_DIR "{}")
+FetchContent_Declare(mcp_asdf SOURCE_DIR "{ROOT}")
 FetchContent_MakeAvailable(mcp_asdf)
 """
 
@@ -88,110 +122,117 @@ def cmake(*arguments: str | Path) -> str:
     return run(require("cmake"), *arguments)
 
 
-def installed(folder: Path, *options: str) -> Path:
-    """The library is installed and then moved, so that nothing may name the first place."""
-    place = folder / "first"
-    cmake("-S", PACKAGE, "-B", folder / "made", f"-DCMAKE_INSTALL_PREFIX={place}", *options)
-    cmake("--build", folder / "made", "--target", "mcp_asdf")
-    cmake("--install", folder / "made")
-    shutil.rmtree(folder / "made")
-    return place.rename(folder / "second")
+def build_with_cmake(project: Path, library_commands: str, *options: str) -> Path:
+    """Build and install a project that gets the library by these commands, and return its program.
 
-
-def copied(project: Path, compiler: str, source: str) -> None:
-    """The compiler takes nothing beyond the standard."""
-    for path in CORE.parent.iterdir():
-        shutil.copy(path, project)
-    for path in (*CORE.parent.glob("*.c"), TABLE):
-        run(require("gcc", "gcc"), "-std=c99", *STRICT, "-c", path.name, cwd=project)
-    (project / "main.c").rename(project / source)
-    objects = sorted(project.glob("*.o"))
-    run(require(compiler, compiler), *STRICT, source, *objects, "-o", "consumer", cwd=project)
-
-
-def built(project: Path, get: str, *options: str) -> None:
-    """CMake gets the library by the command ``get``; nothing of what is embedded is installed or tested."""
-    (project / "CMakeLists.txt").write_text(BUILD.format(get))
+    Nothing else may be installed, and none of the library's tests may be built.
+    """
+    (project / "CMakeLists.txt").write_text(CMAKE_PROJECT.format(library_commands))
     cmake("-S", project, "-B", project / "build", "-DCMAKE_C_FLAGS=-Wall -Wextra -Werror", *options)
     cmake("--build", project / "build")
-    cmake("--install", project / "build", "--prefix", project / "whole")
-    (program,) = (path for path in (project / "whole").rglob("*") if path.is_file())
-    program.rename(project / "consumer")
+    cmake("--install", project / "build", "--prefix", project / "installed")
+    [program] = [path for path in (project / "installed").rglob("*") if path.is_file()]
     assert "Total Tests: 0" in run("ctest", "-N", "--test-dir", project / "build")
+    return program
 
 
-def found(project: Path) -> None:
-    """CMake finds the version; what is installed is for users only."""
-    prefix = installed(project / "library")
-    built(
-        project,
-        f"find_package(mcp_asdf {version_of_header()} EXACT REQUIRED)",
-        f"-DCMAKE_PREFIX_PATH={prefix}",
-    )
-    config = {f"mcp_asdf-config{kind}.cmake" for kind in ("", "-noconfig", "-version")}
-    files = {path.name for path in prefix.rglob("*") if path.is_file()}
-    assert files == {"libmcp_asdf.a", "mcp_asdf.pc"} | HEADERS | config
+def install_library(folder: Path, *options: str) -> Path:
+    """Install the library below a folder, and return where it is.
+
+    It is moved once it is installed, so no file may name the folder that it was installed in.
+    """
+    cmake("-S", PACKAGE, "-B", folder / "build", f"-DCMAKE_INSTALL_PREFIX={folder / 'first'}", *options)
+    cmake("--build", folder / "build", "--target", "mcp_asdf")
+    cmake("--install", folder / "build")
+    shutil.rmtree(folder / "build")
+    return (folder / "first").rename(folder / "second")
 
 
-def without_the_robust_filter(project: Path) -> None:
-    """What leaves the filter out reaches the program."""
-    check = "#if MCP_ASDF_WITH_ROBUST\n#error it is there\n#endif\n"
-    (project / "main.c").write_text(CONSUMER + check)
-    built(project, f'add_subdirectory("{PACKAGE}" mcp_asdf)', "-DMCP_ASDF_WITH_ROBUST=OFF")
+def test_a_project_adds_the_folder_of_the_library(project: Path) -> None:
+    run(build_with_cmake(project, ADD_SUBDIRECTORY))
 
 
-def without_the_papers(project: Path) -> None:
-    """The same of an installed library, with a robot that has no table."""
-    robust = CONSUMER.replace("MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q30)", "MCP_ASDF_CONFIG_ROBUST")
-    (project / "main.c").write_text(f"{robust}#if MCP_ASDF_WITH_ASDF\n#error it is there\n#endif\n")
-    prefix = installed(project / "library", "-DMCP_ASDF_WITH_ASDF=OFF")
-    (description,) = prefix.rglob("mcp_asdf.pc")
+@pytest.mark.slow
+def test_a_project_fetches_the_whole_repository(project: Path) -> None:
+    run(build_with_cmake(project, FETCH_CONTENT))
+
+
+@pytest.mark.slow
+def test_cmake_finds_the_installed_version(project: Path) -> None:
+    prefix = install_library(project / "library")
+    command = f"find_package(mcp_asdf {version_of_header()} EXACT REQUIRED)"
+    run(build_with_cmake(project, command, f"-DCMAKE_PREFIX_PATH={prefix}"))
+
+
+@pytest.mark.slow
+def test_library_headers_and_descriptions_are_installed_and_nothing_else(tmp_path: Path) -> None:
+    files = {path.name for path in install_library(tmp_path).rglob("*") if path.is_file()}
+    cmake_files = {f"mcp_asdf-config{kind}.cmake" for kind in ("", "-noconfig", "-version")}
+    assert files == {"libmcp_asdf.a", "mcp_asdf.pc"} | HEADERS | cmake_files
+
+
+def test_pkg_config_describes_the_installed_library(project: Path) -> None:
+    [description] = install_library(project / "library").rglob("mcp_asdf.pc")
+    folder = str(description.parent)
+    pkg_config = require("pkg-config", "pkgconf")
+    version = run(pkg_config, "mcp_asdf", "--modversion", PKG_CONFIG_PATH=folder).strip()
+    assert version == version_of_header()
+    flags = run(pkg_config, "mcp_asdf", "--cflags", "--libs", PKG_CONFIG_PATH=folder).split()
+    run("cc", *STRICT, "main.c", TABLE.name, *flags, "-o", "program", cwd=project)
+    run(project / "program")
+
+
+@pytest.mark.slow
+def test_a_library_without_the_robust_filter_hides_it_from_the_program(project: Path) -> None:
+    (project / "main.c").write_text(PROGRAM + fail_to_compile_with("MCP_ASDF_WITH_ROBUST"))
+    run(build_with_cmake(project, ADD_SUBDIRECTORY, "-DMCP_ASDF_WITH_ROBUST=OFF"))
+
+
+@pytest.mark.slow
+def test_an_installed_library_without_the_papers_filter_hides_it_from_the_program(project: Path) -> None:
+    (project / "main.c").write_text(ROBUST_PROGRAM + fail_to_compile_with("MCP_ASDF_WITH_ASDF"))
+    prefix = install_library(project / "library", "-DMCP_ASDF_WITH_ASDF=OFF")
+    [description] = prefix.rglob("mcp_asdf.pc")
     assert "-DMCP_ASDF_WITH_ASDF=0" in description.read_text(encoding="utf-8")
-    built(project, "find_package(mcp_asdf REQUIRED)", f"-DCMAKE_PREFIX_PATH={prefix}")
-
-
-def pkg_config(project: Path) -> None:
-    (folder,) = (path.parent for path in installed(project / "library").rglob("mcp_asdf.pc"))
-    ask = (require("pkg-config", "pkgconf"), "mcp_asdf")
-    flags = run(*ask, "--cflags", "--libs", PKG_CONFIG_PATH=str(folder)).split()
-    assert run(*ask, "--modversion", PKG_CONFIG_PATH=str(folder)).strip() == version_of_header()
-    run("cc", *STRICT, "main.c", TABLE.name, *flags, "-o", "consumer", cwd=project)
-
-
-WAYS: dict[str, Callable[[Path], None]] = {
-    "copied, C": lambda project: copied(project, "clang", "main.c"),
-    "copied, C++": lambda project: copied(project, "g++", "main.cpp"),
-    "add_subdirectory": lambda project: built(project, f'add_subdirectory("{PACKAGE}" mcp_asdf)'),
-    "FetchContent": lambda project: built(project, FETCH.format(ROOT)),
-    "find_package": found,
-    "pkg-config": pkg_config,
-    "without the robust filter": without_the_robust_filter,
-    "without the paper's": without_the_papers,
-}
-
-
-@pytest.mark.parametrize("way", WAYS)
-def test_a_project_gets_it_in_each_way(way: str, project: Path) -> None:
-    WAYS[way](project)
-    run(project / "consumer")
+    run(build_with_cmake(project, "find_package(mcp_asdf REQUIRED)", f"-DCMAKE_PREFIX_PATH={prefix}"))
 
 
 # --- Manifests -------------------------------------------------------------------------------------------
 
 
-def test_all_manifests_agree() -> None:
-    lines = (PACKAGE / "library.properties").read_text(encoding="utf-8").splitlines()
-    manifests = [
-        dict(line.split("=", 1) for line in lines),
-        json.loads((PACKAGE / "library.json").read_text(encoding="utf-8")),
-        yaml.safe_load((PACKAGE / "idf_component.yml").read_text(encoding="utf-8")),
-        yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8")),
-    ]
-    for manifest in manifests:
-        assert (manifest["version"], manifest["license"]) == (version_of_header(), "MIT")
-    assert set(manifests[1]["headers"]) == HEADERS
-    assert manifests[1]["build"] == {"srcDir": "src", "includeDir": "src"}
+def read_manifest(path: Path) -> dict[str, Any]:
+    """Read a manifest in JSON, in YAML, or in Arduino's lines of ``name=value``."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".json":
+        return cast(dict[str, Any], json.loads(text))
+    if path.suffix == ".properties":
+        return dict(line.split("=", 1) for line in text.splitlines())
+    return cast(dict[str, Any], yaml.safe_load(text))
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        PACKAGE / "library.properties",
+        PACKAGE / "library.json",
+        PACKAGE / "idf_component.yml",
+        ROOT / "CITATION.cff",
+    ],
+    ids=lambda path: path.name,
+)
+def test_a_manifest_has_the_version_of_the_header_and_the_licence(path: Path) -> None:
+    manifest = read_manifest(path)
+    assert (manifest["version"], manifest["license"]) == (version_of_header(), "MIT")
+
+
+def test_the_python_package_has_the_version_of_the_header() -> None:
     assert metadata.version("mcp-asdf") == version_of_header()
+
+
+def test_platformio_is_told_where_sources_and_headers_are() -> None:
+    manifest = read_manifest(PACKAGE / "library.json")
+    assert set(manifest["headers"]) == HEADERS
+    assert manifest["build"] == {"srcDir": "src", "includeDir": "src"}
 
 
 # PlatformIO's own reader, schema and packer; the schema would fetch the list of licences.
@@ -209,11 +250,12 @@ PackagePacker(sys.argv[1]).pack(sys.argv[2])
 
 
 def files_in(archive: Path) -> set[str]:
+    """Return the paths of the files in a tar archive."""
     with tarfile.open(archive) as tar:
         return {member.name.removeprefix("./") for member in tar if member.isfile()}
 
 
-def test_platformio_packs_it(tmp_path: Path) -> None:
+def test_platformio_packs_the_folder(tmp_path: Path) -> None:
     pytest.importorskip("platformio", reason="platformio is not installed: make setup")
     archive = tmp_path / "packed.tar.gz"
     run(sys.executable, "-c", PLATFORMIO, PACKAGE, archive, PLATFORMIO_CORE_DIR=str(tmp_path / "home"))
@@ -222,31 +264,48 @@ def test_platformio_packs_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_esp_idf_packs_it(tmp_path: Path) -> None:
-    require("compote")
-    run("compote", "manifest", "lint", PACKAGE / "idf_component.yml")
-    run("compote", "component", "pack", "--name", "mcp_asdf", "--dest-dir", tmp_path, cwd=PACKAGE)
+def test_esp_idf_packs_the_folder(tmp_path: Path) -> None:
+    compote = require("compote")
+    run(compote, "manifest", "lint", PACKAGE / "idf_component.yml")
+    run(compote, "component", "pack", "--name", "mcp_asdf", "--dest-dir", tmp_path, cwd=PACKAGE)
     files = files_in(tmp_path / f"mcp_asdf_{version_of_header()}.tgz")
     assert files == FILES | {"CMakeLists.txt", "idf_component.yml", "README.md", "LICENSE"}
-    component = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
-    (sources,) = re.findall(r"idf_component_register\(\s*SRCS (.*) INCLUDE_DIRS src\)", component)
+
+
+def test_esp_idf_builds_all_sources() -> None:
+    commands = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
+    [sources] = re.findall(r"idf_component_register\(\s*SRCS (.*) INCLUDE_DIRS src\)", commands)
     assert set(sources.split()) == {name for name in FILES if name.endswith(".c")}
 
 
+def zephyr_module() -> dict[str, Any]:
+    """Return where Zephyr's module file says that options and build commands are."""
+    text = (PACKAGE / "zephyr/module.yml").read_text(encoding="utf-8")
+    return cast(dict[str, Any], yaml.safe_load(text)["build"])
+
+
 @pytest.mark.parametrize(
-    ("chosen", "parts"), [("", ()), ("=y", PARTS), ("=y\nCONFIG_MCP_ASDF_IMAGE=n", PARTS[::2])]
+    ("settings", "parts"),
+    [
+        ("", ()),
+        ("CONFIG_MCP_ASDF=y", PARTS),
+        ("CONFIG_MCP_ASDF=y\nCONFIG_MCP_ASDF_IMAGE=n", ("mcp_asdf", "mcp_asdf_frame")),
+    ],
 )
-def test_zephyr_builds_what_its_options_say(chosen: str, parts: tuple[str, ...], tmp_path: Path) -> None:
-    """The optional parts come with the core, unless they are left out; nothing comes unasked."""
+def test_zephyr_has_the_optional_parts_with_the_core_unless_they_are_left_out(
+    settings: str, parts: tuple[str, ...], tmp_path: Path
+) -> None:
     kconfiglib = pytest.importorskip("kconfiglib", reason="kconfiglib is not installed: make setup")
-    module = yaml.safe_load((PACKAGE / "zephyr/module.yml").read_text(encoding="utf-8"))["build"]
-    (tmp_path / "prj.conf").write_text(f"CONFIG_MCP_ASDF{chosen}" if chosen else "")
-    kconfig = kconfiglib.Kconfig(str(PACKAGE / module["kconfig"]), warn_to_stderr=False)
+    (tmp_path / "prj.conf").write_text(settings)
+    kconfig = kconfiglib.Kconfig(str(PACKAGE / zephyr_module()["kconfig"]), warn_to_stderr=False)
     kconfig.load_config(str(tmp_path / "prj.conf"))
     assert kconfig.warnings == []
     options = {symbol.name: symbol.str_value for symbol in kconfig.unique_defined_syms}
     assert options == {name.upper(): "y" if name in parts else "n" for name in PARTS}
-    text = (PACKAGE / module["cmake"] / "CMakeLists.txt").read_text(encoding="utf-8")
-    assert "zephyr_library_sources(../src/mcp_asdf.c ../src/mcp_asdf_accessors.c)" in text
-    for name in PARTS[1:]:
-        assert f"zephyr_library_sources_ifdef(CONFIG_{name.upper()} ../src/{name}.c)" in text
+
+
+def test_zephyr_builds_the_parts_that_its_options_choose() -> None:
+    commands = (PACKAGE / zephyr_module()["cmake"] / "CMakeLists.txt").read_text(encoding="utf-8")
+    assert "zephyr_library_sources(../src/mcp_asdf.c ../src/mcp_asdf_accessors.c)" in commands
+    for name in ("mcp_asdf_image", "mcp_asdf_frame"):
+        assert f"zephyr_library_sources_ifdef(CONFIG_{name.upper()} ../src/{name}.c)" in commands

@@ -1,5 +1,4 @@
-"""The C tests pass under every preset of CMakePresets.json; the core's choices for a target compile in every
-combination, and wrong ones do not compile at all."""
+"""The C tests pass under every preset of CMakePresets.json, and with every choice that a target can make."""
 
 from __future__ import annotations
 
@@ -14,25 +13,27 @@ import pytest
 
 from support import CORE, ROOT, require, run, slow
 
-PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
-WARNINGS = PRESETS["configurePresets"][0]["environment"]["WARNINGS"].split()
-NAMES = [preset["name"] for preset in PRESETS["workflowPresets"]]
-CHOSEN = re.findall(r"\b\d{4}\b", (ROOT / "tests/c_ref/CMakeLists.txt").read_text(encoding="utf-8"))
-"""Choices that the white-box tests are built for."""
+SETTINGS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
+WARNINGS = SETTINGS["configurePresets"][0]["environment"]["WARNINGS"].split()
+PRESETS = [preset["name"] for preset in SETTINGS["workflowPresets"]]
+TESTED_CHOICES = re.findall(r"\b\d{4}\b", (ROOT / "tests/c_ref/CMakeLists.txt").read_text(encoding="utf-8"))
+"""Choices of targets that white-box tests are built for."""
+CHOICES = {"DIVIDE": range(1, 4), "SPLIT_MULTIPLY": range(2), "SHIFT_BYTES": range(2), "HAS_CLZ": range(2)}
+"""Values that a target can choose for MCP_ASDF_DIVIDE and so on."""
 
-
-NEEDS = {
+COMPILERS = {
     "gcc": ("gcc", "gcc"),
     "clang": ("clang", "clang"),
     "sanitizers": ("clang -fsanitize=address", "libclang-rt-dev"),
     "32-bit": ("gcc -m32", "gcc-12-multilib, or gcc's version"),
     "big-endian": ("s390x-linux-gnu-gcc", "gcc-s390x-linux-gnu libc6-dev-s390x-cross"),
 }
-"""A preset's compiler, and Debian's packages that have what makes programs with it."""
+"""The compiler of each preset, and the Debian packages with which it makes programs."""
 
 
 def skip_without_tools(preset: str) -> None:
-    compiler, packages = NEEDS[preset]
+    """Skip the test where the compiler of a preset, its libraries or its emulator is missing."""
+    compiler, packages = COMPILERS[preset]
     program, *flags = compiler.split()
     command = [require(program, packages), *flags, "-x", "c", "-", "-o", "/dev/null"]
     source = '#include <stdio.h>\nint main(void) { return puts("") < 0; }\n'
@@ -43,22 +44,33 @@ def skip_without_tools(preset: str) -> None:
         require("qemu-s390x", "qemu-user")
 
 
-@pytest.mark.parametrize("preset", [*(name for name in NAMES if name != "clang"), *slow(["clang"])])
+@pytest.mark.parametrize("preset", [*(name for name in PRESETS if name != "clang"), *slow(["clang"])])
 def test_c_tests_pass(preset: str) -> None:
-    """The choices of targets are spread over the presets. Neither compiling with optimisation nor comparing
-    millions of calls is for make test, and neither are builds that leave a filter out."""
+    """The choices of targets are spread over the presets.
+
+    For ``make verify`` are compiling with optimisation, comparing millions of calls with the independent
+    implementation, and builds that leave a filter out.
+    """
     skip_without_tools(preset)
     folder = ROOT / "build/quick" / preset
     report = ROOT / f"build/reports/ctest-{preset}.xml"
+    choices = ";".join(TESTED_CHOICES[PRESETS.index(preset) :: len(PRESETS)])
+    less_work = [f"-DTEST_VARIANTS={choices}", "-DTEST_WITHOUT=", "-DTEST_CALLS=200000"]
     debug = ["-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_C_FLAGS_DEBUG=-O0 -g1"]
-    choices = ";".join(CHOSEN[NAMES.index(preset) :: len(NAMES)])
-    quick = [f"-DTEST_VARIANTS={choices}", "-DTEST_WITHOUT=", "-DTEST_CALLS=200000"]
-    run(require("cmake"), "--preset", preset, "-B", folder, *quick, *debug)
+    run(require("cmake"), "--preset", preset, "-B", folder, *less_work, *debug)
     run("cmake", "--build", folder)
     run("ctest", "--preset", preset, "--test-dir", folder, "--output-junit", report)
 
 
-@pytest.mark.parametrize("preset", slow(NAMES))
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", PRESETS)
+def test_c_tests_pass_for_every_choice(preset: str) -> None:
+    skip_without_tools(preset)
+    run(require("cmake"), "--workflow", "--preset", preset)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", PRESETS)
 def test_a_preset_works_in_a_folder_with_a_space(preset: str, tmp_path: Path) -> None:
     """CMake compiles small programs with the preset's flags before it writes the build's rules."""
     skip_without_tools(preset)
@@ -72,36 +84,31 @@ def test_a_preset_works_in_a_folder_with_a_space(preset: str, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", NAMES)
-def test_c_tests_pass_for_every_choice(preset: str) -> None:
-    skip_without_tools(preset)
-    run(require("cmake"), "--workflow", "--preset", preset)
-
-
-CHOICES = {"DIVIDE": range(1, 4), "SPLIT_MULTIPLY": range(2), "SHIFT_BYTES": range(2), "HAS_CLZ": range(2)}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("way", ["gcc -O2 -c", "clang -O2 -fsyntax-only"])
-def test_every_combination_compiles_without_a_warning(way: str, tmp_path: Path) -> None:
-    compiler, *flags = way.split()
+@pytest.mark.parametrize("command", ["gcc -O2 -c", "clang -O2 -fsyntax-only"])
+def test_every_combination_of_choices_compiles_without_a_warning(command: str, tmp_path: Path) -> None:
+    compiler, *flags = command.split()
     require(compiler, compiler)
     for values in product(*CHOICES.values()):
-        chosen = [f"-DMCP_ASDF_{name}={value}" for name, value in zip(CHOICES, values, strict=True)]
-        run(compiler, "-std=c99", *flags, *WARNINGS, *chosen, CORE, cwd=tmp_path)
+        definitions = [f"-DMCP_ASDF_{name}={value}" for name, value in zip(CHOICES, values, strict=True)]
+        run(compiler, "-std=c99", *flags, *WARNINGS, *definitions, CORE, cwd=tmp_path)
+
+
+def compiler_errors(definition: str) -> str:
+    """Compile the core with one more definition, which must fail, and return what the compiler prints."""
+    command = ["gcc", "-std=c99", "-fsyntax-only", definition, str(CORE)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    return done.stderr
+
+
+@pytest.mark.parametrize("value", [0, 5])
+def test_the_core_does_not_compile_with_an_unknown_way_to_divide(value: int) -> None:
+    errors = compiler_errors(f"-DMCP_ASDF_DIVIDE={value}")
+    assert "MCP_ASDF_DIVIDE is out of range: choose " in errors
 
 
 @pytest.mark.parametrize(
-    ("flag", "complaint"),
-    [
-        *((f"-DMCP_ASDF_DIVIDE={wrong}", "MCP_ASDF_DIVIDE is out of range: choose ") for wrong in (0, 5)),
-        *(
-            (f"-DMCP_ASDF_{part}", "define all of MCP_ASDF_ROM")
-            for part in ("ROM=", "READ_WORD(address)=(*(address))", "READ_BYTE(address)=(*(address))")
-        ),
-    ],
+    "macro", ["ROM=", "READ_WORD(address)=(*(address))", "READ_BYTE(address)=(*(address))"]
 )
-def test_a_choice_that_is_none_is_refused(flag: str, complaint: str) -> None:
-    command = ["gcc", "-std=c99", "-fsyntax-only", flag, str(CORE)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode != 0 and complaint in done.stderr
+def test_the_core_does_not_compile_with_one_of_the_macros_for_read_only_memory_alone(macro: str) -> None:
+    assert "define all of MCP_ASDF_ROM" in compiler_errors(f"-DMCP_ASDF_{macro}")
