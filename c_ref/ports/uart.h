@@ -5,4 +5,7 @@
 /* Switch the serial line on; called once, before main(). */
 void uart_start(void);
 
+/* Handle interrupt 0 of a Cortex-M chip. Without a function of this name it ends the program. */
+void handle_first_interrupt(void);
+
 #endif

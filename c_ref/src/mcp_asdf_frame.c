@@ -66,9 +66,10 @@ static status_t check_sender_and_format(const mcp_asdf_frame_format_t *format, u
     if (node > MCP_ASDF_NODE_MAX) {
         return MCP_ASDF_FRAME_ERR_NODE;
     }
-    return format->subject > MCP_ASDF_SUBJECT_MAX || format->priority > MCP_ASDF_PRIORITY_MAX
-               ? MCP_ASDF_FRAME_ERR_FORMAT
-               : MCP_ASDF_FRAME_OK;
+    if (format->subject > MCP_ASDF_SUBJECT_MAX || format->priority > MCP_ASDF_PRIORITY_MAX) {
+        return MCP_ASDF_FRAME_ERR_FORMAT;
+    }
+    return MCP_ASDF_FRAME_OK;
 }
 
 /* Write what encloses the content of every message: the identifier (from `priority`, `subject` and `node`),
@@ -106,7 +107,10 @@ static status_t find_refusal_reason(const mcp_asdf_frame_t *frame)
     if ((frame->id & ID_ANONYMOUS) != 0U) {
         return MCP_ASDF_FRAME_ERR_ANONYMOUS;
     }
-    return (frame->id & ID_RESERVED) != 0U ? MCP_ASDF_FRAME_ERR_RESERVED_BITS : MCP_ASDF_FRAME_ERR_SUBJECT;
+    if ((frame->id & ID_RESERVED) != 0U) {
+        return MCP_ASDF_FRAME_ERR_RESERVED_BITS;
+    }
+    return MCP_ASDF_FRAME_ERR_SUBJECT;
 }
 
 /* Check all of a frame but the content of its message: flags, identifier, length and tail byte. Returns OK if
@@ -120,8 +124,10 @@ static status_t check_envelope(const mcp_asdf_frame_t *frame, uint16_t subject)
     if (frame->length != FRAME_BYTES) {
         return MCP_ASDF_FRAME_ERR_LENGTH;
     }
-    return (frame->data[7] & TAIL_SINGLE_FRAME) == TAIL_SINGLE_FRAME ? MCP_ASDF_FRAME_OK
-                                                                     : MCP_ASDF_FRAME_ERR_MULTI_FRAME;
+    if ((frame->data[7] & TAIL_SINGLE_FRAME) != TAIL_SINGLE_FRAME) {
+        return MCP_ASDF_FRAME_ERR_MULTI_FRAME;
+    }
+    return MCP_ASDF_FRAME_OK;
 }
 
 /* Returns the id of the node that sent `frame`, 0 .. 127. */

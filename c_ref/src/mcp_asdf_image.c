@@ -137,7 +137,8 @@ static bool is_valid_crowd(const mcp_asdf_t *robot)
         return is_new && crowd->first == robot->accuracy.b_hat;
     }
     return crowd->first >= MCP_ASDF_B_HAT_MIN && crowd->first <= MCP_ASDF_B_HAT_MAX &&
-           crowd->votes <= MCP_ASDF_VOTES_MAX && crowd->voices != 0U && crowd->centre <= MCP_ASDF_ONE << 7 &&
+           crowd->votes <= MCP_ASDF_VOTES_MAX && crowd->voices != 0U &&
+           crowd->centre <= MCP_ASDF_ONE << 7 && /* 1.0 as Q30 */
            crowd->spread >= MCP_ASDF_SPREAD_MIN && crowd->spread <= MCP_ASDF_SPREAD_MAX;
 }
 

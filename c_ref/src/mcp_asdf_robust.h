@@ -145,7 +145,7 @@ static bool robust_test_rejects(const mcp_asdf_t *robot)
 {
     /* Shares are Q32, their squares Q64. 1 - x is 0U - x, or ~x, which is 2^-32 less and never out of range.
      */
-    const uint32_t b_hat = robot->crowd.first, r = crowd_fill_ratio(robot);
+    const uint32_t b_hat = robot->crowd.first, r = crowd_fill_ratio(robot); /* b_hat at the start */
     const uint32_t p = multiply_high(b_hat, r) + multiply_high(~b_hat, ~r); /* < 2^32 - 1 */
     const uint32_t share = quotient(robot->n, robot->t);                    /* n / t */
     const uint32_t deviation = share > p ? share - p : p - share;           /* |n / t - p| */

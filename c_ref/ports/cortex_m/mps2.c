@@ -26,13 +26,10 @@ typedef struct {
 #define RECEIVER_ENABLE_BIT 1 /* of the UART's receiver in the NVIC registers below */
 
 #define UART ((volatile uart_t *)0x40004000)
-/* Registers of the processor. In the first two a bit that is written as 1 enables or disables an interrupt,
- * and one written as 0 does nothing; bit 0 is the UART's receiver. The third is the address of the vector
- * table.
- */
+/* Registers of the processor. A bit that is written as 1 enables or disables an interrupt, and one written as
+ * 0 does nothing; bit 0 is the UART's receiver. */
 #define NVIC_SET_ENABLE (*(volatile uint32_t *)0xE000E100)
 #define NVIC_CLEAR_ENABLE (*(volatile uint32_t *)0xE000E180)
-#define SCB_VECTOR_TABLE (*(volatile uint32_t *)0xE000ED08)
 
 /* Received bytes, and PORT_LOST, on their way from the interrupt to the program. Each side writes only its
  * own count of entries, modulo 256. */
@@ -49,10 +46,10 @@ void port_put(char byte)
     UART->data = (uint8_t)byte;
 }
 
-/* Interrupt: a byte has been received. Puts it into the queue, after PORT_LOST if the UART has lost bytes. If
- * there is no room for two entries, the interrupt is disabled until port_get() has taken one: the UART keeps
- * one byte, and reports that it has lost those which follow. */
-static void handle_received_byte(void)
+/* Interrupt 0: a byte has been received. Puts it into the queue, after PORT_LOST if the UART has lost bytes.
+ * If there is no room for two entries, the interrupt is disabled until port_get() has taken one: the UART
+ * keeps one byte, and reports that it has lost those which follow. */
+void handle_first_interrupt(void)
 {
     if ((uint8_t)(entries_put - entries_taken) > QUEUE_SIZE - 2) {
         NVIC_CLEAR_ENABLE = RECEIVER_ENABLE_BIT;
@@ -66,37 +63,10 @@ static void handle_received_byte(void)
     queue[entries_put++ % QUEUE_SIZE] = (uint8_t)UART->data;
 }
 
-/* Any other exception ends the program. */
-static void fault(void) { port_exit(1); }
-
-/* The vector table of start.c has no interrupts of the chip; this one has the first of them, entry 16. */
-typedef void (*handler_t)(void);
-static const handler_t vectors[] __attribute__((aligned(128))) = {
-    fault,
-    fault,
-    fault,
-    fault,
-    fault,
-    fault,
-    fault,
-    fault,
-    fault,
-    fault,
-    fault,
-    fault,
-    fault,
-    fault,
-    fault,
-    fault,
-    handle_received_byte,
-};
-
-/* Set the speed of the serial line, and switch on sender, receiver and interrupt. Replaces the vector table
- * of the whole processor by the one above, which has the receiver's interrupt. */
+/* Set the speed of the serial line, and switch on sender, receiver and the receiver's interrupt. */
 void uart_start(void)
 {
     UART->divisor = CLOCK / BAUD;
-    SCB_VECTOR_TABLE = (uint32_t)(uintptr_t)vectors;
     NVIC_SET_ENABLE = RECEIVER_ENABLE_BIT;
     UART->control = ENABLE_SENDER | ENABLE_RECEIVER;
 }

@@ -28,16 +28,21 @@ void reset(void)
 /* Any exception ends the program. */
 static void fault(void) { port_exit(1); }
 
-/* The vector table: the processor reads its stack and its first instruction from it. */
+/* A serial line with an interrupt of its own has another function of this name, which takes precedence. */
+__attribute__((weak)) void handle_first_interrupt(void) { port_exit(1); }
+
+/* The vector table, from which the processor reads its stack, its first instruction, and what handles its own
+ * 14 exceptions and the first interrupt of the chip. */
 typedef struct {
     uint32_t *stack;
-    void (*handlers[15])(void);
+    void (*handlers[16])(void);
 } vectors_t;
 
 extern const vectors_t vectors __attribute__((section(".vectors")));
 const vectors_t vectors = {
     stack_top,
-    {reset, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault},
+    {reset, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault,
+     handle_first_interrupt},
 };
 
 /* End the program by a call of the debugger: semihosting's SYS_EXIT_EXTENDED (0x20) with the reason

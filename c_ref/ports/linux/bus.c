@@ -181,11 +181,19 @@ static void read_overflow_count(bus_t *bus, struct msghdr *message)
 /* Convert the kernel's frame to one of the codec. Of an FD frame only the first 8 bytes are copied. */
 static void convert_frame(mcp_asdf_frame_t *frame, const struct canfd_frame *raw, bool is_fd)
 {
-    const bool is_extended = (raw->can_id & CAN_EFF_FLAG) != 0;
-    frame->id = raw->can_id & (is_extended ? CAN_EFF_MASK : CAN_SFF_MASK);
-    frame->flags = (uint8_t)((is_extended ? 0 : MCP_ASDF_FRAME_STANDARD) |
-                             ((raw->can_id & CAN_RTR_FLAG) != 0 ? MCP_ASDF_FRAME_REMOTE : 0) |
-                             (is_fd ? MCP_ASDF_FRAME_FD : 0));
+    if ((raw->can_id & CAN_EFF_FLAG) != 0) {
+        frame->id = raw->can_id & CAN_EFF_MASK;
+        frame->flags = 0;
+    } else {
+        frame->id = raw->can_id & CAN_SFF_MASK;
+        frame->flags = MCP_ASDF_FRAME_STANDARD;
+    }
+    if ((raw->can_id & CAN_RTR_FLAG) != 0) {
+        frame->flags |= MCP_ASDF_FRAME_REMOTE;
+    }
+    if (is_fd) {
+        frame->flags |= MCP_ASDF_FRAME_FD;
+    }
     frame->length = raw->len;
     memcpy(frame->data, raw->data, sizeof frame->data);
 }

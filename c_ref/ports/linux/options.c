@@ -144,8 +144,8 @@ static const char *parse_id(const char *text, unsigned long *id)
 static void parse_allowed_senders(uint8_t ignored_senders[], const char *list)
 {
     const char *position = list;
-    memset(ignored_senders, 0xFF, (MCP_ASDF_MAX_ID + 1) / 8);
-    do {
+    memset(ignored_senders, 0xFF, (MCP_ASDF_MAX_ID + 1) / 8); /* all, until they are allowed */
+    do { /* one id or range of the list, then the plus or the end behind it */
         unsigned long id = 0, last_id = 0;
         position = parse_id(position, &id);
         last_id = id;
@@ -156,7 +156,7 @@ static void parse_allowed_senders(uint8_t ignored_senders[], const char *list)
             fail(ALLOW, list, "give ids, 0 to 127, such as 0-19+30");
         }
         for (; id <= last_id; ++id) {
-            ignored_senders[id / 8] &= (uint8_t)~(1U << id % 8);
+            ignored_senders[id / 8] &= (uint8_t)~(1U << (id % 8));
         }
     } while (*position++ == '+');
 }

@@ -54,14 +54,15 @@ int port_get(void)
 }
 
 /* Switch on the queues of the UART, and let received bytes wake the processor. No interrupt is ever taken, as
- * the UART itself keeps 16 bytes, which is time enough. The number is
- * "csrs mie, a0". */
+ * the UART itself keeps 16 bytes, which is time enough. */
 void uart_start(void)
 {
     UART_QUEUES = ENABLE_AND_CLEAR;
     UART_INTERRUPTS = WHEN_RECEIVED;
     UART_PRIORITY = 1;
     ENABLED_INTERRUPTS = UART_BIT;
+    /* Bit 11 of mie: external interrupts. The number is "csrs mie, a0", as assemblers differ in the extension
+     * that they need for its name. */
     register uint32_t external __asm__("a0") = 0x800;
     __asm__ volatile(".4byte 0x30452073" ::"r"(external));
 }

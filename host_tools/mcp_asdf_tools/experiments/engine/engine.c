@@ -54,7 +54,7 @@ FOR_EACH_TARGET static void draw_words(lanes_t *rows, uint32_t count, uint64_t s
     for (lanes_t *row = rows; row < rows + count; ++row) {
         SIDE_BY_SIDE
         for (uint32_t l = 0; l < LANES; ++l) {
-            const philox_t block = draws(seed, row->trial[l], row->robot[l], group);
+            const philox_t block = draw_block(seed, row->trial[l], row->robot[l], group);
             row->draws[0][l] = block.word[0];
             row->draws[1][l] = block.word[1];
             row->draws[2][l] = block.word[2];

@@ -40,8 +40,9 @@ IN_LOOPS philox_t philox(philox_t counter, uint32_t key0, uint32_t key1)
     return counter;
 }
 
-/* The four draws of a robot's observations in steps 4 block .. 4 block + 3 (from 0) of a trial. */
-IN_LOOPS philox_t draws(uint64_t seed, uint32_t trial, uint32_t robot, uint32_t block)
+/* Returns the four draws that decide the observations of a robot in steps 4 block .. 4 block + 3 (from 0) of
+ * a trial. */
+IN_LOOPS philox_t draw_block(uint64_t seed, uint32_t trial, uint32_t robot, uint32_t block)
 {
     return philox((philox_t){{block, robot, trial, 0}}, (uint32_t)seed, (uint32_t)(seed >> 32));
 }

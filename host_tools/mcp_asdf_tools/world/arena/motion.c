@@ -346,11 +346,12 @@ static void move_bodies_of(mcp_asdf_arena_t *arena, free_bodies_t *free_bodies)
     bool some_may_touch = false;
     for (uint32_t first = 0; first < robots; first += BATCH) {
         uint64_t is_accelerating[BATCH] = {0};
-        const uint32_t rest = robots - first, count = rest < BATCH ? rest : BATCH;
+        const uint32_t robots_left = robots - first;
+        const uint32_t count = robots_left < BATCH ? robots_left : BATCH;
         some_may_touch |= move_cruising_bodies(arena, first, WHOLE_VECTORS(count), is_accelerating);
         for (uint32_t i = 0; i < count; ++i) {
-            free_bodies->arena[free_bodies->count] =
-                arena; /* written always, and overwritten unless it counts */
+            /* Written always, and overwritten unless it counts: a branch could not be predicted. */
+            free_bodies->arena[free_bodies->count] = arena;
             free_bodies->robot[free_bodies->count] = first + i;
             free_bodies->count += (uint32_t)is_accelerating[i];
             if (free_bodies->count == BATCH) {

@@ -94,9 +94,9 @@ IN_LOOPS double sensor_reading(double distance)
 #define TAN_5_DEGREES 0.08748866352592400522
 
 /* Returns the next state of the wheels, a MCP_ASDF_..._TURN or MCP_ASDF_STRAIGHT, after `state`, where the
- * heading to turn to is `angle` away, 0 .. pi. A turn on the spot begins
- * at 90 degrees and ends at 70. Exactly 90 is no rare tie: it is what a side sensor alone gives. It counts as
- * a turn on the spot because it does so in the physics simulation. */
+ * heading to turn to is `angle` away, 0 .. pi. A turn on the spot begins at 90 degrees and ends at 70.
+ * Exactly 90 is no rare tie: it is what a side sensor alone gives. It counts as a turn on the spot because it
+ * does so in the physics simulation. */
 IN_LOOPS uint8_t next_wheels(uint8_t state, double angle)
 {
     if (angle >= PI / 2 || (state == MCP_ASDF_HARD_TURN && angle > 70 * DEGREE)) {
@@ -167,7 +167,8 @@ IN_LOOPS void cast_rays(steered_t *batch, uint32_t n)
     double *const free_distance = arena->free_distance + (size_t)i * SENSORS;
     shorten_rays_at_walls(free_distance, arena->cx[i], arena->cy[i], arena->config.width / 2, arena->x[i]);
     shorten_rays_at_walls(free_distance, arena->cy[i], -arena->cx[i], arena->config.height / 2, arena->y[i]);
-    for (uint32_t k = 0; k < SENSORS; ++k) { /* written always, and overwritten unless hit */
+    for (uint32_t k = 0; k < SENSORS; ++k) {
+        /* Written always, and overwritten unless the ray meets something. */
         batch->ray[batch->hit_count] = n * SENSORS + k;
         batch->distance[batch->hit_count] = free_distance[k];
         batch->hit_count += free_distance[k] <= SENSOR_REACH;
@@ -213,7 +214,8 @@ void arena_set_wheels(mcp_asdf_arena_t *arenas, uint32_t count)
         mcp_asdf_arena_t *const arena = &arenas[a];
         shorten_rays_at_bodies(arena);
         for (uint32_t i = 0; i < arena->config.robots; ++i) {
-            batch.arena[batch.count] = arena; /* written always, and overwritten unless it counts */
+            /* Written always, and overwritten unless it counts: a branch could not be predicted. */
+            batch.arena[batch.count] = arena;
             batch.robot[batch.count] = i;
             batch.count += (uint32_t)arena->needs_steering[i];
             if (batch.count == BATCH) {
