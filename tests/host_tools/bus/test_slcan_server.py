@@ -43,38 +43,69 @@ FRAMES = [
 ]
 
 
-def essence(frame: can.Message) -> tuple[Any, ...]:
+def fields_on_the_wire(frame: can.Message) -> tuple[Any, ...]:
+    """Return what slcan carries of a frame."""
     flags = (frame.is_extended_id, frame.is_remote_frame, frame.is_fd, frame.is_error_frame)
     return (frame.arbitration_id, *flags, frame.dlc, bytes(frame.data))
 
 
-def received(bus: can.BusABC) -> can.Message:
-    """The next frame; python-can's slcan ends a wait early on an answer of the adapter."""
-    return next(frame for _ in range(int(PATIENCE * 10)) if (frame := bus.recv(0.1)) is not None)
+def receive(bus: can.BusABC) -> can.Message:
+    """Return the next frame. python-can's slcan ends a wait early when the adapter answers."""
+    for _ in range(int(PATIENCE * 10)):
+        frame = bus.recv(0.1)
+        if frame is not None:
+            return frame
+    raise AssertionError("no frame came")
 
 
-def test_python_can_s_client_reads_and_writes(server: SlcanServer) -> None:
+@pytest.fixture
+def client(server: SlcanServer) -> Iterator[can.BusABC]:
+    """python-can's own client of the server."""
     pytest.importorskip("serial", reason="pyserial, which python-can's slcan needs, is not installed")
-    where = f"socket://127.0.0.1:{server.port}"
-    client = can.Bus(interface="slcan", channel=where, sleep_after_open=0, ignore_config=True)
-    with join() as bus, client as program:
+    channel = f"socket://127.0.0.1:{server.port}"
+    with can.Bus(interface="slcan", channel=channel, sleep_after_open=0, ignore_config=True) as program:
         wait_until(lambda: server._is_channel_open)
-        bus.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))  # stays where it is
-        bus.send(can.Message(is_error_frame=True))
-        for frame in FRAMES:
-            bus.send(frame)
-            assert essence(received(program)) == essence(frame)
-            program.send(frame)
-            assert essence(received(bus)) == essence(frame)
-    assert server.dropped == 0
+        yield program
 
 
-def raw(server: SlcanServer) -> socket.socket:
-    return socket.create_connection(("127.0.0.1", server.port), PATIENCE)
+@pytest.mark.parametrize("frame", FRAMES)
+def test_python_can_s_client_receives_a_frame_of_the_bus(frame: can.Message, client: can.BusABC) -> None:
+    with join() as bus:
+        bus.send(frame)
+        assert fields_on_the_wire(receive(client)) == fields_on_the_wire(frame)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_the_bus_receives_a_frame_of_python_can_s_client(frame: can.Message, client: can.BusABC) -> None:
+    with join() as bus:
+        client.send(frame)
+        assert fields_on_the_wire(receive(bus)) == fields_on_the_wire(frame)
 
 
 @pytest.mark.parametrize(
-    ("asked", "answer"),
+    "frame", [can.Message(arbitration_id=1, is_fd=True, data=bytes(12)), can.Message(is_error_frame=True)]
+)
+def test_frames_that_slcan_does_not_have_stay_on_the_bus(frame: can.Message, client: can.BusABC) -> None:
+    with join() as bus:
+        bus.send(frame)
+        bus.send(FRAMES[0])
+        assert fields_on_the_wire(receive(client)) == fields_on_the_wire(FRAMES[0])
+
+
+def connect(server: SlcanServer) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", server.port), PATIENCE)
+
+
+def answers_to(lines: bytes, server: SlcanServer) -> bytes:
+    """Return all that the server answers to a program that sends these lines and is done."""
+    with connect(server) as program:
+        program.sendall(lines)
+        program.shutdown(socket.SHUT_WR)
+        return b"".join(iter(partial(program.recv, 100), b""))
+
+
+@pytest.mark.parametrize(
+    ("lines", "answers"),
     [
         (b"S8\rO\r", b"\r\r"),
         (b"\rV\rN\rF\r", b"\rV1013\rN0001\rF00\r"),
@@ -85,42 +116,45 @@ def raw(server: SlcanServer) -> socket.socket:
         (b"O\r" + 33 * b"x", b"\r\a"),
     ],
 )
-def test_every_line_has_its_answer(server: SlcanServer, asked: bytes, answer: bytes) -> None:
-    for _ in range(2):  # also for the next program
-        with raw(server) as program:
-            program.sendall(asked)
-            program.shutdown(socket.SHUT_WR)
-            assert b"".join(iter(partial(program.recv, 100), b"")) == answer
+def test_each_line_has_its_answer_success_or_failure(
+    server: SlcanServer, lines: bytes, answers: bytes
+) -> None:
+    assert answers_to(lines, server) == answers
 
 
-def test_a_program_that_comes_while_the_server_closes_does_not_keep_it() -> None:
+def test_a_second_program_finds_the_adapter_as_the_first_did(server: SlcanServer) -> None:
+    for _ in range(2):
+        assert answers_to(b"t1230\rO\rt1230\r", server) == b"\a\r" + b"z\r"
+
+
+def test_a_program_that_connects_while_the_server_closes_does_not_keep_it_open() -> None:
     with SlcanServer(join()) as server:
         server._is_closing = True
-        with raw(server):
+        with connect(server):
             server._server_thread.join(PATIENCE)
             assert not server._server_thread.is_alive()
 
 
-def test_a_slow_program_loses_whole_frames_and_stops_no_other(server: SlcanServer) -> None:
+def test_a_slow_program_loses_whole_frames_and_the_bus_goes_on(server: SlcanServer) -> None:
     with join() as bus, socket.socket() as program:
         program.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         program.connect(("127.0.0.1", server.port))
         program.sendall(b"O\r")
         wait_until(lambda: server._is_channel_open)
 
-        def flood() -> bool:
+        def has_dropped_frames() -> bool:
             for _ in range(1000):
                 bus.send(FRAMES[0])
             return server.dropped > 0
 
-        wait_until(flood)
+        wait_until(has_dropped_frames)
         program.settimeout(0.5)
         text = b""
         with suppress(TimeoutError):
             while True:
                 text += program.recv(1 << 20)
-    assert server.dropped > 0
-    assert set(text.removeprefix(b"\r").split(b"\r")) == {format_frame_line(FRAMES[0])[:-1], b""}
+    lines = set(text.removeprefix(b"\r").split(b"\r"))
+    assert lines == {format_frame_line(FRAMES[0]).removesuffix(b"\r"), b""}
 
 
 @settings(derandomize=True, max_examples=draws(300), deadline=None)
@@ -135,11 +169,19 @@ def test_any_line_is_a_frame_or_none(line: bytes) -> None:
         assert format_frame_line(frame)[:-1] == line[:1] + line[1:].upper()
 
 
-def test_a_taken_port_is_named(server: SlcanServer) -> None:
-    refused = join()
+def test_a_port_that_is_in_use_is_refused_by_name(server: SlcanServer) -> None:
     with pytest.raises(UsageError, match=f"cannot serve slcan at port {server.port}: .*another port"):
-        SlcanServer(refused, server.port)
-    assert refused._is_shutdown, "a refused server left its bus open"
-    for port in (-1, 65536):
-        with pytest.raises(UsageError, match=f"slcan port is {port}; it must be 1 to 65535"):
-            SlcanServer(join(), port)
+        SlcanServer(join(), server.port)
+
+
+def test_a_server_that_cannot_listen_closes_its_bus(server: SlcanServer) -> None:
+    bus = join()
+    with pytest.raises(UsageError):
+        SlcanServer(bus, server.port)
+    assert bus._is_shutdown
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_number_that_is_no_port_is_refused(port: int) -> None:
+    with pytest.raises(UsageError, match=f"slcan port is {port}; it must be 1 to 65535"):
+        SlcanServer(join(), port)

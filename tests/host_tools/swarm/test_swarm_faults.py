@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 import pytest
@@ -51,11 +51,13 @@ MEDIA = {
 }
 
 
-def figures(run: SwarmRun) -> Any:
+def frame_counts(run: SwarmRun) -> Any:
+    """Return the results of a run that count frames, by name."""
     return run.results["frames"]
 
 
-def injected(run: SwarmRun) -> list[int]:
+def hit_counts(run: SwarmRun) -> list[int]:
+    """Return how often each fault of a run has hit."""
     return [fault["injected"] for fault in run.results["faults"]]
 
 
@@ -73,104 +75,204 @@ def injected(run: SwarmRun) -> list[int]:
     ],
     ids=["lossless", "mix", "moving"],
 )
-def test_every_medium_carries_the_same(medium: str, faults: tuple[str, ...], world: dict[str, Any]) -> None:
-    """Frames, what robots make of them, results and events; time stamps where a medium keeps them."""
-    settings, logs = small(*faults, **world), (list[str](), list[str]())
-    reference, sent = record(settings, events=logs[0])
-    run, frames = record(settings, MEDIA[medium], events=logs[1])
-    assert content(frames) == content(sent)
-    assert states(run.nodes) == states(reference.nodes)
-    assert run.results == reference.results
-    assert logs[0] == logs[1]
-    assert medium != "no bus" or {frame.channel for frame in frames} == {"none"}
-    assert "group" in medium or [f.timestamp for f in frames] == [f.timestamp for f in sent]
-    assert all(injected(run))
+def test_a_medium_carries_the_same_as_a_bus_that_all_share(
+    medium: str, faults: tuple[str, ...], world: dict[str, Any]
+) -> None:
+    settings = small(*faults, **world)
+    events_on_one_bus, events = list[str](), list[str]()
+    run_on_one_bus, frames_on_one_bus = record(settings, events=events_on_one_bus)
+    run, frames = record(settings, MEDIA[medium], events=events)
+    assert content(frames) == content(frames_on_one_bus)
+    assert states(run.nodes) == states(run_on_one_bus.nodes)
+    assert run.results == run_on_one_bus.results
+    assert events == events_on_one_bus
+    assert all(hit_counts(run))
 
 
-def test_on_its_own_bus_a_robots_traffic_is_what_it_says_and_hears() -> None:
-    """A third connection there sees the robot's frames, and those that are in range and get through."""
-    with Swarm(small("loss,robots=1", steps=5), ON_OWN_BUSES) as swarm, own_bus(0) as spy:
+@pytest.mark.parametrize("medium", ["no bus", "a bus for each"])
+def test_frames_have_the_time_of_their_tick(medium: str) -> None:
+    """Multicast groups keep no time stamps of the sender."""
+    _, frames_on_one_bus = record(small())
+    _, frames = record(small(), MEDIA[medium])
+    assert [frame.timestamp for frame in frames] == [frame.timestamp for frame in frames_on_one_bus]
+
+
+def test_frames_without_a_bus_have_the_channel_that_logs_are_to_have() -> None:
+    _, frames = record(small(), Wiring(channel="none"))
+    assert {frame.channel for frame in frames} == {"none"}
+
+
+def test_the_bus_of_a_robot_has_its_frames_and_those_that_reach_it() -> None:
+    """Here those of robot 1 are lost on their way."""
+    with Swarm(small("loss,robots=1", steps=5), ON_OWN_BUSES) as swarm, own_bus(0) as listener:
         run_swarm(swarm)
-        heard = [*iter(lambda: spy.recv(0), None)]
-    said = [decode_estimate(frame, FrameFormat()) for frame in heard]
-    assert Counter(each.sender for each in said if isinstance(each, Estimate)) == {0: 5, 2: 5, 3: 5, 4: 5}
+        frames = list(iter(lambda: listener.recv(0), None))
+    contents = [decode_estimate(frame, FrameFormat()) for frame in frames]
+    senders = Counter(estimate.sender for estimate in contents if isinstance(estimate, Estimate))
+    assert senders == {0: 5, 2: 5, 3: 5, 4: 5}
 
 
 SENT = 66
 """Frames of a robot in 60 ticks: an estimate in each, a heartbeat in each second."""
-NOTHING: dict[str, Any] = {"refused": 0, "strays": 0, "rejected": {}, "id_conflicts": {}}
-"""Goes wrong."""
+NOTHING_WRONG: dict[str, Any] = {"refused": 0, "strays": 0, "rejected": {}, "id_conflicts": {}}
 
 
 @pytest.mark.parametrize(
-    ("fault", "injected_in_all", "expected", "replayed"),
+    ("fault", "hits", "expected_counts"),
     [
-        ("loss=0", 0, {"sent": 300, "delivered": 1200, "heartbeats_heard": 120, **NOTHING}, ()),
-        ("loss", SENT * 20, {"delivered": 0, "heartbeats_heard": 0, "arrived": 0, "in_range": SENT * 20}, ()),
-        # All messages three ticks late: those of the last three rounds never come.
-        ("delay,ticks=3", SENT * 20, {"delivered": (60 - 3) * 20, "refused": 0}, ()),
-        ("duplicate,ticks=0", SENT * 20, {"delivered": 2 * 60 * 20, "refused": 60 * 20}, ()),
+        ("loss=0", 0, {"sent": 300, "delivered": 1200, "heartbeats_heard": 120, **NOTHING_WRONG}),
+        ("loss", SENT * 20, {"delivered": 0, "heartbeats_heard": 0, "arrived": 0, "in_range": SENT * 20}),
+        # All messages come three ticks late, and those of the last three rounds never.
+        ("delay,ticks=3", SENT * 20, {"delivered": (60 - 3) * 20, "refused": 0}),
+        ("duplicate,ticks=0", SENT * 20, {"delivered": 2 * 60 * 20, "refused": 60 * 20}),
         # The copy of the last round comes first, so it is the new message that is a repetition.
-        ("duplicate,ticks=1", SENT * 20, {"delivered": (60 + 59) * 20, "refused": 59 * 20}, ()),
-        ("corrupt,bits=64", SENT * 20, {"delivered": 0, "arrived": SENT * 20}, ()),
-        ("babble,frames=4,robots=3,from=10,to=20", 40, {"arrived": (SENT * 5 + 40) * 4}, (300, 0, 0, 40)),
-        ("crash,robots=1,from=20,to=35", 15, {"sent": 60 * 5 - 15, "delivered": 1080}, (285, 0, 0, 0)),
-        ("busoff,robots=1,from=20,to=35", 15, {"sent": 60 * 5, "delivered": 1080}, (285, 0, 0, 0)),
-        ("freeze,robots=1,from=30", 30, {"delivered": 60 * 20, "refused": 0}, (270, 30, 0, 0)),
-        ("liar,robots=2", 60, {"delivered": 60 * 20, "refused": 0}, (240, 60, 0, 0)),
-        ("liar,robots=1,from=10,to=20,alpha=1e-9", 10, {"refused": 0}, (290, 10, 0, 0)),
-        ("collide,robots=3,id=3", SENT, {"delivered": 60 * 20, **NOTHING}, ()),
-        # Robot 2 refuses its own id; the other three hear 2 twice, robot 3 once.
-        ("collide,robots=3,id=2", SENT, {"id_conflicts": {"2": 60}, "refused": 240}, (240, 0, 60, SENT)),
+        ("duplicate,ticks=1", SENT * 20, {"delivered": (60 + 59) * 20, "refused": 59 * 20}),
+        ("corrupt,bits=64", SENT * 20, {"delivered": 0, "arrived": SENT * 20}),
+        ("babble,frames=4,robots=3,from=10,to=20", 40, {"arrived": (SENT * 5 + 40) * 4}),
+        ("crash,robots=1,from=20,to=35", 15, {"sent": 60 * 5 - 15, "delivered": 1080}),
+        ("busoff,robots=1,from=20,to=35", 15, {"sent": 60 * 5, "delivered": 1080}),
+        ("freeze,robots=1,from=30", 30, {"delivered": 60 * 20, "refused": 0}),
+        ("liar,robots=2", 60, {"delivered": 60 * 20, "refused": 0}),
+        ("liar,robots=1,from=10,to=20,alpha=1e-9", 10, {"refused": 0}),
+        ("collide,robots=3,id=3", SENT, {"delivered": 60 * 20, **NOTHING_WRONG}),
+        # Robot 2 refuses its own id; the other three receive from 2 twice, robot 3 once.
+        ("collide,robots=3,id=2", SENT, {"id_conflicts": {"2": 60}, "refused": 240}),
     ],
 )
-def test_what_a_fault_does(
-    fault: str, injected_in_all: int, expected: dict[str, Any], replayed: tuple[int, ...], tmp_path: Path
+def test_a_fault_has_hit_so_many_frames_with_this_effect(
+    fault: str, hits: int, expected_counts: dict[str, Any]
 ) -> None:
-    """To the swarm, and to a replay: broadcasts reproduced, falsified and foreign, and frames of no robot."""
+    run, frames = record(small(fault))
+    assert hit_counts(run) == [hits]
+    assert {name: frame_counts(run)[name] for name in expected_counts} == expected_counts
+    assert frame_counts(run)["on_the_bus"] == len(frames)
+
+
+def test_robots_whose_frames_are_all_lost_know_their_own_estimates_alone() -> None:
+    run, _ = record(small("loss"))
+    assert all(node.robot.x == node.robot.x_hat for node in run.nodes)
+
+
+class Broadcasts(NamedTuple):
+    """Broadcasts that a replay knows.
+
+    Attributes:
+        reproduced: Those of robots, as they were sent.
+        falsified: Those of robots that were replaced by others.
+        foreign: Those that another node sent under a robot's id.
+        injected: Frames that no robot sends.
+    """
+
+    reproduced: int
+    falsified: int = 0
+    foreign: int = 0
+    injected: int = 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        ("loss=0", Broadcasts(300)),
+        ("loss", Broadcasts(300)),
+        ("delay,ticks=3", Broadcasts(300)),
+        ("duplicate,ticks=0", Broadcasts(300)),
+        ("duplicate,ticks=1", Broadcasts(300)),
+        ("corrupt,bits=64", Broadcasts(300)),
+        ("babble,frames=4,robots=3,from=10,to=20", Broadcasts(300, injected=40)),
+        ("crash,robots=1,from=20,to=35", Broadcasts(285)),
+        ("busoff,robots=1,from=20,to=35", Broadcasts(285)),
+        ("freeze,robots=1,from=30", Broadcasts(270, falsified=30)),
+        ("liar,robots=2", Broadcasts(240, falsified=60)),
+        ("liar,robots=1,from=10,to=20,alpha=1e-9", Broadcasts(290, falsified=10)),
+        ("collide,robots=3,id=3", Broadcasts(300)),
+        ("collide,robots=3,id=2", Broadcasts(240, foreign=60, injected=SENT)),
+    ],
+)
+def test_a_replay_knows_the_broadcasts_that_a_fault_has_changed(
+    fault: str, expected: Broadcasts, tmp_path: Path
+) -> None:
     path, events = tmp_path / "run.events", list[str]()
-    run, frames = record(small(fault), events=events)
+    _, frames = record(small(fault), events=events)
     path.write_text("".join(events))
-    assert injected(run) == [injected_in_all]
-    assert {name: figures(run)[name] for name in expected} == expected
-    assert figures(run)["on_the_bus"] == len(frames)
-    if fault == "loss":
-        assert all(node.robot.x == node.robot.x_hat for node in run.nodes)
     with EventsReader(path) as reader:
         verdict = verify(frames, reader)
     with EventsReader(path) as reader:
-        others = sum(isinstance(entry, InjectedFrame) for entry in reader.entries())
+        injected = sum(isinstance(entry, InjectedFrame) for entry in reader.entries())
     assert (verdict.difference, verdict.not_logged) == (None, 0)
-    found = (verdict.reproduced, verdict.falsified, verdict.foreign, others)
-    assert found == (replayed or (300, 0, 0, 0))
+    assert Broadcasts(verdict.reproduced, verdict.falsified, verdict.foreign, injected) == expected
 
 
-@pytest.mark.parametrize("medium", ["no bus", "a bus for each"])
-def test_ids_that_are_not_allowed_do_nothing(medium: str) -> None:
-    """A node under other ids changes no bit; under the others' ids it does."""
-    honest, _ = record(small())
-    found, _ = record(small("sybil,robots=1,ids=5-9+127", allow="0-4"), MEDIA[medium])
-    assert states(found.nodes) == states(honest.nodes)
-    assert figures(found)["unknown"] == 60 * 6 * 4 and figures(honest)["unknown"] == 0
-    assert figures(found)["delivered"] == figures(honest)["delivered"]
-    spoofed, _ = record(small("sybil,robots=1,ids=0", allow="0-4"), MEDIA[medium])
-    assert (figures(spoofed)["unknown"], figures(spoofed)["id_conflicts"]) == (0, {"0": 60})
-    nobody, _ = record(small(allow="127"), MEDIA[medium])
-    assert all(node.robot.x == node.robot.x_hat for node in nobody.nodes)
+without_and_with_buses = pytest.mark.parametrize("medium", ["no bus", "a bus for each"])
 
 
-@pytest.mark.parametrize("rejoin", ["new", "restored"])
-def test_a_crashed_robot_rejoins(rejoin: str) -> None:
-    """New, with the accuracy and the numbers that it started with, or as it was."""
-    settings = small(f"crash,robots=0,from=45,to=47,rejoin={rejoin}", seed=3, fill_ratio=0.95)
-    b_hat: list[float] = []
-    run, frames = record(settings, hooks=[lambda swarm: b_hat.append(swarm.nodes[0].robot.b_hat)])
-    assert b_hat[44] > 0.9
-    assert b_hat[47] == pytest.approx(0.55 if rejoin == "new" else b_hat[44], abs=1e-6)
-    assert run.nodes[0].robot.t == (60 - 47 if rejoin == "new" else 60 - 2)
-    spoken = [decode_estimate(frame, FrameFormat()) for frame in frames]
-    numbers = [m.transfer_id for m in spoken if isinstance(m, Estimate) and m.sender == 0]
-    assert numbers == [k % 32 for k in (*range(45), *(range(13) if rejoin == "new" else range(45, 58)))]
+@without_and_with_buses
+def test_estimates_under_ids_that_are_not_allowed_change_nothing(medium: str) -> None:
+    undisturbed_run, _ = record(small())
+    run, _ = record(small("sybil,robots=1,ids=5-9+127", allow="0-4"), MEDIA[medium])
+    assert states(run.nodes) == states(undisturbed_run.nodes)
+    assert frame_counts(run)["delivered"] == frame_counts(undisturbed_run)["delivered"]
+
+
+@without_and_with_buses
+def test_estimates_under_ids_that_are_not_allowed_are_counted_as_unknown(medium: str) -> None:
+    run, _ = record(small("sybil,robots=1,ids=5-9+127", allow="0-4"), MEDIA[medium])
+    assert frame_counts(run)["unknown"] == 60 * 6 * 4
+
+
+@without_and_with_buses
+def test_estimates_under_the_id_of_a_robot_that_is_allowed_are_conflicts(medium: str) -> None:
+    run, _ = record(small("sybil,robots=1,ids=0", allow="0-4"), MEDIA[medium])
+    assert (frame_counts(run)["unknown"], frame_counts(run)["id_conflicts"]) == (0, {"0": 60})
+
+
+@without_and_with_buses
+def test_robots_that_allow_no_id_of_the_swarm_know_their_own_estimates_alone(medium: str) -> None:
+    run, _ = record(small(allow="127"), MEDIA[medium])
+    assert all(node.robot.x == node.robot.x_hat for node in run.nodes)
+
+
+def crash_in_two_ticks(rejoin: str) -> SwarmSettings:
+    """Settings of a run of 60 ticks in which robot 0 is dead in ticks 45 and 46."""
+    return small(f"crash,robots=0,from=45,to=47,rejoin={rejoin}", seed=3, fill_ratio=0.95)
+
+
+def b_hat_around_the_crash(rejoin: str) -> tuple[float, float]:
+    """Return the assumed accuracy of that robot before and after its crash; it began with 0.55."""
+    b_hat_by_tick: list[float] = []
+    record(crash_in_two_ticks(rejoin), hooks=[lambda swarm: b_hat_by_tick.append(swarm.nodes[0].robot.b_hat)])
+    return b_hat_by_tick[44], b_hat_by_tick[47]
+
+
+def test_a_robot_that_rejoins_new_begins_with_the_accuracy_of_its_start() -> None:
+    before, after = b_hat_around_the_crash("new")
+    assert before > 0.9
+    assert after == pytest.approx(0.55, abs=1e-6)
+
+
+def test_a_robot_that_rejoins_restored_has_the_accuracy_that_it_had() -> None:
+    before, after = b_hat_around_the_crash("restored")
+    assert before > 0.9
+    assert after == before
+
+
+@pytest.mark.parametrize(("rejoin", "observations"), [("new", 60 - 47), ("restored", 60 - 2)])
+def test_a_robot_that_rejoins_new_has_forgotten_its_observations(rejoin: str, observations: int) -> None:
+    run, _ = record(crash_in_two_ticks(rejoin))
+    assert run.nodes[0].robot.t == observations
+
+
+@pytest.mark.parametrize(
+    ("rejoin", "numbers"), [("new", [*range(45), *range(13)]), ("restored", [*range(58)])]
+)
+def test_a_robot_that_rejoins_new_numbers_its_estimates_anew(rejoin: str, numbers: list[int]) -> None:
+    _, frames = record(crash_in_two_ticks(rejoin))
+    contents = [decode_estimate(frame, FrameFormat()) for frame in frames]
+    transfer_ids = [
+        estimate.transfer_id
+        for estimate in contents
+        if isinstance(estimate, Estimate) and estimate.sender == 0
+    ]
+    assert transfer_ids == [number % 32 for number in numbers]
 
 
 REJOINING = {
@@ -194,28 +296,43 @@ def test_a_robot_that_rejoins_sends_heartbeats_in_its_own_seconds(
     assert found == expected
 
 
-def test_in_real_time_what_comes_too_late_is_heard_in_the_next_tick_and_counted(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    settings, usual = small(robots=3, clock="real-time", steps_per_second=1000), virtual.VirtualBus.recv
+@pytest.fixture
+def run_with_a_late_tick(monkeypatch: pytest.MonkeyPatch) -> SwarmRun:
+    """A run of 3 robots in real time in which the frames of tick 5 arrive in tick 6."""
+    settings, receive = small(robots=3, clock="real-time", steps_per_second=1000), virtual.VirtualBus.recv
     with Swarm(settings, ON_ONE_BUS) as swarm:
         monkeypatch.setattr(
-            virtual.VirtualBus, "recv", lambda bus, seconds: None if swarm.ticks == 5 else usual(bus, seconds)
+            virtual.VirtualBus,
+            "recv",
+            lambda bus, timeout: receive(bus, timeout) if swarm.ticks != 5 else None,
         )
-        run = run_swarm(swarm)
-    assert (swarm.ticks, swarm.traffic.missed) == (60, 3)
-    # Two messages of each neighbour in one round: the second is a repetition.
-    assert (swarm.traffic.total("delivered"), swarm.traffic.total("refused")) == (60 * 3 * 2, 3 * 2)
-    clock = run.results["clock"]
+        return run_swarm(swarm)
+
+
+def test_frames_that_come_too_late_in_real_time_are_counted(run_with_a_late_tick: SwarmRun) -> None:
+    assert run_with_a_late_tick.results["steps"] == 60
+    assert frame_counts(run_with_a_late_tick)["missed"] == 3
+
+
+def test_frames_that_come_too_late_in_real_time_are_received_in_the_next_tick(
+    run_with_a_late_tick: SwarmRun,
+) -> None:
+    assert frame_counts(run_with_a_late_tick)["delivered"] == 60 * 3 * 2
+    # Of two messages of a neighbour in one round the second is a repetition.
+    assert frame_counts(run_with_a_late_tick)["refused"] == 3 * 2
+
+
+def test_a_run_in_real_time_reports_how_late_ticks_have_begun(run_with_a_late_tick: SwarmRun) -> None:
+    clock = run_with_a_late_tick.results["clock"]
     assert 0 <= clock["mean_lateness"] <= clock["max_lateness"]
 
 
 @pytest.mark.parametrize("medium", ["one bus", "a group for each", *slow(["one group"])])
-def test_a_flood_is_read_while_it_comes(medium: str) -> None:
-    """More frames than a socket keeps."""
-    flood = "babble,frames=900,robots=0,from=1,to=2"
-    run, frames = record(small(flood, steps=3), MEDIA[medium])
-    assert figures(run)["arrived"] == len(frames) * 4 == (3 + 1) * 5 * 4 + 900 * 4
+def test_no_frame_of_a_flood_is_lost(medium: str) -> None:
+    """There are more frames than a socket holds, so that they have to be read while they are sent."""
+    run, frames = record(small("babble,frames=900,robots=0,from=1,to=2", steps=3), MEDIA[medium])
+    assert len(frames) == (3 + 1) * 5 + 900
+    assert frame_counts(run)["arrived"] == 4 * len(frames)
 
 
 # The figures of docs/threats.md
@@ -226,24 +343,33 @@ ROWS = [
     for line in (ROOT / "docs/threats.md").read_text(encoding="utf-8").splitlines()
     if line.startswith("|") and FIGURES.search(line)
 ]
+"""The faults of each row of the table, none in the first one, and its figures: texts of three numbers."""
+
+RUNS = [{"filter": "asdf-plus"}, {"filter": "robust"}, {"filter": "asdf-plus", "allow": "0-19"}]
+"""Settings of the columns of the table; the last one is there for robots under several ids alone."""
+
+
+def figures_of_run(faults: list[str], settings: dict[str, Any]) -> str:
+    """Return the mean error of robots without a fault, and the mean b_hat of flawed and of other ones.
+
+    Robots from 6 on have the faults, and the first six are flawed.
+    """
+    swarm_settings = SwarmSettings(steps=500, filter_period=100, faults=tuple(faults), **settings)
+    last_with_fault = max({6}.union(*(fault.robots for fault in swarm_settings.faults)))
+    with Swarm(swarm_settings, Wiring()) as swarm:
+        robots = [node.robot for node in run_swarm(swarm).nodes]
+    flawed_robots, other_robots = robots[:6], robots[last_with_fault + 1 :]
+    mean_error = fmean(abs(robot.x - 0.55) for robot in flawed_robots + other_robots)
+    b_hat = [fmean(robot.b_hat for robot in group) for group in (flawed_robots, other_robots)]
+    return f"{mean_error:.3f}, {b_hat[0]:.3f}, {b_hat[1]:.3f}"
+
+
+def test_the_table_of_threats_begins_with_a_swarm_without_faults() -> None:
+    assert len(ROWS) == 20
+    assert ROWS[0][0] == []
 
 
 @pytest.mark.parametrize(("faults", "figures"), [*ROWS[:2], *slow(ROWS[2:])])
-def test_the_table_of_threats_says_what_happens(faults: list[str], figures: list[str]) -> None:
-    """The second row is the liar that takes all; robots from 6 on are those that go wrong."""
-    assert len(ROWS) == 20 and ROWS[0][0] == []
-    assert len(figures) == 2 + ("sybil" in str(faults))
-    found = []
-    runs: list[tuple[str, str]] = [("asdf-plus", ""), ("robust", ""), ("asdf-plus", "0-19")]
-    for filtering, allow in runs[: len(figures)]:
-        settings = SwarmSettings(
-            steps=500, filter_period=100, filter=filtering, faults=tuple(faults), allow=allow
-        )
-        last = max({6}.union(*(fault.robots for fault in settings.faults)))
-        with Swarm(settings, Wiring()) as swarm:
-            robots = [node.robot for node in run_swarm(swarm).nodes]
-        groups = robots[:6], robots[last + 1 :]
-        error = fmean(abs(robot.x - 0.55) for group in groups for robot in group)
-        flawed, sound = (fmean(robot.b_hat for robot in group) for group in groups)
-        found.append(f"{error:.3f}, {flawed:.3f}, {sound:.3f}")
-    assert found == figures
+def test_the_table_of_threats_has_the_figures_of_these_runs(faults: list[str], figures: list[str]) -> None:
+    assert len(figures) == (3 if "sybil" in str(faults) else 2)
+    assert figures == [figures_of_run(faults, settings) for settings in RUNS[: len(figures)]]
