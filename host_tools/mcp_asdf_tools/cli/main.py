@@ -108,10 +108,10 @@ def _attempt(title: str, work: Callable[[], int], as_json: bool) -> int:
     except (UsageError, OutputError, OSError) as error:
         if isinstance(error, OutputError) and error.is_broken_pipe:
             return _BROKEN_PIPE  # the reader has enough, and expects no message
-        return _refuse(title, _explain(error), as_json)
+        return _report_bad_usage(title, _explain(error), as_json)
 
 
-def _refuse(title: str, error: str, as_json: bool) -> int:
+def _report_bad_usage(title: str, error: str, as_json: bool) -> int:
     """Print an error and where help is, in two lines, or the error as one line of JSON; return code 2."""
     if as_json:
         return report_failure(title, error, as_json, exit_code=2)
@@ -138,7 +138,7 @@ def _flush() -> int:
 def _run_command(name: str, arguments: Sequence[str]) -> int:
     """Import and run one command only, so that the others' libraries stay unloaded; return its exit code."""
     command = _load(name)
-    args = _parser_for(name, command).parsed(arguments)
+    args = _parser_for(name, command).parse_all(arguments)
     _import_all(command.LIBRARIES)
     with log_to_standard_error(args.verbose):
         if args.verbose:
@@ -160,8 +160,9 @@ def _log_start(args: argparse.Namespace) -> None:
 
     versions = ", ".join(f"{software} {version}" for software, version in software_versions().items())
     _logger.info("%s, on %s", versions, sys.platform)
-    (program, *words) = args.command_line
-    _logger.info("command line: %s %s", program, shlex.join(words))
+    program, *typed_arguments = args.command_line
+    # The program's name has a space in it, as "mcp-asdf swarm", which must not be quoted.
+    _logger.info("command line: %s %s", program, shlex.join(typed_arguments))
     _logger.debug("options: %s", vars(args))
 
 
@@ -213,7 +214,7 @@ def _show_overview(arguments: Sequence[str]) -> int:
     if args.command is not None:
         near = offer(args.command, [*COMMANDS, "--help", "--version"])
         parser.error(f"no command is called {args.command!r}{near}")
-    parser.parsed(arguments)
+    parser.parse_all(arguments)
     parser.print_help(sys.stderr)
     return 2
 

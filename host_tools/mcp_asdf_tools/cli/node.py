@@ -22,7 +22,7 @@ from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
 from mcp_asdf_tools.common.standard_streams import has_input_ended, standard_input_descriptor
 from mcp_asdf_tools.robots.filters import describe_filters
 from mcp_asdf_tools.robots.population import Population
-from mcp_asdf_tools.robots.robot_setup import parse_ids
+from mcp_asdf_tools.robots.robot_setup import RobotSetup, parse_ids
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the robot until it ends, write its log, and print its results; return the exit code."""
     from mcp_asdf_tools.common.versions import software_versions
     from mcp_asdf_tools.recording.events import EventsHeader
-    from mcp_asdf_tools.robots.node import RobotNode, state_of
+    from mcp_asdf_tools.robots.node import RobotNode
 
     setup = options.robot_of(args)
     subjects = options.subjects_of(args)
@@ -80,13 +80,7 @@ def run(args: argparse.Namespace) -> int:
         recorder = None if events is None else events.recorders[setup.id]
         node = RobotNode(setup, subjects, steps_per_second, recorder)
         outcome = _run_on_bus(args, node, choice, log)
-    results = {
-        "filter": describe_filters([setup.config.filter]),
-        "steps": node.ticks,
-        **vars(outcome),
-        "robot": state_of(node),
-        "frames": node.figures(),
-    }
+    results = _results_of(node, setup, outcome)
     if args.json:
         report = {
             "parameters": parameters | {"robot": setup.plain(), "subjects": asdict(subjects)},
@@ -138,6 +132,19 @@ def _suspicion_printer(node: RobotNode, console: Console) -> Callable[[], None]:
             console.print(f"mcp-asdf node: node {sender}: {MEANINGS[kind]}", soft_wrap=True)
 
     return print_new_suspicions
+
+
+def _results_of(node: RobotNode, setup: RobotSetup, outcome: RunOutcome) -> dict[str, Any]:
+    """Return how a run has ended, its robot's state and the numbers of its frames, as plain values."""
+    from mcp_asdf_tools.robots.node import state_of
+
+    return {
+        "filter": describe_filters([setup.config.filter]),
+        "steps": node.ticks,
+        **vars(outcome),
+        "robot": state_of(node),
+        "frames": node.figures(),
+    }
 
 
 def _format_summary(node: RobotNode, results: dict[str, Any], bus_name: str) -> str:

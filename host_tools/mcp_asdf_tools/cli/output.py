@@ -41,14 +41,16 @@ def print_again(args: argparse.Namespace, **settled_parameters: object) -> None:
     It is what the user typed. In front of it are those ``settled_parameters``, such as the seed, that the
     user left to their defaults, since a later version may have other defaults.
     """
-    program, *words = args.command_line
-    typed_options = {word.partition("=")[0] for word in words}
+    program, *typed_arguments = args.command_line
+    # An option may be typed as --seed 3 or as --seed=3.
+    typed_options = {argument.partition("=")[0] for argument in typed_arguments}
     settled_options = []
     for name, value in settled_parameters.items():
         option = f"--{name.replace('_', '-')}"
         if option not in typed_options:
             settled_options.append(f"{option}={value}")
-    print(f"again: {program} {shlex.join([*settled_options, *words])}".rstrip())
+    # The program's name has a space in it, as "mcp-asdf swarm", which must not be quoted.
+    print(f"again: {program} {shlex.join([*settled_options, *typed_arguments])}".rstrip())
 
 
 def report_failure(title: str, message: str, as_json: bool, exit_code: int = 1) -> int:
@@ -64,9 +66,9 @@ def report_failure(title: str, message: str, as_json: bool, exit_code: int = 1) 
     return exit_code
 
 
-def warn(command: str, text: str) -> None:
-    """Print a line to standard error that names the command, such as "node"."""
-    print(f"mcp-asdf {command}: {text}", file=sys.stderr)
+def warn(command: str, message: str) -> None:
+    """Print a message to standard error, behind the name of the command, such as "node"."""
+    print(f"mcp-asdf {command}: {message}", file=sys.stderr)
 
 
 @contextmanager
@@ -97,7 +99,7 @@ def recording_for(
     if path is None:
         return NoRecording()
     _logger.info("recording the frames in %s", path)
-    return Recording(path, header, lambda text: warn(command, text), choice.channel or choice.interface)
+    return Recording(path, header, lambda message: warn(command, message), choice.channel or choice.interface)
 
 
 def exit_code_with(recording: Recording | NoRecording, code: int) -> int:

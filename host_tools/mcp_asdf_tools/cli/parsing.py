@@ -27,22 +27,27 @@ class Parser(argparse.ArgumentParser):
             allow_abbrev=False,
         )
 
-    def parsed(self, words: Sequence[str]) -> argparse.Namespace:
-        """Parse the words behind the command's name, and return the values of its options and arguments.
+    def parse_all(self, typed_arguments: Sequence[str]) -> argparse.Namespace:
+        """Parse what the user typed behind the command's name, and return the values of all options.
 
-        The attribute ``command_line`` of the result is what the user typed, with the program's name in front.
-        Raises UsageError, with the nearest option's name, for a word that belongs to no option.
+        The attribute ``command_line`` of the result is what was typed, with the program's name in front.
+        Raises UsageError, with the nearest option's name, for an argument that belongs to no option.
         """
-        args, unknown_words = self.parse_known_args(words)
-        if unknown_words:
-            # An unknown option explains the words that follow it, so it is the one to report.
-            unknown_options = [word for word in unknown_words if word.startswith("-")]
-            first = (unknown_options or unknown_words)[0]
-            kind = "option" if unknown_options else "argument"
-            options = [option for action in self._actions for option in action.option_strings]
-            self.error(f"no such {kind}: {first}{offer(first.partition('=')[0], options)}")
-        args.command_line = [self.prog, *words]
+        args, unknown_arguments = self.parse_known_args(typed_arguments)
+        if unknown_arguments:
+            self._refuse_unknown(unknown_arguments)
+        args.command_line = [self.prog, *typed_arguments]
         return args
+
+    def _refuse_unknown(self, unknown_arguments: Sequence[str]) -> NoReturn:
+        """Raise UsageError for the first option that there is not, or else for the first argument."""
+        # An unknown option explains the arguments that follow it, so it is the one to report.
+        unknown_options = [argument for argument in unknown_arguments if argument.startswith("-")]
+        kind = "option" if unknown_options else "argument"
+        first = unknown_options[0] if unknown_options else unknown_arguments[0]
+        known_options = [option for action in self._actions for option in action.option_strings]
+        option_name, _, _ = first.partition("=")  # of --robots=3 only the name can be like another
+        self.error(f"no such {kind}: {first}{offer(option_name, known_options)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Raise ArgumentError, with the nearest choice, for a value that is none of an option's choices."""
@@ -69,10 +74,11 @@ class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
     ) -> None:
         """Add the usage line of a parser with these actions and mutually exclusive groups."""
         alternatives = [action for group in groups if group.required for action in group._group_actions]
-        needed = [
-            action
-            for action in actions
-            if action.required or not action.option_strings or action in alternatives
-        ]
+        shown_actions = []
+        for action in actions:
+            is_positional = not action.option_strings  # such as FILE
+            if action.required or is_positional or action in alternatives:
+                shown_actions.append(action)
+        # An action that no parser has: argparse shows its metavar, and no more, in its place.
         other_options = argparse.Action([], "options", metavar="[OPTION ...]")
-        super().add_usage(usage, [other_options, *needed], groups, prefix)
+        super().add_usage(usage, [other_options, *shown_actions], groups, prefix)

@@ -53,17 +53,23 @@ def print_scores(rows: Sequence[dict[str, Any]], title: str) -> None:
     for name in (*varying_parameters, "trials", "H", *_MEDIAN_FORMATS):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
-        trial_count, planned_count = row["trials"], row["parameters"]["trials"]
-        score = row["H"]
-        table.add_row(
-            *(str(row["parameters"][name]) for name in varying_parameters),
-            f"{trial_count}" if trial_count >= planned_count else f"{trial_count} of {planned_count}",
-            f"{score['median']:.2f} [{score['q25']:.2f}, {score['q75']:.2f}]",
-            *(format(row[name]["median"], style) for name, style in _MEDIAN_FORMATS.items()),
-        )
+        values = [str(row["parameters"][name]) for name in varying_parameters]
+        medians = [format(row[name]["median"], style) for name, style in _MEDIAN_FORMATS.items()]
+        table.add_row(*values, _describe_trial_count(row), _describe_score(row["H"]), *medians)
     # Lines longer than a terminal wrap; columns that shrink to fit would lose figures.
     width = Console(width=10_000).measure(table).maximum
     Console(width=width).print(table)
+
+
+def _describe_trial_count(row: dict[str, Any]) -> str:
+    """Return the number of trials, with "of" how many if some have not run yet."""
+    trial_count, planned_count = row["trials"], row["parameters"]["trials"]
+    return f"{trial_count}" if trial_count >= planned_count else f"{trial_count} of {planned_count}"
+
+
+def _describe_score(quartiles: dict[str, float]) -> str:
+    """Return the median of a score, and its other two quartiles in brackets."""
+    return f"{quartiles['median']:.2f} [{quartiles['q25']:.2f}, {quartiles['q75']:.2f}]"
 
 
 def _caption(rows: Sequence[dict[str, Any]]) -> str:

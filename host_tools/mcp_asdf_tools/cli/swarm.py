@@ -170,7 +170,7 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, choice: BusChoi
     from mcp_asdf_tools.swarm.carrier import Wiring
     from mcp_asdf_tools.swarm.remote_robot import check_remote
 
-    devices = dict(_parse_device(text) for text in args.device)
+    devices = dict(_parse_device(device) for device in args.device)
     if len(devices) < len(args.device):
         raise UsageError(f"two devices are one robot: {', '.join(args.device)}; give each an id of its own")
 
@@ -192,17 +192,17 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, choice: BusChoi
     return wiring
 
 
-def _parse_device(text: str) -> tuple[int, BusChoice]:
+def _parse_device(device: str) -> tuple[int, BusChoice]:
     """Return robot id and bus of a text such as ``3=slcan:socket://127.0.0.1:20001``. Raises UsageError."""
     import can
 
     from mcp_asdf_tools.bus.interfaces import BusChoice
 
-    robot, _, bus_text = text.partition("=")
+    robot, _, bus_text = device.partition("=")
     interface, _, channel = bus_text.partition(":")
     if not (robot.isascii() and robot.isdigit() and channel) or interface not in can.VALID_INTERFACES:
         raise UsageError(
-            f"device is {text!r}; write ID=INTERFACE:CHANNEL, such as 3=slcan:socket://127.0.0.1:20001"
+            f"device is {device!r}; write ID=INTERFACE:CHANNEL, such as 3=slcan:socket://127.0.0.1:20001"
         )
     settings: dict[str, Any] = {"channel": channel, "ignore_config": True}
     if interface == "slcan":  # python-can gives adapters two seconds to start; what answers has started

@@ -360,7 +360,7 @@ def test_every_command_has_examples_that_it_accepts(name: str) -> None:
     called = [shlex.split(line.partition(" > ")[0], comments=True)[1:] for line in lines]
     assert name in {words[0] for words in called}
     for command, *options in called:
-        cli._parser_for(command, cli._load(command)).parsed(options)
+        cli._parser_for(command, cli._load(command)).parse_all(options)
 
 
 SHORT = "--robots 4 --steps 30 --filter-period 10"
