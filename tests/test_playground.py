@@ -22,7 +22,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.swarm import Swarm
-from mcp_asdf_tools.view.page import page
+from mcp_asdf_tools.view.page import make_page
 from mcp_asdf_tools.world.arena import Arena
 from support import ROOT, require, run
 
@@ -71,7 +71,7 @@ def read_records(browser: Page) -> NDArray[np.uint32]:
 
 
 def test_the_page_of_a_run_has_nothing_of_the_playground() -> None:
-    text = page()
+    text = make_page()
     assert "playground" not in text
     assert "wasm" not in text.partition("<style>")[0]
 
@@ -80,7 +80,7 @@ def test_only_the_playground_may_compile_and_start_a_worker() -> None:
     build_page = runpy.run_path(str(ROOT / ".ci/playground.py"))["build_page"]
     text = build_page(b"\0asm")
     assert "script-src 'unsafe-inline' data: 'wasm-unsafe-eval'; worker-src data:;" in text
-    assert "worker-src" not in page().partition("<style>")[0]
+    assert "worker-src" not in make_page().partition("<style>")[0]
 
 
 def test_the_page_of_the_playground_holds_its_module() -> None:

@@ -357,11 +357,11 @@ def _start_view(plan: _RunPlan, at_end: ExitStack) -> SwarmRecorder | None:
     """
     if not plan.args.view:
         return None
-    from mcp_asdf_tools.view.server import serving
+    from mcp_asdf_tools.view.server import serve_page
     from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
 
     recorder = SwarmRecorder(plan.settings, _DEFAULT_PACE if plan.args.pace is None else plan.args.pace)
-    url = at_end.enter_context(serving(recorder.history, plan.args.port))
+    url = at_end.enter_context(serve_page(recorder.history, plan.args.port))
     announce_page(url, plan.args.json)
     at_end.push(lambda error_type, error, traceback: _end_view(recorder, error_type is None))
     return recorder

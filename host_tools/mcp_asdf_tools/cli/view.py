@@ -152,9 +152,9 @@ def _read_frame_history(args: argparse.Namespace) -> History:
 def _export_recording(args: argparse.Namespace, history: History) -> int:
     """Write the page of a history as one file, and print its name; return exit code 0."""
     from mcp_asdf_tools.common.files import write_atomically
-    from mcp_asdf_tools.view.page import page
+    from mcp_asdf_tools.view.page import make_page
 
-    content = page(history).encode()
+    content = make_page(history).encode()
     write_atomically(args.export, content)
     if args.json:
         state_count = len(history.states_since().states)
@@ -166,9 +166,9 @@ def _export_recording(args: argparse.Namespace, history: History) -> int:
 
 def _serve_recording(args: argparse.Namespace, history: History) -> int:
     """Serve the page of a history until Ctrl-C; return exit code 0."""
-    from mcp_asdf_tools.view.server import serving
+    from mcp_asdf_tools.view.server import serve_page
 
-    with stopping() as should_stop, serving(history, args.port) as url:
+    with stopping() as should_stop, serve_page(history, args.port) as url:
         announce_page(url, args.json)
         sleep_until(should_stop)
     return 0
@@ -183,7 +183,7 @@ def _serve_bus(args: argparse.Namespace) -> int:
 
     from mcp_asdf_tools.bus.interfaces import DEFAULT_INTERFACE
     from mcp_asdf_tools.view.bus_recorder import BusRecorder
-    from mcp_asdf_tools.view.server import serving
+    from mcp_asdf_tools.view.server import serve_page
 
     choice = options.bus_of(args)
     if choice.interface == DEFAULT_INTERFACE:
@@ -200,7 +200,7 @@ def _serve_bus(args: argparse.Namespace) -> int:
             recorder = BusRecorder(
                 bus, frame_format, f"robots on {choice}", args.fill_ratio, args.true_accuracy
             )
-            with serving(recorder.history, args.port) as url:
+            with serve_page(recorder.history, args.port) as url:
                 announce_page(url, args.json)
                 recorder.record(should_stop)
     except CanError as error:

@@ -14,12 +14,12 @@ from mcp_asdf_tools.common.files import write_atomically
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import select_experiments, single_experiment
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.view.page import page
+from mcp_asdf_tools.view.page import make_page
 from mcp_asdf_tools.view.trial_history import recompute_trial_history
 
 
 @dataclass(frozen=True)
-class Shown:
+class NotebookPage:
     """The page of a run; as the last value of a notebook's cell it is shown below the cell.
 
     Attributes:
@@ -39,7 +39,7 @@ class Shown:
 
 
 @naming_extras()
-def show(results: Any, *, trial: int = 0, where: Mapping[str, Any] | None = None) -> Shown:
+def show(results: Any, *, trial: int = 0, where: Mapping[str, Any] | None = None) -> NotebookPage:
     """Return the page of one trial, as ``mcp-asdf view`` shows it.
 
     ``results`` is an Experiment, whose trial is run for this, or a table of results. ``trial`` is the trial's
@@ -49,9 +49,9 @@ def show(results: Any, *, trial: int = 0, where: Mapping[str, Any] | None = None
     if trial < 0:
         raise UsageError(f"trial is {trial}; give 0 or more")
     if isinstance(results, Experiment):
-        return Shown(page(recompute_trial_history(run_trials(results, trial, 1), trial)))
+        return NotebookPage(make_page(recompute_trial_history(run_trials(results, trial, 1), trial)))
 
     from mcp_asdf_tools.experiments.result_tables import experiments_in  # noqa: PLC0415 (pyarrow loads slowly)
 
     trials = single_experiment(select_experiments(experiments_in(results), where or {}))
-    return Shown(page(recompute_trial_history(trials, trial)))
+    return NotebookPage(make_page(recompute_trial_history(trials, trial)))

@@ -25,7 +25,7 @@ _SCRIPTS = ("arena", "bus", "charts", "colours", "history", "main", "panels", "p
 """Scripts of the folder ``page``, which import each other as ``view/NAME``."""
 
 
-def page(history: History | None = None) -> str:
+def make_page(history: History | None = None) -> str:
     """Return the page with all states of ``history`` in it, as HTML that needs no other file.
 
     Without a history the page asks the server that it comes from for one.

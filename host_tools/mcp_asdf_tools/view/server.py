@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 from mcp_asdf_tools.bus.slcan_server import HOST
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.view.history import History
-from mcp_asdf_tools.view.page import encode_description, encode_states, page
+from mcp_asdf_tools.view.page import encode_description, encode_states, make_page
 
 _SECONDS_BETWEEN_BLOCKS = 0.1
 """Seconds from one look for new states to the next."""
@@ -37,7 +37,7 @@ _HEADERS = {
 
 
 @contextmanager
-def serving(history: History, port: int | None = None) -> Iterator[str]:
+def serve_page(history: History, port: int | None = None) -> Iterator[str]:
     """Serve the page of a history on 127.0.0.1 until the context ends; yield its URL.
 
     Without ``port``, or with 0, it is any free one. The server runs in threads of its own. The end of the
@@ -127,7 +127,7 @@ class _PageRequestHandler(BaseHTTPRequestHandler):
             self.send_error(403, explain="This page is for this computer alone.")
         elif path == "/":
             self._send_head("text/html")
-            self.wfile.write(page().encode())
+            self.wfile.write(make_page().encode())
         elif path == "/events":
             self._send_head("text/event-stream")
             self._send_events()

@@ -21,9 +21,9 @@ from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.history import History, RunDescription, State
-from mcp_asdf_tools.view.page import page
+from mcp_asdf_tools.view.page import make_page
 from mcp_asdf_tools.view.roster import Roster
-from mcp_asdf_tools.view.server import serving
+from mcp_asdf_tools.view.server import serve_page
 from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
 from mcp_asdf_tools.view.trial_history import recompute_trial_history
 from mcp_asdf_tools.world.arena import Arena
@@ -63,7 +63,7 @@ def history() -> History:
 def file(history: History, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of the history, as a file."""
     file = tmp_path_factory.mktemp("browser") / "run.html"
-    file.write_text(page(history))
+    file.write_text(make_page(history))
     return file
 
 
@@ -100,7 +100,7 @@ def test_the_page_has_the_values_links_and_positions_of_all_states(
 def test_the_page_has_the_links_of_more_than_128_robots(browser: Page, tmp_path: Path) -> None:
     experiment = Experiment(topology="dynamic", robots=140, steps=40, trials=1)
     many_robots = recompute_trial_history(run_trials(experiment, 0, 1), 0)
-    (tmp_path / "many.html").write_text(page(many_robots))
+    (tmp_path / "many.html").write_text(make_page(many_robots))
     receivers_and_senders = np.argwhere(Arena(experiment).record(40).adjacency[-1])
     first_receiver = receivers_and_senders[0, 0]
     expected = receivers_and_senders[:, ::-1].tolist()
@@ -240,7 +240,7 @@ def file_with_faults(tmp_path_factory: pytest.TempPathFactory) -> Path:
     faults = [("loss=0.2", 0, None), ("liar=1.0", 2, 9)]
     description = RunDescription("two", [3, 8], fill_ratio=0.5, steps=10, faults=faults)
     file = tmp_path_factory.mktemp("faults") / "faults.html"
-    file.write_text(page(History(description, states)))
+    file.write_text(make_page(History(description, states)))
     return file
 
 
@@ -276,7 +276,7 @@ def test_events_are_marked_on_the_time_line(browser: Page, file_with_faults: Pat
 def test_the_page_follows_a_run(browser: Page, history: History) -> None:
     update = history.states_since()
     live = History(update.description)
-    with serving(live) as url:
+    with serve_page(live) as url:
         for state in update.states[:50]:
             live.add(state)
         browser.goto(url)
@@ -288,7 +288,7 @@ def test_the_page_follows_a_run(browser: Page, history: History) -> None:
 
 def test_the_page_says_when_a_run_has_ended(browser: Page) -> None:
     live = History(RunDescription("one robot", [0]))
-    with serving(live) as url:
+    with serve_page(live) as url:
         browser.goto(url)
         live.has_ended = True
         until(browser, "document.getElementById('state').textContent === 'the run has ended'")
@@ -303,7 +303,7 @@ def bus_browser(browser: Page) -> Iterator[Page]:
     for robot, now in ((9, 0.0), (5, 9.0)):
         roster.receive(can.Message(), Estimate(robot, 0, 0, 3), now)
         roster.receive(can.Message(), Heartbeat(robot, 60, 4, Health.WARNING), now)
-    with serving(live) as url:
+    with serve_page(live) as url:
         browser.goto(url)
         until(browser, f"{IS_DRAWN} && view.history.robotCount === 1")
         live.add_robot(9)

@@ -18,7 +18,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.library import simulate
 from mcp_asdf_tools.view.history import History, RunDescription, State
 from mcp_asdf_tools.view.inline import show
-from mcp_asdf_tools.view.page import encode_description, encode_states, page
+from mcp_asdf_tools.view.page import encode_description, encode_states, make_page
 
 
 def decompress(text: str) -> bytes:
@@ -123,7 +123,7 @@ def test_links_of_more_than_128_robots_are_pairs() -> None:
 @pytest.fixture(scope="module")
 def exported_page() -> str:
     """The page of a history whose title tries to end the script that it is in."""
-    return page(History(RunDescription("a </script> run", [0]), [make_state(0, [0.5])]))
+    return make_page(History(RunDescription("a </script> run", [0]), [make_state(0, [0.5])]))
 
 
 def read_content(text: str) -> Any:
@@ -139,7 +139,7 @@ def test_an_exported_page_holds_the_history(exported_page: str) -> None:
 
 
 def test_a_page_that_is_served_holds_no_history() -> None:
-    assert read_content(page()) is None
+    assert read_content(make_page()) is None
 
 
 def test_a_page_has_no_placeholder_left(exported_page: str) -> None:

@@ -19,8 +19,8 @@ import pytest
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.view import server
 from mcp_asdf_tools.view.history import History, HistoryUpdate, RunDescription, State
-from mcp_asdf_tools.view.page import page
-from mcp_asdf_tools.view.server import serving
+from mcp_asdf_tools.view.page import make_page
+from mcp_asdf_tools.view.server import serve_page
 from support import PATIENCE, wait_until
 
 DESCRIPTION = RunDescription("two </script> robots", [0, 1], fill_ratio=0.5)
@@ -30,7 +30,7 @@ STATES = [State(tick, np.full((4, 2), 0.25), np.zeros((2, 2), np.bool_), None) f
 @pytest.fixture(scope="module")
 def url() -> Iterator[str]:
     """The URL of a page, whose run has ended, while it is served."""
-    with serving(History(DESCRIPTION, STATES)) as url:
+    with serve_page(History(DESCRIPTION, STATES)) as url:
         yield url
 
 
@@ -72,11 +72,11 @@ def request_for(url: str, path: str) -> str:
 
 
 def test_server_sends_the_page_to_a_user_who_opens_it(url: str) -> None:
-    assert get(url) == (200, page())
+    assert get(url) == (200, make_page())
 
 
 def test_server_ignores_the_query_of_an_address(url: str) -> None:
-    assert get(url, "/?step=3") == (200, page())
+    assert get(url, "/?step=3") == (200, make_page())
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ class ScriptedHistory(History):
 
 @pytest.fixture(scope="module")
 def live_events() -> list[tuple[str, Any]]:
-    with serving(ScriptedHistory()) as url:
+    with serve_page(ScriptedHistory()) as url:
         return read_events(url)
 
 
@@ -202,7 +202,7 @@ def test_a_run_that_has_ended_comes_in_one_block(url: str) -> None:
 
 def test_two_pages_follow_one_run() -> None:
     history = History(DESCRIPTION)
-    with serving(history) as url, connect(url, request_for(url, "/events")) as first:
+    with serve_page(history) as url, connect(url, request_for(url, "/events")) as first:
         history.add(STATES[0])
         with connect(url, request_for(url, "/events")) as second:
             history.has_ended = True
@@ -212,7 +212,7 @@ def test_two_pages_follow_one_run() -> None:
 
 def test_server_ends_the_stream_of_a_page_that_was_closed() -> None:
     threads_before = threading.active_count()
-    with serving(History(DESCRIPTION)) as url:
+    with serve_page(History(DESCRIPTION)) as url:
         with connect(url, request_for(url, "/events")) as client:
             read_to(client, "\n\n")
             assert threading.active_count() == threads_before + 2
@@ -220,7 +220,7 @@ def test_server_ends_the_stream_of_a_page_that_was_closed() -> None:
 
 
 def test_a_client_that_breaks_off_leaves_no_message(capfd: pytest.CaptureFixture[str]) -> None:
-    with serving(History(DESCRIPTION, STATES * 1000)) as url:
+    with serve_page(History(DESCRIPTION, STATES * 1000)) as url:
         client = connect(url, request_for(url, "/events"))
         # Without lingering, closing a connection resets it, which fails the server's next write.
         client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -230,16 +230,16 @@ def test_a_client_that_breaks_off_leaves_no_message(capfd: pytest.CaptureFixture
 
 
 def test_server_gives_up_a_client_that_completes_no_request() -> None:
-    with serving(History(DESCRIPTION)) as url, connect(url, "GET / HTTP/1.0\r\n") as client:
+    with serve_page(History(DESCRIPTION)) as url, connect(url, "GET / HTTP/1.0\r\n") as client:
         assert get(url)[0] == 200
         client.makefile().read()  # until the server closes the connection
 
 
 def test_server_gives_up_a_client_that_does_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "_ANSWER_TIMEOUT", 0.1)
-    monkeypatch.setattr(server, "page", lambda: "x" * 20_000_000)
+    monkeypatch.setattr(server, "make_page", lambda: "x" * 20_000_000)
     threads_before = threading.active_count()
-    with serving(History(DESCRIPTION)) as url, connect(url, request_for(url, "/")) as client:
+    with serve_page(History(DESCRIPTION)) as url, connect(url, request_for(url, "/")) as client:
         client.recv(1)
         wait_until(lambda: threading.active_count() == threads_before + 1)
 
@@ -247,9 +247,9 @@ def test_server_gives_up_a_client_that_does_not_read(monkeypatch: pytest.MonkeyP
 def test_the_end_does_not_wait_for_a_client_that_does_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "_SHUTDOWN_SECONDS", 0.05)
     monkeypatch.setattr(server, "_ANSWER_TIMEOUT", PATIENCE)
-    monkeypatch.setattr(server, "page", lambda: "x" * 20_000_000)
+    monkeypatch.setattr(server, "make_page", lambda: "x" * 20_000_000)
     start_time = time.monotonic()
-    with serving(History(DESCRIPTION)) as url:
+    with serve_page(History(DESCRIPTION)) as url:
         client = connect(url, request_for(url, "/"))
         client.recv(1)
     with client:
@@ -257,7 +257,7 @@ def test_the_end_does_not_wait_for_a_client_that_does_not_read(monkeypatch: pyte
 
 
 def test_the_end_of_the_server_is_the_last_event_of_an_open_page() -> None:
-    with serving(History(DESCRIPTION)) as url:
+    with serve_page(History(DESCRIPTION)) as url:
         client = connect(url, request_for(url, "/events"))
         client.recv(1)
     with client:
@@ -269,7 +269,7 @@ def test_the_end_of_the_server_waits_until_open_pages_have_the_last_event(
 ) -> None:
     monkeypatch.setattr(server, "_SECONDS_BETWEEN_BLOCKS", 0.2)
     threads_before = threading.active_count()
-    with serving(History(DESCRIPTION)) as url:
+    with serve_page(History(DESCRIPTION)) as url:
         client = connect(url, request_for(url, "/events"))
         client.recv(1)
     with client:
@@ -280,9 +280,9 @@ def test_the_end_of_the_server_waits_until_open_pages_have_the_last_event(
 
 
 def test_a_port_is_free_again_at_once() -> None:
-    with serving(History(DESCRIPTION), 65535) as url, connect(url, "GET / HTTP/1.0\r\n\r\n") as client:
+    with serve_page(History(DESCRIPTION), 65535) as url, connect(url, "GET / HTTP/1.0\r\n\r\n") as client:
         client.makefile().read()  # the server closes first, so that its port is in TIME_WAIT
-    with serving(History(DESCRIPTION), 65535) as url:
+    with serve_page(History(DESCRIPTION), 65535) as url:
         assert url == "http://127.0.0.1:65535/"
 
 
@@ -291,10 +291,10 @@ def test_a_port_that_is_taken_is_named() -> None:
         port = taken.getsockname()[1]
         expected = rf"127.0.0.1:{port}: Address already in use; choose another --port"
         with pytest.raises(UsageError, match=expected):
-            serving(History(DESCRIPTION), port).__enter__()
+            serve_page(History(DESCRIPTION), port).__enter__()
 
 
 @pytest.mark.parametrize("port", [-1, 65536])
 def test_a_port_out_of_range_is_refused(port: int) -> None:
     with pytest.raises(UsageError, match=f"--port is {port}; choose 1 to 65535"):
-        serving(History(DESCRIPTION), port).__enter__()
+        serve_page(History(DESCRIPTION), port).__enter__()
