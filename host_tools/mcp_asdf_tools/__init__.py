@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for type checkers and editors, which do not call ``__getattr__``
     from mcp_asdf_tools.library import *  # noqa: F403
-    from mcp_asdf_tools.view.inline import show as show
+    from mcp_asdf_tools.view.notebook_page import show as show
 
 
 def __getattr__(name: str) -> Any:
@@ -22,5 +22,5 @@ def __getattr__(name: str) -> Any:
     if name not in public_names:
         raise AttributeError(f"module {__name__} has no attribute {name}")
     # ``show`` draws a page, and the rooms that draw pages stand above the library.
-    module = import_module(f"{__name__}.view.inline") if name == "show" else library
+    module = import_module(f"{__name__}.view.notebook_page") if name == "show" else library
     return getattr(module, name)

@@ -17,7 +17,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.library import simulate
 from mcp_asdf_tools.view.history import History, RunDescription, State
-from mcp_asdf_tools.view.inline import show
+from mcp_asdf_tools.view.notebook_page import show
 from mcp_asdf_tools.view.page import encode_description, encode_states, make_page
 
 
