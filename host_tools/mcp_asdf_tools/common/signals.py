@@ -59,6 +59,11 @@ def stopping(interrupt: bool = False) -> Iterator[Callable[[], bool]]:
     finally:
         for number in handled_signals:
             signal.signal(number, previous_handlers[number])
+        if interrupt:
+            # A program that was started by "python -m" ends by SIGINT, whatever its exit code, if Python has
+            # seen a KeyboardInterrupt pass through the exec() of a text, which dataclasses use. It forgets
+            # that at the next exec().
+            exec("")
 
 
 def exit_code_of_signal(code: int) -> int:
