@@ -1,11 +1,12 @@
-/* What one flipped bit in a running robot's memory comes to, for every bit of every member but the pointer to
- * the configuration. The robot is one of twenty, flawed, and filters; its neighbours' messages were recorded,
- * and do not answer to what it says. A bit flips at any place in a tick: after the observation, a message, or
- * settle. Then the robot goes on for 600 ticks, and checks its invariants before each observation and each
- * settle.
+/* The effect of one flipped bit in a running robot's memory, for every bit of every member but the pointer to
+ * the configuration. The robot is one of twenty, flawed, and filters. The messages of its neighbours were
+ * recorded in a run without a flip, and do not depend on what it sends. A bit flips in some phase of a tick:
+ * after the observation, a message, or settle. Then the robot goes on for 600 ticks, and checks its
+ * invariants before each observation and each settle.
  *
- * Prints a line of counts for each member; a call that traps ends the program. `bit_flips FLIPS FILTER` tries
- * every bit so many times with a robot of this filter, a number; the same numbers everywhere. */
+ * Prints a line of counts for each member; a call that traps ends the program. `bit_flips FLIPS FILTER` flips
+ * every bit FLIPS times in a robot with this filter, a mcp_asdf_filter_t, and prints the same numbers on
+ * every machine. */
 #include "mcp_asdf.c"
 
 #include "mcp_asdf_image.c"
@@ -16,21 +17,25 @@
 #include <string.h>
 
 #define NEIGHBOURS 19
-#define AFTER 600  /* ticks that are watched after a flip */
-#define TICKS 3000 /* of the recorded run */
-#define AT_REST_PHASE (NEIGHBOURS + 1)
-#define PHASES (NEIGHBOURS + 2)
+#define WATCHED_TICKS 600 /* ticks that are watched after a flip */
+#define TICKS 3000        /* of the recorded run */
+#define PHASE_AFTER_SETTLE (NEIGHBOURS + 1)
+#define PHASE_COUNT (NEIGHBOURS + 2)
 #define PER_CENT (MCP_ASDF_ONE / 100)
 
 extern const uint32_t mcp_asdf_t_table_omega05_q30[];
 static mcp_asdf_config_t config = {mcp_asdf_t_table_omega05_q30, 100, MCP_ASDF_MEMORY_MAX, 0};
 
-/* The sound run: the robot as each tick begins, and what it saw and heard. */
+/* The run without a flip, tick by tick.
+ *   start         the robot as the tick begins
+ *   x             its informed estimate as the tick ends, Q23
+ *   messages      x_hat and alpha that each neighbour sends
+ *   observation   what the robot observes, a mcp_asdf_observation_t */
 static struct {
     mcp_asdf_t start;
-    uint32_t x; /* as the tick ends */
-    uint32_t said[NEIGHBOURS][2];
-    uint8_t seen;
+    uint32_t x;
+    uint32_t messages[NEIGHBOURS][2];
+    uint8_t observation;
 } run[TICKS + 1];
 
 typedef struct {
@@ -70,49 +75,58 @@ static const member_t members[] = {MEMBER(heard),
                                    MEMBER(closed.alpha_x_low),
                                    MEMBER(closed.alpha_x_high)};
 
-/* What can come of a flip; the first that holds counts, but for the last two.
- *   IN_TIME, LATE    the invariants fail before x is 1 % off; after that
- *   NO_EFFECT, LESS, MORE   nothing sees it: x is what it would have been; always less than 1 % off; not so
- *   STILL            of MORE: x is off by 1 % after the last tick
- *   UNEXPLAINED      of STILL: although t, n and b_hat are what they would have been */
+/* Counts of flips by their effect. Every flip counts in FLIPS and in one of the next five.
+ *   IN_TIME       an invariant fails before x is off by more than 1 %
+ *   LATE          an invariant fails after that
+ *   NO_EFFECT     no invariant fails, and x is what it would have been
+ *   LESS          no invariant fails, and x is never off by more than 1 %
+ *   MORE          no invariant fails, although x is off by more than 1 % at some time
+ *   STILL         of MORE: x is off by more than 1 % after the last tick
+ *   UNEXPLAINED   of STILL: although t, n and b_hat are what they would have been */
 enum { FLIPS, IN_TIME, LATE, NO_EFFECT, LESS, MORE, STILL, UNEXPLAINED, KINDS };
 static unsigned long counts[KINDS];
 
-static uint64_t state;
+static uint64_t random_state;
 
-/* splitmix64 */
-static uint32_t any(uint32_t limit)
+/* Returns a random number below a limit, by splitmix64. */
+static uint32_t random_below(uint32_t limit)
 {
-    uint64_t z = state += UINT64_C(0x9E3779B97F4A7C15);
-    z = (z ^ z >> 30) * UINT64_C(0xBF58476D1CE4E5B9);
-    z = (z ^ z >> 27) * UINT64_C(0x94D049BB133111EB);
-    return (uint32_t)((z ^ z >> 31) >> 32) % limit;
+    random_state += UINT64_C(0x9E3779B97F4A7C15);
+    uint64_t z = random_state;
+    z = (z ^ (z >> 30)) * UINT64_C(0xBF58476D1CE4E5B9);
+    z = (z ^ (z >> 27)) * UINT64_C(0x94D049BB133111EB);
+    return (uint32_t)((z ^ (z >> 31)) >> 32) % limit;
 }
 
-/* Black in 80 % of tiles; sensors are right in 95 %, that of robot 0 in 75 %. */
-static mcp_asdf_observation_t look(int robot)
+/* Draw what a robot observes: 80 % of the tiles are black, and sensors are right in 95 % of observations, but
+ * that of robot 0 in 75 %. */
+static mcp_asdf_observation_t draw_observation(int robot)
 {
-    const bool black = any(100) < 80, right = any(100) < (robot == 0 ? 75 : 95);
-    return black == right ? MCP_ASDF_BLACK : MCP_ASDF_WHITE;
+    const bool is_tile_black = random_below(100) < 80;
+    const bool is_sensor_right = random_below(100) < (robot == 0 ? 75 : 95);
+    return is_tile_black == is_sensor_right ? MCP_ASDF_BLACK : MCP_ASDF_WHITE;
 }
 
-static void record(void)
+/* Run twenty robots that all receive from each other, and record what robot 0 observes and receives. */
+static void record_run(void)
 {
     static mcp_asdf_t robots[NEIGHBOURS + 1];
     for (int i = 0; i <= NEIGHBOURS; ++i) {
-        (void)mcp_asdf_init(&robots[i], &config, (uint8_t)i,
-                            UINT32_C(4080218931)); /* takes itself for 95 % */
+        const uint32_t b_hat = UINT32_C(4080218931); /* 0.95 as Q32 */
+        (void)mcp_asdf_init(&robots[i], &config, (uint8_t)i, b_hat);
     }
     for (int tick = 0; tick < TICKS; ++tick) {
         run[tick].start = robots[0];
         for (int i = 0; i <= NEIGHBOURS; ++i) {
-            const mcp_asdf_observation_t seen = look(i);
-            (void)mcp_asdf_observe(&robots[i], seen);
-            run[tick].seen = i == 0 ? (uint8_t)seen : run[tick].seen;
+            const mcp_asdf_observation_t observation = draw_observation(i);
+            (void)mcp_asdf_observe(&robots[i], observation);
+            if (i == 0) {
+                run[tick].observation = (uint8_t)observation;
+            }
         }
         for (int i = 1; i <= NEIGHBOURS; ++i) {
-            run[tick].said[i - 1][0] = robots[i].x_hat;
-            run[tick].said[i - 1][1] = robots[i].alpha;
+            run[tick].messages[i - 1][0] = robots[i].x_hat;
+            run[tick].messages[i - 1][1] = robots[i].alpha;
         }
         for (int i = 0; i <= NEIGHBOURS; ++i) {
             for (int j = 0; j <= NEIGHBOURS; ++j) {
@@ -128,72 +142,89 @@ static void record(void)
     run[TICKS].start = robots[0];
 }
 
-static bool is_off(uint32_t is, uint32_t was) { return (is > was ? is - was : was - is) > PER_CENT; }
-
-static void strike(mcp_asdf_t *robot, bool now, size_t bit)
+/* Whether x differs from what it was in the run without a flip by more than 1 %. */
+static bool is_off(uint32_t x, uint32_t sound_x)
 {
-    if (now) {
-        ((uint8_t *)robot)[bit / 8] ^= (uint8_t)(1U << bit % 8);
+    return (x > sound_x ? x - sound_x : sound_x - x) > PER_CENT;
+}
+
+/* Flip a bit of the robot, by its number from the first byte on, if `is_now`. */
+static void flip_bit(mcp_asdf_t *robot, bool is_now, size_t bit)
+{
+    if (is_now) {
+        ((uint8_t *)robot)[bit / 8] ^= (uint8_t)(1U << (bit % 8));
     }
 }
 
-/* A tick of the recorded run, with the invariants checked before observe and before settle; false once they
- * do not hold. The bit flips after the observation, a message, or settle, or not in this tick. */
-static bool relive(mcp_asdf_t *robot, int tick, int phase, size_t bit)
+/* Let the robot repeat a tick of the recorded run, and check the invariants before observe and before settle.
+ * Returns false, and ends the tick, when they do not hold. The bit flips in one phase: 0 after the
+ * observation, i after the i-th message, PHASE_AFTER_SETTLE, or in none for -1. */
+static bool repeat_tick(mcp_asdf_t *robot, int tick, int phase, size_t bit)
 {
     if (!mcp_asdf_invariants_hold(robot)) {
         return false;
     }
-    (void)mcp_asdf_observe(robot, (mcp_asdf_observation_t)run[tick].seen);
-    strike(robot, phase == 0, bit);
+    (void)mcp_asdf_observe(robot, (mcp_asdf_observation_t)run[tick].observation);
+    flip_bit(robot, phase == 0, bit);
     for (int i = 0; i < NEIGHBOURS; ++i) {
-        (void)mcp_asdf_receive(robot, (uint8_t)(i + 1), run[tick].said[i][0], run[tick].said[i][1]);
-        strike(robot, phase == i + 1, bit);
+        (void)mcp_asdf_receive(robot, (uint8_t)(i + 1), run[tick].messages[i][0], run[tick].messages[i][1]);
+        flip_bit(robot, phase == i + 1, bit);
     }
     if (!mcp_asdf_invariants_hold(robot)) {
         return false;
     }
     (void)mcp_asdf_settle(robot);
-    strike(robot, phase == AT_REST_PHASE, bit);
+    flip_bit(robot, phase == PHASE_AFTER_SETTLE, bit);
     return true;
 }
 
-/* From the flip on: what sees it, and if nothing does, what it does to x. */
-static void watch(int begin, int phase, size_t bit)
+/* Flip a bit in a phase of tick `begin`, let the robot go on, and count the flip by its effect. */
+static void count_effect_of_flip(int begin, int phase, size_t bit)
 {
     static mcp_asdf_t robot;
-    const mcp_asdf_t *const sound = &run[begin + AFTER].start;
-    bool differs = false, more = false, last = false;
+    const mcp_asdf_t *const sound = &run[begin + WATCHED_TICKS].start;
+    bool has_differed = false, has_been_off = false, is_off_now = false;
     robot = run[begin].start;
-    for (int tick = begin; tick < begin + AFTER; ++tick) {
-        if (!relive(&robot, tick, tick == begin ? phase : -1, bit)) {
-            ++counts[more ? LATE : IN_TIME];
+    for (int tick = begin; tick < begin + WATCHED_TICKS; ++tick) {
+        if (!repeat_tick(&robot, tick, tick == begin ? phase : -1, bit)) {
+            ++counts[has_been_off ? LATE : IN_TIME];
             return;
         }
         const uint32_t x = mcp_asdf_x(&robot);
-        last = is_off(x, run[tick].x);
-        differs |= x != run[tick].x;
-        more |= last;
+        is_off_now = is_off(x, run[tick].x);
+        has_differed |= x != run[tick].x;
+        has_been_off |= is_off_now;
     }
-    const bool is_data =
-        robot.t != sound->t || robot.n != sound->n || mcp_asdf_b_hat(&robot) != mcp_asdf_b_hat(sound);
-    ++counts[more ? MORE : differs ? LESS : NO_EFFECT];
-    counts[STILL] += last;
-    counts[UNEXPLAINED] += last && !is_data;
+    if (has_been_off) {
+        ++counts[MORE];
+    } else {
+        ++counts[has_differed ? LESS : NO_EFFECT];
+    }
+    if (is_off_now) {
+        const bool has_other_data =
+            robot.t != sound->t || robot.n != sound->n || mcp_asdf_b_hat(&robot) != mcp_asdf_b_hat(sound);
+        ++counts[STILL];
+        if (!has_other_data) {
+            ++counts[UNEXPLAINED];
+        }
+    }
 }
 
+/* Flip every bit of every member, and print the counts of each member in a line. */
 int main(int count, char **arguments)
 {
     const unsigned long flips = count > 1 ? strtoul(arguments[1], 0, 10) : 1;
     config.filter = (uint8_t)(count > 2 ? strtoul(arguments[2], 0, 10) : MCP_ASDF_ADAPTIVE);
-    record();
+    record_run();
     for (size_t i = 0; i < sizeof members / sizeof *members; ++i) {
         memset(counts, 0, sizeof counts);
-        state = i; /* each member by itself, whatever stands before it */
+        random_state = i; /* each member by itself, whatever stands before it */
         for (unsigned long number = 0; number < flips * 8 * members[i].size; ++number) {
-            const int begin = 1 + (int)any(TICKS - AFTER - 1), phase = (int)any(PHASES);
+            const int begin = 1 + (int)random_below(TICKS - WATCHED_TICKS - 1);
+            const int phase = (int)random_below(PHASE_COUNT);
+            const size_t bit = 8 * members[i].offset + number % (8 * members[i].size);
             ++counts[FLIPS];
-            watch(begin, phase, 8 * members[i].offset + number % (8 * members[i].size));
+            count_effect_of_flip(begin, phase, bit);
         }
         printf("%s", members[i].name);
         for (int kind = 0; kind < KINDS; ++kind) {

@@ -1,37 +1,42 @@
-/* The packet radio with any bytes in its ear: what it takes is a frame whose checksum is right, in the order
- * of arrival, never more of them than came; what it cannot keep, it counts. A packet of its own survives. */
+/* The packet radio receives any bytes. It returns no more frames than packets have room in these bytes, lost
+ * ones counted, and every frame is a classic one of 8 bytes. After any bytes it receives a packet that it has
+ * sent itself. */
 #include "input.h"
 #include "port.h"
 #include "radio.h"
 
-#define PACKET 14
+#define PACKET 14       /* bytes, with the mark */
+#define TAKE_FRAME 0xFE /* in the input: take a frame instead of receiving a byte */
 
 static uint8_t sent[PACKET];
-static size_t put;
+static size_t sent_count;
 
+/* Store the byte that the radio sends. */
 void port_put(char byte)
 {
-    MUST(put < PACKET);
-    sent[put++] = (uint8_t)byte;
+    MUST(sent_count < PACKET);
+    sent[sent_count++] = (uint8_t)byte;
 }
 
-/* A frame on the air, of which some bits may flip on the way. */
-static void hear_frame(input_t *in, mcp_asdf_frame_t *frame)
+/* Send a frame made of the input, which is stored in *frame, and let the radio receive its own packet. */
+static void receive_own_packet(input_t *in, mcp_asdf_frame_t *frame)
 {
     *frame = (mcp_asdf_frame_t){.id = input_take(in, 4), .length = 8};
     for (int i = 0; i < 8; ++i) {
         frame->data[i] = (uint8_t)input_take(in, 1);
     }
-    put = 0;
+    sent_count = 0;
     radio_send(frame);
-    MUST(put == PACKET);
+    MUST(sent_count == PACKET);
     for (int i = 0; i < PACKET; ++i) {
         radio_receive_byte(sent[i]);
     }
 }
 
-/* Whatever stood half there ends, and the queue is empty: the radio keeps its state from input to input. */
-static void settle_down(void)
+/* Complete a packet that is half received, and empty the queue: the radio keeps its state from input to
+ * input.
+ */
+static void reset_radio(void)
 {
     mcp_asdf_frame_t frame;
     for (int i = 0; i < PACKET; ++i) {
@@ -41,34 +46,44 @@ static void settle_down(void)
     }
 }
 
+/* Take a frame out of the queue. Returns whether there was one; checks that it is a classic frame of 8 bytes,
+ * and that nothing is written where there is none. */
+static bool takes_frame(void)
+{
+    const mcp_asdf_frame_t before = {.id = 0xA5, .length = 1}; /* which no packet is */
+    mcp_asdf_frame_t frame = before;
+    const bool is_taken = radio_next_frame(&frame);
+    MUST(is_taken != same_frame(&frame, &before));
+    MUST(!is_taken || (frame.length == 8 && frame.flags == 0));
+    return is_taken;
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     input_t in = {data, size};
-    mcp_asdf_frame_t frame, heard;
-    size_t came = 0, taken = 0;
-    settle_down();
-    const uint8_t lost = radio_lost_packets();
+    mcp_asdf_frame_t frame, expected_frame;
+    size_t received_bytes = 0, received_frames = 0;
+    reset_radio();
+    const uint8_t lost_before = radio_lost_packets();
     while (in.left > 0) {
         const uint32_t byte = input_take(&in, 1);
-        if (byte == 0xFE) {
-            frame = heard = (mcp_asdf_frame_t){.id = 0xA5, .length = 1};
-            const bool found = radio_next_frame(&frame);
-            MUST(found != same_frame(&frame, &heard));
-            MUST(!found || (frame.length == 8 && frame.flags == 0));
-            taken += found;
+        if (byte == TAKE_FRAME) {
+            received_frames += takes_frame();
         } else {
             radio_receive_byte((uint8_t)byte);
-            ++came;
+            ++received_bytes;
         }
     }
     while (radio_next_frame(&frame)) {
-        ++taken;
+        ++received_frames;
     }
-    MUST((taken + (uint8_t)(radio_lost_packets() - lost)) * PACKET <= came + PACKET - 1);
-    settle_down();
+    /* reset_radio() may have left a packet that lacks its last byte. */
+    const uint8_t lost_packets = (uint8_t)(radio_lost_packets() - lost_before);
+    MUST((received_frames + lost_packets) * PACKET <= received_bytes + PACKET - 1);
+    reset_radio();
     in = (input_t){data, size};
-    hear_frame(&in, &frame);
-    MUST(radio_next_frame(&heard) && same_frame(&heard, &frame) && !radio_next_frame(&heard));
+    receive_own_packet(&in, &expected_frame);
+    MUST(radio_next_frame(&frame) && same_frame(&frame, &expected_frame) && !radio_next_frame(&frame));
     return 0;
 }

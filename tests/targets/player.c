@@ -18,13 +18,16 @@ extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
 static mcp_asdf_config_t config;
 static mcp_asdf_t robot;
 static uint8_t image[MCP_ASDF_IMAGE_SIZE];
-static const uint8_t *next; /* in golden_vectors */
-static uint32_t digest, number, calls, ticks;
-static bool alive;   /* there is a robot */
-static bool telling; /* a line for every call */
+static const uint8_t *next;             /* in golden_vectors */
+static uint32_t digest;                 /* of the scenario so far */
+static uint32_t call_number;            /* in the scenario, from 0 */
+static uint32_t call_count, tick_count; /* in all scenarios */
+static bool has_robot;                  /* whether the scenario's robot could be initialised */
+static bool is_verbose;                 /* whether to print a line for every call */
 
 /* ---- Printing ---- */
 
+/* Send a text to the serial line. */
 static void print(const char *text)
 {
     while (*text != 0) {
@@ -32,52 +35,58 @@ static void print(const char *text)
     }
 }
 
+/* Print a name and a number in decimal digits, without a C library. */
 static void print_number(const char *name, uint32_t value)
 {
     char digits[11] = "";
-    uint8_t at = sizeof digits - 1;
+    uint8_t first_digit = sizeof digits - 1; /* the last character ends the text */
     do {
-        digits[--at] = (char)('0' + value % 10);
+        digits[--first_digit] = (char)('0' + value % 10);
         value /= 10;
     } while (value > 0);
     print(name);
-    print(digits + at);
+    print(digits + first_digit);
 }
 
 /* ---- Reading ---- */
 
-static uint32_t take(uint8_t bytes)
+/* Returns the next number of the vectors, of so many little-endian bytes. */
+static uint32_t read_number(uint8_t bytes)
 {
     uint32_t value = 0;
     for (uint8_t i = 0; i < bytes; ++i) {
-        value |= (uint32_t)MCP_ASDF_READ_BYTE(next) << 8 * i;
+        value |= (uint32_t)MCP_ASDF_READ_BYTE(next) << (8 * i);
         ++next;
     }
     return value;
 }
 
+/* Returns a word of the image, by its index. */
 static uint32_t image_word(uint8_t index)
 {
-    const uint8_t *const at = &image[4U * index];
-    return (uint32_t)at[3] << 24 | (uint32_t)at[2] << 16 | (uint32_t)at[1] << 8 | at[0];
+    const uint8_t *const bytes = &image[4U * index];
+    return ((uint32_t)bytes[3] << 24) | ((uint32_t)bytes[2] << 16) | ((uint32_t)bytes[1] << 8) | bytes[0];
 }
 
+/* Replace a word of the image. */
 static void set_image_word(uint8_t index, uint32_t value)
 {
     for (uint8_t i = 0; i < 4; ++i) {
-        image[4U * index + i] = (uint8_t)(value >> 8 * i);
+        image[4U * index + i] = (uint8_t)(value >> (8 * i));
     }
 }
 
 /* ---- The digest ---- */
 
+/* Returns a hash that a word has been added to. */
 static uint32_t mix(uint32_t hash, uint32_t word)
 {
     hash = (hash ^ word) * UINT32_C(0x9E3779B1);
-    return hash ^ hash >> 15;
+    return hash ^ (hash >> 15);
 }
 
-/* Of all members but the config: what b_hat alone decides is not in an image. */
+/* Returns a hash of all that can be observed of the robot: x, x_bar, its image, and what follows from b_hat,
+ * which is not in an image. */
 static uint32_t digest_of_state(void)
 {
     const mcp_asdf_accuracy_t *const accuracy = &robot.accuracy;
@@ -90,84 +99,88 @@ static uint32_t digest_of_state(void)
     return mix(hash, (uint32_t)accuracy->rare_shift << 8 | accuracy->g_shift);
 }
 
-/* Take a call's outcome into the digest: its status and, where `whole`, all that can be seen of the robot. */
-static void note(int32_t status, bool whole)
+/* Add the outcome of a call to the scenario's digest: its status and, with `with_state`, the robot's state.
+ * Prints both if is_verbose. */
+static void record_outcome(int32_t status, bool with_state)
 {
-    const uint32_t state = alive && (whole || telling) ? digest_of_state() : 0;
+    const uint32_t state = has_robot && (with_state || is_verbose) ? digest_of_state() : 0;
     digest = mix(digest, (uint32_t)status);
-    if (whole) {
+    if (with_state) {
         digest = mix(digest, state);
     }
-    if (telling) {
-        print_number("call ", number);
+    if (is_verbose) {
+        print_number("call ", call_number);
         print_number(" status ", (uint32_t)status);
         print_number(" state ", state);
         print("\n");
     }
-    ++number;
+    ++call_number;
 }
 
 /* ---- Calls ---- */
 
+/* Play a message: sender, x_hat, alpha. */
 static void receive(void)
 {
-    const uint8_t sender = (uint8_t)take(1);
-    const uint32_t x_hat = take(4);
-    note(mcp_asdf_receive(&robot, sender, x_hat, take(4)), false);
+    const uint8_t sender = (uint8_t)read_number(1);
+    const uint32_t x_hat = read_number(4);
+    record_outcome(mcp_asdf_receive(&robot, sender, x_hat, read_number(4)), false);
 }
 
-/* Replace words of the robot's image and make its checksum right again; the robot becomes what it says. */
+/* Replace words of the robot's image, with a checksum that is right, and restore the robot from it. */
 static void restore(void)
 {
     mcp_asdf_save(&robot, image);
-    for (uint32_t left = take(1); left > 0; --left) {
-        const uint8_t index = (uint8_t)take(1);
-        set_image_word(index, take(4));
+    for (uint32_t left = read_number(1); left > 0; --left) {
+        const uint8_t index = (uint8_t)read_number(1);
+        set_image_word(index, read_number(4));
     }
     uint32_t hash = UINT32_C(0x811C9DC5);
     for (uint8_t i = 0; i < STATE_WORDS - 1; ++i) {
         hash = (hash ^ image_word(i)) * UINT32_C(0x01000193);
     }
     set_image_word(STATE_WORDS - 1, hash);
-    note(mcp_asdf_restore(&robot, &config, image), true);
+    record_outcome(mcp_asdf_restore(&robot, &config, image), true);
 }
 
+/* Change a byte of the robot's image, so that its checksum is wrong, and restore the robot from it. */
 static void damage(void)
 {
     mcp_asdf_save(&robot, image);
-    uint8_t *const byte = &image[take(1)];
-    *byte = (uint8_t)(*byte ^ take(1));
-    note(mcp_asdf_restore(&robot, &config, image), true);
+    uint8_t *const byte = &image[read_number(1)];
+    *byte = (uint8_t)(*byte ^ read_number(1));
+    record_outcome(mcp_asdf_restore(&robot, &config, image), true);
 }
 
 /* ---- Scenarios ---- */
 
+/* Initialise the scenario's robot with the settings that come first. */
 static void make_robot(void)
 {
-    config.filter = (uint8_t)take(1);
-    config.table = take(1) == 0 ? 0 : mcp_asdf_t_table_omega05_q30;
-    const uint8_t id = (uint8_t)take(1);
-    config.filter_period = take(4);
-    config.memory = take(4);
-    const mcp_asdf_status_t status = mcp_asdf_init(&robot, &config, id, take(4));
-    alive = status == MCP_ASDF_OK;
-    note(status, true);
+    config.filter = (uint8_t)read_number(1);
+    config.table = read_number(1) == 0 ? 0 : mcp_asdf_t_table_omega05_q30;
+    const uint8_t id = (uint8_t)read_number(1);
+    config.filter_period = read_number(4);
+    config.memory = read_number(4);
+    const mcp_asdf_status_t status = mcp_asdf_init(&robot, &config, id, read_number(4));
+    has_robot = status == MCP_ASDF_OK;
+    record_outcome(status, true);
 }
 
-/* Play a call; false at the end of the scenario. */
+/* Play the next call. Returns false at the end of the scenario. */
 static bool play_call(void)
 {
-    switch (take(1)) {
+    switch (read_number(1)) {
     case OBSERVE:
-        note(mcp_asdf_observe(&robot, (mcp_asdf_observation_t)take(1)), true);
-        ++ticks;
+        record_outcome(mcp_asdf_observe(&robot, (mcp_asdf_observation_t)read_number(1)), true);
+        ++tick_count;
         break;
     case STEP:
-        note(mcp_asdf_step(&robot, (mcp_asdf_observation_t)take(1)), true);
-        ++ticks;
+        record_outcome(mcp_asdf_step(&robot, (mcp_asdf_observation_t)read_number(1)), true);
+        ++tick_count;
         break;
     case SETTLE:
-        note(mcp_asdf_settle(&robot), true);
+        record_outcome(mcp_asdf_settle(&robot), true);
         break;
     case RECEIVE:
         receive();
@@ -184,59 +197,64 @@ static bool play_call(void)
     return true;
 }
 
-/* The last outcome of a scenario, in place of a status: messages accepted, and whether the invariants hold.
- */
-static void finish(void)
+/* Record the last outcome of a scenario. In place of a status it has twice the number of accepted messages,
+ * and 1 more if the invariants hold. */
+static void record_end(void)
 {
-    const int32_t accepted = alive ? mcp_asdf_counters(&robot).accepted : 0;
-    note(2 * accepted + (alive && mcp_asdf_invariants_hold(&robot)), true);
+    const int32_t accepted = has_robot ? mcp_asdf_counters(&robot).accepted : 0;
+    const bool is_valid = has_robot && mcp_asdf_invariants_hold(&robot);
+    record_outcome(2 * accepted + (is_valid ? 1 : 0), true);
 }
 
-static void play(void)
+/* Play the scenario at `next`, and leave its digest in `digest`. */
+static void play_scenario(void)
 {
     digest = 0;
-    number = 0;
+    call_number = 0;
     make_robot();
     while (play_call()) {
     }
-    finish();
-    calls += number;
+    record_end();
+    call_count += call_number;
 }
 
+/* Play the next scenario. Returns whether it has the expected digest; if not, plays it again with a line for
+ * every call. */
 static bool scenario_passes(uint32_t index)
 {
-    const uint32_t expected = take(4);
+    const uint32_t expected_digest = read_number(4);
     const uint8_t *const start = next;
-    play();
-    if (digest == expected) {
+    play_scenario();
+    if (digest == expected_digest) {
         return true;
     }
     print_number("scenario ", index);
-    print_number(" expected ", expected);
+    print_number(" expected ", expected_digest);
     print_number(" found ", digest);
     print("\n");
     next = start;
-    telling = true;
-    play();
+    is_verbose = true;
+    play_scenario();
     return false;
 }
 
+/* Play all scenarios up to the first that fails, and print the verdict. */
 int main(void)
 {
-    uint32_t scenarios = 0;
+    uint32_t scenario_count = 0;
     next = golden_vectors;
-    while (take(4) == MAGIC) {
-        for (uint32_t left = take(2); left > 0; --left) {
-            if (!scenario_passes(scenarios)) {
+    while (read_number(4) == MAGIC) {
+        for (uint32_t left_in_file = read_number(2); left_in_file > 0; --left_in_file) {
+            if (!scenario_passes(scenario_count)) {
                 print("FAIL\n");
                 port_exit(1);
             }
-            ++scenarios;
+            ++scenario_count;
         }
     }
-    print_number("PASS scenarios ", scenarios);
-    print_number(" calls ", calls);
-    print_number(" ticks ", ticks);
+    print_number("PASS scenarios ", scenario_count);
+    print_number(" calls ", call_count);
+    print_number(" ticks ", tick_count);
     print("\n");
     port_exit(0);
     return 0;
