@@ -147,12 +147,12 @@ _ROOT_BITS = 100
 """Fraction bits of a square root, more than any fraction with a denominator of 24 bits can be near to it."""
 _MANY_ESTIMATES = 100
 """Size of a round from which on its sums have more bits than a float64."""
-_MAX_DRAWS = {False: 300, True: 1500}
-"""Rounds that are drawn to find one that serves, and the same for a round of many estimates."""
-_MAX_DRAWS_TO_MISLEAD_FLOATS = {False: 60, True: 1500}
-"""Those of them that are drawn to find one about which tests in float64 err: of a hundred, one or two do."""
+_MAX_DRAWS, _MAX_DRAWS_OF_MANY = 300, 1500
+"""Rounds that are drawn to find one that serves, and the same for rounds of many estimates."""
+_DRAWS_TO_MISLEAD_FLOATS = 60
+"""Rounds of few estimates that are drawn to find one about which tests in float64 err.
 
-
+Of many estimates one or two of a hundred rounds do, and all draws are made to find one."""
 _MIN_RANGE = 1 << 13
 """Smallest distance between the smallest and the largest x_hat of a round that serves.
 
@@ -179,7 +179,7 @@ def draw_rounds_at_threshold(
     is_large = m >= _MANY_ESTIMATES
     best_rounds: RoundsAtThreshold | None = None
     best_rank = (-1, False)
-    for draw_index in range(_MAX_DRAWS[is_large]):
+    for draw_index in range(_MAX_DRAWS_OF_MANY if is_large else _MAX_DRAWS):
         # Large sums have the bits that floats lose.
         gap_share = rng.uniform(0.8 if is_large else 0.05, 1)
         x_hats = draw_x_hats_at_threshold(robot.x_hat, robot.table.entry(m), m, rng, gap_share)
@@ -193,7 +193,7 @@ def draw_rounds_at_threshold(
         rank = (_count_misled_float_tests(robot, x_hats), update is preferred_update)
         if rank > best_rank:
             best_rounds, best_rank = RoundsAtThreshold(inside, outside), rank
-        has_searched_enough = draw_index >= _MAX_DRAWS_TO_MISLEAD_FLOATS[is_large]
+        has_searched_enough = draw_index >= _DRAWS_TO_MISLEAD_FLOATS and not is_large
         if best_rank == (2, True) or (best_rank[1] and has_searched_enough):
             break
     assert best_rounds is not None, f"no round of {m} estimates lies at the threshold of {robot}"

@@ -25,19 +25,22 @@ from mcp_asdf_tools.tables.thresholds import check_q, generate, parse_omega
 IMAGE = struct.Struct(f"<{IMAGE_WORDS}I")
 """A saved robot, as words."""
 
-_U8, _U32 = 2**8 - 1, 2**32 - 1
-_LARGEST = {
-    "robot": (_U8, _U32, _U32, _U8, _U32),
-    "observe": (_U32,),
-    "step": (_U32,),
+_MAX_8, _MAX_32 = 2**8 - 1, 2**32 - 1
+"""Largest number of 8 and of 32 bits."""
+_MAX_NUMBERS = {
+    "robot": (_MAX_8, _MAX_32, _MAX_32, _MAX_8, _MAX_32),
+    "observe": (_MAX_32,),
+    "step": (_MAX_32,),
     "settle": (),
-    "receive": (_U8, _U32, _U32),
-    "damage": (4 * IMAGE_WORDS - 1, _U8),
+    "receive": (_MAX_8, _MAX_32, _MAX_32),
+    "damage": (4 * IMAGE_WORDS - 1, _MAX_8),
 }
-"""The largest value of every number of an item; the pairs of ``restore`` are apart."""
+"""The largest value of every number of an item. The numbers of ``restore`` are pairs of any number."""
+_MAX_DIGITS = 20
+"""Digits of a number in a line, more than any legal one has."""
 
 REPLACING = ("restore", "damage")
-"""Calls that put another robot in the place of the one that is there."""
+"""Calls after which the robot is another one, restored from an image."""
 
 
 @dataclass(frozen=True)
@@ -64,13 +67,13 @@ class Call:
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
-        """The pairs of a ``restore``."""
-        return _pairs(self.numbers)
+        """The pairs of index and value of a ``restore``."""
+        return _group_in_pairs(self.numbers)
 
 
 @dataclass(frozen=True)
 class TableChoice:
-    """A table to be generated, for an omega and a q."""
+    """A table to be generated: omega is the test's type II error probability, q its number of entries."""
 
     omega: str
     q: int
@@ -79,18 +82,28 @@ class TableChoice:
         return f"table:{self.omega}:{self.q}"
 
     def build(self) -> Table:
-        """The table. O(1) after the first of an omega and q."""
-        return _generated(self.omega, self.q)
+        """Return the table, which is generated at the first call for an omega and q."""
+        return _generate_table(self.omega, self.q)
 
 
 @lru_cache(maxsize=64)
-def _generated(omega: str, q: int) -> Table:
+def _generate_table(omega: str, q: int) -> Table:
+    """Return the table of an omega and q."""
     return generate(parse_omega(omega), q)
 
 
 @dataclass(frozen=True)
 class Setup:
-    """How a robot is made: the members of ``Config``, its id and b_hat."""
+    """How a robot is made.
+
+    Attributes:
+        table: Thresholds of the paper's test; None if the robot has none.
+        filter: Value of a ``Filter``, or any other number, which a firmware must refuse.
+        filter_period: Rounds from one test to the next.
+        memory: Number of observations at which their counts are halved.
+        robot_id: Id of the robot.
+        b_hat: Accuracy that it assumes of its sensor, in units of 2**-32.
+    """
 
     table: TableChoice | None
     filter: int
@@ -100,18 +113,19 @@ class Setup:
     b_hat: int
 
     def __str__(self) -> str:
-        table = [] if self.table is None else [str(self.table)]
-        return ",".join([*table, ":".join(["robot", *map(str, astuple(self)[1:])])])
+        _, *numbers = astuple(self)
+        robot = ":".join(["robot", *map(str, numbers)])
+        return robot if self.table is None else f"{self.table},{robot}"
 
     def config(self) -> Config:
-        """The settings as firmwares take them; a filter may be any number."""
+        """Return the settings as firmwares take them."""
         table = None if self.table is None else self.table.build()
         return Config(table, cast(Filter, self.filter), self.filter_period, self.memory)
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """A robot and the calls made to it."""
+    """A robot and the calls made to it, in order."""
 
     setup: Setup
     calls: tuple[Call, ...]
@@ -120,68 +134,84 @@ class Scenario:
         return ",".join([str(self.setup), *map(str, self.calls)])
 
     def with_calls(self, calls: tuple[Call, ...]) -> Scenario:
-        """The same robot with other calls."""
+        """Return a scenario of the same robot with other calls."""
         return replace(self, calls=calls)
 
 
-def _pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Numbers two by two."""
+def _group_in_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Return an even number of numbers in pairs of neighbours."""
     return list(zip(numbers[::2], numbers[1::2], strict=True))
+
+
+# --- Scenarios from text ---
 
 
 def parse_scenario(line: str) -> Scenario:
     """Read a scenario's line. Raises UsageError naming the item that is wrong."""
-    items = [item.split(":") for item in line.strip().split(",")]
-    table = _table(items.pop(0)) if items[0][0] == "table" else None
-    if not items or items[0][0] != "robot":
+    items = line.strip().split(",")
+    table = _parse_table(items.pop(0)) if items[0].split(":")[0] == "table" else None
+    if not items or items[0].split(":")[0] != "robot":
         raise UsageError("a scenario starts with table:... and robot:..., or with robot:... alone")
-    robot = _numbers(items[0])
-    return Scenario(Setup(table, *robot), tuple(_call(item) for item in items[1:]))
+    robot_item, *call_items = items
+    return Scenario(Setup(table, *_parse_numbers(robot_item)), tuple(map(_parse_call, call_items)))
 
 
-def _table(item: list[str]) -> TableChoice:
-    if len(item) != 3:
-        raise UsageError(f"{':'.join(item)} needs omega and q, for example table:0.05:30")
-    return TableChoice(str(parse_omega(item[1])), check_q(*_integers(item, 2)))
+def _parse_table(item: str) -> TableChoice:
+    """Read the item of a table, such as ``table:0.05:30``. Raises UsageError if it is wrong."""
+    _, *values = item.split(":")
+    if len(values) != 2:
+        raise UsageError(f"{item} needs omega and q, for example table:0.05:30")
+    omega, q = values
+    return TableChoice(str(parse_omega(omega)), check_q(_parse_integer(q, item)))
 
 
-def _call(item: list[str]) -> Call:
-    if item[0] == "restore":
-        numbers = _integers(item, 1)
-        if len(numbers) % 2 or any(not 1 <= i < IMAGE_WORDS - 1 or v > _U32 for i, v in _pairs(numbers)):
-            raise UsageError(
-                f"{':'.join(item)} needs pairs of an index, 1 to {IMAGE_WORDS - 2}, and a 32-bit word"
-            )
-        return Call("restore", numbers)
-    if item[0] == "robot" or item[0] not in _LARGEST:
-        calls = ", ".join(["restore", *list(_LARGEST)[1:]])
-        raise UsageError(f"{':'.join(item)!r} is no call; there are {calls}")
-    return Call(item[0], _numbers(item))
+def _parse_call(item: str) -> Call:
+    """Read the item of a call, such as ``observe:1``. Raises UsageError if it is wrong."""
+    name, *texts = item.split(":")
+    if name == "restore":
+        numbers = tuple(_parse_integer(text, item) for text in texts)
+        are_pairs_legal = len(numbers) % 2 == 0 and all(
+            1 <= index < IMAGE_WORDS - 1 and word <= _MAX_32 for index, word in _group_in_pairs(numbers)
+        )
+        if not are_pairs_legal:
+            raise UsageError(f"{item} needs pairs of an index, 1 to {IMAGE_WORDS - 2}, and a 32-bit word")
+        return Call(name, numbers)
+    call_names = ["restore", *(name for name in _MAX_NUMBERS if name != "robot")]
+    if name not in call_names:
+        raise UsageError(f"{item!r} is no call; there are {', '.join(call_names)}")
+    return Call(name, _parse_numbers(item))
 
 
-def _numbers(item: list[str]) -> tuple[int, ...]:
-    """An item's numbers, as many as it takes and none too large for its C type."""
-    largest, numbers = _LARGEST[item[0]], _integers(item, 1)
-    if len(numbers) != len(largest):
-        raise UsageError(f"{':'.join(item)} has {len(numbers)} numbers; {item[0]} takes {len(largest)}")
-    for number, limit in zip(numbers, largest, strict=True):
-        if number > limit:
-            raise UsageError(f"{':'.join(item)}: {number} is too large; the limit there is {limit}")
+def _parse_numbers(item: str) -> tuple[int, ...]:
+    """Read an item's numbers. Raises UsageError if there are not as many as it takes, or one is too large."""
+    name, *texts = item.split(":")
+    numbers, max_numbers = tuple(_parse_integer(text, item) for text in texts), _MAX_NUMBERS[name]
+    if len(numbers) != len(max_numbers):
+        raise UsageError(f"{item} has {len(numbers)} numbers; {name} takes {len(max_numbers)}")
+    for number, max_number in zip(numbers, max_numbers, strict=True):
+        if number > max_number:
+            raise UsageError(f"{item}: {number} is too large; the limit there is {max_number}")
     return numbers
 
 
-def _integers(item: list[str], start: int) -> tuple[int, ...]:
-    for text in item[start:]:
-        if not (text.isascii() and text.isdigit() and len(text) <= 20):
-            raise UsageError(f"{':'.join(item)}: {text!r} is no whole number of decimal digits")
-    return tuple(int(text) for text in item[start:])
+def _parse_integer(text: str, item: str) -> int:
+    """Read a whole number of an item. Raises UsageError for anything but up to 20 decimal digits."""
+    is_number = text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS
+    if not is_number:
+        raise UsageError(f"{item}: {text!r} is no whole number of decimal digits")
+    return int(text)
+
+
+# --- Calls ---
 
 
 def edited_image(image: bytes, call: Call) -> bytes:
-    """The image that a ``restore`` or ``damage`` call hands to the firmware, made from one it saved."""
+    """Return the image that a ``restore`` or ``damage`` call gives the firmware, from one that it saved."""
     if call.name == "damage":
-        index, mask = call.numbers
-        return image[:index] + bytes([image[index] ^ mask]) + image[index + 1 :]
+        byte_index, mask = call.numbers
+        damaged_image = bytearray(image)
+        damaged_image[byte_index] ^= mask
+        return bytes(damaged_image)
     words = list(IMAGE.unpack(image))
     for index, value in call.pairs:
         words[index] = value
@@ -189,7 +219,7 @@ def edited_image(image: bytes, call: Call) -> bytes:
 
 
 def perform(robot: FixedPointRobot, call: Call) -> Status:
-    """Make any call of ``robot`` but those in REPLACING."""
+    """Make a call of ``robot``, which is none of those in REPLACING, and return its status."""
     numbers = call.numbers
     if call.name == "receive":
         return robot.receive_raw(*numbers)
