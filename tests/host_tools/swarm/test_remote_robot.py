@@ -1,12 +1,13 @@
-"""Robots that run elsewhere end in the same bits as those in this process."""
+"""Remote robots, which run in other programs, against the same robots in this process."""
 
 from __future__ import annotations
 
 import json
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -38,27 +39,29 @@ UDP_PORT = 10_030 + os.getpid() % 500 * 40
 FAULTS = tuple(fault for fault in MIX if not fault.startswith("crash"))
 
 
-class Orderly(virtual.VirtualBus):
-    """Delivers one frame to all before the next, as a real bus does and as lockstep needs."""
+class OrderlyBus(virtual.VirtualBus):
+    """Virtual bus that delivers one frame to all before the next, as real ones do and lockstep needs."""
 
     one_at_a_time = threading.Lock()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        with Orderly.one_at_a_time:
+        with OrderlyBus.one_at_a_time:
             super().send(msg, timeout)
 
 
-def with_buses(*robots: int) -> Wiring:
-    """A bus for each robot; these run elsewhere."""
-    return Wiring(own_bus, False, frozenset(robots))
+ONE_BUS = Wiring(
+    lambda robot: OrderlyBus("one", preserve_timestamps=True), is_shared=True, remote=frozenset(range(4))
+)
 
 
-ORDERLY = Wiring(lambda robot: Orderly("one", preserve_timestamps=True), True, frozenset(range(4)))
+def bus_for_each(*remote_robots: int) -> Wiring:
+    """Return a wiring in which each robot has its own bus, and these robots are remote."""
+    return Wiring(own_bus, is_shared=False, remote=frozenset(remote_robots))
 
 
 @contextmanager
-def robot_elsewhere(node: RobotNode, bus: can.BusABC) -> Iterator[None]:
-    """A robot that runs in a thread and knows nothing but its bus."""
+def remote_robot_in_a_thread(node: RobotNode, bus: can.BusABC) -> Iterator[None]:
+    """Run a robot that knows nothing but its bus, until the block ends."""
     is_over = threading.Event()
     with meanwhile(lambda: run_node(node, BusLink(bus, is_over.is_set))):
         try:
@@ -67,118 +70,186 @@ def robot_elsewhere(node: RobotNode, bus: can.BusABC) -> Iterator[None]:
             is_over.set()
 
 
-def run_elsewhere(
-    settings: SwarmSettings, wiring: Wiring
-) -> tuple[SwarmRun, list[can.Message], dict[int, RobotNode]]:
-    """A run whose remote robots are in threads; with the frames it sent and those robots."""
-    records = settings.robot_setups()
-    assert wiring.open_bus is not None
-    nodes = {robot: RobotNode(records[robot]) for robot in sorted(wiring.remote)}
+@dataclass(frozen=True)
+class Comparison:
+    """A run with remote robots, and the same swarm with all robots in this process.
+
+    Attributes:
+        run: The run with remote robots, which are in threads.
+        frames: The frames of that run.
+        remote_nodes: The remote robots, by id.
+        local_run: The run with all robots in this process.
+        local_frames: Its frames.
+    """
+
+    run: SwarmRun
+    frames: list[can.Message]
+    remote_nodes: dict[int, RobotNode]
+    local_run: SwarmRun
+    local_frames: list[can.Message]
+
+
+def compare_runs(settings: SwarmSettings, wiring: Wiring) -> Comparison:
+    """Run a swarm with the remote robots of a wiring, and without any."""
+    setups = settings.robot_setups()
+    open_bus = wiring.open_bus
+    assert open_bus is not None
+    nodes = {robot: RobotNode(setups[robot]) for robot in sorted(wiring.remote)}
     frames: list[can.Message] = []
     with ExitStack() as stack:
-        driven = stack.enter_context(Swarm(settings, wiring, frames.append))
+        driven_swarm = stack.enter_context(Swarm(settings, wiring, frames.append))
         for robot, node in nodes.items():
-            stack.enter_context(robot_elsewhere(node, stack.enter_context(wiring.open_bus(robot))))
-        driven.wait_until_up(10)
-        run = run_swarm(driven)
+            bus = stack.enter_context(open_bus(robot))
+            stack.enter_context(remote_robot_in_a_thread(node, bus))
+        driven_swarm.wait_until_up(10)
+        run = run_swarm(driven_swarm)
     assert run.failure is None
-    return run, frames, nodes
+    local_run, local_frames = record(settings, ON_OWN_BUSES)
+    return Comparison(run, frames, nodes, local_run, local_frames)
 
 
-CRASHES = (*FAULTS, "crash=0.05,ticks=4,robots=0+2-3")
+FAULTS_AND_CRASHES = (*FAULTS, "crash=0.05,ticks=4,robots=0+2-3")
+LOSSLESS: dict[str, tuple[Wiring, int, str]] = {
+    "one bus": (ONE_BUS, 4, "asdf-plus"),
+    "one bus, robust": (ONE_BUS, 1, "robust"),
+    "all remote": (bus_for_each(*range(4)), 1, "asdf-plus"),
+    "one remote": (bus_for_each(1), 4, "robust"),
+}
+"""Wirings of four robots, with their comms_period and their filter."""
+
+
+@pytest.fixture(scope="module", params=list(LOSSLESS.values()), ids=list(LOSSLESS))
+def lossless(request: pytest.FixtureRequest) -> Comparison:
+    wiring, comms_period, swarm_filter = request.param
+    return compare_runs(small(robots=4, comms_period=comms_period, filter=swarm_filter), wiring)
+
+
+def test_remote_robots_end_in_the_same_state_to_the_bit(lossless: Comparison) -> None:
+    for robot, node in lossless.remote_nodes.items():
+        assert states([node.bus_robot]) == states([lossless.local_run.nodes[robot]])
+
+
+def test_remote_robots_broadcast_the_same_estimates(lossless: Comparison) -> None:
+    remote_estimates, local_estimates = (
+        [frame for frame in frames if isinstance(decode_estimate(frame, FrameFormat()), Estimate)]
+        for frames in (lossless.frames, lossless.local_frames)
+    )
+    # In a round another robot may be the first.
+    assert sorted(content(remote_estimates)) == sorted(content(local_estimates))
+
+
+@pytest.mark.parametrize("count", ["sent", "heartbeats_sent", "delivered"])
+def test_the_frames_of_remote_robots_are_counted_alike(lossless: Comparison, count: str) -> None:
+    assert lossless.run.results["frames"][count] == lossless.local_run.results["frames"][count]
+
+
+def test_the_tests_of_remote_robots_are_not_known(lossless: Comparison) -> None:
+    assert lossless.run.results["tests"] is None
+
+
+def test_the_known_state_of_a_remote_robot_is_that_of_its_telemetry(lossless: Comparison) -> None:
+    for robot in lossless.remote_nodes:
+        known_robot = lossless.run.nodes[robot].robot
+        local_robot = lossless.local_run.nodes[robot].robot
+        assert (known_robot.t, known_robot.x) == (local_robot.t, local_robot.x)
+        assert known_robot.counters.updates == local_robot.counters.updates
+        assert known_robot.b_hat == int(local_robot.b_hat * 2**24) / 2**24
 
 
 @pytest.mark.parametrize(
-    ("wiring", "faults", "comms_period", "filtering"),
+    ("wiring", "faults", "comms_period", "swarm_filter"),
     [
-        (ORDERLY, (), 4, "asdf-plus"),
-        (ORDERLY, (), 1, "robust"),
-        (with_buses(*range(4)), (), 1, "asdf-plus"),
-        (with_buses(*range(4)), FAULTS, 4, "robust"),
-        (with_buses(1), (), 4, "robust"),
-        (with_buses(1), CRASHES, 1, "asdf-plus"),
+        (bus_for_each(*range(4)), FAULTS, 4, "robust"),
+        (bus_for_each(1), FAULTS_AND_CRASHES, 1, "asdf-plus"),
     ],
-    ids=["one bus", "one bus, robust", "all", "all, faults", "one", "one, faults"],
+    ids=["all remote", "one remote, others crash"],
 )
-def test_robots_elsewhere_end_in_the_same_bits(
-    wiring: Wiring, faults: tuple[str, ...], comms_period: int, filtering: str
+def test_remote_robots_end_in_the_same_state_among_faults(
+    wiring: Wiring, faults: tuple[str, ...], comms_period: int, swarm_filter: str
 ) -> None:
-    settings = small(*faults, robots=4, comms_period=comms_period, filter=filtering)
-    run, frames, nodes = run_elsewhere(settings, wiring)
-    here, same = record(settings, ON_OWN_BUSES)
-    for robot, node in nodes.items():
-        assert states([node.bus_robot]) == states([here.nodes[robot]])
-        known, true = run.nodes[robot].robot, here.nodes[robot].robot
-        assert (known.t, known.x) == (true.t, true.x)
-        assert known.counters.updates == true.counters.updates
-        assert known.b_hat == int(true.b_hat * 2**24) / 2**24
-        # Between broadcasts its estimate is unknown.
-        assert comms_period > 1 or known.x_hat == true.x_hat
-    assert [node.robot.x for node in run.nodes] == [node.robot.x for node in here.nodes]
-    assert run.results["tests"] is None
-    # Liars and id collisions do not change what the robot itself puts on its bus.
-    if not faults:
-        said, expected = (
-            sorted(
-                content([each for each in sent if isinstance(decode_estimate(each, FrameFormat()), Estimate)])
-            )
-            for sent in (frames, same)  # in a round another may be first
-        )
-        assert said == expected
-        for figure in ("sent", "heartbeats_sent", "delivered"):
-            assert run.results["frames"][figure] == here.results["frames"][figure]
+    settings = small(*faults, robots=4, comms_period=comms_period, filter=swarm_filter)
+    comparison = compare_runs(settings, wiring)
+    for robot, node in comparison.remote_nodes.items():
+        assert states([node.bus_robot]) == states([comparison.local_run.nodes[robot]])
+    assert [node.robot.x for node in comparison.run.nodes] == [
+        node.robot.x for node in comparison.local_run.nodes
+    ]
 
 
-def test_126_robots_and_the_tool_have_ids() -> None:
-    remote_robot.check_remote(small(robots=126), with_buses(1))
+def test_the_local_estimate_of_a_remote_robot_is_known_from_its_broadcasts() -> None:
+    """Here it broadcasts in each tick; between broadcasts it is not known."""
+    comparison = compare_runs(small(robots=4), bus_for_each(1))
+    assert comparison.run.nodes[1].robot.x_hat == comparison.local_run.nodes[1].robot.x_hat
 
 
-def test_a_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And the driver asks its caller while it waits."""
+def test_126_robots_leave_an_id_for_their_driver() -> None:
+    remote_robot.check_remote(small(robots=126), bus_for_each(1))
+
+
+@contextmanager
+def swarm_with_a_silent_robot(
+    monkeypatch: pytest.MonkeyPatch, check: Callable[[], None] = lambda: None
+) -> Iterator[Swarm]:
+    """A swarm after its first tick, with a remote robot that is gone since then."""
     monkeypatch.setattr(remote_robot, "ANSWER_TIMEOUT", 0.1)
-    settings, asked = small(), list[bool]()
-    with Swarm(settings, with_buses(1)) as driven, own_bus(1) as bus:
-        with robot_elsewhere(RobotNode(settings.robot_setups()[1]), bus):
-            driven.wait_until_up(10, lambda: asked.append(True))
-            driven.tick()
-        asked.clear()
-        run = run_swarm(driven)
+    settings = small()
+    with Swarm(settings, bus_for_each(1)) as driven_swarm, own_bus(1) as bus:
+        with remote_robot_in_a_thread(RobotNode(settings.robot_setups()[1]), bus):
+            driven_swarm.wait_until_up(10, check)
+            driven_swarm.tick()
+        yield driven_swarm
+
+
+def test_a_remote_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    with swarm_with_a_silent_robot(monkeypatch) as driven_swarm:
+        run = run_swarm(driven_swarm)
     assert run.failure is not None
     assert "tick 2: robot 1 did not broadcast its estimate within" in run.failure
-    assert run.results["steps"] == 1 and asked
+    assert run.results["steps"] == 1
+
+
+def test_the_caller_is_asked_while_a_silent_robot_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[bool] = []
+    with swarm_with_a_silent_robot(monkeypatch, check=lambda: calls.append(True)) as driven_swarm:
+        calls.clear()
+        run_swarm(driven_swarm)
+    assert calls
 
 
 SMALL = ["swarm", "--robots", "3", "--steps", "25", "--filter-period", "10", "--seed", "5", "--json"]
 
 
-@pytest.mark.parametrize("filtering", ["robust", *slow(["asdf-plus"])])
-def test_processes_end_in_the_same_bits(
-    filtering: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+@pytest.mark.parametrize("swarm_filter", ["robust", *slow(["asdf-plus"])])
+def test_robots_in_processes_report_and_log_what_robots_in_this_process_do(
+    swarm_filter: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """With faults between them; the log can be replayed, and has of each what it has of one here."""
+    """Also with faults between them, which both runs have."""
     multicast(251)
-    log, other = tmp_path / "run.log", tmp_path / "other.log"
+    log, local_log = tmp_path / "run.log", tmp_path / "local.log"
     bus = ["--interface", "udp_multicast", "--channel", "239.74.163.{robot}"]
     bus += ["--bus-kwargs", f"port={UDP_PORT}", "--processes", "--log", str(log)]
-    faults = ("--fault", "loss=0.2", "--fault", "corrupt=0.1", "--filter", filtering, "--allow", "0+2")
+    faults = ("--fault", "loss=0.2", "--fault", "corrupt=0.1", "--filter", swarm_filter, "--allow", "0+2")
     assert main([*SMALL, *bus, *faults]) == 0
-    elsewhere = json.loads(capsys.readouterr().out)
-    assert main([*SMALL, *faults, "--log", str(other)]) == 0
-    here = json.loads(capsys.readouterr().out)
-    for robot, known in enumerate(here["results"]["robots"]):
-        report = elsewhere["processes"][str(robot)]["results"]
-        assert report["steps"] == 25
-        unknown = [each["sender"] for each in report["frames"]["events"] if each["event"] == "unknown"]
-        assert unknown == [1] * (robot != 1)
-        assert report["robot"]["b_hat"] == known["b_hat"]
-        assert report["robot"]["x"] == known["x"] == elsewhere["results"]["robots"][robot]["x"]
-        assert report["robot"]["counters"]["tests"] == known["tests"]
+    report = json.loads(capsys.readouterr().out)
+    assert main([*SMALL, *faults, "--log", str(local_log)]) == 0
+    local_report = json.loads(capsys.readouterr().out)
+    for robot, local_robot in enumerate(local_report["results"]["robots"]):
+        process_report = report["processes"][str(robot)]["results"]
+        assert process_report["steps"] == 25
+        assert process_report["robot"]["b_hat"] == local_robot["b_hat"]
+        assert process_report["robot"]["x"] == local_robot["x"] == report["results"]["robots"][robot]["x"]
+        assert process_report["robot"]["counters"]["tests"] == local_robot["tests"]
+        # Robot 1 is the only one that is not allowed.
+        unknown_senders = [
+            event["sender"] for event in process_report["frames"]["events"] if event["event"] == "unknown"
+        ]
+        assert unknown_senders == ([] if robot == 1 else [1])
     assert main(["replay", str(log)]) == 0
-    with EventsReader(events_path(log)) as one, EventsReader(events_path(other)) as two:
-        assert [*one.entries()] == [*two.entries()]
+    with EventsReader(events_path(log)) as reader, EventsReader(events_path(local_log)) as local_reader:
+        assert list(reader.entries()) == list(local_reader.entries())
 
 
-def test_a_device_that_is_not_there_is_named(
+def test_a_robot_on_a_device_that_does_not_answer_is_named(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(swarm, "_STARTING_TIMEOUT", 0.05)
