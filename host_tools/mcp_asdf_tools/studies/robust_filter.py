@@ -23,7 +23,7 @@ from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials, select_experiments
 from mcp_asdf_tools.studies.ageing_sensors import DRIFT_RATE, WanderingSensors
-from mcp_asdf_tools.studies.bootstrap import Interval, Sample, resample_mean
+from mcp_asdf_tools.studies.bootstrap import Sample, resample_mean
 from mcp_asdf_tools.studies.peers import (
     FLOOR_AFTER_CHANGE,
     LIARS,
@@ -46,7 +46,7 @@ from mcp_asdf_tools.studies.study_program import (
     format_error,
     format_interval,
     format_tenths,
-    harmed_shares,
+    harmed_percents,
     late_error_text,
     markdown_table,
     mean_over_experiments,
@@ -196,10 +196,9 @@ def grid_text(experiments: Sequence[Trials]) -> str:
     e = mean_over_experiments(mean_e_of_robots, experiments).value
     texts = [score_text(experiments), late_error_text(experiments), format_error(e)]
     # So few robots are harmed that most medians would be 0.
-    harmed_share = mean_over_experiments(harmed_shares, experiments, resample_mean)
-    has_healthy_robots = not np.isnan(harmed_share.value)
+    harmed_percent = mean_over_experiments(harmed_percents, experiments, resample_mean)
+    has_healthy_robots = not np.isnan(harmed_percent.value)
     if has_healthy_robots:
-        harmed_percent = Interval(*(100 * share for share in harmed_share))
         texts.append(f"{format_interval(harmed_percent, format_tenths, tolerance=1)} %")
     return ", ".join(texts)
 

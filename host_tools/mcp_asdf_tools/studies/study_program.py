@@ -122,11 +122,11 @@ def late_errors(trials: Trials) -> Sample:
     return errors
 
 
-def harmed_shares(trials: Trials) -> Sample:
-    """Return for each trial the share, 0 to 1, of the healthy robots that the filter has harmed.
+def harmed_percents(trials: Trials) -> Sample:
+    """Return for each trial the percentage of the healthy robots that the filter has harmed.
 
     These end with a b_hat, the accuracy that they assume, farther than HARM_LIMIT from b, the true one. The
-    shares are NaN if all robots are flawed.
+    percentages are NaN if all robots are flawed.
     """
     experiment = trials.experiment
     if experiment.flawed == experiment.robots:
@@ -134,7 +134,7 @@ def harmed_shares(trials: Trials) -> Sample:
     # b_hat has the shape (trials, filter steps, robots), and the flawed robots come first.
     final_b_hat = trials.b_hat[:, -1, experiment.flawed :]
     is_harmed = abs(final_b_hat - experiment.true_accuracy) > HARM_LIMIT
-    return np.asarray(is_harmed.mean(axis=1))
+    return np.asarray(100 * is_harmed.mean(axis=1))
 
 
 def mean_over_experiments(

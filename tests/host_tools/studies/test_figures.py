@@ -41,7 +41,7 @@ class ExperimentOnly:
 
 @dataclass
 class DrawnSwarms:
-    """What a plot was asked to draw, in place of the picture."""
+    """The parameters of the swarms that a plot was asked to draw, in place of the picture."""
 
     filters: set[str]
     periods: set[int]
@@ -50,7 +50,7 @@ class DrawnSwarms:
     filters_and_percents: set[tuple[str, int]]
 
 
-def note_swarms(
+def record_drawn_swarms(
     experiments: Sequence[Any],
     trial: int = 0,
     series_name: Callable[[Experiment], str] = lambda experiment: "",
@@ -68,14 +68,14 @@ def note_swarms(
 
 
 @pytest.fixture(autouse=True)
-def plots_that_note_swarms(monkeypatch: pytest.MonkeyPatch) -> None:
+def plots_that_record_swarms(monkeypatch: pytest.MonkeyPatch) -> None:
     for module, function in (
         (boxes, "plot_boxes"),
         (scatter, "plot_scatter"),
         (bands, "plot_bands"),
         (series, "plot_runs"),
     ):
-        monkeypatch.setattr(module, function, note_swarms)
+        monkeypatch.setattr(module, function, record_drawn_swarms)
 
 
 def pictures_of(*parts: StudyPart) -> dict[str, Any]:
@@ -140,7 +140,7 @@ def test_a_picture_shows_the_swarms_of_the_papers_figure(
     assert (drawn.filters, drawn.periods, drawn.percents) == (filters, periods, percents)
 
 
-def test_topologies_are_told_apart_by_name() -> None:
+def test_topologies_and_filters_are_named_in_the_legend() -> None:
     assert pictures_of(*StudyPart)["topologies_asdf-plus"].figure.names == {
         "dynamic, no filter",
         "dynamic, ASDF+",
@@ -150,12 +150,12 @@ def test_topologies_are_told_apart_by_name() -> None:
 
 
 @pytest.mark.parametrize("name", ["dynamic_scatter", "topologies_asdf-minus"])
-def test_asdf_minus_has_its_ends_where_it_is_another_filter(name: str) -> None:
+def test_asdf_minus_is_also_shown_where_it_is_another_filter(name: str) -> None:
     drawn = pictures_of(*StudyPart)[name].figure
     assert {("asdf-minus", 0), ("asdf-minus", 100)} <= drawn.filters_and_percents
 
 
-def test_series_are_recorded_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_single_trials_are_run_again_with_records(monkeypatch: pytest.MonkeyPatch) -> None:
     recorded: list[Any] = []
     monkeypatch.setattr(series, "plot_runs", lambda runs, trial: recorded.extend(runs))
     pictures_of(StudyPart.FULLY_CONNECTED)

@@ -64,18 +64,18 @@ def test_the_late_error_of_three_samples_is_that_of_the_last_one() -> None:
 def test_healthy_robots_are_harmed_if_b_hat_ends_more_than_0_05_off() -> None:
     b_hat = np.array([[[0.5, 0.9, 0.9, 0.9]], [[0.5, 0.84, 0.94, 0.9]]])
     trials = trials_of_four_robots(series_ending_in([0.5] * 4), b_hat)
-    assert study_program.harmed_shares(trials) == pytest.approx([0, 1 / 3])
+    assert study_program.harmed_percents(trials) == pytest.approx([0, 100 / 3])
 
 
 def test_only_the_last_filter_step_says_who_is_harmed() -> None:
     b_hat = np.array([[[0.5, 0.6, 0.6, 0.6], [0.5, 0.9, 0.9, 0.9]]] * 2)
     trials = trials_of_four_robots(series_ending_in([0.5] * 4), b_hat)
-    assert study_program.harmed_shares(trials).tolist() == [0, 0]
+    assert study_program.harmed_percents(trials).tolist() == [0, 0]
 
 
-def test_swarms_without_healthy_robots_have_no_harmed_share() -> None:
+def test_swarms_without_healthy_robots_have_no_percentage_of_harmed_ones() -> None:
     trials = trials_of_four_robots(series_ending_in([0.5] * 4), flawed=4)
-    assert np.isnan(study_program.harmed_shares(trials)).all()
+    assert np.isnan(study_program.harmed_percents(trials)).all()
 
 
 def measured_numbers(trials: Any) -> Any:
