@@ -50,7 +50,7 @@ MEMORIES = {LONGEST_MEMORY: 2**31, ", short memory": 4096}
 HEALTHY_SWARM: dict[str, Any] = {"flawed": "0%", "filter": FILTERS_OF_HEALTHY_SWARMS}
 STEADY_DRIFT: dict[str, Any] = {"drift": "linear", "drift_rate": DRIFT_RATE}
 
-WAYS_TO_AGE: dict[str, dict[str, Any]] = {
+KINDS_OF_AGEING: dict[str, dict[str, Any]] = {
     "none ages": HEALTHY_SWARM,
     "all age alike": {**HEALTHY_SWARM, **STEADY_DRIFT},
     "all age at once": {**HEALTHY_SWARM, "sensor": SuddenlyWorseSensors},
@@ -60,20 +60,23 @@ WAYS_TO_AGE: dict[str, dict[str, Any]] = {
 }
 """Parameters of the swarms by how their sensors age; 20 robots have the right b_hat at first."""
 
-PEERS_BY_WAY: dict[str, list[dict[str, Any]]] = {
+PEERS_BY_KIND: dict[str, list[dict[str, Any]]] = {
     "all age alike": [
         {"firmware": [KnownAccuracyRobot, KnownMeanAccuracyRobot], "filter": "none"},
         {"firmware": DriftingBayesCpfRobot, "filter": "asdf-plus"},
     ],
     "each ages in its own way": [{"firmware": WanderingBayesCpfRobot, "filter": "asdf-plus"}],
 }
-"""Robots that, unlike the firmware, know how their sensors age, by the way in which they do."""
+"""Robots that, unlike the firmware, know how their sensors age, by the kind of ageing."""
 
 
 def ageing_rows() -> dict[str, list[Experiment]]:
-    """Return the experiments of each way to age and each memory, with each f and each filter."""
+    """Return the experiments of all kinds of ageing and both memories, with three f and all filters.
+
+    f is the share of black floor.
+    """
     return {
-        way + memory_label: m.grid(
+        kind + memory_label: m.grid(
             **MOVING,
             **parameters,
             flawed_accuracy=0.95,
@@ -83,16 +86,16 @@ def ageing_rows() -> dict[str, list[Experiment]]:
             trials=30,
             seed=90125,  # which no tuning has seen
         )
-        for way, parameters in WAYS_TO_AGE.items()
+        for kind, parameters in KINDS_OF_AGEING.items()
         for memory_label, memory in MEMORIES.items()
     }
 
 
 def peer_rows() -> dict[str, list[Experiment]]:
-    """Return the experiments of two ways to age and each memory, with robots that know how they age."""
+    """Return the experiments of two kinds of ageing and both memories, with robots that know how they age."""
     return {
-        way + memory_label: m.grid(
-            **{**MOVING, **WAYS_TO_AGE[way], "filter": "none"},
+        kind + memory_label: m.grid(
+            **{**MOVING, **KINDS_OF_AGEING[kind], "filter": "none"},
             flawed_accuracy=0.95,
             fill_ratio=0.75,
             memory=memory,
@@ -101,13 +104,13 @@ def peer_rows() -> dict[str, list[Experiment]]:
             seed=90126,
             peers=peers,
         )
-        for way, peers in PEERS_BY_WAY.items()
+        for kind, peers in PEERS_BY_KIND.items()
         for memory_label, memory in MEMORIES.items()
     }
 
 
 def draw_errors(rows: Rows) -> Figure:
-    """Draw |x - f|, the error of the robots' estimates, over time: a panel for each way to age.
+    """Draw |x - f|, the error of the robots' estimates, over time: a panel for each kind of ageing.
 
     Experiments whose robots do not have the longest memory are left out.
     """

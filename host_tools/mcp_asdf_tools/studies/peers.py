@@ -68,7 +68,9 @@ class RememberingRobot(ReferenceRobot):
         status = super().receive(sender, x_hat, alpha)
         if status is Status.OK and alpha > 0:
             self._messages += 1
-            gain = 2.0 ** -min(max(self._messages.bit_length() - 3, 3), 12)
+            # Where the number of messages doubles, the gain halves, within its limits.
+            doublings = self._messages.bit_length() - 1
+            gain = 2.0 ** -min(max(doublings - 2, 3), 12)
             # The sender's t is not in the message; robots of a swarm have observed equally often.
             weight = alpha / max(self.t, 1)
             self._weight += gain * (weight - self._weight)
@@ -125,6 +127,7 @@ class BayesCpfRobot(ReferenceRobot):
     def reestimate_b_hat(self) -> float | None:
         """Return b_hat after a step of the Kalman filter; None if the count is too small to measure."""
         n, t = self._n_since_update, self._t_since_update
+        # The oldest of the informed estimates weighs most, the newest has the weight 1.
         weights = range(len(self._x_since_update), 0, -1)
         x = float(np.average(self._x_since_update, weights=weights))
         self._n_since_update, self._t_since_update, self._x_since_update = 0, 0, []

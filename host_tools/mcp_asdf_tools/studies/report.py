@@ -203,6 +203,7 @@ def comparison_table(decision: Decision) -> list[list[str]]:
     The first column has the labels of the rows. The other cells have a mark of MARKS and the difference with
     its interval; they are empty where the claim has no comparison.
     """
+    # Dictionaries, as sets would not keep the order of the comparisons.
     rows = list(dict.fromkeys(comparison.row for comparison in decision.comparisons))
     columns = list(dict.fromkeys(_column_head(comparison) for comparison in decision.comparisons))
     texts: dict[tuple[str, str], str] = {}

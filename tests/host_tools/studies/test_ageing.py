@@ -15,7 +15,7 @@ def experiments_of(rows: dict[str, list[Experiment]]) -> list[Experiment]:
     return [experiment for experiments in rows.values() for experiment in experiments]
 
 
-def test_six_ways_to_age_have_a_row_for_each_memory() -> None:
+def test_six_kinds_of_ageing_have_a_row_for_each_memory() -> None:
     rows = ageing.ageing_rows()
     assert len(rows) == 6 * 2
     assert {experiment.memory for experiment in rows["none ages, longest memory"]} == {2**31}
@@ -58,14 +58,14 @@ def test_robots_that_know_the_drift_have_four_trials_and_a_seed_of_their_own() -
     assert {experiment.flawed for experiment in experiments} == {0}
 
 
-@pytest.mark.parametrize(("way", "drift_rate"), [("all age alike", -1e-5), ("each ages in its own way", 0)])
-def test_sensors_age_as_their_robots_expect(way: str, drift_rate: float) -> None:
-    experiments = ageing.peer_rows()[f"{way}, short memory"]
+@pytest.mark.parametrize(("kind", "drift_rate"), [("all age alike", -1e-5), ("each ages in its own way", 0)])
+def test_sensors_age_as_their_robots_expect(kind: str, drift_rate: float) -> None:
+    experiments = ageing.peer_rows()[f"{kind}, short memory"]
     assert {experiment.drift_rate for experiment in experiments} == {drift_rate}
     assert {bool(experiment.sensor) for experiment in experiments} == {drift_rate == 0}
 
 
-def test_the_picture_has_a_panel_for_each_way_to_age() -> None:
+def test_the_picture_has_a_panel_for_each_kind_of_ageing() -> None:
     rows = {
         label: [run_trials(replace(experiments[0], steps=1000), first=0, trials=1, sampling_interval=500)]
         for label, experiments in ageing.ageing_rows().items()
