@@ -188,8 +188,8 @@ QUANTITIES_AND_TRUTHS = [("b_hat", 0.95), ("x_hat", 0.55), ("x", 0.55)]
 
 @pytest.fixture(scope="module")
 def recorded_runs() -> list[Trials]:
-    """Run a trial of 300 steps that is recorded every 2 steps, and one of 200 steps every 30."""
-    experiment = replace(SHORT_EXPERIMENT, flawed=1, trials=1)
+    """Run a trial of 292 steps that is recorded every 2 steps, and one of 200 steps every 30."""
+    experiment = replace(SHORT_EXPERIMENT, flawed=1, trials=1, steps=292)
     return [results_of(experiment, 2), results_of(replace(experiment, filter="asdf-plus", steps=200), 30)]
 
 
@@ -213,7 +213,7 @@ def test_series_show_the_records_of_every_robot(
     last_robot_first = recorded_runs[run].records[quantity][0].T[::-1]
     assert drawn.tolist() == last_robot_first.tolist()
     assert np.asarray(lines[0].get_xdata()).tolist() == [
-        *(range(0, 301, 2) if run == 0 else range(0, 200, 30))
+        *(range(0, 293, 2) if run == 0 else range(0, 200, 30))
     ]
 
 
@@ -232,7 +232,7 @@ def test_series_show_the_true_value_with_its_letter(row: int, text: str, series:
 
 
 def test_series_have_the_time_axis_of_the_longest_run(series: Figure) -> None:
-    assert {axes.get_xlim() for axes in series.axes} == {(0, 300)}
+    assert {axes.get_xlim() for axes in series.axes} == {(0, 292)}
 
 
 @pytest.mark.parametrize(
@@ -241,7 +241,7 @@ def test_series_have_the_time_axis_of_the_longest_run(series: Figure) -> None:
 def test_series_have_room_for_all_but_the_first_moments(
     row: int, quantity: str, truth: float, series: Figure, recorded_runs: list[Trials]
 ) -> None:
-    first_moments = 3  # a fiftieth of the first run's 151 samples; the second run has too few
+    first_moments = 2  # a fiftieth of the first run's 147 samples; the second run has too few
     first, second = (trials.records[quantity][0] for trials in recorded_runs)
     values = np.concatenate([first[first_moments:], second, [[truth] * 4]])
     margin = max(0.06 * np.ptp(values), 0.01)
