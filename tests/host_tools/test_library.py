@@ -38,6 +38,17 @@ def test_the_page_has_every_name() -> None:
         assert getattr(m, name).__doc__
 
 
+def test_a_name_that_the_library_does_not_have_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="module mcp_asdf_tools has no attribute emulat"):
+        _ = m.emulat
+
+
+def test_a_star_imports_every_name_of_the_library() -> None:
+    names: dict[str, object] = {}
+    exec("from mcp_asdf_tools import *", names)
+    assert {*m.__all__} <= names.keys()
+
+
 def test_importing_loads_no_plotting_and_no_tables() -> None:
     check = "assert not {'matplotlib', 'pyarrow'} & {*sys.modules}"
     run(sys.executable, "-c", f"import sys, mcp_asdf_tools as m; m.Experiment; {check}")

@@ -125,7 +125,8 @@ def _keywords_of_names(names: Names) -> dict[str, Any]:
             raise argparse.ArgumentTypeError(describe_unknown_value(name, names))
         return name
 
-    return {"type": check_name, "metavar": f"{{{','.join([*names.built_in, '...'])}}}"}
+    shown_names = ",".join([*names.built_in, "..."])
+    return {"type": check_name, "metavar": f"{{{shown_names}}}"}  # in braces, as argparse shows choices
 
 
 def settings_from(

@@ -275,6 +275,11 @@ def test_help_has_common_parameters_before_all_others(capsys: Capture) -> None:
     assert text.index("\n  --robots") < text.index("\nfurther parameters:") < text.index("\n  --omega")
 
 
+def test_help_shows_the_firmwares_of_the_project_and_that_there_may_be_more(capsys: Capture) -> None:
+    cli.main(["simulate", "--help"])
+    assert "--firmware {native,mirror,reference,...}" in capsys.readouterr().out
+
+
 def test_commands_for_robots_need_no_extras_and_neither_does_any_help(tmp_path: Path) -> None:
     lines = [
         "swarm --robots 4 --steps 30 --filter-period 10 --quiet --log run.log",
@@ -431,16 +436,29 @@ def test_a_command_logs_nothing_unless_asked_to(capsys: Capture) -> None:
     assert messages_of(capsys.readouterr().err) == []
 
 
-def test_v_logs_versions_command_line_bus_files_and_exit_code(tmp_path: Path, capsys: Capture) -> None:
-    log = tmp_path / "run.log"
-    assert cli.main([*QUIET_SWARM, "--channel", "v{robot}", "--log", str(log), "-v"]) == 0
+def test_v_logs_versions_first_then_the_command_line_and_at_last_the_exit_code(capsys: Capture) -> None:
+    assert cli.main([*QUIET_SWARM, "-v"]) == 0
     messages = messages_of(capsys.readouterr().err)
     assert messages[0].startswith("INFO mcp_asdf_tools.cli: mcp-asdf ")
     assert messages[1].startswith("INFO mcp_asdf_tools.cli: command line: mcp-asdf swarm --robots 3")
-    assert "INFO mcp_asdf_tools.bus.interfaces: opened the bus virtual v0" in messages
+    assert messages[-1].startswith("INFO mcp_asdf_tools.cli: exit code 0 after ")
+
+
+def test_v_logs_each_bus_that_is_opened(capsys: Capture) -> None:
+    assert cli.main([*QUIET_SWARM, "--channel", "v{robot}", "-v"]) == 0
+    messages = messages_of(capsys.readouterr().err)
+    for channel in ("v0", "v1", "v2"):
+        assert f"INFO mcp_asdf_tools.bus.interfaces: opened the bus virtual {channel}" in messages
+
+
+def test_v_logs_the_robots_that_are_up_and_the_files_that_are_written(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    log = tmp_path / "run.log"
+    assert cli.main([*QUIET_SWARM, "--log", str(log), "-v"]) == 0
+    messages = messages_of(capsys.readouterr().err)
     assert "INFO mcp_asdf_tools.cli.swarm: 3 robots are up, 0 of them elsewhere" in messages
     assert f"INFO mcp_asdf_tools.common.files: wrote {log}.json" in messages
-    assert messages[-1].startswith("INFO mcp_asdf_tools.cli: exit code 0 after ")
 
 
 def test_vv_logs_all_options_too(capsys: Capture) -> None:
