@@ -1,9 +1,8 @@
-"""Whatever stands in a file, a line or a frame, it is read or refused in one clear line."""
+"""Readers of files and texts that others have written read anything, or refuse it in one clear line."""
 
 from __future__ import annotations
 
 import gzip
-import re
 import resource
 import subprocess
 import sys
@@ -38,11 +37,11 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.tables.table_files import check_file, format_c_source, format_json
 from mcp_asdf_tools.world.graph import parse_graph
-from support import PATIENCE, draws, slow
+from support import PATIENCE, draws
 from wire import record
 
 TABLE = (Decimal("0.05"), 4)
-LOGS = (".log", ".asc", ".trc", ".blf")
+LOG_SUFFIXES = (".log", ".asc", ".trc", ".blf")
 
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -50,176 +49,216 @@ pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptio
 
 
 class Parser(NamedTuple):
-    """One way in for what others have written: a reader of files with a suffix, and what it takes."""
+    """A reader of something that others have written.
+
+    Attributes:
+        suffix: Suffix of the files that it reads.
+        read: Reads a file.
+        make_valid: Returns the content of a valid file.
+    """
 
     suffix: str
     read: Callable[[Path], object]
-    sound: Callable[[], bytes]
+    make_valid: Callable[[], bytes]
 
 
 def read_events(path: Path) -> list[object]:
+    """Return all entries of a file of events."""
     with EventsReader(path) as reader:
         return list(reader.entries())
 
 
-def events() -> bytes:
+def valid_events() -> bytes:
+    """Return a file of events with a line of each kind, without compression."""
     header = EventsHeader((record(0, "native", 0.95), record(7, "mirror")), 5, FrameFormat(17, 2), {"a": 1})
     lines = '[0,1,[7,5000,2147483649],3]\n"186BB92A#0000603333F307E5"\n'
     return (header.to_line() + lines).encode()
 
 
-def log(suffix: str) -> bytes:
-    """A log as python-can writes it."""
+def valid_log(suffix: str) -> bytes:
+    """Return a log of five estimates as python-can writes it in the format of a suffix."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"run{suffix}"
-        with can.Logger(path) as take:
+        with can.Logger(path) as write_frame:
             for sender in range(5):
-                take(encode_estimate(Estimate(sender, 0x200000, 0x80000001, 3), FrameFormat(), sender * 0.1))
+                estimate = Estimate(sender, 0x200000, 0x80000001, 3)
+                write_frame(encode_estimate(estimate, FrameFormat(), sender * 0.1))
         return path.read_bytes()
 
 
-def results() -> bytes:
-    """A file of two experiments in the present format, one recorded value in ten."""
-    held = BytesIO()
-    pq.write_table(sound_results(), held)
-    return held.getvalue()
+def valid_results() -> bytes:
+    """Return a file of results with two experiments."""
+    file = BytesIO()
+    pq.write_table(valid_results_table(), file)
+    return file.getvalue()
 
 
 @cache
-def sound_results() -> pa.Table:
-    short = Experiment(robots=4, flawed=1, filter="asdf-plus", steps=30, filter_period=10, trials=2)
-    both = (short, replace(short, filter="robust"))
-    return pa.concat_tables([trials_to_table(run_trials(each, 0, 2, sampling_interval=10)) for each in both])
+def valid_results_table() -> pa.Table:
+    """Return a table of results with two experiments, whose values are recorded every 10 steps."""
+    first = Experiment(robots=4, flawed=1, filter="asdf-plus", steps=30, filter_period=10, trials=2)
+    second = replace(first, filter="robust")
+    tables = [
+        trials_to_table(run_trials(experiment, first=0, trials=2, sampling_interval=10))
+        for experiment in (first, second)
+    ]
+    return pa.concat_tables(tables)
 
 
 def read_results(path: Path) -> object:
-    """All that commands take from results."""
+    """Read all that commands need of results, in both ways, and return the versions of the software."""
     table = read_table(path)
-    at_once = [[*trials.scores().values()] for trials in experiments_in(table)]
-    assert np.array_equal(at_once, [[*trials.scores().values()] for trials in stream_experiments(path)])
+    scores_at_once = [list(trials.scores().values()) for trials in experiments_in(table)]
+    streamed_scores = [list(trials.scores().values()) for trials in stream_experiments(path)]
+    assert np.array_equal(scores_at_once, streamed_scores)
     return read_metadata(table)["versions"]
 
 
-def read_logged(path: Path) -> list[object]:
+def read_frames(path: Path) -> list[object]:
+    """Return all frames of a log."""
     return list(read_log(path))
 
 
 def reader_of_text(read: Callable[[str], object]) -> Callable[[Path], object]:
+    """Return a reader of files for a parser of texts."""
     return lambda path: read(path.read_text("latin-1"))
 
 
-SCENARIO = b"table:0.05:30,robot:5:4080218931:1000:64:0,step:1,settle"
+VALID_SCENARIO = b"table:0.05:30,robot:5:4080218931:1000:64:0,step:1,settle"
 PARSERS = {
     "table in JSON": Parser(".json", check_file, lambda: format_json(*TABLE).encode()),
     "table in C": Parser(".c", check_file, lambda: format_c_source(*TABLE).encode()),
-    **{f"log {each}": Parser(each, read_logged, partial(log, each)) for each in LOGS},
-    "log .log.gz": Parser(".log.gz", read_logged, lambda: gzip.compress(log(".log"), mtime=0)),
-    "events": Parser(".events", read_events, events),
-    "compressed events": Parser(".events", read_events, lambda: gzip.compress(events(), mtime=0)),
+    **{f"log {suffix}": Parser(suffix, read_frames, partial(valid_log, suffix)) for suffix in LOG_SUFFIXES},
+    "log .log.gz": Parser(".log.gz", read_frames, lambda: gzip.compress(valid_log(".log"), mtime=0)),
+    "events": Parser(".events", read_events, valid_events),
+    "compressed events": Parser(".events", read_events, lambda: gzip.compress(valid_events(), mtime=0)),
     "TOML": Parser(".toml", read_experiments, (STUDIES / "physical.toml").read_bytes),
-    "results": Parser(".parquet", read_results, results),
+    "results": Parser(".parquet", read_results, valid_results),
     "graph": Parser(".txt", parse_graph, lambda: b"3 5\n3 > 7 # one way\n"),
     "fault": Parser(".txt", reader_of_text(parse_fault), lambda: b"delay=0.5,ticks=3,from=9,robots=0+3-5"),
-    "scenario": Parser(".txt", reader_of_text(parse_scenario), lambda: SCENARIO),
+    "scenario": Parser(".txt", reader_of_text(parse_scenario), lambda: VALID_SCENARIO),
 }
 
-SIGNS = [bytes([each]) for each in b"\0\xff\r\n \"'[{]},:#-"]
+SIGNS = [bytes([byte]) for byte in b"\0\xff\r\n \"'[{]},:#-"]
 WORDS = (
     b"/* */ nan inf 1e999999999 -1 1e-999999999 0x 1_0 true null \xc3\xa9 [[grid]] ? \xff\xff\xff\x7f".split()
 )
-DEEP = [b"9" * 5000, *(each * 3000 for each in (b"[", b"{", b"- ")), b"&a [*a, *a]"]
-HOSTILE = [b"", *SIGNS, *WORDS, *DEEP]
-"""Values that stand where they should not."""
+LONG_OR_NESTED = [b"9" * 5000, b"[" * 3000, b"{" * 3000, b"- " * 3000, b"&a [*a, *a]"]
+HOSTILE_PIECES = [b"", *SIGNS, *WORDS, *LONG_OR_NESTED]
+"""Bytes that may break a reader wherever they stand."""
 
 
 @st.composite
-def damaged(draw: st.DrawFn, sound: bytes) -> bytes:
-    """Sound contents with some pieces gone, doubled or replaced."""
-    data = sound
+def damaged(draw: st.DrawFn, valid_data: bytes) -> bytes:
+    """Draw valid data with one to four pieces of it deleted, doubled or replaced."""
+    data = valid_data
     for _ in range(draw(st.integers(1, 4))):
-        begin = draw(st.integers(0, len(data)))
-        end = min(len(data), begin + draw(st.integers(0, 12)))
-        piece = draw(st.one_of(st.sampled_from(HOSTILE), st.binary(max_size=6), st.just(data[begin:end] * 2)))
-        data = data[:begin] + piece + data[end:]
+        start = draw(st.integers(0, len(data)))
+        stop = min(len(data), start + draw(st.integers(0, 12)))
+        doubled_piece = data[start:stop] * 2
+        new_piece = draw(
+            st.one_of(st.sampled_from(HOSTILE_PIECES), st.binary(max_size=6), st.just(doubled_piece))
+        )
+        data = data[:start] + new_piece + data[stop:]
     return data
 
 
 def try_to_read(parser: Parser, path: Path, data: bytes) -> str:
-    """The refusal, or nothing; fails if it is not one clear line."""
+    """Write data to a file and read it; return the message of a refusal, or an empty text if it is read.
+
+    Fails if the message is not one short line, and if anything but a UsageError is raised.
+    """
     path.write_bytes(data)
     try:
         parser.read(path)
     except UsageError as error:
-        said = str(error)
-        assert said and said.isprintable() and len(said) < 1000, said
-        return said
+        message = str(error)
+        assert message and message.isprintable() and len(message) < 1000, message
+        return message
     return ""
+
+
+@pytest.mark.parametrize("name", PARSERS)
+def test_a_valid_file_is_read(name: str, tmp_path: Path) -> None:
+    parser = PARSERS[name]
+    assert try_to_read(parser, tmp_path / f"file{parser.suffix}", parser.make_valid()) == ""
 
 
 @pytest.mark.random
 @pytest.mark.parametrize("name", PARSERS)
-def test_what_is_sound_is_read_and_what_is_not_is_refused_in_a_line(name: str, tmp_path: Path) -> None:
+def test_a_damaged_file_is_read_or_refused_in_a_line(name: str, tmp_path: Path) -> None:
     parser = PARSERS[name]
-    path, sound = tmp_path / f"file{parser.suffix}", parser.sound()
-    assert try_to_read(parser, path, sound) == ""
+    path = tmp_path / f"file{parser.suffix}"
 
     @settings(max_examples=draws(120), deadline=None, suppress_health_check=list(HealthCheck), database=None)
-    @given(st.one_of(damaged(sound), st.binary(max_size=40)))
-    def always(data: bytes) -> None:
+    @given(st.one_of(damaged(parser.make_valid()), st.binary(max_size=40)))
+    def read_damaged_data(data: bytes) -> None:
         try_to_read(parser, path, data)
 
-    always()
+    read_damaged_data()
 
 
-# ---- Results that look like ours ----
+# --- Results whose two schemas differ -----------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("right", "wrong"), [(b"robots", b"\xffobots"), (b"mcp-asdf", b"mcp-asdg")])
-def test_results_whose_two_schemas_differ_are_read_or_refused(
-    right: bytes, wrong: bytes, tmp_path: Path
-) -> None:
-    """A file has one for Parquet and one for Arrow, in base64; other names do not all read as text."""
-    data = results().replace(right, wrong)
-    said = try_to_read(PARSERS["results"], tmp_path / "run.parquet", data)
-    assert (said != "") == (right == b"robots")
+# A file has a schema for Parquet, and one for Arrow in base64. Only the former is changed here.
 
 
-# ---- What has no end, or too much of everything ----
+def test_results_with_a_column_whose_name_is_no_text_are_refused(tmp_path: Path) -> None:
+    data = valid_results().replace(b"robots", b"\xffobots")
+    message = try_to_read(PARSERS["results"], tmp_path / "run.parquet", data)
+    assert message.startswith(f"cannot read {tmp_path / 'run.parquet'}: ")
 
 
-@pytest.mark.parametrize("stamp", ["nan", "inf", "1e308", "-1e300"])
-def test_a_frame_has_a_time(stamp: str, tmp_path: Path) -> None:
-    said = try_to_read(PARSERS["log .log"], tmp_path / "run.log", f"({stamp}) vcan0 186BB92A#00\n".encode())
-    assert f"holds no frame: line 1, '({stamp}) vcan0 186BB92A#00', is none of candump's" in said
+def test_results_with_our_metadata_in_one_schema_only_are_read(tmp_path: Path) -> None:
+    data = valid_results().replace(b"mcp-asdf", b"mcp-asdg")
+    assert try_to_read(PARSERS["results"], tmp_path / "run.parquet", data) == ""
 
 
-def limited() -> None:
-    """Memory of this test's child process."""
+# --- Values and files without an end ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("time", ["nan", "inf", "1e308", "-1e300"])
+def test_a_frame_with_an_impossible_time_is_no_frame(time: str, tmp_path: Path) -> None:
+    line = f"({time}) vcan0 186BB92A#00"
+    message = try_to_read(PARSERS["log .log"], tmp_path / "run.log", f"{line}\n".encode())
+    assert f"holds no frame: line 1, '{line}', is none of candump's" in message
+
+
+def limit_memory() -> None:
+    """Limit the memory of this process to 4 GiB."""
     resource.setrlimit(resource.RLIMIT_AS, (2**32, 2**32))
 
 
-@pytest.mark.parametrize("case", ["device as table", *slow(["device as graph", "200,000 grids"])])
-def test_too_much_is_refused_soon(case: str, tmp_path: Path) -> None:
-    """By the command, in bounded memory."""
-    grid, endless = tmp_path / "grid.toml", "/dev/zero"
-    words = ["sweep", str(grid), "--output", str(tmp_path / "run.parquet")]
-    if case == "device as graph":
-        words = ["swarm", "--topology", "graph", "--graph", endless]
-    elif case == "device as table":
-        (tmp_path / "endless.c").symlink_to(endless)
-        words = ["table", "--check", str(tmp_path / "endless.c")]
-    else:
-        grid.write_text("steps = 9\n" + "[[grid]]\n" * 200_000)
-    command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", *words]
-    done = subprocess.run(
-        command, capture_output=True, text=True, preexec_fn=limited, timeout=PATIENCE, check=False
+def refusal_of(*arguments: str) -> str:
+    """Return what ``mcp-asdf`` prints when it refuses a request, which must not need much memory."""
+    command = [sys.executable, "-m", "mcp_asdf_tools.cli.main", *arguments]
+    result = subprocess.run(
+        command, capture_output=True, text=True, preexec_fn=limit_memory, timeout=PATIENCE, check=False
     )
-    assert done.returncode == 2, done.stderr
-    assert re.search("than 16777216 bytes|than 100000 experiments", done.stderr)
-    assert done.stderr.count("\n") == 2
+    assert result.returncode == 2, result.stderr
+    assert result.stderr.count("\n") == 2
+    return result.stderr
 
 
-def test_all_grids_of_a_file_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_device_without_an_end_is_no_graph() -> None:
+    message = refusal_of("swarm", "--topology", "graph", "--graph", "/dev/zero")
+    assert "than 16777216 bytes" in message
+
+
+def test_a_link_to_a_device_without_an_end_is_no_table(tmp_path: Path) -> None:
+    (tmp_path / "endless.c").symlink_to("/dev/zero")
+    assert "than 16777216 bytes" in refusal_of("table", "--check", str(tmp_path / "endless.c"))
+
+
+def test_a_file_with_200000_grids_is_refused(tmp_path: Path) -> None:
+    grid = tmp_path / "grid.toml"
+    grid.write_text("steps = 9\n" + "[[grid]]\n" * 200_000)
+    message = refusal_of("sweep", str(grid), "--output", str(tmp_path / "run.parquet"))
+    assert "more than 100000 experiments" in message
+
+
+def test_the_experiments_of_all_grids_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experiment_files, "MAX_EXPERIMENTS", 5)
     (tmp_path / "grid.toml").write_text("seed = [1, 2, 3]\n[[grid]]\n[[grid]]\nrobots = 5\n")
     with pytest.raises(UsageError, match=r"grid.toml makes more than 5 experiments; give fewer"):

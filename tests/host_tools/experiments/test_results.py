@@ -15,7 +15,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
-from host_tools.test_untrusted import PARSERS, sound_results, try_to_read
+from host_tools.test_untrusted import PARSERS, try_to_read, valid_results_table
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -226,13 +226,13 @@ def test_results_from_before_a_parameter_can_be_read_together_with_newer_ones(tm
 
 def with_column(name: str, values: object) -> pa.Table:
     """Return results in which a column has other values."""
-    table = sound_results()
+    table = valid_results_table()
     return table.set_column(table.column_names.index(name), name, values)
 
 
 def damaged_tables() -> Iterator[tuple[pa.Table, str]]:
     """Yield tables with one thing wrong, each with words that the error must contain."""
-    table = sound_results()
+    table = valid_results_table()
     yield pa.table({"k": [1]}), "holds no results"
     yield table.slice(0, 0), "holds no trials; run mcp-asdf sweep again"
     yield table.drop_columns(["e", "k"]), "it has no e, k; run mcp-asdf sweep again"
