@@ -9,7 +9,8 @@ void port_put(char byte) { (void)putchar(byte); }
 
 bool port_has_room(void) { return true; }
 
-/* Wait for a byte of the standard input. All output is flushed before, as the other side may wait for it. */
+/* Wait for a byte of the standard input, and return it. The end of the input ends the program. All output is
+ * flushed before, as the other side may wait for it. */
 int port_get(void)
 {
     (void)fflush(stdout);

@@ -78,14 +78,15 @@ typedef struct {
     uint32_t mantissa, exponent;
 } confidence_t;
 
-/* Returns the alpha word (mantissa in bits 31 to 8, shift in bits 4 to 0) of the largest alpha that is not
- * above mantissa 2^exponent units; both are as in confidence_t. */
+/* Converts a confidence to an alpha word: mantissa in bits 31 to 8, shift in bits 4 to 0. Both arguments are
+ * as in confidence_t, which has a wider exponent than the word has a shift: a negative one loses the bits
+ * below a unit of 2^-24, and one above 31 gives the largest alpha. */
 HOT uint32_t alpha_word_from_mantissa(uint32_t mantissa, uint32_t exponent)
 {
     const bool is_negative = exponent >> 31 != 0U;
     if (is_negative) {
-        /* Whole units, with shift 0. 0U - exponent is the amount of a negative exponent, at most 22; the mask
-         * keeps the shift in its range where memory is damaged. */
+        /* 0U - exponent is the amount of the negative exponent, at most 22; the mask keeps the shift in its
+         * range where memory is damaged. */
         return shift_right(mantissa, (0U - exponent) & 31U) << 8;
     }
     return exponent <= ALPHA_SHIFT_MAX ? (mantissa << 8) | exponent : ALPHA_MAX;

@@ -2,13 +2,13 @@
  * provides eq. 8. docs/robust.md explains the filter, docs/design.md, section 13, states every bit.
  *
  * A robot with this filter keeps no sums of rounds. It follows the centre of all estimates that it receives,
- * and tests its own observations against that centre:
- *   - Every estimate with confidence is one vote, however large its alpha. A vote moves the centre towards
- * its x_hat, by a limited distance, so that a liar's vote moves it no farther than another's (a Huber
- *     M-estimate).
- *   - The spread is the median distance of the estimates from the centre.
- *   - Both move by a share of the distance, the gain, which falls from 1/8 to 2^-12 as votes are counted
- *     (stochastic approximation). In between it is 4 / votes to 8 / votes. */
+ * its crowd, and tests its own observations against that centre.
+ *
+ * Every estimate with confidence is one vote, however large its alpha. A vote moves the centre towards its
+ * x_hat, by a limited distance, so that a liar's vote moves it no farther than another's (a Huber
+ * M-estimate). The spread is the median distance of the votes from the centre. Both move by a share of the
+ * distance, the gain, which falls from 1/8 to 2^-12 as votes are counted (stochastic approximation). In
+ * between it is 4 / votes to 8 / votes. */
 #ifndef MCP_ASDF_ROBUST_H
 #define MCP_ASDF_ROBUST_H
 
@@ -90,8 +90,8 @@ ALWAYS_INLINE crowd_statistics_t statistics_after_vote(crowd_statistics_t statis
     return result;
 }
 
-/* Count a received x_hat, Q23, as one vote: it changes the centre, the spread, the number of votes and the
- * trend, and the bit of its sender is set in the voices. */
+/* Count a neighbour's x_hat (Q23) as one vote: it changes the centre and the spread of the estimates, the
+ * number of votes and the trend. Sets the sender's bit in `voices`, the set of senders that have voted. */
 HOT void update_crowd(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
 {
     mcp_asdf_crowd_t *const crowd = &robot->crowd;
@@ -99,7 +99,7 @@ HOT void update_crowd(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
     const crowd_statistics_t statistics = statistics_after_vote(old_statistics, x_hat);
     crowd->trend = (uint16_t)statistics.trend;
     crowd->votes = (uint16_t)statistics.votes;
-    crowd->voices |= shift_left(1, sender & 31U);
+    crowd->voices |= shift_left(1, sender & 31U); /* ids modulo 32 */
     crowd->centre = statistics.centre;
     crowd->spread = statistics.spread;
 }

@@ -173,8 +173,8 @@ static int64_t now_ns(void)
     return (int64_t)now.tv_sec * NS_PER_SECOND + now.tv_nsec;
 }
 
-/* Whether a timer has expired since the last call. Starts it anew then, and records how late the call is; if
- * several periods have passed, all expiries but one count as skipped. */
+/* Whether a timer has expired since the last call. If so, sets the next expiry after `now`, and records how
+ * late the call is; if several periods have passed, all expiries but one count as skipped. */
 static bool has_expired(periodic_timer_t *timer, int64_t now)
 {
     const int64_t lateness = now - timer->next_expiry;
@@ -184,8 +184,9 @@ static bool has_expired(periodic_timer_t *timer, int64_t now)
     if (lateness > timer->worst_lateness) {
         timer->worst_lateness = lateness;
     }
-    timer->skipped += (uint32_t)(lateness / timer->period);
-    timer->next_expiry += (lateness / timer->period + 1) * timer->period;
+    const int64_t more_expiries = lateness / timer->period; /* after the one that is noticed now */
+    timer->skipped += (uint32_t)more_expiries;
+    timer->next_expiry += (more_expiries + 1) * timer->period;
     return true;
 }
 

@@ -370,7 +370,8 @@ static mcp_asdf_status_t start_trials(run_t *run, const mcp_asdf_outcome_t *outc
     return MCP_ASDF_OK;
 }
 
-/* Start trials as start_trials() does, and run them from their first step to the last. Fails as that. */
+/* Run the trials from number `index` of the experiment on, as many as run side by side, from their first step
+ * to the last. Returns the first error of start_trials(). */
 static mcp_asdf_status_t run_trials(run_t *run, const mcp_asdf_outcome_t *outcome, uint32_t index)
 {
     const mcp_asdf_status_t status = start_trials(run, outcome, index);
@@ -391,16 +392,21 @@ static mcp_asdf_status_t run_trials(run_t *run, const mcp_asdf_outcome_t *outcom
     return MCP_ASDF_OK;
 }
 
-/* Whether steps can be taken in lanes: these keep no robot's values but x, deliver all messages in every
- * step, have no liars, and know one kind of round, of sums or of votes. */
+/* Whether the engine can compute this experiment in lanes, with many robots side by side. Lanes deliver
+ * messages in every step, record nothing but x, have no liars, and either all robots have the robust filter
+ * or none has. */
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
 {
-    bool has_lanes =
-        experiment->comms_period == 1 && experiment->sampling_interval == 0 && experiment->liars == 0;
-    for (uint32_t j = 1; j < experiment->robots && has_lanes; ++j) {
-        has_lanes = mcp_asdf_is_robust(experiment->configs[j]) == mcp_asdf_is_robust(experiment->configs[0]);
+    const bool is_first_robust = mcp_asdf_is_robust(experiment->configs[0]);
+    if (experiment->comms_period != 1 || experiment->sampling_interval != 0 || experiment->liars != 0) {
+        return false;
     }
-    return has_lanes;
+    for (uint32_t j = 1; j < experiment->robots; ++j) {
+        if (mcp_asdf_is_robust(experiment->configs[j]) != is_first_robust) {
+            return false;
+        }
+    }
+    return true;
 }
 
 /* Returns the number of trials that run side by side in lanes: LANES of fully connected swarms, whose robots

@@ -63,7 +63,7 @@ static void receive_from(const mcp_asdf_experiment_t *experiment, const mcp_asdf
          * from in this round, nor for itself: until the message is received it has another id. */
         robot->heard.all[0] = 0;
         robot->heard.all[1] = 0;
-        robot->id = sender_id ^ 1;
+        robot->id = sender_id ^ 1; /* any but the sender's */
     }
     (void)mcp_asdf_receive(robot, sender_id, x_hat, alpha);
     robot->id = own_id;

@@ -229,8 +229,9 @@ typedef struct {
     double cx[BATCH], cy[BATCH], angle[BATCH];
 } free_bodies_t;
 
-/* One substep: bodies move, and the motors bring each velocity closer to its target, by at most its limit.
- * Bodies that have reached the target wait. Returns how many have not reached it yet. */
+/* Move the listed bodies for one substep, and let the motors change each velocity towards its target, by at
+ * most the body's limit. A body that had its target velocity already waits: store_free_bodies() moves it for
+ * all its remaining substeps at once. Returns how many bodies have not reached their target yet. */
 IN_LOOPS uint64_t drive_free_bodies(free_bodies_t *bodies)
 {
     uint64_t accelerating_count = 0;
@@ -238,15 +239,19 @@ IN_LOOPS uint64_t drive_free_bodies(free_bodies_t *bodies)
     for (uint32_t n = 0; n < bodies->count; ++n) {
         const bool accelerates =
             (bodies->vx[n] != bodies->target_vx[n]) | (bodies->vy[n] != bodies->target_vy[n]);
-        const double dx = bodies->target_vx[n] - bodies->vx[n], dy = bodies->target_vy[n] - bodies->vy[n];
-        const double squared_change = dx * dx + dy * dy, squared_limit = bodies->limit[n] * bodies->limit[n];
+        const double change_x = bodies->target_vx[n] - bodies->vx[n];
+        const double change_y = bodies->target_vy[n] - bodies->vy[n];
+        const double squared_change = change_x * change_x + change_y * change_y;
+        const double squared_limit = bodies->limit[n] * bodies->limit[n];
+        /* The share of the change that the motors can make; 1 if it is within the limit. */
         const double share = squared_change > squared_limit ? bodies->limit[n] / sqrt(squared_change) : 1;
+        const bool remains = share < 1;
         bodies->x[n] = accelerates ? bodies->x[n] + bodies->vx[n] * bodies->substep[n] : bodies->x[n];
         bodies->y[n] = accelerates ? bodies->y[n] + bodies->vy[n] * bodies->substep[n] : bodies->y[n];
-        bodies->vx[n] = share < 1 ? bodies->vx[n] + share * dx : bodies->target_vx[n];
-        bodies->vy[n] = share < 1 ? bodies->vy[n] + share * dy : bodies->target_vy[n];
+        bodies->vx[n] = remains ? bodies->vx[n] + share * change_x : bodies->target_vx[n];
+        bodies->vy[n] = remains ? bodies->vy[n] + share * change_y : bodies->target_vy[n];
         bodies->substeps_left[n] -= accelerates ? 1 : 0;
-        accelerating_count += share < 1 ? 1 : 0;
+        accelerating_count += remains ? 1 : 0;
     }
     return accelerating_count;
 }
@@ -306,13 +311,11 @@ FOR_EACH_TARGET static void move_free_bodies(free_bodies_t *bodies)
     bodies->count = 0;
 }
 
-/* Sort `count` bodies from number `first` on into three kinds, and move those of the first kind for one tick:
+/* Move the cruising ones of `count` bodies, from number `first` on, for one tick: those that touch nothing,
+ * keep their velocity and do not turn. They get the same bits as from move_free_bodies(), for less.
  *
- *     cruising       touch nothing, keep their velocity and do not turn. They are moved here, to the same
- * bits as by move_free_bodies(), which they do not need accelerating   touch nothing, but change velocity or
- * turn. is_accelerating[i] is 1 for these, else 0 touching       may touch something
- *
- * Returns whether there is any touching body. */
+ * Of the other bodies, is_accelerating[i] becomes 1 for those that touch nothing but change their velocity or
+ * turn, and 0 for those that may touch something. Returns whether there are any of the latter. */
 FOR_EACH_TARGET static bool move_cruising_bodies(mcp_asdf_arena_t *arena, uint32_t first, uint32_t count,
                                                  uint64_t *restrict is_accelerating)
 {
