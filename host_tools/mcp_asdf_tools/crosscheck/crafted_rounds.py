@@ -414,9 +414,11 @@ def draw_round_of_distant_sum(robot: RobotState, rng: Random) -> list[NeighbourE
     """
     m, unit = _LARGE_ROUND, 1 << 27
     own_sum = m * robot.x_hat
-    end_sum = m * ONE if robot.x_hat < HALF else 0
-    distance = abs(end_sum - own_sum) // unit * unit
-    total = own_sum + distance if end_sum else own_sum - distance
+    # As far as there is room for, towards 0 or 1, whichever is further away.
+    if robot.x_hat < HALF:
+        total = own_sum + (m * ONE - own_sum) // unit * unit
+    else:
+        total = own_sum - own_sum // unit * unit
     mean, remainder = divmod(total, m)
     x_hats = [mean + 1] * remainder + [mean] * (m - remainder)
     # A scatter above 0, but far below the square.

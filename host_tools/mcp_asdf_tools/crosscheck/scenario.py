@@ -149,11 +149,19 @@ def _group_in_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
 def parse_scenario(line: str) -> Scenario:
     """Read a scenario's line. Raises UsageError naming the item that is wrong."""
     items = line.strip().split(",")
-    table = _parse_table(items.pop(0)) if items[0].split(":")[0] == "table" else None
-    if not items or items[0].split(":")[0] != "robot":
+    table = None
+    if _name_of(items[0]) == "table":
+        table = _parse_table(items[0])
+        items = items[1:]
+    if not items or _name_of(items[0]) != "robot":
         raise UsageError("a scenario starts with table:... and robot:..., or with robot:... alone")
     robot_item, *call_items = items
     return Scenario(Setup(table, *_parse_numbers(robot_item)), tuple(map(_parse_call, call_items)))
+
+
+def _name_of(item: str) -> str:
+    """Return the word with which an item begins."""
+    return item.partition(":")[0]
 
 
 def _parse_table(item: str) -> TableChoice:

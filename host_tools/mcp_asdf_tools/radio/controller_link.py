@@ -25,7 +25,7 @@ from mcp_asdf_tools.bus.frames import (
     sender_of,
 )
 from mcp_asdf_tools.radio.comparison import Comparison, Difference, is_from
-from mcp_asdf_tools.radio.known_mistakes import MistakenModels, RightModel
+from mcp_asdf_tools.radio.known_mistakes import MistakenModels, RightModel, TelemetryFields
 from mcp_asdf_tools.radio.neighbourhood import RadioSettings
 from mcp_asdf_tools.robots.bus_robot import Recorder
 from mcp_asdf_tools.robots.lockstep import Lockstep
@@ -223,7 +223,7 @@ class ControllerLink:
                 break
         self.compare()
 
-    def _last_telemetry_fields(self) -> tuple[int, int, int] | None:
+    def _last_telemetry_fields(self) -> TelemetryFields | None:
         """Return x, b_hat and updates of the controller's last telemetry.
 
         Returns None if none has come since the last comparison.
@@ -231,7 +231,7 @@ class ControllerLink:
         for frame in reversed(self._received):
             telemetry = decode_telemetry(frame, self.settings.subjects.telemetry)
             if isinstance(telemetry, Telemetry):
-                return telemetry.x, telemetry.b_hat, telemetry.updates
+                return TelemetryFields(telemetry.x, telemetry.b_hat, telemetry.updates)
         return None
 
     # --- Frames on the bus ---

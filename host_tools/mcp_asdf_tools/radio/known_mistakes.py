@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from math import frexp, ldexp
+from typing import NamedTuple
 
 from mcp_asdf.fixed_point import B_HAT_MAX, alpha_from_word
 from mcp_asdf.mirror import (
@@ -251,6 +252,14 @@ KNOWN_MISTAKES = (
 )
 
 
+class TelemetryFields(NamedTuple):
+    """Fields of telemetry: x in units of 2**-23, b_hat in units of 2**-24, and the updates modulo 2**8."""
+
+    x: int
+    b_hat: int
+    updates: int
+
+
 @dataclass
 class MistakenModels:
     """The models with a mistake whose frames have equalled those of the right model so far.
@@ -287,12 +296,11 @@ class MistakenModels:
         self._right_broadcast = _broadcast_of(right_model)
 
     def mistakes_with_telemetry(
-        self, telemetry: tuple[int, int, int] | None, right_model: MirrorRobot
+        self, telemetry: TelemetryFields | None, right_model: MirrorRobot
     ) -> list[str]:
         """Return the mistakes with which a controller would send this telemetry.
 
-        It has the fields of ``telemetry_of``, and must differ from that of the right model. The list is empty
-        if no telemetry came.
+        It must differ from that of the right model. The list is empty if no telemetry came.
         """
         if telemetry is None or telemetry == telemetry_of(right_model):
             return []
@@ -308,9 +316,9 @@ class MistakenModels:
         }
 
 
-def telemetry_of(robot: MirrorRobot) -> tuple[int, int, int]:
-    """Return the fields of a robot's telemetry: x, b_hat in units of 2**-24, and the updates modulo 2**8."""
-    return robot.x_raw, robot.b_hat_raw >> 8, robot.counters.updates % 256
+def telemetry_of(robot: MirrorRobot) -> TelemetryFields:
+    """Return the fields of a robot's telemetry."""
+    return TelemetryFields(robot.x_raw, robot.b_hat_raw >> 8, robot.counters.updates % 256)
 
 
 def _broadcast_of(robot: MirrorRobot) -> tuple[int, float]:

@@ -212,14 +212,18 @@ def receive_before_observing(bench: Bench) -> None:
     """Send estimates to a robot that has observed nothing: x is their mean alone, and a test comes early."""
     bench.activity = "no observation"
     bench.play_tick(None)
-    is_robust = bench.config.filter is Filter.ROBUST
-    if not is_robust:
+    # With the robust filter these estimates would be its first votes, which a phase of its own sends.
+    takes_votes = bench.config.filter is Filter.ROBUST
+    if not takes_votes:
         receive_extremes(bench)
     if bench.setup.filter_period <= _MAX_SKIPPED_TICKS:
         bench.activity = "commands in a row"
         bench.skip_to_test_round()
         bench.activity = "a test before the first observation"
-        bench.play_round(*([] if is_robust else draw_distant_estimates(bench.robot_state, bench.rng)))
+        if takes_votes:
+            bench.play_round()
+        else:
+            bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
 
 
 def observe_alone(bench: Bench) -> None:
