@@ -22,6 +22,9 @@ from mcp_asdf_tools.experiments.scores import PAPERS, SCORES, Limits, score
 QUANTITIES = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 """Recorded values of a robot, named as the attributes of ``Robot``."""
 
+HARM_LIMIT = 0.05
+"""A healthy robot whose b_hat ends farther from its first value than this has been harmed by its filter."""
+
 PARAMETER_NAMES = tuple(parameters_of(Experiment))
 
 
@@ -69,6 +72,17 @@ class Trials:
             "e": self.errors.mean(axis=robot_axis),
             "updates": self.updates.sum(axis=robot_axis),
         }
+
+    def find_harmed_robots(self) -> NDArray[np.bool_]:
+        """Return which of the healthy robots their filter has harmed, shape (trials, healthy robots).
+
+        After the last filter step these have a b_hat, the accuracy that they assume, that is more than
+        HARM_LIMIT from the one that they started with.
+        """
+        # The first robots are the flawed ones, and all others start with the same b_hat.
+        final_b_hat = self.b_hat[:, -1, self.experiment.flawed :]
+        initial_b_hat = self.experiment.b_hat(self.experiment.robots - 1)
+        return np.asarray(abs(final_b_hat - initial_b_hat) > HARM_LIMIT)
 
 
 def select_experiments(experiments: Sequence[Trials], where: Mapping[str, Any]) -> list[Trials]:

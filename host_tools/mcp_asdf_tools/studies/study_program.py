@@ -46,9 +46,6 @@ FILTERS_OF_HEALTHY_SWARMS = ["none", "asdf-plus", "robust"]
 CONFIDENCE = 0.95
 QUICK_TRIALS, QUICK_STEPS = 2, 4000
 
-HARM_LIMIT = 0.05
-"""A healthy robot whose b_hat ends farther from b than this has been harmed by its filter."""
-
 INTERVAL_NOTE = (
     "Medians over trials. A 95 % interval stands in brackets where it reaches farther than 0.5 from H, a "
     "tenth from an error, or 1 % from a share of robots."
@@ -125,15 +122,11 @@ def late_errors(trials: Trials) -> Sample:
 def harmed_percents(trials: Trials) -> Sample:
     """Return for each trial the percentage of the healthy robots that the filter has harmed.
 
-    These end with a b_hat, the accuracy that they assume, farther than HARM_LIMIT from b, the true one. The
-    percentages are NaN if all robots are flawed.
+    ``Trials.find_harmed_robots`` says which these are. The percentages are NaN if all robots are flawed.
     """
-    experiment = trials.experiment
-    if experiment.flawed == experiment.robots:
+    is_harmed = trials.find_harmed_robots()
+    if not is_harmed.size:
         return np.full(len(trials.numbers), np.nan)
-    # b_hat has the shape (trials, filter steps, robots), and the flawed robots come first.
-    final_b_hat = trials.b_hat[:, -1, experiment.flawed :]
-    is_harmed = abs(final_b_hat - experiment.true_accuracy) > HARM_LIMIT
     return np.asarray(100 * is_harmed.mean(axis=1))
 
 

@@ -32,11 +32,8 @@ from mcp_asdf_tools.experiments.plot_panels import (
     label_figure,
     legend_handle,
 )
-from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.experiments.results import HARM_LIMIT, Trials
 from mcp_asdf_tools.experiments.scores import PAPERS
-
-ACCURACY_TOLERANCE = 0.05
-"""Change of b_hat from its first value above which a healthy robot counts as misled by its filter."""
 
 _MEDIAN_AND_BAND_PERCENTILES = (50, 5, 95)
 """Percentiles of the line, the lower and the upper edge of a band."""
@@ -51,8 +48,8 @@ def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> F
     """Plot b_hat of all robots of all trials over time: medians and the middle 90 %, a panel an experiment.
 
     b_hat is the accuracy that a robot assumes of its sensor; it is drawn after each filter step. Panels are
-    in the order of their filters; a title ends with the share of healthy robots that their filter has misled:
-    whose b_hat ends more than ACCURACY_TOLERANCE from its first value. Raises UsageError as ``plot_boxes``,
+    in the order of their filters; a title ends with the share of healthy robots that their filter has harmed:
+    whose b_hat ends more than HARM_LIMIT from its first value. Raises UsageError as ``plot_boxes``,
     and for trials that are too short for a filter step.
     """
     experiments = experiments_to_plot(results, where)
@@ -64,7 +61,7 @@ def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> F
     titles = _panel_titles(ordered_experiments)
     for axes, trials, title in zip(panels, ordered_experiments, titles, strict=True):
         _draw_accuracy_bands(axes, trials)
-        axes.set_title(f"{title}\n{_describe_misled(trials)}", fontsize=SMALL)
+        axes.set_title(f"{title}\n{_describe_harmed(trials)}", fontsize=SMALL)
     handles = [
         legend_handle(label, colour, marker="", line="-")
         for label, colour in (("flawed", FLAWED), ("healthy", OTHER), ("true", INK))
@@ -142,21 +139,12 @@ def _flawed_and_healthy(trials: Trials) -> tuple[NDArray[np.float64], NDArray[np
     return trials.b_hat[:, :, :flawed_count], trials.b_hat[:, :, flawed_count:]
 
 
-def _describe_misled(trials: Trials) -> str:
+def _describe_harmed(trials: Trials) -> str:
     """Return a line for a title such as "more than 0.05 off: 12% of healthy robots".
 
-    That is the share of the healthy robots of all trials whose b_hat after the last filter step differs by
-    more than ACCURACY_TOLERANCE from the one they started with. It is "-" if there are no healthy robots.
+    That is the share of the healthy robots of all trials that their filter has harmed. It is "-" if there are
+    no healthy robots.
     """
-    _, healthy = _flawed_and_healthy(trials)
-    share = "-"
-    if healthy.size:
-        experiment = trials.experiment
-        # An unflawed accuracy of 0 means that healthy robots start with the true one.
-        has_unflawed_accuracy = experiment.unflawed_accuracy != 0
-        initial_b_hat = experiment.unflawed_accuracy if has_unflawed_accuracy else experiment.true_accuracy
-        last_filter_step = -1
-        final_b_hat = healthy[:, last_filter_step, :]
-        is_misled = abs(final_b_hat - initial_b_hat) > ACCURACY_TOLERANCE
-        share = f"{np.mean(is_misled):.0%} of healthy robots"
-    return f"more than {ACCURACY_TOLERANCE} off: {share}"
+    is_harmed = trials.find_harmed_robots()
+    share = f"{is_harmed.mean():.0%} of healthy robots" if is_harmed.size else "-"
+    return f"more than {HARM_LIMIT} off: {share}"
