@@ -156,9 +156,8 @@ def accuracy_of(b_hat: int) -> Accuracy:
 
     In C this is ``set_b_hat``.
     """
-    # Both in units of 2**-32: a sensor that is wrong more often than not tells as much as its opposite.
-    c = min(b_hat, Q32_ONE - b_hat)
-    g = Q32_ONE - 2 * c  # |2 b_hat - 1|
+    c = min(b_hat, Q32_ONE - b_hat)  # a sensor that is mostly wrong tells as much as its opposite
+    g = Q32_ONE - 2 * c  # |2 b_hat - 1| in units of 2**-32, as c
     # Shifted, so that the quotients keep 24 bits also where g or c is small. 1 - c is at least 1/2 anyway.
     g_shift = leading_zeros(g)
     c_shift = leading_zeros(c)
@@ -199,9 +198,9 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
     where ``rare_count`` of t > 0 observations are of the rarer colour, c is the probability of an error and
     g = 1 - 2 c. The result stands for mantissa * 2**exponent units of 2**-24, with a mantissa of 24 bits.
     """
-    # ``weight`` is alpha in units of 2**(exponent - 24). It begins with the term of the more frequent colour.
-    weight = (t - rare_count) * accuracy.common
-    # Weights have the unit 2**-30, and were formed with g 2**g_shift in place of g.
+    weight = (t - rare_count) * accuracy.common  # of the more frequent colour
+    # The weight has the unit 2**(exponent - 24): weights of observations have 30 fraction bits, and were
+    # formed with g 2**g_shift in place of g.
     exponent = 24 - 30 - 2 * accuracy.g_shift
     if rare_count != 0:
         # ``rare`` was formed with c 2**c_shift, so it is too small by 2**rare_shift. The other term is made

@@ -246,13 +246,19 @@ class Connection(can.BusABC):
         )
 
     def _send(self, msg: can.Message, timeout: float | None) -> None:
+        """Send a frame. Raises whatever the interface raises."""
         self._bus.send(msg, timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        """Return the next frame, or None after ``timeout`` seconds, and whether it has passed the filters.
+
+        Raises whatever the interface raises.
+        """
         return self._bus._recv_internal(timeout)
 
     def _apply_filters(self, filters: CanFilters | None) -> None:
-        self._bus.set_filters(filters)  # by the kernel or the adapter, where they can
+        """Let the kernel or the adapter filter, where they can."""
+        self._bus.set_filters(filters)
 
 
 def _can_be_sent(frame: can.Message) -> bool:
@@ -289,6 +295,10 @@ class SerialAdapter(Connection):
             self._socket.close()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        """Return what ``Connection._recv_internal`` does, and forget a line that is no text or too long.
+
+        Raises ValueError for a line without an end, and whatever the interface raises.
+        """
         try:
             frame_and_filtered = super()._recv_internal(timeout)
         except Exception:
@@ -319,11 +329,16 @@ class Multicast(Connection):
         self._own_frames: deque[tuple[bytes, can.Message]] = deque(maxlen=_MAX_OWN_DATAGRAMS)
 
     def _send(self, msg: can.Message, timeout: float | None) -> None:
+        """Send a frame, and remember its datagram, which the group will return."""
         datagram = pack_message(msg)
         self._own_frames.append((datagram, msg))
         self._group.send(datagram, timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        """Return the next frame of another, or an own one if those are returned, as ``Connection`` does.
+
+        Returns None early, after an own frame that is not returned.
+        """
         while (received := self._group.recv(timeout)) is not None:
             datagram, _, timestamp = received
             own_frame = self._pop_own_frame(datagram)
