@@ -16,8 +16,8 @@ from cffi import FFI
 
 from support import run
 
-BLACK, WHITE = 1000, 4000
-"""Millivolts of the sensor above a tile."""
+BLACK_MILLIVOLTS, WHITE_MILLIVOLTS = 1000, 4000
+"""Voltage of the sensor above a tile."""
 _C = """
 #include <simavr/avr_adc.h>
 #include <simavr/avr_uart.h>
@@ -25,11 +25,15 @@ _C = """
 #include <simavr/sim_core.h>
 #include <simavr/sim_elf.h>
 
-static void sent(void *board, uint8_t byte);
-static void on_byte(avr_irq_t *irq, uint32_t byte, void *board) { (void)irq; sent(board, (uint8_t)byte); }
+static void on_sent_byte(void *board, uint8_t byte);
+static void on_uart_output(avr_irq_t *irq, uint32_t byte, void *board)
+{
+    (void)irq;
+    on_sent_byte(board, (uint8_t)byte);
+}
 static void stay_awake(avr_t *avr, avr_cycle_count_t cycles) { (void)avr; (void)cycles; }
 
-static avr_t *make(const char *image, uint32_t clock, void *board)
+static avr_t *make_avr(const char *image, uint32_t clock, void *board)
 {
     elf_firmware_t firmware = {0};
     uint32_t flags = 0;
@@ -43,16 +47,17 @@ static avr_t *make(const char *image, uint32_t clock, void *board)
     avr->vcc = avr->avcc = 5000;
     avr->sleep = stay_awake;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
-    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, board);
+    avr_irq_register_notify(
+        avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_uart_output, board);
     return avr;
 }
 
-static void hear(avr_t *avr, uint8_t byte)
+static void receive_byte(avr_t *avr, uint8_t byte)
 {
     avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT), byte);
 }
 
-static void see(avr_t *avr, uint32_t millivolts)
+static void set_sensor_voltage(avr_t *avr, uint32_t millivolts)
 {
     avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0), millivolts);
 }
@@ -66,7 +71,7 @@ static int run_until(avr_t *avr, uint64_t cycle)
     return state != cpu_Done && state != cpu_Crashed;
 }
 
-static uint64_t run(avr_t *avr, uint32_t from, uint32_t to)
+static uint64_t call(avr_t *avr, uint32_t from, uint32_t to)
 {
     uint64_t instructions = 0;
     avr->state = cpu_Running;
@@ -78,12 +83,12 @@ static uint64_t run(avr_t *avr, uint32_t from, uint32_t to)
 """
 _DECLARED = """
 typedef struct { uint8_t *data; uint64_t cycle; ...; } avr_t;
-extern "Python" void sent(void *board, uint8_t byte);
-avr_t *make(const char *image, uint32_t clock, void *board);
-void hear(avr_t *avr, uint8_t byte);
-void see(avr_t *avr, uint32_t millivolts);
+extern "Python" void on_sent_byte(void *board, uint8_t byte);
+avr_t *make_avr(const char *image, uint32_t clock, void *board);
+void receive_byte(avr_t *avr, uint8_t byte);
+void set_sensor_voltage(avr_t *avr, uint32_t millivolts);
 int run_until(avr_t *avr, uint64_t cycle);
-uint64_t run(avr_t *avr, uint32_t from, uint32_t to);
+uint64_t call(avr_t *avr, uint32_t from, uint32_t to);
 """
 
 
@@ -103,28 +108,34 @@ def _simavr() -> tuple[FFI, Any]:
         spec = spec_from_loader(loader.name, loader)
         assert spec
         module = module_from_spec(spec)
-    module.ffi.def_extern("sent")(lambda board, byte: module.ffi.from_handle(board)(byte))
+    module.ffi.def_extern("on_sent_byte")(lambda board, byte: module.ffi.from_handle(board)(byte))
     return module.ffi, module.lib
 
 
 def require_simavr() -> None:
-    """Skips the test where the library is missing."""
+    """Skip the test where the library simavr is missing."""
     if not Path("/usr/include/simavr/sim_avr.h").exists():
         pytest.skip("no simavr library: apt-get install libsimavr-dev")
 
 
 class Board:
-    """A robot's board that never sleeps, with an image in its flash.
+    """A robot's board with a simulated ATmega328P, which has an image in its flash and never sleeps.
 
     Attributes:
         registers: The data space: registers, ports and RAM, by their addresses.
     """
 
-    def __init__(self, image: Path, clock: int, sent: Callable[[int], object]) -> None:
-        """``clock`` in Hz; ``sent`` takes each byte that the UART sends."""
+    def __init__(self, image: Path, clock: int, on_sent_byte: Callable[[int], object]) -> None:
+        """Load an image into the flash.
+
+        Args:
+            image: ELF file of the program.
+            clock: Frequency of the chip, in Hz.
+            on_sent_byte: Called with each byte that the UART sends.
+        """
         ffi, self._simavr = _simavr()
-        self._sent = ffi.new_handle(sent)
-        self._avr = self._simavr.make(str(image).encode(), clock, self._sent)
+        self._on_sent_byte = ffi.new_handle(on_sent_byte)  # C has only a pointer to it
+        self._avr = self._simavr.make_avr(str(image).encode(), clock, self._on_sent_byte)
         self.registers = ffi.buffer(self._avr.data, 0x900)
 
     @property
@@ -132,21 +143,24 @@ class Board:
         """Clock cycles since the reset."""
         return int(self._avr.cycle)
 
-    def hear(self, byte: int) -> None:
-        """The UART receives a byte."""
-        self._simavr.hear(self._avr, byte)
+    def receive_byte(self, byte: int) -> None:
+        """Let the UART receive a byte."""
+        self._simavr.receive_byte(self._avr, byte)
 
-    def see(self, tile: int) -> None:
-        """The sensor is above a tile, black if this is 1."""
-        self._simavr.see(self._avr, BLACK if tile == 1 else WHITE)
+    def place_on_tile(self, tile: int) -> None:
+        """Put the sensor above a tile, which is black if ``tile`` is 1 and else white."""
+        self._simavr.set_sensor_voltage(self._avr, BLACK_MILLIVOLTS if tile == 1 else WHITE_MILLIVOLTS)
 
-    def run(self, until: int) -> None:
-        """Run until a clock cycle; a robot never ends, so the end is a failure."""
-        assert self._simavr.run_until(self._avr, until), "the program has ended"
+    def run_until(self, cycle: int) -> None:
+        """Run the program until a clock cycle. Fails if it ends before, which no robot does."""
+        assert self._simavr.run_until(self._avr, cycle), "the program has ended"
 
     def call(self, start: int, stop: int) -> int:
-        """Run from one byte address until another is reached; returns the instructions."""
-        instructions = int(self._simavr.run(self._avr, start, stop))
+        """Run from one byte address until another is reached, and return the number of instructions.
+
+        Raises RuntimeError if the program crashes.
+        """
+        instructions = int(self._simavr.call(self._avr, start, stop))
         if instructions == 0:
             raise RuntimeError(f"the program crashed on its way from {start:#x} to {stop:#x}")
         return instructions

@@ -1,5 +1,6 @@
-"""The robot of docs/porting.md: the page shows it, it builds as the page says, and on a PC and an ATmega328P
-it does what the mirror does, to the bit.
+"""The robot of docs/porting.md: it builds as the page says, and does what the mirror does, to the bit.
+
+It runs on this computer with a scripted board, and on a simulated ATmega328P.
 """
 
 from __future__ import annotations
@@ -8,6 +9,8 @@ import random
 import re
 import shutil
 import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,25 +24,30 @@ from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, Telemetry
 from simulated_avr import Board, require_simavr
-from support import CORE, ROOT, block_with, blocks, require, run, slow
+from support import CORE, ROOT, TABLE, block_with, blocks, require, run
 
 PAGE = ROOT / "docs/porting.md"
 TEXT = PAGE.read_text(encoding="utf-8")
 PORTS = ROOT / "c_ref/ports"
 ROBOT_ID, B_HAT = 7, 0xF3333333  # MCP_ASDF_PROBABILITY(95, 100)
-ESTIMATES = FrameFormat()
-MARK, SLOTS = 0x7E, 8
+FORMAT = FrameFormat()
+PACKET_MARK = 0x7E
+"""The byte with which a packet begins."""
+RADIO_QUEUE = 8
+"""Packets that the robot's radio keeps until the end of a tick."""
 IMAGE_SIZE = 124
 NO_TILE = 2
-"""Of a script: a tick in which the sensor gives no colour."""
+"""Stands for a tick in which the sensor gives no colour."""
+NOISE = b"\x00\xff"
+"""Bytes between packets."""
 WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wundef -Werror"
 
 
-# --- What the robot has to send ----------------------------------------------------------------------------
+# --- Packets ---------------------------------------------------------------------------------------------
 
 
-def checksum(content: bytes) -> int:
-    """CRC-8 with the polynomial 0x07, bit by bit as a division."""
+def crc_8(content: bytes) -> int:
+    """Return the CRC-8 with the polynomial 0x07: the remainder of a division, bit by bit."""
     value = int.from_bytes(content, "big") << 8
     for bit in reversed(range(8, 8 + 8 * len(content))):
         if value >> bit & 1:
@@ -47,81 +55,119 @@ def checksum(content: bytes) -> int:
     return value
 
 
-def packet(frame: can.Message) -> bytes:
+def packet_of(frame: can.Message) -> bytes:
+    """Return the packet of a frame: mark, identifier, data and checksum."""
     content = frame.arbitration_id.to_bytes(4, "little") + bytes(frame.data)
-    return bytes([MARK]) + content + bytes([checksum(content)])
+    return bytes([PACKET_MARK]) + content + bytes([crc_8(content)])
 
 
-Script = list[tuple[list[bytes], int]]
-"""Ticks: packets that come at once before it, and what the sensor sees, 0, 1 or NO_TILE."""
+def frame_of_packet(packet: bytes) -> can.Message | None:
+    """Return the frame of a packet, or None if its checksum is wrong."""
+    content, checksum = packet[1:-1], packet[-1]
+    if crc_8(content) != checksum:
+        return None
+    return can.Message(arbitration_id=int.from_bytes(content[:4], "little"), data=content[4:])
 
 
-def expected(ticks: Script) -> bytes:
-    """What the demonstration robot sends, by the mirror; its radio's queue keeps the first packets."""
-    robot = MirrorRobot(Config(filter=Filter.ROBUST), ROBOT_ID, B_HAT / 2**32)
-    assert robot.b_hat_raw == B_HAT
-    sent, lost = b"", 0
-    for number, (packets, tile) in enumerate(ticks, 1):
-        lost += max(0, len(packets) - SLOTS)
-        for content in (each[1:] for each in packets[:SLOTS]):
-            if checksum(content[:-1]) != content[-1]:
-                lost += 1
-                continue
-            identifier = int.from_bytes(content[:4], "little")
-            message = frames.decode_estimate(
-                can.Message(arbitration_id=identifier, data=content[4:-1]), ESTIMATES
-            )
-            if isinstance(message, Estimate):
-                robot.receive_raw(message.sender, message.x_hat, message.alpha)
-        if tile != NO_TILE:
-            robot.observe(Observation(tile))
-        own = Estimate(ROBOT_ID, robot.x_hat_raw, robot.alpha_raw, (number - 1) % 32)
-        sent += packet(frames.encode_estimate(own, ESTIMATES))
-        robot.settle()
-        if number % 10 == 0:
-            seconds, count, updates = number // 10, (number // 10 - 1) % 32, robot.counters.updates % 256
-            beat = Heartbeat(ROBOT_ID, seconds, count, vendor_status=lost % 256)
-            state = Telemetry(ROBOT_ID, robot.x_raw, robot.b_hat_raw >> 8, updates, count)
-            sent += packet(frames.encode_heartbeat(beat)) + packet(frames.encode_telemetry(state))
-    return sent
-
-
-def script(seed: int, ticks: int, tiles: tuple[int, ...], most_packets: int) -> Script:
-    """A run in a swarm that sees about 70 % black, with packets that are damaged or none of ours."""
-    stream = random.Random(seed)
-    return [
-        ([a_packet(stream) for _ in range(stream.randint(0, most_packets))], stream.choice(tiles))
-        for _ in range(ticks)
-    ]
-
-
-def played(ticks: Script) -> bytes:
-    """The script in the format of scripted_board.c, with noise between the packets."""
-    contents = [(b"\x00\xff".join(packets), tile) for packets, tile in ticks]
-    return b"".join(
-        (bytes([NO_TILE + len(content)]) + content if content else b"") + bytes([tile])
-        for content, tile in contents
-    )
-
-
-def a_packet(stream: random.Random) -> bytes:
-    sender, x_hat = stream.choice((1, 2, 3, ROBOT_ID, 127)), round(2**23 * stream.uniform(0.6, 0.8))
+def draw_packet(stream: random.Random) -> bytes:
+    """Draw an estimate's packet; some are damaged, and some hold no estimate that the robot may use."""
+    sender = stream.choice((1, 2, 3, ROBOT_ID, 127))
+    x_hat = round(2**23 * stream.uniform(0.6, 0.8))
     alpha = alpha_word_from_float(stream.choice((0.0, 1.0, 1e3, 1e8)))
-    frame = frames.encode_estimate(Estimate(sender, x_hat, alpha, stream.randrange(32)), ESTIMATES)
-    if stream.random() < 0.1:  # off the grid, too large, too small, or none
+    frame = frames.encode_estimate(Estimate(sender, x_hat, alpha, stream.randrange(32)), FORMAT)
+    if stream.random() < 0.1:  # an alpha that is off the grid, too large, too small, or none
         frame.data[3:7] = stream.randbytes(4)
-    if stream.random() < 0.2:  # another subject, x_hat too large, no estimate at all
+    if stream.random() < 0.2:  # another subject, an x_hat that is too large, or another kind of frame
         frame.arbitration_id ^= stream.choice((0, 1 << 8))
         frame.data[stream.choice((2, 6, 7))] ^= 0x80
-    whole = bytearray(packet(frame))
+    packet = bytearray(packet_of(frame))
     if stream.random() < 0.1:
-        whole[stream.randrange(1, len(whole))] ^= 1 << stream.randrange(8)
-    return bytes(whole)
+        packet[stream.randrange(1, len(packet))] ^= 1 << stream.randrange(8)
+    return bytes(packet)
 
 
-# --- The page's promises ---------------------------------------------------------------------------------
+# --- Scripts, and what the robot sends in them -----------------------------------------------------------
 
-TARGETS = {
+
+@dataclass(frozen=True)
+class ScriptedTick:
+    """What happens to a robot in a tick.
+
+    Attributes:
+        packets: What its radio receives, all at once, before it observes.
+        tile: What its sensor reads: 0 (white), 1 (black) or NO_TILE.
+    """
+
+    packets: list[bytes]
+    tile: int
+
+
+def draw_script(seed: int, ticks: int, tiles: tuple[int, ...], most_packets: int) -> list[ScriptedTick]:
+    """Draw ticks in a swarm that sees about 70 % black."""
+    stream = random.Random(seed)
+    script = []
+    for _ in range(ticks):
+        packets = [draw_packet(stream) for _ in range(stream.randint(0, most_packets))]
+        script.append(ScriptedTick(packets, stream.choice(tiles)))
+    return script
+
+
+def format_script(script: list[ScriptedTick]) -> bytes:
+    """Return a script in the format that scripted_board.c reads."""
+    formatted = bytearray()
+    for tick in script:
+        received = NOISE.join(tick.packets)
+        if received:
+            formatted += bytes([NO_TILE + len(received)]) + received
+        formatted.append(tick.tile)
+    return bytes(formatted)
+
+
+def receive_packets(robot: MirrorRobot, packets: list[bytes]) -> int:
+    """Let the mirror receive the packets of a tick, and return how many its radio loses.
+
+    Lost are packets with a wrong checksum, and those that find the radio's queue full.
+    """
+    lost = max(0, len(packets) - RADIO_QUEUE)
+    for packet in packets[:RADIO_QUEUE]:
+        frame = frame_of_packet(packet)
+        if frame is None:
+            lost += 1
+            continue
+        message = frames.decode_estimate(frame, FORMAT)
+        if isinstance(message, Estimate):
+            robot.receive_raw(message.sender, message.x_hat, message.alpha)
+    return lost
+
+
+def expected_output(script: list[ScriptedTick]) -> bytes:
+    """Return what the demonstration robot has to send in a script, by the mirror.
+
+    It sends an estimate in each tick, and a heartbeat and telemetry after each ten.
+    """
+    robot = MirrorRobot(Config(filter=Filter.ROBUST), ROBOT_ID, B_HAT / 2**32)
+    assert robot.b_hat_raw == B_HAT
+    output, lost = b"", 0
+    for number, tick in enumerate(script, 1):
+        lost += receive_packets(robot, tick.packets)
+        if tick.tile != NO_TILE:
+            robot.observe(Observation(tick.tile))
+        estimate = Estimate(ROBOT_ID, robot.x_hat_raw, robot.alpha_raw, (number - 1) % 32)
+        output += packet_of(frames.encode_estimate(estimate, FORMAT))
+        robot.settle()
+        if number % 10 == 0:
+            seconds, transfer_id = number // 10, (number // 10 - 1) % 32
+            heartbeat = Heartbeat(ROBOT_ID, seconds, transfer_id, vendor_status=lost % 256)
+            updates = robot.counters.updates % 256
+            telemetry = Telemetry(ROBOT_ID, robot.x_raw, robot.b_hat_raw >> 8, updates, transfer_id)
+            output += packet_of(frames.encode_heartbeat(heartbeat))
+            output += packet_of(frames.encode_telemetry(telemetry))
+    return output
+
+
+# --- The compiled core -----------------------------------------------------------------------------------
+
+COMPILERS = {
     "host": ("gcc", "gcc"),
     "32-bit": ("gcc -m32", "gcc"),
     "Cortex-M4": ("arm-none-eabi-gcc -mcpu=cortex-m4 -mthumb", "gcc-arm-none-eabi"),
@@ -130,52 +176,118 @@ TARGETS = {
     "ATmega328P": ("avr-gcc -mmcu=atmega328p", "gcc-avr avr-libc"),
     "s390x": ("s390x-linux-gnu-gcc", "gcc-s390x-linux-gnu libc6-dev-s390x-cross"),
 }
+"""Compiler and Debian packages of each target."""
 QUICK_TARGETS = ("Cortex-M0+", "ATmega328P")
 """Targets that leave the most to helpers of their compilers."""
-SLOW_TARGETS = [name for name in TARGETS if name not in QUICK_TARGETS]
 PARTS = {"mcp_asdf": "method", "mcp_asdf_image": "saving", "mcp_asdf_frame": "frames"}
-"""What each file is for, as the page's budget of flash says it."""
+"""Files of the core, and the names by which the page's budget of flash has them."""
 MEMORY_CALLS = re.compile(r"(__aeabi_)?mem(cpy|set|clr|move)\d?")
 LONG_DIVISION_OR_FLOAT = re.compile(r"u?(div|mod|divmod)(di|ti)\d|uldivmod|ldivmod|[sdx]f\d|aeabi_[fd]")
 
 
-@pytest.mark.parametrize("part", PARTS)
-@pytest.mark.parametrize("target", [*QUICK_TARGETS, *slow(SLOW_TARGETS)])
-def test_the_core_stands_on_its_own(target: str, part: str, tmp_path: Path) -> None:
-    """No warning on any target, no 64-bit division, float, library or data that can change, and no more flash
-    than the page says. Only the image needs another part: it makes robots with functions of the core.
+@dataclass(frozen=True)
+class CompiledPart:
+    """A part of the core, compiled for a target.
+
+    Attributes:
+        target: Key of COMPILERS.
+        part: Key of PARTS.
+        symbols: Kind, as ``nm`` has it, and name of each symbol.
+        sizes: Bytes of code, of variables with a value and of variables without.
     """
-    (compiler, *flags), packages = TARGETS[target][0].split(), TARGETS[target][1]
+
+    target: str
+    part: str
+    symbols: list[tuple[str, str]]
+    sizes: tuple[int, int, int]
+
+    @property
+    def undefined_symbols(self) -> set[str]:
+        return {name for kind, name in self.symbols if kind == "U"} - {"_GLOBAL_OFFSET_TABLE_"}
+
+
+def section_sizes(tools: str, path: Path) -> tuple[int, int, int]:
+    """Return the bytes of text, data and bss of a file, by ``size`` of a toolchain."""
+    text, data, bss, *_ = run(require(f"{tools}size"), path).splitlines()[1].split()
+    return int(text), int(data), int(bss)
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(
+            (target, part),
+            id=f"{target}-{part}",
+            marks=[] if target in QUICK_TARGETS else [pytest.mark.slow],
+        )
+        for target in COMPILERS
+        for part in PARTS
+    ],
+)
+def compiled_part(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> CompiledPart:
+    """A part of the core, compiled for a target without an operating system and without a warning."""
+    target, part = request.param
+    command, packages = COMPILERS[target]
+    compiler, *flags = command.split()
     require(compiler, packages)
-    tools, out = compiler.removesuffix("gcc"), tmp_path / "core.o"
+    path = tmp_path_factory.mktemp("core") / "core.o"
     freestanding = ("-std=c99", "-pedantic-errors", "-ffreestanding", "-Os", *WARNINGS.split())
-    run(compiler, *flags, *freestanding, "-c", CORE.with_name(f"{part}.c"), "-o", out)
-    symbols = [line.split()[-2:] for line in run(f"{tools}nm", out).splitlines()]
-    undefined = {name for kind, name in symbols if kind == "U"} - {"_GLOBAL_OFFSET_TABLE_"}
-    foreign = {name for name in undefined if not name.startswith("__") and not MEMORY_CALLS.fullmatch(name)}
-    assert foreign == ({"mcp_asdf_init", "mcp_asdf_observe"} if part == "mcp_asdf_image" else set())
-    assert not [name for name in undefined if LONG_DIVISION_OR_FLOAT.search(name)]
-    assert not [name for kind, name in symbols if kind in "bBdDcC"]
-    text, data, bss = map(int, run(f"{tools}size", out).splitlines()[1].split()[:3])
-    assert (data, bss) == (0, 0)
-    (row,) = re.findall(rf"^\| flash, {PARTS[part]} \| (.*) \|$", TEXT, re.MULTILINE)
-    for budget in re.findall(rf"([\d.]+) KB \({re.escape(target)}\)", row):
-        assert 0.8 * float(budget) < text / 1000 <= float(budget)
+    run(compiler, *flags, *freestanding, "-c", CORE.with_name(f"{part}.c"), "-o", path)
+    tools = compiler.removesuffix("gcc")
+    symbols = []
+    for line in run(f"{tools}nm", path).splitlines():
+        *_, kind, name = line.split()
+        symbols.append((kind, name))
+    return CompiledPart(target, part, symbols, section_sizes(tools, path))
 
 
-def test_it_does_what_the_mirror_does(tmp_path: Path) -> None:
-    """The project of the page, with a script for a board; the page shows the end of the robot."""
-    robot = (PORTS / "demo.c").read_text(encoding="utf-8")
-    assert robot.endswith("\n" + blocks(PAGE, "c")[0])
+def test_the_core_calls_no_library_but_the_compilers_helpers(compiled_part: CompiledPart) -> None:
+    """The image makes robots with two functions of another part of the core."""
+    foreign_symbols = {
+        name
+        for name in compiled_part.undefined_symbols
+        if not name.startswith("__") and not MEMORY_CALLS.fullmatch(name)
+    }
+    is_image = compiled_part.part == "mcp_asdf_image"
+    assert foreign_symbols == ({"mcp_asdf_init", "mcp_asdf_observe"} if is_image else set())
+
+
+def test_the_core_needs_neither_long_divisions_nor_floats(compiled_part: CompiledPart) -> None:
+    assert not any(LONG_DIVISION_OR_FLOAT.search(name) for name in compiled_part.undefined_symbols)
+
+
+def test_the_core_has_no_variables(compiled_part: CompiledPart) -> None:
+    assert not any(kind in "bBdDcC" for kind, _ in compiled_part.symbols)
+    assert compiled_part.sizes[1:] == (0, 0)
+
+
+def test_the_core_takes_the_flash_that_the_page_states(compiled_part: CompiledPart) -> None:
+    part_name = PARTS[compiled_part.part]
+    [row] = re.findall(rf"^\| flash, {part_name} \| (.*) \|$", TEXT, re.MULTILINE)
+    for budget in re.findall(rf"([\d.]+) KB \({re.escape(compiled_part.target)}\)", row):
+        assert 0.8 * float(budget) < compiled_part.sizes[0] / 1000 <= float(budget)
+
+
+# --- On this computer ------------------------------------------------------------------------------------
+
+
+def test_the_page_shows_the_end_of_the_demonstration_robot() -> None:
+    assert (PORTS / "demo.c").read_text(encoding="utf-8").endswith("\n" + blocks(PAGE, "c")[0])
+
+
+def test_the_robot_on_a_scripted_board_does_what_the_mirror_does(tmp_path: Path) -> None:
+    """The project is the page's."""
     (tmp_path / "mcp-asdf").symlink_to(ROOT)
     (tmp_path / "CMakeLists.txt").write_text(blocks(PAGE, "cmake")[0])
-    (tmp_path / "main.c").write_text(robot)
+    shutil.copy(PORTS / "demo.c", tmp_path / "main.c")
     shutil.copy(Path(__file__).with_name("scripted_board.c"), tmp_path / "board.c")
     run(require("cmake"), "-S", tmp_path, "-B", tmp_path / "build", CFLAGS=WARNINGS)
     run("cmake", "--build", tmp_path / "build")
-    ticks = script(seed=5, ticks=2500, tiles=(0, 1, 1, 2), most_packets=15)
-    done = subprocess.run([tmp_path / "build/robot"], input=played(ticks), capture_output=True, check=True)
-    assert done.stdout == b"?" + expected(ticks)  # after the board's greeting
+    script = draw_script(seed=5, ticks=2500, tiles=(0, 1, 1, 2), most_packets=15)
+    done = subprocess.run(
+        [tmp_path / "build/robot"], input=format_script(script), capture_output=True, check=True
+    )
+    assert done.stdout == b"?" + expected_output(script), "which begins with the board's greeting"
 
 
 # --- Over a reset ------------------------------------------------------------------------------------------
@@ -202,171 +314,235 @@ void board_load(uint8_t copy, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 int main(void)
 {
     static const mcp_asdf_config_t config = {0, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
-    const unsigned whole = 2 * MCP_ASDF_IMAGE_SIZE;
-    mcp_asdf_t robot, found;
+    const unsigned all_bytes = 2 * MCP_ASDF_IMAGE_SIZE;
+    mcp_asdf_t robot, restarted;
     memset(memory, 0xFF, sizeof memory);
     if (begin(&robot, &config, 3, 0xC0000000) != MCP_ASDF_OK || mcp_asdf_t_count(&robot) != 0) {
         return 1;
     }
-    for (unsigned fails = 0; fails <= whole; ++fails) {
-        bytes_left = whole;
+    for (unsigned written = 0; written <= all_bytes; ++written) {
+        bytes_left = all_bytes;
         keep(&robot);
         mcp_asdf_step(&robot, MCP_ASDF_BLACK);
-        bytes_left = fails;
+        bytes_left = written;
         keep(&robot);
-        begin(&found, &config, 3, 0xC0000000);
-        printf("%lu ", (unsigned long)(mcp_asdf_t_count(&robot) - mcp_asdf_t_count(&found)));
+        begin(&restarted, &config, 3, 0xC0000000);
+        printf("%lu ", (unsigned long)(mcp_asdf_t_count(&robot) - mcp_asdf_t_count(&restarted)));
     }
-    return begin(&found, &config, 4, 0x40000000) != MCP_ASDF_OK || mcp_asdf_id(&found) != 4 ||
-           mcp_asdf_t_count(&found) != 0 || mcp_asdf_b_hat(&found) != 0x40000000;
+    /* A robot of another id begins anew, whatever is stored. */
+    return begin(&restarted, &config, 4, 0x40000000) != MCP_ASDF_OK || mcp_asdf_id(&restarted) != 4 ||
+           mcp_asdf_t_count(&restarted) != 0 || mcp_asdf_b_hat(&restarted) != 0x40000000;
 }
 """
 
 
-def test_it_goes_on_whenever_the_power_fails(tmp_path: Path) -> None:
-    """Observations lost after a power failure at every byte of the writing: one until a copy is whole. At the
-    end both copies are, and a robot of another id begins anew in spite of them.
-    """
+def test_a_robot_loses_one_observation_if_the_power_fails_while_it_is_saved(tmp_path: Path) -> None:
+    """The power fails at every byte of two copies; once the first is written, nothing is lost."""
     (tmp_path / "main.c").write_text(blocks(PAGE, "c")[1] + POWER_FAILS)
     sources = [tmp_path / "main.c", CORE, CORE.with_name("mcp_asdf_image.c")]
-    run("cc", "-std=c99", *WARNINGS.split(), f"-I{ROOT}/c_ref/src", *sources, "-o", tmp_path / "robot")
-    lost = [int(number) for number in run(tmp_path / "robot").split()]
-    assert lost == [1] * IMAGE_SIZE + [0] * (IMAGE_SIZE + 1)
+    run("cc", "-std=c99", *WARNINGS.split(), f"-I{CORE.parent}", *sources, "-o", tmp_path / "robot")
+    lost_observations = [int(number) for number in run(tmp_path / "robot").split()]
+    assert lost_observations == [1] * IMAGE_SIZE + [0] * (IMAGE_SIZE + 1)
 
 
-# --- The whole firmware of an ATmega328P -------------------------------------------------------------------
+# --- On an ATmega328P ------------------------------------------------------------------------------------
+
+AVR_PACKAGES = "gcc-avr avr-libc libsimavr-dev"
+UART_STATE, DOUBLE_SPEED_BIT = 0xC0, 2
+UART_DIVISOR = 0xC4
+"""Registers of the chip; the divisor has two bytes, the lower one first."""
 
 
-PACKAGES = "gcc-avr avr-libc libsimavr-dev"
-CLOCKS = {"Uno": (16_000_000, 115_200), "Kilobot": (8_000_000, 38_400)}
-"""Hertz of the chip and bits a second of its serial line."""
-UART_STATE, DOUBLE_SPEED, UART_DIVISOR = 0xC0, 2, 0xC4
-"""Registers of the chip, and a bit of the first."""
-KILOBOT = re.compile(r"-D(?:F_CPU|BAUD)=\w+")
-"""In the page: what to add to the command for a Kilobot."""
+@dataclass(frozen=True)
+class AvrBoard:
+    """A board with an ATmega328P.
+
+    Attributes:
+        clock: Frequency of the chip, in Hz.
+        baud: Bits a second on its serial line.
+        macros: What the page adds to the command that builds an image for the Uno.
+    """
+
+    clock: int
+    baud: int
+    macros: tuple[str, ...] = ()
 
 
-def avr_image(folder: Path, *macros: str) -> Path:
-    """The robot's image, built by the page's command; it leaves half of the flash and most of the memory."""
-    require("avr-gcc", PACKAGES)
-    command = block_with(PAGE, "avr-gcc", "console")
+UNO = AvrBoard(clock=16_000_000, baud=115_200)
+KILOBOT = AvrBoard(clock=8_000_000, baud=38_400, macros=tuple(re.findall(r"-D(?:F_CPU|BAUD)=\w+", TEXT)))
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(KILOBOT, id="Kilobot"), pytest.param(UNO, id="Uno", marks=pytest.mark.slow)],
+)
+def avr_image(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[AvrBoard, Path]:
+    """A board, and the image of the robot that the page's command builds for it."""
+    board: AvrBoard = request.param
+    require("avr-gcc", AVR_PACKAGES)
+    folder = tmp_path_factory.mktemp("avr")
     (folder / "c_ref").symlink_to(ROOT / "c_ref")
     (folder / "tables").symlink_to(ROOT / "tables")
-    run(*command.replace("\\\n", " ").split(), *WARNINGS.split(), *macros, cwd=folder)
-    image = folder / "robot.elf"
-    text, data, bss = map(int, run(require("avr-size"), image).splitlines()[1].split()[:3])
-    assert text + data < 15.2 * 1000 and data + bss < 300
-    return image
+    command = block_with(PAGE, "avr-gcc", "console").replace("\\\n", " ")
+    run(*command.split(), *WARNINGS.split(), *board.macros, cwd=folder)
+    return board, folder / "robot.elf"
 
 
-@pytest.mark.parametrize("board", ["Kilobot", *slow(["Uno"])])
-def test_it_does_the_same_on_an_atmega(board: str, tmp_path: Path) -> None:
-    """With the chip's own timer, ADC and UART interrupt: ten ticks a second by the board's clock, bytes as
-    fast as the line can bring them, and a UART of the line's speed.
-    """
+def test_the_robot_leaves_half_of_the_flash_and_most_of_the_memory(avr_image: tuple[AvrBoard, Path]) -> None:
+    text, data, bss = section_sizes("avr-", avr_image[1])
+    assert text + data < 15.2 * 1000
+    assert data + bss < 300
+
+
+def play_script(robot: Board, board: AvrBoard, script: list[ScriptedTick]) -> None:
+    """Run a script of ten ticks a second, with bytes as fast as the serial line can bring them."""
+    cycles_of_a_tick, cycles_of_a_byte = board.clock // 10, board.clock // (board.baud // 10)
+    end_of_tick = cycles_of_a_tick // 2  # half a tick away from the robot's own
+    robot.run_until(end_of_tick)
+    for tick in script:
+        for byte in NOISE.join(tick.packets):
+            robot.receive_byte(byte)
+            robot.run_until(robot.cycle + cycles_of_a_byte)
+        robot.place_on_tile(tick.tile)
+        end_of_tick += cycles_of_a_tick
+        robot.run_until(end_of_tick)
+
+
+def test_the_robot_on_an_atmega_does_what_the_mirror_does(avr_image: tuple[AvrBoard, Path]) -> None:
+    """It uses the chip's own timer, analogue-to-digital converter and interrupt of the UART."""
     require_simavr()
-    image = avr_image(tmp_path, *(KILOBOT.findall(TEXT) if board == "Kilobot" else ()))
-    clock, baud = CLOCKS[board]
-    ticks, said = script(seed=7, ticks=60, tiles=(0, 1, 1), most_packets=5), bytearray()
-    robot = Board(image, clock, said.append)
-    now = clock // 20  # half a tick away from the robot's
-    robot.run(now)
-    for packets, tile in ticks:
-        for byte in b"\x00\xff".join(packets):
-            robot.hear(byte)
-            robot.run(robot.cycle + clock // (baud // 10))
-        robot.see(tile)
-        now += clock // 10
-        robot.run(now)
-    assert said == expected(ticks)
-    state, (low, high) = robot.registers[UART_STATE], robot.registers[UART_DIVISOR : UART_DIVISOR + 2]
-    made = clock / (8 if ord(state) & DOUBLE_SPEED else 16) / (low + 256 * high + 1)
-    assert made == pytest.approx(baud, rel=0.025)
+    board, image = avr_image
+    script, output = draw_script(seed=7, ticks=60, tiles=(0, 1, 1), most_packets=5), bytearray()
+    play_script(Board(image, board.clock, output.append), board, script)
+    assert output == expected_output(script)
+
+
+def test_the_robot_sets_the_uart_to_the_speed_of_the_line(avr_image: tuple[AvrBoard, Path]) -> None:
+    require_simavr()
+    board, image = avr_image
+    robot = Board(image, board.clock, bytearray().append)
+    robot.run_until(board.clock // 10)
+    low, high = robot.registers[UART_DIVISOR : UART_DIVISOR + 2]
+    has_double_speed = ord(robot.registers[UART_STATE]) & DOUBLE_SPEED_BIT
+    cycles_of_a_bit = (8 if has_double_speed else 16) * (low + 256 * high + 1)
+    assert board.clock / cycles_of_a_bit == pytest.approx(board.baud, rel=0.025)
 
 
 # --- Two Kilobots ------------------------------------------------------------------------------------------
 
-TELLING = "uint32_t told(void) { return mcp_asdf_x(&robot); }\n"
-KILOBOTS, ROUND, WAITING = (5, 6), 32, 8
-"""Ids, ticks of a round, and messages that a Kilobot keeps until it looks at them."""
+READ_X = "uint32_t read_x(void) { return mcp_asdf_x(&robot); }\n"
+"""Function behind the page's robot; kilobot/kilolib.h declares it."""
+TICKS_OF_A_ROUND = 32
+KEPT_MESSAGES = 8
+"""Messages that a Kilobot keeps until its loop runs."""
+NO_LIGHT = -1
+"""What kilolib returns if the light cannot be measured."""
 
 
 class Kilobot:
     """The page's robot on a simulated ATmega328P, whose functions are called as kilolib calls them."""
 
-    def __init__(self, machine: Any, own_id: int) -> None:
+    def __init__(self, machine: Any, robot_id: int) -> None:
         self.machine = machine
-        self.set("kilo_uid", own_id.to_bytes(2, "little"))
+        self.set_variable("kilo_uid", robot_id.to_bytes(2, "little"))
         self.machine.call("main")
 
-    def set(self, name: str, value: bytes) -> None:
+    def set_variable(self, name: str, value: bytes) -> None:
         """Set a variable of kilobot/kilolib.h."""
         self.machine.write(self.machine.image.address(name), value)
 
-    def says(self) -> bytes:
-        """The message that it broadcasts now."""
-        return bytes(self.machine.read(self.machine.call("message_tx").value >> 16, 12))
+    def broadcast(self) -> bytes:
+        """Return the message that the robot sends now."""
+        address = self.machine.call("message_tx").value >> 16
+        return bytes(self.machine.read(address, 12))
 
-    def hears(self, message: bytes) -> None:
-        """A message comes, from near."""
-        self.set("kilo_heard", message)
+    def receive(self, message: bytes) -> None:
+        """Let the robot receive a message from a robot nearby."""
+        self.set_variable("kilo_heard", message)
         self.machine.call("message_rx", (self.machine.image.address("kilo_heard"), 2), (0, 2))
 
-    def loops(self, tick: int, light: int) -> int:
-        """It looks at its clock and at the light; returns x."""
-        self.set("kilo_ticks", tick.to_bytes(4, "little"))
-        self.set("kilo_light", light.to_bytes(2, "little", signed=True))
+    def run_loop(self, tick: int, light: int) -> int:
+        """Run the robot's loop at a tick and in a light, and return x."""
+        self.set_variable("kilo_ticks", tick.to_bytes(4, "little"))
+        self.set_variable("kilo_light", light.to_bytes(2, "little", signed=True))
         self.machine.call("loop")
-        return int(self.machine.call("told").value)
+        return int(self.machine.call("read_x").value)
 
 
-@pytest.mark.slow
-def test_two_kilobots_exchange_estimates(tmp_path: Path) -> None:
-    """And hear others, of which more may come at once than they keep; now and then no light can be read."""
-    machines = pytest.importorskip("benchmarks.cost.machines", reason="unicorn is not installed: make setup")
-    require("avr-gcc", PACKAGES)
-    require_simavr()
-    code = block_with(PAGE, "kilolib.h", "c")
-    (tmp_path / "kilobot.c").write_text(code + TELLING, encoding="utf-8")
-    sources = [*CORE.parent.glob("*.c"), ROOT / "tables/t_table_omega05_q30.c", tmp_path / "kilobot.c"]
-    flags = "-mmcu=atmega328p -Os -std=gnu99 -ffunction-sections -Wl,--gc-sections -Wl,-u,told"
-    include = (f"-I{CORE.parent}", f"-I{Path(__file__).parent / 'kilobot'}")
-    run("avr-gcc", *flags.split(), *WARNINGS.split(), *include, *sources, "-o", tmp_path / "kilobot.elf")
-    image, draw = Image(AVR, tmp_path / "kilobot.elf"), random.Random(9)
-    config = Config(filter=Filter.ROBUST)
-    both = [
-        (Kilobot(machines.AvrMachine(image), each), MirrorRobot(config, each, B_HAT / 2**32))
-        for each in KILOBOTS
-    ]
-    for number in range(40):
-        for (robot, mirror), (other, _) in (both, both[::-1]):
-            own = Estimate(mirror.id, mirror.x_hat_raw, mirror.alpha_raw, number % 32)
-            assert robot.says() == said(own)
-            ids = draw.sample(range(7, 40), draw.choice((0, 1, 9)))
-            strangers = [said(Estimate(each, draw.randrange(2**23), 0x80000001, 0)) for each in ids]
-            heard = [other.says(), *strangers, b"\xff" * 12]
-            for message in heard:
-                robot.hears(message)
-            for message in heard[:WAITING]:
-                found = frames.decode_estimate(frame_of(message), ESTIMATES)
-                if isinstance(found, Estimate):
-                    mirror.receive_raw(found.sender, found.x_hat, found.alpha)
-            assert robot.loops(ROUND * number + ROUND - 1, 0) == mirror.x_raw, "the round goes on"
-            light = draw.choice((-1, 511, 511, 512, 1023))
-            mirror.settle()
-            if light >= 0:
-                mirror.observe(Observation(light < 512))
-            assert robot.loops(ROUND * (number + 1), light) == mirror.x_raw
-    assert all(mirror.counters.repeated + mirror.counters.accepted > 40 for _, mirror in both)
-
-
-def said(message: Estimate) -> bytes:
-    """What a Kilobot makes of an estimate: node id, data, type and checksum."""
-    frame = frames.encode_estimate(message, ESTIMATES)
+def kilobot_message(estimate: Estimate) -> bytes:
+    """Return the message that a Kilobot makes of an estimate: node id, data, type and checksum."""
+    frame = frames.encode_estimate(estimate, FORMAT)
     return bytes([frame.arbitration_id & 0x7F, *frame.data, 0, 0x34, 0x12])
 
 
-def frame_of(message: bytes) -> can.Message:
-    """The estimate's frame of a message."""
-    empty = frames.encode_estimate(Estimate(0, 0, 0, 0), ESTIMATES)
-    return can.Message(arbitration_id=empty.arbitration_id | message[0], data=message[1:9])
+def receive_kilobot_message(mirror: MirrorRobot, message: bytes) -> None:
+    """Let the mirror receive a Kilobot's message, if it is an estimate."""
+    empty_frame = frames.encode_estimate(Estimate(0, 0, 0, 0), FORMAT)
+    frame = can.Message(arbitration_id=empty_frame.arbitration_id | message[0], data=message[1:9])
+    estimate = frames.decode_estimate(frame, FORMAT)
+    if isinstance(estimate, Estimate):
+        mirror.receive_raw(estimate.sender, estimate.x_hat, estimate.alpha)
+
+
+@dataclass(frozen=True)
+class KilobotWithMirror:
+    """A Kilobot, and the mirror that it has to equal."""
+
+    kilobot: Kilobot
+    mirror: MirrorRobot
+
+
+@pytest.fixture
+def kilobots(tmp_path: Path) -> Iterator[list[KilobotWithMirror]]:
+    """Two Kilobots with the page's program, and their mirrors."""
+    machines = pytest.importorskip("benchmarks.cost.machines", reason="unicorn is not installed: make setup")
+    require("avr-gcc", AVR_PACKAGES)
+    require_simavr()
+    (tmp_path / "kilobot.c").write_text(block_with(PAGE, "kilolib.h", "c") + READ_X, encoding="utf-8")
+    flags = "-mmcu=atmega328p -Os -std=gnu99 -ffunction-sections -Wl,--gc-sections -Wl,-u,read_x"
+    include = (f"-I{CORE.parent}", f"-I{Path(__file__).parent / 'kilobot'}")
+    sources = [*CORE.parent.glob("*.c"), TABLE, tmp_path / "kilobot.c"]
+    run("avr-gcc", *flags.split(), *WARNINGS.split(), *include, *sources, "-o", tmp_path / "kilobot.elf")
+    image = Image(AVR, tmp_path / "kilobot.elf")
+    yield [
+        KilobotWithMirror(
+            Kilobot(machines.AvrMachine(image), robot_id),
+            MirrorRobot(Config(filter=Filter.ROBUST), robot_id, B_HAT / 2**32),
+        )
+        for robot_id in (5, 6)
+    ]
+
+
+@pytest.mark.slow
+def test_two_kilobots_do_what_their_mirrors_do(kilobots: list[KilobotWithMirror]) -> None:
+    """Others broadcast, too, and sometimes more than a Kilobot keeps; sometimes there is no light."""
+    stream = random.Random(9)
+    for round_number in range(40):
+        for robot, other in (kilobots, kilobots[::-1]):
+            kilobot, mirror = robot.kilobot, robot.mirror
+            estimate = Estimate(mirror.id, mirror.x_hat_raw, mirror.alpha_raw, round_number % 32)
+            assert kilobot.broadcast() == kilobot_message(estimate)
+
+            other_ids = stream.sample(range(7, 40), stream.choice((0, 1, 9)))
+            messages = [other.kilobot.broadcast()]
+            messages += [
+                kilobot_message(Estimate(sender, stream.randrange(2**23), 0x80000001, 0))
+                for sender in other_ids
+            ]
+            messages.append(b"\xff" * 12)
+            for message in messages:
+                kilobot.receive(message)
+            for message in messages[:KEPT_MESSAGES]:
+                receive_kilobot_message(mirror, message)
+
+            end_of_round = TICKS_OF_A_ROUND * (round_number + 1)
+            assert kilobot.run_loop(end_of_round - 1, light=0) == mirror.x_raw, "the round goes on"
+            light = stream.choice((NO_LIGHT, 511, 511, 512, 1023))
+            mirror.settle()
+            if light != NO_LIGHT:
+                mirror.observe(Observation(light < 512))
+            assert kilobot.run_loop(end_of_round, light) == mirror.x_raw
+    for robot in kilobots:
+        assert robot.mirror.counters.repeated + robot.mirror.counters.accepted > 40

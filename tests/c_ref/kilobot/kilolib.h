@@ -29,7 +29,7 @@ volatile uint32_t kilo_ticks;
 uint16_t kilo_uid;
 volatile int16_t kilo_light;
 volatile uint8_t kilo_colour;
-uint32_t told(void); /* x, behind the robot */
+uint32_t read_x(void); /* defined behind the page's robot */
 
 static uint16_t message_crc(const message_t *message) { return message->type == NORMAL ? CRC : 0; }
 static int16_t get_ambientlight(void) { return kilo_light; }
