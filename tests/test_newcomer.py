@@ -1,14 +1,14 @@
-"""A newcomer's first hour: what README and tutorials print, typed into an environment that has the base
-alone, and then with the extra that the page names.
+"""A newcomer's first hour: README and tutorials, in an environment with the base alone, then with an extra.
 
-The environment is real but for the download: it finds the packages of this one, less those of extras that are
-not installed there.
+The environment is real but for the download: it finds the packages of this one, without those of extras that
+are not installed there.
 """
 
 from __future__ import annotations
 
 import re
 import sysconfig
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -17,58 +17,100 @@ import test_tutorials
 from mcp_asdf_tools.common.extras import install_instruction
 from support import HIDING, ROOT, block_with, blocks, require, run
 
-EXPERIMENT, INSTALLING = ROOT / "docs/experiment_tutorial.md", ROOT / "docs/installing.md"
-SYSTEM = "/usr/local/bin:/usr/bin:/bin"
+README = ROOT / "README.md"
+EXPERIMENT_TUTORIAL, INSTALLING = ROOT / "docs/experiment_tutorial.md", ROOT / "docs/installing.md"
+SYSTEM_PATH = "/usr/local/bin:/usr/bin:/bin"
+MAKE, INSTALL, ACTIVATE, FIRST_COMMAND = blocks(INSTALLING, "sh")[0].splitlines()
+"""The lines by which docs/installing.md makes and tries an environment."""
 
 
-def make_environment(folder: Path, command: str) -> None:
-    """Make it with the page's command, and put in place what pip would."""
-    run("sh", "-exc", f"{command} --without-pip", cwd=folder)
-    (packages,) = folder.glob(".venv/lib/python*/site-packages")
+def make_environment(folder: Path) -> None:
+    """Make an environment in ``folder`` with the page's command, and put in place what pip would install."""
+    run("sh", "-exc", f"{MAKE} --without-pip", cwd=folder)
+    [packages] = folder.glob(".venv/lib/python*/site-packages")
+    packages_here = sysconfig.get_path("purelib")
     (packages / "hiding.py").write_text(HIDING)
-    here = sysconfig.get_path("purelib")
-    (packages / "installed.pth").write_text(f"import site; site.addsitedir({here!r})\nimport hiding\n")
+    (packages / "installed.pth").write_text(
+        f"import site; site.addsitedir({packages_here!r})\nimport hiding\n"
+    )
     program = folder / ".venv/bin/mcp-asdf"
     program.write_text(f'#!/bin/sh\nexec {program.with_name("python")} -m mcp_asdf_tools.cli.main "$@"\n')
     program.chmod(0o755)
 
 
-@pytest.mark.slow
-def test_the_first_hour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@dataclass(frozen=True)
+class Newcomer:
+    """Somebody at a shell in the new environment.
+
+    Attributes:
+        folder: Where the shell is.
+    """
+
+    folder: Path
+
+    def enter(self, *lines: str) -> str:
+        """Run lines in the shell, and return what they print."""
+        return run("sh", "-ec", "\n".join((ACTIVATE, *lines)), cwd=self.folder, MPLBACKEND="Agg")
+
+    def run_python(self, program: str, shell_ending: str = "") -> str:
+        """Run a program in Python, and return what it prints."""
+        (self.folder / "program.py").write_text(program)
+        return self.enter(f"python program.py {shell_ending}")
+
+
+@pytest.fixture
+def newcomer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Newcomer:
+    """Somebody whose environment has no extra; the variable EXTRAS names those that are installed later."""
     require("cc", "gcc libc6-dev")
-    readme, refused = ROOT / "README.md", "2>&1 || echo exit code $?"
-    (block,) = blocks(INSTALLING, "sh")
-    make, install, activate, first = block.splitlines()
-    assert re.fullmatch(r"\.venv/bin/python -m pip install '\.\[all\]'", install)
-    make_environment(tmp_path, make)
-    monkeypatch.setattr("support.PATH", SYSTEM)
+    make_environment(tmp_path)
+    monkeypatch.setattr("support.PATH", SYSTEM_PATH)
     monkeypatch.setenv("EXTRAS", "")
+    return Newcomer(tmp_path)
 
-    def types(*lines: str) -> str:
-        return run("sh", "-ec", "\n".join((activate, *lines)), cwd=tmp_path, MPLBACKEND="Agg")
 
-    def runs(program: str, ending: str = "") -> str:
-        (tmp_path / "program.py").write_text(program)
-        return types(f"python program.py {ending}")
+@pytest.mark.slow
+def test_the_page_installs_all_extras() -> None:
+    assert re.fullmatch(r"\.venv/bin/python -m pip install '\.\[all\]'", INSTALL)
 
-    types(f"{first} --steps 300 --quiet")
-    (tmp_path / "robot.c").write_text(blocks(readme, "c")[0])
-    printed = types(block_with(readme, "robot.c", "sh"))
-    assert printed.endswith(block_with(readme, "share of black 0.685", "text"))
-    assert runs(blocks(readme, "python")[0]) == block_with(readme, "tick 1000", "text")
 
-    with monkeypatch.context() as inside:
-        inside.setattr("support.PATH", f"{tmp_path}/.venv/bin:{SYSTEM}")
-        test_tutorials.build_alone(tmp_path)
+@pytest.mark.slow
+def test_the_first_command_of_the_page_runs(newcomer: Newcomer) -> None:
+    newcomer.enter(f"{FIRST_COMMAND} --steps 300 --quiet")
 
-    program, *more = blocks(EXPERIMENT, "python")
-    (extra,) = re.findall(r"with the extra `(\w+)`", EXPERIMENT.read_text(encoding="utf-8"))
-    *_, last, code = runs(program, refused).splitlines()
-    assert code == "exit code 1" and last.endswith(install_instruction(extra)), "as the page says"
+
+@pytest.mark.slow
+def test_the_programs_of_the_readme_print_what_it_shows(newcomer: Newcomer) -> None:
+    (newcomer.folder / "robot.c").write_text(blocks(README, "c")[0])
+    printed = newcomer.enter(block_with(README, "robot.c", "sh"))
+    assert printed.endswith(block_with(README, "share of black 0.685", "text"))
+    printed = newcomer.run_python(blocks(README, "python")[0])
+    assert printed == block_with(README, "tick 1000", "text")
+
+
+@pytest.mark.slow
+def test_the_robot_of_the_tutorial_needs_no_extra(
+    newcomer: Newcomer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("support.PATH", f"{newcomer.folder}/.venv/bin:{SYSTEM_PATH}")
+    assert test_tutorials.build_first_robot(newcomer.folder).endswith("share of black 1.000\n")
+
+
+@pytest.mark.slow
+def test_the_experiment_of_the_tutorial_runs_with_the_extra_that_it_names(
+    newcomer: Newcomer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    programs = blocks(EXPERIMENT_TUTORIAL, "python")
+    [extra] = re.findall(r"with the extra `(\w+)`", EXPERIMENT_TUTORIAL.read_text(encoding="utf-8"))
+    printed = newcomer.run_python(programs[0], "2>&1 || echo exit code $?").splitlines()
+    assert printed[-1] == "exit code 1"
+    assert printed[-2].endswith(install_instruction(extra)), "as the page says"
+
     monkeypatch.setenv("EXTRAS", extra)
-    for each in (program, *more):
-        runs(each)
-    types(*blocks(EXPERIMENT, "sh"))
-    types("mcp-asdf view question.parquet --where density=0.5 --where filter=none --export page.html")
-    made = {"one_trial.png", "comparison.png", "question.png", "page.html"}
-    assert made <= {path.name for path in tmp_path.iterdir()}
+    for program in programs:
+        newcomer.run_python(program)
+    newcomer.enter(*blocks(EXPERIMENT_TUTORIAL, "sh"))
+    newcomer.enter(
+        "mcp-asdf view question.parquet --where density=0.5 --where filter=none --export page.html"
+    )
+    pictures_and_page = {"one_trial.png", "comparison.png", "question.png", "page.html"}
+    assert pictures_and_page <= {path.name for path in newcomer.folder.iterdir()}

@@ -19,60 +19,63 @@ import pytest
 from support import PATH, PATIENCE, ROOT, blocks, interruptible, require, run
 
 PAGE = ROOT / "docs/robot_tutorial.md"
-PORT = "20001"
+PORT_OF_THE_PAGE = "20001"
+
+
+def write_file(block: str, folder: Path) -> None:
+    """Write a block of the page to the file that its first line, a comment, names."""
+    [name] = re.findall(r"my_robot/\S+", block.splitlines()[0])
+    (folder / name).write_text(block)
+
+
+def build_first_robot(folder: Path) -> str:
+    """Do what the first two parts of the page say, and return what the robot prints."""
+    require("cmake")
+    get_firmware, build_and_start, *_ = blocks(PAGE, "sh")
+    run("sh", "-exc", get_firmware, cwd=folder)
+    write_file(blocks(PAGE, "c")[0], folder)
+    write_file(blocks(PAGE, "cmake")[0], folder)
+    return run("sh", "-exc", build_and_start, cwd=folder)
 
 
 @contextmanager
-def swarm() -> Iterator[str]:
-    """The page's swarm at a free port, which is yielded."""
-    (command,) = [block for block in blocks(PAGE, "sh") if block.startswith("mcp-asdf swarm")]
-    words = shlex.split(command.replace(PORT, "0"))
-    words[0] = str(shutil.which(words[0], path=PATH))
+def running_swarm() -> Iterator[str]:
+    """Run the page's swarm while the block runs, and yield its port, which is a free one."""
+    [command] = [block for block in blocks(PAGE, "sh") if block.startswith("mcp-asdf swarm")]
+    program, *options = shlex.split(command.replace(PORT_OF_THE_PAGE, "0"))
+    path = shutil.which(program, path=PATH)
+    assert path is not None
     with interruptible():
-        started = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    with started as running:
-        assert running.stderr
+        started = subprocess.Popen(
+            [path, *options], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
+    with started as swarm:
+        assert swarm.stderr is not None
         try:
-            where = re.search(r"socket://\S+:(\d+)", running.stderr.readline())
-            assert where
-            yield where[1]
+            address = re.search(r"socket://\S+:(\d+)", swarm.stderr.readline())
+            assert address is not None
+            yield address[1]
         finally:
-            running.send_signal(signal.SIGINT)
-            running.communicate(timeout=PATIENCE)
+            swarm.send_signal(signal.SIGINT)
+            swarm.communicate(timeout=PATIENCE)
 
 
-def test_the_robot_of_the_tutorial_is_built_and_runs(tmp_path: Path) -> None:
-    build_alone(tmp_path)
-
-
-def build_alone(folder: Path) -> None:
-    """The first two parts of the page."""
-    require("cmake")
-    firmware, alone, *_ = blocks(PAGE, "sh")
-    run("sh", "-exc", firmware, cwd=folder)
-    for text in (blocks(PAGE, "c")[0], blocks(PAGE, "cmake")[0]):
-        write(text, folder)
-    assert run("sh", "-exc", alone, cwd=folder).endswith("share of black 1.000\n")
+def test_the_first_robot_of_the_tutorial_is_built_and_runs(tmp_path: Path) -> None:
+    assert build_first_robot(tmp_path).endswith("share of black 1.000\n")
 
 
 @pytest.mark.slow
-def test_the_robot_learns_its_accuracy_from_the_others(tmp_path: Path) -> None:
+def test_the_second_robot_of_the_tutorial_learns_its_accuracy_from_the_swarm(tmp_path: Path) -> None:
     require("bash")
-    build_alone(tmp_path)
-    write(blocks(PAGE, "c")[1], tmp_path)
-    with swarm() as port:
-        command = ["sh", "-exc", blocks(PAGE, "sh")[-1].replace(PORT, port)]
-        done = subprocess.run(
+    build_first_robot(tmp_path)
+    write_file(blocks(PAGE, "c")[1], tmp_path)
+    with running_swarm() as port:
+        command = ["sh", "-exc", blocks(PAGE, "sh")[-1].replace(PORT_OF_THE_PAGE, port)]
+        robot = subprocess.run(
             command, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=PATIENCE
         )
-    learnt = re.findall(r"share of black (\S+), my sensor is right (\d+) times in 1000", done.stderr)
-    assert learnt, done.stderr
-    for share, accuracy in learnt:
-        assert 0.75 < float(share) < 1
-        assert 800 <= int(accuracy) <= 1000
-
-
-def write(block: str, folder: Path) -> None:
-    """A block whose first line is a comment with the file's name."""
-    (name,) = re.findall(r"my_robot/\S+", block.splitlines()[0])
-    (folder / name).write_text(block)
+    states = re.findall(r"share of black (\S+), my sensor is right (\d+) times in 1000", robot.stderr)
+    assert states, robot.stderr
+    for share_of_black, thousandths in states:
+        assert 0.75 < float(share_of_black) < 1
+        assert 800 <= int(thousandths) <= 1000

@@ -1,8 +1,11 @@
-"""What no test can bring about from outside the Linux node: the kernel is asked to filter, and the clock
-counts right (faults.c)."""
+"""What no test can bring about from outside the Linux node: the kernel's filter, and a clock that is late.
+
+The program faults.c takes the place of the system, and checks what the node asks of it.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -10,47 +13,80 @@ import pytest
 from support import CORE, ROOT, TABLE, require, run
 from targets.c_node import WARNINGS
 
-LINUX = ROOT / "c_ref/ports/linux"
-WRAPPED = ("if_nametoindex", "socket", "setsockopt", "bind")
-PLANTED = (
-    ("main.c", "(uint32_t)(lateness / timer->period);", "(uint32_t)(lateness / timer->period) + 1U;"),
-    ("main.c", "(lateness / timer->period + 1)", "(lateness / timer->period + 2)"),
-    ("bus.c", "errors = REPORTED_ERRORS", "errors = CAN_ERR_MASK"),
-    ("bus.c", "MCP_ASDF_FRAME_MASK | CAN_EFF_FLAG | CAN_RTR_FLAG", "MCP_ASDF_FRAME_MASK"),
-)
-"""Faults of the node: a file, a text in it, and what stands there instead."""
+LINUX_PORT = ROOT / "c_ref/ports/linux"
+REPLACED_FUNCTIONS = ("if_nametoindex", "socket", "setsockopt", "bind")
+"""Functions of the system that faults.c takes the place of."""
 
 
-def play(folder: Path, planted: tuple[str, str, str] | None = None) -> str:
-    """Build the node, with a fault if one is given, and the system that it meets in ``folder``; returns what
-    that says, which ends in how many checks failed."""
-    sources = {path.name: path.read_text(encoding="utf-8") for path in LINUX.glob("*.[ch]")}
-    if planted is not None:
-        name, right, wrong = planted
-        assert sources[name].count(right) == 1, planted
-        sources[name] = sources[name].replace(right, wrong)
+@dataclass(frozen=True)
+class PlantedFault:
+    """A fault of the node.
+
+    Attributes:
+        file: Name of a source of the Linux port.
+        right: Text in it.
+        wrong: Text that takes its place.
+    """
+
+    file: str
+    right: str
+    wrong: str
+
+
+PLANTED_FAULTS = [
+    PlantedFault(
+        file="main.c",
+        right="(uint32_t)(lateness / timer->period);",
+        wrong="(uint32_t)(lateness / timer->period) + 1U;",
+    ),
+    PlantedFault(
+        file="main.c", right="(lateness / timer->period + 1)", wrong="(lateness / timer->period + 2)"
+    ),
+    PlantedFault(file="bus.c", right="errors = REPORTED_ERRORS", wrong="errors = CAN_ERR_MASK"),
+    PlantedFault(
+        file="bus.c",
+        right="MCP_ASDF_FRAME_MASK | CAN_EFF_FLAG | CAN_RTR_FLAG",
+        wrong="MCP_ASDF_FRAME_MASK",
+    ),
+]
+
+
+def write_sources(folder: Path, fault: PlantedFault | None) -> list[Path]:
+    """Write the Linux port into a folder, with the fault, and return its C files but for main.c."""
     (folder / "linux").mkdir()
     (folder / "node").symlink_to(ROOT / "c_ref/ports/node")
-    for name, text in sources.items():
-        (folder / "linux" / name).write_text(text, encoding="utf-8")
-    files = [folder / "linux" / name for name in sources if name.endswith(".c") and name != "main.c"]
-    files += [ROOT / "tests/targets/faults.c", folder / "node/node.c", TABLE]
-    files += CORE.parent.glob("*.c")
-    includes = (folder, ROOT / "c_ref/ports", CORE.parent)
-    table = "-DMCP_ASDF_NODE_TABLE=mcp_asdf_t_table_omega05_q30"
-    flags = ["-std=c99", "-D_GNU_SOURCE", table, *(f"-I{each}" for each in includes)]
-    wraps = [f"-Wl,--wrap={name}" for name in WRAPPED]
-    strict = WARNINGS.split() if planted is None else ["-w"]
-    run(require("gcc"), *flags, *strict, *wraps, *files, "-lm", "-o", folder / "faults")
+    for path in LINUX_PORT.glob("*.[ch]"):
+        text = path.read_text(encoding="utf-8")
+        if fault is not None and fault.file == path.name:
+            assert text.count(fault.right) == 1, fault
+            text = text.replace(fault.right, fault.wrong)
+        (folder / "linux" / path.name).write_text(text, encoding="utf-8")
+    return [path for path in (folder / "linux").glob("*.c") if path.name != "main.c"]
+
+
+def run_checks(folder: Path, fault: PlantedFault | None = None) -> str:
+    """Build the node with faults.c, which includes main.c, and return what its checks print.
+
+    The last line has the number of checks that failed.
+    """
+    port_sources = write_sources(folder, fault)
+    sources = [*port_sources, ROOT / "tests/targets/faults.c", folder / "node/node.c", TABLE]
+    sources += CORE.parent.glob("*.c")
+    includes = [f"-I{path}" for path in (folder, ROOT / "c_ref/ports", CORE.parent)]
+    definitions = ["-D_GNU_SOURCE", "-DMCP_ASDF_NODE_TABLE=mcp_asdf_t_table_omega05_q30"]
+    wraps = [f"-Wl,--wrap={name}" for name in REPLACED_FUNCTIONS]
+    warnings = WARNINGS.split() if fault is None else ["-w"]
+    options = ["-std=c99", *definitions, *includes, *warnings, *wraps]
+    run(require("gcc"), *options, *sources, "-lm", "-o", folder / "faults")
     return run("sh", "-c", "./faults || :", cwd=folder)
 
 
-def test_the_node_s_socket_and_clock(tmp_path: Path) -> None:
-    said = play(tmp_path)
-    assert said.endswith(" 0 failed\n"), said
+def test_the_node_sets_its_socket_and_counts_its_ticks_rightly(tmp_path: Path) -> None:
+    printed = run_checks(tmp_path)
+    assert printed.endswith(" 0 failed\n"), printed
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("planted", PLANTED, ids=lambda planted: f"{planted[0]} {planted[1]}")
-def test_planted_faults_are_noticed(planted: tuple[str, str, str], tmp_path: Path) -> None:
-    assert not play(tmp_path, planted).endswith(" 0 failed\n")
+@pytest.mark.parametrize("fault", PLANTED_FAULTS, ids=lambda fault: f"{fault.file} {fault.right}")
+def test_a_planted_fault_of_the_node_fails_a_check(fault: PlantedFault, tmp_path: Path) -> None:
+    assert not run_checks(tmp_path, fault).endswith(" 0 failed\n")
