@@ -57,7 +57,12 @@ def on_files(files: Any, config: Any, **_: Any) -> Any:
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Fill in what is generated; keep formulas out of Markdown's way."""
-    makers = {"commands": commands, "headers": headers, "rooms": rooms, "requirements": requirements.table}
+    makers = {
+        "commands": commands,
+        "headers": headers,
+        "rooms": rooms,
+        "requirements": requirements.format_table_of_project,
+    }
     for comment, make in makers.items():
         if f"<!-- {comment} -->" in markdown:
             markdown = markdown.replace(f"<!-- {comment} -->", make())

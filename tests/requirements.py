@@ -12,57 +12,77 @@ from pathlib import Path
 
 from support import ROOT
 
+TESTS = ROOT / "tests"
 NUMBER = re.compile(r"<sup>(R\d+)</sup>")
-_BEGIN = re.compile(r"\n\s*\n|^\d\. |^- |</sup>", re.MULTILINE)
+_BEGIN_OF_STATEMENT = re.compile(r"\n\s*\n|^\d\. |^- |</sup>", re.MULTILINE)
 _TAG = re.compile(r"(?:#|/\*) design: (R\d+(?:, R\d+)*)")
-_SHOWN_BY = re.compile(r"^(?:def |static void )?(\w+)(?:\(| = Contract\()", re.MULTILINE)
+_TEST_OR_PROOF = re.compile(r"^(?:def |static void )?(\w+)(?:\(| = Contract\()", re.MULTILINE)
+
+Statements = dict[str, str]
+"""Texts by number."""
+Trace = dict[str, list[str]]
+"""Tests and proofs by the number of the statement that they show, each as ``path: name``."""
 
 
-def statements(page: str) -> dict[str, str]:
-    """Each numbered statement by its number: the text since the paragraph, item or last number began."""
-    found = {}
+def find_statements(page: str) -> Statements:
+    """Return the numbered statements of a page in Markdown.
+
+    A statement is the text since its paragraph or its item began, or since the last number.
+    """
+    statements = {}
     for number in NUMBER.finditer(page):
-        *_, begin = _BEGIN.finditer(page, 0, number.start())
-        found[number[1]] = " ".join(page[begin.end() : number.start()].split()).lstrip(".; ")
-    return found
+        *_, begin = _BEGIN_OF_STATEMENT.finditer(page, 0, number.start())
+        statements[number[1]] = " ".join(page[begin.end() : number.start()].split()).lstrip(".; ")
+    return statements
 
 
-def traced(files: Iterable[Path], folder: Path = ROOT / "tests") -> dict[str, list[str]]:
-    """The tests and proofs that name each number, as ``path: name``."""
-    found: dict[str, list[str]] = {}
+def trace_files(files: Iterable[Path], folder: Path = TESTS) -> Trace:
+    """Return the tests and proofs below the comments of these files; paths are relative to ``folder``.
+
+    A comment without a test or proof below it is traced as ``path: no test``.
+    """
+    trace: Trace = {}
     for path in files:
         text = path.read_text(encoding="utf-8")
         for tag in _TAG.finditer(text):
-            test = _SHOWN_BY.search(text, tag.end())
+            test = _TEST_OR_PROOF.search(text, tag.end())
+            place = f"{path.relative_to(folder)}: {test[1] if test else 'no test'}"
             for number in tag[1].split(", "):
-                place = f"{path.relative_to(folder)}: {test[1] if test else 'no test'}"
-                found.setdefault(number, []).append(place)
-    return found
+                trace.setdefault(number, []).append(place)
+    return trace
 
 
-def problems(stated: Mapping[str, str], shown: Mapping[str, list[str]]) -> list[str]:
-    """What is wrong with the trace, one line each."""
-    untested = [f"{number} has no test: {stated[number]}" for number in stated.keys() - shown.keys()]
-    unknown = [f"{shown[number][0]} names {number}, which is none" for number in shown.keys() - stated.keys()]
-    lost = [place for places in shown.values() for place in places if place.endswith(": no test")]
-    return sorted([*untested, *unknown, *lost])
+def find_problems(statements: Mapping[str, str], trace: Mapping[str, list[str]]) -> list[str]:
+    """Return what is wrong with a trace, one line each.
+
+    Wrong are statements without a test, numbers of no statement, and comments without a test below.
+    """
+    untested = [f"{number} has no test: {statements[number]}" for number in statements.keys() - trace.keys()]
+    unknown = [
+        f"{trace[number][0]} names {number}, which is none" for number in trace.keys() - statements.keys()
+    ]
+    without_test = [place for places in trace.values() for place in places if place.endswith(": no test")]
+    return sorted([*untested, *unknown, *without_test])
 
 
-def here() -> tuple[dict[str, str], dict[str, list[str]]]:
-    """Statements and tests of this project."""
+def read_project() -> tuple[Statements, Trace]:
+    """Return the statements of docs/design.md, and the trace of all tests of the project."""
     page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
-    files = [path for suffix in ("py", "c") for path in sorted((ROOT / "tests").rglob(f"*.{suffix}"))]
-    return statements(page), traced(files)
+    files = [path for suffix in ("py", "c") for path in sorted(TESTS.rglob(f"*.{suffix}"))]
+    return find_statements(page), trace_files(files)
 
 
-def table() -> str:
-    """The trace in Markdown."""
-    stated, shown = here()
+def format_table(statements: Mapping[str, str], trace: Mapping[str, list[str]]) -> str:
+    """Return a table in Markdown: each statement with its tests and its proofs."""
     rows = ["| | statement | tests | proofs |", "|---|---|---|---|"]
-    for number, text in stated.items():
-        tests, proofs = (
-            "<br>".join(f"`{each}`" for each in shown[number] if each.startswith("proofs/") == is_proof)
-            for is_proof in (False, True)
-        )
+    for number, text in statements.items():
+        places = trace[number]
+        tests = "<br>".join(f"`{place}`" for place in places if not place.startswith("proofs/"))
+        proofs = "<br>".join(f"`{place}`" for place in places if place.startswith("proofs/"))
         rows.append(f"| {number} | {text.replace('|', '&#124;')} | {tests} | {proofs} |")
     return "\n".join([*rows, ""])
+
+
+def format_table_of_project() -> str:
+    """Return the table of this project's statements, which the documentation shows."""
+    return format_table(*read_project())

@@ -5,41 +5,77 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
-from requirements import NUMBER, here, problems, statements, table, traced
+from requirements import (
+    NUMBER,
+    find_problems,
+    find_statements,
+    format_table_of_project,
+    read_project,
+    trace_files,
+)
 from support import ROOT
 
 
-def test_each_requirement_is_traced() -> None:
-    assert problems(*here()) == []
+def test_every_statement_of_the_design_has_a_test() -> None:
+    assert find_problems(*read_project()) == []
+
+
+def test_statements_of_the_design_are_numbered_in_order() -> None:
     numbers = NUMBER.findall((ROOT / "docs/design.md").read_text(encoding="utf-8"))
-    assert numbers == [f"R{number}" for number in range(1, len(numbers) + 1)] and len(numbers) > 30
-    assert all(f"| {number} |" in table() for number in numbers)
+    assert len(numbers) > 30
+    assert numbers == [f"R{index}" for index in range(1, len(numbers) + 1)]
 
 
-def test_each_proof_that_is_named_is_run() -> None:
-    named = {place for places in here()[1].values() for place in places if place.startswith("proofs/")}
-    run = set[str]()
-    for name in ("accuracy", "calls", "images", "robust", "sums"):
-        module = import_module(f"proofs.{name}")
+def test_the_table_has_a_row_for_every_statement() -> None:
+    statements, _ = read_project()
+    table = format_table_of_project()
+    assert all(f"| {number} |" in table for number in statements)
+
+
+def proofs_that_are_run() -> set[str]:
+    """Return the claims and contracts that tests/proofs proves, as a trace has them."""
+    places = set[str]()
+    for module_name in ("accuracy", "calls", "images", "robust", "sums"):
+        module = import_module(f"proofs.{module_name}")
         claims = (*getattr(module, "OF_THE_CODE", ()), *getattr(module, "OF_THE_NUMBERS", ()))
-        contracts = {id(each) for each in getattr(module, "CONTRACTS", {}).values()}
-        names = [each.__name__ for each in claims]
+        contracts = {id(contract) for contract in getattr(module, "CONTRACTS", {}).values()}
+        names = [claim.__name__ for claim in claims]
+        # A contract is traced by the name of its variable.
         names += [name for name, value in vars(module).items() if id(value) in contracts]
-        run |= {f"proofs/{name}.py: {each}" for each in names}
-    others = {place for place in named - run if ": test_" not in place}
-    tests_of_their_own = {"proofs/calls.py: of_a_message", "proofs/images.py: of_the_way_back"}
-    assert others == tests_of_their_own
-    assert len(named) > 20
+        places |= {f"proofs/{module_name}.py: {name}" for name in names}
+    return places
 
 
-def test_what_is_not_traced_is_told(tmp_path: Path) -> None:
-    page = "## 1. Calls\n\nIt counts.<sup>R1</sup> It\nstops.<sup>R2</sup>\n\n1. It halves.<sup>R3</sup>\n"
-    assert statements(page) == {"R1": "It counts.", "R2": "It stops.", "R3": "It halves."}
-    text = "# design@: R1, R4\n@mark\ndef test_it() -> None:\n    pass\n\n\n# design@: R2\nA = 1\n".replace(
-        "@:", ":"
-    )
-    (tmp_path / "a.py").write_text(text)
-    shown = traced([tmp_path / "a.py"], tmp_path)
-    assert shown == {"R1": ["a.py: test_it"], "R4": ["a.py: test_it"], "R2": ["a.py: no test"]}
-    told = ["R3 has no test: It halves.", "a.py: no test", "a.py: test_it names R4, which is none"]
-    assert problems(statements(page), shown) == told
+def test_every_proof_that_is_named_is_run() -> None:
+    _, trace = read_project()
+    named_proofs = {place for places in trace.values() for place in places if place.startswith("proofs/")}
+    assert len(named_proofs) > 20
+    tests = {place for place in named_proofs if ": test_" in place}
+    proved_by_tests_of_their_own = {"proofs/calls.py: of_a_message", "proofs/images.py: of_the_way_back"}
+    assert named_proofs - proofs_that_are_run() - tests == proved_by_tests_of_their_own
+
+
+# --- How statements and tests are found ------------------------------------------------------------------
+
+PAGE = "## 1. Calls\n\nIt counts.<sup>R1</sup> It\nstops.<sup>R2</sup>\n\n1. It halves.<sup>R3</sup>\n"
+STATEMENTS = {"R1": "It counts.", "R2": "It stops.", "R3": "It halves."}
+TRACE = {"R1": ["a.py: test_it"], "R4": ["a.py: test_it"], "R2": ["a.py: no test"]}
+
+
+def test_a_statement_begins_after_a_paragraph_an_item_or_a_number() -> None:
+    assert find_statements(PAGE) == STATEMENTS
+
+
+def test_a_test_shows_the_statements_of_the_comment_above_it(tmp_path: Path) -> None:
+    comment = "# " + "design:"  # in one piece, it would be a comment of this file
+    path = tmp_path / "a.py"
+    path.write_text(f"{comment} R1, R4\n@mark\ndef test_it() -> None:\n    pass\n\n\n{comment} R2\nA = 1\n")
+    assert trace_files([path], folder=tmp_path) == TRACE
+
+
+def test_statements_without_tests_and_tests_without_statements_are_problems() -> None:
+    assert find_problems(STATEMENTS, TRACE) == [
+        "R3 has no test: It halves.",
+        "a.py: no test",
+        "a.py: test_it names R4, which is none",
+    ]

@@ -256,6 +256,7 @@ def test_eight_series_fit_a_picture(results: list[Trials]) -> None:
     assert len(legend_of(plot_boxes(experiments))) == 8
 
 
+@pytest.mark.slow
 def test_32_panels_fit_a_picture_and_33_do_not(results: list[Trials]) -> None:
     experiments = [with_parameters(results[0], fill_ratio=index / 40) for index in range(33)]
     assert len(plot_boxes(experiments[:32]).axes) == 32

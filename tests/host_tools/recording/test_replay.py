@@ -23,6 +23,7 @@ from mcp_asdf_tools.recording.replay import ReplayVerdict, rerun, verify
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.swarm.fault_injection.kinds import FAULT_KINDS
 from robots import ALPHA_ONE
+from support import slow
 from wire import record
 
 pytestmark = pytest.mark.usefixtures("no_bus_is_left")
@@ -116,7 +117,7 @@ def test_the_effects_of_faults_are_no_difference(options: str, tmp_path: Path) -
     assert all(fault["injected"] > 0 for fault in results["faults"])
 
 
-@pytest.mark.parametrize(("options", "ratio"), [("", 0.6), ("--fault loss=0.3", 1.1)])
+@pytest.mark.parametrize(("options", "ratio"), [("", 0.6), *slow([("--fault loss=0.3", 1.1)])])
 def test_the_events_of_many_robots_are_hardly_larger_than_the_log(
     options: str, ratio: float, tmp_path: Path
 ) -> None:

@@ -96,6 +96,7 @@ def test_the_rank_correlation_is_zero_where_a_sample_does_not_vary() -> None:
     assert correlation.interval(0.95) == (0, 0, 0)
 
 
+@pytest.mark.slow
 def test_intervals_of_95_percent_miss_the_truth_in_about_one_of_twenty_cases() -> None:
     misses = 0
     for seed in range(40):

@@ -149,7 +149,7 @@ def test_topologies_and_filters_are_named_in_the_legend() -> None:
     }
 
 
-@pytest.mark.parametrize("name", ["dynamic_scatter", "topologies_asdf-minus"])
+@pytest.mark.parametrize("name", ["dynamic_scatter", *slow(["topologies_asdf-minus"])])
 def test_asdf_minus_is_also_shown_where_it_is_another_filter(name: str) -> None:
     drawn = pictures_of(*StudyPart)[name].figure
     assert {("asdf-minus", 0), ("asdf-minus", 100)} <= drawn.filters_and_percents
