@@ -21,7 +21,6 @@ from mcp_asdf_tools.cli.output import (
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import INTERRUPTED, stopping
 from mcp_asdf_tools.robots.filters import FilteringRobots, describe_filters
-from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 
 if TYPE_CHECKING:
@@ -130,6 +129,7 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
     Raises UsageError for a value out of range and for options that contradict each other.
     """
     from mcp_asdf_tools.radio.neighbourhood import RadioSettings, choose_ids
+    from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 
     _check_run_options(args)
     controller = options.robot_of(args)

@@ -11,8 +11,6 @@ from mcp_asdf_tools.common.parameters import ParameterError, parameter, value_of
 from mcp_asdf_tools.robots.clock import ClockKind
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.robot_setup import RobotSetup, format_ids, parse_ids
-from mcp_asdf_tools.swarm.fault_injection.kinds import LinkFault
-from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.world.graph import MAX_ON_BUS
 from mcp_asdf_tools.world.settings import MAX_PERIOD
 
@@ -57,6 +55,9 @@ class SwarmSettings(Population):
             return replace(super().from_recording(recorded), faults=tuple(map(str, faults)))
 
     def __post_init__(self) -> None:
+        # The kinds of faults take as long to load as all else here, and only the help of swarm shows them.
+        from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault  # noqa: PLC0415
+
         super().__post_init__()
         if self.clock not in get_args(ClockKind):
             raise ParameterError("clock", f"clock is {self.clock!r}; choose lockstep or real-time")
@@ -75,6 +76,8 @@ class SwarmSettings(Population):
 
     def _check_fault_ids(self) -> None:
         """Raise ParameterError if a fault names a robot that the swarm does not have."""
+        from mcp_asdf_tools.swarm.fault_injection.kinds import LinkFault  # noqa: PLC0415
+
         for fault in self.faults:
             receivers = fault.receivers if isinstance(fault, LinkFault) else None
             named_robots = (fault.robots or frozenset()) | (receivers or frozenset())
