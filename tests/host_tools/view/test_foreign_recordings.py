@@ -5,10 +5,12 @@ from __future__ import annotations
 import gzip
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 
 from events_files import lines_of
@@ -23,12 +25,22 @@ pytestmark = pytest.mark.usefixtures("private_setup")
 Header = dict[str, Any]
 
 
-@pytest.fixture
-def log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+@pytest.fixture(scope="module")
+def recorded_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The log of a swarm of 20 robots, all of whose parameters but the length are the defaults."""
+    path = tmp_path_factory.mktemp("recorded") / "run.log"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(can, "rc", {})  # no bus that the user has configured
+        assert main(["swarm", "--steps", "5", "--quiet", "--log", str(path)]) == 0
+    return path
+
+
+@pytest.fixture
+def log(recorded_log: Path, tmp_path: Path) -> Path:
+    """A copy of the log and its events, which a test may change."""
     path = tmp_path / "run.log"
-    assert main(["swarm", "--steps", "5", "--quiet", "--log", str(path)]) == 0
-    capsys.readouterr()
+    shutil.copy(recorded_log, path)
+    shutil.copy(events_path(recorded_log), events_path(path))
     return path
 
 
