@@ -251,9 +251,9 @@ def test_a_link_to_a_device_without_an_end_is_no_table(tmp_path: Path) -> None:
     assert "than 16777216 bytes" in refusal_of("table", "--check", str(tmp_path / "endless.c"))
 
 
-def test_a_file_with_200000_grids_is_refused(tmp_path: Path) -> None:
+def test_a_file_with_100001_grids_is_refused(tmp_path: Path) -> None:
     grid = tmp_path / "grid.toml"
-    grid.write_text("steps = 9\n" + "[[grid]]\n" * 200_000)
+    grid.write_text("steps = 9\n" + "[[grid]]\n" * 100_001)
     message = refusal_of("sweep", str(grid), "--output", str(tmp_path / "run.parquet"))
     assert "more than 100000 experiments" in message
 
