@@ -36,12 +36,10 @@ class PlantedFault:
 PLANTED_FAULTS = [
     PlantedFault(
         file="main.c",
-        right="(uint32_t)(lateness / timer->period);",
-        wrong="(uint32_t)(lateness / timer->period) + 1U;",
+        right="(uint32_t)more_expiries;",
+        wrong="(uint32_t)more_expiries + 1U;",
     ),
-    PlantedFault(
-        file="main.c", right="(lateness / timer->period + 1)", wrong="(lateness / timer->period + 2)"
-    ),
+    PlantedFault(file="main.c", right="(more_expiries + 1)", wrong="(more_expiries + 2)"),
     PlantedFault(file="bus.c", right="errors = REPORTED_ERRORS", wrong="errors = CAN_ERR_MASK"),
     PlantedFault(
         file="bus.c",
