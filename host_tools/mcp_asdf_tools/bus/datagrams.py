@@ -39,6 +39,7 @@ def unpack_data_frame(datagram: bytes) -> can.Message | None:
 
     Error frames, remote frames and CAN FD frames are none, either. O(1).
     """
+    # Any program in the network can send one: what no frame needs is refused before a byte is read.
     if len(datagram) > LONGEST_DATAGRAM:
         return None
     try:
@@ -53,6 +54,7 @@ def _read_data_frame(reader: _Reader) -> can.Message:
     Raises _MalformedError if a field is not as it should be, if the frame is no classic data frame, or if
     bytes are left behind the last field.
     """
+    # The time and the channel are those of the sender and mean nothing here: any scalars will do.
     reader.skip_exactly(_MAP_OF_11 + _packed_name("timestamp"))
     reader.skip_scalar()
     reader.skip_exactly(_packed_name("arbitration_id"))
@@ -65,12 +67,14 @@ def _read_data_frame(reader: _Reader) -> can.Message:
     reader.skip_exactly(_packed_name("dlc"))
     length = reader.take_number()
     reader.skip_exactly(_packed_name("data") + _BYTES_8)
+    # The length is one byte, so that no datagram can ask for more than 255 bytes of memory.
     data_size = reader.take_byte()
     data = reader.take(data_size)
     is_fd = reader.take_flag("is_fd")
     has_bit_rate_switch = reader.take_flag("bitrate_switch")
     has_error_state = reader.take_flag("error_state_indicator")
 
+    # The datagram has been read to its last field; only now its values are compared with each other.
     is_data_frame = not (is_remote or is_error or is_fd or has_bit_rate_switch or has_error_state)
     has_valid_length = length == len(data) <= _MAX_DATA_BYTES
     has_valid_identifier = identifier <= _LARGEST_IDENTIFIER[is_extended]
@@ -98,7 +102,7 @@ class _Reader:
 
     @property
     def is_at_end(self) -> bool:
-        """Whether nothing is left."""
+        """True once the last byte has been read."""
         return self._position == len(self._datagram)
 
     def take(self, size: int) -> bytes:
@@ -109,6 +113,7 @@ class _Reader:
         end = self._position + size
         if end > len(self._datagram):
             raise _MalformedError
+        # Past the end a slice would be shorter in silence: the length has been checked above.
         next_bytes = self._datagram[self._position : end]
         self._position = end
         return next_bytes
@@ -145,20 +150,23 @@ class _Reader:
 
         Raises _MalformedError if it is something else.
         """
-        first = self.take_byte()
-        if _SHORT_TEXT <= first <= _SHORT_TEXT_MAX:
-            self.take(first - _SHORT_TEXT)
-        elif first == _TEXT_8:
-            self.take(self.take_byte())
-        elif first in _FLOAT_SIZES:
-            self.take(_FLOAT_SIZES[first])
-        elif first != _NIL:
-            self._take_number_after(first)
+        first_byte = self.take_byte()
+        if _SHORT_TEXT <= first_byte <= _SHORT_TEXT_MAX:
+            # The length of a short text is in the lower 5 bits of its first byte.
+            self.take(first_byte - _SHORT_TEXT)
+        elif first_byte == _TEXT_8:
+            text_size = self.take_byte()
+            self.take(text_size)
+        elif first_byte in _FLOAT_SIZES:
+            self.take(_FLOAT_SIZES[first_byte])
+        elif first_byte != _NIL:
+            # Whatever is left must be a whole number; a list or a map, for example, is refused there.
+            self._take_number_after(first_byte)
 
-    def _take_number_after(self, first: int) -> int:
-        """Return the whole number whose first byte has been read, as ``first``."""
-        if first <= _SHORT_NUMBER_MAX:
-            return first
-        if first not in _NUMBER_SIZES:
+    def _take_number_after(self, first_byte: int) -> int:
+        """Return the whole number whose first byte has been read already."""
+        if first_byte <= _SHORT_NUMBER_MAX:
+            return first_byte
+        if first_byte not in _NUMBER_SIZES:
             raise _MalformedError
-        return int.from_bytes(self.take(_NUMBER_SIZES[first]), "big")
+        return int.from_bytes(self.take(_NUMBER_SIZES[first_byte]), "big")

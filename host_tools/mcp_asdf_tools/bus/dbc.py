@@ -35,7 +35,7 @@ _LARGEST_FLOAT32 = "3.4028234663852886E+38"
 
 @dataclass(frozen=True)
 class _Entry:
-    """One kind of frame of one node in the file.
+    """A message of the file: one kind of frame as one node, or any node, sends it.
 
     Attributes:
         kind: The kind of frame.
@@ -61,6 +61,7 @@ def dbc_text(estimate_format: FrameFormat, nodes: Sequence[int] | None = None) -
             "choose another for estimates"
         )
     if nodes is None:
+        # Node 0 stands for any node: whoever reads the file leaves out the bits of the node (ANY_NODE_MASK).
         suffix_by_node = {0: ""}
     else:
         _check_unique(nodes)
@@ -90,6 +91,7 @@ def _check_unique(nodes: Sequence[int]) -> None:
 
 def _identified_kinds(estimate_format: FrameFormat, node: int) -> list[tuple[FrameKind, int]]:
     """Return all kinds of frames, each with the 29-bit identifier that it has from a node."""
+    # Heartbeats have a fixed subject and priority, and so no FrameFormat: a frame shows the identifier.
     heartbeat = encode_heartbeat(Heartbeat(node, uptime=0, transfer_id=0))
     return [
         (ESTIMATE, estimate_format.identifier(node)),

@@ -88,6 +88,7 @@ class Action(Enum):
     @classmethod
     def to_observe(cls, observation: Observation | None) -> Action:
         """Return the action that carries an observation, or none in this tick."""
+        # The actions to observe white and black have the values of Observation.
         return cls.OBSERVE_NONE if observation is None else cls(int(observation))
 
     @property
@@ -185,7 +186,7 @@ class FrameKind:
 
     @property
     def fields_and_tail(self) -> tuple[Field, ...]:
-        """All fields, with those of the tail byte at the end."""
+        """The fields, followed by those of the tail byte."""
         return self.fields + _TAIL_BYTE
 
     def field(self, name: str) -> Field:
@@ -197,6 +198,7 @@ class FrameKind:
 
         Raises UsageError for a value that a decoder would refuse, so that no such frame is ever sent.
         """
+        # Every field has bits of its own, so that the order of these steps does not matter.
         payload = TRANSFER_ID.insert(transfer_id) | START_END_TOGGLE.insert(START_END_TOGGLE.maximum)
         for field in self.fields:
             payload |= field.insert(values[field.name])
@@ -208,6 +210,7 @@ class FrameKind:
         The tail byte, which all kinds of frames have, is left out.
         """
         values = {}
+        # The first wrong field decides, as in C. Spare bits between fields may have any value.
         for field in self.fields:
             value = field.extract(payload)
             if field.rejection is not None and not field.is_legal(value):

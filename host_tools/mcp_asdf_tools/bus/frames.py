@@ -85,7 +85,7 @@ COMMAND_FORMAT = FrameFormat(subject=3002, priority=3)
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One robot's broadcast of its local estimate.
+    """Broadcast of a robot's local estimate, as its neighbours receive it.
 
     Attributes:
         sender: Robot id, 0 .. 127.
@@ -214,6 +214,7 @@ def decode_heartbeat(frame: can.Message) -> Heartbeat | Rejection:
     values = layout.HEARTBEAT.unpack(payload)
     if isinstance(values, Rejection):
         return values
+    # Neither enumeration can raise: all values of 2 bits are a Health, and the mode has been checked.
     return Heartbeat(
         sender_of(frame),
         values["uptime"],
@@ -244,6 +245,7 @@ def decode_telemetry(
     values = layout.TELEMETRY.unpack(payload)
     if isinstance(values, Rejection):
         return values
+    # The fields have the names of the attributes.
     return Telemetry(sender_of(frame), **values, transfer_id=TRANSFER_ID.extract(payload))
 
 
@@ -266,6 +268,7 @@ def decode_command(frame: can.Message, frame_format: FrameFormat = COMMAND_FORMA
     values = layout.COMMAND.unpack(payload)
     if isinstance(values, Rejection):
         return values
+    # Unpacking has refused every value that is no Action.
     action = Action(values["action"])
     transfer_id = TRANSFER_ID.extract(payload)
     return Command(sender_of(frame), values["tick"], values["target"], action, transfer_id)
@@ -319,15 +322,18 @@ def format_frame(frame: can.Message) -> str:
 
 def _payload_of_subject(frame: can.Message, subject: int) -> int | Rejection:
     """Return the data of a single-frame message of this subject, or the reason why the frame is none."""
+    # The usual frame passes one test; which of several reasons refuses another one is decided apart.
     is_special = frame.is_error_frame or frame.is_remote_frame or frame.is_fd or not frame.is_extended_id
     if is_special or frame.arbitration_id & _BITS_THAT_MUST_BE_ZERO:
         return _rejection_of_special_frame(frame)
+    # Priority and sender may be any, and two more bits are ignored, as Cyphal asks.
     subject_bits = frame.arbitration_id & ~IGNORED_IDENTIFIER_BITS
     if subject_bits != subject << SUBJECT_SHIFT:
         return Rejection.SUBJECT
     if len(frame.data) != FRAME_BYTES:
         return Rejection.LENGTH
     payload = payload_of(frame)
+    # Each frame of a longer transfer has another tail byte.
     if not START_END_TOGGLE.is_legal(START_END_TOGGLE.extract(payload)):
         return Rejection.MULTI_FRAME
     return payload
@@ -353,6 +359,7 @@ def _rejection_of_special_frame(frame: can.Message) -> Rejection:
     return Rejection.RESERVED_BITS
 
 
+# Cached, as a robot sends many frames under the same few identifiers.
 @cache
 def _identifier(priority: int, subject: int, node_id: int) -> int:
     """Return the 29-bit identifier of a message. Raises UsageError if ``node_id`` is not 0 .. 127."""

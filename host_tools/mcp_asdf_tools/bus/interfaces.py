@@ -115,6 +115,7 @@ class BusChoice:
         # `Multicast` decides by itself, since python-can's multicast always returns own frames.
         if returns_own and self.interface != "udp_multicast":
             settings["receive_own_messages"] = True
+        # single_handle is for Kvaser alone: one handle reads and writes, as in the tools of python-can.
         try:
             bus = can.Bus(interface=self.interface, single_handle=True, **settings)
         except Exception as error:  # an interface may raise anything
@@ -139,6 +140,7 @@ class BusChoice:
                 f"the bus {self} is inside this process, so no other can join it; "
                 "choose --interface socketcan or udp_multicast"
             )
+        # One --bus-kwargs takes all further settings, as in the command lines of python-can.
         options = [f"--interface={self.interface}"]
         if self.settings:
             options.append("--bus-kwargs")
@@ -149,6 +151,7 @@ class BusChoice:
         """Return what went wrong when the bus was opened, and how to fix it."""
         if self.interface not in can.VALID_INTERFACES:
             return f"there is no such interface; choose one of {', '.join(sorted(can.VALID_INTERFACES))}"
+        # Commands help only if SocketCAN has no interface of this name; anything else takes other options.
         is_missing = isinstance(cause, OSError) and cause.errno in (errno.ENODEV, errno.EAFNOSUPPORT)
         if self.interface != "socketcan" or not is_missing:
             return f"{cause}; see --interface, --channel and --bus-kwargs"
@@ -175,6 +178,7 @@ class Connection(can.BusABC):
         self._bus = bus
         self._returns_own = returns_own
         self._was_undecodable = False
+        # can.BusABC sets its filters in its constructor already, through the bus that is wrapped.
         super().__init__(channel=str(bus.channel_info))
         self.channel_info = bus.channel_info
         self._can_protocol = bus.protocol
@@ -331,6 +335,7 @@ class Multicast(Connection):
     def _send(self, msg: can.Message, timeout: float | None) -> None:
         """Send a frame, and remember its datagram, which the group will return."""
         datagram = pack_message(msg)
+        # Remembered first: another thread may receive the datagram before send() returns.
         self._own_frames.append((datagram, msg))
         self._group.send(datagram, timeout)
 
@@ -377,6 +382,7 @@ def choose_bus(typed_settings: Mapping[str, Any]) -> BusChoice:
     channel. Where they leave it open, python-can's files, variables and ``can.rc`` decide. Raises UsageError
     if these cannot be read.
     """
+    # What the user has typed overrides python-can's settings, and those the defaults of this program.
     settings = _load_python_can_settings() | dict(typed_settings)
     # "bustype" is the old name, which python-can's files may still have.
     old_interface = settings.pop("bustype", None)

@@ -17,6 +17,7 @@ import can
 from mcp_asdf_tools.common.errors import UsageError
 
 HOST = "127.0.0.1"
+"""Only programs on this machine can connect, as the protocol asks nobody who they are."""
 
 _OK, _ERROR = b"\r", b"\a"
 _MAX_LINE_BYTES = 32
@@ -51,12 +52,14 @@ class SlcanServer:
         self._is_channel_open = False
         self._is_closing = False
         self._write_lock = threading.Lock()
+        # The server owns its connection to the bus, also if it cannot start.
         try:
             self._listener = _listen_at(port)
         except UsageError:
             bus.shutdown()
             raise
         self.port: int = self._listener.getsockname()[1]
+        # The threads start last, as they use all that is set above. The notifier ends within its timeout.
         self._notifier = can.Notifier(bus, [self._forward_to_client], timeout=0.1)
         self._server_thread = threading.Thread(target=self._serve_clients, daemon=True)
         self._server_thread.start()
@@ -94,12 +97,14 @@ class SlcanServer:
     def _answer_lines(self, client: socket.socket) -> None:
         """Answer each line of the client, until it leaves."""
         for line in _read_lines(client):
+            # The notifier writes frames to the same client: an answer must not cut one of these lines in two.
             answer = self._handle_line(line)
             with self._write_lock:
                 client.sendall(answer)
 
     def _handle_line(self, line: bytes) -> bytes:
         """Do what a line without its end asks for, and return the answer."""
+        # A slice, as an empty line has no first byte.
         command = line[:1]
         if command in (b"O", b"L", b"C"):  # open, open to listen only, close
             self._is_channel_open = command != b"C"

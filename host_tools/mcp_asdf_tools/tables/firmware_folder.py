@@ -63,14 +63,17 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
     """
     texts = _folder_texts(omega, q)
     checksums = {name: sha256(content.encode()).hexdigest() for name, content in sorted(texts.items())}
+    # The folder is for one table: those of an earlier run with another omega or q go.
     other_tables = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in texts]
     if not force:
         old_checksums = _read_checksums(folder / _CHECKSUMS_FILE)
         _check_unchanged([*other_tables, *(folder / name for name in texts)], old_checksums, checksums)
+    # The file of checksums cannot hold its own, so it is added when all others have theirs.
     texts[_CHECKSUMS_FILE] = "".join(f"{checksum}  {name}\n" for name, checksum in checksums.items())
-    text_by_path = {folder / name: text for name, text in texts.items()}
+    text_by_path = {folder / name: content for name, content in texts.items()}
     make_folder(folder)
     write_together(text_by_path)
+    # Only now that the new files are complete: if writing them fails, the old tables stay.
     for path in other_tables:
         path.unlink()
     return list(text_by_path)
@@ -99,6 +102,7 @@ def _check_unchanged(
     for path in paths:
         if not path.is_file():
             continue
+        # Either the file is as it was written, or it is what is about to be written anyway.
         checksum = sha256(path.read_bytes()).hexdigest()
         if checksum not in (old_checksums.get(path.name), new_checksums.get(path.name)):
             fix = "keep it elsewhere, or give --force to replace it"
@@ -111,6 +115,7 @@ def _read_checksums(path: Path) -> dict[str, str]:
         return {}
     checksums = {}
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        # sha256sum separates both by two spaces. A line of another form gives an entry that no file matches.
         checksum, _, name = line.partition("  ")
         checksums[name] = checksum
     return checksums

@@ -36,6 +36,7 @@ def table_name(omega: Decimal, q: int) -> str:
     After "omega" stand the decimal places of omega in its shortest form, at least two of them: 05 is
     0.05, 10 is 0.1, 125 is 0.125. No two tables share a name.
     """
+    # In its shortest form 0.10 and 0.1 are the same omega, and so have the same name.
     decimal_places = f"{omega.normalize():f}".partition(".")[2]
     return f"t_table_omega{decimal_places:0<2}_q{q}"
 
@@ -119,6 +120,7 @@ def format_c_source(omega: Decimal, q: int) -> str:
 def _format_initializers(table: Table) -> str:
     """Return the lines of the C array: one word a line, with its meaning as a comment."""
     thresholds = [entry / 2**FRACTION_BITS for entry in table.entries]
+    # The words in their order: two of a header, k_m for m = 2 .. q, one for all m above q, and the checksum.
     comments = ["magic, q", "omega * 2^32"]
     comments += [f"m = {m}: {threshold:.9f}" for m, threshold in enumerate(thresholds[:-1], start=2)]
     comments += [f"m > {table.q}: {thresholds[-1]:.9f}", "checksum"]
@@ -169,13 +171,16 @@ def check_file(path: Path) -> TableCheck:
     if path.suffix not in formatters:
         raise UsageError(f"{path} is neither .c nor .json; give a file that --output has written")
     file_text = _read_text(path)
+    # The file may come from anyone: what it claims to be is all that is taken from it.
     match = _ARRAY_NAME.search(file_text)
     if match is None:
         raise UsageError(f"{path} names no array mcp_asdf_t_table_omega.._q..; make it anew with --output")
     try:
+        # The name holds the decimal places of omega: omega05 stands for 0.05.
         omega, q = parse_omega(f"0.{match[1]}"), check_q(int(match[2]))
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
+    # Omega and q determine every byte, so the right file is the one that is generated from them now.
     generated_text = formatters[path.suffix](omega, q)
     return TableCheck(str(path), omega, q, _describe_first_difference(file_text, generated_text))
 
@@ -194,6 +199,7 @@ def _read_text(path: Path) -> str:
 
 def _describe_first_difference(file_text: str, expected_text: str) -> str | None:
     """Return the first line that differs, as found and as expected, or None if the texts are equal."""
+    # A text that ends early has None in place of the lines that the other one still has.
     line_pairs = zip_longest(file_text.split("\n"), expected_text.split("\n"))
     for line_number, (line, expected_line) in enumerate(line_pairs, start=1):
         if line != expected_line:

@@ -42,6 +42,7 @@ def parse_omega(omega_text: str) -> Decimal:
         omega = Decimal(omega_text)
     except InvalidOperation:
         raise UsageError(f"omega is {omega_text!r}, not a decimal number; give one such as 0.05") from None
+    # Decimal reads Infinity and NaN, too. NaN cannot be compared, so both are refused first.
     if not (omega.is_finite() and 0 < omega <= MAX_OMEGA and omega == round(omega, OMEGA_PLACES)):
         raise UsageError(
             f"omega is {omega_text}; it must be above 0 and at most {MAX_OMEGA}, "
@@ -60,6 +61,7 @@ def omega_word(omega: Decimal) -> int:
 
 def omega_from_word(word: int) -> Decimal | None:
     """Return the only omega with at most 9 decimal places that has this word, or None if there is none."""
+    # Units of 2^-32 are finer than 9 decimal places: at most one such omega rounds to this word.
     omega = round(Decimal(word) / 2**32, OMEGA_PLACES).normalize()
     is_exact = omega_word(omega) == word
     return omega if is_exact and 0 < omega <= MAX_OMEGA else None
@@ -119,6 +121,7 @@ def _t_quantile(omega: mpf, degrees_of_freedom: int, start: mpf) -> mpf:
     P is concave for t > 0, so steps of Newton's method from below never pass the root: the first step that
     is not upward is rounding noise.
     """
+    # The root of P(|T| < t) - omega, whose derivative is the density of |T|.
     quantile, step = start, mp.inf
     while step > _NEGLIGIBLE_STEP:
         missing_probability = omega - _central_probability(quantile, degrees_of_freedom)
@@ -129,6 +132,8 @@ def _t_quantile(omega: mpf, degrees_of_freedom: int, start: mpf) -> mpf:
 
 def _central_probability(t: mpf, degrees_of_freedom: int) -> mpf:
     """Return P(|T| < t), where T has Student's distribution."""
+    # With d degrees of freedom it is the regularised incomplete beta function I_x(1/2, d/2) at
+    # x = t^2 / (d + t^2).
     square = t * t
     upper_limit = square / (degrees_of_freedom + square)
     return mp.betainc(mpf(1) / 2, mpf(degrees_of_freedom) / 2, 0, upper_limit, regularized=True)
@@ -160,7 +165,9 @@ def worst_threshold_error(omega: Decimal, table: Table) -> ThresholdError:
         errors = []
         for m, true_threshold in enumerate(true_thresholds(omega), start=2):
             table_threshold = mp.ldexp(table.entry(m), -FRACTION_BITS)
+            # Eq. 12 compares with sqrt(k_m), of which this is the relative error.
             errors.append(abs(mp.sqrt(table_threshold / true_threshold) - 1))
+        # The errors begin with m = 2: the first q - 1 are those of m = 2 .. q.
         own_entries, shared_entry = errors[: table.q - 1], errors[table.q - 1 :]
         return ThresholdError(
             rounding=_round_up(max(own_entries)),

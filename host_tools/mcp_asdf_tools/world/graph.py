@@ -16,7 +16,8 @@ from mcp_asdf_tools.common.errors import UsageError
 _EDGES_IN_ONE_LINE = re.compile(r"[0-9>;\s]*")
 """Only what edges are made of: a path with nothing else would be taken for edges."""
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
-# Behind an edge other tools write a weight, or its attributes in braces as networkx does.
+# Behind an edge other tools write a weight, or its attributes in braces as networkx does. Ids have at most
+# five digits: int() raises an error of its own for a hostile number with thousands of them.
 _EDGE = re.compile(
     r"(?P<first_id>[0-9]{1,5})(?:\s*(?P<arrow>>)\s*|\s+)(?P<second_id>[0-9]{1,5})"
     rf"(?:\s+(?:{_NUMBER}|\{{.*\}}))?",
@@ -66,6 +67,7 @@ class Graph:
                 f"{self.source} names robot {min(unknown_ids)}, but the ids of {robots} robots are 0 to "
                 f"{robots - 1}; take more robots or remove the edge"
             )
+        # Only links to a robot count: a round holds what it receives, however many receive from it.
         neighbour_counts = Counter(receiver for _, receiver in self.links)
         for receiver, count in sorted(neighbour_counts.items()):
             if count > MAX_ID:
@@ -171,10 +173,10 @@ class _Edge:
         reverse_link = (self.receiver, self.sender)
         return [link] if self.is_one_way else [link, reverse_link]
 
-    def is_reverse_of(self, other: _Edge) -> bool:
-        """Whether both are the same edge of both directions, written from either end."""
-        is_reversed = (self.sender, self.receiver) == (other.receiver, other.sender)
-        return is_reversed and not self.is_one_way and not other.is_one_way
+    def is_reverse_of(self, other_edge: _Edge) -> bool:
+        """Return whether both are the same edge of both directions, written from either end."""
+        is_reversed = (self.sender, self.receiver) == (other_edge.receiver, other_edge.sender)
+        return is_reversed and not self.is_one_way and not other_edge.is_one_way
 
 
 def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
@@ -186,12 +188,13 @@ def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
     """
     edge_of_link: dict[tuple[int, int], _Edge] = {}
     for line_number, line in enumerate(lines, start=1):
-        text = line.partition("#")[0].strip()
-        if not text:
+        edge_text = line.partition("#")[0].strip()
+        if not edge_text:
             continue
-        edge = _parse_edge(text, f"{source}, {unit} {line_number}", line_number)
+        edge = _parse_edge(edge_text, f"{source}, {unit} {line_number}", line_number)
         for link in edge.links:
-            # The first edge with this link stays in the dictionary.
+            # The first edge with this link stays in the dictionary. An edge of both directions may come once
+            # more from its other end, as in an adjacency list; any other repetition is a mistake.
             earlier_edge = edge_of_link.setdefault(link, edge)
             if earlier_edge is not edge and not edge.is_reverse_of(earlier_edge):
                 sender, receiver = link
@@ -204,19 +207,20 @@ def _parse_lines(lines: Iterable[str], unit: str, source: str) -> Graph:
     return Graph(frozenset(edge_of_link), source)
 
 
-def _parse_edge(text: str, position: str, line_number: int) -> _Edge:
+def _parse_edge(edge_text: str, position: str, line_number: int) -> _Edge:
     """Return the edge that a line without its comment holds: ``3 5`` of both directions, or ``3 > 5``.
 
     ``position`` says where the line stands, such as "a.txt, line 7", and begins messages. Raises UsageError
     for a text that is no edge, an id that is too large, and an edge from a robot to itself.
     """
-    match = _EDGE.fullmatch(text)
+    match = _EDGE.fullmatch(edge_text)
     if match is None or max(int(match["first_id"]), int(match["second_id"])) >= MAX_ROBOTS:
         fix = f"write two ids, 0 to {MAX_ROBOTS - 1}, such as '3 5' or '3 > 5'"
-        raise UsageError(f"{position}: {text!r} is not an edge; {fix}")
+        raise UsageError(f"{position}: {edge_text!r} is not an edge; {fix}")
     edge = _Edge(
         sender=int(match["first_id"]),
         receiver=int(match["second_id"]),
+        # Without an arrow the group has not taken part in the match, and is None.
         is_one_way=match["arrow"] is not None,
         line_number=line_number,
     )

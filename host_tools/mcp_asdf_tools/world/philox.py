@@ -86,21 +86,23 @@ class Stream(NamedTuple):
         )
         trial, stream = np.full_like(block, self.trial), np.full_like(block, self.number)
         key = (self.seed & _LOW_WORD, self.seed >> 32)
-        words = philox((block, robot, trial, stream), key)
-        # The four words of a block are those of four consecutive steps.
-        words_by_step = np.stack(words, axis=1).reshape(-1, self.robots)
+        block_words = philox((block, robot, trial, stream), key)
+        # Four arrays of shape (blocks, robots) are stacked to (blocks, 4, robots): the four words of a block
+        # are those of four consecutive steps, so that blocks and words become one axis of steps.
+        words_by_step = np.stack(block_words, axis=1).reshape(-1, self.robots)
         skipped = first_step - _WORDS_IN_BLOCK * first_block
         return words_by_step[skipped : skipped + steps].astype(np.uint32)
 
     def draw_uniforms(self, steps: int, first_step: int = 0) -> NDArray[np.float64]:
         """Return what ``draw_words`` does as numbers in (0, 1): the middles of 2**32 equal intervals."""
-        words = self.draw_words(steps, first_step)
-        return (words.astype(np.float64) + 0.5) * 2.0**-32
+        random_words = self.draw_words(steps, first_step)
+        # Half a unit keeps out 0 and 1, of which a logarithm or a quantile may be infinite.
+        return (random_words.astype(np.float64) + 0.5) * 2.0**-32
 
 
 def arena_seed(seed: int, trial: int) -> int:
     """Return the seed of a trial's arena, below 2**64: the first two words of the trial's ARENA_STREAM."""
     # The stream is drawn as one of a single robot, whose two steps are the two words.
-    words = Stream(ARENA_STREAM, seed, trial, robots=1).draw_words(steps=2)
-    low_word, high_word = words[:, 0].tolist()
+    seed_words = Stream(ARENA_STREAM, seed, trial, robots=1).draw_words(steps=2)
+    low_word, high_word = seed_words[:, 0].tolist()
     return int(low_word) | (int(high_word) << 32)

@@ -51,6 +51,7 @@ class DriftingSensors:
         """
         accuracies_on_black = self._accuracies_on_black(steps)
         self._next_step += steps
+        # The lowest accuracy limits a drift on black tiles; on white the offset may lead below it, down to 0.
         offset = self._settings.white_offset
         if not offset:
             return accuracies_on_black, accuracies_on_black
@@ -64,6 +65,7 @@ class DriftingSensors:
         settings = self._settings
         if settings.drift == "none":
             return np.full((1, 1), settings.true_accuracy)
+        # A column, shape (steps, 1): all drifting sensors have the same accuracy in a step.
         step = np.arange(self._next_step, self._next_step + steps, dtype=np.float64)[:, np.newaxis]
         # Step 0 has the true accuracy: the drift starts there.
         drifted = settings.true_accuracy + settings.drift_rate * step
@@ -112,6 +114,7 @@ class CheckedSensors:
             raise UsageError(
                 f"sensor {name} gives shape {values.shape}; return ({steps} or 1, {robots} or 1)"
             )
+        # NaN fails both comparisons, and is refused with the rest.
         if not ((values >= 0) & (values <= 1)).all():
             raise UsageError(f"sensor {name} gives an accuracy outside 0 to 1; clip it")
         return values

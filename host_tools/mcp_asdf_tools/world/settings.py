@@ -214,6 +214,7 @@ class WorldSettings:
         Also for topology graph without edges, and for a graph that does not suit the number of robots.
         """
         if not self.is_dynamic:
+            # Robots that stay where they are have no arena, in which these parameters would have an effect.
             for name in _ARENA_PARAMETERS:
                 value = getattr(self, name)
                 if value != _default_of(self, name):
@@ -251,6 +252,7 @@ class WorldSettings:
 def _check_neighbours_of_many(settings: WorldSettings) -> None:
     """Raise ParameterError for a swarm of more than 128 robots if one could have more than 127 neighbours."""
     if settings.is_dynamic:
+        # Within a short range only some robots fit into a robot's line of sight, however many there are.
         if settings.radio_range > _MAX_RANGE_OF_MANY:
             raise ParameterError(
                 "radio_range",
@@ -287,6 +289,7 @@ def _check_sides(settings: WorldSettings) -> None:
     if has_width and has_density:
         raise ParameterError("density", "density and width say how large the arena is; give one of them")
     if has_width != has_height:
+        # The error names the side that the user has to add.
         missing_side = "height" if has_width else "width"
         message = f"the arena is {settings.width} x {settings.height} m; give width and height, or neither"
         raise ParameterError(missing_side, message)
@@ -301,6 +304,7 @@ def _check_arena(settings: WorldSettings) -> None:
     width, height = settings.sides
     size = f"{width:.4g} x {height:.4g} m"
     size_parameter = "width" if settings.width else "density"
+    # Robots are placed at random so that none overlap, which fails if they cover too much of the floor.
     covered_area = settings.robots * math.pi * (_BODY_DIAMETER / 2) ** 2
     if min(width, height) <= _BODY_DIAMETER or covered_area > _MAX_COVERED_SHARE * width * height:
         message = (

@@ -30,6 +30,7 @@ class FixedTopology:
 
     def advance(self, steps: int) -> NDArray[np.bool_]:
         """Return the neighbours in the next steps, shape (steps, N, N), as a view to be read only. O(1)."""
+        # All steps of the view are the same matrix in memory.
         return np.broadcast_to(self._neighbours, (steps, *self._neighbours.shape))
 
 
@@ -46,6 +47,7 @@ class CheckedTopology:
         Raises UsageError unless it has the type and shape that ``Topology`` states, and no robot is its own
         neighbour.
         """
+        # An array of another type is not converted: ids or weights would turn into truth values in silence.
         neighbours = np.asarray(self._topology.advance(steps))
         shape = (steps, self._robots, self._robots)
         if neighbours.shape != shape or neighbours.dtype != np.bool_:
@@ -63,5 +65,6 @@ def graph_topology(graph: Graph, robots: int) -> FixedTopology:
     graph.check(robots)
     neighbours = np.zeros((robots, robots), np.bool_)
     for sender, receiver in graph.links:
+        # Row i has what robot i receives, so the receiver comes first.
         neighbours[receiver, sender] = True
     return FixedTopology(neighbours)

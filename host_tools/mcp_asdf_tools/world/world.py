@@ -37,7 +37,7 @@ _TopologyMaker = Callable[[WorldSettings, int], Topology]
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What happens in some consecutive steps.
+    """Observations, neighbours and positions of all robots in some consecutive steps.
 
     Attributes:
         black: Whether a sensor reports black, shape (steps, N).
@@ -74,10 +74,11 @@ class World:
         """
         settings, first_step = self.settings, self._next_step
         self._next_step += steps
-        words = self._observation_draws.draw_words(steps, first_step)
-        draws = words >> _BITS_BELOW_PROBABILITY_UNIT  # units of 2**-31, as the probabilities below
+        random_words = self._observation_draws.draw_words(steps, first_step)
+        draws = random_words >> _BITS_BELOW_PROBABILITY_UNIT  # units of 2**-31, as the probabilities below
         accuracies = self._sensors.advance(steps)
         accuracy_on_black, accuracy_on_white = accuracies
+        # Accuracies that do not change, or are the same for all robots, have an axis of length 1.
         mean_accuracy = np.broadcast_to((accuracy_on_black + accuracy_on_white) / 2, draws.shape)
         # Robots observe at the end of every period: with period 3 in the third step, the sixth, and so on.
         steps_passed = np.arange(first_step, first_step + steps) + 1
@@ -105,6 +106,7 @@ class World:
 
         Later steps are the same as after ``advance``. O(steps N), or O(steps N^2) with topology extensions.
         """
+        # Draws need no skipping, as each is a function of its step alone. Sensors and topology have a state.
         self._next_step += steps
         self._sensors.advance(steps)
         if isinstance(self._topology, Arena):
@@ -128,6 +130,7 @@ class SteppedWorld:
 
         It is None for all of them in steps without an observation, as ``observation_period`` has it. O(N^2).
         """
+        # There is no scene yet, or its last step has been taken.
         if self._scene is None or self._index_in_scene + 1 == len(self._scene.black):
             self._scene = self._world.advance(_STEPS_AT_ONCE)
             self._index_in_scene = -1

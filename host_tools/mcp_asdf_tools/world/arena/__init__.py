@@ -48,6 +48,8 @@ class Arena:
         """Put the robots on the floor: tick 0, all at rest. Raises UsageError if they find no room."""
         self.settings = settings
         self._arena = _arena.ffi.new("mcp_asdf_arena_t *")
+        # The C code keeps pointers to the picture of the floor and to the memory, so both live as long as
+        # this.
         members, self._floor_image = make_config(settings, trial, _arena.ffi)
         config = _arena.ffi.new("mcp_asdf_arena_config_t *", members)
         self._memory = allocate_memory(_arena.lib.mcp_asdf_arena_bytes(config))
@@ -115,6 +117,7 @@ class Arena:
 
     def _linked_pairs(self) -> NDArray[np.uint16]:
         """Return the pairs of robots that receive from each other now, shape (pairs, 2), lower id first."""
+        # A view of the C memory, which holds until the next step.
         bytes_in_pair = 4  # two ids of 16 bits
         links = _arena.ffi.buffer(self._arena.links, bytes_in_pair * self._arena.link_count)
         return np.frombuffer(links, np.uint16).reshape(-1, 2)
@@ -153,5 +156,6 @@ def make_config(settings: WorldSettings, trial: int, ffi: Any) -> tuple[dict[str
         return members | {"tile": settings.tile, "fill_ratio": settings.fill_ratio}, None
     image = make_floor_code(settings.fill_ratio).astype(np.uint8)
     rows, columns = image.shape
+    # The pointer does not keep the picture alive, so the caller has to hold it.
     pixels = ffi.cast("uint8_t *", image.ctypes.data)
     return members | {"image": pixels, "rows": rows, "columns": columns}, image
