@@ -91,7 +91,7 @@ def _check_unique(nodes: Sequence[int]) -> None:
 
 def _identified_kinds(estimate_format: FrameFormat, node: int) -> list[tuple[FrameKind, int]]:
     """Return all kinds of frames, each with the 29-bit identifier that it has from a node."""
-    # Heartbeats have a fixed subject and priority, and so no FrameFormat: a frame shows the identifier.
+    # Heartbeats have a fixed subject and priority, and so no FrameFormat: a frame has the identifier.
     heartbeat = encode_heartbeat(Heartbeat(node, uptime=0, transfer_id=0))
     return [
         (ESTIMATE, estimate_format.identifier(node)),

@@ -48,8 +48,7 @@ class Arena:
         """Put the robots on the floor: tick 0, all at rest. Raises UsageError if they find no room."""
         self.settings = settings
         self._arena = _arena.ffi.new("mcp_asdf_arena_t *")
-        # The C code keeps pointers to the picture of the floor and to the memory, so both live as long as
-        # this.
+        # The C code keeps pointers to the picture of the floor and to the memory: this object keeps both.
         members, self._floor_image = make_config(settings, trial, _arena.ffi)
         config = _arena.ffi.new("mcp_asdf_arena_config_t *", members)
         self._memory = allocate_memory(_arena.lib.mcp_asdf_arena_bytes(config))
