@@ -64,6 +64,8 @@ def start_swarm(settings: SwarmSettings, channel: str | None = None) -> Swarm:
 
     if channel is None:
         return Swarm(settings, Wiring())
+    # Frames keep the time that their sender gives them, as on the bus of the command. All robots share one
+    # connection, so it has to return what they send.
     options: dict[str, Any] = {"preserve_timestamps": True, "receive_own_messages": True}
     return Swarm(settings, Wiring(lambda robot: can.Bus(channel, "virtual", **options)))
 
@@ -131,6 +133,7 @@ def _check_extension_objects(experiments: list[Experiment], workers: int) -> Non
     names: dict[str, str] = {}
     for experiment in experiments:
         for name in (experiment.firmware, experiment.sensor, experiment.topology):
+            # Results name an object by its text, so that two objects with one text would be mixed up.
             if names.setdefault(str(name), name) != name:
                 raise UsageError(f"two objects are called {name}; give them different names")
             if workers > 1:
@@ -145,6 +148,7 @@ def _simulate_in_memory(experiments: list[Experiment], workers: int, record: int
     from mcp_asdf_tools.experiments.result_tables import trials_to_table
     from mcp_asdf_tools.experiments.sweep import run_in_memory
 
+    # Equal experiments are run once.
     trial_count = sum(experiment.trials for experiment in dict.fromkeys(experiments))
     with progress("trials", trial_count, quiet) as report:
         results = run_in_memory(experiments, record, workers, report)
@@ -190,6 +194,7 @@ def __getattr__(name: str) -> Any:
     Raises UsageError, with the fix, if matplotlib is not installed.
     """
     kind = name.removeprefix("plot_")
+    # Python asks a module for names that it lacks, and expects AttributeError where there is none.
     if kind == name or kind not in KINDS:
         raise AttributeError(f"module {__name__} has no attribute {name}")
     return load_plot(kind)

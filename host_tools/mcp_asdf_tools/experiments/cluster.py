@@ -39,11 +39,14 @@ def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]
     client = _connect_client(dask, address)
     try:
         client.wait_for_workers(1, timeout=_TIMEOUT)
+        # Dask runs pure jobs of equal arguments only once. Without a worker at present a job is submitted
+        # even so, and the scheduler keeps it for the next one.
         yield client.get_executor(pure=False), lambda: max(1, sum(client.nthreads().values()))
     except TimeoutError as error:
         message = f"the cluster at {address} has no workers; start some: dask worker {address}"
         raise UsageError(message) from error
     except (dask.KilledWorker, CancelledError, CommClosedError) as error:
+        # Dask's messages have several lines, and an error of ours has one.
         reason = " ".join(str(error).split())
         message = f"the cluster at {address} failed; what was finished is kept: run the same again ({reason})"
         raise UsageError(message) from error
@@ -66,6 +69,7 @@ def _connect_client(dask: Any, address: str) -> Any:
         await connection.close()
 
     try:
+        # A second more, so that the error is that of connect, which says what went wrong.
         dask.utils.LoopRunner().run_sync(exchange_first_messages, callback_timeout=_TIMEOUT + 1)
         return dask.Client(address, timeout=_TIMEOUT, set_as_default=False)
     except MemoryError as error:

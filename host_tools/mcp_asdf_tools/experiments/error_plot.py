@@ -33,17 +33,20 @@ def plot_errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: Limits
     """
     all_experiments = [trials for experiments in panels.values() for trials in experiments]
     used_filters = {trials.experiment.filter for trials in all_experiments}
+    # All filters get their colours first: a filter then has the same colour in every picture, whichever
+    # others are there.
     colour_by_filter = {
         name: colour
         for name, colour in zip(FILTERS, colours_of_filters([*FILTERS]), strict=True)
         if name in used_filters
     }
-    figure, grid = create_panels(len(panels), 1.9, len(colour_by_filter))
+    figure, grid = create_panels(len(panels), panel_height=1.9, series_count=len(colour_by_filter))
     for axes, (title, experiments) in zip(grid, panels.items(), strict=True):
         axes.set_title(title, fontsize=SMALL, loc="left")
         for name, colour in colour_by_filter.items():
             experiments_of_filter = [trials for trials in experiments if trials.experiment.filter == name]
             _draw_errors(axes, experiments_of_filter, colour)
+        # The errors of the filters differ by more than a factor of ten.
         axes.set_yscale("log")
         clean(axes)
     handles = [

@@ -39,9 +39,14 @@ class Experiment(Population):
         if self.conventions == "authors" and self.firmware != "reference":
             message = f"firmware {self.firmware} has no conventions of the authors; choose firmware reference"
             raise ParameterError("conventions", message)
-        if self.robots > MAX_ON_BUS and (key := self.lacking_in_c):
-            why = f"{key} is {getattr(self, key)}, which runs message by message, with ids of 7 bits"
-            raise ParameterError(key, f"robots is {self.robots}, but {why}; take at most {MAX_ON_BUS}")
+        # In a larger swarm ids repeat: the engine in C keeps robots of one id apart, messages on a bus do
+        # not.
+        slow_parameter = self.lacking_in_c if self.robots > MAX_ON_BUS else ""
+        if slow_parameter:
+            value = getattr(self, slow_parameter)
+            reason = f"{slow_parameter} is {value}, which runs message by message, with ids of 7 bits"
+            message = f"robots is {self.robots}, but {reason}; take at most {MAX_ON_BUS}"
+            raise ParameterError(slow_parameter, message)
 
     @property
     def lacking_in_c(self) -> str:
@@ -52,14 +57,17 @@ class Experiment(Population):
         """
         from mcp_asdf_tools.world.sensors import has_one_accuracy  # noqa: PLC0415 (numpy loads slowly)
 
+        # The engine has the C firmware compiled in, and calls no other.
         if self.firmware != "native":
             return "firmware"
         if self.topology == "dynamic":
+            # A moving robot reads black and white tiles, for which the engine has one accuracy.
             if has_one_accuracy(self):
                 return ""
             return "sensor" if self.sensor else "white_offset"
         if self.topology == "fully-connected":
             return "latency" if self.latency else ""
+        # What is neither is a graph, which the engine takes as a list of arcs, or an extension in Python.
         return "" if self.topology == "graph" else "topology"
 
 
@@ -83,6 +91,7 @@ def combinations(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     if not table_lists:
         yield from _combine_values(plain_parameters)
         return
+    # One table of each list at a time.
     for chosen_tables in product(*table_lists.values()):
         combined = dict(plain_parameters)
         for table in chosen_tables:
@@ -100,6 +109,8 @@ def _is_list_of_tables(value: Any) -> bool:
 def _combine_values(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield all combinations of parameters of which some have lists of values."""
     value_lists = [value if isinstance(value, list | tuple) else [value] for value in parameters.values()]
+    # The number is checked before any combination is made, list by list, so that the error names the first
+    # list that makes too many. An empty list would make none.
     combination_count = 1
     for key, values in zip(parameters, value_lists, strict=True):
         combination_count *= len(values)

@@ -26,6 +26,7 @@ STUDIES = Path(__file__).with_name("studies")
 GRID = "grid"
 
 _GRID_LINE = re.compile(r"\s*\[\[\s*grid\s*\]\]")
+# A key stands at the beginning of a line, or in an inline table behind its brace or a comma.
 _KEY = re.compile(r"""(?:^|[{,])\s*["']?([A-Za-z0-9_-]+)["']?\s*=""")
 
 
@@ -48,6 +49,8 @@ def read_experiments(path: Path | str) -> list[Experiment]:
             for combination in combinations({**common_parameters, **grid}):
                 parameters = _with_graph_from_folder(combination, path.parent)
                 experiments.append(Experiment.from_parameters(parameters))
+                # Each grid makes at least one experiment, so that too many grids are refused at the first
+                # one.
                 if max(len(grids), len(experiments)) > MAX_EXPERIMENTS:
                     raise UsageError(f"{path} makes more than {MAX_EXPERIMENTS} experiments; give fewer")
         except ParameterError as error:
@@ -58,6 +61,7 @@ def read_experiments(path: Path | str) -> list[Experiment]:
 def _read_toml_text(path: Path) -> str:
     """Return the text of a file. Raises UsageError if it cannot be read, is too long or is not UTF-8."""
     try:
+        # This codec drops the byte order mark with which some editors begin a file.
         return read_at_most(path).decode("utf-8-sig")
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
@@ -88,6 +92,7 @@ def _shipped_file(name: Path) -> Path:
 
     Raises UsageError if there is none of that name.
     """
+    # Names of files alone are compared, so that no name leads out of this folder.
     shipped_files = {path.stem: path for path in sorted(STUDIES.glob("*.toml"))}
     if str(name) not in shipped_files:
         names = ", ".join(shipped_files)
@@ -115,6 +120,7 @@ class _KeyLines:
 
     def error_at(self, grid_number: int, key: str, message: str) -> UsageError:
         """Return an error that names the lines of a key in a grid, or above the grids if it is not there."""
+        # A key above the grids holds in each of them.
         lines = self._lines.get((grid_number, key)) or self._lines.get((0, key), [])
         position = f", line {' or '.join(lines)}" if lines else ""
         return UsageError(f"{self._path}{position}: {message}")

@@ -42,6 +42,7 @@ def lock_file(path: Path) -> str | None:
             # file that is there now, which others try to lock, too.
             os.close(descriptor)
             continue
+        # A process that was killed leaves its file, whose id may be longer.
         os.ftruncate(descriptor, 0)
         os.write(descriptor, str(os.getpid()).encode())
         _LOCKED_FILES[path] = descriptor

@@ -37,14 +37,14 @@ def sort_key(parameter_name: str, value: Any) -> Any:
     return list(FILTERS).index(value) if parameter_name == "filter" else value
 
 
-def has_effect(experiment: Experiment, name: str) -> bool:
+def has_effect(experiment: Experiment, parameter_name: str) -> bool:
     """Return whether a parameter has an effect in an experiment.
 
     Only parameters of filters may have none: without a filter, or with one that does not use them.
     """
-    if name not in _FILTER_PARAMETERS:
+    if parameter_name not in _FILTER_PARAMETERS:
         return True
-    return experiment.swarm_filter.is_on and name not in experiment.unused_parameters()
+    return experiment.swarm_filter.is_on and parameter_name not in experiment.unused_parameters()
 
 
 def varying_parameters(experiments: Sequence[Trials], excluded: Collection[str]) -> list[str]:
@@ -53,16 +53,18 @@ def varying_parameters(experiments: Sequence[Trials], excluded: Collection[str])
     Values that have no effect in their experiment do not count.
     """
     return [
-        name
-        for name in parameters_of(Experiment)
-        if name not in excluded and len(_effective_values(experiments, name)) > 1
+        parameter_name
+        for parameter_name in parameters_of(Experiment)
+        if parameter_name not in excluded and len(_effective_values(experiments, parameter_name)) > 1
     ]
 
 
-def _effective_values(experiments: Sequence[Trials], name: str) -> set[Any]:
+def _effective_values(experiments: Sequence[Trials], parameter_name: str) -> set[Any]:
     """Return the values of a parameter in those experiments in which it has an effect."""
     return {
-        trials.experiment.parameters()[name] for trials in experiments if has_effect(trials.experiment, name)
+        trials.experiment.parameters()[parameter_name]
+        for trials in experiments
+        if has_effect(trials.experiment, parameter_name)
     }
 
 
@@ -71,21 +73,23 @@ def name_series(experiment: Experiment, varying_names: Sequence[str]) -> str:
 
     It has the name of the filter, and those parameters of ``varying_names`` that have an effect.
     """
+    # A parameter without effect, such as omega without a test, would split experiments that are alike.
     names = [filter_name(experiment)]
-    for name in varying_names:
-        if has_effect(experiment, name):
-            names.append(f"{name.replace('_', ' ')} {number_in_words(experiment.parameters()[name])}")
+    for parameter_name in varying_names:
+        if has_effect(experiment, parameter_name):
+            value = number_in_words(experiment.parameters()[parameter_name])
+            names.append(f"{parameter_name.replace('_', ' ')} {value}")
     return ", ".join(names)
 
 
-def parameter_in_words(name: str) -> str:
+def parameter_in_words(parameter_name: str) -> str:
     """Return the name of a parameter as pictures show it, where the flawed robots are a share of all."""
-    return "share of flawed robots" if name == "flawed" else name.replace("_", " ")
+    return "share of flawed robots" if parameter_name == "flawed" else parameter_name.replace("_", " ")
 
 
-def parameter_with_value(name: str, value: Any) -> str:
+def parameter_with_value(parameter_name: str, value: Any) -> str:
     """Return a parameter with its value, such as "filter period 100"."""
-    return f"{parameter_in_words(name)} {shorten(number_in_words(value))}"
+    return f"{parameter_in_words(parameter_name)} {shorten(number_in_words(value))}"
 
 
 def shorten(text: str) -> str:
@@ -104,11 +108,12 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
     filter_names = {filter_name(trials.experiment) for trials in experiments}
     if len(filter_names) == 1:
         details += filter_names
-    for name in _CAPTION_PARAMETERS:
-        values = _effective_values(experiments, name)
+    for parameter_name in _CAPTION_PARAMETERS:
+        values = _effective_values(experiments, parameter_name)
         if len(values) == 1:
-            details.append(f"{name.replace('_', ' ')} {number_in_words(values.pop())}")
+            details.append(f"{parameter_name.replace('_', ' ')} {number_in_words(values.pop())}")
     trial_counts = {len(trials.numbers) for trials in experiments}
+    # As a set, so that equal extremes are one number: "30 trials", but "12 to 30 trials".
     extreme_counts = sorted({min(trial_counts), max(trial_counts)})
     details.append(f"{' to '.join(map(str, extreme_counts))} trials of each experiment")
     limits_by_experiment = [limits.of(trials.experiment) for trials in experiments]

@@ -61,8 +61,11 @@ def create_panel_grid(
             f"{panel_count} panels with {series_count} series do not fit a picture; plot at most "
             f"{_MAX_PANELS} with {_MAX_SERIES}, or a parameter along an axis: --kind curve --x NAME"
         )
+    # A single panel across the page would be too wide for its height.
     width = WIDTH if column_count > 1 else 0.7 * WIDTH
     figure = empty_figure(width, _LEGEND_AND_CAPTION_HEIGHT + panel_height * row_count)
+    # Panels are compared with each other, so they share the y axis. Without squeeze=False a single row would
+    # have another shape.
     return figure, figure.subplots(row_count, column_count, sharex=sharex, sharey=True, squeeze=False)
 
 
@@ -136,6 +139,7 @@ def colours_of_filters(filter_names: Sequence[str]) -> list[str]:
     free_colours = iter([colour for colour in COLOURS if colour not in remaining_colours.values()])
     colours: list[str] = []
     for name in filter_names:
+        # The colour is removed, so that the next series of this filter gets another one.
         colour = remaining_colours.pop(name, None)
         colours.append(next(free_colours) if colour is None else colour)
     return colours
@@ -150,16 +154,21 @@ def group_into_series(experiments: Sequence[Trials], series_name: SeriesName | N
     """
     varying_names = varying_parameters(experiments, excluded=CELL_PARAMETERS)
     experiments_by_name: dict[str, list[Trials]] = {}
+    # Sorting keeps the order of experiments that have the same filter.
     for trials in sorted(experiments, key=lambda trials: sort_key("filter", trials.experiment.filter)):
         if series_name is None:
-            name = name_series(trials.experiment, varying_names)
+            series_label = name_series(trials.experiment, varying_names)
         else:
-            name = series_name(trials.experiment)
-        experiments_by_name.setdefault(name, []).append(trials)
-    colours = colours_of_filters([_common_filter(group) for group in experiments_by_name.values()])
+            series_label = series_name(trials.experiment)
+        experiments_by_name.setdefault(series_label, []).append(trials)
+    colours = colours_of_filters(
+        [_common_filter(experiments_of_series) for experiments_of_series in experiments_by_name.values()]
+    )
     return [
-        Series(name, colour, group)
-        for (name, group), colour in zip(experiments_by_name.items(), colours, strict=True)
+        Series(series_label, colour, experiments_of_series)
+        for (series_label, experiments_of_series), colour in zip(
+            experiments_by_name.items(), colours, strict=True
+        )
     ]
 
 
@@ -192,6 +201,7 @@ def median_interval(sample: NDArray[np.float64]) -> tuple[float, float, float]:
     """
     from scipy.stats import quantile_test  # type: ignore[import-untyped]  # noqa: PLC0415 (loads slowly)
 
+    # The ends are two values of the sample, which the binomial distribution of ranks chooses.
     low, high = quantile_test(sample, p=0.5).confidence_interval(0.95)
     has_interval = low <= high  # both are NaN where there is none
     if not has_interval:

@@ -40,6 +40,7 @@ def write_tables(path: Path, tables: Iterable[pa.Table]) -> None:
 
     The file has its name only once it is complete. Raises UsageError if it cannot be written.
     """
+    # The writer needs the columns before the first row, and the tables may be made one by one.
     remaining_tables = iter(tables)
     first_table = next(remaining_tables)
     with (
@@ -74,6 +75,8 @@ def stream_experiments(path: Path) -> Iterator[Trials]:
     """
     row_groups = RowGroups()
     row_groups.add(path)
+    # Parameters are read first: they say which rows an experiment has. All else, which is far more, is read
+    # for one experiment at a time.
     rows: dict[Experiment, list[NDArray[np.int64]]] = {}
     for row_group in row_groups:
         parameters = row_group.read(PARAMETER_NAMES)
@@ -129,6 +132,7 @@ class RowGroup:
             stored_columns = [name for name in columns if name in file.schema_arrow.names]
         with _name_file_in_errors(self.path):
             table = file.read_row_group(self.index, columns=stored_columns)
+            # A damaged or hostile file may hold lists that end beyond their values.
             table.validate(full=True)
         # A file has its metadata twice, and the two may differ; these are the ones that were checked.
         table = table.replace_schema_metadata(file.schema_arrow.metadata)
@@ -168,6 +172,7 @@ class RowGroups:
     def __init__(self) -> None:
         """Create an empty sequence."""
         self._row_groups: list[_Rows] = []
+        # A cache of this object alone: one that decorates the method would keep every object alive.
         self._read_cached = lru_cache(maxsize=_ROW_GROUPS_IN_MEMORY)(self._read)
         self.row_count = 0
 
@@ -180,6 +185,7 @@ class RowGroups:
         Raises UsageError as ``read_table``.
         """
         files_in_folder = sorted(path.glob("*.parquet"))
+        # In a path that is itself a file, no files are found.
         for file_path in files_in_folder or [path]:
             file = _open_checked(file_path)
             for index in range(file.num_row_groups):
@@ -199,11 +205,13 @@ class RowGroups:
     def take(self, rows: NDArray[np.int64], columns: Sequence[str] | None = None) -> pa.Table:
         """Return rows by their numbers, in the order of ``rows``, with some columns or all."""
         first_rows = [row_group.first_row for row_group in self._row_groups]
+        # A row is in the last row group that begins at or before it.
         group_of_row = np.searchsorted(first_rows, rows, side="right") - 1
         tables, positions = [], []  # of each row group: its rows that are requested, and where in ``rows``
         for group_index in np.unique(group_of_row):
             positions_of_group = np.flatnonzero(group_of_row == group_index)
             rows_in_group = rows[positions_of_group] - first_rows[group_index]
+            # Arguments of a cached function must be hashable, so the columns are a tuple.
             table = self._read_cached(group_index, None if columns is None else tuple(columns))
             tables.append(table.take(rows_in_group))
             positions.append(positions_of_group)
@@ -242,8 +250,8 @@ def _name_file_in_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
-        parts = parts_folder(path)
-        hint = f"; its sweep is not finished, partial data is in {parts}" if parts.is_dir() else ""
+        parts_path = parts_folder(path)
+        hint = f"; its sweep is not finished, partial data is in {parts_path}" if parts_path.is_dir() else ""
         reason = error if path.exists() else "there is no such file"
         raise UsageError(f"cannot read {path}: {reason}{hint}") from error
 
@@ -259,8 +267,9 @@ def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> None:
     if metadata["format"] != FORMAT:
         content = f"results in format {metadata['format']}"
         raise UsageError(f"{path} holds {content}; format {FORMAT} is needed: run mcp-asdf sweep again")
-    interval = metadata.get("sampling_interval")
-    has_interval = isinstance(interval, int) and interval >= 0
+    # Later code relies on these two, whatever program has written the file.
+    sampling_interval = metadata.get("sampling_interval")
+    has_interval = isinstance(sampling_interval, int) and sampling_interval >= 0
     if not (has_interval and isinstance(metadata.get("versions"), dict)):
         raise UsageError(f"{path} is damaged: its metadata lack versions or sampling_interval; run it again")
 
@@ -270,14 +279,16 @@ def _check_former_parameters(path: Path, file: Any, row_group_index: int) -> Non
 
     FORMER_PARAMETERS has the value of each such parameter that had no effect.
     """
-    for name, value_without_effect in FORMER_PARAMETERS.items():
-        if name not in file.schema_arrow.names:
+    for parameter_name, value_without_effect in FORMER_PARAMETERS.items():
+        if parameter_name not in file.schema_arrow.names:
             continue
         with _name_file_in_errors(path):
-            values = file.read_row_group(row_group_index, columns=[name])[name].unique().to_pylist()
+            column = file.read_row_group(row_group_index, columns=[parameter_name])[parameter_name]
+            values = column.unique().to_pylist()
         if values != [value_without_effect]:
             raise UsageError(
-                f"{path} has results with {name}, a parameter of earlier versions; use one of these versions"
+                f"{path} has results with {parameter_name}, a parameter of earlier versions; "
+                "use one of these versions"
             )
 
 
@@ -288,10 +299,10 @@ def _check_schema(path: Path, schema: Any) -> None:
     """
     missing_columns = set(column_types()) - set(PARAMETER_NAMES) - set(schema.names)
     if missing_columns:
-        names = ", ".join(sorted(missing_columns))
-        raise UsageError(f"{path} is damaged: it has no {names}; run mcp-asdf sweep again")
-    for name, column_type in column_types().items():
-        count = schema.names.count(name)
-        if count > 1 or (count == 1 and schema.field(name).type != column_type):
-            problem = f"column {name} is not {column_type}"
+        missing_names = ", ".join(sorted(missing_columns))
+        raise UsageError(f"{path} is damaged: it has no {missing_names}; run mcp-asdf sweep again")
+    for column_name, column_type in column_types().items():
+        column_count = schema.names.count(column_name)
+        if column_count > 1 or (column_count == 1 and schema.field(column_name).type != column_type):
+            problem = f"column {column_name} is not {column_type}"
             raise UsageError(f"{path} is damaged: {problem}; run mcp-asdf sweep again")

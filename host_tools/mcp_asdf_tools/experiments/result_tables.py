@@ -90,6 +90,7 @@ def describe_columns() -> dict[str, dict[str, str]]:
 @cache
 def column_types() -> dict[str, Any]:
     """Return the pyarrow type of each column by its name, in the order of a table's columns."""
+    # Seeds take all values of 64 bits without a sign.
     number_types = {int: pa.uint64(), float: pa.float64(), Decimal: pa.float64()}
     default_experiment = Experiment()
     types = {
@@ -114,14 +115,20 @@ def add_missing_parameters(table: pa.Table, row_count: int) -> pa.Table:
     not know.
     """
     defaults = Experiment().parameters()
-    columns = {}
-    for name, column_type in column_types().items():
-        if name in table.column_names:
-            columns[name] = table[name]
-        elif name in defaults:
-            columns[name] = pa.repeat(pa.scalar(defaults[name], column_type), row_count)
-    columns |= {name: table[name] for name in table.column_names if name not in column_types()}
-    return pa.table(columns, metadata=table.schema.metadata)
+    arrays_by_column = {}
+    for column_name, column_type in column_types().items():
+        if column_name in table.column_names:
+            arrays_by_column[column_name] = table[column_name]
+        elif column_name in defaults:
+            arrays_by_column[column_name] = pa.repeat(
+                pa.scalar(defaults[column_name], column_type), row_count
+            )
+    arrays_by_column |= {
+        column_name: table[column_name]
+        for column_name in table.column_names
+        if column_name not in column_types()
+    }
+    return pa.table(arrays_by_column, metadata=table.schema.metadata)
 
 
 def read_metadata(table: pa.Table) -> dict[str, Any]:
@@ -143,6 +150,7 @@ def trials_to_table(trials: Trials) -> pa.Table:
     columns |= {"trial": trials.numbers, **trials.scores()}
     for name, (attribute, _) in _LIST_COLUMNS.items():
         columns[name] = _flatten_trials(getattr(trials, attribute))
+    # Files have the same columns whether anything was recorded or not.
     nothing_recorded = np.empty((trial_count, 0))
     for name in QUANTITIES:
         columns[f"record_{name}"] = _flatten_trials(trials.records.get(name, nothing_recorded))
@@ -183,6 +191,7 @@ def rows_by_experiment(table: pa.Table) -> dict[Experiment, NDArray[np.int64]]:
     groups = numbered_rows.group_by([*PARAMETER_NAMES], use_threads=False).aggregate([("row", "list")])
     rows: dict[Experiment, list[NDArray[np.int64]]] = {}
     for group in groups.to_pylist():
+        # Groups that differ in the sign of a zero are one experiment.
         experiment = Experiment.from_recording(group)
         rows.setdefault(experiment, []).append(np.array(group["row_list"]))
     return {experiment: np.concatenate(row_lists) for experiment, row_lists in rows.items()}
@@ -203,6 +212,7 @@ def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
 
     records = {}
     for name in QUANTITIES:
+        # All lists have the same length, as was checked above.
         is_recorded = len(table[f"record_{name}"][0]) > 0
         if is_recorded:
             records[name] = read_lists(f"record_{name}", -1, experiment.robots)
@@ -225,19 +235,19 @@ def _check_list_lengths(experiment: Experiment, table: pa.Table) -> None:
     O(values).
     """
     robots = experiment.robots
-    lengths = dict.fromkeys(_LIST_COLUMNS, robots)
-    lengths["b_hat"] = robots * (experiment.steps // experiment.filter_period)
+    length_by_column = dict.fromkeys(_LIST_COLUMNS, robots)
+    length_by_column["b_hat"] = robots * (experiment.steps // experiment.filter_period)
     # How often values were recorded is not a parameter. So the first list gives the length of all of them,
     # rounded down to complete samples of all robots.
     first_length = pc.list_value_length(table["record_t"])[0].as_py() or 0
     record_length = first_length - first_length % robots
-    lengths |= {f"record_{name}": record_length for name in QUANTITIES}
+    length_by_column |= {f"record_{quantity}": record_length for quantity in QUANTITIES}
     has_gaps_in_numbers = table["trial"].null_count > 0
-    for name, length in lengths.items():
-        list_lengths = pc.list_value_length(table[name])
-        gap_count = list_lengths.null_count + pc.list_flatten(table[name]).null_count
+    for column_name, length in length_by_column.items():
+        list_lengths = pc.list_value_length(table[column_name])
+        gap_count = list_lengths.null_count + pc.list_flatten(table[column_name]).null_count
         if has_gaps_in_numbers or gap_count or set(list_lengths.unique().to_pylist()) != {length}:
-            problem = f"column {name} has gaps, or lists that have not {length} values"
+            problem = f"column {column_name} has gaps, or lists that have not {length} values"
             raise UsageError(f"the results are damaged: {problem}; run mcp-asdf sweep again")
 
 
@@ -249,9 +259,9 @@ def score_table(table: pa.Table, limits: Limits) -> pa.Table:
     table = add_missing_parameters(table, len(table))
     rows = table.select([*PARAMETER_NAMES, "k", "e"]).to_pylist()
     scores_by_row = [_score_row(row, limits) for row in rows]
-    for name in SCORES:
-        scores = pa.array([scores[name] for scores in scores_by_row], pa.float64())
-        table = table.set_column(table.column_names.index(name), name, scores)
+    for score_name in SCORES:
+        scores = pa.array([scores[score_name] for scores in scores_by_row], pa.float64())
+        table = table.set_column(table.column_names.index(score_name), score_name, scores)
     return table
 
 

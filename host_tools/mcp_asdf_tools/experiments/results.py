@@ -92,19 +92,25 @@ def select_experiments(experiments: Sequence[Trials], where: Mapping[str, Any]) 
     no parameter, and with the existing values if no experiment is left.
     """
     selected = list(experiments)
-    for name, value in where.items():
-        if name not in PARAMETER_NAMES:
+    for parameter_name, value in where.items():
+        if parameter_name not in PARAMETER_NAMES:
+            nearest = offer(parameter_name, PARAMETER_NAMES)
             raise UsageError(
-                f"where {name}={value}: no parameter is called so{offer(name, PARAMETER_NAMES)}; "
+                f"where {parameter_name}={value}: no parameter is called so{nearest}; "
                 f"the experiments differ in {describe_differences(selected)}"
             )
-        existing_values = {str(trials.experiment.parameters()[name]) for trials in selected}
+        # Collected before the choice, for the message if none is left.
+        existing_values = {str(trials.experiment.parameters()[parameter_name]) for trials in selected}
         selected = [
-            trials for trials in selected if _is_same_value(trials.experiment.parameters()[name], value)
+            trials
+            for trials in selected
+            if _is_same_value(trials.experiment.parameters()[parameter_name], value)
         ]
         if not selected:
             alternatives = " or ".join(sorted(existing_values))
-            raise UsageError(f"where {name}={value}: no experiment has it; {name} is {alternatives}")
+            raise UsageError(
+                f"where {parameter_name}={value}: no experiment has it; {parameter_name} is {alternatives}"
+            )
     return selected
 
 
@@ -123,15 +129,16 @@ def describe_differences(experiments: Sequence[Trials]) -> str:
     """
     all_parameters = [trials.experiment.parameters() for trials in experiments]
     differences = []
-    for name in PARAMETER_NAMES:
-        values = sorted({str(parameters[name]) for parameters in all_parameters})
+    for parameter_name in PARAMETER_NAMES:
+        values = sorted({str(parameters[parameter_name]) for parameters in all_parameters})
         if len(values) > 1:
-            differences.append(f"{name}={'|'.join(values)}")
+            differences.append(f"{parameter_name}={'|'.join(values)}")
     return ", ".join(differences) or "no parameters"
 
 
 def _is_same_value(parameter_value: object, requested_value: Any) -> bool:
     """Return whether a parameter has the requested value, as a text or as a number."""
+    # Words, such as the name of a filter, and numbers that are written as this program prints them.
     if str(parameter_value) == str(requested_value):
         return True
     with suppress(TypeError, ValueError):
@@ -147,16 +154,17 @@ def write_csv(path: Path, experiments: Iterable[Trials], limits: Limits = PAPERS
     of tests and updates; and the limits. An existing file is replaced when the new one is complete. Raises
     UsageError if it cannot be written.
     """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+    csv_text = io.StringIO()
+    writer = csv.writer(csv_text, lineterminator="\n")
     writer.writerow([*PARAMETER_NAMES, "trial", *_CSV_RESULTS])
     for trials in experiments:
+        # A line repeats its experiment's parameters, so that it can be read alone.
         parameters = list(trials.experiment.parameters().values())
         results = _csv_results(trials, limits)
         for index, number in enumerate(trials.numbers):
             values = [f"{results[name][index]:.10g}" for name in _CSV_RESULTS]
             writer.writerow([*parameters, number, *values])
-    write_atomically(path, text.getvalue())
+    write_atomically(path, csv_text.getvalue())
 
 
 _CSV_RESULTS = (*SCORES, "mean_K", "mean_e", "mean_b_hat", "tests", "updates", "K_max", "e_max")
@@ -167,13 +175,14 @@ def _csv_results(trials: Trials, limits: Limits) -> dict[str, NDArray[Any]]:
     """Return the values of the columns _CSV_RESULTS by name, one for each trial."""
     k_max, e_max = limits.of(trials.experiment)
     trial_count = len(trials.numbers)
+    robot_axis = 1
     return {
         **trials.scores(limits),
-        "mean_K": trials.convergence_steps.mean(axis=1),
-        "mean_e": trials.errors.mean(axis=1),
+        "mean_K": trials.convergence_steps.mean(axis=robot_axis),
+        "mean_e": trials.errors.mean(axis=robot_axis),
         "mean_b_hat": _mean_final_b_hat(trials),
-        "tests": trials.tests.sum(axis=1),
-        "updates": trials.updates.sum(axis=1),
+        "tests": trials.tests.sum(axis=robot_axis),
+        "updates": trials.updates.sum(axis=robot_axis),
         "K_max": np.full(trial_count, k_max),
         "e_max": np.full(trial_count, e_max),
     }

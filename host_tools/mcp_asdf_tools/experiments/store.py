@@ -89,9 +89,11 @@ class Store:
         self._row_of_trial: dict[_ResultKey, NDArray[np.int64]] = {}
         for experiment in self.experiments:
             key = _result_key(experiment)
+            # Experiments that differ only in their number of trials share their results.
             trial_count = max(experiment.trials, len(self._row_of_trial.get(key, ())))
             self._row_of_trial[key] = np.full(trial_count, -1)
         check_target(output)
+        # A folder of parts means an unfinished sweep, which another process may be running right now.
         if self.parts.is_dir():
             self.reserve()
         for path in [output, *sorted(self.parts.glob("*.parquet"))]:
@@ -195,11 +197,11 @@ class Store:
         """Write the results that are only in memory as a part. Raises UsageError if that fails."""
         if self._unwritten:
             self.reserve()
-            table = pa.concat_tables(self._unwritten)
+            part_table = pa.concat_tables(self._unwritten)
             # Sorted by their names, parts are in the order of their rows.
-            part = self.parts / f"{self._row_groups.row_count:012}-{len(table)}.parquet"
-            write_tables(part, [table])
-            self._row_groups.add(part)
+            part_path = self.parts / f"{self._row_groups.row_count:012}-{len(part_table)}.parquet"
+            write_tables(part_path, [part_table])
+            self._row_groups.add(part_path)
             self._unwritten = []
         self._last_write_time = time.monotonic()
 
@@ -210,10 +212,12 @@ class Store:
 
         All trials must have results. Raises UsageError if the file cannot be written.
         """
+        # The output is complete before the first part is removed: a kill in between loses nothing.
         write_tables(self.output, self._tables_in_order())
         self._unwritten = []
-        for part in self.parts.glob("*.parquet"):
-            part.unlink(missing_ok=True)
+        for part_path in self.parts.glob("*.parquet"):
+            part_path.unlink(missing_ok=True)
+        # An earlier process may have been killed while it wrote a part.
         remove_abandoned_drafts(self.parts)
         unlock_file(self._lock_path)
         with suppress(OSError):  # there is no folder, or somebody has put other files into it

@@ -70,7 +70,7 @@ def run_sweep(
                 _log_finished(trials)
                 report(len(trials.numbers))
         store.finish()
-    except BaseException:
+    except BaseException:  # Ctrl-C must not lose what was finished, either
         with _interrupts_delayed():
             store.flush()
         raise
@@ -92,6 +92,7 @@ def run_in_memory(
     """
     # A dictionary keeps the order of its keys, which a set would not.
     unique_experiments = list(dict.fromkeys(experiments))
+    # A generator: a job is made when a worker is free for it.
     jobs = (
         job
         for experiment in unique_experiments
@@ -103,6 +104,7 @@ def run_in_memory(
         results.append(trials)
         _log_finished(trials)
         report(len(trials.numbers))
+    # Worker processes finish jobs in any order.
     position = {experiment: index for index, experiment in enumerate(unique_experiments)}
     return sorted(results, key=lambda trials: (position[trials.experiment], trials.numbers[0]))
 
@@ -228,7 +230,9 @@ def _worker_processes(workers: int) -> Iterator[Executor]:
 
     Raises UsageError if one of them is killed.
     """
+    # The caller may have child processes of its own, which must not be killed below.
     other_children = set(active_children())
+    # Started anew rather than forked: a fork copies locks that another thread may hold at that moment.
     pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent)
     try:
         yield pool

@@ -47,6 +47,7 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
     if experiment.lacking_in_c:
         return _concatenate([_run_by_message(experiment, number, sampling_interval) for number in numbers])
     if experiment.topology == "fully-connected":
+        # Most of these swarms have the same x in all robots, so that a trial has a single series.
         return _run_native(experiment, numbers, sampling_interval)
     # Elsewhere a trial has a series of x for each robot: a few trials at a time bound the memory.
     bytes_in_value = 4
@@ -138,15 +139,15 @@ def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -
     units_in_one = {"x_hat": ONE, "x_bar": ONE, "x": ONE, "beta": UNITS_PER_ALPHA, "b_hat": 2**32}
     trial_count, sample_count, robots = raw_records.shape
     records = {}
-    for name in QUANTITIES:
-        raw_values = raw_records[name]
+    for quantity in QUANTITIES:
+        raw_values = raw_records[quantity]
         values = np.empty((trial_count, sample_count + 1, robots))
-        values[:, 0] = initial_values.get(name, 0.0)
-        if name == "alpha":
+        values[:, 0] = initial_values.get(quantity, 0.0)
+        if quantity == "alpha":
             values[:, 1:] = _alpha_of_words(raw_values)
         else:
-            values[:, 1:] = raw_values / units_in_one.get(name, 1)
-        records[name] = values
+            values[:, 1:] = raw_values / units_in_one.get(quantity, 1)
+        records[quantity] = values
     return records
 
 
@@ -175,6 +176,7 @@ Pairs = Sequence[Sequence[int]]
 def _run_by_message(experiment: Experiment, number: int, sampling_interval: int) -> Trials:
     """Run one trial in Python, message by message."""
     swarm = MessageSwarm(experiment, number)
+    # Series and records begin with step 0, before the first observation.
     x_by_step = [swarm.values_of("x")]
     b_hat_by_filter_step = []
     snapshots = [swarm.snapshot()]
@@ -233,6 +235,7 @@ class MessageSwarm:
         is_late = self._experiment.latency > 0
         for step, (observations, pairs) in enumerate(self._observations_and_pairs(), start=1):
             was_broadcast_step = step > 1 and (step - 1) % comms_period == 0
+            # What was broadcast in the last step: until they observe again, robots have the same values.
             if is_late and was_broadcast_step:
                 self._deliver(pairs)
             for robot, observation in zip(self.robots, observations, strict=True):
@@ -253,6 +256,7 @@ class MessageSwarm:
             scene = self._world.advance(min(_STEPS_AT_ONCE, steps - first))
             steps_of_scene = zip(scene.black.tolist(), scene.observes, scene.neighbours, strict=True)
             for is_black_by_robot, is_observation_step, in_range in steps_of_scene:
+                # Row i of this matrix has the neighbours from which robot i receives.
                 pairs = np.argwhere(in_range).tolist()
                 if is_observation_step:
                     yield [_COLOURS[is_black] for is_black in is_black_by_robot], pairs
@@ -286,6 +290,7 @@ class MessageSwarm:
 def _make_robots(experiment: Experiment) -> list[Robot]:
     """Make the robots of an experiment, by id. Raises UsageError if the firmware cannot be loaded."""
     make_robot: RobotMaker = load_firmware(experiment.firmware)
+    # Robots of the reference need what no config has: the reading of the equations, and omega itself.
     if experiment.firmware == "reference":
         conventions = AUTHORS if experiment.conventions == "authors" else PAPER
         make_robot = partial(ReferenceRobot, conventions=conventions, omega=float(experiment.omega))
@@ -321,6 +326,7 @@ class Job:
 
         Raises UsageError in a worker of another version of the program, and as ``run_trials``.
         """
+        # Another version may compute other results, or may not even know the experiment's parameters.
         worker_version = own_version()
         if self.version != worker_version:
             raise UsageError(

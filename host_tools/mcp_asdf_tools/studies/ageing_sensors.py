@@ -43,6 +43,7 @@ class AgeingSensors(ABC):
 
     def advance(self, steps: int) -> Accuracies:
         """Return the accuracies in the next steps."""
+        # Changes count from the start, so that a limit that was reached does not shift what follows.
         unlimited = self._settings.true_accuracy + self._changes(steps)
         self._next_step += steps
         accuracies = np.clip(unlimited, self._settings.lowest_accuracy, 1.0)
@@ -58,6 +59,7 @@ class AgeingSensors(ABC):
 
     def _normal_draws(self, steps: int, first_step: int) -> NDArray[np.float64]:
         """Return a normally distributed number for each of some steps and each robot."""
+        # The inverse of the normal distribution function turns uniform numbers into normal ones.
         draws: NDArray[np.float64] = ndtri(self._draws.draw_uniforms(steps, first_step))
         return draws
 
@@ -75,6 +77,7 @@ class UnequallyAgeingSensors(AgeingSensors):
 
     def _changes(self, steps: int) -> NDArray[np.float64]:
         """Return each robot's rate, times the steps so far."""
+        # The same draws, those of step 0, whenever this is called: a robot keeps its rate.
         rates = MEAN_RATE + RATE_DEVIATION * self._normal_draws(1, first_step=0)
         return rates * self._step_numbers(steps)
 

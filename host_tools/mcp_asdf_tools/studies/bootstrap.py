@@ -99,6 +99,7 @@ def resample_rank_correlation(first: Sample, second: Sample) -> Resampled:
     # Ranking all resamples at once would need several arrays of RESAMPLES x trials float64.
     batches = np.array_split(resample_indices(len(first)), 50)
     resamples = np.concatenate([_spearman(first[indices], second[indices]) for indices in batches])
+    # The sample itself is a single row.
     (value,) = _spearman(first[np.newaxis], second[np.newaxis])
     return Resampled(float(value), resamples.astype(np.float32))
 

@@ -90,6 +90,7 @@ class Contrast:
 
     def plan(self, study_part: StudyPart) -> list[PlannedComparison]:
         """List the comparisons of the contrast's cells in a part of the study, each pair of cells once."""
+        # A dictionary drops repeated pairs, and keeps the order of the rest.
         plan_by_cells: dict[tuple[Cell, Cell | None], PlannedComparison] = {}
         for cell in self._cells(study_part):
             for reference in self._references(cell):
@@ -316,6 +317,7 @@ def _claim_from(name: str, row: Mapping[str, Any]) -> Claim:
     for contrast_row in row.get("contrasts", []):
         for measure in _as_list(contrast_row.get("measure", Contrast.measure)):
             contrasts.append(Contrast(**{**contrast_row, "measure": measure}))
+    # None stands for the equations, which need no trials.
     parts: tuple[StudyPart | None, ...] = (None,)
     if name not in EQUATIONS:
         parts = tuple(StudyPart(part_name) for part_name in row["parts"])
@@ -381,6 +383,7 @@ def decide(study_results: StudyResults, claims: Iterable[Claim] = CLAIMS) -> lis
     decisions: list[Decision] = []
     for claim in claims:
         for study_part in claim.parts:
+            # The user may have run some parts of the study only.
             if parts_needed(claim, study_part) <= parts_with_results:
                 comparisons = tuple(_compare(claim, study_part, study_results))
                 decisions.append(Decision(claim, study_part, comparisons))

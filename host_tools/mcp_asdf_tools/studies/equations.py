@@ -117,6 +117,7 @@ def confidence_increases_with_b_hat() -> list[Comparison]:
     """Compare alpha at each b_hat from 0.505 to 0.995 with that at the b_hat 0.005 lower, for each n/t."""
     comparisons: list[Comparison] = []
     for black_share in BLACK_SHARES:
+        # 99 values of b_hat, 0.005 apart.
         alphas = [_alpha(black_share, b_hat) for b_hat in np.linspace(0.505, 0.995, 99)]
         smallest_ratio = min(higher / lower for lower, higher in pairwise(alphas))
         column = "least ratio of alpha to that of a b_hat 0.005 lower, less 1"

@@ -139,11 +139,14 @@ class BayesCpfRobot(ReferenceRobot):
         # The measurement is n; its expectation t (x b + (1 - x)(1 - b)) has this slope in b.
         slope = t * (2 * x - 1)
         expected = t * (x * (2 * self._mean - 1) + 1 - self._mean)
+        # The variance of a binomial count, t p (1 - p), for p = expected / t.
         noise = t * ((2 * self._mean - 1) ** 2 * (x - x**2 - 0.25) + 0.25)
         gain = self._variance * slope / (slope**2 * self._variance + noise)
         self._mean += gain * (n - expected)
         self._variance *= 1 - gain * slope
-        return min(max(self._truncated_mean(), 0.5 + 1e-6), 1 - 1e-6)
+        # Off the ends, as at b_hat = 1/2 the local estimate would divide by 0.
+        lowest, highest = 0.5 + 1e-6, 1 - 1e-6
+        return min(max(self._truncated_mean(), lowest), highest)
 
     def _truncated_mean(self) -> float:
         """Return the mean of the estimate's normal distribution, cut to [1/2, 1]."""
@@ -154,6 +157,8 @@ class BayesCpfRobot(ReferenceRobot):
         mass = math.erf(high / math.sqrt(2)) - math.erf(low / math.sqrt(2))
         if mass < 1e-12:  # the quotient below would be noise
             return self._mean
+        # The mean is mu + sigma (phi(low) - phi(high)) / (Phi(high) - Phi(low)), where phi has the factor 1 /
+        # sqrt(2 pi) and the difference of Phi is mass / 2.
         density_difference = math.exp(-(low**2) / 2) - math.exp(-(high**2) / 2)
         return self._mean + deviation * math.sqrt(2 / math.pi) / mass * density_difference
 
@@ -182,6 +187,7 @@ class KnownAccuracyRobot(ReferenceRobot):
 
     def observe(self, z: Observation) -> Status:
         """Set b_hat, and count an observation as the reference does."""
+        # This b_hat already holds for the observation that is counted below.
         self._b_hat = min(self._accuracy_to_assume(), 1 - B_HAT_MARGIN)
         self._true_accuracy += DRIFT_RATE
         return super().observe(z)
@@ -214,6 +220,7 @@ class LossyRobot(NativeRobot):
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
         super().__init__(config, robot_id, b_hat)
+        # Seeded, so that a study gives the same results each time.
         self._random = random.Random(robot_id)
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:

@@ -151,6 +151,7 @@ def render_page(markdown: str, images: Mapping[str, bytes]) -> str:
         image_text = base64.b64encode(images[link_attribute[1]]).decode()
         return f'src="data:image/png;base64,{image_text}"'
 
+    # The Markdown has the targets of its links as HTML, and tables, which CommonMark lacks.
     body = MarkdownIt("commonmark", {"html": True}).enable("table").render(markdown)
     body_with_images = re.sub(r'src="([^"]*)"', embed_image, body)
     return _fill_template("report.html.j2", body=body_with_images)
@@ -244,10 +245,12 @@ def summarize(decision: Decision) -> str:
     """
     total = len(decision.comparisons)
     counts = f"{decision.count(True)} of {total} hold"
+    # Numbers of zero are left out.
     if decision.count(False):
         counts += f", {decision.count(False)} fail"
     if decision.count(None):
         counts += f", {decision.count(None)} open"
+    # From the one that contradicts the claim most to the one that supports it most.
     ranked = sorted(decision.comparisons, key=_relative_agreement)
     worst = format_difference(ranked[0])
     best = format_difference(ranked[-1])

@@ -179,6 +179,7 @@ def as_honest_robots_see_it(trials: Trials) -> Trials:
     """
     experiment = trials.experiment
     honest_robots = experiment.robots - LIARS.get(firmware_name(experiment), 0)
+    # Axes are trials, recorded steps and robots.
     x = trials.records["x"][:, :, :honest_robots]
     if experiment.sensor:  # in hard worlds, this is always ChangingFloor
         experiment = replace(experiment, fill_ratio=FLOOR_AFTER_CHANGE)

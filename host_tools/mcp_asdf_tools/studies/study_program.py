@@ -88,6 +88,7 @@ def run_rows(
             label: [_shorten(experiment) for experiment in experiments]
             for label, experiments in experiments_by_row.items()
         }
+    # One call for all rows, so that no worker waits at the end of each row.
     all_experiments = [experiment for row in experiments_by_row.values() for experiment in row]
     make_folder(arguments.folder)
     output = arguments.folder / f"{name}.parquet"
@@ -195,6 +196,7 @@ def under_and_over_text(experiments: Sequence[Trials]) -> str:
     The first is that of the underconfident swarms, the second that of the overconfident ones; one is left out
     if there are no such swarms.
     """
+    # b alone tells the two kinds apart: it is high only where robots are underconfident.
     texts: list[str] = []
     for sensors in BOTH_FLAWS:
         group = [

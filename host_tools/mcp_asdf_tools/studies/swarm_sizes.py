@@ -116,6 +116,7 @@ def draw_sizes(rows: Rows) -> Figure:
     for (flaw, sensors), axes_of_row in zip(FLAWS.items(), rows_of_axes, strict=True):
         for axes, measure in zip(axes_of_row, measures, strict=True):
             m.plot_curve(experiments, "robots", measure, hue="filter", where=sensors, ax=axes)
+            # Sizes go from 20 to 10,000 robots.
             axes.set(xscale="log", title=flaw)
         score_axes, error_axes, cost_axes = axes_of_row
         score_axes.set(ylabel="score H", ylim=(0, 100))

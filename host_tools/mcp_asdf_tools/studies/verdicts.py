@@ -123,6 +123,7 @@ def _holds_above(interval: Interval, size: float, is_strong: bool) -> bool | Non
         return True
     if not is_strong and _is_surely_above(interval, size):
         return True
+    # Not even the upper end of the interval is large enough.
     if interval.high < size:
         return False
     return None
@@ -178,6 +179,7 @@ def _verdict_of_count(holding_count: int, total: int, scope: Scope) -> Verdict:
         case Scope.SOME:
             return Verdict.AGREE if holding_count > 0 else Verdict.DISAGREE
         case Scope.MOST:
+            # As many that fail as would have to hold refute the claim.
             agreeing_share, refuted_share = MOST_SHARE, 1 - MOST_SHARE
         case Scope.ALL:
             agreeing_share, refuted_share = 1.0, REFUTED_SHARE

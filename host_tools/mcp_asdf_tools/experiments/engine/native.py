@@ -71,6 +71,7 @@ class EngineTrials:
             arena_members = [members_of_arena for members_of_arena, _image in arenas]
             members["arenas"] = self._array("mcp_asdf_arena_config_t", arena_members)
         if isinstance(experiment.graph, Graph):
+            # The order of arcs is that in which C delivers, which has to be by ascending senders.
             arcs = self._array("mcp_asdf_pair_t", sorted(experiment.graph.links))
             members |= {"arcs": arcs, "arc_count": len(arcs)}
         self.experiment = ffi.new("mcp_asdf_experiment_t *", members)
@@ -114,6 +115,7 @@ class EngineTrials:
         engine = _engine.lib
         columns = engine.mcp_asdf_engine_columns(self.experiment)
         self.x = np.empty((self.experiment.trials, columns, self.experiment.steps + 1), np.uint32)
+        # In the order of the members of mcp_asdf_outcome_t.
         result_arrays = (
             self.robots,
             self._array("uint32_t", self.x),
@@ -172,6 +174,7 @@ def run(
         name = experiment.lacking_in_c
         raise UsageError(f"the engine in C lacks this {name}, {getattr(experiment, name)}; use run_trials")
     engine_trials = EngineTrials(experiment, first, trials, sampling_interval)
+    # Lanes lack, for example, records and comms_period above 1.
     if lanes is None:
         lanes = _engine.lib.mcp_asdf_engine_has_lanes(engine_trials.experiment)
     status = engine_trials.execute(lanes)
@@ -191,6 +194,7 @@ def _black_probabilities(experiment: Experiment, first: int, trials: int) -> NDA
     the length 1; that of trials has, unless an extension makes the sensors. Raises UsageError if its answers
     are not as they should be.
     """
+    # Built-in sensors are alike in all trials, so that one stands for all of them.
     distinct_trials = range(trials if experiment.sensor else 1)
     fill_ratio = None if experiment.is_dynamic else experiment.fill_ratio
     probabilities = []

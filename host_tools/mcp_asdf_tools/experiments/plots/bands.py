@@ -100,17 +100,17 @@ def _title_lines(experiment: Experiment, varying_names: Sequence[str]) -> list[s
     The text is wrapped into lines of up to _TITLE_WIDTH characters.
     """
     values = [
-        parameter_with_value(name, experiment.parameters()[name])
-        for name in varying_names
-        if has_effect(experiment, name)
+        parameter_with_value(parameter_name, experiment.parameters()[parameter_name])
+        for parameter_name in varying_names
+        if has_effect(experiment, parameter_name)
     ]
     values.append(f"$f$ = {experiment.fill_ratio:g}")
     values.append(f"$b$ = {experiment.true_accuracy:g}")
     values.append(rf"$\hat{{b}}$ = {experiment.flawed_accuracy:g}")
     values.append(f"$P$ = {flawed_share(experiment):.0%}")
     # A symbol and its value stay on one line.
-    text = ", ".join(values).replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}")
-    return textwrap.wrap(text, _TITLE_WIDTH)
+    title_text = ", ".join(values).replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}")
+    return textwrap.wrap(title_text, _TITLE_WIDTH)
 
 
 def _draw_accuracy_bands(axes: Axes, trials: Trials) -> None:
@@ -119,6 +119,7 @@ def _draw_accuracy_bands(axes: Axes, trials: Trials) -> None:
     Robots of either kind are left out if there are none.
     """
     experiment = trials.experiment
+    # The first filter step is at step filter_period, not at step 0.
     steps = experiment.filter_period * np.arange(1, _filter_step_count(trials) + 1)
     flawed, healthy = _flawed_and_healthy(trials)
     for colour, b_hat in ((FLAWED, flawed), (OTHER, healthy)):

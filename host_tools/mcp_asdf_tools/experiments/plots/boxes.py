@@ -59,7 +59,14 @@ def plot_boxes(
     all_series = group_into_series(experiments, series_name)
     fill_ratios = sorted_attributes(experiments, "fill_ratio")
     accuracies = sorted_attributes(experiments, "true_accuracy")
-    figure, grid = create_panel_grid(len(fill_ratios), len(accuracies), 2.6, len(all_series), sharex=False)
+    # Panels may have different slots along x: not every b goes with every b_hat.
+    figure, grid = create_panel_grid(
+        row_count=len(fill_ratios),
+        column_count=len(accuracies),
+        panel_height=2.6,
+        series_count=len(all_series),
+        sharex=False,
+    )
     for (row, column), axes in np.ndenumerate(grid):
         f, b = fill_ratios[row], accuracies[column]
         _draw_box_panel(axes, [_select_panel(series, f, b) for series in all_series], limits)
@@ -89,8 +96,10 @@ def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limit
         # From the middle of a slot, whose position is a whole number.
         offset = (series_index + 0.5) * box_width - _SLOT_WIDTH / 2
         for trials in series.experiments:
+            # Narrower than its place, so that neighbouring boxes do not touch.
             middle = slots.index(_slot_of(trials.experiment)) + offset
             _draw_box(axes, trials.scores(limits)["H"], middle, 0.85 * box_width, series.colour)
+    # H is at most 100; above it is room for the outlines of boxes and points there.
     axes.set(ylim=(0, 103), xlim=(-0.5, len(slots) - 0.5))
     axes.set_xticks(range(len(slots)), [f"{offset:+.2g}\n{share:.0%}" for share, offset in slots])
     clean(axes)
@@ -114,6 +123,7 @@ def _draw_box(axes: Axes, scores: NDArray[np.float64], middle: float, width: flo
         whiskerprops=line,
         capprops=line,
     )
+    # Points are moved sideways, without a pattern, since equal scores would hide each other.
     shares_of_width = np.arange(len(scores)) * _GOLDEN_RATIO % 1
     distances = (shares_of_width - 0.5) * width  # from the middle of the box
     axes.plot(middle + distances, scores, ".", color=colour, markersize=3.5, alpha=0.6, markeredgewidth=0)

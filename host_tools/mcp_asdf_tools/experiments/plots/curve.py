@@ -70,7 +70,7 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
     experiments = experiments_to_plot(results, where)
     _check_axes(experiments, x, hue, y, facet)
     all_series = _series_by_hue(experiments, hue)
-    x_values = _sorted_values(experiments, x)
+    x_values = _sorted_axis_values(experiments, x)
     y_label = y if isinstance(y, str) else getattr(y, "__name__", "y")
     handles = [legend_handle(series.label, series.colour, line="-") for series in all_series] if hue else []
 
@@ -78,10 +78,12 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
         """Draw a curve for each series."""
         for series in series_of_panel:
             samples = {
-                _value(trials.experiment, x): _measure(trials, y, limits) for trials in series.experiments
+                _axis_value(trials.experiment, x): _measured_values(trials, y, limits)
+                for trials in series.experiments
             }
             _draw_curve(axes, samples, x_values, series.colour)
 
+    # Axes of the caller get curves, labels and a legend; the figure and its caption are the caller's.
     if ax is not None:
         if facet:
             raise UsageError("facet makes panels and ax is one; give one of them")
@@ -90,6 +92,7 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
         if hue:
             ax.legend(handles=handles, frameon=False, fontsize=SMALL)
         return cast(Figure, ax.get_figure(root=True))
+    # Without a facet there is one panel, which needs no title.
     titles_and_series = [("", all_series)]
     if facet:
         titles_and_series = [
@@ -97,7 +100,7 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
                 parameter_with_value(facet, value),
                 [_select_value(series, facet, value) for series in all_series],
             )
-            for value in _sorted_values(experiments, facet)
+            for value in _sorted_axis_values(experiments, facet)
         ]
     panel_height = 2.6 if len(titles_and_series) > 1 else 3.8
     figure, panels = create_panels(len(titles_and_series), panel_height, len(all_series))
@@ -113,7 +116,8 @@ def _series_by_hue(experiments: Sequence[Trials], hue: str) -> list[Series]:
     """Return a series for each value of the parameter ``hue``, or one of all experiments if it is empty."""
     if not hue:
         return [Series("", ordered_colours(1)[0], list(experiments))]
-    hue_values = _sorted_values(experiments, hue)
+    hue_values = _sorted_axis_values(experiments, hue)
+    # Values of other parameters have an order, which their colours show.
     colours = colours_of_filters(hue_values) if hue == "filter" else ordered_colours(len(hue_values))
     return [
         _select_value(Series(parameter_with_value(hue, value), colour, list(experiments)), hue, value)
@@ -121,9 +125,9 @@ def _series_by_hue(experiments: Sequence[Trials], hue: str) -> list[Series]:
     ]
 
 
-def _select_value(series: Series, name: str, value: Any) -> Series:
+def _select_value(series: Series, parameter_name: str, value: Any) -> Series:
     """Return the series with only those experiments whose parameter has this value."""
-    return series.select(lambda experiment: _value(experiment, name) == value)
+    return series.select(lambda experiment: _axis_value(experiment, parameter_name) == value)
 
 
 def _draw_curve(
@@ -134,6 +138,7 @@ def _draw_curve(
     Where one of the ``x_values``, those of all panels, is a long text, such as a graph, they stand side by
     side with shortened labels.
     """
+    # A series need not have been measured at every x of the others.
     measured_x = [x for x in x_values if x in samples]
     has_long_texts = any(isinstance(x, str) and len(x) > MAX_LABEL_LENGTH for x in x_values)
     if measured_x:
@@ -144,7 +149,7 @@ def _draw_curve(
     clean(axes)
 
 
-def _measure(trials: Trials, y: str | Measure, limits: Limits) -> NDArray[np.float64]:
+def _measured_values(trials: Trials, y: str | Measure, limits: Limits) -> NDArray[np.float64]:
     """Return ``y`` of each trial. Raises UsageError if a function does not give one number for each."""
     if isinstance(y, str):
         return np.asarray(trials.measures(limits)[y], dtype=np.float64)  # updates are counted in integers
@@ -156,15 +161,15 @@ def _measure(trials: Trials, y: str | Measure, limits: Limits) -> NDArray[np.flo
     return values
 
 
-def _value(experiment: Experiment, name: str) -> Any:
+def _axis_value(experiment: Experiment, parameter_name: str) -> Any:
     """Return the value of a parameter for an axis: flawed robots as a share, choices as words."""
-    return flawed_share(experiment) if name == "flawed" else experiment.parameters()[name]
+    return flawed_share(experiment) if parameter_name == "flawed" else experiment.parameters()[parameter_name]
 
 
-def _sorted_values(experiments: Sequence[Trials], name: str) -> list[Any]:
+def _sorted_axis_values(experiments: Sequence[Trials], parameter_name: str) -> list[Any]:
     """Return the different values of a parameter for an axis, in order."""
-    values = {_value(trials.experiment, name) for trials in experiments}
-    return sorted(values, key=lambda value: sort_key(name, value))
+    values = {_axis_value(trials.experiment, parameter_name) for trials in experiments}
+    return sorted(values, key=lambda value: sort_key(parameter_name, value))
 
 
 def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str | Measure, facet: str) -> None:
@@ -173,17 +178,18 @@ def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str | Measur
     ``x``, ``hue`` and ``facet`` must be parameters, the last two may be empty; ``y`` must be one of MEASURES
     or a function. The number of trials may differ.
     """
-    known_names = parameters_of(Experiment)
+    parameter_names = parameters_of(Experiment)
     for option, name in (("x", x), ("hue", hue), ("facet", facet)):
         is_left_out = name == "" and option != "x"
-        if name not in known_names and not is_left_out:
-            fix = offer(name, known_names) or f"; choose a parameter: {', '.join(known_names)}"
+        if name not in parameter_names and not is_left_out:
+            fix = offer(name, parameter_names) or f"; choose a parameter: {', '.join(parameter_names)}"
             raise UsageError(f"{option} is {name!r}{fix}")
     if not callable(y) and y not in MEASURES:
         raise UsageError(f"y is {y!r}; choose one of {', '.join(MEASURES)}")
     hidden_names = varying_parameters(experiments, (x, hue, facet, "trials", "flawed"))
     # Equal shares of swarms of different sizes are no difference.
-    if "flawed" not in (x, hue, facet) and len({flawed_share(each.experiment) for each in experiments}) > 1:
+    flawed_shares = {flawed_share(trials.experiment) for trials in experiments}
+    if "flawed" not in (x, hue, facet) and len(flawed_shares) > 1:
         hidden_names.append("flawed")
     if hidden_names:
         raise UsageError(

@@ -48,7 +48,7 @@ def plot_scatter(
     accuracies = sorted_attributes(experiments, "true_accuracy")
     shares = sorted({flawed_share(trials.experiment) for trials in experiments})
     rows = [(series, f) for series in all_series for f in fill_ratios]
-    figure, grid = create_panel_grid(len(rows), len(shares), 1.7, len(all_series))
+    figure, grid = create_panel_grid(len(rows), len(shares), panel_height=1.7, series_count=len(all_series))
     # An entry of the legend for each b and offset of b_hat that occurs.
     handles: dict[tuple[float, float], Line2D] = {}
     for (row, column), axes in np.ndenumerate(grid):
@@ -60,11 +60,13 @@ def plot_scatter(
                 continue
             b, offset = experiment.true_accuracy, accuracy_offset(experiment)
             colour = _colour_of_offset(offset)
+            # With more than five b, markers are used again.
             marker = _MARKERS[accuracies.index(b) % len(_MARKERS)]
             scores = trials.scores(limits)
             axes.plot(scores["h_K"], scores["h_e"], marker, color=colour, markersize=3, alpha=0.6)
             handles[b, offset] = legend_handle(_describe_accuracy(b, offset), colour, marker)
         axes.set_title(f"{series.label}\n$f = {f:g}$, $P$ = {shares[column]:.0%}", fontsize=SMALL)
+        # Scores are 0 to 100; the margin keeps markers at the ends from being cut.
         axes.set(xlim=(-4, 104), ylim=(-4, 104))
         clean(axes)
     caption = make_caption(experiments, _MARKS, limits)

@@ -86,6 +86,7 @@ def plot_runs(runs: Sequence[Trials], trial_number: int) -> Figure:
         top_axes, bottom_axes = column[0], column[-1]
         top_axes.set_title(_series_title(trials.experiment, trial_number), fontsize=SMALL, loc="left")
         bottom_axes.set_xlabel("step", fontsize=MEDIUM)
+    # Every robot has drawn a line: the legend needs one of each kind.
     line_by_label = {line.get_label(): line for axes in grid.flat for line in axes.lines}
     labels = [label for label in (_FLAWED_LABEL, _HEALTHY_LABEL, _TRUE_LABEL) if label in line_by_label]
     add_legend(figure, [line_by_label[label] for label in labels])
@@ -139,9 +140,9 @@ def _series_title(experiment: Experiment, trial_number: int) -> str:
     title = filter_name(experiment)
     if experiment.swarm_filter.is_on:
         title += rf", $\tau$ = {experiment.filter_period}"
-    robots = f"{experiment.robots} robots, {experiment.flawed} flawed"
+    robot_counts = f"{experiment.robots} robots, {experiment.flawed} flawed"
     topology = experiment.parameters()["topology"]
-    return f"{title}: {robots},\n{topology}, seed {experiment.seed}, trial {trial_number}"
+    return f"{title}: {robot_counts},\n{topology}, seed {experiment.seed}, trial {trial_number}"
 
 
 def _draw_quantity(axes: Axes, trials: Trials, trial_number: int, quantity: _Quantity) -> None:
@@ -164,7 +165,14 @@ def _draw_quantity(axes: Axes, trials: Trials, trial_number: int, quantity: _Qua
         )
     true_value = _true_value(experiment, quantity)
     axes.axhline(true_value, color=INK, label=_TRUE_LABEL, linewidth=1.2, linestyle="--")
-    text = f" {quantity.true_symbol} = {true_value:g}"
+    true_value_text = f" {quantity.true_symbol} = {true_value:g}"
     right_edge = 1  # in this transform x is a share of the panel's width
-    axes.text(right_edge, true_value, text, transform=axes.get_yaxis_transform(), va="center", fontsize=SMALL)
+    axes.text(
+        right_edge,
+        true_value,
+        true_value_text,
+        transform=axes.get_yaxis_transform(),
+        va="center",
+        fontsize=SMALL,
+    )
     clean(axes)
