@@ -59,7 +59,7 @@ _TICKS_BETWEEN_COUNTS = 64
 
 
 class Recorder(Protocol):
-    """What takes the events of one robot, so that it can be run again. ``recording.events`` has one."""
+    """Writer of the events of one robot, so that it can be run again. ``recording.events`` has one."""
 
     def record_observation(self, z: Observation | None) -> None:
         """Record that a tick began, in which the robot observed ``z``, or nothing."""
@@ -214,11 +214,13 @@ class BusRobot:
 
         It is due in the last tick of a round, and stays due until a tick has ended.
         """
+        # Recorded first, as it begins the tick to which the events that follow belong.
         if self.recorder is not None:
             self.recorder.record_observation(z)
         self.ticks += 1
         if z is not None:
             self.robot.observe(z)
+        # Not below 0, since the broadcast stays due until ``settle`` begins the next round.
         self._ticks_to_broadcast = max(self._ticks_to_broadcast - 1, 0)
         return self._ticks_to_broadcast == 0
 
@@ -231,6 +233,7 @@ class BusRobot:
         if self._ticks_to_broadcast == 0:
             self._ticks_to_broadcast = self._comms_period
             self.robot.settle()
+        # Often enough that no counter wraps unseen, and not in every tick, since reading them takes time.
         if self.ticks % _TICKS_BETWEEN_COUNTS == 0:
             self._update_counters()
         if self.recorder is not None:
@@ -312,11 +315,13 @@ class BusRobot:
             return
         sender = estimate.sender
         if self._is_allowed is not None and not self._is_allowed[sender]:
+            # The firmware never gets it, so a replay does not need it in the log.
             self.reception.events[Suspicion.UNKNOWN, sender] += 1
             return
         if self.recorder is not None:
             self.recorder.record_estimates([[sender, estimate.x_hat, estimate.alpha]])
         self.reception.delivered += 1
+        # The firmware refuses a sender that the round has already, its own id, and impossible values.
         if self._port.receive_raw(sender, estimate.x_hat, estimate.alpha) is not Status.OK:
             self.reception.refused += 1
             if sender == self.id:
@@ -327,6 +332,7 @@ class BusRobot:
         if not self.is_alive:
             return
         if self._is_allowed is not None:
+            # One look-up for all estimates, as a flood of them may come in a tick: a truth value for each.
             senders = estimates[:, _SENDER_COLUMN]
             is_allowed = self._is_allowed[senders]
             for sender in senders[~is_allowed].tolist():
@@ -359,6 +365,7 @@ class BusRobot:
             self.reception.heartbeats += frame_count
         elif isinstance(content, Telemetry):
             self.reception.telemetry += frame_count
+        # The bus has damaged a frame, whoever sent it: no node has sent a wrong one.
         elif content is Rejection.ERROR_FRAME:
             self.reception.errors += frame_count
         elif isinstance(content, Rejection):
@@ -404,6 +411,7 @@ class RoundingPort:
 
         ``x_hat`` is in units of 2**-23, ``alpha`` an alpha word. An invalid estimate raises no exception.
         """
+        # Invalid estimates are usual on a bus: as with ``FixedPointRobot`` they are no exceptions here.
         try:
             return self._robot.receive(sender, x_hat / Q23_ONE, alpha_from_word(alpha))
         except FirmwareError as error:

@@ -48,6 +48,7 @@ class RealTimeClock:
         The first tick begins at once, whatever its number. Call this once for each tick.
         """
         if not self._lateness:
+            # The start that lets this very tick begin now.
             self._start = self._now() - tick * self._period
         begin_time = self._start + tick * self._period
         seconds_left = begin_time - self._now()
@@ -71,6 +72,7 @@ class RealTimeClock:
         """
         if not self._lateness:
             return None
+        # A tick that begins later than half a period has none of its time for receiving left.
         return {
             "mean_lateness": math.fsum(self._lateness) / len(self._lateness),
             "max_lateness": max(self._lateness),

@@ -32,7 +32,7 @@ class FilteringRobots(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class SwarmFilter:
-    """One choice of ``--filter``: its names, its meaning, and what it sets in the firmware of each robot.
+    """A choice of ``--filter``: its names, its meaning, and what it sets in the firmware of each robot.
 
     Attributes:
         name: Value of the option and of the parameter ``filter``.
@@ -73,7 +73,7 @@ class SwarmFilter:
 
     @property
     def is_on(self) -> bool:
-        """Whether any robot re-estimates b_hat."""
+        """True if any robot re-estimates b_hat."""
         return self.filtering_robots is not FilteringRobots.NONE
 
     @property
@@ -109,6 +109,7 @@ class SwarmFilter:
         """Return the parameters of filters that have no effect with this activation, with the reason."""
         unused_parameters = dict(self.unused_parameters)
         if activation == "always" and self.firmware_filter_without_test is not None:
+            # Omega is the tolerance of the test that is left out.
             unused_parameters["omega"] = "activation is always, without a test"
         return unused_parameters
 

@@ -133,12 +133,14 @@ class Lockstep:
         Raises LockstepError if a robot does not answer within the time limit, or its telemetry is not the
         next after its last; can.CanError if the bus does not take the commands.
         """
+        # Telemetry that came before the command is no answer to it.
         self._telemetry.clear()
         self._last_actions = dict.fromkeys(robots, Action.SETTLE)
         self._send_commands(self._last_actions)
         answers = self._wait_for_answers(robots, self._telemetry, "settle")
         for robot, answer in answers.items():
             self._check_transfer_id(robot, answer.transfer_id)
+        # Only now: after an error the tick is still open.
         self.tick += 1
         return answers
 
@@ -170,6 +172,7 @@ class Lockstep:
 
         Raises can.CanError if the bus does not take them.
         """
+        # All commands are encoded before the first is sent, so that a wrong id sends none of them.
         frames = []
         for robot, action in actions.items():
             transfer_id = self._sent_command_count % TRANSFER_IDS
@@ -177,6 +180,7 @@ class Lockstep:
             frames.append(encode_command(command, self._subjects.commands))
             self._sent_command_count += 1
         send_all(self._bus, frames, self._timeout)
+        # A frame that the bus did not take must not be in a log.
         for frame in frames:
             self._on_frame(frame)
 
@@ -189,10 +193,12 @@ class Lockstep:
         ``expected_answer`` says in an error what a robot did not do. Raises LockstepError after the time
         limit.
         """
+        # An answer may have come already, while an earlier one was awaited.
         missing_robots = set(robots) - answers.keys()
         for _ in self._receive_while_missing(
             missing_robots, expected_answer, self._timeout, self._last_actions
         ):
+            # The frame is among ``answers`` by now if it is one: only the count of who is missing is left.
             missing_robots.difference_update(answers)
         return {robot: answers[robot] for robot in robots}
 

@@ -74,6 +74,7 @@ class Subjects:
 
     def __post_init__(self) -> None:
         subjects = [self.estimates.subject, self.telemetry.subject, self.commands.subject]
+        # Receivers distinguish the kinds of messages by their subjects alone.
         if len(set(subjects)) < len(subjects):
             raise UsageError(
                 f"estimates, telemetry and commands have the subjects {subjects}; choose three different ones"
@@ -235,6 +236,7 @@ class RobotNode:
         and of ``Reception`` by name, and ``events``: a list of suspicious events with kind, sender and count.
         """
         return {
+            # The attributes of FramesSent are named after the kinds of frames.
             **{f"{kind}_sent": count for kind, count in vars(self.sent).items()},
             "delivered": self.reception.delivered,
             "refused": self.reception.refused,
@@ -339,6 +341,7 @@ class BusLink:
             return False
         self.last_failure = None
         if self.log is not None:
+            # A log has the time of day; until now the frame had the node's own time, which counts ticks.
             frame.timestamp = time.time()
             self.log(frame)
         return True
@@ -419,6 +422,7 @@ def run_node(
     try:
         for frame in node.start():
             link.send(frame)
+        # A tick that is open is finished, so that its telemetry is not missing at the end.
         while not node.is_settled or ticks is None or node.ticks < ticks:
             received_frame = link.receive(_MAX_WAIT)
             if received_frame is not None:

@@ -67,6 +67,8 @@ class Population(WorldSettings):
     def __post_init__(self) -> None:
         from mcp_asdf_tools.tables.thresholds import parse_omega  # noqa: PLC0415 (mpmath loads slowly)
 
+        # The base class first, which checks the number of robots that a share refers to. The class is frozen,
+        # so that a plain assignment would be refused.
         super().__post_init__()
         object.__setattr__(self, "flawed", flawed_count(self.flawed, self.robots))
         with value_of("omega"):
@@ -79,6 +81,7 @@ class Population(WorldSettings):
             )
         if self.drift_of != "all" and self.drift == "none":
             raise ParameterError("drift_of", f"drift_of is {self.drift_of} but drift is none; choose a drift")
+        # The firmware asks for that; ``mcp_asdf.robot.check_settings`` has the reason.
         if self.memory % 4:
             raise ParameterError("memory", f"memory is {self.memory}; it must be a multiple of 4")
 
@@ -131,6 +134,7 @@ class Population(WorldSettings):
         firmware_filter = self.swarm_filter.firmware_filter_of(self.is_flawed(robot), self.activation)
         table = None
         if firmware_filter is Filter.ADAPTIVE:
+            # An entry for every number of neighbours that a robot may have, within the limits of a table.
             neighbours = min(max(MIN_Q, self.robots - 1), MAX_ID)
             table = generate(self.omega, neighbours)
         # The firmware counts rounds, of comms_period steps each, where the paper's tau counts steps.
@@ -148,6 +152,7 @@ class Population(WorldSettings):
 
 def _plain(value: Any) -> Any:
     """Return a parameter's value as a number or a text: a Decimal as a float, other objects as their text."""
+    # The nine decimal places of omega survive in a float, and JSON has no decimals.
     if isinstance(value, Decimal):
         return float(value)
     return value if isinstance(value, int | float) else str(value)
@@ -159,25 +164,27 @@ def flawed_count(count_or_share: Any, robots: int) -> int:
     A share of ``robots`` becomes the nearest count, halves up. Raises ParameterError if the value is neither
     a count nor a share, or out of range.
     """
-    text = str(count_or_share)
-    if text.isascii() and text.isdigit():
-        count = int(text)
+    # Digits alone are a count: 1 is one robot, and 1.0 or 100% are all of them.
+    flawed_text = str(count_or_share)
+    if flawed_text.isascii() and flawed_text.isdigit():
+        count = int(flawed_text)
         if count <= robots:
             return count
     else:
-        share = _parse_share(text)
+        share = _parse_share(flawed_text)
         if 0 <= share <= 1:  # this refuses NaN, too
             return math.floor(share * robots + 0.5)
+    # What has not been returned by now is neither, or out of range.
     raise ParameterError(
         "flawed",
         f"flawed is {count_or_share!r}; give a count, 0 to {robots}, or a share such as '30%' or 0.3",
     )
 
 
-def _parse_share(text: str) -> float:
+def _parse_share(share_text: str) -> float:
     """Return the number that a text such as ``0.3`` or ``30%`` stands for; NaN if it stands for none."""
-    divisor = 100 if text.endswith("%") else 1
+    divisor = 100 if share_text.endswith("%") else 1
     try:
-        return float(text.removesuffix("%")) / divisor
+        return float(share_text.removesuffix("%")) / divisor
     except ValueError:
         return math.nan

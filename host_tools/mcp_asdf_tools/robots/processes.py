@@ -85,6 +85,7 @@ class NodeProcesses:
         """
         for robot, process in self._processes.items():
             if process.poll() is not None:
+                # Reading does not wait, as the process that writes there has ended.
                 errors = process.stderr.read().strip() if process.stderr else ""
                 raise LockstepError(
                     f"the process of robot {robot} ended with exit code {process.returncode}: "
@@ -98,10 +99,10 @@ class NodeProcesses:
             process.terminate()
         for robot, process in self._processes.items():
             try:
-                report = process.communicate(timeout=_EXIT_TIMEOUT)[0]
+                report, _error_output = process.communicate(timeout=_EXIT_TIMEOUT)
             except subprocess.TimeoutExpired:
                 process.kill()
-                report = process.communicate()[0]
+                report, _error_output = process.communicate()
             # A process that was killed, or failed early, has printed no report: its robot gets no entry.
             with suppress(ValueError):
                 self.reports[robot] = json.loads(report)

@@ -73,6 +73,7 @@ def parse_readings(text: str, name: str) -> Readings:
         if reading is None:
             readings.left_out["no number"] += 1
         elif reading == _NO_ANSWER:
+            # The sensor did not answer, so that this is no reading of either colour.
             readings.left_out["reading -1"] += 1
         else:
             readings.rows.append((reading, _IS_BLACK[colour_text]))
@@ -107,6 +108,7 @@ class _Columns:
                 f"{position} has {_count(len(fields), 'column')} where {self.count} are expected; write a "
                 "reading and the colour of its tile, such as 512,black, or name the columns in the first line"
             )
+        # A name of the row stands first, and moves the columns that the header names.
         offset = 1 if has_row_name else 0
         return fields[self.reading_index + offset], fields[self.colour_index + offset]
 
@@ -120,6 +122,7 @@ def _columns_of_header(fields: Sequence[str], position: str) -> _Columns | None:
     colour_indices = [index for index, name in enumerate(fields) if name in _COLOUR_NAMES]
     if "reading" in fields and colour_indices:
         return _Columns(fields.index("reading"), colour_indices[0], count=len(fields), has_header=True)
+    # A reading has digits, and a colour is a known word: a line with neither can only be a header.
     has_digit = any(character.isdigit() for name in fields for character in name)
     has_colour = any(name in _IS_BLACK for name in fields)
     if has_digit or has_colour:
@@ -131,27 +134,28 @@ def _split(line: str) -> list[str]:
     """Return the fields of a line in lower case, without quotes."""
     separator = next((character for character in _SEPARATORS if character in line), None)
     fields = line.split(separator)  # None stands for white space
-    return [text.strip().strip(_QUOTES).strip().lower() for text in fields]
+    # White space may be outside the quotes, and inside.
+    return [column.strip().strip(_QUOTES).strip().lower() for column in fields]
 
 
-def _parse_number(text: str, position: str) -> float | None:
+def _parse_number(number_text: str, position: str) -> float | None:
     """Return a number with a decimal point or comma; None for a text without digits, such as ``NA``.
 
     Raises UsageError, which begins with ``position``, for a text that has digits and is no finite number: if
     it were left out, nobody would notice that the file has another form.
     """
-    if not any(character.isdigit() for character in text):
+    if not any(character.isdigit() for character in number_text):
         return None
     # A comma beside a point is a separator of thousands, which float() refuses.
-    text_with_point = text if "." in text else text.replace(",", ".")
+    text_with_point = number_text if "." in number_text else number_text.replace(",", ".")
     try:
         number = float(text_with_point)
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
         raise UsageError(
-            f"{position} has the reading {text!r}, which is no number; write it as 512, 512.5 or 512,5 "
-            "(with semicolons between columns), without separators of thousands and units"
+            f"{position} has the reading {number_text!r}, which is no number; write it as 512, 512.5 or "
+            "512,5 (with semicolons between columns), without separators of thousands and units"
         )
     return number
 

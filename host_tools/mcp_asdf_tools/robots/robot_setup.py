@@ -47,10 +47,13 @@ def parse_ids(text: str, name: str) -> frozenset[int]:
     ids: set[int] = set()
     for item in text.split("+"):
         first, dash, last = item.partition("-")
+        if not dash:  # a single id is a range of one
+            last = first
         try:
-            item_ids = range(int(first), int(last if dash else first) + 1)
+            item_ids = range(int(first), int(last) + 1)
         except ValueError:
             item_ids = range(0)  # which is refused like a range that ends before it starts
+        # The last id is checked before the range is filled in, which a hostile text could make endless.
         if not item_ids or item_ids[-1] > MAX_NODE_ID:
             raise UsageError(f"{name} is {text!r}; it must be ids 0 to {MAX_NODE_ID} such as 0+3-5")
         ids.update(item_ids)
@@ -114,6 +117,7 @@ class RobotSetup:
             "memory": self.config.memory,
             "comms_period": self.comms_period,
         }
+        # An entry that is missing stands for None, as ``from_plain`` reads it.
         if self.allow is not None:
             plain["allow"] = format_ids(self.allow)
         if self.config.table is not None:
@@ -135,8 +139,9 @@ class RobotSetup:
             raise UsageError(
                 f"filter is {plain['filter']!r}; it must be one of {', '.join(_FILTERS_BY_NAME)}"
             )
+        # The values may come from any file, and isinstance() would take True for a whole number.
         for name, kind in _TYPES.items():
-            if type(plain[name]) is not kind:  # a bool would pass for an int otherwise
+            if type(plain[name]) is not kind:
                 raise UsageError(f"{name} is {plain[name]!r}; give {_TYPE_NAMES[kind]}")
         comms_period, filter_period = plain["comms_period"], plain["filter_period"]
         _check_periods(comms_period, filter_period)
@@ -154,6 +159,7 @@ def _check_periods(comms_period: int, filter_period: int) -> None:
     """Raise UsageError unless both are in range, in ticks, and filter_period a multiple of comms_period."""
     if not 1 <= comms_period <= MAX_FILTER_PERIOD:
         raise UsageError(f"comms_period is {comms_period}; choose 1 .. {MAX_FILTER_PERIOD}")
+    # The firmware counts rounds, of comms_period ticks each, and tests at the end of one.
     if not 1 <= filter_period <= MAX_FILTER_PERIOD or filter_period % comms_period:
         raise UsageError(
             f"filter_period is {filter_period}; choose a multiple of comms_period {comms_period}"

@@ -52,8 +52,10 @@ class AlphaWatch:
         ``alpha_word`` is the alpha as frames' decoders return it: mantissa and shift in 32 bits.
         """
         last_alpha, estimate_count = self._last_alpha_and_count.get(sender, (0, 0))
+        # In units alphas can be compared: different words may stand for the same number.
         alpha = alpha_units(alpha_word)
         has_begun_anew = 2 * alpha <= last_alpha
-        self._last_alpha_and_count[sender] = alpha, 0 if has_begun_anew else estimate_count + 1
+        next_count = 0 if has_begun_anew else estimate_count + 1
+        self._last_alpha_and_count[sender] = (alpha, next_count)
         # An alpha of 0 has reset the count, so that 2 * 0 is no limit here.
         return estimate_count >= WATCHED_AFTER and alpha >= 2 * last_alpha

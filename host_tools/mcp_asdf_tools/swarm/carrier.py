@@ -283,6 +283,7 @@ class Carrier:
         After some frames those sent so far are read back, before receive buffers overflow; ``deliver`` reads
         the others. Raises can.CanError if the bus does not take the frame, and SwarmError as ``deliver``.
         """
+        # This does nothing with a bus, where frames are reported when they are read back.
         self._on_unread_frame(sent_frame.frame)
         robot_connection = self._robot_connections.get(sent_frame.sender)
         if robot_connection is not None:
@@ -291,6 +292,7 @@ class Carrier:
         if len(self._unread_frames) == _BATCH_SIZE:
             self._read_back(sent_frame.tick)
             if robot_connection is not None:
+                # What the robot sent may fill the receive buffer of its own connection, too.
                 robot_connection.discard_echoes()
 
     def _read_back(self, tick: int) -> None:
@@ -309,6 +311,7 @@ class Carrier:
 
     def _connection_to_read(self, sent_frame: SentFrame) -> ExpectingConnection | None:
         """Return where the carrier has to read a frame; None without a bus, or if it has read it already."""
+        # What a remote robot sent, its driver has read already from the connection of the carrier.
         is_sent_from_here = sent_frame.sender in self._robot_connections
         return self.bus_connections[sent_frame.sender] if is_sent_from_here else None
 
@@ -327,6 +330,7 @@ class Carrier:
         deliveries = self._delivery_queue.deliver(tick, sent_frames)
         if self._has_bus_per_robot:
             for robot_id, robot in self._robots.items():
+                # In batches, so that the frames for one robot fit into the receive buffer of its connection.
                 frames = deliveries.frames_for(robot_id)
                 for start in range(0, len(frames), _BATCH_SIZE):
                     batch = frames[start : start + _BATCH_SIZE]
@@ -362,6 +366,7 @@ class Carrier:
         frames = [sent_frame.frame for sent_frame in deliveries.sent_frames]
         decoded = decode_estimates(frames, self._frame_format, deliveries.bit_flips)
         estimates = decoded.rows[decoded.is_estimate]
+        # Shape (estimates, robots): the column of a robot says which of the estimates it receives.
         receivers_of_estimates = deliveries.receivers[decoded.is_estimate]
         for robot in self._robots.values():
             robot.receive_all(estimates[receivers_of_estimates[:, robot.id]])

@@ -38,7 +38,7 @@ class SentFrame:
 
     @property
     def is_under_own_id(self) -> bool:
-        """Whether the node sent the frame under its own id."""
+        """True if the node sent the frame under its own id."""
         return sender_of(self.frame) == self.sender
 
     def with_false_estimate(self, frame: can.Message) -> SentFrame:
@@ -76,6 +76,7 @@ class Deliveries:
         if bit_flips == 0:
             return sent_frame
         data = int.from_bytes(sent_frame.data, "little") ^ bit_flips
+        # A copy, since other receivers get the frame as it was sent.
         corrupted_frame = copy.copy(sent_frame)
         corrupted_frame.data = bytearray(data.to_bytes(len(sent_frame.data), "little"))
         return corrupted_frame

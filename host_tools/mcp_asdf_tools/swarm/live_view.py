@@ -54,6 +54,7 @@ class LiveView:
     def __call__(self, swarm: Swarm) -> None:
         """Show the state of the swarm after a tick, unless it is too early for a refresh. O(robots)."""
         if self._has_bar:
+            # The last tick is always drawn, so that the bar ends with the final state.
             if time.monotonic() >= self._next_refresh or swarm.ticks == swarm.settings.steps:
                 self._refresh_bar(swarm)
                 self._next_refresh = time.monotonic() + _SECONDS_BETWEEN_REFRESHES
@@ -83,6 +84,7 @@ class LiveView:
 
         The line, with tabs, is such as ``robot 3 step 50 b_hat 0.9000 0.8123``: the value before and after.
         """
+        # Before the first tick there are no last values: they are those of the start then.
         b_hat_before = self._last_b_hat or swarm.b_hat_at_start
         self._last_b_hat = [node.robot.b_hat for node in swarm.nodes]
         for robot, (old_b_hat, new_b_hat) in enumerate(zip(b_hat_before, self._last_b_hat, strict=True)):

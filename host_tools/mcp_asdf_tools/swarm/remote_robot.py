@@ -106,6 +106,7 @@ class RemoteFirmware:
         self.id = setup.id
         self.t = 0
         self.b_hat = setup.b_hat
+        # Without observations and neighbours a robot takes half of the tiles for black.
         self.x = 0.5
         self.x_hat = 0.5
         self.counters = Counters()
@@ -204,6 +205,7 @@ class Driver:
         self._frames_for_next_tick = []
         self._estimate_frames = {}
         if self._order_matters:
+            # Each robot costs a wait of its own, so this is only for a filter that needs the order.
             for robot in sorted(observations):
                 self._observe_at_once({robot: observations[robot]})
         else:

@@ -74,6 +74,7 @@ def run_swarm(
     except KeyboardInterrupt:
         run.interrupted = True
     except (SwarmError, LockstepError, can.CanError) as error:
+        # The number of ticks done does not include the one that failed.
         run.failure = f"tick {swarm.ticks + 1}: {error}"
     run.results = results_of(swarm)
     return run
@@ -95,6 +96,7 @@ class Baselines:
         self.seconds = 0.0
         for swarm_filter in FILTERS.values():
             if swarm_filter.is_baseline and swarm_filter.name != settings.filter:
+                # In lockstep, whatever the clock of the swarm: without a bus there is nothing to wait for.
                 baseline = replace(settings, filter=swarm_filter.name, clock="lockstep")
                 self.swarms[swarm_filter.name] = Swarm(baseline, Wiring())
 
@@ -112,7 +114,9 @@ class Baselines:
 
 def results_of(swarm: Swarm) -> dict[str, Any]:
     """Return the results of a swarm's ticks so far as plain values, for JSON."""
-    settings, nodes, traffic = swarm.settings, swarm.nodes, swarm.traffic
+    settings = swarm.settings
+    nodes = swarm.nodes
+    traffic = swarm.traffic
     x = [node.robot.x for node in nodes]
     x_hat = [node.robot.x_hat for node in nodes]
     # Remote robots do not report how many tests they have made.
@@ -120,6 +124,7 @@ def results_of(swarm: Swarm) -> dict[str, Any]:
     seconds_per_tick = 1 / settings.steps_per_second
     bus_loads = {}
     for bit_rate in BIT_RATES:
+        # Before the first tick no time has passed, so there is no load per second.
         mean_load = bus_load(traffic.bits, swarm.ticks * seconds_per_tick, bit_rate) if swarm.ticks else 0.0
         peak_load = bus_load(traffic.peak_bits, seconds_per_tick, bit_rate)
         bus_loads[str(bit_rate)] = {"mean": mean_load, "peak": peak_load}

@@ -61,9 +61,12 @@ class SwarmSettings(Population):
         super().__post_init__()
         if self.clock not in get_args(ClockKind):
             raise ParameterError("clock", f"clock is {self.clock!r}; choose lockstep or real-time")
-        with value_of("allow"):
-            # The same ids have the same text, in rising order.
-            object.__setattr__(self, "allow", self.allow and format_ids(parse_ids(self.allow, "allow")))
+        if self.allow:
+            # The same ids have the same text, in rising order, so that equal settings compare as equal.
+            with value_of("allow"):
+                allowed_ids = parse_ids(self.allow, "allow")
+            object.__setattr__(self, "allow", format_ids(allowed_ids))
+        # The characters of a text would be taken for faults, one by one.
         if isinstance(self.faults, str):
             raise ParameterError("faults", f"faults is {self.faults!r}; give several in a list or tuple")
         object.__setattr__(self, "faults", tuple(parse_fault(str(fault)) for fault in self.faults))
@@ -79,6 +82,7 @@ class SwarmSettings(Population):
         from mcp_asdf_tools.swarm.fault_injection.kinds import LinkFault  # noqa: PLC0415
 
         for fault in self.faults:
+            # Only faults of links have receivers; None stands for all robots, of which none is named.
             receivers = fault.receivers if isinstance(fault, LinkFault) else None
             named_robots = (fault.robots or frozenset()) | (receivers or frozenset())
             if named_robots and max(named_robots) >= self.robots:

@@ -22,8 +22,12 @@ def summary(run: SwarmRun, bus: str, seconds: float) -> list[Row]:
 
     ``bus`` is a description of the bus, ``seconds`` the time that the run took.
     """
-    results, settings, frames = run.results, run.settings, run.results["frames"]
-    b_hat, b = results["b_hat"], settings.true_accuracy
+    settings = run.settings
+    results = run.results
+    frames = results["frames"]
+    b_hat = results["b_hat"]
+    b = settings.true_accuracy
+    # Remote robots do not report their tests.
     tests = "an unknown number of" if results["tests"] is None else results["tests"]
     return [
         ("run", f"{results['steps']} of {settings.steps} steps in {seconds:.1f} s{_ending(run)}"),
@@ -54,8 +58,9 @@ def summary_table(rows: Sequence[Row]) -> Table:
     table = Table(box=None, show_header=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
-    for name, text in rows:
-        table.add_row(Text(name), Text(text))
+    for row_name, row_text in rows:
+        # rich would take brackets in a plain string for its markup.
+        table.add_row(Text(row_name), Text(row_text))
     return table
 
 
@@ -79,7 +84,7 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
         f"{swarm_filter.term} {results_by_filter[swarm_filter.name]['mean_error']:.3f}"
         for swarm_filter in compared_filters
     ]
-    text = f"Mean error on the same seed: {', '.join(errors)}."
+    sentences = f"Mean error on the same seed: {', '.join(errors)}."
     b_hat_changes = {
         swarm_filter.term: results_by_filter[swarm_filter.name]["b_hat"]["flawed"]
         for swarm_filter in compared_filters
@@ -87,19 +92,20 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
     }
     first_change = next(iter(b_hat_changes.values()))
     if first_change is None:  # there are no flawed robots
-        return text
+        return sentences
     changes = [f"{term} {change['after']:.2f}" for term, change in b_hat_changes.items()]
-    text += (
+    sentences += (
         f" The flawed robots took their sensors for {first_change['before']:.2f} accurate, now: "
         f"{', '.join(changes)}."
     )
+    # The nearer an assumed accuracy is to 1/2, the smaller is the confidence that the robot broadcasts.
     is_underconfident = abs(settings.flawed_accuracy - 0.5) < abs(settings.true_accuracy - 0.5)
     if settings.topology == "fully-connected" and is_underconfident:
-        text += (
+        sentences += (
             " This swarm needs no filter: where all hear all, robots that trust their sensors too little are "
             "outvoted anyway; with --topology dynamic they do harm (docs/advice.md)."
         )
-    return text
+    return sentences
 
 
 def load_warning(results: dict[str, Any]) -> str | None:
@@ -108,6 +114,7 @@ def load_warning(results: dict[str, Any]) -> str | None:
     busy_bit_rates = [int(bit_rate) for bit_rate, load in bus_loads if load["mean"] > HIGH_LOAD]
     if not busy_bit_rates:
         return None
+    # The fastest of the busy ones: at all slower rates the load is even higher.
     return (
         f"a real bus at {_bit_rate_text(max(busy_bit_rates))}bit/s or less would be busy for more than "
         f"{HIGH_LOAD:.0%} of the time; use a faster one, a longer comms-period, or fewer ticks per second"
@@ -158,8 +165,8 @@ def _reception_lines(results: dict[str, Any]) -> Iterator[Row]:
         if reasons:
             yield f"robot {robot['id']}", f"{robot['delivered']} messages delivered; {', '.join(reasons)}"
     for robot_id, count in results["frames"]["id_conflicts"].items():
-        text = f"another node sent {count} messages as robot {robot_id}; give it a free id"
-        yield "node-id conflict", text
+        advice = f"another node sent {count} messages as robot {robot_id}; give it a free id"
+        yield "node-id conflict", advice
 
 
 def _clock_lines(results: dict[str, Any]) -> Iterator[Row]:

@@ -124,6 +124,7 @@ class Swarm:
             channel = wiring.channel if wiring.open_bus is None else None
             on_frame = _mark_as_received(on_frame, channel)
         self._carrier = Carrier(self.nodes, self._delivery_queue, settings.frames, self.clock)
+        # The drivers command over connections that the carrier opens.
         self._carrier.join(wiring, on_frame)
         self._drivers = self._create_drivers(wiring, on_frame)
 
@@ -141,6 +142,7 @@ class Swarm:
         ``on_frame`` is called with every frame on these buses, commands included.
         """
         remote_nodes = [node for node in self.nodes if node.id in wiring.remote]
+        # Each remote robot has a bus of its own, unless one is shared by all.
         nodes_by_bus = [[node] for node in remote_nodes]
         if wiring.is_shared and remote_nodes:
             nodes_by_bus = [remote_nodes]
@@ -209,6 +211,7 @@ class Swarm:
                 # The frame has been on a bus: faults of senders cannot change it any more.
                 self._carrier.send(SentFrame(frame, self._external_robot, self.ticks, index))
         deliveries = self._carrier.deliver(self.ticks)
+        # A robot that has crashed has no tick to end.
         for node in self._alive_nodes:
             node.settle()
         for driver in self._drivers:
@@ -240,6 +243,7 @@ class Swarm:
                 self.traffic.heartbeats_sent += 1
                 reports.append((node, node.heartbeat(self._now)))
         period = self.settings.telemetry_period
+        # A period of 0 stands for no telemetry.
         if period and self.ticks % period == 0:
             for node in self._alive_nodes:
                 self.traffic.telemetry_sent += 1
@@ -267,6 +271,8 @@ class Swarm:
         robot_frames: list[RobotFrame] = []
         for driver in self._drivers:
             for node, frame in driver.observe({robot: observations[robot] for robot in driver.nodes}):
+                # The driver leaves out telemetry, and by docs/frame.md a robot sends nothing else but
+                # heartbeats.
                 is_estimate = isinstance(decode_estimate(frame, self.settings.frames), Estimate)
                 self.traffic.sent += is_estimate
                 self.traffic.heartbeats_sent += not is_estimate
@@ -308,6 +314,7 @@ class Swarm:
         """Send the frames that faulty robots send besides their own, before or after those of all robots."""
         for node in self.nodes:
             for frame in self.faults.extra_frames(node.id, self._now, before_others=before_others):
+                # Other faults change these frames, too.
                 sent_frame = self.faults.on_send(frame, node.id)
                 if sent_frame is None:
                     continue

@@ -60,12 +60,14 @@ class Traffic:
         ``id_conflicts`` has the count of each robot whose id another node used, by id; ``rejected`` a count
         for each reason.
         """
+        # All attributes but the receptions are plain numbers.
         counts = {name: value for name, value in vars(self).items() if name != "receptions"}
         rejected = Counter[Rejection]()
         id_conflicts = {}
         for robot, reception in enumerate(self.receptions):
             rejected += reception.rejected
             if reception.id_conflicts:
+                # Names in JSON are texts, and without conflicts there is no entry.
                 id_conflicts[str(robot)] = reception.id_conflicts
         return counts | {
             "delivered": self.total("delivered"),

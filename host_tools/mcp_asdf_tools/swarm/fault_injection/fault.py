@@ -106,6 +106,7 @@ class Fault:
 
     def __str__(self) -> str:
         """Return the text that ``parse_fault`` reads back: the rate, and all options but the defaults."""
+        # repr() has all the digits of a float that the same fault needs.
         items = [f"{self.name}={self.rate!r}"]
         for item in fields(self):
             value = getattr(self, item.name)
@@ -123,7 +124,7 @@ def _option_text(value: object) -> str:
 
 @dataclass(kw_only=True)
 class FaultRun:
-    """One fault in one run: decides when it hits, and remembers what the fault needs from call to call.
+    """State of a fault in a run: decides when it hits, and remembers what the fault needs from call to call.
 
     Attributes:
         fault: The fault.

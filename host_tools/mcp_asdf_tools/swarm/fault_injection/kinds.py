@@ -129,7 +129,7 @@ class Corrupt(LinkFault):
 
     @property
     def extra_words(self) -> int:
-        """One random word chooses one bit to flip."""
+        """Number of random words: one for each bit to flip."""
         return self.bits
 
     def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
@@ -175,6 +175,7 @@ class OutageFault(Fault):
         """
         # The memory of a node is the number of ticks that its outage went on at the last tick, that included.
         ticks_left = max(run.memory.get(node, 0) - 1, 0)
+        # A node that is off the bus already is not hit again.
         if ticks_left == 0 and run.hits_node(node, tick):
             ticks_left = self.ticks
         run.memory[node] = ticks_left
@@ -263,6 +264,7 @@ class Liar(Fault):
         estimate = decode_estimate(sent_frame.frame, run.frame_format)
         if not isinstance(estimate, Estimate) or not run.hits_frame(sent_frame):
             return sent_frame
+        # The id in the frame may be that of another node, by a fault that has acted before.
         identifier = run.frame_format.identifier(estimate.sender)
         payload = _encode_claim(self.x, self.alpha, estimate.transfer_id)
         return sent_frame.with_false_estimate(make_frame(identifier, payload, sent_frame.frame.timestamp))
@@ -320,6 +322,7 @@ class Babble(Fault):
         """
         if not run.hits_node(node, tick):
             return []
+        # The subject is that of estimates, but with random tail bytes decoders refuse seven of eight frames.
         run.hit_count += self.frames
         identifier = run.frame_format.identifier(node)
         return [
@@ -361,6 +364,7 @@ class Sybil(Fault):
             return []
         run.hit_count += len(self.ids)
         payload = _encode_claim(self.x, self.alpha, tick % TRANSFER_IDS)
+        # Sorted, as a set has no order that a repeated run could rely on.
         identifiers = [run.frame_format.identifier(robot) for robot in sorted(self.ids)]
         return [make_frame(identifier, payload, timestamp) for identifier in identifiers]
 

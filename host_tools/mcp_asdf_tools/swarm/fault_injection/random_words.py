@@ -28,7 +28,7 @@ _KEY = struct.Struct("<IIIBBBB")
 
 
 class _Purpose(IntEnum):
-    """What random words are for. The values are hashed, so that other ones would change every run."""
+    """Purposes of random words. The values are hashed, so that other ones would change every run."""
 
     NODE = 0
     FRAME = 2
@@ -92,6 +92,7 @@ class FaultRandom:
 
         The key is the tick, the repetition, a CAN identifier, a node, a copy number and the purpose.
         """
+        # A copy, as the hash of seed and fault serves for every word.
         keyed_hash = self._seeded_hash.copy()
         keyed_hash.update(_KEY.pack(*key, 0))
         return keyed_hash.digest(8 * word_count)
