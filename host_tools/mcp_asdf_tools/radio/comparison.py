@@ -325,14 +325,19 @@ def _describe_frames(kind: str, frames: Sequence[can.Message]) -> str:
 
 
 def _describe_frame(kind: str, frame: can.Message) -> str:
-    """Return a frame's identifier and fields as text, or its raw data if its format is wrong."""
+    """Return a frame as text: its identifier and the fields that are compared in frames of this kind.
+
+    A frame that has no such fields, as its format is wrong, is returned as a line of candump: identifier and
+    data in hexadecimal.
+    """
     if _format_error(frame) is not None:
         return format_frame(frame)
     payload = payload_of(frame)
-    values = [
-        f"{field.name} {_describe_value(field, field.extract(payload))}" for field in FIELDS_BY_KIND[kind]
-    ]
-    return f"{frame.arbitration_id:08X} {', '.join(values)}"
+    descriptions = []
+    for field in FIELDS_BY_KIND[kind]:
+        value = field.extract(payload)
+        descriptions.append(f"{field.name} {_describe_value(field, value)}")
+    return f"{frame.arbitration_id:08X} {', '.join(descriptions)}"
 
 
 def _describe_value(field: Field, value: int) -> str:

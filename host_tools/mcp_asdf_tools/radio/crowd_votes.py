@@ -18,7 +18,9 @@ from mcp_asdf.mirror import (
     TREND_STEP_EVEN,
     TREND_STEP_UP,
     VOTES_MAX,
+    VOTES_OF_MAX_GAIN,
     Crowd,
+    q23_from_q30,
     robust_test_rejects,
     update_crowd,
 )
@@ -28,8 +30,6 @@ MAX_VOTES_IN_ROUND = 126
 UP, DOWN, NO_MOVE = 1, -1, 0
 """Moves of the centre at a vote."""
 
-_CENTRE_SHIFT = 7
-"""Bits between the unit of an x_hat and the finer one of the centre."""
 _VOTES_TO_THRESHOLD = 40
 """Votes, each a spread away, within whose reach a threshold of the test is looked for."""
 _ANY_SENDER = 0
@@ -73,10 +73,11 @@ def votes_to_centre(crowd: Crowd, target: int) -> list[int] | None:
         position = crowd.centre + direction * distance
         # The last vote is rounded away from the centre, lest its step be too short, and the others towards
         # it, lest they be outside the spread.
-        is_rounded_up = is_last == (direction == UP)
-        x_hat = -(-position >> _CENTRE_SHIFT) if is_rounded_up else position >> _CENTRE_SHIFT
+        is_above_centre = direction == UP
+        is_rounded_up = is_above_centre if is_last else not is_above_centre
+        x_hat = _q23_from_q30_rounded_up(position) if is_rounded_up else q23_from_q30(position)
         if not 0 <= x_hat <= ONE:
-            return None
+            return None  # no vote can be so far away
         x_hats.append(x_hat)
         update_crowd(crowd, _ANY_SENDER, x_hat)
         if is_last and crowd.centre != target:
@@ -84,9 +85,17 @@ def votes_to_centre(crowd: Crowd, target: int) -> list[int] | None:
     return x_hats
 
 
+def _q23_from_q30_rounded_up(position: int) -> int:
+    """Convert a position from units of 2**-30 to units of 2**-23, rounded up."""
+    return -q23_from_q30(-position)
+
+
 def _gain_shift(votes: int) -> int:
-    """Return by how many bits the distance of the last of so many votes is shifted, to move the centre."""
-    return max(votes.bit_length() - 3, 3)
+    """Return by how many bits the distance of the last of so many votes is shifted, to move the centre.
+
+    It is 3 up to 63 votes, as in ``update_crowd``, and one more at each further power of two.
+    """
+    return max(votes, VOTES_OF_MAX_GAIN).bit_length() - 3
 
 
 def votes_to_threshold(crowd: Crowd, t: int, n: int, is_rejection_wanted: bool) -> list[int] | None:
@@ -100,10 +109,13 @@ def votes_to_threshold(crowd: Crowd, t: int, n: int, is_rejection_wanted: bool) 
     def rejects_at(centre: int) -> bool | None:
         """Return what the test decides with this centre; None if no votes move it there."""
         x_hats = votes_to_centre(crowd, centre)
-        return None if x_hats is None else robust_test_rejects(crowd_after(crowd, x_hats), t, n)
+        if x_hats is None:
+            return None
+        return robust_test_rejects(crowd_after(crowd, x_hats), t, n)
 
     reach = (_VOTES_TO_THRESHOLD * crowd.spread) >> _gain_shift(crowd.votes)
     decision_here = rejects_at(crowd.centre)
+    # The test is looked for below the centre first, and then above it.
     for end in (crowd.centre - reach, crowd.centre + reach):
         decision_there = rejects_at(end)
         if decision_there is None or decision_there == decision_here:
@@ -130,23 +142,24 @@ def moves_to_trend(start: int, target: int) -> list[int] | None:
     """
     added_by_move = {UP: TREND_STEP_UP, NO_MOVE: TREND_STEP_EVEN, DOWN: 0}
     # Breadth-first search; of each trend that was reached it keeps the one before, and the move between them.
-    steps: dict[int, tuple[int, int]] = {start: (start, NO_MOVE)}
+    trend_and_move_before: dict[int, tuple[int, int]] = {start: (start, NO_MOVE)}
     last_reached = [start]
-    while last_reached and target not in steps:
+    while last_reached and target not in trend_and_move_before:
         newly_reached = []
         for trend in last_reached:
             for move, added in added_by_move.items():
                 next_trend = trend - (trend >> TREND_SHIFT) + added
-                if next_trend not in steps:
-                    steps[next_trend] = trend, move
+                if next_trend not in trend_and_move_before:
+                    trend_and_move_before[next_trend] = trend, move
                     newly_reached.append(next_trend)
         last_reached = newly_reached
-    if target not in steps:
+    if target not in trend_and_move_before:
         return None
+    # Go back from the target to the start, and then turn the moves around.
     moves: list[int] = []
     trend = target
     while trend != start:
-        trend, move = steps[trend]
+        trend, move = trend_and_move_before[trend]
         moves.append(move)
     return moves[::-1]
 
@@ -156,8 +169,9 @@ def votes_of_moves(crowd: Crowd, moves: Sequence[int]) -> list[int]:
     crowd = copy(crowd)
     x_hats = []
     for move in moves:
-        end = ONE if move == UP else 0
-        x_hat = crowd.centre >> _CENTRE_SHIFT if move == NO_MOVE else end
+        # A vote at the centre is so near it that the step is 0.
+        x_hat_by_move = {UP: ONE, DOWN: 0, NO_MOVE: q23_from_q30(crowd.centre)}
+        x_hat = x_hat_by_move[move]
         x_hats.append(x_hat)
         update_crowd(crowd, _ANY_SENDER, x_hat)
     return x_hats

@@ -56,7 +56,7 @@ class FloatTest:
         """Return True if this test rejects."""
         if t == 0:
             return False
-        fit = self._round
+        fit = self._round  # fits every intermediate result into the significant bits
         fill_ratio = fit(crowd_fill_ratio(crowd) / 2**32)
         b_hat = fit(crowd.first / 2**32)
         spread = fit(crowd.spread / 2**30)
@@ -64,7 +64,9 @@ class FloatTest:
         white_seen_as_black = fit(fit(1 - b_hat) * fit(1 - fill_ratio))
         predicted = _cut_fraction(fit(black_seen_as_black + white_seen_as_black), self.prediction_bits)
         observed = _cut_fraction(fit(n / t), self.observed_bits)
-        variance = max(fit(share * fit(1 - share)) for share in (observed, predicted))
+        variance_of_observed = fit(observed * fit(1 - observed))
+        variance_of_predicted = fit(predicted * fit(1 - predicted))
+        variance = max(variance_of_observed, variance_of_predicted)
         g_spread = fit(fit(2 * b_hat - 1) * spread)
         uncertainty = fit(fit(variance / t) + fit(g_spread * g_spread))
         difference = fit(observed - predicted)
@@ -103,7 +105,7 @@ class RobustRules:
         voice_modulus: Senders whose ids are equal modulo this are one voice.
         halves_before_three_voices: Whether votes are halved before three voices were received.
         rejects: The test.
-        informative_g: |2 r - 1| from which on the centre r is informative, in units of 2**-32.
+        informative_g: |2 r - 1| from which on the centre r carries information, in units of 2**-32.
     """
 
     min_trend: int = TREND_MOVING_DOWN
@@ -125,6 +127,7 @@ class RobotOfOtherRules(MirrorRobot):
     """Voices received, by the rules."""
 
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """Receive an estimate as the firmware does, and count its sender's voice by the rules."""
         status = super()._receive(sender, x_hat, alpha)
         has_confidence = alpha >> 8 > 0
         if status == Status.OK and has_confidence:
@@ -132,6 +135,10 @@ class RobotOfOtherRules(MirrorRobot):
         return status
 
     def _run_robust_filter(self) -> int | None:
+        """Run the robust filter by the rules. Returns the new b_hat in units of 2**-32; None to keep the old.
+
+        While the crowd moves this halves its votes, and may set its trend.
+        """
         s, crowd, rules = self.s, self.s.crowd, self.rules
         has_enough_voices = len(self.voices) >= SENDERS_MIN
         is_moving = not rules.min_trend <= crowd.trend <= rules.max_trend
@@ -158,7 +165,9 @@ class RobotThatTestsInFloat64(MirrorRobot):
     """The firmware's model with the paper's test in float64."""
 
     def _run_asdf_filter(self) -> int | None:
+        """Return the new b_hat, in units of 2**-32, if the test in float64 rejects; else None."""
         table, sums = self.config.table, self.s.open
+        # The variance of a single estimate is not defined, so that the test needs two.
         if table is None or sums.count < 2 or not rejects_in_float64(table, sums, self.s.x_hat):
             return None
         config_without_test = replace(self.config, filter=Filter.ALWAYS)
@@ -262,7 +271,10 @@ class TelemetryFields(NamedTuple):
 
 @dataclass
 class MistakenModels:
-    """The models with a mistake whose frames have equalled those of the right model so far.
+    """Models with a mistake whose frames have all equalled those of the right model so far.
+
+    A model is dropped at its first frame that differs: a controller with its mistake would have been found
+    out. Those that are left at the end have mistakes that no frame of the run shows.
 
     Attributes:
         models: Models by the name of the mistake.
@@ -318,7 +330,8 @@ class MistakenModels:
 
 def telemetry_of(robot: MirrorRobot) -> TelemetryFields:
     """Return the fields of a robot's telemetry."""
-    return TelemetryFields(robot.x_raw, robot.b_hat_raw >> 8, robot.counters.updates % 256)
+    b_hat_in_24_bits = robot.b_hat_raw >> 8  # from units of 2**-32
+    return TelemetryFields(robot.x_raw, b_hat_in_24_bits, robot.counters.updates % 256)
 
 
 def _broadcast_of(robot: MirrorRobot) -> tuple[int, float]:
@@ -338,6 +351,7 @@ class RightModel(MirrorRobot):
         return super().observe(z)
 
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
+        """Receive an estimate, as every model with a mistake does."""
         for model in self.mistaken_models.models.values():
             model.receive_raw(sender, x_hat, alpha)
         return super()._receive(sender, x_hat, alpha)

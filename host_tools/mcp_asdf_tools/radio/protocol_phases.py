@@ -16,6 +16,8 @@ import can
 from mcp_asdf.robot import MAX_ID, Filter, Observation
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Q23_ONE, Action
 from mcp_asdf_tools.bus.frames import (
+    MAX_PRIORITY,
+    PRIORITY_SHIFT,
     Command,
     Heartbeat,
     Telemetry,
@@ -38,6 +40,9 @@ _MAX_SKIPPED_TICKS = 10_000
 _ALONE_TICKS = 72
 """More than the shortest memory, 64."""
 _STRAY_REPEATS = 3
+"""Number of times that each kind of stray command is sent."""
+_SPARE_BYTE_OF_COMMAND = 6
+"""Index of the byte of a command's data that has no meaning."""
 _ROUND_SIZES = (2, 3, 5, 10, 30, 33, 64, 126)
 _CROWDED_REPEATS = 4
 """Messages of each sender but the last one in the tick with most messages."""
@@ -134,30 +139,40 @@ FOREIGN_ALPHAS = {
 """Confidences that an alpha word cannot hold, as binary32 bits: a receiver must round or limit them."""
 
 
-# --- Differences that make none ---
+# --- Bits and bytes that a receiver must ignore ---
 
 
 @dataclass(frozen=True)
 class IdentifierBits:
-    """Bits of an identifier that a receiver ignores: those of ``mask`` become those of ``value``."""
+    """Bits of an identifier that a receiver must ignore, and what they are set to.
+
+    Attributes:
+        mask: The bits.
+        value: Their values, at the positions that they have in the identifier.
+    """
 
     mask: int
     value: int
 
-    def apply(self, frame: can.Message) -> None:
-        """Put the bits in the frame's identifier."""
+    def write_to(self, frame: can.Message) -> None:
+        """Set the bits in the identifier of a frame, which is changed."""
         frame.arbitration_id = (frame.arbitration_id & ~self.mask) | self.value
 
 
+_PRIORITY_MASK = MAX_PRIORITY << PRIORITY_SHIFT
 UNUSUAL_IDENTIFIERS = {
-    **{f"with priority {priority}": IdentifierBits(7 << 26, priority << 26) for priority in range(8)},
-    "with identifier bits 22 and 21 clear": IdentifierBits(3 << 21, 0),
+    **{
+        f"with priority {priority}": IdentifierBits(_PRIORITY_MASK, priority << PRIORITY_SHIFT)
+        for priority in range(MAX_PRIORITY + 1)
+    },
+    "with identifier bits 22 and 21 clear": IdentifierBits(0b11 << 21, 0),
 }
+"""Identifiers of any priority, and with the two reserved bits clear that senders set, by name."""
 
 
 @dataclass(frozen=True)
 class CommandVariant:
-    """Differences from the usual commands that make none to the robot.
+    """What is unusual about a command that a robot must obey like the usual one.
 
     Attributes:
         is_for_every_robot: Whether the target is every robot, not this one alone.
@@ -178,6 +193,7 @@ UNUSUAL_COMMANDS = {
     "whose spare byte is not 0": CommandVariant(spare_byte=0xFF),
     **{name: CommandVariant(identifier=bits) for name, bits in UNUSUAL_IDENTIFIERS.items()},
 }
+"""Unusual commands by what is unusual about each."""
 
 
 @dataclass(frozen=True)
@@ -269,32 +285,39 @@ def lose_settles(bench: Bench) -> None:
 
 
 def send_stray_commands(bench: Bench) -> None:
-    """Send commands that must not be obeyed, each kind by itself."""
+    """Send commands that must not be obeyed: of another tick, for another robot, or a second observe.
+
+    Each kind is sent by itself, in a tick with estimates that shows whether the controller obeyed it.
+    """
     for _ in range(_STRAY_REPEATS):
         for name, stray in STRAY_COMMANDS.items():
             bench.avoid_test(name)
             bench.observe(bench.draw_observation())
             usual = bench.make_command(stray.action)
             other_robot = _draw_other_robot(bench)
-            targets = {"robot": usual.target, "other": other_robot, "all": EVERY_ROBOT}
-            ticks = {
+            target_by_name = {"robot": usual.target, "other": other_robot, "all": EVERY_ROBOT}
+            tick_by_name = {
                 "open": usual.tick,
                 "later": usual.tick + 1 + bench.rng.randrange(1000),
                 "last": usual.tick - 1,
             }
-            command = replace(
-                usual, sender=other_robot, tick=ticks[stray.tick] % 2**32, target=targets[stray.target]
+            stray_command = replace(
+                usual,
+                sender=other_robot,
+                tick=tick_by_name[stray.tick] % 2**32,
+                target=target_by_name[stray.target],
             )
-            bench.send([_encode(bench, command)])
+            bench.send([_encode(bench, stray_command)])
             _send_any_estimates(bench, bench.other_ids[:2])
             bench.settle()
 
 
 def send_unusual_commands(bench: Bench) -> None:
-    """Send commands that differ in what makes no difference.
+    """Send commands for every robot, of another node, with a spare byte, or with ignored identifier bits.
 
-    After each comes the usual one of the same tick, which changes nothing unless the first was not obeyed:
-    then the controller misses an observation, or has a round too many messages.
+    Then send some whose number of the tick jumps up or down. The controller must obey all of them. The usual
+    command of the same tick follows each, which changes nothing unless the first was not obeyed: then the
+    controller misses an observation, or has a round too many messages.
     """
     for name, variant in UNUSUAL_COMMANDS.items():
         bench.avoid_test(f"commands {name}", rounds=2)  # the last message is one of the next round
@@ -319,11 +342,11 @@ def send_unusual_commands(bench: Bench) -> None:
 
 
 def receive_unusual_identifiers(bench: Bench) -> None:
-    """Send estimates whose identifiers differ in what a receiver ignores."""
+    """Send estimates of every priority, and with reserved bits clear, which a receiver must ignore."""
     for name, identifier in UNUSUAL_IDENTIFIERS.items():
         bench.avoid_test(f"messages {name}")
         frames = _encode_any_estimates(bench, bench.other_ids[:3])
-        identifier.apply(frames[0])
+        identifier.write_to(frames[0])
         bench.play_round_of_frames(frames)
 
 
@@ -351,14 +374,9 @@ def _receive_other_kinds(bench: Bench) -> None:
     subjects, rng = bench.settings.subjects, bench.rng
     for sender in rng.sample(bench.other_ids, 3):
         bench.avoid_test("telemetry and a heartbeat of another robot")
-        telemetry = Telemetry(
-            sender,
-            rng.randint(0, Q23_ONE),
-            rng.randint(16, 1 << 23),
-            rng.randrange(256),
-            0,
-        )
-        heartbeat = Heartbeat(sender, rng.randrange(1 << 32), 0)
+        x, b_hat = rng.randint(0, Q23_ONE), rng.randint(16, 1 << 23)
+        telemetry = Telemetry(sender, x, b_hat, updates=rng.randrange(256), transfer_id=0)
+        heartbeat = Heartbeat(sender, uptime=rng.randrange(1 << 32), transfer_id=0)
         frames = [encode_telemetry(telemetry, subjects.telemetry), encode_heartbeat(heartbeat)]
         bench.play_round_of_frames(frames + _encode_any_estimates(bench, [sender]))
 
@@ -382,7 +400,7 @@ def receive_from_alike_ids(bench: Bench) -> None:
 
 
 def receive_growing_rounds(bench: Bench) -> None:
-    """Play rounds of ever more estimates."""
+    """Play rounds of 2 to 126 estimates, each round larger than the one before."""
     for size in _ROUND_SIZES:
         bench.avoid_test(f"a round of {size} messages")
         bench.play_round(*(draw_estimate(bench.rng) for _ in range(size)))
@@ -468,14 +486,18 @@ def _encode(bench: Bench, command: Command) -> can.Message:
 def _encode_variant(
     bench: Bench, command: Command, variant: CommandVariant, other_robot: int | None
 ) -> can.Message:
-    """Return the frame of a command with unusual details; ``other_robot`` sends it unless that is None."""
+    """Return the frame of a command, changed as ``variant`` describes.
+
+    The target, the spare byte and bits of the identifier may change, and the sender becomes ``other_robot``
+    unless that is None.
+    """
     if other_robot is not None:
         command = replace(command, sender=other_robot)
     if variant.is_for_every_robot:
         command = replace(command, target=EVERY_ROBOT)
     frame = _encode(bench, command)
     if variant.spare_byte:
-        frame.data[6] = variant.spare_byte
+        frame.data[_SPARE_BYTE_OF_COMMAND] = variant.spare_byte
     if variant.identifier is not None:
-        variant.identifier.apply(frame)
+        variant.identifier.write_to(frame)
     return frame

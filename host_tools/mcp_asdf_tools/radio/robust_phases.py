@@ -22,10 +22,18 @@ from dataclasses import dataclass
 
 from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE
 from mcp_asdf.mirror import (
+    CENTRE_START,
+    INFORMATIVE_G,
+    Q32_HALF,
+    SPREAD_MIN,
+    TREND_MOVING_DOWN,
+    TREND_MOVING_UP,
     VOTES_MAX,
     VOTES_MIN_WHILE_MOVING,
     Crowd,
     MirrorRobot,
+    q23_from_q30,
+    q30_from_q23,
     robust_test_rejects,
 )
 from mcp_asdf.robot import Observation
@@ -42,7 +50,7 @@ from mcp_asdf_tools.radio.crowd_votes import (
 )
 from mcp_asdf_tools.radio.filter_phases import count_updates_to_check
 
-_CENTRE_HALF, _CENTRE_QUARTER = 1 << 29, 1 << 28
+_CENTRE_HALF, _CENTRE_QUARTER = CENTRE_START, CENTRE_START // 2
 """1/2 and 1/4 in units of 2**-30, as centres have them."""
 _MAX_OBSERVATIONS = 10_000
 """Observations with which a threshold of the test is looked for."""
@@ -56,28 +64,32 @@ _VOTES_TO_MOVE = 360
 """Votes for one side after which a crowd that has been balanced moves."""
 _SPREAD_AT_HALF = 1 << 24
 """Spread with which some votes move the centre by 2**17, and which hardly changes the test."""
-_TREND_LIMITS = (1 << 13, (1 << 13) - 1, (7 << 13) - 1, 7 << 13)
+_TREND_LIMITS = (TREND_MOVING_DOWN, TREND_MOVING_DOWN - 1, TREND_MOVING_UP - 1, TREND_MOVING_UP)
+"""Trends on both sides of each limit: the first and the third are of a crowd that stays."""
+_CENTRE_INFORMATIVE_DISTANCE = INFORMATIVE_G >> 3
+"""Distance of the centre from 1/2 from which on it carries information, in units of 2**-30."""
 _VOTES_THAT_ARE_HALVED = 2 * VOTES_MIN_WHILE_MOVING
 """Fewest votes that are halved while the crowd moves."""
 MODERATE_SPREAD = 1 << 26
 """1/16, with which there are counts of black tiles to reject any accuracy."""
-LEAST_SPREAD = 1 << 18
+LEAST_SPREAD = SPREAD_MIN
 
 
 def vote_with_few_voices(bench: Bench) -> None:
     """Vote with two voices, too few for a test but not for halving the votes, and then with a third.
 
-    The ids of the first and the third voice are equal modulo 16, and the bits of all are at both ends of a
-    word's halves.
+    A voice is all senders whose ids are equal modulo 32. Those of the first and the third are equal modulo
+    16, and the bits of all three are at the ends of the two halves of a word.
     """
     crowd = bench.firmware.s.crowd
-    first_ids, second_ids, third_ids = (
-        [robot for robot in bench.other_ids if robot % 32 == voice] for voice in (15, 0, 31)
-    )
+    first_ids = [robot for robot in bench.other_ids if robot % 32 == 15]
+    second_ids = [robot for robot in bench.other_ids if robot % 32 == 0]
+    third_ids = [robot for robot in bench.other_ids if robot % 32 == 31]
     two_voices = first_ids + second_ids
     _cast_first_votes(bench, first_ids[0])
     bench.activity = "votes of robots whose ids modulo 32 are two"
-    end = 0 if 2 * crowd.first >= 1 << 32 else ONE
+    # Most tiles were black, so an accuracy of 1/2 or more contradicts a crowd at 0, a smaller one that at 1.
+    end = 0 if crowd.first >= Q32_HALF else ONE
 
     def vote_for_end() -> None:
         _vote(bench, [end] * len(two_voices), two_voices)
@@ -128,18 +140,21 @@ def _halve_votes_of_two_voices(bench: Bench, two_voices: Sequence[int], end: int
 
 
 def vote_at_spread(bench: Bench) -> None:
-    """Cast votes just inside and just outside the spread, with the largest confidence or the least.
+    """Cast votes at the spread's distance from the centre, and one unit farther, above it and below it.
 
-    Four for the far end follow each: their steps show what became of the spread.
+    Votes inside narrow the spread and those outside widen it. Four votes for the far end follow each: their
+    steps show what became of the spread. Confidences alternate between the largest and the least, as votes do
+    not depend on them.
     """
     for is_above in (True, False, True, False):
         for is_outside in (False, True):
             crowd = bench.firmware.s.crowd
-            # At most a spread away, so rounded towards the centre.
+            # The farthest x_hat that is at most a spread away, so it is rounded towards the centre: down
+            # above it, and up below it.
             if is_above:
-                x_hat = ((crowd.centre + crowd.spread) >> 7) + is_outside
+                x_hat = q23_from_q30(crowd.centre + crowd.spread) + is_outside
             else:
-                x_hat = -((crowd.spread - crowd.centre) >> 7) - is_outside
+                x_hat = -q23_from_q30(crowd.spread - crowd.centre) - is_outside
             far_end = 0 if is_above else ONE
             bench.activity = f"a vote just {'outside' if is_outside else 'inside'} the spread"
             x_hats = [min(max(x_hat, 0), ONE)] + [far_end] * 4
@@ -148,7 +163,11 @@ def vote_at_spread(bench: Bench) -> None:
 
 
 def moving_phase(end: int) -> Callable[[Bench], None]:
-    """Return a phase in which votes are for ``end``, 0 or 1, until there is no test and the gain is back."""
+    """Return a phase that votes for ``end``, an x_hat of 0 or ONE, until the crowd counts as moving.
+
+    The filter runs one vote before that, when it still tests, and with that vote, when it no longer does.
+    Then it runs until it has halved the votes to the minimum, and once with one vote less than it halves.
+    """
 
     def play(bench: Bench) -> None:
         crowd = bench.firmware.s.crowd
@@ -181,7 +200,11 @@ def moving_phase(end: int) -> Callable[[Bench], None]:
 
 
 def reach_trend_limits(bench: Bench) -> None:
-    """Let the filter test crowds whose trend is just inside and just outside each limit."""
+    """Run the filter on crowds whose trend is at one of its limits, 1/8 and 7/8, or one unit beside it.
+
+    Votes that move the centre up or down bring the trend to each of these. A trend that no votes reach is
+    noted as not exercised.
+    """
     crowd = bench.firmware.s.crowd
     for trend in _TREND_LIMITS:
         bench.activity = f"votes to a trend of {trend}"
@@ -211,11 +234,15 @@ def reach_trend_limits(bench: Bench) -> None:
 
 
 def reject_near_half(bench: Bench) -> None:
-    """Let the test reject with a centre that is just informative, and just not, on either side of 1/2."""
+    """Let the test reject with a centre that carries just enough information, or just too little, or at 1/2.
+
+    The first two are played on either side of 1/2. A centre that votes do not reach ends the phase, and is
+    noted as not exercised.
+    """
     state = bench.firmware.s
     crowd = state.crowd
     # As many of these votes are above 1/2 as below, and those at 1/2 bring the centre there.
-    distance = _SPREAD_AT_HALF >> 7
+    distance = q23_from_q30(_SPREAD_AT_HALF)
     x_hats = [HALF - distance, HALF, HALF + distance] * (MAX_VOTES_IN_ROUND // 3)
 
     def is_crowd_at_half() -> bool:
@@ -224,7 +251,9 @@ def reject_near_half(bench: Bench) -> None:
         has_many_votes = crowd.votes >= _VOTES_THAT_ARE_HALVED
         return is_centre_near and is_spread_small and has_many_votes and _is_near_half_and_stays(crowd)
 
-    for offset in (1 << 17, (1 << 17) - 1, -(1 << 17), -(1 << 17) - 1, 0):
+    limit = _CENTRE_INFORMATIVE_DISTANCE
+    # One unit nearer to 1/2 above, and one unit farther away below, is on the other side of the limit.
+    for offset in (limit, limit - 1, -limit, -limit - 1, 0):
         bench.activity = "votes around 1/2"
         _repeat_until(bench, "a crowd at 1/2", is_crowd_at_half, lambda: _vote(bench, x_hats))
         if not _observe_until_rejected(bench):
@@ -244,36 +273,40 @@ def reject_near_half(bench: Bench) -> None:
 
 
 def threshold_phase(max_spread: int) -> Callable[[Bench], None]:
-    """Return a phase in which the crowd's spread becomes small, and the test then rejects and just does not.
+    """Return a phase that runs the test on both sides of its threshold, with a crowd of a small spread.
 
-    It does so again: b_hat is re-estimated, and the initial one comes back. ``max_spread`` is in units of
-    2**-30.
+    Votes narrow the spread to ``max_spread``, in units of 2**-30, or less. Then the test just rejects, so
+    that b_hat is re-estimated, and just does not, so that the initial b_hat comes back, by turns.
     """
     has_least_spread = max_spread == LEAST_SPREAD
 
     def play(bench: Bench) -> None:
         crowd = bench.firmware.s.crowd
         # A crowd that predicts the count as it is needs the fewest observations to a threshold.
-        x_hat = _x_hat_that_predicts_count(bench)
+        predicting_x_hat = _x_hat_that_predicts_count(bench)
+
+        def is_near_predicting_x_hat() -> bool:
+            return abs(crowd.centre - q30_from_q23(predicting_x_hat)) < MODERATE_SPREAD
 
         def vote_around(centre: int, width: int) -> None:
             x_hats = [centre + bench.rng.randint(-width, width) for _ in range(MAX_VOTES_IN_ROUND)]
-            _vote(bench, [min(max(vote, 0), ONE) for vote in x_hats])
+            _vote(bench, [min(max(x_hat, 0), ONE) for x_hat in x_hats])
 
         def agree() -> None:
-            vote_around(crowd.centre >> 7, max_spread >> 7)
+            vote_around(q23_from_q30(crowd.centre), q23_from_q30(max_spread))
 
         bench.activity = "votes from both sides"
         _repeat_until(
             bench,
             "a crowd in the middle",
-            lambda: abs(crowd.centre - (x_hat << 7)) < MODERATE_SPREAD and _has_balanced_trend(crowd),
-            lambda: vote_around(x_hat, ONE // 4),
+            lambda: is_near_predicting_x_hat() and _has_balanced_trend(crowd),
+            lambda: vote_around(predicting_x_hat, ONE // 4),
         )
         bench.activity = "votes that agree"
         _repeat_until(bench, f"a spread of {max_spread / 2**30:g}", lambda: crowd.spread <= max_spread, agree)
-        for _ in range(_ROUNDS_AT_SPREAD_MIN if has_least_spread else 0):
-            agree()
+        if has_least_spread:
+            for _ in range(_ROUNDS_AT_SPREAD_MIN):
+                agree()
         _cross_threshold(bench, is_towards_rarer_colour=True)
         _cross_threshold(bench, is_towards_rarer_colour=not has_least_spread)
 
@@ -281,11 +314,12 @@ def threshold_phase(max_spread: int) -> Callable[[Bench], None]:
 
 
 def reject_often(bench: Bench) -> None:
-    """Let the test reject until a counter of updates of too few bits shows."""
+    """Let the test reject so often that a controller shows whose counter of updates has too few bits."""
     if not _observe_until_rejected(bench):
         return
     bench.activity = "one of many re-estimates"
-    for _ in range(max(count_updates_to_check(bench.setup) - bench.firmware.s.updates, 1)):
+    missing_updates = count_updates_to_check(bench.setup) - bench.firmware.s.updates
+    for _ in range(max(missing_updates, 1)):
         _play_test(bench)
 
 
@@ -455,15 +489,17 @@ def _observations_that_keep_share(bench: Bench) -> Iterator[list[Observation]]:
     """Yield lists of up to 29 observations, which leave the share of black ones nearly as it is."""
     state = bench.firmware.s
     for count in range(_MAX_OBSERVATIONS_NEAR_THRESHOLD):
-        black_count = count * state.n // state.t
-        for number in {max(black_count - 1, 0), black_count, min(black_count + 1, count)}:
-            yield [Observation.BLACK] * number + [Observation.WHITE] * (count - number)
+        proportional_count = count * state.n // state.t
+        # One more or less, too, as far as there are so many observations. A set, so that none comes twice.
+        one_less, one_more = max(proportional_count - 1, 0), min(proportional_count + 1, count)
+        for black_count in {one_less, proportional_count, one_more}:
+            yield [Observation.BLACK] * black_count + [Observation.WHITE] * (count - black_count)
 
 
 def _x_hat_that_predicts_count(bench: Bench) -> int:
     """Return an x_hat that predicts the observed share of black, from 1/4 to 3/4 but not near 1/2."""
     state = bench.firmware.s
-    if state.crowd.first == 1 << 31:
+    if state.crowd.first == Q32_HALF:
         return HALF + ONE // 8  # a b_hat of 1/2 predicts the same whatever x_hat is
     b_hat, observed_share = state.crowd.first / 2**32, state.n / max(state.t, 1)
     x_hat = round((observed_share + b_hat - 1) / (2 * b_hat - 1) * ONE)
@@ -478,4 +514,5 @@ def _is_near_half_and_stays(crowd: Crowd) -> bool:
 
 def _has_balanced_trend(crowd: Crowd) -> bool:
     """Return whether over a quarter of the centre's recent moves went up, and over a quarter down."""
-    return 1 << 14 < crowd.trend < 3 << 14
+    quarter = 1 << 14  # in units of 2**-16
+    return quarter < crowd.trend < 3 * quarter

@@ -67,7 +67,7 @@ class ControllerVerdict:
         disturbance: The other node, or the failure of the bus, that ended the run, in words; None if none.
         not_exercised: Cases that the run should have brought about and has not; the controller has not passed
             without them.
-        not_checked: What the run leaves open even if the controller has passed.
+        not_checked: Properties that the run did not check, in words, even if the controller has passed.
         is_interrupted: Whether the verification was asked to stop before its end.
         repeated: Number of commands that were sent again because the controller had not answered.
     """
@@ -106,7 +106,7 @@ class ControllerVerdict:
         return f"NOT EXERCISED: {count}, no difference, but never put to the test: {missing}"
 
     def open_points(self) -> dict[str, list[str]]:
-        """Return what the verdict leaves open as lists by title, without empty ones."""
+        """Return ``not_exercised`` and ``not_checked`` by the title of each, without a list that is empty."""
         lists = {"Not exercised": self.not_exercised, "Not checked": self.not_checked}
         return {title: entries for title, entries in lists.items() if entries}
 
@@ -155,11 +155,15 @@ def plan_phases(
 
 
 def not_checked(setup: RobotSetup) -> list[str]:
-    """Return what no verdict on a controller with this setup says anything about, in words."""
+    """Return the properties that no verification of a controller with this setup checks, as phrases.
+
+    Such are thresholds of rounds of other sizes, its own clock and sensor, or forgetting in a long memory.
+    """
     config = setup.config
     has_filter = config.filter is not Filter.OFF
     has_asdf_filter = has_filter and config.filter is not Filter.ROBUST
     sizes = ", ".join(map(str, UPDATES_BY_CRAFTED_SIZE))
+    # Each phrase stands beside the condition under which it applies to this controller.
     limits = (
         (config.filter is Filter.ADAPTIVE, f"thresholds of rounds of other sizes than {sizes}"),
         (not has_filter, "the test and re-estimates: it does not filter"),
@@ -220,7 +224,7 @@ class Verification:
         verdict, bench = self.verdict, self.bench
         try:
             self._run_phases()
-            self._add_open_points()
+            self._add_untested_cases()
         except KeyboardInterrupt:
             verdict.is_interrupted = True
         except (BusDisturbed, can.CanError) as error:
@@ -273,19 +277,25 @@ class Verification:
         injected = sum(figures["injected"] for figures in bench.neighbours.faults.figures())
         return _Totals(bench.ticks, injected, bench.comparison.equal_frames.total())
 
-    def _add_open_points(self) -> None:
-        """Add to the verdict what a run of all phases has left open."""
+    def _add_untested_cases(self) -> None:
+        """Add to the verdict, after all phases, the cases that they did not bring about or could not check.
+
+        ``not_exercised`` gets those that the bench has listed, and the filter if its period is too long.
+        ``not_checked`` gets larger counts of observations than this run has reached, and every known mistake
+        that would not have changed any frame of this run.
+        """
         verdict, bench = self.verdict, self.bench
-        verdict.not_exercised = bench.not_exercised
-        if bench.config.filter is not Filter.OFF and not can_wait_for_tests(bench.setup):
-            too_long = "the filter: its period is too long for a run"
-            verdict.not_exercised = [too_long, *bench.not_exercised]
-        state = bench.firmware.s
-        verdict.not_checked.append(f"counts above t = {state.t} and n = {state.n}")
-        verdict.not_checked += [
-            f"whether it {mistake}: no frame of this run would have shown it"
-            for mistake in bench.mistaken_models.models
-        ]
+        has_filter = bench.config.filter is not Filter.OFF
+        if has_filter and not can_wait_for_tests(bench.setup):
+            verdict.not_exercised.append("the filter: its period is too long for a run")
+        verdict.not_exercised += bench.not_exercised
+
+        model_state = bench.firmware.s
+        verdict.not_checked.append(f"counts above t = {model_state.t} and n = {model_state.n}")
+        # A model with a mistake is dropped at its first frame that differs from the right model's.
+        undetected_mistakes = bench.mistaken_models.models.keys()
+        for mistake in undetected_mistakes:
+            verdict.not_checked.append(f"whether it {mistake}: no frame of this run would have shown it")
 
     def _describe_time(self) -> str:
         """Return phase, activity and tick at present, as a difference is reported with them."""
@@ -309,21 +319,29 @@ _HEADINGS = {
 
 
 def details(verdict: ControllerVerdict) -> str:
-    """Return the phases as an aligned table, and what the verdict leaves open as lists, in Markdown.
+    """Return a table of the phases, and lists of what was not exercised or not checked, in Markdown.
 
+    The table has a row for each phase: its name, ticks, injected faults, equal frames, outcome and fault.
     Figures that are 0 and faults that are None are left blank.
     """
-    rows = [tuple(_HEADINGS.values())]
-    for phase in verdict.phases:
-        rows.append(tuple(str(getattr(phase, attribute) or "") for attribute in _HEADINGS))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    # Faults are long and in the last column, so they are not padded.
-    widths[-1] = len(_HEADINGS["fault"])
-    rule = tuple("-" * width for width in widths)
-    lines = ["| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in (rows[0], rule, *rows[1:])]
+    lines = _format_phases(verdict.phases)
     for title, entries in verdict.open_points().items():
         lines += ["", f"{title}:", "", *(f"- {entry}" for entry in entries)]
     return "\n".join(lines) + "\n"
+
+
+def _format_phases(phases: Sequence[PhaseResult]) -> list[str]:
+    """Return the lines of a Markdown table of the phases, its columns aligned."""
+    rows = [{name: str(getattr(phase, name) or "") for name in _HEADINGS} for phase in phases]
+    widths = {name: max(len(row[name]) for row in [_HEADINGS, *rows]) for name in _HEADINGS}
+    # Faults are long and in the last column, so they are not padded.
+    widths["fault"] = len(_HEADINGS["fault"])
+    rule = {name: "-" * width for name, width in widths.items()}
+    lines = []
+    for row in [_HEADINGS, rule, *rows]:
+        cells = [row[name].ljust(width) for name, width in widths.items()]
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
 
 
 def markdown(verdict: ControllerVerdict, report: dict[str, Any]) -> str:
