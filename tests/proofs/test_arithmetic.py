@@ -12,7 +12,7 @@ import pytest
 from proofs.arithmetic import PREPARED, contracts, is_tried
 from proofs.prove import prove_lemma
 from proofs.source import ARITHMETIC, HEADER, HERE, LANES, LANES_HEADER, VARIANTS, Variant, program
-from support import ROOT, require, run, slow
+from support import ROOT, require, run
 
 LEMMAS = sorted({name for variant in VARIANTS for name in contracts(variant)})
 LONG = ("divide_by_bits", "ratio", "shift_right_64")
@@ -32,7 +32,7 @@ def proves_lemma(name: str, variant: Variant, proved: set[Any]) -> bool:
     return True
 
 
-@pytest.mark.parametrize("name", [*(name for name in LEMMAS if name not in LONG), *slow(LONG)])
+@pytest.mark.parametrize("name", [name for name in LEMMAS if name not in LONG])
 def test_a_function_keeps_its_contract_in_a_variant(name: str) -> None:
     """The proof is for the first variant that defines the function."""
     assert any(proves_lemma(name, variant, set()) for variant in VARIANTS)

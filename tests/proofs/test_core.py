@@ -45,7 +45,7 @@ def prove_lemma_in(variants: Iterable[Variant], name: str) -> None:
     assert proved
 
 
-@pytest.mark.parametrize("name", [*(name for name in LEMMAS if name not in LONG), *slow(LONG)])
+@pytest.mark.parametrize("name", [name for name in LEMMAS if name not in LONG])
 def test_a_function_keeps_its_contract_on_a_cortex_m4(name: str) -> None:
     prove_lemma_in([CORTEX_M4], name)
 
