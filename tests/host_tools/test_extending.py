@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -26,100 +25,158 @@ from support import ROOT, blocks, run
 from trials import images_by_message
 
 PAGE = ROOT / "docs/extending.md"
-SHORT: dict[str, Any] = {"robots": 6, "steps": 300, "filter_period": 50, "seed": 3}
 
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """A folder with the page's package, as ``pip install`` leaves it."""
+    """Return a folder with the page's package, as ``pip install`` leaves it, and the page's grid.toml.
+
+    The first line of each Python block on the page is a comment with the path of its module.
+    """
     for code in blocks(PAGE, "python"):
-        path = tmp_path / code.split("\n", 1)[0].removeprefix("# ")
+        first_line, _ = code.split("\n", 1)
+        path = tmp_path / first_line.removeprefix("# ")
         path.parent.mkdir(exist_ok=True)
         path.write_text(code, encoding="utf-8")
-    project, grid = blocks(PAGE, "toml")
-    settings = tomllib.loads(project)["project"]
-    information = tmp_path / f"my_swarm-{settings['version']}.dist-info"
-    information.mkdir()
-    (information / "METADATA").write_text(f"Name: {settings['name']}\nVersion: {settings['version']}\n")
-    lines = [
-        line
-        for group, points in settings["entry-points"].items()
-        for line in (f"[{group}]", *(f"{name} = {value}" for name, value in points.items()))
-    ]
-    (information / "entry_points.txt").write_text("\n".join(lines))
+    pyproject, grid = blocks(PAGE, "toml")
     (tmp_path / "grid.toml").write_text(grid)
+    write_package_information(tmp_path, tomllib.loads(pyproject)["project"])
     return tmp_path
 
 
-def test_a_name_that_two_packages_offer_is_refused(package: Path, installed: None) -> None:
-    """Which of the two came first would be chance."""
-    (ours,) = package.glob("*.dist-info")
-    shutil.copytree(ours, package / "their_swarm-1.0.dist-info")
-    (package / "their_swarm-1.0.dist-info/METADATA").write_text("Name: their-swarm\nVersion: 1.0\n")
-    (name, *_) = extensions.installed_names(extensions.FIRMWARES)
-    with pytest.raises(
-        UsageError, match=f"'{name}' is offered by .*swarm .* and .*swarm .*; uninstall all but"
-    ):
-        extensions.load(extensions.FIRMWARES, name)
+def write_package_information(folder: Path, project: dict[str, Any]) -> None:
+    """Write the folder by which Python knows a package as installed, with its entry points."""
+    name, version = project["name"], project["version"]
+    information = folder / f"my_swarm-{version}.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text(f"Name: {name}\nVersion: {version}\n")
+    lines = []
+    for group, entry_points in project["entry-points"].items():
+        lines.append(f"[{group}]")
+        lines += [f"{entry_point} = {target}" for entry_point, target in entry_points.items()]
+    (information / "entry_points.txt").write_text("\n".join(lines))
 
 
 @pytest.fixture
 def installed(package: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The same, found by this process."""
+    """Let this process find the page's package as an installed one."""
     monkeypatch.syspath_prepend(str(package))
     extensions._entry_points.cache_clear()
     yield
     extensions._entry_points.cache_clear()
-    for name in [name for name in sys.modules if name.split(".")[0] == "my_swarm"]:
-        del sys.modules[name]
+    for name in list(sys.modules):
+        if name.split(".")[0] == "my_swarm":
+            del sys.modules[name]
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_name_that_two_packages_offer_is_refused(package: Path) -> None:
+    their_information = package / "their_swarm-1.0.dist-info"
+    their_information.mkdir()
+    (their_information / "METADATA").write_text("Name: their-swarm\nVersion: 1.0\n")
+    (their_information / "entry_points.txt").write_text(
+        "[mcp_asdf.firmwares]\nbeta = their_swarm:Robot\n"  # the page's package offers a firmware beta, too
+    )
+    message = "'beta' is offered by .*swarm .* and .*swarm .*; uninstall all but"
+    with pytest.raises(UsageError, match=message):
+        extensions.load(extensions.FIRMWARES, "beta")
+
+
+# --- The commands of the page ----------------------------------------------------------------------------
+
+
+def command_lines_of_page() -> list[str]:
+    """Return the four commands of the page, which stand in one block; each has a test below."""
+    scripts = blocks(PAGE, "sh")
+    assert len(scripts) == 1
+    lines = scripts[0].splitlines()
+    assert len(lines) == 4
+    return lines
+
+
+def run_in_package(command_line: str, package: Path) -> Any:
+    """Run a command of the page where it finds the page's package, and return the JSON that it prints."""
+    output = run(*command_line.split(), "--json", cwd=package, PYTHONPATH=str(package))
+    return json.loads(output)
 
 
 @pytest.mark.slow
-def test_the_commands_of_the_page_find_the_extensions(package: Path) -> None:
-    (script,) = blocks(PAGE, "sh")
-    commands = script.splitlines()
-    assert {command.split()[1] for command in commands} == {"simulate", "swarm", "sweep"}
-    assert "--workers 2" in commands[-1]
-    found = [
-        json.loads(run(*command.split(), "--json", cwd=package, PYTHONPATH=str(package)))
-        for command in commands
-    ]
-    assert found[0]["parameters"]["firmware"] == "beta"
-    assert found[1]["parameters"]["topology"] == "geometric"
-    assert found[1]["parameters"]["sensor"] == "wandering"
-    assert found[2]["results"]["steps"] == 200
-    chosen = {
-        tuple(each["parameters"][name] for name in ("firmware", "topology", "sensor"))
-        for each in found[3]["experiments"]
+def test_the_page_simulates_its_firmware(package: Path) -> None:
+    line = command_lines_of_page()[0]
+    assert line.startswith("mcp-asdf simulate ")
+    assert run_in_package(line, package)["parameters"]["firmware"] == "beta"
+
+
+@pytest.mark.slow
+def test_the_page_simulates_its_topology_and_sensor(package: Path) -> None:
+    line = command_lines_of_page()[1]
+    assert line.startswith("mcp-asdf simulate ")
+    parameters = run_in_package(line, package)["parameters"]
+    assert parameters["topology"] == "geometric"
+    assert parameters["sensor"] == "wandering"
+
+
+@pytest.mark.slow
+def test_the_page_runs_a_swarm_to_its_end(package: Path) -> None:
+    line = command_lines_of_page()[2]
+    assert line.startswith("mcp-asdf swarm ")
+    assert run_in_package(line, package)["results"]["steps"] == 200
+
+
+@pytest.mark.slow
+def test_the_page_sweeps_all_eight_combinations_of_its_extensions_with_workers(package: Path) -> None:
+    line = command_lines_of_page()[3]
+    assert line.startswith("mcp-asdf sweep ")
+    assert "--workers 2" in line
+    experiments = run_in_package(line, package)["experiments"]
+    combinations = {
+        (each["parameters"]["firmware"], each["parameters"]["topology"], each["parameters"]["sensor"])
+        for each in experiments
     }
-    assert len(chosen) == len({each["H"]["median"] for each in found[3]["experiments"]}) == 8
+    median_scores = {each["H"]["median"] for each in experiments}
+    assert len(combinations) == 8
+    assert len(median_scores) == 8, "each extension makes a difference"
+
+
+# --- In this process -------------------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("installed")
 def test_a_swarm_with_extensions_is_trial_0_to_the_bit() -> None:
-    parameters = SHORT | {"firmware": "mirror", "topology": "geometric", "sensor": "wandering"}
+    parameters: dict[str, Any] = {
+        "robots": 6,
+        "steps": 300,
+        "filter_period": 50,
+        "seed": 3,
+        "firmware": "mirror",
+        "topology": "geometric",
+        "sensor": "wandering",
+    }
     with Swarm(SwarmSettings(**parameters), Wiring()) as swarm:
-        for _ in range(SHORT["steps"]):
+        for _ in range(300):
             swarm.tick()
-        robots = [node.robot for node in swarm.nodes]
-    assert all(isinstance(robot, MirrorRobot) for robot in robots)
-    images = [robot.save() for robot in robots if isinstance(robot, MirrorRobot)]
+        robots = [cast(MirrorRobot, node.robot) for node in swarm.nodes]
+    images = [robot.save() for robot in robots]
     assert images == images_by_message(Experiment(**parameters, trials=1), 0)
 
 
 @pytest.mark.usefixtures("installed")
 def test_the_page_s_sensors_do_random_walks() -> None:
     settings = WorldSettings(robots=100, true_accuracy=0.75, seed=3, sensor="wandering")
-    accuracies, _ = make_sensor_model(settings, 0).advance(400)
-    changes = np.diff(accuracies, axis=0)
+    accuracy_on_black, _ = make_sensor_model(settings, 0).advance(400)
+    changes = np.diff(accuracy_on_black, axis=0)  # by step and robot
+    correlations = np.corrcoef(changes[:, 0], changes[:, 1])
     assert changes.std() == pytest.approx(0.001, rel=0.02)
-    assert abs(np.corrcoef(changes[:, 0], changes[:, 1])[0, 1]) < 0.2
+    assert abs(correlations[0, 1]) < 0.2, "the walks of two robots have nothing to do with each other"
 
 
 @pytest.mark.usefixtures("installed")
 def test_the_page_s_sensors_are_the_same_however_many_steps_are_taken_at_once() -> None:
     settings = WorldSettings(robots=6, seed=3, sensor="wandering")
-    whole, _ = make_sensor_model(settings, 0).advance(100)
-    in_parts = make_sensor_model(settings, 0)
-    parts = [in_parts.advance(steps)[0] for steps in (1, 7, 92)]
-    assert np.array_equal(np.concatenate(parts), whole)
+    accuracies_at_once, _ = make_sensor_model(settings, 0).advance(100)
+    sensors = make_sensor_model(settings, 0)
+    accuracies_of_parts = []
+    for steps in (1, 7, 92):
+        accuracy_on_black, _ = sensors.advance(steps)
+        accuracies_of_parts.append(accuracy_on_black)
+    assert np.array_equal(np.concatenate(accuracies_of_parts), accuracies_at_once)

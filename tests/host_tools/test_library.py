@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -22,20 +20,55 @@ from mcp_asdf.robot import Config
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import add_legend, empty_figure
 from mcp_asdf_tools.experiments.result_tables import trials_to_table
+from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.swarm.swarm import Swarm
 from support import ROOT, run
 
-SHORT = m.Experiment(robots=4, filter="asdf-plus", steps=120, filter_period=20, trials=3, flawed=1)
-SETTINGS = m.SwarmSettings(
-    robots=4, filter="asdf-plus", steps=60, filter_period=20, flawed=1, faults=("loss=0.2",)
-)
+UNTYPED: Any = m
+"""The library without its types, as in a notebook: type checkers let wrong arguments pass."""
 
 
-def test_the_page_has_every_name() -> None:
+def small_experiment(**changes: Any) -> m.Experiment:
+    """Return an experiment of 120 steps with a flawed robot among four; ``changes`` replace parameters."""
+    parameters: dict[str, Any] = {
+        "robots": 4,
+        "flawed": 1,
+        "filter": "asdf-plus",
+        "filter_period": 20,
+        "steps": 120,
+        "trials": 3,
+    }
+    return m.Experiment(**parameters | changes)
+
+
+def small_swarm(**changes: Any) -> m.SwarmSettings:
+    """Return settings of a swarm that runs 60 steps, like ``small_experiment``."""
+    parameters: dict[str, Any] = {
+        "robots": 4,
+        "flawed": 1,
+        "filter": "asdf-plus",
+        "filter_period": 20,
+        "steps": 60,
+    }
+    return m.SwarmSettings(**parameters | changes)
+
+
+def simulate_one(experiment: m.Experiment) -> Trials:
+    """Run the trials of an experiment, and return them instead of the table that has them."""
+    all_trials = list(m.experiments_in(m.simulate(experiment)))
+    assert len(all_trials) == 1, "a table of one experiment has the trials of one"
+    return all_trials[0]
+
+
+# --- Names -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", m.__all__)
+def test_every_name_of_the_library_is_on_its_page_and_has_a_docstring(name: str) -> None:
     page = (ROOT / "docs/library.md").read_text(encoding="utf-8")
-    for name in m.__all__:
-        assert f"m.{name}" in page or f"`{name}`" in page, name
-        assert getattr(m, name).__doc__
+    assert f"m.{name}" in page or f"`{name}`" in page
+    assert getattr(m, name).__doc__
 
 
 def test_a_name_that_the_library_does_not_have_is_an_attribute_error() -> None:
@@ -46,104 +79,227 @@ def test_a_name_that_the_library_does_not_have_is_an_attribute_error() -> None:
 def test_a_star_imports_every_name_of_the_library() -> None:
     names: dict[str, object] = {}
     exec("from mcp_asdf_tools import *", names)
-    assert {*m.__all__} <= names.keys()
+    assert set(m.__all__) <= names.keys()
 
 
-def test_importing_loads_no_plotting_and_no_tables() -> None:
-    check = "assert not {'matplotlib', 'pyarrow'} & {*sys.modules}"
-    run(sys.executable, "-c", f"import sys, mcp_asdf_tools as m; m.Experiment; {check}")
-
-
-def test_an_experiment_gives_the_table_of_its_trials_and_the_same_call_resumes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    expected, output = trials_to_table(run_trials(SHORT, 0, 3)), tmp_path / "grid.parquet"
-    assert m.simulate(SHORT).equals(expected)
-    assert m.simulate([SHORT], output, workers=2).equals(expected)
-    assert m.score(m.read_table(output)).equals(expected)
-    assert isinstance(m.plot_boxes(m.read_table(output)), Figure)
-    monkeypatch.setattr("mcp_asdf_tools.experiments.sweep.jobs_of", lambda store: iter([]))
-    assert m.simulate(SHORT, str(output)).equals(expected), "nothing was left to run"
-    with pytest.raises(m.UsageError, match="results of other experiments"):
-        m.simulate(m.grid(robots=3, steps=50, trials=1), output)
-
-
-def test_a_swarm_on_a_channel_is_heard_and_ends_in_the_same_bits() -> None:
-    with m.start_swarm(SETTINGS) as alone, m.start_swarm(SETTINGS, "library test") as heard:
-        with can.Bus("library test", "virtual") as other:
-            for _ in range(SETTINGS.steps):
-                alone.tick()
-                heard.tick()
-            frame = other.recv(0)
-            assert frame is not None and frame.timestamp < 1, "simulated time"
-        robots, others = ([cast(Any, node.robot) for node in swarm.nodes] for swarm in (alone, heard))
-        assert [each.save() for each in robots] == [each.save() for each in others]
-        whole = m.emulate(SETTINGS)
-        assert [each["x"] for each in whole.results["robots"]] == [each.x for each in robots]
-
-
-# --- Objects in place of names ---
-
-
-class Undirected:
-    """What networkx calls a graph, as far as it is asked."""
-
-    def __init__(self, edges: list[Any], directed: bool = False) -> None:
-        self.edges, self.is_directed = lambda: edges, lambda: directed
-
-
-def test_a_graph_may_be_any_of_its_usual_objects() -> None:
-    hears = np.zeros((4, 4), np.bool_)
-    hears[1, 0] = hears[0, 1] = hears[2, 1] = True  # 2 hears 1, who does not hear 2
-    pairs = [(0, 1), (np.int64(1), 2)]
-    for given, edges in (
-        (pairs, "0 1; 1 2"),
-        (np.array(pairs), "0 1; 1 2"),
-        (Undirected(pairs), "0 1; 1 2"),
-        (Undirected(pairs, directed=True), "0 > 1; 1 > 2"),
-        (hears, "0 1; 1 > 2"),
-    ):
-        assert str(replace(SHORT, topology="graph", graph=given).graph) == edges
-    for wrong in (5, [(0, 1, 2)], [("a", "b")], np.ones((2, 3), np.bool_), [(0, 200)]):
-        with pytest.raises(m.UsageError):
-            replace(SHORT, topology="graph", graph=wrong)
-
-
-@pytest.mark.parametrize("first_kind", [MirrorRobot, ReferenceRobot])
-def test_an_extension_may_mix_robots_with_and_without_raw_values(first_kind: Any) -> None:
-    def mix(config: Config, robot_id: int, b_hat: float) -> Any:
-        other_kind = ReferenceRobot if first_kind is MirrorRobot else MirrorRobot
-        make = other_kind if robot_id % 2 else first_kind
-        return make(config, robot_id, b_hat)
-
-    firmware: Any = mix
-    experiment = replace(SHORT, trials=1, firmware=firmware)
-    (trials,) = m.experiments_in(m.simulate(experiment))
-    (native_trials,) = m.experiments_in(m.simulate(replace(SHORT, trials=1)))
-    assert np.allclose(trials.b_hat, native_trials.b_hat, atol=1e-4)
-    settings = replace(SETTINGS, firmware=firmware, faults=())
-    assert m.emulate(settings).results["mean_error"] == pytest.approx(
-        m.emulate(replace(SETTINGS, faults=())).results["mean_error"], abs=1e-4
+def test_importing_the_library_loads_neither_matplotlib_nor_pyarrow() -> None:
+    program = (
+        "import sys, mcp_asdf_tools as m\n"
+        "m.Experiment\n"
+        "assert 'matplotlib' not in sys.modules\n"
+        "assert 'pyarrow' not in sys.modules\n"
     )
+    run(sys.executable, "-c", program)
 
 
-@pytest.mark.parametrize("run", [m.simulate, m.emulate])
-def test_an_extension_whose_robots_lack_something_is_refused(run: Any) -> None:
-    def incomplete(config: Config, robot_id: int, b_hat: float) -> Any:
-        return SimpleNamespace(id=robot_id, observe=print, settle=print)
-
-    settings: Any = SHORT if run is m.simulate else SETTINGS
-    with pytest.raises(UsageError, match=r"SimpleNamespace without alpha, b_hat, beta, .* x_hat"):
-        run(replace(settings, firmware=incomplete))
+# --- Experiments and their results -----------------------------------------------------------------------
 
 
-def test_an_extension_with_some_of_the_raw_values_is_refused() -> None:
-    class HalfRaw(ReferenceRobot):
-        def receive_all(self, messages: Any) -> int:
-            return len(messages)
+@pytest.fixture(scope="module")
+def expected_table() -> Any:
+    """The table of the small experiment's three trials, made without the library."""
+    return trials_to_table(run_trials(small_experiment(), first=0, trials=3))
 
-    settings = replace(SETTINGS, firmware=cast(Any, HalfRaw))
-    with pytest.raises(UsageError, match=r"a HalfRaw without alpha_raw, .*give it all that mcp_asdf.Fixed"):
+
+@pytest.fixture(scope="module")
+def results_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file with the results of the small experiment."""
+    path = tmp_path_factory.mktemp("results") / "grid.parquet"
+    m.simulate(small_experiment(), path)
+    return path
+
+
+def test_simulate_returns_the_table_of_an_experiment_s_trials(expected_table: Any) -> None:
+    assert m.simulate(small_experiment()).equals(expected_table)
+
+
+def test_simulate_returns_the_same_table_with_a_file_and_worker_processes(
+    expected_table: Any, tmp_path: Path
+) -> None:
+    table = m.simulate([small_experiment()], tmp_path / "grid.parquet", workers=2)
+    assert table.equals(expected_table)
+
+
+def test_results_are_read_and_scored_without_change(expected_table: Any, results_file: Path) -> None:
+    assert m.score(m.read_table(results_file)).equals(expected_table)
+
+
+def test_results_that_were_read_can_be_plotted(results_file: Path) -> None:
+    assert isinstance(m.plot_boxes(m.read_table(results_file)), Figure)
+
+
+def test_simulate_takes_finished_trials_from_the_file(
+    expected_table: Any, results_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Without jobs no trial can be run, so all that is returned must come from the file.
+    monkeypatch.setattr("mcp_asdf_tools.experiments.sweep.jobs_of", lambda store: iter([]))
+    assert m.simulate(small_experiment(), str(results_file)).equals(expected_table)
+
+
+def test_simulate_refuses_a_file_with_results_of_other_experiments(results_file: Path) -> None:
+    with pytest.raises(m.UsageError, match="results of other experiments"):
+        m.simulate(m.grid(robots=3, steps=50, trials=1), results_file)
+
+
+# --- Swarms ----------------------------------------------------------------------------------------------
+
+
+def run_to_end(swarm: Swarm) -> None:
+    """Let a swarm of 60 steps take them all."""
+    for _ in range(60):
+        swarm.tick()
+
+
+def images_of_robots(swarm: Swarm) -> list[bytes]:
+    """Return the states of a swarm's robots, all of which have fixed-point firmware."""
+    return [cast(Any, node.robot).save() for node in swarm.nodes]
+
+
+def test_others_on_a_swarm_s_channel_receive_frames_with_simulated_times() -> None:
+    with m.start_swarm(small_swarm(), "times") as swarm, can.Bus("times", "virtual") as bus:
+        swarm.tick()
+        frame = bus.recv(0)
+    assert frame is not None
+    assert frame.timestamp < 1, "the swarm's time begins at 0; the clock's is many years"
+
+
+def test_a_swarm_on_a_channel_ends_in_the_same_bits_as_one_without() -> None:
+    settings = small_swarm(faults=("loss=0.2",))
+    with m.start_swarm(settings) as swarm, m.start_swarm(settings, "same bits") as swarm_on_channel:
+        run_to_end(swarm)
+        run_to_end(swarm_on_channel)
+        assert images_of_robots(swarm) == images_of_robots(swarm_on_channel)
+
+
+def test_emulate_reports_the_estimates_at_the_end_of_the_swarm() -> None:
+    settings = small_swarm(faults=("loss=0.2",))
+    with m.start_swarm(settings) as swarm:
+        run_to_end(swarm)
+        estimates = [node.robot.x for node in swarm.nodes]
+    rows = m.emulate(settings).results["robots"]
+    assert [row["x"] for row in rows] == estimates
+
+
+# --- Objects in place of names: graphs -------------------------------------------------------------------
+
+
+class GraphOfNetworkx:
+    """Has the two methods of a graph of networkx that the library calls."""
+
+    def __init__(self, edges: list[tuple[int, int]], directed: bool) -> None:
+        self._edges = edges
+        self._directed = directed
+
+    def edges(self) -> list[tuple[int, int]]:
+        return self._edges
+
+    def is_directed(self) -> bool:
+        return self._directed
+
+
+NEIGHBOUR_MATRIX = np.array(
+    [
+        [False, True, False, False],  # robot 0 receives from robot 1
+        [True, False, False, False],  # robot 1 receives from robot 0
+        [False, True, False, False],  # robot 2 receives from robot 1, which does not receive from it
+        [False, False, False, False],
+    ]
+)
+
+
+@pytest.mark.parametrize(
+    ("graph", "edges"),
+    [
+        ([(0, 1), (1, 2)], "0 1; 1 2"),
+        ([(0, 1), (np.int64(1), 2)], "0 1; 1 2"),
+        (np.array([(0, 1), (1, 2)]), "0 1; 1 2"),
+        (GraphOfNetworkx([(0, 1), (1, 2)], directed=False), "0 1; 1 2"),
+        (GraphOfNetworkx([(0, 1), (1, 2)], directed=True), "0 > 1; 1 > 2"),
+        (NEIGHBOUR_MATRIX, "0 1; 1 > 2"),
+    ],
+    ids=["pairs", "numpy integers", "array of pairs", "undirected", "directed", "matrix"],
+)
+def test_a_graph_may_be_any_of_its_usual_objects(graph: Any, edges: str) -> None:
+    assert str(small_experiment(topology="graph", graph=graph).graph) == edges
+
+
+@pytest.mark.parametrize(
+    "graph",
+    [5, [(0, 1, 2)], [("a", "b")], np.ones((2, 3), np.bool_), [(0, 200)]],
+    ids=["number", "triple", "letters", "matrix that is not square", "id of no robot"],
+)
+def test_an_object_that_is_no_graph_of_the_swarm_is_refused(graph: Any) -> None:
+    with pytest.raises(m.UsageError):
+        small_experiment(topology="graph", graph=graph)
+
+
+# --- Objects in place of names: firmwares ----------------------------------------------------------------
+
+
+def make_mirror_for_even_ids(config: Config, robot_id: int, b_hat: float) -> Any:
+    """Return a robot with raw values, which are the integers of the firmware, or without for odd ids."""
+    if robot_id % 2 == 0:
+        return MirrorRobot(config, robot_id, b_hat)
+    return ReferenceRobot(config, robot_id, b_hat)
+
+
+def make_mirror_for_odd_ids(config: Config, robot_id: int, b_hat: float) -> Any:
+    """Return a robot without raw values, which calculates with floats, or with them for odd ids."""
+    if robot_id % 2 == 0:
+        return ReferenceRobot(config, robot_id, b_hat)
+    return MirrorRobot(config, robot_id, b_hat)
+
+
+MAX_ERROR_OF_FIRMWARE = 1e-4
+"""Fixed point and floats differ by less than this in so short a run."""
+in_either_order = pytest.mark.parametrize("firmware", [make_mirror_for_even_ids, make_mirror_for_odd_ids])
+
+
+@in_either_order
+def test_a_simulated_swarm_may_mix_robots_with_and_without_raw_values(firmware: Any) -> None:
+    mixed = simulate_one(small_experiment(trials=1, firmware=firmware))
+    native = simulate_one(small_experiment(trials=1))
+    assert np.allclose(mixed.b_hat, native.b_hat, atol=MAX_ERROR_OF_FIRMWARE)
+
+
+@in_either_order
+def test_an_emulated_swarm_may_mix_robots_with_and_without_raw_values(firmware: Any) -> None:
+    mixed = m.emulate(small_swarm(firmware=firmware)).results["mean_error"]
+    native = m.emulate(small_swarm()).results["mean_error"]
+    assert mixed == pytest.approx(native, abs=MAX_ERROR_OF_FIRMWARE)
+
+
+def make_robot_without_estimates(config: Config, robot_id: int, b_hat: float) -> Any:
+    """Return an object that can observe and settle, but has neither estimates nor accuracies."""
+    return SimpleNamespace(id=robot_id, observe=lambda z: None, settle=lambda: None)
+
+
+MISSING_ATTRIBUTES = "SimpleNamespace without alpha, b_hat, beta, .* x_hat"
+
+
+def test_simulate_refuses_robots_that_lack_attributes() -> None:
+    experiment = small_experiment(firmware=make_robot_without_estimates)
+    with pytest.raises(UsageError, match=MISSING_ATTRIBUTES):
+        m.simulate(experiment)
+
+
+def test_emulate_refuses_robots_that_lack_attributes() -> None:
+    settings = small_swarm(firmware=make_robot_without_estimates)
+    with pytest.raises(UsageError, match=MISSING_ATTRIBUTES):
+        m.emulate(settings)
+
+
+class RobotWithOneRawMethod(ReferenceRobot):
+    """Has one of the attributes that robots with raw values have, and lacks the others."""
+
+    def receive_all(self, messages: Any) -> int:
+        return len(messages)
+
+
+def test_a_robot_with_some_of_the_raw_values_is_refused() -> None:
+    settings = small_swarm(firmware=RobotWithOneRawMethod)
+    message = r"a RobotWithOneRawMethod without alpha_raw, .*give it all that mcp_asdf.Fixed"
+    with pytest.raises(UsageError, match=message):
         m.emulate(settings)
 
 
@@ -154,110 +310,224 @@ class DataSheetRobot(ReferenceRobot):
         return 0.95
 
 
-def always(accuracy: float) -> Any:
-    class Always(ReferenceRobot):
+def robot_class_with_b_hat(accuracy: float) -> Any:
+    """Return a class of robots that assume this accuracy once they filter; all such classes have one name."""
+
+    class RobotOfOneAccuracy(ReferenceRobot):
         def reestimate_b_hat(self) -> float | None:
             return accuracy
 
-    return Always
+    return RobotOfOneAccuracy
 
 
-def test_objects_of_this_process_stand_for_extensions() -> None:
-    """Two that are called alike are told apart."""
-    low, high = always(0.7), always(0.9)
-    common = replace(SHORT, trials=1, activation="always")
-    experiments = [replace(common, firmware=each) for each in (low, high, low)]
-    assert experiments[0] == experiments[2] != experiments[1]
-    for experiment, accuracy in zip(experiments, (0.7, 0.9, 0.7), strict=True):
-        (trials,) = m.experiments_in(m.simulate(experiment))
-        assert trials.experiment == experiment and np.all(trials.b_hat[0, -1] == accuracy)
-
-    def dazzled(settings: object, trial: int) -> object:
-        return SimpleNamespace(advance=lambda steps: (np.ones((1, 1)), np.zeros((1, 1))))
-
-    given: Any = {"sensor": dazzled}
-    blind = replace(SHORT, **given)
-    assert blind.sensor.endswith("dazzled") and len(m.simulate(blind)) == 3
+@pytest.mark.parametrize("accuracy", [0.7, 0.9])
+def test_a_class_of_this_process_stands_for_an_extension(accuracy: float) -> None:
+    firmware = robot_class_with_b_hat(accuracy)
+    experiment = small_experiment(trials=1, activation="always", firmware=firmware)
+    trials = simulate_one(experiment)
+    assert trials.experiment == experiment
+    assert trials.b_hat[0, -1].tolist() == [accuracy] * 4
 
 
-def test_objects_that_are_called_alike_are_refused_in_one_table() -> None:
-    experiments = [replace(SHORT, firmware=always(accuracy)) for accuracy in (0.7, 0.9)]
-    with pytest.raises(UsageError, match=r"two objects are called .*Always; give them different names"):
+def test_experiments_with_two_classes_of_one_name_differ() -> None:
+    low, high = robot_class_with_b_hat(0.7), robot_class_with_b_hat(0.9)
+    assert small_experiment(firmware=low) != small_experiment(firmware=high)
+    assert small_experiment(firmware=low) == small_experiment(firmware=low)
+
+
+def test_a_class_of_one_name_is_still_known_after_another_was_given() -> None:
+    low, high = robot_class_with_b_hat(0.7), robot_class_with_b_hat(0.9)
+    first, second = [
+        small_experiment(trials=1, activation="always", firmware=firmware) for firmware in (low, high)
+    ]
+    assert simulate_one(second).b_hat[0, -1].tolist() == [0.9] * 4
+    assert simulate_one(first).b_hat[0, -1].tolist() == [0.7] * 4
+
+
+def make_sensors_that_see_black(settings: object, trial: int) -> Any:
+    """Return sensors that always read black: right on every black tile, and wrong on every white one."""
+    accuracy_on_black, accuracy_on_white = np.ones((1, 1)), np.zeros((1, 1))
+    return SimpleNamespace(advance=lambda steps: (accuracy_on_black, accuracy_on_white))
+
+
+def test_a_function_of_this_process_stands_for_a_sensor() -> None:
+    experiment = small_experiment(trials=3, sensor=make_sensors_that_see_black)
+    assert experiment.sensor.endswith("make_sensors_that_see_black")
+    assert len(m.simulate(experiment)) == 3
+
+
+def test_two_classes_of_one_name_are_refused_in_one_table() -> None:
+    experiments = [
+        small_experiment(firmware=robot_class_with_b_hat(0.7)),
+        small_experiment(firmware=robot_class_with_b_hat(0.9)),
+    ]
+    message = r"two objects are called .*RobotOfOneAccuracy; give them different names"
+    with pytest.raises(UsageError, match=message):
         m.simulate(experiments)
 
 
-def test_an_object_that_workers_cannot_import_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"Always cannot be sent to worker processes: .*take one worker"):
-        m.simulate(replace(SHORT, firmware=always(0.7)), workers=2)
+def test_a_class_that_workers_cannot_import_is_refused() -> None:
+    experiment = small_experiment(firmware=robot_class_with_b_hat(0.7))
+    message = r"RobotOfOneAccuracy cannot be sent to worker processes: .*take one worker"
+    with pytest.raises(UsageError, match=message):
+        m.simulate(experiment, workers=2)
 
 
 def test_a_class_of_a_notebook_is_refused_for_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    class OfNotebook(ReferenceRobot):
+    class ClassOfNotebook(ReferenceRobot):
         pass
 
-    OfNotebook.__module__, OfNotebook.__qualname__ = "__main__", "OfNotebook"
-    monkeypatch.setattr(sys.modules["__main__"], "OfNotebook", OfNotebook, raising=False)
+    # A notebook's classes are attributes of __main__, which has no file that workers could import.
+    ClassOfNotebook.__module__ = "__main__"
+    ClassOfNotebook.__qualname__ = "ClassOfNotebook"
+    monkeypatch.setattr(sys.modules["__main__"], "ClassOfNotebook", ClassOfNotebook, raising=False)
     monkeypatch.delattr(sys.modules["__main__"], "__file__", raising=False)
-    with pytest.raises(UsageError, match="OfNotebook exists in this session only"):
-        m.simulate(replace(SHORT, firmware=cast(Any, OfNotebook)), workers=2)
+    experiment = small_experiment(firmware=ClassOfNotebook)
+    with pytest.raises(UsageError, match="ClassOfNotebook exists in this session only"):
+        m.simulate(experiment, workers=2)
 
 
 def test_a_class_of_a_module_is_sent_to_workers() -> None:
-    experiment = replace(SHORT, firmware=cast(Any, ReferenceRobot))
+    experiment = small_experiment(firmware=ReferenceRobot)
     assert m.simulate(experiment, workers=2).equals(m.simulate(experiment))
 
 
-def test_results_of_an_extension_that_is_not_installed_can_be_read_but_not_run() -> None:
-    (trials,) = m.experiments_in(m.simulate(replace(SHORT, firmware=cast(Any, DataSheetRobot))))
-    assert trials.experiment.firmware.endswith("test_library.DataSheetRobot")
+@pytest.fixture(scope="module")
+def trials_of_extension() -> Trials:
+    """Trials of a class that is no installed extension, as they are read from a table."""
+    return simulate_one(small_experiment(firmware=DataSheetRobot))
+
+
+def test_results_of_an_extension_that_is_not_installed_can_be_read(trials_of_extension: Trials) -> None:
+    assert trials_of_extension.experiment.firmware.endswith("test_library.DataSheetRobot")
+
+
+def test_an_experiment_of_an_extension_that_is_not_installed_cannot_be_run(
+    trials_of_extension: Trials,
+) -> None:
     with pytest.raises(UsageError, match=r"no extension '.*DataSheetRobot' is installed"):
-        m.simulate(trials.experiment)
+        m.simulate(trials_of_extension.experiment)
+
+
+# --- Wrong arguments are one kind of error ---------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def recorded_table() -> Any:
+    """The table of the small experiment, with values recorded at its last step, 120."""
+    return m.simulate(small_experiment(), record=120)
+
+
+def test_grid_refuses_an_unknown_parameter() -> None:
+    with pytest.raises(m.UsageError):
+        UNTYPED.grid(robot=3)
+
+
+def test_an_experiment_refuses_a_number_as_firmware() -> None:
+    with pytest.raises(m.UsageError):
+        UNTYPED.Experiment(firmware=7)
+
+
+def test_simulate_refuses_a_number_as_experiment() -> None:
+    with pytest.raises(m.UsageError):
+        UNTYPED.simulate([7])
+
+
+@pytest.mark.parametrize("options", [{"workers": 0}, {"record": 121}, {"record": -1}], ids=str)
+def test_simulate_refuses_an_option_out_of_its_range(options: dict[str, int]) -> None:
+    """The experiment has 120 steps, so none can be recorded every 121."""
+    with pytest.raises(m.UsageError):
+        UNTYPED.simulate(small_experiment(), **options)
+
+
+def test_plot_boxes_refuses_an_empty_list() -> None:
+    with pytest.raises(m.UsageError):
+        UNTYPED.plot_boxes([])
+
+
+def test_plot_boxes_refuses_an_unknown_parameter_to_choose_by(recorded_table: Any) -> None:
+    with pytest.raises(m.UsageError):
+        UNTYPED.plot_boxes(recorded_table, where={"filtr": "none"})
+
+
+def test_plot_curve_refuses_a_function_that_returns_one_value_for_three_trials(recorded_table: Any) -> None:
+    with pytest.raises(m.UsageError):
+        UNTYPED.plot_curve(recorded_table, "flawed", lambda trials: [1.0])
+
+
+def test_show_refuses_a_trial_that_the_table_does_not_have(recorded_table: Any) -> None:
+    with pytest.raises(m.UsageError):
+        UNTYPED.show(recorded_table, trial=99)
+
+
+def test_show_refuses_a_negative_trial() -> None:
+    with pytest.raises(m.UsageError):
+        UNTYPED.show(small_experiment(), where={"robots": 99}, trial=-1)
+
+
+def test_read_experiments_refuses_a_file_that_does_not_exist() -> None:
+    with pytest.raises(m.UsageError):
+        UNTYPED.read_experiments("none.toml")
+
+
+# --- Pictures --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        lambda m, table: m.grid(robot=3),
-        lambda m, table: m.Experiment(firmware=7),
-        lambda m, table: m.simulate([7]),
-        lambda m, table: m.simulate(SHORT, workers=0),
-        lambda m, table: m.simulate(SHORT, record=SHORT.steps + 1),
-        lambda m, table: m.simulate(SHORT, record=-1),
-        lambda m, table: m.plot_boxes([]),
-        lambda m, table: m.plot_curve(table, "flawed", lambda trials: [1.0]),
-        lambda m, table: m.plot_boxes(table, where={"filtr": "none"}),
-        lambda m, table: m.show(table, trial=99),
-        lambda m, table: m.show(SHORT, where={"robots": 99}, trial=-1),
-        lambda m, table: m.read_experiments("none.toml"),
-    ],
+    ("label_length", "entries", "columns"),
+    [(1, 8, 6), (12, 8, 3), (20, 8, 2), (28, 8, 1), (200, 8, 1), (1, 2, 2)],
 )
-def test_a_wrong_argument_is_one_kind_of_error(wrong: Callable[[Any, Any], object]) -> None:
-    """Without types, as in a notebook."""
-    with pytest.raises(m.UsageError):
-        wrong(m, m.simulate(SHORT, record=SHORT.steps))
+def test_a_legend_has_as_many_columns_as_fit(label_length: int, entries: int, columns: int) -> None:
+    figure = empty_figure(6, 3)
+    add_legend(figure, [Line2D([], [], label="m" * label_length) for _ in range(entries)])
+    assert len(figure.legends) == 1
+    assert cast(Any, figure.legends[0])._ncols == columns
 
 
-# --- Pictures ---
+@pytest.fixture(scope="module")
+def grid_table() -> Any:
+    """The table of four experiments: with one and two flawed robots, without a filter and with one."""
+    return m.simulate(m.grid(flawed=[1, 2], filter=["none", "asdf-plus"], robots=4, steps=60, trials=2))
 
 
-def test_a_legend_has_the_columns_that_fit() -> None:
-    for letters, count, columns in ((1, 8, 6), (12, 8, 3), (20, 8, 2), (28, 8, 1), (200, 8, 1), (1, 2, 2)):
-        figure = empty_figure(6, 3)
-        add_legend(figure, [Line2D([], [], label="m" * letters) for _ in range(count)])
-        assert [each._ncols for each in cast(list[Any], figure.legends)] == [columns]
-
-
-def test_a_curve_is_of_the_chosen_and_goes_into_axes_of_ones_own() -> None:
-    table = m.simulate(m.grid(flawed=[1, 2], filter=["none", "asdf-plus"], robots=4, steps=60, trials=2))
-    figure, where = Figure(), {"filter": "none"}
-    drawn = m.plot_curve(
-        table, "flawed", lambda trials: trials.errors[:, 0], where=where, ax=figure.subplots()
+def test_a_curve_is_of_the_chosen_experiments_and_drawn_into_the_caller_s_axes(grid_table: Any) -> None:
+    figure = Figure()
+    returned_figure = m.plot_curve(
+        grid_table,
+        "flawed",
+        lambda trials: trials.errors[:, 0],
+        where={"filter": "none"},
+        ax=figure.subplots(),
     )
-    assert drawn is figure and len(figure.axes[0].lines) == 1
-    both: Any = m.plot_curve(table, "flawed", facet="filter")
-    first = both.axes[0]  # light lines behind the curves, small figures and no frame
-    assert first.get_axisbelow() and first.yaxis.get_gridlines()[0].get_visible()
-    assert first.yaxis.get_ticklabels()[0].get_fontsize() == 8 and not first.spines["top"].get_visible()
-    shown = both._repr_png_()  # by a notebook, 150 pixels an inch
-    assert shown[:4] == b"\x89PNG" and int.from_bytes(shown[16:20], "big") == 150 * both.get_figwidth()
-    assert [each.get_title() for each in both.axes] == ["filter none", "filter asdf-plus"]
+    assert returned_figure is figure
+    assert len(figure.axes[0].lines) == 1
+
+
+@pytest.fixture(scope="module")
+def figure_of_facets(grid_table: Any) -> Any:
+    """A figure of curves with axes for each filter."""
+    return m.plot_curve(grid_table, "flawed", facet="filter")
+
+
+def test_facets_are_titled_with_their_parameter(figure_of_facets: Any) -> None:
+    titles = [axes.get_title() for axes in figure_of_facets.axes]
+    assert titles == ["filter none", "filter asdf-plus"]
+
+
+def test_a_plot_has_grid_lines_behind_its_curves(figure_of_facets: Any) -> None:
+    axes = figure_of_facets.axes[0]
+    assert axes.get_axisbelow()
+    assert axes.yaxis.get_gridlines()[0].get_visible()
+
+
+def test_a_plot_has_small_figures_and_no_frame(figure_of_facets: Any) -> None:
+    axes = figure_of_facets.axes[0]
+    assert axes.yaxis.get_ticklabels()[0].get_fontsize() == 8
+    assert not axes.spines["top"].get_visible()
+
+
+def test_a_notebook_shows_a_figure_with_150_pixels_an_inch(figure_of_facets: Any) -> None:
+    picture = figure_of_facets._repr_png_()
+    width_in_pixels = int.from_bytes(picture[16:20], "big")  # the first value of the header of a PNG
+    assert picture.startswith(b"\x89PNG")
+    assert width_in_pixels == 150 * figure_of_facets.get_figwidth()
