@@ -32,55 +32,69 @@ pytestmark = pytest.mark.random
 cantools = pytest.importorskip("cantools", reason="cantools is not installed (pip install cantools)")
 
 UNITS = {"x_hat": 2.0**-23, "x": 2.0**-23, "b_hat": 2.0**-24}
+"""Units of the fields that frames carry as integers."""
 fixed_examples = settings(derandomize=True, deadline=None, max_examples=draws(300))
 
 
 def load_database(text: str) -> Any:
+    """Return what cantools reads in a DBC file's text; it is strict about overlapping signals."""
     return cantools.database.load_string(text, "dbc", strict=True)
 
 
 @pytest.fixture(scope="module")
 def database() -> Any:
+    """The file for the default format, as cantools reads it."""
     return load_database(dbc_text(DEFAULT))
 
 
 def physical_values(message: Any) -> dict[str, float]:
-    """Return a message's signals as cantools shows them: in the paper's units, with the tail byte."""
-    values = {"start_end_toggle": 7.0}
+    """Return a message's signals as cantools shows them: in the paper's units, with the tail byte.
+
+    The sender is no signal: it stands in the identifier.
+    """
+    values = {"start_end_toggle": 7.0}  # the three bits by which a tail byte marks a transfer of one frame
     for field in fields(message):
-        value = getattr(message, field.name)
-        if field.name == "sender":
-            continue  # it stands in the identifier
-        if isinstance(value, Enum):
-            value = value.value
-        if field.name == "alpha":
-            value = alpha_from_word(value)
-        values[field.name] = value * UNITS.get(field.name, 1)
+        if field.name != "sender":
+            values[field.name] = physical_value(field.name, getattr(message, field.name))
     return values
+
+
+def physical_value(name: str, value: Any) -> float:
+    """Return the value of one field in the paper's units; an enumerated one is its number."""
+    if isinstance(value, Enum):
+        return float(value.value)
+    if name == "alpha":
+        return alpha_from_word(value)
+    return float(value * UNITS.get(name, 1))
 
 
 def decode_what_cantools_encodes(
     database: Any, message_type: type, values: dict[str, float], node: int = 0, *, strict: bool = True
 ) -> Any:
+    """Let cantools encode values, and return the message or the rejection that our decoder makes of them.
+
+    If ``strict``, cantools refuses values out of the ranges that the DBC file states.
+    """
     entry = database.get_message_by_name(message_type.__name__)
     data = entry.encode(values, strict=strict)
-    return KINDS[message_type].decode(can.Message(arbitration_id=entry.frame_id | node, data=data))
+    frame = can.Message(arbitration_id=entry.frame_id | node, data=data)
+    return KINDS[message_type].decode(frame)
 
 
-EXTREME_MESSAGES = (
-    Estimate(127, 2**23, ALPHA_MAX, 31),
-    Estimate(127, 2**23, 0x100, 31),
-    Heartbeat(127, 2**32 - 1, 31, Health.WARNING, Mode.SOFTWARE_UPDATE, 255),
-    Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31),
-)
+# cantools and our codec read each other's frames
+
+LARGEST_ESTIMATE = Estimate(sender=127, x_hat=2**23, alpha=ALPHA_MAX, transfer_id=31)
+LEAST_CONFIDENT_ESTIMATE = Estimate(sender=127, x_hat=2**23, alpha=0x100, transfer_id=31)
+LARGEST_HEARTBEAT = Heartbeat(127, 2**32 - 1, 31, Health.WARNING, Mode.SOFTWARE_UPDATE, vendor_status=255)
+LARGEST_COMMAND = Command(127, tick=2**32 - 1, target=EVERY_ROBOT, action=Action.SETTLE, transfer_id=31)
 
 
 @fixed_examples
 @given(messages)
-@example(EXTREME_MESSAGES[0])
-@example(EXTREME_MESSAGES[1])
-@example(EXTREME_MESSAGES[2])
-@example(EXTREME_MESSAGES[3])
+@example(LARGEST_ESTIMATE)
+@example(LEAST_CONFIDENT_ESTIMATE)
+@example(LARGEST_HEARTBEAT)
+@example(LARGEST_COMMAND)
 def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
     frame = encoded(message)
     entry = database.get_message_by_frame_id(frame.arbitration_id & ANY_NODE_MASK)
@@ -90,67 +104,121 @@ def test_cantools_decodes_our_frames(database: Any, message: Any) -> None:
 
 @fixed_examples
 @given(messages)
-@example(EXTREME_MESSAGES[0])
-@example(EXTREME_MESSAGES[1])
-@example(EXTREME_MESSAGES[2])
-@example(EXTREME_MESSAGES[3])
+@example(LARGEST_ESTIMATE)
+@example(LEAST_CONFIDENT_ESTIMATE)
+@example(LARGEST_HEARTBEAT)
+@example(LARGEST_COMMAND)
 def test_we_decode_the_frames_of_cantools(database: Any, message: Any) -> None:
     values = physical_values(message)
     assert decode_what_cantools_encodes(database, type(message), values, message.sender) == message
 
 
-LEGAL_MESSAGES = (
-    Estimate(1, 2, 0x300, 4),
-    Heartbeat(1, 2, 3),
-    Telemetry(1, 2, 16, 3, 4),
-    Command(1, 2, 3, Action.SETTLE, 4),
-)
-for_each_kind = pytest.mark.parametrize("legal", LEGAL_MESSAGES, ids=lambda legal: type(legal).__name__)
+# The ranges that the file states are those that our decoders accept
 
-
-@for_each_kind
-def test_the_ends_of_every_stated_range_are_legal(database: Any, legal: Any) -> None:
-    for signal in database.get_message_by_name(type(legal).__name__).signals:
-        for value in (signal.minimum, signal.maximum):
-            values = physical_values(legal) | {signal.name: value}
-            message = decode_what_cantools_encodes(database, type(legal), values)
-            # Alpha may be any finite number, but beyond the firmware's largest it becomes that.
-            largest = alpha_from_word(ALPHA_MAX) if signal.name == "alpha" else value
-            assert physical_values(message)[signal.name] == min(value, largest)
-
-
-VALUES_BEYOND_ALPHA = (-0.0, float("inf"))
-"""Alpha has no unit to step beyond its range with."""
-SIGNALS_WITH_ILLEGAL_VALUES = {
-    "Estimate": {"x_hat", "alpha", "start_end_toggle"},
-    "Heartbeat": {"mode", "start_end_toggle"},
-    "Telemetry": {"x", "b_hat", "start_end_toggle"},
-    "Command": {"action", "start_end_toggle"},
+MAX_FLOAT32 = 2.0**128 - 2.0**104
+"""The largest finite binary32 number."""
+RANGES = {
+    ("Estimate", "x_hat"): (0, 1),
+    ("Estimate", "alpha"): (0, MAX_FLOAT32),
+    ("Estimate", "transfer_id"): (0, 31),
+    ("Estimate", "start_end_toggle"): (7, 7),
+    ("Heartbeat", "uptime"): (0, 2**32 - 1),
+    ("Heartbeat", "health"): (0, 3),
+    ("Heartbeat", "mode"): (0, 3),
+    ("Heartbeat", "vendor_status"): (0, 255),
+    ("Heartbeat", "transfer_id"): (0, 31),
+    ("Heartbeat", "start_end_toggle"): (7, 7),
+    ("Telemetry", "x"): (0, 1),
+    ("Telemetry", "b_hat"): (2.0**-20, 1 - 2.0**-20),
+    ("Telemetry", "updates"): (0, 255),
+    ("Telemetry", "transfer_id"): (0, 31),
+    ("Telemetry", "start_end_toggle"): (7, 7),
+    ("Command", "tick"): (0, 2**32 - 1),
+    ("Command", "target"): (0, 255),
+    ("Command", "action"): (0, 3),
+    ("Command", "transfer_id"): (0, 31),
+    ("Command", "start_end_toggle"): (7, 7),
 }
-"""In the others every bit pattern is legal, but for a command's target, whose range has a gap."""
+"""Smallest and largest value of each message's signals."""
 
 
-def values_beyond(signal: Any) -> list[float]:
-    """Return the values that the signal's bits can hold next to its stated range."""
-    if signal.name == "alpha":
-        return list(VALUES_BEYOND_ALPHA)
-    largest_that_fits = (2**signal.length - 1) * signal.scale
-    neighbours = (signal.minimum - signal.scale, signal.maximum + signal.scale)
-    return [value for value in neighbours if 0 <= value <= largest_that_fits]
+def all_signals(database: Any) -> dict[tuple[str, str], Any]:
+    """Return the signals of a database by the names of message and signal."""
+    return {
+        (message.name, signal.name): signal for message in database.messages for signal in message.signals
+    }
 
 
-@for_each_kind
-def test_a_value_beyond_a_stated_range_is_rejected_by_name(database: Any, legal: Any) -> None:
-    name = type(legal).__name__
-    rejected_signals = set()
-    for signal in database.get_message_by_name(name).signals:
-        for value in values_beyond(signal):
-            values = physical_values(legal) | {signal.name: value}
-            rejection = decode_what_cantools_encodes(database, type(legal), values, strict=False)
-            tail = signal.name == "start_end_toggle"
-            assert rejection is (Rejection.MULTI_FRAME if tail else Rejection[signal.name.upper()]), value
-            rejected_signals.add(signal.name)
-    assert rejected_signals == SIGNALS_WITH_ILLEGAL_VALUES[name]
+def test_the_file_states_the_range_of_every_signal(database: Any) -> None:
+    stated_ranges = {
+        names: (signal.minimum, signal.maximum) for names, signal in all_signals(database).items()
+    }
+    assert stated_ranges == RANGES
+
+
+LEGAL_MESSAGES = {
+    "Estimate": Estimate(sender=1, x_hat=2, alpha=0x300, transfer_id=4),
+    "Heartbeat": Heartbeat(sender=1, uptime=2, transfer_id=3),
+    "Telemetry": Telemetry(sender=1, x=2, b_hat=16, updates=3, transfer_id=4),
+    "Command": Command(sender=1, tick=2, target=3, action=Action.SETTLE, transfer_id=4),
+}
+
+
+def decode_with_value(database: Any, message: str, signal: str, value: float) -> Any:
+    """Decode a legal message in which cantools has set one signal to another value, be it illegal."""
+    legal_message = LEGAL_MESSAGES[message]
+    values = physical_values(legal_message) | {signal: value}
+    return decode_what_cantools_encodes(database, type(legal_message), values, strict=False)
+
+
+@pytest.mark.parametrize(("message", "signal"), RANGES)
+def test_the_minimum_of_a_range_is_decoded(database: Any, message: str, signal: str) -> None:
+    minimum, _ = RANGES[message, signal]
+    decoded = decode_with_value(database, message, signal, minimum)
+    assert physical_values(decoded)[signal] == minimum
+
+
+@pytest.mark.parametrize(("message", "signal"), [names for names in RANGES if names != ("Estimate", "alpha")])
+def test_the_maximum_of_a_range_is_decoded(database: Any, message: str, signal: str) -> None:
+    _, maximum = RANGES[message, signal]
+    decoded = decode_with_value(database, message, signal, maximum)
+    assert physical_values(decoded)[signal] == maximum
+
+
+def test_an_alpha_beyond_the_firmware_s_largest_is_decoded_as_the_largest(database: Any) -> None:
+    decoded = decode_with_value(database, "Estimate", "alpha", MAX_FLOAT32)
+    assert decoded.alpha == ALPHA_MAX
+
+
+ILLEGAL_VALUES = [
+    ("Estimate", "x_hat", 1 + 2.0**-23, Rejection.X_HAT),
+    ("Estimate", "alpha", -0.0, Rejection.ALPHA),
+    ("Estimate", "alpha", float("inf"), Rejection.ALPHA),
+    ("Estimate", "start_end_toggle", 6, Rejection.MULTI_FRAME),
+    ("Heartbeat", "mode", 4, Rejection.MODE),
+    ("Heartbeat", "start_end_toggle", 6, Rejection.MULTI_FRAME),
+    ("Telemetry", "x", 1 + 2.0**-23, Rejection.X),
+    ("Telemetry", "b_hat", 2.0**-20 - 2.0**-24, Rejection.B_HAT),
+    ("Telemetry", "b_hat", 1 - 2.0**-20 + 2.0**-24, Rejection.B_HAT),
+    ("Telemetry", "start_end_toggle", 6, Rejection.MULTI_FRAME),
+    ("Command", "action", 4, Rejection.ACTION),
+    ("Command", "start_end_toggle", 6, Rejection.MULTI_FRAME),
+]
+"""Values one unit beyond a stated range, as far as the signal's bits can hold them."""
+
+
+@pytest.mark.parametrize(("message", "signal", "value", "rejection"), ILLEGAL_VALUES)
+def test_a_value_beyond_a_stated_range_is_rejected_by_name(
+    database: Any, message: str, signal: str, value: float, rejection: Rejection
+) -> None:
+    assert decode_with_value(database, message, signal, value) is rejection
+
+
+def test_all_bit_patterns_of_the_other_signals_are_in_their_ranges(database: Any) -> None:
+    names_with_illegal_values = {(message, signal) for message, signal, _, _ in ILLEGAL_VALUES}
+    for names, signal in all_signals(database).items():
+        if names not in names_with_illegal_values:
+            assert (signal.minimum, signal.maximum) == (0, 2**signal.length - 1), names
 
 
 @pytest.mark.parametrize(
@@ -161,9 +229,8 @@ def test_enumerated_values_have_their_names(
     database: Any, message: str, signal: str, enum: type[Enum]
 ) -> None:
     choices = database.get_message_by_name(message).get_signal_by_name(signal).choices
-    assert {number: str(name) for number, name in choices.items()} == {
-        member.value: member.name for member in enum
-    }
+    names_by_number = {number: str(name) for number, name in choices.items()}
+    assert names_by_number == {member.value: member.name for member in enum}
 
 
 # The command mcp-asdf dbc
@@ -194,7 +261,7 @@ def test_dbc_prints_its_text_as_json(capsys: pytest.CaptureFixture[str]) -> None
 
 @pytest.fixture
 def database_per_node(capsys: pytest.CaptureFixture[str]) -> Any:
-    """The file with entries for three nodes and a format of our own."""
+    """The file with entries for nodes 0, 7 and 127, and with subject 1234 and priority 1 for estimates."""
     assert main(["dbc", "--per-node", "0", "7", "127", "--subject=1234", "--priority=1"]) == 0
     return load_database(capsys.readouterr().out)
 
@@ -205,16 +272,17 @@ def test_dbc_per_node_has_four_messages_for_each_node(database_per_node: Any) ->
 
 @pytest.mark.parametrize("node", [0, 7, 127])
 def test_dbc_per_node_decodes_a_node_s_estimates_without_a_mask(database_per_node: Any, node: int) -> None:
-    estimate = Estimate(node, 5, 0x600, 7)
-    frame = encode_estimate(estimate, FrameFormat(1234, 1))
+    estimate = Estimate(node, x_hat=5, alpha=0x600, transfer_id=7)
+    frame = encode_estimate(estimate, FrameFormat(subject=1234, priority=1))
     entry = database_per_node.get_message_by_frame_id(frame.arbitration_id)
-    assert (entry.name, entry.senders) == (f"Estimate_{node}", [f"Robot_{node}"])
+    assert entry.name == f"Estimate_{node}"
+    assert entry.senders == [f"Robot_{node}"]
     assert entry.decode(frame.data, decode_choices=False) == physical_values(estimate)
 
 
 @pytest.mark.parametrize("node", [0, 7, 127])
 def test_dbc_per_node_knows_a_node_s_heartbeat(database_per_node: Any, node: int) -> None:
-    identifier = encoded(Heartbeat(node, 1, 2)).arbitration_id
+    identifier = encoded(Heartbeat(node, uptime=1, transfer_id=2)).arbitration_id
     assert database_per_node.get_message_by_frame_id(identifier).name == f"Heartbeat_{node}"
 
 
