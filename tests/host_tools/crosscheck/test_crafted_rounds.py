@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from fractions import Fraction
+from math import floor
 from random import Random
 
 import pytest
@@ -30,17 +31,28 @@ from mcp_asdf_tools.crosscheck.crafted_rounds import (
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import slow
 
-OMEGAS = ("0.05", "0.000000001", "0.5", "0.9")
-"""Type II error probabilities of the test, from a usual to an extreme tolerance."""
 TABLE = generate(parse_omega("0.05"), 127)
-for_every_omega = pytest.mark.parametrize("omega", ["0.05", *slow(OMEGAS[1:])])
-SIZES = (2, 3, 5, 10, 30, 126)
+"""The table of the firmware's default test, for 127 neighbours."""
+LARGEST_ROUND = 126
+"""Number of messages in the rounds that are crafted to be large."""
+
+for_every_omega = pytest.mark.parametrize("omega", ["0.05", *slow(["0.000000001", "0.5", "0.9"])])
+"""Type II error probabilities of the test, from a usual to an extreme tolerance."""
+x_hats_of_robots = st.integers(0, ONE)
+sizes_of_rounds = st.sampled_from([2, 3, 5, 10, 30, 126])
+seeds = st.integers(0, 2**32)
 
 
-def eq_12_rejects(x_hats: Sequence[int], own_x_hat: int, k: Fraction) -> bool:
-    """Return what the test decides: (mean - own)^2 > k times the variance over m, here times m^3."""
-    m, total = len(x_hats), sum(x_hats)
-    return m * (total - m * own_x_hat) ** 2 > k * sum((m * x - total) ** 2 for x in x_hats)
+def is_rejected(x_hats: Sequence[int], own_x_hat: int, k: Fraction) -> bool:
+    """Return whether the filter's test rejects by eq. 12, computed exactly.
+
+    It does if the neighbours' mean is so far from a robot's own x_hat that the squared distance is above k
+    times the neighbours' variance (that of all of them, with m and not m - 1 in its denominator).
+    """
+    m = len(x_hats)
+    mean = Fraction(sum(x_hats), m)
+    variance = Fraction(sum(x_hat**2 for x_hat in x_hats), m) - mean**2
+    return (mean - own_x_hat) ** 2 > k * variance
 
 
 def table_of(omega: str) -> Table:
@@ -49,66 +61,80 @@ def table_of(omega: str) -> Table:
 
 
 def threshold_of(omega: str, m: int) -> Fraction:
-    """Return k_m, which a table has in units of 2**-26."""
-    return Fraction(table_of(omega).entry(m), 1 << 26)
+    """Return k_m, the test's threshold for m messages, which a table has in units of 2**-26."""
+    return Fraction(table_of(omega).entry(m), 2**26)
+
+
+def robot_with_test(own_x_hat: int, omega: str = "0.05") -> RobotState:
+    """Return a robot with an x_hat of its own and a table for the test; it has 500 observations."""
+    return RobotState(t=500, n=300, x_hat=own_x_hat, table=table_of(omega))
 
 
 def x_hats_of(estimates: Sequence[NeighbourEstimate]) -> list[int]:
+    """Return the x_hat of each estimate."""
     return [estimate.x_hat for estimate in estimates]
 
 
-# --- Rounds at the threshold of the test ---
+# --- Rounds at the threshold of the test: one just inside, which passes, and one just outside ------------
 
 
 @for_every_omega
-@given(own_x_hat=st.integers(0, ONE), m=st.sampled_from(SIZES), seed=st.integers(0, 2**32))
+@given(own_x_hat=x_hats_of_robots, m=sizes_of_rounds, seed=seeds)
 @settings(max_examples=15, deadline=None)
 def test_the_test_passes_the_inner_round_and_rejects_the_outer_one(
     omega: str, own_x_hat: int, m: int, seed: int
 ) -> None:
-    robot = RobotState(t=500, n=300, x_hat=own_x_hat, table=table_of(omega))
+    robot = robot_with_test(own_x_hat, omega)
     rounds = draw_rounds_at_threshold(robot, m, Update.ABOVE, Random(seed))
     k = threshold_of(omega, m)
     assert len(rounds.inside) == len(rounds.outside) == m
-    assert not eq_12_rejects(x_hats_of(rounds.inside), own_x_hat, k)
-    assert eq_12_rejects(x_hats_of(rounds.outside), own_x_hat, k)
+    assert not is_rejected(x_hats_of(rounds.inside), own_x_hat, k)
+    assert is_rejected(x_hats_of(rounds.outside), own_x_hat, k)
 
 
 @for_every_omega
-@given(own_x_hat=st.integers(0, ONE), m=st.sampled_from(SIZES), seed=st.integers(0, 2**32))
+@given(own_x_hat=x_hats_of_robots, m=sizes_of_rounds, seed=seeds)
 @settings(max_examples=5, deadline=None)
 def test_rounds_at_the_threshold_show_a_threshold_that_is_wrong_by_a_millionth(
     omega: str, own_x_hat: int, m: int, seed: int
 ) -> None:
-    robot = RobotState(t=500, n=300, x_hat=own_x_hat, table=table_of(omega))
+    robot = robot_with_test(own_x_hat, omega)
     rounds = draw_rounds_at_threshold(robot, m, Update.ABOVE, Random(seed))
-    k = threshold_of(omega, m)
-    assert eq_12_rejects(x_hats_of(rounds.inside), own_x_hat, k * Fraction(999_999, 1_000_000))
-    assert not eq_12_rejects(x_hats_of(rounds.outside), own_x_hat, k * Fraction(1_000_001, 1_000_000))
+    too_small_k = threshold_of(omega, m) * Fraction(999_999, 1_000_000)
+    too_large_k = threshold_of(omega, m) * Fraction(1_000_001, 1_000_000)
+    assert is_rejected(x_hats_of(rounds.inside), own_x_hat, too_small_k)
+    assert not is_rejected(x_hats_of(rounds.outside), own_x_hat, too_large_k)
 
 
 # design: R24
 @for_every_omega
 def test_most_rounds_at_the_threshold_are_decided_by_its_last_bits(omega: str) -> None:
-    rng, decided_by_last_bits = Random(5), Counter[str]()
+    """Of 200 drawn thresholds, more than 100 are decided differently if changed by a part in 2**24."""
+    rng = Random(5)
+    decided_by_last_bits: Counter[str] = Counter(inside=0, outside=0)
     for _ in range(200):
         m, own_x_hat = rng.randint(2, 127), rng.randint(0, ONE)
         x_hats = draw_x_hats_at_threshold(own_x_hat, table_of(omega).entry(m), m, rng, gap_share=1)
-        if x_hats is not None:
-            inside, outside = x_hats
-            last_bits = Fraction(1, 1 << 24)
-            k = threshold_of(omega, m)
-            decided_by_last_bits["inside"] += eq_12_rejects(inside, own_x_hat, k * (1 - last_bits))
-            decided_by_last_bits["outside"] += not eq_12_rejects(outside, own_x_hat, k * (1 + last_bits))
-    assert min(decided_by_last_bits.values()) > 100
+        if x_hats is None:
+            continue
+        inside, outside = x_hats
+        k = threshold_of(omega, m)
+        if is_rejected(inside, own_x_hat, k - k / 2**24):
+            decided_by_last_bits["inside"] += 1
+        if not is_rejected(outside, own_x_hat, k + k / 2**24):
+            decided_by_last_bits["outside"] += 1
+    assert decided_by_last_bits["inside"] > 100
+    assert decided_by_last_bits["outside"] > 100
 
 
-@given(own_x_hat=st.integers(0, ONE), m=st.integers(2, 127), seed=st.integers(0, 2**32))
+@given(own_x_hat=x_hats_of_robots, m=st.integers(2, 127), seed=seeds)
 def test_rounds_at_the_threshold_stay_between_0_and_1(own_x_hat: int, m: int, seed: int) -> None:
     x_hats = draw_x_hats_at_threshold(own_x_hat, TABLE.entry(m), m, Random(seed), gap_share=1)
     assume(x_hats is not None)
     assert x_hats is not None
-    assert all(0 <= x_hat <= ONE for side in x_hats for x_hat in side)
+    inside, outside = x_hats
+    assert 0 <= min(inside) <= max(inside) <= ONE
+    assert 0 <= min(outside) <= max(outside) <= ONE
 
 
 def test_there_are_no_rounds_at_the_threshold_for_a_gap_of_less_than_a_unit() -> None:
@@ -119,14 +145,15 @@ def test_there_are_no_rounds_at_the_threshold_for_a_gap_of_less_than_a_unit() ->
 def test_fractions_around_a_value_are_the_nearest_on_either_side(
     value: Fraction, max_denominator: int
 ) -> None:
-    below, above = fractions_around(value, max_denominator)
-    candidates = range(1, max_denominator + 1)
-    assert below == max(Fraction(value * k // 1, k) for k in candidates)
-    assert above == min(Fraction(value * k // 1 + 1, k) for k in candidates)
+    denominators = range(1, max_denominator + 1)
+    # The nearest fractions with one denominator: floor(value * denominator) of its parts, and one more.
+    fractions_below = [Fraction(floor(value * denominator), denominator) for denominator in denominators]
+    fractions_above = [Fraction(floor(value * denominator) + 1, denominator) for denominator in denominators]
+    assert fractions_around(value, max_denominator) == (max(fractions_below), min(fractions_above))
 
 
 def test_a_round_at_the_threshold_with_any_update_serves_if_the_preferred_one_is_impossible() -> None:
-    robot = RobotState(t=500, n=300, x_hat=ONE // 3, table=TABLE)
+    robot = robot_with_test(ONE // 3)
     rounds = draw_rounds_at_threshold(robot, 3, Update.HALF, Random(1))
     assert robot.update_after(rounds.outside) not in (None, Update.HALF)
 
@@ -135,51 +162,71 @@ def test_a_round_at_the_threshold_with_any_update_serves_if_the_preferred_one_is
 
 
 @for_every_omega
-@given(own_x_hat=st.integers(0, ONE))
+@given(own_x_hat=x_hats_of_robots)
 @settings(max_examples=25, deadline=None)
-def test_a_round_of_large_scatter_is_rejected_only_without_the_bits_from_56_on(
-    omega: str, own_x_hat: int
-) -> None:
-    robot = RobotState(t=500, n=300, x_hat=own_x_hat, table=table_of(omega))
-    x_hats = x_hats_of(draw_round_of_large_scatter(robot, Random(1)))
-    difference_squared = (sum(x_hats) - 126 * own_x_hat) ** 2
-    scatter, k = scatter_of(x_hats), threshold_of(omega, 126)
-    assert difference_squared <= k * scatter
-    assert difference_squared > k * (scatter % (1 << 56))
+def test_a_round_of_large_scatter_passes(omega: str, own_x_hat: int) -> None:
+    estimates = draw_round_of_large_scatter(robot_with_test(own_x_hat, omega), Random(1))
+    assert not is_rejected(x_hats_of(estimates), own_x_hat, threshold_of(omega, LARGEST_ROUND))
 
 
-@given(own_x_hat=st.integers(0, ONE))
+@for_every_omega
+@given(own_x_hat=x_hats_of_robots)
+@settings(max_examples=25, deadline=None)
+def test_a_round_of_large_scatter_would_be_rejected_by_a_sum_of_56_bits(omega: str, own_x_hat: int) -> None:
+    """The test in whole numbers: it rejects if (sum - m x_hat)^2 is above k times the scatter."""
+    x_hats = x_hats_of(draw_round_of_large_scatter(robot_with_test(own_x_hat, omega), Random(1)))
+    difference_squared = (sum(x_hats) - LARGEST_ROUND * own_x_hat) ** 2
+    scatter_in_56_bits = scatter_of(x_hats) % 2**56
+    assert difference_squared > threshold_of(omega, LARGEST_ROUND) * scatter_in_56_bits
+
+
+@given(own_x_hat=x_hats_of_robots)
 @settings(deadline=None)
-def test_a_round_of_distant_sum_is_rejected_by_the_bits_from_54_on_alone(own_x_hat: int) -> None:
-    robot = RobotState(t=500, n=300, x_hat=own_x_hat, table=TABLE)
-    x_hats = x_hats_of(draw_round_of_distant_sum(robot, Random(1)))
-    assert eq_12_rejects(x_hats, own_x_hat, threshold_of("0.05", 126))
-    assert (sum(x_hats) - 126 * own_x_hat) ** 2 % (1 << 54) == 0
+def test_a_round_whose_mean_is_far_from_the_robot_s_x_hat_is_rejected(own_x_hat: int) -> None:
+    x_hats = x_hats_of(draw_round_of_distant_sum(robot_with_test(own_x_hat), Random(1)))
+    assert is_rejected(x_hats, own_x_hat, threshold_of("0.05", LARGEST_ROUND))
+
+
+@given(own_x_hat=x_hats_of_robots)
+@settings(deadline=None)
+def test_the_squared_difference_of_such_a_round_is_0_in_54_bits(own_x_hat: int) -> None:
+    """So firmware that kept only 54 bits of the square would not reject the round."""
+    x_hats = x_hats_of(draw_round_of_distant_sum(robot_with_test(own_x_hat), Random(1)))
+    difference = sum(x_hats) - LARGEST_ROUND * own_x_hat
+    assert difference**2 % 2**54 == 0
 
 
 # --- Updates ---
 
 
 @pytest.mark.parametrize(
-    ("b_hat", "update"),
+    ("distance", "update"),
     [
-        ((1 << 31) - (1 << 27), Update.BELOW),
-        ((1 << 31) - (1 << 27) + 1, Update.FAINT),
-        ((1 << 31) - (1 << 19), Update.FAINT),
-        ((1 << 31) - (1 << 19) + 1, Update.HALF),
-        (1 << 31, Update.HALF),
-        ((1 << 31) + (1 << 19) - 1, Update.HALF),
-        ((1 << 31) + (1 << 19), Update.FAINT),
-        ((1 << 31) + (1 << 27) - 1, Update.FAINT),
-        ((1 << 31) + (1 << 27), Update.ABOVE),
-        (None, Update.KEPT),
+        (-(2**27), Update.BELOW),
+        (-(2**27) + 1, Update.FAINT),
+        (-(2**19), Update.FAINT),
+        (-(2**19) + 1, Update.HALF),
+        (0, Update.HALF),
+        (2**19 - 1, Update.HALF),
+        (2**19, Update.FAINT),
+        (2**27 - 1, Update.FAINT),
+        (2**27, Update.ABOVE),
     ],
 )
-def test_an_update_is_classified_by_its_distance_from_one_half(b_hat: int | None, update: Update) -> None:
-    assert classify_update(b_hat) is update
+def test_an_update_is_classified_by_its_distance_from_one_half(distance: int, update: Update) -> None:
+    """Distances are in units of 2**-32, in which one half is 2**31."""
+    assert classify_update(2**31 + distance) is update
 
 
-NEAR_A_QUARTER = [NeighbourEstimate(ONE // 4 + offset, ALPHA_ONE) for offset in (1, -1, 1)]
+def test_an_update_without_a_new_b_hat_keeps_it() -> None:
+    assert classify_update(None) is Update.KEPT
+
+
+NEAR_A_QUARTER = [
+    NeighbourEstimate(x_hat=ONE // 4 + 1, alpha=ALPHA_ONE),
+    NeighbourEstimate(x_hat=ONE // 4 - 1, alpha=ALPHA_ONE),
+    NeighbourEstimate(x_hat=ONE // 4 + 1, alpha=ALPHA_ONE),
+]
 
 
 def test_a_round_that_the_test_does_not_reject_makes_no_update() -> None:
@@ -213,23 +260,29 @@ def test_a_round_for_an_update_leads_to_it_by_eq_8(
     estimates = draw_round_for_update(RobotState(t, n, x_hat, TABLE), update, Random(seed))
     assert estimates is not None
     x_bar = exact_x_bar(estimates)
-    b_hat = (Fraction(n, t) + x_bar - 1) / (2 * x_bar - 1)
-    assert {
+    b_hat = (Fraction(n, t) + x_bar - 1) / (2 * x_bar - 1)  # eq. 8
+    is_update_reached = {
         Update.ABOVE: Fraction(1, 2) < b_hat < 1,
         Update.BELOW: 0 < b_hat < Fraction(1, 2),
         Update.MAXIMUM: b_hat >= 1,
         Update.MINIMUM: b_hat <= 0,
-    }[update]
+    }
+    assert is_update_reached[update]
 
 
 def test_a_round_that_keeps_b_hat_has_a_mean_of_one_half() -> None:
-    estimates = draw_round_for_update(RobotState(997, 600, ONE // 4, TABLE), Update.KEPT, Random(1))
+    robot = RobotState(t=997, n=600, x_hat=ONE // 4, table=TABLE)
+    estimates = draw_round_for_update(robot, Update.KEPT, Random(1))
     assert estimates is not None
     assert exact_x_bar(estimates) == Fraction(1, 2)
 
 
 def exact_x_bar(estimates: Sequence[NeighbourEstimate]) -> Fraction:
-    """Return the mean of x_hat, weighted by alpha."""
-    weights = [alpha_units(estimate.alpha) for estimate in estimates]
-    weighted_sum = sum(map(int.__mul__, weights, x_hats_of(estimates)))
-    return Fraction(weighted_sum, sum(weights) * ONE)
+    """Return the mean of x_hat, weighted by alpha, as a number between 0 and 1."""
+    sum_of_weights = 0
+    weighted_sum = 0
+    for estimate in estimates:
+        weight = alpha_units(estimate.alpha)
+        sum_of_weights += weight
+        weighted_sum += weight * estimate.x_hat
+    return Fraction(weighted_sum, sum_of_weights * ONE)
