@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import random
+import re
 import shlex
 import signal
 import subprocess
@@ -59,9 +59,12 @@ def wait_until(process: subprocess.Popen[str], condition: Callable[[], bool]) ->
 
 def handles_signal(process: subprocess.Popen[str], number: signal.Signals) -> bool:
     """Return whether a process has a handler for a signal by now."""
-    lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
-    (caught_signals,) = (int(line.split()[1], 16) for line in lines if line.startswith("SigCgt"))
-    return bool(caught_signals >> (number - 1) & 1)
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    match = re.search(r"^SigCgt:\s+([0-9a-f]+)$", status, re.MULTILINE)
+    assert match is not None
+    caught_signals = int(match[1], 16)  # bit 0 is signal 1
+    signal_bit = 1 << (number - 1)
+    return caught_signals & signal_bit != 0
 
 
 def end_by_signal(process: subprocess.Popen[str], number: signal.Signals) -> str:
@@ -168,7 +171,7 @@ EXIT_CODES = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 
 def wait_for_signal(number: signal.Signals) -> int:
     """Send this process a signal and wait for it; return exit code 0 if it raises nothing."""
-    os.kill(os.getpid(), number)
+    signal.raise_signal(number)
     signal.pause()
     return 0
 
@@ -191,8 +194,8 @@ def test_a_second_signal_does_not_disturb_the_saving(monkeypatch: pytest.MonkeyP
         try:
             return wait_for_signal(signal.SIGTERM)
         finally:
-            for number in (signal.SIGTERM, signal.SIGHUP):  # as terminals and service managers send them
-                os.kill(os.getpid(), number)
+            signal.raise_signal(signal.SIGTERM)  # as service managers and terminals send them
+            signal.raise_signal(signal.SIGHUP)
             saved.append("all")
 
     fake_command(monkeypatch, work)
@@ -215,7 +218,7 @@ def test_a_command_that_ends_by_itself_has_the_signal_in_its_exit_code(
     def work() -> int:
         with stopping() as is_requested:
             assert not is_requested()
-            os.kill(os.getpid(), signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
             assert is_requested()
         return INTERRUPTED
 
@@ -227,10 +230,10 @@ def test_a_command_that_ends_by_itself_has_the_signal_in_its_exit_code(
 def test_ctrl_c_interrupts_a_command_that_does_not_end_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     def work() -> int:
         with stopping():
-            for _ in range(2):
-                os.kill(os.getpid(), signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
             with pytest.raises(KeyboardInterrupt):
-                os.kill(os.getpid(), signal.SIGINT)
+                signal.raise_signal(signal.SIGINT)
         return INTERRUPTED
 
     fake_command(monkeypatch, work)
@@ -241,9 +244,9 @@ def test_a_signal_that_the_program_was_started_to_ignore_stays_ignored(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def work() -> int:
-        os.kill(os.getpid(), signal.SIGHUP)
+        signal.raise_signal(signal.SIGHUP)
         with stopping() as is_requested:
-            os.kill(os.getpid(), signal.SIGHUP)
+            signal.raise_signal(signal.SIGHUP)
             assert not is_requested()
         return 0
 
@@ -255,33 +258,35 @@ def test_a_signal_that_the_program_was_started_to_ignore_stays_ignored(
         signal.signal(signal.SIGHUP, handler)
 
 
+@pytest.fixture
+def finished_imports(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of modules whose import has ended; Ctrl-C comes while each of them is imported."""
+    names: list[str] = []
+
+    def import_with_ctrl_c(name: str) -> None:
+        signal.raise_signal(signal.SIGINT)
+        names.append(name)
+
+    monkeypatch.setattr(cli, "import_module", import_with_ctrl_c)
+    return names
+
+
 @interruptible()
 def test_ctrl_c_during_the_import_of_a_command_waits_for_its_end(
-    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    finished_imports: list[str], capsys: Capture
 ) -> None:
-    imported: list[str] = []
-
-    def import_slowly(name: str) -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-        imported.append(name)
-
-    monkeypatch.setattr(cli, "import_module", import_slowly)
     assert cli.main(["swarm"]) == 130
     assert capsys.readouterr() == ("", "mcp-asdf swarm: interrupted\n")
-    assert imported == ["mcp_asdf_tools.cli.swarm"]
+    assert finished_imports == ["mcp_asdf_tools.cli.swarm"]
 
 
 @interruptible()
 def test_ctrl_c_during_the_import_of_a_library_waits_for_its_end_and_runs_nothing(
-    monkeypatch: pytest.MonkeyPatch,
+    finished_imports: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    imported: list[str] = []
+    def work() -> int:
+        pytest.fail("the command ran")
 
-    def import_slowly(name: str) -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-        imported.append(name)
-
-    fake_command(monkeypatch, lambda: pytest.fail("the command ran"), libraries=("numpy",))
-    monkeypatch.setattr(cli, "import_module", import_slowly)
+    fake_command(monkeypatch, work, libraries=("numpy",))
     assert cli.main(["table"]) == 130
-    assert imported == ["numpy"]
+    assert finished_imports == ["numpy"]

@@ -89,8 +89,11 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 def test_frames_are_on_disk_after_a_second(clock: SimpleNamespace, tmp_path: Path) -> None:
     part = tmp_path / "run.log.part"
     with recording_frames(tmp_path / "run.log") as record_frame:
-        for number, clock.now in enumerate([0.0, 0.5, 0.9]):
-            record_frame(number)
+        clock.now = 0.0
+        record_frame(0)
+        record_frame(1)
+        clock.now = 0.9
+        record_frame(2)
         assert part.stat().st_size == 0
         clock.now = 1.0
         record_frame(3)
@@ -230,8 +233,8 @@ def test_a_log_that_cannot_get_its_name_stays_a_part(tmp_path: Path) -> None:
     with recording_frames(tmp_path / "run.log", warn=warnings.append) as record_frame:
         record_frame(1)
         (tmp_path / "run.log").mkdir()
-    [warning] = warnings
-    assert f"cannot write {tmp_path}/run.log: it is not a regular file" in warning
+    assert len(warnings) == 1
+    assert f"cannot write {tmp_path}/run.log: it is not a regular file" in warnings[0]
     assert frame_numbers(tmp_path / "run.log.part") == [1]
 
 
@@ -239,38 +242,63 @@ class ProcessDied(BaseException):
     """Stands for the death of a process."""
 
 
-@pytest.mark.parametrize("call_count", range(5))
-def test_a_kill_between_renamings_leaves_no_log_beside_the_events_of_another_run(
-    call_count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The process dies after this number of renamings and removals, of which there are four."""
-    log, events = tmp_path / "run.log", tmp_path / "run.log.events"
-    log.write_text("old")
-    events.write_text("old")
-    calls: list[str] = []
+def die_at_call(monkeypatch: pytest.MonkeyPatch, calls_before: int) -> None:
+    """Let this process die instead of renaming or removing a file, after this many such calls."""
+    calls_made: list[str] = []
 
-    def die_in_time(function: Callable[..., Any]) -> Callable[..., Any]:
+    def count_calls(function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any, **keywords: Any) -> Any:
-            if len(calls) == call_count:
+            if len(calls_made) == calls_before:
                 raise ProcessDied
-            calls.append(function.__name__)
+            calls_made.append(function.__name__)
             return function(*arguments, **keywords)
 
         return call
 
-    with suppress(ProcessDied), recording_frames(log, HEADER) as record_frame:
-        record_frame(1)
-        monkeypatch.setattr(os, "replace", die_in_time(os.replace))
-        monkeypatch.setattr(Path, "unlink", die_in_time(Path.unlink))
-    monkeypatch.undo()
+    monkeypatch.setattr(os, "replace", count_calls(os.replace))
+    monkeypatch.setattr(Path, "unlink", count_calls(Path.unlink))
 
-    if log.exists():
-        has_old_log = log.read_text() == "old"
-        has_old_events = events.exists() and events.read_bytes() == b"old"
-        assert has_old_log == has_old_events
-    has_new_log = log.exists() and log.read_text() != "old"
-    assert frame_numbers(log if has_new_log else tmp_path / "run.log.part") == [1]
-    events_part = tmp_path / "run.log.events.part"
+
+@pytest.fixture(params=range(5))
+def folder_of_dead_process(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A folder with run.log and run.log.events, which both were "old" when a process replaced them and died.
+
+    The process made 0 to 4 of the four renamings and removals by which it would have given the new files
+    their names.
+    """
+    (tmp_path / "run.log").write_text("old")
+    (tmp_path / "run.log.events").write_text("old")
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        suppress(ProcessDied),
+        recording_frames(tmp_path / "run.log", HEADER) as record_frame,
+    ):
+        record_frame(1)
+        die_at_call(patch, calls_before=request.param)
+    return tmp_path
+
+
+def is_old(path: Path) -> bool:
+    """Return whether a file is there and has the content "old"."""
+    return path.exists() and path.read_bytes() == b"old"
+
+
+def test_a_killed_process_leaves_no_log_beside_the_events_of_another_run(
+    folder_of_dead_process: Path,
+) -> None:
+    log, events = folder_of_dead_process / "run.log", folder_of_dead_process / "run.log.events"
+    assert not log.exists() or is_old(log) == is_old(events)
+
+
+def test_a_killed_process_leaves_its_frames_as_log_or_part(folder_of_dead_process: Path) -> None:
+    log, part = folder_of_dead_process / "run.log", folder_of_dead_process / "run.log.part"
+    new_log = part if part.exists() else log
+    assert frame_numbers(new_log) == [1]
+
+
+def test_a_killed_process_leaves_its_events_under_their_name_or_as_part(folder_of_dead_process: Path) -> None:
+    events = folder_of_dead_process / "run.log.events"
+    events_part = folder_of_dead_process / "run.log.events.part"
     with EventsReader(events_part if events_part.exists() else events) as reader:
         assert reader.header == HEADER
 
@@ -313,9 +341,11 @@ def test_the_suffix_of_a_log_may_be_in_capitals(tmp_path: Path) -> None:
 
 
 def test_a_log_without_events_removes_those_of_the_log_that_it_replaces(tmp_path: Path) -> None:
-    for header in (HEADER, None):
-        with recording_frames(tmp_path / "run.log", header) as record_frame:
-            record_frame(1)
+    with recording_frames(tmp_path / "run.log", HEADER) as record_frame:
+        record_frame(1)
+    assert names_in(tmp_path) == ["run.log", "run.log.events"]
+    with recording_frames(tmp_path / "run.log", header=None) as record_frame:
+        record_frame(2)
     assert names_in(tmp_path) == ["run.log"]
 
 
@@ -335,8 +365,9 @@ def limited_file_size(max_bytes: int) -> Iterator[None]:
 
 def test_a_full_disk_and_a_run_that_fails_give_one_warning(tmp_path: Path) -> None:
     with limited_file_size(0):
-        [warning] = record_and_fail(tmp_path / "run.log")
-    assert "run.log is not complete: File too large; what followed is lost, what" in warning
+        warnings = record_and_fail(tmp_path / "run.log")
+    assert len(warnings) == 1
+    assert "run.log is not complete: File too large; what followed is lost, what" in warnings[0]
 
 
 SWARM_ON_FULL_DISK = ["swarm", "--robots", "3", "--steps", "200"]
@@ -356,24 +387,29 @@ def test_a_full_disk_ends_the_recording_but_not_the_swarm(tmp_path: Path, capsys
 
 
 @pytest.fixture(scope="module")
-def log_of_full_disk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The log of a swarm for which the disk had no room; only its parts are there."""
+def unfinished_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The name of a log of a swarm whose disk became full: there are only ``.part`` files beside it."""
     log = tmp_path_factory.mktemp("full") / "run.log"
     with limited_file_size(8000):
         main([*SWARM_ON_FULL_DISK, "--quiet", "--log", str(log)])
     return log
 
 
-def test_the_parts_that_a_full_disk_left_can_be_replayed(log_of_full_disk: Path, capsys: Capture) -> None:
-    assert main(["replay", f"{log_of_full_disk}.part", "--json"]) == 0
+def test_a_log_that_a_full_disk_cut_off_can_be_replayed_as_its_part(
+    unfinished_log: Path, capsys: Capture
+) -> None:
+    assert main(["replay", f"{unfinished_log}.part", "--json"]) == 0
     verdict = json.loads(capsys.readouterr().out)["verdict"]
     assert verdict["difference"] is None
-    assert verdict["reproduced"] + verdict["beyond"] > 100
+    # Frames are reproduced as far as there are events, and those beyond the last event cannot be checked.
+    # 8000 bytes have room for more than 100 lines.
+    frames_replayed = verdict["reproduced"] + verdict["beyond"]
+    assert frames_replayed > 100
 
 
-def test_replay_names_the_part_of_a_log_that_is_not_there(log_of_full_disk: Path, capsys: Capture) -> None:
-    assert main(["replay", str(log_of_full_disk)]) == 2
-    assert f"its run was cut off, partial data is in {log_of_full_disk}.part" in capsys.readouterr().err
+def test_replay_names_the_part_of_a_log_that_is_not_there(unfinished_log: Path, capsys: Capture) -> None:
+    assert main(["replay", str(unfinished_log)]) == 2
+    assert f"its run was cut off, partial data is in {unfinished_log}.part" in capsys.readouterr().err
 
 
 @contextmanager
@@ -399,9 +435,11 @@ def disk_of_size(max_bytes: int, folder: Path) -> Iterator[None]:
 def test_the_frames_on_a_full_disk_are_explained_by_the_events_or_come_after_them(
     disk_size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    log, part, warnings = tmp_path / "run.log", tmp_path / "run.log.part", list[str]()
-    monkeypatch.setattr(recording_module, "_MAX_UNFLUSHED", 5)
-    recording = Recording(log, HEADER, warnings.append)
+    """Robot 5 observes 16 black tiles and broadcasts 16 estimates, on a disk of 0 to 900 bytes."""
+    part = tmp_path / "run.log.part"
+    warnings: list[str] = []
+    monkeypatch.setattr(recording_module, "_MAX_UNFLUSHED", 5)  # so that frames are written before the end
+    recording = Recording(tmp_path / "run.log", HEADER, warnings.append)
     with disk_of_size(disk_size, tmp_path), recording as (write_frame, events):
         assert write_frame is not None and events is not None
         robot = BusRobot(record(5), FrameFormat())
@@ -411,14 +449,20 @@ def test_the_frames_on_a_full_disk_are_explained_by_the_events_or_come_after_the
             write_frame(robot.broadcast(float(tick)))
             robot.settle()
 
-    [warning] = warnings
-    assert "No space left on device" in warning
+    assert len(warnings) == 1
+    assert "No space left on device" in warnings[0]
+    check_that_all_frames_are_reproduced_or_beyond(part)
+
+
+def check_that_all_frames_are_reproduced_or_beyond(part: Path) -> None:
+    """Check that each frame of a partial log follows from its events, or comes after the last of them."""
     complete_lines = part.read_bytes().count(b"\n")
-    if complete_lines:
-        with EventsReader(events_path(part)) as reader:
-            verdict = verify(read_log(part), reader)
-        assert verdict.difference is None
-        assert verdict.reproduced + verdict.beyond == complete_lines
+    if complete_lines == 0:
+        return  # there was room for no frame, and maybe not even for the head of the events
+    with EventsReader(events_path(part)) as reader:
+        verdict = verify(read_log(part), reader)
+    assert verdict.difference is None
+    assert verdict.reproduced + verdict.beyond == complete_lines
 
 
 # --- Other programs -----------------------------------------------------------------------------------
@@ -430,11 +474,15 @@ def test_wireshark_shows_every_frame_as_a_transfer(tmp_path: Path, monkeypatch: 
     page = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
     commands = re.search(r"```text\nmcp-asdf (swarm .*)\ncan_logconvert (.*)\ntshark (.*)\n```", page)
     assert commands is not None
-    swarm_arguments, converter_arguments, tshark_arguments = map(shlex.split, commands.groups())
+    swarm_options, converter_options, tshark_options = commands.groups()
     monkeypatch.chdir(tmp_path)
-    assert main(swarm_arguments) == 0
-    subprocess.run([sys.executable, "-m", "can.logconvert", *converter_arguments], check=True)
-    result = subprocess.run([tshark, *tshark_arguments], capture_output=True, text=True, check=True)
+    assert main(shlex.split(swarm_options)) == 0
+    converter = [sys.executable, "-m", "can.logconvert"]
+    subprocess.run([*converter, *shlex.split(converter_options)], check=True)
+    result = subprocess.run(
+        [tshark, *shlex.split(tshark_options)], capture_output=True, text=True, check=True
+    )
+    # By subject: three robots, 50 steps with an estimate each, and a heartbeat every 10 steps.
     subjects = Counter(re.findall(r"Message: (\d+)", result.stdout))
     assert subjects == {"3000": 3 * 50, "7509": 3 * 5}
     assert "Heartbeat.1.0" in result.stdout
