@@ -600,7 +600,10 @@ class ReferenceRobot:
         return status
 
     def _update_b_hat(self) -> Status:
-        """Run the filter, and return UPDATED if it has re-estimated b_hat, the assumed accuracy, else OK."""
+        """Run the robot's filter, the paper's or the robust one, which may change b_hat (assumed accuracy).
+
+        Returns UPDATED if b_hat has changed, else OK. Before the first observation nothing is done.
+        """
         if self._t == 0:
             return Status.OK  # there is no estimate to be tested
         if self._is_robust:

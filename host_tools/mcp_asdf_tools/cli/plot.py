@@ -75,7 +75,9 @@ def _plot_keywords(args: argparse.Namespace) -> dict[str, Any]:
             keywords[name] = value
     for option in options.typed_limit_options(args):
         _check_kind_has(args.kind, "limits", option)
-        if keywords.get("y", "H") not in SCORES:
+        # Scores are relative to the limits k_max and e_max; K and e, which y may be, too, are not.
+        y = keywords.get("y", "H")
+        if y not in SCORES:
             raise UsageError(f"{option} would do nothing: it is for scores, and y is none; leave it out")
         keywords["limits"] = options.limits_of(args)
     return keywords

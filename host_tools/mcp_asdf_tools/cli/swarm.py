@@ -129,7 +129,7 @@ def _add_remote_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_output_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of what is written and shown."""
+    """Declare --log, --compare, --view, --pace, --port and --quiet: what a run writes and shows."""
     group = parser.add_argument_group("output (beside a log, FILE.json gets all parameters and results)")
     options.add_log_option(group, "FILE.events gets what each robot saw and heard")
     group.add_argument(

@@ -126,7 +126,12 @@ def _read_recording(args: argparse.Namespace) -> History:
 
 
 def _read_frame_history(args: argparse.Namespace) -> History:
-    """Return the history of a log without events, and print what it lacks to standard error."""
+    """Return the history of a log without events, and warn on standard error of what it cannot show.
+
+    One warning always comes: the page shows only what frames hold. Others follow for a log of several
+    channels if none was chosen, for frames that the summary of the log warns of, and for a log without
+    telemetry.
+    """
     from mcp_asdf_tools.recording.events import events_path
     from mcp_asdf_tools.view.frame_log_history import read_frame_history
 
@@ -140,6 +145,7 @@ def _read_frame_history(args: argparse.Namespace) -> History:
         "page shows what the frames say",
     )
     summary = frame_history.summary
+    # Each channel may be a bus of its own, with other robots of the same ids.
     if channel is None and len(summary.channels) > 1:
         warn("view", f"{args.file} has frames of {summary.channel_names}; choose one by --channel")
     if summary.warning is not None:

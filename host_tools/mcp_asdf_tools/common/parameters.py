@@ -79,13 +79,18 @@ class Parameter:
 
         Raises ParameterError if it is not a finite number, is out of range, or is not whole but has to be.
         """
-        try:
-            is_number = not isinstance(value, bool | str | bytes) and math.isfinite(value)
-            number: float = self.kind(value) if is_number else math.nan
-        except (TypeError, ValueError, ArithmeticError):
-            is_number = False
-        if not is_number:
+        # bool is a kind of int in Python, and int() and float() would read texts.
+        if isinstance(value, bool | str | bytes):
             raise self._error(value, "give a number")
+        try:
+            is_finite = math.isfinite(value)
+            number: float = self.kind(value) if is_finite else math.nan
+        except (TypeError, ValueError, ArithmeticError) as error:
+            # No number at all, or an integer too large for a float
+            raise self._error(value, "give a number") from error
+        if not is_finite:
+            raise self._error(value, "give a number")
+        # int() has cut off the fraction.
         if self.kind is int and number != value:
             raise self._error(value, "give a whole number")
         if not self.minimum <= number <= self.maximum:

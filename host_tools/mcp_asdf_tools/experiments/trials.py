@@ -129,14 +129,24 @@ def _run_native(experiment: Experiment, numbers: range, sampling_interval: int) 
 
 
 def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -> dict[str, Floats]:
-    """Return the engine's records as floats by quantity, with step 0, which it does not record, before them.
+    """Convert the integers that the engine has recorded to floats by quantity, in the units of the paper.
 
-    ``raw_records`` has the engine's dtype RECORD and shape (trials, samples, N).
+    x_hat, x_bar, x and b_hat become numbers from 0 to 1, and alpha and beta confidences; counts stay as they
+    are. The values at step 0, which the engine does not record, come before the others.
+
+    Args:
+        experiment: The experiment, for the initial b_hat of each robot.
+        raw_records: Records in the engine's dtype RECORD, shape (trials, samples, N).
+
+    Returns:
+        Values by the name of each quantity, shape (trials, samples + 1, N).
     """
     initial_b_hat = [b_hat_to_raw(experiment.b_hat(robot)) / 2**32 for robot in range(experiment.robots)]
-    # Counts and confidences are 0 at first.
+    # Quantities that are missing here are counts and confidences, which are 0 at first.
     initial_values: dict[str, Any] = {"x_hat": 0.5, "x_bar": 0.5, "x": 0.5, "b_hat": initial_b_hat}
-    units_in_one = {"x_hat": ONE, "x_bar": ONE, "x": ONE, "beta": UNITS_PER_ALPHA, "b_hat": 2**32}
+    # The integer that stands for 1.0. Quantities that are missing here are counts, for which it is 1, and
+    # alpha, which is no plain integer but a mantissa and a shift.
+    integer_of_one = {"x_hat": ONE, "x_bar": ONE, "x": ONE, "beta": UNITS_PER_ALPHA, "b_hat": 2**32}
     trial_count, sample_count, robots = raw_records.shape
     records = {}
     for quantity in QUANTITIES:
@@ -146,7 +156,7 @@ def _records_in_paper_units(experiment: Experiment, raw_records: NDArray[Any]) -
         if quantity == "alpha":
             values[:, 1:] = _alpha_of_words(raw_values)
         else:
-            values[:, 1:] = raw_values / units_in_one.get(quantity, 1)
+            values[:, 1:] = raw_values / integer_of_one.get(quantity, 1)
         records[quantity] = values
     return records
 

@@ -358,6 +358,7 @@ class EventsReader:
         except KeyError as error:
             raise self.error(f"{error} is missing") from error
         except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
+            # The values may be of any JSON type and size, and wrong ones lead to any of these errors.
             raise self.error(str(error)) from error
         if len({robot.id for robot in robots}) < len(robots):
             raise self.error("two robots have the same id")

@@ -220,13 +220,19 @@ class _Comparison:
         self._robots = robots
         self._foreign_frames = foreign_frames
         self._frame_format = events.header.frames
-        self._is_part = events.is_part
+        self._are_events_cut_off = events.is_part
 
     def compare_frame(self, frame_number: int, frame: can.Message) -> None:
-        """Count the next frame of the log in the verdict, or set the verdict's difference.
+        """Compare the next frame of the log with the broadcasts that its sender is still to make.
 
-        ``frame_number``, from 1, is for the text of the difference. A broadcast that the frame reproduces is
-        removed from those of the robot, with all that are before it.
+        The verdict counts the frame as one of these:
+            other: It is no estimate, or not of a recorded robot.
+            foreign: A fault has sent it, not the robot.
+            reproduced or falsified: It equals a broadcast of the robot. This is removed, and so are those
+                before it, which count as not logged.
+            beyond: The robot makes no more broadcasts, as its events were cut off.
+
+        Any other frame sets the verdict's difference, whose text names ``frame_number``, from 1.
         """
         estimate = decode_estimate(frame, self._frame_format)
         if not isinstance(estimate, Estimate) or estimate.sender not in self._robots:
@@ -234,24 +240,27 @@ class _Comparison:
             return
         broadcasts = self._robots[estimate.sender].broadcasts
         index = _index_of_broadcast(estimate.transfer_id, broadcasts)
+        # A frame without a broadcast of its transfer_id is compared with the next one, if there is one.
+        expected_index = 0 if index is None else index
+        expected = broadcasts[expected_index] if broadcasts else None
         is_reproduced = (
             index is not None
-            and broadcasts[index].x_hat == estimate.x_hat
-            and broadcasts[index].alpha_bits == alpha_float32_bits(frame)
+            and expected is not None
+            and expected.x_hat == estimate.x_hat
+            and expected.alpha_bits == alpha_float32_bits(frame)
         )
         # A fault may have sent the same frame as a robot. Then the frame is the robot's if the broadcast is
         # the robot's next one: one that comes later is equal by chance.
-        is_next = is_reproduced and index == 0
+        is_next_broadcast = is_reproduced and expected_index == 0
         frame_text = format_frame(frame)
-        if self._foreign_frames[frame_text] and not is_next:
+        if self._foreign_frames[frame_text] > 0 and not is_next_broadcast:
             self._foreign_frames[frame_text] -= 1
             self.verdict.foreign += 1
-        elif index is not None and is_reproduced:
-            self._count_reproduced(broadcasts, index)
-        elif self._is_part and not broadcasts:
+        elif is_reproduced:
+            self._count_reproduced(broadcasts, expected_index)
+        elif self._are_events_cut_off and not broadcasts:
             self.verdict.beyond += 1
         else:
-            expected = broadcasts[index or 0] if broadcasts else None
             self.verdict.difference = _describe_difference(frame_number, frame, estimate, expected)
 
     def _count_reproduced(self, broadcasts: deque[Broadcast], index: int) -> None:

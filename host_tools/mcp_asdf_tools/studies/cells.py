@@ -137,7 +137,8 @@ def cell_of(study_part: StudyPart, experiment: Experiment) -> Cell:
 def experiment_of(cell: Cell, study_size: StudySize) -> Experiment:
     """Return the experiment of a cell with the trials, steps and seed of ``study_size``.
 
-    A part whose experiments are shorter keeps its steps. Raises ParameterError for trials, steps or a seed
+    All other parameters are those of the shipped experiments of the cell's part of the study. Where these
+    have fewer steps than ``study_size``, theirs are taken. Raises ParameterError for trials, steps or a seed
     out of range.
     """
     # All experiments of a part share what the cell does not say.

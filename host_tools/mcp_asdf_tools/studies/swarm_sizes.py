@@ -127,7 +127,10 @@ def draw_sizes(rows: Rows) -> Figure:
 
 
 def main() -> None:
-    """Run the study's experiments, or resume them, and write scale.md and scale.png into the folder."""
+    """Run experiments of growing swarms, or resume them, and write scale.md and scale.png into the folder.
+
+    ``size_rows`` lists the experiments; the folder is an argument of the command line.
+    """
     arguments = parse_arguments(__doc__)
     rows = run_rows("scale", size_rows(), arguments)
     tables = {"scale": markdown_table(TABLE_HEAD, rows, size_text)}

@@ -61,14 +61,17 @@ class BusRecorder:
         tick = 0
         while not should_stop():
             seconds_to_tick = tick / STATES_PER_SECOND - self._seconds_since_start()
-            # A frame that has arrived is received even if the state is due: states follow frames.
-            frame = self._bus.recv(max(seconds_to_tick, 0.0))
+            # Wait for a frame at most until the next state is due. With a timeout of 0 a frame that has
+            # arrived is still received, so that the state comes after it.
+            frame = self._bus.recv(timeout=max(seconds_to_tick, 0.0))
             if frame is not None:
                 self._receive(frame)
             if seconds_to_tick <= 0:
                 self._add_state(tick)
-                # On a busy computer this leaves ticks out, rather than fall further and further behind.
-                tick = int(self._seconds_since_start() * STATES_PER_SECOND) + 1
+                # The next tick that is still to come. On a busy computer some are left out so, rather than
+                # that the states fall further and further behind.
+                present_tick = int(self._seconds_since_start() * STATES_PER_SECOND)
+                tick = present_tick + 1
 
     def _receive(self, frame: can.Message) -> None:
         """Take the values of a frame of any node, and add its robot to the history if it is new.

@@ -29,11 +29,20 @@ _MAX_UNFILTERED_ROBOT_STEPS = 20_000_000
 def describe_run(
     settings: Population, trial: int = 0, faults: Sequence[Fault] = (), allow: str = ""
 ) -> RunDescription:
-    """Return what stays the same during a trial, or during a swarm's run with ``faults`` and ``allow``.
+    """Return the description of a run, for a page that shows it: all that stays the same during the run.
 
-    ``allow`` is the text of --allow: the ids whose estimates robots accept; "" accepts all. With robots that
-    move this computes the floor. Without faults and ``allow`` it runs the trial without a filter, for up to
-    two seconds, to give its errors. Raises UsageError if the arena cannot be made.
+    For a run without faults and ``allow`` the page also shows how large the robots' errors would be without
+    the filter. To compute these, the same trial is run here with the filter off, unless that would take more
+    than about two seconds. With robots that move, the floor is computed, too.
+
+    Args:
+        settings: The swarm or the experiment.
+        trial: Number of the trial.
+        faults: Faults that are injected in the run.
+        allow: Text of --allow: the ids whose estimates robots accept; "" accepts all.
+
+    Raises:
+        UsageError: The arena cannot be made.
     """
     # The run without a filter has neither faults nor refused ids: with them it would be no fair comparison.
     is_plain_run = not faults and not allow

@@ -49,10 +49,12 @@ class SwarmRecorder:
 
 
 def _read_swarm_state(swarm: Swarm) -> State:
-    """Return the present state of a running swarm; robots that are not alive have no estimates."""
+    """Return the present state of a running swarm; robots that are not alive have NaN for their estimates."""
     world = swarm.world
+    # A row for each quantity, and a column for each robot
     estimates = collect_estimates(node.robot for node in swarm.nodes)
-    is_dead = [not node.is_alive for node in swarm.nodes]
-    estimates[:, is_dead] = np.nan
+    is_robot_dead = [not node.is_alive for node in swarm.nodes]
+    estimates[:, is_robot_dead] = np.nan
+    # The last row is the true accuracy of each robot's sensor.
     values = np.vstack([estimates, world.accuracy])
     return State(swarm.ticks, values, world.current_neighbours.copy(), world.positions)

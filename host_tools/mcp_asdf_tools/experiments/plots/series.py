@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
@@ -87,10 +88,18 @@ def plot_runs(runs: Sequence[Trials], trial_number: int) -> Figure:
         top_axes.set_title(_series_title(trials.experiment, trial_number), fontsize=SMALL, loc="left")
         bottom_axes.set_xlabel("step", fontsize=MEDIUM)
     # Every robot has drawn a line: the legend needs one of each kind.
-    line_by_label = {line.get_label(): line for axes in grid.flat for line in axes.lines}
-    labels = [label for label in (_FLAWED_LABEL, _HEALTHY_LABEL, _TRUE_LABEL) if label in line_by_label]
-    add_legend(figure, [line_by_label[label] for label in labels])
+    add_legend(figure, _lines_for_legend(grid))
     return figure
+
+
+def _lines_for_legend(panels: NDArray[Any]) -> list[Line2D]:
+    """Return one line of each kind that some panel has: of flawed robots, of healthy ones, and the truth."""
+    lines = [line for axes in panels.flat for line in axes.lines]
+    lines_for_legend = []
+    for label in (_FLAWED_LABEL, _HEALTHY_LABEL, _TRUE_LABEL):
+        lines_of_kind = [line for line in lines if line.get_label() == label]
+        lines_for_legend += lines_of_kind[-1:]
+    return lines_for_legend
 
 
 def _check_recorded_trial(trials: Trials, trial_number: int) -> None:
