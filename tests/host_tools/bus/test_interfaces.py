@@ -181,7 +181,7 @@ def test_node_and_radio_answer_each_other_while_the_clock_is_set_back(
     with node_in_a_thread("--id 5 --b-hat 0.55 --activation always"):
         waits = set_clock_back(monkeypatch)
         assert radio("--id 5 --b-hat 0.56 --activation always --verify --timeout 60") == 1
-    assert len(waits) > 5
+    assert waits, "no connection has waited since the clock was set back"
 
 
 def test_a_signal_ends_a_wait_while_the_clock_is_set_back(monkeypatch: pytest.MonkeyPatch) -> None:
