@@ -37,10 +37,13 @@ def run(args: argparse.Namespace) -> int:
     try:
         calibration = calibrate(readings.rows)
     except UsageError as error:
+        # Lines that were left out may be the reason for too few readings.
         raise UsageError(f"{error} ({left_out})" if left_out else str(error)) from error
     if args.json:
-        derived = {name: getattr(calibration, name) for name in ("b_hat", "uncertainty", "bias", "warning")}
-        print(json_report(asdict(calibration) | derived | {"left_out": readings.left_out}))
+        derived_values = {
+            name: getattr(calibration, name) for name in ("b_hat", "uncertainty", "bias", "warning")
+        }
+        print(json_report(asdict(calibration) | derived_values | {"left_out": readings.left_out}))
         return 0
     print(f"threshold {calibration.threshold:.10g}: {calibration.black_is} it a tile is black")
     for colour, accuracy in calibration.accuracy.items():

@@ -46,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
     """Replay one scenario, or run the whole check; return exit code 1 if a check failed."""
     from mcp_asdf_tools.crosscheck.scenario import parse_scenario
 
+    # The parser has no defaults for steps and seed, so that it shows here what the user has typed.
     if args.replay is not None:
         if (args.steps, args.seed) != (None, None):
             raise UsageError("--replay runs one scenario; it does not go with --steps or --seed")
@@ -73,6 +74,7 @@ def _check_with(audit: Audit) -> CheckScenario:
     native, mirror = _load_comparable("native"), _load_comparable("mirror")
 
     def check_scenario(scenario: Scenario) -> Failure | None:
+        """Run a scenario through both, and return the first difference; None if there is none."""
         return compare_firmwares(scenario, native, mirror, audit.check_call)
 
     return check_scenario
@@ -84,6 +86,7 @@ def _replay(scenario: Scenario, as_json: bool) -> int:
     from mcp_asdf_tools.crosscheck.oracle import Audit
 
     failure = _check_with(Audit())(scenario)
+    # Both may refuse the settings of the robot: then they agree, and make no call.
     status = RobotUnderTest(_load_comparable("native"), scenario.setup).last_result.outcome
     is_robot_valid = status == Status.OK.name
     if as_json:
@@ -134,6 +137,7 @@ def _check_all(steps: int, seed: int, args: argparse.Namespace) -> int:
     with progress("calls", steps, args.json) as on_calls:
         result = run_crosscheck(check_scenario, seed, steps, on_calls)
     if result.failure is not None:
+        # A short scenario is easier to understand than the random one that failed.
         result.failure = _find_shortest(result.failure)
     report = CrosscheckReport(seed, result, audit, counts, measure_storage())
     if args.json:
@@ -154,6 +158,7 @@ def _find_shortest(failure: Failure) -> Failure:
     from mcp_asdf_tools.crosscheck.oracle import Audit
 
     try:
+        # With an audit of its own, as the calls of this search do not count as checked.
         return shrink(failure, _check_with(Audit()))
     except KeyboardInterrupt:
         print("mcp-asdf crosscheck: interrupted; a shorter scenario may show the same", file=sys.stderr)

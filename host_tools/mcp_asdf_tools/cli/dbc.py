@@ -40,14 +40,14 @@ def run(args: argparse.Namespace) -> int:
     """Write the DBC file, or print its text without ``--output``; return exit code 0."""
     from mcp_asdf_tools.common.files import write_atomically
 
-    text = dbc_text(options.estimate_format_of(args), args.per_node)
+    dbc_content = dbc_text(options.estimate_format_of(args), args.per_node)
     if args.output is not None:
-        write_atomically(args.output, text)
+        write_atomically(args.output, dbc_content)
     if args.json:
-        path = None if args.output is None else str(args.output)
-        print(json_report({"file": path, "dbc": text}))
+        path_text = None if args.output is None else str(args.output)
+        print(json_report({"file": path_text, "dbc": dbc_content}))
     elif args.output is None:
-        sys.stdout.write(text)
+        sys.stdout.write(dbc_content)
     else:
         print(f"wrote {args.output}")
     return 0

@@ -82,20 +82,25 @@ class Command(Protocol):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program on ``argv`` (default: the process's own arguments); returns the exit code."""
     arguments = sys.argv[1:] if argv is None else list(argv)
-    name = arguments[0] if arguments and arguments[0] in COMMANDS else None
-    title = PROGRAM if name is None else f"{PROGRAM} {name}"
+    command_name = arguments[0] if arguments and arguments[0] in COMMANDS else None
+    command_title = PROGRAM if command_name is None else f"{PROGRAM} {command_name}"
+    # Before anything is parsed, since an error of parsing is printed as JSON, too.
     as_json = "--json" in arguments
-    work = partial(_show_overview, arguments) if name is None else partial(_run_command, name, arguments[1:])
+    if command_name is None:
+        work = partial(_show_overview, arguments)
+    else:
+        work = partial(_run_command, command_name, arguments[1:])
     with checked_streams(), stopping(interrupt=True):
-        code = _attempt(title, work, as_json)
-        return _attempt(title, _flush, as_json) or exit_code_of_signal(code)
+        exit_code = _attempt(command_title, work, as_json)
+        # Flushed here and not at exit, where a closed pipe or a full disk could not change the exit code.
+        return _attempt(command_title, _flush, as_json) or exit_code_of_signal(exit_code)
 
 
-def _attempt(title: str, work: Callable[[], int], as_json: bool) -> int:
+def _attempt(command_title: str, work: Callable[[], int], as_json: bool) -> int:
     """Call ``work`` and return its exit code.
 
-    What it raises for the user, such as UsageError, is printed under ``title``, and the exit code for that is
-    returned; other exceptions are mistakes of the program and pass.
+    What it raises for the user, such as UsageError, is printed under ``command_title``, and the exit code for
+    that is returned; other exceptions are mistakes of the program and pass.
     """
     try:
         with naming_extras():
@@ -103,19 +108,21 @@ def _attempt(title: str, work: Callable[[], int], as_json: bool) -> int:
     except SystemExit as stop:  # argparse has printed its help or its error
         return stop.code if isinstance(stop.code, int) else 0
     except KeyboardInterrupt:
-        print(f"{title}: interrupted", file=sys.stderr, flush=True)
+        print(f"{command_title}: interrupted", file=sys.stderr, flush=True)
         return INTERRUPTED
     except (UsageError, OutputError, OSError) as error:
         if isinstance(error, OutputError) and error.is_broken_pipe:
             return _BROKEN_PIPE  # the reader has enough, and expects no message
-        return _report_bad_usage(title, _explain(error), as_json)
+        return _report_bad_usage(command_title, _explain(error), as_json)
 
 
-def _report_bad_usage(title: str, error: str, as_json: bool) -> int:
+def _report_bad_usage(command_title: str, error_message: str, as_json: bool) -> int:
     """Print an error and where help is, in two lines, or the error as one line of JSON; return code 2."""
     if as_json:
-        return report_failure(title, error, as_json, exit_code=2)
-    print(f"{title}: error: {error}\nSee '{title} --help'.", file=sys.stderr, flush=True)
+        return report_failure(command_title, error_message, as_json, exit_code=2)
+    print(
+        f"{command_title}: error: {error_message}\nSee '{command_title} --help'.", file=sys.stderr, flush=True
+    )
     return 2
 
 
@@ -135,23 +142,24 @@ def _flush() -> int:
     return 0
 
 
-def _run_command(name: str, arguments: Sequence[str]) -> int:
+def _run_command(command_name: str, arguments: Sequence[str]) -> int:
     """Import and run one command only, so that the others' libraries stay unloaded; return its exit code."""
-    command = _load(name)
-    args = _parser_for(name, command).parse_all(arguments)
+    command = _load(command_name)
+    args = _parser_for(command_name, command).parse_all(arguments)
+    # After parsing, so that help and mistakes in options need not wait for large libraries.
     _import_all(command.LIBRARIES)
     with log_to_standard_error(args.verbose):
         if args.verbose:
             _log_start(args)
         start_time = time.monotonic()
         try:
-            code = command.run(args)
+            exit_code = command.run(args)
         except BaseException as error:
             # The error itself is printed later in one line; a bug report needs the place that raised it.
             _logger.debug("ended by %s", type(error).__name__, exc_info=True)
             raise
-        _logger.info("exit code %d after %.1f s", code, time.monotonic() - start_time)
-        return code
+        _logger.info("exit code %d after %.1f s", exit_code, time.monotonic() - start_time)
+        return exit_code
 
 
 def _log_start(args: argparse.Namespace) -> None:
@@ -166,25 +174,25 @@ def _log_start(args: argparse.Namespace) -> None:
     _logger.debug("options: %s", vars(args))
 
 
-def _load(name: str) -> Command:
+def _load(command_name: str) -> Command:
     """Import the module of a command. Raises KeyboardInterrupt afterwards if a signal came meanwhile."""
-    (command,) = _import_all([f"{__package__}.{name}"])
+    (command,) = _import_all([f"{__package__}.{command_name}"])
     return cast(Command, command)
 
 
-def _import_all(names: Iterable[str]) -> list[ModuleType]:
+def _import_all(module_names: Iterable[str]) -> list[ModuleType]:
     """Import modules, and return them. Raises KeyboardInterrupt afterwards if a signal came meanwhile."""
     # Inside the import of a library an interruption may be turned into any other error.
     with stopping() as was_interrupted:
-        modules = [import_module(name) for name in names]
+        modules = [import_module(name) for name in module_names]
     if was_interrupted():
         raise KeyboardInterrupt
     return modules
 
 
-def _parser_for(name: str, command: Command) -> Parser:
+def _parser_for(command_name: str, command: Command) -> Parser:
     """Return the parser of a command, with the options that all commands have and with its own."""
-    parser = Parser(f"{PROGRAM} {name}", COMMANDS[name], command.EPILOG)
+    parser = Parser(f"{PROGRAM} {command_name}", COMMANDS[command_name], command.EPILOG)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, for machines")
     parser.add_argument(
         "-v",
@@ -212,8 +220,10 @@ def _show_overview(arguments: Sequence[str]) -> int:
         print(f"{PROGRAM} {own_version()}")
         return 0
     if args.command is not None:
-        near = offer(args.command, [*COMMANDS, "--help", "--version"])
-        parser.error(f"no command is called {args.command!r}{near}")
+        # Some type help or version as if it were a command.
+        nearest_command = offer(args.command, [*COMMANDS, "--help", "--version"])
+        parser.error(f"no command is called {args.command!r}{nearest_command}")
+    # No command is there, so that what is left can only be an unknown option.
     parser.parse_all(arguments)
     parser.print_help(sys.stderr)
     return 2
@@ -221,11 +231,13 @@ def _show_overview(arguments: Sequence[str]) -> int:
 
 def _listing() -> str:
     """Return the list of all commands by purpose, with a line on each."""
-    name_width = max(len(name) for name in COMMANDS)
+    name_width = max(len(command_name) for command_name in COMMANDS)
     paragraphs = []
-    for title, commands in GROUPS.items():
-        command_lines = [f"  {name:{name_width}}  {purpose}" for name, purpose in commands.items()]
-        paragraphs.append("\n".join([f"{title}:", *command_lines]))
+    for group_title, commands in GROUPS.items():
+        command_lines = [
+            f"  {command_name:{name_width}}  {purpose}" for command_name, purpose in commands.items()
+        ]
+        paragraphs.append("\n".join([f"{group_title}:", *command_lines]))
     return "\n\n".join(paragraphs)
 
 

@@ -65,40 +65,42 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.recording.events import EventsHeader
     from mcp_asdf_tools.robots.node import RobotNode
 
-    setup = options.robot_of(args)
+    robot_setup = options.robot_of(args)
     subjects = options.subjects_of(args)
-    choice = options.bus_of(args)
+    bus_choice = options.bus_of(args)
     if args.allow is not None:
-        setup = replace(setup, allow=parse_ids(args.allow, "--allow"))
+        robot_setup = replace(robot_setup, allow=parse_ids(args.allow, "--allow"))
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
     steps_per_second = options.value_of(args, Population, "steps_per_second")
     parameters = {"steps_per_second": steps_per_second, "steps": args.steps}
-    header = EventsHeader([setup], None, subjects.estimates, parameters)
-    recording = recording_for("node", args.log, header, choice)
+    # No seed: the robot's observations come from the bus.
+    events_header = EventsHeader([robot_setup], None, subjects.estimates, parameters)
+    recording = recording_for("node", args.log, events_header, bus_choice)
     with recording as (log, events):
-        recorder = None if events is None else events.recorders[setup.id]
-        node = RobotNode(setup, subjects, steps_per_second, recorder)
-        outcome = _run_on_bus(args, node, choice, log)
-    results = _results_of(node, setup, outcome)
+        recorder = None if events is None else events.recorders[robot_setup.id]
+        node = RobotNode(robot_setup, subjects, steps_per_second, recorder)
+        outcome = _run_on_bus(args, node, bus_choice, log)
+    results = _results_of(node, robot_setup, outcome)
     if args.json:
         report = {
-            "parameters": parameters | {"robot": setup.plain(), "subjects": asdict(subjects)},
-            "bus": {"interface": choice.interface, "channel": choice.channel},
+            "parameters": parameters | {"robot": robot_setup.plain(), "subjects": asdict(subjects)},
+            "bus": {"interface": bus_choice.interface, "channel": bus_choice.channel},
             "versions": software_versions(),
             "results": results,
         }
         print(json_report(report))
     elif not args.quiet:
-        print(_format_summary(node, results, str(choice)))
+        print(_format_summary(node, results, str(bus_choice)))
         print_again(args)
+    # A bus that failed matters more than a signal or a log that lacks its end.
     if outcome.has_failed:
         return exit_code_with(recording, report_failure("mcp-asdf node", outcome.ending, args.json))
     return exit_code_with(recording, INTERRUPTED if outcome.is_interrupted else 0)
 
 
 def _run_on_bus(
-    args: argparse.Namespace, node: RobotNode, choice: BusChoice, log: FrameTaker | None
+    args: argparse.Namespace, node: RobotNode, bus_choice: BusChoice, log: FrameTaker | None
 ) -> RunOutcome:
     """Join the bus and run the node until its steps are done, it is stopped or the bus fails."""
     from rich.console import Console
@@ -107,12 +109,14 @@ def _run_on_bus(
 
     console = Console(stderr=True, quiet=args.quiet)
     with ExitStack() as stack:
-        bus = stack.enter_context(choice.open())
+        bus = stack.enter_context(bus_choice.open())
+        # Other frames do not concern the node, and need not reach this process.
         bus.set_filters(filters_for(node.subjects.estimates, node.subjects.commands))
         was_interrupted = stack.enter_context(stopping())
         input_descriptor = standard_input_descriptor() if args.until_eof else None
 
         def should_stop() -> bool:
+            """Return whether a signal came or, with --until-eof, standard input has ended."""
             return was_interrupted() or (input_descriptor is not None and has_input_ended(input_descriptor))
 
         link = BusLink(bus, should_stop, log=log)
@@ -127,6 +131,8 @@ def _suspicion_printer(node: RobotNode, console: Console) -> Callable[[], None]:
     reported: set[tuple[Suspicion, int]] = set()
 
     def print_new_suspicions() -> None:
+        """Print those that have come since the last call."""
+        # The node counts events by kind and sender; only pairs that are new are printed.
         for kind, sender in node.reception.events.keys() - reported:
             reported.add((kind, sender))
             console.print(f"mcp-asdf node: node {sender}: {MEANINGS[kind]}", soft_wrap=True)
@@ -134,12 +140,12 @@ def _suspicion_printer(node: RobotNode, console: Console) -> Callable[[], None]:
     return print_new_suspicions
 
 
-def _results_of(node: RobotNode, setup: RobotSetup, outcome: RunOutcome) -> dict[str, Any]:
+def _results_of(node: RobotNode, robot_setup: RobotSetup, outcome: RunOutcome) -> dict[str, Any]:
     """Return how a run has ended, its robot's state and the numbers of its frames, as plain values."""
     from mcp_asdf_tools.robots.node import state_of
 
     return {
-        "filter": describe_filters([setup.config.filter]),
+        "filter": describe_filters([robot_setup.config.filter]),
         "steps": node.ticks,
         **vars(outcome),
         "robot": state_of(node),

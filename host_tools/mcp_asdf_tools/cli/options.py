@@ -58,27 +58,39 @@ def option_of(parameter_name: str) -> str:
     return f"--{parameter_name.replace('_', '-')}"
 
 
-def add_common_parameters(parser: argparse.ArgumentParser, kind: Any, title: str) -> None:
-    """Add a group ``title`` of options for those parameters of the class ``kind`` that are common."""
-    names = [name for name in parameters_of(kind) if name in COMMON_PARAMETERS]
-    add_parameters(parser, kind, title, names)
+def add_common_parameters(parser: argparse.ArgumentParser, settings_class: Any, group_title: str) -> None:
+    """Add a group ``group_title`` of options for the common parameters of a class of settings."""
+    common_names = [
+        parameter_name
+        for parameter_name in parameters_of(settings_class)
+        if parameter_name in COMMON_PARAMETERS
+    ]
+    add_parameters(parser, settings_class, group_title, common_names)
 
 
-def add_further_parameters(parser: argparse.ArgumentParser, kind: Any) -> None:
-    """Add a group of options for those parameters of the class ``kind`` that are not common."""
-    names = [name for name in parameters_of(kind) if name not in COMMON_PARAMETERS]
-    add_parameters(parser, kind, "further parameters", names)
+def add_further_parameters(parser: argparse.ArgumentParser, settings_class: Any) -> None:
+    """Add a group of options for those parameters of the class ``settings_class`` that are not common."""
+    further_names = [
+        parameter_name
+        for parameter_name in parameters_of(settings_class)
+        if parameter_name not in COMMON_PARAMETERS
+    ]
+    add_parameters(parser, settings_class, "further parameters", further_names)
 
 
-def add_parameters(parser: argparse.ArgumentParser, kind: Any, title: str, names: Collection[str]) -> None:
-    """Add a group ``title`` of options for the named parameters of the class ``kind``.
+def add_parameters(
+    parser: argparse.ArgumentParser, settings_class: Any, group_title: str, parameter_names: Collection[str]
+) -> None:
+    """Add a group ``group_title`` of options for the named parameters of the class ``settings_class``.
 
     The options keep the order in which the class declares its parameters. The parsed value of an option that
     the user leaves out is None.
     """
-    group = parser.add_argument_group(title, _describe_filters() if "filter" in names else None)
-    for name, parameter in parameters_of(kind).items():
-        if name in names:
+    group = parser.add_argument_group(
+        group_title, _describe_filters() if "filter" in parameter_names else None
+    )
+    for parameter_name, parameter in parameters_of(settings_class).items():
+        if parameter_name in parameter_names:
             _add_option(group, parameter)
 
 
@@ -92,12 +104,12 @@ def _describe_filters() -> str:
 
 def _add_option(group: argparse._ArgumentGroup, parameter: Parameter) -> None:
     """Add the option of one parameter, with its meaning and default as help."""
-    meaning = parameter.meaning
+    help_text = parameter.meaning
     if parameter.default != "":
-        meaning += f" (default {parameter.default})"
-    group.add_argument(
-        option_of(parameter.name), help=meaning.replace("%", "%%"), **_keywords_of_value(parameter)
-    )
+        help_text += f" (default {parameter.default})"
+    # argparse fills in what follows a single % in a help.
+    escaped_help = help_text.replace("%", "%%")
+    group.add_argument(option_of(parameter.name), help=escaped_help, **_keywords_of_value(parameter))
 
 
 def _keywords_of_value(parameter: Parameter) -> dict[str, Any]:
@@ -109,6 +121,7 @@ def _keywords_of_value(parameter: Parameter) -> dict[str, Any]:
     return {
         # A value of another type, such as a count or share, is parsed by the class of the parameters.
         "type": parameter.kind if parameter.kind in (int, float) else str,
+        # The last word of the name, such as PERIOD for filter_period.
         "metavar": parameter.name.split("_")[-1].upper(),
     }
 
@@ -121,6 +134,7 @@ def _keywords_of_names(names: Names) -> dict[str, Any]:
     """
 
     def check_name(name: str) -> str:
+        """Return one of the names unchanged. Raises ArgumentTypeError, with the nearest, for another."""
         if name not in names:
             raise argparse.ArgumentTypeError(describe_unknown_value(name, names))
         return name
@@ -131,35 +145,39 @@ def _keywords_of_names(names: Names) -> dict[str, Any]:
 
 def settings_from(
     args: argparse.Namespace,
-    kind: type[Settings],
+    settings_class: type[Settings],
     base_values: dict[str, Any] | None = None,
     **other_values: Any,
 ) -> Settings:
-    """Return settings of the class ``kind`` with the values of the options that the user gave.
+    """Return settings of the class ``settings_class`` with the values of the options that the user gave.
 
     ``base_values`` hold where an option was left out; ``other_values`` hold in any case. Raises UsageError,
     which names the option, for a value that the class refuses and for an option that would have no effect.
     """
     option_values = {
-        name: getattr(args, name) for name in parameters_of(kind) if getattr(args, name, None) is not None
+        parameter_name: getattr(args, parameter_name)
+        for parameter_name in parameters_of(settings_class)
+        if getattr(args, parameter_name, None) is not None
     }
     try:
-        settings = kind(**{**(base_values or {}), **option_values, **other_values})
+        # Of values for the same parameter the last one holds.
+        settings = settings_class(**{**(base_values or {}), **option_values, **other_values})
     except ParameterError as error:
         raise UsageError(_name_option(error)) from error
-    for name, reason in settings.unused_parameters().items():
-        if name in option_values:
-            raise UsageError(f"{option_of(name)} would do nothing: {reason}; leave it out")
+    # A file's value may have no effect here; one that was typed is a misunderstanding.
+    for parameter_name, reason in settings.unused_parameters().items():
+        if parameter_name in option_values:
+            raise UsageError(f"{option_of(parameter_name)} would do nothing: {reason}; leave it out")
     return settings
 
 
-def value_of(args: argparse.Namespace, kind: Any, name: str) -> Any:
-    """Return the value of one parameter of the class ``kind``: what the user gave, or else the default.
+def value_of(args: argparse.Namespace, settings_class: Any, parameter_name: str) -> Any:
+    """Return the value of one parameter of a class of settings: what the user gave, or else the default.
 
     Raises UsageError, which names the option, for a value that the parameter alone cannot have.
     """
-    parameter = parameters_of(kind)[name]
-    value = getattr(args, name)
+    parameter = parameters_of(settings_class)[parameter_name]
+    value = getattr(args, parameter_name)
     if value is None:
         return parameter.default
     try:
@@ -171,6 +189,7 @@ def value_of(args: argparse.Namespace, kind: Any, name: str) -> Any:
 def _name_option(error: ParameterError) -> str:
     """Return the message of ``error`` with the option's name at its start, in place of the parameter's."""
     message = str(error)
+    # Most messages have the parameter as their subject.
     if message.startswith(f"{error.key} "):
         return option_of(error.key) + message.removeprefix(error.key)
     return f"{option_of(error.key)}: {message}"
@@ -182,8 +201,8 @@ _ROBOT_PARAMETERS = ("filter", "activation", "comms_period", "filter_period", "o
 """Parameters of a population that are settings of each of its robots."""
 
 
-def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: str) -> None:
-    """Add the options of a robot; ``firmware`` is the default one, and ``id_help`` the help of ``--id``."""
+def add_robot_options(parser: argparse.ArgumentParser, default_firmware: str, id_help: str) -> None:
+    """Add the options of a robot, with the default of ``--firmware`` and the help of ``--id``."""
     from mcp_asdf.robot import MAX_ID
     from mcp_asdf_tools.robots.firmwares import firmware_names
     from mcp_asdf_tools.robots.population import Population
@@ -205,7 +224,7 @@ def add_robot_options(parser: argparse.ArgumentParser, firmware: str, id_help: s
     )
     group.add_argument(
         "--firmware",
-        default=firmware,
+        default=default_firmware,
         help="firmware of the robot (default %(default)s)",
         **_keywords_of_names(firmware_names()),
     )
@@ -316,22 +335,22 @@ def add_bus_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _check_interface(name: str) -> str:
+def _check_interface(interface_name: str) -> str:
     """Return the name of an interface. Raises ArgumentTypeError, with the nearest, if python-can has none."""
     # These names are not an option's ``choices``, since the help would load python-can for them.
     import can
 
-    if name not in can.VALID_INTERFACES:
-        raise argparse.ArgumentTypeError(describe_unknown_value(name, sorted(can.VALID_INTERFACES)))
-    return name
+    if interface_name not in can.VALID_INTERFACES:
+        raise argparse.ArgumentTypeError(describe_unknown_value(interface_name, sorted(can.VALID_INTERFACES)))
+    return interface_name
 
 
-def _parse_bus_setting(text: str) -> tuple[str, str]:
+def _parse_bus_setting(setting_text: str) -> tuple[str, str]:
     """Return name and value of a text such as ``serial=1234``. Raises ArgumentTypeError for any other."""
-    name, equals_sign, value = text.partition("=")
+    setting_name, equals_sign, value = setting_text.partition("=")
     if not equals_sign:
-        raise argparse.ArgumentTypeError(f"{text} is no KEY=VALUE")
-    return name, value
+        raise argparse.ArgumentTypeError(f"{setting_text} is no KEY=VALUE")
+    return setting_name, value
 
 
 def bus_of(args: argparse.Namespace) -> BusChoice:
@@ -341,6 +360,7 @@ def bus_of(args: argparse.Namespace) -> BusChoice:
     """
     from mcp_asdf_tools.bus.interfaces import choose_bus
 
+    # Options that were left out are no attributes: python-can's own settings hold for them.
     typed_settings = {
         name: getattr(args, name) for name in ("interface", "channel", "bitrate") if name in args
     }
@@ -462,6 +482,7 @@ def experiments_of(args: argparse.Namespace) -> list[Experiment]:
     else:
         base_values = [experiment.parameters() for experiment in read_experiments(args.file)]
     experiments = [settings_from(args, Experiment, values) for values in base_values]
+    # The experiments of a file may have trials of different lengths.
     shortest_trial = min(experiment.steps for experiment in experiments)
     if not 0 <= args.record <= shortest_trial:
         raise UsageError(f"--record is {args.record}; choose 1 to {shortest_trial} steps, or 0 for none")
@@ -480,6 +501,7 @@ def add_worker_option(parser: argparse.ArgumentParser) -> None:
         "--workers",
         type=int,
         metavar="N",
+        # Processors that this process may use, which may be fewer than the machine has.
         default=len(os.sched_getaffinity(0)),
         help="processes (default %(default)s: one per processor)",
     )
@@ -547,6 +569,7 @@ def read_selected_experiments(args: argparse.Namespace) -> list[Trials]:
     from mcp_asdf_tools.experiments.results import describe_differences, select_experiments
 
     experiments = experiments_in(read_table(args.file))
+    # One condition after the other, so that an error names the first that nothing meets.
     for condition in args.where:
         name, equals_sign, value = condition.partition("=")
         if not equals_sign:

@@ -53,22 +53,22 @@ def print_again(args: argparse.Namespace, **settled_parameters: object) -> None:
     print(f"again: {program} {shlex.join([*settled_options, *typed_arguments])}".rstrip())
 
 
-def report_failure(title: str, message: str, as_json: bool, exit_code: int = 1) -> int:
+def report_failure(command_title: str, message: str, as_json: bool, exit_code: int = 1) -> int:
     """Print that a command failed to standard error, as a line of text or of JSON; return ``exit_code``.
 
-    ``title`` names the command as the user typed it, such as "mcp-asdf node".
+    ``command_title`` names the command as the user typed it, such as "mcp-asdf node".
     """
     if as_json:
-        line = json.dumps({"command": title, "error": message, "exit_code": exit_code})
+        error_line = json.dumps({"command": command_title, "error": message, "exit_code": exit_code})
     else:
-        line = f"{title}: {message}"
-    print(line, file=sys.stderr, flush=True)
+        error_line = f"{command_title}: {message}"
+    print(error_line, file=sys.stderr, flush=True)
     return exit_code
 
 
-def warn(command: str, message: str) -> None:
+def warn(command_name: str, message: str) -> None:
     """Print a message to standard error, behind the name of the command, such as "node"."""
-    print(f"mcp-asdf {command}: {message}", file=sys.stderr)
+    print(f"mcp-asdf {command_name}: {message}", file=sys.stderr)
 
 
 @contextmanager
@@ -87,27 +87,32 @@ def reporting_missing_trials(stores: Sequence[Store]) -> Iterator[None]:
 
 
 def recording_for(
-    command: str, path: Path | None, header: EventsHeader | None, choice: BusChoice
+    command_name: str, log_path: Path | None, header: EventsHeader | None, bus_choice: BusChoice
 ) -> Recording | NoRecording:
-    """Return the recording of frames in the log ``path``, or one that keeps nothing if there is no ``path``.
+    """Return the recording of frames in the log ``log_path``, or one that keeps nothing if that is None.
 
     With ``header`` it has a file of events beside the log. A failure while it records is printed to standard
-    error at once, with the name of the ``command``.
+    error at once, with the ``command_name`` in front.
     """
     from mcp_asdf_tools.recording.recording import NoRecording, Recording
 
-    if path is None:
+    if log_path is None:
         return NoRecording()
-    _logger.info("recording the frames in %s", path)
-    return Recording(path, header, lambda message: warn(command, message), choice.channel or choice.interface)
+    _logger.info("recording the frames in %s", log_path)
+    return Recording(
+        log_path,
+        header,
+        lambda message: warn(command_name, message),
+        bus_choice.channel or bus_choice.interface,
+    )
 
 
-def exit_code_with(recording: Recording | NoRecording, code: int) -> int:
-    """Return the exit code of a command that would end with ``code`` if its recording were complete.
+def exit_code_with(recording: Recording | NoRecording, exit_code: int) -> int:
+    """Return the exit code of a command that would end with ``exit_code`` if its recording were complete.
 
     An incomplete recording gives 2, but a failure of the run itself, 1, is what matters more.
     """
-    return code if recording.failure is None or code == 1 else 2
+    return exit_code if recording.failure is None or exit_code == 1 else 2
 
 
 # --- Pages in a browser ----------------------------------------------------------------------------------
@@ -140,6 +145,7 @@ def log_to_standard_error(verbosity: int) -> Iterator[None]:
     handler = _StandardErrorHandler(level)
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     loggers = [logging.getLogger(package) for package in _LOGGED_PACKAGES]
+    # A notebook or a test may run several commands in one process, so the levels are set back.
     former_levels = [logger.level for logger in loggers]
     for logger in loggers:
         logger.addHandler(handler)

@@ -19,6 +19,7 @@ class Parser(argparse.ArgumentParser):
     """ArgumentParser of one command, which raises UsageError where argparse's own ends the program."""
 
     def __init__(self, prog: str, description: str, epilog: str | None = None) -> None:
+        """Create a parser without options but ``--help``; options cannot be abbreviated."""
         super().__init__(
             prog=prog,
             description=description,
@@ -73,6 +74,7 @@ class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
         prefix: str | None = None,
     ) -> None:
         """Add the usage line of a parser with these actions and mutually exclusive groups."""
+        # Of a required group one option is needed, although argparse marks none of them as required.
         alternatives = [action for group in groups if group.required for action in group._group_actions]
         shown_actions = []
         for action in actions:

@@ -46,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
     """Draw the picture into its file, and print the file's path; return exit code 0."""
     from mcp_asdf_tools.common.figures import check_plot_path, save_figure
 
+    # Path and options are checked before the results are read, which may take long.
     check_plot_path(args.picture)
     keywords = _plot_keywords(args)
     experiments = options.read_selected_experiments(args)
@@ -68,15 +69,15 @@ def _plot_keywords(args: argparse.Namespace) -> dict[str, Any]:
     from mcp_asdf_tools.experiments.scores import SCORES
 
     keywords: dict[str, Any] = {}
-    for name in _PLOT_OPTIONS:
-        value = getattr(args, name)
+    for option_name in _PLOT_OPTIONS:
+        value = getattr(args, option_name)
         if value is not None:
-            _check_kind_has(args.kind, name, f"--{name}")
-            keywords[name] = value
+            _check_kind_has(args.kind, option_name, f"--{option_name}")
+            keywords[option_name] = value
     for option in options.typed_limit_options(args):
         _check_kind_has(args.kind, "limits", option)
         # Scores are relative to the limits k_max and e_max; K and e, which y may be, too, are not.
-        y = keywords.get("y", "H")
+        y = keywords.get("y", "H")  # without --y a curve shows H
         if y not in SCORES:
             raise UsageError(f"{option} would do nothing: it is for scores, and y is none; leave it out")
         keywords["limits"] = options.limits_of(args)
@@ -90,6 +91,7 @@ def _check_kind_has(kind: str, keyword: str, option: str) -> None:
     """
     from inspect import signature
 
+    # The parameters of its function say which options a kind has, so that no list repeats them.
     kinds_with_it = [name for name in KINDS if keyword in signature(load_plot(name)).parameters]
     if kind not in kinds_with_it:
         reason = f"it is for {' and '.join(kinds_with_it)}, and kind is {kind}"

@@ -134,6 +134,7 @@ def settings_of(args: argparse.Namespace) -> RadioSettings:
     _check_run_options(args)
     controller = options.robot_of(args)
     world = options.settings_from(args, SwarmSettings, steps=_DEFAULT_PHASE_TICKS)
+    # The controller is one of the robots of this world.
     neighbour_ids = choose_ids(controller.id, world.robots - 1, args.first_id)
     # Neighbours assume the true accuracy, as far as the firmware can: it needs a margin to 0 and 1.
     b_hat = min(max(world.true_accuracy, B_HAT_MARGIN), 1 - B_HAT_MARGIN)
@@ -150,12 +151,13 @@ def _check_run_options(args: argparse.Namespace) -> None:
     """Raise UsageError for --steps or times out of range, and for options that need --verify without it."""
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
-    for name in _VERIFICATION_OPTIONS:
-        value = getattr(args, name)
+    for option_name in _VERIFICATION_OPTIONS:
+        value = getattr(args, option_name)
         if value is not None and not args.verify:
-            raise UsageError(f"--{name} is for a verification; add --verify or leave it out")
+            raise UsageError(f"--{option_name} is for a verification; add --verify or leave it out")
+        # The report is a path, the other two options are times.
         if isinstance(value, float) and not 0 < value < float("inf"):
-            raise UsageError(f"{name} is {value}; it must be above 0 seconds")
+            raise UsageError(f"{option_name} is {value}; it must be above 0 seconds")
 
 
 # --- Runs ------------------------------------------------------------------------------------------------
@@ -168,33 +170,36 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.common.files import check_target
 
     if args.report is not None:
+        # Now, and not after all phases, which take long.
         check_target(args.report)
     settings = settings_of(args)
-    choice = options.bus_of(args)
-    if choice.is_private and "interface" not in args:
+    bus_choice = options.bus_of(args)
+    if bus_choice.is_private and "interface" not in args:
         raise UsageError(
-            f"say with --interface on which bus the controller is: the bus {choice} is inside this process, "
-            "where nothing else is"
+            f"say with --interface on which bus the controller is: the bus {bus_choice} is inside this "
+            "process, where nothing else is"
         )
     console = Console(stderr=True, quiet=args.json)
     if args.verify:
-        return _verify(args, settings, choice, console)
-    return _emulate_neighbours(args, settings, choice, console)
+        return _verify(args, settings, bus_choice, console)
+    return _emulate_neighbours(args, settings, bus_choice, console)
 
 
-def _verify(args: argparse.Namespace, settings: RadioSettings, choice: BusChoice, console: Console) -> int:
+def _verify(
+    args: argparse.Namespace, settings: RadioSettings, bus_choice: BusChoice, console: Console
+) -> int:
     """Take the controller through all phases, print the verdict and write the report; return an exit code."""
     from mcp_asdf_tools.common.files import write_atomically
     from mcp_asdf_tools.radio.controller_link import BenchOptions
     from mcp_asdf_tools.radio.verification import Verification, details, markdown
     from mcp_asdf_tools.recording.events import EventsHeader
 
-    report = _make_report(args, settings, choice)
+    report = _make_report(args, settings, bus_choice)
     controller, seed = settings.controller, settings.swarm.seed
-    header = EventsHeader([controller], seed, settings.subjects.estimates, report["parameters"])
-    recording = recording_for("radio", args.log, header, choice)
+    events_header = EventsHeader([controller], seed, settings.subjects.estimates, report["parameters"])
+    recording = recording_for("radio", args.log, events_header, bus_choice)
     with ExitStack() as at_end:
-        with recording as (log, events), choice.open() as bus, stopping() as should_stop:
+        with recording as (log, events), bus_choice.open() as bus, stopping() as should_stop:
             bench_options = BenchOptions(
                 bus, args.steps or _DEFAULT_PHASE_TICKS, args.timeout or _DEFAULT_TIMEOUT, args.wait
             )
@@ -209,16 +214,16 @@ def _verify(args: argparse.Namespace, settings: RadioSettings, choice: BusChoice
                 )
                 verdict = verification.run()
             report["verdict"] = verdict.plain()
-            text = f"filter: {report['filter']}\n\n{details(verdict)}\n{verdict.headline}\n"
-            at_end.callback(_print_report, args, text, report)  # even if a file cannot be completed
+            report_text = f"filter: {report['filter']}\n\n{details(verdict)}\n{verdict.headline}\n"
+            at_end.callback(_print_report, args, report_text, report)  # even if a file cannot be completed
         if args.report is not None:
             write_atomically(args.report, markdown(verdict, report))
-    code = INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
-    return exit_code_with(recording, code)
+    exit_code = INTERRUPTED if verdict.is_interrupted else int(not verdict.has_passed)
+    return exit_code_with(recording, exit_code)
 
 
 def _emulate_neighbours(
-    args: argparse.Namespace, settings: RadioSettings, choice: BusChoice, console: Console
+    args: argparse.Namespace, settings: RadioSettings, bus_choice: BusChoice, console: Console
 ) -> int:
     """Run the neighbours until --steps are done or Ctrl-C, print and write results; return the exit code."""
     from mcp_asdf_tools.common.files import results_beside, write_atomically
@@ -227,10 +232,12 @@ def _emulate_neighbours(
     from mcp_asdf_tools.robots.node import BusLink, filters_for
 
     results_path = None if args.log is None else results_beside(args.log)
-    recording = recording_for("radio", args.log, None, choice)
+    recording = recording_for("radio", args.log, None, bus_choice)
     with ExitStack() as at_end:
-        with recording as (log, _), choice.open() as bus, stopping() as should_stop:
+        with recording as (log, _), bus_choice.open() as bus, stopping() as should_stop:
+            # Other frames do not concern the neighbours, and need not reach this process.
             bus.set_filters(filters_for(settings.subjects.estimates, settings.subjects.telemetry))
+            # In real time a run goes on while the bus fails, as a controller does.
             link = BusLink(bus, should_stop, endures=True, log=log)
             radio_run = RadioRun(Neighbourhood(settings), link, args.steps)
             with console.status("") as status:
@@ -239,10 +246,10 @@ def _emulate_neighbours(
                     f"estimates heard {radio_run.estimate_count}"
                 )
                 radio_run.run()
-            report = _make_report(args, settings, choice)
+            report = _make_report(args, settings, bus_choice)
             report["results"] = radio_run.figures()
-            text = _format_results(report["results"], report["filter"])
-            at_end.callback(_print_report, args, text, report)  # even if a file cannot be completed
+            report_text = _format_results(report["results"], report["filter"])
+            at_end.callback(_print_report, args, report_text, report)  # even if a file cannot be completed
         if results_path is not None:
             write_atomically(results_path, json_report(report) + "\n")
     outcome = radio_run.outcome
@@ -254,7 +261,7 @@ def _emulate_neighbours(
 # --- Reports ---------------------------------------------------------------------------------------------
 
 
-def _make_report(args: argparse.Namespace, settings: RadioSettings, choice: BusChoice) -> dict[str, Any]:
+def _make_report(args: argparse.Namespace, settings: RadioSettings, bus_choice: BusChoice) -> dict[str, Any]:
     """Return everything that is needed to repeat the run, as plain values; results are still to be added."""
     from mcp_asdf_tools.common.versions import software_versions
 
@@ -275,25 +282,25 @@ def _make_report(args: argparse.Namespace, settings: RadioSettings, choice: BusC
             "steps": args.steps,
             "timeout": args.timeout,
         },
-        "bus": {"interface": choice.interface, "channel": choice.channel},
+        "bus": {"interface": bus_choice.interface, "channel": bus_choice.channel},
         "versions": software_versions(),
     }
 
 
-def _print_report(args: argparse.Namespace, text: str, report: dict[str, Any]) -> None:
+def _print_report(args: argparse.Namespace, report_text: str, report: dict[str, Any]) -> None:
     """Print the report as JSON with --json, or else the text and the line that makes the run again."""
     if args.json:
         print(json_report(report))
         return
-    print(text, end="")
+    print(report_text, end="")
     print_again(args, seed=report["parameters"]["seed"])
 
 
-def _format_results(results: dict[str, Any], filters: str) -> str:
+def _format_results(results: dict[str, Any], filter_description: str) -> str:
     """Return the lines that sum up a run in real time for a reader."""
     lines = [
         f"run         {results['steps']} steps; {results['ending']}",
-        f"filter      {filters}",
+        f"filter      {filter_description}",
         f"frames      {results['frames_sent']} sent to it, {results['estimates_heard']} estimates heard "
         f"of it, {results['strangers']} from strangers; {results['error_frames']} error frames, "
         f"the bus failed {results['bus_failures']} times",

@@ -53,6 +53,7 @@ def run(args: argparse.Namespace) -> int:
 
     events_path = _check_files(args)
     summary = LogSummary()
+    # Frames are read one by one below, and the summary counts them then.
     frames = read_log(args.log, args.channel, summary)
     progress = Console(stderr=True)
     with EventsReader(events_path) as events_reader, progress.status("running the robots again"):
@@ -60,19 +61,20 @@ def run(args: argparse.Namespace) -> int:
         # The rest of the log is read to its end for the summary alone, which counts frames by channel.
         with suppress(UsageError):
             deque(frames, maxlen=0)
-    filters = describe_filters(robot.config.filter for robot in events_reader.header.robots)
+    filter_description = describe_filters(robot.config.filter for robot in events_reader.header.robots)
     if args.json:
-        print(json_report(_report(args, events_path, summary, verdict, filters)))
+        print(json_report(_report(args, events_path, summary, verdict, filter_description)))
     else:
         console = Console(soft_wrap=True)
         console.print(_table_of(verdict))
-        console.print(filters, highlight=False)
+        console.print(filter_description, highlight=False)
         print_again(args)
     if summary.warning is not None:
         warn("replay", f"of {args.log} {summary.warning}")
     if verdict.difference is not None:
         _warn_of_difference(args, verdict.difference, summary)
         return 1
+    # No broadcast differs, but none was compared, either.
     if not verdict.reproduced + verdict.falsified:
         raise UsageError(
             f"{args.log} holds no estimate of the robots in {events_path}; do they belong together?"
@@ -88,16 +90,16 @@ def _check_files(args: argparse.Namespace) -> Path:
     from mcp_asdf_tools.recording.events import events_path
     from mcp_asdf_tools.recording.frame_logs import PART, check_log
 
-    events: Path = args.events or events_path(args.log)
+    events_file: Path = args.events or events_path(args.log)
     check_log(args.log)
     if args.log.suffix == PART:
         warn("replay", f"{args.log} is incomplete: its run was cut off")
-    if args.events is None and not events.exists():
+    if args.events is None and not events_file.exists():
         raise UsageError(
-            f"there is no {events}, without which nothing can be checked: swarm, radio and node write it "
-            "beside their logs; give it as --events, or see what the frames say with mcp-asdf view"
+            f"there is no {events_file}, without which nothing can be checked: swarm, radio and node write "
+            "it beside their logs; give it as --events, or see what the frames say with mcp-asdf view"
         )
-    return events
+    return events_file
 
 
 def _warn_of_difference(args: argparse.Namespace, difference: str, summary: LogSummary) -> None:
@@ -112,16 +114,20 @@ def _warn_of_difference(args: argparse.Namespace, difference: str, summary: LogS
 
 
 def _report(
-    args: argparse.Namespace, events: Path, summary: LogSummary, verdict: ReplayVerdict, filters: str
+    args: argparse.Namespace,
+    events_file: Path,
+    summary: LogSummary,
+    verdict: ReplayVerdict,
+    filter_description: str,
 ) -> dict[str, object]:
     """Return the result as plain values for JSON."""
     from mcp_asdf_tools.recording.frame_logs import PART
 
     return {
         "log": str(args.log),
-        "events": str(events),
+        "events": str(events_file),
         "incomplete": args.log.suffix == PART,
-        "filter": filters,
+        "filter": filter_description,
         "channel": args.channel,
         "channels": summary.channels,
         "skipped_lines": summary.skipped_lines,
@@ -136,7 +142,7 @@ def _table_of(verdict: ReplayVerdict) -> Table:
     table = Table(box=None, padding=(0, 1), show_header=False)
     table.add_column(justify="right", style="bold")
     table.add_column()
-    for count, text in (
+    for count, meaning in (
         (verdict.reproduced, "broadcasts reproduced bit for bit"),
         (verdict.falsified, "broadcasts that a fault had given other values"),
         (verdict.foreign, "frames under a robot's id that it did not send"),
@@ -144,5 +150,5 @@ def _table_of(verdict: ReplayVerdict) -> Table:
         (verdict.beyond, "broadcasts after the events were cut off"),
         (verdict.other, "other frames"),
     ):
-        table.add_row(str(count), text)
+        table.add_row(str(count), meaning)
     return table

@@ -78,31 +78,34 @@ def run(args: argparse.Namespace) -> int:
 
     workers = options.workers_of(args)
     study_size = study_size_from(args)
-    folder = args.output or Path("reproduction-quick" if args.quick else "reproduction")
-    parts = [study_part for study_part in StudyPart if args.part is None or study_part.value in args.part]
-    stores = open_stores(folder, parts, study_size)
+    output_folder = args.output or Path("reproduction-quick" if args.quick else "reproduction")
+    # In the paper's order, whichever the options have.
+    study_parts = [
+        study_part for study_part in StudyPart if args.part is None or study_part.value in args.part
+    ]
+    stores = open_stores(output_folder, study_parts, study_size)
     study_results = StudyResults(_run_missing_trials(stores, workers, args))
     decisions = decide(study_results)
-    report.write_report(folder, study_results, decisions, study_size)
+    report.write_report(output_folder, study_results, decisions, study_size)
 
     claims = report.decisions_as_json(decisions, study_size)
     if args.json:
-        print(json_report({"report": str(folder / "report.html"), "claims": claims}))
+        print(json_report({"report": str(output_folder / "report.html"), "claims": claims}))
         return 0
     for claim in claims:
         print(f"{claim['verdict'] or 'too short':10} {claim['part'] or 'equations':16} {claim['claim']}")
-    print(folder / "report.html")
+    print(output_folder / "report.html")
     print_again(args, seed=study_size.seed)
     return 0
 
 
 def study_size_from(args: argparse.Namespace) -> StudySize:
     """Return how much is to be run, by the options. Raises UsageError for too few trials or steps."""
-    default = QUICK_SIZE if args.quick else PAPER_SIZE
+    default_size = QUICK_SIZE if args.quick else PAPER_SIZE
     study_size = StudySize(
-        default.trials if args.trials is None else args.trials,
-        default.steps if args.steps is None else args.steps,
-        default.seed if args.seed is None else args.seed,
+        default_size.trials if args.trials is None else args.trials,
+        default_size.steps if args.steps is None else args.steps,
+        default_size.seed if args.seed is None else args.seed,
     )
     if study_size.trials < 2:
         raise UsageError(
@@ -123,6 +126,7 @@ def open_stores(folder: Path, parts: list[StudyPart], study_size: StudySize) -> 
     from mcp_asdf_tools.experiments.store import Store
 
     try:
+        # All experiments are made first: a wrong option must leave no folder behind.
         experiments_by_part = {
             study_part: [experiment_of(cell, study_size) for cell in cells_of(study_part)]
             for study_part in parts
@@ -155,6 +159,7 @@ def _run_missing_trials(
         for study_part, store in stores.items():
             with progress(f"{study_part.value}: trials", store.missing_count, args.json) as report_progress:
                 run_sweep(store, workers, report_progress, args.scheduler)
+            # Read from the file, which also has the trials of earlier runs.
             for trials in stream_experiments(store.output):
                 trials_by_cell[cell_of(study_part, trials.experiment)] = trials
     return trials_by_cell

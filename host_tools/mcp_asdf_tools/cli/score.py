@@ -31,10 +31,12 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.experiments.result_tables import read_metadata
     from mcp_asdf_tools.experiments.results import write_csv
 
+    # The metadata come with any column, so that a single small one is read.
     metadata = read_metadata(read_table(args.file, ["trial"]))
     limits = options.limits_of(args)
     if args.csv is not None:
         write_csv(args.csv, stream_experiments(args.file), limits)
+    # Read a second time rather than kept, as a large file does not fit in memory.
     rows = summarize(stream_experiments(args.file), limits)
     if args.json:
         print(json_report({**metadata, "experiments": rows}))

@@ -38,14 +38,15 @@ def summarize(experiments: Iterable[Trials], limits: Limits) -> list[dict[str, A
 def _quartiles(trials: Trials, limits: Limits) -> dict[str, dict[str, float]]:
     """Return the quartiles of each measure over the trials, by the measure's name."""
     quartiles = {}
-    for name, values in trials.measures(limits).items():
+    for measure_name, values in trials.measures(limits).items():
         q25, median, q75 = np.percentile(values, [25, 50, 75]).tolist()
-        quartiles[name] = {"q25": q25, "median": median, "q75": q75}
+        quartiles[measure_name] = {"q25": q25, "median": median, "q75": q75}
     return quartiles
 
 
 def print_scores(rows: Sequence[dict[str, Any]], title: str) -> None:
     """Print a summary: a row for each experiment, a column for each parameter in which they differ."""
+    # What all experiments have in common would only make the table wide.
     varying_parameters = [
         name for name in rows[0]["parameters"] if len({row["parameters"][name] for row in rows}) > 1
     ]
@@ -74,10 +75,10 @@ def _describe_score(quartiles: dict[str, float]) -> str:
 
 def _caption(rows: Sequence[dict[str, Any]]) -> str:
     """Return what a summary's table has below it: the filters, and the limits of the scores."""
-    filters = sorted({row["filter"] for row in rows})
+    filter_lines = sorted({row["filter"] for row in rows})
     k_maxima = sorted({row["limits"]["k_max"] for row in rows})
     e_max = min(row["limits"]["e_max"] for row in rows)
     # Without --k-max each experiment's limit is the length of its own trials.
     k_max = f"{k_maxima[0]:g}" if len(k_maxima) == 1 else "the length of a trial"
-    limits = f"K_max {k_max}, e_max {e_max:.6g}; medians over the trials, H with quartiles"
-    return "\n".join([*filters, limits])
+    limit_text = f"K_max {k_max}, e_max {e_max:.6g}; medians over the trials, H with quartiles"
+    return "\n".join([*filter_lines, limit_text])

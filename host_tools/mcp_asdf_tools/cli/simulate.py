@@ -43,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
     workers = options.workers_of(args)
     limits = options.limits_of(args)
     robot_steps = experiment.trials * experiment.robots * experiment.steps
+    # Trials of other firmwares, which run in Python, take far longer than starting a process.
     if experiment.firmware == "native" and robot_steps < _ROBOT_STEPS_FOR_PROCESSES:
         workers = 1
     if args.output is not None:

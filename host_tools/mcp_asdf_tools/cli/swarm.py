@@ -161,11 +161,11 @@ def settings_of(args: argparse.Namespace) -> SwarmSettings:
     )
 
 
-def wiring_of(args: argparse.Namespace, settings: SwarmSettings, choice: BusChoice) -> Wiring:
+def wiring_of(args: argparse.Namespace, settings: SwarmSettings, bus_choice: BusChoice) -> Wiring:
     """Return how the robots of the swarm are connected: which robot joins which bus, and which run elsewhere.
 
-    ``choice`` is the bus of all robots without a ``--device``. Raises UsageError if the options contradict
-    each other or the settings.
+    ``bus_choice`` is the bus of all robots without a ``--device``. Raises UsageError if the options
+    contradict each other or the settings.
     """
     from mcp_asdf_tools.swarm.carrier import Wiring
     from mcp_asdf_tools.swarm.remote_robot import check_remote
@@ -177,16 +177,20 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, choice: BusChoi
     remote_robots = frozenset(range(settings.robots) if args.processes else devices)
 
     def open_bus(robot: int) -> can.BusABC:
+        """Open a connection to the bus of a robot: its device's, its own, or that of all."""
         # Robots here that share one bus share this connection, so it has to return what they send.
-        returns_own = not choice.has_channels and not remote_robots
-        return devices.get(robot, choice.of_robot(robot)).open(returns_own)
+        returns_own = not bus_choice.has_channels and not remote_robots
+        return devices.get(robot, bus_choice.of_robot(robot)).open(returns_own)
 
-    needs_bus = remote_robots or args.slcan is not None or choice.has_channels or not choice.is_private
+    # Without any of these nobody else can be on a bus, and frames go from robot to robot in memory.
+    needs_bus = (
+        remote_robots or args.slcan is not None or bus_choice.has_channels or not bus_choice.is_private
+    )
     wiring = Wiring(
         open_bus=open_bus if needs_bus else None,
-        is_shared=not choice.has_channels,
+        is_shared=not bus_choice.has_channels,
         remote=remote_robots,
-        channel=choice.channel or "",
+        channel=bus_choice.channel or "",
     )
     check_remote(settings, wiring)
     return wiring
@@ -198,21 +202,24 @@ def _parse_device(device: str) -> tuple[int, BusChoice]:
 
     from mcp_asdf_tools.bus.interfaces import BusChoice
 
-    robot, _, bus_text = device.partition("=")
+    robot_text, _, bus_text = device.partition("=")
     interface, _, channel = bus_text.partition(":")
-    if not (robot.isascii() and robot.isdigit() and channel) or interface not in can.VALID_INTERFACES:
+    # isdigit alone is also true for digits of other scripts.
+    is_robot_id = robot_text.isascii() and robot_text.isdigit()
+    if not is_robot_id or not channel or interface not in can.VALID_INTERFACES:
         raise UsageError(
             f"device is {device!r}; write ID=INTERFACE:CHANNEL, such as 3=slcan:socket://127.0.0.1:20001"
         )
-    settings: dict[str, Any] = {"channel": channel, "ignore_config": True}
+    # The bus is named in full: python-can's variables and files, which are about another, do not hold for it.
+    bus_settings: dict[str, Any] = {"channel": channel, "ignore_config": True}
     if interface == "slcan":  # python-can gives adapters two seconds to start; what answers has started
-        settings["sleep_after_open"] = 0
-    return int(robot), BusChoice(interface, settings)
+        bus_settings["sleep_after_open"] = 0
+    return int(robot_text), BusChoice(interface, bus_settings)
 
 
 @dataclass(frozen=True)
 class _RunPlan:
-    """What a run needs to know.
+    """Everything that a run needs to know.
 
     Attributes:
         args: The parsed options, for what concerns output.
@@ -237,8 +244,8 @@ def _plan_run(args: argparse.Namespace) -> _RunPlan:
     from rich.console import Console
 
     settings = settings_of(args)
-    choice = options.bus_of(args)
-    wiring = wiring_of(args, settings, choice)
+    bus_choice = options.bus_of(args)
+    wiring = wiring_of(args, settings, bus_choice)
     for option in ("pace", "port"):
         if getattr(args, option) is not None and not args.view:
             raise UsageError(f"--{option} is for the page of --view; add --view, or leave it out")
@@ -246,16 +253,16 @@ def _plan_run(args: argparse.Namespace) -> _RunPlan:
         raise UsageError(
             "--compare runs the swarm again with other filters, but robots elsewhere run once; leave it out"
         )
-    if args.slcan is not None and choice.has_channels:
+    if args.slcan is not None and bus_choice.has_channels:
         raise UsageError(
-            f"--slcan needs one bus for all, and {choice} is one for each robot; choose one of them"
+            f"--slcan needs one bus for all, and {bus_choice} is one for each robot; choose one of them"
         )
     if args.slcan is not None and settings.robots > MAX_ROBOTS_AND_TOOLS:
         raise UsageError(
             f"robots is {settings.robots}; with --slcan take at most {MAX_ROBOTS_AND_TOOLS}, since tools use "
             "the ids 126 and 127"
         )
-    return _RunPlan(args, settings, choice, wiring, Console(quiet=args.quiet or args.json))
+    return _RunPlan(args, settings, bus_choice, wiring, Console(quiet=args.quiet or args.json))
 
 
 # --- The run ---------------------------------------------------------------------------------------------
@@ -287,10 +294,11 @@ def run(args: argparse.Namespace) -> int:
     plan = _plan_run(args)
     settings = plan.settings
     results_path = None if args.log is None else results_beside(args.log)
-    header = EventsHeader(settings.robot_setups(), settings.seed, settings.frames, settings.plain())
-    recording = recording_for("swarm", args.log, header, plan.choice)
+    events_header = EventsHeader(settings.robot_setups(), settings.seed, settings.frames, settings.plain())
+    recording = recording_for("swarm", args.log, events_header, plan.choice)
     try:
         with ExitStack() as at_end:
+            # Callbacks run in reverse order: first the results are printed, then the page stays until Ctrl-C.
             recorder = _start_view(plan, at_end)
             with recording as log_outputs:
                 result = _emulate(plan, log_outputs, recorder)
@@ -299,10 +307,11 @@ def run(args: argparse.Namespace) -> int:
             if results_path is not None:
                 write_atomically(results_path, json_report(result.report) + "\n")
     except (LockstepError, CanError) as error:
+        # Robots elsewhere have not started, or their bus failed before they had.
         return report_failure("mcp-asdf swarm", str(error), args.json)
     if result.outcome.failure is not None:
-        code = report_failure("mcp-asdf swarm", f"failed in {result.outcome.failure}", args.json)
-        return exit_code_with(recording, code)
+        exit_code = report_failure("mcp-asdf swarm", f"failed in {result.outcome.failure}", args.json)
+        return exit_code_with(recording, exit_code)
     return exit_code_with(recording, INTERRUPTED if result.outcome.interrupted else 0)
 
 
@@ -325,6 +334,7 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
         slcan_port = _serve_slcan(plan, stack)
         swarm = stack.enter_context(Swarm(settings, plan.wiring, *log_outputs))
         process_robots = settings.robot_setups() if plan.args.processes else []
+        # Only processes use these subjects; without any, estimates may have a subject that would clash here.
         subjects = Subjects(estimates=settings.frames) if process_robots else Subjects()
         processes = NodeProcesses(process_robots, plan.choice.of_robot, subjects, settings.steps_per_second)
         nodes = stack.enter_context(processes)
@@ -334,14 +344,18 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
         remote_count = len(plan.wiring.remote)
         _logger.info("%d robots are up, %d of them elsewhere", settings.robots, remote_count)
         # A signal counts between two ticks, so that log and results end on a whole one.
-        with LiveView(plan.console, baselines) as live, stopping() as should_stop:
-            hooks = [hook for hook in (baselines, recorder, live) if hook is not None]
+        with LiveView(plan.console, baselines) as live_view, stopping() as should_stop:
+            # Baselines come first, since the live view shows their errors after the same tick.
+            hooks = [hook for hook in (baselines, recorder, live_view) if hook is not None]
             outcome = run_swarm(swarm, hooks, should_stop)
-    choice = plan.choice
-    report = outcome.report({"interface": choice.interface, "channel": choice.channel, "slcan": slcan_port})
+    bus_choice = plan.choice
+    report = outcome.report(
+        {"interface": bus_choice.interface, "channel": bus_choice.channel, "slcan": slcan_port}
+    )
     report["processes"] = {str(robot): node_report for robot, node_report in sorted(nodes.reports.items())}
     seconds = time.monotonic() - start_time
     if baselines is not None:
+        # They ran in this process, tick by tick between those of the swarm.
         seconds -= baselines.seconds
         if outcome.failure is None:
             report["compared"] = {
@@ -363,6 +377,7 @@ def _start_view(plan: _RunPlan, at_end: ExitStack) -> SwarmRecorder | None:
     recorder = SwarmRecorder(plan.settings, _DEFAULT_PACE if plan.args.pace is None else plan.args.pace)
     url = at_end.enter_context(serve_page(recorder.history, plan.args.port))
     announce_page(url, plan.args.json)
+    # Pushed and not a callback, which would not get to know whether an error has ended the run.
     at_end.push(lambda error_type, error, traceback: _end_view(recorder, error_type is None))
     return recorder
 
@@ -370,6 +385,7 @@ def _start_view(plan: _RunPlan, at_end: ExitStack) -> SwarmRecorder | None:
 def _end_view(recorder: SwarmRecorder, is_regular: bool) -> None:
     """Mark the run on the page as over, and wait for Ctrl-C, unless an error ended the run."""
     recorder.history.has_ended = True
+    # Who reads the results through a pipe should not wait until the page is closed.
     sys.stdout.flush()
     if is_regular:
         with stopping() as should_stop:

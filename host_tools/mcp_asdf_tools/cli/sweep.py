@@ -42,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
     output = args.output or args.file.with_suffix(".parquet")
     options.check_results_path(output)
     store = Store(output, experiments, args.record)
+    # Counted before the run, after which none is missing.
     missing_count = store.missing_count
     with (
         reporting_missing_trials([store]),

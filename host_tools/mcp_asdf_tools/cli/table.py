@@ -41,6 +41,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output is not None:
         omega, q = options.table_of(args)
         return _write(omega, q, args)
+    # These options would do nothing here, and the user should know.
     if args.omega is not None or args.neighbours is not None:
         raise UsageError("--omega and --neighbours go with --output; a table to be checked states its own")
     return _print_checks([check_file(path) for path in args.check], args.json)
@@ -52,16 +53,16 @@ def _write(omega: Decimal, q: int, args: argparse.Namespace) -> int:
     from mcp_asdf_tools.tables.thresholds import MAX_MESSAGES
 
     files = [str(path) for path in write_table(omega, q, args.output)]
-    facts = describe_table(omega, q)
+    table_facts = describe_table(omega, q)
     if args.json:
-        print(json_report({"files": files} | facts))
+        print(json_report({"files": files} | table_facts))
         return 0
-    error = facts["worst_threshold_error"]
-    beyond = ""
+    worst_error = table_facts["worst_threshold_error"]
+    error_beyond_q = ""
     if q < MAX_MESSAGES:  # of more messages than q the firmware computes a threshold, which is less exact
-        beyond = f", {error['beyond_q']:.2%} for {q} < m <= {MAX_MESSAGES}"
-    print(f"omega {omega:f}, q {q}: {facts['bytes']} bytes ({facts['bytes_formula']})")
-    print(f"worst threshold error: {error['rounding']:.2e} by rounding{beyond}")
+        error_beyond_q = f", {worst_error['beyond_q']:.2%} for {q} < m <= {MAX_MESSAGES}"
+    print(f"omega {omega:f}, q {q}: {table_facts['bytes']} bytes ({table_facts['bytes_formula']})")
+    print(f"worst threshold error: {worst_error['rounding']:.2e} by rounding{error_beyond_q}")
     print("\n".join(f"wrote {file}" for file in files))
     print_again(args, omega=omega, neighbours=q)
     return 0

@@ -71,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
     _check_recording_options(args)
     if args.export is None:
         return _serve_recording(args, _read_recording(args))
+    # The file to be written is checked before the recording is read, which may take long.
     if args.export.suffix.lower() != ".html":
         raise UsageError(f"cannot export to {args.export.name}: choose a name that ends in .html")
     check_target(args.export)
@@ -95,9 +96,9 @@ def _check_recording_options(args: argparse.Namespace) -> None:
     has_parameters = args.file.suffix.lower() in _RESULTS or events_path(args.file).exists()
     if has_parameters:  # what the frames of any other log mean is for the user to say
         unused_options += _OPTIONS_OF_FRAMES
-    for name in unused_options:
-        if getattr(args, name, None) is not None:
-            option = options.option_of(name)
+    for option_name in unused_options:
+        if getattr(args, option_name, None) is not None:
+            option = options.option_of(option_name)
             raise UsageError(f"{option} is for a bus, but {args.file} is a recording; leave one of them out")
     if args.export is not None and args.port is not None:
         raise UsageError("--port is for a page that is served, but --export writes a file; leave it out")
@@ -113,6 +114,7 @@ def _read_recording(args: argparse.Namespace) -> History:
     from mcp_asdf_tools.view.swarm_log_history import recompute_swarm_history
     from mcp_asdf_tools.view.trial_history import recompute_trial_history
 
+    # No file holds all that the page draws: the rest is computed again from seed and parameters.
     if args.file.suffix.lower() in _RESULTS:
         experiment = single_experiment(options.read_selected_experiments(args))
         return recompute_trial_history(experiment, args.trial)
@@ -160,11 +162,11 @@ def _export_recording(args: argparse.Namespace, history: History) -> int:
     from mcp_asdf_tools.common.files import write_atomically
     from mcp_asdf_tools.view.page import make_page
 
-    content = make_page(history).encode()
-    write_atomically(args.export, content)
+    page_bytes = make_page(history).encode()
+    write_atomically(args.export, page_bytes)
     if args.json:
         state_count = len(history.states_since().states)
-        print(json.dumps({"export": str(args.export), "bytes": len(content), "states": state_count}))
+        print(json.dumps({"export": str(args.export), "bytes": len(page_bytes), "states": state_count}))
     else:
         print(args.export)
     return 0
@@ -191,20 +193,21 @@ def _serve_bus(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.view.bus_recorder import BusRecorder
     from mcp_asdf_tools.view.server import serve_page
 
-    choice = options.bus_of(args)
-    if choice.interface == DEFAULT_INTERFACE:
+    bus_choice = options.bus_of(args)
+    if bus_choice.interface == DEFAULT_INTERFACE:
         raise UsageError(
-            "give a recording, or with --interface the bus of robots elsewhere: the bus "
-            f"{choice} is inside this process, where nothing else is (mcp-asdf swarm --view shows a swarm)"
+            f"give a recording, or with --interface the bus of robots elsewhere: the bus {bus_choice} is "
+            "inside this process, where nothing else is (mcp-asdf swarm --view shows a swarm)"
         )
+    # Trial 0, the default, cannot be told from a typed 0, which does no harm.
     for option in ("export", "where", "trial"):
         if getattr(args, option):
             raise UsageError(f"--{option} is for recordings, and there is none; leave it out")
     frame_format = _frame_format_of(args)
     try:
-        with choice.open() as bus, stopping() as should_stop:
+        with bus_choice.open() as bus, stopping() as should_stop:
             recorder = BusRecorder(
-                bus, frame_format, f"robots on {choice}", args.fill_ratio, args.true_accuracy
+                bus, frame_format, f"robots on {bus_choice}", args.fill_ratio, args.true_accuracy
             )
             with serve_page(recorder.history, args.port) as url:
                 announce_page(url, args.json)

@@ -35,6 +35,7 @@ class Experiment(Population):
     conventions: Convention = parameter("reading of the equations, for firmware reference", default="paper")
 
     def __post_init__(self) -> None:
+        """Check the values. Raises ParameterError as the class."""
         super().__post_init__()
         if self.conventions == "authors" and self.firmware != "reference":
             message = f"firmware {self.firmware} has no conventions of the authors; choose firmware reference"

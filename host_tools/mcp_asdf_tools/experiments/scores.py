@@ -74,6 +74,7 @@ class Limits:
     e_max: float = E_MAX
 
     def __post_init__(self) -> None:
+        """Check the values. Raises UsageError for a limit of 0 or less."""
         for name, value in (("K_max", self.k_max), ("e_max", self.e_max)):
             if value is not None and not 0 < value < float("inf"):
                 raise UsageError(f"{name} is {value}; it must be above 0")

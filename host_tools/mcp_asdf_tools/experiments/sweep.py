@@ -256,6 +256,7 @@ def end_with_parent() -> None:
     assert parent is not None
 
     def wait_for_parent() -> None:
+        """Wait until the parent has ended, and end this process."""
         parent.join()
         # sys.exit would end this thread alone.
         os._exit(1)

@@ -95,6 +95,7 @@ def peer_rows() -> dict[str, list[Experiment]]:
     """Return the experiments of two kinds of ageing and both memories, with robots that know how they age."""
     return {
         kind + memory_label: m.grid(
+            # The peers' tables have a firmware and a filter of their own, which replace the ones here.
             **{**MOVING, **KINDS_OF_AGEING[kind], "filter": "none"},
             flawed_accuracy=0.95,
             fill_ratio=0.75,

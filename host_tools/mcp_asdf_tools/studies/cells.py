@@ -29,7 +29,7 @@ PAPER_STEPS = 40_000
 
 
 class StudyPart(Enum):
-    """One of the paper's sets of experiments; its value is the name of the file that describes it."""
+    """A set of experiments of the paper; its value is the name of the file that describes it."""
 
     FULLY_CONNECTED = "fully_connected"
     DYNAMIC = "dynamic"
@@ -43,7 +43,7 @@ class StudyPart(Enum):
 
 @dataclass(frozen=True)
 class Cell:
-    """One combination of what the paper varies.
+    """A combination of what the paper varies.
 
     Attributes:
         study_part: Set of experiments that it belongs to.

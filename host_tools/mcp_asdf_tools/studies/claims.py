@@ -338,7 +338,7 @@ CLAIMS = tuple(_claim_from(name, row) for name, row in _FILE["claims"].items())
 
 @dataclass(frozen=True)
 class Decision:
-    """What the results say about a claim in one part of the study.
+    """The comparisons that decide a claim in one part of the study, and their verdict.
 
     Attributes:
         claim: The claim of the paper.

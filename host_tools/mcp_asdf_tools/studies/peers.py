@@ -104,6 +104,7 @@ class BayesCpfRobot(ReferenceRobot):
     diffusion = 0.0
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        """Start with b_hat as the estimate of b, and with nothing measured."""
         super().__init__(config, robot_id, b_hat)
         self._mean, self._variance = b_hat, 0.04  # of the estimate of b
         self._n_since_update, self._t_since_update = 0, 0
@@ -182,6 +183,7 @@ class KnownAccuracyRobot(ReferenceRobot):
     """A robot without a filter that knows its accuracy at each moment, as all drift by DRIFT_RATE."""
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        """Start with b_hat as the true accuracy, which it is where no sensor is flawed."""
         super().__init__(config, robot_id, b_hat)
         self._true_accuracy = b_hat
 
@@ -219,6 +221,7 @@ class LossyRobot(NativeRobot):
     """The firmware behind a radio that loses three messages in ten."""
 
     def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        """Start with a random sequence that belongs to the robot's id."""
         super().__init__(config, robot_id, b_hat)
         # Seeded, so that a study gives the same results each time.
         self._random = random.Random(robot_id)
@@ -272,6 +275,7 @@ class ChangingFloor:
     """
 
     def __init__(self, settings: WorldSettings, trial: int) -> None:
+        """Start before the first step of a trial; all trials are alike."""
         self._settings, self._steps = settings, 0
 
     def advance(self, steps: int) -> Accuracies:

@@ -192,6 +192,7 @@ def _describe_run(study_part: StudyPart, study_size: StudySize) -> list[object]:
 def heading_of(claim_name: str) -> str:
     """Return a claim's heading: its name with spaces, a capital, and the paper's symbols, such as "P"."""
     heading = claim_name.replace("_", " ").replace("b hat", "b_hat")
+    # Only whole words are symbols: p, but not the one in period.
     heading = re.sub(r"\bp\b", "P", heading)
     heading = re.sub(r"\bplus\b", "ASDF+", heading)
     heading = re.sub(r"\bminus\b", "ASDF\N{MINUS SIGN}", heading)

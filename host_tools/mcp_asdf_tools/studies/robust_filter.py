@@ -111,6 +111,7 @@ def beyond_rows() -> dict[str, list[Experiment]]:
         "moving, sensors age each in its own way": {**MOVING, **healthy, "sensor": WanderingSensors},
     }
     common = {"steps": 20_000, "trials": 30, "seed": 4712}
+    # Of two values for a parameter the row's own holds.
     return {label: m.grid(**{**common, **swarm}) for label, swarm in swarms.items()}
 
 

@@ -23,7 +23,7 @@ REFUTED_SHARE = 0.1
 
 
 class Expectation(Enum):
-    """What a claim says about a difference; the value is its word in ``claims.toml``."""
+    """A claim's statement about a difference; the value is its word in ``claims.toml``."""
 
     ABOVE = "above"
     BELOW = "below"
@@ -44,7 +44,7 @@ class Scope(Enum):
 
 
 class Verdict(Enum):
-    """What the trials say about a claim."""
+    """The outcome of a claim's comparisons."""
 
     AGREE = "agree"
     MIXED = "mixed"
