@@ -108,6 +108,7 @@ def simulate(
     from mcp_asdf_tools.experiments.store import Store
     from mcp_asdf_tools.experiments.sweep import run_sweep
 
+    # The store finds what earlier calls have finished, so that only the rest is run.
     store = Store(Path(output), experiment_list, record)
     with progress("trials", store.missing_count, quiet) as report:
         run_sweep(store, workers, report)

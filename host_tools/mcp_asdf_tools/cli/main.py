@@ -193,6 +193,7 @@ def _import_all(module_names: Iterable[str]) -> list[ModuleType]:
 def _parser_for(command_name: str, command: Command) -> Parser:
     """Return the parser of a command, with the options that all commands have and with its own."""
     parser = Parser(f"{PROGRAM} {command_name}", COMMANDS[command_name], command.EPILOG)
+    # Added first, so that the help of every command begins with them.
     parser.add_argument("--json", action="store_true", help="print the result as JSON, for machines")
     parser.add_argument(
         "-v",

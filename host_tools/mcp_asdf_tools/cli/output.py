@@ -103,6 +103,7 @@ def recording_for(
         log_path,
         header,
         lambda message: warn(command_name, message),
+        # A log names the bus in every line, and some interfaces have no channel.
         bus_choice.channel or bus_choice.interface,
     )
 

@@ -92,6 +92,7 @@ def _check_files(args: argparse.Namespace) -> Path:
 
     events_file: Path = args.events or events_path(args.log)
     check_log(args.log)
+    # A log keeps this suffix if its run did not end.
     if args.log.suffix == PART:
         warn("replay", f"{args.log} is incomplete: its run was cut off")
     if args.events is None and not events_file.exists():

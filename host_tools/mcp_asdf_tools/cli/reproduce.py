@@ -111,6 +111,7 @@ def study_size_from(args: argparse.Namespace) -> StudySize:
         raise UsageError(
             f"--trials is {study_size.trials}; give at least 2: one says nothing of how sure it is"
         )
+    # In fewer steps the robots with this period would never filter.
     longest_period = FILTER_PERIODS[-1]
     if study_size.steps < longest_period:
         raise UsageError(f"--steps is {study_size.steps}; give at least {longest_period}: the longest tau")

@@ -137,6 +137,7 @@ def _read_frame_history(args: argparse.Namespace) -> History:
     from mcp_asdf_tools.recording.events import events_path
     from mcp_asdf_tools.view.frame_log_history import read_frame_history
 
+    # An option of the bus that was left out is no attribute.
     channel = getattr(args, "channel", None)
     frame_history = read_frame_history(
         args.file, _frame_format_of(args), channel, args.fill_ratio, args.true_accuracy

@@ -285,6 +285,7 @@ def _check_former_parameters(path: Path, file: Any, row_group_index: int) -> Non
         with _name_file_in_errors(path):
             column = file.read_row_group(row_group_index, columns=[parameter_name])[parameter_name]
             values = column.unique().to_pylist()
+        # An old file may have the column, as long as the parameter did nothing in any row.
         if values != [value_without_effect]:
             raise UsageError(
                 f"{path} has results with {parameter_name}, a parameter of earlier versions; "
@@ -303,6 +304,7 @@ def _check_schema(path: Path, schema: Any) -> None:
         raise UsageError(f"{path} is damaged: it has no {missing_names}; run mcp-asdf sweep again")
     for column_name, column_type in column_types().items():
         column_count = schema.names.count(column_name)
+        # Parquet allows two columns of one name, which could not be told apart.
         if column_count > 1 or (column_count == 1 and schema.field(column_name).type != column_type):
             problem = f"column {column_name} is not {column_type}"
             raise UsageError(f"{path} is damaged: {problem}; run mcp-asdf sweep again")

@@ -123,6 +123,7 @@ def add_missing_parameters(table: pa.Table, row_count: int) -> pa.Table:
             arrays_by_column[column_name] = pa.repeat(
                 pa.scalar(defaults[column_name], column_type), row_count
             )
+    # Columns that this version does not know stay, behind the others.
     arrays_by_column |= {
         column_name: table[column_name]
         for column_name in table.column_names

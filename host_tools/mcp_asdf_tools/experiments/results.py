@@ -183,6 +183,7 @@ def _csv_results(trials: Trials, limits: Limits) -> dict[str, NDArray[Any]]:
         "mean_b_hat": _mean_final_b_hat(trials),
         "tests": trials.tests.sum(axis=robot_axis),
         "updates": trials.updates.sum(axis=robot_axis),
+        # The same in all lines of an experiment, but any line can be read alone.
         "K_max": np.full(trial_count, k_max),
         "e_max": np.full(trial_count, e_max),
     }

@@ -155,6 +155,7 @@ class Store:
         Raises UsageError if another process is at work on it, or if the folder cannot be created.
         """
         try:
+            # The folder may be left of an interrupted run: what keeps others out is the lock in it.
             self.parts.mkdir(exist_ok=True)
             owner_id = lock_file(self._lock_path)
         except OSError as error:

@@ -67,6 +67,7 @@ def _concatenate(batches: Sequence[Trials]) -> Trials:
         name: np.concatenate([trials.records[name] for trials in batches]) for name in batches[0].records
     }
     numbers = [number for trials in batches for number in trials.numbers]
+    # Experiment and sampling interval are the same in all batches.
     return replace(batches[0], numbers=numbers, records=records, **arrays)
 
 
@@ -112,6 +113,7 @@ def _load_engine() -> ModuleType:
 def _run_native(experiment: Experiment, numbers: range, sampling_interval: int) -> Trials:
     """Run trials of consecutive numbers in the C engine, and convert its integers to the paper's units."""
     engine_trials = _load_engine().run(experiment, numbers[0], len(numbers), sampling_interval)
+    # The engine counts x in units of 1 / ONE, and b_hat in units of 2^-32.
     convergence_steps, errors = _convergence_and_errors(experiment, engine_trials.x, unit=1 / ONE)
     counters = engine_trials.counters
     records = _records_in_paper_units(experiment, engine_trials.records) if sampling_interval else {}

@@ -127,6 +127,7 @@ def cell_of(study_part: StudyPart, experiment: Experiment) -> Cell:
         fill_ratio=experiment.fill_ratio,
         true_accuracy=experiment.true_accuracy,
         flawed_accuracy=experiment.flawed_accuracy,
+        # An experiment has a number of flawed robots, the paper a percentage.
         flawed_percent=round(100 * experiment.flawed / experiment.robots),
         filter=experiment.filter,
         filter_period=experiment.filter_period,

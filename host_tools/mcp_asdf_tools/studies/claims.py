@@ -115,6 +115,7 @@ class Contrast:
         )
         cells: list[Cell] = []
         for filter_name, (fill_ratio, accuracy), flawed_accuracy, percent, period in value_combinations:
+            # These robots would be right, and not flawed.
             if flawed_accuracy == accuracy:
                 continue
             cell = Cell(

@@ -98,6 +98,7 @@ def draw_pictures(study_results: StudyResults, study_size: StudySize) -> Iterato
         yield _draw_boxes_by_topology(study_results, ASDF_PLUS)
     if StudyPart.FULLY_CONNECTED in parts:
         yield _draw_single_trials(study_size)
+    # Of physical robots the paper has two such figures, 8a and 8b.
     if StudyPart.PHYSICAL in parts:
         yield _draw_score_boxes(study_results, StudyPart.PHYSICAL, ASDF_PLUS)
         yield _draw_score_scatter(study_results, StudyPart.PHYSICAL)
@@ -132,6 +133,7 @@ def _select_with_shortest_period(
         if trials.experiment.filter_period == SHORTEST_PERIOD
     ]
     selected = [trials for trials in [*unfiltered, *filtered] if trials.experiment.filter in filter_names]
+    # The study has run these swarms once, under the name of the other filter.
     if ASDF_MINUS in filter_names:
         same_as_asdf_minus = [trials for trials in unfiltered if trials.experiment.flawed == 0]
         same_as_asdf_minus += [trials for trials in filtered if _all_flawed(trials.experiment)]

@@ -284,6 +284,8 @@ class ChangingFloor:
         black_readings_after = FLOOR_AFTER_CHANGE * b + (1 - FLOOR_AFTER_CHANGE) * (1 - b)
         # f b black readings come from black tiles; white tiles have to give the rest.
         white_accuracy_after = 1 - (black_readings_after - f * b) / (1 - f)
+        # A column, as accuracies have a row for each step. One entry stands for all robots, and on black
+        # tiles for all steps, too.
         step = np.arange(self._steps, self._steps + steps)[:, np.newaxis]
         self._steps += steps
         is_before_change = step < self._settings.steps // 2

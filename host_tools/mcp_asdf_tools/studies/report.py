@@ -272,7 +272,7 @@ def _relative_agreement(comparison: Comparison) -> float:
             return -abs(value)
         case Expectation.ABOVE | Expectation.NOT_BELOW:
             return value
-        case _:
+        case Expectation.BELOW | Expectation.NOT_ABOVE:
             return -value
 
 

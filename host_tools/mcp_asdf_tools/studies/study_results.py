@@ -98,6 +98,7 @@ class StudyResults:
         e_differences: list[float] = []
         for trials in self.trials_of(study_part):
             # Both arrays have the shape (trials, robots).
+            # ptp is the largest value less the smallest, here over the robots of a trial.
             k_differences.append(float(np.ptp(trials.convergence_steps, axis=1).max()))
             e_differences.append(float(np.ptp(trials.errors, axis=1).max()))
         return {"K": max(k_differences), "e": max(e_differences)}

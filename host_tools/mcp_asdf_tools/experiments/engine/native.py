@@ -143,6 +143,7 @@ class EngineTrials:
         """Return the state of each robot at the end, as the firmware saves it."""
         images = [_engine.ffi.new("uint8_t[]", _engine.lib.MCP_ASDF_IMAGE_SIZE) for _ in self.robots]
         for index, image in enumerate(images):
+            # The function in C takes a pointer to one robot of the array.
             _engine.lib.mcp_asdf_save(_engine.ffi.addressof(self.robots, index), image)
         return [bytes(image) for image in images]
 

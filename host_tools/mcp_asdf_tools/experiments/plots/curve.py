@@ -142,6 +142,7 @@ def _draw_curve(
     measured_x = [x for x in x_values if x in samples]
     has_long_texts = any(isinstance(x, str) and len(x) > MAX_LABEL_LENGTH for x in x_values)
     if measured_x:
+        # Long texts are labels of the axis, at the positions 0, 1, 2 and so on.
         positions = [x_values.index(x) for x in measured_x] if has_long_texts else measured_x
         draw_band(axes, positions, median_intervals(samples[x] for x in measured_x), colour, "o-")
     if has_long_texts:

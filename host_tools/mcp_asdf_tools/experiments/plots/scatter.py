@@ -47,6 +47,7 @@ def plot_scatter(
     fill_ratios = sorted_attributes(experiments, "fill_ratio")
     accuracies = sorted_attributes(experiments, "true_accuracy")
     shares = sorted({flawed_share(trials.experiment) for trials in experiments})
+    # A row of panels for each series and f, a column for each P.
     rows = [(series, f) for series in all_series for f in fill_ratios]
     figure, grid = create_panel_grid(len(rows), len(shares), panel_height=1.7, series_count=len(all_series))
     # An entry of the legend for each b and offset of b_hat that occurs.
