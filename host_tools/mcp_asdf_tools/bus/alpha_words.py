@@ -41,6 +41,7 @@ def alpha_word_from_float32_bits(bits: int) -> int:
     Parts smaller than 2**-24 are lost; numbers above the largest confidence, 2**31 - 2**7, become that. Of
     the words with the same value the result is the one with the smallest shift.
     """
+    # The sign bit of a number >= 0 is 0: above the fraction there is only the biased exponent.
     mantissa = (bits & FRACTION_MASK) | IMPLICIT_BIT
     shift = (bits >> FRACTION_BITS) - UNIT_EXPONENT
     if shift > SHIFT_MAX:

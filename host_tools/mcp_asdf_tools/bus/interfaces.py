@@ -235,7 +235,8 @@ class Connection(can.BusABC):
         if is_undecodable:
             if self._was_undecodable:
                 time.sleep(_PAUSE_AFTER_FAILURE)  # an interface that always fails would keep the CPU busy
-            frame, has_passed_filters = self._create_error_frame(time.time()), True
+            frame = self._create_error_frame(time.time())
+            has_passed_filters = True
         self._was_undecodable = is_undecodable
         return frame, has_passed_filters
 
@@ -345,12 +346,13 @@ class Multicast(Connection):
         Returns None early, after an own frame that is not returned.
         """
         while (received := self._group.recv(timeout)) is not None:
-            datagram, _, timestamp = received
+            datagram, _sender_address, timestamp = received
             own_frame = self._pop_own_frame(datagram)
             if own_frame is None:
                 return self._decode(datagram, timestamp)
             if self._returns_own:
-                own_frame.timestamp, own_frame.channel = timestamp, self.channel_info
+                own_frame.timestamp = timestamp
+                own_frame.channel = self.channel_info
                 return own_frame, True
             timeout = 0.0  # the caller waits again for the rest of its time
         return None, False
@@ -371,7 +373,8 @@ class Multicast(Connection):
         frame = unpack_data_frame(datagram)
         if frame is None:
             return self._create_error_frame(timestamp), True
-        frame.timestamp, frame.channel = timestamp, self.channel_info
+        frame.timestamp = timestamp
+        frame.channel = self.channel_info
         return frame, False
 
 

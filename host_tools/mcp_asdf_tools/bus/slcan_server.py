@@ -58,6 +58,7 @@ class SlcanServer:
         except UsageError:
             bus.shutdown()
             raise
+        # If ``port`` is 0, the system has chosen a free one.
         self.port: int = self._listener.getsockname()[1]
         # The threads start last, as they use all that is set above. The notifier ends within its timeout.
         self._notifier = can.Notifier(bus, [self._forward_to_client], timeout=0.1)
@@ -92,7 +93,8 @@ class SlcanServer:
                     if self._is_closing:
                         return
                     self._answer_lines(client)
-                self._is_channel_open, self._client = False, None
+                self._is_channel_open = False
+                self._client = None
 
     def _answer_lines(self, client: socket.socket) -> None:
         """Answer each line of the client, until it leaves."""
@@ -160,7 +162,8 @@ def format_frame_line(frame: can.Message) -> bytes:
     identifier = f"{frame.arbitration_id:03X}"
     if frame.is_extended_id:
         # A capital letter announces an identifier of 29 bits.
-        command, identifier = command.upper(), f"{frame.arbitration_id:08X}"
+        command = command.upper()
+        identifier = f"{frame.arbitration_id:08X}"
     data = "" if frame.is_remote_frame else frame.data.hex().upper()
     return f"{command}{identifier}{frame.dlc}{data}\r".encode()
 

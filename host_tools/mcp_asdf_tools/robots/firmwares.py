@@ -63,7 +63,8 @@ def load_firmware(name: str) -> RobotMaker:
     if name not in FIRMWARES:
         if name not in firmware_names():
             raise UsageError(f"firmware is {name!r}; choose one of {', '.join(firmware_names())}")
-        return partial(_make_by_extension, name, extensions.load(extensions.FIRMWARES, name))
+        extension = extensions.load(extensions.FIRMWARES, name)
+        return partial(_make_by_extension, name, extension)
     module, class_name = FIRMWARES[name]
     # Imported only now: the native firmware may not have been built, and the others do not need it.
     try:

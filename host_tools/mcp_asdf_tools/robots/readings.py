@@ -110,7 +110,9 @@ class _Columns:
             )
         # A name of the row stands first, and moves the columns that the header names.
         offset = 1 if has_row_name else 0
-        return fields[self.reading_index + offset], fields[self.colour_index + offset]
+        reading_text = fields[self.reading_index + offset]
+        colour_text = fields[self.colour_index + offset]
+        return reading_text, colour_text
 
 
 def _columns_of_header(fields: Sequence[str], position: str) -> _Columns | None:

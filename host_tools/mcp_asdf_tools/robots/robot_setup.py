@@ -143,7 +143,8 @@ class RobotSetup:
         for name, kind in _TYPES.items():
             if type(plain[name]) is not kind:
                 raise UsageError(f"{name} is {plain[name]!r}; give {_TYPE_NAMES[kind]}")
-        comms_period, filter_period = plain["comms_period"], plain["filter_period"]
+        comms_period = plain["comms_period"]
+        filter_period = plain["filter_period"]
         _check_periods(comms_period, filter_period)
         firmware_filter = _FILTERS_BY_NAME[plain["filter"]]
         config = Config(table, firmware_filter, filter_period // comms_period, plain["memory"])

@@ -119,7 +119,8 @@ class ExpectingConnection:
             SwarmError: If ``timeout`` is None, and a frame is missing after FRAME_TIMEOUT seconds.
         """
         awaited = [*self._overdue, *expected]
-        received = self._read_awaited(awaited, FRAME_TIMEOUT if timeout is None else timeout)
+        seconds = FRAME_TIMEOUT if timeout is None else timeout
+        received = self._read_awaited(awaited, seconds)
         missing_indices = [index for index in range(len(awaited)) if index not in received]
         missing = [awaited[index] for index in missing_indices]
         # In lockstep every frame has to arrive, since the run could not be repeated otherwise.
@@ -138,6 +139,7 @@ class ExpectingConnection:
         Others that arrive meanwhile are reported as unexpected. Of frames that are alike, those sent first
         count as received first.
         """
+        # Indices in ``awaited`` of the frames that have not arrived, by what a bus preserves of them.
         pending: defaultdict[tuple[int, bytes], deque[int]] = defaultdict(deque)
         for index, sent_frame in enumerate(awaited):
             pending[_identifier_and_data(sent_frame.frame)].append(index)
@@ -146,6 +148,7 @@ class ExpectingConnection:
         deadline = time.monotonic() + seconds
         reads_after_deadline = 0
         while len(received) < len(awaited) and reads_after_deadline < _MAX_READS_AFTER_DEADLINE:
+            # After the deadline the timeout is 0: what waits in the receive buffer already is still read.
             seconds_left = max(0.0, deadline - time.monotonic())
             if seconds_left == 0.0:
                 reads_after_deadline += 1

@@ -179,7 +179,8 @@ def _robot_results(swarm: Swarm, node: BusRobot) -> dict[str, Any]:
     number of observations, ``x`` the estimate, ``b_hat`` the assumed accuracy. ``tests`` is None for a remote
     robot.
     """
-    reception, counters = node.reception, node.counters
+    reception = node.reception
+    counters = node.counters
     return {
         "id": node.id,
         "delivered": reception.delivered,

@@ -146,7 +146,8 @@ def _fault_lines(results: dict[str, Any]) -> Iterator[Row]:
     if not results["faults"]:
         return
     frames = results["frames"]
-    arrived, in_range = frames["arrived"], frames["in_range"]
+    arrived = frames["arrived"]
+    in_range = frames["in_range"]
     share = arrived / in_range if in_range else 0.0
     yield "arrived", f"{arrived} of {in_range} frames, {share:.1%}; {frames['on_the_bus']} on the bus"
     for fault in results["faults"]:
@@ -174,7 +175,8 @@ def _clock_lines(results: dict[str, Any]) -> Iterator[Row]:
     clock = results["clock"]
     if clock is None:
         return
-    mean_ms, maximum_ms = 1e3 * clock["mean_lateness"], 1e3 * clock["max_lateness"]
+    mean_ms = 1e3 * clock["mean_lateness"]
+    maximum_ms = 1e3 * clock["max_lateness"]
     drift_ms = 1e3 * clock["drift"]
     yield (
         "clock",

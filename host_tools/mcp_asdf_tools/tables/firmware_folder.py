@@ -67,7 +67,8 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
     other_tables = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in texts]
     if not force:
         old_checksums = _read_checksums(folder / _CHECKSUMS_FILE)
-        _check_unchanged([*other_tables, *(folder / name for name in texts)], old_checksums, checksums)
+        replaced_files = [folder / name for name in texts]
+        _check_unchanged([*other_tables, *replaced_files], old_checksums, checksums)
     # The file of checksums cannot hold its own, so it is added when all others have theirs.
     texts[_CHECKSUMS_FILE] = "".join(f"{checksum}  {name}\n" for name, checksum in checksums.items())
     text_by_path = {folder / name: content for name, content in texts.items()}

@@ -37,7 +37,7 @@ def table_name(omega: Decimal, q: int) -> str:
     0.05, 10 is 0.1, 125 is 0.125. No two tables share a name.
     """
     # In its shortest form 0.10 and 0.1 are the same omega, and so have the same name.
-    decimal_places = f"{omega.normalize():f}".partition(".")[2]
+    _, _, decimal_places = f"{omega.normalize():f}".partition(".")
     return f"t_table_omega{decimal_places:0<2}_q{q}"
 
 
@@ -46,6 +46,8 @@ def describe_table(omega: Decimal, q: int) -> dict[str, Any]:
     table = generate(omega, q)
     table_words = table.words()
     error = worst_threshold_error(omega, table)
+    # The words as they lie in the memory of a controller with little-endian numbers.
+    packed_words = struct.pack(f"<{len(table_words)}I", *table_words)
     return {
         "symbol": f"mcp_asdf_{table_name(omega, q)}",
         "omega": float(omega),
@@ -55,11 +57,11 @@ def describe_table(omega: Decimal, q: int) -> dict[str, Any]:
         "format_version": FORMAT_VERSION,
         "generator": "mcp-asdf table",
         "generator_version": GENERATOR_VERSION,
-        "bytes": 4 * len(table_words),
+        "bytes": len(packed_words),
         "bytes_formula": "12 + 4 q",
         "worst_threshold_error": {"rounding": error.rounding, "beyond_q": error.beyond_q},
         "checksum": table_words[-1],
-        "sha256": hashlib.sha256(struct.pack(f"<{len(table_words)}I", *table_words)).hexdigest(),
+        "sha256": hashlib.sha256(packed_words).hexdigest(),
         "fraction_bits": FRACTION_BITS,
         "entries": list(table.entries),
     }
@@ -119,11 +121,11 @@ def format_c_source(omega: Decimal, q: int) -> str:
 
 def _format_initializers(table: Table) -> str:
     """Return the lines of the C array: one word a line, with its meaning as a comment."""
-    thresholds = [entry / 2**FRACTION_BITS for entry in table.entries]
+    *exact_thresholds, common_threshold = [entry / 2**FRACTION_BITS for entry in table.entries]
     # The words in their order: two of a header, k_m for m = 2 .. q, one for all m above q, and the checksum.
     comments = ["magic, q", "omega * 2^32"]
-    comments += [f"m = {m}: {threshold:.9f}" for m, threshold in enumerate(thresholds[:-1], start=2)]
-    comments += [f"m > {table.q}: {thresholds[-1]:.9f}", "checksum"]
+    comments += [f"m = {m}: {threshold:.9f}" for m, threshold in enumerate(exact_thresholds, start=2)]
+    comments += [f"m > {table.q}: {common_threshold:.9f}", "checksum"]
     return "\n".join(
         f"    0x{word:08X}U, /* {comment} */" for word, comment in zip(table.words(), comments, strict=True)
     )
@@ -177,7 +179,8 @@ def check_file(path: Path) -> TableCheck:
         raise UsageError(f"{path} names no array mcp_asdf_t_table_omega.._q..; make it anew with --output")
     try:
         # The name holds the decimal places of omega: omega05 stands for 0.05.
-        omega, q = parse_omega(f"0.{match[1]}"), check_q(int(match[2]))
+        omega = parse_omega(f"0.{match[1]}")
+        q = check_q(int(match[2]))
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
     # Omega and q determine every byte, so the right file is the one that is generated from them now.

@@ -81,10 +81,12 @@ def generate(omega: Decimal, q: int) -> Table:
     Every entry is the multiple of 2**-26 nearest to k_m. Takes about 0.1 s. Raises UsageError unless
     ``parse_omega`` and ``check_q`` accept both.
     """
-    omega, q = parse_omega(str(omega)), check_q(q)
+    omega = parse_omega(str(omega))
+    check_q(q)
     with mp.workdps(_DECIMAL_DIGITS):
         exact_thresholds = true_thresholds(omega)[: q - 1]  # for m = 2 .. q
         common_threshold = _threshold(_normal_quantile(omega), q + 1)  # for all m above q
+        # In units of 2**-26, rounded to the nearest.
         entries = [
             int(mp.nint(mp.ldexp(threshold, FRACTION_BITS)))
             for threshold in (*exact_thresholds, common_threshold)
@@ -122,7 +124,8 @@ def _t_quantile(omega: mpf, degrees_of_freedom: int, start: mpf) -> mpf:
     is not upward is rounding noise.
     """
     # The root of P(|T| < t) - omega, whose derivative is the density of |T|.
-    quantile, step = start, mp.inf
+    quantile = start
+    step = mp.inf
     while step > _NEGLIGIBLE_STEP:
         missing_probability = omega - _central_probability(quantile, degrees_of_freedom)
         step = missing_probability / _density(quantile, degrees_of_freedom)
@@ -168,10 +171,11 @@ def worst_threshold_error(omega: Decimal, table: Table) -> ThresholdError:
             # Eq. 12 compares with sqrt(k_m), of which this is the relative error.
             errors.append(abs(mp.sqrt(table_threshold / true_threshold) - 1))
         # The errors begin with m = 2: the first q - 1 are those of m = 2 .. q.
-        own_entries, shared_entry = errors[: table.q - 1], errors[table.q - 1 :]
+        exact_entry_errors = errors[: table.q - 1]
+        common_entry_errors = errors[table.q - 1 :]
         return ThresholdError(
-            rounding=_round_up(max(own_entries)),
-            beyond_q=_round_up(max(shared_entry, default=mpf(0))),
+            rounding=_round_up(max(exact_entry_errors)),
+            beyond_q=_round_up(max(common_entry_errors, default=mpf(0))),
         )
 
 

@@ -12,8 +12,10 @@ from mcp_asdf_tools.common.parameters import ParameterError
 CODE_MODULES = 100
 """Modules along a side of the pattern; a module is its smallest square."""
 
-_FINDER_MODULES, _LOGO_MODULES = 7, 32
-"""Modules along a side of a finder pattern and of the logo."""
+_FINDER_MODULES = 7
+"""Modules along a side of a finder pattern."""
+_LOGO_MODULES = 32
+"""Modules along a side of the logo."""
 _SEED = 448
 """Seed of the modules that are black outside the fixed patterns."""
 
@@ -67,7 +69,8 @@ def _fixed_patterns() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     finder[2:-2, 2:-2] = True
     first_of_last_finder = side - _FINDER_MODULES
     for row, column in ((0, 0), (0, first_of_last_finder), (first_of_last_finder, 0)):
-        end_row, end_column = row + _FINDER_MODULES, column + _FINDER_MODULES
+        end_row = row + _FINDER_MODULES
+        end_column = column + _FINDER_MODULES
         is_black[row:end_row, column:end_column] = finder
         # With the margin, which the edge of the code cuts off on two sides.
         is_fixed[max(0, row - 1) : end_row + 1, max(0, column - 1) : end_column + 1] = True
@@ -75,7 +78,8 @@ def _fixed_patterns() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     # A timing line leads from margin to margin of two finders, level with their inner edges. Its modules are
     # black and white in turn, the first one black.
     timing_row = timing_column = _FINDER_MODULES - 1
-    start, end = _FINDER_MODULES + 1, first_of_last_finder - 1
+    start = _FINDER_MODULES + 1
+    end = first_of_last_finder - 1
     timing_line = np.arange(end - start) % 2 == 0
     is_black[timing_row, start:end] = timing_line
     is_black[start:end, timing_column] = timing_line

@@ -131,7 +131,8 @@ def _format_edges(graph: Any) -> list[str]:
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and texts and files need none of it)
 
-    pairs, is_directed = graph, False
+    pairs = graph
+    is_directed = False
     # A boolean array has a link for each True, and a graph of networkx knows whether its edges have a
     # direction. Anything else is iterated as pairs, below.
     if isinstance(graph, np.ndarray) and graph.dtype == np.bool_:
@@ -140,7 +141,8 @@ def _format_edges(graph: Any) -> list[str]:
         pairs = [(sender, receiver) for receiver, sender in np.argwhere(graph)]
         is_directed = True
     elif hasattr(graph, "is_directed") and hasattr(graph, "edges"):
-        pairs, is_directed = list(graph.edges()), graph.is_directed()
+        pairs = list(graph.edges())
+        is_directed = graph.is_directed()
     sign = "> " if is_directed else ""
     # operator.index takes integers of any kind, and refuses all that is none.
     try:

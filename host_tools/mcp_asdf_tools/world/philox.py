@@ -28,7 +28,8 @@ _KEY_INCREMENTS = 0x9E3779B9, 0xBB67AE85
 """What the key's words grow by from round to round."""
 _LOW_WORD = 0xFFFFFFFF
 """Mask of the lower 32 bits."""
-_LOW_WORD_MASK, _WORD_BITS = np.uint64(_LOW_WORD), np.uint64(32)
+_LOW_WORD_MASK = np.uint64(_LOW_WORD)
+_WORD_BITS = np.uint64(32)
 _WORDS_IN_BLOCK = 4
 
 WordArray = NDArray[np.uint64]
@@ -49,7 +50,8 @@ def philox(
         k0 = np.uint64((key[0] + round_index * _KEY_INCREMENTS[0]) & _LOW_WORD)
         k1 = np.uint64((key[1] + round_index * _KEY_INCREMENTS[1]) & _LOW_WORD)
         # Products have 64 bits; their upper and lower words go different ways.
-        product0, product2 = c0 * _MULTIPLIERS[0], c2 * _MULTIPLIERS[1]
+        product0 = c0 * _MULTIPLIERS[0]
+        product2 = c2 * _MULTIPLIERS[1]
         c0, c1, c2, c3 = (
             (product2 >> _WORD_BITS) ^ c1 ^ k0,
             product2 & _LOW_WORD_MASK,
@@ -84,7 +86,8 @@ class Stream(NamedTuple):
             np.arange(self.robots, dtype=np.uint64),
             indexing="ij",
         )
-        trial, stream = np.full_like(block, self.trial), np.full_like(block, self.number)
+        trial = np.full_like(block, self.trial)
+        stream = np.full_like(block, self.number)
         key = (self.seed & _LOW_WORD, self.seed >> 32)
         block_words = philox((block, robot, trial, stream), key)
         # Four arrays of shape (blocks, robots) are stacked to (blocks, 4, robots): the four words of a block

@@ -85,7 +85,8 @@ class CheckedSensors:
 
         ``has_one_accuracy`` is the promise that ``SensorModel`` describes, if the extension makes it.
         """
-        self._model, self._settings = model, settings
+        self._model = model
+        self._settings = settings
         self._has_one_accuracy = has_one_accuracy
 
     def advance(self, steps: int) -> Accuracies:
@@ -94,8 +95,9 @@ class CheckedSensors:
         Raises UsageError unless they have the shapes of ``Accuracies`` and are 0 to 1, and are the same on
         black and white if the extension promises so.
         """
-        on_black, on_white = self._model.advance(steps)
-        on_black, on_white = self._checked(on_black, steps), self._checked(on_white, steps)
+        unchecked_on_black, unchecked_on_white = self._model.advance(steps)
+        on_black = self._checked(unchecked_on_black, steps)
+        on_white = self._checked(unchecked_on_white, steps)
         if self._has_one_accuracy and not np.array_equal(on_black, on_white):
             raise UsageError(
                 f"sensor {self._settings.sensor} gives accuracies on white tiles that differ from those on "
@@ -108,9 +110,14 @@ class CheckedSensors:
 
         Raises UsageError unless its shape is (steps or 1, robots or 1) and all values are 0 to 1.
         """
-        name, robots = self._settings.sensor, self._settings.robots
+        name = self._settings.sensor
+        robots = self._settings.robots
         values = np.asarray(accuracies, dtype=np.float64)
-        if values.ndim != 2 or values.shape[0] not in (1, steps) or values.shape[1] not in (1, robots):
+        # The number of axes first: an array with one of them has no shape[1].
+        has_legal_shape = (
+            values.ndim == 2 and values.shape[0] in (1, steps) and values.shape[1] in (1, robots)
+        )
+        if not has_legal_shape:
             raise UsageError(
                 f"sensor {name} gives shape {values.shape}; return ({steps} or 1, {robots} or 1)"
             )
@@ -161,7 +168,9 @@ def black_probabilities(
         probability = _to_integer_units(black_and_correct + white_and_mistaken)
         return probability, probability
     # On white a robot reports black by mistake: with the probability that is left.
-    return _to_integer_units(accuracy_on_black), np.uint32(CERTAIN) - _to_integer_units(accuracy_on_white)
+    black_on_black = _to_integer_units(accuracy_on_black)
+    black_on_white = np.uint32(CERTAIN) - _to_integer_units(accuracy_on_white)
+    return black_on_black, black_on_white
 
 
 def _to_integer_units(probabilities: NDArray[np.float64]) -> NDArray[np.uint32]:

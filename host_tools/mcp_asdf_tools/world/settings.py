@@ -221,7 +221,8 @@ class WorldSettings:
                     message = f"{name} is {value} but robots do not move; choose topology dynamic"
                     raise ParameterError(name, message)
         # Edges without the topology graph would have no effect, and that topology needs some.
-        needs_graph, has_graph = self.topology == "graph", isinstance(self.graph, Graph)
+        needs_graph = self.topology == "graph"
+        has_graph = isinstance(self.graph, Graph)
         if needs_graph != has_graph:
             fix = "give its edges" if needs_graph else "choose topology graph"
             raise ParameterError("graph", f"graph is {str(self.graph)!r}: {fix}")
@@ -244,8 +245,10 @@ class WorldSettings:
             message = f"drift_rate is {self.drift_rate} but drift is none; choose a drift"
             raise ParameterError("drift_rate", message)
         if self.drift != "none" and self.lowest_accuracy > self.true_accuracy:
-            lowest, start = self.lowest_accuracy, self.true_accuracy
-            message = f"lowest_accuracy is {lowest}; it must be at most true_accuracy, {start}"
+            message = (
+                f"lowest_accuracy is {self.lowest_accuracy}; it must be at most true_accuracy, "
+                f"{self.true_accuracy}"
+            )
             raise ParameterError("lowest_accuracy", message)
 
 
@@ -284,7 +287,8 @@ def _check_sides(settings: WorldSettings) -> None:
     A side of 0 is not given. Nor is a density of its default value, which is therefore let through beside
     the sides, and has no effect.
     """
-    has_width, has_height = settings.width != 0, settings.height != 0
+    has_width = settings.width != 0
+    has_height = settings.height != 0
     has_density = settings.density != _default_of(settings, "density")
     if has_width and has_density:
         raise ParameterError("density", "density and width say how large the arena is; give one of them")

@@ -39,7 +39,9 @@ class CheckedTopology:
 
     def __init__(self, topology: Topology, name: str, robots: int) -> None:
         """Take the topology of ``robots`` robots that is installed under ``name``, for messages."""
-        self._topology, self._name, self._robots = topology, name, robots
+        self._topology = topology
+        self._name = name
+        self._robots = robots
 
     def advance(self, steps: int) -> NDArray[np.bool_]:
         """Return the extension's answer for the next steps, shape (steps, N, N). O(steps N^2).

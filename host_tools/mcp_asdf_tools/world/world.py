@@ -72,7 +72,8 @@ class World:
         The Scene holds what sensors report, which steps have an observation, who receives from whom, where
         the robots are (None if they do not move), and how accurate their sensors are.
         """
-        settings, first_step = self.settings, self._next_step
+        settings = self.settings
+        first_step = self._next_step
         self._next_step += steps
         random_words = self._observation_draws.draw_words(steps, first_step)
         draws = random_words >> _BITS_BELOW_PROBABILITY_UNIT  # units of 2**-31, as the probabilities below
@@ -88,11 +89,13 @@ class World:
             # The arena gives the colour under each robot, so no fill ratio stands in for it.
             on_black, on_white = black_probabilities(accuracies, fill_ratio=None)
             black_probability = np.where(motion.black, on_black, on_white)
-            neighbours, positions = motion.adjacency, motion.position
+            neighbours = motion.adjacency
+            positions = motion.position
         else:
             # The floor is not modelled: any tile is black with probability f.
             black_probability, _ = black_probabilities(accuracies, settings.fill_ratio)
-            neighbours, positions = self._topology.advance(steps), None
+            neighbours = self._topology.advance(steps)
+            positions = None
         return Scene(
             black=draws < black_probability,
             observes=observes,

@@ -50,7 +50,8 @@ class LinkFault(Fault):
 
         # The first word for a frame and a receiver decides on the hit; ``change`` gets the others.
         random_words = run.words_for_deliveries(deliveries, 1 + self.extra_words)
-        hit_words, extra_words = random_words[:, :, 0], random_words[:, :, 1:]
+        hit_words = random_words[:, :, 0]
+        extra_words = random_words[:, :, 1:]
         # The words of inactive frames are zeros, which would be hits.
         is_frame_active = run.active_frames(deliveries.sent_frames)[:, np.newaxis]  # for all receivers
         hits = deliveries.receivers & is_frame_active & (hit_words <= hit_threshold(self.rate))
@@ -141,7 +142,8 @@ class Corrupt(LinkFault):
 
         # Entry i of the result is the frame of index frame_indices[i] for the receiver receivers[i] alone.
         frame_indices, receivers = hit.receivers.nonzero()
-        entry_count, receiver_count = len(frame_indices), hit.receivers.shape[1]
+        entry_count = len(frame_indices)
+        receiver_count = hit.receivers.shape[1]
         single_receivers = np.zeros((entry_count, receiver_count), np.bool_)
         single_receivers[np.arange(entry_count), receivers] = True
 

@@ -142,7 +142,7 @@ def make_config(settings: WorldSettings, trial: int, ffi: Any) -> tuple[dict[str
     for.
     """
     width, height = settings.sides
-    members = {
+    members: dict[str, Any] = {
         "seed": arena_seed(settings.seed, trial),
         "robots": settings.robots,
         "width": width,
@@ -152,9 +152,11 @@ def make_config(settings: WorldSettings, trial: int, ffi: Any) -> tuple[dict[str
         "tick": 1 / settings.steps_per_second,
     }
     if settings.floor == "tiles":
-        return members | {"tile": settings.tile, "fill_ratio": settings.fill_ratio}, None
+        members["tile"] = settings.tile
+        members["fill_ratio"] = settings.fill_ratio
+        return members, None
     image = make_floor_code(settings.fill_ratio).astype(np.uint8)
-    rows, columns = image.shape
     # The pointer does not keep the picture alive, so the caller has to hold it.
-    pixels = ffi.cast("uint8_t *", image.ctypes.data)
-    return members | {"image": pixels, "rows": rows, "columns": columns}, image
+    members["image"] = ffi.cast("uint8_t *", image.ctypes.data)
+    members["rows"], members["columns"] = image.shape
+    return members, image
