@@ -181,14 +181,12 @@ def decode_estimate(frame: can.Message, frame_format: FrameFormat) -> Estimate |
 
     Only the subject of ``frame_format`` is compared, as receivers ignore a frame's priority.
     """
-    payload = _payload_of_subject(frame, frame_format.subject)
-    if isinstance(payload, Rejection):
-        return payload
-    values = layout.ESTIMATE.unpack(payload)
+    values = _decode_fields(frame, frame_format.subject, layout.ESTIMATE)
     if isinstance(values, Rejection):
         return values
+    # The frame carries alpha as binary32, the firmware has its own form of the number.
     alpha_word = alpha_word_from_float32_bits(values["alpha"])
-    return Estimate(sender_of(frame), values["x_hat"], alpha_word, TRANSFER_ID.extract(payload))
+    return Estimate(sender_of(frame), values["x_hat"], alpha_word, values["transfer_id"])
 
 
 def encode_heartbeat(heartbeat: Heartbeat, timestamp: float = 0.0) -> can.Message:
@@ -208,17 +206,14 @@ def encode_heartbeat(heartbeat: Heartbeat, timestamp: float = 0.0) -> can.Messag
 
 def decode_heartbeat(frame: can.Message) -> Heartbeat | Rejection:
     """Return the heartbeat in any frame, or the reason why it holds none."""
-    payload = _payload_of_subject(frame, HEARTBEAT_SUBJECT)
-    if isinstance(payload, Rejection):
-        return payload
-    values = layout.HEARTBEAT.unpack(payload)
+    values = _decode_fields(frame, HEARTBEAT_SUBJECT, layout.HEARTBEAT)
     if isinstance(values, Rejection):
         return values
     # Neither enumeration can raise: all values of 2 bits are a Health, and the mode has been checked.
     return Heartbeat(
         sender_of(frame),
         values["uptime"],
-        TRANSFER_ID.extract(payload),
+        values["transfer_id"],
         Health(values["health"]),
         Mode(values["mode"]),
         values["vendor_status"],
@@ -239,14 +234,11 @@ def decode_telemetry(
     frame: can.Message, frame_format: FrameFormat = TELEMETRY_FORMAT
 ) -> Telemetry | Rejection:
     """Return the telemetry in any frame, or the reason why it holds none."""
-    payload = _payload_of_subject(frame, frame_format.subject)
-    if isinstance(payload, Rejection):
-        return payload
-    values = layout.TELEMETRY.unpack(payload)
+    values = _decode_fields(frame, frame_format.subject, layout.TELEMETRY)
     if isinstance(values, Rejection):
         return values
     # The fields have the names of the attributes.
-    return Telemetry(sender_of(frame), **values, transfer_id=TRANSFER_ID.extract(payload))
+    return Telemetry(sender_of(frame), **values)
 
 
 def encode_command(
@@ -262,16 +254,12 @@ def encode_command(
 
 def decode_command(frame: can.Message, frame_format: FrameFormat = COMMAND_FORMAT) -> Command | Rejection:
     """Return the command in any frame, or the reason why it holds none."""
-    payload = _payload_of_subject(frame, frame_format.subject)
-    if isinstance(payload, Rejection):
-        return payload
-    values = layout.COMMAND.unpack(payload)
+    values = _decode_fields(frame, frame_format.subject, layout.COMMAND)
     if isinstance(values, Rejection):
         return values
     # Unpacking has refused every value that is no Action.
     action = Action(values["action"])
-    transfer_id = TRANSFER_ID.extract(payload)
-    return Command(sender_of(frame), values["tick"], values["target"], action, transfer_id)
+    return Command(sender_of(frame), values["tick"], values["target"], action, values["transfer_id"])
 
 
 def decode_frame(frame: can.Message, estimate_format: FrameFormat) -> FrameContent:
@@ -318,6 +306,21 @@ def format_frame(frame: can.Message) -> str:
     # candump tells 29-bit identifiers from those of 11 bits by the number of digits.
     digits = 8 if frame.is_extended_id or frame.is_error_frame else 3
     return f"{error_mark}{frame.arbitration_id:0{digits}X}#{frame.data.hex().upper()}"
+
+
+def _decode_fields(frame: can.Message, subject: int, kind: layout.FrameKind) -> dict[str, int] | Rejection:
+    """Return the integers in any frame by field name, ``transfer_id`` included, or why it is not of ``kind``.
+
+    ``subject`` is that of the kind's messages.
+    """
+    payload = _payload_of_subject(frame, subject)
+    if isinstance(payload, Rejection):
+        return payload
+    values = kind.unpack(payload)
+    if isinstance(values, Rejection):
+        return values
+    # The transfer_id is in the tail byte, which no kind of frame has among its own fields.
+    return values | {"transfer_id": TRANSFER_ID.extract(payload)}
 
 
 def _payload_of_subject(frame: can.Message, subject: int) -> int | Rejection:

@@ -332,7 +332,7 @@ class BusRobot:
         if not self.is_alive:
             return
         if self._is_allowed is not None:
-            # One look-up for all estimates, as a flood of them may come in a tick: a truth value for each.
+            # The array holds a truth value for each estimate, so that thousands of them cost one look-up.
             senders = estimates[:, _SENDER_COLUMN]
             is_allowed = self._is_allowed[senders]
             for sender in senders[~is_allowed].tolist():
@@ -365,8 +365,8 @@ class BusRobot:
             self.reception.heartbeats += frame_count
         elif isinstance(content, Telemetry):
             self.reception.telemetry += frame_count
-        # The bus has damaged a frame, whoever sent it: no node has sent a wrong one.
         elif content is Rejection.ERROR_FRAME:
+            # The bus has damaged a frame, whoever sent it: no node has sent a wrong one.
             self.reception.errors += frame_count
         elif isinstance(content, Rejection):
             self.reception.rejected[content] += frame_count

@@ -223,14 +223,11 @@ class Lockstep:
             now = time.monotonic()
             seconds_waited = now - start
             if actions_to_repeat and seconds_waited > seconds / 2:
-                late_actions = {
-                    robot: action for robot, action in actions_to_repeat.items() if robot in missing_robots
-                }
-                self.repeated += len(late_actions)
-                self._send_commands(late_actions)
+                self._repeat_commands(actions_to_repeat, missing_robots)
                 actions_to_repeat = {}
                 # However long sending took, robots have the second half of the time for the repetition.
                 start = time.monotonic() - seconds / 2
+            # The wait has two halves: the first ends with the repetition, if there is one.
             seconds_to_next_step = seconds / 2 if actions_to_repeat else seconds
             seconds_left = max(0.0, seconds_to_next_step - seconds_waited)
             frame = self._bus.recv(min(_SECONDS_BETWEEN_CHECKS, seconds_left))
@@ -246,6 +243,15 @@ class Lockstep:
             time_limit = seconds if frame is None else 2 * seconds
             if missing_robots and seconds_waited > time_limit:
                 raise self._missing_error(missing_robots, expected_answer, seconds)
+
+    def _repeat_commands(self, actions: Mapping[int, Action], missing_robots: Collection[int]) -> None:
+        """Send the missing robots the commands for their ``actions`` again, and count these commands.
+
+        Raises can.CanError if the bus does not take them.
+        """
+        late_actions = {robot: action for robot, action in actions.items() if robot in missing_robots}
+        self.repeated += len(late_actions)
+        self._send_commands(late_actions)
 
     def _missing_error(
         self, missing_robots: Collection[int], expected_answer: str, seconds: float

@@ -422,7 +422,7 @@ def run_node(
     try:
         for frame in node.start():
             link.send(frame)
-        # A tick that is open is finished, so that its telemetry is not missing at the end.
+        # A tick that is open is finished first, so that its telemetry is not missing at the end.
         while not node.is_settled or ticks is None or node.ticks < ticks:
             received_frame = link.receive(_MAX_WAIT)
             if received_frame is not None:

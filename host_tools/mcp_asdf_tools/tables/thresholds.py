@@ -123,10 +123,10 @@ def _t_quantile(omega: mpf, degrees_of_freedom: int, start: mpf) -> mpf:
     P is concave for t > 0, so steps of Newton's method from below never pass the root: the first step that
     is not upward is rounding noise.
     """
-    # The root of P(|T| < t) - omega, whose derivative is the density of |T|.
     quantile = start
     step = mp.inf
     while step > _NEGLIGIBLE_STEP:
+        # Newton's method for the root of P(|T| < t) - omega, whose derivative is the density of |T|.
         missing_probability = omega - _central_probability(quantile, degrees_of_freedom)
         step = missing_probability / _density(quantile, degrees_of_freedom)
         quantile += step

@@ -94,6 +94,7 @@ def parse_graph(description: Any) -> Graph:
         return _parse_lines(_format_edges(description), "edge", "graph")
     if isinstance(description, str) and is_text_of_edges(description):
         return _parse_lines(description.split(";"), "edge", "graph")
+    # "utf-8-sig" leaves out the mark with which programs of Windows begin a text.
     try:
         lines = read_at_most(description).decode("utf-8-sig").splitlines()
     except (OSError, ValueError) as error:

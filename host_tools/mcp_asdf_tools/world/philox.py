@@ -88,7 +88,7 @@ class Stream(NamedTuple):
         )
         trial = np.full_like(block, self.trial)
         stream = np.full_like(block, self.number)
-        key = (self.seed & _LOW_WORD, self.seed >> 32)
+        key = (self.seed & _LOW_WORD, self.seed >> 32)  # the lower and the upper 32 bits
         block_words = philox((block, robot, trial, stream), key)
         # Four arrays of shape (blocks, robots) are stacked to (blocks, 4, robots): the four words of a block
         # are those of four consecutive steps, so that blocks and words become one axis of steps.

@@ -50,6 +50,7 @@ class LinkFault(Fault):
 
         # The first word for a frame and a receiver decides on the hit; ``change`` gets the others.
         random_words = run.words_for_deliveries(deliveries, 1 + self.extra_words)
+        # The axes are frames, receivers and words.
         hit_words = random_words[:, :, 0]
         extra_words = random_words[:, :, 1:]
         # The words of inactive frames are zeros, which would be hits.
@@ -324,9 +325,9 @@ class Babble(Fault):
         """
         if not run.hits_node(node, tick):
             return []
-        # The subject is that of estimates, but with random tail bytes decoders refuse seven of eight frames.
         run.hit_count += self.frames
         identifier = run.frame_format.identifier(node)
+        # The subject is that of estimates, but with random tail bytes decoders refuse seven of eight frames.
         return [
             make_frame(identifier, run.random.content_word(node, tick, index), timestamp)
             for index in range(self.frames)
