@@ -172,7 +172,7 @@ _TAIL_BYTE = (TRANSFER_ID, START_END_TOGGLE)
 
 @dataclass(frozen=True)
 class FrameKind:
-    """One kind of frame: a classic CAN frame of 8 bytes that is also a Cyphal v1 single-frame message.
+    """Kind of frames: a classic CAN frame of 8 bytes that is also a Cyphal v1 single-frame message.
 
     Attributes:
         name: Its name in the DBC file.

@@ -35,7 +35,7 @@ class Readings:
     left_out: Counter[str] = field(default_factory=Counter)
 
 
-def parse_readings(text: str, name: str) -> Readings:
+def parse_readings(readings_text: str, name: str) -> Readings:
     """Return the readings in a text with lines such as ``512,black``.
 
     Columns may be separated by commas, semicolons, tabs or spaces; unless it is by commas, a number may have
@@ -49,7 +49,7 @@ def parse_readings(text: str, name: str) -> Readings:
     readings = Readings()
     header: Sequence[str] | None = None
     columns: _Columns | None = None
-    for line_number, line in enumerate(text.splitlines(), start=1):
+    for line_number, line in enumerate(readings_text.splitlines(), start=1):
         position = f"{name}, line {line_number}: {line.strip()!r}"
         if not line.strip() or line.lower().startswith(_EXCEL_SEPARATOR_LINE):
             continue

@@ -39,13 +39,13 @@ _DEFAULTS = {
 """Values of settings that a plain setup need not have."""
 
 
-def parse_ids(text: str, name: str) -> frozenset[int]:
+def parse_ids(ids_text: str, name: str) -> frozenset[int]:
     """Return the ids of a text such as ``0+3-5``, here 0, 3, 4 and 5.
 
     Raises UsageError, which calls the text ``name``, if it holds no ids, or one that no node can have.
     """
     ids: set[int] = set()
-    for item in text.split("+"):
+    for item in ids_text.split("+"):
         first, dash, last = item.partition("-")
         if not dash:  # a single id is a range of one
             last = first
@@ -55,7 +55,7 @@ def parse_ids(text: str, name: str) -> frozenset[int]:
             item_ids = range(0)  # which is refused like a range that ends before it starts
         # The last id is checked before the range is filled in, which a hostile text could make endless.
         if not item_ids or item_ids[-1] > MAX_NODE_ID:
-            raise UsageError(f"{name} is {text!r}; it must be ids 0 to {MAX_NODE_ID} such as 0+3-5")
+            raise UsageError(f"{name} is {ids_text!r}; it must be ids 0 to {MAX_NODE_ID} such as 0+3-5")
         ids.update(item_ids)
     return frozenset(ids)
 

@@ -82,7 +82,7 @@ def generate(omega: Decimal, q: int) -> Table:
     ``parse_omega`` and ``check_q`` accept both.
     """
     omega = parse_omega(str(omega))
-    check_q(q)
+    q = check_q(q)
     with mp.workdps(_DECIMAL_DIGITS):
         exact_thresholds = true_thresholds(omega)[: q - 1]  # for m = 2 .. q
         common_threshold = _threshold(_normal_quantile(omega), q + 1)  # for all m above q

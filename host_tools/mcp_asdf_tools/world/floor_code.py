@@ -47,8 +47,9 @@ def make_floor_code(fill_ratio: float) -> NDArray[np.bool_]:
         maximum = (fixed_black_modules + len(free_modules)) / modules
         message = f"fill_ratio is {fill_ratio}; this floor can have {minimum:g} to {maximum:g}"
         raise ParameterError("fill_ratio", message)
-    generator = np.random.Generator(np.random.PCG64(_SEED))
-    shuffled_modules = generator.permutation(free_modules)
+    # A seed of its own, so that every trial of an experiment has the same floor.
+    random_generator = np.random.Generator(np.random.PCG64(_SEED))
+    shuffled_modules = random_generator.permutation(free_modules)
     pattern.flat[shuffled_modules[:missing_modules]] = True
     return pattern
 
@@ -78,15 +79,15 @@ def _fixed_patterns() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     # A timing line leads from margin to margin of two finders, level with their inner edges. Its modules are
     # black and white in turn, the first one black.
     timing_row = timing_column = _FINDER_MODULES - 1
-    start = _FINDER_MODULES + 1
-    end = first_of_last_finder - 1
-    timing_line = np.arange(end - start) % 2 == 0
-    is_black[timing_row, start:end] = timing_line
-    is_black[start:end, timing_column] = timing_line
-    is_fixed[timing_row, start:end] = True
-    is_fixed[start:end, timing_column] = True
+    line_start = _FINDER_MODULES + 1
+    line_end = first_of_last_finder - 1
+    timing_line = np.arange(line_end - line_start) % 2 == 0
+    is_black[timing_row, line_start:line_end] = timing_line
+    is_black[line_start:line_end, timing_column] = timing_line
+    is_fixed[timing_row, line_start:line_end] = True
+    is_fixed[line_start:line_end, timing_column] = True
 
     # The logo is white, as modules are from the start.
-    middle = slice((side - _LOGO_MODULES) // 2, (side + _LOGO_MODULES) // 2)
-    is_fixed[middle, middle] = True
+    logo_span = slice((side - _LOGO_MODULES) // 2, (side + _LOGO_MODULES) // 2)
+    is_fixed[logo_span, logo_span] = True
     return is_black, is_fixed

@@ -132,22 +132,22 @@ def _format_edges(graph: Any) -> list[str]:
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and texts and files need none of it)
 
-    pairs = graph
+    id_pairs = graph
     is_directed = False
     # A boolean array has a link for each True, and a graph of networkx knows whether its edges have a
     # direction. Anything else is iterated as pairs, below.
     if isinstance(graph, np.ndarray) and graph.dtype == np.bool_:
         if graph.ndim != 2 or graph.shape[0] != graph.shape[1]:
             raise UsageError(f"graph has shape {graph.shape}; give a square array, [receiver, sender]")
-        pairs = [(sender, receiver) for receiver, sender in np.argwhere(graph)]
+        id_pairs = [(sender, receiver) for receiver, sender in np.argwhere(graph)]
         is_directed = True
     elif hasattr(graph, "is_directed") and hasattr(graph, "edges"):
-        pairs = list(graph.edges())
+        id_pairs = list(graph.edges())
         is_directed = graph.is_directed()
     sign = "> " if is_directed else ""
     # operator.index takes integers of any kind, and refuses all that is none.
     try:
-        return [f"{index(first)} {sign}{index(second)}" for first, second in pairs]
+        return [f"{index(first)} {sign}{index(second)}" for first, second in id_pairs]
     except (TypeError, ValueError):
         fix = "give a file, edges such as '3 5; 5 > 7', pairs of ids, a boolean array, or a networkx graph"
         raise UsageError(f"graph is {graph!r}; {fix}") from None

@@ -66,15 +66,15 @@ class DriftingSensors:
         if settings.drift == "none":
             return np.full((1, 1), settings.true_accuracy)
         # A column, shape (steps, 1): all drifting sensors have the same accuracy in a step.
-        step = np.arange(self._next_step, self._next_step + steps, dtype=np.float64)[:, np.newaxis]
+        step_numbers = np.arange(self._next_step, self._next_step + steps, dtype=np.float64)[:, np.newaxis]
         # Step 0 has the true accuracy: the drift starts there.
-        drifted = settings.true_accuracy + settings.drift_rate * step
-        drifted = np.clip(drifted, settings.lowest_accuracy, 1.0)
+        drifted_accuracies = settings.true_accuracy + settings.drift_rate * step_numbers
+        drifted_accuracies = np.clip(drifted_accuracies, settings.lowest_accuracy, 1.0)
         if settings.drifting == settings.robots:
-            return drifted
+            return drifted_accuracies
         # The robots with the lowest ids drift, and the others keep the accuracy of step 0.
         is_drifting = np.arange(settings.robots) < settings.drifting
-        return np.where(is_drifting, drifted, settings.true_accuracy)
+        return np.where(is_drifting, drifted_accuracies, settings.true_accuracy)
 
 
 class CheckedSensors:

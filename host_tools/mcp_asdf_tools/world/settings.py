@@ -187,7 +187,7 @@ class WorldSettings:
 
     @property
     def is_dynamic(self) -> bool:
-        """Whether the robots move."""
+        """True if the robots move."""
         return self.topology == "dynamic"
 
     @property
@@ -306,27 +306,29 @@ def _check_arena(settings: WorldSettings) -> None:
     along a side. Robots are too fast if one could turn by more than _MAX_TURN_PER_STEP in a step.
     """
     width, height = settings.sides
-    size = f"{width:.4g} x {height:.4g} m"
+    size_text = f"{width:.4g} x {height:.4g} m"
     size_parameter = "width" if settings.width else "density"
     # Robots are placed at random so that none overlap, which fails if they cover too much of the floor.
     covered_area = settings.robots * math.pi * (_BODY_DIAMETER / 2) ** 2
     if min(width, height) <= _BODY_DIAMETER or covered_area > _MAX_COVERED_SHARE * width * height:
         message = (
-            f"{settings.robots} robots of {_BODY_DIAMETER} m are too many for {size}; take a larger arena"
+            f"{settings.robots} robots of {_BODY_DIAMETER} m are too many for {size_text}; "
+            "take a larger arena"
         )
         raise ParameterError(size_parameter, message)
     if max(width, height) > MAX_SIDE:
-        message = f"the arena is {size}; its sides may be up to {MAX_SIDE:g} m"
+        message = f"the arena is {size_text}; its sides may be up to {MAX_SIDE:g} m"
         raise ParameterError(size_parameter, message)
     if settings.tile * _MAX_TILES_PER_SIDE < max(width, height):
-        message = f"tile is {settings.tile}; choose one with at most {_MAX_TILES_PER_SIDE} along {size}"
+        message = f"tile is {settings.tile}; choose one with at most {_MAX_TILES_PER_SIDE} along {size_text}"
         raise ParameterError("tile", message)
     # A robot turns fastest on the spot, with one wheel forwards and the other one backwards.
     radians_per_second = 2 * settings.speed / _WHEEL_DISTANCE
     if radians_per_second > _MAX_TURN_PER_STEP * settings.steps_per_second:
-        minimum = math.ceil(radians_per_second / _MAX_TURN_PER_STEP)
+        min_steps_per_second = math.ceil(radians_per_second / _MAX_TURN_PER_STEP)
         message = (
-            f"steps_per_second is {settings.steps_per_second}; at this speed it must be {minimum} or more"
+            f"steps_per_second is {settings.steps_per_second}; at this speed it must be "
+            f"{min_steps_per_second} or more"
         )
         raise ParameterError("steps_per_second", message)
 

@@ -145,7 +145,7 @@ class SteppedWorld:
 
     @property
     def current_neighbours(self) -> NDArray[np.bool_]:
-        """Whether robot i receives from robot j, shape (N, N). AssertionError before the first step."""
+        """True where robot i receives from robot j, shape (N, N). AssertionError before the first step."""
         assert self._scene is not None, "no step has been taken"
         return cast(NDArray[np.bool_], self._scene.neighbours[self._index_in_scene])
 

@@ -94,7 +94,7 @@ class Arena:
         black, wheels, avoids = np.empty((3, *shape), np.uint8)
         adjacency = np.zeros((*shape, self.settings.robots), np.bool_)
         # Each array of the C struct has the values of the present tick: every tick they are copied to a row.
-        recorded: dict[str, NDArray[Any]] = {
+        rows_by_member: dict[str, NDArray[Any]] = {
             "x": position[:, :, 0],
             "y": position[:, :, 1],
             "cx": heading[:, :, 0],
@@ -103,11 +103,11 @@ class Arena:
             "wheels": wheels,
             "avoids": avoids,
         }
-        present = {name: self._values_now(name, rows.dtype) for name, rows in recorded.items()}
+        current_values = {name: self._values_now(name, rows.dtype) for name, rows in rows_by_member.items()}
         for tick in range(ticks):
             self.step()
-            for name, rows in recorded.items():
-                rows[tick] = present[name]
+            for name, rows in rows_by_member.items():
+                rows[tick] = current_values[name]
             # Robots in range of each other receive both ways.
             lower_ids, higher_ids = self._linked_pairs().T
             adjacency[tick, lower_ids, higher_ids] = True
