@@ -131,7 +131,10 @@ def _signal(field: Field) -> str:
 
 def _format_number(value: float) -> str:
     """Return a number with all its digits, without a point if it is an integer."""
-    return str(int(value)) if value.is_integer() else repr(value).upper()
+    if value.is_integer():
+        return str(int(value))
+    # repr() has all digits, and the file's exponents have a capital E.
+    return repr(value).upper()
 
 
 def _comments(entry: _Entry) -> list[str]:

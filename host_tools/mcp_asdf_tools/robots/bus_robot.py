@@ -419,4 +419,5 @@ class RoundingPort:
 
     def receive_all(self, estimates: EstimateRows) -> int:
         """Hand neighbours' estimates to the robot in order, and return how many it accepted."""
-        return sum(self.receive_raw(*estimate) is Status.OK for estimate in estimates.tolist())
+        statuses = [self.receive_raw(*estimate) for estimate in estimates.tolist()]
+        return statuses.count(Status.OK)

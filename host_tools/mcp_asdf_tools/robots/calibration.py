@@ -42,16 +42,16 @@ class Calibration:
         Each is taken as (right readings + 1) / (readings + 2), Laplace's rule, so it is never 0 or 1.
         """
         # With the share p of n readings on the right side, p n readings are right.
-        return sum((p * n + 1) / (n + 2) for p, n in self._colours()) / 2
+        cautious_accuracies = [(p * n + 1) / (n + 2) for p, n in self._colours()]
+        return sum(cautious_accuracies) / 2
 
     @property
     def uncertainty(self) -> float:
         """Half the width of the 95 % interval of ``b_hat``, at least that of one wrong reading a colour."""
         # Each term is the variance p (1 - p) / n of a share p of n readings. With one wrong reading p (1 - p)
         # is about 1 / n.
-        return _HALF_95_PERCENT_WIDTH * math.sqrt(
-            sum(max(p * (1 - p), 1 / n) / n for p, n in self._colours())
-        )
+        variances = [max(p * (1 - p), 1 / n) / n for p, n in self._colours()]
+        return _HALF_95_PERCENT_WIDTH * math.sqrt(sum(variances))
 
     @property
     def bias(self) -> float:
@@ -109,8 +109,10 @@ def calibrate(rows: Sequence[tuple[float, bool]]) -> Calibration:
         gap = next_reading - reading
         if gap == 0.0:  # no threshold fits between equal readings
             continue
-        # Sensors with whole numbers compare with whole numbers: the threshold is one, too.
-        threshold = math.ceil((reading + next_reading) / 2) if has_whole_numbers else reading + gap / 2
+        threshold = reading + gap / 2
+        if has_whole_numbers:
+            # Sensors with whole numbers compare with whole numbers: the threshold is one, too.
+            threshold = math.ceil((reading + next_reading) / 2)
         # The shares of right readings if black is below the threshold; if it is above, the others are right.
         black_accuracy = black_below / reading_counts["black"]
         white_accuracy = 1 - white_below / reading_counts["white"]

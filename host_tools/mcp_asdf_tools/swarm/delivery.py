@@ -153,8 +153,11 @@ def _concatenate(all_deliveries: Sequence[Deliveries], robot_count: int) -> Deli
     # With the empty arrays at the front the result has its shape and type even if nothing is delivered.
     no_receivers = np.zeros((0, robot_count), np.bool_)
     no_bit_flips = np.zeros(0, np.uint64)
-    return Deliveries(
-        sent_frames=[sent_frame for deliveries in all_deliveries for sent_frame in deliveries.sent_frames],
-        receivers=np.concatenate([no_receivers, *(deliveries.receivers for deliveries in all_deliveries)]),
-        bit_flips=np.concatenate([no_bit_flips, *(deliveries.bit_flips for deliveries in all_deliveries)]),
-    )
+    sent_frames: list[SentFrame] = []
+    receivers = [no_receivers]
+    bit_flips = [no_bit_flips]
+    for deliveries in all_deliveries:
+        sent_frames += deliveries.sent_frames
+        receivers.append(deliveries.receivers)
+        bit_flips.append(deliveries.bit_flips)
+    return Deliveries(sent_frames, np.concatenate(receivers), np.concatenate(bit_flips))

@@ -62,7 +62,9 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
     without ``force``, if one has been changed since it was written.
     """
     texts = _folder_texts(omega, q)
-    checksums = {name: sha256(content.encode()).hexdigest() for name, content in sorted(texts.items())}
+    checksums = {}
+    for name, content in sorted(texts.items()):
+        checksums[name] = sha256(content.encode()).hexdigest()
     # The folder is for one table: those of an earlier run with another omega or q go.
     other_tables = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in texts]
     if not force:

@@ -144,6 +144,7 @@ def _central_probability(t: mpf, degrees_of_freedom: int) -> mpf:
 
 def _density(t: mpf, degrees_of_freedom: int) -> mpf:
     """Return the probability density of |T| at ``t``, where T has Student's distribution."""
+    # Twice the density of T, since t and -t count alike.
     scale = 2 / (mp.sqrt(degrees_of_freedom) * mp.beta(mpf(1) / 2, mpf(degrees_of_freedom) / 2))
     return scale * (1 + t * t / degrees_of_freedom) ** (-mpf(degrees_of_freedom + 1) / 2)
 
