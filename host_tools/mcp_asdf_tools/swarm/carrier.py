@@ -186,6 +186,7 @@ class ExpectingConnection:
         names: list[str] = []
         for sent_frame in missing[:_MAX_FRAMES_IN_ERROR]:
             name = f"frame {sent_frame.frame.arbitration_id:08X}"
+            # Several frames of one robot have one identifier.
             if name not in names:
                 names.append(name)
         if len(missing) > _MAX_FRAMES_IN_ERROR:

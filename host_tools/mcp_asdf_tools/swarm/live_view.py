@@ -70,6 +70,7 @@ class LiveView:
         if self._baselines is not None:
             for baseline_filter, error in self._baselines.mean_errors().items():
                 mean_errors += f", {FILTERS[baseline_filter].term} {error:.4f}"
+        # The bar is invisible until its first numbers are there.
         self._progress.update(
             self._task,
             total=swarm.settings.steps,

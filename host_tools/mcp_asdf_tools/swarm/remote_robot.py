@@ -178,6 +178,7 @@ class Driver:
         """Frames of the robots that are neither estimates nor answers to commands."""
         self._estimate_frames: dict[int, can.Message] = {}
         """Frames of the estimates of this tick, by sender."""
+        # The check is a method that looks up the present one: ``wait_until_up`` may replace it later.
         self._lockstep = Lockstep(
             bus,
             Subjects(estimates=frame_format),

@@ -148,6 +148,7 @@ def _fault_lines(results: dict[str, Any]) -> Iterator[Row]:
     frames = results["frames"]
     arrived = frames["arrived"]
     in_range = frames["in_range"]
+    # Faults may have kept every robot off the bus, so that there was no frame to arrive.
     share = arrived / in_range if in_range else 0.0
     yield "arrived", f"{arrived} of {in_range} frames, {share:.1%}; {frames['on_the_bus']} on the bus"
     for fault in results["faults"]:

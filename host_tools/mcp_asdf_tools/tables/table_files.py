@@ -107,6 +107,7 @@ def format_c_source(omega: Decimal, q: int) -> str:
     if q < MAX_MESSAGES:
         error_beyond_q = f"at most {error['beyond_q']:.2%} for q < m <= {MAX_MESSAGES}"
     else:
+        # With the largest q every number of messages has an entry of its own.
         error_beyond_q = f"there are never more than {MAX_MESSAGES} messages"
     texts = {
         "omega": f"{omega:f}",

@@ -98,6 +98,7 @@ class CheckedSensors:
         unchecked_on_black, unchecked_on_white = self._model.advance(steps)
         on_black = self._checked(unchecked_on_black, steps)
         on_white = self._checked(unchecked_on_white, steps)
+        # The engine in C has one accuracy for both colours, and would use the wrong one for white in silence.
         if self._has_one_accuracy and not np.array_equal(on_black, on_white):
             raise UsageError(
                 f"sensor {self._settings.sensor} gives accuracies on white tiles that differ from those on "
