@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
@@ -61,15 +61,15 @@ class RobotUnderTest:
         return self.last_result
 
     def _run(self, action: Callable[[], str]) -> CallResult:
-        """Run something that returns an outcome, and return this with the robot's state.
+        """Run an action that returns an outcome, such as "OK", and return this with the robot after it.
 
-        An exception that no firmware may raise is an outcome, too: both firmwares may have it, or one.
+        A FirmwareError is the firmware's way to refuse an action: its status is the outcome, and the robot's
+        state and image follow as usual. Any other exception, which no firmware may raise, is an outcome, too,
+        but with an empty state and image: one firmware may have a bug that raises it, or both.
         """
         try:
-            try:
-                outcome = action()
-            except FirmwareError as error:
-                outcome = error.status.name
+            outcome = _outcome_of(action)
+            # Reading the state may raise such an exception, too.
             return CallResult(outcome, self._state(), self._image())
         except Exception as error:
             return CallResult(f"{type(error).__name__}: {error}", {}, b"")
@@ -88,7 +88,11 @@ class RobotUnderTest:
         return Status.OK.name
 
     def _state(self) -> State:
-        """Return the fields of the robot's state, and what its methods and properties return, with ``()``."""
+        """Return all that can be read of the robot, by name; an empty dictionary if there is no robot.
+
+        Fields of the state have their names, such as "t"; results of methods and properties have names that
+        end in "()".
+        """
         robot = self._robot
         if robot is None:
             return {}
@@ -106,8 +110,16 @@ class RobotUnderTest:
         }
 
     def _image(self) -> bytes:
-        """Return the saved state, or nothing if there is no robot."""
+        """Return the robot's state as ``save`` writes it; no bytes if there is no robot."""
         return b"" if self._robot is None else self._robot.save()
+
+
+def _outcome_of(action: Callable[[], str]) -> str:
+    """Run an action, and return what it returns or, if it raises a FirmwareError, the name of its status."""
+    try:
+        return action()
+    except FirmwareError as error:
+        return error.status.name
 
 
 @dataclass(frozen=True)
@@ -130,7 +142,8 @@ class Failure:
     def __str__(self) -> str:
         calls = self.scenario.calls
         lines = [f"FAILED at call {len(calls)}; of two values that differ the first is native's"]
-        lines += [f"  {number:3d}  {step}" for number, step in enumerate((self.scenario.setup, *calls))]
+        # Number 0 is the robot itself.
+        lines += [f"  {number:3d}  {item}" for number, item in enumerate((self.scenario.setup, *calls))]
         lines += [f"  wrong: {problem}" for problem in self.problems]
         return "\n".join([*lines, f"replay: mcp-asdf crosscheck --replay {self.scenario}"])
 
@@ -154,9 +167,10 @@ def compare_firmwares(
     problems = list(differences(first_robot.last_result, second_robot.last_result))
     if problems:
         return Failure(scenario.with_calls(()), tuple(problems))
-    # Both firmwares may refuse to make the robot; then there is nothing to call.
-    is_made = bool(first_robot.last_result.state)
-    for call_count, call in enumerate(scenario.calls if is_made else (), start=1):
+    has_robot = bool(first_robot.last_result.state)
+    if not has_robot:
+        return None  # Both firmwares have refused to make the robot, and there is nothing to call.
+    for call_count, call in enumerate(scenario.calls, start=1):
         before = first_robot.last_result
         after = first_robot.apply(call)
         problems = list(differences(after, second_robot.apply(call)))
@@ -168,7 +182,11 @@ def compare_firmwares(
 
 
 def differences(first: CallResult, second: CallResult) -> Iterator[str]:
-    """Yield a line for each difference, with the first value and the second, or for an exception of both."""
+    """Yield a line for each difference between two results of the same call, with both values.
+
+    Compared are the outcomes, the fields of the states and the words of the images. An exception that no
+    firmware may raise gets a line even if both have raised it.
+    """
     if first.outcome != second.outcome:
         yield f"status: {first.outcome}, {second.outcome}"
     elif first.outcome not in OUTCOMES:
@@ -213,13 +231,15 @@ def run_crosscheck(
     try:
         while result.calls < calls and result.failure is None:
             # The last scenario is cut short, so that exactly ``calls`` calls are made.
-            whole_scenario = _generate_scenario(seed, result.scenarios)
-            scenario = whole_scenario.with_calls(whole_scenario.calls[: calls - result.calls])
+            full_scenario = _generate_scenario(seed, result.scenarios)
+            remaining_calls = calls - result.calls
+            scenario = full_scenario.with_calls(full_scenario.calls[:remaining_calls])
             result.failure = check_scenario(scenario)
-            scenario_made = scenario if result.failure is None else result.failure.scenario
-            result.calls += len(scenario_made.calls)
+            # A failure ends its scenario at the call that showed it.
+            played_scenario = scenario if result.failure is None else result.failure.scenario
+            result.calls += len(played_scenario.calls)
             result.scenarios += 1
-            on_calls(len(scenario_made.calls))
+            on_calls(len(played_scenario.calls))
     except KeyboardInterrupt:
         result.interrupted = True
     return result
@@ -242,13 +262,23 @@ def shrink(failure: Failure, check_scenario: CheckScenario) -> Failure:
     # Long runs of calls first, since most calls are not needed.
     run_length = len(failure.scenario.calls)
     while run_length:
-        shorter_failures = filter(None, map(check_scenario, _shorter_scenarios(failure.scenario, run_length)))
-        shorter_failure = next(shorter_failures, None)
+        shorter_failure = _find_first_failure(
+            _shorter_scenarios(failure.scenario, run_length), check_scenario
+        )
         if shorter_failure is None:
             run_length //= 2
         else:
             failure = shorter_failure
     return failure
+
+
+def _find_first_failure(scenarios: Iterable[Scenario], check_scenario: CheckScenario) -> Failure | None:
+    """Check scenarios up to the first that fails, and return its failure; None if all pass."""
+    for scenario in scenarios:
+        failure = check_scenario(scenario)
+        if failure is not None:
+            return failure
+    return None
 
 
 def _shorter_scenarios(scenario: Scenario, run_length: int) -> Iterator[Scenario]:

@@ -59,7 +59,7 @@ class Update(Enum):
 
 
 _NO_INFORMATION, _LITTLE_INFORMATION = 1 << 20, 1 << 28
-"""|2 b_hat - 1| below which a robot knows nothing, or hardly anything, in units of 2**-32."""
+"""|2 b_hat - 1| below which observations carry no information, or hardly any, in units of 2**-32."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,8 @@ class RobotState:
     def update_after(self, estimates: Sequence[NeighbourEstimate]) -> Update | None:
         """Return what becomes of b_hat at the end of a round of these estimates; None if the test passes."""
         sums = Sums()
-        for x_hat, alpha in estimates:
-            add_estimate(sums, x_hat, alpha)
+        for estimate in estimates:
+            add_estimate(sums, estimate.x_hat, estimate.alpha)
         if self.table is not None:
             # The variance of a single estimate is not defined, so that the test needs two.
             is_rejected = sums.count >= 2 and asdf_test_rejects(self.table, sums, self.x_hat)
@@ -177,24 +177,35 @@ def draw_rounds_at_threshold(
     """
     assert robot.table is not None
     is_large = m >= _MANY_ESTIMATES
+    max_draws = _MAX_DRAWS_OF_MANY if is_large else _MAX_DRAWS
+    # Large rounds are wide, too: large sums have the bits that floats lose.
+    min_gap_share = 0.8 if is_large else 0.05
     best_rounds: RoundsAtThreshold | None = None
-    best_rank = (-1, False)
-    for draw_index in range(_MAX_DRAWS_OF_MANY if is_large else _MAX_DRAWS):
-        # Large sums have the bits that floats lose.
-        gap_share = rng.uniform(0.8 if is_large else 0.05, 1)
+    best_misled_tests, has_preferred_update = -1, False
+    for draw_index in range(max_draws):
+        gap_share = rng.uniform(min_gap_share, 1)
         x_hats = draw_x_hats_at_threshold(robot.x_hat, robot.table.entry(m), m, rng, gap_share)
-        if x_hats is None or max(x_hats[0]) - min(x_hats[0]) < _MIN_RANGE:
+        if x_hats is None:
+            continue
+        inside_x_hats, outside_x_hats = x_hats
+        if max(inside_x_hats) - min(inside_x_hats) < _MIN_RANGE:
             continue
         alphas = draw_alphas_of_one_scale(rng, m)
-        inside, outside = (list(map(NeighbourEstimate, side, alphas)) for side in x_hats)
+        inside = list(map(NeighbourEstimate, inside_x_hats, alphas))
+        outside = list(map(NeighbourEstimate, outside_x_hats, alphas))
         update = robot.update_after(outside)
         if update is Update.KEPT:
             continue  # would not show that the test has rejected
-        rank = (_count_misled_float_tests(robot, x_hats), update is preferred_update)
-        if rank > best_rank:
-            best_rounds, best_rank = RoundsAtThreshold(inside, outside), rank
+        misled_tests = _count_misled_float_tests(robot, inside_x_hats, outside_x_hats)
+        is_preferred = update is preferred_update
+        # The number of tests that err counts first, and the update among rounds with the same number.
+        if (misled_tests, is_preferred) > (best_misled_tests, has_preferred_update):
+            best_rounds = RoundsAtThreshold(inside, outside)
+            best_misled_tests, has_preferred_update = misled_tests, is_preferred
+        # Both tests in float64 err; no round can be better.
+        is_best_possible = best_misled_tests == 2 and has_preferred_update
         has_searched_enough = draw_index >= _DRAWS_TO_MISLEAD_FLOATS and not is_large
-        if best_rank == (2, True) or (best_rank[1] and has_searched_enough):
+        if is_best_possible or (has_preferred_update and has_searched_enough):
             break
     assert best_rounds is not None, f"no round of {m} estimates lies at the threshold of {robot}"
     return best_rounds
@@ -228,7 +239,11 @@ def draw_x_hats_at_threshold(
     direction = rng.choice([-1, 1])
     root = isqrt(table_entry * near_count * far_count << (2 * _ROOT_BITS - FRACTION_BITS))
     threshold = (Fraction(root, 1 << _ROOT_BITS) - far_count) / m
-    room_ahead, room_behind = (ONE - own_x_hat, own_x_hat) if direction > 0 else (own_x_hat, ONE - own_x_hat)
+    room_above, room_below = ONE - own_x_hat, own_x_hat
+    if direction > 0:
+        room_ahead, room_behind = room_above, room_below
+    else:
+        room_ahead, room_behind = room_below, room_above
     # The far group is at about (threshold + 1) gaps, the near one behind the own x_hat if threshold < 0.
     largest_gap = room_ahead / (threshold + 1)
     if threshold < 0:
@@ -238,13 +253,19 @@ def draw_x_hats_at_threshold(
         return None
 
     def place_groups(ratio: Fraction) -> list[int]:
-        """Return x_hat of both groups, with u / gap as given; pairs of the near and of the far come first."""
+        """Return x_hat of both groups, with this ratio of u to the gap, which is as large as there is room.
+
+        Pairs of equal x_hat come first: those of the near group, then those of the far one. At the end there
+        is one x_hat of each group that has an odd size.
+        """
+        # The gap must be a multiple of the denominator, so that u is a whole number.
         factor = max_gap // ratio.denominator
         near = own_x_hat + direction * factor * ratio.numerator
         far = near + direction * factor * ratio.denominator
-        near_pairs, far_pairs = near_count // 2, far_count // 2
-        singles = [near] * (near_count % 2) + [far] * (far_count % 2)
-        return [near] * (2 * near_pairs) + [far] * (2 * far_pairs) + singles
+        near_in_pairs, far_in_pairs = near_count // 2 * 2, far_count // 2 * 2
+        pairs = [near] * near_in_pairs + [far] * far_in_pairs
+        singles = [near] * (near_count - near_in_pairs) + [far] * (far_count - far_in_pairs)
+        return pairs + singles
 
     below, above = fractions_around(threshold, max_gap)
     inside, outside = place_groups(below), place_groups(above)
@@ -268,8 +289,11 @@ def fractions_around(value: Fraction, max_denominator: int) -> tuple[Fraction, F
     is_below = nearest <= value
     # Fractions a/b and c/d with |a d - b c| = 1 are neighbours: all between them have larger denominators.
     sign = 1 if is_below else -1
-    denominator = -sign * pow(nearest.numerator, -1, nearest.denominator) % nearest.denominator
-    denominator += (max_denominator - denominator) // nearest.denominator * nearest.denominator
+    # With a/b for the nearest one, c = (a d + sign) / b must be a whole number, so that d is -sign / a modulo
+    # b. All such d differ by multiples of b, and the largest gives the nearest neighbour.
+    smallest_denominator = -sign * pow(nearest.numerator, -1, nearest.denominator) % nearest.denominator
+    multiples = (max_denominator - smallest_denominator) // nearest.denominator
+    denominator = smallest_denominator + multiples * nearest.denominator
     numerator = (nearest.numerator * denominator + sign) // nearest.denominator
     neighbour = Fraction(numerator, denominator)
     return (nearest, neighbour) if is_below else (neighbour, nearest)
@@ -303,22 +327,39 @@ def _raise_scatter(x_hats: Sequence[int], pair_count: int, target: int, is_at_le
     return changed
 
 
-def _count_misled_float_tests(robot: RobotState, x_hats: tuple[list[int], list[int]]) -> int:
-    """Return for how many of two tests in float64 a round inside the threshold and one outside are alike.
+def _count_misled_float_tests(robot: RobotState, inside: list[int], outside: list[int]) -> int:
+    """Return how many of two tests in float64 err about one of two rounds, given by their x_hat: 0, 1 or 2.
 
-    The first test computes all of eq. 12 in float64, the second its right side alone.
+    The right test passes the round ``inside`` and rejects the round ``outside``. One of the two computes all
+    of eq. 12 in float64, the other its right side alone.
     """
     assert robot.table is not None
-    decisions = []
-    for side in x_hats:
-        difference = sum(side) - len(side) * robot.x_hat
-        limit = robot.table.entry(len(side)) / 2**FRACTION_BITS * float(scatter_of(side))
-        decisions.append((float(difference) ** 2 > limit, difference * difference > int(limit)))
-    inside, outside = decisions
-    return sum(
-        (is_inside_rejected, is_outside_rejected) != (False, True)
-        for is_inside_rejected, is_outside_rejected in zip(inside, outside, strict=True)
-    )
+    misled_tests = 0
+    for rejects in (_rejects_in_float64, _rejects_with_limit_in_float64):
+        is_right = not rejects(robot.table, robot.x_hat, inside) and rejects(
+            robot.table, robot.x_hat, outside
+        )
+        if not is_right:
+            misled_tests += 1
+    return misled_tests
+
+
+def _rejects_in_float64(table: Table, own_x_hat: int, x_hats: list[int]) -> bool:
+    """Return whether eq. 12 rejects ``own_x_hat`` against a round of ``x_hats``, computed in float64."""
+    difference = sum(x_hats) - len(x_hats) * own_x_hat
+    return float(difference) ** 2 > _limit_in_float64(table, x_hats)
+
+
+def _rejects_with_limit_in_float64(table: Table, own_x_hat: int, x_hats: list[int]) -> bool:
+    """Return the same, but with the left side of eq. 12 in integers, and only its right side in float64."""
+    difference = sum(x_hats) - len(x_hats) * own_x_hat
+    return difference * difference > int(_limit_in_float64(table, x_hats))
+
+
+def _limit_in_float64(table: Table, x_hats: list[int]) -> float:
+    """Return the right side of eq. 12, which the squared difference must not exceed, in float64."""
+    threshold: float = table.entry(len(x_hats)) / 2**FRACTION_BITS
+    return threshold * float(scatter_of(x_hats))
 
 
 # --- Rounds with another purpose ---
@@ -359,7 +400,8 @@ def draw_round_for_update(
             max_distance = rng.randint(1, 1 << 16)
             x_hats = [x_bar + rng.randint(-max_distance, max_distance) for _ in range(m)]
             limited_x_hats = [min(max(x_hat, 0), ONE) for x_hat in x_hats]
-            estimates = list(map(NeighbourEstimate, limited_x_hats, draw_alphas_of_one_scale(rng, m)))
+            alphas = draw_alphas_of_one_scale(rng, m)
+            estimates = list(map(NeighbourEstimate, limited_x_hats, alphas))
         if robot.update_after(estimates) is update:
             return estimates
     return None
@@ -374,8 +416,13 @@ def _draw_balanced_pair(rng: Random) -> list[NeighbourEstimate]:
 
 def draw_distant_estimates(robot: RobotState, rng: Random, m: int = 4) -> list[NeighbourEstimate]:
     """Draw ``m`` estimates that the test rejects: near 0 or 1, whichever is further from the own x_hat."""
-    end = 0 if robot.x_hat > HALF else ONE
-    return [NeighbourEstimate(abs(end - rng.randint(0, 1 << 12)), draw_normal_alpha(rng)) for _ in range(m)]
+    farther_end = 0 if robot.x_hat > HALF else ONE
+    estimates = []
+    for _ in range(m):
+        distance_from_end = rng.randint(0, 1 << 12)
+        x_hat = abs(farther_end - distance_from_end)
+        estimates.append(NeighbourEstimate(x_hat, draw_normal_alpha(rng)))
+    return estimates
 
 
 _LARGE_ROUND = 126
@@ -392,7 +439,8 @@ def draw_round_of_large_scatter(robot: RobotState, rng: Random) -> list[Neighbou
     threshold = robot.table.entry(m) / 2**FRACTION_BITS
     best_count, best_margin = 0, 0.0
     for count_of_ones in range(1, m):
-        # In units of ONE**2, of which 2**56 has 2**10.
+        # Both are in units of ONE**2, that is 2**46. The bits of the scatter from 2**56 on are those from
+        # 2**10 on in these units.
         scatter = count_of_ones * (m - count_of_ones)
         scatter_without_bits = max(scatter % (1 << 10), 1)
         difference_squared = max((count_of_ones - m * robot.x_hat / ONE) ** 2, 1)

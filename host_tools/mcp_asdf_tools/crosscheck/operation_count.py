@@ -65,8 +65,9 @@ def count_instructions(action: Callable[[], object]) -> int:
 
     def trace(frame: FrameType, event: str, _: object) -> Callable[..., Any]:
         nonlocal count
-        frame.f_trace_opcodes = True
-        count += event == "opcode"
+        frame.f_trace_opcodes = True  # asks for an event at every instruction of this function
+        if event == "opcode":
+            count += 1
         if count > _MAX_INSTRUCTIONS:
             raise _CutShortError
         return trace
@@ -134,26 +135,47 @@ class Workload:
         return robot
 
 
-def workloads() -> Iterator[tuple[str, int, Workload]]:
-    """Yield workloads with their axis and value on it: t around powers of two, every m and every q."""
+def workloads_along(axis: str) -> Iterator[Workload]:
+    """Yield the workloads of one of AXES: t next to powers of two, every m, or every q.
+
+    The attribute of this name is the workload's value on the axis. The other attributes take the values that
+    lead to all branches of a call.
+    """
+    workloads_by_axis = {"t": _workloads_along_t, "m": _workloads_along_m, "q": _workloads_along_q}
+    return workloads_by_axis[axis]()
+
+
+def _workloads_along_t() -> Iterator[Workload]:
+    """Yield workloads of every number of observations that is a power of two, or one less, up to 2**31."""
     powers_of_two = [1 << exponent for exponent in range(32)]
     t_values = sorted({t for power in powers_of_two for t in (power - 1, power) if t > 0})
     for t, robust in product(t_values, (False, True)):
+        # Both limits, no information, and 0.95
         for b_hat in (B_HAT_MIN, 1 << 31, 4080218931, B_HAT_MAX):
             for n in sorted({0, 2 * t // 5, t}):
-                yield "t", t, Workload(t=t, n=n, b_hat=b_hat, robust=robust)
-        if t >= MIN_MEMORY and t % 4 == 0:
-            yield "t", t, Workload(t=t, n=t // 2, halves=True, robust=robust)
+                yield Workload(t=t, n=n, b_hat=b_hat, robust=robust)
+        is_legal_memory = t >= MIN_MEMORY and t % 4 == 0
+        if is_legal_memory:
+            yield Workload(t=t, n=t // 2, halves=True, robust=robust)
+
+
+def _workloads_along_m() -> Iterator[Workload]:
+    """Yield workloads of every number of messages in a round."""
     for m in range(MAX_ID + 1):
-        yield "m", m, Workload(m=m)
-        yield "m", m, Workload(m=m, agrees=True)
-        yield "m", m, Workload(m=m, alpha=ALPHA_MAX)
-        for agrees in (False, True):
-            yield "m", m, Workload(m=m, n=500, agrees=agrees, robust=True)
+        yield Workload(m=m)
+        yield Workload(m=m, agrees=True)
+        yield Workload(m=m, alpha=ALPHA_MAX)
+        # Half of 1000 tiles are black, which the robust filter's centre may contradict.
+        yield Workload(m=m, n=500, agrees=False, robust=True)
+        yield Workload(m=m, n=500, agrees=True, robust=True)
+
+
+def _workloads_along_q() -> Iterator[Workload]:
+    """Yield workloads of every size of a table, with rounds that read different entries of it."""
     for q in range(MIN_Q, MAX_Q + 1):
-        # The first entry of the table, the last one of its own, and that for all larger m.
+        # The first entry of the table, that for q messages, and that for all larger numbers of messages
         for m in (2, q, min(q + 1, MAX_ID)):
-            yield "q", q, Workload(q=q, m=m)
+            yield Workload(q=q, m=m)
 
 
 @cache
@@ -171,19 +193,19 @@ def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection
     counts: Counts = {
         name + suffix: {axis: {} for axis in axes} for suffix in ("", ", robust") for name in CALLS
     }
-    for axis, value, workload in workloads():
-        if axis not in axes:
-            continue
-        suffix = ", robust" if workload.robust else ""
-        robot = workload.make_robot(firmware)
-        for name, call in CALLS.items():
-            # Each call is made on a copy, since calls change the robot.
-            copied_robot = firmware.__new__(firmware)
-            copied_robot.config = robot.config
-            copied_robot.s = deepcopy(robot.s)
-            count = count_instructions(partial(call, copied_robot))
-            count_by_value = counts[name + suffix][axis]
-            count_by_value[value] = max(count_by_value.get(value, 0), count)
+    for axis in axes:
+        for workload in workloads_along(axis):
+            value: int = getattr(workload, axis)
+            suffix = ", robust" if workload.robust else ""
+            robot = workload.make_robot(firmware)
+            for name, call in CALLS.items():
+                # Each call is made on a copy, since calls change the robot.
+                copied_robot = firmware.__new__(firmware)
+                copied_robot.config = robot.config
+                copied_robot.s = deepcopy(robot.s)
+                count = count_instructions(partial(call, copied_robot))
+                count_by_value = counts[name + suffix][axis]
+                count_by_value[value] = max(count_by_value.get(value, 0), count)
     return counts
 
 
@@ -196,7 +218,8 @@ def find_growth(counts: Counts) -> list[str]:
     for name, count_by_axis in counts.items():
         for axis, count_by_value in count_by_axis.items():
             values = sorted(count_by_value)
-            # Maxima of halves: paths through a call differ in length, wherever on the axis they are taken.
+            # Paths through a call differ in length, wherever on the axis they are taken. So the maxima of
+            # both halves of the axis are compared, not single counts.
             middle = len(values) // 2
             early_maximum = max((count_by_value[value] for value in values[:middle]), default=0)
             late_maximum = max((count_by_value[value] for value in values[middle:]), default=0)

@@ -80,8 +80,12 @@ class Audit:
     Attributes:
         errors: Errors by quantity and region.
         tests: Number of hypothesis tests that were checked.
-        robust: Number of times that the robust filter did what: voted, moving, too few, rejected, returned,
-            kept; and undecided, if a test was so close that rounding may decide.
+        robust: How often each of these happened to a robot with the robust filter:
+            voted: It received a vote.
+            moving, too few: Its filter ran without a test, as the crowd moved or had too few senders.
+            rejected: The test rejected b_hat, which was re-estimated.
+            returned, kept: The test did not reject, and b_hat became the initial one, or was that already.
+            undecided: The test was so close that the rounding of its terms may decide, so it was not checked.
     """
 
     def __init__(self) -> None:
@@ -90,7 +94,11 @@ class Audit:
         self.robust = Counter[str]()
 
     def check_call(self, setup: Setup, call: Call, before: CallResult, after: CallResult) -> list[str]:
-        """Check a call by the states before and after it, and return a line for each problem."""
+        """Check a call by the states before and after it, and return a line for each problem.
+
+        After every call the invariants, x_bar and x are checked; after a message to a robot with the robust
+        filter the crowd; after an observation x_hat and alpha; and after the end of a round the filter.
+        """
         old_state, new_state = before.state, after.state
         is_robust = setup.filter == Filter.ROBUST
         is_error = after.outcome.startswith("ERR")
@@ -131,7 +139,9 @@ class Audit:
         """Check whether the paper's filter had to re-estimate b_hat (eq. 12), and the result (eq. 8)."""
         m = old_state["open_count"]
         is_adaptive = setup.filter == Filter.ADAPTIVE
-        is_run = old_state["filter_left"] == 1 and setup.filter != Filter.OFF and new_state["t"] > 0
+        is_filter_round = old_state["filter_left"] == 1  # the last round of a filter period
+        is_run = is_filter_round and setup.filter != Filter.OFF and new_state["t"] > 0
+        # The test needs a variance, and so two messages.
         has_enough_messages = m >= (2 if is_adaptive else 1)
         if not is_run or not has_enough_messages:
             return _check_update(is_updated, expected=False)
@@ -140,14 +150,19 @@ class Audit:
             self.tests += 1
             # Eq. 12 squared and multiplied out, which whole numbers decide exactly. Equality is no rejection.
             difference_squared = (old_state["open_x"] - m * new_state["x_hat"]) ** 2
-            spread = m * old_state["open_x_squared"] - old_state["open_x"] ** 2
-            if difference_squared << FRACTION_BITS <= setup.table.build().entry(m) * spread:
+            scaled_variance = m * old_state["open_x_squared"] - old_state["open_x"] ** 2
+            # Entries of the table have FRACTION_BITS bits after the point.
+            scaled_difference_squared = difference_squared << FRACTION_BITS
+            if scaled_difference_squared <= setup.table.build().entry(m) * scaled_variance:
                 return _check_update(is_updated, expected=False)
         x_bar = Fraction(_closed_alpha_x(new_state), new_state["closed_alpha"] * ONE)
         return self._check_b_hat(new_state, x_bar, is_updated)
 
     def _check_vote(self, call: Call, old_state: State, new_state: State, is_vote: bool) -> list[str]:
-        """Check what a message has changed in the crowd of a robot with the robust filter."""
+        """Check the crowd of a robot with the robust filter after a message.
+
+        If the message was a vote the new centre and spread must be exact, else nothing may have changed.
+        """
         if not is_vote:
             crowd = [name for name in old_state if name.startswith("crowd")]
             changed = [name for name in crowd if new_state[name] != old_state[name]]
@@ -162,14 +177,20 @@ class Audit:
     def _check_robust_filter(
         self, _: Setup, old_state: State, new_state: State, is_updated: bool
     ) -> list[str]:
-        """Check whether the robust filter had to change b_hat, and the result."""
-        if old_state["filter_left"] != 1 or new_state["t"] == 0:
+        """Check whether the robust filter had to change b_hat, and the result, after the end of a round.
+
+        A crowd that moves, or has too few senders, leaves b_hat as it is. Otherwise b_hat is re-estimated if
+        the test rejects it, and else becomes the initial one. Votes are halved while the crowd moves.
+        """
+        is_filter_round = old_state["filter_left"] == 1  # the last round of a filter period
+        if not is_filter_round or new_state["t"] == 0:
             return _check_update(is_updated, expected=False)
-        is_moving = not TREND_MOVING_DOWN <= old_state["crowd_trend"] / 2**16 < TREND_MOVING_UP
+        trend = old_state["crowd_trend"] / 2**16
+        is_moving = not TREND_MOVING_DOWN <= trend < TREND_MOVING_UP
         votes = old_state["crowd_votes"]
         has_votes_to_halve = is_moving and votes >= 2 * VOTES_MIN_WHILE_MOVING
         problems = _check_exact(new_state, {"crowd_votes": votes // 2 if has_votes_to_halve else votes})
-        # Neither a test nor an update is due.
+        # Then there must be neither a test nor an update.
         if is_moving or old_state["crowd_voices"].bit_count() < SENDERS_MIN:
             self.robust["moving" if is_moving else "too few"] += 1
             problems += _check_exact(
@@ -230,7 +251,8 @@ def region_of(value: Fraction) -> str:
 
 def _alpha_units(word: int) -> int:
     """Return the value of an alpha word in units of 2**-24: mantissa * 2**shift."""
-    mantissa, shift = word >> 8, word % 32
+    mantissa = word >> 8
+    shift = word % 32  # the lowest five bits
     return mantissa << shift
 
 
@@ -245,7 +267,12 @@ def _centre_and_spread(state: State) -> tuple[Fraction, Fraction]:
 
 
 def _check_means(state: State, is_robust: bool) -> list[str]:
-    """Check x_bar and x, which are exact quotients, rounded down."""
+    """Check x_bar and x, which are quotients of whole numbers, rounded down.
+
+    x_bar is the mean of the neighbours' x_hat, weighted by their alpha, and x that mean with the robot's own
+    x_hat among them. With the robust filter both are the centre of the votes, and beta must be 0. Without any
+    message x_bar is 1/2 and x is the robot's own x_hat.
+    """
     if is_robust:
         centre = state["crowd_centre"] * ONE // 2**30
         has_votes = state["crowd_votes"] > 0
@@ -274,7 +301,10 @@ def _check_bounds(name: str, value: Fraction, bounds: Bounds) -> list[str]:
 
 
 def _check_update(is_updated: bool, expected: bool | None) -> list[str]:
-    """Return a line if b_hat was re-estimated without need, or was not in need. None allows both."""
-    if expected in (None, is_updated):
+    """Return a line if b_hat was re-estimated although it must not be, or the other way round.
+
+    With ``expected`` None both are right, as where rounding decides.
+    """
+    if expected is None or is_updated == expected:
         return []
-    return [f"b_hat is {'' if is_updated else 'not '}re-estimated, wrongly"]
+    return ["b_hat is re-estimated, wrongly" if is_updated else "b_hat is not re-estimated, wrongly"]

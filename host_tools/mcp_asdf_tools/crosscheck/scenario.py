@@ -12,7 +12,7 @@ wrong as their C types allow.
 from __future__ import annotations
 
 import struct
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import cast
 
@@ -94,7 +94,7 @@ def _generate_table(omega: str, q: int) -> Table:
 
 @dataclass(frozen=True)
 class Setup:
-    """How a robot is made.
+    """Arguments with which a firmware makes a robot; those of ``Config`` and two more.
 
     Attributes:
         table: Thresholds of the paper's test; None if the robot has none.
@@ -113,8 +113,7 @@ class Setup:
     b_hat: int
 
     def __str__(self) -> str:
-        _, *numbers = astuple(self)
-        robot = ":".join(["robot", *map(str, numbers)])
+        robot = f"robot:{self.filter}:{self.filter_period}:{self.memory}:{self.robot_id}:{self.b_hat}"
         return robot if self.table is None else f"{self.table},{robot}"
 
     def config(self) -> Config:
@@ -156,7 +155,9 @@ def parse_scenario(line: str) -> Scenario:
     if not items or _name_of(items[0]) != "robot":
         raise UsageError("a scenario starts with table:... and robot:..., or with robot:... alone")
     robot_item, *call_items = items
-    return Scenario(Setup(table, *_parse_numbers(robot_item)), tuple(map(_parse_call, call_items)))
+    # The numbers of the item are in the order of the attributes of Setup.
+    setup = Setup(table, *_parse_numbers(robot_item))
+    return Scenario(setup, tuple(_parse_call(call_item) for call_item in call_items))
 
 
 def _name_of(item: str) -> str:
@@ -193,7 +194,8 @@ def _parse_call(item: str) -> Call:
 def _parse_numbers(item: str) -> tuple[int, ...]:
     """Read an item's numbers. Raises UsageError if there are not as many as it takes, or one is too large."""
     name, *texts = item.split(":")
-    numbers, max_numbers = tuple(_parse_integer(text, item) for text in texts), _MAX_NUMBERS[name]
+    numbers = tuple(_parse_integer(text, item) for text in texts)
+    max_numbers = _MAX_NUMBERS[name]
     if len(numbers) != len(max_numbers):
         raise UsageError(f"{item} has {len(numbers)} numbers; {name} takes {len(max_numbers)}")
     for number, max_number in zip(numbers, max_numbers, strict=True):
@@ -214,7 +216,11 @@ def _parse_integer(text: str, item: str) -> int:
 
 
 def edited_image(image: bytes, call: Call) -> bytes:
-    """Return the image that a ``restore`` or ``damage`` call gives the firmware, from one that it saved."""
+    """Return a copy of a saved image with the changes that a ``restore`` or ``damage`` call makes.
+
+    ``restore`` replaces words and computes the checksum anew; ``damage`` changes a byte and leaves the
+    checksum as it is.
+    """
     if call.name == "damage":
         byte_index, mask = call.numbers
         damaged_image = bytearray(image)
@@ -227,7 +233,10 @@ def edited_image(image: bytes, call: Call) -> bytes:
 
 
 def perform(robot: FixedPointRobot, call: Call) -> Status:
-    """Make a call of ``robot``, which is none of those in REPLACING, and return its status."""
+    """Make a call of ``robot`` that is no ``restore`` or ``damage``, and return its status.
+
+    Numbers are passed on as they are, also those that the firmware must refuse, as its status then shows.
+    """
     numbers = call.numbers
     if call.name == "receive":
         return robot.receive_raw(*numbers)

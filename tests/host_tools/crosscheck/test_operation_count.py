@@ -19,7 +19,7 @@ from mcp_asdf_tools.crosscheck.operation_count import (
     count_operations,
     find_growth,
     measure_storage,
-    workloads,
+    workloads_along,
 )
 from support import slow
 
@@ -76,7 +76,7 @@ def test_the_garbage_collector_is_off_while_counting_and_then_as_before(
 
 def workloads_at(axis: str, value: int) -> list[Workload]:
     """Return the workloads at a value of an axis."""
-    return [workload for name, at, workload in workloads() if (name, at) == (axis, value)]
+    return [workload for workload in workloads_along(axis) if getattr(workload, axis) == value]
 
 
 def test_workloads_at_a_t_are_of_all_kinds_of_accuracies_and_counts() -> None:
@@ -97,7 +97,7 @@ def test_workloads_at_a_t_that_no_memory_can_have_are_not_halved() -> None:
 
 
 def test_workloads_cover_t_around_powers_of_two() -> None:
-    t_values = {value for axis, value, _ in workloads() if axis == "t"}
+    t_values = {workload.t for workload in workloads_along("t")}
     powers = [2**exponent for exponent in range(32)]
     assert t_values == {*powers, *(power - 1 for power in powers[1:])}
 
