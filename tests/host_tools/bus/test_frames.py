@@ -55,17 +55,27 @@ from mcp_asdf_tools.bus.frames import (
     encode_estimate,
     format_frame,
 )
-from messages import DEFAULT, FRAMES, KINDS, as_decoded, drawn, encoded
+from messages import (
+    DEFAULT,
+    FRAMES,
+    KINDS,
+    any_command,
+    any_message,
+    any_message_of_robots,
+    as_decoded,
+    encoded,
+)
 from robots import ALPHA_ONE
 from support import ROOT, draws, require, run
 
 pytestmark = pytest.mark.random
 
 ALPHA_UNIT = Fraction(1, 2**24)
+"""What 1 in the mantissa of an alpha word stands for, if its shift is 0."""
 SEED = 20260
 C_SOURCE = ROOT / "c_ref/src/mcp_asdf_frame.c"
 C_HEADER = C_SOURCE.with_suffix(".h").read_text(encoding="utf-8")
-C_DECODES = (Estimate, Command)
+TYPES_THAT_C_DECODES = (Estimate, Command)
 C_FORMATS = {Estimate: (3000, 4), Telemetry: (3001, 6)}
 """Default subject and priority by kind; the C takes a heartbeat's priority alone."""
 C_HEARTBEAT_PRIORITY = 4
@@ -74,38 +84,61 @@ C_HEARTBEAT_PRIORITY = 4
 fixed_examples = settings(derandomize=True, deadline=None, max_examples=draws(300))
 
 
+FLAG_STANDARD_ID, FLAG_REMOTE_FRAME, FLAG_ERROR_FRAME, FLAG_FD_FRAME = 1, 2, 4, 8
+"""Flags of a frame in C."""
+
+
+def c_declarations() -> str:
+    """Return the declarations of the C header, without comments, preprocessor and what is for C++."""
+    text = re.sub(r"/\*.*?\*/", "", C_HEADER, flags=re.DOTALL)
+    text = re.sub(r"^#ifdef __cplusplus$.*?^#endif$", "", text, flags=re.DOTALL | re.MULTILINE)
+    return re.sub(r"^#.*$", "", text, flags=re.MULTILINE)
+
+
 class CCodec:
-    """The C codec. What it decodes is a rejection's name, or the message's values in Python's order."""
+    """The C codec, called from Python.
+
+    Attributes:
+        ffi: Makes objects of C.
+        library: The codec's functions.
+        statuses: Status codes by name, such as "OK" and "ERR_ALPHA".
+    """
 
     def __init__(self, library: Path) -> None:
         self.ffi = FFI()
-        declarations = re.sub(r"/\*.*?\*/", "", C_HEADER, flags=re.DOTALL)
-        cplusplus = re.compile(r"^#ifdef __cplusplus$.*?^#endif$", re.DOTALL | re.MULTILINE)
-        declarations = cplusplus.sub("", declarations)
-        self.ffi.cdef(re.sub(r"^#.*$", "", declarations, flags=re.MULTILINE))
+        self.ffi.cdef(c_declarations())
         self.library = self.ffi.dlopen(str(library))
         status_codes = self.ffi.typeof("mcp_asdf_frame_status_t").relements
         self.statuses = {name.removeprefix("MCP_ASDF_FRAME_"): code for name, code in status_codes.items()}
         self._rejection_names = {code: name.removeprefix("ERR_") for name, code in self.statuses.items()}
 
     def decode(self, message_type: type, frame: can.Message) -> str | tuple[int, ...]:
+        """Return the values of a message in the order of Python's fields, or the name of the rejection."""
         kind = KINDS[message_type]
-        c_frame: Any = self.ffi.new("mcp_asdf_frame_t *")
-        c_frame.id, c_frame.length = frame.arbitration_id, len(frame.data)
-        c_frame.flags = (
-            (not frame.is_extended_id)
-            | frame.is_remote_frame * 2
-            | frame.is_error_frame * 4
-            | frame.is_fd * 8
-        )
-        c_frame.data = bytes(frame.data[:8]).ljust(8, b"\xe0")
         c_message = self.ffi.new(f"mcp_asdf_{kind.name}_t *")
         decode_function = getattr(self.library, f"mcp_asdf_decode_{kind.name}")
-        status = decode_function(c_message, kind.subject, c_frame)
-        if status:
+        status = decode_function(c_message, kind.subject, self._to_c_frame(frame))
+        if status != 0:
             return str(self._rejection_names[status])
         values: tuple[int, ...] = tuple(getattr(c_message, member) for member in c_members(message_type))
         return values
+
+    def _to_c_frame(self, frame: can.Message) -> Any:
+        c_frame: Any = self.ffi.new("mcp_asdf_frame_t *")
+        c_frame.id = frame.arbitration_id
+        c_frame.length = len(frame.data)
+        # C keeps 8 bytes; behind shorter data stand those of a valid tail, which must not make it valid.
+        c_frame.data = bytes(frame.data[:8]).ljust(8, b"\xe0")
+        c_frame.flags = 0
+        if not frame.is_extended_id:
+            c_frame.flags |= FLAG_STANDARD_ID
+        if frame.is_remote_frame:
+            c_frame.flags |= FLAG_REMOTE_FRAME
+        if frame.is_error_frame:
+            c_frame.flags |= FLAG_ERROR_FRAME
+        if frame.is_fd:
+            c_frame.flags |= FLAG_FD_FRAME
+        return c_frame
 
     def encode(self, message: Any) -> tuple[int, bytes] | None:
         """Return identifier and data with the default format; None if the message is refused."""
@@ -117,23 +150,26 @@ class CCodec:
         if type(message) in C_FORMATS:
             c_format = self.ffi.new("mcp_asdf_frame_format_t *", C_FORMATS[type(message)])
         c_frame = self.ffi.new("mcp_asdf_frame_t *")
-        if getattr(self.library, f"mcp_asdf_encode_{name}")(c_frame, c_format, c_message):
+        encode_function = getattr(self.library, f"mcp_asdf_encode_{name}")
+        if encode_function(c_frame, c_format, c_message) != 0:
             return None
         assert (c_frame.flags, c_frame.length) == (0, 8)
         return c_frame.id, bytes(c_frame.data)
 
 
 def as_number(value: Any) -> Any:
+    """Return an enumerated value's number, and any other value as it is."""
     return value.value if isinstance(value, Enum) else value
 
 
 def c_members(message_type: type) -> list[str]:
-    """The members of the C struct, in the order of the fields in Python."""
+    """Return the members of the C struct, in the order of the fields in Python."""
     return ["node" if field.name == "sender" else field.name for field in fields(message_type)]
 
 
 @pytest.fixture(scope="module")
 def c_codec(tmp_path_factory: pytest.TempPathFactory) -> CCodec:
+    """The C codec, compiled without warnings."""
     library = tmp_path_factory.mktemp("codec") / "frame.so"
     warnings = ("-std=c99", "-Wall", "-Wextra", "-Werror")
     run(require("cc", "gcc"), *warnings, "-O2", "-shared", "-fPIC", C_SOURCE, "-o", library)
@@ -144,19 +180,26 @@ def c_codec(tmp_path_factory: pytest.TempPathFactory) -> CCodec:
 
 
 def test_the_documented_estimate_has_the_documented_identifier_and_bytes() -> None:
-    frame = encode_estimate(Estimate(42, 2**22, ALPHA_ONE, 0), DEFAULT)
-    assert (frame.arbitration_id, frame.data.hex()) == (0x106BB82A, "0000400000803fe0")
+    estimate = Estimate(sender=42, x_hat=2**22, alpha=ALPHA_ONE, transfer_id=0)
+    frame = encode_estimate(estimate, DEFAULT)
+    assert frame.arbitration_id == 0x106BB82A
+    assert frame.data.hex() == "0000400000803fe0"
 
 
 def test_an_estimate_is_a_classic_data_frame_with_an_extended_identifier() -> None:
     frame = encode_estimate(Estimate(42, 2**22, ALPHA_ONE, 0), DEFAULT, timestamp=1.5)
-    assert (frame.timestamp, frame.dlc, frame.is_extended_id, frame.is_rx) == (1.5, 8, True, False)
-    assert not (frame.is_fd or frame.is_remote_frame or frame.is_error_frame)
+    assert frame.timestamp == 1.5
+    assert frame.dlc == 8
+    assert frame.is_extended_id
+    assert not frame.is_fd
+    assert not frame.is_remote_frame
+    assert not frame.is_error_frame
+    assert not frame.is_rx
 
 
 def test_a_format_s_subject_and_priority_are_in_the_identifier() -> None:
-    assert FrameFormat(3000, 4).identifier(42) == 0x106BB82A
-    assert FrameFormat(6143, 7).identifier(127) == 0x1C77FF7F
+    assert FrameFormat(subject=3000, priority=4).identifier(42) == 0x106BB82A
+    assert FrameFormat(subject=6143, priority=7).identifier(127) == 0x1C77FF7F
 
 
 @pytest.mark.parametrize("text", FRAMES)
@@ -167,38 +210,34 @@ def test_a_frame_is_written_as_candump_writes_it(text: str) -> None:
 # Encoders, in Python and in C
 
 
-@settings(fixed_examples, max_examples=draws(1500))
-@given(drawn(beyond=3))
-@example(Estimate(127, 2**23, ALPHA_MAX, 31))
-@example(Telemetry(0, 0, MIN_B_HAT, 0, 0))
-def test_c_and_python_encode_the_same_frame_or_both_refuse(c_codec: CCodec, message: Any) -> None:
-    if isinstance(message, Command):
-        return  # robots send no commands, so the C has no encoder for them
+def encode_in_python(message: Any) -> tuple[int, bytes] | None:
+    """Return identifier and data of the message's frame; None if the message is refused."""
     try:
         frame = encoded(message)
     except ValueError:
-        assert c_codec.encode(message) is None
-    else:
-        assert c_codec.encode(message) == (frame.arbitration_id, bytes(frame.data))
-
-
-@fixed_examples
-@given(drawn(beyond=3))
-@example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))
-def test_a_command_is_encoded_exactly_if_its_ids_are_of_robots(message: Any) -> None:
-    if not isinstance(message, Command):
-        return
-    is_legal = message.sender <= 127 and (message.target <= 127 or message.target == EVERY_ROBOT)
-    try:
-        encoded(message)
-    except ValueError:
-        assert not is_legal
-    else:
-        assert is_legal
+        return None
+    return frame.arbitration_id, bytes(frame.data)
 
 
 @settings(fixed_examples, max_examples=draws(1500))
-@given(drawn())
+@given(any_message_of_robots(beyond=3))
+@example(Estimate(127, 2**23, ALPHA_MAX, 31))
+@example(Telemetry(0, 0, MIN_B_HAT, 0, 0))
+def test_c_and_python_encode_the_same_frame_or_both_refuse(c_codec: CCodec, message: Any) -> None:
+    """Commands are not sent by robots, so C has no encoder for them."""
+    assert c_codec.encode(message) == encode_in_python(message)
+
+
+@fixed_examples
+@given(any_command(beyond=3))
+@example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))
+def test_a_command_is_encoded_exactly_if_its_ids_are_of_robots(command: Command) -> None:
+    is_legal = command.sender <= 127 and (command.target <= 127 or command.target == EVERY_ROBOT)
+    assert (encode_in_python(command) is not None) == is_legal
+
+
+@settings(fixed_examples, max_examples=draws(1500))
+@given(any_message())
 @example(Estimate(127, 2**23, ALPHA_MAX, 31))
 @example(Command(127, 2**32 - 1, EVERY_ROBOT, Action.SETTLE, 31))
 def test_decoding_returns_what_was_encoded(message: Any) -> None:
@@ -208,11 +247,15 @@ def test_decoding_returns_what_was_encoded(message: Any) -> None:
 
 
 @fixed_examples
-@given(drawn())
-def test_any_frame_is_decoded_by_its_subject(message: Any) -> None:
-    """But for commands, which only those decode who obey them."""
-    expected = Rejection.SUBJECT if isinstance(message, Command) else as_decoded(message)
-    assert decode_frame(encoded(message), DEFAULT) == expected
+@given(any_message_of_robots())
+def test_decode_frame_takes_all_that_robots_send(message: Any) -> None:
+    assert decode_frame(encoded(message), DEFAULT) == as_decoded(message)
+
+
+@fixed_examples
+@given(any_command())
+def test_decode_frame_rejects_commands_by_their_subject(command: Command) -> None:
+    assert decode_frame(encoded(command), DEFAULT) is Rejection.SUBJECT
 
 
 @pytest.mark.parametrize(
@@ -242,11 +285,12 @@ def test_a_format_that_cyphal_forbids_is_refused_by_name(field: str, value: int)
 
 # Decoders, on any frame
 
+LEGAL_ESTIMATE_FRAME = encoded(Estimate(42, x_hat=2**22, alpha=ALPHA_ONE, transfer_id=5))
 LEGAL_FRAMES = (
-    encoded(Estimate(42, 2**22, ALPHA_ONE, 5)),
-    encoded(Heartbeat(42, 99, 5)),
-    encoded(Telemetry(42, 2**22, 2**23, 7, 5)),
-    encoded(Command(42, 1000, 17, Action.SETTLE, 5)),
+    LEGAL_ESTIMATE_FRAME,
+    encoded(Heartbeat(42, uptime=99, transfer_id=5)),
+    encoded(Telemetry(42, x=2**22, b_hat=2**23, updates=7, transfer_id=5)),
+    encoded(Command(42, tick=1000, target=17, action=Action.SETTLE, transfer_id=5)),
 )
 
 
@@ -260,37 +304,48 @@ def mutated(rng: random.Random) -> can.Message:
     """Return a legal frame with up to three changes: enough to reach every check and the one behind it."""
     frame = rng.choice(LEGAL_FRAMES)
     for _ in range(rng.randrange(4)):
-        data = bytearray(frame.data)
-        if data:
-            bits_to_flip = rng.choice((1 << rng.randrange(8), rng.randrange(256)))
-            data[rng.randrange(len(data))] ^= bits_to_flip
-        changes: tuple[dict[str, Any], ...] = (
-            {"data": data},
-            {"data": data[:3] + bytes([rng.choice((0, 255))] * 3) + data[6:]},
-            {"data": rng.randbytes(7) + bytes([rng.choice((0xE0, 0xFF, 0x60))])},
-            {"data": rng.randbytes(rng.choice((0, 7, 8, 9, 12, 64)))},
-            {"arbitration_id": frame.arbitration_id ^ 1 << rng.randrange(29)},
-            {"arbitration_id": rng.randrange(2**29)},
-            {rng.choice(("is_remote_frame", "is_error_frame", "is_fd")): True},
-            {"is_extended_id": False},
-        )
-        frame = altered(frame, **rng.choice(changes))
+        frame = altered(frame, **random_change(frame, rng))
     return frame
 
 
+def random_change(frame: can.Message, rng: random.Random) -> dict[str, Any]:
+    """Draw another value of a field of the frame, as a dictionary with one entry."""
+    data = bytearray(frame.data)
+    if data:
+        one_bit, some_bits = 1 << rng.randrange(8), rng.randrange(256)
+        data[rng.randrange(len(data))] ^= rng.choice((one_bit, some_bits))
+    all_zeros_or_ones = bytes([rng.choice((0, 255))] * 3)
+    tail_byte = bytes([rng.choice((0xE0, 0xFF, 0x60))])  # complete with transfer id 0 or 31, or incomplete
+    changes: tuple[dict[str, Any], ...] = (
+        {"data": data},
+        {"data": data[:3] + all_zeros_or_ones + data[6:]},
+        {"data": rng.randbytes(7) + tail_byte},
+        {"data": rng.randbytes(rng.choice((0, 7, 8, 9, 12, 64)))},
+        {"arbitration_id": frame.arbitration_id ^ (1 << rng.randrange(29))},
+        {"arbitration_id": rng.randrange(2**29)},
+        {rng.choice(("is_remote_frame", "is_error_frame", "is_fd")): True},
+        {"is_extended_id": False},
+    )
+    return rng.choice(changes)
+
+
 def check_same_verdict(c_codec: CCodec, frame: can.Message) -> list[str]:
-    """Assert that C and Python decode a frame alike; return Python's verdict as each kind, as a word."""
+    """Check that C and Python decode a frame alike as each kind of message, and return Python's verdicts.
+
+    A verdict is the name of a rejection, or of the kind if the frame holds a message of it.
+    """
     verdicts = []
     for message_type, kind in KINDS.items():
-        content = kind.decode(frame)
-        if isinstance(content, Rejection):
-            result: Any = content.name
-            verdicts.append(content.name)
+        message = kind.decode(frame)
+        if isinstance(message, Rejection):
+            verdict: str = message.name
+            expected_of_c: Any = message.name
         else:
-            result = tuple(map(as_number, astuple(content)))
-            verdicts.append(kind.name)
-        if message_type in C_DECODES:
-            assert c_codec.decode(message_type, frame) == result, (kind.name, frame)
+            verdict = kind.name
+            expected_of_c = tuple(as_number(value) for value in astuple(message))
+        if message_type in TYPES_THAT_C_DECODES:
+            assert c_codec.decode(message_type, frame) == expected_of_c, (kind.name, frame)
+        verdicts.append(verdict)
     return verdicts
 
 
@@ -309,64 +364,89 @@ def test_c_and_python_decode_damaged_frames_alike(c_codec: CCodec) -> None:
 
 def flipped(frame: can.Message, bit_flips: int) -> can.Message:
     """Return a copy of a frame with these bits of its 8 bytes inverted; other lengths stay as they are."""
-    copied = copy(frame)
+    copied_frame = copy(frame)
     if len(frame.data) == 8:
-        copied.data = bytearray((int.from_bytes(frame.data, "little") ^ bit_flips).to_bytes(8, "little"))
-    return copied
+        data_as_number = int.from_bytes(frame.data, "little")
+        copied_frame.data = bytearray((data_as_number ^ bit_flips).to_bytes(8, "little"))
+    return copied_frame
 
 
-def estimates_at_the_limits() -> list[can.Message]:
-    """Return estimate frames whose x_hat and alpha are the last legal and the first illegal ones."""
-    limits_of_alpha = (
-        0,
-        float32_bits(2.0**-24),
-        float32_bits(2.0**31) - 1,
-        float32_bits(2.0**31),
-        MAX_FLOAT32_BITS,
-        MAX_FLOAT32_BITS + 1,
-    )
-    return [
-        altered(LEGAL_FRAMES[0], data=(x_hat | alpha << 24 | 0xE0 << 56).to_bytes(8, "little"))
-        for x_hat in (2**23, 2**23 + 1)
-        for alpha in limits_of_alpha
-    ]
+LIMITS_OF_ALPHA = (
+    0,
+    float32_bits(2.0**-24),
+    float32_bits(2.0**31) - 1,
+    float32_bits(2.0**31),
+    MAX_FLOAT32_BITS,
+    MAX_FLOAT32_BITS + 1,
+)
+"""The last legal values of alpha and the first illegal one, as float32 bits."""
 
 
-def test_many_frames_are_decoded_as_one_by_one() -> None:
-    rng = random.Random(SEED)
-    frames = estimates_at_the_limits() + [mutated(rng) for _ in range(draws(4000))]
-    bit_flips = [rng.choice((0, 0, 1 << rng.randrange(64), rng.getrandbits(64))) for _ in frames]
+def estimate_frame(x_hat: int, alpha_bits: int) -> can.Message:
+    """Return an estimate's frame with these 24 and 32 bits, which may be illegal."""
+    data = x_hat.to_bytes(3, "little") + alpha_bits.to_bytes(4, "little") + b"\xe0"
+    return altered(LEGAL_ESTIMATE_FRAME, data=data)
+
+
+def check_decoded_like_single_frames(frames: list[can.Message], bit_flips: list[int]) -> None:
+    """Check that frames decoded as arrays, with some bits flipped, are what each is by itself."""
     decoded = decode_estimates(frames, DEFAULT, np.array(bit_flips, np.uint64))
     assert decoded.rows.shape == (len(frames), 3)
     for index, (frame, flips) in enumerate(zip(frames, bit_flips, strict=True)):
-        expected = decode_estimate(flipped(frame, flips), DEFAULT)
-        assert decoded.is_estimate[index] == isinstance(expected, Estimate), (index, frame)
-        if isinstance(expected, Estimate):
-            assert decoded.rows[index].tolist() == [expected.sender, expected.x_hat, expected.alpha]
+        estimate = decode_estimate(flipped(frame, flips), DEFAULT)
+        assert decoded.is_estimate[index] == isinstance(estimate, Estimate), (index, frame)
+        if isinstance(estimate, Estimate):
+            assert decoded.rows[index].tolist() == [estimate.sender, estimate.x_hat, estimate.alpha]
+
+
+@pytest.mark.parametrize("x_hat", [2**23, 2**23 + 1])
+def test_many_frames_at_the_limits_are_decoded_as_one_by_one(x_hat: int) -> None:
+    frames = [estimate_frame(x_hat, alpha_bits) for alpha_bits in LIMITS_OF_ALPHA]
+    check_decoded_like_single_frames(frames, bit_flips=[0] * len(frames))
+
+
+def test_many_damaged_frames_are_decoded_as_one_by_one() -> None:
+    rng = random.Random(SEED)
+    frames = [mutated(rng) for _ in range(draws(4000))]
+    bit_flips = []
+    for _ in frames:
+        one_bit, some_bits = 1 << rng.randrange(64), rng.getrandbits(64)
+        bit_flips.append(rng.choice((0, 0, one_bit, some_bits)))  # half of the frames stay as they are
+    check_decoded_like_single_frames(frames, bit_flips)
+
+
+@pytest.mark.parametrize("alpha_bits", LIMITS_OF_ALPHA)
+def test_a_frame_at_the_limits_is_decoded_alike_whichever_bit_is_flipped(alpha_bits: int) -> None:
+    frames = [estimate_frame(2**23, alpha_bits)] * 64
+    check_decoded_like_single_frames(frames, bit_flips=[1 << bit for bit in range(64)])
 
 
 def test_no_frames_are_decoded_to_no_estimates() -> None:
     decoded = decode_estimates([], DEFAULT, np.zeros(0, np.uint64))
-    assert (decoded.rows.shape, decoded.is_estimate.shape) == ((0, 3), (0,))
+    assert decoded.rows.shape == (0, 3)
+    assert decoded.is_estimate.shape == (0,)
 
 
 # Alpha: the firmware's word and binary32
 
 
 def value_of_word(word: int) -> Fraction:
-    return ((word >> 8) << word % 32) * ALPHA_UNIT
+    """Return the exact value of an alpha word: 24 bits of mantissa above 8 bits, 5 of which are its shift."""
+    mantissa, shift = word >> 8, word % 32
+    return (mantissa << shift) * ALPHA_UNIT
 
 
 @settings(fixed_examples, max_examples=draws(1000))
 @given(st.integers(0, 2**32 - 1) | st.integers(0, 2**24 - 1).map(lambda mantissa: mantissa << 8))
 def test_every_alpha_word_is_sent_exactly(word: int) -> None:
     bits = float32_bits_from_alpha_word(word)
-    assert Fraction(float32_value(bits)) == value_of_word(word) == Fraction(alpha_from_word(word))
+    assert Fraction(float32_value(bits)) == value_of_word(word)
+    assert Fraction(alpha_from_word(word)) == value_of_word(word)
 
 
 def test_the_frame_holds_the_float_of_its_alpha_word() -> None:
     frame = encode_estimate(Estimate(42, 2**22, ALPHA_ONE, 0), DEFAULT)
-    assert alpha_float32_bits(frame) == float32_bits(1.0) == 0x3F800000
+    assert alpha_float32_bits(frame) == 0x3F800000, "1.0 in binary32"
 
 
 # design: R16
@@ -382,8 +462,9 @@ def test_the_frame_holds_the_float_of_its_alpha_word() -> None:
 @example(float32_bits(2.0**-24))
 def test_a_float_off_the_grid_is_rounded_down_and_a_large_one_saturates(bits: int) -> None:
     value = Fraction(float(np.uint32(bits).view(np.float32)))
+    rounded_down = (value // ALPHA_UNIT) * ALPHA_UNIT
     word = alpha_word_from_float32_bits(bits)
-    assert value_of_word(word) == min(value // ALPHA_UNIT * ALPHA_UNIT, value_of_word(ALPHA_MAX))
+    assert value_of_word(word) == min(rounded_down, value_of_word(ALPHA_MAX))
     assert word == alpha_word_from_float(float(value))
 
 
@@ -392,12 +473,15 @@ def test_a_float_off_the_grid_is_rounded_down_and_a_large_one_saturates(bits: in
 def test_a_decoded_alpha_word_has_the_firmware_s_form(bits: int) -> None:
     """Its spare bits are 0, and its shift is the smallest, so that equal numbers are equal words."""
     word = alpha_word_from_float32_bits(bits)
-    assert word & 0xE0 == 0
-    assert word >> 31 == 1 or word % 256 == 0
+    spare_bits, shift, top_bit_of_mantissa = word & 0xE0, word & 0x1F, word >> 31
+    assert spare_bits == 0
+    assert shift == 0 or top_bit_of_mantissa == 1
 
 
 def test_a_float_becomes_the_nearest_binary32_number_ties_to_even() -> None:
-    assert (float32_bits(1 + 2**-24), float32_bits(1 + 3 * 2**-24)) == (0x3F800000, 0x3F800002)
+    """Next to 1, binary32 has steps of 2**-23; both floats lie in the middle between two of its numbers."""
+    assert float32_bits(1 + 2**-24) == 0x3F800000
+    assert float32_bits(1 + 3 * 2**-24) == 0x3F800002
 
 
 def test_a_float_beyond_binary32_is_an_error() -> None:
@@ -438,4 +522,5 @@ def test_a_command_to_every_robot_is_for_any_target(c_codec: CCodec) -> None:
     frame = encoded(Command(42, 7, EVERY_ROBOT, Action.SETTLE, 0))
     command = decode_command(frame)
     assert isinstance(command, Command)
-    assert c_codec.decode(Command, frame) == (42, 7, 255, 3, 0)
+    sender, tick, target, action, transfer_id = 42, 7, 255, 3, 0
+    assert c_codec.decode(Command, frame) == (sender, tick, target, action, transfer_id)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import math
 from concurrent.futures import ThreadPoolExecutor
@@ -21,13 +20,16 @@ from mcp_asdf_tools.world.arena import Arena, Motion, allocate_memory, make_conf
 from mcp_asdf_tools.world.floor_code import make_floor_code
 from mcp_asdf_tools.world.settings import WorldSettings
 
-RADIUS, WHEELS_APART, TICK = 0.0704, 0.1054, 0.1
-DATA = Path(__file__).parents[2] / "data/motion_statistics.json"
-REFERENCE = json.loads(DATA.read_text(encoding="utf-8"))["statistics"]
+RADIUS = 0.0704
+"""Radius of a robot's body in metres."""
+WHEELS_APART = 0.1054
+TICK = 0.1
+"""Length of a tick in seconds."""
 
 
-def moving(robots: int, width: float = 0, height: float = 0, **more: Any) -> WorldSettings:
-    return WorldSettings(topology="dynamic", robots=robots, width=width, height=height, **more)
+def moving(robots: int, width: float = 0, height: float = 0, **parameters: Any) -> WorldSettings:
+    """Return settings of moving robots on a floor of so many metres, or by default of the paper's density."""
+    return WorldSettings(topology="dynamic", robots=robots, width=width, height=height, **parameters)
 
 
 PAPER = moving(20, fill_ratio=0.5)
@@ -36,41 +38,55 @@ CROWD = moving(60, 1.7, 1.6, radio_range=0.5, fill_ratio=0.5)
 
 
 def distances(position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distances of all pairs, shape (N, N); infinite between a robot and itself."""
-    apart: NDArray[np.float64] = np.linalg.norm(position[:, None] - position[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    return apart
+    """Return the distances of all pairs, shape (N, N); infinite between a robot and itself."""
+    differences = position[:, None] - position[None]  # by robot, robot and coordinate
+    distances_of_pairs: NDArray[np.float64] = np.linalg.norm(differences, axis=2)
+    np.fill_diagonal(distances_of_pairs, np.inf)
+    return distances_of_pairs
 
 
 def test_robots_without_room_are_refused() -> None:
-    crowded = moving(60, 3, 3)
-    for side in ("width", "height"):
-        object.__setattr__(crowded, side, 0.6)  # which settings would have refused
+    settings = moving(robots=60, width=3, height=3)
+    # Settings would refuse so small a floor at once, so they are changed behind their back.
+    object.__setattr__(settings, "width", 0.6)
+    object.__setattr__(settings, "height", 0.6)
     with pytest.raises(UsageError, match=r"60 robots found no room in 0\.6 x 0\.6 m; take fewer or a larger"):
-        Arena(crowded)
+        Arena(settings)
 
 
 # ---------------------------------------------------------------- determinism
 
 
+def bytes_of_links(adjacency: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return the links of each robot in each tick as 16 bytes, with a bit for each of up to 128 robots."""
+    ticks, robots, _ = adjacency.shape
+    packed = np.packbits(adjacency, axis=2, bitorder="little")
+    padded = np.zeros((ticks, robots, 16), np.uint8)
+    padded[:, :, : packed.shape[2]] = packed
+    return padded
+
+
+def digest_of_motion(motion: Motion) -> str:
+    """Return 16 digits that stand for all bits of a motion, on machines of either byte order."""
+    digest = hashlib.sha256()
+    for values in (motion.position, motion.heading, bytes_of_links(motion.adjacency), motion.black):
+        little_endian = values.dtype.newbyteorder("<")
+        digest.update(values.astype(little_endian).tobytes())
+    return digest.hexdigest()[:16]
+
+
 @pytest.mark.parametrize(
-    ("settings", "expected"),
+    ("settings", "digest"),
     [
         (PAPER, "9da4ac4df8883d84"),
         (CROWD, "b076104f7f9d6271"),
         (moving(127, density=4.0), "036003a4cf6e9dcc"),
     ],
+    ids=["paper", "crowd", "largest round"],
 )
-def test_a_seed_gives_the_same_bits_everywhere(settings: WorldSettings, expected: str) -> None:
-    """The digest stands for every machine: the arena uses only operations that IEEE 754 rounds correctly."""
-    motion = Arena(settings, 1).record(3000)
-    digest = hashlib.sha256()
-    linked = np.zeros((*motion.black.shape, 16), np.uint8)  # a bit for each of 128 robots
-    bits = np.packbits(motion.adjacency, axis=2, bitorder="little")
-    linked[:, :, : bits.shape[2]] = bits
-    for values in (motion.position, motion.heading, linked, motion.black):
-        digest.update(values.astype(values.dtype.newbyteorder("<")).tobytes())
-    assert digest.hexdigest()[:16] == expected
+def test_a_seed_gives_the_same_bits_everywhere(settings: WorldSettings, digest: str) -> None:
+    """The arena uses only operations that IEEE 754 rounds correctly, so all machines have one digest."""
+    assert digest_of_motion(Arena(settings, trial=1).record(3000)) == digest
 
 
 def test_trials_differ() -> None:
@@ -78,11 +94,13 @@ def test_trials_differ() -> None:
 
 
 def test_time_may_pass_in_any_portions() -> None:
-    motion, arena = Arena(CROWD, 7).record(500), Arena(CROWD, 7)
-    for ticks in (0, 1, 2, 97):
+    motion = Arena(CROWD, 7).record(500)
+    arena = Arena(CROWD, 7)
+    for ticks in (0, 1, 2, 97):  # 100 together
         arena.step(ticks)
-    for name, values in vars(arena.record(400)).items():
-        assert np.array_equal(values, getattr(motion, name)[100:]), name
+    last_400_ticks = arena.record(400)
+    for name, values in vars(motion).items():
+        assert np.array_equal(getattr(last_400_ticks, name), values[100:]), name
 
 
 def test_the_positions_are_those_after_the_last_tick() -> None:
@@ -128,13 +146,24 @@ def test_no_body_is_faster_than_its_wheels(run: tuple[WorldSettings, Motion]) ->
 
 def test_headings_keep_their_length(run: tuple[WorldSettings, Motion]) -> None:
     _, motion = run
-    assert np.abs(np.linalg.norm(motion.heading, axis=2) - 1).max() < 1e-9
+    lengths = np.linalg.norm(motion.heading, axis=2)
+    assert np.abs(lengths - 1).max() < 1e-9
 
 
-def test_robots_in_a_crowd_touch_and_go_on() -> None:
-    motion = Arena(CROWD, 4).record(3000)
-    assert (nearest_distances(motion) < 2 * RADIUS + 1e-3).sum() > 20
-    distances_in_a_minute = np.linalg.norm(motion.position[-1] - motion.position[-600], axis=1)
+@pytest.fixture(scope="module")
+def motion_in_crowd() -> Motion:
+    """The motion of a crowd in 3000 ticks, which are five minutes."""
+    return Arena(CROWD, 4).record(3000)
+
+
+def test_robots_in_a_crowd_touch(motion_in_crowd: Motion) -> None:
+    is_touching = nearest_distances(motion_in_crowd) < 2 * RADIUS + 1e-3  # by tick
+    assert is_touching.sum() > 20
+
+
+def test_robots_in_a_crowd_go_on(motion_in_crowd: Motion) -> None:
+    position_at_end, position_a_minute_before = motion_in_crowd.position[-1], motion_in_crowd.position[-600]
+    distances_in_a_minute = np.linalg.norm(position_at_end - position_a_minute_before, axis=1)
     assert np.median(distances_in_a_minute) > 0.1
 
 
@@ -143,24 +172,29 @@ def test_robots_in_a_crowd_touch_and_go_on() -> None:
 
 def links_by_definition(position: NDArray[np.float64], settings: WorldSettings) -> NDArray[np.bool_]:
     """Return which pairs are linked: those in range without a third body on the line between them."""
-    linked = distances(position) < settings.radio_range
-    for i, j in np.argwhere(np.triu(linked)):
+    is_linked = distances(position) < settings.radio_range
+    for i, j in np.argwhere(np.triu(is_linked)):  # each pair in range once
         line = position[j] - position[i]
+        # The point of the line that is nearest to each robot, as a share of the way from i to j.
         shares = np.clip((position - position[i]) @ line / (line @ line), 0, 1)
         nearest_points = position[i] + shares[:, None] * line
         gaps = np.linalg.norm(nearest_points - position, axis=1)
-        gaps[[i, j]] = np.inf
-        linked[i, j] = linked[j, i] = gaps.min() >= RADIUS
-    return linked
+        gaps[[i, j]] = np.inf  # the ends of the line are no third bodies
+        is_linked[i, j] = is_linked[j, i] = gaps.min() >= RADIUS
+    return is_linked
 
 
 @pytest.mark.parametrize(
     "settings", [PAPER, CROWD, moving(128, 6.0, 5.0, speed=0.4), moving(40, 2.0, 2.0, radio_range=0.17)]
 )
 def test_links_are_those_of_the_definition(settings: WorldSettings) -> None:
-    """Before and after several searches for candidates, which come every 13 ticks."""
-    arena, link_count = Arena(settings, 11), 0
-    for ticks in (*itertools.repeat(1, 14), *itertools.repeat(37, 10)):
+    """In 14 ticks one after the other, and then in 10 that are far apart.
+
+    The arena searches for pairs that may be linked every 13 ticks, so this is before and after searches.
+    """
+    arena = Arena(settings, 11)
+    link_count = 0
+    for ticks in [1] * 14 + [37] * 10:
         motion = arena.record(ticks)
         expected = links_by_definition(motion.position[-1], settings)
         assert np.array_equal(motion.adjacency[-1], expected)
@@ -170,15 +204,18 @@ def test_links_are_those_of_the_definition(settings: WorldSettings) -> None:
 
 def test_bodies_cut_links_in_a_crowd() -> None:
     motion = Arena(CROWD, 11).record(200)
-    in_range = distances(motion.position[-1]) < CROWD.radio_range
-    assert 0 < motion.adjacency[-1].sum() < 0.8 * in_range.sum()
+    is_in_range = distances(motion.position[-1]) < CROWD.radio_range
+    links = motion.adjacency[-1].sum()
+    assert 0 < links < 0.8 * is_in_range.sum()
 
 
 def candidates_by_definition(arena: Arena) -> list[list[int]]:
     """Return all pairs that could be linked, or see or touch each other, within 12 ticks, in order."""
     settings = arena.settings
-    distance = max(settings.radio_range, 2 * RADIUS + max(0.12, 2 * settings.speed * TICK))
-    is_candidate = distances(arena.positions) < distance + 12 * 2 * settings.speed * TICK
+    approach_in_tick = 2 * settings.speed * TICK  # of two robots that drive towards each other
+    sensor_range = 2 * RADIUS + max(0.12, approach_in_tick)
+    relevant_distance = max(settings.radio_range, sensor_range)
+    is_candidate = distances(arena.positions) < relevant_distance + 12 * approach_in_tick
     pairs: list[list[int]] = np.argwhere(np.triu(is_candidate)).tolist()
     return pairs
 
@@ -215,6 +252,7 @@ def test_memory_is_allocated_in_doubles(size: int, allocated: int) -> None:
 
 
 def bytes_per_robot(robots: int) -> float:
+    """Return the memory that an arena needs for each of its robots."""
     members, _ = make_config(moving(robots), 0, _arena.ffi)
     config = _arena.ffi.new("mcp_asdf_arena_config_t *", members)
     return float(_arena.lib.mcp_asdf_arena_bytes(config)) / robots
@@ -235,44 +273,56 @@ class Wheels:
         self.state = "none"
 
     def steer(self, ahead: float, left: float, speed: float) -> tuple[float, float]:
-        """Return speed and spin for an obstacle vector, after the transitions of the state."""
-        is_weak = abs(math.degrees(math.atan2(left, ahead))) <= 5 and math.hypot(ahead, left) < 0.1
-        heading = 0.0 if is_weak else math.degrees(math.atan2(-left, -ahead))
+        """Return speed and spin for a vector of obstacles, after the transitions of the state.
+
+        The vector points to the obstacles, and a robot turns to the opposite direction unless a short vector
+        points straight ahead.
+        """
+        is_straight_ahead = abs(math.degrees(math.atan2(left, ahead))) <= 5
+        is_ignored = is_straight_ahead and math.hypot(ahead, left) < 0.1
+        heading = 0.0 if is_ignored else math.degrees(math.atan2(-left, -ahead))
         angle = abs(heading)
         if self.state == "hard" and angle <= 70:
             self.state = "soft"
         if self.state in ("none", "soft"):
             self.state = self._state_without_hysteresis(angle)
-        factors = {"none": (1.0, 1.0), "soft": (1 - angle / 90, 1.0), "hard": (-1.0, 1.0)}
-        inner, outer = factors[self.state]
+        inner_wheels = {"none": speed, "soft": speed * (1 - angle / 90), "hard": -speed}
+        inner_wheel, outer_wheel = inner_wheels[self.state], speed
         side = 1 if heading > 0 else -1
-        return speed * (inner + outer) / 2, side * speed * (outer - inner) / WHEELS_APART
+        spin = side * (outer_wheel - inner_wheel) / WHEELS_APART
+        return (inner_wheel + outer_wheel) / 2, spin
 
     @staticmethod
     def _state_without_hysteresis(angle: float) -> str:
+        """Return the state that an angle in degrees leads to, unless the robot is in a hard turn."""
         if angle > 90:
             return "hard"
-        return "soft" if angle > 10 else "none"
+        if angle > 10:
+            return "soft"
+        return "none"
 
 
 def test_wheels_follow_the_rules_with_their_two_thresholds() -> None:
-    arena, rules, rng = Arena(moving(1, 5, 5), 0), Wheels(), np.random.default_rng(6)
+    """Obstacles are in directions that wander by 25 degrees, now and then on the opposite side."""
+    arena, rules = Arena(moving(1, 5, 5), 0), Wheels()
+    rng = np.random.default_rng(6)
     bearings = np.radians(np.cumsum(rng.normal(0, 25, 20000)) + rng.choice([0, 180], 20000))
-    lengths = rng.choice([0.05, 0.0999, 0.1001, 1.7], 20000)
-    pairs_of_states = set()
+    lengths = rng.choice([0.05, 0.0999, 0.1001, 1.7], 20000)  # around 0.1, below which a vector is short
+    states_seen = set()
     for bearing, length in zip(bearings, lengths, strict=True):
         ahead, left = float(length * np.cos(bearing)), float(length * np.sin(bearing))
         _arena.lib.mcp_asdf_arena_steer(arena._arena, 0, ahead, left)
         speed, spin = arena._arena.target_speed[0], arena._arena.target_spin[0]
         assert (speed, spin) == pytest.approx(rules.steer(ahead, left, 0.1414), abs=1e-12), (ahead, left)
-        pairs_of_states.add((rules.state, arena._arena.wheels[0]))
-    assert pairs_of_states == {("none", 0), ("soft", 1), ("hard", 2)}
+        states_seen.add((rules.state, arena._arena.wheels[0]))
+    assert states_seen == {("none", 0), ("soft", 1), ("hard", 2)}
 
 
 # ---------------------------------------------------------------- floor
 
 
 def colours(arena: Arena, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return whether the floor is black at each of the points, shape (points, 2)."""
     return np.array([arena.is_black(x, y) for x, y in points])
 
 
@@ -285,8 +335,9 @@ def tile_middles(settings: WorldSettings, side: float) -> NDArray[np.float64]:
 def tile_colours(fill_ratio: float) -> NDArray[np.bool_]:
     """Return whether the tiles of a floor of 2 x 1.5 m are black, shape (columns, rows)."""
     settings = moving(1, 2, 1.5, fill_ratio=fill_ratio)
-    middles = tile_middles(settings, 0.01)
-    return colours(Arena(settings, 3), middles.reshape(-1, 2)).reshape(middles.shape[:2])
+    middles = tile_middles(settings, side=0.01)
+    columns, rows, _ = middles.shape
+    return colours(Arena(settings, 3), middles.reshape(-1, 2)).reshape(columns, rows)
 
 
 @pytest.mark.parametrize("fill_ratio", [0.0, 0.05, 0.55, 0.95, 1.0])
@@ -300,23 +351,30 @@ def test_a_share_of_the_tiles_as_large_as_the_fill_ratio_is_black(fill_ratio: fl
 def test_neighbouring_tiles_are_independent(fill_ratio: float) -> None:
     black = tile_colours(fill_ratio)
     deviation = math.sqrt(fill_ratio * (1 - fill_ratio) / black.size)
-    for both_black in (black[1:] & black[:-1], black[:, 1:] & black[:, :-1], black[1:, 1:] & black[:-1, :-1]):
-        assert abs(both_black.mean() - fill_ratio**2) <= 5 * deviation
+    both_black_in_row = black[1:] & black[:-1]
+    both_black_in_column = black[:, 1:] & black[:, :-1]
+    both_black_in_diagonal = black[1:, 1:] & black[:-1, :-1]
+    assert abs(both_black_in_row.mean() - fill_ratio**2) <= 5 * deviation
+    assert abs(both_black_in_column.mean() - fill_ratio**2) <= 5 * deviation
+    assert abs(both_black_in_diagonal.mean() - fill_ratio**2) <= 5 * deviation
 
 
 MIXED_FLOOR = moving(1, 2, 1.5, fill_ratio=0.5)
-SOME_MIDDLES = tile_middles(MIXED_FLOOR, 0.01).reshape(-1, 2)[::7]
+SOME_MIDDLES = tile_middles(MIXED_FLOOR, side=0.01).reshape(-1, 2)[::7]
+"""The middle of every seventh tile."""
 
 
 def test_a_tile_has_one_colour() -> None:
-    arena = Arena(MIXED_FLOOR, 3)
-    points = SOME_MIDDLES + np.random.default_rng(1).uniform(-0.0049, 0.0049, SOME_MIDDLES.shape)
-    assert np.array_equal(colours(arena, SOME_MIDDLES), colours(arena, points))
+    arena = Arena(MIXED_FLOOR, trial=3)
+    offsets = np.random.default_rng(1).uniform(-0.0049, 0.0049, SOME_MIDDLES.shape)  # half a tile is 0.005
+    assert np.array_equal(colours(arena, SOME_MIDDLES), colours(arena, SOME_MIDDLES + offsets))
 
 
-def test_the_seed_decides_the_colours() -> None:
-    first, second = (colours(Arena(MIXED_FLOOR, trial), SOME_MIDDLES) for trial in (3, 4))
-    assert (first == second).mean() == pytest.approx(0.5, abs=0.05)
+def test_the_trial_decides_the_colours() -> None:
+    colours_of_trial_3 = colours(Arena(MIXED_FLOOR, trial=3), SOME_MIDDLES)
+    colours_of_trial_4 = colours(Arena(MIXED_FLOOR, trial=4), SOME_MIDDLES)
+    is_equal = colours_of_trial_3 == colours_of_trial_4
+    assert is_equal.mean() == pytest.approx(0.5, abs=0.05)
 
 
 CODE = make_floor_code(0.448)
@@ -324,18 +382,26 @@ CODE_FLOOR = moving(1, 3, 2, floor="code", fill_ratio=0.448)
 
 
 def test_a_picture_of_the_floor_has_its_first_row_in_the_north() -> None:
-    assert np.array_equal(Arena(CODE_FLOOR).pixels(*CODE.shape[::-1]), CODE)
+    rows, columns = CODE.shape
+    assert np.array_equal(Arena(CODE_FLOOR).pixels(columns, rows), CODE)
 
 
 def test_a_code_lies_with_its_first_row_in_the_north() -> None:
+    """The floor is 3 m wide and 2 m high with its origin in the middle; the code has 100 x 100 modules."""
     rows, columns = np.indices(CODE.shape)
-    middles = np.stack([(columns + 0.5) / 100 * 3 - 1.5, 1 - (rows + 0.5) / 100 * 2], axis=2)
+    x = (columns + 0.5) / 100 * 3 - 1.5
+    y = 1 - (rows + 0.5) / 100 * 2
+    middles = np.stack([x, y], axis=2)
     assert np.array_equal(colours(Arena(CODE_FLOOR), middles.reshape(-1, 2)), CODE.ravel())
 
 
-def test_the_edge_of_the_floor_has_the_colour_of_the_nearest_pixel() -> None:
-    corners = np.array([(-1.5, 1), (1.5, -1), (1.5, 1), (-1.5, -1)])
-    assert colours(Arena(CODE_FLOOR), corners).tolist() == CODE[[0, -1, 0, -1], [0, -1, -1, 0]].tolist()
+@pytest.mark.parametrize(
+    ("x", "y", "row", "column"), [(-1.5, 1, 0, 0), (1.5, 1, 0, -1), (-1.5, -1, -1, 0), (1.5, -1, -1, -1)]
+)
+def test_a_corner_of_the_floor_has_the_colour_of_the_nearest_pixel(
+    x: float, y: float, row: int, column: int
+) -> None:
+    assert Arena(CODE_FLOOR).is_black(x, y) == CODE[row, column]
 
 
 @pytest.mark.parametrize("floor", [{"fill_ratio": 0.4, "tile": 0.02}, {"fill_ratio": 0.448, "floor": "code"}])
@@ -344,66 +410,90 @@ def test_the_ground_sensor_is_in_the_right_front_of_a_robot(floor: dict[str, Any
     motion = arena.record(150)
     for position, ahead, black in zip(motion.position, motion.heading, motion.black, strict=True):
         right = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1)
-        assert black.tolist() == colours(arena, position + 0.0614 * ahead + 0.01 * right).tolist()
+        sensors = position + 0.0614 * ahead + 0.01 * right  # in metres, by robot
+        assert black.tolist() == colours(arena, sensors).tolist()
 
 
 # ---------------------------------------------------------------- statistics
 
 MEAN_DEGREE = 0.867
-"""Of all trials together. About the mean of each trial alone the degree would look less persistent: a trial
-is too short to tell its mean from slow changes."""
+"""Mean number of neighbours in all trials together. About the mean of each trial alone the degree would look
+less persistent: a trial is too short to tell its mean from slow changes."""
 
 
-def contact(adjacency: NDArray[np.bool_]) -> float:
-    """Mean length of the runs of ticks in which a pair is linked, of those that begin and end within."""
-    lengths: list[int] = []
-    for linked in adjacency[:, *np.triu_indices(adjacency.shape[1], 1)].T:
-        change = np.diff(linked.astype(np.int8))
-        starts, ends = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
-        starts, ends = starts[starts < max(ends, default=0)], ends[ends > min(starts, default=len(linked))]
-        lengths += (ends - starts).tolist()
-    return float(np.mean(lengths))
+def contact_lengths(is_linked: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return for how many ticks a pair was linked each time, of the times that begin and end within."""
+    changes = np.diff(is_linked.astype(np.int8))
+    starts = np.flatnonzero(changes == 1)
+    ends = np.flatnonzero(changes == -1)
+    if is_linked[0]:
+        ends = ends[1:]  # the first end is that of a contact that began before
+    if is_linked[-1]:
+        starts = starts[:-1]  # the last contact goes on
+    return ends - starts
+
+
+def mean_contact(adjacency: NDArray[np.bool_]) -> float:
+    """Return the mean length in ticks of the contacts of all pairs; adjacency is by tick, robot and robot."""
+    first_robots, second_robots = np.triu_indices(adjacency.shape[1], k=1)
+    links_by_pair = adjacency[:, first_robots, second_robots].T
+    return float(np.mean(np.concatenate([contact_lengths(is_linked) for is_linked in links_by_pair])))
 
 
 def motion_statistics(motion: Motion) -> dict[str, float]:
-    """Every statistic by its name in the reference; in metres, radians and ticks, but the speed in m/s."""
-    adjacency, position, heading = motion.adjacency, motion.position, motion.heading
-    degree = adjacency.sum(axis=2, dtype=np.float64)
-    deviation = degree - MEAN_DEGREE
-    found = {
+    """Return every statistic by its name in the reference; in metres, radians and ticks, but speed in m/s."""
+    position = motion.position
+    degree = motion.adjacency.sum(axis=2, dtype=np.float64)
+    distances_in_tick = np.linalg.norm(np.diff(position, axis=0), axis=2)
+    statistics = {
         "degree": degree,
         "rounds with 0 neighbours": degree == 0,
         "rounds with 1 neighbour": degree == 1,
         "rounds with 2 or more neighbours": degree >= 2,
-        "speed": np.linalg.norm(np.diff(position, axis=0), axis=2) / TICK,
+        "speed": distances_in_tick / TICK,
         "ticks straight": motion.wheels == 0,
         "ticks in a soft turn": motion.wheels == 1,
         "ticks in a hard turn": motion.wheels == 2,
         "ticks avoiding": motion.avoids,
-        "contact": np.array(contact(adjacency)),
+        "contact": np.array(mean_contact(motion.adjacency)),
     }
     for lag in (1, 10, 50, 100, 500):
-        together, before = adjacency[lag:] & adjacency[:-lag], adjacency[:-lag]
-        found[f"pairs persisting after {lag}"] = together.sum() / before.sum()
-        correlation = (deviation[lag:] * deviation[:-lag]).mean() / (deviation**2).mean()
-        found[f"degree autocorrelation after {lag}"] = correlation
-        moved = position[lag:] - position[:-lag]
-        found[f"squared displacement after {lag}"] = (moved**2).sum(axis=2)
-        found[f"cosine of turn after {lag}"] = (heading[lag:] * heading[:-lag]).sum(axis=2)
-    return {name: float(np.mean(values)) for name, values in found.items()}
+        statistics |= statistics_after(lag, motion, deviation=degree - MEAN_DEGREE)
+    return {name: float(np.mean(values)) for name, values in statistics.items()}
+
+
+def statistics_after(lag: int, motion: Motion, deviation: NDArray[np.float64]) -> dict[str, Any]:
+    """Return the statistics that compare each tick with the one ``lag`` ticks later."""
+    links_before, links_after = motion.adjacency[:-lag], motion.adjacency[lag:]
+    covariance = (deviation[:-lag] * deviation[lag:]).mean()
+    moved = motion.position[lag:] - motion.position[:-lag]
+    return {
+        f"pairs persisting after {lag}": (links_before & links_after).sum() / links_before.sum(),
+        f"degree autocorrelation after {lag}": covariance / (deviation**2).mean(),
+        f"squared displacement after {lag}": (moved**2).sum(axis=2),
+        f"cosine of turn after {lag}": (motion.heading[:-lag] * motion.heading[lag:]).sum(axis=2),
+    }
+
+
+def half_of_last_digit(value: float) -> float:
+    """Return half a unit of the last decimal place in which a number is written."""
+    _, _, decimals = str(value).partition(".")
+    return 0.5 * 10.0 ** -len(decimals)
 
 
 @pytest.mark.slow
 def test_the_motion_has_the_statistics_of_the_reference() -> None:
     """Within 5 %, and what the sampling error of short trials and the reference's last digit add to it."""
+    path = Path(__file__).parents[2] / "data/motion_statistics.json"
+    reference = json.loads(path.read_text(encoding="utf-8"))["statistics"]
     with ThreadPoolExecutor(2) as pool:
-        trials = list(pool.map(lambda seed: motion_statistics(Arena(PAPER, seed).record(10000)), range(12)))
-    wrong = []
+        trials = list(pool.map(lambda trial: motion_statistics(Arena(PAPER, trial).record(10000)), range(12)))
+    deviations = []
     for name in trials[0]:
-        expected = REFERENCE[name]
+        expected = reference[name]
         values = np.array([trial[name] for trial in trials])
-        error = values.std(ddof=1) / math.sqrt(len(values))
-        digit = 0.5 * 10.0 ** -len(str(expected).partition(".")[2])
-        if abs(values.mean() - expected) > 0.05 * abs(expected) + 3 * error + digit:
-            wrong.append(f"{name}: {values.mean():.4f} +- {error:.4f}, not {expected}")
-    assert not wrong, "; ".join(wrong)
+        standard_error = values.std(ddof=1) / math.sqrt(12)
+        tolerance = 0.05 * abs(expected) + 3 * standard_error + half_of_last_digit(expected)
+        if abs(values.mean() - expected) > tolerance:
+            deviations.append(f"{name}: {values.mean():.4f} +- {standard_error:.4f}, not {expected}")
+    assert deviations == []
