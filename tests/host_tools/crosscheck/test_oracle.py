@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import Any
 
 import pytest
 
@@ -34,10 +35,12 @@ LIMIT = Fraction(INFORMATIVE_G)
 # --- Bounds ----------------------------------------------------------------------------------------------
 
 
-def test_the_largest_alpha_limits_the_exact_one() -> None:
-    b = 1 - Fraction(1, 2**20)
-    assert exact_alpha(2**11, 2**31, b) == 2**31 - 2**7
-    assert exact_alpha(1, 2, Fraction(3, 4)) == 2
+def test_alpha_is_the_fisher_information_of_the_observations() -> None:
+    assert exact_alpha(n=1, t=2, b=Fraction(3, 4)) == 2
+
+
+def test_the_firmware_s_largest_alpha_limits_the_exact_one() -> None:
+    assert exact_alpha(n=2**11, t=2**31, b=1 - Fraction(1, 2**20)) == 2**31 - 2**7
 
 
 def test_x_hat_is_exact_without_information() -> None:
@@ -73,22 +76,26 @@ ACCURACY_CASES = [
 
 @pytest.mark.parametrize("case", ACCURACY_CASES)
 def test_bounds_of_x_hat_are_those_of_the_design(case: AccuracyCase) -> None:
-    lower, upper = case.x_hat
-    assert x_hat_bounds(case.n, 10**6, case.b) == (Fraction(lower, 2**23), Fraction(upper, 2**23))
+    lower, upper = x_hat_bounds(case.n, 10**6, case.b)
+    lowest, highest = case.x_hat
+    assert lower * 2**23 == lowest
+    assert upper * 2**23 == highest
 
 
 @pytest.mark.parametrize("case", ACCURACY_CASES)
 def test_errors_of_alpha_are_those_of_the_design(case: AccuracyCase) -> None:
     too_small, too_large = alpha_error(case.n, 10**6, case.b)
-    assert (too_small * 2**28, too_large * 2**31) == pytest.approx((case.too_small, case.too_large), abs=1e-3)
+    assert too_small * 2**28 == pytest.approx(case.too_small, abs=1e-3)
+    assert too_large * 2**31 == pytest.approx(case.too_large, abs=1e-3)
 
 
 @pytest.mark.parametrize("case", ACCURACY_CASES)
 def test_bounds_of_alpha_have_room_for_an_alpha_word(case: AccuracyCase) -> None:
     exact = exact_alpha(case.n, 10**6, case.b)
     too_small, too_large = alpha_error(case.n, 10**6, case.b)
-    lower = exact * (1 - too_small) * (1 - Fraction(1, 2**23)) - Fraction(1, 2**24)
-    assert alpha_bounds(case.n, 10**6, case.b) == (lower, exact * (1 + too_large))
+    # A word has 24 bits of mantissa, or units of 2**-24, and what does not fit is cut off.
+    smallest_in_word = exact * (1 - too_small) * (1 - Fraction(1, 2**23)) - Fraction(1, 2**24)
+    assert alpha_bounds(case.n, 10**6, case.b) == (smallest_in_word, exact * (1 + too_large))
 
 
 # design: R26
@@ -123,8 +130,10 @@ def test_either_is_right_so_near_to_the_limit_that_rounding_decides() -> None:
     ],
 )
 def test_a_vote_moves_centre_and_spread_by_whole_units(x_hat: int, centre: int, spread: int) -> None:
-    result = crowd_after_vote(1, HALF, Fraction(2**18, 2**30), Fraction(x_hat, ONE))
-    assert result == (Fraction(centre, 2**30), Fraction(spread, 2**30))
+    """Before the vote, which is the first, the centre is 1/2 and the spread 2**18; units are 2**-30."""
+    centre_after, spread_after = crowd_after_vote(1, HALF, Fraction(2**18, 2**30), Fraction(x_hat, ONE))
+    assert centre_after * 2**30 == centre
+    assert spread_after * 2**30 == spread
 
 
 def test_changes_of_less_than_a_unit_are_rounded_away() -> None:
@@ -168,8 +177,7 @@ def check_calls(text: str, audit: Audit) -> Iterator[CheckedCall]:
 
 def last_call(text: str, audit: Audit) -> CheckedCall:
     """Make the calls of a scenario, and return the last one."""
-    *_, checked_call = check_calls(text, audit)
-    return checked_call
+    return list(check_calls(text, audit))[-1]
 
 
 def with_value(result: CallResult, name: str, value: int) -> CallResult:
@@ -178,7 +186,7 @@ def with_value(result: CallResult, name: str, value: int) -> CallResult:
 
 
 UPDATE = "robot:1:1:64:0:3221225472,step:1,step:0,receive:1:3000000:2147483649,step:0"
-"""A scenario whose last call updates b_hat."""
+"""A scenario whose last call updates b_hat, which is 3/4 at the start, from an x_hat of 0.36 with alpha 1."""
 
 
 def problems_with_excess(name: str, excess: int) -> list[str]:
@@ -286,20 +294,27 @@ def wrong_outcomes(event: str, after: CallResult) -> list[CallResult]:
     return results
 
 
+def check_that_wrong_outcomes_are_reported(event: str, checked_call: CheckedCall) -> None:
+    """Check that an audit finds a problem in each wrong outcome of a call."""
+    setup, call, before = checked_call.setup, checked_call.call, checked_call.before
+    for wrong in wrong_outcomes(event, checked_call.after):
+        problems = Audit().check_call(setup, call, before, wrong)
+        assert problems, f"{event}: {call}"
+
+
 # design: R35, R37, R38
-def test_whatever_the_robust_filter_does_wrongly_is_reported() -> None:
+def test_a_wrong_outcome_of_any_event_of_the_robust_filter_is_reported() -> None:
+    """In 35 random scenarios, in which each event happens more than five times."""
     audit, events = Audit(), Counter[str]()
     for number in range(35):
         for checked_call in check_calls(str(robust_scenario(1, number)), audit):
-            event = next(iter(audit.robust), checked_call.call.name)
+            events_of_call = list(audit.robust)  # one at most, as the counter is cleared after each call
+            event = events_of_call[0] if events_of_call else checked_call.call.name
             audit.robust.clear()
             events[event] += 1
-            for wrong in wrong_outcomes(event, checked_call.after):
-                problems = Audit().check_call(
-                    checked_call.setup, checked_call.call, checked_call.before, wrong
-                )
-                assert problems, f"{event}: {checked_call.call}"
-    assert min(events[event] for event in DEVIATIONS_BY_EVENT) > 5, events
+            check_that_wrong_outcomes_are_reported(event, checked_call)
+    for event in DEVIATIONS_BY_EVENT:
+        assert events[event] > 5, event
 
 
 # --- What is counted -------------------------------------------------------------------------------------
@@ -314,19 +329,25 @@ def count_robust_events(text: str) -> tuple[Counter[str], int]:
 
 def test_a_vote_and_a_filter_that_has_too_few_senders_are_counted() -> None:
     calls = "step:1,observe:1,receive:1:99:2147483649,observe:1,settle"
-    assert count_robust_events(f"robot:3:2:64:0:3221225472,{calls}") == ({"voted": 1, "too few": 1}, 0)
+    events, tests = count_robust_events(f"robot:3:2:64:0:3221225472,{calls}")
+    assert events == {"voted": 1, "too few": 1}
+    assert tests == 0
 
 
 def test_a_filter_without_an_observation_is_not_counted() -> None:
     votes = ",".join(f"receive:{sender}:99:2147483649" for sender in (1, 2, 3))
     calls = f"{votes},settle,settle,observe:1,settle"
-    assert count_robust_events(f"robot:3:2:64:0:3221225472,{calls}") == ({"voted": 3}, 0)
+    events, tests = count_robust_events(f"robot:3:2:64:0:3221225472,{calls}")
+    assert events == {"voted": 3}
+    assert tests == 0
 
 
 def test_a_test_that_rounding_decides_is_counted_as_undecided() -> None:
     state = "restore:1:2124665746:2:2147483643:3:1085233319:7:3:8:262144:9:7:10:2124665746:11:2147500032"
     calls = f"{state}:29:65536,settle"
-    assert count_robust_events(f"robot:3:1:2147483648:0:3221225472,{calls}") == ({"undecided": 1}, 1)
+    events, tests = count_robust_events(f"robot:3:1:2147483648:0:3221225472,{calls}")
+    assert events == {"undecided": 1}
+    assert tests == 1
 
 
 def test_errors_keep_the_largest() -> None:
@@ -344,31 +365,90 @@ def test_regions_cover_the_whole_range(value: float, region_index: int) -> None:
     assert region_of(Fraction(value)) == name
 
 
+@dataclass
+class CollectedErrors:
+    """The rows of an audit's errors after one call, and the state of the robot after it."""
+
+    rows: list[dict[str, Any]]
+    state: dict[str, int]
+
+
+def errors_of_third_step(b_hat: int, x_bar: int) -> CollectedErrors:
+    """Return what an audit collects in a step that observes a white tile and re-estimates b_hat.
+
+    Before, the robot has observed two black tiles and received an estimate of ``x_bar`` with alpha 1.
+    """
+    text = f"robot:1:1:64:0:{b_hat},step:1,step:1,receive:1:{x_bar}:2147483649,step:0"
+    step = last_call(text, Audit())
+    audit = Audit()  # a new one, which has no errors of the calls before
+    assert audit.check_call(step.setup, step.call, step.before, step.after) == []
+    return CollectedErrors(audit.as_dict()["errors"], step.after.state)
+
+
+B_HAT_099, B_HAT_055 = 4252017623, 2362232013
+"""0.99 and 0.55 in units of 2**-32."""
+X_BAR_09, X_BAR_0505 = 7549747, 4236247
+"""0.9 and 0.505 in units of 2**-23."""
+
+
 @pytest.mark.parametrize(
-    ("b_hat", "x_bar", "own_region", "update_region"),
+    ("b_hat", "x_bar", "quantities_and_regions"),
     [
-        (4252017623, 7549747, "0.9 to 0.999", "0.2 to 0.9"),  # 0.99 and 0.9
-        (4252017623, 4236247, "0.9 to 0.999", "2^-12 to 0.02"),  # 0.99 and 0.505
-        (2362232013, 7549747, "0.02 to 0.2", "0.2 to 0.9"),  # 0.55 and 0.9; alpha is below 1/2
+        (
+            B_HAT_099,
+            X_BAR_09,
+            [("x_hat", "0.9 to 0.999"), ("alpha", "0.9 to 0.999"), ("b_hat", "0.2 to 0.9")],
+        ),
+        (
+            B_HAT_099,
+            X_BAR_0505,
+            [("x_hat", "0.9 to 0.999"), ("alpha", "0.9 to 0.999"), ("b_hat", "2^-12 to 0.02")],
+        ),
+        # Here alpha is below 1/2, where its relative error says nothing.
+        (B_HAT_055, X_BAR_09, [("x_hat", "0.02 to 0.2"), ("b_hat", "0.2 to 0.9")]),
     ],
 )
-def test_errors_are_collected_by_region(b_hat: int, x_bar: int, own_region: str, update_region: str) -> None:
-    """The step after two black tiles and one message observes a white tile and re-estimates b_hat."""
-    audit = Audit()
-    text = f"robot:1:1:64:0:{b_hat},step:1,step:1,receive:1:{x_bar}:2147483649,step:0"
-    for checked_call in check_calls(text, audit):
-        rows, state = audit.as_dict()["errors"], checked_call.after.state
-        audit.errors = Audit().errors
-    b = Fraction(b_hat, 2**32)
+def test_an_error_of_each_quantity_is_collected_in_its_region(
+    b_hat: int, x_bar: int, quantities_and_regions: list[tuple[str, str]]
+) -> None:
+    rows = errors_of_third_step(b_hat, x_bar).rows
+    assert [(row["quantity"], row["region"]) for row in rows] == quantities_and_regions
+    assert all(row["samples"] == 1 for row in rows)
+
+
+def check_collected_error(collected: CollectedErrors, quantity: str, error: Fraction) -> None:
+    """Check that the row of a quantity has this error, and nearly the same one against floats."""
+    rows = [row for row in collected.rows if row["quantity"] == quantity]
+    assert len(rows) == 1
+    assert rows[0]["exact"] == abs(float(error))
+    assert abs(rows[0]["float64"] - rows[0]["exact"]) < 2**-24
+
+
+in_all_regions = pytest.mark.parametrize(
+    ("b_hat", "x_bar"), [(B_HAT_099, X_BAR_09), (B_HAT_099, X_BAR_0505), (B_HAT_055, X_BAR_09)]
+)
+
+
+@in_all_regions
+def test_the_error_of_x_hat_is_its_distance_from_the_exact_one(b_hat: int, x_bar: int) -> None:
+    collected = errors_of_third_step(b_hat, x_bar)
+    exact_x_hat = local_estimate(2, 3, Fraction(b_hat, 2**32))
+    error = Fraction(collected.state["x_hat"], ONE) - exact_x_hat
+    check_collected_error(collected, "x_hat", error)
+
+
+@pytest.mark.parametrize("x_bar", [X_BAR_09, X_BAR_0505])
+def test_the_error_of_alpha_is_relative_to_the_exact_one(x_bar: int) -> None:
+    collected = errors_of_third_step(B_HAT_099, x_bar)
+    alpha = Fraction(alpha_from_word(collected.state["alpha"]))
+    error = alpha / exact_alpha(2, 3, Fraction(B_HAT_099, 2**32)) - 1
+    check_collected_error(collected, "alpha", error)
+
+
+@in_all_regions
+def test_the_error_of_b_hat_is_its_distance_from_that_of_eq_8(b_hat: int, x_bar: int) -> None:
+    collected = errors_of_third_step(b_hat, x_bar)
     exact_b_hat = assumed_accuracy_update(2, 3, Fraction(x_bar, ONE))
     assert exact_b_hat is not None
-    errors = {
-        ("x_hat", own_region): Fraction(state["x_hat"], ONE) - local_estimate(2, 3, b),
-        ("alpha", own_region): Fraction(alpha_from_word(state["alpha"])) / exact_alpha(2, 3, b) - 1,
-        ("b_hat", update_region): Fraction(state["b_hat()"], 2**32) - exact_b_hat,
-    }
-    if exact_alpha(2, 3, b) < HALF:
-        del errors["alpha", own_region]
-    assert [(row["quantity"], row["region"], row["samples"]) for row in rows] == [(*key, 1) for key in errors]
-    for row, error in zip(rows, errors.values(), strict=True):
-        assert row["exact"] == abs(float(error)) and abs(row["float64"] - row["exact"]) < 2**-24
+    error = Fraction(collected.state["b_hat()"], 2**32) - exact_b_hat
+    check_collected_error(collected, "b_hat", error)

@@ -1,4 +1,8 @@
-"""The C engine: trials in lanes, call by call, and message by message in Python have the same bits."""
+"""The C engine: trials in lanes, call by call, and message by message in Python have the same bits.
+
+In lanes the engine calculates many trials or robots at once, one in each lane of the processor's vectors.
+Call by call it calls the firmware for each robot.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,7 @@ import sys
 import sysconfig
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,6 +27,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
 from mcp_asdf_tools.experiments.engine import native
 from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies.ageing_sensors import UnequallyAgeingSensors, WanderingSensors
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -51,26 +57,31 @@ MOVING = Experiment(
 LATE = replace(MOVING, latency=1)
 ROBUST = replace(SHORT, filter="robust")
 ROBUST_MOVING = replace(MOVING, filter="robust")
-BOTH = pytest.mark.parametrize("experiment", [SHORT, LATE])
 
 
 # --- The lanes are the firmware to the bit ----------------------------------------------------------------
 
 
 def assert_equal_to_the_bit(experiment: Experiment, first: int, trials: int) -> None:
-    plain = native.run(experiment, first, trials, lanes=False)
-    lanes = native.run(experiment, first, trials, lanes=True)
+    """Check that trials have the same results, counters and final states in lanes and call by call."""
+    by_calls = native.run(experiment, first, trials, lanes=False)
+    in_lanes = native.run(experiment, first, trials, lanes=True)
     replay = f"replay: {experiment.parameters()}, first {first}, trials {trials}"
-    assert np.array_equal(plain.x, lanes.x), replay
-    assert np.array_equal(plain.b_hat, lanes.b_hat), replay
+    assert np.array_equal(by_calls.x, in_lanes.x), replay
+    assert np.array_equal(by_calls.b_hat, in_lanes.b_hat), replay
     for name in native.COUNTERS:
-        assert np.array_equal(plain.counters[name], lanes.counters[name]), replay
-    assert plain.images() == lanes.images(), replay
+        assert np.array_equal(by_calls.counters[name], in_lanes.counters[name]), replay
+    assert by_calls.images() == in_lanes.images(), replay
 
 
-RARE: dict[str, Any] = {
-    **{"robots": 3, "flawed": 0, "fill_ratio": 0.99998, "true_accuracy": 1.0, "filter": "none"},
-    **{"steps": 200_000, "filter_period": 200_000},
+RARE_WHITE: dict[str, Any] = {
+    "robots": 3,
+    "flawed": 0,
+    "fill_ratio": 0.99998,
+    "true_accuracy": 1.0,
+    "filter": "none",
+    "steps": 200_000,
+    "filter_period": 200_000,
 }
 EDGES: dict[str, dict[str, Any]] = {
     "128 robots": {"robots": 128, "flawed": 40, "steps": 60},
@@ -86,9 +97,9 @@ EDGES: dict[str, dict[str, Any]] = {
     "sensors that age each in its own way": {"sensor": WanderingSensors},
     "sensors that age at rates of their own": {"sensor": UnequallyAgeingSensors},
 }
-FULL_EDGES: dict[str, dict[str, Any]] = {
-    "confidence at its largest": RARE,
-    "rare white under a nearly perfect sensor": {**RARE, "flawed_accuracy": 1 - 2**-17, "flawed": 3},
+LONG_EDGES: dict[str, dict[str, Any]] = {
+    "confidence at its largest": RARE_WHITE,
+    "rare white under a nearly perfect sensor": {**RARE_WHITE, "flawed_accuracy": 1 - 2**-17, "flawed": 3},
     "long": {"robots": 2, "flawed": 1, "fill_ratio": 0.5, "steps": 2**18 + 100, "filter_period": 2**18},
 }
 MOVING_EDGES: dict[str, dict[str, Any]] = {
@@ -106,24 +117,66 @@ ROBUST_EDGES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize(
-    ("base", "changes"),
-    [(SHORT, each) for each in EDGES.values()]
-    + slow((SHORT, each) for each in FULL_EDGES.values())
-    + [(replace(MOVING, latency=late), each) for late in (0, 1) for each in (EDGES | MOVING_EDGES).values()]
-    + [(ROBUST, each) for each in (EDGES | ROBUST_EDGES).values()]
-    + [
-        (replace(ROBUST_MOVING, latency=late), each)
-        for late in (0, 1)
-        for each in (EDGES | MOVING_EDGES | ROBUST_EDGES).values()
-    ],
+TRIALS_BEYOND_LANES = 17
+"""One more than the 16 lanes, in which trials of robots that do not move are calculated."""
+MOVING_TRIALS = 10
+
+in_every_edge = pytest.mark.parametrize("changes", EDGES.values(), ids=EDGES)
+in_every_moving_edge = pytest.mark.parametrize(
+    "changes", [*EDGES.values(), *MOVING_EDGES.values()], ids=[*EDGES, *MOVING_EDGES]
 )
-def test_lanes_equal_the_firmware_at_the_edges(base: Experiment, changes: dict[str, Any]) -> None:
-    """Which random experiments do not reach; trials fill their lanes once and a bit."""
-    assert_equal_to_the_bit(replace(base, **changes), first=4, trials=10 if base.is_dynamic else 17)
+in_every_robust_edge = pytest.mark.parametrize("changes", ROBUST_EDGES.values(), ids=ROBUST_EDGES)
+with_every_latency = pytest.mark.parametrize("latency", [0, 1])
+
+
+@in_every_edge
+def test_lanes_equal_the_firmware_at_edges(changes: dict[str, Any]) -> None:
+    assert_equal_to_the_bit(replace(SHORT, **changes), first=4, trials=TRIALS_BEYOND_LANES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("changes", LONG_EDGES.values(), ids=LONG_EDGES)
+def test_lanes_equal_the_firmware_at_edges_of_long_trials(changes: dict[str, Any]) -> None:
+    assert_equal_to_the_bit(replace(SHORT, **changes), first=4, trials=TRIALS_BEYOND_LANES)
+
+
+@with_every_latency
+@in_every_moving_edge
+def test_lanes_equal_the_firmware_at_edges_of_moving_robots(changes: dict[str, Any], latency: int) -> None:
+    experiment = replace(MOVING, **changes, latency=latency)
+    assert_equal_to_the_bit(experiment, first=4, trials=MOVING_TRIALS)
+
+
+@in_every_edge
+def test_lanes_equal_the_firmware_with_the_robust_filter_at_edges(changes: dict[str, Any]) -> None:
+    assert_equal_to_the_bit(replace(ROBUST, **changes), first=4, trials=TRIALS_BEYOND_LANES)
+
+
+@in_every_robust_edge
+def test_lanes_equal_the_firmware_at_edges_of_the_robust_filter(changes: dict[str, Any]) -> None:
+    assert_equal_to_the_bit(replace(ROBUST, **changes), first=4, trials=TRIALS_BEYOND_LANES)
+
+
+@with_every_latency
+@in_every_moving_edge
+def test_lanes_equal_the_firmware_with_the_robust_filter_at_edges_of_moving_robots(
+    changes: dict[str, Any], latency: int
+) -> None:
+    experiment = replace(ROBUST_MOVING, **changes, latency=latency)
+    assert_equal_to_the_bit(experiment, first=4, trials=MOVING_TRIALS)
+
+
+@with_every_latency
+@in_every_robust_edge
+def test_lanes_equal_the_firmware_at_edges_of_the_robust_filter_in_moving_robots(
+    changes: dict[str, Any], latency: int
+) -> None:
+    experiment = replace(ROBUST_MOVING, **changes, latency=latency)
+    assert_equal_to_the_bit(experiment, first=4, trials=MOVING_TRIALS)
 
 
 def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
+    """Yield experiments with values from the whole range of each parameter, about half of them moving."""
     source = random.Random(seed)
     for _ in range(count):
         robots = source.choice([1, 2, 3, 8, 10, 20, 40])
@@ -172,22 +225,31 @@ class Mixed(Experiment):
 MIXED = Mixed(**SHORT.parameters())
 
 
-def test_lanes_are_used_unless_robots_are_recorded_or_broadcast_seldom_or_differ() -> None:
-    for experiment, interval, expected in (
-        (SHORT, 0, True),
-        (LATE, 0, True),
-        (SHORT, 10, False),
-        (replace(SHORT, comms_period=2), 0, False),
-        (ROBUST, 0, True),
-        (replace(ROBUST_MOVING, latency=1), 0, True),
-        (MIXED, 0, False),
-    ):
-        call = native.EngineTrials(experiment, 0, 1, interval)
-        assert _engine.lib.mcp_asdf_engine_has_lanes(call.experiment) is expected
+def has_lanes(experiment: Experiment, sampling_interval: int = 0) -> bool:
+    """Return whether the engine calculates the experiment in lanes; an interval of 0 records nothing."""
+    call = native.EngineTrials(experiment, 0, 1, sampling_interval)
+    return bool(_engine.lib.mcp_asdf_engine_has_lanes(call.experiment))
+
+
+@pytest.mark.parametrize("experiment", [SHORT, LATE, ROBUST, replace(ROBUST_MOVING, latency=1)])
+def test_lanes_are_used_for_results_alone(experiment: Experiment) -> None:
+    assert has_lanes(experiment)
+
+
+def test_lanes_are_not_used_if_values_are_recorded() -> None:
+    assert not has_lanes(SHORT, sampling_interval=10)
+
+
+def test_lanes_are_not_used_if_robots_do_not_broadcast_in_every_step() -> None:
+    assert not has_lanes(replace(SHORT, comms_period=2))
+
+
+def test_lanes_are_not_used_if_robots_have_different_filters() -> None:
+    assert not has_lanes(MIXED)
 
 
 def engine_for(architecture: str, folder: Path, *more: str) -> Any:
-    """The extension module of the engine, built with vectors of one architecture."""
+    """Build the engine's extension module for the vectors of one architecture, and return it, imported."""
     tools = ROOT / "host_tools/mcp_asdf_tools"
     arena, engine, core = tools / "world/arena", tools / "experiments/engine", CORE.parent
     glue, module = folder / "_engine.c", folder / "_engine.so"
@@ -201,18 +263,24 @@ def engine_for(architecture: str, folder: Path, *more: str) -> Any:
     run(require("gcc", "gcc"), *options, *more, *target, *includes, *sources, "-o", module, "-lm")
     spec = importlib.util.spec_from_file_location(_engine.__name__, module)
     assert spec is not None and spec.loader is not None
-    loaded = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(loaded)
-    return loaded
+    built_module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(built_module)
+    return built_module
+
+
+def processor_has(flag: str) -> bool:
+    """Return whether Linux lists a flag of the processor, such as avx2."""
+    return flag in Path("/proc/cpuinfo").read_text(encoding="ascii").split()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("architecture", ["x86-64", "x86-64-v3", "x86-64-v4"])
+@pytest.mark.parametrize(
+    ("architecture", "flag"), [("x86-64", "fpu"), ("x86-64-v3", "avx2"), ("x86-64-v4", "avx512vl")]
+)
 def test_lanes_of_every_vector_size_are_the_firmware_to_the_bit(
-    architecture: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    architecture: str, flag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    flag = {"x86-64-v3": "avx2", "x86-64-v4": "avx512vl"}.get(architecture, "fpu")
-    if f" {flag} " not in Path("/proc/cpuinfo").read_text(encoding="ascii").replace("\n", " "):
+    if not processor_has(flag):
         pytest.skip(f"this processor has no vectors of {architecture}")
     monkeypatch.setattr(native, "_engine", engine_for(architecture, tmp_path))
     for changes in EDGES.values():
@@ -224,7 +292,7 @@ def test_lanes_of_every_vector_size_are_the_firmware_to_the_bit(
 
 
 def random_worlds(seed: int, count: int) -> Iterator[WorldSettings]:
-    """From one robot to 127, walls from everywhere to far away, floors of tiles and of an image."""
+    """Yield worlds of 1 to 127 robots, in a crowd or far apart, on floors of tiles or of an image."""
     source = random.Random(seed)
     floors: list[dict[str, Any]] = [{"fill_ratio": 0.4, "tile": 0.02}, {"fill_ratio": 0.448, "floor": "code"}]
     for _ in range(count):
@@ -243,13 +311,15 @@ def random_worlds(seed: int, count: int) -> Iterator[WorldSettings]:
 
 @pytest.mark.slow
 def test_robots_move_in_vectors_as_one_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The arena's text, compiled without a vector, is the definition."""
-    worlds = [*random_worlds(20261, 60)]
-    found = [vars(Arena(settings, trial).record(150)) for trial, settings in enumerate(worlds)]
+    """The arena's source, compiled without vectors, is the definition."""
+    worlds = list(random_worlds(20261, 60))
+    motions = [Arena(settings, trial).record(150) for trial, settings in enumerate(worlds)]
     monkeypatch.setattr(arena, "_arena", engine_for("x86-64", tmp_path, "-fno-tree-vectorize"))
-    for trial, (settings, motion) in enumerate(zip(worlds, found, strict=True)):
-        for name, expected in vars(Arena(settings, trial).record(150)).items():
-            assert np.array_equal(motion[name], expected), f"replay: {settings}, trial {trial}: {name}"
+    for trial, (settings, motion) in enumerate(zip(worlds, motions, strict=True)):
+        motion_without_vectors = Arena(settings, trial).record(150)
+        for name, expected in vars(motion_without_vectors).items():
+            replay = f"replay: {settings}, trial {trial}: {name}"
+            assert np.array_equal(getattr(motion, name), expected), replay
 
 
 # --- The engine is the firmware run message by message -----------------------------------------------------
@@ -283,6 +353,12 @@ def test_engine_equals_the_mirror(experiment: Experiment) -> None:
     check_that_the_engine_is_the_mirror(experiment)
 
 
+@cache
+def reference_trial(experiment: Experiment) -> Trials:
+    """Return trial 0 of the reference, which calculates in floats, with values recorded in each step."""
+    return run_trials(replace(experiment, firmware="reference"), 0, 1, sampling_interval=1)
+
+
 @pytest.mark.parametrize(
     "experiment",
     [
@@ -292,118 +368,211 @@ def test_engine_equals_the_mirror(experiment: Experiment) -> None:
         replace(LATE, fill_ratio=0.95, true_accuracy=0.75, activation="always"),
     ],
 )
-def test_float64_follows_the_firmware(experiment: Experiment) -> None:
-    """In every step, on the same draws."""
-    own = run_trials(experiment, 0, 1, sampling_interval=1)
-    other = run_trials(replace(experiment, firmware="reference"), 0, 1, sampling_interval=1)
-    assert np.array_equal(own.updates, other.updates)
-    assert np.array_equal(own.tests, other.tests)
+def test_the_reference_in_floats_follows_the_firmware_step_by_step(experiment: Experiment) -> None:
+    native_trials = run_trials(experiment, 0, 1, sampling_interval=1)
+    reference_trials = reference_trial(experiment)
+    assert np.array_equal(native_trials.updates, reference_trials.updates)
+    assert np.array_equal(native_trials.tests, reference_trials.tests)
     for name in ("x_hat", "x_bar", "x", "b_hat"):
-        assert np.abs(own.records[name] - other.records[name]).max() < 1e-5, name
-    authors = run_trials(replace(experiment, firmware="reference", conventions="authors"), 0, 1)
-    assert np.array_equal(authors.b_hat, other.b_hat) == (experiment.activation == "always")
+        deviation = np.abs(native_trials.records[name] - reference_trials.records[name]).max()
+        assert deviation < 1e-5, name
 
 
-@BOTH
-def test_a_trial_depends_neither_on_the_others_nor_on_records(experiment: Experiment) -> None:
-    whole = native.run(experiment, 0, 20)
-    for first, trials, interval in ((0, 1, 0), (7, 5, 3), (19, 1, 0)):
-        part = native.run(experiment, first, trials, interval)
-        assert np.array_equal(part.x, whole.x[first : first + trials])
-        assert np.array_equal(part.b_hat, whole.b_hat[first : first + trials])
+def b_hat_by_the_authors(experiment: Experiment) -> Any:
+    """Return b_hat in trial 0 of the reference by the conventions of the paper's authors."""
+    return run_trials(replace(experiment, firmware="reference", conventions="authors"), 0, 1).b_hat
+
+
+@pytest.mark.parametrize(
+    "experiment", [SHORT, LATE, replace(SHORT, fill_ratio=0.95, filter="asdf-minus", comms_period=5)]
+)
+def test_the_conventions_of_the_authors_change_what_the_test_decides(experiment: Experiment) -> None:
+    assert not np.array_equal(b_hat_by_the_authors(experiment), reference_trial(experiment).b_hat)
+
+
+def test_the_conventions_of_the_authors_change_nothing_without_the_test() -> None:
+    experiment = replace(LATE, fill_ratio=0.95, true_accuracy=0.75, activation="always")
+    assert np.array_equal(b_hat_by_the_authors(experiment), reference_trial(experiment).b_hat)
+
+
+@pytest.mark.parametrize(("first", "trials", "sampling_interval"), [(0, 1, 0), (7, 5, 3), (19, 1, 0)])
+@pytest.mark.parametrize("experiment", [SHORT, LATE], ids=["fully connected", "moving"])
+def test_a_trial_depends_neither_on_the_others_nor_on_records(
+    experiment: Experiment, first: int, trials: int, sampling_interval: int
+) -> None:
+    all_trials = native.run(experiment, 0, 20)
+    some_trials = native.run(experiment, first, trials, sampling_interval)
+    assert np.array_equal(some_trials.x, all_trials.x[first : first + trials])
+    assert np.array_equal(some_trials.b_hat, all_trials.b_hat[first : first + trials])
 
 
 # --- Refusals --------------------------------------------------------------------------------------------
 
 
-def test_what_it_cannot_run_is_refused() -> None:
-    for experiment in (replace(SHORT, firmware="mirror"), replace(SHORT, latency=1)):
-        with pytest.raises(UsageError, match="the engine in C lacks this"):
-            native.run(experiment, 0, 1)
+def test_the_engine_refuses_robots_of_python() -> None:
+    with pytest.raises(UsageError, match="the engine in C lacks this"):
+        native.run(replace(SHORT, firmware="mirror"), 0, 1)
+
+
+def test_the_engine_refuses_latency_in_fully_connected_swarms() -> None:
+    with pytest.raises(UsageError, match="the engine in C lacks this"):
+        native.run(replace(SHORT, latency=1), 0, 1)
+
+
+def test_a_trial_whose_robots_find_no_room_is_refused() -> None:
     corridor = replace(MOVING, robots=128, flawed=0, width=20.0, height=0.25, density=1.0, steps=1)
     with pytest.raises(UsageError, match=r"128 robots found no room in 20.0 x 0.25 m"):
         run_trials(corridor, 0, 1)
 
 
+class ExperimentWithIllegalBHat(Experiment):
+    """Gives every robot an accuracy that the firmware refuses."""
+
+    def b_hat(self, robot: int) -> float:
+        return 0.0
+
+
 @pytest.mark.parametrize("lanes", [False, True])
-def test_a_refusal_of_the_firmware_is_told(lanes: bool) -> None:
-    class Refused(Experiment):
-        def b_hat(self, robot: int) -> float:
-            return 0.0
-
+def test_the_engine_raises_the_error_of_the_firmware(lanes: bool) -> None:
     with pytest.raises(FirmwareError, match="ERR_B_HAT"):
-        native.run(Refused(steps=10), 0, 1, lanes=lanes)
+        native.run(ExperimentWithIllegalBHat(steps=10), 0, 1, lanes=lanes)
 
 
-@pytest.mark.parametrize("experiment", [SHORT, ROBUST_MOVING], ids=["ASDF+", "robust, moving"])
-def test_liars_say_what_they_say_on_a_bus(experiment: Experiment) -> None:
-    """They have no lanes and, as each hears the truth about itself alone, an x of their own."""
-    experiment = replace(experiment, steps=120, trials=1)
-    engine, call = _engine.lib, native.EngineTrials(experiment, 0, 1, 0)
-    call.experiment.liars, call.experiment.lie = 2, [0, 16_000_000 << 8 | 20]  # alpha 10^6
-    assert not engine.mcp_asdf_engine_has_lanes(call.experiment)
-    assert call.execute(lanes=False) is Status.OK
+# --- Robots that lie --------------------------------------------------------------------------------------
+
+
+def call_with_two_liars(experiment: Experiment) -> native.EngineTrials:
+    """Return a call of the engine in which the last two robots broadcast x_hat 0 with an alpha of 10^6."""
+    call = native.EngineTrials(experiment, 0, 1, 0)
+    call.experiment.liars = 2
+    alpha_word = (16_000_000 << 8) | 20  # mantissa 16 * 10^6 and shift 20, in units of 2^-24: 10^6
+    call.experiment.lie = [0, alpha_word]
+    return call
+
+
+def estimates_with_two_liars_on_a_bus(experiment: Experiment) -> list[float]:
+    """Return x of all robots after the same swarm with the fault ``liar``, in units of 2^-23."""
     fault = parse_fault(f"liar,robots={experiment.robots - 2}-{experiment.robots - 1},x=0,alpha=1e6")
-    plain = experiment.parameters()
-    kept = {name: plain[name] for name in plain if name not in ("trials", "conventions")}
-    with Swarm(replace(SwarmSettings(**kept), faults=(fault,)), Wiring()) as swarm:
+    parameters = dict(experiment.parameters())
+    del parameters["trials"], parameters["conventions"]  # a swarm on a bus does not have these
+    with Swarm(replace(SwarmSettings(**parameters), faults=(fault,)), Wiring()) as swarm:
         run_swarm(swarm, [])
-        assert call.x[0, :, -1].tolist() == [node.robot.x * 2**23 for node in swarm.nodes]
+        return [node.robot.x * 2**23 for node in swarm.nodes]
+
+
+SHORT_WITH_LIARS = replace(SHORT, steps=120, trials=1)
+ROBUST_MOVING_WITH_LIARS = replace(ROBUST_MOVING, steps=120, trials=1)
+with_liars = pytest.mark.parametrize("experiment", [SHORT_WITH_LIARS, ROBUST_MOVING_WITH_LIARS])
+
+
+@with_liars
+def test_the_engine_s_liars_have_the_effect_of_those_on_a_bus(experiment: Experiment) -> None:
+    call = call_with_two_liars(experiment)
+    assert call.execute(lanes=False) is Status.OK
+    x_at_end = call.x[0, :, -1]  # of trial 0, by robot
+    assert x_at_end.tolist() == estimates_with_two_liars_on_a_bus(experiment)
+
+
+@with_liars
+def test_lanes_are_not_used_if_robots_lie(experiment: Experiment) -> None:
+    """A liar receives other estimates than the robots around it, as it knows the truth about itself."""
+    assert not _engine.lib.mcp_asdf_engine_has_lanes(call_with_two_liars(experiment).experiment)
 
 
 # --- More than 128 robots ----------------------------------------------------------------------------------
 
 MANY = replace(LATE, robots=300, flawed=90, steps=150)
 LONG_GRAPH = "; ".join(f"{i} {(i + 1) % 2100}; {i} > {(i + 2048) % 2100}" for i in range(2100))
+"""A ring in which each robot also sends to the one 2048 places further on."""
 HUGE = replace(MANY, topology="graph", density=1.0, graph=LONG_GRAPH, robots=2100, flawed=630, steps=60)
-"""Its robots stand in many rows of lanes and hear others far away in them."""
+"""Its robots stand in many rows of lanes and receive from others far away in them."""
 
 
-def test_lanes_of_many_robots_equal_the_firmware() -> None:
-    for experiment in (MANY, replace(MANY, density=6, latency=0, filter="robust"), HUGE):
-        assert_equal_to_the_bit(experiment, first=0, trials=1)
-    assert_equal_to_the_bit(replace(HUGE, latency=0, filter="robust", steps=30), first=0, trials=1)
+@pytest.mark.parametrize(
+    "experiment",
+    [
+        MANY,
+        replace(MANY, density=6, latency=0, filter="robust"),
+        HUGE,
+        replace(HUGE, latency=0, filter="robust", steps=30),
+    ],
+    ids=["many", "many, robust", "huge", "huge, robust"],
+)
+def test_lanes_of_many_robots_equal_the_firmware(experiment: Experiment) -> None:
+    assert_equal_to_the_bit(experiment, first=0, trials=1)
 
 
-def digest_of(experiment: Experiment) -> str:
-    found = native.run(experiment, 0, 1)
-    values = (found.x.astype("<u4").tobytes(), found.b_hat.astype("<u4").tobytes(), *found.images())
-    return hashlib.sha256(b"".join(values)).hexdigest()[:16]
+def digest_of_trial(experiment: Experiment) -> str:
+    """Return 16 digits that stand for the results and final states of trial 0."""
+    trials = native.run(experiment, 0, 1)
+    digest = hashlib.sha256(trials.x.astype("<u4").tobytes())
+    digest.update(trials.b_hat.astype("<u4").tobytes())
+    for image in trials.images():
+        digest.update(image)
+    return digest.hexdigest()[:16]
 
 
-def test_127_robots_have_the_bits_that_they_had_when_there_were_no_more() -> None:
-    own = replace(LATE, robots=127, flawed=38, density=1, steps=600, filter_period=100, seed=5)
-    assert digest_of(replace(own, filter="robust")) == "60640553d2f44490"
-    assert digest_of(replace(own, filter="asdf-plus")) == "e2c30e5f56d3501e"
+@pytest.mark.parametrize(
+    ("filter_name", "digest"), [("robust", "60640553d2f44490"), ("asdf-plus", "e2c30e5f56d3501e")]
+)
+def test_127_robots_have_the_bits_that_they_had_when_there_were_no_more(
+    filter_name: Any, digest: str
+) -> None:
+    experiment = replace(LATE, robots=127, flawed=38, density=1, steps=600, filter_period=100, seed=5)
+    assert digest_of_trial(replace(experiment, filter=filter_name)) == digest
 
 
-@pytest.mark.parametrize("filtering", ["asdf-plus", "robust"])
-def test_many_robots_in_a_graph_are_firmwares_whose_neighbours_have_ids_of_their_own(filtering: Any) -> None:
-    """Robots 0, 128 and 256 hear each other, whose ids of 7 bits are one. Firmware that is alone with its
-    neighbours knows them by ids that differ, and are the same modulo 32, which is all that votes look at."""
-    edges = "; ".join(["0 128; 128 256; 0 256", *(f"{i} {i + 1}; {i} > {i + 3}" for i in range(257))])
-    graph: dict[str, Any] = {"graph": edges, "robots": 260, "flawed": 80, "latency": 0}
-    experiment = replace(HUGE, **graph, filter=filtering, steps=60, filter_period=20)
-    robots = [NativeRobot(experiment.config(j), j % 32, experiment.b_hat(j)) for j in range(260)]
-    heard = {j: sorted(a for a, b in experiment.graph.links if b == j) for j in range(260)}
-    scene = World(experiment).advance(60)
-    for black in scene.black.tolist():
-        for robot, seen in zip(robots, black, strict=True):
-            robot.observe(Observation(seen))
-        said = [(robot.x_hat_raw, robot.alpha_raw) for robot in robots]
-        for j, robot in enumerate(robots):
-            for place, sender in enumerate(heard[j]):
-                robot.receive_raw(sender % 32 + 32 * (place % 3 + 1), *said[sender])
+def run_with_ids_that_differ(experiment: Experiment) -> list[NativeRobot]:
+    """Run 60 steps of trial 0 with robots that know their neighbours by different ids, and return the robots.
+
+    The ids are those of the experiment modulo 32, which is all that votes look at, and above them a number
+    that differs among the neighbours of a robot.
+    """
+    robot_indices = range(experiment.robots)
+    robots = [NativeRobot(experiment.config(i), i % 32, experiment.b_hat(i)) for i in robot_indices]
+    links = experiment.graph.links
+    senders = [sorted(sender for sender, receiver in links if receiver == i) for i in robot_indices]
+    for is_black in World(experiment).advance(60).black.tolist():
+        for robot, observation in zip(robots, is_black, strict=True):
+            robot.observe(Observation(observation))
+        broadcasts = [(robot.x_hat_raw, robot.alpha_raw) for robot in robots]
+        for robot, senders_of_robot in zip(robots, senders, strict=True):
+            for neighbour_index, sender in enumerate(senders_of_robot):
+                x_hat, alpha = broadcasts[sender]
+                sender_id = 32 * (neighbour_index % 3 + 1) + sender % 32
+                robot.receive_raw(sender_id, x_hat, alpha)
             robot.settle()
-    found = run_trials(experiment, 0, 1, sampling_interval=60)
-    assert found.records["x"][0, -1].tolist() == [robot.x for robot in robots]
-    assert found.b_hat[0, -1].tolist() == [robot.b_hat for robot in robots]
+    return robots
+
+
+@pytest.mark.parametrize("filter_name", ["asdf-plus", "robust"])
+def test_robots_with_the_same_id_of_7_bits_are_different_neighbours_in_a_graph(filter_name: Any) -> None:
+    """Robots 0, 128 and 256, whose ids of 7 bits are all 0, receive from each other."""
+    triangle = ["0 128", "128 256", "0 256"]
+    chain = [f"{i} {i + 1}; {i} > {i + 3}" for i in range(257)]
+    experiment = replace(
+        HUGE,
+        graph="; ".join(triangle + chain),
+        robots=260,
+        flawed=80,
+        latency=0,
+        filter=filter_name,
+        steps=60,
+        filter_period=20,
+    )
+    robots = run_with_ids_that_differ(experiment)
+    trials = run_trials(experiment, 0, 1, sampling_interval=60)
+    assert trials.records["x"][0, -1].tolist() == [robot.x for robot in robots]
+    assert trials.b_hat[0, -1].tolist() == [robot.b_hat for robot in robots]
+
+
+def engine_bytes_per_robot(robots: int) -> float:
+    """Return the memory that the engine needs for each robot of a trial."""
+    experiment = replace(MANY, robots=robots, density=1, steps=10)
+    call = native.EngineTrials(experiment, 0, 1, 0)
+    return float(_engine.lib.mcp_asdf_engine_bytes(call.experiment)) / robots
 
 
 def test_memory_of_the_engine_grows_linearly_with_the_robots() -> None:
-    few, many = (
-        _engine.lib.mcp_asdf_engine_bytes(native.EngineTrials(experiment, 0, 1, 0).experiment)
-        / experiment.robots
-        for experiment in (replace(MANY, robots=robots, density=1, steps=10) for robots in (2048, 10_240))
-    )
-    assert 1000 < many < 2500 and few == pytest.approx(many, rel=0.01)
+    assert 1000 < engine_bytes_per_robot(10_240) < 2500
+    assert engine_bytes_per_robot(2048) == pytest.approx(engine_bytes_per_robot(10_240), rel=0.01)
