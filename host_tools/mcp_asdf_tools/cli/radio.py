@@ -201,12 +201,16 @@ def _verify(
     with ExitStack() as at_end:
         with recording as (log, events), bus_choice.open() as bus, stopping() as should_stop:
             bench_options = BenchOptions(
-                bus, args.steps or _DEFAULT_PHASE_TICKS, args.timeout or _DEFAULT_TIMEOUT, args.wait
+                bus,
+                # Neither can be 0, as _check_run_options has seen to it.
+                ticks=args.steps or _DEFAULT_PHASE_TICKS,
+                timeout=args.timeout or _DEFAULT_TIMEOUT,
+                wait=args.wait,
+                recorder=None if events is None else events.recorders[controller.id],
+                should_stop=should_stop,
             )
             if log is not None:
                 bench_options.log = log
-            bench_options.recorder = None if events is None else events.recorders[controller.id]
-            bench_options.should_stop = should_stop
             verification = Verification(settings, bench_options)
             with console.status("") as status:
                 bench_options.progress = lambda ticks: status.update(

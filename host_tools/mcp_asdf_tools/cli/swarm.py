@@ -33,8 +33,10 @@ if TYPE_CHECKING:
 
     from mcp_asdf_tools.bus.interfaces import BusChoice
     from mcp_asdf_tools.recording.recording import LogOutputs
+    from mcp_asdf_tools.robots.processes import NodeProcesses
     from mcp_asdf_tools.swarm.carrier import Wiring
     from mcp_asdf_tools.swarm.run import SwarmRun
+    from mcp_asdf_tools.swarm.swarm import Swarm
     from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
 
 EPILOG = """\
@@ -338,11 +340,7 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
         subjects = Subjects(estimates=settings.frames) if process_robots else Subjects()
         processes = NodeProcesses(process_robots, plan.choice.of_robot, subjects, settings.steps_per_second)
         nodes = stack.enter_context(processes)
-        if plan.wiring.remote:
-            with plan.console.status("waiting for robots elsewhere"):
-                swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
-        remote_count = len(plan.wiring.remote)
-        _logger.info("%d robots are up, %d of them elsewhere", settings.robots, remote_count)
+        _wait_for_robots(plan, swarm, nodes)
         # A signal counts between two ticks, so that log and results end on a whole one.
         with LiveView(plan.console, baselines) as live_view, stopping() as should_stop:
             # Baselines come first, since the live view shows their errors after the same tick.
@@ -362,6 +360,19 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
                 filter_name: results_of(baseline) for filter_name, baseline in baselines.swarms.items()
             }
     return _RunResult(outcome, report, seconds)
+
+
+def _wait_for_robots(plan: _RunPlan, swarm: Swarm, nodes: NodeProcesses) -> None:
+    """Wait until all robots elsewhere have sent their first heartbeats. Raises LockstepError if one does not.
+
+    ``nodes`` are the processes among them, which are watched meanwhile.
+    """
+    if plan.wiring.remote:
+        with plan.console.status("waiting for robots elsewhere"):
+            # A process that has died ends this wait and all later ones at once, with what it printed.
+            swarm.wait_until_up(_STARTING_TIMEOUT, nodes.check)
+    remote_count = len(plan.wiring.remote)
+    _logger.info("%d robots are up, %d of them elsewhere", plan.settings.robots, remote_count)
 
 
 def _start_view(plan: _RunPlan, at_end: ExitStack) -> SwarmRecorder | None:

@@ -92,16 +92,7 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
         if hue:
             ax.legend(handles=handles, frameon=False, fontsize=SMALL)
         return cast(Figure, ax.get_figure(root=True))
-    # Without a facet there is one panel, which needs no title.
-    titles_and_series = [("", all_series)]
-    if facet:
-        titles_and_series = [
-            (
-                parameter_with_value(facet, value),
-                [_select_value(series, facet, value) for series in all_series],
-            )
-            for value in _sorted_axis_values(experiments, facet)
-        ]
+    titles_and_series = _split_into_panels(experiments, all_series, facet)
     panel_height = 2.6 if len(titles_and_series) > 1 else 3.8
     figure, panels = create_panels(len(titles_and_series), panel_height, len(all_series))
     for axes, (title, series_of_panel) in zip(panels, titles_and_series, strict=True):
@@ -123,6 +114,22 @@ def _series_by_hue(experiments: Sequence[Trials], hue: str) -> list[Series]:
         _select_value(Series(parameter_with_value(hue, value), colour, list(experiments)), hue, value)
         for value, colour in zip(hue_values, colours, strict=True)
     ]
+
+
+def _split_into_panels(
+    experiments: Sequence[Trials], all_series: Sequence[Series], facet: str
+) -> list[tuple[str, list[Series]]]:
+    """Return title and series of each panel: one for each value of the parameter ``facet``.
+
+    Without a facet there is one panel with all series, which has no title.
+    """
+    if not facet:
+        return [("", list(all_series))]
+    panels = []
+    for value in _sorted_axis_values(experiments, facet):
+        series_of_panel = [_select_value(series, facet, value) for series in all_series]
+        panels.append((parameter_with_value(facet, value), series_of_panel))
+    return panels
 
 
 def _select_value(series: Series, parameter_name: str, value: Any) -> Series:

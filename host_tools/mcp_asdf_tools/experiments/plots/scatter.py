@@ -15,6 +15,7 @@ from mcp_asdf_tools.common.figures import INK, SMALL, clean
 from mcp_asdf_tools.experiments.plot_labels import flawed_share, make_caption
 from mcp_asdf_tools.experiments.plot_panels import (
     Results,
+    Series,
     accuracy_offset,
     create_panel_grid,
     experiments_to_plot,
@@ -53,26 +54,27 @@ def plot_scatter(
     # An entry of the legend for each b and offset of b_hat that occurs.
     handles: dict[tuple[float, float], Line2D] = {}
     for (row, column), axes in np.ndenumerate(grid):
-        series, f = rows[row]
-        for trials in series.experiments:
-            experiment = trials.experiment
-            is_of_panel = (experiment.fill_ratio, flawed_share(experiment)) == (f, shares[column])
-            if not is_of_panel:
-                continue
-            b, offset = experiment.true_accuracy, accuracy_offset(experiment)
+        (series, f), share = rows[row], shares[column]
+        for trials in _select_panel(series, f, share).experiments:
+            b, offset = trials.experiment.true_accuracy, accuracy_offset(trials.experiment)
             colour = _colour_of_offset(offset)
             # With more than five b, markers are used again.
             marker = _MARKERS[accuracies.index(b) % len(_MARKERS)]
             scores = trials.scores(limits)
             axes.plot(scores["h_K"], scores["h_e"], marker, color=colour, markersize=3, alpha=0.6)
             handles[b, offset] = legend_handle(_describe_accuracy(b, offset), colour, marker)
-        axes.set_title(f"{series.label}\n$f = {f:g}$, $P$ = {shares[column]:.0%}", fontsize=SMALL)
+        axes.set_title(f"{series.label}\n$f = {f:g}$, $P$ = {share:.0%}", fontsize=SMALL)
         # Scores are 0 to 100; the margin keeps markers at the ends from being cut.
         axes.set(xlim=(-4, 104), ylim=(-4, 104))
         clean(axes)
     caption = make_caption(experiments, _MARKS, limits)
     ordered_handles = [handles[key] for key in sorted(handles)]
     return label_figure(figure, "convergence score $h_K$", "accuracy score $h_e$", caption, ordered_handles)
+
+
+def _select_panel(series: Series, f: float, share: float) -> Series:
+    """Return the series with only those experiments that have this f and this share of flawed robots."""
+    return series.select(lambda experiment: (experiment.fill_ratio, flawed_share(experiment)) == (f, share))
 
 
 def _describe_accuracy(b: float, offset: float) -> str:
