@@ -247,6 +247,7 @@ def run_crosscheck(
 
 def _generate_scenario(seed: int, index: int) -> Scenario:
     """Return the scenario of this index; every fourth is of a robot with the robust filter."""
+    # Three scenarios of the paper's filters and one of the robust one; each kind is numbered by itself.
     group, index_in_group = divmod(index, 4)
     if index_in_group == 3:
         return robust_scenario(seed, group)

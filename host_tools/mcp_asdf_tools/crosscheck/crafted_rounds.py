@@ -462,14 +462,14 @@ def draw_round_of_distant_sum(robot: RobotState, rng: Random) -> list[NeighbourE
     """
     m, unit = _LARGE_ROUND, 1 << 27
     own_sum = m * robot.x_hat
-    # As far as there is room for, towards 0 or 1, whichever is further away.
-    if robot.x_hat < HALF:
-        total = own_sum + (m * ONE - own_sum) // unit * unit
-    else:
-        total = own_sum - own_sum // unit * unit
+    # The sum lies as far from m x_hat as there is room for, towards 0 or 1, whichever is farther away.
+    room = m * ONE - own_sum if robot.x_hat < HALF else own_sum
+    difference = room // unit * unit
+    total = own_sum + difference if robot.x_hat < HALF else own_sum - difference
+    # All x_hat are as near the mean as whole numbers with this sum can be.
     mean, remainder = divmod(total, m)
     x_hats = [mean + 1] * remainder + [mean] * (m - remainder)
-    # A scatter above 0, but far below the square.
+    # Moving two of them apart gives a scatter above 0, but far below the square.
     x_hats[0] -= 8
     x_hats[1] += 8
     return list(map(NeighbourEstimate, x_hats, draw_alphas_of_one_scale(rng, m)))

@@ -164,12 +164,13 @@ class Audit:
         If the message was a vote the new centre and spread must be exact, else nothing may have changed.
         """
         if not is_vote:
-            crowd = [name for name in old_state if name.startswith("crowd")]
-            changed = [name for name in crowd if new_state[name] != old_state[name]]
-            return [f"{name} has changed without a vote" for name in changed]
+            crowd_fields = [name for name in old_state if name.startswith("crowd")]
+            changed_fields = [name for name in crowd_fields if new_state[name] != old_state[name]]
+            return [f"{name} has changed without a vote" for name in changed_fields]
         self.robust["voted"] += 1
         x_hat = Fraction(call.numbers[1], ONE)
-        centre, spread = crowd_after_vote(new_state["crowd_votes"], *_centre_and_spread(old_state), x_hat)
+        old_centre, old_spread = _centre_and_spread(old_state)
+        centre, spread = crowd_after_vote(new_state["crowd_votes"], old_centre, old_spread, x_hat)
         return _check_exact(
             new_state, {"crowd_centre": int(centre * 2**30), "crowd_spread": int(spread * 2**30)}
         )
@@ -232,7 +233,10 @@ class Audit:
         return _check_bounds("b_hat", b_hat, (exact - largest_error, exact + largest_error))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything that was collected as plain data."""
+        """Return the errors, the number of tests and the events of the robust filter as plain data, for JSON.
+
+        Quantities and regions without a value are left out.
+        """
         rows = (
             {"quantity": quantity, "region": region} | asdict(errors)
             for (quantity, region), errors in self.errors.items()

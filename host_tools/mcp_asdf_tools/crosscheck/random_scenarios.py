@@ -141,7 +141,10 @@ class _ScenarioWriter:
         self._calls: list[Call] = []
 
     def write(self) -> Scenario:
-        """Draw all calls, and return the scenario."""
+        """Draw 3, 10 or 30 actions, each of which adds one call or several, and return the scenario.
+
+        Some scenarios are of ordinary ticks alone, others mix these with restored images and crafted rounds.
+        """
         actions = (
             self._add_tick,
             self._add_observation_in_any_state,

@@ -148,6 +148,7 @@ def _group_in_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
 def parse_scenario(line: str) -> Scenario:
     """Read a scenario's line. Raises UsageError naming the item that is wrong."""
     items = line.strip().split(",")
+    # The first item may be a table, the next one must be the robot, and all others are calls.
     table = None
     if _name_of(items[0]) == "table":
         table = _parse_table(items[0])

@@ -193,7 +193,11 @@ def re_estimate_often(bench: Bench) -> None:
 
 
 def play_rounds_without_test(bench: Bench) -> None:
-    """Play rounds that a test would reject around that of the test, which itself has too few estimates."""
+    """Play a test's round with too few estimates for it, and rounds without a test before and after that.
+
+    A test would reject all these estimates, so that one that is run in the wrong round, or with too few
+    messages, shows.
+    """
     _observe_until_test(bench, rounds_before=1)
     bench.activity = "a round before that of the test"
     bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
@@ -230,13 +234,17 @@ def play_without_filter(bench: Bench) -> None:
 
 
 def halve_memory(bench: Bench) -> None:
-    """Halve the memory with n modulo 4 as 1, 3, 0 and 2: n is rounded down, up, and exact twice."""
+    """Fill the memory four times, so that t and n are halved, with an n of remainder 1, 3, 0 and 2 modulo 4.
+
+    Half of an n of remainder 1 is rounded down, to an even number, and that of 3 up; the others are exact.
+    """
     state, memory = bench.firmware.s, bench.config.memory
     bench.activity = "observations until the memory is halved"
     while state.t > memory - 4:
         bench.play_tick(bench.draw_observation())
     for remainder in (1, 3, 0, 2):
         bench.skip_ticks(memory - 4 - state.t, bench.draw_observation)
+        # The last four observations give n its remainder.
         black_count = (remainder - state.n) % 4
         for index in range(4):
             bench.play_tick(Observation(index < black_count))

@@ -66,7 +66,7 @@ def _write_number(first_byte: int, length: int, minimum: int, maximum: int) -> C
 
 
 def _clear_tail_bit(bit: int) -> ChangeFrame:
-    """Return a change that clears a bit of the last byte."""
+    """Return a change that clears a bit of the last byte, the tail byte of the transfer."""
 
     def change(frame: can.Message, rng: Random) -> None:
         frame.data[7] &= ~(1 << bit)
@@ -448,7 +448,9 @@ def receive_own_id(bench: Bench) -> None:
     for index in range(4):
         bench.avoid_test(f"a message under its own id, {own_id}")
         frames = _encode_any_estimates(bench, bench.other_ids[3:6])
-        frames[index:index] = _encode_any_estimates(bench, [own_id])
+        # Before, between or after the messages of three other robots
+        [own_frame] = _encode_any_estimates(bench, [own_id])
+        frames.insert(index, own_frame)
         bench.play_round_of_frames(frames)
 
 

@@ -122,6 +122,7 @@ def render_markdown(
         runs=[_describe_run(study_part, study_size) for study_part in study_results.parts],
         versions=", ".join(f"{name} {version}" for name, version in software_versions().items()),
         pictures=pictures,
+        # Functions and constants that the template uses: how claims are shown, and the limits of verdicts
         Verdict=Verdict,
         heading_of=heading_of,
         summarize=summarize,
