@@ -1,4 +1,4 @@
-"""Shared by the tests of robots: their implementations, and robots in a given state."""
+"""Helpers of the tests of robots: lists of the implementations, and robots in a certain state."""
 
 from __future__ import annotations
 
@@ -32,10 +32,13 @@ ALPHA_ONE = 0x80000001
 ALPHA_MIN, ALPHA_MAX = 0x00000100, 0xFFFFFF1F
 """The alpha words of one unit of 2^-24, and of 2^31 - 2^7."""
 PLAIN = Config(filter=Filter.OFF)
-"""No filter, so no table."""
+"""Parameters of a robot without a filter, which needs no table."""
 
 TABLE = Table(omega_word=214748365, entries=(9 << 26, 4 << 26, 2 << 26, (1 << 26) + 1))
-"""q = 4, entries 9, 4, 2 and just above 1 for every larger m: easy to tell from each other."""
+"""A table with an exact threshold for up to 4 neighbours.
+
+Its thresholds, in units of 2**-26, are 9, 4, 2, and just above 1 for every larger m: they differ clearly.
+"""
 
 IMAGE_SIZE = 124
 WORD_INDEX = {"b_hat": 1, "t": 2, "n": 3, "filter_left": 6}
@@ -57,9 +60,12 @@ def restore_robot(firmware: FixedPointFirmware, config: Config = PLAIN, **fields
     """
     words = {WORD_INDEX[name]: value for name, value in fields.items()}
     is_updated = fields.get("t", 0) > 0
-    words[29] = OWN_ID << 24 | is_updated << 16
-    call = Call("restore", tuple(number for word in words.items() for number in word))
-    return firmware.restore(config, edited_image(firmware(config, OWN_ID, 0.75).save(), call))
+    words[29] = (OWN_ID << 24) | (is_updated << 16)
+    indices_and_words: list[int] = []
+    for index, word in words.items():
+        indices_and_words += [index, word]
+    new_image = firmware(config, OWN_ID, 0.75).save()
+    return firmware.restore(config, edited_image(new_image, Call("restore", tuple(indices_and_words))))
 
 
 def observe_tiles(robot: Robot, black: int, white: int) -> None:
@@ -76,8 +82,8 @@ def receive_estimates(robot: Robot, *estimates: float, alpha: float = 1.0) -> No
 
 def receive_raw_messages(robot: FixedPoint, messages: Iterable[tuple[int, int, int]]) -> None:
     """Let a robot receive raw messages of sender, x_hat and alpha."""
-    for message in messages:
-        robot.receive_raw(*message)
+    for sender, x_hat, alpha in messages:
+        robot.receive_raw(sender, x_hat, alpha)
 
 
 def status_of_receive(robot: Robot, sender: int, x_hat: float, alpha: float) -> Status:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import re
 import shutil
@@ -23,9 +24,9 @@ HEADER = ROOT / "c_ref/src/mcp_asdf.h"
 CORE = ROOT / "c_ref/src/mcp_asdf.c"
 TABLE = ROOT / "tables/t_table_omega05_q30.c"
 PATH = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-"""Tools that came with the virtual environment go before the system's."""
+"""Search path of programs: those of the virtual environment come before the system's."""
 PATIENCE = 600.0
-"""Seconds to wait for what has to happen; on a busy machine, too, only a program that hangs takes so long."""
+"""Seconds after which a test gives up waiting: even on a busy machine only what hangs takes so long."""
 
 
 DRAWS_ALL = "MCP_ASDF_TESTS_DRAW_ALL"
@@ -33,13 +34,21 @@ DRAWS_ALL = "MCP_ASDF_TESTS_DRAW_ALL"
 
 
 def draws(number: int) -> int:
-    """Cases that a test marked ``random`` draws: all in ``make verify``, a tenth in ``make test``."""
-    return number if DRAWS_ALL in os.environ else -(-number // 10)
+    """Return how many of ``number`` cases a test marked ``random`` draws.
+
+    It is all of them in ``make verify``, and a tenth, rounded up, in ``make test``.
+    """
+    if DRAWS_ALL in os.environ:
+        return number
+    return math.ceil(number / 10)
 
 
 def run(*command: str | Path, cwd: Path = ROOT, **environment: str) -> str:
-    """Run a command; returns its output. Fails with all that it printed unless it exits with 0."""
-    done = subprocess.run(
+    """Run a command in a folder, and return its output.
+
+    ``environment`` has variables that are set for it. Fails, and shows all output, unless its exit code is 0.
+    """
+    result = subprocess.run(
         command,
         cwd=cwd,
         env={**os.environ, "PATH": PATH, **environment},
@@ -47,12 +56,13 @@ def run(*command: str | Path, cwd: Path = ROOT, **environment: str) -> str:
         text=True,
         check=False,
     )
-    assert done.returncode == 0, f"{' '.join(map(str, command))}\n{done.stdout}\n{done.stderr}"
-    return done.stdout
+    command_line = " ".join(str(word) for word in command)
+    assert result.returncode == 0, f"{command_line}\n{result.stdout}\n{result.stderr}"
+    return result.stdout
 
 
 def wait_until(holds: Callable[[], bool]) -> None:
-    """Return when something holds."""
+    """Wait until a condition holds. Fails if it does not within PATIENCE."""
     deadline = time.monotonic() + PATIENCE
     while not holds():
         assert time.monotonic() < deadline
@@ -60,27 +70,28 @@ def wait_until(holds: Callable[[], bool]) -> None:
 
 
 def version_of_header() -> str:
-    """The one place where the version stands."""
+    """Return the project's version, such as "1.2.3", as the C header defines it in three macros."""
     text = HEADER.read_text(encoding="utf-8")
-    return ".".join(
-        re.findall(rf"^#define MCP_ASDF_VERSION_{part} (\d+)$", text, re.MULTILINE)[0]
-        for part in ("MAJOR", "MINOR", "PATCH")
-    )
+    macros = dict(re.findall(r"^#define MCP_ASDF_VERSION_(\w+) (\d+)$", text, re.MULTILINE))
+    return f"{macros['MAJOR']}.{macros['MINOR']}.{macros['PATCH']}"
 
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+"""All pages of the documentation."""
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
 def blocks(page: Path, *languages: str) -> list[str]:
-    """The page's blocks of code in these languages."""
-    return [code for kind, code in FENCED.findall(page.read_text(encoding="utf-8")) if kind in languages]
+    """Return the page's blocks of code in these languages, such as "sh" and "python"."""
+    languages_and_blocks = FENCED.findall(page.read_text(encoding="utf-8"))
+    return [code for language, code in languages_and_blocks if language in languages]
 
 
 def block_with(page: Path, part: str, *languages: str) -> str:
-    """The page's only block of code in these languages that has this in it."""
-    (found,) = [code for code in blocks(page, *languages) if part in code]
-    return found
+    """Return the page's block of code in these languages that contains a text, of which there must be one."""
+    blocks_with_text = [code for code in blocks(page, *languages) if part in code]
+    assert len(blocks_with_text) == 1, f"{len(blocks_with_text)} blocks of {page} contain {part!r}"
+    return blocks_with_text[0]
 
 
 HIDING = """\
@@ -99,46 +110,57 @@ sys.meta_path.insert(0, Finder())
 
 
 def require(tool: str, packages: str | None = None) -> str:
-    """The tool's name; skips the test where it is not installed, naming Debian's packages that have it."""
+    """Return a tool's name, or skip the test if it is not installed.
+
+    The reason tells how to install it: with ``packages`` of Debian, or else with ``make setup``.
+    """
     if shutil.which(tool, path=PATH) is None:
-        pytest.skip(f"{tool} is not installed: {f'apt-get install {packages}' if packages else 'make setup'}")
+        instruction = f"apt-get install {packages}" if packages else "make setup"
+        pytest.skip(f"{tool} is not installed: {instruction}")
     return tool
 
 
 def slow(values: Iterable[Any]) -> list[ParameterSet]:
-    """Values of a parametrisation, each for ``make verify``."""
-    each = (value if isinstance(value, tuple) else (value,) for value in values)
-    return [pytest.param(*value, marks=pytest.mark.slow) for value in each]
+    """Return values of a parametrisation that are run in ``make verify`` alone.
+
+    A tuple has the values of several parameters.
+    """
+    arguments = [value if isinstance(value, tuple) else (value,) for value in values]
+    return [pytest.param(*values_of_case, marks=pytest.mark.slow) for values_of_case in arguments]
 
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Ctrl-C and a hang-up as in a terminal, for this process and those it starts inside.
+    """Let SIGINT (Ctrl-C) and SIGHUP end this process, and those that it starts, as in a terminal.
 
-    A shell's background jobs ignore SIGINT, nohup's SIGHUP, and their children inherit that.
+    If the tests are a shell's background job, or run by nohup, they ignore SIGINT or SIGHUP, and the
+    processes that they start inherit that.
     """
-    before = (
-        signal.signal(signal.SIGINT, signal.default_int_handler),
-        signal.signal(signal.SIGHUP, signal.SIG_DFL),
-    )
+    previous_int_handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    previous_hup_handler = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before[0])
-        signal.signal(signal.SIGHUP, before[1])
+        signal.signal(signal.SIGINT, previous_int_handler)
+        signal.signal(signal.SIGHUP, previous_hup_handler)
 
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
-    """Folder that ``make`` has filled, once for all worker processes of this run of the tests."""
-    own = factory.getbasetemp()
-    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "made" / name
+    """Return a folder that ``make`` has filled, once for all worker processes of this run of the tests.
+
+    The first process that needs the folder fills it, while the others wait for a lock.
+    """
+    folder_of_run = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder_of_run = folder_of_run.parent  # each worker has a folder of its own in it
+    folder = folder_of_run / "made" / name
     folder.parent.mkdir(exist_ok=True)
     with folder.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        done = folder.with_suffix(".done")
-        if not done.exists():
-            shutil.rmtree(folder, ignore_errors=True)
+        done_mark = folder.with_suffix(".done")
+        if not done_mark.exists():
+            shutil.rmtree(folder, ignore_errors=True)  # what a process that failed has left
             folder.mkdir()
             make(folder)
-            done.touch()
+            done_mark.touch()
     return folder

@@ -25,17 +25,18 @@ from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 from support import PATIENCE
 
 TABLE = generate(parse_omega("0.05"), 20)
-
+"""The t-table of the robots: omega is 0.05, for up to 20 neighbours."""
 
 CLOCK: Any = SimpleNamespace(now=0.0, monotonic=lambda: CLOCK.now)
-"""Time that stands still unless somebody waits."""
+"""Stands in for the module ``time``: its time, ``now``, stands still unless a Wire is waited on in vain."""
 
 
 @contextmanager
 def still() -> Iterator[None]:
-    """Let no time pass for those who command robots on a Wire but while they wait for it in vain.
+    """Let commands to robots in lockstep read CLOCK, so that no time passes while they work.
 
-    So limits of hundredths of a second are exact, however busy the machine. Decorates tests, too.
+    Timeouts of hundredths of a second are exact then, however busy the machine is. As a decorator it does so
+    for a whole test.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lockstep, "time", CLOCK)
@@ -43,11 +44,12 @@ def still() -> Iterator[None]:
 
 
 class Wire(can.BusABC):
-    """The connection of a tool to some nodes, which also hear each other.
+    """The connection of a tool to some nodes, which also receive from each other; all answer at once.
 
     Attributes:
-        sent: What the tool has sent.
-        told: What nodes have sent.
+        nodes: The nodes.
+        sent: Frames that the tool has sent, in order.
+        told: Frames that the nodes have sent, in order.
     """
 
     def __init__(self, *nodes: RobotNode) -> None:
@@ -61,7 +63,7 @@ class Wire(can.BusABC):
             self.say(node, node.start())
 
     def say(self, node: RobotNode, frames: Sequence[can.Message]) -> None:
-        """Let a node put frames on the wire."""
+        """Put frames of a node on the wire, and at once all frames by which other nodes answer them."""
         for frame in frames:
             arriving = copy(frame)
             arriving.is_rx = True
@@ -72,7 +74,7 @@ class Wire(can.BusABC):
                     self.say(other, other.receive_frame(frame))
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Let all nodes hear a frame of the tool, and return it to the tool, marked as its own."""
+        """Send a frame of the tool to all nodes; the tool receives it, too, marked as its own."""
         assert timeout is not None
         self.sent.append(msg)
         self._waiting.append(msg)
@@ -80,50 +82,58 @@ class Wire(can.BusABC):
             self.say(node, node.receive_frame(msg))
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame, at once; if none is on its way, the time of ``still`` has passed in vain."""
+        """Return the next frame for the tool, or let CLOCK go on by the timeout and return None."""
         if self._waiting:
             return self._waiting.popleft()
-        CLOCK.now += (timeout or 0.0) + 1e-6  # looking takes time, too
+        CLOCK.now += (timeout or 0.0) + 1e-6  # some time passes without a timeout, too, so that loops end
         return None
 
     def __del__(self) -> None:
-        """Nothing to close."""
+        """Do nothing: python-can would warn of a bus that is not shut down, but nothing is open."""
 
 
 class EndlessWire(Wire):
-    """A wire on which another node talks without end. Fails if nothing stops the listening."""
+    """A wire on which node 40 sends heartbeats without end."""
 
     frames = 0
+    """Number of heartbeats received so far."""
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Another heartbeat."""
+        """Return another heartbeat, 10 ms later. Fails after 1000, as nothing seems to end the wait."""
         self.frames += 1
         assert self.frames < 1000, "nothing ends the wait"
         CLOCK.now += 0.01
-        return encode_heartbeat(Heartbeat(40, 0, 0))
+        return encode_heartbeat(Heartbeat(sender=40, uptime=0, transfer_id=0))
 
 
 def record(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotSetup:
-    """Initial state of a robot; by default it filters every 10 ticks."""
-    usual: dict[str, Any] = {"table": TABLE, "filter_period": 10, "comms_period": 1} | config
-    comms_period = usual.pop("comms_period")
-    usual["filter_period"] //= comms_period
-    return RobotSetup(robot, firmware, b_hat, Config(**usual), comms_period)
+    """Return the setup of a robot, which filters every 10 ticks by default, with TABLE.
+
+    ``config`` has other parameters of the firmware, and maybe ``comms_period``: the robot broadcasts in every
+    so many ticks. ``filter_period`` is in ticks here; firmware counts rounds, from one broadcast to the next.
+    """
+    parameters: dict[str, Any] = {"table": TABLE, "filter_period": 10} | config
+    comms_period = parameters.pop("comms_period", 1)
+    parameters["filter_period"] //= comms_period
+    return RobotSetup(robot, firmware, b_hat, Config(**parameters), comms_period)
 
 
 def node(robot: int, firmware: str = "native", b_hat: float = 0.8, **config: Any) -> RobotNode:
-    """A node in lockstep with a heartbeat every 10 ticks."""
+    """Return a node with the robot of ``record``; it is in lockstep, with a heartbeat every 10 ticks."""
     return RobotNode(record(robot, firmware, b_hat, **config))
 
 
 def join() -> can.BusABC:
-    """Join the bus that commands use by default."""
+    """Return a new connection to the virtual bus that commands use by default."""
     return can.Bus(interface="virtual", channel="vcan0", ignore_config=True)
 
 
 @contextmanager
 def meanwhile(work: Callable[[], object]) -> Iterator[None]:
-    """Do ``work`` in another thread; what it raises is raised here at the end."""
+    """Call ``work`` in another thread while the block runs, and wait for it at the end of the block.
+
+    What it raises is raised then.
+    """
     raised: list[BaseException] = []
 
     def guarded() -> None:
@@ -144,17 +154,21 @@ def meanwhile(work: Callable[[], object]) -> Iterator[None]:
 
 @contextmanager
 def node_in_a_thread(options: str) -> Iterator[can.BusABC]:
-    """A node that obeys commands, up before the block begins; it ends with the block, which gets its bus."""
-    reading, writing = os.pipe()
+    """Run ``mcp-asdf node`` with some options in another thread, and yield a connection to its bus.
 
-    def run() -> None:
+    The block begins when the node has sent its first frame. The node ends with the block, as its standard
+    input does, which is a pipe.
+    """
+    read_end, write_end = os.pipe()
+
+    def run_node() -> None:
         assert main(["node", *shlex.split(options), "--quiet", "--until-eof"]) == 0
 
-    with join() as bus, pytest.MonkeyPatch.context() as patch, os.fdopen(reading) as stdin:
+    with join() as bus, pytest.MonkeyPatch.context() as patch, os.fdopen(read_end) as stdin:
         patch.setattr("sys.stdin", stdin)
-        with meanwhile(run):
+        with meanwhile(run_node):
             try:
                 assert bus.recv(PATIENCE) is not None
                 yield bus
             finally:
-                os.close(writing)
+                os.close(write_end)

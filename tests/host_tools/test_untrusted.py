@@ -40,7 +40,8 @@ from mcp_asdf_tools.world.graph import parse_graph
 from support import PATIENCE, draws
 from wire import record
 
-TABLE = (Decimal("0.05"), 4)
+OMEGA, NEIGHBOURS = Decimal("0.05"), 4
+"""What the valid table is for."""
 LOG_SUFFIXES = (".log", ".asc", ".trc", ".blf")
 
 
@@ -71,8 +72,9 @@ def read_events(path: Path) -> list[object]:
 def valid_events() -> bytes:
     """Return a file of events with a line of each kind, without compression."""
     header = EventsHeader((record(0, "native", 0.95), record(7, "mirror")), 5, FrameFormat(17, 2), {"a": 1})
-    lines = '[0,1,[7,5000,2147483649],3]\n"186BB92A#0000603333F307E5"\n'
-    return (header.to_line() + lines).encode()
+    line_of_robot_0 = "[0,1,[7,5000,2147483649],3]\n"
+    line_of_frame = '"186BB92A#0000603333F307E5"\n'
+    return (header.to_line() + line_of_robot_0 + line_of_frame).encode()
 
 
 def valid_log(suffix: str) -> bytes:
@@ -106,11 +108,18 @@ def valid_results_table() -> pa.Table:
 
 
 def read_results(path: Path) -> object:
-    """Read all that commands need of results, in both ways, and return the versions of the software."""
+    """Read all that commands need of results, and return the versions of the software.
+
+    The trials are read at once and as a stream, and must have the same scores.
+    """
     table = read_table(path)
-    scores_at_once = [list(trials.scores().values()) for trials in experiments_in(table)]
-    streamed_scores = [list(trials.scores().values()) for trials in stream_experiments(path)]
-    assert np.array_equal(scores_at_once, streamed_scores)
+    scores_at_once = [trials.scores() for trials in experiments_in(table)]
+    streamed_scores = [trials.scores() for trials in stream_experiments(path)]
+    assert len(scores_at_once) == len(streamed_scores)
+    for scores, scores_of_stream in zip(scores_at_once, streamed_scores, strict=True):
+        assert scores.keys() == scores_of_stream.keys()
+        for name in scores:
+            assert np.array_equal(scores[name], scores_of_stream[name]), name
     return read_metadata(table)["versions"]
 
 
@@ -126,8 +135,8 @@ def reader_of_text(read: Callable[[str], object]) -> Callable[[Path], object]:
 
 VALID_SCENARIO = b"table:0.05:30,robot:5:4080218931:1000:64:0,step:1,settle"
 PARSERS = {
-    "table in JSON": Parser(".json", check_file, lambda: format_json(*TABLE).encode()),
-    "table in C": Parser(".c", check_file, lambda: format_c_source(*TABLE).encode()),
+    "table in JSON": Parser(".json", check_file, lambda: format_json(OMEGA, NEIGHBOURS).encode()),
+    "table in C": Parser(".c", check_file, lambda: format_c_source(OMEGA, NEIGHBOURS).encode()),
     **{f"log {suffix}": Parser(suffix, read_frames, partial(valid_log, suffix)) for suffix in LOG_SUFFIXES},
     "log .log.gz": Parser(".log.gz", read_frames, lambda: gzip.compress(valid_log(".log"), mtime=0)),
     "events": Parser(".events", read_events, valid_events),

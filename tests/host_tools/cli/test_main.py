@@ -34,7 +34,7 @@ def python(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str
 def fake_command(
     monkeypatch: pytest.MonkeyPatch, work: Mock | Callable[[], int], libraries: tuple[str, ...] = ()
 ) -> None:
-    """Let ``mcp-asdf table`` import ``libraries`` and call ``work``, whose result is its exit code."""
+    """Let ``mcp-asdf table`` import ``libraries``, and then call ``work``, which returns its exit code."""
     command = SimpleNamespace(
         EPILOG="", LIBRARIES=libraries, add_arguments=lambda parser: None, run=lambda args: work()
     )
@@ -109,31 +109,38 @@ def test_bad_usage_is_the_same_message_in_one_line_of_json_if_asked_for(line: st
     message = capsys.readouterr().err.splitlines()[0].removeprefix(f"{program_of(line)}: error: ")
     assert cli.main([*line.split(), "--json"]) == 2
     out, err = capsys.readouterr()
-    assert out == "" and len(err.splitlines()) == 1
+    assert out == ""
+    assert err.count("\n") == 1
     assert json.loads(err) == {"command": program_of(line), "error": message, "exit_code": 2}
 
 
 @pytest.mark.parametrize(
-    ("outcome", "exit_code", "message"),
+    ("error", "exit_code", "message"),
     [
-        (0, 0, ""),
-        (1, 1, ""),
         (UsageError("the value is 7; give 6"), 2, "error: the value is 7; give 6\n"),
         (FileNotFoundError(2, "No such file", "x"), 2, "error: cannot use x: No such file; give another\n"),
         (ImportError("no", name="pyarrow.lib"), 2, "error: this needs pyarrow, which is not installed;"),
         (KeyboardInterrupt(), 130, "interrupted\n"),
     ],
 )
-def test_a_command_s_outcome_becomes_an_exit_code_and_a_message(
-    outcome: int | BaseException,
+def test_an_error_of_a_command_becomes_an_exit_code_and_a_message(
+    error: BaseException,
     exit_code: int,
     message: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: Capture,
 ) -> None:
-    fake_command(monkeypatch, Mock(side_effect=[outcome]))
+    fake_command(monkeypatch, Mock(side_effect=error))
     assert cli.main(["table"]) == exit_code
-    assert capsys.readouterr().err.startswith(f"mcp-asdf table: {message}" if message else "")
+    assert capsys.readouterr().err.startswith(f"mcp-asdf table: {message}")
+
+
+@pytest.mark.parametrize("exit_code", [0, 1])
+def test_a_command_that_ends_by_itself_decides_on_its_exit_code(
+    exit_code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_command(monkeypatch, lambda: exit_code)
+    assert cli.main(["table"]) == exit_code
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError(), ImportError("no", name="of_nowhere")])
@@ -220,29 +227,42 @@ def test_a_reader_that_leaves_ends_the_command_with_141(
 
 @pytest.mark.parametrize("line", ["dbc", "--help", CHECK, "swarm --robots 3 --steps 5"])
 def test_a_closed_standard_output_is_the_null_device(line: str) -> None:
-    words = [sys.executable, "-m", "mcp_asdf_tools.cli.main", *line.split()]
-    command = f"{shlex.join(words)} >&-"
-    done = subprocess.run(["sh", "-c", command], cwd=ROOT, capture_output=True, check=False, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    program = shlex.join([sys.executable, "-m", "mcp_asdf_tools.cli.main"])
+    result = subprocess.run(
+        ["sh", "-c", f"{program} {line} >&-"], cwd=ROOT, capture_output=True, check=False, text=True
+    )
+    assert result.returncode == 0
+    assert result.stderr == ""
 
 
 @pytest.mark.parametrize("target", ["&-", "/dev/full"])
 def test_a_closed_or_full_standard_error_changes_no_exit_code(target: str) -> None:
-    words = [sys.executable, "-m", "mcp_asdf_tools.cli.main", "tabel"]
-    command = f"{shlex.join(words)} 2>{target}"
-    done = subprocess.run(["sh", "-c", command], cwd=ROOT, stdout=subprocess.PIPE, check=False, text=True)
-    assert (done.returncode, done.stdout) == (2, "")
+    program = shlex.join([sys.executable, "-m", "mcp_asdf_tools.cli.main"])
+    result = subprocess.run(
+        ["sh", "-c", f"{program} tabel 2>{target}"],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        check=False,
+        text=True,
+    )
+    assert result.returncode == 2
+    assert result.stdout == ""
 
 
-def in_base(folder: Path, lines: Iterable[str]) -> tuple[list[str], list[str]]:
-    """Run commands one after the other in a Python without the extras.
+def run_without_extras(lines: Iterable[str], folder: Path) -> tuple[list[int], list[str]]:
+    """Run commands one after the other in one Python that finds no module of the extras.
 
-    Returns the exit codes as text, and the lines on standard error.
+    Returns the exit codes, and the lines that all commands together wrote on standard error.
     """
-    exit_codes = f"[main(line.split()) for line in {[*lines]}]"
-    script = f"{HIDING}from mcp_asdf_tools.cli.main import main\nprint('codes', *{exit_codes})"
-    done = python("-c", script, cwd=folder)
-    return done.stdout.splitlines()[-1].split()[1:], done.stderr.splitlines()
+    script = (
+        f"{HIDING}\n"
+        "from mcp_asdf_tools.cli.main import main\n"
+        f"exit_codes = [main(line.split()) for line in {list(lines)}]\n"
+        "print('exit codes:', *exit_codes)\n"
+    )
+    result = python("-c", script, cwd=folder)
+    _, exit_codes = result.stdout.splitlines()[-1].split("exit codes: ")
+    return [int(exit_code) for exit_code in exit_codes.split()], result.stderr.splitlines()
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
@@ -293,24 +313,31 @@ def test_commands_for_robots_need_no_extras_and_neither_does_any_help(tmp_path: 
         "crosscheck --replay robot:2:1:64:0:2147483648,step:1",
         *(f"{name} --help" for name in cli.COMMANDS),
     ]
-    codes, errors = in_base(tmp_path, lines)
-    assert codes == ["0"] * len(lines), errors
+    exit_codes, errors = run_without_extras(lines, tmp_path)
+    assert exit_codes == [0] * len(lines), errors
 
 
-def test_a_missing_extra_is_named_in_one_line(tmp_path: Path) -> None:
-    needed = {
-        "simulate --steps 1000 --trials 1": ("pyarrow", "study"),
-        "sweep physical --output physical.parquet": ("pyarrow", "study"),
-        "score x.parquet": ("pyarrow", "study"),
-        "plot x.parquet x.png": ("matplotlib", "study"),
-        "reproduce --quick": ("matplotlib", "study"),
-        "swarm --firmware reference --log reference.log": ("scipy", "study"),
-    }
-    codes, errors = in_base(tmp_path, needed)
-    assert codes == ["2"] * len(needed) and len(errors) == 2 * len(needed)
-    assert list(tmp_path.iterdir()) == [], "nothing was begun"
-    for message, (module, extra) in zip(errors[::2], needed.values(), strict=True):
-        assert message.endswith(f"this needs {module}, which is not installed; {install_instruction(extra)}")
+LINES_AND_MISSING_MODULES = [
+    ("simulate --steps 1000 --trials 1", "pyarrow"),
+    ("sweep physical --output physical.parquet", "pyarrow"),
+    ("score x.parquet", "pyarrow"),
+    ("plot x.parquet x.png", "matplotlib"),
+    ("reproduce --quick", "matplotlib"),
+    ("swarm --firmware reference --log reference.log", "scipy"),
+]
+"""Command lines that need the extra "study", each with the module of it that is missing."""
+
+
+def test_a_missing_extra_is_named_before_anything_is_begun(tmp_path: Path) -> None:
+    lines = [line for line, _ in LINES_AND_MISSING_MODULES]
+    exit_codes, errors = run_without_extras(lines, tmp_path)
+    assert exit_codes == [2] * 6
+    assert list(tmp_path.iterdir()) == []
+    messages = errors[::2]  # each error has two lines, and the second one names --help
+    for message, (_, module) in zip(messages, LINES_AND_MISSING_MODULES, strict=True):
+        assert message.endswith(
+            f"this needs {module}, which is not installed; {install_instruction('study')}"
+        )
 
 
 def test_the_library_names_a_missing_extra_as_the_command_does(tmp_path: Path) -> None:
@@ -320,10 +347,18 @@ def test_the_library_names_a_missing_extra_as_the_command_does(tmp_path: Path) -
         "m.read_table('x.parquet')",
         "m.emulate(m.SwarmSettings(firmware='reference', steps=10))",
     )
-    attempt = "try: eval(call)\n except m.UsageError as error: print(error)"
-    script = f"{HIDING}import mcp_asdf_tools as m\nfor call in {calls}:\n {attempt}"
+    script = (
+        f"{HIDING}\n"
+        "import mcp_asdf_tools as m\n"
+        f"for call in {calls}:\n"
+        "    try:\n"
+        "        eval(call)\n"
+        "    except m.UsageError as error:\n"
+        "        print(error)\n"
+    )
     messages = python("-c", script, cwd=tmp_path).stdout.splitlines()
-    assert [line.endswith(install_instruction("study")) for line in messages] == [True] * len(calls)
+    assert len(messages) == 4
+    assert all(message.endswith(install_instruction("study")) for message in messages)
 
 
 SLOW_LIBRARIES = ["can", "cffi", "matplotlib", "mpmath", "numpy", "pyarrow", "rich", "scipy"]
@@ -336,10 +371,11 @@ def libraries_loaded_by(lines: Iterable[str]) -> list[list[str]]:
         "import sys; from mcp_asdf_tools.cli.main import main\n"
         f"for line in {[*lines]}:\n"
         "    main(line.split())\n"
-        f"    print('LOADED', *sorted({{*sys.modules}} & {{*{SLOW_LIBRARIES}}}))\n"
+        f"    print('LOADED', *[name for name in {SLOW_LIBRARIES} if name in sys.modules])\n"
     )
     output = python("-c", script).stdout.splitlines()
-    return [line.split()[1:] for line in output if line.startswith("LOADED")]
+    lists_of_libraries = [line.removeprefix("LOADED") for line in output if line.startswith("LOADED")]
+    return [names.split() for names in lists_of_libraries]
 
 
 def test_no_help_loads_a_slow_library() -> None:
@@ -361,11 +397,24 @@ def test_a_swarm_loads_neither_matplotlib_nor_pyarrow_nor_scipy() -> None:
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_every_command_has_examples_that_it_accepts(name: str) -> None:
-    lines = [line for line in cli._load(name).EPILOG.splitlines() if line.startswith("  mcp-asdf ")]
-    called = [shlex.split(line.partition(" > ")[0], comments=True)[1:] for line in lines]
-    assert name in {words[0] for words in called}
-    for command, *options in called:
+    commands = examples_of(name)
+    assert any(command == name for command, _ in commands)
+    for command, options in commands:
         cli._parser_for(command, cli._load(command)).parse_all(options)
+
+
+def examples_of(name: str) -> list[tuple[str, list[str]]]:
+    """Return the examples below a command's help: the command of each, and its options.
+
+    Comments, and files to which a shell would write the output, are left out.
+    """
+    examples = []
+    for line in cli._load(name).EPILOG.splitlines():
+        if line.startswith("  mcp-asdf "):
+            line_without_output_file, _, _ = line.partition(" > ")
+            _, command, *options = shlex.split(line_without_output_file, comments=True)
+            examples.append((command, options))
+    return examples
 
 
 SHORT = "--robots 4 --steps 30 --filter-period 10"
@@ -388,6 +437,12 @@ REPEATABLE = [
 """Command lines, and the options that the line for the same run has in front of what was typed."""
 
 
+def with_settled_options(line: str, settled_options: str) -> list[str]:
+    """Return the words of a command line with options inserted behind the command."""
+    command, *options = shlex.split(line)
+    return [command, *settled_options.split(), *options]
+
+
 @pytest.fixture
 def experiment_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Work in a folder with one.toml, a small experiment, and grid.toml, two of them."""
@@ -399,21 +454,22 @@ def experiment_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("experiment_files")
 @pytest.mark.parametrize(("line", "settled_options"), REPEATABLE)
 def test_a_run_ends_with_the_line_for_the_same_run(line: str, settled_options: str, capsys: Capture) -> None:
-    command, *options = shlex.split(line)
-    assert cli.main([command, *options]) == 0
-    again = shlex.join([command, *settled_options.split(), *options])
-    assert [row for row in capsys.readouterr().out.splitlines() if row.startswith("again: ")] == [
-        f"again: mcp-asdf {again}"
+    assert cli.main(shlex.split(line)) == 0
+    lines_for_the_same_run = [
+        output_line
+        for output_line in capsys.readouterr().out.splitlines()
+        if output_line.startswith("again: ")
     ]
+    same_run = with_settled_options(line, settled_options)
+    assert lines_for_the_same_run == [f"again: mcp-asdf {shlex.join(same_run)}"]
 
 
 @pytest.mark.usefixtures("experiment_files")
 @pytest.mark.parametrize(("line", "settled_options"), REPEATABLE)
 def test_the_line_for_the_same_run_leads_to_itself(line: str, settled_options: str, capsys: Capture) -> None:
-    command, *options = shlex.split(line)
-    again = [command, *settled_options.split(), *options]
-    assert cli.main(again) == 0
-    assert f"again: mcp-asdf {shlex.join(again)}\n" in capsys.readouterr().out
+    same_run = with_settled_options(line, settled_options)
+    assert cli.main(same_run) == 0
+    assert f"again: mcp-asdf {shlex.join(same_run)}\n" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("experiment_files")
@@ -427,8 +483,12 @@ QUIET_SWARM = ["swarm", "--robots", "3", "--steps", "5", "--filter-period", "1",
 
 
 def messages_of(err: str) -> list[str]:
-    """Return the lines that are logged on standard error, without their times."""
-    return [line.split(maxsplit=2)[2] for line in err.splitlines() if line[:2] == "20"]
+    """Return the lines that are logged on standard error, without their times.
+
+    Such a line begins with date and time: ``2026-03-01 12:00:00,000 INFO ...``.
+    """
+    logged_lines = [line for line in err.splitlines() if line.startswith("20")]
+    return [line.split(maxsplit=2)[2] for line in logged_lines]
 
 
 def test_a_command_logs_nothing_unless_asked_to(capsys: Capture) -> None:
@@ -502,5 +562,7 @@ def test_v_ends_with_its_command(capsys: Capture) -> None:
 
 def test_the_library_is_silent_where_logging_is_not_configured() -> None:
     code = "import mcp_asdf_tools as m; m.emulate(m.SwarmSettings(robots=3, steps=5, filter_period=1))"
-    done = python("-c", code)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    result = python("-c", code)
+    assert result.returncode == 0
+    assert result.stdout == ""
+    assert result.stderr == ""

@@ -19,7 +19,7 @@ from mcp_asdf_tools.common.parameters import ParameterError
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.world import _arena
 from mcp_asdf_tools.world.arena import Arena, make_config
-from mcp_asdf_tools.world.floor_code import CODE_MODULES, make_floor_code
+from mcp_asdf_tools.world.floor_code import make_floor_code
 from mcp_asdf_tools.world.philox import OBSERVATION_STREAM, SENSOR_STREAM, Stream, arena_seed, philox
 from mcp_asdf_tools.world.sensors import CheckedSensors, make_sensor_model
 from mcp_asdf_tools.world.settings import WorldSettings
@@ -39,10 +39,12 @@ in_each_world = pytest.mark.parametrize("changes", WORLDS.values(), ids=WORLDS)
 
 
 def make_settings(**changes: Any) -> WorldSettings:
+    """Return settings of four robots and 200 steps with some parameters changed."""
     return WorldSettings(**{"robots": 4, "steps": 200, "seed": SEED} | changes)
 
 
 def make_world(**changes: Any) -> World:
+    """Return a world of four robots and 200 steps with some parameters changed."""
     return World(make_settings(**changes))
 
 
@@ -52,8 +54,9 @@ KEY = (0xA4093822, 0x299F31D0)
 
 
 def philox_words(counter: tuple[int, int, int, int], key: tuple[int, int]) -> list[int]:
-    c0, c1, c2, c3 = (np.array([word], np.uint64) for word in counter)
-    return [int(word[0]) for word in philox((c0, c1, c2, c3), key)]
+    """Return the four random words of one counter, by the function that calculates those of many."""
+    c0, c1, c2, c3 = [np.array([word], np.uint64) for word in counter]
+    return [int(words[0]) for words in philox((c0, c1, c2, c3), key)]
 
 
 @pytest.mark.parametrize(
@@ -75,15 +78,19 @@ def test_draws_are_those_of_philox_4x32_10(
 
 
 def test_the_counter_of_a_draw_is_step_robot_trial_and_stream() -> None:
-    low, high = KEY
-    stream = Stream(1, high << 32 | low, trial=7, robots=3)
-    assert stream.draw_words(4)[:, 2].tolist() == philox_words((0, 2, 7, 1), KEY)
+    """One counter gives the words of four steps, of which it has the number of the first divided by 4."""
+    low_word, high_word = KEY
+    stream = Stream(1, seed=(high_word << 32) | low_word, trial=7, robots=3)
+    words_of_robot_2 = stream.draw_words(4)[:, 2]
+    assert words_of_robot_2.tolist() == philox_words((0, 2, 7, 1), KEY)
 
 
 @pytest.mark.parametrize("first_step", [0, 1, 3, 4, 6])
 def test_draws_do_not_depend_on_where_one_begins(first_step: int) -> None:
     stream = Stream(OBSERVATION_STREAM, SEED, trial=0, robots=3)
-    assert np.array_equal(stream.draw_words(9, first_step), stream.draw_words(20)[first_step:][:9])
+    words_of_20_steps = stream.draw_words(20)
+    words_of_9_steps = stream.draw_words(9, first_step)
+    assert np.array_equal(words_of_9_steps, words_of_20_steps[first_step : first_step + 9])
 
 
 def test_uniform_draws_are_the_middles_of_equal_intervals() -> None:
@@ -94,12 +101,16 @@ def test_uniform_draws_are_the_middles_of_equal_intervals() -> None:
 # --- Observations ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("white_offset", "white"), [(0.0, Fraction(7, 10)), (-0.125, Fraction(23, 40))])
-def test_observations_follow_eq_1_draw_by_draw(white_offset: float, white: Fraction) -> None:
+@pytest.mark.parametrize(
+    ("white_offset", "accuracy_on_white"), [(0.0, Fraction(7, 10)), (-0.125, Fraction(23, 40))]
+)
+def test_observations_follow_eq_1_draw_by_draw(white_offset: float, accuracy_on_white: Fraction) -> None:
+    """A robot observes black on black tiles, 2/5 of the floor, and by mistake on white ones, 3/5."""
     world = make_world(fill_ratio=0.4, true_accuracy=0.7, white_offset=white_offset)
-    probability = Fraction(2, 5) * Fraction(7, 10) + Fraction(3, 5) * (1 - white)
-    draws = Stream(OBSERVATION_STREAM, SEED, 0, 4).draw_words(200) >> 1
-    expected = [[Fraction(draw, 2**31) < probability for draw in row] for row in draws.tolist()]
+    probability_of_black = Fraction(2, 5) * Fraction(7, 10) + Fraction(3, 5) * (1 - accuracy_on_white)
+    draws_of_31_bits = Stream(OBSERVATION_STREAM, SEED, trial=0, robots=4).draw_words(200) >> 1
+    limit = probability_of_black * 2**31
+    expected = [[draw < limit for draw in draws_of_step] for draws_of_step in draws_of_31_bits.tolist()]
     assert world.advance(200).black.tolist() == expected
 
 
@@ -112,36 +123,53 @@ def test_robots_that_move_see_the_floor_through_their_sensors() -> None:
     """Black is observed with probability b, and white taken for black with 1 - w."""
     settings = make_settings(topology="dynamic", fill_ratio=0.4, true_accuracy=0.75, white_offset=0.125)
     is_black_floor = Arena(settings, 0).record(200).black.astype(bool)
-    draws = Stream(OBSERVATION_STREAM, SEED, 0, 4).draw_words(200) >> 1
-    limits = np.where(is_black_floor, 2**31 * 3 // 4, 2**31 // 8)
-    assert np.array_equal(World(settings).advance(200).black, draws < limits)
+    draws_of_31_bits = Stream(OBSERVATION_STREAM, SEED, trial=0, robots=4).draw_words(200) >> 1
+    limits = np.where(is_black_floor, 0.75 * 2**31, (1 - 0.875) * 2**31)
+    assert np.array_equal(World(settings).advance(200).black, draws_of_31_bits < limits)
 
 
-@pytest.mark.parametrize("changes", [{}, {"topology": "dynamic"}])
-def test_a_draw_equal_to_the_probability_is_not_below_it(
-    changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    three_quarters = 3 * 2**29  # in units of 2**-31
-    monkeypatch.setattr(
-        Stream,
-        "draw_words",
-        lambda self, steps, first_step=0: np.full((steps, self.robots), 2 * three_quarters, np.uint32),
-    )
-    changes = changes | {"fill_ratio": 1.0}
-    assert not make_world(**changes, true_accuracy=0.75).advance(20).black.any()
-    assert make_world(**changes, true_accuracy=0.75 + 2**-31).advance(20).black.all()
+@pytest.fixture
+def draws_of_three_quarters(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let all draws be 3/4, which words of 32 bits have as 3 * 2**30."""
+
+    def draw_words(stream: Stream, steps: int, first_step: int = 0) -> NDArray[np.uint32]:
+        return np.full((steps, stream.robots), 3 * 2**30, np.uint32)
+
+    monkeypatch.setattr(Stream, "draw_words", draw_words)
+
+
+@pytest.mark.usefixtures("draws_of_three_quarters")
+@pytest.mark.parametrize("topology", ["fully-connected", "dynamic"])
+def test_a_draw_equal_to_the_probability_is_not_below_it(topology: str) -> None:
+    world = make_world(topology=topology, fill_ratio=1.0, true_accuracy=0.75)
+    assert not world.advance(20).black.any()
+
+
+@pytest.mark.usefixtures("draws_of_three_quarters")
+@pytest.mark.parametrize("topology", ["fully-connected", "dynamic"])
+def test_a_draw_one_unit_below_the_probability_is_below_it(topology: str) -> None:
+    world = make_world(topology=topology, fill_ratio=1.0, true_accuracy=0.75 + 2**-31)
+    assert world.advance(20).black.all()
 
 
 def test_trials_seeds_and_robots_differ() -> None:
-    settings = make_settings()
-    worlds = [World(settings, 0), World(settings, 1), World(replace(settings, seed=SEED + 1), 0)]
-    columns = np.concatenate([world.advance(200).black for world in worlds], axis=1).T
-    assert len({column.tobytes() for column in columns}) == 12
+    """Twelve robots, four in each of three worlds, observe differently."""
+    worlds = [
+        World(make_settings(seed=SEED), trial=0),
+        World(make_settings(seed=SEED), trial=1),
+        World(make_settings(seed=SEED + 1), trial=0),
+    ]
+    different_observations = set()
+    for world in worlds:
+        observations_by_robot = world.advance(200).black.T
+        different_observations |= {observations.tobytes() for observations in observations_by_robot}
+    assert len(different_observations) == 12
 
 
 def test_what_a_robot_observes_does_not_depend_on_the_size_of_the_swarm() -> None:
-    small, large = make_world(robots=4).advance(200), make_world(robots=30).advance(200)
-    assert np.array_equal(small.black, large.black[:, :4])
+    black_in_small_swarm = make_world(robots=4).advance(200).black
+    black_in_large_swarm = make_world(robots=30).advance(200).black
+    assert np.array_equal(black_in_small_swarm, black_in_large_swarm[:, :4])
 
 
 # --- Steps -----------------------------------------------------------------------------------------------
@@ -156,47 +184,69 @@ def test_robots_observe_in_every_observation_period(changes: dict[str, Any]) -> 
 
 @in_each_world
 def test_how_many_steps_are_taken_at_once_changes_nothing(changes: dict[str, Any]) -> None:
-    whole, world = make_world(**changes).advance(200), make_world(**changes)
-    scenes = [world.advance(steps) for steps in (7, 1, 130, 62)]
+    scene = make_world(**changes).advance(200)
+    world = make_world(**changes)
+    parts = [world.advance(steps) for steps in (7, 1, 130, 62)]  # 200 together
     for name in ("black", "observes", "neighbours", "accuracy"):
-        joined = np.concatenate([getattr(scene, name) for scene in scenes])
-        assert np.array_equal(joined, getattr(whole, name)), name
+        values_of_parts = np.concatenate([getattr(part, name) for part in parts])
+        assert np.array_equal(values_of_parts, getattr(scene, name)), name
 
 
 @in_each_world
 def test_steps_that_are_skipped_have_passed(changes: dict[str, Any]) -> None:
-    whole, world = make_world(**changes).advance(200), make_world(**changes)
+    scene = make_world(**changes).advance(200)
+    world = make_world(**changes)
     world.skip(7)
     world.skip(130)
-    assert np.array_equal(world.advance(63).black, whole.black[137:])
+    last_63_steps = world.advance(63)
+    assert np.array_equal(last_63_steps.black, scene.black[137:])
 
 
 def observations_in(scene: Scene) -> list[list[Observation | None]]:
-    colours = (Observation.WHITE, Observation.BLACK)
-    return [
-        [colours[is_black] if observes else None for is_black in row]
-        for row, observes in zip(scene.black.tolist(), scene.observes.tolist(), strict=True)
-    ]
+    """Return the observations of all robots by step; None in steps without an observation."""
+    observations: list[list[Observation | None]] = []
+    for step, robots_observe in enumerate(scene.observes.tolist()):
+        if robots_observe:
+            observations.append([Observation(is_black) for is_black in scene.black[step].tolist()])
+        else:
+            observations.append([None] * scene.black.shape[1])
+    return observations
 
 
 @in_each_world
 def test_a_stepped_world_observes_what_a_scene_says(changes: dict[str, Any]) -> None:
-    scene, stepped = make_world(**changes).advance(200), SteppedWorld(make_settings(**changes))
-    assert [list(stepped.step()) for _ in range(200)] == observations_in(scene)
+    scene = make_world(**changes).advance(200)
+    stepped_world = SteppedWorld(make_settings(**changes))
+    assert [list(stepped_world.step()) for _ in range(200)] == observations_in(scene)
 
 
 @in_each_world
 def test_a_stepped_world_shows_the_present_step_of_a_scene(changes: dict[str, Any]) -> None:
-    scene, stepped = make_world(**changes).advance(200), SteppedWorld(make_settings(**changes))
+    scene = make_world(**changes).advance(200)
+    stepped_world = SteppedWorld(make_settings(**changes))
     for step in range(200):
-        stepped.step()
-        assert np.array_equal(stepped.current_neighbours, scene.neighbours[step])
-        assert np.array_equal(stepped.accuracy, scene.accuracy[step])
-        if scene.positions is None:
-            assert stepped.positions is None
-        else:
-            assert stepped.positions is not None
-            assert np.array_equal(stepped.positions, scene.positions[step])
+        stepped_world.step()
+        assert np.array_equal(stepped_world.current_neighbours, scene.neighbours[step])
+        assert np.array_equal(stepped_world.accuracy, scene.accuracy[step])
+
+
+def test_a_stepped_world_shows_the_present_positions_of_robots_that_move() -> None:
+    scene = make_world(topology="dynamic").advance(200)
+    stepped_world = SteppedWorld(make_settings(topology="dynamic"))
+    assert scene.positions is not None
+    for step in range(200):
+        stepped_world.step()
+        assert stepped_world.positions is not None
+        assert np.array_equal(stepped_world.positions, scene.positions[step])
+
+
+@pytest.mark.parametrize("topology", [{}, {"topology": "graph", "graph": "0 1; 1 > 2"}])
+def test_a_stepped_world_without_motion_has_no_positions(topology: dict[str, str]) -> None:
+    scene = make_world(**topology).advance(200)
+    stepped_world = SteppedWorld(make_settings(**topology))
+    stepped_world.step()
+    assert scene.positions is None
+    assert stepped_world.positions is None
 
 
 # --- Settings that are refused ---------------------------------------------------------------------------
@@ -222,7 +272,8 @@ CODE: dict[str, Any] = {**MOVING_SWARM, "floor": "code"}
         ({"drift_rate": 0.1}, "drift_rate", "drift_rate is 0.1 but drift is none; choose a drift"),
         (
             {"drift": "linear", "true_accuracy": 0.6, "lowest_accuracy": 0.7},
-            *("lowest_accuracy", "lowest_accuracy is 0.7; it must be at most true_accuracy, 0.6"),
+            "lowest_accuracy",
+            "lowest_accuracy is 0.7; it must be at most true_accuracy, 0.6",
         ),
         ({**MOVING_SWARM, "density": 60}, "density", "9 robots of 0.1408 m are too many for 0.4"),
         ({**MOVING_SWARM, "density": 1e-6, "radio_range": 100.0}, "density", "may be up to 1000 m"),
@@ -244,7 +295,8 @@ CODE: dict[str, Any] = {**MOVING_SWARM, "floor": "code"}
         ),
         (
             {**MOVING_SWARM, "robots": 129, "radio_range": 1.43},
-            *("radio_range", "robots is 129, but with radio_range 1.43 some could hear more than 127 others"),
+            "radio_range",
+            "robots is 129, but with radio_range 1.43 some could hear more than 127 others",
         ),
         ({**MOVING_SWARM, "width": 0.591, "height": 0.591, "density": 1}, "width", "too many for 0.591 x"),
     ],
@@ -320,16 +372,38 @@ def test_every_setting_reaches_the_arena() -> None:
     assert config == {**members, "range": 0.5, "tick": 1 / 20, "seed": arena_seed(SEED, 0)}
 
 
-@pytest.mark.parametrize("fill_ratio", [0.448, 0.1, 0.5, 0.5001, 0.8, 3 * 33e-4 + 2 * 42e-4])
+LEAST_FILL_RATIO_OF_CODES = 3 * 33e-4 + 2 * 42e-4
+"""What three finder patterns and two timing lines have of black, in a code of 10^4 modules."""
+FILL_RATIOS_OF_CODES = [0.448, 0.1, 0.5, 0.5001, 0.8, LEAST_FILL_RATIO_OF_CODES]
+
+
+@pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
 def test_a_code_has_exactly_its_share_of_black(fill_ratio: float) -> None:
-    pattern = make_floor_code(fill_ratio)
-    assert pattern.shape == (CODE_MODULES, CODE_MODULES)
-    assert pattern.sum() == round(fill_ratio * CODE_MODULES**2)
-    assert not pattern[34:66, 34:66].any(), "the logo is white"
-    for corner in (pattern[:7, :7], pattern[:7, -7:], pattern[-7:, :7]):
-        assert corner.sum() == 33, "a finder pattern: 24 in its frame, 9 in its middle"
-    for line in (pattern[6, 8:92], pattern[8:92, 6]):
-        assert (line == (np.arange(84) % 2 == 0)).all(), "a timing line"
+    code = make_floor_code(fill_ratio)
+    assert code.shape == (100, 100)
+    assert code.sum() == round(fill_ratio * 100 * 100)
+
+
+@pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
+def test_the_middle_of_a_code_is_white_for_a_logo(fill_ratio: float) -> None:
+    assert not make_floor_code(fill_ratio)[34:66, 34:66].any()
+
+
+@pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
+def test_a_code_has_finder_patterns_in_three_corners(fill_ratio: float) -> None:
+    """Each is a square of 7 x 7 with 24 black modules in its frame and 9 in its middle."""
+    code = make_floor_code(fill_ratio)
+    assert code[:7, :7].sum() == 33
+    assert code[:7, -7:].sum() == 33
+    assert code[-7:, :7].sum() == 33
+
+
+@pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
+def test_a_code_has_timing_lines_of_black_and_white_in_turn(fill_ratio: float) -> None:
+    code = make_floor_code(fill_ratio)
+    black_and_white = [True, False] * 42
+    assert code[6, 8:92].tolist() == black_and_white
+    assert code[8:92, 6].tolist() == black_and_white
 
 
 def test_the_code_is_always_the_same() -> None:
@@ -354,23 +428,30 @@ def test_accuracies_of_an_extension_may_be_alike_for_all_steps_or_robots(
 ) -> None:
     sensors = CheckedSensors(extension_that_answers((VALID_ACCURACIES, accuracies)), make_settings())
     on_black, on_white = sensors.advance(5)
-    assert on_black is VALID_ACCURACIES and on_white is accuracies
+    assert on_black is VALID_ACCURACIES
+    assert on_white is accuracies
 
 
-@pytest.mark.parametrize(
-    ("accuracies", "message"),
-    [
-        *(
-            (np.full(shape, 0.5), r"gives shape .*; return \(5 or 1, 4 or 1\)")
-            for shape in ((4,), (2, 4), (5, 3))
-        ),
-        *((np.full((5, 4), value), "outside 0 to 1; clip") for value in (1.01, -0.01, math.nan)),
-    ],
-)
-def test_wrong_accuracies_of_an_extension_are_refused(accuracies: NDArray[np.float64], message: str) -> None:
-    for answer in ((VALID_ACCURACIES, accuracies), (accuracies, VALID_ACCURACIES)):
-        with pytest.raises(UsageError, match=message):
-            CheckedSensors(extension_that_answers(answer), make_settings()).advance(5)
+@pytest.mark.parametrize("is_on_white", [False, True])
+@pytest.mark.parametrize("shape", [(4,), (2, 4), (5, 3)], ids=str)
+def test_accuracies_of_an_extension_of_a_wrong_shape_are_refused(
+    shape: tuple[int, ...], is_on_white: bool
+) -> None:
+    accuracies = np.full(shape, 0.5)
+    answer = (VALID_ACCURACIES, accuracies) if is_on_white else (accuracies, VALID_ACCURACIES)
+    sensors = CheckedSensors(extension_that_answers(answer), make_settings())
+    with pytest.raises(UsageError, match=r"gives shape .*; return \(5 or 1, 4 or 1\)"):
+        sensors.advance(5)
+
+
+@pytest.mark.parametrize("is_on_white", [False, True])
+@pytest.mark.parametrize("accuracy", [1.01, -0.01, math.nan])
+def test_accuracies_of_an_extension_outside_0_to_1_are_refused(accuracy: float, is_on_white: bool) -> None:
+    accuracies = np.full((5, 4), accuracy)
+    answer = (VALID_ACCURACIES, accuracies) if is_on_white else (accuracies, VALID_ACCURACIES)
+    sensors = CheckedSensors(extension_that_answers(answer), make_settings())
+    with pytest.raises(UsageError, match="outside 0 to 1; clip"):
+        sensors.advance(5)
 
 
 def test_an_installed_sensor_takes_the_place_of_the_built_in_one() -> None:
@@ -423,6 +504,7 @@ def test_wrong_neighbours_of_an_extension_are_refused(neighbours: NDArray[Any], 
 
 
 def true_accuracies(settings: WorldSettings) -> NDArray[np.float64]:
+    """Return the accuracies of trial 0 by step and robot; they must be the same on both colours."""
     black, white = make_sensor_model(settings, 0).advance(settings.steps)
     assert white is black
     return black
