@@ -1,13 +1,15 @@
 /* The two functions that a compiler may call by itself, for images without a C library. The pointers are
- * volatile: else a compiler could replace the loop inside memcpy() by a call of memcpy(). */
+ * volatile: else a compiler would recognise the loops, and could replace the one in memcpy() by a call of
+ * memcpy(), which is endless recursion. */
 #include <stddef.h>
 
 void *memcpy(void *restrict to, const void *restrict from, size_t size);
 void *memset(void *to, int value, size_t size);
 
-/* Copy `size` bytes, byte by byte; see the C standard. */
+/* Copy `size` bytes, byte by byte, between areas that do not overlap. Returns `to`. See the C standard. */
 void *memcpy(void *restrict to, const void *restrict from, size_t size)
 {
+    /* The compiler must make each write to a volatile byte itself, and so keeps the loop. */
     volatile unsigned char *target = to;
     for (const unsigned char *source = from; size > 0; --size) {
         *target++ = *source++;
@@ -15,9 +17,10 @@ void *memcpy(void *restrict to, const void *restrict from, size_t size)
     return to;
 }
 
-/* Fill `size` bytes with a value; see the C standard. */
+/* Fill `size` bytes with the lowest 8 bits of a value. Returns `to`. See the C standard. */
 void *memset(void *to, int value, size_t size)
 {
+    /* Volatile, so that the compiler keeps the loop and does not make a call of memset() of it. */
     for (volatile unsigned char *target = to; size > 0; --size) {
         *target++ = (unsigned char)value;
     }

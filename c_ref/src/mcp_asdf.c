@@ -38,7 +38,7 @@ ASSERT(b_hat_mirrors, MCP_ASDF_B_HAT_MIN + MCP_ASDF_B_HAT_MAX == 0); /* modulo 2
 
 /* ---- The local estimate: eq. 3 and 4 ---- */
 
-/* (g / p)^2 as Q30, for two numbers in [2^31, 2^32) of one format. */
+/* Returns (g / p)^2 as Q30, for two numbers in [2^31, 2^32) of one format. */
 static uint32_t square_of_ratio(uint32_t g, uint32_t p)
 {
     /* Both are halved for divide_24(), which takes a divisor of at most 2^31; the quotient stays g / p. */
@@ -279,8 +279,8 @@ HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, 
     return x + (uint32_t)(sum - product >= alpha);
 }
 
-/* The last closed round combined with an own estimate (eq. 7), as Q23. With an own alpha of 0 this is x_bar
- * (eq. 5). */
+/* Returns the mean of the last closed round and the robot's own estimate (eq. 7), as Q23. With an `alpha` of
+ * 0 this is x_bar (eq. 5), or x_hat if the round is empty. */
 ALWAYS_INLINE uint32_t combine_with_round(const mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
 {
     return informed_estimate(&robot->closed, x_hat, alpha);
@@ -349,30 +349,36 @@ ALWAYS_INLINE void clear_round_sums(mcp_asdf_t *robot)
     open->count = 0;
 }
 
-/* Whether a t-table is undamaged and in order. Its words are
+/* Whether a t-table is undamaged and in order: q and omega are in their ranges, the thresholds fall, and the
+ * hash is that of the words before it. Of a table with a bad q only the first word is read. Its words are
  *
  *     0            TABLE_MAGIC + q, the number of neighbours up to which it has thresholds: 2 .. 127
  *     1            omega, the tolerated error probability of the test, as Q32
- *     2 .. q       thresholds k_m for m estimates, Q26: they fall strictly and stay above 1
- *     q + 1        the threshold for any m above q
+ *     2 .. q       thresholds k_m for m estimates, Q26: each is less than the one before
+ *     q + 1        the threshold for any m above q, the least of all, but still above 1.0
  *     q + 2        FNV-1a over the words before it */
 static bool is_valid_table(const uint32_t *table)
 {
     const uint32_t head = MCP_ASDF_READ_WORD(&table[0]);
+    /* The last byte of TABLE_MAGIC is 0, so that the last byte of `head` is q: this is q + 2, and at most 129
+     * where the range of `head` below has been found right. */
     const uint8_t hash_index = (uint8_t)(head + 2U); /* q + 2 */
+    /* No robot has more neighbours than there are ids but its own: q is at most MCP_ASDF_MAX_ID. */
     if (head < TABLE_MAGIC + 2U || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {
         return false;
     }
     uint32_t hash = HASH_START, previous = 0;
     for (uint8_t i = 0; i < hash_index; ++i) { /* at most 129 turns */
         const uint32_t word = MCP_ASDF_READ_WORD(&table[i]);
+        /* Words 0 and 1 are no thresholds: from word 3 on a threshold follows another one. */
         if (word >= previous && i > 2U) { /* the first threshold, word 2, follows no other */
             return false;
         }
         previous = word;
         hash = hash_word(hash, word);
     }
-    /* `previous` is the last threshold. An omega of 0 wraps, and is out of range, too. */
+    /* `previous` is word q + 1 now, the least threshold. Omega must be in [1, TABLE_OMEGA_MAX]: less 1, an
+     * omega of 0 wraps to 2^32 - 1, so that one comparison covers both ends. */
     return previous > THRESHOLD_ONE && hash == MCP_ASDF_READ_WORD(&table[hash_index]) &&
            MCP_ASDF_READ_WORD(&table[1]) - 1U < TABLE_OMEGA_MAX;
 }

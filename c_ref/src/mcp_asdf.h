@@ -207,11 +207,11 @@ typedef struct {
 /* What a robot with the robust filter knows of the others.
  *   centre      of the x_hat received, unit 2^-30           0 .. 2^30; MCP_ASDF_CENTRE_START before any
  *   spread      their median distance from it, unit 2^-30   2^18 .. 2^28
- *   voices      bit (id mod 32) of every sender of a message with alpha > 0
- *   votes       weight of these two against the next message, which adds 1, up to 2^14; halved while the
- *               centre moves one way
+ *   voices      the set of senders heard: bit (id mod 32) of every sender of a message with alpha > 0
+ *   votes       number of messages counted, up to 2^14; halved while the centre moves one way. The more there
+ *               are, the less the next message changes centre and spread
  *   trend       share of the centre's recent moves that went up, unit 2^-16
- *   first       b_hat at the start, unit 2^-32: what the test is about; 0 with other filters */
+ *   first       the initial b_hat, unit 2^-32: what the test is about; 0 with other filters */
 typedef struct {
     uint32_t centre;
     uint32_t spread;

@@ -16,15 +16,22 @@
 /* value modulo 2^32. Lemma low_word. */
 ALWAYS_INLINE uint32_t low_word(uint64_t value) { return (uint32_t)value; }
 
-/* floor(value / 2^count), count in [0, 63]; of other counts the lower 6 bits. Lemma shift_right_64. */
+/* Returns floor(value / 2^count), count in [0, 63]; of other counts the lower 6 bits. Lemma
+ * shift_right_64. */
 ALWAYS_INLINE uint64_t shift_right_64(uint64_t value, uint32_t count)
 {
     if ((count & 32U) != 0U) { /* by a whole word, then by the rest */
         value = high_word(value);
     }
     count &= 31U;
-    /* The lowest bits of the upper word cross into the lower one: high 2^(32 - count), in two shifts, as no
-     * count may be 32. */
+    /* What is left is a shift by count in [0, 31] over the border of the two words:
+     *
+     *     value                 high        |              low
+     *     result        0 | high >> count   |   crossing | low >> count
+     *
+     * The lowest `count` bits of the upper word cross into the top of the lower one: high << (32 - count). A
+     * count of 0 would make that a shift by 32, which C leaves undefined. So it is done in two shifts, by 1
+     * and by 31 - count, which is count ^ 31 for numbers of 5 bits. */
     const uint32_t high = high_word(value), crossing = shift_left(high << 1, count ^ 31U);
     return join(shift_right(high, count), shift_right(low_word(value), count) | crossing);
 }
@@ -38,7 +45,8 @@ typedef struct {
 ALWAYS_INLINE word_pair_t shift_left_wide(uint32_t value, uint32_t count)
 {
     const uint32_t masked = count & 31U;
-    /* The upper word is value / 2^(32 - count), in shifts by 1 and by 31 - count, as no shift may be 32. */
+    /* The upper word gets the highest `count` bits of the value: value >> (32 - count), in shifts by 1 and by
+     * 31 - count, as no shift may be 32. The lower word gets the rest. */
     const word_pair_t shifted = {shift_right(value >> 1, COMPLEMENT(count, masked)),
                                  shift_left(value, masked)};
     return shifted;
@@ -47,14 +55,15 @@ ALWAYS_INLINE word_pair_t shift_left_wide(uint32_t value, uint32_t count)
 /* Returns the upper word of value 2^count modulo 2^64, count in [0, 31]. Lemma upper. */
 ALWAYS_INLINE uint32_t upper(uint64_t value, uint32_t count)
 {
-    /* The bits that cross over from the lower word: shifted by 1 and by 31 - count, as no shift may be 32. */
+    /* The highest `count` bits of the lower word cross into the bottom of the upper one: low >> (32 - count),
+     * in shifts by 1 and by 31 - count (which is count ^ 31), as no shift may be 32. */
     return shift_left(high_word(value), count) | shift_right(low_word(value) >> 1, count ^ 31U);
 }
 
 /* ---- Sums and quotients -------------------------------------------------------------------------------- */
 
-/* *sum += term, written to memory before anything further begins. Else a compiler would add all sums of a
- * round side by side, for which a small core has too few registers. Lemma add. */
+/* Add a term to *sum, which is written to memory before anything further begins. Else a compiler would add
+ * all sums of a round side by side, for which a small core has too few registers. Lemma add. */
 ALWAYS_INLINE void add(uint64_t *sum, uint64_t term)
 {
     *sum += term;

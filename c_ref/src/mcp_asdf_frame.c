@@ -28,6 +28,7 @@
 
 #define ANY_FLAG (MCP_ASDF_FRAME_STANDARD | MCP_ASDF_FRAME_REMOTE | MCP_ASDF_FRAME_ERROR | MCP_ASDF_FRAME_FD)
 
+/* The same type by a short name; the public functions use the long one, as their declarations do. */
 typedef mcp_asdf_frame_status_t status_t;
 
 /* ---- Little-endian numbers --------------------------------------------------------------------------------
@@ -180,7 +181,8 @@ static uint32_t alpha_word_from_binary32(uint32_t binary32)
 
 /* ---- Estimate --------------------------------------------------------------------------------------- */
 
-/* Write an estimate to a frame. Returns OK, or the first error and leaves *frame as it was. */
+/* Write an estimate to a frame, its alpha word as a binary32 number. Returns OK; or the first of ERR_NODE,
+ * ERR_FORMAT and ERR_X_HAT (above 1.0) that applies, and leaves *frame as it was. */
 mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,
                                                  const mcp_asdf_frame_format_t *format,
                                                  const mcp_asdf_estimate_t *message)
@@ -225,11 +227,14 @@ mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, u
 
 /* ---- Heartbeat -------------------------------------------------------------------------------------- */
 
-/* Write a heartbeat to a frame. Returns OK, or the first error and leaves *frame as it was. */
+/* Write a heartbeat to a frame, with the standard's fixed subject. Returns OK; or the first of ERR_NODE
+ * (above 127), ERR_FORMAT (the priority is above 7), ERR_HEALTH and ERR_MODE that applies, and leaves *frame
+ * as it was. */
 mcp_asdf_frame_status_t mcp_asdf_encode_heartbeat(mcp_asdf_frame_t *frame, uint8_t priority,
                                                   const mcp_asdf_heartbeat_t *message)
 {
-    /* Only the priority has to be checked: any valid subject will do. */
+    /* check_sender_and_format() checks a subject, too, but the one of heartbeats is no argument that could be
+     * wrong. So it gets subject 0, which is always valid, and what it finds concerns node and priority. */
     const mcp_asdf_frame_format_t format = {0, priority};
     const status_t status = check_sender_and_format(&format, message->node);
     if (status != MCP_ASDF_FRAME_OK) {
@@ -252,7 +257,8 @@ mcp_asdf_frame_status_t mcp_asdf_encode_heartbeat(mcp_asdf_frame_t *frame, uint8
 
 /* ---- Telemetry -------------------------------------------------------------------------------------- */
 
-/* Write telemetry to a frame. Returns OK, or the first error and leaves *frame as it was. */
+/* Write telemetry to a frame. Returns OK; or the first of ERR_NODE, ERR_FORMAT, ERR_X (above 1.0) and
+ * ERR_B_HAT (out of range) that applies, and leaves *frame as it was. */
 mcp_asdf_frame_status_t mcp_asdf_encode_telemetry(mcp_asdf_frame_t *frame,
                                                   const mcp_asdf_frame_format_t *format,
                                                   const mcp_asdf_telemetry_t *message)

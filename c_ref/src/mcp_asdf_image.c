@@ -76,8 +76,13 @@ static bool is_valid_estimate(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 static bool is_valid_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
     /* Where the mean is 1.0, the sum of alpha x_hat is 2^23 alpha. Neither fits in 64 bits, so that both are
-     * compared in two pieces: from bit 32 up, and the 32 bits below. upper_sum may wrap, but then one of its
-     * two terms is out of its range, which is checked first. */
+     * compared in two pieces:
+     *
+     *                      from bit 32 up                      bits 31 to 0
+     *     sum              alpha_x_high + alpha_x_low / 2^32   those of alpha_x_low
+     *     2^23 alpha       alpha / 2^9                         the lowest 9 bits of alpha, times 2^23
+     *
+     * upper_sum may wrap, but then one of its two terms is out of its range, which is checked first. */
     const uint64_t upper_sum = alpha_x_high + (alpha_x_low >> 32);
     const uint64_t upper_limit = alpha >> 9; /* 2^23 alpha / 2^32 */
     return alpha <= (MCP_ASDF_MAX_ID * ALPHA_MANTISSA) << 31 && alpha_x_low < (UINT64_C(1) << 62) &&
@@ -123,11 +128,17 @@ static uint32_t count_of_open_round(const mcp_asdf_t *robot) { return (void)robo
 #endif
 #if MCP_ASDF_WITH_ROBUST
 
-/* Whether votes can have led to this crowd. Before the first vote, and with other filters, it is as in a new
- * robot. */
+/* Whether the crowd, which is all that the robust filter remembers of received estimates, is one to which
+ * calls of the firmware can lead:
+ *   - with another filter it is as in a new robot, and its initial b_hat, the member `first`, is 0;
+ *   - with the robust filter and no estimate counted yet (`votes` is 0) it is as in a new robot, too, and
+ *     b_hat is still the initial one, as it takes the estimates of three senders to change it;
+ *   - later the initial b_hat, the number of estimates, the centre and the spread are in their ranges, and
+ *     the set of senders heard, `voices`, is not empty. `trend` may then be any number of 16 bits. */
 static bool is_valid_crowd(const mcp_asdf_t *robot)
 {
     const mcp_asdf_crowd_t *const crowd = &robot->crowd;
+    /* All members as init_crowd() leaves them, but the initial b_hat, which depends on the filter. */
     const bool is_new = crowd->centre == MCP_ASDF_CENTRE_START && crowd->spread == MCP_ASDF_SPREAD_MAX &&
                         crowd->voices == 0U && crowd->votes == 0U && crowd->trend == MCP_ASDF_TREND_START;
     if (!mcp_asdf_is_robust(robot->config)) {
@@ -215,8 +226,8 @@ static uint32_t pass_word(image_t *image, uint32_t value)
     return word;
 }
 
-/* Pass *first and *second through the image as one word, *first in its lower half. If the image is read, both
- * are replaced. */
+/* Pass *first and *second through the image as one word, *first in bits 0 to 15 and *second in bits 16 to 31.
+ * If the image is read, both are replaced. */
 static void pass_half_words(image_t *image, uint16_t *first, uint16_t *second)
 {
     const uint32_t word = pass_word(image, ((uint32_t)*second << 16) | *first);
@@ -268,8 +279,10 @@ static void pass_rounds(image_t *image, mcp_asdf_t *robot) { (void)image, (void)
 #endif
 #if MCP_ASDF_WITH_ROBUST
 
-/* Pass the crowd in place of the rounds: 5 words, and zeros for the 11 that are left. If an image has
- * anything else there, the crowd is made invalid, so that the image is refused. */
+/* Pass the crowd through the image, in place of the 16 words of the rounds: centre, spread, set of senders
+ * heard, initial b_hat, and one word with the number of votes (bits 0 to 15) and the trend (bits 16 to 31);
+ * then 11 zeros. If the image is read and has anything but zeros there, the spread becomes 0, for which
+ * is_valid_crowd() refuses it. */
 static void pass_crowd(image_t *image, mcp_asdf_t *robot)
 {
     mcp_asdf_crowd_t *const crowd = &robot->crowd;
@@ -295,8 +308,9 @@ static void copy_crowd(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { (void)robot
 
 #endif
 
-/* Pass all members of `robot` through the image, except the config and what follows from b_hat alone. With
- * `is_robust` the image has the crowd in place of the rounds. */
+/* Pass all members of `robot` through the image, except the config and what follows from b_hat alone. If the
+ * image is read, they are replaced, unchecked. With `is_robust` the image has the crowd in place of the
+ * rounds. */
 static void pass_state(image_t *image, mcp_asdf_t *robot, bool is_robust)
 {
     robot->accuracy.b_hat = pass_word(image, robot->accuracy.b_hat);
@@ -315,6 +329,7 @@ static void pass_state(image_t *image, mcp_asdf_t *robot, bool is_robust)
     }
     pass_half_words(image, &robot->counters.accepted, &robot->counters.repeated);
     pass_half_words(image, &robot->counters.rejected, &robot->counters.tests);
+    /* The last word: updates in bits 0 to 15, `updated` in bits 16 to 23, the id in bits 24 to 31. */
     const uint32_t last_word = pass_word(image, robot->counters.updates | ((uint32_t)robot->updated << 16) |
                                                     ((uint32_t)robot->id << 24));
     robot->counters.updates = (uint16_t)last_word;
@@ -322,7 +337,8 @@ static void pass_state(image_t *image, mcp_asdf_t *robot, bool is_robust)
     robot->id = (uint8_t)(last_word >> 24);
 }
 
-/* Returns the first word of an image: that of a robot with the robust filter, or with any other. */
+/* Returns the first word of an image, by which its format and its kind of filter (the robust one, or any
+ * other) are recognised. */
 static uint32_t magic_word(bool is_robust) { return is_robust ? IMAGE_MAGIC | ROBUST_IMAGE : IMAGE_MAGIC; }
 
 /* Write the image of `robot` to `image`: the magic word, the state, and the hash of both. */

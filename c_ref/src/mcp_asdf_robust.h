@@ -40,8 +40,8 @@ ALWAYS_INLINE uint32_t q23_from_q30(uint32_t position) { return position >> 7; }
  * complement -number is ~number + 1: the XOR with all ones is the ~, and subtracting all ones adds 1. */
 ALWAYS_INLINE uint32_t negate_if(uint32_t number, uint32_t mask) { return (number ^ mask) - mask; }
 
-/* Initialise the crowd of a new robot, whose other members are 0. The initial b_hat is kept for the tests; it
- * is 0 with other filters. */
+/* Initialise the crowd of a new robot, whose votes and set of senders heard are 0 already. The initial b_hat
+ * is kept in crowd.first, for the tests; with other filters that is 0. */
 ALWAYS_INLINE void init_crowd(mcp_asdf_t *robot, uint32_t b_hat)
 {
     robot->crowd.first = mcp_asdf_is_robust(robot->config) ? b_hat : 0U;
@@ -57,8 +57,8 @@ typedef struct {
     uint32_t trend; /* Q16 */
 } crowd_statistics_t;
 
-/* The statistics after a vote for x_hat, Q23 and at most 1.0. The centre moves towards it, by at most a
- * spread times the gain and never beyond it. */
+/* Returns the statistics after a vote for x_hat, Q23 and at most 1.0. The centre moves towards it, by at most
+ * a spread times the gain and never beyond it. */
 ALWAYS_INLINE crowd_statistics_t statistics_after_vote(crowd_statistics_t statistics, uint32_t x_hat)
 {
     const uint32_t centre = statistics.centre, spread = statistics.spread;

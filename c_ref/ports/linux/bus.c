@@ -34,9 +34,11 @@ static bool has_prefix(const bus_t *bus, const char *prefix)
     return strncmp(bus->name, prefix, strlen(prefix)) == 0;
 }
 
-/* Set the size of the receive buffer, and ask the kernel to count the frames for which it has no room. Here
- * and in set_filters() a refusal is ignored, as it costs only counts or wake-ups: user-mode emulation knows
- * none of these options. */
+/* Give the socket a receive buffer of bus->receive_buffer bytes, or if that is 0 leave it as the kernel's
+ * default, and ask the kernel to count the frames for which it has no room (read_overflow_count()).
+ *
+ * Here and in set_filters() a refusal is ignored: without these options the node works, but misses counts or
+ * wakes up more often. User-mode emulation of another processor knows none of them. */
 static void set_receive_buffer(const bus_t *bus)
 {
     const int on = 1, size = bus->receive_buffer / 2; /* the kernel doubles it */
@@ -60,7 +62,8 @@ static void set_filters(bus_t *bus)
     (void)setsockopt(bus->fd, SOL_CAN_RAW, CAN_RAW_ERR_FILTER, &errors, sizeof errors);
 }
 
-/* Open a socket on the CAN interface. Returns 0 or an errno. */
+/* Open a socket on the CAN interface, bus->fd. Returns 0 or an errno; the socket may then be open, and
+ * bus_open() closes it. */
 static int open_can(bus_t *bus)
 {
     struct sockaddr_can address = {.can_family = AF_CAN, .can_ifindex = (int)if_nametoindex(bus->name)};
@@ -77,7 +80,8 @@ static int open_can(bus_t *bus)
     return bind(bus->fd, (const struct sockaddr *)&address, sizeof address) == 0 ? 0 : errno;
 }
 
-/* Connect to the Unix socket. Returns 0 or an errno. */
+/* Connect a socket, bus->fd, to the Unix socket of that path. Returns 0 or an errno; the socket may then be
+ * open, and bus_open() closes it. */
 static int open_unix(bus_t *bus)
 {
     const char *path = bus->name + strlen(UNIX_PREFIX);
@@ -93,7 +97,8 @@ static int open_unix(bus_t *bus)
     return connect(bus->fd, (const struct sockaddr *)&address, sizeof address) == 0 ? 0 : errno;
 }
 
-/* Join the multicast group. Returns 0 or an errno. */
+/* Join the multicast group; bus->fd becomes its socket that receives. Returns 0, or an errno with the group
+ * closed. */
 static int open_multicast(bus_t *bus)
 {
     const int error = multicast_open(&bus->group, bus->name + strlen(MULTICAST_PREFIX));
@@ -141,7 +146,7 @@ void bus_close(bus_t *bus)
 
 /* ---- Receiving -------------------------------------------------------------------------------------- */
 
-/* Health that corresponds to a controller's state, a set of CAN_ERR_CRTL_... bits. */
+/* Returns the health that corresponds to a controller's state, a set of CAN_ERR_CRTL_... bits. */
 static uint8_t health_of_controller(uint8_t state)
 {
     if ((state & ERROR_PASSIVE) != 0) {
@@ -164,8 +169,9 @@ static void handle_error_frame(bus_t *bus, const struct canfd_frame *frame)
     }
 }
 
-/* Update the number of overflowed frames: with a packet the kernel delivers how many it has dropped on this
- * socket so far. */
+/* Update counts.overflowed by the control data of a received packet: there the kernel states how many frames
+ * it has dropped since this socket was opened, if there are any. Those of earlier sockets of this bus come on
+ * top. Without such data nothing changes. */
 static void read_overflow_count(bus_t *bus, struct msghdr *message)
 {
     for (struct cmsghdr *header = CMSG_FIRSTHDR(message); header != NULL;
@@ -173,6 +179,7 @@ static void read_overflow_count(bus_t *bus, struct msghdr *message)
         if (header->cmsg_level == SOL_SOCKET && header->cmsg_type == SO_RXQ_OVFL) {
             uint32_t dropped_since_open;
             memcpy(&dropped_since_open, CMSG_DATA(header), sizeof dropped_since_open);
+            /* bus_open() has kept what earlier sockets had counted. */
             bus->counts.overflowed = bus->overflowed_before + dropped_since_open;
         }
     }

@@ -50,16 +50,20 @@ static bool parse_group_name(address_t *address, const char *name)
            IN_MULTICAST(ntohl(address->ipv4.sin_addr.s_addr));
 }
 
-/* Size of an address in bytes, by its family. */
+/* Returns the size of an address in bytes, by its family. */
 static socklen_t address_size(const address_t *address)
 {
     return address->any.sa_family == AF_INET6 ? sizeof address->ipv6 : sizeof address->ipv4;
 }
 
-/* Let a socket receive the group's datagrams from the interface of that index, 0: any. Returns whether the
- * kernel agreed, else errno says why not. */
+/* Let a socket receive the group's datagrams from the interface of that index, or if it is 0 from one that
+ * the kernel chooses: bind it to the group's address and port, which other sockets of this machine may be
+ * bound to as well (SO_REUSEADDR), and join the group. Returns whether all three calls worked; if not, errno
+ * says why, and the caller closes the socket. */
 static bool prepare_to_receive(int fd, const address_t *address, unsigned interface_index)
 {
+    /* Both requests are filled, but only the one of the address's family is used: what the other one reads
+     * from the union has no meaning. */
     const struct ipv6_mreq ipv6_request = {.ipv6mr_multiaddr = address->ipv6.sin6_addr,
                                            .ipv6mr_interface = interface_index};
     const struct ip_mreqn ipv4_request = {.imr_multiaddr = address->ipv4.sin_addr,
@@ -76,8 +80,9 @@ static bool prepare_to_receive(int fd, const address_t *address, unsigned interf
     return setsockopt(fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &ipv4_request, sizeof ipv4_request) == 0;
 }
 
-/* Let a socket send datagrams to the group, through the interface of that index, 0: the kernel's choice.
- * Returns whether the kernel agreed, else errno says why not. */
+/* Let a socket send datagrams to the group, through the interface of that index, or if it is 0 through one
+ * that the kernel chooses; they may cross `hop_limit` networks. Connects the socket to the group's address.
+ * Returns whether all calls worked; if not, errno says why, and the caller closes the socket. */
 static bool prepare_to_send(int fd, const address_t *address, unsigned interface_index, int hop_limit)
 {
     const struct ip_mreqn ipv4_interface = {.imr_ifindex = (int)interface_index};
@@ -98,15 +103,16 @@ static bool prepare_to_send(int fd, const address_t *address, unsigned interface
     return error == 0 && connect(fd, &address->any, address_size(address)) == 0;
 }
 
-/* Open the socket that receives. Returns whether that worked, else errno says why not. */
+/* Open the socket that receives, group->receive_fd. Returns whether that worked; if not, errno says why, and
+ * the socket may be open: the caller closes it. */
 static bool open_receiver(multicast_t *group, const address_t *address, unsigned interface_index)
 {
     group->receive_fd = socket(address->any.sa_family, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
     return group->receive_fd >= 0 && prepare_to_receive(group->receive_fd, address, interface_index);
 }
 
-/* Open the socket that sends, and store the address of its datagrams in group->own_address. Returns whether
- * that worked, else errno says why not. */
+/* Open the socket that sends, group->send_fd, and store the address of its datagrams in group->own_address.
+ * Returns whether that worked; if not, errno says why, and the socket may be open: the caller closes it. */
 static bool open_sender(multicast_t *group, const address_t *address, unsigned interface_index)
 {
     socklen_t own_address_size = sizeof group->own_address;

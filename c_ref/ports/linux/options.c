@@ -262,7 +262,9 @@ static void check_required_options(const option_texts_t texts)
     }
 }
 
-/* Check that the periods, the memory and the subjects are what the node accepts. */
+/* Check what no option shows alone: that the filter period is a multiple of the broadcast period, the memory
+ * a multiple of 4, and the three subjects differ. Their ranges have been checked by parse_number(). If one of
+ * these fails, the program ends with a message that names the option, its value and the fix, by fail(). */
 static void check_node_settings(const node_settings_t *settings, const option_texts_t texts)
 {
     const uint16_t estimate_subject = settings->estimate_format.subject;
@@ -281,7 +283,8 @@ static void check_node_settings(const node_settings_t *settings, const option_te
     }
 }
 
-/* Check that options of multicast come with a multicast interface. */
+/* Check that --network and --hop-limit, which concern multicast alone, are only given with an --interface
+ * udp:GROUP:PORT. Ends the program with a message, by fail(), if not. */
 static void check_multicast_options(const option_texts_t texts)
 {
     static const enum option_index multicast_options[] = {NETWORK, HOP_LIMIT};

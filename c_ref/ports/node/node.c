@@ -83,7 +83,8 @@ void node_start(node_t *node)
 
 /* ---- Ticks ------------------------------------------------------------------------------------------ */
 
-/* End the tick: in a broadcast tick close the round, and begin to count down to the next broadcast. */
+/* End the open tick. If it is a broadcast tick, also close the firmware's round, and begin to count down to
+ * the next broadcast. */
 static void end_tick(node_t *node)
 {
     if (node->ticks_until_broadcast == 0) {
@@ -127,9 +128,14 @@ void node_settle(node_t *node)
 
 /* ---- Receiving -------------------------------------------------------------------------------------- */
 
-/* Carry out a command: begin a tick with an observation or without, or settle. Counts it in
- * followed_commands, or in refused_commands if it is in a wrong order: a settle command for any tick but the
- * open one, or a repeated command to begin the open tick. A command for another robot changes nothing. */
+/* Carry out a command of the lockstep clock, and count it in followed_commands. A command for another robot
+ * changes nothing, and one in a wrong order is only counted, in refused_commands:
+ *
+ *                        for the open tick      for any other tick, or if none is open
+ *     observe command    refused: a repeat      begins that tick; one that is open ends, as unsettled
+ *     settle command     ends the tick          refused
+ *
+ * So an observe command for the tick that was settled last begins a tick of this number again. */
 static void handle_command(node_t *node, const mcp_asdf_command_t *command)
 {
     const bool is_settle = command->action == MCP_ASDF_SETTLE;
@@ -137,8 +143,8 @@ static void handle_command(node_t *node, const mcp_asdf_command_t *command)
     if (command->target != node->settings->id && command->target != MCP_ASDF_EVERY_ROBOT) {
         return;
     }
-    /* A settle command must be for the open tick. An observe command must be for another tick, earlier or
-     * later: it begins that tick, and ends one that is still open. */
+    /* A settle command must be for the open tick, an observe command must not: both are in order where these
+     * two agree. Numbers of ticks may go back, as after a restart of the simulator. */
     const bool is_in_order = is_settle == is_for_open_tick;
     if (!is_in_order) {
         ++node->counts.refused_commands;

@@ -20,8 +20,9 @@
  *   has_lanes          whether steps are taken in lanes where that is possible
  *   is_robust          whether the robots have the robust filter: messages are votes, and there are no sums
  *   columns            series of x in a trial
- *   parallel_trials    lane j parallel_trials + l is robot j of trial l, both from 0; other lanes run idle
- *   lanes              in `rows` rows
+ *   parallel_trials    lane j parallel_trials + l is robot j of trial l, both from 0: the trial runs fastest,
+ *                      and the robots of a trial are parallel_trials lanes apart. Other lanes run idle
+ *   lanes              in `rows` rows of LANES: lane i is entry i % LANES of row i / LANES
  *   arenas             NULL, or the arena of each trial
  *   first_index        index of the first of the `active_trials` trials among those of the experiment
  *   t                  observations of each robot
@@ -48,11 +49,13 @@ typedef struct {
 
 /* --- Observations --- */
 
-/* Draw the random words of steps 4 group .. 4 group + 3 for all lanes of `count` rows. */
+/* Draw the random words of four steps, from step 4 * group on, for all lanes of `count` rows: draws[i] gets
+ * those of step 4 * group + i. They are functions of the seed, the trial and the robot of a lane, and the
+ * step. */
 FOR_EACH_TARGET static void draw_words(lanes_t *rows, uint32_t count, uint64_t seed, uint32_t group)
 {
     for (lanes_t *row = rows; row < rows + count; ++row) {
-        SIDE_BY_SIDE
+        SIDE_BY_SIDE /* the lanes: the compiler may make vectors of this loop, as no lane needs another one */
         for (uint32_t l = 0; l < LANES; ++l) {
             const philox_t block = draw_block(seed, row->trial[l], row->robot[l], group);
             row->draws[0][l] = block.word[0];
@@ -71,17 +74,23 @@ static uint32_t probability_of_black(uint32_t black, uint32_t is_floor_white)
     return black + is_floor_white * (MCP_ASDF_ENGINE_CERTAIN - 2 * black);
 }
 
-/* Set black_limit, below which a draw makes a robot observe black, for all robots of the active trials in
- * step k. */
+/* Set black_limit in the lanes of all robots of the active trials: the probability that the robot observes
+ * black in step k, in units of 2^-31. A draw of 31 bits that is below this number means black
+ * (lanes_is_black()). It comes from the experiment's `black` and, in an arena, from the colour of the floor
+ * under the robot. */
 static void set_black_limits(const run_t *run, uint32_t k)
 {
     const mcp_asdf_experiment_t *const experiment = run->experiment;
     for (uint32_t l = 0; l < run->active_trials; ++l) {
+        /* Walks through the experiment's probabilities for this trial and step, robot by robot: for a robot
+         * that stands on black, or of any robot where there is no floor. */
         const uint32_t *black = experiment->black + (run->first_index + l) * experiment->trial_stride +
                                 k * experiment->step_stride;
+        /* The colours under the robots of this trial, by robot: 1 is black. */
         const uint8_t *const floor = run->arenas == NULL ? NULL : run->arenas[l].black;
-        uint32_t lane = l;
+        uint32_t lane = l; /* that of robot 0; the next robot's is parallel_trials further */
         for (uint32_t j = 0; j < experiment->robots; ++j) {
+            /* Without a floor it is 0, so that the probability is taken as it is. */
             const uint32_t is_floor_white = floor != NULL && floor[j] == 0;
             run->lanes[lane / LANES].black_limit[lane % LANES] = probability_of_black(*black, is_floor_white);
             lane += run->parallel_trials;
@@ -124,7 +133,8 @@ IN_LOOPS void receive_in_lane(const run_t *run, uint32_t receiver, uint32_t send
     round->alpha_x_high[receiver_lane] += message->alpha_x_high[sender_lane];
 }
 
-/* Deliver messages along links or arcs, whose order gives each robot its messages by ascending senders. */
+/* Let robots receive the messages of this step along the links of their arenas, both ways, or along the arcs
+ * of a graph, from a to b. Their order gives each robot its messages by ascending senders. */
 static void receive_along_links(const run_t *run)
 {
     const mcp_asdf_experiment_t *const experiment = run->experiment;
@@ -148,13 +158,14 @@ static void receive_along_links(const run_t *run)
     }
 }
 
-/* Add the messages of all robots of each trial, and store the sums as the round of its first robot, without
- * its own message, which settling adds. One robot is enough: in a fully connected swarm all have the same x.
- * Row j has robot j of LANES trials. */
+/* Add the messages of robots 1 to `robots` - 1 of each trial to the sums of the round of its robot 0, which
+ * are 0 before. For fully connected swarms: row j has robot j of LANES trials, by lane. Only robot 0 gets
+ * sums, as in such a swarm all robots have the same x; its own message is left out, as settling adds it. */
 FOR_EACH_TARGET static void sum_all_messages(lanes_t *rows, uint32_t robots)
 {
+    /* Those of row 0, which are 0 since its last round was closed. The three sums are all that x needs. */
     lanes_sums_t all = rows->round_sums;
-    for (const lanes_t *row = rows + 1; row < rows + robots; ++row) {
+    for (const lanes_t *row = rows + 1; row < rows + robots; ++row) { /* from robot 1 on */
         for (uint32_t l = 0; l < LANES; ++l) {
             all.alpha[l] += row->message_sums.alpha[l];
             all.alpha_x_low[l] += row->message_sums.alpha_x_low[l];
@@ -164,7 +175,8 @@ FOR_EACH_TARGET static void sum_all_messages(lanes_t *rows, uint32_t robots)
     rows->round_sums = all;
 }
 
-/* Deliver the messages of one step in lanes. */
+/* Let all robots of the active trials receive the messages of one step: along links or arcs, or in fully
+ * connected swarms from all others, as votes (robust filter) or as sums. */
 static void deliver_messages(const run_t *run)
 {
     if (trial_is_linked(run->experiment)) {
@@ -176,8 +188,8 @@ static void deliver_messages(const run_t *run)
     }
 }
 
-/* Copy the informed estimates of a row, which has the lanes of a step side by side, so that the steps of a
- * lane are side by side. */
+/* Transpose the informed estimates of a row: x[step][lane], in which the lanes of a step are side by side, to
+ * series[lane][step], in which the steps of a lane are. */
 static void transpose_row(uint32_t series[LANES][STEPS_IN_ROW], const lanes_t *row)
 {
     for (uint32_t step = 0; step < STEPS_IN_ROW; ++step) {
@@ -202,6 +214,7 @@ static void write_series(run_t *run, uint32_t step)
             transpose_row(series, &run->lanes[lane / LANES]);
         }
         if (l < run->active_trials) {
+            /* Of a trial x is [columns][T + 1], steps running fastest. */
             uint32_t *const x = run->trials[l].x + column * steps_of_series;
             memcpy(x + first_step, series[lane % LANES], run->unwritten_steps * sizeof *x);
         }

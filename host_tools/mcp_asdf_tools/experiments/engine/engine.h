@@ -37,9 +37,9 @@
  *                 broadcasts and closes its round in the same steps
  *   b_hat         [N] assumed accuracies at the start, as mcp_asdf_init() takes them
  *   black         probability that a robot observes black, unit 2^-31, 0 .. MCP_ASDF_ENGINE_CERTAIN;
- *                 black[i trial_stride + k step_stride + j robot_stride] is that of the i-th of these
- *                 trials in step k for robot j, all from 0. In a moving world it is that on a black floor;
- *                 on a white one the robot observes white with it
+ *                 black[i * trial_stride + k * step_stride + j * robot_stride] is that of the i-th of these
+ *                 trials in step k for robot j, all from 0; a stride of 0 repeats one value. In a moving
+ *                 world it is that on a black floor; on a white one the robot observes white with it
  *   sampling_interval  record every robot each `sampling_interval` steps; 0 for never
  *   observation_period  steps between observations, the first in step `observation_period`; 1 or more
  *   arenas        NULL where nobody moves; otherwise [trials] worlds of `robots` robots that differ in seeds

@@ -14,7 +14,7 @@
 
 #include "lanes.h"
 
-/* Form the sums of a round in which the message of lane l is the only one. */
+/* Set message_sums of lane l to the sums of a round in which its message (x_hat, alpha) is the only one. */
 ALWAYS_INLINE void form_message_sums(lanes_t *row, size_t l)
 {
     const word_pair_t alpha = alpha_units(row->alpha[l]);
@@ -23,7 +23,9 @@ ALWAYS_INLINE void form_message_sums(lanes_t *row, size_t l)
     row->message_sums.alpha_x_high[l] = multiply(alpha.high, row->x_hat[l]);
 }
 
-/* Copy the robot's values into lane l, and form the sums of its message from them. */
+/* Copy the robot's counts, estimate, accuracy and robust filter into lane l, and form the sums of its message
+ * from them. In the filter `voices` is the set of senders heard, and `votes` the number of estimates
+ * counted. */
 void lanes_load_robot(lanes_t *row, uint32_t l, const mcp_asdf_t *robot)
 {
     row->n[l] = robot->n;
@@ -93,7 +95,8 @@ ALWAYS_INLINE void vote_in_lane(lanes_t *row, size_t l, uint32_t sender, uint32_
     row->voices[l] |= (uint32_t)counts << (sender & 31U); /* no bit if it does not count */
 }
 
-/* Count the message of one lane as a vote in another. */
+/* Count the message of lane `sender` of sender_row as a vote in lane `receiver` of `row`, unless its alpha is
+ * 0. */
 void lanes_receive_vote(lanes_t *row, uint32_t receiver, const lanes_t *sender_row, uint32_t sender)
 {
     vote_in_lane(row, receiver, sender_row->robot[sender], sender_row->x_hat[sender],

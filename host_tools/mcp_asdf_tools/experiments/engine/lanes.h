@@ -17,15 +17,17 @@ typedef struct {
     uint64_t alpha_x_high[LANES];
 } lanes_sums_t;
 
-/* A row of robots side by side: entry l of each array describes lane l.
+/* A row of robots side by side: entry l of each array describes lane l. In arrays of two dimensions the lane
+ * is the last index, which runs fastest.
  *   n .. trend      members of mcp_asdf_t, of its accuracy and of its robust filter
  *   trial, robot    numbers of the trial and the robot, which decide the draws
- *   draws           random words of four steps
- *   black_limit     black is observed if the draw is below this; 0 for idle lanes, whose n must not pass t
+ *   draws           random words of four steps: draws[k % 4] of step k
+ *   black_limit     probability of observing black, unit 2^-31: black is observed if the upper 31 bits of the
+ *                   draw are below this; 0 for idle lanes, whose n must not pass t
  *   message_count   messages from linked robots since the last step of the firmware
  *   message_sums    sums of the robot's own message alone
  *   round_sums      sums of the messages received in this round
- *   x               informed estimates of the last steps, Q23 */
+ *   x               informed estimates of the last steps, Q23, a step in each x[...] */
 typedef struct {
     uint32_t n[LANES];
     uint32_t x_hat[LANES];
@@ -51,7 +53,7 @@ typedef struct {
     uint32_t x[STEPS_IN_ROW][LANES];
 } lanes_t;
 
-/* Whether lane l observes black in step k: 1 or 0. */
+/* Returns 1 if lane l observes black in step k, for which draws and black_limit must be set; else 0. */
 IN_LOOPS uint32_t lanes_is_black(const lanes_t *row, uint32_t l, uint32_t k)
 {
     return row->draws[k % 4][l] >> 1 < row->black_limit[l];

@@ -17,16 +17,23 @@
  * as a binary32 number: this takes no instruction that AVX2 lacks. */
 LANES_INLINE uint32_t leading_zeros(uint32_t value)
 {
-    /* A number with more than 24 bits may be rounded up to the next power of two, with one leading zero less.
-     * So each bit that follows another one is cleared, which leaves the highest one as it is. */
+    /* A float has 24 significant bits: a longer number may be rounded up to the next power of two, which has
+     * one leading zero less. So each bit whose upper neighbour is set is cleared. That leaves the highest set
+     * bit as it is, and no carry can reach it. The OR makes a value of 0 a 1, which has 31 leading zeros. */
     const uint32_t sparse = (value | 1U) & ~(value >> 1);
     const union {
         float number;
         int32_t bits;
     } as = {(float)(int32_t)sparse};
-    /* The upper 9 bits are the sign and the exponent, which is biased by 127: 127 + 31 for bit 31. With bit
-     * 31 set the signed number is negative, and its sign makes the difference negative, which means 0 zeros.
-     */
+    /* A binary32 number in its 32 bits:
+     *
+     *     bit 31    bits 30 to 23                   bits 22 to 0
+     *     sign      exponent, with 127 added        fraction
+     *
+     * The upper 9 bits (the mask 0x1FF) are the sign and the exponent. For a highest set bit k in [0, 30]
+     * they are 127 + k, and there are 31 - k leading zeros: 158 less these 9 bits. For k = 31 the conversion
+     * above has read a negative number: its sign bit counts 256 among the 9, the difference is negative, and
+     * there are 0 leading zeros. */
     const int32_t zeros = 158 - ((as.bits >> 23) & 0x1FF);
     return (uint32_t)(zeros > 0 ? zeros : 0) & 31U; /* the mask is there for analysers only */
 }
@@ -36,8 +43,8 @@ LANES_INLINE uint32_t leading_zeros(uint32_t value)
 LANES_INLINE uint32_t prepare(uint32_t d)
 {
     const uint32_t y = d >> 8 > UINT32_C(1) << 21 ? d >> 8 : UINT32_C(1) << 21; /* less in damaged memory */
-    /* 2^46 / d = 2^38 / (d / 2^8). The divisor is a little too large, so that the quotient stays too small
-     * when it is rounded to 24 bits. */
+    /* 2^46 / d = 2^38 / (d / 2^8). The divisor y + 2, at most 2^23 + 2, is exact as a float of 24 bits, but
+     * larger than d / 2^8 by 1 to 2, so that the quotient stays too small when it is rounded to 24 bits. */
     const uint32_t above = y + 2U;
     return (uint32_t)(int32_t)(0x1p38F / (float)(int32_t)above);
 }

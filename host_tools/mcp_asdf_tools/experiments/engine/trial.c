@@ -1,7 +1,7 @@
 /* One trial of robots that are the firmware: its start, its steps, and the results of each. */
 #include "trial.h"
 
-/* Steps from one test of the filter to the next. */
+/* Returns the number of steps from one test of the filter to the next. */
 static uint64_t steps_between_tests(const mcp_asdf_experiment_t *experiment)
 {
     return (uint64_t)experiment->configs[0]->filter_period * experiment->comms_period;
@@ -119,7 +119,8 @@ static void deliver_along_links(const mcp_asdf_experiment_t *experiment, mcp_asd
     }
 }
 
-/* Deliver the messages of one step. */
+/* Let all robots of a trial receive the messages of one step: along the links of `arena`, or of a graph if it
+ * is NULL, or in fully connected swarms from all others. */
 static void deliver_messages(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots,
                              const mcp_asdf_arena_t *arena)
 {

@@ -7,7 +7,8 @@
 /* One trial's part of the outcome; members as in mcp_asdf_outcome_t. */
 typedef mcp_asdf_outcome_t trial_t;
 
-/* What the robots of one trial observe: robot j the same as lane first_lane + j parallel_trials. */
+/* What the robots of one trial observe: robot j the same as lane first_lane + j * parallel_trials, which
+ * is entry lane % LANES of row lane / LANES. */
 typedef struct {
     const lanes_t *lanes;
     uint32_t first_lane;
@@ -32,7 +33,7 @@ static inline bool trial_observes(const mcp_asdf_experiment_t *experiment, uint3
     return (k + 1) % experiment->observation_period == 0;
 }
 
-/* Where the outcome holds the results of the index-th of these trials. */
+/* Returns those parts of the outcome's arrays that hold the results of the index-th trial, from 0. */
 trial_t trial_outcome(const mcp_asdf_experiment_t *experiment, const mcp_asdf_outcome_t *outcome,
                       uint32_t index);
 

@@ -211,15 +211,16 @@ static void move_touching_bodies(mcp_asdf_arena_t *arena)
     }
 }
 
-/* Bodies that move freely but change their velocities, of one arena or several. Entry n of each array
- * describes the n-th of `count` bodies.
+/* A list of bodies that touch nothing in this tick but change their velocities or turn, of one arena or
+ * several. Entry n of each array describes the n-th of `count` bodies.
  *   arena, robot              which body it is
- *   x .. vy, cx, cy           position, velocity and heading
+ *   x .. vy, cx, cy           position, velocity, and heading as its cosine and sine
  *   target_vx, target_vy      velocity that the wheels ask for
  *   substep                   seconds in a substep
  *   limit                     maximum change of velocity in a substep
- *   substeps_left             substeps that the body has not moved yet
- *   angle                     turn in the whole tick */
+ *   substeps_left             substeps for which the body has not been moved yet: when motors have run, those
+ *                             after it reached its target velocity
+ *   angle                     turn in the whole tick, in radians */
 typedef struct {
     uint32_t count;
     mcp_asdf_arena_t *arena[BATCH];
@@ -256,8 +257,9 @@ IN_LOOPS uint64_t drive_free_bodies(free_bodies_t *bodies)
     return accelerating_count;
 }
 
-/* Copy positions, velocities and headings of the listed bodies from their arenas. The target velocity is
- * along the heading at the start of the tick, although the heading changes during it. */
+/* Copy positions, velocities and headings of the free bodies on the list from their arenas, with what the
+ * tick needs of these; all substeps are left. The target velocity is along the heading at the start of the
+ * tick, although the heading changes during it. */
 IN_LOOPS void load_free_bodies(free_bodies_t *bodies)
 {
     for (uint32_t n = 0; n < bodies->count; ++n) {
@@ -278,24 +280,28 @@ IN_LOOPS void load_free_bodies(free_bodies_t *bodies)
     }
 }
 
-/* Copy the listed bodies back into their arenas. Where a body has reached its target velocity, its remaining
- * substeps are one movement. */
+/* Copy the free bodies on the list, at the end of their tick, back into their arenas: positions, velocities
+ * and headings. A body that reached its target velocity before the last substep is first moved for the
+ * substeps that it has left, all at once. Also stores the present spin of each: the one that its wheels ask
+ * for. */
 IN_LOOPS void store_free_bodies(const free_bodies_t *bodies)
 {
     for (uint32_t n = 0; n < bodies->count; ++n) {
         mcp_asdf_arena_t *const arena = bodies->arena[n];
         const uint32_t i = bodies->robot[n];
+        /* substeps_left is 0 for a body that accelerated to the end: this adds nothing then. */
         arena->x[i] = bodies->x[n] + bodies->vx[n] * (bodies->substeps_left[n] * bodies->substep[n]);
         arena->y[i] = bodies->y[n] + bodies->vy[n] * (bodies->substeps_left[n] * bodies->substep[n]);
         arena->vx[i] = bodies->vx[n];
         arena->vy[i] = bodies->vy[n];
         arena->cx[i] = bodies->cx[n];
         arena->cy[i] = bodies->cy[n];
+        /* The motors have reached the spin within the first substep (turn_in_tick()). */
         arena->spin[i] = arena->target_spin[i];
     }
 }
 
-/* Move and turn the listed bodies, which touch nothing, for one tick, and empty the list. */
+/* Move and turn the free bodies on the list for one tick, store them in their arenas, and empty the list. */
 FOR_EACH_TARGET static void move_free_bodies(free_bodies_t *bodies)
 {
     uint64_t accelerating_count = bodies->count;
