@@ -138,35 +138,52 @@ def add_estimate(sums: Sums, x_hat: int, alpha: int) -> None:
 
 
 def is_valid_mean(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
-    """Return whether a round of at most 127 estimates can have these sums of alpha and of alpha x_hat.
+    """Return whether the sums of alpha and of alpha x_hat keep the bounds of a round of up to 127 estimates.
 
-    That is whether they are small enough, and the mean of x_hat that they give is at most 1. The two halves
-    of the second sum are those of `Sums`: products with the lower 32 bits of alpha, and with the rest. The
-    three arguments are not negative.
+    ``alpha`` is the sum of the confidences in units of 2**-24. ``alpha_x_low`` and ``alpha_x_high`` are the
+    two halves of the other sum, as in `Sums`: x_hat, in units of 2**-23, times alpha mod 2**32, and times
+    alpha div 2**32. None of the three is negative. The bounds are
+
+    - ``alpha``: 127 times the largest confidence that an alpha word can hold;
+    - ``alpha_x_low``: less than 2**62;
+    - the mean of x_hat, which is the sum of alpha x_hat divided by ``alpha``: 1. If ``alpha`` is 0, the sum
+      of alpha x_hat must be 0, too.
     """
-    alpha_x = (alpha_x_high << 32) + alpha_x_low  # units of 2**-47
+    # 2**-24 for alpha times 2**-23 for x_hat: the unit is 2**-47.
+    alpha_x = (alpha_x_high << 32) + alpha_x_low
     largest_sum = MAX_ID * LARGEST_ALPHA_UNITS
-    # 127 products of a word and x_hat, at most 2**23 each, are below 2**62. With the mean, the limit of
-    # alpha bounds the upper half.
+    # A term of alpha_x_low is below 2**32 * 2**23 = 2**55, and 127 of them are below 2**62. The upper half
+    # needs no bound of its own: the mean is at most 1, so alpha_x is at most alpha * ONE, which is bounded.
     return alpha <= largest_sum and alpha_x_low < 1 << 62 and alpha_x <= alpha * ONE
 
 
 def are_valid_sums(sums: Sums) -> bool:
-    """Return whether a round of ``sums.count`` received estimates can have these sums.
+    """Return whether the sums of an open round keep all bounds that received estimates give them.
 
-    None of the sums is negative, since the words that hold them have no sign.
+    With m = ``sums.count`` estimates, each with x_hat in [0, 1] and alpha > 0, the bounds are
+
+    - m is at most 127;
+    - the sum of x_hat is at most m, and the sum of x_hat**2 at most the sum of x_hat;
+    - the variance of x_hat is not negative;
+    - the sum of alpha is from m times the smallest to m times the largest confidence of an alpha word;
+    - either half of the sum of alpha x_hat is at most the sum of x_hat times the largest such half of alpha;
+    - the sums of alpha and alpha x_hat pass `is_valid_mean`.
+
+    None of the sums is negative, since the words that hold them have no sign. Sums that keep the bounds need
+    not be those of a round.
     """
     m, sum_x, sum_x_squared = sums.count, sums.x, sums.x_squared
     return (
         m <= MAX_ID
-        # No x_hat is above 1, so none is below its square.
+        # No x_hat is above 1, so none is below its square. ONE brings sum_x to the squares' unit of 2**-46.
         and sum_x <= m * ONE
         and sum_x_squared <= sum_x * ONE
         # No sample has a negative variance (Cauchy and Schwarz).
         and m * sum_x_squared >= sum_x * sum_x
         # Messages have an alpha of at least one unit.
         and m <= sums.alpha <= m * LARGEST_ALPHA_UNITS
-        # The lower half of an alpha is at most a full word, the upper half at most that of the largest.
+        # Each x_hat has a factor, one half of its alpha. With the largest possible factor for all of them,
+        # which is a full word for the lower half, the sum of the products is sum_x times that factor.
         and sums.alpha_x_low <= sum_x * MAX_WORD
         and sums.alpha_x_high <= sum_x * (LARGEST_ALPHA_UNITS >> 32)
         and is_valid_mean(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)

@@ -241,8 +241,8 @@ def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, sh
 def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
     """Return x_hat (eq. 3) and its confidence as an alpha word (eq. 4) after n black of t > 0 observations.
 
-    x_hat, the estimated share of black tiles, is in units of 2**-23. It is 1/2, with the alpha word 0, if the
-    assumed accuracy carries no information. Otherwise it is
+    x_hat, the estimated share of black tiles, is in units of 2**-23. It is 1/2, with the alpha word 0, if
+    |2 b_hat - 1| < 2**-12: then the assumed accuracy carries no information. Otherwise it is
 
         x_hat = (n / t + b_hat - 1) / (2 b_hat - 1)     clamped to 0 .. 1
 
@@ -352,7 +352,8 @@ def reestimate(t: int, n: int, x_bar: int) -> int | None:
 
         b_hat = (n / t + x_bar - 1) / (2 x_bar - 1)     clamped to B_HAT_MIN .. B_HAT_MAX
 
-    Returns None, so that b_hat stays, if x_bar is so near 1/2 that it carries no information.
+    Returns None, so that b_hat stays, if |2 x_bar - 1| is below 2**-12, to within two units: x_bar carries no
+    information then.
     """
     if x_bar < Q32_HALF:
         # Black and white are exchanged, which leaves the accuracy as it is but makes the divisor positive.
@@ -386,11 +387,12 @@ def update_crowd(crowd: Crowd, sender: int, x_hat: int) -> None:
 
     The centre moves towards the vote by gain * min(distance, spread), where distance is that of the vote from
     the centre. The spread grows by gain / 2 of itself if the distance is above it, and shrinks by as much
-    otherwise. The gain is a power of two that falls with the number of votes, from 1/8 to 2**-12, so that
-    both converge. The trend counts the moves that go up, and the sender is noted; senders whose ids are equal
-    modulo 32 count as one.
+    otherwise; it stays within SPREAD_MIN .. SPREAD_MAX. The gain is 1/8 up to 63 votes, 1/16 up to 127, and
+    so on to 2**-12 at 2**14 votes, so that both converge. The trend moves by about 1/256 of its distance to 1
+    if the centre goes up, to 0 if it goes down, and to 1/2 if it stays. ``sender`` joins ``crowd.voices``,
+    the set of the senders heard, in which ids that are equal modulo 32 count as one.
     """
-    crowd.voices |= 1 << (sender & 31)
+    crowd.voices |= 1 << (sender & 31)  # a mask with one bit for each sender id modulo 32
     crowd.votes = min(crowd.votes + 1, VOTES_MAX)
     # The gain is 2**-gain_shift: 32 votes have 6 bits, and shift by 3.
     gain_shift = max(crowd.votes, VOTES_OF_MAX_GAIN).bit_length() - 3
@@ -417,21 +419,25 @@ def update_crowd(crowd: Crowd, sender: int, x_hat: int) -> None:
 
 
 def crowd_fill_ratio(crowd: Crowd) -> int:
-    """Return the centre of all received x_hat, from units of 2**-30 to 2**-32; MAX_WORD stands for 1.0."""
+    """Return the crowd's centre, its estimate of the share of black tiles, in units of 2**-32.
+
+    The centre is in units of 2**-30. MAX_WORD stands for 1.0, for which a word has one bit too few.
+    """
     return min(crowd.centre << 2, MAX_WORD)
 
 
 def robust_test_rejects(crowd: Crowd, t: int, n: int) -> bool:
     """Return whether n black of t > 0 observations contradict the accuracy that the robot assumed at first.
 
-    The crowd, the robust filter's summary of the received estimates, is taken to be right. If D is the
-    difference between n / t and the share of black that the initial b_hat and the crowd's centre predict, the
-    test rejects for
+    That accuracy is ``crowd.first``, the initial b_hat. The crowd, the robust filter's summary of the
+    received estimates, is taken to be right. If D is the difference between n / t and the share of black that
+    the initial b_hat and the crowd's centre predict, the test rejects for
 
         D**2 > 12 (v / t + (g spread)**2)
 
     Here v / t is the variance of n / t, and g spread, with g = |2 b_hat - 1|, the uncertainty of the
-    prediction: eq. 1, b_hat centre + (1 - b_hat) (1 - centre), changes by g where the centre changes by 1.
+    prediction: eq. 1, b_hat centre + (1 - b_hat) (1 - centre), changes by g where the centre changes by 1. In
+    these formulas b_hat is the initial one.
     """
     # Shares are in units of 2**-32, squares in units of 2**-64.
     initial_b_hat = crowd.first
@@ -457,9 +463,12 @@ def robust_test_rejects(crowd: Crowd, t: int, n: int) -> bool:
 
 
 def is_valid_estimate(s: State) -> bool:
-    """Return whether a robot's x_hat and alpha can follow from its t and n, the observations, and its b_hat.
+    """Return whether x_hat and alpha can follow from t, n and b_hat in ``s``, the state of a robot.
 
-    After an update of b_hat they still follow from the b_hat before it, which is not known.
+    If b_hat has not been updated since the last observation, which ``s.updated`` = 0 says, x_hat and alpha
+    must be exactly those that `estimate` returns; before the first observation 1/2 and 0. If it has,
+    ``s.updated`` is 1, and x_hat and alpha follow from the b_hat before, which is not kept. Then there must
+    be an observation, x_hat at most 1, and alpha a word of the form that robots compute.
     """
     if s.updated:
         # x_hat and alpha are older than b_hat, so only their form can be checked.
@@ -512,9 +521,9 @@ class Crowd:
     Attributes:
         centre: Centre of the votes, in units of 2**-30.
         spread: Median distance of the votes from the centre, in units of 2**-30.
-        voices: Ids of the robots that have voted, as a mask with one bit for each id modulo 32.
-        first: b_hat at the robot's start, in units of 2**-32.
-        votes: Number of votes up to VOTES_MAX, halved while the centre moves.
+        voices: Set of the senders heard, those that have voted: a mask with one bit for each id modulo 32.
+        first: The initial b_hat, which the robot had at its start, in units of 2**-32.
+        votes: Number of votes up to VOTES_MAX; tests while the centre moves halve it if it is at least 512.
         trend: Share of the centre's recent moves that went up, in units of 2**-16.
     """
 
@@ -527,18 +536,22 @@ class Crowd:
 
     @property
     def is_moving(self) -> bool:
-        """True if more than 7 of 8 recent moves of the centre went the same way."""
+        """True if about 7 of 8 recent moves of the centre went the same way: trend < 1/8 or >= 7/8."""
         return not TREND_MOVING_DOWN <= self.trend < TREND_MOVING_UP
 
     def is_valid(self, b_hat: int) -> bool:
         """Return whether votes can have led to this crowd, in a robot whose assumed accuracy is ``b_hat``.
 
-        Before the first vote, ``b_hat`` is the initial one.
+        Before the first vote, everything must be as at the start, with ``b_hat`` as the initial b_hat, which
+        is ``first``; both are in units of 2**-32. After it the centre must be at most 1, spread and ``first``
+        within their limits, at least one sender in ``voices``, and ``votes`` at most VOTES_MAX. Any trend is
+        possible then, and any ``b_hat``.
         """
+        # The filter tests only after votes, so without one b_hat is still that of the start.
         if self.votes == 0:
             return self == Crowd(first=b_hat)
         return (
-            self.centre <= q30_from_q23(ONE)
+            self.centre <= q30_from_q23(ONE)  # 1.0 in the centre's unit, 2**-30
             and SPREAD_MIN <= self.spread <= SPREAD_MAX
             and self.voices != 0
             and B_HAT_MIN <= self.first <= B_HAT_MAX
@@ -595,7 +608,7 @@ class MirrorRobot(FixedPointView):
 
     Attributes:
         config: Settings.
-        s: State, with the members of ``mcp_asdf_t``.
+        s: The robot's state, with the members of ``mcp_asdf_t``; methods call it ``s``, too.
 
     Raises:
         FirmwareError: Where ``mcp_asdf_init`` returns an error.
@@ -607,7 +620,7 @@ class MirrorRobot(FixedPointView):
         self.config = config
         raw_b_hat = b_hat_to_raw(b_hat)
         self.s = State(index(robot_id), accuracy_of(raw_b_hat), index(config.filter_period))
-        # The robust filter's test is always about the b_hat of the start.
+        # The robust filter's test is always about the initial b_hat, which ``crowd.first`` keeps.
         if config.filter == Filter.ROBUST:
             self.s.crowd.first = raw_b_hat
 
@@ -628,15 +641,18 @@ class MirrorRobot(FixedPointView):
             s.t //= 2
             s.n = round(s.n / 2)  # the half of an odd n is a tie, which round() takes to the even number
         s.x_hat, s.alpha = estimate(s.t, s.n, s.accuracy)
-        s.updated = 0  # x_hat and alpha follow from the present b_hat again
+        # ``updated`` is 1 from an update of b_hat until x_hat and alpha are computed with the new one: here.
+        s.updated = 0
         return Status.OK
 
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Add a neighbour's estimate to the open round or, with the robust filter, to its received estimates.
+        """Add a neighbour's estimate to the open round or, with the robust filter, to the crowd as a vote.
 
-        Returns OK if the estimate was accepted; REPEATED, which ignores it, if the round already has one of
-        this sender; and ERR_SENDER or ERR_X_HAT if the sender or x_hat is out of range. The counters
-        ``accepted``, ``repeated`` and ``rejected`` say how often each has happened.
+        ``x_hat`` is in units of 2**-23, and ``alpha`` an alpha word. Returns OK if the estimate was accepted;
+        REPEATED, which ignores it, if the round already has one of this sender; ERR_SENDER if ``sender`` is
+        not in 0 .. 127 or is the robot's own id; and ERR_X_HAT if ``x_hat`` is not in [0, 1]. The counters
+        ``accepted``, ``repeated`` and ``rejected`` say how often each has happened. An estimate with alpha =
+        0 is accepted, but enters no sum and is no vote.
         """
         s = self.s
         status = self._check_message(sender, x_hat)
@@ -659,7 +675,11 @@ class MirrorRobot(FixedPointView):
         return Status.OK
 
     def _check_message(self, sender: int, x_hat: int) -> Status:
-        """Return ERR_SENDER or ERR_X_HAT for a message that is out of range, or OK."""
+        """Return ERR_SENDER or ERR_X_HAT for a message that the robot must reject, or OK for any other.
+
+        ERR_SENDER: ``sender`` is not in 0 .. 127, or is the robot's own id. ERR_X_HAT: ``x_hat``, in units of
+        2**-23, is not in [0, 1]. If both apply, the result is ERR_SENDER.
+        """
         if not 0 <= sender <= MAX_ID or sender == self.s.id:
             return Status.ERR_SENDER
         return Status.OK if 0 <= x_hat <= ONE else Status.ERR_X_HAT
@@ -695,7 +715,8 @@ class MirrorRobot(FixedPointView):
     def _update_b_hat(self) -> bool:
         """Run the filter, and return whether it has re-estimated b_hat, the assumed accuracy of the sensor.
 
-        x_hat and alpha stay as they are until the next observation.
+        If so, b_hat has its new value, the counter ``updates`` has gone up, and ``updated`` is 1; x_hat and
+        alpha stay as they are until the next observation. Before the first observation nothing is done.
         """
         s = self.s
         if s.t == 0:
@@ -714,9 +735,16 @@ class MirrorRobot(FixedPointView):
     def _run_asdf_filter(self) -> int | None:
         """Run the paper's filter on the open round, and return the new b_hat, or None if b_hat stays.
 
-        With the ADAPTIVE filter the hypothesis test, which is counted, decides first; ALWAYS has no test. The
-        new b_hat is the accuracy for which x_hat would be x_bar. It is None if the filter is OFF, there are
-        too few messages, the test does not reject x_hat, or x_bar carries no information.
+        The new b_hat, in units of 2**-32, is the accuracy for which x_hat would be x_bar (eq. 8). The cases
+        are, by the filter of the configuration:
+
+        - OFF: None.
+        - ALWAYS: a new b_hat if the round has a message with confidence, and None if not.
+        - ADAPTIVE: None if the round has fewer than two of these messages. Otherwise the hypothesis test runs
+          and is counted: a new b_hat if it rejects x_hat, and None if not.
+
+        In place of a new b_hat the result is None, too, if x_bar is so near 1/2 that it carries no
+        information (see `reestimate`).
         """
         s, config = self.s, self.config
         # The variance in eq. 12 takes two estimates, a re-estimate without a test takes one.
@@ -733,24 +761,30 @@ class MirrorRobot(FixedPointView):
     def _run_robust_filter(self) -> int | None:
         """Test the initial b_hat against the received estimates: return the new b_hat, or None to keep it.
 
-        The crowd is the robust filter's summary of the received estimates. Nothing is tested while its centre
-        moves the same way all the time, as it lags behind then; instead, its votes, if many, are halved so
-        that it follows faster. Nor is there a test before three senders have been received, as one that is
-        wrong could not be outvoted. Otherwise the b_hat that the robot started with is tested, which is
-        counted. If it is rejected, the result is a re-estimate from the centre; if not, it is the initial
-        b_hat, or None if that is in use.
+        The crowd is the robust filter's summary of the received estimates, its votes. The result is in units
+        of 2**-32. The first of these cases that applies decides:
+
+        - The crowd's centre is moving: None, without a test, as the centre lags behind. If the crowd has 512
+          votes or more, their number is halved.
+        - Fewer than three senders have voted: None, without a test, as a wrong one could not be outvoted.
+        - The test, which is counted, rejects the initial b_hat: the accuracy for which the robot's x_hat
+          would be the centre (eq. 8), or None if the centre carries no information (see `reestimate`).
+        - It does not reject: the initial b_hat, or None if that is the present b_hat.
         """
-        s, crowd = self.s, self.s.crowd
+        s, crowd = self.s, self.s.crowd  # the robot's state, and the crowd in it
         if crowd.is_moving:
             # With fewer votes the gain is larger, and the centre follows faster.
             if crowd.votes >= 2 * VOTES_MIN_WHILE_MOVING:
                 crowd.votes >>= 1
             return None
+        # ``voices`` is the set of the senders heard, one bit for each.
         if crowd.voices.bit_count() < SENDERS_MIN:
             return None
         s.tests = (s.tests + 1) & COUNTER_MASK
         if robust_test_rejects(crowd, s.t, s.n):
+            # The crowd's centre takes the place of x_bar.
             return reestimate(s.t, s.n, crowd_fill_ratio(crowd))
+        # ``first`` is the initial b_hat. An earlier test may have replaced it, and then it comes back.
         is_initial = s.accuracy.b_hat == crowd.first
         return None if is_initial else crowd.first
 
@@ -914,10 +948,10 @@ def _image_magic(config: Config) -> int:
 
 
 def _encode_rounds(s: State) -> list[int]:
-    """Return the sums of the closed and of the open round as words 7 to 22 of an image.
+    """Return the sums of the closed and of the open round in ``s``, a robot's state, as words 7 to 22.
 
-    These are 16 words: three sums of the closed and four of the open round, which have 64 bits and take two
-    words each, the lower one first; then the open round's sum of x_hat and its number of messages.
+    An image has 16 words for them. Three sums of the closed and four of the open round have 64 bits and take
+    two words each, the lower one first; then come the open round's sum of x_hat and its number of messages.
     """
     # A closed round does not keep x_squared: only the test needs it, which runs before the
     # sums of the open round are cleared.
@@ -932,8 +966,9 @@ def _encode_rounds(s: State) -> list[int]:
 def _encode_crowd(crowd: Crowd) -> list[int]:
     """Return the robust filter's summary of the received estimates as words 7 to 22 of an image.
 
-    With that filter no sums of a round are kept, so that the image has their words for it: five are used, and
-    eleven are 0.
+    With that filter no sums of a round are kept, so that the image has their 16 words for it. Five are used:
+    centre, spread, the senders heard (``voices``), the initial b_hat (``first``), and votes and trend, which
+    share a word. Eleven are 0.
     """
     votes_and_trend = crowd.votes | (crowd.trend << 16)  # 16 bits each
     return [crowd.centre, crowd.spread, crowd.voices, crowd.first, votes_and_trend, *[0] * 11]

@@ -297,9 +297,10 @@ class Crowd:
         centre: Centre of the votes, in [0, 1].
         spread: Median distance of the votes from the centre, in [SPREAD_MIN, SPREAD_MAX].
         trend: Share of the centre's recent moves that went up; a move too small to count is half of one.
-        votes: Number of votes up to VOTES_MAX, halved while the centre moves: a vote weighs less, the more
-            there were before.
-        voices: Ids of the robots that have voted, modulo SENDER_BITS: the test waits until there are some.
+        votes: Number of votes up to VOTES_MAX; tests while the centre moves halve it if it is at least 512.
+            The gain, the share of its distance by which a vote moves the centre, falls with this number.
+        voices: Set of the senders heard, those that have voted: their ids modulo SENDER_BITS. The test waits
+            until there are SENDERS_MIN.
     """
 
     centre: float = 0.5
@@ -310,7 +311,10 @@ class Crowd:
 
     @property
     def is_moving(self) -> bool:
-        """True if 7 of 8 recent moves of the centre went the same way, as after a change of the floor."""
+        """True if about 7 of 8 recent moves of the centre went the same way: trend < 1/8 or >= 7/8.
+
+        That is so after a change of the floor.
+        """
         return not TREND_MOVING_DOWN <= self.trend < TREND_MOVING_UP
 
 
@@ -319,7 +323,7 @@ def crowd_after_vote(crowd: Crowd, sender: int, x_hat: float) -> Crowd:
 
     The new x_hat, a vote, moves the centre and the spread as `step_and_spread_after_vote` says. The trend
     moves by 1/256 of its distance to 1 if the centre goes up, to 0 if it goes down, and to 1/2 if it stays.
-    ``sender`` is noted among those who have voted. The given crowd is not changed.
+    ``sender`` joins ``voices``, the set of the senders heard. The given crowd is not changed.
     """
     _check_is_in_unit_interval(x_hat, "x_hat")
     votes = min(crowd.votes + 1, VOTES_MAX)
@@ -367,8 +371,8 @@ def step_and_spread_after_vote(
 def robust_test_rejects(n: int, t: int, b: float, centre: float, spread: float) -> bool:
     """Return whether ``n`` black among ``t`` > 0 observations contradict ``b``, the assumed accuracy. O(1).
 
-    ``centre`` and ``spread`` are those of the robust filter's summary of received estimates, which is taken
-    to be right. The counts contradict ``b`` if
+    A robot tests its initial b_hat. ``centre`` and ``spread`` are those of the robust filter's summary of
+    received estimates, which is taken to be right. The counts contradict ``b`` if
 
         (n / t - p)**2 > 12 (v / t + (2 b - 1)**2 spread**2)
 
@@ -465,11 +469,14 @@ def _sum(terms: Sequence[Number]) -> Number:
 def _weighted_mean(estimates: Sequence[Estimate[Number]], default: float | Fraction) -> Number:
     """Return the mean of all x_hat weighted by alpha, or ``default`` if there are none or all alpha are 0.
 
-    Raises ValueError for an estimate that is out of range.
+    Raises ValueError for an estimate with an x_hat outside [0, 1], or an alpha that is negative, infinite or
+    NaN.
     """
     _check_estimates(estimates)
+    # `_sum`, because the result of sum() for floats depends on the order of the estimates.
     total_weight = _sum([alpha for _, alpha in estimates])
     if total_weight == 0:
+        # For the type checker alone: ``default`` is returned as it is.
         return cast(Number, default)
     return _sum([alpha * x_hat for x_hat, alpha in estimates]) / total_weight
 
@@ -481,8 +488,9 @@ class ReferenceRobot:
     """A robot that computes in float64. Implements ``mcp_asdf.robot.Robot``.
 
     The thresholds of the hypothesis test are computed from omega, its type II error probability: ``omega`` in
-    (0, 0.9] if it is given, and else that of the config's table, whose entries are not used. ``settle`` is
-    O(m) for the m <= 127 messages of a round, as these are kept in order to be summed exactly.
+    (0, 0.9] if it is given, and else that of the config's table, whose entries are not used. ``conventions``
+    are the choices that the equations leave open, such as whether the test rejects at the threshold itself.
+    ``settle`` is O(m) for the m <= 127 messages of a round, as these are kept in order to be summed exactly.
 
     Raises FirmwareError with ERR_CONFIG, ERR_TABLE, ERR_ID or ERR_B_HAT, in this order.
     """
@@ -545,10 +553,11 @@ class ReferenceRobot:
         """Add a neighbour's estimate to the open round: what was received since the last ``settle``. O(1).
 
         Returns OK if the estimate was accepted; or REPEATED, and ignores it, if the round already has one of
-        this sender. Raises FirmwareError, and counts the message as rejected, if ``sender`` (ERR_SENDER) or
-        ``x_hat`` (ERR_X_HAT) is out of range. Raises ValueError, and changes nothing, for an ``alpha`` that
-        is no confidence: negative (also -0.0), infinite or NaN. An estimate with alpha = 0 is accepted, but
-        has no weight; with the robust filter the others also move the centre of the received x_hat.
+        this sender. Raises FirmwareError, and counts the message as rejected, if ``sender`` is not in
+        0 .. 127 or is the robot's own id (ERR_SENDER), or if ``x_hat`` is not in [0, 1] (ERR_X_HAT). Raises
+        ValueError, and changes nothing, for an ``alpha`` that is no confidence: negative (also -0.0),
+        infinite or NaN. An estimate with alpha = 0 is accepted, but has no weight; with the robust filter the
+        others also move the centre of the received x_hat.
         """
         sender = index(sender)
         check_alpha(alpha)  # first, since a wrong alpha is the caller's mistake and not counted
@@ -566,7 +575,11 @@ class ReferenceRobot:
         return Status.OK
 
     def _check_message(self, sender: int, x_hat: float) -> Status:
-        """Return ERR_SENDER or ERR_X_HAT for a message that is out of range, or OK."""
+        """Return ERR_SENDER or ERR_X_HAT for a message that the robot must reject, or OK for any other.
+
+        ERR_SENDER: ``sender`` is not in 0 .. 127, or is the robot's own id. ERR_X_HAT: ``x_hat`` is not in
+        [0, 1]. If both apply, the result is ERR_SENDER.
+        """
         if not 0 <= sender <= MAX_ID or sender == self._id:
             return Status.ERR_SENDER
         if not 0 <= x_hat <= 1:
@@ -619,18 +632,23 @@ class ReferenceRobot:
     def reestimate_b_hat(self) -> float | None:
         """Return the next assumed accuracy b_hat (eq. 8), or None to keep the present one.
 
-        It is the b_hat for which this robot's own estimate would be x_bar, the estimate of its neighbours,
-        and None if x_bar is so near 1/2 that it carries no information. This changes nothing. The filter
-        calls it when its test rejects, or always if it has none. Subclasses may override it for a filter of
-        their own.
+        It is the b_hat for which this robot's own estimate would be x_bar, the estimate of its neighbours. It
+        is None before the first observation, and if x_bar carries no information: |2 x_bar - 1| < 2**-12 (but
+        see ``Conventions.guarded``). This changes nothing. The filter calls it when its test rejects, or
+        always if it has none. Subclasses may override it for a filter of their own.
         """
         return assumed_accuracy_update(self._n, self._t, self.x_bar, self._conventions)
 
     def _is_update_needed(self) -> bool:
-        """Return whether the paper's filter is to re-estimate b_hat, the assumed accuracy, from this round.
+        """Return whether the paper's filter is to re-estimate b_hat from the round that was closed last.
 
-        OFF never does, ALWAYS if the round has a message, and ADAPTIVE if it has two and the hypothesis test
-        (eq. 12) rejects x_hat, which counts as a test.
+        b_hat is the assumed accuracy. Of the round's messages only those with alpha > 0 count. The result is,
+        by the filter of the configuration:
+
+        - OFF: False.
+        - ALWAYS: whether the round has a message.
+        - ADAPTIVE: False if it has fewer than two. Otherwise the hypothesis test (eq. 12), which is counted,
+          runs: whether it rejects x_hat.
         """
         if self._config.filter == Filter.OFF:
             return False
@@ -640,28 +658,36 @@ class ReferenceRobot:
             return False
         self._count("tests")
         neighbours = [estimate.x_hat for estimate in self._closed_round]
+        # The conventions say how many degrees of freedom the t-score has, and if equality rejects, too.
         return asdf_test_rejects(self._own_estimate.x_hat, neighbours, self._omega, self._conventions)
 
     def _run_robust_filter(self) -> float | None:
         """Test the initial b_hat against the received estimates: return the new b_hat, or None to keep it.
 
-        The crowd is the robust filter's summary of the received estimates. While its centre moves there is no
-        test, but its votes, if many, are halved, so that it follows faster; nor is there one before three
-        senders have been received. Else the test is counted. If it rejects the b_hat that the robot started
-        with, the result is a re-estimate from the centre; if not, it is that initial b_hat, or None if it is
-        in use.
+        The crowd is the robust filter's summary of the received estimates, its votes. The first of these
+        cases that applies decides:
+
+        - The crowd's centre is moving: None, without a test. If the crowd has 512 votes or more, their number
+          is halved.
+        - Fewer than three senders have voted: None, without a test, as a wrong one could not be outvoted.
+        - The test, which is counted, rejects the initial b_hat: what `reestimate_b_hat` returns, which is the
+          accuracy for which the robot's x_hat would be the centre, or None.
+        - It does not reject: the initial b_hat, or None if that is the present b_hat.
         """
         crowd = self._crowd
         if crowd.is_moving:
-            # With fewer votes the gain is larger, and the centre follows faster.
+            # The gain, the share of its distance by which a vote moves the centre, falls with the number of
+            # votes. Halved, it lets the centre follow faster.
             if crowd.votes >= 2 * VOTES_MIN_WHILE_MOVING:
                 self._crowd = replace(crowd, votes=crowd.votes // 2)
             return None
+        # ``voices`` is the set of the senders heard.
         if len(crowd.voices) < SENDERS_MIN:
             return None
         self._count("tests")
         if robust_test_rejects(self._n, self._t, self._initial_b_hat, crowd.centre, crowd.spread):
             return self.reestimate_b_hat()
+        # An earlier test may have replaced the initial b_hat, and then it comes back.
         if self._b_hat == self._initial_b_hat:
             return None
         return self._initial_b_hat

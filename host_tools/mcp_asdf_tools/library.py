@@ -130,11 +130,17 @@ def _check_run(experiments: list[Experiment], workers: int, record: int) -> None
 
 
 def _check_extension_objects(experiments: list[Experiment], workers: int) -> None:
-    """Raise UsageError for objects that results could not tell apart, or that workers could not import."""
+    """Raise UsageError for two objects with one name, or an object that worker processes cannot import.
+
+    Objects are the user's own firmwares, sensors and topologies. An experiment has them as `ObjectName`, the
+    object's name with the object, where it otherwise has the name of a built-in or installed one. Whether
+    they can be imported is checked for ``workers`` > 1 only.
+    """
     names: dict[str, str] = {}
     for experiment in experiments:
         for name in (experiment.firmware, experiment.sensor, experiment.topology):
-            # Results name an object by its text, so that two objects with one text would be mixed up.
+            # Results have only the text of a name, so that two objects with the same text would be mixed up.
+            # setdefault returns the first name with this text, and names are equal if their objects are.
             if names.setdefault(str(name), name) != name:
                 raise UsageError(f"two objects are called {name}; give them different names")
             if workers > 1:

@@ -209,7 +209,8 @@ def decode_heartbeat(frame: can.Message) -> Heartbeat | Rejection:
     values = _decode_fields(frame, HEARTBEAT_SUBJECT, layout.HEARTBEAT)
     if isinstance(values, Rejection):
         return values
-    # Neither enumeration can raise: all values of 2 bits are a Health, and the mode has been checked.
+    # Neither enumeration can raise: all values of 2 bits are a Health, and `_decode_fields` has returned a
+    # Rejection for a mode above the largest that the layout allows.
     return Heartbeat(
         sender_of(frame),
         values["uptime"],

@@ -122,7 +122,11 @@ class SlcanServer:
         return _OK if is_accepted else _ERROR
 
     def _send_on_bus(self, frame: can.Message) -> bytes:
-        """Send a frame of the client on the bus, and return the protocol's answer, success or failure."""
+        """Send a frame of the client on the bus, and return the protocol's answer.
+
+        That is ``Z`` for a sent frame with a 29-bit identifier and ``z`` for one with 11 bits, each with a
+        carriage return; or the error answer, a bell character, if the bus has not taken the frame.
+        """
         try:
             self._bus.send(frame, timeout=_SEND_TIMEOUT)
         except can.CanError:

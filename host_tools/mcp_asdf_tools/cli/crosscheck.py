@@ -68,13 +68,18 @@ def _load_comparable(name: str) -> Firmware:
 
 
 def _check_with(audit: Audit) -> CheckScenario:
-    """Return a check that compares native and mirror, and lets ``audit`` check what they do."""
+    """Return a function that runs a scenario on native and mirror, and returns its first failure or None.
+
+    A failure is a call after which the two firmwares differ, or for whose results ``audit``, which compares
+    them with the paper's equations in exact fractions, reports a problem. The errors of the results are
+    collected in ``audit``.
+    """
     from mcp_asdf_tools.crosscheck.compare import compare_firmwares
 
     native, mirror = _load_comparable("native"), _load_comparable("mirror")
 
     def check_scenario(scenario: Scenario) -> Failure | None:
-        """Run a scenario through both, and return the first difference; None if there is none."""
+        """Run a scenario through both, and return the first failure; None if there is none."""
         return compare_firmwares(scenario, native, mirror, audit.check_call)
 
     return check_scenario

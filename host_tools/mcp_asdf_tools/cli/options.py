@@ -263,6 +263,7 @@ def swarm_filter_of(args: argparse.Namespace) -> SwarmFilter:
     from mcp_asdf_tools.robots.filters import FILTERS
     from mcp_asdf_tools.robots.population import Population
 
+    # Population is the class of settings that declares the parameter, with its default.
     return FILTERS[value_of(args, Population, "filter")]
 
 

@@ -38,8 +38,9 @@ def json_report(report: object) -> str:
 def print_again(args: argparse.Namespace, **settled_parameters: object) -> None:
     """Print the command line that makes the same run again.
 
-    It is what the user typed. In front of it are those ``settled_parameters``, such as the seed, that the
-    user left to their defaults, since a later version may have other defaults.
+    It is the command, then an option for each of the ``settled_parameters``, such as the seed, that the user
+    has not typed, and then all arguments as typed. A later version may have other defaults, so those are
+    written out.
     """
     program, *typed_arguments = args.command_line
     # An option may be typed as --seed 3 or as --seed=3.

@@ -73,7 +73,11 @@ class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
         groups: Iterable[argparse._MutuallyExclusiveGroup],
         prefix: str | None = None,
     ) -> None:
-        """Add the usage line of a parser with these actions and mutually exclusive groups."""
+        """Add the usage line of a parser, in which all options that may be left out are one [OPTION ...].
+
+        Of ``actions``, argparse's declarations of arguments, the line shows positional arguments, required
+        options, and the options of which a mutually exclusive group in ``groups`` requires one.
+        """
         # Of a required group one option is needed, although argparse marks none of them as required.
         alternatives = [action for group in groups if group.required for action in group._group_actions]
         shown_actions = []

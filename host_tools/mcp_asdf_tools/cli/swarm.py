@@ -109,7 +109,10 @@ def _add_fault_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_remote_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of programs and robots that are not in this process."""
+    """Declare --slcan, --processes and --device: programs and robots that are not in this process.
+
+    --processes and --device exclude each other.
+    """
     group = parser.add_argument_group("robots and programs elsewhere")
     group.add_argument(
         "--slcan",

@@ -35,7 +35,8 @@ _MAX_NUMBERS = {
     "receive": (_MAX_8, _MAX_32, _MAX_32),
     "damage": (4 * IMAGE_WORDS - 1, _MAX_8),
 }
-"""The largest value of every number of an item. The numbers of ``restore`` are pairs of any number."""
+"""The largest value of every number of an item, by the item's name: ``robot``, which makes the robot, or that
+of a call. ``restore`` is not here, as it takes any number of pairs."""
 _MAX_DIGITS = 20
 """Digits of a number in a line, more than any legal one has."""
 
@@ -176,16 +177,23 @@ def _parse_table(item: str) -> TableChoice:
 
 
 def _parse_call(item: str) -> Call:
-    """Read the item of a call, such as ``observe:1``. Raises UsageError if it is wrong."""
+    """Read the item of a call, such as ``observe:1``: a name, and numbers after colons.
+
+    The names are observe, step, settle, receive, damage and restore; `Call` lists their numbers. Raises
+    UsageError for another name, the wrong number of numbers, or a number that is none or is out of range.
+    """
     name, *texts = item.split(":")
+    # restore takes any number of pairs, each an index into the image and the word to write there.
     if name == "restore":
         numbers = tuple(_parse_integer(text, item) for text in texts)
+        # Word 0 marks the version, and the last word is the checksum: these two are not replaced.
         are_pairs_legal = len(numbers) % 2 == 0 and all(
             1 <= index < IMAGE_WORDS - 1 and word <= _MAX_32 for index, word in _group_in_pairs(numbers)
         )
         if not are_pairs_legal:
             raise UsageError(f"{item} needs pairs of an index, 1 to {IMAGE_WORDS - 2}, and a 32-bit word")
         return Call(name, numbers)
+    # "robot" is the item that makes the robot, and no call.
     call_names = ["restore", *(name for name in _MAX_NUMBERS if name != "robot")]
     if name not in call_names:
         raise UsageError(f"{item!r} is no call; there are {', '.join(call_names)}")

@@ -157,9 +157,10 @@ class Bench(ControllerLink):
         self.skip_ticks((tick_in_period - self.model.ticks) % period, observe)
 
     def avoid_test(self, activity: str, rounds: int = 1) -> None:
-        """Set ``activity``, after enough rounds without messages that the next ``rounds`` have no test.
+        """Play rounds without messages until the next ``rounds`` have no test, and then set ``activity``.
 
-        Does not wait if the filter is off or tests in every round.
+        A test is one of the controller's filter. No round is played if the next rounds have none anyway, if
+        the filter is off, or if it tests in every round, which cannot be avoided.
         """
         if self.config.filter is not Filter.OFF and self.config.filter_period > 1:
             # From the furthest round to the next one: a round that is played brings the test one closer.

@@ -210,12 +210,17 @@ class ControllerLink:
         return self.comparison.check(received, expected)
 
     def compare_late_frames(self) -> None:
-        """Wait a moment, and check that nothing comes after the last answer. Raises ControllerDiffers."""
+        """Receive for another 0.1 seconds, and compare once more with the model's frames.
+
+        The controller has sent its last answer before, so anything that it sends now is a difference. Raises
+        ControllerDiffers if there is one.
+        """
         end = time.monotonic() + _LATE_FRAMES_SECONDS
         while True:
             frame = self.options.bus.recv(max(0.0, end - time.monotonic()))
             if frame is None:
                 break
+            # Some interfaces also return the frames that this program has sent.
             if frame.is_rx:
                 self._take_frame(frame)
             # Other nodes may send without a pause, so that recv never returns None.

@@ -224,12 +224,17 @@ def re_estimate_to_each_kind(bench: Bench) -> None:
 
 
 def play_without_filter(bench: Bench) -> None:
-    """Send estimates far away to a robot that does not filter, also where its filter would run."""
+    """Play five rounds of estimates far from the robot's own, in a robot whose filter is off.
+
+    If the filter period is up to LONG_RUN ticks, the robot first observes until the round at whose end a
+    filter would test, which is the first of the five. A controller that filters nevertheless would change its
+    b_hat there, and so differ from the model.
+    """
     if bench.setup.filter_period <= LONG_RUN:
         bench.activity = _MANY_OBSERVATIONS
         bench.skip_to_test_round(bench.draw_observation)
     for _ in range(5):
-        bench.activity = "messages far away"
+        bench.activity = "messages far away"  # for the report, if the controller differs in this round
         bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
 
 

@@ -434,8 +434,13 @@ def receive_extremes(bench: Bench) -> None:
 
 
 def receive_repeated_sender(bench: Bench) -> None:
-    """Send several estimates of one sender in a round, of which the first counts."""
+    """Send two, three and six estimates of one sender in a round, in three rounds.
+
+    The controller must take the first of a round and ignore the others. If it does not, its state differs
+    from that of the model, with whose frames the bench compares those of the controller.
+    """
     for repeats in (1, 2, 5):
+        # The round that follows has no test of the filter; the text is what a report says of it.
         bench.avoid_test("different messages of one sender in a round")
         repeating_sender, other_sender = bench.rng.sample(bench.other_ids, 2)
         senders = [repeating_sender, other_sender] + [repeating_sender] * repeats

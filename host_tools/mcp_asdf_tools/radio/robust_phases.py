@@ -273,10 +273,13 @@ def reject_near_half(bench: Bench) -> None:
 
 
 def threshold_phase(max_spread: int) -> Callable[[Bench], None]:
-    """Return a phase that runs the test on both sides of its threshold, with a crowd of a small spread.
+    """Return a phase that plays the robust filter's test on both sides of its threshold.
 
-    Votes narrow the spread to ``max_spread``, in units of 2**-30, or less. Then the test just rejects, so
-    that b_hat is re-estimated, and just does not, so that the initial b_hat comes back, by turns.
+    The phase is a function that plays it on the bench of a controller. First it sends votes, estimates with
+    confidence, until the spread of the crowd, their summary, is at most ``max_spread`` in units of 2**-30.
+    Then it crosses the threshold up to eight times. By turns the test just rejects, so that b_hat, the
+    accuracy that the robot assumes, is re-estimated, and just does not reject, so that the initial b_hat
+    comes back. What cannot be brought about is noted as not exercised.
     """
     has_least_spread = max_spread == LEAST_SPREAD
 
@@ -304,9 +307,12 @@ def threshold_phase(max_spread: int) -> Callable[[Bench], None]:
         )
         bench.activity = "votes that agree"
         _repeat_until(bench, f"a spread of {max_spread / 2**30:g}", lambda: crowd.spread <= max_spread, agree)
+        # A spread that is not limited to the least one would go on to shrink in these rounds.
         if has_least_spread:
             for _ in range(_ROUNDS_AT_SPREAD_MIN):
                 agree()
+        # Each call crosses it four times. The second approaches the rejections by the other colour, but with
+        # the least spread by the same one again.
         _cross_threshold(bench, is_towards_rarer_colour=True)
         _cross_threshold(bench, is_towards_rarer_colour=not has_least_spread)
 

@@ -232,8 +232,14 @@ class RobotNode:
     def figures(self) -> dict[str, Any]:
         """Return the counts of frames sent and received so far as plain values, for JSON.
 
-        Keys are ``estimates_sent``, ``heartbeats_sent`` and ``telemetry_sent``, the attributes of this class
-        and of ``Reception`` by name, and ``events``: a list of suspicious events with kind, sender and count.
+        The keys are
+
+        - ``estimates_sent``, ``heartbeats_sent`` and ``telemetry_sent``;
+        - ``delivered``, ``refused`` and ``id_conflicts``, as in `Reception`;
+        - ``obeyed``, ``disobeyed`` and ``unsettled``, as in this class;
+        - ``rejected``: for each reason of a rejection the number of frames;
+        - ``events``: for each kind of suspicious estimate and sender a dictionary with the keys ``event``,
+          the kind, ``sender``, and ``estimates``, their number.
         """
         return {
             # The attributes of FramesSent are named after the kinds of frames.

@@ -121,11 +121,11 @@ def late_errors(trials: Trials) -> Sample:
 
 
 def harmed_percents(trials: Trials) -> Sample:
-    """Return for each trial the percentage of the healthy robots that the filter has harmed.
+    """Return for each trial the percentage of the healthy robots that the filter has harmed, shape (trials,).
 
     ``Trials.find_harmed_robots`` says which these are. The percentages are NaN if all robots are flawed.
     """
-    is_harmed = trials.find_harmed_robots()
+    is_harmed = trials.find_harmed_robots()  # shape (trials, healthy robots), empty if none is healthy
     if not is_harmed.size:
         return np.full(len(trials.numbers), np.nan)
     return np.asarray(100 * is_harmed.mean(axis=1))

@@ -19,14 +19,17 @@ from mcp_asdf_tools.view.run_states import add_world, collect_estimates
 
 
 def recompute_swarm_history(log: Path) -> History:
-    """Replay the log of a swarm from the events beside it, and return its history, which has ended.
+    """Compute the run of a swarm again from the events beside its log, and return the history of that run.
 
-    Raises UsageError if the events cannot be read, contradict themselves, or are not of a swarm.
+    The history is marked as that of a run that is over. Raises UsageError if the events cannot be read,
+    contradict themselves, or are not of a swarm.
     """
     with EventsReader(events_path(log)) as events:
         settings = _read_swarm_settings(log, events.header)
         spacing = steps_between_states(settings.steps, settings.robots)
         estimates = np.stack(list(_replay_estimates(events, settings.steps, spacing)))
+    # A swarm's run is trial 0 of its world. `add_world` adds accuracies, neighbours and positions, which are
+    # not recorded, to the estimates of shape (states, 3, N).
     description = describe_run(settings, trial=0, faults=settings.faults, allow=settings.allow)
     return History(description, add_world(settings, 0, estimates, spacing))
 

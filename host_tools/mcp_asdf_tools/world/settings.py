@@ -220,13 +220,15 @@ class WorldSettings:
                 if value != _default_of(self, name):
                     message = f"{name} is {value} but robots do not move; choose topology dynamic"
                     raise ParameterError(name, message)
-        # Edges without the topology graph would have no effect, and that topology needs some.
+        # Edges without the topology graph would have no effect, and that topology needs some. So one without
+        # the other is an error.
         needs_graph = self.topology == "graph"
         has_graph = isinstance(self.graph, Graph)
         if needs_graph != has_graph:
             fix = "give its edges" if needs_graph else "choose topology graph"
             raise ParameterError("graph", f"graph is {str(self.graph)!r}: {fix}")
         if isinstance(self.graph, Graph):
+            # An error of the check gets the parameter's name, which the check does not know.
             with value_of("graph"):
                 self.graph.check(self.robots)
 

@@ -145,7 +145,11 @@ def _true_value(experiment: Experiment, quantity: _Quantity) -> float:
 
 
 def _series_title(experiment: Experiment, trial_number: int) -> str:
-    """Return filter, number of robots, topology, seed and trial of a run, in two lines."""
+    """Return a title of two lines for the plot of a trial.
+
+    The first line has the filter, with its period tau in steps if it is on, and the numbers of robots and of
+    flawed robots; the second has topology, seed and trial.
+    """
     title = filter_name(experiment)
     if experiment.swarm_filter.is_on:
         title += rf", $\tau$ = {experiment.filter_period}"
