@@ -97,6 +97,7 @@ def all_findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
     return places_by_rule
 
 
+@pytest.mark.slow
 def test_nothing_unrecorded_is_found_for_the_first_target(sources: Path) -> None:
     recorded = recorded_places()
     unrecorded = {rule for rule, places in find(FIRST_TARGET, sources).items() if places - recorded[rule]}

@@ -370,6 +370,7 @@ def test_a_bus_that_closes_ends_the_run_with_a_failure(start: Start, bus: UnixBu
     assert node.summary(status=1)["ended"] == "bus closed"
 
 
+@pytest.mark.slow
 def test_a_full_queue_costs_frames_but_no_tick(
     start: Start, bus: UnixBus, blacks: tuple[object, ...]
 ) -> None:
@@ -438,6 +439,7 @@ def test_a_state_that_does_not_fit_is_refused(command: list[str], bus: UnixBus, 
         assert held in (None, state.read_bytes())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", ["EINTR", "EAGAIN"])
 def test_observations_that_are_interrupted_go_on(
     bus: UnixBus, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, error: str

@@ -204,7 +204,10 @@ static char parse_command(const slcan_link_t *link)
         return '\r';
     }
     const char letter = link->line[0];
-    return link->line_length == command_length(letter) ? letter : '?';
+    if (link->line_length != command_length(letter)) {
+        return '?';
+    }
+    return letter;
 }
 
 /* Carry out the command on the received line, and answer it. Returns SLCAN_OPENED if it opens the bus. */
