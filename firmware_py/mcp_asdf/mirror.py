@@ -392,7 +392,8 @@ def update_crowd(crowd: Crowd, sender: int, x_hat: int) -> None:
     if the centre goes up, to 0 if it goes down, and to 1/2 if it stays. ``sender`` joins ``crowd.voices``,
     the set of the senders heard, in which ids that are equal modulo 32 count as one.
     """
-    crowd.voices |= 1 << (sender & 31)  # a mask with one bit for each sender id modulo 32
+    # A mask with one bit for each sender id modulo 32.
+    crowd.voices |= 1 << (sender & 31)
     crowd.votes = min(crowd.votes + 1, VOTES_MAX)
     # The gain is 2**-gain_shift: 32 votes have 6 bits, and shift by 3.
     gain_shift = max(crowd.votes, VOTES_OF_MAX_GAIN).bit_length() - 3
@@ -771,7 +772,8 @@ class MirrorRobot(FixedPointView):
           would be the centre (eq. 8), or None if the centre carries no information (see `reestimate`).
         - It does not reject: the initial b_hat, or None if that is the present b_hat.
         """
-        s, crowd = self.s, self.s.crowd  # the robot's state, and the crowd in it
+        # The robot's state, and the crowd in it.
+        s, crowd = self.s, self.s.crowd
         if crowd.is_moving:
             # With fewer votes the gain is larger, and the centre follows faster.
             if crowd.votes >= 2 * VOTES_MIN_WHILE_MOVING:
