@@ -59,7 +59,8 @@ USUAL_BITS = {ESTIMATES: 4 << 26 | 3 << 21, COMMANDS: 3 << 26 | 3 << 21}
 """Priority and reserved bits of the identifiers that nodes usually send, by subject."""
 
 Override = Callable[..., Any]
-"""What a method does instead. It is called with the node, the right method, and the arguments."""
+"""A function that replaces a method of the node. Its arguments are the node, the right method, and what the
+method was called with."""
 
 
 def right(**config: Any) -> RobotSetup:

@@ -25,7 +25,7 @@ _LOGGED_PACKAGES = ("mcp_asdf_tools", "can")
 """Packages whose logs help to find the cause of a failure."""
 
 _SECONDS_BETWEEN_CHECKS = 0.2
-"""Time between two checks whether Ctrl-C was pressed."""
+"""Seconds between two checks whether Ctrl-C was pressed."""
 
 # --- Results and failures --------------------------------------------------------------------------------
 
@@ -38,8 +38,8 @@ def json_report(report: object) -> str:
 def print_again(args: argparse.Namespace, **settled_parameters: object) -> None:
     """Print the command line that makes the same run again.
 
-    It is the command, then an option for each of the ``settled_parameters``, such as the seed, that the user
-    has not typed, and then all arguments as typed. A later version may have other defaults, so those are
+    It is the command, then options with the ``settled_parameters`` (such as the seed) that the user has not
+    typed, and then all arguments as typed. A later version may have other defaults, so those are
     written out.
     """
     program, *typed_arguments = args.command_line

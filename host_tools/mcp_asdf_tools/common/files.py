@@ -92,7 +92,7 @@ def write_together(data_by_path: Mapping[Path, bytes | str]) -> None:
 
 @contextmanager
 def drafts_for(paths: Sequence[Path]) -> Iterator[list[Path]]:
-    """Context manager that yields a draft for each path: the name under which the caller writes a file.
+    """Context manager that yields drafts: the names under which the caller writes the files of ``paths``.
 
     When the context ends, ``rename_drafts`` renames the drafts to ``paths``. If it ends with an error, they
     are removed. Raises UsageError if a path cannot be written.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from typing import IO, Any, cast
@@ -31,7 +32,7 @@ class OutputError(Exception):
         self.is_broken_pipe = isinstance(cause, BrokenPipeError)
 
 
-class _CheckedStream:
+class _CheckedStream(ABC):
     """Text stream that passes everything on to another one; a subclass handles the OSErrors of its writes."""
 
     def __init__(self, stream: IO[str]) -> None:
@@ -61,9 +62,9 @@ class _CheckedStream:
         except OSError as error:
             self._handle(error)
 
+    @abstractmethod
     def _handle(self, error: OSError) -> None:
         """React to the failure of a write."""
-        raise NotImplementedError
 
 
 class _CheckedOutput(_CheckedStream):

@@ -237,9 +237,9 @@ class RobotNode:
         - ``estimates_sent``, ``heartbeats_sent`` and ``telemetry_sent``;
         - ``delivered``, ``refused`` and ``id_conflicts``, as in `Reception`;
         - ``obeyed``, ``disobeyed`` and ``unsettled``, as in this class;
-        - ``rejected``: for each reason of a rejection the number of frames;
-        - ``events``: for each kind of suspicious estimate and sender a dictionary with the keys ``event``,
-          the kind, ``sender``, and ``estimates``, their number.
+        - ``rejected``: the numbers of rejected frames, by reason;
+        - ``events``: one dictionary per kind of suspicious estimate and sender, with the keys ``event`` (the
+          kind), ``sender`` and ``estimates`` (how many came).
         """
         return {
             # The attributes of FramesSent are named after the kinds of frames.

@@ -89,7 +89,7 @@ class _Columns:
         colour_index: Index of the tile's colour.
         count: Number of columns that a line has.
         has_header: Whether a header names them. Then a line may have one column more at its beginning: R
-            writes a name for each row, but no header above these names.
+            begins every line with the row's name, and has no header above these names.
     """
 
     reading_index: int

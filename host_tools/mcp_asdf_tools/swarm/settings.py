@@ -79,16 +79,12 @@ class SwarmSettings(Population):
 
     def _check_fault_ids(self) -> None:
         """Raise ParameterError if a fault names a robot that the swarm does not have."""
-        from mcp_asdf_tools.swarm.fault_injection.kinds import LinkFault  # noqa: PLC0415
-
         for fault in self.faults:
-            # Only faults of links have receivers; None stands for all robots, of which none is named.
-            receivers = fault.receivers if isinstance(fault, LinkFault) else None
-            named_robots = (fault.robots or frozenset()) | (receivers or frozenset())
-            if named_robots and max(named_robots) >= self.robots:
+            largest_id = max(fault.named_robots, default=0)
+            if largest_id >= self.robots:
                 raise ParameterError(
                     "faults",
-                    f"fault {fault} names robot {max(named_robots)}, but the ids of {self.robots} robots are "
+                    f"fault {fault} names robot {largest_id}, but the ids of {self.robots} robots are "
                     f"0 to {self.robots - 1}; take more robots or name another",
                 )
 

@@ -89,7 +89,7 @@ def _compute_unfiltered_errors(settings: Population, trial: int) -> list[float]:
 def draw_floor(arena: Arena) -> NDArray[np.bool_]:
     """Return the floor as pixels, True where it is black, the first row in the north. O(pixels).
 
-    There is a pixel for each tile, or _MAX_FLOOR_PIXELS along a side that has more tiles.
+    Every tile is one pixel. A side with more than _MAX_FLOOR_PIXELS tiles is drawn with that many pixels.
     """
     settings = arena.settings
     if settings.floor == "code":

@@ -173,7 +173,7 @@ static mcp_asdf_record_t record_of_robot(const mcp_asdf_t *robot)
                                .b_hat = mcp_asdf_b_hat(robot)};
 }
 
-/* Store the informed estimates after a step in the outcome, one for each series of x. */
+/* Store the informed estimates x after a step in the outcome's series of x. */
 static void record_x(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
 {
     const uint32_t columns = mcp_asdf_engine_columns(experiment);

@@ -76,7 +76,7 @@ def _filter_step_count(trials: Trials) -> int:
 
 
 def _panel_titles(experiments: Sequence[Trials]) -> list[str]:
-    """Return a title for each experiment: what makes it differ from the others, and its f, b, b_hat and P.
+    """Return the titles of experiments: what makes each differ from the others, and its f, b, b_hat and P.
 
     These letters are the paper's: f is the share of black tiles, b the true accuracy of a sensor, b_hat the
     accuracy that flawed robots assume at first, and P the share of flawed robots. A first line names the

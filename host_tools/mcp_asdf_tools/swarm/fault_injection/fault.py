@@ -64,6 +64,11 @@ class Fault:
     stop: int | None = parameter("first tick after, if it ends", 0, MAX_TICK, default=None)
     robots: frozenset[int] | None = None
 
+    @property
+    def named_robots(self) -> frozenset[int]:
+        """Ids of all nodes that the options name; empty for a fault of all nodes."""
+        return self.robots or frozenset()
+
     def check(self) -> None:
         """Raise UsageError if an option is missing that the kind of fault needs."""
 

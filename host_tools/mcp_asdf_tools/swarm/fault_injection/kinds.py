@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinkFault(Fault):
+class LinkFault(Fault, ABC):
     """A fault of frames on their way: each receiver of a frame is hit or spared by itself.
 
     Attributes:
@@ -69,12 +70,17 @@ class LinkFault(Fault):
         """Number of random words that ``change`` needs for each frame and receiver."""
         return 0
 
+    @property
+    def named_robots(self) -> frozenset[int]:
+        """Ids of all nodes that the options name, as senders or as receivers."""
+        return super().named_robots | (self.receivers or frozenset())
+
+    @abstractmethod
     def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
         """Return what becomes of deliveries that are hit.
 
         ``extra_words`` has shape (frames, receivers, self.extra_words).
         """
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +143,7 @@ class Corrupt(LinkFault):
     def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
         """Return the deliveries with bits flipped, one entry for each frame and receiver.
 
-        ``extra_words`` chooses the bits: a word for each.
+        Each of the ``extra_words`` chooses one bit.
         """
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
@@ -161,15 +167,15 @@ class Corrupt(LinkFault):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OutageFault(Fault):
+class OutageFault(Fault, ABC):
     """A fault that takes a node off the bus for some ticks."""
 
     ticks: int = parameter("how long", 1, MAX_TICK, default=1)
 
     @property
+    @abstractmethod
     def outage(self) -> Outage:
         """State of a node that is hit."""
-        raise NotImplementedError
 
     def on_tick(self, node: int, tick: int, run: FaultRun) -> Outage | None:
         """Return the outage while one lasts or if one begins, and count the tick as a hit.

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     RandomWords: TypeAlias = NDArray[np.uint64]
 
 _KEY = struct.Struct("<IIIBBBB")
-"""What a word is for, as `FaultRandom._hash_bytes` hashes it, and a byte of 0 that makes it 16 bytes."""
+"""Layout of the 16 bytes that `FaultRandom._hash_bytes` hashes: the arguments that name a word, and a 0."""
 
 
 class _Purpose(IntEnum):
