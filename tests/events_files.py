@@ -7,7 +7,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from mcp_asdf_tools.recording.events import EventsHeader, EventsWriter
+from mcp_asdf_tools.recording.events import (
+    EventsHeader,
+    EventsReader,
+    EventsWriter,
+    InjectedFrame,
+    RobotEvents,
+)
 
 
 @contextmanager
@@ -24,3 +30,9 @@ def lines_of(events: Path) -> list[str]:
     """Return the lines of a compressed file of events, with their ends."""
     with gzip.open(events, "rt", encoding="ascii") as file:
         return file.readlines()
+
+
+def read_entries(path: Path) -> list[RobotEvents | InjectedFrame]:
+    """Return all entries of a file of events."""
+    with EventsReader(path) as reader:
+        return list(reader.entries())

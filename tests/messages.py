@@ -145,3 +145,11 @@ def write_regulated_types(folder: Path, *file_names: str) -> None:
         if not file_names or Path(path).name in file_names:
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_text(definition)
+
+
+IdentifierAndData = tuple[int, bytes]
+
+
+def identifier_and_data(frame: can.Message) -> IdentifierAndData:
+    """Return what a frame has on the bus, without time and place."""
+    return frame.arbitration_id, bytes(frame.data)

@@ -74,10 +74,10 @@ def observe_tiles(robot: Robot, black: int, white: int) -> None:
         robot.observe(z)
 
 
-def receive_estimates(robot: Robot, *estimates: float, alpha: float = 1.0) -> None:
-    """Let a robot receive estimates of one confidence, each from another sender."""
+def receive_estimates(robot: Robot, *estimates: float) -> None:
+    """Let a robot receive estimates with confidence 1, each from another sender."""
     for sender, x_hat in enumerate(estimates, OWN_ID + 1):
-        robot.receive(sender, x_hat, alpha)
+        robot.receive(sender, x_hat, 1.0)
 
 
 def receive_raw_messages(robot: FixedPoint, messages: Iterable[tuple[int, int, int]]) -> None:

@@ -164,3 +164,8 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
             make(folder)
             done_mark.touch()
     return folder
+
+
+def names_in(folder: Path) -> list[str]:
+    """Return the names of all files in a folder, sorted."""
+    return sorted(path.name for path in folder.iterdir())

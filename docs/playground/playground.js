@@ -2,11 +2,10 @@
 
 import { chartsOf, FILTER_LABELS, lineOptions } from "view/charts";
 import { colour } from "view/colours";
-import { decodeBase64, History } from "view/history";
+import { decodeBase64, History, ONE } from "view/history";
 import { createElement, findElement } from "view/panels";
 import { View } from "view/view";
 
-const ONE = 65534; // the 16-bit number that stands for the value 1 in a history
 const MAX_SAMPLES = 1000;
 const SAMPLES_PER_POINT = 8; // of an error's line
 const STEPS_PER_SECOND = 10;

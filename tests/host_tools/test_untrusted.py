@@ -23,6 +23,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from events_files import read_entries
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.crosscheck.scenario import parse_scenario
@@ -32,7 +33,7 @@ from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiment
 from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
 from mcp_asdf_tools.experiments.result_tables import experiments_in, read_metadata, trials_to_table
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.recording.events import EventsHeader, EventsReader
+from mcp_asdf_tools.recording.events import EventsHeader
 from mcp_asdf_tools.recording.frame_logs import read_log
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.tables.table_files import check_file, format_c_source, format_json
@@ -61,12 +62,6 @@ class Parser(NamedTuple):
     suffix: str
     read: Callable[[Path], object]
     make_valid: Callable[[], bytes]
-
-
-def read_events(path: Path) -> list[object]:
-    """Return all entries of a file of events."""
-    with EventsReader(path) as reader:
-        return list(reader.entries())
 
 
 def valid_events() -> bytes:
@@ -139,8 +134,8 @@ PARSERS = {
     "table in C": Parser(".c", check_file, lambda: format_c_source(OMEGA, NEIGHBOURS).encode()),
     **{f"log {suffix}": Parser(suffix, read_frames, partial(valid_log, suffix)) for suffix in LOG_SUFFIXES},
     "log .log.gz": Parser(".log.gz", read_frames, lambda: gzip.compress(valid_log(".log"), mtime=0)),
-    "events": Parser(".events", read_events, valid_events),
-    "compressed events": Parser(".events", read_events, lambda: gzip.compress(valid_events(), mtime=0)),
+    "events": Parser(".events", read_entries, valid_events),
+    "compressed events": Parser(".events", read_entries, lambda: gzip.compress(valid_events(), mtime=0)),
     "TOML": Parser(".toml", read_experiments, (STUDIES / "physical.toml").read_bytes),
     "results": Parser(".parquet", read_results, valid_results),
     "graph": Parser(".txt", parse_graph, lambda: b"3 5\n3 > 7 # one way\n"),

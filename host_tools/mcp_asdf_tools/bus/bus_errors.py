@@ -33,14 +33,15 @@ class BusGoneError(can.CanOperationError):
 def failure_of_bus(error: Exception, bus: can.BusABC) -> can.CanError | None:
     """Return the failure that ``error``, which ``bus`` has raised, stands for; None if input was undecodable.
 
-    The failure is a BusGoneError unless the bus may work again.
+    The failure is a BusGoneError unless the bus may work again. If it is not ``error`` itself, the caller has
+    to raise it with ``error`` as its cause.
     """
     causes = list(_causes(error))
     # An error of the operating system decides, also where a driver has wrapped it in one of its own.
     system_error = _system_error_among(causes)
     if system_error is not None:
         if _may_pass(system_error):
-            return error if isinstance(error, can.CanError) else _wrap_in_can_error(error)
+            return error if isinstance(error, can.CanError) else can.CanOperationError(str(error))
         return _create_bus_gone_error(error, system_error)
     decoding_error = next((cause for cause in causes if isinstance(cause, _DECODING_ERRORS)), None)
     if decoding_error is not None:
@@ -73,19 +74,10 @@ def _may_pass(error: OSError) -> bool:
     return is_timeout or error.errno in _PASSING_FAILURES
 
 
-def _wrap_in_can_error(error: Exception) -> can.CanOperationError:
-    """Return a can.CanError with the message of ``error``, which is none, and with it as its cause."""
-    failure = can.CanOperationError(str(error))
-    failure.__cause__ = error
-    return failure
-
-
 def _create_bus_gone_error(error: Exception, cause: BaseException) -> BusGoneError:
     """Return a BusGoneError with the messages of ``error`` and of the exception that caused it."""
     message = str(error) if cause is error else f"{error}: {cause}"
-    failure = BusGoneError(message)
-    failure.__cause__ = error
-    return failure
+    return BusGoneError(message)
 
 
 def _is_closed(bus: can.BusABC) -> bool:

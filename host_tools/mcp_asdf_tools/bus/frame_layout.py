@@ -323,5 +323,3 @@ COMMAND = FrameKind(
         ),
     ),
 )
-
-FRAME_KINDS = (ESTIMATE, HEARTBEAT, TELEMETRY, COMMAND)

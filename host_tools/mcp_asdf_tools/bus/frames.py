@@ -321,7 +321,8 @@ def _decode_fields(frame: can.Message, subject: int, kind: layout.FrameKind) -> 
     if isinstance(values, Rejection):
         return values
     # The transfer_id is in the tail byte, which no kind of frame has among its own fields.
-    return values | {"transfer_id": TRANSFER_ID.extract(payload)}
+    values["transfer_id"] = TRANSFER_ID.extract(payload)
+    return values
 
 
 def _payload_of_subject(frame: can.Message, subject: int) -> int | Rejection:

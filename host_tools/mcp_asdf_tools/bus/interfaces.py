@@ -229,6 +229,8 @@ class Connection(can.BusABC):
             is_undecodable = frame is not None and not _can_be_sent(frame)
         except Exception as error:  # an interface may raise anything
             failure = failure_of_bus(error, self._bus)
+            if failure is error:  # which keeps its own cause
+                raise
             if failure is not None:
                 raise failure from error
             is_undecodable = True

@@ -14,7 +14,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from mcp_asdf_tools.cli.parsing import describe_unknown_value
+from mcp_asdf_tools.cli.parsing import describe_unknown_value, option_of
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extensions import Names
 from mcp_asdf_tools.common.parameters import Parameter, ParameterError, parameters_of
@@ -51,11 +51,6 @@ COMMON_PARAMETERS = (
     "trials",
 )
 """Parameters that users change most; the help lists them before all others."""
-
-
-def option_of(parameter_name: str) -> str:
-    """Return the option that sets a parameter, such as ``--filter-period`` for ``filter_period``."""
-    return f"--{parameter_name.replace('_', '-')}"
 
 
 def add_common_parameters(parser: argparse.ArgumentParser, settings_class: Any, group_title: str) -> None:

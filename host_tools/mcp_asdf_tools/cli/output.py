@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mcp_asdf_tools.cli.parsing import option_of
+
 if TYPE_CHECKING:
     from mcp_asdf_tools.bus.interfaces import BusChoice
     from mcp_asdf_tools.experiments.store import Store
@@ -47,7 +49,7 @@ def print_again(args: argparse.Namespace, **settled_parameters: object) -> None:
     typed_options = {argument.partition("=")[0] for argument in typed_arguments}
     settled_options = []
     for name, value in settled_parameters.items():
-        option = f"--{name.replace('_', '-')}"
+        option = option_of(name)
         if option not in typed_options:
             settled_options.append(f"{option}={value}")
     # The program's name has a space in it, as "mcp-asdf swarm", which must not be quoted.

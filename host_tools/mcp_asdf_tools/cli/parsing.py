@@ -9,6 +9,11 @@ from typing import Any, NoReturn
 from mcp_asdf_tools.common.errors import UsageError, offer
 
 
+def option_of(parameter_name: str) -> str:
+    """Return the option that sets a parameter, such as ``--filter-period`` for ``filter_period``."""
+    return f"--{parameter_name.replace('_', '-')}"
+
+
 def describe_unknown_value(value: str, known_values: Iterable[str]) -> str:
     """Return what is wrong with a value that is none of the known ones, and the nearest of them."""
     known_values = list(known_values)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.cli.output import announce_page, report_failure, sleep_until, warn
+from mcp_asdf_tools.cli.parsing import option_of
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import stopping
 
@@ -98,7 +99,7 @@ def _check_recording_options(args: argparse.Namespace) -> None:
         unused_options += _OPTIONS_OF_FRAMES
     for option_name in unused_options:
         if getattr(args, option_name, None) is not None:
-            option = options.option_of(option_name)
+            option = option_of(option_name)
             raise UsageError(f"{option} is for a bus, but {args.file} is a recording; leave one of them out")
     if args.export is not None and args.port is not None:
         raise UsageError("--port is for a page that is served, but --export writes a file; leave it out")

@@ -48,17 +48,18 @@ def stopping(interrupt: bool = False) -> Iterator[Callable[[], bool]]:
         if raises:
             raise KeyboardInterrupt
 
-    previous_handlers = {number: signal.getsignal(number) for number in ENDING_SIGNALS}
-    handled_signals = [
-        number for number, handler in previous_handlers.items() if handler not in (signal.SIG_IGN, None)
-    ]
-    for number in handled_signals:
+    previous_handlers = {
+        number: handler
+        for number in ENDING_SIGNALS
+        if (handler := signal.getsignal(number)) not in (signal.SIG_IGN, None)
+    }
+    for number in previous_handlers:
         signal.signal(number, handle_signal)
     try:
         yield is_requested
     finally:
-        for number in handled_signals:
-            signal.signal(number, previous_handlers[number])
+        for number, handler in previous_handlers.items():
+            signal.signal(number, handler)
         if interrupt:
             # A program that was started by "python -m" ends by SIGINT, whatever its exit code, if Python has
             # seen a KeyboardInterrupt pass through the exec() of a text, which dataclasses use. It forgets

@@ -26,7 +26,7 @@ from mcp_asdf.fixed_point import (
     add_estimate,
     alpha_word_from_units,
 )
-from mcp_asdf.mirror import Closed, asdf_test_rejects, reestimate, round_mean
+from mcp_asdf.mirror import INFORMATIVE_G, Closed, asdf_test_rejects, reestimate, round_mean
 from mcp_asdf.robot import Sums
 from mcp_asdf.table import FRACTION_BITS, Table
 
@@ -58,8 +58,8 @@ class Update(Enum):
     KEPT = "b_hat kept, as x_bar is 1/2"
 
 
-_NO_INFORMATION, _LITTLE_INFORMATION = 1 << 20, 1 << 28
-"""|2 b_hat - 1| below which observations carry no information, or hardly any, in units of 2**-32."""
+_LITTLE_INFORMATION = 1 << 28
+"""|2 b_hat - 1| below which observations carry hardly any information, in units of 2**-32."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def classify_update(b_hat: int | None) -> Update:
     if b_hat == B_HAT_MAX:
         return Update.MAXIMUM
     information = 2 * b_hat - (1 << 32)  # 2 b_hat - 1
-    if abs(information) < _NO_INFORMATION:
+    if abs(information) < INFORMATIVE_G:
         return Update.HALF
     if abs(information) < _LITTLE_INFORMATION:
         return Update.FAINT

@@ -63,7 +63,7 @@ class CrowdWords:
 
     def pack(self) -> dict[int, int]:
         """Return the crowd as words 7 to 11 of an image."""
-        votes_and_trend = self.votes | (self.trend << 16)
+        votes_and_trend = pack_pair(self.votes, self.trend)
         words = [self.centre, self.spread, self.voices, self.initial_b_hat, votes_and_trend]
         return dict(enumerate(words, CROWD_WORD))
 

@@ -21,13 +21,12 @@ from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, ONE
 from mcp_asdf.mirror import Closed, MirrorRobot
 from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MIN_MEMORY, Config, Filter, Observation
 from mcp_asdf.table import MAX_Q, MIN_Q, Table
+from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
 
 _OWN_ID = 127
 _ID_IN_ROUND = 0
 _ID_NOT_IN_ROUND = 126
-_ALPHA_ONE = 0x80000001
-"""The alpha word of 1.0."""
 
 _CENTRE_THAT_CONTRADICTS = 0
 _CENTRE_THAT_AGREES = (1 << 29) - (1 << 24)
@@ -36,9 +35,9 @@ _CENTRE_THAT_AGREES = (1 << 29) - (1 << 24)
 AXES = ("t", "m", "q")
 CALLS: dict[str, Callable[[MirrorRobot], object]] = {
     "observe": lambda robot: robot.observe(Observation.BLACK),
-    "receive": lambda robot: robot.receive_raw(_ID_NOT_IN_ROUND, ONE // 3, _ALPHA_ONE),
-    "receive again": lambda robot: robot.receive_raw(_ID_IN_ROUND, ONE // 3, _ALPHA_ONE),
-    "receive own": lambda robot: robot.receive_raw(_OWN_ID, ONE // 3, _ALPHA_ONE),
+    "receive": lambda robot: robot.receive_raw(_ID_NOT_IN_ROUND, ONE // 3, ALPHA_ONE),
+    "receive again": lambda robot: robot.receive_raw(_ID_IN_ROUND, ONE // 3, ALPHA_ONE),
+    "receive own": lambda robot: robot.receive_raw(_OWN_ID, ONE // 3, ALPHA_ONE),
     "settle": lambda robot: robot.settle(),
     "step": lambda robot: robot.step(Observation.WHITE),
     "x": lambda robot: robot.x_raw,
@@ -108,7 +107,7 @@ class Workload:
     n: int = 400
     b_hat: int = 3 << 30
     m: int = 20
-    alpha: int = _ALPHA_ONE
+    alpha: int = ALPHA_ONE
     q: int = MAX_Q
     halves: bool = False
     agrees: bool = False

@@ -13,7 +13,7 @@ from fractions import Fraction
 from math import sqrt
 from random import Random
 
-from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, MANTISSA_MAX, ONE, SHIFT_MAX
+from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, LARGEST_ALPHA_UNITS, ONE
 from mcp_asdf.mirror import (
     CENTRE_START,
     IMAGE_SIZE,
@@ -276,7 +276,7 @@ class _ScenarioWriter:
     def _draw_closed_round_at_limits(self) -> dict[int, int]:
         """Draw words of a closed round whose sums of alpha and of alpha x_hat are about at their limits."""
         # 127 messages of the largest confidence, or one unit less or more
-        largest_beta = (MAX_ID * MANTISSA_MAX) << SHIFT_MAX
+        largest_beta = MAX_ID * LARGEST_ALPHA_UNITS
         beta_words = split_in_words(largest_beta + self._rng.randint(-1, 1))
         # The sum alpha_x_low has 62 bits, so its upper word has 30.
         alpha_x_low_upper_word = self._rng.choice([0, (1 << 30) - 1, 1 << 30, MAX_32_BITS])

@@ -16,8 +16,8 @@ from mcp_asdf.fixed_point import (
     B_HAT_MAX,
     B_HAT_MIN,
     HALF,
+    LARGEST_ALPHA_UNITS,
     MANTISSA_BITS,
-    MANTISSA_MAX,
     ONE,
     SHIFT_MAX,
 )
@@ -154,7 +154,7 @@ def draw_extreme_sums(rng: Random) -> Sums:
     m = rng.choice([1, 2, 3, MAX_ID, rng.randint(1, MAX_ID)])
     x = rng.choice([0, 1, rng.randint(0, m * ONE), m * ONE - 1, m * ONE])
     smallest_alpha = m  # one unit for every message
-    largest_alpha = (m * MANTISSA_MAX) << SHIFT_MAX
+    largest_alpha = m * LARGEST_ALPHA_UNITS
     alpha = rng.choice(
         [smallest_alpha, rng.randint(smallest_alpha, largest_alpha), largest_alpha, largest_alpha]
     )
@@ -162,7 +162,7 @@ def draw_extreme_sums(rng: Random) -> Sums:
     alpha_x = rng.choice([0, rng.randint(0, largest_alpha_x), largest_alpha_x, largest_alpha_x])
     # The sum of alpha x_hat is kept in two sums: of the bits of alpha from 32 up, and of the 32 bits below.
     # As much as fits goes into the upper one; what is left there is cut to the lower one's limits.
-    alpha_x_high = min(x * (MANTISSA_MAX >> 1), alpha_x >> 32)
+    alpha_x_high = min(x * (LARGEST_ALPHA_UNITS >> 32), alpha_x >> 32)
     alpha_x_left = alpha_x - (alpha_x_high << 32)
     # The squares are smallest where all x_hat are alike, and largest where each is 0 or 1.
     smallest_x_squared = -(-x * x // m)  # x * x / m, rounded up

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import cast
 
-from mcp_asdf.mirror import IMAGE_WORDS
+from mcp_asdf.mirror import IMAGE_SIZE, IMAGE_WORDS
 from mcp_asdf.robot import Config, Filter, FixedPointRobot, Observation, Status
 from mcp_asdf.table import Table, checksum
 from mcp_asdf_tools.common.errors import UsageError
@@ -33,7 +33,7 @@ _MAX_NUMBERS = {
     "step": (_MAX_32,),
     "settle": (),
     "receive": (_MAX_8, _MAX_32, _MAX_32),
-    "damage": (4 * IMAGE_WORDS - 1, _MAX_8),
+    "damage": (IMAGE_SIZE - 1, _MAX_8),
 }
 """The largest value of every number of an item, by the item's name: ``robot``, which makes the robot, or that
 of a call. ``restore`` is not here, as it takes any number of pairs."""

@@ -172,17 +172,17 @@ _CSV_RESULTS = (*SCORES, "mean_K", "mean_e", "mean_b_hat", "tests", "updates", "
 
 
 def _csv_results(trials: Trials, limits: Limits) -> dict[str, NDArray[Any]]:
-    """Return the values of the columns _CSV_RESULTS by name, one for each trial."""
+    """Return the values of the columns _CSV_RESULTS, and of other measures, by name: one for each trial."""
     k_max, e_max = limits.of(trials.experiment)
     trial_count = len(trials.numbers)
     robot_axis = 1
+    measures = trials.measures(limits)
     return {
-        **trials.scores(limits),
-        "mean_K": trials.convergence_steps.mean(axis=robot_axis),
-        "mean_e": trials.errors.mean(axis=robot_axis),
+        **measures,
+        "mean_K": measures["K"],
+        "mean_e": measures["e"],
         "mean_b_hat": _mean_final_b_hat(trials),
         "tests": trials.tests.sum(axis=robot_axis),
-        "updates": trials.updates.sum(axis=robot_axis),
         # The same in all lines of an experiment, but any line can be read alone.
         "K_max": np.full(trial_count, k_max),
         "e_max": np.full(trial_count, e_max),

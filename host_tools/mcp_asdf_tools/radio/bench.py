@@ -132,7 +132,7 @@ class Bench(ControllerLink):
         Half of these frames come in its first tick, the others in its last.
         """
         period = self.setup.comms_period
-        self._skip_to_round()
+        self.skip_to_round()
         if period == 1:
             self.play_tick(None, frames)
             return
@@ -141,7 +141,7 @@ class Bench(ControllerLink):
         self.skip_ticks(period - 2)
         self.play_tick(None, frames[half:])
 
-    def _skip_to_round(self) -> None:
+    def skip_to_round(self) -> None:
         """Let ticks pass until a round begins; none if one begins now."""
         self.skip_ticks(-self.model.ticks % self.setup.comms_period)
 

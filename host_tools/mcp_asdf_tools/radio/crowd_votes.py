@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from typing import NamedTuple
 
 from mcp_asdf.fixed_point import ONE
 from mcp_asdf.mirror import (
@@ -58,6 +59,22 @@ def votes_to_centre(crowd: Crowd, target: int) -> list[int] | None:
 
     Returns None if no votes of one round do.
     """
+    moved = _move_to_centre(crowd, target)
+    return None if moved is None else moved.x_hats
+
+
+class _MovedCrowd(NamedTuple):
+    """Votes for these x_hat, and the crowd after them."""
+
+    x_hats: list[int]
+    crowd: Crowd
+
+
+def _move_to_centre(crowd: Crowd, target: int) -> _MovedCrowd | None:
+    """Return the votes that move the centre to exactly ``target``, and the crowd then.
+
+    Returns None if no votes of one round do.
+    """
     crowd = copy(crowd)
     x_hats: list[int] = []
     while crowd.centre != target:
@@ -75,17 +92,17 @@ def votes_to_centre(crowd: Crowd, target: int) -> list[int] | None:
         # it, lest they be outside the spread.
         is_above_centre = direction == UP
         is_rounded_up = is_above_centre if is_last else not is_above_centre
-        x_hat = _q23_from_q30_rounded_up(position) if is_rounded_up else q23_from_q30(position)
+        x_hat = q23_from_q30_rounded_up(position) if is_rounded_up else q23_from_q30(position)
         if not 0 <= x_hat <= ONE:
             return None  # no vote can be so far away
         x_hats.append(x_hat)
         update_crowd(crowd, _ANY_SENDER, x_hat)
         if is_last and crowd.centre != target:
             return None  # an x_hat is too coarse to move the centre by this distance
-    return x_hats
+    return _MovedCrowd(x_hats, crowd)
 
 
-def _q23_from_q30_rounded_up(position: int) -> int:
+def q23_from_q30_rounded_up(position: int) -> int:
     """Convert a position from units of 2**-30 to units of 2**-23, rounded up."""
     return -q23_from_q30(-position)
 
@@ -108,10 +125,8 @@ def votes_to_threshold(crowd: Crowd, t: int, n: int, is_rejection_wanted: bool) 
 
     def rejects_at(centre: int) -> bool | None:
         """Return what the test decides with this centre; None if no votes move it there."""
-        x_hats = votes_to_centre(crowd, centre)
-        if x_hats is None:
-            return None
-        return robust_test_rejects(crowd_after(crowd, x_hats), t, n)
+        moved = _move_to_centre(crowd, centre)
+        return None if moved is None else robust_test_rejects(moved.crowd, t, n)
 
     reach = (_VOTES_TO_THRESHOLD * crowd.spread) >> _gain_shift(crowd.votes)
     decision_here = rejects_at(crowd.centre)

@@ -27,6 +27,7 @@ from mcp_asdf.mirror import (
     crowd_fill_ratio,
     reestimate,
     robust_test_rejects,
+    round_mean,
 )
 from mcp_asdf.robot import Config, Filter, Observation, Status, Sums
 from mcp_asdf.table import FRACTION_BITS, MAX_WORD, Table
@@ -170,8 +171,7 @@ class RobotThatTestsInFloat64(MirrorRobot):
         # The variance of a single estimate is not defined, so that the test needs two.
         if table is None or sums.count < 2 or not rejects_in_float64(table, sums, self.s.x_hat):
             return None
-        config_without_test = replace(self.config, filter=Filter.ALWAYS)
-        return copy_as(MirrorRobot, self, config_without_test)._run_asdf_filter()
+        return reestimate(self.s.t, self.s.n, round_mean(self.s.closed))
 
 
 def rejects_in_float64(table: Table, sums: Sums, x_hat: int) -> bool:

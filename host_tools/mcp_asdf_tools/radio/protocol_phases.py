@@ -411,9 +411,9 @@ def receive_crowded_tick(bench: Bench) -> None:
     *senders, last_sender = bench.other_ids
     bench.avoid_test(f"a tick with {CROWDED_MESSAGES} messages")
     frames = _encode_any_estimates(bench, senders * _CROWDED_REPEATS + [last_sender])
-    bench.skip_ticks(-bench.model.ticks % bench.setup.comms_period)
+    bench.skip_to_round()
     bench.play_tick(bench.draw_observation(), frames)
-    bench.skip_ticks(-bench.model.ticks % bench.setup.comms_period)
+    bench.skip_to_round()
 
 
 def receive_extremes(bench: Bench) -> None:

@@ -44,6 +44,7 @@ from mcp_asdf_tools.radio.crowd_votes import (
     count_votes_until_moving,
     crowd_after,
     moves_to_trend,
+    q23_from_q30_rounded_up,
     votes_of_moves,
     votes_to_centre,
     votes_to_threshold,
@@ -154,7 +155,7 @@ def vote_at_spread(bench: Bench) -> None:
             if is_above:
                 x_hat = q23_from_q30(crowd.centre + crowd.spread) + is_outside
             else:
-                x_hat = -q23_from_q30(crowd.spread - crowd.centre) - is_outside
+                x_hat = q23_from_q30_rounded_up(crowd.centre - crowd.spread) - is_outside
             far_end = 0 if is_above else ONE
             bench.activity = f"a vote just {'outside' if is_outside else 'inside'} the spread"
             x_hats = [min(max(x_hat, 0), ONE)] + [far_end] * 4
@@ -382,10 +383,12 @@ def _halve_votes_to_minimum(bench: Bench) -> None:
 
 def _is_rejected(bench: Bench, z: Observation | None = None) -> bool:
     """Return whether the test would reject now or, with ``z``, after that observation."""
-    robot = _copy_for_observing(bench.firmware)
+    state = bench.firmware.s
     if z is not None:
+        robot = _copy_for_observing(bench.firmware)
         robot.observe(z)
-    return robust_test_rejects(robot.s.crowd, robot.s.t, robot.s.n)
+        state = robot.s
+    return robust_test_rejects(state.crowd, state.t, state.n)
 
 
 def _copy_for_observing(firmware: MirrorRobot) -> MirrorRobot:
@@ -437,7 +440,8 @@ def _cross_threshold(bench: Bench, is_towards_rarer_colour: bool) -> None:
 
     Observations come near the threshold, and votes then move the centre to it, by a unit of 2**-30.
     """
-    for is_rejection in (not _is_rejected(bench), _is_rejected(bench)) * 2:
+    is_rejected_at_start = _is_rejected(bench)
+    for is_rejection in (not is_rejected_at_start, is_rejected_at_start) * 2:
         bench.activity = "observations of one colour"
         if _is_rejected(bench) != is_rejection:
             last_observation = _observe_up_to_decision(bench, is_rejection, is_towards_rarer_colour)

@@ -21,6 +21,8 @@ from mcp_asdf_tools.bus.bus_errors import BusGoneError
 from mcp_asdf_tools.bus.frame_layout import EVERY_ROBOT, Action, Rejection
 from mcp_asdf_tools.bus.frames import (
     COMMAND_FORMAT,
+    IGNORED_IDENTIFIER_BITS,
+    SUBJECT_SHIFT,
     TELEMETRY_FORMAT,
     Command,
     Estimate,
@@ -36,8 +38,8 @@ from mcp_asdf_tools.robots.suspicion import AlphaWatch, Suspicion
 _RAW_ATTRIBUTES = ("x_hat_raw", "alpha_raw", "x_bar_raw", "beta_raw", "x_raw", "b_hat_raw")
 _STATE_ATTRIBUTES = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 
-ACCEPTANCE_MASK = 0x039F_FF80
-"""Identifier bits that a receiver checks; see docs/frame.md."""
+ACCEPTANCE_MASK = 0x1FFF_FFFF & ~IGNORED_IDENTIFIER_BITS
+"""Identifier bits that a receiver checks, 0x039F_FF80; see docs/frame.md."""
 
 SEND_TIMEOUT = 2.0
 """Seconds after which a bus that takes no frame counts as failed."""
@@ -50,9 +52,6 @@ _MAX_FRAMES_AT_ONCE = 4096
 
 _SECONDS_BETWEEN_SENDS = 0.001
 """Pause before a full bus is tried again: time in which it sends several frames."""
-
-_SUBJECT_SHIFT = 8
-"""Lowest bit of the subject in a CAN identifier."""
 
 FrameTaker = Callable[[can.Message], None]
 """Takes a frame that was sent or received, such as a log or a picture."""
@@ -88,7 +87,7 @@ def filters_for(*formats: FrameFormat) -> CanFilters:
     """
     return [
         {
-            "can_id": frame_format.subject << _SUBJECT_SHIFT,
+            "can_id": frame_format.subject << SUBJECT_SHIFT,
             "can_mask": ACCEPTANCE_MASK,
             "extended": True,
         }

@@ -34,7 +34,7 @@ def make_page(history: History | None = None) -> str:
     Without a history the page asks the server that it comes from for one.
     """
     if history is None:
-        return assemble_page(None)
+        return _make_page_of_server()
     update = history.states_since()
     content = {
         "description": encode_description(update.description),
@@ -82,6 +82,12 @@ def assemble_page(content: object, additions: PageAdditions = PageAdditions()) -
     for placeholder, text in content_by_placeholder.items():
         html = html.replace(placeholder, text)
     return html
+
+
+@cache
+def _make_page_of_server() -> str:
+    """Return the page that asks its server for a history. It is always the same, and put together once."""
+    return assemble_page(None)
 
 
 @cache

@@ -5,10 +5,10 @@ from __future__ import annotations
 import can
 import numpy as np
 
-from mcp_asdf_tools.bus.frame_layout import Q23_ONE
+from mcp_asdf_tools.bus.frame_layout import B_HAT_UNITS, Q23_ONE
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Telemetry, decode_frame
 from mcp_asdf_tools.view.history import QUANTITIES, State
-from mcp_asdf_tools.view.roster import Q24_ONE, Roster
+from mcp_asdf_tools.view.roster import Roster
 
 _X = QUANTITIES.index("x")
 _X_HAT = QUANTITIES.index("x_hat")
@@ -60,7 +60,7 @@ class LatestRobotValues:
         else:
             self.has_telemetry = True
             values[_X] = content.x / Q23_ONE
-            values[_B_HAT] = content.b_hat / Q24_ONE
+            values[_B_HAT] = content.b_hat / B_HAT_UNITS
         return content.sender if is_new else None
 
     def make_state(self, tick: int, now: float, robot_ids: list[int]) -> State:

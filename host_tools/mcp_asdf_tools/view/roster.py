@@ -10,12 +10,10 @@ from typing import Any
 import can
 
 from mcp_asdf_tools.bus.alpha_words import float32_bits_from_alpha_word, float32_value
-from mcp_asdf_tools.bus.frame_layout import Q23_ONE, TRANSFER_IDS, Rejection
+from mcp_asdf_tools.bus.frame_layout import B_HAT_UNITS, Q23_ONE, TRANSFER_IDS, Rejection
 from mcp_asdf_tools.bus.frames import Estimate, FrameContent, Heartbeat, Telemetry, format_frame
 from mcp_asdf_tools.robots.suspicion import AlphaWatch
 
-Q24_ONE = 1 << 24
-"""An accuracy of 1 in telemetry, whose b_hat is in units of 2**-24."""
 SILENT_SECONDS = 3.0
 """Seconds without a frame after which a robot counts as silent: OpenCyphal's timeout of heartbeats."""
 RATE_SECONDS = 5.0
@@ -178,7 +176,7 @@ def _report_row(robot_id: int, robot: RobotOnBus, now: float) -> dict[str, Any]:
         "loss": robot.lost_frames / (robot.lost_frames + robot.received_frames),
         "conflicts": robot.conflicts,
         "x": None if telemetry is None else telemetry.x / Q23_ONE,
-        "b_hat": None if telemetry is None else telemetry.b_hat / Q24_ONE,
+        "b_hat": None if telemetry is None else telemetry.b_hat / B_HAT_UNITS,
         "updates": None if telemetry is None else telemetry.updates,
         "jumps": robot.alpha_jumps,
     }
@@ -197,7 +195,7 @@ def format_content(frame: can.Message, content: FrameContent) -> str:
         health, mode = _format_name(content.health), _format_name(content.mode)
         return f"heartbeat {content.transfer_id}: {health}, {mode}, up {content.uptime} s"
     if isinstance(content, Telemetry):
-        x, b_hat = content.x / Q23_ONE, content.b_hat / Q24_ONE
+        x, b_hat = content.x / Q23_ONE, content.b_hat / B_HAT_UNITS
         return f"telemetry {content.transfer_id}: x {x:.4f}, b_hat {b_hat:.4f}, updates {content.updates}"
     return f"refused, {_format_name(content)}: {format_frame(frame)}"
 

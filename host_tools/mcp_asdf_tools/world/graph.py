@@ -121,7 +121,7 @@ def parse_edges(text: Any) -> Graph:
             f"graph is {text!r}, but a recording or a file of results has to hold the edges themselves, such "
             "as '3 5; 5 > 7': it may not name a file"
         )
-    return parse_graph(text)
+    return _parse_lines(text.split(";"), "edge", "graph")
 
 
 def _format_edges(graph: Any) -> list[str]:

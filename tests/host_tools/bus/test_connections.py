@@ -212,3 +212,14 @@ def test_real_time_neighbours_that_end_on_a_bus_that_fails_have_failed() -> None
     run.run()
     assert run.outcome.ending == "the bus failed: bus-off"
     assert run.neighbours.tick == 20
+
+
+def test_an_error_of_the_driver_keeps_the_cause_that_the_driver_gave_it() -> None:
+    cause = RuntimeError("bus-off")
+    error = can.CanOperationError("cannot receive")
+    error.__cause__ = cause
+    bus = failing_connection(error)
+    with pytest.raises(can.CanOperationError) as caught:
+        bus.recv(0.01)
+    assert caught.value is error
+    assert error.__cause__ is cause

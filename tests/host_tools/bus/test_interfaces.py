@@ -27,6 +27,7 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.cli.options import add_bus_options, bus_of
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.robots.node import filters_for
+from messages import IdentifierAndData, identifier_and_data
 from multicast import multicast
 from robots import ALPHA_ONE
 from support import PATIENCE, wait_until
@@ -63,18 +64,11 @@ def test_a_burst_of_four_estimates_from_each_robot_waits_in_the_socket_of_a_mult
     assert [frame.arbitration_id for frame in received if frame is not None] == [*range(4 * 126)]
 
 
-IdAndData = tuple[int, bytes]
-
-
-def id_and_data(frame: can.Message) -> IdAndData:
-    return frame.arbitration_id, bytes(frame.data)
-
-
-def receive_all(bus: can.BusABC) -> list[IdAndData]:
+def receive_all(bus: can.BusABC) -> list[IdentifierAndData]:
     """Return what has arrived on a bus, without waiting."""
     frames = []
     while (frame := bus.recv(0)) is not None:
-        frames.append(id_and_data(frame))
+        frames.append(identifier_and_data(frame))
     return frames
 
 
@@ -93,7 +87,7 @@ def test_a_connection_that_returns_its_own_frames_does_so_once() -> None:
         bus.send(frame)
         returned_frame = bus.recv(PATIENCE)
         assert returned_frame is not None
-        assert id_and_data(returned_frame) == (1, b"a")
+        assert identifier_and_data(returned_frame) == (1, b"a")
         assert returned_frame.timestamp > 0
         assert bus.recv(0) is None
 
@@ -102,15 +96,15 @@ def test_equal_frames_of_several_senders_reach_all_others() -> None:
     """Contents come again and again, also from others at the same time. The third one gets its own back."""
     choice, draw = multicast(35), random.Random(2)
     connections = [choice.open(), choice.open(), choice.open(returns_own=True)]
-    received: list[list[IdAndData]] = [[], [], []]
-    expected: list[list[IdAndData]] = [[], [], []]
+    received: list[list[IdentifierAndData]] = [[], [], []]
+    expected: list[list[IdentifierAndData]] = [[], [], []]
     for _ in range(700):
         sender = draw.randrange(3)
         if draw.random() < 0.5:
             frame = can.Message(arbitration_id=draw.randrange(2), data=bytes([draw.randrange(2)]))
             connections[sender].send(frame, timeout=1)
             for receiver in {0, 1, 2} - {sender} | {2}:
-                expected[receiver].append(id_and_data(frame))
+                expected[receiver].append(identifier_and_data(frame))
         received[sender] += receive_all(connections[sender])
     for receiver in (0, 1, 2, 0, 1, 2):
         received[receiver] += receive_all(connections[receiver])

@@ -26,12 +26,7 @@ from mcp_asdf_tools.common.files import (
     write_atomically,
     write_together,
 )
-
-
-def names_in(folder: Path) -> list[str]:
-    """Return the names of all files in a folder, sorted."""
-    return sorted(path.name for path in folder.iterdir())
-
+from support import names_in
 
 # --- Reading ------------------------------------------------------------------------------------------
 

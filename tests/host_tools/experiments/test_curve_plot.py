@@ -27,7 +27,6 @@ from mcp_asdf_tools.experiments.experiment import grid
 from mcp_asdf_tools.experiments.plot_panels import median_interval
 from mcp_asdf_tools.experiments.plots.curve import MEASURES, plot_curve
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.robots.filters import FILTERS
 
 MOVING: dict[str, Any] = {"robots": 6, "steps": 200, "trials": 7, "filter_period": 50, "topology": "dynamic"}
 
@@ -194,15 +193,6 @@ def test_long_values_stand_side_by_side_with_short_labels() -> None:
     assert np.asarray(axes.lines[0].get_xdata()).tolist() == [0, 1, 2]
     labels = [label.get_text() for label in axes.get_xticklabels()]
     assert labels == ["0 1", "0 1; 0 2; 0 10; 0 11", "0 1; 0 2; 0 3; 1 2;  ..."]
-
-
-@pytest.fixture(scope="module")
-def results_by_filter() -> dict[str, Trials]:
-    """Run one trial with each filter, the last filter first."""
-    return {
-        name: results_of(replace(SHORT_EXPERIMENT, flawed=2, trials=1, filter=name))
-        for name in reversed(FILTERS)
-    }
 
 
 def test_curves_of_filters_have_their_colours(results_by_filter: dict[str, Trials]) -> None:

@@ -30,7 +30,6 @@ from mcp_asdf_tools.experiments.plots.curve import plot_curve
 from mcp_asdf_tools.experiments.plots.scatter import plot_scatter
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import Limits
-from mcp_asdf_tools.robots.filters import FILTERS
 
 LIMITS = Limits(200, 0.4)
 FLAWED_AND_ACCURACIES = ((0, 0.95), (2, 0.55), (2, 0.75), (4, 0.55))
@@ -262,15 +261,6 @@ def test_32_panels_fit_a_picture_and_33_do_not(results: list[Trials]) -> None:
     assert len(plot_boxes(experiments[:32]).axes) == 32
     with pytest.raises(UsageError, match="33 panels"):
         plot_boxes(experiments)
-
-
-@pytest.fixture(scope="module")
-def results_by_filter() -> dict[str, Trials]:
-    """Run one trial with each filter, the last filter first."""
-    return {
-        name: results_of(replace(SHORT_EXPERIMENT, flawed=2, trials=1, filter=name))
-        for name in reversed(FILTERS)
-    }
 
 
 def test_series_are_in_the_order_of_filters(results_by_filter: dict[str, Trials]) -> None:

@@ -183,8 +183,6 @@ def test_bands_need_a_filter_step(half_flawed: Trials) -> None:
 
 # --- One trial -------------------------------------------------------------------------------------------
 
-QUANTITIES_AND_TRUTHS = [("b_hat", 0.95), ("x_hat", 0.55), ("x", 0.55)]
-
 
 @pytest.fixture(scope="module")
 def recorded_runs() -> list[Trials]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from events_files import events_file
+from events_files import events_file, read_entries
 from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.bus.frames import FrameFormat
 from mcp_asdf_tools.common.errors import UsageError
@@ -38,12 +38,6 @@ ROBOTS = (
 )
 HEADER = EventsHeader(ROBOTS, 5, FrameFormat(17, 2), {"fill_ratio": 0.55, "faults": ["loss=0.5"]})
 FIRST_LINE = HEADER.to_line()
-
-
-def read_entries(path: Path) -> list[RobotEvents | InjectedFrame]:
-    """Return all entries of a file of events."""
-    with EventsReader(path) as reader:
-        return list(reader.entries())
 
 
 # --- What is read is what was written -----------------------------------------------------------------

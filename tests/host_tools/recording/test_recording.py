@@ -33,7 +33,7 @@ from mcp_asdf_tools.recording.recording import NoRecording, Recording
 from mcp_asdf_tools.recording.replay import verify
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from robots import ALPHA_ONE
-from support import ROOT, require
+from support import ROOT, names_in, require
 from wire import record
 
 HEADER = EventsHeader((record(5),), None, FrameFormat())
@@ -53,11 +53,6 @@ def make_frame(number: int) -> can.Message:
 def frame_numbers(log: Path) -> list[int]:
     """Return the numbers of the frames in a log."""
     return [int(frame.timestamp - FIRST_TIME) for frame in read_log(log)]
-
-
-def names_in(folder: Path) -> list[str]:
-    """Return the names of all files in a folder, sorted."""
-    return sorted(path.name for path in folder.iterdir())
 
 
 def fail(warning: str) -> None:

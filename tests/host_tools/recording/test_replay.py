@@ -13,6 +13,7 @@ import can
 import pytest
 
 from events_files import events_file
+from host_tools.recording.conftest import SMALL_SWARM
 from mcp_asdf.robot import Observation
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate, encode_estimate
 from mcp_asdf_tools.cli.main import main
@@ -29,7 +30,6 @@ from wire import record
 pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
 Capture = pytest.CaptureFixture[str]
-SMALL_SWARM = "--robots 4 --steps 40 --filter-period 10 --flawed 0.5 --seed 3 --quiet"
 BROADCASTS = 4 * 40
 HEARTBEATS = 16
 

@@ -15,6 +15,7 @@ from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.run import SwarmHook, SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
+from messages import IdentifierAndData, identifier_and_data
 
 
 def one_bus(robot: int = 0) -> can.BusABC:
@@ -56,9 +57,9 @@ def record(
     return run, frames
 
 
-def content(frames: Sequence[can.Message]) -> list[tuple[int, bytes]]:
+def content(frames: Sequence[can.Message]) -> list[IdentifierAndData]:
     """Identity of frames, without time and place."""
-    return [(frame.arbitration_id, bytes(frame.data)) for frame in frames]
+    return [identifier_and_data(frame) for frame in frames]
 
 
 def states(nodes: Sequence[BusRobot]) -> list[bytes]:

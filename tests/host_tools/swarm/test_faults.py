@@ -53,6 +53,7 @@ from mcp_asdf_tools.swarm.fault_injection.kinds import (
 )
 from mcp_asdf_tools.swarm.fault_injection.parsing import parse_fault
 from mcp_asdf_tools.swarm.fault_injection.random_words import choose_bits
+from messages import IdentifierAndData, identifier_and_data
 from support import draws
 
 pytestmark = pytest.mark.random
@@ -152,13 +153,6 @@ def test_the_text_of_a_fault_reads_back(fault: Fault) -> None:
 
 # What is hit, and when
 
-Frame = tuple[int, bytes]
-"""Identifier and data."""
-
-
-def identifier_and_data(frame: can.Message) -> Frame:
-    return frame.arbitration_id, bytes(frame.data)
-
 
 def estimate_data(x: float, alpha: float, tail_byte: int) -> bytes:
     """Return an estimate's data: 3 bytes of x in units of 2**-23, 4 of alpha as a float, and the tail."""
@@ -236,7 +230,7 @@ class Reference:
             for (index, off_node), ticks_left in self.ticks_left.items()
         )
 
-    def extra_frames(self, node: int, tick: int, kind: type[Fault]) -> list[Frame]:
+    def extra_frames(self, node: int, tick: int, kind: type[Fault]) -> list[IdentifierAndData]:
         """Return the frames that a node sends besides its own because of faults of this kind."""
         all_frames = []
         for index, fault in enumerate(self.faults):
@@ -253,7 +247,7 @@ class Reference:
             self.hit_counts[index] += len(frames)
         return all_frames
 
-    def sent(self, frame: Frame, node: int, tick: int, repetition: int) -> Frame:
+    def sent(self, frame: IdentifierAndData, node: int, tick: int, repetition: int) -> IdentifierAndData:
         """Return the frame that gets onto the bus instead of one that a node sends.
 
         ``repetition`` is the number of frames with this identifier that the node has sent in the tick before.
@@ -279,7 +273,7 @@ class Reference:
             self.hit_counts[index] += is_hit
         return frame
 
-    def copies_received(self, frame: Frame, sent_frame: SentFrame, receiver: int) -> list[Copy]:
+    def copies_received(self, frame: IdentifierAndData, sent_frame: SentFrame, receiver: int) -> list[Copy]:
         """Return the copies of a sent frame that reach a receiver."""
         _, data = frame
         copies = [Copy(data)]
@@ -368,13 +362,13 @@ class Arrival:
     frame_index: int
     tick: int
     receiver: int
-    frame: Frame
+    frame: IdentifierAndData
 
 
 def expected_arrivals(
     reference: Reference,
     tick: int,
-    travelling: list[tuple[SentFrame, Frame]],
+    travelling: list[tuple[SentFrame, IdentifierAndData]],
     neighbours: NDArray[np.bool_],
 ) -> list[Arrival]:
     """Return where and when copies of frames arrive that set out in a tick."""
@@ -412,7 +406,7 @@ def test_faults_send_and_deliver_what_the_reference_does(
     neighbours = np.zeros((ROBOTS, ROBOTS), np.bool_)
     queue = DeliveryQueue(lambda: neighbours, faults.on_delivery, int(has_latency))
     arrivals: list[Arrival] = []
-    frames_of_last_tick: list[tuple[SentFrame, Frame]] = []
+    frames_of_last_tick: list[tuple[SentFrame, IdentifierAndData]] = []
     for tick in range(TICKS):
         neighbours[:] = random_neighbours(random)
         faults.begin_tick(tick, range(ROBOTS))
@@ -439,13 +433,13 @@ def test_faults_send_and_deliver_what_the_reference_does(
 
 def frames_of_tick(
     faults: Faults, reference: Reference, tick: int, random: np.random.Generator
-) -> tuple[list[SentFrame], list[Frame]]:
+) -> tuple[list[SentFrame], list[IdentifierAndData]]:
     """Return the frames of all nodes that get onto the bus in a tick, and those that the reference expects.
 
     Each node sends an estimate, a heartbeat, and what its faults add before and behind them.
     """
     sent: list[SentFrame] = []
-    expected: list[Frame] = []
+    expected: list[IdentifierAndData] = []
     for node in range(ROBOTS):
         assert (faults.robot_outage(node) is not None) == reference.is_off(node, Crash)
         x_hat, alpha = int(random.integers(Q23_ONE)), int(random.integers(1, 1 << 24))
@@ -468,7 +462,7 @@ def frames_of_tick(
 
 def expected_on_bus(
     reference: Reference, node: int, tick: int, regular_frames: Sequence[can.Message]
-) -> list[Frame]:
+) -> list[IdentifierAndData]:
     """Return what the reference makes of the frames of a node in a tick, with those that faults add."""
     frames = [
         *reference.extra_frames(node, tick, Sybil),

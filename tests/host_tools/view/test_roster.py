@@ -20,8 +20,8 @@ FRAME = can.Message()
 class RosterOfRobot3(Roster):
     """A roster that receives frames of robot 3, or of another one."""
 
-    def receive_estimate(self, transfer_id: int, now: float, alpha: int = 1 << 30, robot: int = 3) -> None:
-        self.receive(FRAME, Estimate(robot, 1 << 22, alpha, transfer_id), now)
+    def receive_estimate(self, transfer_id: int, now: float, robot: int = 3) -> None:
+        self.receive(FRAME, Estimate(robot, 1 << 22, 1 << 30, transfer_id), now)
 
     def receive_heartbeat(
         self, uptime: int, transfer_id: int, now: float = 0.0, health: Health = Health.NOMINAL

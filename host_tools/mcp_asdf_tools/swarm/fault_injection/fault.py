@@ -166,18 +166,21 @@ class FaultRun:
         is_active = [self.fault.is_active(sent_frame.tick, sent_frame.sender) for sent_frame in sent_frames]
         return np.array(is_active, np.bool_)
 
-    def words_for_deliveries(self, deliveries: Deliveries, words_per_receiver: int) -> RandomWords:
+    def words_for_deliveries(
+        self, deliveries: Deliveries, is_active: NDArray[np.bool_], words_per_receiver: int
+    ) -> RandomWords:
         """Draw random words for each frame and receiver, shape (frames, receivers, words per receiver).
 
         A copy of a frame that a fault has duplicated, which has another copy number, gets other words than
-        the frame itself. Frames for which the fault is not active get zeros.
+        the frame itself. Frames for which the fault is not active get zeros; ``is_active`` is what
+        ``active_frames`` returns for them.
         """
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
         frame_count, receiver_count = deliveries.receivers.shape
         random_words = np.zeros((frame_count, receiver_count, words_per_receiver), np.uint64)
         # Frames that cannot be hit need no words.
-        active_indices = np.flatnonzero(self.active_frames(deliveries.sent_frames))
+        active_indices = np.flatnonzero(is_active)
         for index in active_indices.tolist():
             random_words[index] = self.random.words_for_receivers(
                 deliveries.sent_frames[index], deliveries.copy_number, receiver_count, words_per_receiver

@@ -4,7 +4,7 @@
 
     faults.begin_tick(tick, nodes)
     for node in nodes:
-        if not faults.is_robot_stopped(node): ...                # it observes, and settles later
+        if faults.robot_outage(node) is None: ...                # it observes, and settles later
         for frame in frames_of(node):
             sent_frame = faults.on_send(frame, node)             # None: nothing gets onto the bus
     deliveries = faults.on_delivery(sent_frames, in_range)       # what becomes of them at each receiver

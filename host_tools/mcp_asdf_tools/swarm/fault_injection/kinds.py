@@ -50,12 +50,13 @@ class LinkFault(Fault, ABC):
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
         # The first word for a frame and a receiver decides on the hit; ``change`` gets the others.
-        random_words = run.words_for_deliveries(deliveries, 1 + self.extra_words)
+        is_active = run.active_frames(deliveries.sent_frames)
+        random_words = run.words_for_deliveries(deliveries, is_active, 1 + self.extra_words)
         # The axes are frames, receivers and words.
         hit_words = random_words[:, :, 0]
         extra_words = random_words[:, :, 1:]
         # The words of inactive frames are zeros, which would be hits.
-        is_frame_active = run.active_frames(deliveries.sent_frames)[:, np.newaxis]  # for all receivers
+        is_frame_active = is_active[:, np.newaxis]  # for all receivers
         hits = deliveries.receivers & is_frame_active & (hit_words <= hit_threshold(self.rate))
         if self.receivers is not None:
             all_receivers = np.arange(hits.shape[1])

@@ -1,6 +1,6 @@
 // The history of a run: its description, and the states of all robots in typed arrays that grow.
 
-const ONE = 65534; // the 16-bit number that stands for the value 1
+export const ONE = 65534; // the 16-bit number that stands for the value 1
 const UNKNOWN = 65535;
 const MAX_ROBOTS_WITH_LINK_BITS = 128; // of more robots, links come as pairs of indices
 const SMALLEST_B_HAT_CHANGE = 0.002; // rounding alone changes b_hat by less
