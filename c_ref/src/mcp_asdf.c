@@ -200,7 +200,8 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observ
         return MCP_ASDF_ERR_OBSERVATION;
     }
     uint32_t t = robot->t + 1U, n = robot->n + (uint32_t)z; /* <= 2^31 */
-    if (t >= robot->config->memory) {
+    const bool is_halved = t >= robot->config->memory;
+    if (is_halved) {
         t >>= 1; /* exact, as the memory is even */
         /* An odd n lies between two halves: 1 is added first if the lower of them is odd, so that the result
          * is the even one. */
@@ -208,6 +209,9 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observ
     }
     robot->t = t;
     robot->n = n;
+    if (is_halved) { /* the counts at the beginning of a batch are no longer comparable with these */
+        begin_batch(robot);
+    }
     robot->updated = 0;
     const estimate_t local = estimate(t, n, &robot->accuracy);
     robot->x_hat = local.x_hat;
@@ -228,7 +232,7 @@ ALWAYS_INLINE word_pair_t alpha_units(uint32_t alpha) { return shift_left_wide(a
  * say by how much each sum grows at most. */
 HOT void add_estimate(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
 {
-    mcp_asdf_open_t *const open = &robot->open;
+    mcp_asdf_open_t *const open = &robot->received.sums.open;
     const word_pair_t units = alpha_units(alpha);
     add(&open->alpha, join(units.high, units.low));        /* + 2^55 */
     add(&open->alpha_x_low, multiply(units.low, x_hat));   /* + 2^55 */
@@ -283,7 +287,7 @@ HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, 
  * 0 this is x_bar (eq. 5), or x_hat if the round is empty. */
 ALWAYS_INLINE uint32_t combine_with_round(const mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
 {
-    return informed_estimate(&robot->closed, x_hat, alpha);
+    return informed_estimate(&robot->received.sums.closed, x_hat, alpha);
 }
 
 /* Whether x_hat differs too much from the m >= 2 estimates of the open round (eq. 12). With the table's
@@ -295,12 +299,12 @@ ALWAYS_INLINE uint32_t combine_with_round(const mcp_asdf_t *robot, uint32_t x_ha
 static bool asdf_test_rejects(const mcp_asdf_t *robot)
 {
     const uint32_t *const table = robot->config->table;
-    const uint32_t q = MCP_ASDF_READ_WORD(&table[0]) & 0xFFU, m = robot->open.count;
+    const uint32_t q = MCP_ASDF_READ_WORD(&table[0]) & 0xFFU, m = robot->received.sums.open.count;
     const uint32_t k = MCP_ASDF_READ_WORD(&table[m <= q ? m : q + 1U]);              /* Q26 */
-    const uint32_t x_sum = robot->open.x, m_x_hat = m * robot->x_hat;                /* Q23: < 2^30 */
+    const uint32_t x_sum = robot->received.sums.open.x, m_x_hat = m * robot->x_hat;  /* Q23: < 2^30 */
     const uint32_t difference = x_sum > m_x_hat ? x_sum - m_x_hat : m_x_hat - x_sum; /* < 2^30 */
-    const uint64_t spread =
-        m * robot->open.x_squared - multiply(x_sum, x_sum); /* Q46: [0, m^2 / 4 2^46] (Cauchy): < 2^58 */
+    const uint64_t spread = m * robot->received.sums.open.x_squared -
+                            multiply(x_sum, x_sum); /* Q46: [0, m^2 / 4 2^46] (Cauchy): < 2^58 */
     /* k spread would be a Q72. It is formed from the two words of spread, and shifted to Q46: the upper word
      * by 32 - 26 to the left, the lower one by 26 to the right. The left side is an integer, so that rounding
      * the right side down decides alike. */
@@ -312,10 +316,10 @@ static bool asdf_test_rejects(const mcp_asdf_t *robot)
  * too few estimates, the test does not reject x_hat, or x_bar carries no information. */
 ALWAYS_INLINE uint32_t run_asdf_filter(mcp_asdf_t *robot)
 {
-    const mcp_asdf_closed_t *const closed = &robot->closed;
+    const mcp_asdf_closed_t *const closed = &robot->received.sums.closed;
     const uint8_t filter = robot->config->filter;
     /* The variance in eq. 12 takes two estimates, a re-estimate without a test takes one. */
-    if (filter == MCP_ASDF_OFF || robot->open.count < (filter == MCP_ASDF_ADAPTIVE ? 2U : 1U)) {
+    if (filter == MCP_ASDF_OFF || robot->received.sums.open.count < (filter == MCP_ASDF_ADAPTIVE ? 2U : 1U)) {
         return 0;
     }
     if (filter == MCP_ASDF_ADAPTIVE) {
@@ -330,17 +334,17 @@ ALWAYS_INLINE uint32_t run_asdf_filter(mcp_asdf_t *robot)
 /* Copy the sums of the open round that x and x_bar need, which stay until the next round closes. */
 ALWAYS_INLINE void publish_round_sums(mcp_asdf_t *robot)
 {
-    const mcp_asdf_open_t *const open = &robot->open;
-    robot->closed.alpha = open->alpha;
-    robot->closed.alpha_x_low = open->alpha_x_low;
-    robot->closed.alpha_x_high = open->alpha_x_high;
+    const mcp_asdf_open_t *const open = &robot->received.sums.open;
+    robot->received.sums.closed.alpha = open->alpha;
+    robot->received.sums.closed.alpha_x_low = open->alpha_x_low;
+    robot->received.sums.closed.alpha_x_high = open->alpha_x_high;
 }
 
 /* Set the sums of the open round to 0. Member by member: cheaper than the library call that a compiler makes
  * of a whole struct. */
 ALWAYS_INLINE void clear_round_sums(mcp_asdf_t *robot)
 {
-    mcp_asdf_open_t *const open = &robot->open;
+    mcp_asdf_open_t *const open = &robot->received.sums.open;
     open->alpha = 0;
     open->alpha_x_low = 0;
     open->alpha_x_high = 0;
@@ -404,14 +408,14 @@ ALWAYS_INLINE bool is_valid_table(const uint32_t *table) { return (void)table, t
  * robust filter. */
 uint32_t mcp_asdf_x(const mcp_asdf_t *robot)
 {
-    return mcp_asdf_is_robust(robot->config) ? crowd_estimate(robot, robot->x_hat)
+    return mcp_asdf_is_robust(robot->config) ? robust_estimate(robot, robot->x_hat)
                                              : combine_with_round(robot, robot->x_hat, robot->alpha);
 }
 
 /* Returns the social estimate x_bar as Q23: by the closed round alone (eq. 5), or by the robust filter. */
 uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot)
 {
-    return mcp_asdf_is_robust(robot->config) ? crowd_estimate(robot, MCP_ASDF_HALF)
+    return mcp_asdf_is_robust(robot->config) ? robust_estimate(robot, MCP_ASDF_HALF)
                                              : combine_with_round(robot, MCP_ASDF_HALF, 0);
 }
 
@@ -446,7 +450,7 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
         return MCP_ASDF_OK;
     }
     if (mcp_asdf_is_robust(robot->config)) {
-        update_crowd(robot, sender, x_hat);
+        keep_estimate(robot, sender, x_hat);
     } else {
         add_estimate(robot, x_hat, alpha);
     }
@@ -503,14 +507,21 @@ NOINLINE mcp_asdf_status_t update_b_hat(mcp_asdf_t *robot)
  * runs in between. Returns UPDATED if it has re-estimated b_hat, else OK. */
 HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
 {
+    const bool is_robust = mcp_asdf_is_robust(robot->config);
     mcp_asdf_status_t status = MCP_ASDF_OK;
-    publish_round_sums(robot);
+    if (is_robust) {
+        take_vote(robot);
+    } else {
+        publish_round_sums(robot);
+    }
     if (--robot->filter_left == 0U) {
         robot->filter_left = robot->config->filter_period;
         /* Before the sums are cleared: the test needs some that are not published. */
         status = update_b_hat(robot);
     }
-    clear_round_sums(robot);
+    if (!is_robust) {
+        clear_round_sums(robot);
+    }
     robot->heard.all[0] = 0;
     robot->heard.all[1] = 0;
     return status;
@@ -557,7 +568,7 @@ mcp_asdf_status_t mcp_asdf_init(mcp_asdf_t *robot, const mcp_asdf_config_t *conf
     if (status == MCP_ASDF_OK) {
         *robot = (mcp_asdf_t){
             .id = id, .config = config, .x_hat = MCP_ASDF_HALF, .filter_left = config->filter_period};
-        init_crowd(robot, b_hat);
+        init_robust_filter(robot, b_hat);
         set_b_hat(robot, b_hat);
     }
     return status;

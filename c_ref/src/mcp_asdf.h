@@ -61,16 +61,18 @@ extern "C" {
 #define MCP_ASDF_VERSION_PATCH 0
 
 #define MCP_ASDF_MAX_ID 127U
-#define MCP_ASDF_SIZE_MAX 168             /* bytes of a robot on any machine, at most */
+#define MCP_ASDF_SIZE_MAX 184             /* bytes of a robot on any machine, at most */
 #define MCP_ASDF_ONE (UINT32_C(1) << 23)  /* 1.0 as x_hat, x_bar or x */
 #define MCP_ASDF_HALF (UINT32_C(1) << 22) /* 0.5 as x_hat, x_bar or x */
 #define MCP_ASDF_B_HAT_MIN (UINT32_C(1) << 12)
 #define MCP_ASDF_B_HAT_MAX UINT32_C(0xFFFFF000)
-#define MCP_ASDF_CENTRE_START (UINT32_C(1) << 29) /* members of mcp_asdf_crowd_t */
-#define MCP_ASDF_TREND_START (UINT32_C(1) << 15)
-#define MCP_ASDF_SPREAD_MIN (UINT32_C(1) << 18) /* 2^-12: below what a score or a tile can show */
-#define MCP_ASDF_SPREAD_MAX (UINT32_C(1) << 28) /* 1/4: that of estimates anywhere in [0, 1] */
-#define MCP_ASDF_VOTES_MAX (UINT32_C(1) << 14)
+#define MCP_ASDF_SLOTS 32U                        /* members of mcp_asdf_robust_t, down to here */
+#define MCP_ASDF_TESTED_ESTIMATES_MIN 5U          /* of five, two that are wrong can be outvoted */
+#define MCP_ASDF_CENTRE_START (UINT32_C(1) << 29) /* 1/2 */
+#define MCP_ASDF_SPREAD_MIN (UINT32_C(1) << 18)   /* 2^-12: below what a score or a tile can show */
+#define MCP_ASDF_SPREAD_MAX (UINT32_C(1) << 28)   /* 1/4: that of estimates anywhere in [0, 1] */
+#define MCP_ASDF_VOTES_MAX (UINT32_C(1) << 9)
+#define MCP_ASDF_DISPERSION_MIN (UINT32_C(1) << 8) /* 1: that of independent observations */
 #define MCP_ASDF_MEMORY_MIN UINT32_C(64)
 #define MCP_ASDF_MEMORY_MAX (UINT32_C(1) << 31)
 
@@ -204,22 +206,39 @@ typedef struct {
     uint32_t count;
 } mcp_asdf_open_t;
 
-/* What a robot with the robust filter knows of the others.
- *   centre      of the x_hat received, unit 2^-30           0 .. 2^30; MCP_ASDF_CENTRE_START before any
- *   spread      their median distance from it, unit 2^-30   2^18 .. 2^28
- *   voices      the set of senders heard: bit (id mod 32) of every sender of a message with alpha > 0
- *   votes       number of messages counted, up to 2^14; halved while the centre moves one way. The more there
- *               are, the less the next message changes centre and spread
- *   trend       share of the centre's recent moves that went up, unit 2^-16
- *   first       the initial b_hat, unit 2^-32: what the test is about; 0 with other filters */
+/* What a robot received. With the robust filter it keeps the latest estimate of each sender, in slot id mod
+ * 32; with the others the sums of the open round and of the last closed one, in the same memory.
+ *   estimates   x_hat of a message with alpha > 0, unit 2^-16, to nearest; 2^16 - 1 for 1.0 */
+typedef union {
+    uint16_t estimates[MCP_ASDF_SLOTS];
+#if MCP_ASDF_WITH_ASDF
+    struct {
+        mcp_asdf_open_t open;
+        mcp_asdf_closed_t closed;
+    } sums;
+#endif
+} mcp_asdf_received_t;
+
+/* What a robot with the robust filter keeps beside the estimates received.
+ *   centre         of the votes, unit 2^-30                        0 .. 2^30; MCP_ASDF_CENTRE_START before
+ * any spread         their median distance from it, unit 2^-30       2^18 .. 2^28 initial_b_hat  unit 2^-32:
+ * what the test is about; 0 with other filters filled_slots   bit i is set if slot i has an estimate batch_t
+ * t and n when the present batch of observations began: at the last run of the filter or, if batch_n that was
+ * later, at the last halving of t votes          number of votes, up to 2^9. The more there are, the less the
+ * next one changes centre and spread dispersion     variance of n from batch to batch, as a multiple of what
+ * it were if observations were independent, unit 2^-8                          2^8 .. 2^16 - 1 turn slot that
+ * votes next; 32: the robot's own estimate does */
 typedef struct {
     uint32_t centre;
     uint32_t spread;
-    uint32_t voices;
-    uint32_t first;
+    uint32_t initial_b_hat;
+    uint32_t filled_slots;
+    uint32_t batch_t;
+    uint32_t batch_n;
     uint16_t votes;
-    uint16_t trend;
-} mcp_asdf_crowd_t;
+    uint16_t dispersion;
+    uint8_t turn;
+} mcp_asdf_robust_t;
 
 /* A set of senders, in two forms. */
 typedef union {
@@ -243,12 +262,9 @@ typedef struct {
     uint32_t alpha;
     uint32_t filter_left; /* rounds until the filter runs */
 #if MCP_ASDF_WITH_ROBUST
-    mcp_asdf_crowd_t crowd;
+    mcp_asdf_robust_t robust;
 #endif
-#if MCP_ASDF_WITH_ASDF
-    mcp_asdf_open_t open;
-    mcp_asdf_closed_t closed;
-#endif
+    mcp_asdf_received_t received;
 } mcp_asdf_t;
 
 /* Make a robot: no observations, no messages. Writes every member. O(q) for the table.
@@ -307,12 +323,15 @@ MCP_ASDF_INLINE uint32_t mcp_asdf_alpha(const mcp_asdf_t *robot) { return robot-
 
 #if MCP_ASDF_WITH_ASDF
 /* Social confidence (eq. 6) of the last closed round, unit 2^-24, below 2^62; 0 with the robust filter. */
-MCP_ASDF_INLINE uint64_t mcp_asdf_beta(const mcp_asdf_t *robot) { return robot->closed.alpha; }
+MCP_ASDF_INLINE uint64_t mcp_asdf_beta(const mcp_asdf_t *robot)
+{
+    return mcp_asdf_is_robust(robot->config) ? 0U : robot->received.sums.closed.alpha;
+}
 #endif
 
 #if MCP_ASDF_WITH_ROBUST
 /* What a robot with the robust filter knows of the others. */
-MCP_ASDF_INLINE mcp_asdf_crowd_t mcp_asdf_crowd(const mcp_asdf_t *robot) { return robot->crowd; }
+MCP_ASDF_INLINE mcp_asdf_robust_t mcp_asdf_robust(const mcp_asdf_t *robot) { return robot->robust; }
 #endif
 
 /* Diagnostics since init. */

@@ -15,7 +15,7 @@ extern inline uint32_t mcp_asdf_alpha(const mcp_asdf_t *robot);
 extern inline uint64_t mcp_asdf_beta(const mcp_asdf_t *robot);
 #endif
 #if MCP_ASDF_WITH_ROBUST
-extern inline mcp_asdf_crowd_t mcp_asdf_crowd(const mcp_asdf_t *robot);
+extern inline mcp_asdf_robust_t mcp_asdf_robust(const mcp_asdf_t *robot);
 #endif
 extern inline mcp_asdf_counters_t mcp_asdf_counters(const mcp_asdf_t *robot);
 extern inline uint16_t mcp_asdf_thousandths(uint32_t x);

@@ -108,17 +108,20 @@ static bool are_valid_sums(const mcp_asdf_open_t *open)
 }
 
 /* Whether received estimates can have led to the sums of the closed and of the open round. With the robust
- * filter there are no sums: the number of estimates in the open round and the alpha of the closed one must be
- * 0, so that all other sums are 0, too. */
+ * filter there are none. */
 static bool are_valid_rounds(const mcp_asdf_t *robot)
 {
-    return is_valid_mean(robot->closed.alpha, robot->closed.alpha_x_low, robot->closed.alpha_x_high) &&
-           are_valid_sums(&robot->open) &&
-           (!mcp_asdf_is_robust(robot->config) || (robot->open.count == 0U && robot->closed.alpha == 0U));
+    return mcp_asdf_is_robust(robot->config) ||
+           (is_valid_mean(robot->received.sums.closed.alpha, robot->received.sums.closed.alpha_x_low,
+                          robot->received.sums.closed.alpha_x_high) &&
+            are_valid_sums(&robot->received.sums.open));
 }
 
-/* Returns the number of estimates in the sums of the open round, 0 in a build without these sums. */
-static uint32_t count_of_open_round(const mcp_asdf_t *robot) { return robot->open.count; }
+/* Returns the number of estimates in the sums of the open round, 0 if there are no sums. */
+static uint32_t count_of_open_round(const mcp_asdf_t *robot)
+{
+    return mcp_asdf_is_robust(robot->config) ? 0U : robot->received.sums.open.count;
+}
 
 #else
 
@@ -128,34 +131,80 @@ static uint32_t count_of_open_round(const mcp_asdf_t *robot) { return (void)robo
 #endif
 #if MCP_ASDF_WITH_ROBUST
 
-/* Whether the crowd, which is all that the robust filter remembers of received estimates, is one to which
- * calls of the firmware can lead:
- *   - with another filter it is as in a new robot, and its initial b_hat, the member `first`, is 0;
- *   - with the robust filter and no estimate counted yet (`votes` is 0) it is as in a new robot, too, and
- *     b_hat is still the initial one, as it takes the estimates of three senders to change it;
- *   - later the initial b_hat, the number of estimates, the centre and the spread are in their ranges, and
- *     the set of senders heard, `voices`, is not empty. `trend` may then be any number of 16 bits. */
-static bool is_valid_crowd(const mcp_asdf_t *robot)
+/* Whether *robust is as in a new robot, but for its initial b_hat. */
+static bool is_new_filter(const mcp_asdf_robust_t *robust)
 {
-    const mcp_asdf_crowd_t *const crowd = &robot->crowd;
-    /* All members as init_crowd() leaves them, but the initial b_hat, which depends on the filter. */
-    const bool is_new = crowd->centre == MCP_ASDF_CENTRE_START && crowd->spread == MCP_ASDF_SPREAD_MAX &&
-                        crowd->voices == 0U && crowd->votes == 0U && crowd->trend == MCP_ASDF_TREND_START;
+    return robust->centre == MCP_ASDF_CENTRE_START && robust->spread == MCP_ASDF_SPREAD_MAX &&
+           robust->filled_slots == 0U && robust->batch_t == 0U && robust->batch_n == 0U &&
+           robust->votes == 0U && robust->dispersion == MCP_ASDF_DISPERSION_MIN && robust->turn == 0U;
+}
+
+/* Whether slot i has an estimate. */
+static bool is_filled(const mcp_asdf_robust_t *robust, uint8_t i)
+{
+    return ((robust->filled_slots >> i) & 1U) != 0U;
+}
+
+/* Whether calls of the firmware can have led to the estimates that a robot with the robust filter keeps, and
+ * to its b_hat: slots that are not filled are 0, and while less than five are filled no test has changed
+ * b_hat. */
+static bool are_valid_slots(const mcp_asdf_t *robot)
+{
+    uint32_t filled_count = 0;
+    for (uint8_t i = 0; i < MCP_ASDF_SLOTS; ++i) { /* at most 32 turns */
+        filled_count += is_filled(&robot->robust, i) ? 1U : 0U;
+        if (!is_filled(&robot->robust, i) && robot->received.estimates[i] != 0U) {
+            return false;
+        }
+    }
+    return filled_count >= MCP_ASDF_TESTED_ESTIMATES_MIN ||
+           robot->robust.initial_b_hat == robot->accuracy.b_hat;
+}
+
+/* Whether calls of the firmware can have led to the votes of the robust filter: without any, centre, spread
+ * and turn are as in a new robot; the turn is that of slot 0, or of the one after a filled slot. */
+static bool are_valid_votes(const mcp_asdf_robust_t *robust)
+{
+    if (robust->votes == 0U) {
+        return robust->centre == MCP_ASDF_CENTRE_START && robust->spread == MCP_ASDF_SPREAD_MAX &&
+               robust->turn == 0U;
+    }
+    return robust->votes <= MCP_ASDF_VOTES_MAX && robust->filled_slots != 0U &&
+           robust->centre <= MCP_ASDF_ONE << 7 && /* 1.0 as Q30 */
+           robust->spread >= MCP_ASDF_SPREAD_MIN && robust->spread <= MCP_ASDF_SPREAD_MAX &&
+           (robust->turn == 0U ||
+            (robust->turn <= MCP_ASDF_SLOTS && is_filled(robust, (uint8_t)(robust->turn - 1U))));
+}
+
+/* Whether calls of the firmware can have led to the present batch of observations: it began with no more of
+ * either colour than there are now. Before the first run of the filter and the first halving it has all
+ * observations, and then nothing can have changed the dispersion, nor b_hat. */
+static bool is_valid_batch(const mcp_asdf_t *robot)
+{
+    const mcp_asdf_robust_t *const robust = &robot->robust;
+    const bool is_first_batch = robust->batch_t == 0U;
+    return robust->batch_n <= robust->batch_t && robust->batch_n <= robot->n &&
+           robust->batch_t - robust->batch_n <= robot->t - robot->n &&
+           robust->dispersion >= MCP_ASDF_DISPERSION_MIN &&
+           (!is_first_batch || (robust->dispersion == MCP_ASDF_DISPERSION_MIN &&
+                                robust->initial_b_hat == robot->accuracy.b_hat));
+}
+
+/* Whether all that the robust filter remembers is something to which calls of the firmware can lead. With
+ * another filter it is as in a new robot, and its initial b_hat is 0. */
+static bool is_valid_robust_filter(const mcp_asdf_t *robot)
+{
+    const mcp_asdf_robust_t *const robust = &robot->robust;
     if (!mcp_asdf_is_robust(robot->config)) {
-        return is_new && crowd->first == 0U;
+        return is_new_filter(robust) && robust->initial_b_hat == 0U;
     }
-    if (crowd->votes == 0U) {
-        return is_new && crowd->first == robot->accuracy.b_hat;
-    }
-    return crowd->first >= MCP_ASDF_B_HAT_MIN && crowd->first <= MCP_ASDF_B_HAT_MAX &&
-           crowd->votes <= MCP_ASDF_VOTES_MAX && crowd->voices != 0U &&
-           crowd->centre <= MCP_ASDF_ONE << 7 && /* 1.0 as Q30 */
-           crowd->spread >= MCP_ASDF_SPREAD_MIN && crowd->spread <= MCP_ASDF_SPREAD_MAX;
+    return robust->initial_b_hat >= MCP_ASDF_B_HAT_MIN && robust->initial_b_hat <= MCP_ASDF_B_HAT_MAX &&
+           are_valid_slots(robot) && are_valid_votes(robust) && is_valid_batch(robot);
 }
 
 #else
 
-static bool is_valid_crowd(const mcp_asdf_t *robot) { return (void)robot, true; }
+static bool is_valid_robust_filter(const mcp_asdf_t *robot) { return (void)robot, true; }
 
 #endif
 
@@ -183,7 +232,7 @@ static bool is_valid_state(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
     const mcp_asdf_config_t *const config = robot->config;
     /* The estimate comes first: this checks the robot's id, on which are_valid_senders() relies. */
-    return is_valid_estimate(robot, fresh) && are_valid_rounds(robot) && is_valid_crowd(robot) &&
+    return is_valid_estimate(robot, fresh) && are_valid_rounds(robot) && is_valid_robust_filter(robot) &&
            are_valid_senders(robot) &&
            /* Rounds until the filter runs: it starts at filter_period, and is set to it again at 0. */
            robot->filter_left != 0U && robot->filter_left <= config->filter_period;
@@ -261,15 +310,15 @@ static void pass_sum(image_t *image, uint64_t *sum)
 /* Pass the sums of the closed and of the open round through the image: 16 words. */
 static void pass_rounds(image_t *image, mcp_asdf_t *robot)
 {
-    pass_sum(image, &robot->closed.alpha);
-    pass_sum(image, &robot->closed.alpha_x_low);
-    pass_sum(image, &robot->closed.alpha_x_high);
-    pass_sum(image, &robot->open.alpha);
-    pass_sum(image, &robot->open.alpha_x_low);
-    pass_sum(image, &robot->open.alpha_x_high);
-    pass_sum(image, &robot->open.x_squared);
-    robot->open.x = pass_word(image, robot->open.x);
-    robot->open.count = pass_word(image, robot->open.count);
+    pass_sum(image, &robot->received.sums.closed.alpha);
+    pass_sum(image, &robot->received.sums.closed.alpha_x_low);
+    pass_sum(image, &robot->received.sums.closed.alpha_x_high);
+    pass_sum(image, &robot->received.sums.open.alpha);
+    pass_sum(image, &robot->received.sums.open.alpha_x_low);
+    pass_sum(image, &robot->received.sums.open.alpha_x_high);
+    pass_sum(image, &robot->received.sums.open.x_squared);
+    robot->received.sums.open.x = pass_word(image, robot->received.sums.open.x);
+    robot->received.sums.open.count = pass_word(image, robot->received.sums.open.count);
 }
 
 #else
@@ -279,38 +328,41 @@ static void pass_rounds(image_t *image, mcp_asdf_t *robot) { (void)image, (void)
 #endif
 #if MCP_ASDF_WITH_ROBUST
 
-/* Pass the crowd through the image, in place of the 16 words of the rounds: centre, spread, set of senders
- * heard, initial b_hat, and one word with the number of votes (bits 0 to 15) and the trend (bits 16 to 31);
- * then 11 zeros. If the image is read and has anything but zeros there, the spread becomes 0, for which
- * is_valid_crowd() refuses it. */
-static void pass_crowd(image_t *image, mcp_asdf_t *robot)
+/* Pass what the robust filter remembers through the image, in place of the 16 words of the rounds: centre,
+ * spread, initial b_hat, filled slots, t and n of the batch, votes with dispersion, the turn, and 16 words
+ * with two estimates each. */
+static void pass_robust_filter(image_t *image, mcp_asdf_t *robot)
 {
-    mcp_asdf_crowd_t *const crowd = &robot->crowd;
-    uint32_t unused_words = 0;
-    crowd->centre = pass_word(image, crowd->centre);
-    crowd->spread = pass_word(image, crowd->spread);
-    crowd->voices = pass_word(image, crowd->voices);
-    crowd->first = pass_word(image, crowd->first);
-    pass_half_words(image, &crowd->votes, &crowd->trend);
-    for (uint8_t i = 0; i < 11U; ++i) { /* at most 11 turns */
-        unused_words |= pass_word(image, 0);
+    mcp_asdf_robust_t *const robust = &robot->robust;
+    uint16_t *const estimates = robot->received.estimates;
+    robust->centre = pass_word(image, robust->centre);
+    robust->spread = pass_word(image, robust->spread);
+    robust->initial_b_hat = pass_word(image, robust->initial_b_hat);
+    robust->filled_slots = pass_word(image, robust->filled_slots);
+    robust->batch_t = pass_word(image, robust->batch_t);
+    robust->batch_n = pass_word(image, robust->batch_n);
+    pass_half_words(image, &robust->votes, &robust->dispersion);
+    /* A word that is no turn becomes one that are_valid_votes() refuses. */
+    const uint32_t turn = pass_word(image, robust->turn);
+    robust->turn = turn <= MCP_ASDF_SLOTS ? (uint8_t)turn : UINT8_MAX;
+    for (uint8_t i = 0; i < MCP_ASDF_SLOTS; i = (uint8_t)(i + 2U)) { /* at most 16 turns */
+        pass_half_words(image, &estimates[i], &estimates[i + 1U]);
     }
-    crowd->spread = unused_words == 0U ? crowd->spread : 0U; /* no crowd has a spread of 0 */
 }
 
-/* Copy the crowd of the new robot `fresh` to `robot`. */
-static void copy_crowd(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { robot->crowd = fresh->crowd; }
+/* Make what the robust filter remembers that of the new robot `fresh`. */
+static void reset_robust_filter(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { robot->robust = fresh->robust; }
 
 #else
 
-static void pass_crowd(image_t *image, mcp_asdf_t *robot) { (void)image, (void)robot; }
-static void copy_crowd(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { (void)robot, (void)fresh; }
+static void pass_robust_filter(image_t *image, mcp_asdf_t *robot) { (void)image, (void)robot; }
+static void reset_robust_filter(mcp_asdf_t *robot, const mcp_asdf_t *fresh) { (void)robot, (void)fresh; }
 
 #endif
 
 /* Pass all members of `robot` through the image, except the config and what follows from b_hat alone. If the
- * image is read, they are replaced, unchecked. With `is_robust` the image has the crowd in place of the
- * rounds. */
+ * image is read, they are replaced, unchecked. With `is_robust` the image has the robust filter's memory in
+ * place of the rounds. */
 static void pass_state(image_t *image, mcp_asdf_t *robot, bool is_robust)
 {
     robot->accuracy.b_hat = pass_word(image, robot->accuracy.b_hat);
@@ -320,7 +372,7 @@ static void pass_state(image_t *image, mcp_asdf_t *robot, bool is_robust)
     robot->alpha = pass_word(image, robot->alpha);
     robot->filter_left = pass_word(image, robot->filter_left);
     if (is_robust) {
-        pass_crowd(image, robot);
+        pass_robust_filter(image, robot);
     } else {
         pass_rounds(image, robot);
     }
@@ -368,7 +420,7 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
     const uint32_t hash = input.hash;
     const bool is_undamaged = has_magic_word && pass_word(&input, 0) == hash;
     /* Errors of the config come before those of the image. The new robot gives the restored one what an image
-     * leaves out: what follows from b_hat, and the crowd where the filter is another. */
+     * leaves out: what follows from b_hat, and the robust filter's memory where the filter is another. */
     const mcp_asdf_status_t status = mcp_asdf_init(&fresh, config, restored.id, restored.accuracy.b_hat);
     if (status == MCP_ASDF_ERR_CONFIG || status == MCP_ASDF_ERR_TABLE) {
         return status;
@@ -377,7 +429,7 @@ mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *c
         return MCP_ASDF_ERR_IMAGE;
     }
     if (!is_robust) {
-        copy_crowd(&restored, &fresh); /* images of other filters have none */
+        reset_robust_filter(&restored, &fresh); /* images of other filters have none */
     }
     restored.config = config;
     restored.accuracy = fresh.accuracy;

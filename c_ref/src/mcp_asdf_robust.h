@@ -1,14 +1,12 @@
 /* The robust filter, which is this project's own and not the paper's. Private: a part of mcp_asdf.c, which
  * provides eq. 8. docs/robust.md explains the filter, docs/design.md, section 13, states every bit.
  *
- * A robot with this filter keeps no sums of rounds. It follows the centre of all estimates that it receives,
- * its crowd, and tests its own observations against that centre.
+ * A robot with this filter keeps no sums of rounds, but the latest estimate of each sender, whatever its
+ * alpha, and however often it is received. In each round one of these estimates is a vote, in turn, and after
+ * the last of them the robot's own estimate is one. A vote moves the robot's answer, the centre, towards its
+ * x_hat, by a limited distance: a wrong one moves it no farther than another (a Huber M-estimate).
  *
- * Every estimate with confidence is one vote, however large its alpha. A vote moves the centre towards its
- * x_hat, by a limited distance, so that a liar's vote moves it no farther than another's (a Huber
- * M-estimate). The spread is the median distance of the votes from the centre. Both move by a share of the
- * distance, the gain, which falls from 1/8 to 2^-12 as votes are counted (stochastic approximation). In
- * between it is 4 / votes to 8 / votes. */
+ * Every filter_period rounds the robot tests its own observations against the estimates that it keeps. */
 #ifndef MCP_ASDF_ROBUST_H
 #define MCP_ASDF_ROBUST_H
 
@@ -21,51 +19,68 @@ static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t x_bar);
 #if MCP_ASDF_WITH_ROBUST
 /* Fewer votes count as so many: the gain is at most 2^-3. */
 #define VOTES_OF_MAX_GAIN 32U
-/* While the crowd moves, votes are halved down to this number, where the gain is 2^-6. */
-#define VOTES_MIN_WHILE_MOVING (UINT32_C(1) << 8)
-/* What a vote adds to the trend, a moving average of about 256 votes in units of 2^-16. */
-#define TREND_STEP_UP 255U
-#define TREND_STEP_EVEN 128U
-/* 1/8 of the trend's range: below it the crowd moves down, so far below the range's end it moves up. */
-#define TREND_MOVING_DOWN 0x2000U
+/* Steps from the median of the estimates to their Huber centre. */
+#define HUBER_STEPS 4U
 /* The test rejects beyond sqrt(12) standard deviations, where a sound robot is in 1 of 2000 tests. */
 #define REJECTED_SIGMAS_SQUARED 12U
+/* A batch of observations counts 1/8 in the dispersion, all batches before it 7/8. */
+#define DISPERSION_SHIFT 3U
 
-/* Formats: x_hat is Q23, in units of 2^-23; positions (centre, spread, distances) are Q30; probabilities and
- * shares of observations are Q32. 1.0 is 2^30 as Q30, and has no Q32. */
+/* Formats: x_hat is Q23, in units of 2^-23; estimates in slots are Q16; centre and spread of the votes are
+ * Q30, those of the slots Q24; probabilities and shares of observations are Q32. */
 ALWAYS_INLINE uint32_t q30_from_q23(uint32_t x_hat) { return x_hat << 7; }
-ALWAYS_INLINE uint32_t q23_from_q30(uint32_t position) { return position >> 7; }
+ALWAYS_INLINE uint32_t q23_from_q30(uint32_t centre) { return centre >> 7; }
+ALWAYS_INLINE uint32_t q23_from_q16(uint32_t estimate) { return estimate << 7; }
+ALWAYS_INLINE uint32_t q24_from_q16(uint32_t estimate) { return estimate << 8; }
+ALWAYS_INLINE uint32_t q32_from_q16(uint32_t estimate) { return estimate << 16; }
+ALWAYS_INLINE uint32_t q32_from_q24(uint32_t estimate) { return estimate << 8; }
+
+/* Returns |a - b|. */
+ALWAYS_INLINE uint32_t distance_between(uint32_t a, uint32_t b) { return a > b ? a - b : b - a; }
 
 /* Returns -number if the mask is all ones, number if it is 0: without a branch, modulo 2^32. In two's
  * complement -number is ~number + 1: the XOR with all ones is the ~, and subtracting all ones adds 1. */
 ALWAYS_INLINE uint32_t negate_if(uint32_t number, uint32_t mask) { return (number ^ mask) - mask; }
 
-/* Initialise the crowd of a new robot, whose votes and set of senders heard are 0 already. The initial b_hat
- * is kept in crowd.first, for the tests; with other filters that is 0. */
-ALWAYS_INLINE void init_crowd(mcp_asdf_t *robot, uint32_t b_hat)
+/* Initialise what the robust filter of a new robot keeps; the rest of it is 0 already. With other filters the
+ * initial b_hat is 0. */
+ALWAYS_INLINE void init_robust_filter(mcp_asdf_t *robot, uint32_t b_hat)
 {
-    robot->crowd.first = mcp_asdf_is_robust(robot->config) ? b_hat : 0U;
-    robot->crowd.centre = MCP_ASDF_CENTRE_START;
-    robot->crowd.spread = MCP_ASDF_SPREAD_MAX;
-    robot->crowd.trend = MCP_ASDF_TREND_START;
+    robot->robust.initial_b_hat = mcp_asdf_is_robust(robot->config) ? b_hat : 0U;
+    robot->robust.centre = MCP_ASDF_CENTRE_START;
+    robot->robust.spread = MCP_ASDF_SPREAD_MAX;
+    robot->robust.dispersion = MCP_ASDF_DISPERSION_MIN;
 }
 
-/* The members of mcp_asdf_crowd_t that a vote changes whoever its sender is, in full words. */
+/* ---- Receive: the latest estimate of each sender ---- */
+
+/* Keep a neighbour's x_hat (Q23), as Q16 and to nearest, in the slot of its sender. Senders whose ids are
+ * equal modulo 32 share a slot. 1.0 becomes 1 - 2^-16, as a slot has 16 bits. */
+ALWAYS_INLINE void keep_estimate(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
+{
+    const uint32_t slot = sender % MCP_ASDF_SLOTS, rounded = (x_hat + 64U) >> 7; /* <= 2^16 */
+    robot->received.estimates[slot] = (uint16_t)(rounded < UINT16_MAX ? rounded : UINT16_MAX);
+    robot->robust.filled_slots |= shift_left(1, slot);
+}
+
+/* ---- Settle: one vote ---- */
+
+/* The members of mcp_asdf_robust_t that a vote changes, in full words. */
 typedef struct {
     uint32_t centre, spread; /* Q30 */
     uint32_t votes;
-    uint32_t trend; /* Q16 */
-} crowd_statistics_t;
+} vote_statistics_t;
 
 /* Returns the statistics after a vote for x_hat, Q23 and at most 1.0. The centre moves towards it, by at most
- * a spread times the gain and never beyond it. */
-ALWAYS_INLINE crowd_statistics_t statistics_after_vote(crowd_statistics_t statistics, uint32_t x_hat)
+ * a spread times the gain and never beyond it. The spread is the median distance of the votes from the
+ * centre. The gain falls from 1/8 to 1/128 as votes are counted (stochastic approximation). */
+ALWAYS_INLINE vote_statistics_t statistics_after_vote(vote_statistics_t statistics, uint32_t x_hat)
 {
     const uint32_t centre = statistics.centre, spread = statistics.spread;
     const uint32_t votes = statistics.votes + (statistics.votes < MCP_ASDF_VOTES_MAX ? 1U : 0U);
     /* The gain is 2^-gain_shift. Only the highest bit of the number of votes counts for it; the OR sees to it
      * that this is at least that of VOTES_OF_MAX_GAIN. */
-    const uint32_t gain_shift = 29U - leading_zeros(votes | VOTES_OF_MAX_GAIN); /* log2(votes) - 2: [3, 12] */
+    const uint32_t gain_shift = 29U - leading_zeros(votes | VOTES_OF_MAX_GAIN); /* log2(votes) - 2: [3, 7] */
     const uint32_t spread_step = shift_right(spread, gain_shift + 1U);          /* <= spread / 16 */
     const uint32_t difference = centre - q30_from_q23(x_hat); /* modulo 2^32: within 2^30 of 0 */
     const uint32_t is_up_mask =
@@ -82,123 +97,258 @@ ALWAYS_INLINE crowd_statistics_t statistics_after_vote(crowd_statistics_t statis
         new_spread = new_spread > MCP_ASDF_SPREAD_MIN ? new_spread : MCP_ASDF_SPREAD_MIN;
     }
     const uint32_t step = shift_right(limited_distance, gain_shift);
-    /* Each vote takes 1/256 of the trend away, and one that moves the centre up adds as much of its range. A
-     * vote that does not move the centre counts as half up, half down. */
-    const uint32_t trend_step = step == 0U ? TREND_STEP_EVEN : is_up_mask & TREND_STEP_UP;
-    const uint32_t trend = statistics.trend - (statistics.trend >> 8) + trend_step; /* < 2^16 */
-    const crowd_statistics_t result = {centre - negate_if(step, is_up_mask), new_spread, votes, trend};
+    const vote_statistics_t result = {centre - negate_if(step, is_up_mask), new_spread, votes};
     return result;
 }
 
-/* Count a neighbour's x_hat (Q23) as one vote: it changes the centre and the spread of the estimates, the
- * number of votes and the trend. Sets the sender's bit in `voices`, the set of senders that have voted. */
-HOT void update_crowd(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
+/* Returns the x_hat (Q23) whose turn it is to vote, and sets *turn to the slot after it. The slots vote in
+ * ascending order. After the last filled one it is the turn of the robot's own estimate, which is left out
+ * if it has no confidence; then that of the first again. `filled_slots` is not 0. */
+ALWAYS_INLINE uint32_t next_vote(const mcp_asdf_t *robot, uint32_t filled_slots, uint8_t *turn)
 {
-    mcp_asdf_crowd_t *const crowd = &robot->crowd;
-    const crowd_statistics_t old_statistics = {crowd->centre, crowd->spread, crowd->votes, crowd->trend};
-    const crowd_statistics_t statistics = statistics_after_vote(old_statistics, x_hat);
-    crowd->trend = (uint16_t)statistics.trend;
-    crowd->votes = (uint16_t)statistics.votes;
-    crowd->voices |= shift_left(1, sender & 31U); /* ids modulo 32 */
-    crowd->centre = statistics.centre;
-    crowd->spread = statistics.spread;
+    /* Those slots from the present turn on; none if it is MCP_ASDF_SLOTS, after slot 31. */
+    uint32_t remaining_slots = *turn < MCP_ASDF_SLOTS ? filled_slots & shift_left(UINT32_MAX, *turn) : 0U;
+    if (remaining_slots == 0U) {
+        if (robot->alpha >> 8 != 0U) {
+            *turn = 0;
+            return robot->x_hat;
+        }
+        remaining_slots = filled_slots;
+    }
+    /* slots & -slots is the lowest bit that is set, alone. */
+    const uint32_t slot = 31U - leading_zeros(remaining_slots & (0U - remaining_slots));
+    *turn = (uint8_t)(slot + 1U);
+    return q23_from_q16(robot->received.estimates[slot]);
 }
 
-/* Returns the centre as Q23; before the first vote x_hat, which the caller chooses for that case. */
-ALWAYS_INLINE uint32_t crowd_estimate(const mcp_asdf_t *robot, uint32_t x_hat)
+/* At the end of a round, let the next of the estimates that the robot keeps be a vote, if there is any. */
+HOT void take_vote(mcp_asdf_t *robot)
 {
-    return robot->crowd.votes == 0U ? x_hat : q23_from_q30(robot->crowd.centre);
+    mcp_asdf_robust_t *const robust = &robot->robust;
+    if (robust->filled_slots == 0U) {
+        return;
+    }
+    const uint32_t x_hat = next_vote(robot, robust->filled_slots, &robust->turn);
+    const vote_statistics_t before = {robust->centre, robust->spread, robust->votes};
+    const vote_statistics_t after = statistics_after_vote(before, x_hat);
+    robust->centre = after.centre;
+    robust->spread = after.spread;
+    robust->votes = (uint16_t)after.votes;
 }
 
-/* Returns the centre as Q32, which the test and eq. 8 need, with 2^32 - 1 for 1.0. */
-ALWAYS_INLINE uint32_t crowd_fill_ratio(const mcp_asdf_t *robot)
+/* Returns the centre of the votes as Q23; before the first vote x_hat, which the caller chooses for that
+ * case. */
+ALWAYS_INLINE uint32_t robust_estimate(const mcp_asdf_t *robot, uint32_t x_hat)
 {
-    return robot->crowd.centre >> 30 == 0U ? robot->crowd.centre << 2 : UINT32_MAX;
+    return robot->robust.votes == 0U ? x_hat : q23_from_q30(robot->robust.centre);
 }
 
-/* Whether at least three bits of a set of senders are set: of three robots one that is wrong can be outvoted.
- * Robots whose ids are equal modulo 32 have the same bit. */
-ALWAYS_INLINE bool has_three_senders(uint32_t senders)
+/* ---- The test ---- */
+
+/* Begin a new batch of observations. */
+ALWAYS_INLINE void begin_batch(mcp_asdf_t *robot)
 {
-    /* senders & (senders - 1) clears the lowest bit that is set. */
-    const uint32_t without_one = senders & (senders - 1U);
-    return (without_one & (without_one - 1U)) != 0U;
+    if (mcp_asdf_is_robust(robot->config)) {
+        robot->robust.batch_t = robot->t;
+        robot->robust.batch_n = robot->n;
+    }
 }
 
-/* Whether the crowd is moving, as after a change of the floor: more than 7 of 8 recent moves of the centre
- * went the same way. Its centre then lags behind, and a robot that is ahead of it is not wrong. */
-ALWAYS_INLINE bool is_crowd_moving(uint32_t trend)
-{
-    /* Below TREND_MOVING_DOWN, or as far below 2^16: added modulo 2^16, one comparison covers both. */
-    return ((trend + TREND_MOVING_DOWN) & 0xFFFFU) < 2U * TREND_MOVING_DOWN;
-}
-
-/* Whether n black observations of t > 0 contradict the initial b_hat, if the crowd's centre r is right. Then
- * black is observed with probability p = b_hat r + (1 - b_hat)(1 - r). The test rejects if the share n / t
- * deviates from that by more than sqrt(12) standard deviations:
+/* End a batch of observations: update the dispersion by it, and begin the next batch. `share` is n / t.
  *
- *     (n / t - p)^2 > 12 (v / t + (g spread)^2)
- *
- * Here v / t is the variance of n / t, for the larger v of p (1 - p) and n / t (1 - n / t); and g spread,
- * with g = |2 b_hat - 1|, is how far p may be off because r is. */
-static bool robust_test_rejects(const mcp_asdf_t *robot)
+ * Of d independent observations d share are black, with a variance of d share (1 - share). If a robot takes
+ * several from one tile they are not independent, and the variance is larger: the dispersion says how many
+ * times (the phi of overdispersed binomial models). Here the ratio of the square of a batch's deviation to
+ * that variance enters its average, but at most 12 times what it was: a change of the floor is an outlier. */
+static void end_batch(mcp_asdf_t *robot, uint32_t share)
 {
-    /* Shares are Q32, their squares Q64. 1 - x is 0U - x, or ~x, which is 2^-32 less and never out of range.
-     */
-    const uint32_t b_hat = robot->crowd.first, r = crowd_fill_ratio(robot); /* b_hat at the start */
-    const uint32_t p = multiply_high(b_hat, r) + multiply_high(~b_hat, ~r); /* < 2^32 - 1 */
-    const uint32_t share = quotient(robot->n, robot->t);                    /* n / t */
-    const uint32_t deviation = share > p ? share - p : p - share;           /* |n / t - p| */
-    const uint32_t variance_of_share = multiply_high(share, 0U - share);    /* <= 2^30, as is the next */
+    mcp_asdf_robust_t *const robust = &robot->robust;
+    const uint32_t count = robot->t - robust->batch_t, black = robot->n - robust->batch_n;
+    const uint64_t variance = multiply(count, multiply_high(share, 0U - share)); /* Q32: < 2^61 */
+    const uint32_t largest_ratio = REJECTED_SIGMAS_SQUARED * robust->dispersion; /* Q8: < 2^20 */
+    /* largest_ratio variance as Q22, rounded down: it is at most 12 2^8 2^29 as a number, so < 2^63. */
+    const uint64_t limit = (multiply(largest_ratio, high_word(variance)) << 14) +
+                           (multiply(largest_ratio, low_word(variance)) >> 18);
+    /* black - count share, as Q32 in two's complement: within 2^63 of 0. */
+    const uint64_t difference = join(black, 0) - multiply(count, share);
+    const uint64_t deviation = (difference >> 63 == 0U ? difference : 0U - difference) >> 21; /* Q11 */
+    /* From 2^21 observations on a square is beyond every limit: it need not be formed. */
+    const uint32_t short_deviation = high_word(deviation) == 0U ? low_word(deviation) : UINT32_MAX;
+    const uint64_t square = multiply(short_deviation, short_deviation); /* Q22 */
+    begin_batch(robot);
+    if (limit == 0U) { /* no observation, or all of one colour */
+        return;
+    }
+    const uint32_t ratio_of_limit = quotient(square < limit ? square : limit, limit); /* Q32 */
+    const uint32_t batch_ratio = multiply_high(largest_ratio, ratio_of_limit);        /* Q8: < 2^20 */
+    const uint32_t average =
+        (((1U << DISPERSION_SHIFT) - 1U) * robust->dispersion + batch_ratio) >> DISPERSION_SHIFT;
+    const uint32_t limited_average = average < UINT16_MAX ? average : UINT16_MAX;
+    robust->dispersion =
+        (uint16_t)(limited_average > MCP_ASDF_DISPERSION_MIN ? limited_average : MCP_ASDF_DISPERSION_MIN);
+}
+
+/* Copy the estimates of all filled slots to `sorted`, in ascending order. Returns how many there are. */
+static uint32_t sort_estimates(const mcp_asdf_t *robot, uint16_t sorted[MCP_ASDF_SLOTS])
+{
+    uint32_t count = 0;
+    for (uint32_t slot = 0; slot < MCP_ASDF_SLOTS; ++slot) { /* at most 32 turns */
+        if ((robot->robust.filled_slots & shift_left(1, slot)) != 0U) {
+            const uint16_t estimate = robot->received.estimates[slot];
+            uint32_t i = count++;
+            for (; i > 0U && sorted[i - 1U] > estimate; --i) { /* at most 31 turns */
+                sorted[i] = sorted[i - 1U];
+            }
+            sorted[i] = estimate;
+        }
+    }
+    return count;
+}
+
+/* Returns the median distance of sorted estimates (Q16) from their median (Q24), as Q24 and within the limits
+ * of a spread. */
+static uint32_t median_distance(const uint16_t *sorted, uint32_t count, uint32_t median)
+{
+    /* From the middle outwards, the nearer of the next estimates on either side: in the order of their
+     * distances. Estimates `below` to `above` - 1 are passed. */
+    uint32_t below = count / 2U, above = below, distance = 0, last_distance = 0;
+    for (uint32_t rank = 0; rank <= count / 2U; ++rank) { /* at most 17 turns */
+        const uint32_t distance_below = below > 0U ? median - q24_from_q16(sorted[below - 1U]) : UINT32_MAX;
+        const uint32_t distance_above = above < count ? q24_from_q16(sorted[above]) - median : UINT32_MAX;
+        last_distance = distance;
+        if (distance_above <= distance_below) {
+            distance = distance_above;
+            ++above;
+        } else {
+            distance = distance_below;
+            --below;
+        }
+    }
+    /* An even number of estimates has two in the middle: the mean of their distances. */
+    distance = count % 2U == 0U ? (distance + last_distance) / 2U : distance;
+    distance = distance < MCP_ASDF_SPREAD_MAX >> 6 ? distance : MCP_ASDF_SPREAD_MAX >> 6; /* Q30 to Q24 */
+    return distance > MCP_ASDF_SPREAD_MIN >> 6 ? distance : MCP_ASDF_SPREAD_MIN >> 6;
+}
+
+/* Returns a step of Newton's method from `centre` towards the point where estimates above and below balance,
+ * if none counts with a distance of more than `spread` (Huber's M-estimator). Centre and spread are Q24. */
+static uint32_t huber_step(const uint16_t *estimates, uint32_t count, uint32_t centre, uint32_t spread)
+{
+    uint32_t sum_above = 0, sum_below = 0, inside = 0; /* sums: <= 32 spreads < 2^28 */
+    for (uint32_t i = 0; i < count; ++i) {             /* at most 32 turns */
+        const uint32_t estimate = q24_from_q16(estimates[i]);
+        const uint32_t distance = distance_between(estimate, centre);
+        const uint32_t limited_distance = distance < spread ? distance : spread;
+        inside += distance <= spread ? 1U : 0U;
+        sum_above += estimate > centre ? limited_distance : 0U;
+        sum_below += estimate > centre ? 0U : limited_distance;
+    }
+    const uint32_t difference = distance_between(sum_above, sum_below);
+    const uint32_t divisor = (inside > 0U ? inside : 1U) << 24; /* <= 2^29: the step is at most 1.0 */
+    const uint32_t step = quotient(difference < divisor ? difference : divisor, divisor) >> 8; /* Q24 */
+    if (sum_above < sum_below) {
+        return centre > step ? centre - step : 0U;
+    }
+    const uint32_t largest = q24_from_q16(UINT16_MAX);
+    return centre + step < largest ? centre + step : largest;
+}
+
+/* Returns the probability that a robot observes black where the fill ratio is x, for its initial b_hat: b_hat
+ * x + (1 - b_hat)(1 - x), all as Q32. 1 - x is ~x here, which is 2^-32 less. */
+ALWAYS_INLINE uint32_t probability_of_black(const mcp_asdf_t *robot, uint32_t x)
+{
+    const uint32_t b_hat = robot->robust.initial_b_hat;
+    return multiply_high(b_hat, x) + multiply_high(~b_hat, ~x); /* < 2^32 - 1 */
+}
+
+/* Whether the share n / t of black observations, t > 0, contradicts the initial b_hat, if the fill ratio is
+ * `centre`. Then black is observed with probability p. The test rejects if the share deviates from that by
+ * more than sqrt(12) standard deviations:
+ *
+ *     (n / t - p)^2 > 12 (dispersion v / t + (g spread)^2)
+ *
+ * Here dispersion v / t is the variance of n / t, for the larger v of p (1 - p) and n / t (1 - n / t); and
+ * g spread, with g = |2 b_hat - 1|, is how far p may be off because the centre is. All are Q32, but the
+ * dispersion. */
+static bool robust_test_rejects(const mcp_asdf_t *robot, uint32_t share, uint32_t centre, uint32_t spread)
+{
+    const uint32_t b_hat = robot->robust.initial_b_hat;
+    const uint32_t p = probability_of_black(robot, centre);
+    const uint32_t deviation = distance_between(share, p);
+    const uint32_t variance_of_share = multiply_high(share, 0U - share); /* <= 2^30, as is the next */
     const uint32_t variance_of_p = multiply_high(p, 0U - p);
+    const uint32_t variance = variance_of_share > variance_of_p ? variance_of_share : variance_of_p; /* v */
     /* |2 b_hat - 1|: below 1/2 it is 1 - 2 b_hat; above, the 1 is 2^32, which is lost in 32 bits. */
     const uint32_t g = b_hat >> 31 == 0U ? 0U - 2U * b_hat : 2U * b_hat;
-    const uint32_t g_spread = multiply_high(g, robot->crowd.spread << 2); /* the spread is Q30; < 2^30 */
+    const uint32_t g_spread = multiply_high(g, spread); /* < 2^30, as a spread is at most 1/4 */
     const uint64_t spread_limit = REJECTED_SIGMAS_SQUARED * multiply(g_spread, g_spread); /* < 12 2^60 */
-    /* By how much the left side exceeds what the spread allows. It is used where it is positive: the rest
-     * must be more than 12 v / t. */
+    /* By how much the left side exceeds what the spread allows, as Q64. It is used where it is positive: the
+     * rest must be more than 12 dispersion v / t. */
     const uint64_t square = multiply(deviation, deviation), excess = square - spread_limit;
     /* Both sides are multiplied by t, so that v needs no division. t excess is formed as Q32: of the product
      * with the lower word of the Q64 only the upper word is kept. < 2^64 */
     const uint64_t t_excess =
         multiply(robot->t, high_word(excess)) + high_word(multiply(robot->t, low_word(excess)));
-    const uint32_t variance = variance_of_share > variance_of_p ? variance_of_share : variance_of_p; /* v */
-    return square > spread_limit && t_excess > multiply(REJECTED_SIGMAS_SQUARED, variance);
+    /* The dispersion is Q8. 12 dispersion v: < 2^20 2^30 */
+    const uint64_t variance_limit =
+        multiply(REJECTED_SIGMAS_SQUARED * robot->robust.dispersion, variance) >> 8;
+    return square > spread_limit && t_excess > variance_limit;
+}
+
+/* Whether more than two of five estimates support the robot's own share of black observations: by them, it is
+ * nearer to what the robot should observe than by their centre (Q32). Then these robots are a party of their
+ * own, and not outliers: nothing can be said about who is right. */
+static bool is_supported(const mcp_asdf_t *robot, const uint16_t *estimates, uint32_t count, uint32_t share,
+                         uint32_t centre)
+{
+    const uint32_t p = probability_of_black(robot, centre);
+    uint32_t supporters = 0;
+    for (uint32_t i = 0; i < count; ++i) { /* at most 32 turns */
+        const uint32_t p_of_estimate = probability_of_black(robot, q32_from_q16(estimates[i]));
+        supporters += distance_between(p_of_estimate, share) < distance_between(p_of_estimate, p) ? 1U : 0U;
+    }
+    return 5U * supporters > 2U * count;
 }
 
 /* Run the robust filter at the end of a round, for t > 0. Returns the new b_hat as Q32, or 0 if it stays.
  * Counts the test if there is one.
  *
- * Nothing is tested while the crowd moves, nor before three senders have voted. Otherwise the initial b_hat
- * is tested: if it is rejected, b_hat is re-estimated from the centre; if not, b_hat is the initial one
- * again. So a robot that was misled by the crowd comes back. */
+ * With fewer than five estimates nothing is tested. Otherwise the initial b_hat is tested: if it is rejected,
+ * b_hat is re-estimated from the centre of the estimates; if not, b_hat is the initial one again. So a robot
+ * that was misled by the others comes back. */
 static uint32_t run_robust_filter(mcp_asdf_t *robot)
 {
-    mcp_asdf_crowd_t *const crowd = &robot->crowd;
-    if (is_crowd_moving(crowd->trend)) {
-        /* With half as many votes the gain is twice as large, and the centre follows faster. */
-        if (crowd->votes >= 2U * VOTES_MIN_WHILE_MOVING) {
-            crowd->votes = (uint16_t)(crowd->votes >> 1);
-        }
+    uint16_t sorted[MCP_ASDF_SLOTS];
+    const uint32_t share = quotient(robot->n, robot->t); /* n / t */
+    end_batch(robot, share);
+    const uint32_t count = sort_estimates(robot, sorted);
+    if (count < MCP_ASDF_TESTED_ESTIMATES_MIN) {
         return 0;
     }
-    if (!has_three_senders(crowd->voices)) {
-        return 0;
+    /* The median, Q24: the mean of the two in the middle, which are one where their number is odd. */
+    uint32_t centre = ((uint32_t)sorted[(count - 1U) / 2U] + sorted[count / 2U]) << 7;
+    const uint32_t spread = median_distance(sorted, count, centre);
+    for (uint32_t i = 0; i < HUBER_STEPS; ++i) { /* 4 turns */
+        centre = huber_step(sorted, count, centre, spread);
     }
     ++robot->counters.tests;
-    if (robust_test_rejects(robot)) {
-        return reestimate(robot, crowd_fill_ratio(robot));
+    if (robust_test_rejects(robot, share, q32_from_q24(centre), q32_from_q24(spread)) &&
+        !is_supported(robot, sorted, count, share, q32_from_q24(centre))) {
+        return reestimate(robot, q32_from_q24(centre));
     }
-    return robot->accuracy.b_hat != crowd->first ? crowd->first : 0U;
+    const uint32_t initial_b_hat = robot->robust.initial_b_hat;
+    return robot->accuracy.b_hat != initial_b_hat ? initial_b_hat : 0U;
 }
 
 #else /* without it: calls of what follows disappear */
-ALWAYS_INLINE void init_crowd(const mcp_asdf_t *robot, uint32_t b_hat) { (void)robot, (void)b_hat; }
-ALWAYS_INLINE void update_crowd(const mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
+ALWAYS_INLINE void init_robust_filter(const mcp_asdf_t *robot, uint32_t b_hat) { (void)robot, (void)b_hat; }
+ALWAYS_INLINE void keep_estimate(const mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
 {
     (void)robot, (void)sender, (void)x_hat;
 }
-ALWAYS_INLINE uint32_t crowd_estimate(const mcp_asdf_t *robot, uint32_t x_hat) { return (void)robot, x_hat; }
+ALWAYS_INLINE void take_vote(const mcp_asdf_t *robot) { (void)robot; }
+ALWAYS_INLINE uint32_t robust_estimate(const mcp_asdf_t *robot, uint32_t x_hat) { return (void)robot, x_hat; }
+ALWAYS_INLINE void begin_batch(const mcp_asdf_t *robot) { (void)robot; }
 ALWAYS_INLINE uint32_t run_robust_filter(const mcp_asdf_t *robot) { return (void)robot, 0; }
 #endif
 #endif
