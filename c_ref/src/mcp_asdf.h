@@ -66,7 +66,7 @@ extern "C" {
 #define MCP_ASDF_HALF (UINT32_C(1) << 22) /* 0.5 as x_hat, x_bar or x */
 #define MCP_ASDF_B_HAT_MIN (UINT32_C(1) << 12)
 #define MCP_ASDF_B_HAT_MAX UINT32_C(0xFFFFF000)
-#define MCP_ASDF_SLOTS 32U                        /* members of mcp_asdf_robust_t, down to here */
+#define MCP_ASDF_SLOTS 32                         /* members of mcp_asdf_robust_t, down to here */
 #define MCP_ASDF_TESTED_ESTIMATES_MIN 5U          /* of five, two that are wrong can be outvoted */
 #define MCP_ASDF_CENTRE_START (UINT32_C(1) << 29) /* 1/2 */
 #define MCP_ASDF_SPREAD_MIN (UINT32_C(1) << 18)   /* 2^-12: below what a score or a tile can show */

@@ -10,19 +10,12 @@ extern "C" {
 #endif
 
 #define MCP_ASDF_IMAGE_VERSION 3U
-/* Bytes of an image: of a robot with the robust filter, of one with another filter, and of the larger that a
- * build can have. */
-#define MCP_ASDF_ROBUST_IMAGE_SIZE 156
-#define MCP_ASDF_ASDF_IMAGE_SIZE 124
-#if MCP_ASDF_WITH_ROBUST
-#define MCP_ASDF_IMAGE_SIZE MCP_ASDF_ROBUST_IMAGE_SIZE
-#else
-#define MCP_ASDF_IMAGE_SIZE MCP_ASDF_ASDF_IMAGE_SIZE
-#endif
+/* Bytes of an image, whatever is built: all of them with the robust filter, the first 124 with another. */
+#define MCP_ASDF_IMAGE_SIZE 156
 
-/* Write the robot's state to an image: little-endian, the same on every target, with version and checksum. It
- * has the size that belongs to the robot's filter; bytes of `image` behind it are not touched. O(1). Needs a
- * copy of the robot on the stack (docs/cost.md has the bytes). */
+/* Write the robot's state to an image: little-endian, the same on every target, with version and checksum.
+ * Bytes that are not used are not touched. O(1). Needs a copy of the robot on the stack (docs/cost.md has the
+ * bytes). */
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE]);
 
 /* Make a robot from an image; it goes on as the saved one would have, bit for bit. O(q) for the table. Needs

@@ -54,12 +54,19 @@ ALWAYS_INLINE void init_robust_filter(mcp_asdf_t *robot, uint32_t b_hat)
 
 /* ---- Receive: the latest estimate of each sender ---- */
 
-/* Keep a neighbour's x_hat (Q23), as Q16 and to nearest, in the slot of its sender. Senders whose ids are
- * equal modulo 32 share a slot. 1.0 becomes 1 - 2^-16, as a slot has 16 bits. */
+/* Returns x_hat (Q23) as a slot keeps it: Q16, to nearest, and 1 - 2^-16 for 1.0, as a slot has 16 bits. */
+ALWAYS_INLINE uint16_t slot_estimate(uint32_t x_hat)
+{
+    const uint32_t rounded = (x_hat + 64U) >> 7; /* <= 2^16 */
+    return (uint16_t)(rounded < UINT16_MAX ? rounded : UINT16_MAX);
+}
+
+/* Keep a neighbour's x_hat (Q23) in the slot of its sender, in place of an earlier one. Senders whose ids are
+ * equal modulo 32 share a slot. */
 ALWAYS_INLINE void keep_estimate(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
 {
-    const uint32_t slot = sender % MCP_ASDF_SLOTS, rounded = (x_hat + 64U) >> 7; /* <= 2^16 */
-    robot->received.estimates[slot] = (uint16_t)(rounded < UINT16_MAX ? rounded : UINT16_MAX);
+    const uint32_t slot = sender % MCP_ASDF_SLOTS;
+    robot->received.estimates[slot] = slot_estimate(x_hat);
     robot->robust.filled_slots |= shift_left(1, slot);
 }
 
@@ -101,36 +108,38 @@ ALWAYS_INLINE vote_statistics_t statistics_after_vote(vote_statistics_t statisti
     return result;
 }
 
-/* Returns the x_hat (Q23) whose turn it is to vote, and sets *turn to the slot after it. The slots vote in
- * ascending order. After the last filled one it is the turn of the robot's own estimate, which is left out
- * if it has no confidence; then that of the first again. `filled_slots` is not 0. */
-ALWAYS_INLINE uint32_t next_vote(const mcp_asdf_t *robot, uint32_t filled_slots, uint8_t *turn)
+/* Returns the slot that votes next, or MCP_ASDF_SLOTS for the robot's own estimate. Slots vote in ascending
+ * order, from `turn` on. After the last filled one the robot's own estimate votes, unless it has no
+ * confidence; then the first filled one again. `filled_slots` is not 0. */
+ALWAYS_INLINE uint32_t next_slot(uint32_t filled_slots, uint32_t turn, bool has_confidence)
 {
-    /* Those slots from the present turn on; none if it is MCP_ASDF_SLOTS, after slot 31. */
-    uint32_t remaining_slots = *turn < MCP_ASDF_SLOTS ? filled_slots & shift_left(UINT32_MAX, *turn) : 0U;
+    uint32_t remaining_slots =
+        turn < MCP_ASDF_SLOTS ? filled_slots & shift_left(UINT32_MAX, turn) : 0U; /* from `turn` on */
     if (remaining_slots == 0U) {
-        if (robot->alpha >> 8 != 0U) {
-            *turn = 0;
-            return robot->x_hat;
+        if (has_confidence) {
+            return MCP_ASDF_SLOTS;
         }
         remaining_slots = filled_slots;
     }
     /* slots & -slots is the lowest bit that is set, alone. */
-    const uint32_t slot = 31U - leading_zeros(remaining_slots & (0U - remaining_slots));
-    *turn = (uint8_t)(slot + 1U);
-    return q23_from_q16(robot->received.estimates[slot]);
+    return 31U - leading_zeros(remaining_slots & (0U - remaining_slots));
 }
 
-/* At the end of a round, let the next of the estimates that the robot keeps be a vote, if there is any. */
+/* At the end of a round, let one estimate be a vote, if any was ever received: that of the next slot, or the
+ * robot's own. */
 HOT void take_vote(mcp_asdf_t *robot)
 {
     mcp_asdf_robust_t *const robust = &robot->robust;
     if (robust->filled_slots == 0U) {
         return;
     }
-    const uint32_t x_hat = next_vote(robot, robust->filled_slots, &robust->turn);
+    const bool has_confidence = robot->alpha >> 8 != 0U; /* the mantissa is not 0 */
+    const uint32_t slot = next_slot(robust->filled_slots, robust->turn, has_confidence);
+    const bool is_own = slot >= MCP_ASDF_SLOTS;
+    const uint32_t x_hat = is_own ? robot->x_hat : q23_from_q16(robot->received.estimates[slot]);
     const vote_statistics_t before = {robust->centre, robust->spread, robust->votes};
     const vote_statistics_t after = statistics_after_vote(before, x_hat);
+    robust->turn = is_own ? 0U : (uint8_t)(slot + 1U);
     robust->centre = after.centre;
     robust->spread = after.spread;
     robust->votes = (uint16_t)after.votes;

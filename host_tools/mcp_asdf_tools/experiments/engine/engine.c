@@ -18,7 +18,7 @@
 
 /* Trials under way.
  *   has_lanes          whether steps are taken in lanes where that is possible
- *   is_robust          whether the robots have the robust filter: messages are votes, and there are no sums
+ *   is_robust          whether the robots have the robust filter, which keeps messages and has no sums
  *   columns            series of x in a trial
  *   parallel_trials    lane j parallel_trials + l is robot j of trial l, both from 0: the trial runs fastest,
  *                      and the robots of a trial are parallel_trials lanes apart. Other lanes run idle
@@ -114,8 +114,8 @@ static void prepare_observations(const run_t *run, uint32_t k)
 
 /* --- Steps in lanes --- */
 
-/* Let the robot of lane `receiver` receive the message of that of lane `sender`: as a vote of the robust
- * filter, or by adding its sums to those of the round. Counts the message. */
+/* Let the robot of lane `receiver` receive the message of that of lane `sender`: the robust filter keeps it;
+ * with other filters its sums are added to those of the round. Counts the message. */
 IN_LOOPS void receive_in_lane(const run_t *run, uint32_t receiver, uint32_t sender)
 {
     lanes_t *const receiver_row = &run->lanes[receiver / LANES];
@@ -125,7 +125,7 @@ IN_LOOPS void receive_in_lane(const run_t *run, uint32_t receiver, uint32_t send
     const uint32_t receiver_lane = receiver % LANES, sender_lane = sender % LANES;
     ++receiver_row->message_count[receiver_lane];
     if (run->is_robust) {
-        lanes_receive_vote(receiver_row, receiver_lane, sender_row, sender_lane);
+        lanes_keep_estimate(receiver_row, receiver_lane, sender_row, sender_lane);
         return;
     }
     round->alpha[receiver_lane] += message->alpha[sender_lane];
@@ -176,13 +176,13 @@ FOR_EACH_TARGET static void sum_all_messages(lanes_t *rows, uint32_t robots)
 }
 
 /* Let all robots of the active trials receive the messages of one step: along links or arcs, or in fully
- * connected swarms from all others, as votes (robust filter) or as sums. */
+ * connected swarms from all others, as estimates to keep (robust filter) or as sums. */
 static void deliver_messages(const run_t *run)
 {
     if (trial_is_linked(run->experiment)) {
         receive_along_links(run);
     } else if (run->is_robust) {
-        lanes_receive_all_votes(run->lanes, run->rows);
+        lanes_keep_all_estimates(run->lanes, run->rows);
     } else {
         sum_all_messages(run->lanes, run->rows);
     }

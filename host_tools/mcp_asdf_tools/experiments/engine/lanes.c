@@ -24,8 +24,7 @@ ALWAYS_INLINE void form_message_sums(lanes_t *row, size_t l)
 }
 
 /* Copy the robot's counts, estimate, accuracy and robust filter into lane l, and form the sums of its message
- * from them. In the filter `voices` is the set of senders heard, and `votes` the number of estimates
- * counted. */
+ * from them. */
 void lanes_load_robot(lanes_t *row, uint32_t l, const mcp_asdf_t *robot)
 {
     row->n[l] = robot->n;
@@ -37,11 +36,16 @@ void lanes_load_robot(lanes_t *row, uint32_t l, const mcp_asdf_t *robot)
     row->rare[l] = robot->accuracy.rare;
     row->g_shift[l] = robot->accuracy.g_shift;
     row->rare_shift[l] = robot->accuracy.rare_shift;
-    row->centre[l] = robot->crowd.centre;
-    row->spread[l] = robot->crowd.spread;
-    row->voices[l] = robot->crowd.voices;
-    row->votes[l] = robot->crowd.votes;
-    row->trend[l] = robot->crowd.trend;
+    row->centre[l] = robot->robust.centre;
+    row->spread[l] = robot->robust.spread;
+    row->filled_slots[l] = robot->robust.filled_slots;
+    row->votes[l] = robot->robust.votes;
+    row->turn[l] = robot->robust.turn;
+    if (mcp_asdf_is_robust(robot->config)) { /* with other filters a robot has sums there */
+        for (uint32_t slot = 0; slot < MCP_ASDF_SLOTS; ++slot) {
+            row->estimates[slot][l] = robot->received.estimates[slot];
+        }
+    }
     form_message_sums(row, l);
 }
 
@@ -80,31 +84,26 @@ FOR_EACH_TARGET void lanes_settle_sums(lanes_t *rows, uint32_t count, uint32_t x
     }
 }
 
-/* Count the message of robot `sender`, x_hat as Q23 and an alpha word, as a vote of the robust filter in lane
- * l, unless its alpha is 0. The outcome with the vote is computed in any case, and then that or the old
- * values are selected: vectors have no branches. */
-ALWAYS_INLINE void vote_in_lane(lanes_t *row, size_t l, uint32_t sender, uint32_t x_hat, uint32_t alpha)
+/* Keep the message of robot `sender`, x_hat as Q23 and an alpha word, in the robust filter of lane l, unless
+ * its alpha is 0. What the slot would hold is formed in any case, and then that or the old value is selected:
+ * vectors have no branches. */
+ALWAYS_INLINE void keep_in_lane(lanes_t *row, size_t l, uint32_t sender, uint32_t x_hat, uint32_t alpha)
 {
-    const crowd_statistics_t before = {row->centre[l], row->spread[l], row->votes[l], row->trend[l]};
-    const crowd_statistics_t after = statistics_after_vote(before, x_hat);
+    const uint32_t slot = sender % MCP_ASDF_SLOTS;
     const bool counts = alpha >> 8 != 0U;
-    row->centre[l] = counts ? after.centre : before.centre;
-    row->spread[l] = counts ? after.spread : before.spread;
-    row->votes[l] = counts ? after.votes : before.votes;
-    row->trend[l] = counts ? after.trend : before.trend;
-    row->voices[l] |= (uint32_t)counts << (sender & 31U); /* no bit if it does not count */
+    row->estimates[slot][l] = counts ? slot_estimate(x_hat) : row->estimates[slot][l];
+    row->filled_slots[l] |= (uint32_t)counts << slot; /* no bit if it does not count */
 }
 
-/* Count the message of lane `sender` of sender_row as a vote in lane `receiver` of `row`, unless its alpha is
- * 0. */
-void lanes_receive_vote(lanes_t *row, uint32_t receiver, const lanes_t *sender_row, uint32_t sender)
+/* Keep the message of lane `sender` of sender_row in lane `receiver` of `row`, unless its alpha is 0. */
+void lanes_keep_estimate(lanes_t *row, uint32_t receiver, const lanes_t *sender_row, uint32_t sender)
 {
-    vote_in_lane(row, receiver, sender_row->robot[sender], sender_row->x_hat[sender],
+    keep_in_lane(row, receiver, sender_row->robot[sender], sender_row->x_hat[sender],
                  sender_row->alpha[sender]);
 }
 
-/* Count the message of each robot as a vote in all others. Row j has robot j of LANES swarms. */
-FOR_EACH_TARGET void lanes_receive_all_votes(lanes_t *rows, uint32_t robots)
+/* Keep the message of each robot in all others. Row j has robot j of LANES swarms. */
+FOR_EACH_TARGET void lanes_keep_all_estimates(lanes_t *rows, uint32_t robots)
 {
     for (uint32_t sender = 0; sender < robots; ++sender) {
         const lanes_t *const sender_row = &rows[sender];
@@ -114,21 +113,44 @@ FOR_EACH_TARGET void lanes_receive_all_votes(lanes_t *rows, uint32_t robots)
             }
             SIDE_BY_SIDE
             for (uint32_t l = 0; l < LANES; ++l) {
-                vote_in_lane(row, l, sender, sender_row->x_hat[l], sender_row->alpha[l]);
+                keep_in_lane(row, l, sender, sender_row->x_hat[l], sender_row->alpha[l]);
             }
         }
     }
 }
 
-/* Store the informed estimate of each lane in x[x_row]: the centre of the robust filter. The core's function
- * takes a robot, of which it reads these two members. */
+/* Choose the estimate that votes next in lane l, as the core's take_vote() does, and set the turn after it.
+ * Returns its x_hat as Q23, or that of the robot itself while no slot is filled; then there is no vote. */
+static uint32_t choose_vote(lanes_t *row, size_t l)
+{
+    if (row->filled_slots[l] == 0U) {
+        return row->x_hat[l];
+    }
+    const uint32_t slot = next_slot(row->filled_slots[l], row->turn[l], row->alpha[l] >> 8 != 0U);
+    const bool is_own = slot >= MCP_ASDF_SLOTS;
+    row->turn[l] = is_own ? 0U : slot + 1U;
+    return is_own ? row->x_hat[l] : q23_from_q16(row->estimates[slot][l]);
+}
+
+/* Take a vote in each lane in which a slot is filled, and store the informed estimate of each lane in
+ * x[x_row]: the centre, or the robot's own estimate before the first vote. Which slot votes differs from lane
+ * to lane, so that this is found lane by lane; what the vote changes is computed side by side. */
 FOR_EACH_TARGET void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t x_row)
 {
     for (lanes_t *row = rows; row < rows + count; ++row) {
+        uint32_t votes[LANES];
+        for (uint32_t l = 0; l < LANES; ++l) {
+            votes[l] = choose_vote(row, l);
+        }
         SIDE_BY_SIDE
         for (uint32_t l = 0; l < LANES; ++l) {
-            const mcp_asdf_t robot = {.crowd = {.centre = row->centre[l], .votes = (uint16_t)row->votes[l]}};
-            row->x[x_row][l] = crowd_estimate(&robot, row->x_hat[l]);
+            const vote_statistics_t before = {row->centre[l], row->spread[l], row->votes[l]};
+            const vote_statistics_t after = statistics_after_vote(before, votes[l]);
+            const bool counts = row->filled_slots[l] != 0U;
+            row->centre[l] = counts ? after.centre : before.centre;
+            row->spread[l] = counts ? after.spread : before.spread;
+            row->votes[l] = counts ? after.votes : before.votes;
+            row->x[x_row][l] = counts ? q23_from_q30(row->centre[l]) : row->x_hat[l];
         }
     }
 }
@@ -136,9 +158,15 @@ FOR_EACH_TARGET void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t 
 /* Copy the values of the robust filter in lane l into the robot. */
 void lanes_store_filter(const lanes_t *row, uint32_t l, mcp_asdf_t *robot)
 {
-    robot->crowd.centre = row->centre[l];
-    robot->crowd.spread = row->spread[l];
-    robot->crowd.voices = row->voices[l];
-    robot->crowd.votes = (uint16_t)row->votes[l];
-    robot->crowd.trend = (uint16_t)row->trend[l];
+    if (!mcp_asdf_is_robust(robot->config)) {
+        return;
+    }
+    robot->robust.centre = row->centre[l];
+    robot->robust.spread = row->spread[l];
+    robot->robust.filled_slots = row->filled_slots[l];
+    robot->robust.votes = (uint16_t)row->votes[l];
+    robot->robust.turn = (uint8_t)row->turn[l];
+    for (uint32_t slot = 0; slot < MCP_ASDF_SLOTS; ++slot) {
+        robot->received.estimates[slot] = row->estimates[slot][l];
+    }
 }

@@ -19,7 +19,8 @@ typedef struct {
 
 /* A row of robots side by side: entry l of each array describes lane l. In arrays of two dimensions the lane
  * is the last index, which runs fastest.
- *   n .. trend      members of mcp_asdf_t, of its accuracy and of its robust filter
+ *   n .. turn       members of mcp_asdf_t, of its accuracy and of its robust filter
+ *   estimates       those that the robust filter keeps, a slot in each estimates[...]
  *   trial, robot    numbers of the trial and the robot, which decide the draws
  *   draws           random words of four steps: draws[k % 4] of step k
  *   black_limit     probability of observing black, unit 2^-31: black is observed if the upper 31 bits of the
@@ -40,9 +41,10 @@ typedef struct {
     uint32_t rare_shift[LANES];
     uint32_t centre[LANES];
     uint32_t spread[LANES];
-    uint32_t voices[LANES];
+    uint32_t filled_slots[LANES];
     uint32_t votes[LANES];
-    uint32_t trend[LANES];
+    uint32_t turn[LANES];
+    uint16_t estimates[MCP_ASDF_SLOTS][LANES];
     uint32_t trial[LANES];
     uint32_t robot[LANES];
     uint32_t draws[4][LANES];
@@ -70,14 +72,15 @@ void lanes_observe(lanes_t *rows, uint32_t count, uint32_t t, uint32_t k);
  * round is empty. */
 void lanes_settle_sums(lanes_t *rows, uint32_t count, uint32_t x_row);
 
-/* Let the message of lane `sender` of `sender_row` be a vote in the robust filter of lane `receiver`. */
-void lanes_receive_vote(lanes_t *row, uint32_t receiver, const lanes_t *sender_row, uint32_t sender);
+/* Keep the message of lane `sender` of `sender_row` in the robust filter of lane `receiver`. */
+void lanes_keep_estimate(lanes_t *row, uint32_t receiver, const lanes_t *sender_row, uint32_t sender);
 
-/* Let all messages in fully connected swarms be votes, senders in ascending order. LANES swarms run side by
- * side, with a row for each robot. */
-void lanes_receive_all_votes(lanes_t *rows, uint32_t robots);
+/* Keep all messages of fully connected swarms in the robust filters of their receivers, senders in ascending
+ * order. LANES swarms run side by side, with a row for each robot. */
+void lanes_keep_all_estimates(lanes_t *rows, uint32_t robots);
 
-/* End the round of robots with the robust filter: informed estimates go to x[x_row]. */
+/* End the round of robots with the robust filter: each takes a vote, and informed estimates go to x[x_row].
+ */
 void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t x_row);
 
 /* Copy the robust filter's values of lane l into a robot. */

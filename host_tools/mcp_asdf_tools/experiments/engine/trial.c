@@ -10,7 +10,7 @@ static uint64_t steps_between_tests(const mcp_asdf_experiment_t *experiment)
 /* Returns the number of series of x in a trial: 1 if x is the same in all robots, else one a robot. x is the
  * same if every robot combines the estimates of all robots, its own included. That fails if it receives from
  * some only (links), if its own estimate is newer than the broadcasts (comms_period), if a liar broadcasts
- * another estimate than its own, and with the robust filter, where x depends on the order of messages. */
+ * another estimate than its own, and with the robust filter, where each robot takes votes of its own. */
 uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment)
 {
     bool has_common_x =
@@ -80,7 +80,7 @@ static mcp_asdf_open_t sum_messages(const mcp_asdf_experiment_t *experiment, con
         neighbour.id = mcp_asdf_id(&robots[j]) ^ 1; /* any but that of the sender */
         receive_from(experiment, robots, &neighbour, j);
     }
-    return neighbour.open;
+    return neighbour.received.sums.open;
 }
 
 /* Deliver all messages to all other robots. Those with the robust filter receive one by one, in ascending
@@ -93,7 +93,7 @@ static void deliver_to_all(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *
     for (uint32_t j = 0; j < count; ++j) {
         if (!mcp_asdf_is_robust(experiment->configs[j])) {
             const mcp_asdf_open_t own_message = sum_messages(experiment, robots, j, j + 1);
-            robots[j].open = subtract_message(all, &own_message);
+            robots[j].received.sums.open = subtract_message(all, &own_message);
             robots[j].counters.accepted = (uint16_t)(robots[j].counters.accepted + count - 1);
             continue;
         }
@@ -106,7 +106,8 @@ static void deliver_to_all(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *
 }
 
 /* Deliver the last message of each robot to the robots that are linked to it now. The order of links and arcs
- * gives each robot its messages by ascending ids: votes of the robust filter do not commute. */
+ * gives each robot its messages by ascending ids: for the robust filter it matters which of two senders with
+ * ids equal modulo 32 is the last. */
 static void deliver_along_links(const mcp_asdf_experiment_t *experiment, mcp_asdf_t *robots,
                                 const mcp_asdf_arena_t *arena)
 {
