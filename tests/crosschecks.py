@@ -9,8 +9,10 @@ from types import ModuleType
 from typing import cast
 from unittest.mock import patch
 
+import mcp_asdf.arithmetic
 import mcp_asdf.fixed_point
 import mcp_asdf.mirror
+import mcp_asdf.robust_filter
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Status
 from mcp_asdf_tools.crosscheck.compare import (
@@ -24,7 +26,7 @@ from mcp_asdf_tools.crosscheck.oracle import Audit
 
 SOURCES = {
     module.__name__: Path(cast(str, module.__file__)).read_text(encoding="utf-8")
-    for module in (mcp_asdf.fixed_point, mcp_asdf.mirror)
+    for module in (mcp_asdf.fixed_point, mcp_asdf.arithmetic, mcp_asdf.robust_filter, mcp_asdf.mirror)
 }
 """Sources of the mirror's arithmetic by module, in the order of their imports."""
 ROBOT = "robot:2:1:64:0:2147483648"

@@ -10,8 +10,8 @@ Formats are those of ``mcp_asdf.fixed_point``. A "word" is an integer of 32 bits
 Names that begin with Q32 are numbers in units of 2**-32. ``mcp_asdf.robot`` defines the words of this
 package; the ones needed most are b_hat, the accuracy that a robot assumes of its sensor; x_hat, its estimate
 of the share of black tiles after n black among t observations; alpha, the confidence of that; and a round,
-which is what a robot receives from one ``settle`` to the next. To the robust filter, which is not the
-paper's, a received x_hat is a vote, and the crowd is the summary of all votes.
+which is what a robot receives from one ``settle`` to the next. ``mcp_asdf.robust_filter`` has the robust
+filter, which is not the paper's, and ``mcp_asdf.arithmetic`` the products and quotients.
 """
 
 from __future__ import annotations
@@ -20,6 +20,14 @@ import struct
 from dataclasses import dataclass, field, fields
 from operator import index
 
+from mcp_asdf.arithmetic import (
+    Q32_HALF,
+    Q32_ONE,
+    divide_24,
+    leading_zeros,
+    multiply_high,
+    q32_quotient,
+)
 from mcp_asdf.fixed_point import (
     ALPHA_MAX,
     B_HAT_MAX,
@@ -47,11 +55,28 @@ from mcp_asdf.robot import (
     check_settings,
     check_table,
 )
+from mcp_asdf.robust_filter import (
+    SLOTS,
+    TESTED_ESTIMATES_MIN,
+    RobustFilter,
+    are_valid_slots,
+    are_valid_votes,
+    begin_batch,
+    end_batch,
+    huber_centre,
+    is_supported,
+    is_valid_batch,
+    is_valid_initial_b_hat,
+    keep_estimate,
+    median_of,
+    q23_from_q30,
+    q32_from_q24,
+    robust_test_rejects,
+    sorted_estimates,
+    spread_of,
+    take_vote,
+)
 from mcp_asdf.table import FRACTION_BITS, MAX_WORD, Table, checksum
-
-Q32_HALF = 1 << 31
-Q32_ONE = 1 << 32
-"""1 in units of 2**-32, which no word holds; where a word is needed, MAX_WORD stands for it."""
 
 INFORMATIVE_G = 1 << 20
 """2**-12 in units of 2**-32: smallest |2 p - 1| of an accuracy or an estimate p that carries information."""
@@ -59,44 +84,14 @@ INFORMATIVE_G = 1 << 20
 COUNTER_MASK = 0xFFFF
 """Counters of events have 16 bits."""
 
-# The robust filter's constants, by the names that they have in C; docs/robust.md has the reasons. The centre
-# and the spread are in units of 2**-30, the trend in units of 2**-16.
-CENTRE_START = 1 << 29
-"""Centre of the votes before the first one: 1/2."""
-SPREAD_MIN = 1 << 18
-"""Smallest spread: 2**-12."""
-SPREAD_MAX = 1 << 28
-"""Largest spread, and that before the first vote: 1/4."""
-VOTES_MAX = 1 << 14
-"""More votes are not counted, so that the gain does not fall below 2**-12."""
-VOTES_OF_MAX_GAIN = 32
-"""Up to 63 votes the gain stays at that of 32 votes, 1/8."""
-VOTES_MIN_WHILE_MOVING = 1 << 8
-"""While the centre moves, votes are halved down to about this number."""
-TREND_START = 1 << 15
-"""Trend before the first vote: 1/2."""
-TREND_SHIFT = 8
-"""With every vote the trend loses 2**-8 of itself, so it remembers about 256 votes."""
-TREND_STEP_UP = 255
-"""What a vote that moves the centre up adds to the trend."""
-TREND_STEP_EVEN = 128
-"""What a vote that does not move the centre adds to the trend: about half."""
-TREND_MOVING_DOWN = 1 << 13
-"""The centre moves down if the trend is below 1/8."""
-TREND_MOVING_UP = 7 << 13
-"""The centre moves up if the trend is at least 7/8."""
-REJECTED_SIGMAS_SQUARED = 12
-"""The test rejects beyond sqrt(12) standard deviations."""
-SENDERS_MIN = 3
-"""Smallest number of senders among which one that is wrong can be outvoted."""
-
-IMAGE_MAGIC = 0x4D435302
+IMAGE_MAGIC = 0x4D435303
 """First word of an image: "MCS" and the version of its layout."""
 ROBUST_IMAGE = 1 << 7
 """Bit of the first word that marks an image of the robust filter."""
-IMAGE_WORDS = 31
-IMAGE_SIZE = 4 * IMAGE_WORDS
-"""Length of an image in bytes."""
+ASDF_IMAGE_WORDS = 31
+"""Length of an image in words, with any filter but the robust one."""
+ROBUST_IMAGE_WORDS = 39
+"""Length of an image with the robust filter in words."""
 
 
 @dataclass(frozen=True)
@@ -125,24 +120,6 @@ class Accuracy:
     rare: int
     g_shift: int
     rare_shift: int
-
-
-def leading_zeros(value: int) -> int:
-    """Return by how many bits a word can be shifted up until its highest bit is set; 31 for 0, as for 1."""
-    return 32 - max(value.bit_length(), 1)
-
-
-def multiply_high(a: int, b: int) -> int:
-    """Return a * b / 2**32, rounded down: the upper word of the product of two words.
-
-    If both numbers are in units of 2**-32, so is the result.
-    """
-    return (a * b) >> 32
-
-
-def divide_24(dividend: int, divisor: int) -> int:
-    """Return dividend / divisor in units of 2**-24, rounded down. In C it takes numbers of 31 bits."""
-    return (dividend << 24) // divisor
 
 
 def square_of_ratio(g: int, p: int) -> int:
@@ -318,24 +295,6 @@ def asdf_test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
 # ---- The filter: eq. 8 ----
 
 
-def q32_quotient(numerator: int, denominator: int) -> int:
-    """Return numerator / denominator in units of 2**-32, or a little less, with the bits that the C computes.
-
-    In C this is ``quotient``. It divides by the upper 32 bits of the denominator, rounded up to an even
-    number so that the quotient is never too large, and takes the bits in the same places of the numerator.
-    """
-    shift = denominator.bit_length() - 32
-    if shift < 0:
-        # A short denominator is made longer, so that the shift is not negative.
-        numerator <<= 32
-        denominator <<= 32
-        shift += 32
-    upper_numerator = numerator >> shift
-    # The divisor is halved, so 31 bits more in the dividend make the quotient's unit 2**-32.
-    half_of_upper_denominator = (denominator >> (shift + 1)) + 1
-    return (upper_numerator << 31) // half_of_upper_denominator
-
-
 def round_mean(closed: Closed) -> int:
     """Return x_bar, the weighted mean of a closed round's x_hat, in units of 2**-32, for eq. 8.
 
@@ -367,97 +326,6 @@ def reestimate(t: int, n: int, x_bar: int) -> int | None:
     denominator = t * two_x_bar_minus_one
     b_hat = q32_quotient(numerator, denominator)  # may be below 0 or above 1
     return min(max(b_hat, B_HAT_MIN), B_HAT_MAX)
-
-
-# ---- The robust filter, which is not the paper's ----
-
-
-def q30_from_q23(x_hat: int) -> int:
-    """Convert an estimate from units of 2**-23 to units of 2**-30, those of the crowd's centre. Exact."""
-    return x_hat << 7
-
-
-def q23_from_q30(centre: int) -> int:
-    """Convert the crowd's centre from units of 2**-30 to units of 2**-23, rounded down."""
-    return centre >> 7
-
-
-def update_crowd(crowd: Crowd, sender: int, x_hat: int) -> None:
-    """Count a received x_hat, in units of 2**-23, as a vote, by which the robust filter's crowd changes.
-
-    The centre moves towards the vote by gain * min(distance, spread), where distance is that of the vote from
-    the centre. The spread grows by gain / 2 of itself if the distance is above it, and shrinks by as much
-    otherwise; it stays within SPREAD_MIN .. SPREAD_MAX. The gain is 1/8 up to 63 votes, 1/16 up to 127, and
-    so on to 2**-12 at 2**14 votes, so that both converge. The trend moves by about 1/256 of its distance to 1
-    if the centre goes up, to 0 if it goes down, and to 1/2 if it stays. ``sender`` joins ``crowd.voices``,
-    the set of the senders heard, in which ids that are equal modulo 32 count as one.
-    """
-    # A mask with one bit for each sender id modulo 32.
-    crowd.voices |= 1 << (sender & 31)
-    crowd.votes = min(crowd.votes + 1, VOTES_MAX)
-    # The gain is 2**-gain_shift: 32 votes have 6 bits, and shift by 3.
-    gain_shift = max(crowd.votes, VOTES_OF_MAX_GAIN).bit_length() - 3
-
-    position = q30_from_q23(x_hat)
-    is_above = position > crowd.centre
-    distance = position - crowd.centre if is_above else crowd.centre - position
-    # A vote farther away than the spread moves the centre no more than one at that distance: this limits
-    # what a liar can do.
-    step = min(distance, crowd.spread) >> gain_shift
-    crowd.centre += step if is_above else -step
-
-    # Votes outside widen the spread, votes inside narrow it: it converges to the median of the distances.
-    spread_step = crowd.spread >> (gain_shift + 1)
-    new_spread = crowd.spread + (spread_step if distance > crowd.spread else -spread_step)
-    crowd.spread = min(max(new_spread, SPREAD_MIN), SPREAD_MAX)
-
-    # A moving average of the directions, in units of 2**-16: about 1 for up, 1/2 for no move, 0 for down.
-    crowd.trend -= crowd.trend >> TREND_SHIFT
-    if step == 0:
-        crowd.trend += TREND_STEP_EVEN
-    elif is_above:
-        crowd.trend += TREND_STEP_UP
-
-
-def crowd_fill_ratio(crowd: Crowd) -> int:
-    """Return the crowd's centre, its estimate of the share of black tiles, in units of 2**-32.
-
-    The centre is in units of 2**-30. MAX_WORD stands for 1.0, for which a word has one bit too few.
-    """
-    return min(crowd.centre << 2, MAX_WORD)
-
-
-def robust_test_rejects(crowd: Crowd, t: int, n: int) -> bool:
-    """Return whether n black of t > 0 observations contradict the accuracy that the robot assumed at first.
-
-    That accuracy is ``crowd.first``, the initial b_hat. The crowd, the robust filter's summary of the
-    received estimates, is taken to be right. If D is the difference between n / t and the share of black that
-    the initial b_hat and the crowd's centre predict, the test rejects for
-
-        D**2 > 12 (v / t + (g spread)**2)
-
-    Here v / t is the variance of n / t, and g spread, with g = |2 b_hat - 1|, the uncertainty of the
-    prediction: eq. 1, b_hat centre + (1 - b_hat) (1 - centre), changes by g where the centre changes by 1. In
-    these formulas b_hat is the initial one.
-    """
-    # Shares are in units of 2**-32, squares in units of 2**-64.
-    initial_b_hat = crowd.first
-    fill_ratio = crowd_fill_ratio(crowd)
-    black_seen_as_black = multiply_high(initial_b_hat, fill_ratio)
-    # MAX_WORD stands for 1, so that either difference fits a word of the C.
-    white_seen_as_black = multiply_high(MAX_WORD - initial_b_hat, MAX_WORD - fill_ratio)
-    predicted_share = black_seen_as_black + white_seen_as_black
-    observed_share = q32_quotient(n, t)
-    # The larger of two estimates: either is 0 if its share is 0 or 1.
-    variance = max(multiply_high(share, Q32_ONE - share) for share in (observed_share, predicted_share))
-
-    g = abs(2 * initial_b_hat - Q32_ONE)
-    spread = crowd.spread << 2  # from units of 2**-30 to 2**-32
-    g_spread = multiply_high(g, spread)
-    spread_limit = REJECTED_SIGMAS_SQUARED * (g_spread * g_spread)
-    difference_squared = (observed_share - predicted_share) ** 2
-    # Both sides are multiplied by t, so that v needs no division: t (D**2 - 12 (g spread)**2) > 12 v.
-    return multiply_high(t, difference_squared - spread_limit) > REJECTED_SIGMAS_SQUARED * variance
 
 
 # ---- The state ----
@@ -514,53 +382,6 @@ class Closed:
 
 
 @dataclass
-class Crowd:
-    """State of the robust filter: a summary of the x_hat that a robot has received, which are its votes.
-
-    See ``mcp_asdf_crowd_t``.
-
-    Attributes:
-        centre: Centre of the votes, in units of 2**-30.
-        spread: Median distance of the votes from the centre, in units of 2**-30.
-        voices: Set of the senders heard, those that have voted: a mask with one bit for each id modulo 32.
-        first: The initial b_hat, which the robot had at its start, in units of 2**-32.
-        votes: Number of votes up to VOTES_MAX; tests while the centre moves halve it if it is at least 512.
-        trend: Share of the centre's recent moves that went up, in units of 2**-16.
-    """
-
-    centre: int = CENTRE_START
-    spread: int = SPREAD_MAX
-    voices: int = 0
-    first: int = 0
-    votes: int = 0
-    trend: int = TREND_START
-
-    @property
-    def is_moving(self) -> bool:
-        """True if about 7 of 8 recent moves of the centre went the same way: trend < 1/8 or >= 7/8."""
-        return not TREND_MOVING_DOWN <= self.trend < TREND_MOVING_UP
-
-    def is_valid(self, b_hat: int) -> bool:
-        """Return whether votes can have led to this crowd, in a robot whose assumed accuracy is ``b_hat``.
-
-        Before the first vote, everything must be as at the start, with ``b_hat`` as the initial b_hat, which
-        is ``first``; both are in units of 2**-32. After it the centre must be at most 1, spread and ``first``
-        within their limits, at least one sender in ``voices``, and ``votes`` at most VOTES_MAX. Any trend is
-        possible then, and any ``b_hat``.
-        """
-        # The filter tests only after votes, so without one b_hat is still that of the start.
-        if self.votes == 0:
-            return self == Crowd(first=b_hat)
-        return (
-            self.centre <= q30_from_q23(ONE)  # 1.0 in the centre's unit, 2**-30
-            and SPREAD_MIN <= self.spread <= SPREAD_MAX
-            and self.voices != 0
-            and B_HAT_MIN <= self.first <= B_HAT_MAX
-            and self.votes <= VOTES_MAX
-        )
-
-
-@dataclass
 class State:
     """All that a robot remembers: the members of ``mcp_asdf_t``, by the same names.
 
@@ -573,9 +394,11 @@ class State:
         x_hat: Local estimate in units of 2**-23.
         alpha: Its confidence as an alpha word.
         heard: Senders of the open round as a mask of 128 bits in four words: sender 37 is bit 5 of word 1.
-        crowd: The robust filter's summary of the received estimates.
-        open: Sums over the estimates of the open round.
-        closed: Sums over the estimates of the last closed round.
+        robust: What the robust filter remembers, beside the estimates; as in a new robot with other filters.
+        estimates: The latest estimate of each sender, in the slot of its id modulo 32, in units of 2**-16;
+            all are 0 without the robust filter.
+        open: Sums over the estimates of the open round; all are 0 with the robust filter.
+        closed: Sums over the estimates of the last closed round; all are 0 with the robust filter.
         accepted: Counters of events, as the next four, modulo 2**16; see ``Counters``.
         updated: 1 if x_hat and alpha still follow from the b_hat before the last update, else 0.
     """
@@ -588,7 +411,8 @@ class State:
     x_hat: int = HALF
     alpha: int = 0
     heard: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
-    crowd: Crowd = field(default_factory=Crowd)
+    robust: RobustFilter = field(default_factory=RobustFilter)
+    estimates: list[int] = field(default_factory=lambda: [0] * SLOTS)
     open: Sums = field(default_factory=Sums)
     closed: Closed = field(default_factory=Closed)
     accepted: int = 0
@@ -621,9 +445,14 @@ class MirrorRobot(FixedPointView):
         self.config = config
         raw_b_hat = b_hat_to_raw(b_hat)
         self.s = State(index(robot_id), accuracy_of(raw_b_hat), index(config.filter_period))
-        # The robust filter's test is always about the initial b_hat, which ``crowd.first`` keeps.
+        # The robust filter's test is always about the initial b_hat.
         if config.filter == Filter.ROBUST:
-            self.s.crowd.first = raw_b_hat
+            self.s.robust.initial_b_hat = raw_b_hat
+
+    @property
+    def is_robust(self) -> bool:
+        """True if this robot has the robust filter."""
+        return self.config.filter == Filter.ROBUST
 
     def observe(self, z: Observation) -> Status:
         """Count an observation, and compute x_hat and alpha from all observations so far.
@@ -641,19 +470,22 @@ class MirrorRobot(FixedPointView):
             # Halving keeps the share of black tiles, and lets new observations weigh more than old ones.
             s.t //= 2
             s.n = round(s.n / 2)  # the half of an odd n is a tie, which round() takes to the even number
+            if self.is_robust:
+                # The counts at the beginning of the present batch can no longer be compared with these.
+                begin_batch(s.robust, s.t, s.n)
         s.x_hat, s.alpha = estimate(s.t, s.n, s.accuracy)
         # ``updated`` is 1 from an update of b_hat until x_hat and alpha are computed with the new one: here.
         s.updated = 0
         return Status.OK
 
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Add a neighbour's estimate to the open round or, with the robust filter, to the crowd as a vote.
+        """Add a neighbour's estimate to the open round or, with the robust filter, keep it in its slot.
 
         ``x_hat`` is in units of 2**-23, and ``alpha`` an alpha word. Returns OK if the estimate was accepted;
         REPEATED, which ignores it, if the round already has one of this sender; ERR_SENDER if ``sender`` is
         not in 0 .. 127 or is the robot's own id; and ERR_X_HAT if ``x_hat`` is not in [0, 1]. The counters
         ``accepted``, ``repeated`` and ``rejected`` say how often each has happened. An estimate with alpha =
-        0 is accepted, but enters no sum and is no vote.
+        0 is accepted, but enters no sum and no slot.
         """
         s = self.s
         status = self._check_message(sender, x_hat)
@@ -669,10 +501,10 @@ class MirrorRobot(FixedPointView):
             return Status.REPEATED
         s.heard[word_index] |= sender_bit
         s.accepted = (s.accepted + 1) & COUNTER_MASK
-        if self.config.filter != Filter.ROBUST:
+        if not self.is_robust:
             add_estimate(s.open, x_hat, alpha)
-        elif alpha >> 8:  # a sender without confidence has no vote
-            update_crowd(s.crowd, sender, x_hat)
+        elif alpha >> 8:  # an estimate without confidence is not kept
+            keep_estimate(s.robust, s.estimates, sender, x_hat)
         return Status.OK
 
     def _check_message(self, sender: int, x_hat: int) -> Status:
@@ -688,12 +520,16 @@ class MirrorRobot(FixedPointView):
     def settle(self) -> Status:
         """Close the open round, and run the filter if ``filter_period`` rounds have passed.
 
-        x_bar, beta and x are about the closed round from now on, and the new open round is empty. Returns
-        UPDATED if the filter has re-estimated b_hat, the assumed accuracy, and OK otherwise.
+        x_bar, beta and x are about the closed round from now on, and the new open round is empty. With the
+        robust filter one of the estimates that the robot keeps, or its own, counts as a vote. Returns UPDATED
+        if the filter has re-estimated b_hat, the assumed accuracy, and OK otherwise.
         """
         s = self.s
         is_updated = False
-        s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
+        if self.is_robust:
+            take_vote(s.robust, s.estimates, s.x_hat, s.alpha)
+        else:
+            s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
         s.filter_left -= 1
         if s.filter_left == 0:
             s.filter_left = index(self.config.filter_period)
@@ -722,10 +558,7 @@ class MirrorRobot(FixedPointView):
         s = self.s
         if s.t == 0:
             return False  # there is no estimate to be tested
-        if self.config.filter == Filter.ROBUST:
-            new_b_hat = self._run_robust_filter()
-        else:
-            new_b_hat = self._run_asdf_filter()
+        new_b_hat = self._run_robust_filter() if self.is_robust else self._run_asdf_filter()
         if new_b_hat is None:
             return False
         s.accuracy = accuracy_of(new_b_hat)
@@ -762,33 +595,32 @@ class MirrorRobot(FixedPointView):
     def _run_robust_filter(self) -> int | None:
         """Test the initial b_hat against the received estimates: return the new b_hat, or None to keep it.
 
-        The crowd is the robust filter's summary of the received estimates, its votes. The result is in units
-        of 2**-32. The first of these cases that applies decides:
+        Before that, the dispersion of the robot's own observations takes in those since the last run. The
+        result is in units of 2**-32. The first of these cases that applies decides:
 
-        - The crowd's centre is moving: None, without a test, as the centre lags behind. If the crowd has 512
-          votes or more, their number is halved.
-        - Fewer than three senders have voted: None, without a test, as a wrong one could not be outvoted.
-        - The test, which is counted, rejects the initial b_hat: the accuracy for which the robot's x_hat
-          would be the centre (eq. 8), or None if the centre carries no information (see `reestimate`).
-        - It does not reject: the initial b_hat, or None if that is the present b_hat.
+        - Fewer than five slots have an estimate: None, without a test. Of five, two can be outvoted.
+        - The test, which is counted, rejects the initial b_hat, and at most two fifths of the estimates
+          support this robot: the accuracy for which the robot's x_hat would be the centre of the estimates
+          (eq. 8), or None if that carries no information (see `reestimate`).
+        - Otherwise: the initial b_hat, or None if that is the present b_hat.
         """
-        # The robot's state, and the crowd in it.
-        s, crowd = self.s, self.s.crowd
-        if crowd.is_moving:
-            # With fewer votes the gain is larger, and the centre follows faster.
-            if crowd.votes >= 2 * VOTES_MIN_WHILE_MOVING:
-                crowd.votes >>= 1
+        s, robust = self.s, self.s.robust
+        end_batch(robust, s.t, s.n)
+        estimates = sorted_estimates(robust, s.estimates)
+        if len(estimates) < TESTED_ESTIMATES_MIN:
             return None
-        # ``voices`` is the set of the senders heard, one bit for each.
-        if crowd.voices.bit_count() < SENDERS_MIN:
-            return None
+        # All three are in units of 2**-24.
+        median = median_of(estimates)
+        spread = spread_of(estimates, median)
+        centre = huber_centre(estimates, median, spread)
         s.tests = (s.tests + 1) & COUNTER_MASK
-        if robust_test_rejects(crowd, s.t, s.n):
-            # The crowd's centre takes the place of x_bar.
-            return reestimate(s.t, s.n, crowd_fill_ratio(crowd))
-        # ``first`` is the initial b_hat. An earlier test may have replaced it, and then it comes back.
-        is_initial = s.accuracy.b_hat == crowd.first
-        return None if is_initial else crowd.first
+        is_rejected = robust_test_rejects(robust, s.t, s.n, centre, spread)
+        if is_rejected and not is_supported(robust, s.t, s.n, estimates, centre):
+            # The centre takes the place of x_bar.
+            return reestimate(s.t, s.n, q32_from_q24(centre))
+        # An earlier test may have replaced the initial b_hat, and then it comes back.
+        is_initial = s.accuracy.b_hat == robust.initial_b_hat
+        return None if is_initial else robust.initial_b_hat
 
     @property
     def id(self) -> int:
@@ -839,10 +671,10 @@ class MirrorRobot(FixedPointView):
         """Return the weighted mean of the last closed round and an own estimate, in units of 2**-23.
 
         It is the social estimate for an own alpha of 0, and the informed estimate for the robot's own alpha.
-        With the robust filter it is the centre of all received x_hat, or ``x_hat`` before the first.
+        With the robust filter it is the centre of the votes, or ``x_hat`` before the first.
         """
-        if self.config.filter == Filter.ROBUST:
-            return q23_from_q30(self.s.crowd.centre) if self.s.crowd.votes else x_hat
+        if self.is_robust:
+            return q23_from_q30(self.s.robust.centre) if self.s.robust.votes else x_hat
         return informed_estimate(self.s.closed, x_hat, alpha)
 
     @property
@@ -856,12 +688,12 @@ class MirrorRobot(FixedPointView):
         values: dict[str, int] = {}
         for member in fields(State):
             value = getattr(self.s, member.name)
-            if isinstance(value, (Sums, Accuracy, Closed, Crowd)):
+            if isinstance(value, (Sums, Accuracy, Closed, RobustFilter)):
                 for inner_member in fields(value):
                     values[f"{member.name}_{inner_member.name}"] = getattr(value, inner_member.name)
             elif isinstance(value, list):
-                for word_index, word in enumerate(value):
-                    values[f"{member.name}_{word_index}"] = word
+                for index_in_list, number in enumerate(value):
+                    values[f"{member.name}_{index_in_list}"] = number
             else:
                 values[member.name] = value
         return values
@@ -872,11 +704,19 @@ class MirrorRobot(FixedPointView):
         False means that the state, or the image from which it was restored, was damaged.
         """
         s, config = self.s, self.config
-        if config.filter == Filter.ROBUST:
-            has_no_rounds = s.open.count == s.closed.alpha == 0  # this filter keeps no sums of rounds
-            is_filter_state_valid = has_no_rounds and s.crowd.is_valid(s.accuracy.b_hat)
+        if self.is_robust:
+            is_filter_state_valid = (
+                are_valid_slots(s.robust, s.estimates)
+                and are_valid_votes(s.robust)
+                and is_valid_batch(s.robust, s.t, s.n)
+                and is_valid_initial_b_hat(s.robust, s.accuracy.b_hat)
+            )
         else:
-            is_filter_state_valid = s.crowd == Crowd()
+            is_filter_state_valid = (
+                is_valid_mean(s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high)
+                and are_valid_sums(s.open)
+                and s.robust == RobustFilter()
+            )
         sender_count = sum(word.bit_count() for word in s.heard)
         return (
             s.id <= MAX_ID
@@ -884,8 +724,6 @@ class MirrorRobot(FixedPointView):
             and B_HAT_MIN <= s.accuracy.b_hat <= B_HAT_MAX
             and s.accuracy == accuracy_of(s.accuracy.b_hat)
             and is_valid_estimate(s)
-            and is_valid_mean(s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high)
-            and are_valid_sums(s.open)
             and is_filter_state_valid
             and s.open.count <= sender_count  # senders without confidence are in no sum
             and (s.heard[s.id >> 5] >> (s.id & 31)) & 1 == 0  # a robot does not receive from itself
@@ -893,24 +731,21 @@ class MirrorRobot(FixedPointView):
         )
 
     def save(self) -> bytes:
-        """Return the state as ``mcp_asdf_save`` writes it: 31 little-endian words, the last a checksum.
+        """Return the state as ``mcp_asdf_save`` writes it: little-endian words, the last a checksum.
 
-        Word 0 marks the version. Words 1 to 6 are about the robot's own estimate and filter, 7 to 22 about
-        the rounds or the robust filter, 23 to 26 are the senders of the open round, and 27 to 29 counters,
-        with the id.
+        Word 0 marks the version. Words 1 to 6 are about the robot's own estimate and filter. Then come the
+        rounds, in 16 words, or what the robust filter remembers, in 24; four words with the senders of the
+        open round; and three with counters and the id.
         """
         s = self.s
         words = [_image_magic(self.config), s.accuracy.b_hat, s.t, s.n, s.x_hat, s.alpha, s.filter_left]
-        if self.config.filter == Filter.ROBUST:
-            words += _encode_crowd(s.crowd)
-        else:
-            words += _encode_rounds(s)
+        words += _encode_robust_filter(s) if self.is_robust else _encode_rounds(s)
         words += s.heard
         # Counters have 16 bits, so two of them share a word; the id and ``updated`` have 8.
-        words.append(s.accepted | (s.repeated << 16))
-        words.append(s.rejected | (s.tests << 16))
+        words.append(_word_of_halves(s.accepted, s.repeated))
+        words.append(_word_of_halves(s.rejected, s.tests))
         words.append(s.updates | (s.updated << 16) | (s.id << 24))
-        return struct.pack(f"<{IMAGE_WORDS}I", *words, checksum(words))
+        return _image_struct(self.config).pack(*words, checksum(words))
 
     @classmethod
     def restore(cls, config: Config, image: bytes) -> MirrorRobot:
@@ -922,9 +757,10 @@ class MirrorRobot(FixedPointView):
         """
         image_bytes = bytes(memoryview(image))  # memoryview refuses a number, of which bytes makes zeros
         check_config(config)
-        if len(image_bytes) != IMAGE_SIZE:
-            image_bytes = bytes(IMAGE_SIZE)  # zeros, which are refused below like any damaged image
-        words = struct.unpack(f"<{IMAGE_WORDS}I", image_bytes)
+        image_struct = _image_struct(config)
+        if len(image_bytes) != image_struct.size:
+            image_bytes = bytes(image_struct.size)  # zeros, which are refused below like any damaged image
+        words = image_struct.unpack(image_bytes)
         # The magic word differs between versions of the image and with the robust filter.
         if words[0] != _image_magic(config) or checksum(words[:-1]) != words[-1]:
             raise FirmwareError(Status.ERR_IMAGE, "the image is damaged or of another version")
@@ -934,9 +770,7 @@ class MirrorRobot(FixedPointView):
         robot = cls.__new__(cls)
         robot.config = config
         robot.s = _decode_state(config, words)
-        # The robust filter uses five of words 7 to 22, and `_encode_crowd` writes 0 to the others.
-        has_words_beyond_crowd = config.filter == Filter.ROBUST and any(words[12:23])
-        if not robot.holds_invariants() or has_words_beyond_crowd:
+        if not robot.holds_invariants():
             raise FirmwareError(Status.ERR_IMAGE, "the image does not fit the configuration")
         return robot
 
@@ -949,10 +783,21 @@ def _image_magic(config: Config) -> int:
     return IMAGE_MAGIC | (ROBUST_IMAGE if config.filter == Filter.ROBUST else 0)
 
 
-def _encode_rounds(s: State) -> list[int]:
-    """Return the sums of the closed and of the open round in ``s``, a robot's state, as words 7 to 22.
+def _image_struct(config: Config) -> struct.Struct:
+    """Return the format of an image: little-endian words, as many as the filter of the robot needs."""
+    word_count = ROBUST_IMAGE_WORDS if config.filter == Filter.ROBUST else ASDF_IMAGE_WORDS
+    return struct.Struct(f"<{word_count}I")
 
-    An image has 16 words for them. Three sums of the closed and four of the open round have 64 bits and take
+
+def _word_of_halves(low_half: int, high_half: int) -> int:
+    """Return a word with one number of 16 bits in its lower half and another in its upper half."""
+    return low_half | (high_half << 16)
+
+
+def _encode_rounds(s: State) -> list[int]:
+    """Return the sums of the closed and of the open round in ``s``, a robot's state, as 16 words.
+
+    Three sums of the closed and four of the open round have 64 bits and take
     two words each, the lower one first; then come the open round's sum of x_hat and its number of messages.
     """
     # A closed round does not keep x_squared: only the test needs it, which runs before the
@@ -965,27 +810,29 @@ def _encode_rounds(s: State) -> list[int]:
     return [*words, s.open.x, s.open.count]
 
 
-def _encode_crowd(crowd: Crowd) -> list[int]:
-    """Return the robust filter's summary of the received estimates as words 7 to 22 of an image.
+def _encode_robust_filter(s: State) -> list[int]:
+    """Return what the robust filter remembers of ``s``, a robot's state, as 24 words.
 
-    With that filter no sums of a round are kept, so that the image has their 16 words for it. Five are used:
-    centre, spread, the senders heard (``voices``), the initial b_hat (``first``), and votes and trend, which
-    share a word. Eleven are 0.
+    Eight are its own members, of which votes and dispersion share a word. In the others are the estimates of
+    two slots each, the lower slot in the lower half.
     """
-    votes_and_trend = crowd.votes | (crowd.trend << 16)  # 16 bits each
-    return [crowd.centre, crowd.spread, crowd.voices, crowd.first, votes_and_trend, *[0] * 11]
+    robust = s.robust
+    words = [robust.centre, robust.spread, robust.initial_b_hat, robust.filled_slots]
+    words += [robust.batch_t, robust.batch_n, _word_of_halves(robust.votes, robust.dispersion), robust.turn]
+    words += [_word_of_halves(*s.estimates[slot : slot + 2]) for slot in range(0, SLOTS, 2)]
+    return words
 
 
 def _decode_state(config: Config, words: tuple[int, ...]) -> State:
-    """Return the state that the 31 words of an image hold. It is not checked whether it is possible.
+    """Return the state that the words of an image hold. It is not checked whether it is possible.
 
-    ``config.filter`` says whether words 7 to 22 are the sums of the rounds or the robust filter's summary.
+    ``config.filter`` says whether they have the sums of the rounds or what the robust filter remembers.
     """
     _, b_hat, t, n, x_hat, alpha, filter_left = words[:7]
-    round_or_crowd = words[7:23]
-    sender_words = words[23:27]
+    filter_words = words[7:-8]
+    sender_words = words[-8:-4]
     # Numbers that have less than 32 bits share a word, as `MirrorRobot.save` packs them.
-    accepted_and_repeated, rejected_and_tests, updates_updated_and_id = words[27:30]
+    accepted_and_repeated, rejected_and_tests, updates_updated_and_id = words[-4:-1]
     state = State(
         id=updates_updated_and_id >> 24,
         accuracy=accuracy_of(b_hat),
@@ -1003,14 +850,36 @@ def _decode_state(config: Config, words: tuple[int, ...]) -> State:
         updated=(updates_updated_and_id >> 16) & 0xFF,
     )
     if config.filter == Filter.ROBUST:
-        centre, spread, voices, first, votes_and_trend = round_or_crowd[:5]
-        state.crowd = Crowd(centre, spread, voices, first, votes_and_trend & 0xFFFF, votes_and_trend >> 16)
+        state.robust, state.estimates = _decode_robust_filter(filter_words)
     else:
-        *sum_words, open_x, open_count = round_or_crowd
-        # Pairs of words, the lower one first, become seven numbers of 64 bits.
-        long_sums = struct.unpack("<7Q", struct.pack("<14I", *sum_words))
-        state.closed = Closed(*long_sums[:3])
-        state.open = Sums(*long_sums[3:])
-        state.open.x = open_x
-        state.open.count = open_count
+        state.closed, state.open = _decode_rounds(filter_words)
     return state
+
+
+def _decode_rounds(words: tuple[int, ...]) -> tuple[Closed, Sums]:
+    """Return the sums of the closed and of the open round that the 16 words of `_encode_rounds` hold."""
+    *sum_words, open_x, open_count = words
+    # Pairs of words, the lower one first, become seven numbers of 64 bits.
+    long_sums = struct.unpack("<7Q", struct.pack("<14I", *sum_words))
+    closed = Closed(*long_sums[:3])
+    alpha, alpha_x_low, alpha_x_high, x_squared = long_sums[3:]
+    return closed, Sums(alpha, alpha_x_low, alpha_x_high, x_squared, open_x, open_count)
+
+
+def _decode_robust_filter(words: tuple[int, ...]) -> tuple[RobustFilter, list[int]]:
+    """Return what the 24 words of `_encode_robust_filter` hold: the filter's members, and the slots."""
+    centre, spread, initial_b_hat, filled_slots, batch_t, batch_n, votes_and_dispersion, turn = words[:8]
+    robust = RobustFilter(
+        centre=centre,
+        spread=spread,
+        initial_b_hat=initial_b_hat,
+        filled_slots=filled_slots,
+        batch_t=batch_t,
+        batch_n=batch_n,
+        votes=votes_and_dispersion & 0xFFFF,
+        dispersion=votes_and_dispersion >> 16,
+        turn=turn,
+    )
+    # A word has the estimates of two slots, the lower slot in its lower half.
+    estimates = struct.unpack("<32H", struct.pack("<16I", *words[8:]))
+    return robust, list(estimates)

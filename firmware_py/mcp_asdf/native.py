@@ -26,6 +26,8 @@ __all__ = ["NativeRobot", "ffi", "lib"]
 _MAX_BYTE = 2**8 - 1
 # A dictionary, since it is used at every call of the C, and Status(value) takes several times as long.
 _STATUS_BY_VALUE = {int(status): status for status in Status}
+_NOTHING_RECEIVED = ffi.new("mcp_asdf_received_t *")
+"""Sums and estimates of a robot that has received nothing: zeros."""
 
 _ERROR_MESSAGES = {
     Status.ERR_CONFIG: "the firmware refuses the filter, the filter_period or the memory of {config}",
@@ -78,8 +80,9 @@ class NativeRobot(FixedPointView):
         robot = cls.__new__(cls)
         robot._allocate(config)
         image_bytes = bytes(memoryview(image))
-        # The C reads a fixed number of bytes. It refuses zeros, which stand in for an image of another size.
-        size = lib.MCP_ASDF_IMAGE_SIZE
+        # The C reads as many bytes as its filter needs. It refuses zeros, which stand in for an image of
+        # another size.
+        size = _image_size(config)
         c_image = image_bytes if len(image_bytes) == size else bytes(size)
         status = lib.mcp_asdf_restore(robot.pointer, robot._c_config.pointer, c_image)
         _raise_for_error(status, config=config)
@@ -87,7 +90,7 @@ class NativeRobot(FixedPointView):
 
     def save(self) -> bytes:
         """Return the state as an image for ``restore``."""
-        image = ffi.new("uint8_t[]", lib.MCP_ASDF_IMAGE_SIZE)
+        image = ffi.new("uint8_t[]", _image_size(self.config))
         lib.mcp_asdf_save(self.pointer, image)
         return bytes(image)
 
@@ -181,8 +184,20 @@ class NativeRobot(FixedPointView):
         return Counters(*(getattr(c_counters, member.name) for member in fields(Counters)))
 
     def state(self) -> dict[str, int]:
-        """Return every member of ``mcp_asdf_t`` but ``config``, by the names of ``MirrorRobot.state``."""
-        return dict(_named_numbers("", self.pointer[0], ffi.typeof("mcp_asdf_t")))
+        """Return every member of ``mcp_asdf_t`` but ``config``, by the names of ``MirrorRobot.state``.
+
+        The C keeps what a robot receives in a union: estimates with the robust filter, sums with any other.
+        Those that the robot does not keep are 0.
+        """
+        received = self.pointer.received
+        nothing_received = _NOTHING_RECEIVED[0]
+        is_robust = self.config.filter == Filter.ROBUST
+        estimates = received.estimates if is_robust else nothing_received.estimates
+        sums = nothing_received.sums if is_robust else received.sums
+        numbers = dict(_named_numbers("", self.pointer[0], ffi.typeof("mcp_asdf_t")))
+        numbers.update(_named_numbers("estimates", estimates, ffi.typeof(estimates)))
+        numbers.update(_named_numbers("", sums, ffi.typeof(sums)))
+        return numbers
 
     def holds_invariants(self) -> bool:
         """Return whether calls of the interface alone could have led to this state (``docs/invariants.md``).
@@ -225,6 +240,13 @@ def _allocate_table(table: Table) -> Any:
         return ffi.NULL
 
 
+def _image_size(config: Config) -> int:
+    """Return the length of an image in bytes, which depends on the filter."""
+    if config.filter == Filter.ROBUST:
+        return int(lib.MCP_ASDF_ROBUST_IMAGE_SIZE)
+    return int(lib.MCP_ASDF_ASDF_IMAGE_SIZE)
+
+
 def _fit_to_c_type(value: int, maximum: int, substitute: int | None = None) -> int:
     """Return ``value`` if it is in 0 .. ``maximum``, else a number that the C refuses.
 
@@ -246,17 +268,20 @@ def _raise_for_error(status: int, **settings: object) -> None:
 def _named_numbers(name: str, value: Any, c_type: Any) -> Iterator[tuple[str, int]]:
     """Yield the name and value of each number in a C value; those of nested structs as ``open_alpha``.
 
-    Counters are named without their struct. Arrays are divided into words of 32 bits, as in an image,
-    whatever the size of their elements. Pointers are left out.
+    Counters are named without their struct. Numbers in an array are named by their index, and a set of
+    senders is divided into words of 32 bits, as in an image. Pointers are left out, and so is the union of
+    what a robot received, whose meaning depends on its filter.
     """
     if c_type.kind == "struct":
         prefix = f"{name}_" if name and c_type != ffi.typeof("mcp_asdf_counters_t") else ""
         for member, field in c_type.fields:
             yield from _named_numbers(prefix + member, getattr(value, member), field.type)
-    elif c_type.kind in ("array", "union"):
-        # The only ones are bit masks of senders, which an image and the mirror have as words.
+    elif c_type == ffi.typeof("mcp_asdf_senders_t"):
         words = struct.iter_unpack("<I", ffi.buffer(ffi.addressof(value)))
         for word_index, (word,) in enumerate(words):
             yield f"{name}_{word_index}", word
+    elif c_type.kind == "array":
+        for element_index, element in enumerate(value):
+            yield f"{name}_{element_index}", int(element)
     elif c_type.kind == "primitive":
         yield name, int(value)

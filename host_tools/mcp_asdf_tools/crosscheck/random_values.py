@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from random import Random
 
+from mcp_asdf.arithmetic import Q32_HALF, Q32_ONE
 from mcp_asdf.fixed_point import (
     ALPHA_MAX,
     B_HAT_MAX,
@@ -21,7 +22,7 @@ from mcp_asdf.fixed_point import (
     ONE,
     SHIFT_MAX,
 )
-from mcp_asdf.mirror import INFORMATIVE_G, Q32_HALF, Q32_ONE
+from mcp_asdf.mirror import INFORMATIVE_G
 from mcp_asdf.robot import MAX_ID, Sums
 from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE, draw_normal_alpha
 from mcp_asdf_tools.crosscheck.image_words import MAX_32_BITS

@@ -1,0 +1,46 @@
+"""Arithmetic of the mirror: what ``c_ref/src/mcp_asdf_arithmetic.h`` does in words of 32 bits.
+
+A "word" is an integer of 32 bits. Names that begin with Q32 are numbers in units of 2**-32.
+"""
+
+from __future__ import annotations
+
+Q32_HALF = 1 << 31
+Q32_ONE = 1 << 32
+"""1 in units of 2**-32, which no word holds; where a word is needed, MAX_WORD stands for it."""
+
+
+def leading_zeros(value: int) -> int:
+    """Return by how many bits a word can be shifted up until its highest bit is set; 31 for 0, as for 1."""
+    return 32 - max(value.bit_length(), 1)
+
+
+def multiply_high(a: int, b: int) -> int:
+    """Return a * b / 2**32, rounded down: the upper word of the product of two words.
+
+    If both numbers are in units of 2**-32, so is the result.
+    """
+    return (a * b) >> 32
+
+
+def divide_24(dividend: int, divisor: int) -> int:
+    """Return dividend / divisor in units of 2**-24, rounded down. In C it takes numbers of 31 bits."""
+    return (dividend << 24) // divisor
+
+
+def q32_quotient(numerator: int, denominator: int) -> int:
+    """Return numerator / denominator in units of 2**-32, or a little less, with the bits that the C computes.
+
+    In C this is ``quotient``. It divides by the upper 32 bits of the denominator, rounded up to an even
+    number so that the quotient is never too large, and takes the bits in the same places of the numerator.
+    """
+    shift = denominator.bit_length() - 32
+    if shift < 0:
+        # A short denominator is made longer, so that the shift is not negative.
+        numerator <<= 32
+        denominator <<= 32
+        shift += 32
+    upper_numerator = numerator >> shift
+    # The divisor is halved, so 31 bits more in the dividend make the quotient's unit 2**-32.
+    half_of_upper_denominator = (denominator >> (shift + 1)) + 1
+    return (upper_numerator << 31) // half_of_upper_denominator

@@ -1,0 +1,405 @@
+"""The mirror's robust filter: after every call the same bits as ``c_ref/src/mcp_asdf_robust.h``.
+
+The robust filter is this project's own and not the paper's. ``docs/robust.md`` explains it, and
+``docs/design.md``, section 13, specifies every bit.
+
+A robot with this filter keeps no sums of rounds, but the latest estimate of each sender, in one of 32 slots.
+In each round one of these estimates is a vote, in turn, and after the last of them the robot's own estimate
+is one. Votes move the robot's answer, their centre. Every ``filter_period`` rounds the robot tests whether
+its own observations contradict the estimates that it keeps; that test does not use the votes.
+
+Formats: an x_hat is in units of 2**-23; the estimates in slots are in units of 2**-16, and those that are
+tested in units of 2**-24; the votes and their centre and spread are in units of 2**-30; probabilities, shares
+and accuracies are in units of 2**-32.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mcp_asdf.arithmetic import Q32_ONE, multiply_high, q32_quotient
+from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, ONE
+from mcp_asdf.table import MAX_WORD
+
+# Constants by the names that they have in C; docs/robust.md has the reasons.
+SLOTS = 32
+"""Number of slots for estimates of senders. In place of a slot it stands for the robot's own estimate."""
+SLOT_ESTIMATE_MAX = (1 << 16) - 1
+"""Largest estimate in a slot, which has 16 bits; it stands for 1.0, too."""
+TESTED_ESTIMATES_MIN = 5
+"""Smallest number of estimates against which a robot tests itself: of five, two wrong ones are outvoted."""
+CENTRE_START = 1 << 29
+"""Centre of the votes before the first one: 1/2."""
+SPREAD_MIN = 1 << 18
+"""Smallest spread: 2**-12."""
+SPREAD_MAX = 1 << 28
+"""Largest spread, and that before the first vote: 1/4."""
+VOTES_MAX = 1 << 9
+"""More votes are not counted, so that the gain does not fall below 2**-7."""
+VOTES_OF_MAX_GAIN = 32
+"""Up to 63 votes the gain stays at that of 32 votes, 1/8."""
+HUBER_STEPS = 4
+"""Steps from the median of the estimates to their Huber centre."""
+REJECTED_SIGMAS_SQUARED = 12
+"""The test rejects beyond sqrt(12) standard deviations."""
+DISPERSION_MIN = 1 << 8
+"""Smallest dispersion, 1, and that before the first batch: observations are independent."""
+DISPERSION_MAX = (1 << 16) - 1
+DISPERSION_SHIFT = 3
+"""The ratio of a batch of observations counts 2**-3 in the dispersion, and all batches before it the rest."""
+
+
+@dataclass
+class RobustFilter:
+    """What a robot with the robust filter remembers, beside the estimates: see ``mcp_asdf_robust_t``.
+
+    Attributes:
+        centre: Centre of the votes, in units of 2**-30.
+        spread: Median distance of the votes from the centre, in units of 2**-30.
+        initial_b_hat: The b_hat that the robot had at its start, in units of 2**-32.
+        filled_slots: Slots that have an estimate, as a mask: bit i stands for slot i.
+        batch_t: t, the number of observations, when the present batch of observations began.
+        batch_n: n, the number of black ones among them, at that time.
+        votes: Number of votes, up to VOTES_MAX.
+        dispersion: Variance of n from batch to batch, as a multiple of that of independent observations, in
+            units of 2**-8.
+        turn: Slot that votes next. If it is empty, the next filled one votes; SLOTS is the robot's own turn.
+    """
+
+    centre: int = CENTRE_START
+    spread: int = SPREAD_MAX
+    initial_b_hat: int = 0
+    filled_slots: int = 0
+    batch_t: int = 0
+    batch_n: int = 0
+    votes: int = 0
+    dispersion: int = DISPERSION_MIN
+    turn: int = 0
+
+    def is_filled(self, slot: int) -> bool:
+        """Return whether a slot has an estimate."""
+        return (self.filled_slots >> slot) & 1 == 1
+
+
+# ---- Formats ----
+
+
+def q30_from_q23(x_hat: int) -> int:
+    """Convert an estimate from units of 2**-23 to units of 2**-30, those of the votes. Exact."""
+    return x_hat << 7
+
+
+def q23_from_q30(centre: int) -> int:
+    """Convert the centre of the votes from units of 2**-30 to units of 2**-23, rounded down."""
+    return centre >> 7
+
+
+def q23_from_q16(estimate: int) -> int:
+    """Convert a slot's estimate from units of 2**-16 to units of 2**-23. Exact."""
+    return estimate << 7
+
+
+def q24_from_q16(estimate: int) -> int:
+    """Convert a slot's estimate from units of 2**-16 to units of 2**-24, those of the test. Exact."""
+    return estimate << 8
+
+
+def q32_from_q24(value: int) -> int:
+    """Convert an estimate of the test, or their spread, from units of 2**-24 to units of 2**-32. Exact."""
+    return value << 8
+
+
+# ---- Receive: the latest estimate of each sender ----
+
+
+def slot_estimate(x_hat: int) -> int:
+    """Convert an x_hat in units of 2**-23 to an estimate in a slot, in units of 2**-16 and to nearest.
+
+    Halves are rounded up. 1.0, for which a slot has one bit too few, becomes SLOT_ESTIMATE_MAX.
+    """
+    return min((x_hat + 64) >> 7, SLOT_ESTIMATE_MAX)
+
+
+def keep_estimate(robust: RobustFilter, estimates: list[int], sender: int, x_hat: int) -> None:
+    """Put a neighbour's x_hat, in units of 2**-23, into the slot of its sender, in place of an earlier one.
+
+    Both ``robust`` and ``estimates``, the robot's slots, change. Senders whose ids are equal modulo 32 share
+    a slot.
+    """
+    slot = sender % SLOTS
+    estimates[slot] = slot_estimate(x_hat)
+    robust.filled_slots |= 1 << slot
+
+
+# ---- Settle: one vote ----
+
+
+def lowest_bit(mask: int) -> int:
+    """Return the index of the lowest bit of a mask that is set. At least one must be."""
+    lowest_bit_alone = mask & -mask
+    return lowest_bit_alone.bit_length() - 1
+
+
+def next_slot(filled_slots: int, turn: int, has_confidence: bool) -> int:
+    """Return the slot that votes next, or SLOTS for the robot's own estimate.
+
+    Slots vote in ascending order, from ``turn`` on. After the last filled one the robot's own estimate votes
+    if it has confidence; then the first filled one again. At least one of the ``filled_slots`` must be set.
+    """
+    remaining_slots = (filled_slots >> turn) << turn  # those from ``turn`` on
+    if remaining_slots:
+        return lowest_bit(remaining_slots)
+    return SLOTS if has_confidence else lowest_bit(filled_slots)
+
+
+def take_vote(robust: RobustFilter, estimates: Sequence[int], x_hat: int, alpha: int) -> None:
+    """Count the estimate whose turn it is as a vote, and pass the turn on; nothing if all slots are empty.
+
+    ``estimates`` are the robot's slots. ``x_hat``, in units of 2**-23, and ``alpha``, an alpha word, are the
+    robot's own estimate.
+    """
+    if robust.filled_slots == 0:
+        return
+    has_confidence = alpha >> 8 != 0  # the mantissa of an alpha word is in the bits from 8 on
+    slot = next_slot(robust.filled_slots, robust.turn, has_confidence)
+    if slot == SLOTS:
+        count_vote(robust, x_hat)
+        robust.turn = 0
+    else:
+        count_vote(robust, q23_from_q16(estimates[slot]))
+        robust.turn = slot + 1
+
+
+def count_vote(robust: RobustFilter, x_hat: int) -> None:
+    """Move the centre and the spread of the votes by one more vote, an x_hat in units of 2**-23.
+
+    The centre moves towards the vote by gain * min(distance, spread), where distance is that of the vote from
+    the centre. The spread grows by gain / 2 of itself if the distance is above it, and shrinks by as much
+    otherwise; it stays within SPREAD_MIN .. SPREAD_MAX. The gain is 1/8 up to 63 votes, 1/16 up to 127, and
+    so on to 1/128 from 512 votes on.
+    """
+    robust.votes = min(robust.votes + 1, VOTES_MAX)
+    # The gain is 2**-gain_shift: 32 votes have 6 bits, and shift by 3.
+    gain_shift = max(robust.votes, VOTES_OF_MAX_GAIN).bit_length() - 3
+
+    position = q30_from_q23(x_hat)
+    distance = abs(position - robust.centre)
+    # A vote farther away than the spread moves the centre no more than one at that distance: this limits
+    # what a liar can do.
+    step = min(distance, robust.spread) >> gain_shift
+    robust.centre += step if position > robust.centre else -step
+
+    # Votes outside widen the spread, votes inside narrow it: it converges to the median of the distances.
+    spread_step = robust.spread >> (gain_shift + 1)
+    new_spread = robust.spread + (spread_step if distance > robust.spread else -spread_step)
+    robust.spread = min(max(new_spread, SPREAD_MIN), SPREAD_MAX)
+
+
+# ---- The dispersion of the robot's own observations ----
+
+
+def begin_batch(robust: RobustFilter, t: int, n: int) -> None:
+    """Begin a new batch of observations, after ``t`` observations of which ``n`` were black."""
+    robust.batch_t = t
+    robust.batch_n = n
+
+
+def end_batch(robust: RobustFilter, t: int, n: int) -> None:
+    """Update the dispersion by the batch that ends after ``t`` observations, ``n`` black, and begin the next.
+
+    Of d independent observations d share are black, with a variance of d share (1 - share) where share is
+    n / t. If a robot takes several from one tile they are not independent, and the variance is larger: the
+    dispersion says how many times. This is the phi of overdispersed binomial models. The ratio of the square
+    of the batch's deviation to that variance enters the dispersion, a moving average, with a weight of 1/8.
+    A ratio above 12 times the average counts as so much: a change of the floor is an outlier.
+
+    A batch without observations, or in which no deviation is possible, leaves the dispersion as it is.
+    """
+    count = t - robust.batch_t
+    black_count = n - robust.batch_n
+    begin_batch(robust, t, n)
+
+    share = q32_quotient(n, t)
+    variance = count * multiply_high(share, Q32_ONE - share)  # units of 2**-32
+    largest_ratio = REJECTED_SIGMAS_SQUARED * robust.dispersion  # units of 2**-8, as the dispersion
+    largest_square = (largest_ratio * variance) >> 18  # from units of 2**-40 to 2**-22
+    if largest_square == 0:
+        return
+    deviation = abs(black_count * Q32_ONE - count * share) >> 21  # from units of 2**-32 to 2**-11
+    square = min(deviation * deviation, largest_square)
+    # square / variance is largest_ratio times this quotient.
+    ratio = multiply_high(largest_ratio, q32_quotient(square, largest_square))
+
+    old_weight = (1 << DISPERSION_SHIFT) - 1
+    average = (old_weight * robust.dispersion + ratio) >> DISPERSION_SHIFT
+    robust.dispersion = min(max(average, DISPERSION_MIN), DISPERSION_MAX)
+
+
+# ---- The test ----
+
+
+def sorted_estimates(robust: RobustFilter, estimates: Sequence[int]) -> list[int]:
+    """Return the estimates of all filled slots in ascending order, in units of 2**-24.
+
+    ``estimates`` are the robot's slots, in units of 2**-16.
+    """
+    return sorted(q24_from_q16(estimates[slot]) for slot in range(SLOTS) if robust.is_filled(slot))
+
+
+def median_of(sorted_values: Sequence[int]) -> int:
+    """Return the median of sorted values: of an even number, the mean of the middle two, rounded down."""
+    count = len(sorted_values)
+    # These are one and the same where their number is odd.
+    lower_middle, upper_middle = sorted_values[(count - 1) // 2], sorted_values[count // 2]
+    return (lower_middle + upper_middle) // 2
+
+
+def spread_of(estimates: Sequence[int], median: int) -> int:
+    """Return the median distance of estimates from their median, within the limits of a spread.
+
+    All are in units of 2**-24.
+    """
+    distances = sorted(abs(estimate - median) for estimate in estimates)
+    smallest, largest = SPREAD_MIN >> 6, SPREAD_MAX >> 6  # from units of 2**-30
+    return min(max(median_of(distances), smallest), largest)
+
+
+def huber_centre(estimates: Sequence[int], median: int, spread: int) -> int:
+    """Return the Huber centre of estimates, approached from their median. All are in units of 2**-24.
+
+    It is the point where the distances of the estimates above and below balance, if none counts with more
+    than ``spread``: a mean of the estimates near to it, which those far away move by a limited amount.
+    """
+    centre = median
+    for _ in range(HUBER_STEPS):
+        centre = centre_after_huber_step(estimates, centre, spread)
+    return centre
+
+
+def centre_after_huber_step(estimates: Sequence[int], centre: int, spread: int) -> int:
+    """Return the centre after one step of Newton's method towards the Huber centre of some estimates.
+
+    The estimates, the centre and the ``spread``, beyond which a distance counts no more, are in units of
+    2**-24. The centre stays within the range of an estimate.
+    """
+    differences = [estimate - centre for estimate in estimates]
+    balance = sum(max(-spread, min(spread, difference)) for difference in differences)
+    # The balance falls by 1 for each of these where the centre moves up by 1: it is the derivative.
+    inside_count = sum(abs(difference) <= spread for difference in differences)
+    divisor = max(inside_count, 1) << 24  # in the unit of the balance, so that a step is 1.0 at most
+    step = q32_quotient(min(abs(balance), divisor), divisor) >> 8  # from units of 2**-32 to 2**-24
+    if balance < 0:
+        return max(centre - step, 0)
+    return min(centre + step, q24_from_q16(SLOT_ESTIMATE_MAX))
+
+
+def probability_of_black(b_hat: int, fill_ratio: int) -> int:
+    """Return the probability that a sensor of accuracy b_hat names a tile black (eq. 1).
+
+    It is b_hat fill_ratio + (1 - b_hat) (1 - fill_ratio), where the fill ratio is the share of black tiles.
+    All are in units of 2**-32.
+    """
+    black_observed_as_black = multiply_high(b_hat, fill_ratio)
+    # MAX_WORD stands for 1, so that either difference fits a word of the C.
+    white_observed_as_black = multiply_high(MAX_WORD - b_hat, MAX_WORD - fill_ratio)
+    return black_observed_as_black + white_observed_as_black
+
+
+def robust_test_rejects(robust: RobustFilter, t: int, n: int, centre: int, spread: int) -> bool:
+    """Return whether n black of t > 0 observations contradict the initial b_hat.
+
+    ``centre`` is taken for the share of black tiles; it and ``spread`` are those of the estimates that the
+    robot keeps, in units of 2**-24. With p, the probability of observing black by the initial b_hat and the
+    centre, the test rejects for
+
+        (n / t - p)**2 > 12 (dispersion v / t + (g spread)**2)
+
+    Here dispersion v / t is the variance of n / t, and g spread, with g = |2 b_hat - 1|, the uncertainty of
+    p, which changes by g where the centre changes by 1.
+    """
+    # Shares are in units of 2**-32, squares in units of 2**-64.
+    b_hat = robust.initial_b_hat
+    share = q32_quotient(n, t)
+    p = probability_of_black(b_hat, q32_from_q24(centre))
+    # The larger of two estimates of v: either is 0 if its share is 0 or 1.
+    variance = max(multiply_high(share, Q32_ONE - share), multiply_high(p, Q32_ONE - p))
+
+    g = abs(2 * b_hat - Q32_ONE)
+    g_spread = multiply_high(g, q32_from_q24(spread))
+    excess = (share - p) ** 2 - REJECTED_SIGMAS_SQUARED * g_spread**2
+    # Both sides are multiplied by t, so that v needs no division: t excess > 12 dispersion v.
+    scaled_excess = (t * excess) >> 32
+    limit = (REJECTED_SIGMAS_SQUARED * robust.dispersion * variance) >> 8  # without the dispersion's unit
+    return scaled_excess > limit
+
+
+def is_supported(robust: RobustFilter, t: int, n: int, estimates: Sequence[int], centre: int) -> bool:
+    """Return whether more than two of five estimates support a robot whose n of t observations were black.
+
+    An estimate supports it if n / t is nearer to the share of black that the initial b_hat predicts by this
+    estimate than that is to the share predicted by the ``centre`` of all estimates. So many robots are a
+    party and not outliers: which side is right cannot be known. Estimates and centre are in units of 2**-24.
+    """
+    share = q32_quotient(n, t)
+    p_of_centre = probability_of_black(robust.initial_b_hat, q32_from_q24(centre))
+    supporter_count = 0
+    for estimate in estimates:
+        p = probability_of_black(robust.initial_b_hat, q32_from_q24(estimate))
+        if abs(p - share) < abs(p - p_of_centre):
+            supporter_count += 1
+    return 5 * supporter_count > 2 * len(estimates)
+
+
+# ---- Invariants ----
+
+
+def are_valid_slots(robust: RobustFilter, estimates: Sequence[int]) -> bool:
+    """Return whether all slots that are not filled have the estimate 0."""
+    return all(robust.is_filled(slot) or estimates[slot] == 0 for slot in range(SLOTS))
+
+
+def are_valid_votes(robust: RobustFilter) -> bool:
+    """Return whether votes can have led to the centre, the spread, the number of votes and the turn.
+
+    Without votes the other three must be as in a new robot. With votes at least one slot is filled, all are
+    within their limits, and the turn is 0 or that after a filled slot.
+    """
+    if robust.votes == 0:
+        return (robust.centre, robust.spread, robust.turn) == (CENTRE_START, SPREAD_MAX, 0)
+    is_after_filled_slot = 1 <= robust.turn <= SLOTS and robust.is_filled(robust.turn - 1)
+    return (
+        robust.votes <= VOTES_MAX
+        and robust.filled_slots != 0
+        and robust.centre <= q30_from_q23(ONE)
+        and SPREAD_MIN <= robust.spread <= SPREAD_MAX
+        and (robust.turn == 0 or is_after_filled_slot)
+    )
+
+
+def is_valid_batch(robust: RobustFilter, t: int, n: int) -> bool:
+    """Return whether the present batch of observations is possible after ``t`` of which ``n`` were black.
+
+    When it began there were no more observations of either colour than there are now. Before the first batch
+    has ended, which ``batch_t`` = 0 says, the dispersion is that of a new robot.
+    """
+    is_first_batch = robust.batch_t == 0
+    return (
+        robust.batch_n <= robust.batch_t
+        and robust.batch_n <= n
+        and robust.batch_t - robust.batch_n <= t - n
+        and robust.dispersion >= DISPERSION_MIN
+        and (not is_first_batch or robust.dispersion == DISPERSION_MIN)
+    )
+
+
+def is_valid_initial_b_hat(robust: RobustFilter, b_hat: int) -> bool:
+    """Return whether the initial b_hat is in its range and can have become ``b_hat``, the present one.
+
+    Both are in units of 2**-32. Until a test was possible, which takes five estimates and a batch that has
+    ended, they are equal.
+    """
+    has_enough_estimates = robust.filled_slots.bit_count() >= TESTED_ESTIMATES_MIN
+    is_test_possible = has_enough_estimates and robust.batch_t > 0
+    is_in_range = B_HAT_MIN <= robust.initial_b_hat <= B_HAT_MAX
+    return is_in_range and (is_test_possible or b_hat == robust.initial_b_hat)
