@@ -8,7 +8,15 @@ from typing import Any, Protocol
 
 from mcp_asdf.robot import Config, FirmwareError, FixedPointRobot, Status
 from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario, robust_scenario
-from mcp_asdf_tools.crosscheck.scenario import IMAGE, REPLACING, Call, Scenario, Setup, edited_image, perform
+from mcp_asdf_tools.crosscheck.scenario import (
+    REPLACING,
+    Call,
+    Scenario,
+    Setup,
+    edited_image,
+    perform,
+    unpack_image,
+)
 
 State = dict[str, int]
 """Fields of a robot's state, and results of its methods, after a call, by name."""
@@ -197,7 +205,7 @@ def differences(first: CallResult, second: CallResult) -> Iterator[str]:
         first_value, second_value = first.state.get(name), second.state.get(name)
         if first_value != second_value:
             yield f"{name}: {first_value}, {second_value}"
-    word_pairs = zip(IMAGE.unpack(first.image), IMAGE.unpack(second.image), strict=True)
+    word_pairs = zip(unpack_image(first.image), unpack_image(second.image), strict=True)
     for word_index, (first_word, second_word) in enumerate(word_pairs):
         if first_word != second_word:
             yield f"save(), word {word_index}: {first_word:#010x}, {second_word:#010x}"

@@ -16,14 +16,11 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import cast
 
-from mcp_asdf.mirror import IMAGE_SIZE, IMAGE_WORDS
+from mcp_asdf.mirror import ASDF_IMAGE_WORDS, ROBUST_IMAGE_WORDS
 from mcp_asdf.robot import Config, Filter, FixedPointRobot, Observation, Status
 from mcp_asdf.table import Table, checksum
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.tables.thresholds import check_q, generate, parse_omega
-
-IMAGE = struct.Struct(f"<{IMAGE_WORDS}I")
-"""A saved robot, as words."""
 
 _MAX_8, _MAX_32 = 2**8 - 1, 2**32 - 1
 """Largest number of 8 and of 32 bits."""
@@ -33,7 +30,7 @@ _MAX_NUMBERS = {
     "step": (_MAX_32,),
     "settle": (),
     "receive": (_MAX_8, _MAX_32, _MAX_32),
-    "damage": (IMAGE_SIZE - 1, _MAX_8),
+    "damage": (4 * ROBUST_IMAGE_WORDS - 1, _MAX_8),
 }
 """The largest value of every number of an item, by the item's name: ``robot``, which makes the robot, or that
 of a call. ``restore`` is not here, as it takes any number of pairs."""
@@ -54,8 +51,8 @@ class Call:
             settle: none.
             receive: sender, x_hat, alpha.
             restore: The robot is saved and replaced by the robot restored from its image, in which words were
-                replaced (pairs of index, 1 .. 29, and value) and the checksum made right again. If that is
-                refused it stays as it was.
+                replaced and the checksum made right again. If that is refused it stays as it was. Numbers are
+                pairs of an index, 1 .. 29 or with the robust filter 1 .. 37, and a value.
             damage: As restore, but the byte at an index is changed by exclusive or with a mask and the
                 checksum left as it is.
     """
@@ -159,7 +156,8 @@ def parse_scenario(line: str) -> Scenario:
     robot_item, *call_items = items
     # The numbers of the item are in the order of the attributes of Setup.
     setup = Setup(table, *_parse_numbers(robot_item))
-    return Scenario(setup, tuple(_parse_call(call_item) for call_item in call_items))
+    image_words = ROBUST_IMAGE_WORDS if setup.filter == Filter.ROBUST else ASDF_IMAGE_WORDS
+    return Scenario(setup, tuple(_parse_call(call_item, image_words) for call_item in call_items))
 
 
 def _name_of(item: str) -> str:
@@ -176,11 +174,12 @@ def _parse_table(item: str) -> TableChoice:
     return TableChoice(str(parse_omega(omega)), check_q(_parse_integer(q, item)))
 
 
-def _parse_call(item: str) -> Call:
+def _parse_call(item: str, image_words: int) -> Call:
     """Read the item of a call, such as ``observe:1``: a name, and numbers after colons.
 
-    The names are observe, step, settle, receive, damage and restore; `Call` lists their numbers. Raises
-    UsageError for another name, the wrong number of numbers, or a number that is none or is out of range.
+    An image of the robot has ``image_words`` words, and a call must not name one beyond. The names are
+    observe, step, settle, receive, damage and restore; `Call` lists their numbers. Raises UsageError for
+    another name, the wrong number of numbers, or a number that is none or is out of range.
     """
     name, *texts = item.split(":")
     # restore takes any number of pairs, each an index into the image and the word to write there.
@@ -188,16 +187,19 @@ def _parse_call(item: str) -> Call:
         numbers = tuple(_parse_integer(text, item) for text in texts)
         # Word 0 marks the version, and the last word is the checksum: these two are not replaced.
         are_pairs_legal = len(numbers) % 2 == 0 and all(
-            1 <= index < IMAGE_WORDS - 1 and word <= _MAX_32 for index, word in _group_in_pairs(numbers)
+            1 <= index < image_words - 1 and word <= _MAX_32 for index, word in _group_in_pairs(numbers)
         )
         if not are_pairs_legal:
-            raise UsageError(f"{item} needs pairs of an index, 1 to {IMAGE_WORDS - 2}, and a 32-bit word")
+            raise UsageError(f"{item} needs pairs of an index, 1 to {image_words - 2}, and a 32-bit word")
         return Call(name, numbers)
     # "robot" is the item that makes the robot, and no call.
     call_names = ["restore", *(name for name in _MAX_NUMBERS if name != "robot")]
     if name not in call_names:
         raise UsageError(f"{item!r} is no call; there are {', '.join(call_names)}")
-    return Call(name, _parse_numbers(item))
+    numbers = _parse_numbers(item)
+    if name == "damage" and numbers[0] >= 4 * image_words:
+        raise UsageError(f"{item}: {numbers[0]} is too large; the limit there is {4 * image_words - 1}")
+    return Call(name, numbers)
 
 
 def _parse_numbers(item: str) -> tuple[int, ...]:
@@ -224,6 +226,11 @@ def _parse_integer(text: str, item: str) -> int:
 # --- Calls ---
 
 
+def unpack_image(image: bytes) -> list[int]:
+    """Return a saved robot as words. There are as many as its filter needs, and the last is a checksum."""
+    return [word for (word,) in struct.iter_unpack("<I", image)]
+
+
 def edited_image(image: bytes, call: Call) -> bytes:
     """Return a copy of a saved image with the changes that a ``restore`` or ``damage`` call makes.
 
@@ -235,10 +242,11 @@ def edited_image(image: bytes, call: Call) -> bytes:
         damaged_image = bytearray(image)
         damaged_image[byte_index] ^= mask
         return bytes(damaged_image)
-    words = list(IMAGE.unpack(image))
+    words = unpack_image(image)
     for index, value in call.pairs:
         words[index] = value
-    return IMAGE.pack(*words[:-1], checksum(words[:-1]))
+    words[-1] = checksum(words[:-1])
+    return struct.pack(f"<{len(words)}I", *words)
 
 
 def perform(robot: FixedPointRobot, call: Call) -> Status:
