@@ -422,9 +422,9 @@ uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot)
 /* ---- Receive ---- */
 
 /* Add the estimate of `sender` (x_hat as Q23, alpha an alpha word) to the open round or, with the robust
- * filter, to the crowd, unless the sender has been received from in this round. Every call counts as
+ * filter, to the slots, unless the sender has been received from in this round. Every call counts as
  * accepted, repeated or rejected. Returns OK, also for an estimate without confidence (alpha 0), which counts
- * as accepted but changes no sum and no vote; REPEATED; or ERR_SENDER or ERR_X_HAT if the estimate is not
+ * as accepted but changes no sum and no slot; REPEATED; or ERR_SENDER or ERR_X_HAT if the estimate is not
  * valid, in this order. */
 mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat, uint32_t alpha)
 {

@@ -93,8 +93,8 @@ typedef enum {
 typedef enum { MCP_ASDF_WHITE = 0, MCP_ASDF_BLACK = 1 } mcp_asdf_observation_t;
 
 /* What is built: the paper's filter and the robust one, unless a project defines one of these as 0, for all
- * sources alike. Without the robust filter a robot is smaller by 16 to 20 bytes, without the paper's by 64.
- */
+ * sources alike. Without the robust filter a robot is smaller by 29 to 32 bytes. Without the paper's it is as
+ * large, since both keep what they received in the same memory. */
 #ifndef MCP_ASDF_WITH_ASDF
 #define MCP_ASDF_WITH_ASDF 1
 #endif
@@ -220,14 +220,16 @@ typedef union {
 } mcp_asdf_received_t;
 
 /* What a robot with the robust filter keeps beside the estimates received.
- *   centre         of the votes, unit 2^-30                        0 .. 2^30; MCP_ASDF_CENTRE_START before
- * any spread         their median distance from it, unit 2^-30       2^18 .. 2^28 initial_b_hat  unit 2^-32:
- * what the test is about; 0 with other filters filled_slots   bit i is set if slot i has an estimate batch_t
- * t and n when the present batch of observations began: at the last run of the filter or, if batch_n that was
- * later, at the last halving of t votes          number of votes, up to 2^9. The more there are, the less the
- * next one changes centre and spread dispersion     variance of n from batch to batch, as a multiple of what
- * it were if observations were independent, unit 2^-8                          2^8 .. 2^16 - 1 turn slot that
- * votes next; 32: the robot's own estimate does */
+ *   centre         of the votes, unit 2^-30: 0 .. 2^30; MCP_ASDF_CENTRE_START before any
+ *   spread         their median distance from it, unit 2^-30: 2^18 .. 2^28
+ *   initial_b_hat  unit 2^-32: what the test is about; 0 with other filters
+ *   filled_slots   bit i is set if slot i has an estimate
+ *   batch_t        t and n when the present batch of observations began: at the last run of the filter or,
+ *   batch_n        if that was later, at the last halving of t
+ *   votes          how many were taken, up to 2^9: the more, the less the next changes centre and spread
+ *   dispersion     variance of n from batch to batch, as a multiple of what it were if observations were
+ *                  independent, unit 2^-8: 2^8 .. 2^16 - 1
+ *   turn           slot that votes next; 32: the robot's own estimate does */
 typedef struct {
     uint32_t centre;
     uint32_t spread;

@@ -13,7 +13,10 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <cstdlib>
 #include <type_traits>
+#include <utility>
+#include <vector>
 
 namespace third
 {
@@ -25,6 +28,7 @@ constexpr uint64_t two32 = uint64_t(1) << 32;
 constexpr uint32_t informative = uint32_t(1) << 20; /* smallest g and G that say something */
 
 inline uint32_t u32(uint64_t v) { return static_cast<uint32_t>(v); }
+template <typename Integer> uint64_t u64(Integer v) { return static_cast<uint64_t>(v); }
 inline int bits(uint64_t v) { return v == 0 ? 0 : 64 - __builtin_clzll(v); }
 inline int lz(uint64_t v) { return 32 - bits(v); }
 
@@ -140,58 +144,193 @@ struct Round {
     uint128_t alpha_x() const { return low_x + (uint128_t(high_x) << 32); }
 };
 
-/* 13: what a robot with the robust filter knows of the others. */
-struct Crowd {
-    uint32_t r = uint32_t(1) << 29, s = uint32_t(1) << 28, voices = 0, first = 0;
-    uint16_t votes = 0, trend = 1 << 15;
-    std::array<uint32_t, 11> rest{}; /* 10: of an image */
+/* 13. */
+inline uint64_t mulhi(uint64_t u, uint64_t v) { return u64(uint128_t(u) * v >> 32); }
 
-    void hear(uint8_t sender, uint32_t x_hat)
+inline uint64_t distance_between(uint64_t u, uint64_t v) { return u > v ? u - v : v - u; }
+
+/* 13, test: the estimates of the filled slots in ascending order, their centre C and their spread S, all in
+ * units of 2^-24. */
+class TestedEstimates
+{
+  public:
+    explicit TestedEstimates(std::vector<int64_t> values) : ascending(std::move(values))
     {
-        int64_t said = int64_t(x_hat) << 7;
-        int64_t distance = said > r ? said - r : r - said;
-        int64_t pull = std::min<int64_t>(distance, s);
-        votes = static_cast<uint16_t>(std::min(votes + 1, 1 << 14));
-        int shift = std::max(bits(votes) - 3, 3);
-        int64_t step = pull >> shift;
-        int way = step == 0 ? 128 : said > r ? 255 : 0;
-        trend = static_cast<uint16_t>(trend - (trend >> 8) + way);
-        int64_t change = s >> (shift + 1);
-        r = static_cast<uint32_t>(said > r ? r + step : r - step);
-        s = static_cast<uint32_t>(
-            std::clamp<int64_t>(distance > s ? s + change : s - change, 1 << 18, 1 << 28));
-        voices |= uint32_t(1) << sender % 32;
+        std::sort(ascending.begin(), ascending.end());
+        int64_t M = twice_the_median(ascending) / 2;
+        std::vector<int64_t> distances;
+        for (int64_t estimate : ascending)
+            distances.push_back(std::abs(estimate - M));
+        std::sort(distances.begin(), distances.end());
+        S = std::clamp<int64_t>(twice_the_median(distances) / 2, 1 << 12, 1 << 22);
+
+        C = M;
+        for (int times = 0; times < 4; ++times)
+            move_centre();
     }
-    bool is_moving() const { return trend < 1 << 13 || trend >= 7 << 13; }
-    uint64_t A() const { return std::min<uint64_t>(uint64_t(r) << 2, two32 - 1); }
-    /* Whether n of t are not what `first` sees where the crowd is right. */
-    bool rejects(uint64_t n, uint64_t t) const
+
+    std::vector<int64_t> ascending;
+    int64_t C, S;
+
+  private:
+    static int64_t twice_the_median(const std::vector<int64_t> &sorted)
     {
-        auto mulhi = [](uint64_t u, uint64_t v) { return u * v >> 32; };
-        auto variance = [&](uint64_t q) { return q == 0 ? 0 : mulhi(q, two32 - q); };
-        uint64_t R = A();
-        uint64_t p = mulhi(first, R) + mulhi(two32 - 1 - first, two32 - 1 - R);
-        uint64_t seen = upper(n, t);
-        uint64_t v = std::max(variance(p), variance(seen));
-        uint64_t g = first < two31 ? two32 - 2 * uint64_t(first) : 2 * uint64_t(first) - two32;
-        uint64_t g_s = mulhi(g, uint64_t(s) << 2);
-        int128_t least = int128_t(12) * g_s * g_s;
-        int128_t difference = int128_t(seen) - p;
-        int128_t square = difference * difference;
-        return square > least && (int128_t(t) * (square - least) >> 32) > int128_t(12) * v;
+        return sorted[(sorted.size() - 1) / 2] + sorted[sorted.size() / 2];
     }
-    /* 10: what the page says of it, for a robot that has this b_hat. */
-    bool is_possible(uint32_t b_hat) const
+
+    void move_centre()
     {
-        bool is_new =
-            r == uint32_t(1) << 29 && s == 1 << 28 && voices == 0 && first == b_hat && trend == 1 << 15;
-        return std::all_of(rest.begin(), rest.end(), [](uint32_t word) { return word == 0; }) &&
-               first >= MCP_ASDF_B_HAT_MIN && first <= MCP_ASDF_B_HAT_MAX && r <= uint32_t(1) << 30 &&
-               s >= 1 << 18 && s <= 1 << 28 && votes <= 1 << 14 && (voices != 0) == (votes != 0) &&
-               (votes != 0 || is_new);
+        int64_t sum = 0;
+        int64_t near = 0;
+        for (int64_t estimate : ascending) {
+            sum += std::clamp(estimate - C, -S, S);
+            near += std::abs(estimate - C) <= S;
+        }
+        int64_t d = std::max<int64_t>(1, near) << 24;
+        auto quotient = upper(u64(std::min(std::abs(sum), d)), u64(d));
+        auto step = static_cast<int64_t>(quotient >> 8);
+        C = sum < 0 ? std::max<int64_t>(C - step, 0) : std::min<int64_t>(C + step, (1 << 24) - (1 << 8));
     }
 };
 
+/* 13: what a robot with the robust filter keeps. The page calls centre r, spread s, initial_b_hat b_0,
+ * batch_t t', batch_n n' and dispersion phi. */
+struct Robust {
+    uint32_t centre = uint32_t(1) << 29, spread = uint32_t(1) << 28, initial_b_hat = 0, filled_slots = 0;
+    uint32_t batch_t = 0, batch_n = 0;
+    uint16_t votes = 0, dispersion = 1 << 8;
+    uint32_t turn = 0;
+    std::array<uint16_t, MCP_ASDF_SLOTS> estimates{};
+
+    bool is_filled(uint32_t slot) const { return (filled_slots >> slot & 1) != 0; }
+    int filled_count() const { return __builtin_popcount(filled_slots); }
+
+    void keep_estimate(uint8_t sender, uint32_t x_hat)
+    {
+        uint32_t slot = sender % MCP_ASDF_SLOTS;
+        estimates[slot] = static_cast<uint16_t>(std::min<uint32_t>((x_hat + 64) >> 7, 0xFFFF));
+        filled_slots |= uint32_t(1) << slot;
+    }
+
+    /* The vote of a settle; `own` is the robot's own estimate. */
+    void take_vote(const Local &own)
+    {
+        if (filled_slots == 0)
+            return;
+        uint32_t slot = first_filled_slot_from(turn);
+        if (slot == MCP_ASDF_SLOTS && units(own.alpha) != 0) {
+            turn = 0;
+            move(own.x_hat << 7);
+            return;
+        }
+        if (slot == MCP_ASDF_SLOTS)
+            slot = first_filled_slot_from(0);
+        turn = slot + 1;
+        move(uint32_t(estimates[slot]) << 14);
+    }
+
+    /* MCP_ASDF_SLOTS if there is none. */
+    uint32_t first_filled_slot_from(uint32_t slot) const
+    {
+        while (slot < MCP_ASDF_SLOTS && !is_filled(slot))
+            ++slot;
+        return slot;
+    }
+
+    void move(uint32_t vote)
+    {
+        auto distance = static_cast<uint32_t>(distance_between(vote, centre));
+        uint32_t pull = std::min(distance, spread);
+        votes = std::min<uint16_t>(static_cast<uint16_t>(votes + 1), 1 << 9);
+        int shift = std::max(bits(votes) - 3, 3);
+        uint32_t step = pull >> shift;
+        uint32_t change = spread >> (shift + 1);
+        centre = vote > centre ? centre + step : centre - step;
+        spread =
+            std::clamp<uint32_t>(distance > spread ? spread + change : spread - change, 1 << 18, 1 << 28);
+    }
+
+    /* The filter's first point: the batch of observations that ends at t and n changes the dispersion. */
+    void end_batch(uint32_t t, uint32_t n)
+    {
+        uint64_t share = upper(n, t);
+        uint64_t d = t - batch_t;
+        uint64_t v = mulhi(share, two32 - share);
+        uint64_t c = 12 * uint64_t(dispersion);
+        auto limit = u64(uint128_t(c) * d * v >> 18);
+        uint64_t deviation = distance_between(uint64_t(n - batch_n) << 32, d * share);
+        uint64_t e = std::min(deviation >> 21, two32 - 1);
+        if (limit != 0) {
+            uint64_t ratio = mulhi(c, upper(std::min(e * e, limit), limit));
+            uint64_t mean = (7 * uint64_t(dispersion) + ratio) >> 3;
+            dispersion = static_cast<uint16_t>(std::clamp<uint64_t>(mean, 1 << 8, 0xFFFF));
+        }
+        batch_t = t;
+        batch_n = n;
+    }
+
+    TestedEstimates tested_estimates() const
+    {
+        std::vector<int64_t> values;
+        for (uint32_t slot = 0; slot < MCP_ASDF_SLOTS; ++slot)
+            if (is_filled(slot))
+                values.push_back(int64_t(estimates[slot]) << 8);
+        return TestedEstimates(std::move(values));
+    }
+
+    /* The share of black readings of a sensor with the accuracy b_0 where the fill ratio is X. */
+    uint64_t p(uint64_t X) const
+    {
+        return mulhi(initial_b_hat, X) + mulhi(two32 - 1 - initial_b_hat, two32 - 1 - X);
+    }
+
+    /* Whether n of t black readings reject b_0. */
+    bool rejects(const TestedEstimates &tested, uint32_t t, uint32_t n) const
+    {
+        uint64_t share = upper(n, t);
+        uint64_t p_centre = p(u64(tested.C) << 8);
+        uint64_t v = std::max(mulhi(p_centre, two32 - p_centre), mulhi(share, two32 - share));
+        uint64_t g = distance_between(2 * uint64_t(initial_b_hat), two32);
+        uint128_t reach = mulhi(g, u64(tested.S) << 8);
+        uint128_t least = 12 * reach * reach;
+        uint128_t difference = distance_between(share, p_centre);
+        uint128_t square = difference * difference;
+        return square > least && t * (square - least) >> 32 > uint128_t(12) * dispersion * v >> 8;
+    }
+
+    /* Whether more than two fifths of the estimates support the robot. */
+    bool is_supported(const TestedEstimates &tested, uint32_t t, uint32_t n) const
+    {
+        uint64_t share = upper(n, t);
+        uint64_t p_centre = p(u64(tested.C) << 8);
+        std::size_t supporters = 0;
+        for (int64_t estimate : tested.ascending) {
+            uint64_t p_estimate = p(u64(estimate) << 8);
+            supporters += distance_between(p_estimate, share) < distance_between(p_estimate, p_centre);
+        }
+        return 5 * supporters > 2 * tested.ascending.size();
+    }
+
+    /* 10: what the page says of it, for a robot with these t, n and b_hat. */
+    bool is_possible(uint32_t t, uint32_t n, uint32_t b_hat) const
+    {
+        for (uint32_t slot = 0; slot < MCP_ASDF_SLOTS; ++slot)
+            if (!is_filled(slot) && estimates[slot] != 0)
+                return false;
+        bool is_initial = b_hat == initial_b_hat;
+        bool has_new_votes = centre == uint32_t(1) << 29 && spread == 1 << 28 && turn == 0;
+        bool has_votes = filled_slots != 0 && votes <= 1 << 9 && centre <= uint32_t(1) << 30 &&
+                         spread >= 1 << 18 && spread <= 1 << 28 &&
+                         (turn == 0 || (turn <= MCP_ASDF_SLOTS && is_filled(turn - 1)));
+        return initial_b_hat >= 1 << 12 && initial_b_hat <= two32 - (1 << 12) && dispersion >= 1 << 8 &&
+               batch_n <= batch_t && batch_n <= n && batch_t - batch_n <= t - n &&
+               (filled_count() >= 5 || is_initial) &&
+               (batch_t != 0 || (is_initial && dispersion == 1 << 8)) &&
+               (votes == 0 ? has_new_votes : has_votes);
+    }
+};
+
+/* Large enough for every filter; another filter than the robust one leaves the last bytes unused. */
 using Image = std::array<uint8_t, MCP_ASDF_IMAGE_SIZE>;
 
 struct Robot {
@@ -200,13 +339,13 @@ struct Robot {
     uint32_t b_hat = 0, t = 0, n = 0, filter_left = 0;
     Local local;
     Round open, closed; /* of the closed round, only alpha, low_x and high_x outlive settle */
-    Crowd crowd;
+    Robust robust;
     std::array<uint32_t, 4> heard{};
     mcp_asdf_counters_t counters{};
     uint8_t updated = 0; /* u */
 
     bool is_robust() const { return config.filter == MCP_ASDF_ROBUST; }
-    uint32_t image_version() const { return is_robust() ? 0x4D435382 : 0x4D435302; }
+    uint32_t image_version() const { return is_robust() ? 0x4D435383 : 0x4D435303; }
 
     /* 2 and 9, in the order of the header, which also says what is built. */
     static mcp_asdf_status_t check(const mcp_asdf_config_t &config)
@@ -234,7 +373,7 @@ struct Robot {
         id = new_id;
         b_hat = new_b_hat;
         filter_left = config.filter_period;
-        crowd.first = is_robust() ? b_hat : 0;
+        robust.initial_b_hat = is_robust() ? b_hat : 0;
         return MCP_ASDF_OK;
     }
 
@@ -247,6 +386,10 @@ struct Robot {
         if (t == config.memory) {
             t = config.memory / 2;
             n = n / 2 + (n % 4 == 3 ? 1 : 0); /* to nearest, ties to even */
+            if (is_robust()) {
+                robust.batch_t = t;
+                robust.batch_n = n;
+            }
         }
         local = form(t, n, b_hat);
         updated = 0;
@@ -267,7 +410,7 @@ struct Robot {
         heard[sender / 32] |= uint32_t(1) << sender % 32;
         uint64_t worth = units(alpha);
         if (worth != 0 && is_robust()) {
-            crowd.hear(sender, x_hat);
+            robust.keep_estimate(sender, x_hat);
         } else if (worth != 0) {
             open.alpha += worth;
             open.low_x += (worth % two32) * x_hat;
@@ -285,6 +428,8 @@ struct Robot {
     {
         bool changed = false;
         closed = open;
+        if (is_robust())
+            robust.take_vote(local);
         if (--filter_left == 0) {
             filter_left = config.filter_period;
             changed = is_robust() ? robust_filter() : filter();
@@ -304,7 +449,7 @@ struct Robot {
     uint32_t x() const
     {
         if (is_robust())
-            return crowd.votes == 0 ? local.x_hat : crowd.r >> 7;
+            return robust.votes == 0 ? local.x_hat : robust.centre >> 7;
         uint128_t denominator = uint128_t(units(local.alpha)) + closed.alpha;
         uint128_t numerator = uint128_t(units(local.alpha)) * local.x_hat + closed.alpha_x();
         return denominator == 0 ? local.x_hat : static_cast<uint32_t>(numerator / denominator);
@@ -312,7 +457,7 @@ struct Robot {
     uint32_t x_bar() const
     {
         if (is_robust())
-            return crowd.votes == 0 ? MCP_ASDF_HALF : crowd.r >> 7;
+            return robust.votes == 0 ? MCP_ASDF_HALF : robust.centre >> 7;
         return closed.alpha == 0 ? MCP_ASDF_HALF : static_cast<uint32_t>(closed.alpha_x() / closed.alpha);
     }
     uint64_t beta() const { return closed.alpha; }
@@ -376,17 +521,14 @@ struct Robot {
     {
         if (t == 0)
             return false;
-        if (crowd.is_moving()) {
-            if (crowd.votes >= 1 << 9)
-                crowd.votes /= 2;
-            return false;
-        }
-        if (__builtin_popcount(crowd.voices) < 3)
+        robust.end_batch(t, n);
+        if (robust.filled_count() < 5)
             return false;
         ++counters.tests;
-        if (crowd.rejects(n, t))
-            return reestimate(crowd.A());
-        return b_hat != crowd.first && update(crowd.first);
+        TestedEstimates tested = robust.tested_estimates();
+        if (robust.rejects(tested, t, n) && !robust.is_supported(tested, t, n))
+            return reestimate(u64(tested.C) << 8);
+        return b_hat != robust.initial_b_hat && update(robust.initial_b_hat);
     }
 
     /* 10: the image is the members in this order, each little-endian, between the first word and the
@@ -395,10 +537,11 @@ struct Robot {
     {
         each(r.b_hat), each(r.t), each(r.n), each(r.local.x_hat), each(r.local.alpha), each(r.filter_left);
         if (r.is_robust()) {
-            each(r.crowd.r), each(r.crowd.s), each(r.crowd.voices), each(r.crowd.first);
-            each(r.crowd.votes), each(r.crowd.trend);
-            for (auto &word : r.crowd.rest)
-                each(word);
+            each(r.robust.centre), each(r.robust.spread), each(r.robust.initial_b_hat);
+            each(r.robust.filled_slots), each(r.robust.batch_t), each(r.robust.batch_n);
+            each(r.robust.votes), each(r.robust.dispersion), each(r.robust.turn);
+            for (auto &estimate : r.robust.estimates)
+                each(estimate);
         } else {
             each(r.closed.alpha), each(r.closed.low_x), each(r.closed.high_x);
             each(r.open.alpha), each(r.open.low_x), each(r.open.high_x), each(r.open.x_squared);
@@ -409,18 +552,21 @@ struct Robot {
         each(r.counters.tests), each(r.counters.updates), each(r.updated), each(r.id);
     }
 
-    Image save() const
+    std::size_t image_word_count() const { return is_robust() ? 39 : 31; }
+
+    /* The words of the robot's image. */
+    std::vector<uint32_t> save() const
     {
-        Image image{};
-        uint32_t at = 0;
+        std::vector<uint8_t> bytes;
         auto put = [&](auto v) {
             for (uint32_t i = 0; i < sizeof v; ++i)
-                image[at++] = static_cast<uint8_t>(uint64_t(v) >> 8 * i);
+                bytes.push_back(static_cast<uint8_t>(uint64_t(v) >> 8 * i));
         };
         put(image_version());
         image_members(*this, put);
-        put(checksum(to_words(image), at / 4));
-        return image;
+        std::vector<uint32_t> words = to_words(bytes.data(), bytes.size() / 4);
+        words.push_back(checksum(words, words.size()));
+        return words;
     }
 
     mcp_asdf_status_t restore(const mcp_asdf_config_t &new_config, const Image &image)
@@ -428,9 +574,9 @@ struct Robot {
         mcp_asdf_status_t status = check(new_config);
         if (status != MCP_ASDF_OK)
             return status;
-        auto words = to_words(image);
         Robot r;
         r.config = new_config;
+        std::vector<uint32_t> words = to_words(image.data(), r.image_word_count());
         if (words.front() != r.image_version() || words.back() != checksum(words, words.size() - 1))
             return MCP_ASDF_ERR_IMAGE;
         uint32_t at = 4;
@@ -446,11 +592,12 @@ struct Robot {
         return MCP_ASDF_OK;
     }
 
-    static std::array<uint32_t, MCP_ASDF_IMAGE_SIZE / 4> to_words(const Image &image)
+    /* The first words of little-endian bytes. */
+    static std::vector<uint32_t> to_words(const uint8_t *bytes, std::size_t count)
     {
-        std::array<uint32_t, MCP_ASDF_IMAGE_SIZE / 4> words{};
-        for (uint32_t i = 0; i < image.size(); ++i)
-            words[i / 4] |= uint32_t(image[i]) << 8 * (i % 4);
+        std::vector<uint32_t> words(count);
+        for (std::size_t i = 0; i < 4 * count; ++i)
+            words[i / 4] |= uint32_t(bytes[i]) << 8 * (i % 4);
         return words;
     }
 
@@ -462,7 +609,7 @@ struct Robot {
             senders += static_cast<uint32_t>(__builtin_popcount(word));
         if (id > MCP_ASDF_MAX_ID || b_hat < MCP_ASDF_B_HAT_MIN || b_hat > MCP_ASDF_B_HAT_MAX ||
             t >= config.memory || n > t || filter_left == 0 || filter_left > config.filter_period ||
-            has_heard(id) || open.m > senders || (is_robust() && !crowd.is_possible(b_hat)))
+            has_heard(id) || open.m > senders || (is_robust() && !robust.is_possible(t, n, b_hat)))
             return false;
 
         /* With u = 1, x_hat and alpha are of a b_hat that is no longer known. */

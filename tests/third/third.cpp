@@ -118,12 +118,12 @@ class Run
         if (page != in_c)
             differ(what, page, in_c);
     }
-    void compare(mcp_asdf_status_t page, mcp_asdf_status_t in_c)
+    void compare(mcp_asdf_status_t status_by_page, mcp_asdf_status_t status_in_c)
     {
-        updates += page == MCP_ASDF_UPDATED;
+        updates += status_by_page == MCP_ASDF_UPDATED;
         mcp_asdf_counters_t a = model.counters;
         mcp_asdf_counters_t b = mcp_asdf_counters(&c);
-        expect("status, as 32 bits,", u32(static_cast<uint64_t>(page)), u32(static_cast<uint64_t>(in_c)));
+        expect("status, as 32 bits,", u32(u64(status_by_page)), u32(u64(status_in_c)));
         expect("id", model.id, mcp_asdf_id(&c));
         expect("t", model.t, mcp_asdf_t_count(&c));
         expect("n", model.n, mcp_asdf_n_count(&c));
@@ -136,14 +136,19 @@ class Run
         expect("beta", model.beta(), mcp_asdf_beta(&c));
 #endif
 #if MCP_ASDF_WITH_ROBUST
-        const Crowd &page_crowd = model.crowd;
-        mcp_asdf_crowd_t crowd = mcp_asdf_crowd(&c);
-        expect("r", page_crowd.r, crowd.centre);
-        expect("s", page_crowd.s, crowd.spread);
-        expect("voices", page_crowd.voices, crowd.voices);
-        expect("first", page_crowd.first, crowd.first);
-        expect("votes", page_crowd.votes, crowd.votes);
-        expect("trend", page_crowd.trend, crowd.trend);
+        const Robust &page = model.robust;
+        mcp_asdf_robust_t in_c = mcp_asdf_robust(&c);
+        expect("centre", page.centre, in_c.centre);
+        expect("spread", page.spread, in_c.spread);
+        expect("initial_b_hat", page.initial_b_hat, in_c.initial_b_hat);
+        expect("filled_slots", page.filled_slots, in_c.filled_slots);
+        expect("batch_t", page.batch_t, in_c.batch_t);
+        expect("batch_n", page.batch_n, in_c.batch_n);
+        expect("votes", page.votes, in_c.votes);
+        expect("dispersion", page.dispersion, in_c.dispersion);
+        expect("turn", page.turn, in_c.turn);
+        for (uint32_t slot = 0; model.is_robust() && slot < MCP_ASDF_SLOTS; ++slot)
+            expect("an estimate", page.estimates[slot], c.received.estimates[slot]);
 #endif
         expect("accepted", a.accepted, b.accepted);
         expect("repeated", a.repeated, b.repeated);
@@ -220,47 +225,88 @@ class Run
         return random.one_in(2) ? n : t - n;
     }
 
-    /* New, or any crowd, often at an end of a range. */
-    Crowd some_crowd()
+    /* The state of a new robot, or any state that the model's t, n and b_hat allow, often at an end of a
+     * range. */
+    Robust some_robust_state()
     {
-        Crowd crowd;
-        crowd.first = random.one_in(4) ? some_b_hat() : model.b_hat;
-        if (random.one_in(16)) {
-            crowd.first = model.b_hat;
-            return crowd;
-        }
-        static const uint32_t votes[] = {1 << 14, 1 << 9, 63, 1},
-                              trends[] = {1 << 13, 7 << 13, 1 << 15, 0, 65535};
-        crowd.votes = static_cast<uint16_t>(std::max(1u, random.near(votes[random.below(4)], 1 << 14)));
-        crowd.trend = static_cast<uint16_t>(random.near(trends[random.below(5)], 65535));
-        crowd.voices = std::max(1u, random.one_in(4) ? 3u << random.below(32) : random.word());
-        crowd.s = random.near(random.one_in(2) ? 1 << 18 : 1 << 28, 1 << 28);
-        if (random.one_in(2))
-            crowd.s = random.any_length(28);
-        crowd.s = std::max(crowd.s, uint32_t(1) << 18);
-        crowd.r = random.near(random.one_in(2) ? 0 : 1 << 30, 1 << 30);
-        if (random.one_in(4))
-            crowd.r &= ~127u, crowd.s &= ~127u;
-        return crowd;
+        Robust robust;
+        robust.initial_b_hat = model.b_hat;
+        if (random.one_in(16))
+            return robust;
+        some_estimates(robust);
+        some_votes(robust);
+        if (random.one_in(8))
+            return robust; /* before the filter has run */
+
+        const uint32_t blacks = model.n;
+        const uint32_t whites = model.t - model.n;
+        robust.batch_n = random.among({0, blacks, random.any_length(31) % (blacks + 1)});
+        robust.batch_t = robust.batch_n + random.among({0, whites, random.any_length(31) % (whites + 1)});
+        if (robust.batch_t == 0)
+            return robust;
+        robust.dispersion = static_cast<uint16_t>(256 + random.any_length(16) % (65536 - 256));
+        if (random.one_in(8))
+            robust.dispersion = 65535;
+        if (robust.filled_count() >= 5 && random.one_in(4))
+            robust.initial_b_hat = some_b_hat();
+        return robust;
     }
 
-    /* A centre beside which the test decides otherwise about the model's t > 0 and n, if a few tries find
-     * one. */
-    void undecide(Crowd &crowd)
+    /* Estimates around a point, of some or of all slots. */
+    void some_estimates(Robust &robust)
     {
-        auto rejects = [&](uint32_t r) {
-            crowd.r = r;
-            return crowd.rejects(model.n, model.t);
-        };
-        uint32_t ends[] = {crowd.r, crowd.r};
-        for (uint32_t tries = 0; tries < 8 && rejects(ends[0]) == rejects(ends[1]); ++tries)
-            ends[1] = tries < 2 ? tries << 30 : random.below((1 << 30) + 1);
-        while (rejects(ends[0]) != rejects(ends[1]) &&
-               std::max(ends[0], ends[1]) - std::min(ends[0], ends[1]) > 1) {
-            uint32_t middle = (ends[0] + ends[1]) / 2;
-            ends[rejects(middle) == rejects(ends[1])] = middle;
+        robust.filled_slots = random.among({1, 0x80000000, 0x1F, 0x3F << 13, 0xFFFFFFFF, random.word(),
+                                            random.word(), random.word() & random.word() & random.word()});
+        int64_t middle = random.among({0, 0xFFFF, 0x8000, random.below(65536)});
+        uint32_t width = random.any_length(17);
+        for (uint32_t slot = 0; slot < MCP_ASDF_SLOTS; ++slot) {
+            int64_t estimate = middle + random.below(2 * width + 1) - width;
+            if (random.one_in(8))
+                estimate = random.below(65536);
+            if (robust.is_filled(slot))
+                robust.estimates[slot] = static_cast<uint16_t>(std::clamp<int64_t>(estimate, 0, 0xFFFF));
         }
-        crowd.r = ends[random.below(2)];
+    }
+
+    /* Votes, and a centre, a spread and a turn that these allow. */
+    void some_votes(Robust &robust)
+    {
+        if (robust.filled_slots == 0 || random.one_in(16))
+            return;
+        const uint32_t votes = random.among({1 << 9, 63, 1, random.below(513)});
+        robust.votes = static_cast<uint16_t>(std::max(1u, random.near(votes, 1 << 9)));
+        robust.spread = random.near(random.one_in(2) ? 1 << 18 : 1 << 28, 1 << 28);
+        if (random.one_in(2))
+            robust.spread = random.any_length(28);
+        robust.spread = std::max(robust.spread, uint32_t(1) << 18);
+        robust.centre = random.near(random.one_in(2) ? 0 : 1 << 30, 1 << 30);
+        if (random.one_in(4)) { /* so that a vote may be as far from the centre as the spread */
+            robust.centre &= ~0x3FFFu;
+            robust.spread &= ~0x3FFFu;
+        }
+        uint32_t slot = robust.first_filled_slot_from(random.below(32));
+        robust.turn = slot == MCP_ASDF_SLOTS ? 0 : slot + 1;
+    }
+
+    /* Gives the model, which has t > 0, an initial b_hat beside which the filter decides otherwise, if a few
+     * tries find one. */
+    void bring_to_the_threshold()
+    {
+        Robust &robust = model.robust;
+        const TestedEstimates tested = robust.tested_estimates();
+        auto is_recalibrated = [&](uint32_t initial_b_hat) {
+            robust.initial_b_hat = initial_b_hat;
+            return robust.rejects(tested, model.t, model.n) && !robust.is_supported(tested, model.t, model.n);
+        };
+        uint32_t ends[] = {robust.initial_b_hat, robust.initial_b_hat};
+        for (uint32_t tries = 0; tries < 8 && is_recalibrated(ends[0]) == is_recalibrated(ends[1]); ++tries)
+            ends[1] = some_b_hat();
+        while (is_recalibrated(ends[0]) != is_recalibrated(ends[1]) &&
+               distance_between(ends[0], ends[1]) > 1) {
+            auto middle = u32((uint64_t(ends[0]) + ends[1]) / 2);
+            ends[is_recalibrated(middle) == is_recalibrated(ends[1])] = middle;
+        }
+        robust.initial_b_hat = ends[random.below(2)];
     }
 
     /* A word nothing is known of, for alpha. */
@@ -279,8 +325,9 @@ class Run
     {
         if (random.one_in(50))
             return random.one_in(2) ? random.word() : MCP_ASDF_ONE + random.below(3);
-        if (random.one_in(8)) { /* as far from the crowd as its spread */
-            int64_t edge = int64_t(model.crowd.r) + (random.one_in(2) ? 1 : -1) * int64_t(model.crowd.s);
+        if (random.one_in(8)) { /* as far from the centre as the spread */
+            int64_t edge =
+                int64_t(model.robust.centre) + (random.one_in(2) ? 1 : -1) * int64_t(model.robust.spread);
             return random.near(edge >> 7, MCP_ASDF_ONE);
         }
         int64_t x = int64_t(centre) + random.below(2 * uint64_t(spread) + 1) - spread;
@@ -291,7 +338,7 @@ class Run
     void some_centre()
     {
         uint32_t any = random.below(MCP_ASDF_ONE + 1);
-        centre = random.among({model.local.x_hat, model.crowd.r >> 7,
+        centre = random.among({model.local.x_hat, model.robust.centre >> 7,
                                random.near(MCP_ASDF_HALF, MCP_ASDF_ONE), random.one_in(2) ? 0 : MCP_ASDF_ONE,
                                MCP_ASDF_HALF + (random.one_in(2) ? 1024 : -1024u), /* G is nearly 2^20 */
                                any, any});
@@ -336,27 +383,43 @@ class Run
         some_centre();
     }
 
-    Image saved()
+    /* Compares the words that both save; the C writes no byte beyond them. */
+    std::vector<uint32_t> saved()
     {
-        Image page = model.save();
-        Image in_c;
+        std::vector<uint32_t> page = model.save();
+        const Image untouched = to_image({});
+        Image in_c = untouched;
         mcp_asdf_save(&c, in_c.data());
-        auto a = Robot::to_words(page);
-        auto b = Robot::to_words(in_c);
-        for (uint32_t i = 0; i < a.size(); ++i)
-            if (a[i] != b[i]) {
+        std::vector<uint32_t> words_in_c = Robot::to_words(in_c.data(), page.size());
+        for (uint32_t i = 0; i < page.size(); ++i)
+            if (page[i] != words_in_c[i]) {
                 char what[32];
                 std::snprintf(what, sizeof what, "word %" PRIu32 " of the image", i);
-                differ(what, a[i], b[i]);
+                differ(what, page[i], words_in_c[i]);
             }
+        auto used = static_cast<std::ptrdiff_t>(4 * page.size());
+        expect("rest of the image untouched", 1,
+               std::equal(in_c.begin() + used, in_c.end(), untouched.begin() + used));
         expect("invariants_hold", 1, mcp_asdf_invariants_hold(&c));
         return page;
     }
 
+    /* Bytes that no word fills hold anything. */
+    static Image to_image(const std::vector<uint32_t> &words)
+    {
+        Image image{};
+        image.fill(0xA5);
+        for (std::size_t i = 0; i < 4 * words.size(); ++i)
+            image[i] = static_cast<uint8_t>(words[i / 4] >> 8 * (i % 4));
+        return image;
+    }
+
     /* Both take an image; where they refuse it, both stay as they were. */
-    void do_restore(const char *name, const Image &image, uint32_t a = 0, uint32_t b = 0, uint32_t d = 0)
+    void do_restore(const char *name, const std::vector<uint32_t> &words, uint32_t a = 0, uint32_t b = 0,
+                    uint32_t d = 0)
     {
         note(name, a, b, d);
+        const Image image = to_image(words);
         mcp_asdf_status_t page = model.restore(current->config, image);
         compare(page, mcp_asdf_restore(&c, &current->config, image.data()));
         restored += page == MCP_ASDF_OK;
@@ -365,7 +428,7 @@ class Run
     /* An image with wrong words. */
     void do_damage()
     {
-        auto words = Robot::to_words(saved());
+        std::vector<uint32_t> words = saved();
         uint32_t i = 0;
         uint32_t before = 0;
         do {
@@ -377,34 +440,42 @@ class Run
         } while (random.one_in(4));
         if (!random.one_in(8))
             words.back() = checksum(words, words.size() - 1);
-        Image image{};
-        for (uint32_t at = 0; at < image.size(); ++at)
-            image[at] = static_cast<uint8_t>(words[at / 4] >> 8 * (at % 4));
-        do_restore("restore of a damaged image", image, i, before, words[i]);
+        do_restore("restore of a damaged image", words, i, before, words[i]);
         saved();
     }
 
-    void doubt(Crowd &crowd)
+    /* Breaks one rule of the robust filter's state, or just keeps it. */
+    void make_doubtful(Robust &robust)
     {
         uint16_t over = random.one_in(2);
+        uint32_t slot = random.below(MCP_ASDF_SLOTS);
         any_of({
-            [&] { crowd.r = (1 << 30) + over; },
-            [&] { crowd.s = (1 << 28) + over; },
-            [&] { crowd.s = (1 << 18) - over; },
-            [&] { crowd.first = MCP_ASDF_B_HAT_MIN - over; },
-            [&] { crowd.first = MCP_ASDF_B_HAT_MAX + over; },
-            [&] { crowd.votes = (1 << 14) | over; },
-            [&] { crowd.voices = over; },
-            [&] { crowd.rest[random.below(11)] = over; },
-            [&] { crowd.votes = over; },
+            [&] { robust.centre = (1 << 30) + over; },
+            [&] { robust.spread = (1 << 28) + over; },
+            [&] { robust.spread = (1 << 18) - over; },
+            [&] { robust.votes = static_cast<uint16_t>((1 << 9) + over); },
+            [&] { robust.turn = random.among({32, 33, slot + 1, slot + 1 + 256}); },
+            [&] { robust.initial_b_hat = MCP_ASDF_B_HAT_MIN - over; },
+            [&] { robust.initial_b_hat = MCP_ASDF_B_HAT_MAX + over; },
+            [&] { robust.initial_b_hat = model.b_hat + over; },
+            [&] { robust.dispersion = static_cast<uint16_t>(256 - over); },
+            [&] { robust.batch_n = robust.batch_t + over; },
+            [&] { robust.batch_n = model.n + over, robust.batch_t = model.t; },
+            [&] { robust.batch_n = 0, robust.batch_t = model.t - model.n + over; },
+            [&] {
+                robust.batch_n = robust.batch_t = 0, robust.dispersion = static_cast<uint16_t>(256 + over);
+            },
+            [&] { robust.batch_n = robust.batch_t = 0, robust.dispersion = 256; },
+            [&] { robust.filled_slots = random.among({0, 0xF, 0x1F}) << over; },
+            [&] { robust.filled_slots ^= uint32_t(1) << slot, robust.estimates[slot] = over; },
+            [&] { robust.filled_slots = robust.votes = 0, robust.estimates = {}; },
             [&] { /* without votes, one member as no new robot has it */
-                  crowd = Crowd();
-                  crowd.first = model.b_hat;
-                  uint32_t *const members[] = {&crowd.r, &crowd.s, &crowd.voices, &crowd.first};
-                  if (random.one_in(5))
-                      crowd.trend ^= over;
-                  else
-                      *members[random.below(4)] -= over;
+                  robust.votes = 0;
+                  robust.centre = uint32_t(1) << 29;
+                  robust.spread = 1 << 28;
+                  robust.turn = 0;
+                  uint32_t *const members[] = {&robust.centre, &robust.spread, &robust.turn};
+                  *members[random.below(3)] -= over;
             },
         });
     }
@@ -427,7 +498,7 @@ class Run
         Robot robot = model;
         Round &open = robot.open;
         if (robot.is_robust() && random.one_in(2))
-            doubt(robot.crowd);
+            make_doubtful(robot.robust);
         any_of({
                    [&] { robot.t = random.near(current->config.memory, 0xFFFFFFFF); },
                    [&] { robot.t = robot.n = 0, robot.updated = static_cast<uint8_t>(random.below(3)); },
@@ -518,7 +589,7 @@ class Run
     void do_move()
     {
         some_hostile_settings(*spare);
-        Image image = saved();
+        const Image image = to_image(saved());
         note("restore with other settings", spare->config.memory, spare->config.filter_period);
         mcp_asdf_status_t page = model.restore(spare->config, image);
         compare(page, mcp_asdf_restore(&c, &spare->config, image.data()));
@@ -539,10 +610,10 @@ class Run
         model.updated = 0;
         model.filter_left = 1 + random.word() % current->config.filter_period;
         if (model.is_robust())
-            model.crowd = some_crowd();
-        bool is_tested = model.is_robust() && model.t != 0 && model.crowd.votes != 0 && random.one_in(2);
+            model.robust = some_robust_state();
+        bool is_tested = model.robust.filled_count() >= 5 && model.robust.batch_t != 0 && random.one_in(2);
         if (is_tested) {
-            undecide(model.crowd);
+            bring_to_the_threshold();
             model.filter_left = 1;
         }
         if (random.one_in(8))
@@ -565,7 +636,7 @@ class Run
         uint32_t odds = random.below(257);
         stride = random.one_in(4) ? 32 : 1;
         bool undisturbed = random.one_in(300); /* and so long that votes reach their limit */
-        for (uint32_t left = undisturbed ? 40000 : 1 + random.below(400); same && calls < limit_ && left > 0;
+        for (uint32_t left = undisturbed ? 4000 : 1 + random.below(400); same && calls < limit_ && left > 0;
              --left) {
             if (!undisturbed && random.one_in(24)) {
                 any_of({[&] { note("save"), saved(); }, [&] { do_restore("restore", saved()); },
