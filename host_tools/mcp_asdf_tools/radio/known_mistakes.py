@@ -7,34 +7,19 @@ searched for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from math import frexp, ldexp
 from typing import NamedTuple
 
-from mcp_asdf.fixed_point import B_HAT_MAX, alpha_from_word
-from mcp_asdf.mirror import (
-    INFORMATIVE_G,
-    REJECTED_SIGMAS_SQUARED,
-    SENDERS_MIN,
-    TREND_MOVING_DOWN,
-    TREND_MOVING_UP,
-    TREND_START,
-    VOTES_MIN_WHILE_MOVING,
-    Crowd,
-    MirrorRobot,
-    crowd_fill_ratio,
-    reestimate,
-    robust_test_rejects,
-    round_mean,
-)
+from mcp_asdf.fixed_point import alpha_from_word
+from mcp_asdf.mirror import MirrorRobot, reestimate, round_mean
 from mcp_asdf.robot import Config, Filter, Observation, Status, Sums
-from mcp_asdf.table import FRACTION_BITS, MAX_WORD, Table
+from mcp_asdf.robust_filter import REJECTED_SIGMAS_SQUARED, RobustFilter, robust_test_rejects
+from mcp_asdf.table import FRACTION_BITS, Table
+from mcp_asdf_tools.crosscheck.crafted_slots import RobustTest
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
-
-RobustTest = Callable[[Crowd, int, int], bool]
-"""The robust filter's test: called with crowd, t and n, it returns whether n of t contradict the crowd."""
 
 # --- Tests in other arithmetic ---
 
@@ -53,23 +38,25 @@ class FloatTest:
     prediction_bits: int | None = None
     observed_bits: int | None = None
 
-    def __call__(self, crowd: Crowd, t: int, n: int) -> bool:
-        """Return True if this test rejects."""
-        if t == 0:
-            return False
+    def __call__(self, robust: RobustFilter, t: int, n: int, centre: int, spread: int) -> bool:
+        """Return whether n black of t observations contradict the initial b_hat; see ``robust_test_rejects``.
+
+        ``centre`` and ``spread`` are in units of 2**-24.
+        """
         fit = self._round  # fits every intermediate result into the significant bits
-        fill_ratio = fit(crowd_fill_ratio(crowd) / 2**32)
-        b_hat = fit(crowd.first / 2**32)
-        spread = fit(crowd.spread / 2**30)
-        black_seen_as_black = fit(b_hat * fill_ratio)
-        white_seen_as_black = fit(fit(1 - b_hat) * fit(1 - fill_ratio))
-        predicted = _cut_fraction(fit(black_seen_as_black + white_seen_as_black), self.prediction_bits)
+        b_hat = fit(robust.initial_b_hat / 2**32)
+        fill_ratio = fit(centre / 2**24)
+        black_observed_as_black = fit(b_hat * fill_ratio)
+        white_observed_as_black = fit(fit(1 - b_hat) * fit(1 - fill_ratio))
+        predicted = fit(black_observed_as_black + white_observed_as_black)
+        predicted = _cut_fraction(predicted, self.prediction_bits)
         observed = _cut_fraction(fit(n / t), self.observed_bits)
         variance_of_observed = fit(observed * fit(1 - observed))
         variance_of_predicted = fit(predicted * fit(1 - predicted))
         variance = max(variance_of_observed, variance_of_predicted)
-        g_spread = fit(fit(2 * b_hat - 1) * spread)
-        uncertainty = fit(fit(variance / t) + fit(g_spread * g_spread))
+        dispersed_variance = fit(fit(robust.dispersion / 2**8) * variance)
+        g_spread = fit(fit(2 * b_hat - 1) * fit(spread / 2**24))
+        uncertainty = fit(fit(dispersed_variance / t) + fit(g_spread * g_spread))
         difference = fit(observed - predicted)
         return fit(difference * difference) > fit(REJECTED_SIGMAS_SQUARED * uncertainty)
 
@@ -84,82 +71,24 @@ def _cut_fraction(value: float, bits: int | None) -> float:
     return value if bits is None else ldexp(int(ldexp(value, bits)), -bits)
 
 
-def test_with_t_of_14_bits(crowd: Crowd, t: int, n: int) -> bool:
+def test_with_t_of_14_bits(robust: RobustFilter, t: int, n: int, centre: int, spread: int) -> bool:
     """Return what the firmware's test decides if it keeps 14 bits of t; False if none of these is set."""
     short_t = t % (1 << 14)
-    return short_t != 0 and robust_test_rejects(crowd, short_t, n)
+    return short_t != 0 and robust_test_rejects(robust, short_t, n, centre, spread)
 
 
 # --- Models with a mistake ---
 
 
-@dataclass(frozen=True)
-class RobustRules:
-    """Rules of the robust filter that a controller may get wrong; the defaults are right.
+class RobotWithOtherTest(MirrorRobot):
+    """The firmware's model with another test in its robust filter."""
 
-    Attributes:
-        min_trend: Smallest trend of a crowd that stays, in units of 2**-16. The trend is the share of its
-            centre's recent moves that went up.
-        max_trend: Largest trend of a crowd that stays.
-        min_votes_to_halve: Number of votes from which on they are halved while the crowd moves.
-        trend_after_halving: Trend that a halving leaves; None if it does not change.
-        voice_modulus: Senders whose ids are equal modulo this are one voice.
-        halves_before_three_voices: Whether votes are halved before three voices were received.
-        rejects: The test.
-        informative_g: |2 r - 1| from which on the centre r carries information, in units of 2**-32.
-    """
+    # A default of the class, as models are copies of another robot and are not initialised.
+    robust_test: RobustTest = staticmethod(robust_test_rejects)
 
-    min_trend: int = TREND_MOVING_DOWN
-    max_trend: int = TREND_MOVING_UP - 1
-    min_votes_to_halve: int = 2 * VOTES_MIN_WHILE_MOVING
-    trend_after_halving: int | None = None
-    voice_modulus: int = 32
-    halves_before_three_voices: bool = True
-    rejects: RobustTest = robust_test_rejects
-    informative_g: int = INFORMATIVE_G
-
-
-class RobotOfOtherRules(MirrorRobot):
-    """The firmware's model with other rules in its robust filter."""
-
-    # Defaults of the class, as models are copies of another robot and are not initialised.
-    rules = RobustRules()
-    voices: frozenset[int] = frozenset()
-    """Voices received, by the rules."""
-
-    def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Receive an estimate as the firmware does, and count its sender's voice by the rules."""
-        status = super()._receive(sender, x_hat, alpha)
-        has_confidence = alpha >> 8 > 0
-        if status == Status.OK and has_confidence:
-            self.voices |= {sender % self.rules.voice_modulus}
-        return status
-
-    def _run_robust_filter(self) -> int | None:
-        """Run the robust filter by the rules. Returns the new b_hat in units of 2**-32; None to keep the old.
-
-        While the crowd moves this halves its votes, and may set its trend.
-        """
-        s, crowd, rules = self.s, self.s.crowd, self.rules
-        has_enough_voices = len(self.voices) >= SENDERS_MIN
-        is_moving = not rules.min_trend <= crowd.trend <= rules.max_trend
-        if is_moving:
-            may_halve = has_enough_voices or rules.halves_before_three_voices
-            if may_halve and crowd.votes >= rules.min_votes_to_halve:
-                crowd.votes >>= 1
-                if rules.trend_after_halving is not None:
-                    crowd.trend = rules.trend_after_halving
-            return None
-        if not has_enough_voices:
-            return None
-        if rules.rejects(crowd, s.t, s.n):
-            fill_ratio = crowd_fill_ratio(crowd)
-            g = 2 * max(fill_ratio, MAX_WORD - fill_ratio) - (1 << 32)
-            if g < rules.informative_g:
-                return None
-            # Where the firmware has no b_hat, the centre is so near 1/2 that b_hat is at a limit, whichever.
-            return reestimate(s.t, s.n, fill_ratio) or B_HAT_MAX
-        return crowd.first if s.accuracy.b_hat != crowd.first else None
+    def _rejects_initial_b_hat(self, centre: int, spread: int) -> bool:
+        """Return whether the other test rejects the initial b_hat."""
+        return self.robust_test(self.s.robust, self.s.t, self.s.n, centre, spread)
 
 
 class RobotThatTestsInFloat64(MirrorRobot):
@@ -201,14 +130,14 @@ class KnownMistake:
     Attributes:
         name: What such a controller does, as a verb phrase.
         filters: Filters with which a controller may have this mistake.
-        rules: Its rules, if its robust filter is wrong.
+        robust_test: The test of its robust filter, if that is wrong.
         actual_filter: The filter that it has in truth, if it has another one than it should.
         model_class: Its model, if neither.
     """
 
     name: str
     filters: frozenset[Filter]
-    rules: RobustRules | None = None
+    robust_test: RobustTest | None = None
     actual_filter: Filter | None = None
     model_class: type[MirrorRobot] = MirrorRobot
 
@@ -217,33 +146,20 @@ class KnownMistake:
         if self.actual_filter is not None:
             config = replace(right_model.config, filter=self.actual_filter)
             return copy_as(MirrorRobot, right_model, config)
-        if self.rules is None:
+        if self.robust_test is None:
             return copy_as(self.model_class, right_model)
-        model = copy_as(RobotOfOtherRules, right_model)
-        assert isinstance(model, RobotOfOtherRules)
-        model.rules = self.rules
+        model = copy_as(RobotWithOtherTest, right_model)
+        assert isinstance(model, RobotWithOtherTest)
+        model.robust_test = self.robust_test
         return model
 
 
-_ROBUST_MISTAKES = {
-    "halves the votes below 2^8": RobustRules(min_votes_to_halve=VOTES_MIN_WHILE_MOVING),
-    "does not halve the votes down to 2^8": RobustRules(min_votes_to_halve=2 * VOTES_MIN_WHILE_MOVING + 1),
-    "halves the votes from 2^9 - 1 on": RobustRules(min_votes_to_halve=2 * VOTES_MIN_WHILE_MOVING - 1),
-    "sets the trend back when it halves the votes": RobustRules(trend_after_halving=TREND_START),
-    "does not halve the votes before three voices": RobustRules(halves_before_three_voices=False),
-    "counts voices modulo 16": RobustRules(voice_modulus=16),
-    "counts voices modulo 128": RobustRules(voice_modulus=128),
-    "takes a trend of 2^13 for a move": RobustRules(min_trend=TREND_MOVING_DOWN + 1),
-    "takes no trend of 2^13 - 1 for a move": RobustRules(min_trend=TREND_MOVING_DOWN - 1),
-    "takes a trend of 7/8 - 2^-16 for a move": RobustRules(max_trend=TREND_MOVING_UP - 2),
-    "takes no trend of 7/8 for a move": RobustRules(max_trend=TREND_MOVING_UP),
-    "takes r for uninformative too near 1/2 only": RobustRules(informative_g=INFORMATIVE_G - 8),
-    "takes r for uninformative too far from 1/2": RobustRules(informative_g=INFORMATIVE_G + 8),
-    "tests in float32": RobustRules(rejects=FloatTest(significant_bits=24)),
-    "tests in float64": RobustRules(rejects=FloatTest(significant_bits=53)),
-    "tests a prediction of 23 bits": RobustRules(rejects=FloatTest(prediction_bits=23)),
-    "tests a share n/t of 23 bits": RobustRules(rejects=FloatTest(observed_bits=23)),
-    "tests with a t of 14 bits": RobustRules(rejects=test_with_t_of_14_bits),
+_WRONG_ROBUST_TESTS: dict[str, RobustTest] = {
+    "tests in float32": FloatTest(significant_bits=24),
+    "tests in float64": FloatTest(significant_bits=53),
+    "tests a prediction of 23 bits": FloatTest(prediction_bits=23),
+    "tests a share n/t of 23 bits": FloatTest(observed_bits=23),
+    "tests with a t of 14 bits": test_with_t_of_14_bits,
 }
 
 KNOWN_MISTAKES = (
@@ -255,8 +171,8 @@ KNOWN_MISTAKES = (
     KnownMistake("never re-estimates", frozenset({Filter.ADAPTIVE, Filter.ALWAYS}), actual_filter=Filter.OFF),
     KnownMistake("tests in float64", frozenset({Filter.ADAPTIVE}), model_class=RobotThatTestsInFloat64),
     *(
-        KnownMistake(name, frozenset({Filter.ROBUST}), rules=rules)
-        for name, rules in _ROBUST_MISTAKES.items()
+        KnownMistake(name, frozenset({Filter.ROBUST}), robust_test=robust_test)
+        for name, robust_test in _WRONG_ROBUST_TESTS.items()
     ),
 )
 
@@ -298,9 +214,9 @@ class MistakenModels:
         )
 
     @property
-    def robust_rules(self) -> list[RobustRules]:
-        """Rules of the models whose robust filter is wrong."""
-        return [model.rules for model in self.models.values() if isinstance(model, RobotOfOtherRules)]
+    def robust_tests(self) -> list[RobustTest]:
+        """Tests of the models whose robust filter tests otherwise."""
+        return [model.robust_test for model in self.models.values() if isinstance(model, RobotWithOtherTest)]
 
     def keep_broadcasts(self, right_model: MirrorRobot) -> None:
         """Keep what each model, and the right one, broadcasts now, for ``drop_different``."""

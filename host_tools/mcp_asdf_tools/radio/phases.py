@@ -10,7 +10,6 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial
 
-from mcp_asdf.fixed_point import ONE
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.radio import filter_phases as filtering
 from mcp_asdf_tools.radio import protocol_phases as protocol
@@ -71,7 +70,7 @@ PHASES: tuple[Phase, ...] = (
     Phase("all white", filtering.re_estimate_without_black, applies=_has_asdf_filter),
     Phase("first black tiles", protocol.observe_first_black),
     Phase("few observations", filtering.re_estimate_early, applies=_has_asdf_filter),
-    Phase("few voices", robust.vote_with_few_voices, applies=_has_robust_filter),
+    Phase("first estimates", robust.receive_first_estimates, applies=_has_robust_filter),
     Phase("messages and silence", protocol.receive_and_wait),
     Phase("lost commands", protocol.lose_settles),
     Phase("stray commands", protocol.send_stray_commands),
@@ -102,22 +101,17 @@ PHASES: tuple[Phase, ...] = (
     Phase("re-estimates", filtering.re_estimate_to_each_kind, applies=_has_asdf_filter),
     Phase("estimates of 0 and 1", filtering.re_estimate_from_ends, applies=_has_asdf_filter),
     Phase("many updates", filtering.re_estimate_often, applies=_has_asdf_filter),
-    Phase("votes", robust.vote_at_spread, applies=_has_robust_filter),
-    Phase("moving up", robust.moving_phase(ONE), applies=_has_robust_filter),
-    Phase(
-        "test of a moderate spread",
-        robust.threshold_phase(robust.MODERATE_SPREAD),
-        applies=_has_robust_filter,
-    ),
-    Phase("centre at 1/2", robust.reject_near_half, applies=_has_robust_filter),
-    Phase("limits of the trend", robust.reach_trend_limits, applies=_has_robust_filter),
-    Phase("moving down", robust.moving_phase(0), applies=_has_robust_filter),
+    Phase("votes by turns", robust.vote_with_every_slot, applies=_has_robust_filter),
+    Phase("test of a wide spread", robust.threshold_phase(robust.WIDE_WIDTH), applies=_has_robust_filter),
+    Phase("estimates of 1/2", robust.reject_near_half, applies=_has_robust_filter),
+    Phase("dependent observations", robust.test_dependent_observations, applies=_has_robust_filter),
     Phase("halvings", filtering.halve_memory, applies=can_fill_memory),
     Phase("long run", filtering.observe_long, applies=lambda setup: not can_fill_memory(setup)),
     Phase(
-        "test of the least spread", robust.threshold_phase(robust.LEAST_SPREAD), applies=_has_robust_filter
+        "test of the least spread", robust.threshold_phase(robust.NARROW_WIDTH), applies=_has_robust_filter
     ),
     Phase("many rejections", robust.reject_often, applies=_has_robust_filter),
+    Phase("votes that agree", robust.vote_until_spread_is_least, applies=_has_robust_filter),
     Phase("many votes", robust.vote_often, applies=_has_robust_filter),
     Phase("among neighbours"),
     Phase("loss", fault="loss=0.5,receivers={me}"),

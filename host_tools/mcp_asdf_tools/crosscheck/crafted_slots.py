@@ -1,0 +1,162 @@
+"""Estimates crafted for a robot with the robust filter, which decide its test by a hair.
+
+The robust filter keeps the latest estimate of each sender in a slot. Its test asks whether the observations
+of the robot contradict the centre of these estimates. A neighbour can set a slot to any value, so a test is
+brought to its threshold by the estimates alone: one unit of one slot makes the difference.
+
+Estimates in slots are in units of 2**-16, probabilities and shares in units of 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass
+from random import Random
+
+from mcp_asdf.mirror import MirrorRobot, State
+from mcp_asdf.robust_filter import (
+    SLOT_ESTIMATE_MAX,
+    RobustFilter,
+    end_batch,
+    huber_centre,
+    is_supported,
+    median_of,
+    q23_from_q16,
+    q24_from_q16,
+    robust_test_rejects,
+    spread_of,
+)
+
+RobustTest = Callable[[RobustFilter, int, int, int, int], bool]
+"""A test as ``robust_test_rejects``: of the filter's memory, t, n, and centre and spread of the estimates."""
+
+_SLOT_ONE = 1 << 16
+"""1.0 in the unit of slots; the largest estimate is one less."""
+
+
+@dataclass(frozen=True)
+class TestedSlots:
+    """Estimates against which a robot would test itself, and what its test needs beside them.
+
+    Attributes:
+        estimates: The estimate of each slot.
+        robust: What the robot remembers at the test, with the dispersion that it has there.
+        t: Number of its observations.
+        n: Number of black ones among them.
+    """
+
+    estimates: tuple[int, ...]
+    robust: RobustFilter
+    t: int
+    n: int
+
+    def is_rejected(self, test: RobustTest = robust_test_rejects) -> bool:
+        """Return whether a test, by default the firmware's, rejects the initial b_hat."""
+        centre, spread = self._centre_and_spread()
+        return test(self.robust, self.t, self.n, centre, spread)
+
+    @property
+    def is_supported(self) -> bool:
+        """Whether so many estimates support the robot that a test which rejects has no effect."""
+        centre, _ = self._centre_and_spread()
+        return is_supported(self.robust, self.t, self.n, self._sorted_estimates(), centre)
+
+    def _sorted_estimates(self) -> list[int]:
+        """Return the estimates in the unit and order of the test: 2**-24, ascending."""
+        return sorted(map(q24_from_q16, self.estimates))
+
+    def _centre_and_spread(self) -> tuple[int, int]:
+        """Return centre and spread of the estimates, in units of 2**-24."""
+        estimates = self._sorted_estimates()
+        median = median_of(estimates)
+        spread = spread_of(estimates, median)
+        return huber_centre(estimates, median, spread), spread
+
+
+def filter_at_test(state: State) -> RobustFilter:
+    """Return what a robot in this state would remember at a test that comes before another observation."""
+    robust = copy(state.robust)
+    end_batch(robust, state.t, state.n)
+    return robust
+
+
+def x_hat_of_slot(estimate: int) -> int:
+    """Return an x_hat, in units of 2**-23, with which a message sets a slot to this estimate."""
+    return q23_from_q16(estimate)
+
+
+def estimate_that_predicts(robust: RobustFilter, share: float) -> int:
+    """Return the estimate by which a robot of this initial b_hat should observe ``share`` black tiles.
+
+    Of a share that no estimate predicts, the result is the nearest end of the range. An initial b_hat of
+    exactly 1/2 predicts 1/2 whatever the estimate is; then the result is 1/2.
+    """
+    b_hat = robust.initial_b_hat / 2**32
+    if b_hat == 0.5:
+        return _SLOT_ONE // 2
+    fill_ratio = (share + b_hat - 1) / (2 * b_hat - 1)
+    return _limit_estimate(round(fill_ratio * _SLOT_ONE))
+
+
+def draw_slots_at_threshold(
+    robot: MirrorRobot, count: int, width: int, rng: Random
+) -> tuple[TestedSlots, TestedSlots] | None:
+    """Draw estimates that a robot's test just does not reject, and the same with one unit more in one slot.
+
+    The second ones it just rejects, and no two fifths of them support the robot. The test is that before the
+    robot's next observation.
+
+    Args:
+        robot: The robot, after its last observation before the test.
+        count: Number of estimates.
+        width: How far the estimates are from their middle, at most.
+        rng: Source of the estimates.
+
+    Returns:
+        The estimates that are not rejected, and those that are; None if none of the range are rejected.
+    """
+    state = robot.s
+    robust = filter_at_test(state)
+    middle = estimate_that_predicts(robust, state.n / state.t)
+    drawn = [middle + rng.randint(-width, width) for _ in range(count)]
+    direction = rng.choice((-1, 1))
+
+    def slots_after(steps: int) -> TestedSlots:
+        """Return the drawn estimates after so many steps: each moves the next one by a unit."""
+        rounds, rest = divmod(steps, count)
+        moved = [estimate + direction * (rounds + (index < rest)) for index, estimate in enumerate(drawn)]
+        return TestedSlots(tuple(map(_limit_estimate, moved)), robust, state.t, state.n)
+
+    near, far = 0, count * _SLOT_ONE
+    if slots_after(near).is_rejected() or not slots_after(far).is_rejected():
+        return None
+    while far - near > 1:
+        middle_steps = (near + far) // 2
+        if slots_after(middle_steps).is_rejected():
+            far = middle_steps
+        else:
+            near = middle_steps
+    rejected = slots_after(far)
+    return None if rejected.is_supported else (slots_after(near), rejected)
+
+
+def slots_of_two_parties(robot: MirrorRobot, count: int, supporter_count: int) -> TestedSlots | None:
+    """Return estimates that a robot's test rejects although so many of them support the robot.
+
+    The others agree on an estimate that contradicts its observations. None if there are no such estimates.
+    """
+    state = robot.s
+    robust = filter_at_test(state)
+    supporters = [estimate_that_predicts(robust, state.n / state.t)] * supporter_count
+    # The farther end contradicts the observations more.
+    opposite = 0 if supporters[0] > _SLOT_ONE // 2 else SLOT_ESTIMATE_MAX
+    others = [opposite] * (count - supporter_count)
+    slots = TestedSlots((*supporters, *others), robust, state.t, state.n)
+    has_two_parties = slots.is_supported == (5 * supporter_count > 2 * count)
+    return slots if slots.is_rejected() and has_two_parties else None
+
+
+def _limit_estimate(estimate: int) -> int:
+    """Return the nearest estimate that a slot can have."""
+    return min(max(estimate, 0), SLOT_ESTIMATE_MAX)
