@@ -45,7 +45,7 @@ _MAX_CANDIDATES = 400
 _MAX_ATTEMPTS = 500
 """Times that a burst of observations is made to bring about a test."""
 _MIN_INFORMATION = 0.05
-"""|2 b_hat - 1| of an initial b_hat below which estimates move the test's threshold too little to be shown."""
+"""|2 b_hat - 1| of an initial b_hat below which estimates move the threshold too little to be shown."""
 _BALANCED_OBSERVATIONS = 4096
 """Largest number of observations to bring the share of black ones to some value."""
 _ROUNDS_AT_SPREAD_MIN = 2500
