@@ -77,7 +77,7 @@ WASM = ("--target=wasm32", "-ffreestanding")
 RISC_V = ("-march=rv32imc", "-mabi=ilp32", "-ffreestanding")
 ROOMS = (
     Room("core", ("c_ref/src/*.c",)),
-    Room("tables", ("tables/*.c",)),
+    Room("tables", ("tables/*.c", "c_ref/examples/MinimalRobot/*.c")),
     Room("arena and engine", (f"{ARENA}/*.c", f"{ENGINE}/*.c")),
     Room("linux", ("c_ref/ports/linux/*.c",), ("-D_GNU_SOURCE", "-DMCP_ASDF_NODE_TABLE=some_table")),
     Room(
@@ -172,7 +172,8 @@ def test_the_page_is_formatted_and_biome_finds_nothing() -> None:
 
 
 def test_c_is_formatted() -> None:
-    run(require("clang-format"), "--dry-run", "-Werror", *C_FILES)
+    sketches = (ROOT / "c_ref/examples").rglob("*.ino")
+    run(require("clang-format"), "--dry-run", "-Werror", *C_FILES, *sketches)
 
 
 def test_all_c_is_in_a_room() -> None:

@@ -2,7 +2,7 @@
 
 Each way that builds here ends in a small program, which must succeed. The tools of the other ways do what
 they can without a network: PlatformIO reads its manifest and Arduino's, and packs the folder, as ESP-IDF
-does; Kconfig reads Zephyr's options.
+does; Kconfig reads Zephyr's options. test_arduino.py builds Arduino's sketch.
 """
 
 from __future__ import annotations
@@ -259,7 +259,8 @@ def test_platformio_packs_the_folder(tmp_path: Path) -> None:
     pytest.importorskip("platformio", reason="platformio is not installed: make setup")
     archive = tmp_path / "packed.tar.gz"
     run(sys.executable, "-c", PLATFORMIO, PACKAGE, archive, PLATFORMIO_CORE_DIR=str(tmp_path / "home"))
-    expected = FILES | {"library.json", "library.properties", "README.md", "LICENSE"}
+    sketch = {f"examples/MinimalRobot/{name}" for name in ("MinimalRobot.ino", "t_table_omega05_q30.c")}
+    expected = FILES | sketch | {"library.json", "library.properties", "README.md", "LICENSE"}
     assert files_in(archive) - {".piopm"} == expected
 
 
