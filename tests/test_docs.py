@@ -117,6 +117,21 @@ def is_run(page: Path, command: str) -> bool:
     return page.name not in RUN_ELSEWHERE and not any(re.search(part, command) for part in NOT_RUN)
 
 
+def test_the_navigation_has_every_page() -> None:
+    """And the tests of this file are for all of them."""
+    navigation = (ROOT / ".ci/mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
+    names = re.findall(r"[\w/]+\.md$", navigation, re.MULTILINE)
+    assert sorted(names) == sorted(page.name for page in PAGES[1:])
+
+
+def test_the_pages_have_commands_and_programs() -> None:
+    """A test of each of them is no test where none is found."""
+    commands = [(page, command) for page in PAGES for command in all_commands(page)]
+    commands_that_are_run = [command for page, command in commands if is_run(page, command)]
+    programs = [code for page in PAGES for code in blocks(page, "python")]
+    assert len(commands) >= 130 and len(commands_that_are_run) >= 45 and len(programs) >= 12
+
+
 @pytest.fixture(scope="module")
 def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what the commands expect to find in the project's own."""

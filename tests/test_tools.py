@@ -13,12 +13,12 @@ import pytest
 from _pytest.mark import ParameterSet
 
 from proofs.source import HERE, Variant
-from support import PAGES, ROOT, blocks, require, run, slow
+from support import PAGES, ROOT, blocks, matching_files, require, run, slow
 
 C_FILES = sorted(
     path
     for folder in ("c_ref", "docs", "host_tools", "tables", "tests")
-    for path in (ROOT / folder).rglob("*.[ch]")
+    for path in matching_files(ROOT / folder, "**/*.[ch]")
 )
 ARENA, ENGINE = (f"host_tools/mcp_asdf_tools/{folder}" for folder in ("world/arena", "experiments/engine"))
 INCLUDES = [f"-I{ROOT / folder}" for folder in ("c_ref/src", "c_ref/ports", ARENA, ENGINE)]
@@ -57,7 +57,7 @@ class Room:
 
     @property
     def sources(self) -> list[Path]:
-        return sorted(path for pattern in self.files for path in ROOT.glob(pattern))
+        return sorted(path for pattern in self.files for path in matching_files(ROOT, pattern))
 
     def flags(self) -> list[str]:
         """For every compiler and analyser; skips the test where the library is not installed."""
