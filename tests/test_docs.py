@@ -221,6 +221,7 @@ def test_the_documentation_is_built(site: Path) -> None:
     assert all(f"mcp-asdf {name}" in commands for name in cli.COMMANDS)
     assert "mcp_asdf_settle(mcp_asdf_t *robot)" in headers
     assert "$" not in method, "formulas are MathML"
+    assert "radiolinkSendP2PPacketBroadcast" in texts["elsewhere"], "the page shows the files that it names"
     assert (site / "play.html").stat().st_size > 100_000
     assert "mcp_asdf_tools.world.settings.WorldSettings" in texts["world"]
     advice = texts["advice"]

@@ -23,6 +23,8 @@ C_FILES = sorted(
 ARENA, ENGINE = (f"host_tools/mcp_asdf_tools/{folder}" for folder in ("world/arena", "experiments/engine"))
 INCLUDES = [f"-I{ROOT / folder}" for folder in ("c_ref/src", "c_ref/ports", ARENA, ENGINE)]
 PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
+STUBS = f"{ROOT}/tests/c_ref"
+"""Folder with the headers of the boards that examples are for."""
 WARNINGS = PRESETS["configurePresets"][0]["environment"]["WARNINGS"].split()
 """Those that the C tests are built with, as errors."""
 
@@ -38,7 +40,7 @@ class Room:
         gcc: Its compiler with the flags that choose a processor.
         packages: Debian's packages with the compiler and the headers.
         clang: Flags that choose the same processor for clang.
-        headers: Folder of a library's headers, or empty.
+        headers: Folders of libraries' headers.
         can_analyse: Whether its gcc has ``-fanalyzer``.
         not_clang_tidy: What clang-tidy takes for wrong there, and is right.
         not_cppcheck: The same for cppcheck.
@@ -50,7 +52,7 @@ class Room:
     gcc: tuple[str, ...] = ("gcc",)
     packages: str = "gcc"
     clang: tuple[str, ...] = ()
-    headers: str = ""
+    headers: tuple[str, ...] = ()
     can_analyse: bool = True
     not_clang_tidy: str = ""
     not_cppcheck: tuple[str, ...] = ()
@@ -61,10 +63,12 @@ class Room:
 
     def flags(self) -> list[str]:
         """For every compiler and analyser; skips the test where the library is not installed."""
-        if self.headers and not Path(self.headers).is_dir():
-            pytest.skip(f"{self.headers} is missing: apt-get install {self.packages}")
-        headers = ["-isystem", self.headers] if self.headers else []
-        return ["-std=c99", *INCLUDES, *headers, *self.definitions]
+        header_options = []
+        for folder in self.headers:
+            if not Path(folder).is_dir():
+                pytest.skip(f"{folder} is missing: apt-get install {self.packages}")
+            header_options += ["-isystem", folder]
+        return ["-std=c99", *INCLUDES, *header_options, *self.definitions]
 
 
 # A byte that counts to a constant below 256 saves an AVR two instructions in each round of the loop.
@@ -116,8 +120,14 @@ ROOMS = (
         gcc=("avr-gcc", "-mmcu=atmega328p"),
         packages="gcc-avr avr-libc",
         clang=("--target=avr", "-mmcu=atmega328p", *NOT_FOR_AVR_LIBC),
-        headers="/usr/lib/avr/include",
+        headers=("/usr/lib/avr/include",),
         can_analyse=False,
+    ),
+    Room("ESP-NOW", ("c_ref/examples/radios/esp_now.c",), headers=(STUBS, f"{STUBS}/esp_now")),
+    Room(
+        "Crazyflie",
+        ("c_ref/examples/radios/crazyflie.c",),
+        headers=(f"{STUBS}/freertos", f"{STUBS}/crazyflie"),
     ),
 )
 TESTS = Room("tests", ("tests/**/*.c",), ("-DREAL=double", "-D_GNU_SOURCE"))

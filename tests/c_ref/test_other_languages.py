@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from ctypes_robot import CtypesRobot, robot_size
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.tables.thresholds import generate
@@ -19,17 +20,6 @@ RUST_PROGRAM = ROOT / "c_ref/examples/rust/robot.rs"
 ROBOT_ID = 7
 INITIAL_B_HAT = 0.55
 TICKS = 300
-
-
-class CConfig(ctypes.Structure):
-    """``mcp_asdf_config_t``."""
-
-    _fields_ = (
-        ("table", ctypes.c_void_p),
-        ("filter_period", ctypes.c_uint32),
-        ("memory", ctypes.c_uint32),
-        ("filter", ctypes.c_uint8),
-    )
 
 
 @pytest.fixture(scope="module")
@@ -111,12 +101,6 @@ def test_a_generator_of_bindings_finds_no_type_without_a_name(syntax_tree: str) 
 # --- Robots ----------------------------------------------------------------------------------------------
 
 
-def robot_size() -> int:
-    """Return the number of bytes that the header says a robot has at most."""
-    text = HEADER.read_text(encoding="utf-8")
-    return int(re.findall(r"^#define MCP_ASDF_SIZE_MAX (\d+)", text, re.MULTILINE)[0])
-
-
 def estimate_at(tick: int, sender: int) -> tuple[int, int]:
     """Return x_hat and alpha, as the firmware's integers, that a neighbour broadcasts in a tick."""
     return 7_000_000 + 1000 * sender + tick, 0x80000010
@@ -137,37 +121,14 @@ def step_mirror(config: Config) -> MirrorRobot:
     return mirror
 
 
-class CtypesRobot:
-    """A robot that ctypes steps through the shared library, without a header.
-
-    Attributes:
-        memory: The robot's own memory.
-    """
-
-    def __init__(self, library: Path, config: Config) -> None:
-        """Load the library, and initialise a robot. Fails if the firmware refuses the settings."""
-        self._firmware = ctypes.CDLL(str(library))
-        self.memory = (ctypes.c_uint64 * (robot_size() // 8))()
-        # The library keeps the addresses of the settings and of the table, so they have to stay.
-        words = config.table.words() if config.table else ()
-        self._table = (ctypes.c_uint32 * len(words))(*words)
-        table_address = ctypes.addressof(self._table) if config.table else None
-        self._config = CConfig(table_address, config.filter_period, config.memory, config.filter)
-        b_hat = ctypes.c_uint32(round(INITIAL_B_HAT * 2**32))
-        assert self._firmware.mcp_asdf_init(self.memory, ctypes.byref(self._config), ROBOT_ID, b_hat) == 0
-
-    def run_tick(self, tick: int) -> None:
-        """Receive from three neighbours, observe and settle."""
+def step_by_ctypes(library: Path, config: Config) -> CtypesRobot:
+    """Return a robot of the library after all ticks, in each of which three neighbours broadcast."""
+    robot = CtypesRobot(ctypes.CDLL(str(library)), config, ROBOT_ID, INITIAL_B_HAT)
+    for tick in range(TICKS):
         for sender in range(3):
-            x_hat, alpha = estimate_at(tick, sender)
-            self._firmware.mcp_asdf_receive(self.memory, sender, x_hat, ctypes.c_uint32(alpha))
-        self._firmware.mcp_asdf_step(self.memory, int(is_black_at(tick)))
-
-    def read(self, name: str, c_type: type[ctypes.c_uint32 | ctypes.c_uint64] = ctypes.c_uint32) -> int:
-        """Return what a function such as ``mcp_asdf_x`` says of the robot."""
-        function = self._firmware[f"mcp_asdf_{name}"]
-        function.restype = c_type
-        return int(function(self.memory))
+            robot.receive(sender, *estimate_at(tick, sender))
+        robot.step(is_black_at(tick))
+    return robot
 
 
 ROBUST = Config(filter=Filter.ROBUST, filter_period=100)
@@ -176,9 +137,7 @@ PAPERS = Config(table=generate(Decimal("0.05"), 4), filter_period=100)
 
 @pytest.mark.parametrize("config", [ROBUST, PAPERS], ids=["robust", "the paper's"])
 def test_a_robot_that_ctypes_steps_has_the_bits_of_the_mirror(library: Path, config: Config) -> None:
-    robot = CtypesRobot(library, config)
-    for tick in range(TICKS):
-        robot.run_tick(tick)
+    robot = step_by_ctypes(library, config)
     mirror = step_mirror(config)
     assert robot.read("id") == ROBOT_ID
     assert robot.read("t_count") == TICKS
@@ -190,9 +149,7 @@ def test_a_robot_that_ctypes_steps_has_the_bits_of_the_mirror(library: Path, con
 
 
 def test_the_paper_s_filter_runs_where_ctypes_passes_the_table(library: Path) -> None:
-    robot = CtypesRobot(library, PAPERS)
-    for tick in range(TICKS):
-        robot.run_tick(tick)
+    robot = step_by_ctypes(library, PAPERS)
     assert robot.read("b_hat") / 2**32 == pytest.approx(0.874, abs=0.01)
 
 
