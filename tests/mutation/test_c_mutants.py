@@ -79,3 +79,25 @@ def test_equivalent_mutants_are_no_mistakes(tmp_path: Path) -> None:
             assert same_code(mutant, tmp_path), f"{name} makes a difference"
         else:
             assert killer(mutant, tmp_path, most=1) == "", name
+
+
+# --- What kills a mutant, and what does not ---------------------------------------------------------------
+
+MISTAKE = "mcp_asdf_frame.c define ID_NODE_MASK: [0x7F => 0x7e]U"
+HARMLESS_CHANGE = (
+    "mcp_asdf_frame.c alpha_word_from_binary32: "
+    "return lost_bits [< => <=] 24U ? (mantissa >> lost_bits) << 8 : 0U;"
+)
+
+
+def test_a_mistake_is_killed_by_a_test_that_is_named(tmp_path: Path) -> None:
+    assert killer(everything()[MISTAKE], tmp_path) == "node 1001"
+
+
+def test_a_harmless_change_survives(tmp_path: Path) -> None:
+    """What kills every mutant would find all tests perfect."""
+    assert killer(everything()[HARMLESS_CHANGE], tmp_path) == ""
+
+
+def test_a_mistake_has_another_machine_code(tmp_path: Path) -> None:
+    assert not same_code(everything()[MISTAKE], tmp_path)
