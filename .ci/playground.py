@@ -20,6 +20,7 @@ SOURCES = (
     PLAYGROUND / "playground.c",
     *(ENGINE / f"{name}.c" for name in ("engine", "lanes", "trial")),
     *(ARENA / f"{name}.c" for name in ("arena", "links", "motion", "steering")),
+    ROOT / "c_ref/src/mcp_asdf_small.c",
     ROOT / "tables/t_table_omega05_q127.c",
     ROOT / "c_ref/ports/memory.c",
 )
