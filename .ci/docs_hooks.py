@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT / "tests"))
 requirements = import_module("requirements")
 ROOMS = ROOT / "host_tools/mcp_asdf_tools"
-HEADERS = ("mcp_asdf", "mcp_asdf_frame", "mcp_asdf_image")
+HEADERS = ("mcp_asdf", "mcp_asdf_frame", "mcp_asdf_small", "mcp_asdf_image")
 
 _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
 _FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\s](?:[^$\n]*[^$\s])?)\$", re.DOTALL)

@@ -22,7 +22,7 @@ import yaml
 from support import CORE, ROOT, TABLE, require, run, version_of_header
 
 PACKAGE = ROOT / "c_ref"
-PARTS = ("mcp_asdf", "mcp_asdf_image", "mcp_asdf_frame")
+PARTS = ("mcp_asdf", "mcp_asdf_image", "mcp_asdf_frame", "mcp_asdf_small")
 FILES = {f"src/{path.name}" for path in CORE.parent.iterdir()}
 HEADERS = {f"{name}.h" for name in (*PARTS, "mcp_asdf_rom")}
 """Headers that a user includes; the core's arithmetic has others."""
@@ -32,6 +32,7 @@ HEADERS = {f"{name}.h" for name in (*PARTS, "mcp_asdf_rom")}
 PROGRAM = """
 #include "mcp_asdf_frame.h"
 #include "mcp_asdf_image.h"
+#include "mcp_asdf_small.h"
 
 #ifdef __cplusplus
 extern "C"
@@ -44,16 +45,18 @@ int main(void)
 {
     static const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q30);
     static const mcp_asdf_heartbeat_t beat = {0, 0, 0, 0, 0, 0};
+    static const mcp_asdf_small_message_t message = {1, MCP_ASDF_ONE, 0};
     mcp_asdf_t robot, copy;
     mcp_asdf_frame_t frame;
-    uint8_t image[MCP_ASDF_IMAGE_SIZE];
+    uint8_t image[MCP_ASDF_IMAGE_SIZE], bytes[MCP_ASDF_SMALL_BYTES];
     if (mcp_asdf_init(&robot, &config, 1, 0xC0000000) != MCP_ASDF_OK ||
         mcp_asdf_step(&robot, MCP_ASDF_BLACK) != MCP_ASDF_OK) {
         return 1;
     }
     mcp_asdf_save(&robot, image);
     return mcp_asdf_restore(&copy, &config, image) != MCP_ASDF_OK || mcp_asdf_x(&copy) != MCP_ASDF_ONE ||
-           mcp_asdf_encode_heartbeat(&frame, 4, &beat) != MCP_ASDF_FRAME_OK;
+           mcp_asdf_encode_heartbeat(&frame, 4, &beat) != MCP_ASDF_FRAME_OK ||
+           mcp_asdf_encode_small(bytes, &message) != MCP_ASDF_OK;
 }
 """
 ROBUST_PROGRAM = PROGRAM.replace(
@@ -290,7 +293,7 @@ def zephyr_module() -> dict[str, Any]:
     [
         ("", ()),
         ("CONFIG_MCP_ASDF=y", PARTS),
-        ("CONFIG_MCP_ASDF=y\nCONFIG_MCP_ASDF_IMAGE=n", ("mcp_asdf", "mcp_asdf_frame")),
+        ("CONFIG_MCP_ASDF=y\nCONFIG_MCP_ASDF_IMAGE=n", ("mcp_asdf", "mcp_asdf_frame", "mcp_asdf_small")),
     ],
 )
 def test_zephyr_has_the_optional_parts_with_the_core_unless_they_are_left_out(
@@ -308,5 +311,5 @@ def test_zephyr_has_the_optional_parts_with_the_core_unless_they_are_left_out(
 def test_zephyr_builds_the_parts_that_its_options_choose() -> None:
     commands = (PACKAGE / zephyr_module()["cmake"] / "CMakeLists.txt").read_text(encoding="utf-8")
     assert "zephyr_library_sources(../src/mcp_asdf.c ../src/mcp_asdf_accessors.c)" in commands
-    for name in ("mcp_asdf_image", "mcp_asdf_frame"):
+    for name in ("mcp_asdf_image", "mcp_asdf_frame", "mcp_asdf_small"):
         assert f"zephyr_library_sources_ifdef(CONFIG_{name.upper()} ../src/{name}.c)" in commands

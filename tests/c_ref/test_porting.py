@@ -155,7 +155,12 @@ COMPILERS = {
 """Compiler and Debian packages of each target."""
 QUICK_TARGETS = ("Cortex-M0+", "ATmega328P")
 """Targets that leave the most to helpers of their compilers."""
-PARTS = {"mcp_asdf": "method", "mcp_asdf_image": "saving", "mcp_asdf_frame": "frames"}
+PARTS = {
+    "mcp_asdf": "method",
+    "mcp_asdf_image": "saving",
+    "mcp_asdf_frame": "frames",
+    "mcp_asdf_small": "small messages",
+}
 """Files of the core, and the names by which the page's budget of flash has them."""
 MEMORY_CALLS = re.compile(r"(__aeabi_)?mem(cpy|set|clr|move)\d?")
 LONG_DIVISION_OR_FLOAT = re.compile(r"u?(div|mod|divmod)(di|ti)\d|uldivmod|ldivmod|[sdx]f\d|aeabi_[fd]")

@@ -10,7 +10,7 @@ import pytest
 
 from mutation.c_mutants import MUTATED, Mutant, mutants
 from mutation.equivalents import equivalents
-from mutation.killers import CORE_TESTS, FRAME_TESTS, killer, passes, same_code
+from mutation.killers import CODEC_TESTS, CORE_TESTS, killer, passes, same_code
 from proofs.source import SOURCES, VARIANTS
 from support import ROOT, require
 
@@ -58,8 +58,9 @@ def test_each_equivalent_mutant_is_a_mutant() -> None:
 @pytest.mark.slow
 def test_the_firmware_itself_passes() -> None:
     there = set(SOURCES.iterdir())
+    codec_tests = [test for tests in CODEC_TESTS.values() for test in tests]
     for variant in VARIANTS:
-        for test in (*CORE_TESTS, *FRAME_TESTS):
+        for test in (*CORE_TESTS, *codec_tests):
             assert passes(SOURCES, test, variant), f"{test} {variant}"
     assert set(SOURCES.iterdir()) == there, "nothing is built among the sources"
 
