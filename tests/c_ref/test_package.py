@@ -278,7 +278,7 @@ def test_esp_idf_packs_the_folder(tmp_path: Path) -> None:
 
 def test_esp_idf_builds_all_sources() -> None:
     commands = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
-    [sources] = re.findall(r"idf_component_register\(\s*SRCS (.*) INCLUDE_DIRS src\)", commands)
+    [sources] = re.findall(r"idf_component_register\(\s*SRCS (.*?)\s+INCLUDE_DIRS src\)", commands)
     assert set(sources.split()) == {name for name in FILES if name.endswith(".c")}
 
 
