@@ -39,7 +39,6 @@ SHOWN = (
 
 RUN_ELSEWHERE = {
     "development.md": "tests/test_setup.py",
-    "elsewhere.md": "tests/c_ref/test_other_languages.py; ROS 2 is not there",
     "extending.md": "tests/host_tools/test_extending.py",
     "installing.md": "tests/test_newcomer.py",
     "firmware_in_the_loop.md": "tests/targets/test_firmware_in_the_loop.py",
@@ -64,6 +63,7 @@ NOT_RUN = {
     r"mcp_asdf_tools\.studies": "tests/host_tools/studies/test_study_program.py",
     r"benchmarks\.pages": "tests/host_tools/studies/test_pages.py",
     r"(advice|knobs)\.(toml|parquet)": "takes a minute; tests/host_tools/test_advice.py sweeps the same",
+    r"^colcon|^ros2|^\. install/setup": "wants ROS 2; tests/c_ref/test_ros2.py runs the node over stubs",
     "^dask|tcp://head": "wants several machines; tests/host_tools/experiments/test_sweep_cluster.py",
 }
 """Commands that no test runs as they stand, by a part of them, and why."""
@@ -89,6 +89,8 @@ CASES = [
 ]
 
 NEEDED = {
+    "aarch64-linux-gnu": ("aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu libc6-dev-arm64-cross"),
+    "rustc": ("rustc", "rustc"),
     "--preset cortex-m3": ("arm-none-eabi-gcc", "gcc-arm-none-eabi"),
     "ctest": ("qemu-system-arm", "qemu-system-arm"),
 }

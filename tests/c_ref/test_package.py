@@ -19,7 +19,7 @@ from typing import Any, cast
 import pytest
 import yaml
 
-from support import CORE, ROOT, TABLE, require, run, version_of_header
+from support import CORE, ROOT, TABLE, blocks, require, run, version_of_header
 
 PACKAGE = ROOT / "c_ref"
 PARTS = ("mcp_asdf", "mcp_asdf_image", "mcp_asdf_frame", "mcp_asdf_small")
@@ -183,6 +183,18 @@ def test_pkg_config_describes_the_installed_library(project: Path) -> None:
     flags = run(pkg_config, "mcp_asdf", "--cflags", "--libs", PKG_CONFIG_PATH=folder).split()
     run("cc", *STRICT, "main.c", TABLE.name, *flags, "-o", "program", cwd=project)
     run(project / "program")
+
+
+def test_meson_finds_the_installed_library(project: Path) -> None:
+    """By pkg-config, with the lines of docs/elsewhere.md."""
+    require("meson")
+    require("ninja")
+    [description] = install_library(project / "library").rglob("mcp_asdf.pc")
+    [commands] = blocks(ROOT / "docs/elsewhere.md", "meson")
+    (project / "meson.build").write_text(commands)
+    run("meson", "setup", "--werror", "build", cwd=project, PKG_CONFIG_PATH=str(description.parent))
+    run("meson", "compile", "-C", "build", cwd=project)
+    run(project / "build/robot")
 
 
 @pytest.mark.slow
