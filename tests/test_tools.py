@@ -178,6 +178,7 @@ def test_the_page_is_formatted_and_biome_finds_nothing() -> None:
         "host_tools/mcp_asdf_tools/view/page",
         "docs/playground",
         "docs/javascripts",
+        "tests/host_tools/view/scripts",
     )
 
 
