@@ -91,6 +91,7 @@ CASES = [
 NEEDED = {
     "aarch64-linux-gnu": ("aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu libc6-dev-arm64-cross"),
     "rustc": ("rustc", "rustc"),
+    "bindgen": ("bindgen", "bindgen"),
     "--preset cortex-m3": ("arm-none-eabi-gcc", "gcc-arm-none-eabi"),
     "ctest": ("qemu-system-arm", "qemu-system-arm"),
 }

@@ -98,6 +98,28 @@ def test_a_generator_of_bindings_finds_no_type_without_a_name(syntax_tree: str) 
     assert not any("unnamed" in name or "anonymous" in name for name in types)
 
 
+def test_bindgen_finds_every_symbol_of_the_header(library: Path) -> None:
+    """It makes functions for Rust, whose names it takes from the header."""
+    require("bindgen", "bindgen")
+    folder = library.parents[2]
+    run("sh", "-exc", block_with(PAGE, "bindgen", "sh"), cwd=folder)
+    bindings = (folder / "build/mcp_asdf.rs").read_text(encoding="utf-8")
+    functions = set(re.findall(r"pub fn (mcp_asdf_\w+)\(", bindings))
+    assert inline_functions() < functions
+    assert functions <= symbols_in(library, "--dynamic", "--defined-only")
+
+
+def test_rust_agrees_with_bindgen_on_the_layout_of_a_robot(library: Path) -> None:
+    """The bindings have tests of their own, which compare sizes and offsets with those that clang finds."""
+    require("bindgen", "bindgen")
+    require("rustc", "rustc")
+    folder = library.parents[2]
+    run("sh", "-exc", block_with(PAGE, "bindgen", "sh"), cwd=folder)
+    flags = ("--edition", "2021", "--test", "--allow", "warnings")
+    run("rustc", *flags, "-o", "build/layout", "build/mcp_asdf.rs", cwd=folder)
+    assert "test result: ok" in run(folder / "build/layout", cwd=folder)
+
+
 # --- Robots ----------------------------------------------------------------------------------------------
 
 
