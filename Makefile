@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE
 BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmware_py/build_native.py firmware_py/messages.h \
               $(wildcard c_ref/src/*.[ch] host_tools/mcp_asdf_tools/*/arena/*.[ch] host_tools/mcp_asdf_tools/*/engine/*.[ch])
 PYTEST := $(BIN)/pytest --numprocesses=auto --dist=worksteal
-C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h')
+C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h' '*.ino')
 
 MINUTES := 5
 
@@ -38,7 +38,7 @@ lint: .venv/ready-to-test ## run the analysers and the checks of types and style
 format: .venv/ready-to-test ## format all code
 	@$(BIN)/ruff check --fix --exit-zero --quiet
 	@$(BIN)/ruff format
-	@$(BIN)/biome check --write --config-path=.ci host_tools/mcp_asdf_tools/view/page docs/playground docs/javascripts
+	@$(BIN)/biome check --write --config-path=.ci host_tools/mcp_asdf_tools/view/page docs/playground docs/javascripts tests/host_tools/view/scripts
 	@$(BIN)/clang-format -i $(C_FILES)
 
 crosscheck: .venv/ready-to-run ## compare the C with its mirror, float64 and exact rationals

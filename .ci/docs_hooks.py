@@ -1,7 +1,7 @@
 """Build of the documentation: pages made from the program itself, formulas as MathML, docstrings as Markdown.
 
 A page asks for generated text by a comment: ``<!-- commands -->``, ``<!-- headers -->``, ``<!-- rooms -->``,
-``<!-- requirements -->``.
+``<!-- requirements -->``. ``<!-- file: PATH -->`` asks for a C file of the repository.
 Each room of the tools has a page.
 The picture of the first page becomes the playground, which is compiled for WebAssembly.
 Formulas stand between dollar signs, as on GitHub; MathML needs no script, so the site works offline.
@@ -29,10 +29,11 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT / "tests"))
 requirements = import_module("requirements")
 ROOMS = ROOT / "host_tools/mcp_asdf_tools"
-HEADERS = ("mcp_asdf", "mcp_asdf_frame", "mcp_asdf_image")
+HEADERS = ("mcp_asdf", "mcp_asdf_frame", "mcp_asdf_small", "mcp_asdf_image")
 
 _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
 _FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\s](?:[^$\n]*[^$\s])?)\$", re.DOTALL)
+_FILE = re.compile(r"<!-- file: (\S+) -->")
 _POWER = re.compile(r"(?<=[\w)])\*\*(-?\w+|\([^)]*\))")
 
 _PICTURE = re.compile(r"^!\[([^\]]*)\]\(images/view\.webp\)$", re.MULTILINE)
@@ -66,6 +67,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     for comment, make in makers.items():
         if f"<!-- {comment} -->" in markdown:
             markdown = markdown.replace(f"<!-- {comment} -->", make())
+    markdown = _FILE.sub(_listing, markdown)
     markdown = markdown.replace("<details>", '<details markdown="1">')  # GitHub renders both
     if page.is_homepage:
         markdown = _PICTURE.sub(_FRAME, markdown, count=1)
@@ -132,6 +134,12 @@ def headers() -> str:
     """The C headers, which document themselves."""
     texts = ((name, (ROOT / f"c_ref/src/{name}.h").read_text(encoding="utf-8")) for name in HEADERS)
     return "\n".join(f"## {name}.h\n\n```c\n{text}```\n" for name, text in texts)
+
+
+def _listing(comment: re.Match[str]) -> str:
+    """Return the C file that a comment asks for as a block of code; a missing file ends the build."""
+    text = (ROOT / comment[1]).read_text(encoding="utf-8")
+    return f"```c\n{text}```"
 
 
 def room_names() -> list[str]:

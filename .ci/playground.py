@@ -20,10 +20,13 @@ SOURCES = (
     PLAYGROUND / "playground.c",
     *(ENGINE / f"{name}.c" for name in ("engine", "lanes", "trial")),
     *(ARENA / f"{name}.c" for name in ("arena", "links", "motion", "steering")),
+    ROOT / "c_ref/src/mcp_asdf_small.c",
     ROOT / "tables/t_table_omega05_q127.c",
     ROOT / "c_ref/ports/memory.c",
 )
 INCLUDE_FOLDERS = (PLAYGROUND / "include", ENGINE, ARENA, ROOT / "c_ref/src")
+SCRIPTS = ("comparison", "playground", "settings", "worker")
+"""Scripts of the playground, which import each other as ``playground/NAME``."""
 EXPORTED_ARRAYS = ("settings", "records", "errors", "positions", "links", "pixels")
 EXPORTED_FUNCTIONS = ("run_trial", "arena_side", "record_motion")
 
@@ -61,10 +64,7 @@ def build_page(module: bytes) -> str:
 
     additions = PageAdditions(
         entry_script="playground/playground",
-        scripts={
-            "playground/playground": read_file("playground.js"),
-            "playground/worker": read_file("worker.js"),
-        },
+        scripts={f"playground/{name}": read_file(f"{name}.js") for name in SCRIPTS},
         style=read_file("playground.css"),
         html=read_file("playground.html"),
         script_policy=" 'wasm-unsafe-eval'; worker-src data:",

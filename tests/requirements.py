@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from support import ROOT
+from support import ROOT, matching_files
 
 TESTS = ROOT / "tests"
 NUMBER = re.compile(r"<sup>(R\d+)</sup>")
@@ -68,7 +68,7 @@ def find_problems(statements: Mapping[str, str], trace: Mapping[str, list[str]])
 def read_project() -> tuple[Statements, Trace]:
     """Return the statements of docs/design.md, and the trace of all tests of the project."""
     page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
-    files = [path for suffix in ("py", "c") for path in sorted(TESTS.rglob(f"*.{suffix}"))]
+    files = [path for suffix in ("py", "c") for path in matching_files(TESTS, f"**/*.{suffix}")]
     return find_statements(page), trace_files(files)
 
 

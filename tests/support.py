@@ -76,7 +76,17 @@ def version_of_header() -> str:
     return f"{macros['MAJOR']}.{macros['MINOR']}.{macros['PATCH']}"
 
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+def matching_files(folder: Path, pattern: str) -> list[Path]:
+    """Return the paths in a folder that match a pattern such as "*.md" or "**/*.c", sorted.
+
+    Fails if there are none: a check of all files would pass, although it checks nothing.
+    """
+    paths = sorted(folder.glob(pattern))
+    assert paths, f"no file in {folder} matches {pattern}"
+    return paths
+
+
+PAGES = [ROOT / "README.md", *matching_files(ROOT / "docs", "*.md")]
 """All pages of the documentation."""
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 

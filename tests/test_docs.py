@@ -63,6 +63,7 @@ NOT_RUN = {
     r"mcp_asdf_tools\.studies": "tests/host_tools/studies/test_study_program.py",
     r"benchmarks\.pages": "tests/host_tools/studies/test_pages.py",
     r"(advice|knobs)\.(toml|parquet)": "takes a minute; tests/host_tools/test_advice.py sweeps the same",
+    r"^colcon|^ros2|^\. install/setup": "wants ROS 2; tests/c_ref/test_ros2.py runs the node over stubs",
     "^dask|tcp://head": "wants several machines; tests/host_tools/experiments/test_sweep_cluster.py",
 }
 """Commands that no test runs as they stand, by a part of them, and why."""
@@ -88,6 +89,9 @@ CASES = [
 ]
 
 NEEDED = {
+    "aarch64-linux-gnu": ("aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu libc6-dev-arm64-cross"),
+    "rustc": ("rustc", "rustc"),
+    "bindgen": ("bindgen", "bindgen"),
     "--preset cortex-m3": ("arm-none-eabi-gcc", "gcc-arm-none-eabi"),
     "ctest": ("qemu-system-arm", "qemu-system-arm"),
 }
@@ -114,6 +118,21 @@ def all_commands(page: Path) -> list[str]:
 def is_run(page: Path, command: str) -> bool:
     """True for commands of the page's own test."""
     return page.name not in RUN_ELSEWHERE and not any(re.search(part, command) for part in NOT_RUN)
+
+
+def test_the_navigation_has_every_page() -> None:
+    """And the tests of this file are for all of them."""
+    navigation = (ROOT / ".ci/mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
+    names = re.findall(r"[\w/]+\.md$", navigation, re.MULTILINE)
+    assert sorted(names) == sorted(page.name for page in PAGES[1:])
+
+
+def test_the_pages_have_commands_and_programs() -> None:
+    """A test of each of them is no test where none is found."""
+    commands = [(page, command) for page in PAGES for command in all_commands(page)]
+    commands_that_are_run = [command for page, command in commands if is_run(page, command)]
+    programs = [code for page in PAGES for code in blocks(page, "python")]
+    assert len(commands) >= 130 and len(commands_that_are_run) >= 45 and len(programs) >= 12
 
 
 @pytest.fixture(scope="module")
@@ -205,6 +224,7 @@ def test_the_documentation_is_built(site: Path) -> None:
     assert all(f"mcp-asdf {name}" in commands for name in cli.COMMANDS)
     assert "mcp_asdf_settle(mcp_asdf_t *robot)" in headers
     assert "$" not in method, "formulas are MathML"
+    assert "radiolinkSendP2PPacketBroadcast" in texts["elsewhere"], "the page shows the files that it names"
     assert (site / "play.html").stat().st_size > 100_000
     assert "mcp_asdf_tools.world.settings.WorldSettings" in texts["world"]
     advice = texts["advice"]

@@ -108,8 +108,11 @@ def test_the_page_of_the_playground_holds_its_module() -> None:
 def test_a_browser_computes_the_bits_of_the_command(browser: Page, playground: Path, address: str) -> None:
     open_playground(browser, playground, address)
     (experiment,) = experiments_of(parse_command(browser))
-    assert np.array_equal(read_records(browser), native_records(experiment))
+    records = native_records(experiment)
+    assert np.array_equal(read_records(browser), records)
+    check_last_values(browser, experiment, records[-experiment.robots :])
     check_last_positions(browser, experiment)
+    check_final_errors(browser)
     for index, filter_name in enumerate(FILTERS):
         check_errors(browser, index, experiment, filter_name)
 
@@ -119,6 +122,27 @@ def native_records(experiment: Experiment) -> NDArray[np.uint32]:
     records = native.run(experiment, 0, 1, 1).records.view(np.uint32).reshape(-1, WORDS_PER_RECORD).copy()
     records[:, 9] = 0
     return records
+
+
+def check_last_values(browser: Page, experiment: Experiment, last_records: NDArray[np.uint32]) -> None:
+    """Check what a page draws of x_hat, x and b_hat at the end, to the precision of its 16 bits."""
+    shown = browser.evaluate(
+        "['x_hat', 'x', 'b_hat'].map((name) => view.history.description.robots.map((_, robot) => "
+        f"view.history.value(name, robot, view.history.stateAt({experiment.steps}))))"
+    )
+    expected = last_records[:, [4, 7, 8]] / [2.0**23, 2.0**23, 2.0**32]
+    assert np.abs(np.array(shown).T - expected).max() <= 1 / 65534
+
+
+def check_final_errors(browser: Page) -> None:
+    """Check that the page writes the middle one of the errors so far at the end of each filter's trials."""
+    errors_and_texts = browser.evaluate(
+        "view.playground.comparison.filters.map(({ trials }, index) => "
+        "[trials.map((errors) => errors.at(-1)), "
+        "document.querySelectorAll('#filters output')[index].textContent])"
+    )
+    for errors, text in errors_and_texts:
+        assert text == f"{sorted(errors)[len(errors) // 2]:.3f}"
 
 
 def check_last_positions(browser: Page, experiment: Experiment) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shlex
 import shutil
 import subprocess
@@ -126,36 +125,3 @@ def test_the_newest_python_that_can_be_had_is_taken_and_others_are_named(tmp_pat
 def test_without_any_python_the_run_with_the_newest_fails(tmp_path: Path) -> None:
     status, lines = make_newest(tmp_path, available="2.7")
     assert status == 1 and len(lines) == 3
-
-
-def report(tests: int, skipped: str = "", failures: int = 0) -> str:
-    """A JUnit report; ``skipped`` is why one of its tests was."""
-    case = f'<testcase classname="a" name="b"><skipped message="{skipped}"/></testcase>' if skipped else ""
-    numbers = f'tests="{tests}" failures="{failures}" skipped="{int(skipped != "")}"'
-    return f"<testsuites><testsuite {numbers}>{case}</testsuite></testsuites>"
-
-
-@pytest.mark.parametrize(
-    ("reports", "told"),
-    [
-        ([report(2000), report(700)], ""),
-        ([report(2000), report(800, "this processor has no vectors of x86-64-v4")], ""),
-        ([report(2000), report(800, "frama-c is not installed: make setup")], "1 were skipped"),
-        ([report(2000), report(800).replace('failures="0"', 'disabled="1"')], "1 were skipped"),
-        ([report(2000, failures=1), report(800)], "1 failed"),
-        ([report(2000), report(699)], "2699 passed; there were 3000 at the last release"),
-        ([], "0 passed; there were"),
-    ],
-)
-def test_continuous_integration_is_strict(reports: list[str], told: str, tmp_path: Path) -> None:
-    """A gate that is not there is red; on a user's machine it is only named."""
-    assert "count.py --strict" in (ROOT / ".ci/run").read_text(encoding="utf-8")
-    for number, text in enumerate(reports):
-        (tmp_path / f"{number}.xml").write_text(text)
-    for option, status in (("--strict", int(told != "")), ("", 0)):
-        words = [sys.executable, str(ROOT / ".ci/count.py"), *option.split(), str(tmp_path)]
-        done = subprocess.run(words, capture_output=True, text=True, check=False)
-        assert done.returncode == status, done.stderr
-        assert (told in done.stdout) or not option
-        assert re.fullmatch(r"\d+ passed, \d failed, \d skipped", done.stdout.splitlines()[-1])
-        assert done.stdout.count("skipped: ") == sum("message" in text for text in reports)

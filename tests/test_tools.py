@@ -13,16 +13,18 @@ import pytest
 from _pytest.mark import ParameterSet
 
 from proofs.source import HERE, Variant
-from support import PAGES, ROOT, blocks, require, run, slow
+from support import PAGES, ROOT, blocks, matching_files, require, run, slow
 
 C_FILES = sorted(
     path
     for folder in ("c_ref", "docs", "host_tools", "tables", "tests")
-    for path in (ROOT / folder).rglob("*.[ch]")
+    for path in matching_files(ROOT / folder, "**/*.[ch]")
 )
 ARENA, ENGINE = (f"host_tools/mcp_asdf_tools/{folder}" for folder in ("world/arena", "experiments/engine"))
 INCLUDES = [f"-I{ROOT / folder}" for folder in ("c_ref/src", "c_ref/ports", ARENA, ENGINE)]
 PRESETS = json.loads((ROOT / "CMakePresets.json").read_text(encoding="utf-8"))
+STUBS = f"{ROOT}/tests/c_ref"
+"""Folder with the headers of the boards that examples are for."""
 WARNINGS = PRESETS["configurePresets"][0]["environment"]["WARNINGS"].split()
 """Those that the C tests are built with, as errors."""
 
@@ -38,7 +40,7 @@ class Room:
         gcc: Its compiler with the flags that choose a processor.
         packages: Debian's packages with the compiler and the headers.
         clang: Flags that choose the same processor for clang.
-        headers: Folder of a library's headers, or empty.
+        headers: Folders of libraries' headers.
         can_analyse: Whether its gcc has ``-fanalyzer``.
         not_clang_tidy: What clang-tidy takes for wrong there, and is right.
         not_cppcheck: The same for cppcheck.
@@ -50,21 +52,23 @@ class Room:
     gcc: tuple[str, ...] = ("gcc",)
     packages: str = "gcc"
     clang: tuple[str, ...] = ()
-    headers: str = ""
+    headers: tuple[str, ...] = ()
     can_analyse: bool = True
     not_clang_tidy: str = ""
     not_cppcheck: tuple[str, ...] = ()
 
     @property
     def sources(self) -> list[Path]:
-        return sorted(path for pattern in self.files for path in ROOT.glob(pattern))
+        return sorted(path for pattern in self.files for path in matching_files(ROOT, pattern))
 
     def flags(self) -> list[str]:
         """For every compiler and analyser; skips the test where the library is not installed."""
-        if self.headers and not Path(self.headers).is_dir():
-            pytest.skip(f"{self.headers} is missing: apt-get install {self.packages}")
-        headers = ["-isystem", self.headers] if self.headers else []
-        return ["-std=c99", *INCLUDES, *headers, *self.definitions]
+        header_options = []
+        for folder in self.headers:
+            if not Path(folder).is_dir():
+                pytest.skip(f"{folder} is missing: apt-get install {self.packages}")
+            header_options += ["-isystem", folder]
+        return ["-std=c99", *INCLUDES, *header_options, *self.definitions]
 
 
 # A byte that counts to a constant below 256 saves an AVR two instructions in each round of the loop.
@@ -77,7 +81,7 @@ WASM = ("--target=wasm32", "-ffreestanding")
 RISC_V = ("-march=rv32imc", "-mabi=ilp32", "-ffreestanding")
 ROOMS = (
     Room("core", ("c_ref/src/*.c",)),
-    Room("tables", ("tables/*.c",)),
+    Room("tables", ("tables/*.c", "c_ref/examples/MinimalRobot/*.c")),
     Room("arena and engine", (f"{ARENA}/*.c", f"{ENGINE}/*.c")),
     Room("linux", ("c_ref/ports/linux/*.c",), ("-D_GNU_SOURCE", "-DMCP_ASDF_NODE_TABLE=some_table")),
     Room(
@@ -116,8 +120,14 @@ ROOMS = (
         gcc=("avr-gcc", "-mmcu=atmega328p"),
         packages="gcc-avr avr-libc",
         clang=("--target=avr", "-mmcu=atmega328p", *NOT_FOR_AVR_LIBC),
-        headers="/usr/lib/avr/include",
+        headers=("/usr/lib/avr/include",),
         can_analyse=False,
+    ),
+    Room("ESP-NOW", ("c_ref/examples/radios/esp_now.c",), headers=(STUBS, f"{STUBS}/esp_now")),
+    Room(
+        "Crazyflie",
+        ("c_ref/examples/radios/crazyflie.c",),
+        headers=(f"{STUBS}/freertos", f"{STUBS}/crazyflie"),
     ),
 )
 TESTS = Room("tests", ("tests/**/*.c",), ("-DREAL=double", "-D_GNU_SOURCE"))
@@ -168,11 +178,13 @@ def test_the_page_is_formatted_and_biome_finds_nothing() -> None:
         "host_tools/mcp_asdf_tools/view/page",
         "docs/playground",
         "docs/javascripts",
+        "tests/host_tools/view/scripts",
     )
 
 
 def test_c_is_formatted() -> None:
-    run(require("clang-format"), "--dry-run", "-Werror", *C_FILES)
+    sketches = (ROOT / "c_ref/examples").rglob("*.ino")
+    run(require("clang-format"), "--dry-run", "-Werror", *C_FILES, *sketches)
 
 
 def test_all_c_is_in_a_room() -> None:
@@ -180,7 +192,7 @@ def test_all_c_is_in_a_room() -> None:
     assert rooms == {path for path in C_FILES if path.suffix == ".c"}
 
 
-TIDIED_QUICKLY = ("mcp_asdf_image.c", "mcp_asdf_frame.c", "mcp_asdf_accessors.c")
+TIDIED_QUICKLY = ("mcp_asdf_image.c", "mcp_asdf_frame.c", "mcp_asdf_small.c", "mcp_asdf_accessors.c")
 """Files that clang-tidy analyses in make test; the core alone takes longer than these together."""
 
 

@@ -6,7 +6,7 @@ include(CMakePackageConfigHelpers)
 set(package_dir ${CMAKE_INSTALL_LIBDIR}/cmake/mcp_asdf)
 # A t-table includes mcp_asdf_rom.h.
 install(
-    FILES src/mcp_asdf.h src/mcp_asdf_image.h src/mcp_asdf_frame.h src/mcp_asdf_rom.h
+    FILES src/mcp_asdf.h src/mcp_asdf_image.h src/mcp_asdf_frame.h src/mcp_asdf_small.h src/mcp_asdf_rom.h
     DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 install(TARGETS mcp_asdf EXPORT mcp_asdf INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 install(EXPORT mcp_asdf NAMESPACE mcp_asdf:: FILE mcp_asdf-config.cmake DESTINATION ${package_dir})

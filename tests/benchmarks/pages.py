@@ -3,7 +3,7 @@
 mcp-asdf reproduce --trials 120 --output FOLDER      # also the verdicts, into tests/data/study_verdicts.csv
 PYTHONPATH=tests python -m benchmarks.pages study FOLDER
 
-python -m mcp_asdf_tools.studies.robust_filter FOLDER    # or ageing, or swarm_sizes for scale
+python -m mcp_asdf_tools.studies.robust_filter FOLDER    # or another study, such as swarm_sizes for scale
 PYTHONPATH=tests python -m benchmarks.pages robust FOLDER
 
 A page shows some rows of a table: those that stand in it are replaced. The exit code is 1 if the report of a
@@ -21,7 +21,13 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[2]
 
-PAGES = {"robust": "robust.md", "ageing": "ageing.md", "scale": "robust.md"}
+PAGES = {
+    "robust": "robust.md",
+    "ageing": "ageing.md",
+    "scale": "robust.md",
+    "related_work": "related_work.md",
+    "two_readings": "two_readings.md",
+}
 """The page of docs/ that has the tables of each study."""
 
 MARKED = re.compile(r"<!-- (\w+) -->\n(.*?)\n<!-- end -->", re.DOTALL)

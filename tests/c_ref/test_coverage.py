@@ -22,7 +22,7 @@ PACKAGES = "clang-19 llvm-19 libclang-rt-19-dev"
 PORTS = ROOT / "c_ref/ports"
 SOURCES = [*sorted(CORE.parent.glob("*.c")), *sorted((PORTS / "node").glob("*.c"))]
 MEASURED_FILES = {*SOURCES, *CORE.parent.glob("*.h")}
-BLACK_BOX_TESTS = ("frame", "node")
+BLACK_BOX_TESTS = ("frame", "small", "node")
 FLAGS = ("-std=c99", "-O1", "-fprofile-instr-generate", "-fcoverage-mapping", "-fcoverage-mcdc")
 
 Span = tuple[int, int, int, int]

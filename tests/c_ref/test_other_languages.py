@@ -4,42 +4,32 @@ from __future__ import annotations
 
 import ctypes
 import re
+from decimal import Decimal
 from pathlib import Path
 
 import pytest
 
+from ctypes_robot import CtypesRobot, robot_size
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Filter, Observation
-from support import CORE, HEADER, ROOT, blocks, require, run
+from mcp_asdf_tools.tables.thresholds import generate
+from support import CORE, HEADER, ROOT, block_with, require, run
 
-PAGE = ROOT / "docs/porting.md"
-SIZE_MAX = 168
-"""MCP_ASDF_SIZE_MAX, which a caller without the header has to know."""
-ROBUST = 3
+PAGE = ROOT / "docs/elsewhere.md"
+RUST_PROGRAM = ROOT / "c_ref/examples/rust/robot.rs"
+ROBOT_ID = 7
+INITIAL_B_HAT = 0.55
 TICKS = 300
-
-
-class CConfig(ctypes.Structure):
-    """``mcp_asdf_config_t``."""
-
-    _fields_ = (
-        ("table", ctypes.c_void_p),
-        ("filter_period", ctypes.c_uint32),
-        ("memory", ctypes.c_uint32),
-        ("filter", ctypes.c_uint8),
-    )
 
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The shared library that the commands of docs/porting.md build."""
+    """The shared library that the commands of docs/elsewhere.md build."""
     folder = tmp_path_factory.mktemp("library")
     require("cmake")
     (folder / "c_ref").symlink_to(ROOT / "c_ref")
-    [commands] = [block for block in blocks(PAGE, "sh") if "BUILD_SHARED_LIBS" in block]
-    run("sh", "-exc", commands, cwd=folder)
-    [path] = folder.glob("build/**/libmcp_asdf.so")
-    return path
+    run("sh", "-exc", block_with(PAGE, "BUILD_SHARED_LIBS", "sh"), cwd=folder)
+    return folder / "build/shared/libmcp_asdf.so"
 
 
 def inline_functions() -> set[str]:
@@ -108,38 +98,97 @@ def test_a_generator_of_bindings_finds_no_type_without_a_name(syntax_tree: str) 
     assert not any("unnamed" in name or "anonymous" in name for name in types)
 
 
-# --- ctypes ----------------------------------------------------------------------------------------------
+def test_bindgen_finds_every_symbol_of_the_header(library: Path) -> None:
+    """It makes functions for Rust, whose names it takes from the header."""
+    require("bindgen", "bindgen")
+    folder = library.parents[2]
+    run("sh", "-exc", block_with(PAGE, "bindgen", "sh"), cwd=folder)
+    bindings = (folder / "build/mcp_asdf.rs").read_text(encoding="utf-8")
+    functions = set(re.findall(r"pub fn (mcp_asdf_\w+)\(", bindings))
+    assert inline_functions() < functions
+    assert functions <= symbols_in(library, "--dynamic", "--defined-only")
 
 
-def load_with_return_types(library: Path) -> ctypes.CDLL:
-    """Load the library, and declare what its functions return where that is no int."""
-    firmware = ctypes.CDLL(str(library))
-    firmware.mcp_asdf_beta.restype = ctypes.c_uint64
-    for name in ("x_hat", "alpha", "x", "b_hat", "t_count"):
-        getattr(firmware, f"mcp_asdf_{name}").restype = ctypes.c_uint32
-    return firmware
+def test_rust_agrees_with_bindgen_on_the_layout_of_a_robot(library: Path) -> None:
+    """The bindings have tests of their own, which compare sizes and offsets with those that clang finds."""
+    require("bindgen", "bindgen")
+    require("rustc", "rustc")
+    folder = library.parents[2]
+    run("sh", "-exc", block_with(PAGE, "bindgen", "sh"), cwd=folder)
+    flags = ("--edition", "2021", "--test", "--allow", "warnings")
+    run("rustc", *flags, "-o", "build/layout", "build/mcp_asdf.rs", cwd=folder)
+    assert "test result: ok" in run(folder / "build/layout", cwd=folder)
 
 
-def test_a_robot_that_ctypes_steps_does_what_the_mirror_does(library: Path) -> None:
-    firmware = load_with_return_types(library)
-    config = CConfig(None, 100, 2**31, ROBUST)
-    robot = (ctypes.c_uint64 * (SIZE_MAX // 8))()
-    mirror = MirrorRobot(Config(filter=Filter.ROBUST, filter_period=100), 7, 0.55)
-    b_hat = ctypes.c_uint32(mirror.b_hat_raw)
-    assert firmware.mcp_asdf_init(robot, ctypes.byref(config), 7, b_hat) == 0
+# --- Robots ----------------------------------------------------------------------------------------------
+
+
+def estimate_at(tick: int, sender: int) -> tuple[int, int]:
+    """Return x_hat and alpha, as the firmware's integers, that a neighbour broadcasts in a tick."""
+    return 7_000_000 + 1000 * sender + tick, 0x80000010
+
+
+def is_black_at(tick: int) -> bool:
+    """Return what the robot's sensor reads in a tick: three tiles of four are black."""
+    return tick % 4 != 0
+
+
+def step_mirror(config: Config) -> MirrorRobot:
+    """Return the mirror of a robot after all ticks, in each of which three neighbours broadcast."""
+    mirror = MirrorRobot(config, ROBOT_ID, INITIAL_B_HAT)
     for tick in range(TICKS):
         for sender in range(3):
-            x_hat, alpha = 7_000_000 + 1000 * sender + tick, 0x80000010
-            firmware.mcp_asdf_receive(robot, sender, x_hat, ctypes.c_uint32(alpha))
-            mirror.receive_raw(sender, x_hat, alpha)
-        is_black = tick % 8 != 0
-        firmware.mcp_asdf_step(robot, int(is_black))
-        mirror.step(Observation(is_black))
-    assert firmware.mcp_asdf_id(robot) == 7
-    assert firmware.mcp_asdf_t_count(robot) == TICKS
-    assert firmware.mcp_asdf_x_hat(robot) == mirror.x_hat_raw
-    assert firmware.mcp_asdf_alpha(robot) == mirror.alpha_raw
-    assert firmware.mcp_asdf_b_hat(robot) == mirror.b_hat_raw != b_hat.value, "the filter has run"
-    assert firmware.mcp_asdf_x(robot) == mirror.x_raw
-    assert firmware.mcp_asdf_beta(robot) == 0
-    assert firmware.mcp_asdf_thousandths(firmware.mcp_asdf_x(robot)) == round(1000 * mirror.x)
+            mirror.receive_raw(sender, *estimate_at(tick, sender))
+        mirror.step(Observation(is_black_at(tick)))
+    return mirror
+
+
+def step_by_ctypes(library: Path, config: Config) -> CtypesRobot:
+    """Return a robot of the library after all ticks, in each of which three neighbours broadcast."""
+    robot = CtypesRobot(ctypes.CDLL(str(library)), config, ROBOT_ID, INITIAL_B_HAT)
+    for tick in range(TICKS):
+        for sender in range(3):
+            robot.receive(sender, *estimate_at(tick, sender))
+        robot.step(is_black_at(tick))
+    return robot
+
+
+ROBUST = Config(filter=Filter.ROBUST, filter_period=100)
+PAPERS = Config(table=generate(Decimal("0.05"), 4), filter_period=100)
+
+
+@pytest.mark.parametrize("config", [ROBUST, PAPERS], ids=["robust", "the paper's"])
+def test_a_robot_that_ctypes_steps_has_the_bits_of_the_mirror(library: Path, config: Config) -> None:
+    robot = step_by_ctypes(library, config)
+    mirror = step_mirror(config)
+    assert robot.read("id") == ROBOT_ID
+    assert robot.read("t_count") == TICKS
+    assert robot.read("x_hat") == mirror.x_hat_raw
+    assert robot.read("alpha") == mirror.alpha_raw
+    assert robot.read("b_hat") == mirror.b_hat_raw
+    assert robot.read("x") == mirror.x_raw
+    assert robot.read("beta", ctypes.c_uint64) == mirror.beta_raw
+
+
+def test_the_paper_s_filter_runs_where_ctypes_passes_the_table(library: Path) -> None:
+    robot = step_by_ctypes(library, PAPERS)
+    assert robot.read("b_hat") / 2**32 == pytest.approx(0.874, abs=0.01)
+
+
+def test_ctypes_rounds_to_thousandths(library: Path) -> None:
+    assert ctypes.CDLL(str(library)).mcp_asdf_thousandths(2**22) == 500
+
+
+def test_the_rust_program_reserves_a_robot_s_memory() -> None:
+    """It cannot ask the header, so a robot that grows has to grow there, too."""
+    assert f"const ROBOT_SIZE: usize = {robot_size()};" in RUST_PROGRAM.read_text(encoding="utf-8")
+
+
+def test_a_robot_that_rust_steps_has_the_bits_of_the_mirror(library: Path) -> None:
+    require("rustc", "rustc")
+    folder = library.parents[2]
+    commands = block_with(PAGE, "rustc", "sh").replace("rustc ", "rustc -D warnings ")
+    mirror = step_mirror(ROBUST)
+    assert run("sh", "-exc", commands, cwd=folder) == (
+        f"x_hat {mirror.x_hat_raw} x {mirror.x_raw} b_hat {mirror.b_hat_raw}\n"
+    )

@@ -2,7 +2,7 @@
 
 Each way that builds here ends in a small program, which must succeed. The tools of the other ways do what
 they can without a network: PlatformIO reads its manifest and Arduino's, and packs the folder, as ESP-IDF
-does; Kconfig reads Zephyr's options.
+does; Kconfig reads Zephyr's options. test_arduino.py builds Arduino's sketch.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from typing import Any, cast
 import pytest
 import yaml
 
-from support import CORE, ROOT, TABLE, require, run, version_of_header
+from support import CORE, ROOT, TABLE, blocks, require, run, version_of_header
 
 PACKAGE = ROOT / "c_ref"
-PARTS = ("mcp_asdf", "mcp_asdf_image", "mcp_asdf_frame")
+PARTS = ("mcp_asdf", "mcp_asdf_image", "mcp_asdf_frame", "mcp_asdf_small")
 FILES = {f"src/{path.name}" for path in CORE.parent.iterdir()}
 HEADERS = {f"{name}.h" for name in (*PARTS, "mcp_asdf_rom")}
 """Headers that a user includes; the core's arithmetic has others."""
@@ -32,6 +32,7 @@ HEADERS = {f"{name}.h" for name in (*PARTS, "mcp_asdf_rom")}
 PROGRAM = """
 #include "mcp_asdf_frame.h"
 #include "mcp_asdf_image.h"
+#include "mcp_asdf_small.h"
 
 #ifdef __cplusplus
 extern "C"
@@ -44,16 +45,18 @@ int main(void)
 {
     static const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q30);
     static const mcp_asdf_heartbeat_t beat = {0, 0, 0, 0, 0, 0};
+    static const mcp_asdf_small_message_t message = {1, MCP_ASDF_ONE, 0};
     mcp_asdf_t robot, copy;
     mcp_asdf_frame_t frame;
-    uint8_t image[MCP_ASDF_IMAGE_SIZE];
+    uint8_t image[MCP_ASDF_IMAGE_SIZE], bytes[MCP_ASDF_SMALL_BYTES];
     if (mcp_asdf_init(&robot, &config, 1, 0xC0000000) != MCP_ASDF_OK ||
         mcp_asdf_step(&robot, MCP_ASDF_BLACK) != MCP_ASDF_OK) {
         return 1;
     }
     mcp_asdf_save(&robot, image);
     return mcp_asdf_restore(&copy, &config, image) != MCP_ASDF_OK || mcp_asdf_x(&copy) != MCP_ASDF_ONE ||
-           mcp_asdf_encode_heartbeat(&frame, 4, &beat) != MCP_ASDF_FRAME_OK;
+           mcp_asdf_encode_heartbeat(&frame, 4, &beat) != MCP_ASDF_FRAME_OK ||
+           mcp_asdf_encode_small(bytes, &message) != MCP_ASDF_OK;
 }
 """
 ROBUST_PROGRAM = PROGRAM.replace(
@@ -182,6 +185,18 @@ def test_pkg_config_describes_the_installed_library(project: Path) -> None:
     run(project / "program")
 
 
+def test_meson_finds_the_installed_library(project: Path) -> None:
+    """By pkg-config, with the lines of docs/elsewhere.md."""
+    require("meson")
+    require("ninja")
+    [description] = install_library(project / "library").rglob("mcp_asdf.pc")
+    [commands] = blocks(ROOT / "docs/elsewhere.md", "meson")
+    (project / "meson.build").write_text(commands)
+    run("meson", "setup", "--werror", "build", cwd=project, PKG_CONFIG_PATH=str(description.parent))
+    run("meson", "compile", "-C", "build", cwd=project)
+    run(project / "build/robot")
+
+
 @pytest.mark.slow
 def test_a_library_without_the_robust_filter_hides_it_from_the_program(project: Path) -> None:
     (project / "main.c").write_text(PROGRAM + fail_to_compile_with("MCP_ASDF_WITH_ROBUST"))
@@ -259,7 +274,8 @@ def test_platformio_packs_the_folder(tmp_path: Path) -> None:
     pytest.importorskip("platformio", reason="platformio is not installed: make setup")
     archive = tmp_path / "packed.tar.gz"
     run(sys.executable, "-c", PLATFORMIO, PACKAGE, archive, PLATFORMIO_CORE_DIR=str(tmp_path / "home"))
-    expected = FILES | {"library.json", "library.properties", "README.md", "LICENSE"}
+    sketch = {f"examples/MinimalRobot/{name}" for name in ("MinimalRobot.ino", "t_table_omega05_q30.c")}
+    expected = FILES | sketch | {"library.json", "library.properties", "README.md", "LICENSE"}
     assert files_in(archive) - {".piopm"} == expected
 
 
@@ -274,7 +290,7 @@ def test_esp_idf_packs_the_folder(tmp_path: Path) -> None:
 
 def test_esp_idf_builds_all_sources() -> None:
     commands = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
-    [sources] = re.findall(r"idf_component_register\(\s*SRCS (.*) INCLUDE_DIRS src\)", commands)
+    [sources] = re.findall(r"idf_component_register\(\s*SRCS (.*?)\s+INCLUDE_DIRS src\)", commands)
     assert set(sources.split()) == {name for name in FILES if name.endswith(".c")}
 
 
@@ -289,7 +305,7 @@ def zephyr_module() -> dict[str, Any]:
     [
         ("", ()),
         ("CONFIG_MCP_ASDF=y", PARTS),
-        ("CONFIG_MCP_ASDF=y\nCONFIG_MCP_ASDF_IMAGE=n", ("mcp_asdf", "mcp_asdf_frame")),
+        ("CONFIG_MCP_ASDF=y\nCONFIG_MCP_ASDF_IMAGE=n", ("mcp_asdf", "mcp_asdf_frame", "mcp_asdf_small")),
     ],
 )
 def test_zephyr_has_the_optional_parts_with_the_core_unless_they_are_left_out(
@@ -307,5 +323,5 @@ def test_zephyr_has_the_optional_parts_with_the_core_unless_they_are_left_out(
 def test_zephyr_builds_the_parts_that_its_options_choose() -> None:
     commands = (PACKAGE / zephyr_module()["cmake"] / "CMakeLists.txt").read_text(encoding="utf-8")
     assert "zephyr_library_sources(../src/mcp_asdf.c ../src/mcp_asdf_accessors.c)" in commands
-    for name in ("mcp_asdf_image", "mcp_asdf_frame"):
+    for name in ("mcp_asdf_image", "mcp_asdf_frame", "mcp_asdf_small"):
         assert f"zephyr_library_sources_ifdef(CONFIG_{name.upper()} ../src/{name}.c)" in commands

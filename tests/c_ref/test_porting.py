@@ -23,6 +23,7 @@ from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, Telemetry
+from packets import frame_of_packet, packet_of
 from simulated_avr import Board, require_simavr
 from support import CORE, ROOT, TABLE, block_with, blocks, require, run
 
@@ -31,8 +32,6 @@ TEXT = PAGE.read_text(encoding="utf-8")
 PORTS = ROOT / "c_ref/ports"
 ROBOT_ID, B_HAT = 7, 0xF3333333  # MCP_ASDF_PROBABILITY(95, 100)
 FORMAT = FrameFormat()
-PACKET_MARK = 0x7E
-"""The byte with which a packet begins."""
 RADIO_QUEUE = 8
 """Packets that the robot's radio keeps until the end of a tick."""
 IMAGE_SIZE = 124
@@ -44,29 +43,6 @@ WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wu
 
 
 # --- Packets ---------------------------------------------------------------------------------------------
-
-
-def crc_8(content: bytes) -> int:
-    """Return the CRC-8 with the polynomial 0x07: the remainder of a division, bit by bit."""
-    value = int.from_bytes(content, "big") << 8
-    for bit in reversed(range(8, 8 + 8 * len(content))):
-        if value >> bit & 1:
-            value ^= 0x107 << (bit - 8)
-    return value
-
-
-def packet_of(frame: can.Message) -> bytes:
-    """Return the packet of a frame: mark, identifier, data and checksum."""
-    content = frame.arbitration_id.to_bytes(4, "little") + bytes(frame.data)
-    return bytes([PACKET_MARK]) + content + bytes([crc_8(content)])
-
-
-def frame_of_packet(packet: bytes) -> can.Message | None:
-    """Return the frame of a packet, or None if its checksum is wrong."""
-    content, checksum = packet[1:-1], packet[-1]
-    if crc_8(content) != checksum:
-        return None
-    return can.Message(arbitration_id=int.from_bytes(content[:4], "little"), data=content[4:])
 
 
 def draw_packet(stream: random.Random) -> bytes:
@@ -179,7 +155,12 @@ COMPILERS = {
 """Compiler and Debian packages of each target."""
 QUICK_TARGETS = ("Cortex-M0+", "ATmega328P")
 """Targets that leave the most to helpers of their compilers."""
-PARTS = {"mcp_asdf": "method", "mcp_asdf_image": "saving", "mcp_asdf_frame": "frames"}
+PARTS = {
+    "mcp_asdf": "method",
+    "mcp_asdf_image": "saving",
+    "mcp_asdf_frame": "frames",
+    "mcp_asdf_small": "small messages",
+}
 """Files of the core, and the names by which the page's budget of flash has them."""
 MEMORY_CALLS = re.compile(r"(__aeabi_)?mem(cpy|set|clr|move)\d?")
 LONG_DIVISION_OR_FLOAT = re.compile(r"u?(div|mod|divmod)(di|ti)\d|uldivmod|ldivmod|[sdx]f\d|aeabi_[fd]")

@@ -11,7 +11,7 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from support import CORE, ROOT, TABLE, require
+from support import CORE, ROOT, TABLE, matching_files, require
 
 HERE = Path(__file__).parent
 BUILD = ROOT / "build/fuzz"
@@ -60,7 +60,7 @@ class Harness:
         subprocess.run((program, *common, *options, inputs), check=True)
 
 
-_NODE = tuple(sorted((PORTS / "node").glob("*.c")))
+_NODE = tuple(matching_files(PORTS, "node/*.c"))
 HARNESSES = {
     each.name: each
     for each in (

@@ -20,6 +20,7 @@ MUTATED = (
     "lanes_arithmetic.h",
     "mcp_asdf_image.c",
     "mcp_asdf_frame.c",
+    "mcp_asdf_small.c",
 )
 """The firmware, and what the engine divides with. The other headers declare what callers see; tests in both
 languages compare their numbers."""

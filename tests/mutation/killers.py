@@ -24,15 +24,18 @@ VARIANTS_OF = {
     "mcp_asdf_target_small.h": tuple(map(Variant, ("2100", "2000", "4000"))),
     "lanes_arithmetic.h": (Variant("4000"),),
     "mcp_asdf_frame.c": VARIANTS[:1],
+    "mcp_asdf_small.c": VARIANTS[:1],
 }
-"""Those in which a file is compiled, where that is not in all; frames have no choices."""
+"""Those in which a file is compiled, where that is not in all; codecs have no choices of their own."""
 THIRD = "third"
 """The independent implementation; all else is what it cannot see."""
 CORE_LIBRARY = "libcore.so"
 CORE_TESTS = (THIRD, "core")
-FRAME_TESTS = ("node", "frame")
+CODEC_TESTS = {"mcp_asdf_frame.c": ("node", "frame"), "mcp_asdf_small.c": ("small",)}
+"""Tests of the optional files that the independent implementation does not contain."""
 LINKED = {
     "frame": ("mcp_asdf_frame.c",),
+    "small": ("mcp_asdf_small.c",),
     "node": ("mcp_asdf.c", "mcp_asdf_image.c", "mcp_asdf_frame.c"),
 }
 """Sources that a black-box test is linked with; a white-box test contains the firmware."""
@@ -116,7 +119,7 @@ def killer(mutant: Mutant, folder: Path, most: int = len(VARIANTS)) -> str:
         most: Variants to try.
     """
     plant(mutant, folder)
-    tests: tuple[str, ...] = FRAME_TESTS if mutant.file == "mcp_asdf_frame.c" else CORE_TESTS
+    tests: tuple[str, ...] = CODEC_TESTS.get(mutant.file, CORE_TESTS)
     if mutant.file.startswith(("mcp_asdf_arithmetic", "mcp_asdf_target", "lanes")):
         tests = CORE_TESTS[::-1]  # which takes less
     variants = VARIANTS_OF.get(mutant.file, VARIANTS)[:most]
@@ -126,7 +129,7 @@ def killer(mutant: Mutant, folder: Path, most: int = len(VARIANTS)) -> str:
     for test, variant in tries:
         if not passes(folder, test, variant):
             return f"{test} {variant}"
-    for variant in () if mutant.file == "mcp_asdf_frame.c" else BUILDS:
+    for variant in () if mutant.file in CODEC_TESTS else BUILDS:
         if not passes(folder, THIRD, variant):
             return f"{THIRD} {variant}"
     return ""

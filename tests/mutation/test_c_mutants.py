@@ -10,7 +10,7 @@ import pytest
 
 from mutation.c_mutants import MUTATED, Mutant, mutants
 from mutation.equivalents import equivalents
-from mutation.killers import CORE_TESTS, FRAME_TESTS, killer, passes, same_code
+from mutation.killers import CODEC_TESTS, CORE_TESTS, killer, passes, same_code
 from proofs.source import SOURCES, VARIANTS
 from support import ROOT, require
 
@@ -58,8 +58,9 @@ def test_each_equivalent_mutant_is_a_mutant() -> None:
 @pytest.mark.slow
 def test_the_firmware_itself_passes() -> None:
     there = set(SOURCES.iterdir())
+    codec_tests = [test for tests in CODEC_TESTS.values() for test in tests]
     for variant in VARIANTS:
-        for test in (*CORE_TESTS, *FRAME_TESTS):
+        for test in (*CORE_TESTS, *codec_tests):
             assert passes(SOURCES, test, variant), f"{test} {variant}"
     assert set(SOURCES.iterdir()) == there, "nothing is built among the sources"
 
@@ -79,3 +80,25 @@ def test_equivalent_mutants_are_no_mistakes(tmp_path: Path) -> None:
             assert same_code(mutant, tmp_path), f"{name} makes a difference"
         else:
             assert killer(mutant, tmp_path, most=1) == "", name
+
+
+# --- What kills a mutant, and what does not ---------------------------------------------------------------
+
+MISTAKE = "mcp_asdf_frame.c define ID_NODE_MASK: [0x7F => 0x7e]U"
+HARMLESS_CHANGE = (
+    "mcp_asdf_frame.c alpha_word_from_binary32: "
+    "return lost_bits [< => <=] 24U ? (mantissa >> lost_bits) << 8 : 0U;"
+)
+
+
+def test_a_mistake_is_killed_by_a_test_that_is_named(tmp_path: Path) -> None:
+    assert killer(everything()[MISTAKE], tmp_path) == "node 1001"
+
+
+def test_a_harmless_change_survives(tmp_path: Path) -> None:
+    """What kills every mutant would find all tests perfect."""
+    assert killer(everything()[HARMLESS_CHANGE], tmp_path) == ""
+
+
+def test_a_mistake_has_another_machine_code(tmp_path: Path) -> None:
+    assert not same_code(everything()[MISTAKE], tmp_path)

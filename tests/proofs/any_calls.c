@@ -14,6 +14,7 @@ static uint32_t known_zeros(uint32_t value)
 #include "mcp_asdf.c"
 #include "mcp_asdf_frame.c"
 #include "mcp_asdf_image.c"
+#include "mcp_asdf_small.c"
 
 #ifdef __FRAMAC__
 #include "__fc_builtin.h"
@@ -37,6 +38,8 @@ static mcp_asdf_estimate_t estimate_message;
 static mcp_asdf_heartbeat_t heartbeat;
 static mcp_asdf_telemetry_t telemetry;
 static mcp_asdf_command_t command;
+static mcp_asdf_small_message_t small_message;
+static uint8_t small_bytes[MCP_ASDF_SMALL_BYTES];
 
 static uint32_t word(void) { return (uint32_t)Frama_C_unsigned_long_interval(0, UINT32_MAX); }
 static uint8_t byte(void) { return Frama_C_unsigned_char_interval(0, 255); }
@@ -52,6 +55,8 @@ static void forget_all(void)
     UNKNOWN(heartbeat);
     UNKNOWN(telemetry);
     UNKNOWN(command);
+    UNKNOWN(small_message);
+    UNKNOWN(small_bytes);
     robot.config = &config;
     config.table = table;
     config.filter_period = word();
@@ -62,12 +67,12 @@ static void forget_all(void)
 /* That a call is written twice, for an id that is possible and one that is not, keeps Eva from mixing them:
  * it would not remember that the second one is refused before it serves as an index. */
 
-/* Those that accept a table, of any contents, or none; and those of the frame codec. */
+/* Those that accept a table, of any contents, or none; and those of the two codecs. */
 static void call_any(void)
 {
     const uint16_t subject = (uint16_t)word();
     config.table = Frama_C_interval(0, 1) != 0 ? table : 0;
-    switch (Frama_C_interval(0, 3)) {
+    switch (Frama_C_interval(0, 5)) {
     case 0:
         (void)mcp_asdf_init(&robot, &config, byte(), word());
         break;
@@ -82,6 +87,16 @@ static void call_any(void)
         (void)mcp_asdf_encode_estimate(&frame, &format, &estimate_message);
         (void)mcp_asdf_encode_heartbeat(&frame, byte(), &heartbeat);
         (void)mcp_asdf_encode_telemetry(&frame, &format, &telemetry);
+        break;
+    case 3:
+        (void)mcp_asdf_encode_small(small_bytes, &small_message);
+        mcp_asdf_decode_small(&small_message, small_bytes);
+        break;
+    case 4:
+        (void)mcp_asdf_x_hat_to_code(word(), (uint32_t)Frama_C_interval(1, MCP_ASDF_X_HAT_BITS_MAX));
+        (void)mcp_asdf_x_hat_from_code(word(), (uint32_t)Frama_C_interval(1, MCP_ASDF_X_HAT_BITS_MAX));
+        (void)mcp_asdf_alpha_to_code(word(), (uint32_t)Frama_C_interval(1, MCP_ASDF_ALPHA_BITS_MAX));
+        (void)mcp_asdf_alpha_from_code(word(), (uint32_t)Frama_C_interval(1, MCP_ASDF_ALPHA_BITS_MAX));
         break;
     default:
         (void)mcp_asdf_decode_estimate(&estimate_message, subject, &frame);

@@ -11,11 +11,11 @@ from typing import Any
 
 from pycparser import c_ast, c_generator, c_parser
 
-from support import ROOT, run
+from support import ROOT, matching_files, run
 
 SOURCES = ROOT / "c_ref/src"
 HEADER = SOURCES / "mcp_asdf_arithmetic.h"
-ARITHMETIC = (HEADER, *sorted(SOURCES.glob("mcp_asdf_target*.h")))
+ARITHMETIC = (HEADER, *matching_files(SOURCES, "mcp_asdf_target*.h"))
 """The private headers, of which the first includes the others."""
 LANES_HEADER = ROOT / "host_tools/mcp_asdf_tools/experiments/engine/lanes_arithmetic.h"
 """What the experiments' engine divides with: it includes the core and brings this."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,8 @@ import pytest
 from proofs import accuracy, arithmetic, calls, images, robust, sums
 from proofs.formulas import CORE
 from proofs.images import IMAGE
-from proofs.prove import UnprovenError, prove_all, prove_lemma
-from proofs.source import ARITHMETIC, HEADER, SOURCES, Program, Variant
+from proofs.prove import Contract, UnprovenError, always, any_result, prove_all, prove_contract, prove_lemma
+from proofs.source import ARITHMETIC, HEADER, SOURCES, VARIANTS, Program, Variant, program
 from support import slow
 
 BROKEN = (
@@ -112,3 +113,48 @@ def test_broken_code_has_no_proof(name: str, digits: str, right: str, wrong: str
         of_the_code = (*robust.OF_THE_CODE, *accuracy.OF_THE_CODE, *sums.OF_THE_CODE)
         for claims in () if name else of_the_code:
             prove_all(claims(code))
+
+
+# --- Contracts that promise nothing -----------------------------------------------------------------------
+
+
+def contracts_of(variant: Variant) -> dict[str, Contract]:
+    """Return the contracts of all functions that the firmware has in a variant, by the functions' names."""
+    contracts = {**calls.contracts(variant), **images.CONTRACTS}
+    return {
+        name: contract for name, contract in contracts.items() if name in code_of(name, variant).functions
+    }
+
+
+def code_of(name: str, variant: Variant) -> Program:
+    """Return the file that defines a function, or includes its definition, as a variant compiles it."""
+    return program(variant, IMAGE if name in images.CONTRACTS else CORE)
+
+
+def prove_of_any_result(name: str, variant: Variant, contract: Contract) -> None:
+    """Prove that a function keeps a contract whatever it returns and writes: only an empty one is kept so."""
+    anything = replace(contract, steps=(), uses=(), invariant=None, instead={name: any_result(name)})
+    prove_contract(code_of(name, variant), name, {name: anything})
+
+
+NAMES = sorted({name for variant in VARIANTS for name in calls.contracts(variant)} | images.CONTRACTS.keys())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_function_that_may_return_anything_breaks_its_contract(name: str) -> None:
+    """Otherwise the contract would promise nothing, and every code would keep it."""
+    first_variant = next(variant for variant in VARIANTS if name in contracts_of(variant))
+    with pytest.raises(UnprovenError, match="broken by"):
+        prove_of_any_result(name, first_variant, contracts_of(first_variant)[name])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", VARIANTS, ids=str)
+def test_functions_that_may_return_anything_break_all_contracts_of_a_variant(variant: Variant) -> None:
+    for name, contract in contracts_of(variant).items():
+        with pytest.raises(UnprovenError, match="broken by"):
+            prove_of_any_result(name, variant, contract)
+
+
+def test_a_contract_that_promises_nothing_is_kept_by_any_result() -> None:
+    prove_of_any_result("multiply", VARIANTS[0], Contract(always))

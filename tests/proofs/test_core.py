@@ -28,7 +28,7 @@ from proofs.prove import (
 from proofs.source import SOURCES, VARIANTS, Program, Variant, nodes, program
 from support import slow
 
-FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c")
+FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c", SOURCES / "mcp_asdf_small.c")
 
 
 LEMMAS = [*formulas.CONTRACTS, *robust.CONTRACTS, *calls.CONTRACTS, *images.CONTRACTS]

@@ -11,8 +11,9 @@ trap 'rm -rf "$folder"' EXIT
 cp "$reports"/*.xml "$folder"
 { git log -1 --format='%H %cI' && git status --porcelain; } >"$folder/commit.txt"
 git ls-files -z | xargs -0 sha256sum >"$folder/SHA256SUMS"
-for tool in gcc clang clang-19 tcc arm-none-eabi-gcc avr-gcc riscv64-unknown-elf-gcc arm-linux-gnueabihf-gcc \
-    s390x-linux-gnu-gcc qemu-system-arm qemu-system-riscv32 qemu-s390x frama-c cppcheck cmake afl-fuzz node tshark; do
+for tool in gcc clang clang-19 tcc rustc arm-none-eabi-gcc avr-gcc riscv64-unknown-elf-gcc arm-linux-gnueabihf-gcc \
+    aarch64-linux-gnu-gcc s390x-linux-gnu-gcc qemu-system-arm qemu-system-riscv32 qemu-s390x frama-c cppcheck cmake afl-fuzz node \
+    tshark; do
     echo "$tool: $({ "$tool" --version 2>&1 || true; } | head -1)"
 done >"$folder/tools.txt"
 "$python" -m pip --disable-pip-version-check freeze >"$folder/packages.txt"

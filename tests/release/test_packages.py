@@ -9,15 +9,22 @@ import sys
 import tarfile
 import tomllib
 import zipfile
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from mcp_asdf_tools.cli import main as cli
 from support import CORE, ROOT, made_once, run, version_of_header
 
 PACKAGE_FOLDERS = ("firmware_py/mcp_asdf", "host_tools/mcp_asdf_tools")
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+IMPORTED_MODULE = re.compile(
+    r"^ *(?:import (\w+)[\w.]*(?: as \w+)?|from (\w+)[\w.]* import [^\n]+?)(?:  #.*)?$", re.MULTILINE
+)
 
 COMMANDS = """\
 mcp-asdf --version
@@ -74,22 +81,82 @@ def environment(wheel: Path, tmp_path: Path) -> Path:
     return folder
 
 
+def listed_package_files() -> set[str]:
+    """Return the files that git lists of the packages, by their paths in a wheel, but for C."""
+    files = {name.partition("/")[2] for name in listed_files(*PACKAGE_FOLDERS)}
+    return {name for name in files if not name.endswith((".c", ".h"))}
+
+
+def package_files_in(wheel: Path) -> set[str]:
+    """Return the files in a wheel, but for those that describe the wheel itself."""
+    return {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+
+
+def test_a_wheel_without_compiled_modules_has_every_file_that_git_lists(tmp_path: Path) -> None:
+    """To build it takes half a second, so that a file that a wheel would lack is missed in ``make test``."""
+    code = """
+import sys
+from scikit_build_core.build import build_wheel
+build_wheel(sys.argv[1], {"wheel.cmake": "false"})
+"""
+    run(sys.executable, "-c", code, tmp_path)
+    (wheel,) = tmp_path.glob("*.whl")
+    assert package_files_in(wheel) == listed_package_files()
+
+
 @pytest.mark.slow
 def test_the_wheel_has_every_file_that_git_lists_of_the_packages(wheel: Path) -> None:
-    files = {name.partition("/")[2] for name in listed_files(*PACKAGE_FOLDERS)}
-    # C is compiled, but for the core, which "mcp-asdf firmware" copies into projects.
-    expected = {name for name in files if not name.endswith((".c", ".h"))}
-    expected |= {
-        f"mcp_asdf/core/{name}" for name in ("LICENSE", *(path.name for path in CORE.parent.iterdir()))
-    }
-    names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
-    extensions = {name for name in names if name.endswith(".so")}
-    assert names - extensions == expected
+    files = package_files_in(wheel)
+    extensions = {name for name in files if name.endswith(".so")}
+    core = {"LICENSE", *(path.name for path in CORE.parent.iterdir())}
+    # The core is there as C, too, since "mcp-asdf firmware" copies it into projects.
+    assert files - extensions == listed_package_files() | {f"mcp_asdf/core/{name}" for name in core}
     assert {name.partition(".")[0] for name in extensions} == {
         "mcp_asdf/_native",
         "mcp_asdf_tools/experiments/_engine",
         "mcp_asdf_tools/world/_arena",
     }
+
+
+def imported_modules() -> set[str]:
+    """Return the top-level names of all modules that the packages import, also within functions."""
+    python_files = [ROOT / name for name in listed_files(*PACKAGE_FOLDERS) if name.endswith(".py")]
+    texts = [path.read_text(encoding="utf-8") for path in python_files]
+    pairs = [pair for text in texts for pair in IMPORTED_MODULE.findall(text)]
+    return {imported or imported_from for imported, imported_from in pairs}
+
+
+def stated_dependencies() -> set[str]:
+    """Return the names of all dependencies, and what their extras add: python-can[serial] adds pyserial."""
+    project = PYPROJECT["project"]
+    lists = [project["dependencies"], *project["optional-dependencies"].values()]
+    stated = [Requirement(text) for texts in lists for text in texts]
+    names = {requirement.name for requirement in stated}
+    for requirement in stated:
+        for extra in requirement.extras:
+            further = [Requirement(text) for text in metadata.requires(requirement.name) or ()]
+            names |= {needed.name for needed in further if is_needed_by_extra(needed, extra)}
+    return {canonicalize_name(name) for name in names}
+
+
+def is_needed_by_extra(requirement: Requirement, extra: str) -> bool:
+    """Return whether a package has this requirement because of one of its extras."""
+    marker = requirement.marker
+    return marker is not None and "extra" in str(marker) and marker.evaluate({"extra": extra})
+
+
+def test_every_package_that_is_imported_is_a_stated_dependency() -> None:
+    """Otherwise only users would miss it, since the environment of the tests has many packages more."""
+    third_party_modules = imported_modules() - sys.stdlib_module_names - {"mcp_asdf", "mcp_asdf_tools"}
+    assert {"can", "numpy", "scipy", "serial"} <= third_party_modules
+    dependencies = stated_dependencies()
+    packages_by_module = metadata.packages_distributions()
+    undeclared_modules = [
+        module
+        for module in third_party_modules
+        if dependencies.isdisjoint(map(canonicalize_name, packages_by_module.get(module, [])))
+    ]
+    assert undeclared_modules == []
 
 
 @pytest.mark.slow

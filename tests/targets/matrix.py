@@ -65,6 +65,11 @@ TARGETS = (
         ("arm-linux-gnueabihf-gcc", "qemu-arm"),
         "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross qemu-user",
     ),
+    Target(
+        "aarch64-linux-gnu",
+        ("aarch64-linux-gnu-gcc", "qemu-aarch64"),
+        "gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user",
+    ),
     BIG_ENDIAN,
     WASM,
     HOST,

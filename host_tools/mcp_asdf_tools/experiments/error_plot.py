@@ -9,12 +9,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mcp_asdf_tools.common.figures import SMALL, clean
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import make_caption
 from mcp_asdf_tools.experiments.plot_panels import (
+    Series,
+    SeriesName,
     colours_of_filters,
     create_panels,
     describe_intervals,
     draw_band,
+    group_into_series,
     label_figure,
     legend_handle,
     median_intervals,
@@ -24,39 +28,58 @@ from mcp_asdf_tools.experiments.scores import PAPERS, Limits
 from mcp_asdf_tools.robots.filters import FILTERS
 
 
-def plot_errors_over_time(panels: Mapping[str, Sequence[Trials]], limits: Limits = PAPERS) -> Figure:
+def plot_errors_over_time(
+    panels: Mapping[str, Sequence[Trials]],
+    limits: Limits = PAPERS,
+    series_name: SeriesName | None = None,
+) -> Figure:
     """Plot the mean error |x - f| of a swarm over time: a panel for each title, in it a line for each filter.
 
     x is a robot's informed estimate and f the true share of black tiles, so this is the mean over the robots
     of a trial; the line is the median over the trials. Trials of one panel and filter are taken together. All
-    must have been recorded, with the same interval. Raises UsageError if there are too many panels.
+    must have been recorded, with the same interval. ``series_name`` gives the lines other names than those
+    of their filters, and experiments of one name share a line. Raises UsageError if there are too many
+    panels.
     """
     all_experiments = [trials for experiments in panels.values() for trials in experiments]
-    used_filters = {trials.experiment.filter for trials in all_experiments}
-    # All filters get their colours first: a filter then has the same colour in every picture, whichever
-    # others are there.
-    colour_by_filter = {
-        name: colour
-        for name, colour in zip(FILTERS, colours_of_filters([*FILTERS]), strict=True)
-        if name in used_filters
-    }
-    figure, grid = create_panels(len(panels), panel_height=1.9, series_count=len(colour_by_filter))
+    if series_name is None:
+        series_name = _name_of_filter
+        all_series = _series_of_filters(all_experiments)
+    else:
+        all_series = group_into_series(all_experiments, series_name)
+    figure, grid = create_panels(len(panels), panel_height=1.9, series_count=len(all_series))
     for axes, (title, experiments) in zip(grid, panels.items(), strict=True):
         axes.set_title(title, fontsize=SMALL, loc="left")
-        for name, colour in colour_by_filter.items():
-            experiments_of_filter = [trials for trials in experiments if trials.experiment.filter == name]
-            _draw_errors(axes, experiments_of_filter, colour)
+        for series in all_series:
+            experiments_of_line = [
+                trials for trials in experiments if series_name(trials.experiment) == series.label
+            ]
+            _draw_errors(axes, experiments_of_line, series.colour)
         # The errors of the filters differ by more than a factor of ten.
         axes.set_yscale("log")
         clean(axes)
-    handles = [
-        legend_handle(FILTERS[name].typeset_term, colour, marker="", line="-")
-        for name, colour in colour_by_filter.items()
-    ]
+    handles = [legend_handle(series.label, series.colour, marker="", line="-") for series in all_series]
     intervals = describe_intervals(all_experiments)
     marks = f"lines are medians over the trials of a swarm's mean error, {intervals}"
     caption = make_caption(all_experiments, marks, limits)
     return label_figure(figure, "step", "error |x \u2212 f|", caption, handles)
+
+
+def _name_of_filter(experiment: Experiment) -> str:
+    """Return the name of an experiment's filter as pictures typeset it."""
+    return experiment.swarm_filter.typeset_term
+
+
+def _series_of_filters(experiments: Sequence[Trials]) -> list[Series]:
+    """Return the experiments of each filter as a series, in the order of FILTERS."""
+    # All filters get their colours first: a filter then has the same colour in every picture, whichever
+    # others are there.
+    all_series = []
+    for name, colour in zip(FILTERS, colours_of_filters([*FILTERS]), strict=True):
+        experiments_of_filter = [trials for trials in experiments if trials.experiment.filter == name]
+        if experiments_of_filter:
+            all_series.append(Series(FILTERS[name].typeset_term, colour, experiments_of_filter))
+    return all_series
 
 
 def _draw_errors(axes: Axes, experiments: Sequence[Trials], colour: str) -> None:

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, Literal
 
-from mcp_asdf_tools.common.parameters import ParameterError, parameter
+from mcp_asdf_tools.common.parameters import ParameterError, parameter, value_of
+from mcp_asdf_tools.experiments.message_codes import EXACT, MessageCode, parse_message_bits
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.world.graph import MAX_ON_BUS
 
@@ -33,6 +34,9 @@ class Experiment(Population):
 
     trials: int = parameter("number of trials", 1, MAX_TRIALS, default=30)
     conventions: Convention = parameter("reading of the equations, for firmware reference", default="paper")
+    message_bits: str = parameter(
+        "bits of x_hat and of alpha in a message, such as 16+9; exact: unrounded", default=EXACT
+    )
 
     def __post_init__(self) -> None:
         """Check the values. Raises ParameterError as the class."""
@@ -40,6 +44,10 @@ class Experiment(Population):
         if self.conventions == "authors" and self.firmware != "reference":
             message = f"firmware {self.firmware} has no conventions of the authors; choose firmware reference"
             raise ParameterError("conventions", message)
+        with value_of("message_bits"):
+            message_code = parse_message_bits(self.message_bits)
+        # One text for each code, so that equal experiments compare equal: not "07+4" beside "7+4".
+        object.__setattr__(self, "message_bits", EXACT if message_code is None else str(message_code))
         # In a larger swarm ids repeat: the engine in C keeps robots of one id apart, messages on a bus do
         # not.
         slow_parameter = self.lacking_in_c if self.robots > MAX_ON_BUS else ""
@@ -48,6 +56,11 @@ class Experiment(Population):
             reason = f"{slow_parameter} is {value}, which runs message by message, with ids of 7 bits"
             message = f"robots is {self.robots}, but {reason}; take at most {MAX_ON_BUS}"
             raise ParameterError(slow_parameter, message)
+
+    @property
+    def message_code(self) -> MessageCode | None:
+        """The code to which messages are rounded when they are sent; None if they are exact."""
+        return parse_message_bits(self.message_bits)
 
     @property
     def lacking_in_c(self) -> str:

@@ -22,9 +22,11 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_tables import (
     FORMAT,
     METADATA_KEY,
-    add_missing_parameters,
+    READABLE_FORMATS,
     column_types,
+    column_types_of_format,
     rows_by_experiment,
+    to_present_format,
     trials_from_rows,
 )
 from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, Trials
@@ -61,7 +63,7 @@ def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Tab
     """Return the rows of a file that ``write_tables`` wrote, or of all files in a folder.
 
     ``columns`` names the columns to be read; None stands for all. Raises UsageError if a file cannot be read
-    or has anything but results in the present format.
+    or has anything but results in one of READABLE_FORMATS.
     """
     row_groups = RowGroups()
     row_groups.add(Path(path))
@@ -122,21 +124,24 @@ class RowGroup:
     row_count: int
 
     def read(self, columns: Sequence[str] | None = None) -> pa.Table:
-        """Return the rows, with some columns or all, in which a parameter without a column has its default.
+        """Return the rows in the present format, with some columns or all.
 
-        Raises UsageError if the file cannot be read.
+        A parameter without a column has its default. Raises UsageError if the file cannot be read, or has
+        records that cannot be converted to the present format.
         """
         file = _open_checked(self.path)
         stored_columns = None
         if columns is not None:
-            stored_columns = [name for name in columns if name in file.schema_arrow.names]
+            # The number of robots is needed to convert records of an earlier format.
+            needed_columns = {*columns, "robots"}
+            stored_columns = [name for name in file.schema_arrow.names if name in needed_columns]
         with _name_file_in_errors(self.path):
             table = file.read_row_group(self.index, columns=stored_columns)
             # A damaged or hostile file may hold lists that end beyond their values.
             table.validate(full=True)
         # A file has its metadata twice, and the two may differ; these are the ones that were checked.
         table = table.replace_schema_metadata(file.schema_arrow.metadata)
-        table = add_missing_parameters(table, self.row_count)
+        table = to_present_format(table, self.row_count)
         return table if columns is None else table.select(columns)
 
 
@@ -231,7 +236,7 @@ class RowGroups:
 
 
 def _open_checked(path: Path) -> Any:
-    """Open a file of results. Raises UsageError unless it is one in the present format, and has rows."""
+    """Open a file of results. Raises UsageError unless it is one in READABLE_FORMATS, and has rows."""
     with _name_file_in_errors(path):
         file = pq.ParquetFile(path)
         _check_metadata(path, file.schema_arrow.metadata or {})
@@ -257,14 +262,14 @@ def _name_file_in_errors(path: Path) -> Iterator[None]:
 
 
 def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> None:
-    """Raise UsageError unless a file's metadata are those of results in the present format."""
+    """Raise UsageError unless a file's metadata are those of results in one of READABLE_FORMATS."""
     try:
         metadata = json.loads(file_metadata.get(METADATA_KEY, b"{}"))
     except (ValueError, RecursionError):  # another program may use the same key
         metadata = {}
     if not isinstance(metadata, dict) or "format" not in metadata:
         raise UsageError(f"{path} holds no results; format {FORMAT} is needed: run mcp-asdf sweep again")
-    if metadata["format"] != FORMAT:
+    if metadata["format"] not in READABLE_FORMATS:
         content = f"results in format {metadata['format']}"
         raise UsageError(f"{path} holds {content}; format {FORMAT} is needed: run mcp-asdf sweep again")
     # Later code relies on these two, whatever program has written the file.
@@ -296,13 +301,14 @@ def _check_former_parameters(path: Path, file: Any, row_group_index: int) -> Non
 def _check_schema(path: Path, schema: Any) -> None:
     """Raise UsageError if columns are missing, there twice or of another type than those of results.
 
-    A parameter may be missing, since it may be newer than the file.
+    A parameter may be missing, since it may be newer than the file. The metadata must have been checked.
     """
-    missing_columns = set(column_types()) - set(PARAMETER_NAMES) - set(schema.names)
+    column_types = column_types_of_format(json.loads(schema.metadata[METADATA_KEY])["format"])
+    missing_columns = set(column_types) - set(PARAMETER_NAMES) - set(schema.names)
     if missing_columns:
         missing_names = ", ".join(sorted(missing_columns))
         raise UsageError(f"{path} is damaged: it has no {missing_names}; run mcp-asdf sweep again")
-    for column_name, column_type in column_types().items():
+    for column_name, column_type in column_types.items():
         column_count = schema.names.count(column_name)
         # Parquet allows two columns of one name, which could not be told apart.
         if column_count > 1 or (column_count == 1 and schema.field(column_name).type != column_type):

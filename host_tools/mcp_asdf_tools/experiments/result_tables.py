@@ -8,13 +8,14 @@ A table has a row for each trial, with a column for each parameter of the experi
 - ``b_hat``, a list of the accuracies that robots assume: those of all robots after the first filter step,
   then those after the second, and so on;
 - ``tests`` and ``updates``, lists with a value of each robot: hypothesis tests, and re-estimates of b_hat;
-- ``record_t`` to ``record_b_hat``, lists in the order of ``b_hat``: values at step 0 and then every
-  ``sampling_interval`` steps; empty if nothing was recorded.
+- ``record_t`` to ``record_b_hat``, lists with a list for each recorded step, in which each robot has a value.
+  Steps are recorded from step 0 on, every ``sampling_interval`` steps; empty if nothing was recorded.
 
 The metadata have JSON under the key ``mcp-asdf``: the version of the format, the versions of the software,
 the threshold delta, ``sampling_interval``, and unit and meaning of each of ``columns``. Rows with the same
 parameters belong to one experiment. A parameter without a column has its default, so that a table can be
-read which was written before the parameter existed.
+read which was written before the parameter existed. A table in format 5, whose records are flat lists in the
+order of ``b_hat``, is converted when it is read.
 """
 
 from __future__ import annotations
@@ -36,7 +37,12 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, QUANTITIES, Trials
 from mcp_asdf_tools.experiments.scores import DELTA, SCORES, Limits, score
 
-FORMAT = 5
+FORMAT = 6
+FLAT_RECORDS_FORMAT = 5
+"""The format before the present one. The record of a trial was one list in it: the values of all robots at
+step 0, then those at the next recorded step, and so on."""
+READABLE_FORMATS = (FLAT_RECORDS_FORMAT, FORMAT)
+
 METADATA_KEY = b"mcp-asdf"
 
 _LIST_COLUMNS = {
@@ -50,6 +56,16 @@ _LIST_COLUMNS = {
 
 INDEX_COLUMNS = (*PARAMETER_NAMES, "trial")
 """Columns that tell which trial of which experiment a row is."""
+
+RECORD_COLUMNS = {name: f"record_{name}" for name in QUANTITIES}
+"""Name of the column of each recorded quantity."""
+
+# Elements of lists are called so in a file that has been read. With the same name in a table that has not,
+# equal rows give equal files.
+_VALUES_OF_ROBOTS = pa.list_(pa.field("element", pa.float64()))
+"""Type of a list with a value of each robot."""
+_RECORD_OF_TRIAL = pa.list_(pa.field("element", _VALUES_OF_ROBOTS))
+"""Type of a list with such a list for each recorded step."""
 
 _UNITS = {
     **dict.fromkeys(("width", "height", "radio_range", "tile"), "m"),
@@ -72,7 +88,10 @@ _MEANINGS = {
     "b_hat": "assumed accuracy after each filter step, robot by robot within a step",
     "tests": "hypothesis tests modulo 65536, by robot",
     "updates": "re-estimates of b_hat modulo 65536, by robot",
-    **{f"record_{name}": f"{name} every sampling_interval steps, robot by robot" for name in QUANTITIES},
+    **{
+        column: f"{name} every sampling_interval steps from step 0 on: a list by robot for each of them"
+        for name, column in RECORD_COLUMNS.items()
+    },
 }
 """Meanings of the columns that are not parameters."""
 
@@ -99,20 +118,80 @@ def column_types() -> dict[str, Any]:
     }
     types["trial"] = pa.int64()
     types |= dict.fromkeys(SCORES, pa.float64())
-    element_types = {name: getattr(pa, type_name)() for name, (_, type_name) in _LIST_COLUMNS.items()}
-    element_types |= {f"record_{name}": pa.float64() for name in QUANTITIES}
-    for name, element_type in element_types.items():
-        # This is the name that elements have when a file has been read: so equal rows give equal files,
-        # whether they were read or not.
+    for name, (_, element_type_name) in _LIST_COLUMNS.items():
+        element_type = getattr(pa, element_type_name)()
         types[name] = pa.list_(pa.field("element", element_type))
-    return types
+    return types | dict.fromkeys(RECORD_COLUMNS.values(), _RECORD_OF_TRIAL)
 
 
-def add_missing_parameters(table: pa.Table, row_count: int) -> pa.Table:
+def column_types_of_format(table_format: int) -> dict[str, Any]:
+    """Return the pyarrow type of each column by its name in one of READABLE_FORMATS."""
+    if table_format == FLAT_RECORDS_FORMAT:
+        return column_types() | dict.fromkeys(RECORD_COLUMNS.values(), _VALUES_OF_ROBOTS)
+    return column_types()
+
+
+def to_present_format(table: pa.Table, row_count: int) -> pa.Table:
+    """Return a table of READABLE_FORMATS, with some columns or all, in the present format.
+
+    Missing parameters have their defaults, and columns are in the usual order; those of other names come
+    last. ``row_count`` is the number of rows, which a table without columns does not know. A table in format
+    5 with records must have a column ``robots``, unless all experiments have the default. Raises UsageError
+    for a flat record that has not a value of each robot at each step.
+    """
+    complete_table = _add_missing_parameters(table, row_count)
+    flat_columns = [
+        column
+        for column in RECORD_COLUMNS.values()
+        if column in complete_table.column_names and complete_table[column].type == _VALUES_OF_ROBOTS
+    ]
+    for column in flat_columns:
+        index = complete_table.column_names.index(column)
+        nested_record = _nest_flat_record(complete_table, column)
+        complete_table = complete_table.set_column(index, column, nested_record)
+    metadata = complete_table.schema.metadata or {}
+    if METADATA_KEY not in metadata:
+        return complete_table
+    description = json.loads(metadata[METADATA_KEY])
+    if description.get("format") == FORMAT:
+        return complete_table
+    present_description = description | {"format": FORMAT, "columns": describe_columns()}
+    return complete_table.replace_schema_metadata({**metadata, METADATA_KEY: json.dumps(present_description)})
+
+
+def _nest_flat_record(table: pa.Table, column: str) -> pa.ChunkedArray:
+    """Return a column of flat records, as in format 5, as lists with a list by robot for each recorded step.
+
+    Raises UsageError for a record that has not a value of each robot at each step.
+    """
+    nested_chunks = []
+    # Chunk by chunk: the lists of a chunk have at most 2^31 values together, those of a column may have more.
+    for batch in table.select(["robots", column]).to_batches():
+        flat_records = batch[column]
+        robots = pc.fill_null(batch["robots"], 0).to_numpy()
+        value_counts = pc.fill_null(pc.list_value_length(flat_records), 0).to_numpy()
+        # In a damaged file any number may stand for the robots, also 0, or one that fits no signed integer.
+        robots = np.clip(robots, 0, np.iinfo(np.int32).max).astype(np.int64)
+        step_counts = value_counts // np.maximum(robots, 1)
+        has_gaps = flat_records.null_count > 0
+        if has_gaps or not np.array_equal(step_counts * robots, value_counts):
+            raise _damage_error(f"column {column} has gaps, or not a value of each robot at each step")
+        robots_by_step = np.repeat(robots, step_counts)
+        values_of_robots = _group_in_lists(flat_records.flatten(), robots_by_step, _VALUES_OF_ROBOTS)
+        nested_chunks.append(_group_in_lists(values_of_robots, step_counts, _RECORD_OF_TRIAL))
+    return pa.chunked_array(nested_chunks, _RECORD_OF_TRIAL)
+
+
+def _group_in_lists(values: pa.Array, lengths: NDArray[np.int64], list_type: Any) -> pa.Array:
+    """Return consecutive ``values`` as lists of these lengths, whose sum is the number of values."""
+    offsets = np.concatenate([[0], np.cumsum(lengths)])
+    return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), values, type=list_type)
+
+
+def _add_missing_parameters(table: pa.Table, row_count: int) -> pa.Table:
     """Return a table with its columns in the usual order, in which missing parameters have their defaults.
 
-    Columns of other names come last. ``row_count`` is the number of rows, which a table without columns does
-    not know.
+    Columns of other names come last.
     """
     defaults = Experiment().parameters()
     arrays_by_column = {}
@@ -152,9 +231,9 @@ def trials_to_table(trials: Trials) -> pa.Table:
     for name, (attribute, _) in _LIST_COLUMNS.items():
         columns[name] = _flatten_trials(getattr(trials, attribute))
     # Files have the same columns whether anything was recorded or not.
-    nothing_recorded = np.empty((trial_count, 0))
-    for name in QUANTITIES:
-        columns[f"record_{name}"] = _flatten_trials(trials.records.get(name, nothing_recorded))
+    nothing_recorded = np.empty((trial_count, 0, trials.experiment.robots))
+    for name, column in RECORD_COLUMNS.items():
+        columns[column] = _nest_records(trials.records.get(name, nothing_recorded))
     metadata = {
         "format": FORMAT,
         "versions": software_versions(),
@@ -171,9 +250,18 @@ def _flatten_trials(values: NDArray[Any]) -> list[NDArray[Any]]:
     return [values_of_trial.ravel() for values_of_trial in values]
 
 
+def _nest_records(values: NDArray[np.float64]) -> pa.Array:
+    """Return records, shape (trials, samples, N), as an array with a list of lists for each trial."""
+    trial_count, sample_count, robots = values.shape
+    robots_by_sample = np.full(trial_count * sample_count, robots)
+    samples_by_trial = np.full(trial_count, sample_count)
+    values_of_robots = _group_in_lists(pa.array(values.ravel()), robots_by_sample, _VALUES_OF_ROBOTS)
+    return _group_in_lists(values_of_robots, samples_by_trial, _RECORD_OF_TRIAL)
+
+
 def experiments_in(table: pa.Table) -> list[Trials]:
     """Return the trials in a table by experiment, in the order of the experiments' first rows. O(rows)."""
-    complete_table = add_missing_parameters(table, len(table)).combine_chunks()
+    complete_table = to_present_format(table, len(table)).combine_chunks()
     return [
         trials_from_rows(experiment, complete_table.take(rows))
         for experiment, rows in rows_by_experiment(complete_table).items()
@@ -212,11 +300,12 @@ def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
         return flat_values.reshape(len(table), *shape)
 
     records = {}
-    for name in QUANTITIES:
-        # All lists have the same length, as was checked above.
-        is_recorded = len(table[f"record_{name}"][0]) > 0
-        if is_recorded:
-            records[name] = read_lists(f"record_{name}", -1, experiment.robots)
+    for name, column in RECORD_COLUMNS.items():
+        # All trials have equally many recorded steps, as was checked above.
+        sample_count = len(table[column][0])
+        if sample_count > 0:
+            values: NDArray[Any] = pc.list_flatten(pc.list_flatten(table[column])).to_numpy()
+            records[name] = values.reshape(len(table), sample_count, experiment.robots)
     return Trials(
         experiment,
         table["trial"].to_pylist(),
@@ -235,21 +324,40 @@ def _check_list_lengths(experiment: Experiment, table: pa.Table) -> None:
 
     O(values).
     """
+    if table["trial"].null_count > 0:
+        raise _damage_error("column trial has gaps")
     robots = experiment.robots
     length_by_column = dict.fromkeys(_LIST_COLUMNS, robots)
     length_by_column["b_hat"] = robots * (experiment.steps // experiment.filter_period)
-    # How often values were recorded is not a parameter. So the first list gives the length of all of them,
-    # rounded down to complete samples of all robots.
-    first_length = pc.list_value_length(table["record_t"])[0].as_py() or 0
-    record_length = first_length - first_length % robots
-    length_by_column |= {f"record_{quantity}": record_length for quantity in QUANTITIES}
-    has_gaps_in_numbers = table["trial"].null_count > 0
-    for column_name, length in length_by_column.items():
-        list_lengths = pc.list_value_length(table[column_name])
-        gap_count = list_lengths.null_count + pc.list_flatten(table[column_name]).null_count
-        if has_gaps_in_numbers or gap_count or set(list_lengths.unique().to_pylist()) != {length}:
-            problem = f"column {column_name} has gaps, or lists that have not {length} values"
-            raise UsageError(f"the results are damaged: {problem}; run mcp-asdf sweep again")
+    for column, length in length_by_column.items():
+        _check_lists(column, table[column], length)
+        _check_no_gaps(column, pc.list_flatten(table[column]))
+    # How often values were recorded is not a parameter. So the first list gives the length of all of them.
+    sample_count = pc.list_value_length(table[RECORD_COLUMNS["t"]])[0].as_py() or 0
+    for column in RECORD_COLUMNS.values():
+        values_of_robots = pc.list_flatten(table[column])
+        _check_lists(column, table[column], sample_count)
+        _check_lists(column, values_of_robots, robots)
+        _check_no_gaps(column, pc.list_flatten(values_of_robots))
+
+
+def _check_lists(column: str, lists: pa.ChunkedArray, length: int) -> None:
+    """Raise UsageError, with the name of the column, if one of its lists is missing or has another length."""
+    _check_no_gaps(column, lists)
+    lengths = pc.list_value_length(lists).unique().to_pylist()
+    if not set(lengths) <= {length}:
+        raise _damage_error(f"column {column} has lists that have not {length} values")
+
+
+def _check_no_gaps(column: str, values: pa.ChunkedArray) -> None:
+    """Raise UsageError, with the name of the column, if one of its values is missing."""
+    if values.null_count > 0:
+        raise _damage_error(f"column {column} has gaps")
+
+
+def _damage_error(problem: str) -> UsageError:
+    """Return the error for results with a problem that no version of the program has written."""
+    return UsageError(f"the results are damaged: {problem}; run mcp-asdf sweep again")
 
 
 def score_table(table: pa.Table, limits: Limits) -> pa.Table:
@@ -257,7 +365,7 @@ def score_table(table: pa.Table, limits: Limits) -> pa.Table:
 
     O(rows).
     """
-    table = add_missing_parameters(table, len(table))
+    table = to_present_format(table, len(table))
     rows = table.select([*PARAMETER_NAMES, "k", "e"]).to_pylist()
     scores_by_row = [_score_row(row, limits) for row in rows]
     for score_name in SCORES:

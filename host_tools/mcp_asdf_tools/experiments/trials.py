@@ -235,6 +235,7 @@ class MessageSwarm:
     def __init__(self, experiment: Experiment, trial: int) -> None:
         """Make the world of a trial and its robots. Raises UsageError if the firmware cannot be loaded."""
         self._experiment = experiment
+        self._message_code = experiment.message_code
         self._world = World(experiment, trial)
         self.robots = _make_robots(experiment)
         # An extension may mix robots of both kinds, and then all of them exchange floats.
@@ -278,6 +279,8 @@ class MessageSwarm:
     def _deliver_floats(self, pairs: Pairs) -> None:
         """Let each receiver receive its sender's estimate as floats."""
         estimates = [(robot.x_hat, robot.alpha) for robot in self.robots]
+        if self._message_code is not None:
+            estimates = [self._message_code.round_floats(*estimate) for estimate in estimates]
         for receiver, sender in pairs:
             x_hat, alpha = estimates[sender]
             self.robots[receiver].receive(sender, x_hat, alpha)
@@ -286,6 +289,8 @@ class MessageSwarm:
         """Let each receiver receive its sender's estimate in the firmware's integers."""
         robots = cast(Sequence[FixedPointRobot], self.robots)
         estimates = [(robot.x_hat_raw, robot.alpha_raw) for robot in robots]
+        if self._message_code is not None:
+            estimates = [self._message_code.round_raw(*estimate) for estimate in estimates]
         for receiver, sender in pairs:
             x_hat_raw, alpha_raw = estimates[sender]
             robots[receiver].receive_raw(sender, x_hat_raw, alpha_raw)

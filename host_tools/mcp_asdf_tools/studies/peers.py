@@ -1,20 +1,24 @@
 """Robots with which the robust filter is compared, and robots and sensors that make a world hard for it.
 
 docs/extending.md says how to write such classes; experiments take them in place of a name.
+docs/related_work.md compares the methods from which some of them come.
 """
 
 from __future__ import annotations
 
 import math
 import random
+from collections.abc import Sequence
+from statistics import fmean
 
 import numpy as np
 
 from mcp_asdf import Config, ReferenceRobot, Status
 from mcp_asdf.fixed_point import ALPHA_MAX
 from mcp_asdf.native import NativeRobot
-from mcp_asdf.robot import B_HAT_MARGIN, Filter, Observation
+from mcp_asdf.robot import B_HAT_MARGIN, Filter, Observation, Robot
 from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.robots.firmwares import RobotMaker
 from mcp_asdf_tools.studies.ageing_sensors import DIFFUSION, DRIFT_RATE
 from mcp_asdf_tools.world.sensors import Accuracies
 from mcp_asdf_tools.world.settings import WorldSettings
@@ -22,7 +26,14 @@ from mcp_asdf_tools.world.settings import WorldSettings
 ROBOTS_WITH_LIARS = 20
 """Number of robots of the swarms with liars."""
 
-LIARS = {"one_liar": 1, "two_liars": 2, "five_liars": 5}
+LIARS = {
+    "one_liar": 1,
+    "two_liars": 2,
+    "five_liars": 5,
+    "wmsr_robots_and_five_liars": 5,
+    "trimmed_mean_robots_and_five_liars": 5,
+    "majority_robots_and_five_liars": 5,
+}
 """How many of the robots lie, by the firmware's name."""
 
 FLOOR_AFTER_CHANGE = 0.95
@@ -34,6 +45,13 @@ _LABELS = {
     "WanderingBayesCpfRobot": "BayesCPF",
     "KnownAccuracyRobot": "knows b now",
     "KnownMeanAccuracyRobot": "knows its mean",
+    "WmsrRobot": "W-MSR",
+    "wmsr_robots_and_five_liars": "W-MSR",
+    "TrimmedMeanRobot": "trimmed mean",
+    "trimmed_mean_robots_and_five_liars": "trimmed mean",
+    "MajorityRobot": "DMMD",
+    "majority_robots_and_five_liars": "DMMD",
+    "TwoReadingsRobot": "two readings",
 }
 
 
@@ -164,6 +182,185 @@ class BayesCpfRobot(ReferenceRobot):
         return self._mean + deviation * math.sqrt(2 / math.pi) / mass * density_difference
 
 
+# --- Resilient consensus ---------------------------------------------------------------------------------
+
+
+class WmsrRobot(ReferenceRobot):
+    """W-MSR, "weighted mean-subsequence-reduced" (LeBlanc, Zhang, Koutsoukos and Sundaram 2013).
+
+    x is a mean of local estimates: the robot's own, and those of a round that are left when the most extreme
+    ones are removed, as ``wmsr_mean`` says. A robot with few neighbours removes the estimates of all of them,
+    and x is its own estimate. b_hat, the accuracy that the robot assumes of its sensor, never changes.
+
+    In the original rule robots send the mean, and average again. Here messages carry local estimates, which
+    robots go on improving, so every round takes one step of the rule.
+
+    Attributes:
+        tolerated_liars: F, the number of neighbours in any round that may lie. The rule needs to know it.
+    """
+
+    tolerated_liars = 5
+
+    @property
+    def x(self) -> float:
+        """The mean of the own local estimate and of those of the last round that the rule keeps."""
+        received = [estimate.x_hat for estimate in self._closed_round]
+        return wmsr_mean(self.x_hat, received, self.tolerated_liars)
+
+
+def wmsr_mean(own_estimate: float, received_estimates: Sequence[float], tolerated_liars: int) -> float:
+    """Return the mean of a robot's own estimate and of the received ones that W-MSR keeps.
+
+    Of the estimates above the own one, the ``tolerated_liars`` largest are removed, and of those below it as
+    many of the smallest. If there are no more of them on a side, all on that side are removed. Estimates that
+    equal the own one are kept. Every kept estimate has the same weight.
+    """
+    ascending = sorted(received_estimates)
+    below = [estimate for estimate in ascending if estimate < own_estimate]
+    equal = [estimate for estimate in ascending if estimate == own_estimate]
+    above = [estimate for estimate in ascending if estimate > own_estimate]
+    kept_below = below[tolerated_liars:]
+    kept_above = above[: max(0, len(above) - tolerated_liars)]
+    return fmean([own_estimate, *kept_below, *equal, *kept_above])
+
+
+class TrimmedMeanRobot(ReferenceRobot):
+    """A robot whose x is the trimmed mean of its own local estimate and of those that it has just received.
+
+    b_hat, the accuracy that the robot assumes of its sensor, never changes.
+
+    Attributes:
+        trimmed_share: Share of the estimates that is removed at either end.
+    """
+
+    trimmed_share = 0.25
+
+    @property
+    def x(self) -> float:
+        """The trimmed mean of the own local estimate and of those of the last round."""
+        received = [estimate.x_hat for estimate in self._closed_round]
+        return trimmed_mean([self.x_hat, *received], self.trimmed_share)
+
+
+def trimmed_mean(estimates: Sequence[float], trimmed_share: float) -> float:
+    """Return the mean of estimates without the smallest and the largest ones.
+
+    ``trimmed_share`` of them, rounded down to a whole number, is removed at either end. It is below 1/2, so
+    that at least one estimate is left.
+    """
+    removed_at_each_end = int(trimmed_share * len(estimates))
+    kept = sorted(estimates)[removed_at_each_end : len(estimates) - removed_at_each_end]
+    return fmean(kept)
+
+
+# --- A vote on the prevailing colour ---------------------------------------------------------------------
+
+
+class MajorityRobot(ReferenceRobot):
+    """DMMD, direct modulation of majority-based decisions (Valentini, Hamann and Dorigo 2015).
+
+    A robot has an opinion on which colour prevails, and alternates between two tasks. While it explores, it
+    counts how many of its readings have the colour of its opinion, and broadcasts no opinion. Then it
+    broadcasts its opinion, and the larger that share was, the longer it does so. At the end it adopts the
+    opinion of the majority of its neighbours and itself.
+
+    An opinion travels as a local estimate of 1 for black, or of 0 for white. b_hat, the accuracy that the
+    robot assumes of its sensor, is not used. Half of the robots begin with either opinion.
+
+    Attributes:
+        mean_exploration: Mean duration of an exploration in rounds; durations have an exponential
+            distribution.
+        mean_dissemination: Mean duration of a dissemination in rounds, for an opinion whose colour all
+            readings have.
+        listening_time: Number of rounds before the end of a dissemination in which received opinions count.
+    """
+
+    mean_exploration = 100.0
+    mean_dissemination = 100.0
+    listening_time = 30
+
+    def __init__(self, config: Config, robot_id: int, b_hat: float) -> None:
+        """Start to explore, with an opinion and a random sequence that belong to the robot's id."""
+        super().__init__(config, robot_id, b_hat)
+        self._random = random.Random(robot_id)
+        self._opinion = Observation.BLACK if robot_id % 2 else Observation.WHITE
+        self._opinion_by_sender: dict[int, Observation] = {}
+        self._is_disseminating = False
+        self._start_exploration()
+
+    def observe(self, z: Observation) -> Status:
+        """Count an observation as the reference does, and for the opinion while the robot explores."""
+        if not self._is_disseminating:
+            self._readings += 1
+            self._readings_of_opinion += z == self._opinion
+        return super().observe(z)
+
+    def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
+        """Take a message as the reference does, and keep its opinion if this robot is about to decide.
+
+        A message without confidence has no opinion. Of several messages of a sender the last one counts.
+        """
+        status = super().receive(sender, x_hat, alpha)
+        is_listening = self._is_disseminating and self._rounds_left <= self.listening_time
+        if status is Status.OK and alpha > 0 and is_listening:
+            self._opinion_by_sender[sender] = Observation.BLACK if x_hat > 0.5 else Observation.WHITE
+        return status
+
+    def settle(self) -> Status:
+        """Close the round as the reference does, and begin the other task when the present one is over."""
+        status = super().settle()
+        self._rounds_left -= 1
+        if self._rounds_left <= 0:
+            if self._is_disseminating:
+                self._adopt_majority_opinion()
+                self._start_exploration()
+            else:
+                self._start_dissemination()
+        return status
+
+    def _start_exploration(self) -> None:
+        """Begin to count readings, for a random time."""
+        self._is_disseminating = False
+        self._readings, self._readings_of_opinion = 0, 0
+        self._rounds_left = self._draw_duration(self.mean_exploration)
+
+    def _start_dissemination(self) -> None:
+        """Begin to broadcast the opinion, for a random time that is longer for a more frequent colour."""
+        self._is_disseminating = True
+        self._opinion_by_sender = {}
+        quality = self._readings_of_opinion / max(1, self._readings)
+        self._rounds_left = self._draw_duration(self.mean_dissemination * quality)
+
+    def _draw_duration(self, mean: float) -> int:
+        """Return a random number of rounds, at least 1, from an exponential distribution."""
+        # A mean of 0 is that of an opinion whose colour has not been read at all.
+        duration = self._random.expovariate(1 / mean) if mean else 0.0
+        return max(1, round(duration))
+
+    def _adopt_majority_opinion(self) -> None:
+        """Take over the opinion that most have, this robot included; keep the own one if neither leads."""
+        opinions = [self._opinion, *self._opinion_by_sender.values()]
+        black = opinions.count(Observation.BLACK)
+        white = opinions.count(Observation.WHITE)
+        if black != white:
+            self._opinion = Observation.BLACK if black > white else Observation.WHITE
+
+    @property
+    def x_hat(self) -> float:
+        """The opinion: 1 if black prevails, and otherwise 0."""
+        return float(self._opinion)
+
+    @property
+    def alpha(self) -> float:
+        """1 while the robot disseminates its opinion, and otherwise 0, which receivers do not count."""
+        return float(self._is_disseminating)
+
+    @property
+    def x(self) -> float:
+        """The opinion, which is what the robot would answer."""
+        return self.x_hat
+
+
 # --- Robots that know how sensors age --------------------------------------------------------------------
 
 
@@ -246,25 +443,42 @@ class Liar(NativeRobot):
         return ALPHA_MAX
 
 
-def one_liar(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
+def one_liar(config: Config, robot_id: int, b_hat: float) -> Robot:
     """Make a robot of a swarm whose last robot lies."""
     return _make_robot(1, config, robot_id, b_hat)
 
 
-def two_liars(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
+def two_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
     """Make a robot of a swarm whose last two robots lie."""
     return _make_robot(2, config, robot_id, b_hat)
 
 
-def five_liars(config: Config, robot_id: int, b_hat: float) -> NativeRobot:
+def five_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
     """Make a robot of a swarm whose last five robots lie."""
     return _make_robot(5, config, robot_id, b_hat)
 
 
-def _make_robot(liars: int, config: Config, robot_id: int, b_hat: float) -> NativeRobot:
+def wmsr_robots_and_five_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
+    """Make a robot of a swarm that uses W-MSR, and whose last five robots lie."""
+    return _make_robot(5, config, robot_id, b_hat, honest_robot=WmsrRobot)
+
+
+def trimmed_mean_robots_and_five_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
+    """Make a robot of a swarm that uses trimmed means, and whose last five robots lie."""
+    return _make_robot(5, config, robot_id, b_hat, honest_robot=TrimmedMeanRobot)
+
+
+def majority_robots_and_five_liars(config: Config, robot_id: int, b_hat: float) -> Robot:
+    """Make a robot of a swarm that votes by DMMD, and whose last five robots lie."""
+    return _make_robot(5, config, robot_id, b_hat, honest_robot=MajorityRobot)
+
+
+def _make_robot(
+    liars: int, config: Config, robot_id: int, b_hat: float, honest_robot: RobotMaker = NativeRobot
+) -> Robot:
     """Make a liar for the last ids of the swarm, and an honest robot for the others."""
-    robot_class = Liar if robot_id >= ROBOTS_WITH_LIARS - liars else NativeRobot
-    return robot_class(config, robot_id, b_hat)
+    make_robot = Liar if robot_id >= ROBOTS_WITH_LIARS - liars else honest_robot
+    return make_robot(config, robot_id, b_hat)
 
 
 class ChangingFloor:

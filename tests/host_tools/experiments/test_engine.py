@@ -244,6 +244,10 @@ def test_lanes_are_not_used_if_robots_do_not_broadcast_in_every_step() -> None:
     assert not has_lanes(replace(SHORT, comms_period=2))
 
 
+def test_lanes_are_not_used_if_messages_are_rounded() -> None:
+    assert not has_lanes(replace(SHORT, message_bits="16+9"))
+
+
 def test_lanes_are_not_used_if_robots_have_different_filters() -> None:
     assert not has_lanes(MIXED)
 
@@ -256,7 +260,8 @@ def engine_for(architecture: str, folder: Path, *more: str) -> Any:
     headers = (core / "mcp_asdf.h", core / "mcp_asdf_image.h", arena / "arena.h", engine / "engine.h")
     run(sys.executable, ROOT / "firmware_py/build_native.py", _engine.__name__, glue, *headers)
     includes = [f"-I{path}" for path in (core, arena, engine, sysconfig.get_path("include"))]
-    sources = (glue, *sorted(engine.glob("*.c")), *sorted(arena.glob("*.c")), core / "mcp_asdf_image.c")
+    options_of_core = (core / "mcp_asdf_image.c", core / "mcp_asdf_small.c")
+    sources = (glue, *sorted(engine.glob("*.c")), *sorted(arena.glob("*.c")), *options_of_core)
     floats = ("-ffp-contract=off", "-fno-trapping-math", "-fno-math-errno")
     options = ("-std=gnu99", "-O3", "-fPIC", "-shared", *floats)
     target = ("-DFOR_EACH_TARGET=", f"-march={architecture}")
@@ -347,10 +352,41 @@ def test_robots_move_in_vectors_as_one_by_one(tmp_path: Path, monkeypatch: pytes
         replace(ROBUST_MOVING, latency=1, comms_period=5, observation_period=2),
         MIXED,
         replace(MIXED, topology="dynamic", density=3, latency=1),
+        replace(SHORT, message_bits="7+4"),
+        replace(LATE, message_bits="16+9"),
+        replace(MIXED, message_bits="2+1"),
     ],
 )
 def test_engine_equals_the_mirror(experiment: Experiment) -> None:
     check_that_the_engine_is_the_mirror(experiment)
+
+
+@pytest.mark.parametrize("experiment", [SHORT, LATE, ROBUST_MOVING])
+def test_rounding_to_the_most_bits_changes_little(experiment: Experiment) -> None:
+    exact_x = run_trials(experiment, 0, 1, sampling_interval=10).records["x"]
+    rounded_x = run_trials(replace(experiment, message_bits="23+25"), 0, 1, sampling_interval=10).records["x"]
+    assert np.abs(exact_x - rounded_x).max() < 1e-5
+
+
+def test_rounding_to_few_bits_changes_estimates() -> None:
+    exact_x = run_trials(LATE, 0, 1, sampling_interval=10).records["x"]
+    rounded_x = run_trials(replace(LATE, message_bits="2+1"), 0, 1, sampling_interval=10).records["x"]
+    assert np.abs(exact_x - rounded_x).max() > 0.1
+
+
+def test_robots_round_what_they_send_and_not_their_own_estimates() -> None:
+    experiment = replace(SHORT, message_bits="1+1", filter="none", steps=20)
+    exact = run_trials(replace(experiment, message_bits="exact"), 0, 1, sampling_interval=1).records
+    rounded = run_trials(experiment, 0, 1, sampling_interval=1).records
+    assert np.array_equal(exact["x_hat"], rounded["x_hat"])
+    assert np.array_equal(exact["alpha"], rounded["alpha"])
+
+
+def test_a_robot_of_floats_receives_rounded_messages() -> None:
+    two_robots = replace(SHORT, robots=2, flawed=0, filter="none", steps=20)
+    experiment = replace(two_robots, message_bits="1+1", firmware="reference")
+    x_bar = run_trials(experiment, 0, 1, sampling_interval=1).records["x_bar"]
+    assert set(np.unique(x_bar[:, 1:])) <= {0.0, 1.0}, "the codes of one bit"
 
 
 @cache
@@ -454,7 +490,8 @@ def estimates_with_two_liars_on_a_bus(experiment: Experiment) -> list[float]:
     """Return x of all robots after the same swarm with the fault ``liar``, in units of 2^-23."""
     fault = parse_fault(f"liar,robots={experiment.robots - 2}-{experiment.robots - 1},x=0,alpha=1e6")
     parameters = dict(experiment.parameters())
-    del parameters["trials"], parameters["conventions"]  # a swarm on a bus does not have these
+    for name in ("trials", "conventions", "message_bits"):  # a swarm on a bus does not have these
+        del parameters[name]
     with Swarm(replace(SwarmSettings(**parameters), faults=(fault,)), Wiring()) as swarm:
         run_swarm(swarm, [])
         return [node.robot.x * 2**23 for node in swarm.nodes]

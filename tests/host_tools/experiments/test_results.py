@@ -224,6 +224,43 @@ def test_results_from_before_a_parameter_can_be_read_together_with_newer_ones(tm
     assert read_table(tmp_path)["latency"].to_pylist() == [0, 0, 0, 0]
 
 
+FORMAT_5_FILE = Path(__file__).with_name("results_format_5.parquet")
+"""Two trials of an experiment of three robots and two of one of two, written in format 5.
+
+Values of 20 steps are recorded every 10 steps. In format 5 each record is one flat list.
+"""
+
+
+def test_results_in_format_5_give_back_their_records_by_step_and_robot() -> None:
+    three_robots, two_robots = stream_experiments(FORMAT_5_FILE)
+    assert three_robots.records["x"].shape == (2, 3, 3)
+    assert three_robots.records["t"][0].tolist() == [[0, 0, 0], [10, 10, 10], [20, 20, 20]]
+    assert two_robots.records["x"][1, 2].tolist() == [0.6703321933746338, 0.6703321933746338]
+
+
+def test_results_in_format_5_are_read_as_a_table_of_the_present_format() -> None:
+    table = read_table(FORMAT_5_FILE)
+    new_table = trials_to_table(run_trials(SHORT, 0, 1, sampling_interval=10))
+    assert table.schema.equals(new_table.schema)
+    assert read_metadata(table)["format"] == FORMAT
+    assert table["record_t"].to_pylist()[2] == [[0, 0], [10, 10], [20, 20]]
+
+
+def test_a_table_in_format_5_that_another_program_has_read_gives_back_its_records() -> None:
+    three_robots, _ = experiments_in(pq.read_table(FORMAT_5_FILE))
+    assert three_robots.records["t"][1, 2].tolist() == [20, 20, 20]
+
+
+@pytest.mark.parametrize("robots", [0, 2, 2**64 - 1])
+def test_a_flat_record_without_a_value_of_each_robot_at_each_step_is_refused(robots: int, path: Path) -> None:
+    """The first record has 9 values."""
+    table = pq.read_table(FORMAT_5_FILE)
+    robots_column = pa.array([robots] * len(table), pa.uint64())
+    pq.write_table(table.set_column(table.column_names.index("robots"), "robots", robots_column), path)
+    with pytest.raises(UsageError, match="column record_t has gaps, or not a value of each robot"):
+        read_table(path)
+
+
 def with_column(name: str, values: object) -> pa.Table:
     """Return results in which a column has other values."""
     table = valid_results_table()
@@ -236,8 +273,8 @@ def damaged_tables() -> Iterator[tuple[pa.Table, str]]:
     yield pa.table({"k": [1]}), "holds no results"
     yield table.slice(0, 0), "holds no trials; run mcp-asdf sweep again"
     yield table.drop_columns(["e", "k"]), "it has no e, k; run mcp-asdf sweep again"
-    older = table.replace_schema_metadata({b"mcp-asdf": json.dumps({"format": FORMAT - 1})})
-    yield older, f"in format {FORMAT - 1}; format {FORMAT} is needed: run mcp-asdf sweep again"
+    older = table.replace_schema_metadata({b"mcp-asdf": json.dumps({"format": 4})})
+    yield older, f"in format 4; format {FORMAT} is needed: run mcp-asdf sweep again"
     for name in table.column_names:
         yield from tables_with_damaged_column(table, name)
     yield table.append_column("k", table["k"]), "k"
@@ -266,7 +303,13 @@ def tables_with_damaged_column(table: pa.Table, name: str) -> Iterator[tuple[pa.
         too_short = [*lists[1:], lists[0][:-1]]
         gaps = [[None] * len(values) for values in lists]
         empty: list[Any] = [[]] * len(lists)
-        for damaged_lists in (too_short, gaps, empty):
+        damages = [too_short, gaps, empty]
+        if name.startswith("record_"):
+            # The damage is in the list of a single step, which has a value of each robot.
+            *other_steps, last_step = lists[0]
+            damages.append([[*other_steps, last_step[:-1]], *lists[1:]])
+            damages.append([[*other_steps, [None] * len(last_step)], *lists[1:]])
+        for damaged_lists in damages:
             expected_word = f"column {'record_' if name == 'record_t' else name}"
             yield with_column(name, pa.array(damaged_lists, column_type)), expected_word
     elif column_type == pa.uint64():

@@ -55,6 +55,13 @@ def errors_over_time(recorded_swarms: dict[str, list[Trials]]) -> Figure:
     return plot_errors_over_time(panels)
 
 
+def test_errors_of_experiments_with_one_name_share_a_line(recorded_swarms: dict[str, list[Trials]]) -> None:
+    panels = {"both": [*recorded_swarms["none"], *recorded_swarms["robust"]]}
+    figure = plot_errors_over_time(panels, series_name=lambda experiment: f"f = {experiment.fill_ratio}")
+    assert len(figure.axes[0].lines) == 2
+    assert legend_of(figure) == ["f = 0.55", "f = 0.95"]
+
+
 def test_errors_have_a_panel_for_each_title(errors_over_time: Figure) -> None:
     assert titles_of(errors_over_time) == ["both", "none", "robust", "one experiment"]
     assert_panels(errors_over_time, rows=2, columns=3, panel_height=1.9)

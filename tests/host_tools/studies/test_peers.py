@@ -12,11 +12,12 @@ from scipy.stats import truncnorm  # type: ignore[import-untyped]
 import mcp_asdf_tools as m
 from mcp_asdf import Config, Filter, Status
 from mcp_asdf.fixed_point import ALPHA_MAX
+from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import B_HAT_MARGIN, Observation
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.firmwares import RobotMaker
-from mcp_asdf_tools.studies import ageing, peers, robust_filter
+from mcp_asdf_tools.studies import ageing, peers, reading_pairs, robust_filter
 from mcp_asdf_tools.studies.ageing_sensors import DRIFT_RATE
 from mcp_asdf_tools.studies.study_program import FLAWS
 
@@ -115,6 +116,14 @@ def test_a_robot_that_knows_the_accuracy_of_what_it_counts_is_right(memory: int,
         (peers.KnownAccuracyRobot, "none", "knows b now"),
         (peers.KnownMeanAccuracyRobot, "none", "knows its mean"),
         (peers.LossyRobot, "asdf-plus", "ASDF+"),
+        (peers.five_liars, "robust", "robust"),
+        (peers.WmsrRobot, "none", "W-MSR"),
+        (peers.wmsr_robots_and_five_liars, "none", "W-MSR"),
+        (peers.TrimmedMeanRobot, "none", "trimmed mean"),
+        (peers.trimmed_mean_robots_and_five_liars, "none", "trimmed mean"),
+        (peers.MajorityRobot, "none", "DMMD"),
+        (peers.majority_robots_and_five_liars, "none", "DMMD"),
+        (reading_pairs.TwoReadingsRobot, "robust", "two readings"),
     ],
 )
 def test_a_column_is_named_after_its_peer_or_filter(firmware: Any, filter_name: str, label: str) -> None:
@@ -303,6 +312,163 @@ def test_the_sum_of_accuracies_is_halved_with_the_counts(monkeypatch: pytest.Mon
     assert robot.b_hat == pytest.approx((32 * 0.9 + 0.6) / 33)
 
 
+# --- Resilient consensus and votes -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("received", "tolerated_liars", "kept"),
+    [
+        ([0.1, 0.2, 0.6, 0.8], 1, [0.2, 0.6]),
+        ([0.6, 0.7, 0.8, 0.9], 1, [0.6, 0.7, 0.8]),  # none is below the own one
+        ([0.1, 0.5, 0.5, 0.9], 2, [0.5, 0.5]),  # what equals the own one stays
+        ([0.1, 0.9], 0, [0.1, 0.9]),
+        ([0.2, 0.3, 0.8], 5, []),  # too few neighbours
+        ([], 5, []),
+    ],
+)
+def test_wmsr_removes_the_most_extreme_estimates_on_both_sides_of_the_own_one(
+    received: list[float], tolerated_liars: int, kept: list[float]
+) -> None:
+    mean = sum([0.5, *kept]) / (1 + len(kept))
+    assert peers.wmsr_mean(0.5, received, tolerated_liars) == pytest.approx(mean)
+
+
+def test_a_wmsr_robot_with_five_neighbours_is_left_with_its_own_estimate() -> None:
+    robot = peers.WmsrRobot(WITHOUT_FILTER, 0, 0.9)
+    robot.observe(Observation.BLACK)
+    for sender in range(1, 6):
+        robot.receive(sender, 0.1, 8.0)
+    robot.settle()
+    assert robot.x == robot.x_hat == 1.0
+
+
+def test_a_wmsr_robot_keeps_one_of_six_estimates_on_one_side() -> None:
+    robot = peers.WmsrRobot(WITHOUT_FILTER, 0, 0.9)
+    robot.observe(Observation.BLACK)
+    for sender, x_hat in enumerate([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], start=1):
+        robot.receive(sender, x_hat, 8.0)
+    robot.settle()
+    assert robot.x == pytest.approx((1.0 + 0.6) / 2)
+
+
+@pytest.mark.parametrize(
+    ("estimates", "mean"),
+    [
+        ([0.5, 0.0, 1.0, 0.6], 0.55),
+        ([0.5, 0.0, 0.9], 1.4 / 3),  # a quarter of three is none
+        ([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 1.0], 0.45),
+    ],
+)
+def test_a_trimmed_mean_leaves_out_a_quarter_at_either_end(estimates: list[float], mean: float) -> None:
+    assert peers.trimmed_mean(estimates, 0.25) == pytest.approx(mean)
+
+
+def test_a_trimming_robot_counts_its_own_estimate_among_the_others() -> None:
+    robot = peers.TrimmedMeanRobot(WITHOUT_FILTER, 0, 0.9)
+    robot.observe(Observation.BLACK)
+    for sender, x_hat in enumerate([0.2, 0.4, 0.6], start=1):
+        robot.receive(sender, x_hat, 8.0)
+    robot.settle()
+    assert robot.x_hat == 1.0
+    assert robot.x == pytest.approx((0.4 + 0.6) / 2)
+
+
+def disseminating_robot(robot_id: int, rounds_left: int) -> peers.MajorityRobot:
+    """Make a robot that broadcasts its opinion for some more rounds: black if the id is odd."""
+    robot = peers.MajorityRobot(WITHOUT_FILTER, robot_id, 0.9)
+    robot._is_disseminating = True
+    robot._rounds_left = rounds_left
+    return robot
+
+
+def test_half_of_the_voting_robots_begin_with_either_colour() -> None:
+    opinions = [peers.MajorityRobot(WITHOUT_FILTER, robot_id, 0.9).x for robot_id in range(4)]
+    assert opinions == [0.0, 1.0, 0.0, 1.0]
+
+
+def test_a_voting_robot_is_silent_while_it_explores() -> None:
+    robot = peers.MajorityRobot(WITHOUT_FILTER, 0, 0.9)
+    robot.observe(Observation.BLACK)
+    assert robot.alpha == 0.0
+    assert disseminating_robot(0, rounds_left=5).alpha == 1.0
+
+
+@pytest.mark.parametrize(("received", "opinion"), [([1.0, 1.0], 1.0), ([1.0], 0.0), ([1.0, 0.0], 0.0)])
+def test_a_voting_robot_adopts_the_opinion_of_the_majority(received: list[float], opinion: float) -> None:
+    robot = disseminating_robot(0, rounds_left=1)
+    for sender, x_hat in enumerate(received, start=1):
+        robot.receive(sender, x_hat, 1.0)
+    robot.settle()
+    assert robot.x == opinion
+
+
+def test_a_voting_robot_listens_only_before_the_end_of_its_dissemination() -> None:
+    robot = disseminating_robot(0, rounds_left=31)
+    robot.receive(1, 1.0, 1.0)
+    assert robot._opinion_by_sender == {}
+    robot.settle()
+    robot.receive(1, 1.0, 1.0)
+    assert robot._opinion_by_sender == {1: Observation.BLACK}
+
+
+def test_messages_without_confidence_are_no_votes() -> None:
+    robot = disseminating_robot(0, rounds_left=1)
+    robot.receive(1, 1.0, 0.0)
+    robot.receive(2, 1.0, 0.0)
+    robot.settle()
+    assert robot.x == 0.0
+
+
+def mean_dissemination(black_readings: int) -> float:
+    """Return for how long a robot broadcasts "black" on average after 100 readings, some of them black."""
+    robot = peers.MajorityRobot(WITHOUT_FILTER, 1, 0.9)
+    durations = []
+    for _ in range(2000):
+        robot._start_exploration()
+        for reading in range(100):
+            robot.observe(Observation.BLACK if reading < black_readings else Observation.WHITE)
+        robot._start_dissemination()
+        durations.append(robot._rounds_left)
+    return sum(durations) / len(durations)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("black_readings", "mean"), [(100, 100), (30, 30)])
+def test_a_voting_robot_broadcasts_longer_for_a_colour_that_it_reads_more_often(
+    black_readings: int, mean: float
+) -> None:
+    assert mean_dissemination(black_readings) == pytest.approx(mean, rel=0.1)
+
+
+def test_a_colour_that_was_never_read_is_broadcast_for_one_round() -> None:
+    robot = peers.MajorityRobot(WITHOUT_FILTER, 1, 0.9)
+    robot.observe(Observation.WHITE)
+    robot._start_dissemination()
+    assert robot._rounds_left == 1
+
+
+@pytest.mark.slow
+def test_a_vote_finds_the_prevailing_colour() -> None:
+    vote: dict[str, Any] = {"firmware": peers.MajorityRobot, "filter": "none"}
+    assert error_of(1.0, **vote, fill_ratio=0.75, density=4.0) < 0.1
+
+
+@pytest.mark.slow
+def test_wmsr_withstands_as_many_liars_as_it_knows_of() -> None:
+    liars: dict[str, Any] = {
+        "topology": "fully-connected",
+        "latency": 0,
+        "robots": 20,
+        "flawed": 0,
+        "steps": 2000,
+    }
+    assert error_of(firmware=peers.wmsr_robots_and_five_liars, filter="none", **liars) < 0.02
+    assert error_of(firmware=peers.five_liars, filter="none", **liars) > 0.5
+
+
+# --- Hard worlds -----------------------------------------------------------------------------------------
+
+
 def test_a_lossy_radio_loses_three_messages_in_ten() -> None:
     robot = peers.LossyRobot(WITHOUT_FILTER, 0, 0.9)
     for _ in range(1000):
@@ -312,11 +478,20 @@ def test_a_lossy_radio_loses_three_messages_in_ten() -> None:
 
 
 @pytest.mark.parametrize(
-    ("make_robot", "liars"), [(peers.one_liar, 1), (peers.two_liars, 2), (peers.five_liars, 5)]
+    ("make_robot", "liars", "honest_class"),
+    [
+        (peers.one_liar, 1, NativeRobot),
+        (peers.two_liars, 2, NativeRobot),
+        (peers.five_liars, 5, NativeRobot),
+        (peers.wmsr_robots_and_five_liars, 5, peers.WmsrRobot),
+        (peers.trimmed_mean_robots_and_five_liars, 5, peers.TrimmedMeanRobot),
+        (peers.majority_robots_and_five_liars, 5, peers.MajorityRobot),
+    ],
 )
-def test_the_last_robots_of_a_swarm_lie(make_robot: RobotMaker, liars: int) -> None:
+def test_the_last_robots_of_a_swarm_lie(make_robot: RobotMaker, liars: int, honest_class: type) -> None:
     swarm = [make_robot(WITHOUT_FILTER, robot_id, 0.9) for robot_id in range(20)]
-    assert [isinstance(robot, peers.Liar) for robot in swarm] == [False] * (20 - liars) + [True] * liars
+    assert [type(robot) for robot in swarm] == [honest_class] * (20 - liars) + [peers.Liar] * liars
+    assert peers.LIARS[make_robot.__name__] == liars
 
 
 def test_a_liar_broadcasts_no_black_with_the_largest_confidence() -> None:

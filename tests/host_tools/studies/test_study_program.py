@@ -16,7 +16,15 @@ import mcp_asdf_tools as m
 from host_tools.studies.conftest import short_trials
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.studies import ageing, peers, robust_filter, study_program, swarm_sizes
+from mcp_asdf_tools.studies import (
+    ageing,
+    peers,
+    related_work,
+    robust_filter,
+    study_program,
+    swarm_sizes,
+    two_readings,
+)
 from mcp_asdf_tools.studies.bootstrap import Interval, resample_mean
 from mcp_asdf_tools.studies.study_program import FLAWS
 from support import ROOT
@@ -208,6 +216,8 @@ STUDIES = [
     pytest.param(robust_filter, "robust", id="robust"),
     pytest.param(ageing, "ageing", id="ageing"),
     pytest.param(swarm_sizes, "scale", id="scale"),
+    pytest.param(related_work, "related_work", id="related_work"),
+    pytest.param(two_readings, "two_readings", id="two_readings"),
 ]
 """The programs, and the name of the page's tables and picture that each writes."""
 
@@ -215,8 +225,11 @@ STUDIES = [
 def run_tiny_program(study: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run a study's program with two short experiments in place of each of its tables, and without plots."""
     tiny = m.grid(robots=3, flawed=1, steps=1000, filter_period=100, trials=2, filter=["none", "robust"])
-    for function in ("ageing_rows", "beyond_rows", "grid_rows", "peer_rows", "size_rows", "world_rows"):
-        monkeypatch.setattr(study, function, lambda: {"a row": tiny}, raising=False)
+    names = [name for name in vars(study) if name.endswith("_rows") and not name.startswith("_")]
+    names.remove("run_rows")
+    assert names
+    for function in names:
+        monkeypatch.setattr(study, function, lambda: {"a row": tiny})
     for function in ("draw_errors", "draw_sizes"):
         monkeypatch.setattr(study, function, lambda *rows: Figure(), raising=False)
     monkeypatch.setattr(swarm_sizes, "TIMED_ROBOT_STEPS", 1000)
@@ -229,7 +242,12 @@ def test_a_program_writes_its_tables_and_its_picture(
     study: Any, name: str, few_resamples: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run_tiny_program(study, tmp_path, monkeypatch)
-    marks = {"robust": ["grid", "beyond", "peers", "worlds"], "ageing": ["filters", "peers"]}
+    marks = {
+        "robust": ["grid", "beyond", "peers", "worlds"],
+        "ageing": ["filters", "peers"],
+        "related_work": ["early", "late", "colour"],
+        "two_readings": ["errors", "harm"],
+    }
     text = (tmp_path / f"{name}.md").read_text(encoding="utf-8")
     tables = re.findall(r"<!-- (\w+) -->\n(\|.*?)\n<!-- end -->", text, re.DOTALL)
     assert [mark for mark, _ in tables] == marks.get(name, [name])
@@ -246,6 +264,8 @@ def test_a_program_writes_its_tables_and_its_picture(
         ),
         (ageing, {"ageing": 1000, "ageing_peers": 1000}),
         (swarm_sizes, {"scale": 1000}),
+        (related_work, {"related_resilience": 100, "related_colour": 500}),
+        (two_readings, {"two_readings": 500}),
     ],
 )
 def test_a_program_keeps_its_results_with_values_over_time(

@@ -11,7 +11,7 @@ import pytest
 
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.versions import own_version
-from support import ROOT, require, run
+from support import ROOT, matching_files, require, run
 
 PROGRAM = """\
 #include "mcp_asdf.h"
@@ -66,7 +66,7 @@ def test_a_project_builds_the_folder_and_a_robot_starts(tmp_path: Path) -> None:
 
 def test_the_folder_has_all_sources_of_the_core_unchanged(tmp_path: Path) -> None:
     write_folder(tmp_path)
-    for source in (ROOT / "c_ref/src").glob("*.[ch]"):
+    for source in matching_files(ROOT / "c_ref/src", "*.[ch]"):
         assert (tmp_path / source.name).read_bytes() == source.read_bytes()
 
 

@@ -20,7 +20,7 @@ from mcp_asdf_tools.swarm.carrier import Wiring
 from mcp_asdf_tools.swarm.run import run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
-from mcp_asdf_tools.view.history import History, RunDescription, State
+from mcp_asdf_tools.view.history import QUANTITIES, History, RunDescription, State
 from mcp_asdf_tools.view.page import make_page
 from mcp_asdf_tools.view.roster import Roster
 from mcp_asdf_tools.view.server import serve_page
@@ -46,6 +46,8 @@ ALL_STATES = """[...Array(view.history.stateCount).keys()].map((state) => {
             history.links(state, receiver).some(([linked]) => linked === sender))),
         positions: robots.map((robot) => history.position(robot, state)),
     }; })"""
+X, X_HAT, B_HAT = (QUANTITIES.index(name) for name in ("x", "x_hat", "b_hat"))
+"""Rows of a state's values."""
 PIXELS = "view.arena.context.getImageData(0, 0, view.arena.canvas.width, view.arena.canvas.height).data"
 FRAME_LINES = "document.getElementById('frames').textContent"
 
@@ -109,6 +111,42 @@ def test_the_page_has_the_links_of_more_than_128_robots(browser: Page, tmp_path:
     assert browser.evaluate("view.history.links(view.history.stateCount - 1)") == expected
     links = browser.evaluate(f"view.history.links(view.history.stateCount - 1, {first_receiver})")
     assert links == [link for link in expected if link[1] == first_receiver]
+
+
+def read_figure(browser: Page, name: str) -> float:
+    """Return a figure of the swarm as the page shows it."""
+    return float(browser.locator(f"#{name}").inner_text())
+
+
+def test_the_figures_are_those_of_the_state_that_is_shown(
+    browser: Page, file: Path, history: History
+) -> None:
+    open_file(browser, file, "#step=120")
+    until(browser, "document.getElementById('clock').textContent.startsWith('step 120 ')")
+    (state,) = [state for state in history.states_since().states if state.tick == 120]
+    values = dict(zip(QUANTITIES, state.values, strict=True))
+    x, b_hat_errors = values["x"], np.abs(values["b_hat"] - values["b"])
+    half_digit = 0.00055
+    assert read_figure(browser, "mean-x") == pytest.approx(x.mean(), abs=half_digit)
+    assert read_figure(browser, "spread") == pytest.approx(np.ptp(x), abs=half_digit)
+    mean_error = np.abs(x - SETTINGS.fill_ratio).mean()
+    assert read_figure(browser, "mean-error") == pytest.approx(mean_error, abs=half_digit)
+    wrong_count = np.count_nonzero(b_hat_errors > 0.1)
+    assert browser.locator("#wrong").inner_text() == f"{wrong_count} of 8"
+
+
+def test_the_charts_draw_the_values_of_the_history(browser: Page, file: Path, history: History) -> None:
+    """Each of the 300 states is in the lines of robots twice, and in that of the mean error once."""
+    open_file(browser, file)
+    states = history.states_since().states
+    drawn = browser.evaluate("view.charts.views.map(({ plot }) => plot.data.map((series) => [...series]))")
+    mean_errors = [np.abs(state.values[X] - SETTINGS.fill_ratio).mean() for state in states]
+    assert drawn[0][1] == pytest.approx(mean_errors, abs=1e-4)
+    for quantity, chart in zip((B_HAT, X_HAT, X), drawn[1:], strict=True):
+        lines = np.array(chart[1:-1])
+        expected = np.stack([state.values[quantity] for state in states], axis=1)
+        assert np.abs(lines[:, ::2] - expected).max() < 1e-4
+        assert np.array_equal(lines[:, ::2], lines[:, 1::2])
 
 
 def test_the_arena_is_drawn_in_many_colours(browser: Page, file: Path) -> None:

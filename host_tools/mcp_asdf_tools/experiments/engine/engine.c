@@ -406,12 +406,13 @@ static mcp_asdf_status_t run_trials(run_t *run, const mcp_asdf_outcome_t *outcom
 }
 
 /* Whether the engine can compute this experiment in lanes, with many robots side by side. Lanes deliver
- * messages in every step, record nothing but x, have no liars, and either all robots have the robust filter
- * or none has. */
+ * messages in every step, exact ones, record nothing but x, have no liars, and either all robots have the
+ * robust filter or none has. */
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
 {
     const bool is_first_robust = mcp_asdf_is_robust(experiment->configs[0]);
-    if (experiment->comms_period != 1 || experiment->sampling_interval != 0 || experiment->liars != 0) {
+    if (experiment->comms_period != 1 || experiment->sampling_interval != 0 || experiment->liars != 0 ||
+        experiment->x_hat_bits != 0) {
         return false;
     }
     for (uint32_t j = 1; j < experiment->robots; ++j) {

@@ -46,8 +46,10 @@
  *   arcs          NULL unless there is a graph: `arc_count` pairs, b receives from a, in ascending order of a
  *   latency       0: a message reaches the robots linked to its sender in its step; 1: in the next. Fully
  *                 connected 0
- *   liars         number of robots that broadcast a lie in place of their estimates, 0 .. N: the last ones
- *   lie           x_hat and alpha that they broadcast, as mcp_asdf_receive() takes them */
+ *   x_hat_bits, alpha_bits  bits of x_hat and of alpha in a message, as mcp_asdf_small.h has their codes:
+ * what robots receive is rounded. x_hat_bits 0: messages are exact liars         number of robots that
+ * broadcast a lie in place of their estimates, 0 .. N: the last ones lie           x_hat and alpha that they
+ * broadcast, as mcp_asdf_receive() takes them */
 typedef struct {
     uint64_t seed;
     uint32_t first_trial;
@@ -67,6 +69,8 @@ typedef struct {
     const mcp_asdf_pair_t *arcs;
     size_t arc_count;
     uint32_t latency;
+    uint32_t x_hat_bits;
+    uint32_t alpha_bits;
     uint32_t liars;
     uint32_t lie[2];
 } mcp_asdf_experiment_t;
@@ -97,11 +101,11 @@ typedef struct {
 } mcp_asdf_outcome_t;
 
 /* Series of x in a trial: 1 where all robots have the same x to the bit, in a fully connected swarm without
- * robust filters and liars if comms_period is 1; otherwise N. */
+ * robust filters, liars and rounded messages if comms_period is 1; otherwise N. */
 uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment);
 
-/* Whether trials can be run in lanes: comms_period 1, nothing recorded, no liars, and the robust filter in
- * all robots or in none. */
+/* Whether trials can be run in lanes: comms_period 1, nothing recorded, no liars, exact messages, and
+ * the robust filter in all robots or in none. */
 bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment);
 
 /* Bytes of memory that a run needs, for any number of trials: linear in robots, from 2048 on. O(1). */

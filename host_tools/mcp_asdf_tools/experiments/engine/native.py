@@ -64,6 +64,9 @@ class EngineTrials:
                 "uint32_t", [b_hat_to_raw(experiment.b_hat(robot)) for robot in range(robots)]
             ),
         }
+        if experiment.message_code is not None:
+            members["x_hat_bits"] = experiment.message_code.x_hat_bits
+            members["alpha_bits"] = experiment.message_code.alpha_bits
         members |= self._make_probabilities(experiment, first, trials)
         if experiment.is_dynamic:
             arenas = [make_config(experiment, first + index, ffi) for index in range(trials)]

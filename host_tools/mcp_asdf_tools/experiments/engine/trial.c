@@ -1,6 +1,8 @@
 /* One trial of robots that are the firmware: its start, its steps, and the results of each. */
 #include "trial.h"
 
+#include "mcp_asdf_small.h"
+
 /* Returns the number of steps from one test of the filter to the next. */
 static uint64_t steps_between_tests(const mcp_asdf_experiment_t *experiment)
 {
@@ -10,11 +12,12 @@ static uint64_t steps_between_tests(const mcp_asdf_experiment_t *experiment)
 /* Returns the number of series of x in a trial: 1 if x is the same in all robots, else one a robot. x is the
  * same if every robot combines the estimates of all robots, its own included. That fails if it receives from
  * some only (links), if its own estimate is newer than the broadcasts (comms_period), if a liar broadcasts
- * another estimate than its own, and with the robust filter, where each robot takes votes of its own. */
+ * another estimate than its own, if messages are rounded and its own estimate is not, and with the robust
+ * filter, where each robot takes votes of its own. */
 uint32_t mcp_asdf_engine_columns(const mcp_asdf_experiment_t *experiment)
 {
-    bool has_common_x =
-        !trial_is_linked(experiment) && experiment->comms_period == 1 && experiment->liars == 0;
+    bool has_common_x = !trial_is_linked(experiment) && experiment->comms_period == 1 &&
+                        experiment->liars == 0 && experiment->x_hat_bits == 0;
     for (uint32_t j = 0; j < experiment->robots && has_common_x; ++j) {
         has_common_x = !mcp_asdf_is_robust(experiment->configs[j]);
     }
@@ -50,14 +53,20 @@ static mcp_asdf_open_t subtract_message(mcp_asdf_open_t all, const mcp_asdf_open
 }
 
 /* Let `robot` receive what robot number `sender` of `robots` broadcasts: its estimate or, if it is among the
- * last ones, which are the liars, the experiment's lie. */
+ * last ones, which are the liars, the experiment's lie; either one rounded to the bits of a message. */
 static void receive_from(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots, mcp_asdf_t *robot,
                          uint32_t sender)
 {
     const uint8_t own_id = robot->id, sender_id = mcp_asdf_id(&robots[sender]);
     const bool is_liar = sender >= experiment->robots - experiment->liars;
-    const uint32_t x_hat = is_liar ? experiment->lie[0] : mcp_asdf_x_hat(&robots[sender]);
-    const uint32_t alpha = is_liar ? experiment->lie[1] : mcp_asdf_alpha(&robots[sender]);
+    uint32_t x_hat = is_liar ? experiment->lie[0] : mcp_asdf_x_hat(&robots[sender]);
+    uint32_t alpha = is_liar ? experiment->lie[1] : mcp_asdf_alpha(&robots[sender]);
+    if (experiment->x_hat_bits != 0) { /* through the codec, to and fro */
+        const uint32_t x_hat_code = mcp_asdf_x_hat_to_code(x_hat, experiment->x_hat_bits);
+        const uint32_t alpha_code = mcp_asdf_alpha_to_code(alpha, experiment->alpha_bits);
+        x_hat = mcp_asdf_x_hat_from_code(x_hat_code, experiment->x_hat_bits);
+        alpha = mcp_asdf_alpha_from_code(alpha_code, experiment->alpha_bits);
+    }
     if (experiment->robots > MCP_ASDF_ENGINE_MAX_CONNECTED) {
         /* Ids repeat among so many robots. The firmware must not take the sender for one that it has received
          * from in this round, nor for itself: until the message is received it has another id. */

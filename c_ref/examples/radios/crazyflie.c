@@ -1,0 +1,42 @@
+/* Estimates over the Crazyflie's peer-to-peer radio, for an app of its firmware. */
+#include "nine_bytes.h"
+#include "robot_radio.h"
+
+#include "FreeRTOS.h"
+#include "queue.h"
+#include "radiolink.h"
+
+#define QUEUE_LENGTH 20
+#define P2P_PORT 0
+
+static QueueHandle_t received_messages;
+
+/* Runs in the task of the radio link, where nothing of the robot may be touched. */
+static void queue_message(P2PPacket *packet)
+{
+    if (packet->port == P2P_PORT && packet->size == MESSAGE_SIZE) {
+        (void)xQueueSend(received_messages, packet->data, 0); /* if the queue is full, the message is lost */
+    }
+}
+
+void radio_start(void)
+{
+    received_messages = xQueueCreate(QUEUE_LENGTH, MESSAGE_SIZE);
+    p2pRegisterCB(queue_message);
+}
+
+void radio_broadcast(const mcp_asdf_t *robot)
+{
+    static uint8_t transfer_id;
+    P2PPacket packet = {.size = MESSAGE_SIZE, .port = P2P_PORT};
+    write_message(packet.data, robot, transfer_id++);
+    (void)radiolinkSendP2PPacketBroadcast(&packet);
+}
+
+void radio_receive(mcp_asdf_t *robot)
+{
+    uint8_t message[MESSAGE_SIZE];
+    while (xQueueReceive(received_messages, message, 0) == pdTRUE) {
+        receive_message(robot, message);
+    }
+}

@@ -1,0 +1,125 @@
+/* The codec of small messages. mcp_asdf_small.h is the manual; docs/frame.md gives the layout. */
+#include "mcp_asdf_small.h"
+
+#include "mcp_asdf_arithmetic.h"
+
+/* Where the fields of the 32 bits begin, whose lowest 8 are the first byte: alpha at bit 0. */
+#define SMALL_X_HAT_START 9U
+#define SMALL_NODE_START 25U
+
+/* A code of alpha is the beginning of these 32 bits: 5 of an exponent, then 27 of a fraction. */
+#define ALPHA_EXPONENT_LENGTH 5U
+#define ALPHA_FRACTION_LENGTH 27U
+/* Confidences below 2^20 units of 2^-24, which is 2^-4, have the exponent 0. */
+#define ALPHA_LINEAR_BITS 20U
+
+/* ---- x_hat ------------------------------------------------------------------------------------------ */
+
+/* Returns x_hat, which is Q23 up to 1.0, as a code of 1 to 23 bits: times the largest code, to nearest. */
+uint32_t mcp_asdf_x_hat_to_code(uint32_t x_hat, uint32_t bits)
+{
+    const uint32_t largest_code = (UINT32_C(1) << bits) - 1U;
+    /* x_hat as Q31, and another bit behind the point from the doubled code: a product as Q32, < 2^56. */
+    const uint64_t product = multiply(x_hat << 8, largest_code << 1);
+    return high_word(product + (UINT64_C(1) << 31)); /* 1/2 is added to round to nearest */
+}
+
+/* Returns the x_hat nearest to a code of 1 to 23 bits divided by the largest such code, as Q23. */
+uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits)
+{
+    /* The digits of code / (2^bits - 1) behind the binary point are those of the code, again and again, just
+     * as 37 / 99 is 0.373737... The copies double in each turn, of which there are 5 at most, until there are
+     * 24 digits. */
+    uint32_t digits = code << (32U - bits);
+    for (uint32_t length = bits; length < 24U; length *= 2U) {
+        digits |= digits >> length;
+    }
+    /* To nearest: the last one decides, as a quotient by an odd number is no half. 1.0 has only digits of 1,
+     * and is rounded up to 2^23. */
+    return ((digits >> 8) + 1U) >> 1;
+}
+
+/* ---- alpha ------------------------------------------------------------------------------------------ */
+
+/* Returns the 32 bits of which an alpha code is the beginning: 5 bits of an exponent and 27 of a fraction of
+ * the word's value, which is mantissa 2^shift units of 2^-24 and above 0. From 2^51 units on all bits are 1.
+ */
+static uint32_t long_code_from_alpha(uint32_t alpha)
+{
+    /* ALPHA_SHIFT_MAX is also the mask of the bits that hold the shift. */
+    uint32_t mantissa = alpha >> 8, length = 24U + (alpha & ALPHA_SHIFT_MAX);
+    /* Shift until the highest of 24 bits is set; the value's length in bits follows. */
+    while (mantissa >> 23 == 0U) { /* at most 23 turns, so the length stays above 0 */
+        mantissa <<= 1;
+        --length;
+    }
+    if (length > ALPHA_LINEAR_BITS + 31U) {
+        return UINT32_MAX;
+    }
+    const uint32_t significand = mantissa << (ALPHA_FRACTION_LENGTH - 23U); /* [2^27, 2^28) */
+    if (length <= ALPHA_LINEAR_BITS) {
+        return significand >> (ALPHA_LINEAR_BITS + 1U - length); /* a shift by [1, 20]; below 2^27 */
+    }
+    /* The highest bit of the significand adds 1 to the exponent. */
+    return ((length - ALPHA_LINEAR_BITS - 1U) << ALPHA_FRACTION_LENGTH) + significand;
+}
+
+/* Returns the code of an alpha word in 1 to 25 bits, rounded down, but not to 0. */
+uint32_t mcp_asdf_alpha_to_code(uint32_t alpha, uint32_t bits)
+{
+    if (alpha >> 8 == 0U) {
+        return 0;
+    }
+    const uint32_t code = long_code_from_alpha(alpha) >> (32U - bits);
+    return code != 0U ? code : 1U;
+}
+
+/* Returns the alpha word of a code of 1 to 25 bits, with the smallest shift. */
+uint32_t mcp_asdf_alpha_from_code(uint32_t code, uint32_t bits)
+{
+    const uint32_t long_code = code << (32U - bits);
+    const uint32_t exponent = long_code >> ALPHA_FRACTION_LENGTH;
+    /* The lowest 7 bits are 0 even in codes of 25 bits, so the shifts to the right are exact. */
+    if (exponent == 0U) {
+        return (long_code >> (ALPHA_FRACTION_LENGTH - ALPHA_LINEAR_BITS)) << 8;
+    }
+    /* The highest bit of the 24, which codes leave out, and 23 of the fraction, without the exponent. */
+    const uint32_t mantissa = (UINT32_C(1) << 23) | ((long_code << ALPHA_EXPONENT_LENGTH) >> 9);
+    /* The value is mantissa 2^(exponent - 4) units. */
+    return exponent < 4U ? (mantissa >> (4U - exponent)) << 8 : (mantissa << 8) | (exponent - 4U);
+}
+
+/* ---- Messages --------------------------------------------------------------------------------------- */
+
+/* Write a message to 4 bytes, the lowest bits first. Returns OK; or ERR_SENDER (above 127), else ERR_X_HAT
+ * (above 1.0), and leaves the bytes as they were. */
+mcp_asdf_status_t mcp_asdf_encode_small(uint8_t bytes[MCP_ASDF_SMALL_BYTES],
+                                        const mcp_asdf_small_message_t *message)
+{
+    if (message->node > MCP_ASDF_MAX_ID) {
+        return MCP_ASDF_ERR_SENDER;
+    }
+    if (message->x_hat > MCP_ASDF_ONE) {
+        return MCP_ASDF_ERR_X_HAT;
+    }
+    const uint32_t x_hat_code = mcp_asdf_x_hat_to_code(message->x_hat, MCP_ASDF_SMALL_X_HAT_BITS);
+    const uint32_t alpha_code = mcp_asdf_alpha_to_code(message->alpha, MCP_ASDF_SMALL_ALPHA_BITS);
+    const uint32_t word =
+        ((uint32_t)message->node << SMALL_NODE_START) | (x_hat_code << SMALL_X_HAT_START) | alpha_code;
+    bytes[0] = (uint8_t)word;
+    bytes[1] = (uint8_t)(word >> 8);
+    bytes[2] = (uint8_t)(word >> 16);
+    bytes[3] = (uint8_t)(word >> 24);
+    return MCP_ASDF_OK;
+}
+
+/* Read a message from any 4 bytes, the lowest bits first. */
+void mcp_asdf_decode_small(mcp_asdf_small_message_t *message, const uint8_t bytes[MCP_ASDF_SMALL_BYTES])
+{
+    const uint32_t word =
+        bytes[0] | ((uint32_t)bytes[1] << 8) | ((uint32_t)bytes[2] << 16) | ((uint32_t)bytes[3] << 24);
+    message->node = (uint8_t)(word >> SMALL_NODE_START);
+    /* Both decoders ignore the bits above their code. */
+    message->x_hat = mcp_asdf_x_hat_from_code(word >> SMALL_X_HAT_START, MCP_ASDF_SMALL_X_HAT_BITS);
+    message->alpha = mcp_asdf_alpha_from_code(word, MCP_ASDF_SMALL_ALPHA_BITS);
+}

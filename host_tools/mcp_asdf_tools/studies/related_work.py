@@ -1,0 +1,173 @@
+"""Rules from related work beside the project's filters: resilient consensus, and a vote on one colour.
+
+``python -m mcp_asdf_tools.studies.related_work FOLDER`` writes ``related_work.md`` and ``related_work.png``
+for docs/related_work.md.
+
+Each robot estimates f, the share of black floor, as x. b is the accuracy of its sensor, and b_hat the one
+that it assumes; a flawed robot starts with a wrong b_hat. Liars say that no tile is black, and are not
+counted in any number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from matplotlib.figure import Figure
+
+import mcp_asdf_tools as m
+from mcp_asdf_tools.common.figures import save_figure
+from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.studies.bootstrap import Sample, resample_mean
+from mcp_asdf_tools.studies.peers import (
+    MajorityRobot,
+    TrimmedMeanRobot,
+    WmsrRobot,
+    column_label,
+    five_liars,
+    majority_robots_and_five_liars,
+    trimmed_mean_robots_and_five_liars,
+    wmsr_robots_and_five_liars,
+)
+from mcp_asdf_tools.studies.robust_filter import as_honest_robots_see_it
+from mcp_asdf_tools.studies.study_program import (
+    FLAWS,
+    MOVING,
+    Rows,
+    format_error,
+    format_interval,
+    format_tenths,
+    late_error_text,
+    markdown_table,
+    mean_over_experiments,
+    parse_arguments,
+    run_rows,
+    write_tables,
+)
+
+EARLY_HEAD = "error of the first quarter"
+LATE_HEAD = "error of the last quarter"
+COLOUR_HEAD = "robots that name the right colour, in percent"
+
+DENSE: dict[str, Any] = {**MOVING, "density": 12.0}
+"""Parameters of moving swarms whose robots receive from about twelve others at a time."""
+
+
+def resilience_rows() -> dict[str, list[Experiment]]:
+    """Return swarms with liars, or with flawed robots, for the rules that remove extreme estimates."""
+    liars = _with_liars([wmsr_robots_and_five_liars, trimmed_mean_robots_and_five_liars])
+    flawed = _with_flawed_robots([WmsrRobot, TrimmedMeanRobot])
+    swarms: dict[str, dict[str, Any]] = {
+        "fully connected, 5 liars": liars,
+        "moving, density 12, 5 liars": {**DENSE, **liars},
+        "moving, density 1, 5 liars": {**MOVING, **liars},
+        "fully connected, 6 flawed": flawed,
+        "moving, density 1, 6 flawed": {**MOVING, **flawed},
+    }
+    return _rows_of_swarms(swarms, steps=4000)
+
+
+def colour_rows() -> dict[str, list[Experiment]]:
+    """Return moving swarms for the question which colour prevails; the answer is black."""
+    swarms: dict[str, dict[str, Any]] = {
+        "moving, 6 flawed": {**MOVING, **_with_flawed_robots([MajorityRobot])},
+        "moving, 5 liars": {**MOVING, **_with_liars([majority_robots_and_five_liars])},
+    }
+    return _rows_of_swarms(swarms, steps=10_000)
+
+
+def _with_liars(firmwares: list[Any]) -> dict[str, Any]:
+    """Return parameters of swarms with liars and without flawed robots.
+
+    They are those of the given firmwares, whose rules need no filter, and of the project's own with filters.
+    """
+    own_robots = {"firmware": five_liars, "filter": ["none", "robust"]}
+    return {"flawed": 0, "robots_and_filters": [own_robots, {"firmware": firmwares, "filter": "none"}]}
+
+
+def _with_flawed_robots(firmwares: list[Any]) -> dict[str, Any]:
+    """Return parameters of swarms of which 30 % are flawed, as ``_with_liars`` does."""
+    own_robots = {"filter": ["none", "asdf-minus", "robust"]}
+    return {"flawed": "30%", "robots_and_filters": [own_robots, {"firmware": firmwares, "filter": "none"}]}
+
+
+def _rows_of_swarms(swarms: dict[str, dict[str, Any]], steps: int) -> dict[str, list[Experiment]]:
+    """Return the experiments of each swarm, with both kinds of flaws, by labels that end in that kind."""
+    return {
+        f"{label}, {flaw}": m.grid(
+            **swarm,
+            **accuracies,
+            steps=steps,
+            trials=8,
+            seed=4714,  # which no tuning has seen
+        )
+        for label, swarm in swarms.items()
+        for flaw, accuracies in FLAWS.items()
+    }
+
+
+def early_errors(trials: Trials) -> Sample:
+    """Return the mean of |x - f| of each trial over its first quarter and over its robots.
+
+    x is a robot's recorded estimate, f the share of black floor. Step 0, before all readings, is left out.
+    """
+    x = trials.records["x"]  # shape (trials, recorded steps, robots)
+    quarter_length = max(1, (x.shape[1] - 1) // 4)
+    early_x = x[:, 1 : 1 + quarter_length, :]
+    errors: Sample = abs(early_x - trials.experiment.fill_ratio).mean(axis=(1, 2))
+    return errors
+
+
+def early_error_text(experiments: Sequence[Trials]) -> str:
+    """Format the early error of experiments that share a cell of a table, such as "0.012 (0.010..0.015)"."""
+    interval = mean_over_experiments(early_errors, experiments)
+    return format_interval(interval, format_error, tolerance=interval.value / 10)
+
+
+def right_percents(trials: Trials) -> Sample:
+    """Return for each trial the percentage of answers that are right in its last quarter.
+
+    A robot answers that black prevails if its recorded estimate x is above 1/2; that is right if f is, too.
+    """
+    x = trials.records["x"]  # shape (trials, recorded steps, robots)
+    quarter_length = max(1, x.shape[1] // 4)
+    is_right = (x[:, -quarter_length:, :] > 0.5) == (trials.experiment.fill_ratio > 0.5)
+    percents: Sample = 100 * is_right.mean(axis=(1, 2))
+    return percents
+
+
+def right_text(experiments: Sequence[Trials]) -> str:
+    """Format the percentage of right answers of experiments that share a cell, such as "98.1"."""
+    right_percent = mean_over_experiments(right_percents, experiments, resample_mean)
+    return format_interval(right_percent, format_tenths, tolerance=1)
+
+
+def draw_errors(rows: Rows) -> Figure:
+    """Draw |x - f|, the error of the estimates, over time: a panel for each row, a line for each column."""
+    return plot_errors_over_time(rows, series_name=column_label)
+
+
+def main() -> None:
+    """Run the experiments, or resume them, and write related_work.md and related_work.png into the folder."""
+    arguments = parse_arguments(__doc__)
+    all_resilience = run_rows("related_resilience", resilience_rows(), arguments, record=100)
+    all_colour = run_rows("related_colour", colour_rows(), arguments, record=500)
+    resilience = _honest_rows(all_resilience)
+    tables = {
+        "early": markdown_table(EARLY_HEAD, resilience, early_error_text),
+        "late": markdown_table(LATE_HEAD, resilience, late_error_text),
+        "colour": markdown_table(COLOUR_HEAD, _honest_rows(all_colour), right_text),
+    }
+    write_tables(arguments.folder / "related_work.md", "Related work", tables)
+    save_figure(draw_errors(resilience), arguments.folder / "related_work.png")
+
+
+def _honest_rows(rows: Rows) -> Rows:
+    """Return rows without the values of robots that lie."""
+    return {label: [as_honest_robots_see_it(trials) for trials in row] for label, row in rows.items()}
+
+
+if __name__ == "__main__":
+    main()

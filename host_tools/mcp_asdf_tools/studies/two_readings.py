@@ -1,0 +1,120 @@
+"""Self-calibration by two readings of each tile, and where it fails: the error at the end, and over time.
+
+``python -m mcp_asdf_tools.studies.two_readings FOLDER`` writes ``two_readings.md`` and ``two_readings.png``
+for docs/two_readings.md.
+
+Each robot estimates f, the share of black floor, as x. b is the accuracy of its sensor, and b_hat the one
+that it assumes; a flawed robot starts with a wrong b_hat. All robots broadcast once for each tile.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from matplotlib.figure import Figure
+
+import mcp_asdf_tools as m
+from mcp_asdf_tools.common.figures import save_figure
+from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import Trials
+from mcp_asdf_tools.studies.bootstrap import resample_mean
+from mcp_asdf_tools.studies.peers import column_label
+from mcp_asdf_tools.studies.reading_pairs import (
+    READINGS_OF_TILE,
+    HalfRepeated,
+    IndependentReadings,
+    TenthRepeated,
+    TwoReadingsRobot,
+)
+from mcp_asdf_tools.studies.study_program import (
+    FLAWS,
+    MOVING,
+    Rows,
+    format_interval,
+    format_tenths,
+    harmed_percents,
+    late_error_text,
+    markdown_table,
+    mean_over_experiments,
+    parse_arguments,
+    run_rows,
+    write_tables,
+)
+
+ERROR_HEAD = "error of the last quarter"
+HARM_HEAD = "healthy robots harmed, in percent"
+
+SWARMS: dict[str, dict[str, Any]] = {
+    "none flawed": {"flawed": "0%", "sensor": IndependentReadings},
+    "half flawed": {"flawed": "50%", "sensor": IndependentReadings},
+    "all flawed": {"flawed": "100%", "sensor": IndependentReadings},
+    "none flawed, 1 reading in 10 repeated": {"flawed": "0%", "sensor": TenthRepeated},
+    "none flawed, 1 reading in 2 repeated": {"flawed": "0%", "sensor": HalfRepeated},
+}
+"""Shares of flawed robots, and of second readings that are the first once more, by the labels of rows."""
+
+
+def two_readings_rows() -> dict[str, list[Experiment]]:
+    """Return moving swarms of SWARMS with each kind of flawed robots, under- and overconfident ones.
+
+    In each, robots with two readings stand beside robots with the usual filters, which have one reading of
+    each tile.
+    """
+    robots: list[dict[str, Any]] = [
+        # These observe in every second step: the second reading of each tile, and not the first.
+        {"filter": ["none", "asdf-minus", "robust"], "observation_period": READINGS_OF_TILE},
+        {"firmware": TwoReadingsRobot, "filter": "robust"},
+    ]
+    return {
+        f"{label}, {flaw}": m.grid(
+            **MOVING,
+            **accuracies,
+            **swarm,
+            robots_and_filters=robots,
+            comms_period=READINGS_OF_TILE,
+            filter_period=READINGS_OF_TILE * 1000,
+            steps=READINGS_OF_TILE * 10_000,
+            trials=8,
+            seed=4715,  # which no tuning has seen
+        )
+        for flaw, accuracies in FLAWS.items()
+        for label, swarm in SWARMS.items()
+    }
+
+
+def harm_text(experiments: Sequence[Trials]) -> str:
+    """Format the percentage of the healthy robots that a filter harmed, such as "12.5"; empty without any.
+
+    It is the mean over the trials: so few robots are harmed that most medians would be 0.
+    """
+    harmed_percent = mean_over_experiments(harmed_percents, experiments, resample_mean)
+    has_healthy_robots = not math.isnan(harmed_percent.value)
+    return format_interval(harmed_percent, format_tenths, tolerance=1) if has_healthy_robots else ""
+
+
+def draw_errors(rows: Rows) -> Figure:
+    """Draw |x - f|, the error of the estimates, over time: a panel for each row, a line for each column.
+
+    Rows in which few second readings are repeated are left out.
+    """
+    panels = {label: experiments for label, experiments in rows.items() if "1 reading in 10" not in label}
+    return plot_errors_over_time(panels, series_name=column_label)
+
+
+def main() -> None:
+    """Run the experiments, or resume them, and write two_readings.md and two_readings.png into the folder."""
+    arguments = parse_arguments(__doc__)
+    rows = run_rows("two_readings", two_readings_rows(), arguments, record=500)
+    tables = {
+        "errors": markdown_table(ERROR_HEAD, rows, late_error_text),
+        "harm": markdown_table(HARM_HEAD, rows, harm_text),
+    }
+    write_tables(arguments.folder / "two_readings.md", "Two readings of a tile", tables)
+    save_figure(draw_errors(rows), arguments.folder / "two_readings.png")
+
+
+if __name__ == "__main__":
+    main()

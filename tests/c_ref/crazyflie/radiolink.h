@@ -1,0 +1,27 @@
+/* What c_ref/examples/radios/crazyflie.c calls of the Crazyflie's firmware, in its shapes. */
+#ifndef RADIOLINK_H
+#define RADIOLINK_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define P2P_MAX_DATA_SIZE 60
+
+typedef struct {
+    uint8_t size;
+    uint8_t rssi;
+    __extension__ union {
+        __extension__ struct {
+            uint8_t port;
+            uint8_t data[P2P_MAX_DATA_SIZE];
+        };
+        uint8_t raw[P2P_MAX_DATA_SIZE + 1];
+    };
+} __attribute__((packed)) P2PPacket;
+
+typedef void (*P2PCallback)(P2PPacket *packet);
+
+void p2pRegisterCB(P2PCallback callback);
+bool radiolinkSendP2PPacketBroadcast(P2PPacket *packet);
+
+#endif

@@ -1,0 +1,150 @@
+"""The Arduino sketch of c_ref/examples: it builds for an Uno, and does what the mirror does, to the bit."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from decimal import Decimal
+from pathlib import Path
+
+import pytest
+
+from mcp_asdf.fixed_point import alpha_word_from_float
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.robot import Config, Observation
+from mcp_asdf_tools.bus import frames
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat
+from mcp_asdf_tools.tables.thresholds import generate
+from packets import PACKET_SIZE, packet_of
+from simulated_avr import Board, require_simavr
+from support import ROOT, TABLE, made_once, require, run
+
+SKETCH = ROOT / "c_ref/examples/MinimalRobot"
+ROBOT_ID = 7
+CLOCK = 16_000_000
+CYCLES_OF_A_TICK = CLOCK // 2
+CYCLES_OF_A_BYTE = CLOCK * 10 // 9600
+PORT_B, LED_BIT = 0x25, 5
+"""Register of the Uno's pin 13, and the bit that lights the LED there."""
+FORMAT = FrameFormat()
+
+
+def build_sketch(folder: Path) -> None:
+    """Build the sketch for an Uno, with the firmware as a library, and keep all files in the folder."""
+    (folder / "libraries").mkdir()
+    (folder / "build").mkdir()
+    shutil.copytree(ROOT / "c_ref", folder / "libraries/mcp_asdf")
+    options = [
+        *("-hardware", "/usr/share/arduino-builder", "-hardware", "/usr/share/arduino/hardware"),
+        *("-tools", "/usr/bin", "-libraries", folder / "libraries", "-build-path", folder / "build"),
+        *("-fqbn", "arduino:avr:uno", "-warnings", "all"),
+        # Debian's core asks for a macro that Debian's avr-gcc does not have in C++.
+        *("-prefs", "compiler.cpp.extra_flags=-DDECIMAL_DIG=17"),
+    ]
+    sketch = folder / "libraries/mcp_asdf/examples/MinimalRobot/MinimalRobot.ino"
+    command = shlex.join(["arduino-builder", "-compile", *map(str, options), str(sketch)])
+    run("sh", "-c", f"{command} >output.txt 2>&1 || {{ cat output.txt; exit 1; }}", cwd=folder)
+
+
+@pytest.fixture(scope="module")
+def built_sketch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder in which the sketch has been built."""
+    require("arduino-builder", "arduino-builder arduino-core-avr")
+    require("avr-gcc", "gcc-avr avr-libc")
+    return made_once(tmp_path_factory, "sketch", build_sketch)
+
+
+@pytest.fixture
+def packets() -> list[bytes]:
+    """The packets that the robot's UART has sent; grows while the robot runs."""
+    return []
+
+
+@pytest.fixture
+def robot(built_sketch: Path, packets: list[bytes]) -> Board:
+    """A simulated Uno with the sketch, half a tick after its start."""
+    require_simavr()
+    sent_bytes = bytearray()
+
+    def collect_byte(byte: int) -> None:
+        sent_bytes.append(byte)
+        if len(sent_bytes) == PACKET_SIZE:
+            packets.append(bytes(sent_bytes))
+            sent_bytes.clear()
+
+    board = Board(built_sketch / "build/MinimalRobot.ino.elf", CLOCK, collect_byte)
+    board.place_on_tile(0)
+    board.run_until(CYCLES_OF_A_TICK // 2)
+    return board
+
+
+def new_mirror() -> MirrorRobot:
+    """Return the robot that the sketch makes: the paper's filter, a sensor that is right 95 times in 100."""
+    table = generate(Decimal("0.05"), 30)
+    return MirrorRobot(Config(table=table), ROBOT_ID, 0.95)
+
+
+def send_to(robot: Board, received: bytes) -> None:
+    """Let the robot's UART receive bytes, as fast as the line can bring them."""
+    for byte in received:
+        robot.receive_byte(byte)
+        robot.run_until(robot.cycle + CYCLES_OF_A_BYTE)
+
+
+def run_tick(robot: Board, tile: int) -> None:
+    """Run the robot on a tile until half a tick after its next tick."""
+    robot.place_on_tile(tile)
+    halves = round(2 * robot.cycle / CYCLES_OF_A_TICK)
+    robot.run_until((halves + 2) * CYCLES_OF_A_TICK // 2)
+
+
+def is_led_lit(robot: Board) -> bool:
+    return bool(ord(robot.registers[PORT_B]) >> LED_BIT & 1)
+
+
+def test_the_table_of_the_sketch_is_the_shipped_one() -> None:
+    assert (SKETCH / TABLE.name).read_bytes() == TABLE.read_bytes()
+
+
+def test_the_sketch_builds_without_a_warning(built_sketch: Path) -> None:
+    """Debian's Arduino core, which is not ours, has some."""
+    output = (built_sketch / "output.txt").read_text(encoding="utf-8")
+    warnings = [line for line in output.splitlines() if "warning:" in line or "error:" in line]
+    assert [line for line in warnings if "/usr/share/arduino/" not in line] == []
+    assert "Sketch uses" in output
+
+
+def test_the_robot_broadcasts_what_the_mirror_does(robot: Board, packets: list[bytes]) -> None:
+    mirror = new_mirror()
+    expected = []
+    for transfer_id, tile in enumerate([1, 1, 0, 1, 0]):
+        run_tick(robot, tile)
+        mirror.observe(Observation(tile))
+        estimate = Estimate(ROBOT_ID, mirror.x_hat_raw, mirror.alpha_raw, transfer_id)
+        expected.append(packet_of(frames.encode_estimate(estimate, FORMAT)))
+    assert packets == expected
+
+
+WHITE_ESTIMATE = packet_of(frames.encode_estimate(Estimate(9, 0, alpha_word_from_float(1e6), 0), FORMAT))
+"""The packet of a robot that is certain that all tiles are white."""
+
+
+def test_the_led_shows_what_the_robot_and_its_neighbour_know(robot: Board) -> None:
+    run_tick(robot, 1)
+    assert is_led_lit(robot), "the robot itself has seen one tile, which was black"
+    send_to(robot, WHITE_ESTIMATE)
+    run_tick(robot, 1)
+    assert not is_led_lit(robot)
+
+
+def test_the_robot_ignores_a_packet_with_a_wrong_checksum(robot: Board) -> None:
+    damaged = WHITE_ESTIMATE[:-1] + bytes([WHITE_ESTIMATE[-1] ^ 1])
+    send_to(robot, damaged)
+    run_tick(robot, 1)
+    assert is_led_lit(robot)
+
+
+def test_the_robot_finds_the_packet_after_noise(robot: Board) -> None:
+    send_to(robot, b"\x00\xff" + WHITE_ESTIMATE)
+    run_tick(robot, 1)
+    assert not is_led_lit(robot)

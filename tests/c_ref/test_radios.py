@@ -1,0 +1,133 @@
+"""Robots with the radios of c_ref/examples do what the mirror does; stubs stand for the boards' libraries."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+from pathlib import Path
+
+import pytest
+
+from ctypes_robot import CtypesRobot
+from mcp_asdf.fixed_point import alpha_word_from_float
+from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.robot import Config, Filter, Observation
+from mcp_asdf_tools.bus import frames
+from mcp_asdf_tools.bus.frames import Estimate, FrameFormat
+from support import CORE, ROOT, require, run
+
+EXAMPLES = ROOT / "c_ref/examples/radios"
+STUBS = ROOT / "tests/c_ref"
+INCLUDES = {"esp_now": (STUBS, STUBS / "esp_now"), "crazyflie": (STUBS / "freertos", STUBS / "crazyflie")}
+"""Folders with the headers that a radio includes."""
+WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wundef -Werror"
+CONFIG = Config(filter=Filter.OFF)
+ROBOT_ID = 7
+ALPHA = alpha_word_from_float(100.0)
+QUEUE_LENGTH = 20
+
+
+class RadioRobot:
+    """A robot with the radio of an example, and the air around it.
+
+    Attributes:
+        robot: The robot.
+        library: The radio, its stub and the firmware.
+    """
+
+    def __init__(self, library_path: Path) -> None:
+        """Start the robot and its radio."""
+        self.library = ctypes.CDLL(str(library_path))
+        self.robot = CtypesRobot(self.library, CONFIG, ROBOT_ID, 0.95)
+        self.library.radio_start()
+
+    def broadcast(self) -> bytes:
+        """Return the message that the robot broadcasts now."""
+        self.library.radio_broadcast(self.robot.memory)
+        length = ctypes.c_size_t.in_dll(self.library, "air_sent_length").value
+        return bytes((ctypes.c_uint8 * 64).in_dll(self.library, "air_sent_data"))[:length]
+
+    def receive(self, *messages: bytes) -> None:
+        """Bring messages to the radio, then let the robot receive them."""
+        for message in messages:
+            self.library.air_deliver(message, len(message))
+        self.library.radio_receive(self.robot.memory)
+
+
+@pytest.fixture(scope="module")
+def libraries(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Each radio with its stub and the firmware, as a shared library."""
+    folder = tmp_path_factory.mktemp("radios")
+    core = [CORE, CORE.with_name("mcp_asdf_accessors.c"), CORE.with_name("mcp_asdf_frame.c")]
+    paths = {}
+    for radio, header_folders in INCLUDES.items():
+        include = [option for path in header_folders for option in ("-isystem", str(path))]
+        stubs = [*(STUBS / radio).glob("*.c"), *(STUBS / "freertos").glob("*.c")]
+        flags = ["-std=c99", *WARNINGS.split(), "-shared", "-fPIC", f"-I{CORE.parent}", *include]
+        paths[radio] = folder / f"{radio}.so"
+        sources = [EXAMPLES / f"{radio}.c", *stubs, *core]
+        run(require("gcc", "gcc"), *flags, *sources, "-o", paths[radio])
+    return paths
+
+
+@pytest.fixture(params=INCLUDES)
+def radio_robot(request: pytest.FixtureRequest, libraries: dict[str, Path], tmp_path: Path) -> RadioRobot:
+    """A robot with each of the radios, whose variables are as they are at the start."""
+    return RadioRobot(Path(shutil.copy(libraries[request.param], tmp_path)))
+
+
+def message_of(estimate: Estimate) -> bytes:
+    """Return the nine bytes of an estimate: the sender's id and the data of its frame."""
+    return bytes([estimate.sender, *frames.encode_estimate(estimate, FrameFormat()).data])
+
+
+def test_the_robot_broadcasts_what_the_mirror_knows(radio_robot: RadioRobot) -> None:
+    mirror = MirrorRobot(CONFIG, ROBOT_ID, 0.95)
+    for transfer_id, is_black in enumerate([True, False, True]):
+        radio_robot.robot.step(is_black)
+        mirror.step(Observation(is_black))
+        estimate = Estimate(ROBOT_ID, mirror.x_hat_raw, mirror.alpha_raw, transfer_id)
+        assert radio_robot.broadcast() == message_of(estimate)
+
+
+def test_the_robot_receives_the_messages_of_others(radio_robot: RadioRobot) -> None:
+    mirror = MirrorRobot(CONFIG, ROBOT_ID, 0.95)
+    radio_robot.receive(message_of(Estimate(1, 2**21, ALPHA, 0)), message_of(Estimate(2, 2**22, ALPHA, 5)))
+    mirror.receive_raw(1, 2**21, ALPHA)
+    mirror.receive_raw(2, 2**22, ALPHA)
+    radio_robot.robot.step(True)
+    mirror.step(Observation.BLACK)
+    assert radio_robot.robot.read("x") == mirror.x_raw
+    assert radio_robot.robot.read("beta", ctypes.c_uint64) == mirror.beta_raw > 0
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        pytest.param(b"", id="empty"),
+        pytest.param(message_of(Estimate(1, 0, ALPHA, 0))[:-1], id="too short"),
+        pytest.param(message_of(Estimate(1, 0, ALPHA, 0)) + b"\0", id="too long"),
+        pytest.param(b"\xff" * 9, id="not an estimate"),
+        pytest.param(b"\x80" + message_of(Estimate(0, 0, ALPHA, 0))[1:], id="no such id"),
+        pytest.param(message_of(Estimate(ROBOT_ID, 0, ALPHA, 0)), id="its own id"),
+    ],
+)
+def test_the_robot_ignores_what_is_no_message_of_another(radio_robot: RadioRobot, message: bytes) -> None:
+    radio_robot.receive(message)
+    radio_robot.robot.step(True)
+    assert radio_robot.robot.read("beta", ctypes.c_uint64) == 0
+
+
+def test_the_robot_loses_only_messages_that_find_the_queue_full(radio_robot: RadioRobot) -> None:
+    senders = range(10, 10 + QUEUE_LENGTH + 5)
+    radio_robot.receive(*[message_of(Estimate(sender, 2**22, ALPHA, 0)) for sender in senders])
+    radio_robot.robot.step(True)
+    assert radio_robot.robot.read("beta", ctypes.c_uint64) == QUEUE_LENGTH * 100 * 2**24
+
+
+@pytest.mark.parametrize("radio_robot", ["crazyflie"], indirect=True)
+def test_a_crazyflie_ignores_messages_to_another_port(radio_robot: RadioRobot) -> None:
+    ctypes.c_uint8.in_dll(radio_robot.library, "air_port").value = 3
+    radio_robot.receive(message_of(Estimate(1, 2**22, ALPHA, 0)))
+    radio_robot.robot.step(True)
+    assert radio_robot.robot.read("beta", ctypes.c_uint64) == 0

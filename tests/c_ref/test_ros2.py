@@ -1,0 +1,222 @@
+"""The ROS 2 package of c_ref/examples: its node over stubs of rclpy, its messages and its launch file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import fields
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from xml.etree import ElementTree
+
+import mcp_asdf_ros.msg
+import pytest
+import rclpy
+import yaml
+from launch import LaunchContext
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from mcp_asdf_ros.msg import Estimate, State
+from rclpy.node import environment
+from std_msgs.msg import Bool
+
+from mcp_asdf import Config, Filter, MirrorRobot, Observation
+from mcp_asdf.fixed_point import alpha_word_from_float
+from support import ROOT, version_of_header
+
+PACKAGE = ROOT / "c_ref/examples/ros2/mcp_asdf_ros"
+ALPHA = alpha_word_from_float(100.0)
+
+
+def load_program(path: Path) -> ModuleType:
+    """Return a Python file as a module, whatever its name."""
+    loader = SourceFileLoader(path.stem.replace(".", "_"), str(path))
+    spec = spec_from_loader(loader.name, loader)
+    assert spec is not None
+    module = module_from_spec(spec)
+    loader.exec_module(module)
+    return module
+
+
+ROBOT_NODE = load_program(PACKAGE / "scripts/robot_node.py")
+LAUNCH_FILE = load_program(PACKAGE / "launch/swarm.launch.py")
+
+
+@pytest.fixture(autouse=True)
+def fresh_environment() -> Iterator[None]:
+    """Forget nodes and messages of other tests."""
+    environment.callbacks.clear()
+    environment.published.clear()
+    yield
+    environment.namespace, environment.parameters = "", {}
+    rclpy.spun_nodes.clear()
+
+
+def start_node(robot_id: int, **parameters: Any) -> Any:
+    """Start a node in the namespace of its robot, which has no filter unless a parameter says so."""
+    environment.namespace = f"/robot_{robot_id}"
+    environment.parameters = {"id": robot_id, "filter": "none", **parameters}
+    return ROBOT_NODE.RobotNode()
+
+
+def end_round(node: Any) -> None:
+    """Let the node's timer expire."""
+    [(_, callback)] = node.timers
+    callback()
+
+
+# --- The node --------------------------------------------------------------------------------------------
+
+
+def test_two_nodes_have_the_bits_of_their_mirrors() -> None:
+    node_1, node_2 = start_node(1, initial_b_hat=0.9), start_node(2, initial_b_hat=0.9)
+    mirror_1, mirror_2 = (MirrorRobot(Config(filter=Filter.OFF), robot_id, 0.9) for robot_id in (1, 2))
+    for is_black_1, is_black_2 in [(True, False), (True, True), (False, True)]:
+        environment.publish("/robot_1/black", Bool(is_black_1))
+        environment.publish("/robot_2/black", Bool(is_black_2))
+        mirror_1.observe(Observation(is_black_1))
+        mirror_2.observe(Observation(is_black_2))
+        end_round(node_1)
+        mirror_2.receive_raw(1, mirror_1.x_hat_raw, mirror_1.alpha_raw)
+        mirror_1.settle()
+        end_round(node_2)
+        mirror_1.receive_raw(2, mirror_2.x_hat_raw, mirror_2.alpha_raw)
+        mirror_2.settle()
+    assert node_1.robot.state() == mirror_1.state()
+    assert node_2.robot.state() == mirror_2.state()
+    assert node_1.robot.counters.accepted == 3
+
+
+def test_a_node_publishes_its_state_after_each_round() -> None:
+    node = start_node(3)
+    environment.publish("/robot_3/black", Bool(True))
+    end_round(node)
+    [state] = environment.published["/robot_3/state"]
+    assert state == State(x=1.0, x_hat=1.0, b_hat=node.robot.b_hat, observations=1)
+
+
+def test_a_node_ignores_its_own_estimates() -> None:
+    node = start_node(3)
+    end_round(node)
+    assert len(environment.published["/estimates"]) == 1
+    assert node.robot.counters.rejected == 0
+
+
+@pytest.mark.parametrize(
+    "estimate", [Estimate(sender=128, alpha=ALPHA), Estimate(sender=4, x_hat=2**23 + 1, alpha=ALPHA)]
+)
+def test_a_node_rejects_impossible_estimates_and_goes_on(estimate: Estimate) -> None:
+    node = start_node(3)
+    environment.publish("/estimates", estimate)
+    end_round(node)
+    assert environment.published["/robot_3/state"][-1].rejected == 1
+
+
+def test_a_node_closes_a_round_in_each_broadcast_period() -> None:
+    [(period, _)] = start_node(3, broadcast_period=0.5).timers
+    assert period == 0.5
+
+
+def test_the_adaptive_filter_of_a_node_re_estimates_b_hat() -> None:
+    node = start_node(3, filter="adaptive", filter_period=1, initial_b_hat=0.55, omega=0.1, neighbours=2)
+    for _ in range(20):
+        environment.publish("/robot_3/black", Bool(True))
+    for sender in (1, 2):
+        environment.publish("/estimates", Estimate(sender, 2**22 + 2**21, ALPHA))
+    end_round(node)
+    assert environment.published["/robot_3/state"][-1].updates == 1
+
+
+def test_ros_reads_the_name_of_each_filter_as_it_stands() -> None:
+    """Values of parameters are YAML, in which some words are truth values."""
+    names = list(ROBOT_NODE.FILTERS)
+    assert [yaml.safe_load(name) for name in names] == names
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"id": 128}, "robot id is 128; choose 0 .. 127"),
+        ({"initial_b_hat": 1.0}, "b_hat is 1.0; choose one in"),
+        ({"initial_b_hat": 1}, "initial_b_hat is 1, and not float"),
+        ({"filter": "off"}, "filter is 'off'; choose robust, adaptive, always, none"),
+        ({"filter_period": 0}, "the firmware refuses the filter, the filter_period"),
+        ({"broadcast_period": 0.0}, "broadcast_period is 0.0 seconds; choose more than 0"),
+        ({"filter": "adaptive", "omega": 1.5}, "omega is 1.5; it must be above 0"),
+        ({"filter": "adaptive", "neighbours": 1}, "the number of neighbours is 1; it must be 2 to 127"),
+    ],
+)
+def test_a_node_does_not_start_with_a_wrong_parameter(
+    parameters: dict[str, Any], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    environment.parameters = parameters
+    assert ROBOT_NODE.main() == 1
+    assert message in capsys.readouterr().err
+    assert rclpy.spun_nodes == []
+
+
+def test_a_node_runs_until_ctrl_c() -> None:
+    assert ROBOT_NODE.main() == 0
+    assert len(rclpy.spun_nodes) == 1
+
+
+def test_the_page_has_the_parameters_with_their_defaults() -> None:
+    page = (ROOT / "docs/elsewhere.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| `?([\w.]+)`? \|", page, re.MULTILINE)
+    defaults = start_node(0).defaults
+    assert dict(rows) == {name: str(value) for name, value in defaults.items()}
+
+
+# --- The package -----------------------------------------------------------------------------------------
+
+PYTHON_TYPES = {"uint8": "int", "uint16": "int", "uint32": "int", "float64": "float"}
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.glob("msg/*.msg")), ids=lambda path: path.name)
+def test_the_messages_of_the_stub_are_those_of_the_package(path: Path) -> None:
+    lines = re.findall(r"^(\w+) (\w+) ", path.read_text(encoding="utf-8"), re.MULTILINE)
+    message_type = getattr(mcp_asdf_ros.msg, path.stem)
+    assert [(field.name, field.type) for field in fields(message_type)] == [
+        (name, PYTHON_TYPES[ros_type]) for ros_type, name in lines
+    ]
+
+
+def test_the_package_has_the_version_of_the_header_and_the_licence() -> None:
+    manifest = ElementTree.parse(PACKAGE / "package.xml").getroot()
+    assert manifest.findtext("name") == "mcp_asdf_ros"
+    assert manifest.findtext("version") == version_of_header()
+    assert manifest.findtext("license") == "MIT"
+
+
+def test_cmake_installs_the_messages_and_the_program() -> None:
+    commands = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
+    messages = " ".join(f"msg/{path.name}" for path in sorted(PACKAGE.glob("msg/*.msg")))
+    assert f"rosidl_generate_interfaces(${{PROJECT_NAME}} {messages})" in commands
+    assert "scripts/robot_node.py DESTINATION lib/${PROJECT_NAME} RENAME robot_node)" in commands
+
+
+# --- The launch file -------------------------------------------------------------------------------------
+
+
+def launch(**arguments: str) -> list[Any]:
+    """Return the nodes that the launch file starts with these arguments, and its defaults for the others."""
+    *declared, function = LAUNCH_FILE.generate_launch_description().entities
+    assert isinstance(function, OpaqueFunction)
+    assert all(isinstance(argument, DeclareLaunchArgument) for argument in declared)
+    defaults = {argument.name: argument.default_value for argument in declared}
+    return function.function(LaunchContext(defaults | arguments))
+
+
+def test_the_launch_file_starts_a_node_for_each_robot() -> None:
+    nodes = launch(robots="3", filter="adaptive")
+    assert [node.namespace for node in nodes] == ["robot_0", "robot_1", "robot_2"]
+    assert [node.parameters for node in nodes] == [[{"id": i, "filter": "adaptive"}] for i in range(3)]
+    assert {(node.package, node.executable) for node in nodes} == {("mcp_asdf_ros", "robot_node")}
+
+
+@pytest.mark.parametrize("robots", ["0", "129", "-1", "many", "2.0", ""])
+def test_the_launch_file_refuses_a_number_of_robots_that_cannot_be(robots: str) -> None:
+    with pytest.raises(ValueError, match="; choose 1 to 128"):
+        launch(robots=robots)

@@ -1,0 +1,187 @@
+"""The codec of small messages, in Python and in C: the same codes, and exact ways back."""
+
+from __future__ import annotations
+
+import ctypes
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mcp_asdf import small_messages
+from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE, alpha_from_word, alpha_units, alpha_word_from_float
+from mcp_asdf.small_messages import (
+    MAX_ALPHA_BITS,
+    MAX_X_HAT_BITS,
+    decode_alpha,
+    decode_message,
+    decode_x_hat,
+    encode_alpha,
+    encode_message,
+    encode_x_hat,
+)
+from support import CORE, require, run
+
+C_SOURCE = CORE.with_name("mcp_asdf_small.c")
+
+
+# --- Messages --------------------------------------------------------------------------------------------
+
+
+def test_a_message_has_the_bytes_that_the_page_shows() -> None:
+    assert encode_message(42, ONE, alpha_word_from_float(1.0)) == bytes.fromhex("50FEFF55")
+
+
+def test_a_message_is_decoded_to_sender_x_hat_and_alpha() -> None:
+    assert decode_message(bytes.fromhex("50FEFF55")) == (42, ONE, alpha_word_from_float(1.0))
+
+
+def test_encoding_what_was_decoded_gives_the_same_bytes() -> None:
+    source = random.Random(1)
+    for _ in range(20_000):
+        message = source.randbytes(4)
+        assert encode_message(*decode_message(message)) == message, message.hex()
+
+
+@pytest.mark.parametrize("sender", [-1, 128])
+def test_a_sender_without_an_id_of_7_bits_is_refused(sender: int) -> None:
+    with pytest.raises(ValueError, match=f"sender is {sender}; give an id from 0 to 127"):
+        encode_message(sender, 0, 0)
+
+
+@pytest.mark.parametrize("x_hat", [-1, ONE + 1])
+def test_an_estimate_beyond_0_and_1_is_refused(x_hat: int) -> None:
+    with pytest.raises(ValueError, match=f"x_hat is {x_hat}; give 0 to 8388608"):
+        encode_message(0, x_hat, 0)
+
+
+@pytest.mark.parametrize("length", [0, 3, 5])
+def test_a_message_of_another_length_is_refused(length: int) -> None:
+    with pytest.raises(ValueError, match=f"the message has {length} bytes; a small message has 4"):
+        decode_message(bytes(length))
+
+
+# --- Codes of x_hat --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bits", range(1, MAX_X_HAT_BITS + 1))
+def test_both_ends_of_x_hat_have_codes_of_their_own(bits: int) -> None:
+    assert [decode_x_hat(0, bits), decode_x_hat((1 << bits) - 1, bits)] == [0, ONE]
+
+
+def test_x_hat_is_rounded_to_the_nearest_of_four_numbers() -> None:
+    boundaries = [ONE // 6, HALF - 1, ONE - ONE // 6 - 1]
+    assert [encode_x_hat(x_hat, 2) for x_hat in boundaries] == [0, 1, 2]
+    assert [encode_x_hat(x_hat + 1, 2) for x_hat in boundaries] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("x_hat", [0, 1, HALF - 1, 1_234_567, ONE])
+def test_exchanged_colours_have_the_opposite_code(x_hat: int) -> None:
+    assert encode_x_hat(ONE - x_hat, 16) == 0xFFFF - encode_x_hat(x_hat, 16)
+
+
+def test_16_bits_of_x_hat_are_wrong_by_half_a_step_at_most() -> None:
+    half_step = ONE / 0xFFFF / 2
+    x_hats = random.Random(2).sample(range(ONE + 1), 20_000)
+    errors = [abs(decode_x_hat(encode_x_hat(x_hat, 16), 16) - x_hat) for x_hat in x_hats]
+    # Decoding rounds to whole units, by half a unit at most.
+    assert max(errors) <= half_step + 0.5
+
+
+# --- Codes of alpha --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("code", "alpha"),
+    [(0, 0.0), (1, 2**-8), (15, 15 * 2**-8), (16, 2**-4), (17, 17 * 2**-8), (80, 1.0), (511, 31 * 2.0**22)],
+)
+def test_codes_of_9_bits_stand_for_these_confidences(code: int, alpha: float) -> None:
+    assert alpha_from_word(decode_alpha(code, 9)) == alpha
+
+
+def test_codes_of_4_bits_are_powers_of_four() -> None:
+    confidences = [alpha_from_word(decode_alpha(code, 4)) for code in range(16)]
+    assert confidences == [0.0, *(4.0**power / 8 for power in range(15))]
+
+
+@pytest.mark.parametrize("bits", range(1, MAX_ALPHA_BITS + 1))
+def test_no_confidence_becomes_none(bits: int) -> None:
+    smallest_word = 1 << 8
+    assert (encode_alpha(smallest_word, bits), encode_alpha(0, bits)) == (1, 0)
+
+
+@pytest.mark.parametrize("bits", range(1, MAX_ALPHA_BITS + 1))
+def test_the_largest_confidence_has_the_largest_code(bits: int) -> None:
+    assert encode_alpha(ALPHA_MAX, bits) == (1 << bits) - 1
+
+
+def test_alpha_is_rounded_down_by_less_than_a_sixteenth() -> None:
+    source = random.Random(3)
+    for _ in range(20_000):
+        alpha = alpha_word_from_float(2 ** source.uniform(-4, 26.9))
+        decoded = alpha_units(decode_alpha(encode_alpha(alpha, 9), 9))
+        assert 16 / 17 * alpha_units(alpha) < decoded <= alpha_units(alpha)
+
+
+# --- The codec in C --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def c_library(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The codec in C as a shared library."""
+    library = tmp_path_factory.mktemp("small") / "small.so"
+    run(require("gcc", "gcc"), "-std=c99", "-O1", "-shared", "-fPIC", C_SOURCE, "-o", library)
+    return ctypes.CDLL(str(library))
+
+
+def c_code_function(c_library: Any, name: str) -> Any:
+    """Return one of the four functions of C that convert a number, given the bits of its code."""
+    function = getattr(c_library, f"mcp_asdf_{name}")
+    function.argtypes, function.restype = [ctypes.c_uint32, ctypes.c_uint32], ctypes.c_uint32
+    return function
+
+
+@pytest.mark.parametrize(
+    ("c_name", "python_name", "max_bits"),
+    [
+        ("x_hat_from_code", "decode_x_hat", MAX_X_HAT_BITS),
+        ("alpha_from_code", "decode_alpha", MAX_ALPHA_BITS),
+    ],
+)
+def test_c_and_python_decode_alike(c_library: Any, c_name: str, python_name: str, max_bits: int) -> None:
+    c_function, python_function = c_code_function(c_library, c_name), getattr(small_messages, python_name)
+    source = random.Random(4)
+    for bits in range(1, max_bits + 1):
+        codes = range(1 << bits) if bits <= 9 else [source.getrandbits(bits) for _ in range(1000)]
+        for code in codes:
+            assert c_function(code, bits) == python_function(code, bits), (code, bits)
+
+
+def test_c_and_python_encode_x_hat_alike(c_library: Any) -> None:
+    c_function = c_code_function(c_library, "x_hat_to_code")
+    source = random.Random(5)
+    for bits in range(1, MAX_X_HAT_BITS + 1):
+        for x_hat in (0, 1, HALF - 1, HALF, HALF + 1, ONE, *(source.randint(0, ONE) for _ in range(1000))):
+            assert c_function(x_hat, bits) == encode_x_hat(x_hat, bits), (x_hat, bits)
+
+
+def test_c_and_python_encode_alpha_alike(c_library: Any) -> None:
+    c_function = c_code_function(c_library, "alpha_to_code")
+    source = random.Random(6)
+    for bits in range(1, MAX_ALPHA_BITS + 1):
+        for _ in range(2000):
+            # Mantissas of all lengths: many words are not as the firmware forms its own.
+            mantissa, low_bits = source.getrandbits(source.randint(0, 24)), source.getrandbits(8)
+            alpha = (mantissa << 8) | low_bits
+            assert c_function(alpha, bits) == encode_alpha(alpha, bits), (alpha, bits)
+
+
+EVERY_WORD = Path(__file__).with_name("every_small_message.c")
+
+
+@pytest.mark.slow
+def test_every_word_of_32_bits_is_decoded_and_encoded_to_itself(tmp_path: Path) -> None:
+    include = f"-I{CORE.parent}"
+    run(require("gcc", "gcc"), "-std=c99", "-O2", include, EVERY_WORD, C_SOURCE, "-o", tmp_path / "every")
+    assert run(tmp_path / "every") == "4294967296 words, 0 wrong\n"

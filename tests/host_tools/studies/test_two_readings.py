@@ -1,0 +1,121 @@
+"""The study of robots that read every tile twice: its experiments, cells and picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from host_tools.experiments.drawn_figures import legend_of, titles_of
+from host_tools.studies.conftest import short_trials
+from mcp_asdf_tools.common.extensions import name_object
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.trials import run_trials
+from mcp_asdf_tools.studies import study_program, two_readings
+from mcp_asdf_tools.studies.peers import column_label
+from mcp_asdf_tools.studies.reading_pairs import HalfRepeated, IndependentReadings, TenthRepeated
+
+
+def experiment_of(row: str, column: str) -> Experiment:
+    """Return the only experiment of a row that a column of the table has."""
+    (experiment,) = [
+        experiment
+        for experiment in two_readings.two_readings_rows()[row]
+        if column_label(experiment) == column
+    ]
+    return experiment
+
+
+def test_three_filters_stand_beside_robots_with_two_readings() -> None:
+    for experiments in two_readings.two_readings_rows().values():
+        columns = [column_label(experiment) for experiment in experiments]
+        assert columns == ["no filter", "ASDF-", "robust", "two readings"]
+
+
+@pytest.mark.parametrize(
+    ("label", "flawed", "sensor"),
+    [
+        ("none flawed", 0, IndependentReadings),
+        ("half flawed", 10, IndependentReadings),
+        ("all flawed", 20, IndependentReadings),
+        ("none flawed, 1 reading in 10 repeated", 0, TenthRepeated),
+        ("none flawed, 1 reading in 2 repeated", 0, HalfRepeated),
+    ],
+)
+def test_a_row_has_the_flawed_robots_and_repetitions_that_it_says(
+    label: str, flawed: int, sensor: type[IndependentReadings]
+) -> None:
+    experiments = two_readings.two_readings_rows()[f"{label}, underconfident"]
+    assert {experiment.flawed for experiment in experiments} == {flawed}
+    assert {experiment.sensor for experiment in experiments} == {name_object(sensor)}
+
+
+def test_all_robots_get_10_000_tiles_and_broadcast_once_for_each() -> None:
+    two = experiment_of("none flawed, overconfident", "two readings")
+    one = experiment_of("none flawed, overconfident", "robust")
+    assert (two.observation_period, one.observation_period) == (1, 2)
+    for experiment in (two, one):
+        assert (experiment.steps, experiment.comms_period, experiment.filter_period) == (20_000, 2, 2000)
+
+
+def test_the_study_has_eight_trials_and_a_seed_of_its_own() -> None:
+    rows = two_readings.two_readings_rows()
+    sizes = {
+        (experiment.trials, experiment.seed) for experiments in rows.values() for experiment in experiments
+    }
+    assert sizes == {(8, 4715)}
+
+
+def test_harm_is_a_percentage_of_the_healthy_robots(few_resamples: None) -> None:
+    (trials,) = short_trials(filter="robust")
+    trials.b_hat[:, -1, :] = trials.experiment.true_accuracy
+    trials.b_hat[:, -1, 3] = 0.5  # one of the three healthy robots
+    assert two_readings.harm_text([trials]) == "33.3"
+
+
+def test_a_swarm_without_healthy_robots_has_no_harm(few_resamples: None) -> None:
+    (trials,) = short_trials(filter="robust", flawed=4)
+    assert two_readings.harm_text([trials]) == ""
+
+
+def late_error_and_harm(row: str) -> tuple[float, float]:
+    """Return the late error and the percentage of harmed robots of one trial with two readings."""
+    experiment = experiment_of(row, "two readings")
+    trials = run_trials(experiment, first=0, trials=1, sampling_interval=500)
+    return float(study_program.late_errors(trials)[0]), float(study_program.harmed_percents(trials)[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("flaw", "limit"), [("underconfident", 0.005), ("overconfident", 0.1)])
+def test_two_independent_readings_calibrate_a_swarm_that_is_all_flawed(flaw: str, limit: float) -> None:
+    error, _ = late_error_and_harm(f"all flawed, {flaw}")
+    assert error < limit
+
+
+@pytest.mark.slow
+def test_repeated_readings_harm_all_robots_with_poor_sensors() -> None:
+    _, harmed = late_error_and_harm("none flawed, overconfident")
+    assert harmed == 0
+    _, harmed = late_error_and_harm("none flawed, 1 reading in 2 repeated, overconfident")
+    assert harmed == 100
+
+
+def test_the_picture_leaves_out_rare_repetitions_and_has_a_line_for_each_column() -> None:
+    rows = {
+        label: [
+            run_trials(replace(experiment, steps=2000), first=0, trials=1, sampling_interval=500)
+            for experiment in experiments
+        ]
+        for label, experiments in two_readings.two_readings_rows().items()
+        if "overconfident" in label
+    }
+    figure = two_readings.draw_errors(rows)
+    assert titles_of(figure) == [
+        "none flawed, overconfident",
+        "half flawed, overconfident",
+        "all flawed, overconfident",
+        "none flawed, 1 reading in 2 repeated, overconfident",
+    ]
+    assert legend_of(figure) == ["no filter", "ASDF-", "robust", "two readings"]
+    assert all(np.isfinite(line.get_ydata()).all() for line in figure.axes[0].lines)

@@ -1,0 +1,108 @@
+// The figures, numbers and events beside the arena.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { formatValue, showEvents, showFigures, showRobot } from "view/panels";
+import { element, makeHistory } from "./fake_page.js";
+
+/** Returns the four figures of the swarm in the first state of a history. */
+function figuresOf(history) {
+  showFigures(history, 0);
+  return ["mean-x", "mean-error", "spread", "wrong"].map((id) => element(id).textContent);
+}
+
+test("a value has three digits, and a dash stands for what is unknown", () => {
+  assert.deepEqual(
+    [0.5, 0, 1, null, Number.NaN].map((value) => formatValue(value)),
+    ["0.500", "0.000", "1.000", "–", "–"],
+  );
+});
+
+test("the figures are mean, mean error, spread and the number of wrong robots", () => {
+  const history = makeHistory({
+    robots: [0, 1, 2],
+    ticks: [0],
+    fill_ratio: 0.5,
+    quantities: { x: [0.2, 0.4, 0.9], b_hat: [0.95, 0.55, 0.9], b: [0.95, 0.95, 0.95] },
+  });
+  assert.deepEqual(figuresOf(history), ["0.500", "0.267", "0.700", "1 of 3"]);
+});
+
+test("a b_hat counts as wrong from an error of more than 0.1", () => {
+  const history = makeHistory({
+    robots: [0, 1],
+    ticks: [0],
+    quantities: { x: [0.5, 0.5], b_hat: [0.86, 0.84], b: [0.95, 0.95] },
+  });
+  assert.equal(figuresOf(history)[3], "1 of 2");
+});
+
+test("robots whose values are unknown are in no figure", () => {
+  const history = makeHistory({
+    robots: [0, 1, 2],
+    ticks: [0],
+    fill_ratio: 0.5,
+    quantities: { x: [0.25, null, 0.75], b_hat: [0.95, null, 0.55], b: [0.95, 0.95, 0.95] },
+  });
+  assert.deepEqual(figuresOf(history), ["0.500", "0.250", "0.500", "1 of 2"]);
+});
+
+test("without any value all figures are unknown", () => {
+  const history = makeHistory({
+    robots: [0],
+    ticks: [0],
+    fill_ratio: 0.5,
+    quantities: { x: [null], b_hat: [null], b: [null] },
+  });
+  assert.deepEqual(figuresOf(history), ["–", "–", "–", "–"]);
+});
+
+test("without the true fill ratio the mean error is unknown", () => {
+  const history = makeHistory({
+    robots: [0],
+    ticks: [0],
+    quantities: { x: [0.5], b_hat: [0.9], b: [0.9] },
+  });
+  assert.equal(figuresOf(history)[1], "–");
+});
+
+test("the numbers of a robot are those of the robot and the state that are shown", () => {
+  element("robot").children = [element("robot-title"), element("robot-list")];
+  const history = makeHistory({
+    robots: [3, 8],
+    ticks: [0, 10],
+    flawed: [1],
+    fill_ratio: 0.25,
+    quantities: {
+      x: [0.1, 0.2, 0.3, 0.4],
+      x_hat: [0.5, 0.6, 0.7, 0.8],
+      b_hat: [0.9, 0.91, 0.92, 0.93],
+      b: [0.95, 0.95, 0.95, null],
+    },
+  });
+  showRobot(history, 1, 1);
+  assert.equal(element("robot-title").textContent, "Robot 8, flawed at the start");
+  const texts = element("robot-list").children.map((cell) => cell.textContent);
+  const expected = "b_hat 0.9300 b – x_hat 0.8000 f 0.2500 x 0.4000 hears –";
+  assert.equal(texts.join(" "), expected);
+});
+
+test("events are listed with the latest first, and say whether a new b_hat is better", () => {
+  const history = makeHistory({
+    robots: [3],
+    ticks: [0, 10, 20],
+    quantities: { b_hat: [0.55, 0.9, 0.6], b: [0.95, 0.95, 0.95] },
+  });
+  showEvents(history, 20, () => {});
+  const [heading, list] = element("events").children;
+  assert.equal(heading.textContent, "Events (2)");
+  const buttons = list.children.map((item) => item.children[0]);
+  assert.deepEqual(
+    buttons.map((button) => button.text),
+    ["20robot 3: b_hat 0.90 → 0.60", "10robot 3: b_hat 0.55 → 0.90"],
+  );
+  assert.deepEqual(
+    buttons.map((button) => button.children.at(-1).className),
+    ["worse", "better"],
+  );
+});

@@ -1,0 +1,137 @@
+"""Continuous integration counts what ran: a gate that is not there must not look like one that holds."""
+
+from __future__ import annotations
+
+import io
+import json
+import runpy
+import shutil
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from support import ROOT, matching_files
+
+FAILURE = '<failure message="assert 1 == 2"/>'
+ERROR = '<error message="failed on setup"/>'
+SKIPPED_FOR_A_TOOL = '<skipped message="frama-c is not installed: make setup"/>'
+SKIPPED_FOR_THE_MACHINE = '<skipped message="this processor has no vectors of x86-64-v4"/>'
+
+
+@dataclass(frozen=True)
+class Count:
+    """What the program of continuous integration ended with: its exit code and the lines that it printed."""
+
+    status: int
+    lines: list[str]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with the program and its list, by which tests/bus has 100 tests and tests/proofs has 50."""
+    shutil.copy(ROOT / ".ci/count.py", tmp_path)
+    (tmp_path / "test_counts.json").write_text('{"tests/bus": 100, "tests/proofs": 50}')
+    (tmp_path / "reports").mkdir()
+    return tmp_path
+
+
+def write_report(folder: Path, module: str, count: int, special_outcome: str = "") -> None:
+    """Write a report of tests that pass, but for the first if ``special_outcome`` is an element of JUnit."""
+    outcomes = [special_outcome] + [""] * (count - 1)
+    cases = [
+        f'<testcase classname="{module}" name="test_{index}">{outcome}</testcase>'
+        for index, outcome in enumerate(outcomes)
+    ]
+    path = folder / f"reports/{module}.xml"
+    path.write_text(f"<testsuites><testsuite>{''.join(cases)}</testsuite></testsuites>")
+
+
+def count(folder: Path, *options: str) -> Count:
+    """Run the program on the folder's reports."""
+    main = runpy.run_path(str(folder / "count.py"))["main"]
+    with redirect_stdout(io.StringIO()) as output:
+        status = main([*options, str(folder / "reports")])
+    return Count(status, output.getvalue().splitlines())
+
+
+def test_reports_of_all_tests_pass_the_strict_count(folder: Path) -> None:
+    write_report(folder, "tests.bus.test_dbc", 100)
+    write_report(folder, "tests.proofs.test_sums", 50)
+    assert count(folder, "--strict") == Count(0, ["150 passed, 0 failed, 0 skipped"])
+
+
+@pytest.mark.parametrize("outcome", [FAILURE, ERROR])
+def test_a_failure_and_an_error_of_a_fixture_count_as_failed(folder: Path, outcome: str) -> None:
+    write_report(folder, "tests.bus.test_dbc", 101, outcome)
+    write_report(folder, "tests.proofs.test_sums", 50)
+    assert count(folder, "--strict") == Count(1, ["strict: 1 failed", "150 passed, 1 failed, 0 skipped"])
+
+
+def test_a_skip_that_a_complete_setup_would_not_have_fails(folder: Path) -> None:
+    write_report(folder, "tests.bus.test_dbc", 100)
+    write_report(folder, "tests.proofs.test_sums", 50, SKIPPED_FOR_A_TOOL)
+    assert count(folder, "--strict") == Count(
+        1,
+        [
+            "skipped: frama-c is not installed: make setup",
+            "strict: 1 were skipped that a complete set-up runs",
+            "149 passed, 0 failed, 1 skipped",
+        ],
+    )
+
+
+def test_a_skip_for_the_machine_is_only_named(folder: Path) -> None:
+    write_report(folder, "tests.bus.test_dbc", 100)
+    write_report(folder, "tests.proofs.test_sums", 50, SKIPPED_FOR_THE_MACHINE)
+    assert count(folder, "--strict").status == 0
+
+
+def test_without_strict_a_skip_is_only_named(folder: Path) -> None:
+    write_report(folder, "tests.bus.test_dbc", 1, SKIPPED_FOR_A_TOOL)
+    assert count(folder) == Count(
+        0, ["skipped: frama-c is not installed: make setup", "0 passed, 0 failed, 1 skipped"]
+    )
+
+
+@pytest.mark.parametrize(("passed", "status"), [(98, 0), (97, 1)])
+def test_a_loss_of_more_than_two_percent_of_a_folder_fails(folder: Path, passed: int, status: int) -> None:
+    """However many tests other folders have gained."""
+    write_report(folder, "tests.bus.test_dbc", passed)
+    write_report(folder, "tests.proofs.test_sums", 60)
+    assert count(folder, "--strict").status == status
+
+
+def test_the_folder_that_lost_tests_is_named_with_the_command_that_accepts_it(folder: Path) -> None:
+    write_report(folder, "tests.bus.test_dbc", 100)
+    assert count(folder, "--strict").lines[0] == (
+        "strict: tests/proofs: 0 tests of 50; if they were removed on purpose, "
+        "run .venv/bin/python .ci/count.py --renew"
+    )
+
+
+def test_a_test_of_two_reports_counts_once(folder: Path) -> None:
+    """``make verify`` runs the random tests of ``make test`` again."""
+    write_report(folder, "tests.bus.test_dbc", 100)
+    write_report(folder, "tests.proofs.test_sums", 25)
+    shutil.copy(folder / "reports/tests.proofs.test_sums.xml", folder / "reports/verify.xml")
+    assert count(folder, "--strict").lines[0].startswith("strict: tests/proofs: 25 tests of 50")
+
+
+def test_a_list_that_misses_a_tenth_of_the_tests_is_too_old(folder: Path) -> None:
+    write_report(folder, "tests.bus.test_dbc", 120)
+    write_report(folder, "tests.proofs.test_sums", 50)
+    assert count(folder, "--strict").lines[0] == (
+        "strict: 170 tests, 150 listed; run .venv/bin/python .ci/count.py --renew"
+    )
+
+
+def test_the_list_names_every_folder_that_has_tests() -> None:
+    listed_counts = json.loads((ROOT / ".ci/test_counts.json").read_text(encoding="utf-8"))
+    folders = {str(path.parent.relative_to(ROOT)) for path in matching_files(ROOT / "tests", "**/test_*.py")}
+    assert set(listed_counts) == folders, "run .venv/bin/python .ci/count.py --renew"
+
+
+def test_continuous_integration_counts_strictly() -> None:
+    assert "count.py --strict build/reports" in (ROOT / ".ci/run").read_text(encoding="utf-8")
