@@ -18,8 +18,6 @@ _CONTINUED_LINE = re.compile(r"\\\n")
 _ONLY_CPLUSPLUS = re.compile(r"^#ifdef __cplusplus\n.*?^#endif\n", re.DOTALL | re.MULTILINE)
 _CONSTANT = re.compile(r"^#define (MCP_ASDF_\w+) +([^\s{].*?)\s*$", re.MULTILINE)  # no initialisers
 _DIRECTIVE = re.compile(r"^#.*$", re.MULTILINE)
-_ARRAY_PARAMETER = re.compile(r"\[\w+\](?=[,)])")
-_DECIMAL_NUMBER = re.compile(r"(\d+)U?")
 _INLINE_FUNCTION = re.compile(r"(?:static inline|MCP_ASDF_INLINE) ([^{;]*?)\s*\{[^}]*\}")
 
 
@@ -27,8 +25,7 @@ def declarations(header: str) -> str:
     """Return what a C header declares, its constants, types and functions, as text that cffi can parse.
 
     cffi knows no preprocessor. So comments and directives are left out, constants that are numbers are
-    declared in cffi's own form, inline functions lose their bodies, and parameters that are arrays lose their
-    length, which C ignores.
+    declared in cffi's own form, and inline functions lose their bodies.
     """
     text = _CONTINUED_LINE.sub(" ", _COMMENT.sub("", header))
     text = _ONLY_CPLUSPLUS.sub("", text)
@@ -36,7 +33,7 @@ def declarations(header: str) -> str:
         _declare_constant(name, value) for name, value in _CONSTANT.findall(text) if re.search(r"\d", value)
     ]
     code = _INLINE_FUNCTION.sub(r"\1;", _DIRECTIVE.sub("", text))
-    return "\n".join([*constants, _ARRAY_PARAMETER.sub("[]", code)])
+    return "\n".join([*constants, code])
 
 
 def _declare_constant(name: str, value: str) -> str:
@@ -45,8 +42,7 @@ def _declare_constant(name: str, value: str) -> str:
     It states a decimal value, which cffi needs where it is the length of an array. For any other value it has
     dots, so that cffi asks the compiler.
     """
-    decimal_number = _DECIMAL_NUMBER.fullmatch(value)
-    declared_value = decimal_number[1] if decimal_number else "..."
+    declared_value = value if value.isdecimal() else "..."
     return f"#define {name} {declared_value}"
 
 

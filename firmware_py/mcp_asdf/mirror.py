@@ -42,6 +42,12 @@ from mcp_asdf.fixed_point import (
     b_hat_to_raw,
     is_valid_mean,
 )
+from mcp_asdf.image_format import (
+    IMPOSSIBLE_STATE,
+    find_image_error,
+    first_image_word,
+    image_word_count,
+)
 from mcp_asdf.robot import (
     MAX_ID,
     Config,
@@ -83,15 +89,6 @@ INFORMATIVE_G = 1 << 20
 
 COUNTER_MASK = 0xFFFF
 """Counters of events have 16 bits."""
-
-IMAGE_MAGIC = 0x4D435303
-"""First word of an image: "MCS" and the version of its layout."""
-ROBUST_IMAGE = 1 << 7
-"""Bit of the first word that marks an image of the robust filter."""
-ASDF_IMAGE_WORDS = 31
-"""Length of an image in words, with any filter but the robust one."""
-ROBUST_IMAGE_WORDS = 39
-"""Length of an image with the robust filter in words."""
 
 
 @dataclass(frozen=True)
@@ -744,7 +741,8 @@ class MirrorRobot(FixedPointView):
         open round; and three with counters and the id.
         """
         s = self.s
-        words = [_image_magic(self.config), s.accuracy.b_hat, s.t, s.n, s.x_hat, s.alpha, s.filter_left]
+        words = [first_image_word(self.config.filter), s.accuracy.b_hat, s.t, s.n]
+        words += [s.x_hat, s.alpha, s.filter_left]
         words += _encode_robust_filter(s) if self.is_robust else _encode_rounds(s)
         words += s.heard
         # Counters have 16 bits, so two of them share a word; the id and ``updated`` have 8.
@@ -763,13 +761,10 @@ class MirrorRobot(FixedPointView):
         """
         image_bytes = bytes(memoryview(image))  # memoryview refuses a number, of which bytes makes zeros
         check_config(config)
-        image_struct = _image_struct(config)
-        if len(image_bytes) != image_struct.size:
-            image_bytes = bytes(image_struct.size)  # zeros, which are refused below like any damaged image
-        words = image_struct.unpack(image_bytes)
-        # The magic word differs between versions of the image and with the robust filter.
-        if words[0] != _image_magic(config) or checksum(words[:-1]) != words[-1]:
-            raise FirmwareError(Status.ERR_IMAGE, "the image is damaged or of another version")
+        error = find_image_error(image_bytes, config.filter)
+        if error is not None:
+            raise FirmwareError(Status.ERR_IMAGE, error)
+        words = _image_struct(config).unpack(image_bytes)
         if not B_HAT_MIN <= words[1] <= B_HAT_MAX:
             raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {words[1]} is out of range")
         # Without __init__, which needs an id and a b_hat that are valid.
@@ -777,22 +772,16 @@ class MirrorRobot(FixedPointView):
         robot.config = config
         robot.s = _decode_state(config, words)
         if not robot.holds_invariants():
-            raise FirmwareError(Status.ERR_IMAGE, "the image does not fit the configuration")
+            raise FirmwareError(Status.ERR_IMAGE, IMPOSSIBLE_STATE)
         return robot
 
 
 # ---- Images ----
 
 
-def _image_magic(config: Config) -> int:
-    """Return the first word of an image, which marks its version and whether the filter is the robust one."""
-    return IMAGE_MAGIC | (ROBUST_IMAGE if config.filter == Filter.ROBUST else 0)
-
-
 def _image_struct(config: Config) -> struct.Struct:
     """Return the format of an image: little-endian words, as many as the filter of the robot needs."""
-    word_count = ROBUST_IMAGE_WORDS if config.filter == Filter.ROBUST else ASDF_IMAGE_WORDS
-    return struct.Struct(f"<{word_count}I")
+    return struct.Struct(f"<{image_word_count(config.filter)}I")
 
 
 def _word_of_halves(low_half: int, high_half: int) -> int:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcp_asdf._native import ffi, lib
 from mcp_asdf.fixed_point import FixedPointView, b_hat_to_raw
+from mcp_asdf.image_format import IMPOSSIBLE_STATE, find_image_error, image_word_count
 from mcp_asdf.robot import B_HAT_MARGIN, Config, Counters, Filter, FirmwareError, Observation, Status
 from mcp_asdf.table import EXTRA_WORDS, MAX_Q, MAX_WORD, Table
 
@@ -34,7 +35,6 @@ _ERROR_MESSAGES = {
     Status.ERR_TABLE: "the adaptive filter needs a sound table; make one with mcp-asdf table",
     Status.ERR_ID: "robot id is {robot_id}; choose 0 .. 127",
     Status.ERR_B_HAT: "b_hat is {b_hat}; choose one in [2**-20, 1 - 2**-20]",
-    Status.ERR_IMAGE: "the image is damaged, of another version or does not fit the configuration",
 }
 
 
@@ -82,17 +82,21 @@ class NativeRobot(FixedPointView):
         image_bytes = bytes(memoryview(image))
         # The C reads as many bytes as its filter needs. It refuses zeros, which stand in for an image of
         # another size.
-        size = _image_size(config)
+        size = 4 * image_word_count(config.filter)
         c_image = image_bytes if len(image_bytes) == size else bytes(size)
         status = lib.mcp_asdf_restore(robot.pointer, robot._c_config.pointer, c_image)
+        if status == Status.ERR_IMAGE:
+            error = find_image_error(image_bytes, config.filter)
+            raise FirmwareError(Status.ERR_IMAGE, error or IMPOSSIBLE_STATE)
         _raise_for_error(status, config=config)
         return robot
 
     def save(self) -> bytes:
         """Return the state as an image for ``restore``."""
-        image = ffi.new("uint8_t[]", _image_size(self.config))
+        image = ffi.new("uint8_t[]", lib.MCP_ASDF_IMAGE_SIZE)
         lib.mcp_asdf_save(self.pointer, image)
-        return bytes(image)
+        # Behind the words that the filter of this robot needs, there is room for those of another.
+        return bytes(image)[: 4 * image_word_count(self.config.filter)]
 
     def observe(self, z: Observation) -> Status:
         """Count an observation, and compute x_hat and alpha from all observations so far.
@@ -238,13 +242,6 @@ def _allocate_table(table: Table) -> Any:
         return ffi.new("uint32_t[]", [*words, *padding])
     except OverflowError:
         return ffi.NULL
-
-
-def _image_size(config: Config) -> int:
-    """Return the length of an image in bytes, which depends on the filter."""
-    if config.filter == Filter.ROBUST:
-        return int(lib.MCP_ASDF_ROBUST_IMAGE_SIZE)
-    return int(lib.MCP_ASDF_ASDF_IMAGE_SIZE)
 
 
 def _fit_to_c_type(value: int, maximum: int, substitute: int | None = None) -> int:

@@ -21,8 +21,8 @@ have the same meaning in the whole package; "eq." means an equation of the paper
 - ``x``: the *informed* estimate, which is the mean of x_hat and x_bar weighted by alpha and beta.
 - ``omega``: type II error probability of the hypothesis test by which the paper's filter decides on an
   update.
-- *Robust filter*: this project's own filter. To it every received x_hat is a *vote*, and its *crowd* is the
-  summary of all votes so far: their centre, their spread and who sent them.
+- *Robust filter*: this project's own filter. It keeps the latest x_hat of each sender. In each ``settle`` one
+  of them, in turn, or the robot's own is a *vote*, and the *centre* of the votes is its informed estimate.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Filter(IntEnum):
     OFF = 2
     """No run re-estimates b_hat. This is collective perception without calibration."""
     ROBUST = 3
-    """The robot's count of black tiles contradicts the centre of all received estimates. This is this
+    """The robot's count of black tiles contradicts the latest estimates of its neighbours. This is this
     project's filter and not the paper's (``docs/robust.md``)."""
 
 
@@ -207,6 +207,7 @@ class Robot(Protocol):
     def settle(self) -> Status:
         """Close the open round, and run the filter if ``filter_period`` rounds have passed. O(1).
 
+        With the robust filter one of the estimates that it keeps, or the robot's own, counts as a vote.
         Returns UPDATED if the filter has re-estimated b_hat, and OK otherwise.
         """
 
@@ -244,7 +245,7 @@ class Robot(Protocol):
     def x_bar(self) -> float:
         """Social estimate (eq. 5): weighted mean of the x_hat of the last closed round; 1/2 if ``beta`` is 0.
 
-        With the robust filter: the centre of all x_hat received so far, or 1/2 before the first.
+        With the robust filter: the centre of the votes, or 1/2 before the first.
         """
 
     @property
@@ -258,7 +259,7 @@ class Robot(Protocol):
     def x(self) -> float:
         """Informed estimate (eq. 7) of the present local estimate and the last closed round, in [0, 1].
 
-        With the robust filter: the centre of all received x_hat, or this robot's own before the first.
+        With the robust filter: the centre of the votes, or this robot's own x_hat before the first.
         """
 
     @property

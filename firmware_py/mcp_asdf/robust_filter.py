@@ -214,7 +214,7 @@ def end_batch(robust: RobustFilter, t: int, n: int) -> None:
     of the batch's deviation to that variance enters the dispersion, a moving average, with a weight of 1/8.
     A ratio above 12 times the average counts as so much: a change of the floor is an outlier.
 
-    A batch without observations, or in which no deviation is possible, leaves the dispersion as it is.
+    A batch without observations leaves the dispersion as it is, and so does any while none was black.
     """
     count = t - robust.batch_t
     black_count = n - robust.batch_n
@@ -225,7 +225,7 @@ def end_batch(robust: RobustFilter, t: int, n: int) -> None:
     largest_ratio = REJECTED_SIGMAS_SQUARED * robust.dispersion  # units of 2**-8, as the dispersion
     largest_square = (largest_ratio * variance) >> 18  # from units of 2**-40 to 2**-22
     if largest_square == 0:
-        return
+        return  # there is nothing to divide by
     deviation = abs(black_count * Q32_ONE - count * share) >> 21  # from units of 2**-32 to 2**-11
     square = min(deviation * deviation, largest_square)
     # square / variance is largest_ratio times this quotient.

@@ -19,7 +19,7 @@ from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation, Robot, Status
 from mcp_asdf.table import MAX_OMEGA_WORD, Table, TableError, checksum
-from mcp_asdf_tools.crosscheck.scenario import IMAGE, Call, edited_image
+from mcp_asdf_tools.crosscheck.scenario import Call, edited_image, unpack_image
 from robots import (
     ALPHA_MAX,
     HALF,
@@ -238,6 +238,48 @@ def test_an_image_is_refused_by_a_config_that_it_does_not_fit(
     assert restore_status(firmware, config, saved_image(firmware)) == status
 
 
+V2_IMAGE = bytes.fromhex("0253434d") + bytes(120)
+"""An image of version 2: its first word, and 30 more."""
+V2_ROBUST_IMAGE = bytes.fromhex("8253434d") + bytes(120)
+
+
+@for_fixed_point_firmwares
+@pytest.mark.parametrize(
+    ("mode", "image"), [(Filter.OFF, V2_IMAGE), (Filter.ROBUST, V2_ROBUST_IMAGE), (Filter.ROBUST, V2_IMAGE)]
+)
+def test_an_image_of_an_older_version_is_refused_by_name(
+    firmware: FixedPointFirmware, mode: Filter, image: bytes
+) -> None:
+    with pytest.raises(FirmwareError, match="the image is of version 2, and this firmware reads version 3"):
+        firmware.restore(Config(filter=mode), image)
+
+
+# design: R31
+@for_fixed_point_firmwares
+@pytest.mark.parametrize(
+    ("saved_with", "restored_with", "message"),
+    [
+        (Filter.ROBUST, Filter.OFF, "is that of a robot with the robust filter"),
+        (Filter.OFF, Filter.ROBUST, "is that of a robot with a filter other than the robust one"),
+    ],
+)
+def test_an_image_of_another_filter_is_refused_by_name(
+    firmware: FixedPointFirmware, saved_with: Filter, restored_with: Filter, message: str
+) -> None:
+    image = firmware(Config(filter=saved_with), OWN_ID, 0.75).save()
+    with pytest.raises(FirmwareError, match=message):
+        firmware.restore(Config(filter=restored_with), image)
+
+
+@for_fixed_point_firmwares
+def test_an_error_says_whether_an_image_is_damaged_or_impossible(firmware: FixedPointFirmware) -> None:
+    image = saved_image(firmware)
+    with pytest.raises(FirmwareError, match="the image is damaged"):
+        firmware.restore(FITTING, image[:-1] + bytes([image[-1] ^ 1]))
+    with pytest.raises(FirmwareError, match="does not fit the configuration"):
+        firmware.restore(replace(FITTING, filter_period=7), image)
+
+
 def state_or_error(firmware: FixedPointFirmware, config: Config, image: bytes) -> object:
     """Return the state of the robot that is restored from an image, or the error if it is refused."""
     try:
@@ -253,11 +295,11 @@ def test_mirror_and_c_agree_on_images_with_another_word(mode: Filter) -> None:
     config, outcomes = Config(filter=mode, filter_period=4), set[object]()
     robot = MirrorRobot(config, OWN_ID, 0.7)
     for tick in range(9):
-        receive_estimates(robot, 0.4, 0.5, 0.6)
+        receive_estimates(robot, 0.4, 0.5, 0.6, 0.4, 0.5, 0.6)
         robot.step(Observation(tick % 3 == 1))
     robot.receive_raw(1, 1, ALPHA_MAX)
     image = robot.save()
-    for word_index, word in enumerate(IMAGE.unpack(image)[:-1]):
+    for word_index, word in enumerate(unpack_image(image)[:-1]):
         ends = (0, 1, 2**12, 2**18, 2**23, 2**28, 2**30, 2**31, 2**32, word, word ^ 1 << 16, word ^ 1 << 24)
         for value in ((end + offset) % 2**32 for end in ends for offset in (-1, 0, 1)):
             edited = edited_image(image, Call("restore", (word_index, value)))

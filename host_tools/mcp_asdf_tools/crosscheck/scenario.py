@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import cast
 
-from mcp_asdf.mirror import ASDF_IMAGE_WORDS, ROBUST_IMAGE_WORDS
+from mcp_asdf.image_format import ROBUST_IMAGE_WORDS, image_word_count
 from mcp_asdf.robot import Config, Filter, FixedPointRobot, Observation, Status
 from mcp_asdf.table import Table, checksum
 from mcp_asdf_tools.common.errors import UsageError
@@ -156,7 +156,7 @@ def parse_scenario(line: str) -> Scenario:
     robot_item, *call_items = items
     # The numbers of the item are in the order of the attributes of Setup.
     setup = Setup(table, *_parse_numbers(robot_item))
-    image_words = ROBUST_IMAGE_WORDS if setup.filter == Filter.ROBUST else ASDF_IMAGE_WORDS
+    image_words = image_word_count(setup.filter)
     return Scenario(setup, tuple(_parse_call(call_item, image_words) for call_item in call_items))
 
 
