@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
-from mcp_asdf.mirror import MirrorRobot
+from mcp_asdf.mirror import MirrorRobot, accuracy_of, estimate
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.reference import ReferenceRobot
 from mcp_asdf.robot import Config, Filter, FirmwareError, Observation, Robot, Status
@@ -33,6 +35,11 @@ ALPHA_MIN, ALPHA_MAX = 0x00000100, 0xFFFFFF1F
 """The alpha words of one unit of 2^-24, and of 2^31 - 2^7."""
 PLAIN = Config(filter=Filter.OFF)
 """Parameters of a robot without a filter, which needs no table."""
+
+ROBUST = Config(filter=Filter.ROBUST, filter_period=1)
+"""Parameters of a robot with the robust filter, which runs in every round."""
+ROBUST_B_HAT = round(0.95 * 2**32)
+"""The b_hat of 0.95 in units of 2**-32."""
 
 TABLE = Table(omega_word=214748365, entries=(9 << 26, 4 << 26, 2 << 26, (1 << 26) + 1))
 """A table with an exact threshold for up to 4 neighbours.
@@ -66,6 +73,29 @@ def restore_robot(firmware: FixedPointFirmware, config: Config = PLAIN, **fields
         indices_and_words += [index, word]
     new_image = firmware(config, OWN_ID, 0.75).save()
     return firmware.restore(config, edited_image(new_image, Call("restore", tuple(indices_and_words))))
+
+
+def restore_robust_robot(
+    firmware: FixedPointFirmware,
+    t: int = 0,
+    n: int = 0,
+    b_hat: int = ROBUST_B_HAT,
+    estimates: Sequence[int] = (),
+    **members: Any,
+) -> FixedPoint:
+    """Make a robot with the robust filter, after n black of t observations, and with members of its filter.
+
+    ``b_hat`` is the present one, in units of 2**-32; the initial one is 0.95. ``estimates`` are in the slots
+    from 0 on, in units of 2**-16.
+    """
+    mirror = MirrorRobot(ROBUST, OWN_ID, 0.95)
+    mirror.s.t, mirror.s.n, mirror.s.accuracy = t, n, accuracy_of(b_hat)
+    if t > 0:
+        mirror.s.x_hat, mirror.s.alpha = estimate(t, n, mirror.s.accuracy)
+    mirror.s.estimates[: len(estimates)] = estimates
+    filter_members = {"filled_slots": 2 ** len(estimates) - 1} | members
+    mirror.s.robust = replace(mirror.s.robust, **filter_members)
+    return firmware.restore(ROBUST, mirror.save())
 
 
 def observe_tiles(robot: Robot, black: int, white: int) -> None:

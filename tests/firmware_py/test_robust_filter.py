@@ -6,13 +6,12 @@ docs/design.md, section 13, specifies it. Slot i keeps the estimate of the sende
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from mcp_asdf.mirror import MirrorRobot, accuracy_of, estimate
+from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation, Status
 from mcp_asdf.robust_filter import RobustFilter
 from robots import (
@@ -20,17 +19,18 @@ from robots import (
     HALF,
     ONE,
     OWN_ID,
+    ROBUST,
+    ROBUST_B_HAT,
     FixedPoint,
     FixedPointFirmware,
     for_fixed_point_firmwares,
     observe_tiles,
     receive_estimates,
+    restore_robust_robot,
 )
 
-ROBUST = Config(filter=Filter.ROBUST, filter_period=1)
 WITHOUT_TEST = replace(ROBUST, filter_period=1000)
 
-INITIAL_B_HAT = round(0.95 * 2**32)
 INDEPENDENT = 256
 """The dispersion of independent observations: 1 in units of 2**-8."""
 
@@ -49,28 +49,6 @@ def filled_slots(robot: FixedPoint) -> dict[int, int]:
     state = robot.state()
     slots = [slot for slot in range(32) if state["robust_filled_slots"] >> slot & 1]
     return {slot: state[f"estimates_{slot}"] for slot in slots}
-
-
-def robot_with(
-    firmware: FixedPointFirmware,
-    t: int = 0,
-    n: int = 0,
-    b_hat: int = INITIAL_B_HAT,
-    estimates: Sequence[int] = (),
-    **members: Any,
-) -> FixedPoint:
-    """Make a robot after n black of t observations, with a present b_hat and with members of its filter.
-
-    The initial b_hat is 0.95. ``estimates`` are in the slots from 0 on, in units of 2**-16.
-    """
-    mirror = MirrorRobot(ROBUST, OWN_ID, 0.95)
-    mirror.s.t, mirror.s.n, mirror.s.accuracy = t, n, accuracy_of(b_hat)
-    if t > 0:
-        mirror.s.x_hat, mirror.s.alpha = estimate(t, n, mirror.s.accuracy)
-    mirror.s.estimates[: len(estimates)] = estimates
-    filter_members = {"filled_slots": 2 ** len(estimates) - 1} | members
-    mirror.s.robust = replace(mirror.s.robust, **filter_members)
-    return firmware.restore(ROBUST, mirror.save())
 
 
 # --- Estimates -------------------------------------------------------------------------------------------
@@ -180,7 +158,7 @@ def test_before_the_first_vote_x_is_the_own_estimate(firmware: FixedPointFirmwar
 # design: R36
 @for_fixed_point_firmwares
 def test_x_and_x_bar_are_the_centre_of_the_votes(firmware: FixedPointFirmware) -> None:
-    robot = robot_with(firmware, estimates=[0], votes=1, centre=(3 << 28) + 127)
+    robot = restore_robust_robot(firmware, estimates=[0], votes=1, centre=(3 << 28) + 127)
     assert (robot.x_raw, robot.x_bar_raw) == (3 << 21, 3 << 21)
 
 
@@ -282,7 +260,7 @@ def test_the_gain_falls_with_the_votes_from_an_eighth_to_one_in_128(
     firmware: FixedPointFirmware, votes: int, step: int
 ) -> None:
     """The spread is 2**28."""
-    robot = robot_with(firmware, estimates=[0], votes=votes)
+    robot = restore_robust_robot(firmware, estimates=[0], votes=votes)
     robot.settle()
     assert robust_members(robot)["centre"] == 2**29 - step
 
@@ -301,14 +279,14 @@ def test_the_gain_falls_with_the_votes_from_an_eighth_to_one_in_128(
 def test_a_vote_outside_widens_the_spread_and_one_inside_narrows_it_within_limits(
     firmware: FixedPointFirmware, spread: int, slot_estimate: int, new_spread: int
 ) -> None:
-    robot = robot_with(firmware, estimates=[slot_estimate], votes=1, spread=spread)
+    robot = restore_robust_robot(firmware, estimates=[slot_estimate], votes=1, spread=spread)
     robot.settle()
     assert robust_members(robot)["spread"] == new_spread
 
 
 @for_fixed_point_firmwares
 def test_no_more_than_512_votes_are_counted(firmware: FixedPointFirmware) -> None:
-    robot = robot_with(firmware, estimates=[0x8000], votes=511)
+    robot = restore_robust_robot(firmware, estimates=[0x8000], votes=511)
     robot.settle()
     robot.settle()
     assert robust_members(robot)["votes"] == 512
@@ -367,7 +345,7 @@ def test_a_robot_that_agrees_with_the_others_keeps_b_hat(firmware: FixedPointFir
     observe_tiles(robot, black=905, white=95)
     receive_estimates(robot, *[0.95] * 5)
     assert robot.settle() == Status.OK
-    assert (robot.b_hat_raw, robot.counters.tests) == (INITIAL_B_HAT, 1)
+    assert (robot.b_hat_raw, robot.counters.tests) == (ROBUST_B_HAT, 1)
 
 
 # design: R37
@@ -381,7 +359,7 @@ def test_the_initial_b_hat_comes_back_when_the_others_no_longer_contradict_it(
     assert robot.settle() == Status.UPDATED
     receive_estimates(robot, *[0.95] * 5)
     assert robot.settle() == Status.UPDATED
-    assert (robot.b_hat_raw, robot.counters.updates) == (INITIAL_B_HAT, 2)
+    assert (robot.b_hat_raw, robot.counters.updates) == (ROBUST_B_HAT, 2)
 
 
 @for_fixed_point_firmwares
@@ -403,7 +381,7 @@ def test_a_centre_of_a_half_leaves_b_hat_as_it_is(firmware: FixedPointFirmware) 
     observe_tiles(robot, black=100, white=0)
     receive_estimates(robot, *[0.5] * 5)
     assert robot.settle() == Status.OK
-    assert (robot.b_hat_raw, robot.counters.tests) == (INITIAL_B_HAT, 1)
+    assert (robot.b_hat_raw, robot.counters.tests) == (ROBUST_B_HAT, 1)
 
 
 @for_fixed_point_firmwares
@@ -479,26 +457,28 @@ def test_an_outlier_counts_as_12_times_the_dispersion(firmware: FixedPointFirmwa
 
 @for_fixed_point_firmwares
 def test_the_dispersion_falls_back_where_batches_are_alike(firmware: FixedPointFirmware) -> None:
-    robot = robot_with(firmware, t=100, n=50, batch_t=100, batch_n=50, dispersion=1000)
+    robot = restore_robust_robot(firmware, t=100, n=50, batch_t=100, batch_n=50, dispersion=1000)
     dispersions = [dispersion_after_batch(robot, black=50, white=50) for _ in range(3)]
     assert dispersions == [1000 * 7 // 8, 875 * 7 // 8, 765 * 7 // 8]
 
 
 @for_fixed_point_firmwares
 def test_the_dispersion_is_limited_to_16_bits(firmware: FixedPointFirmware) -> None:
-    robot = robot_with(firmware, t=10**6, n=999_999, batch_t=999_900, batch_n=999_900, dispersion=65535)
+    robot = restore_robust_robot(
+        firmware, t=10**6, n=999_999, batch_t=999_900, batch_n=999_900, dispersion=65535
+    )
     assert dispersion_after_batch(robot, black=0, white=5000) == 65535
 
 
 @for_fixed_point_firmwares
 def test_a_batch_without_observations_does_not_change_the_dispersion(firmware: FixedPointFirmware) -> None:
-    robot = robot_with(firmware, t=100, n=50, batch_t=100, batch_n=50, dispersion=1000)
+    robot = restore_robust_robot(firmware, t=100, n=50, batch_t=100, batch_n=50, dispersion=1000)
     assert dispersion_after_batch(robot, black=0, white=0) == 1000
 
 
 @for_fixed_point_firmwares
 def test_white_observations_alone_do_not_change_the_dispersion(firmware: FixedPointFirmware) -> None:
-    robot = robot_with(firmware, t=100, n=0, batch_t=50, batch_n=0, dispersion=1000)
+    robot = restore_robust_robot(firmware, t=100, n=0, batch_t=50, batch_n=0, dispersion=1000)
     assert dispersion_after_batch(robot, black=0, white=10) == 1000
 
 
@@ -525,7 +505,7 @@ def test_a_robot_with_a_large_dispersion_allows_for_a_large_deviation(
 ) -> None:
     """850 of 1000 black instead of 905 are 4.9 standard deviations of independent observations too few."""
     counts = {"t": 1000, "n": 850, "batch_t": 1000, "batch_n": 850}
-    robot = robot_with(firmware, **counts, estimates=[62259] * 5, dispersion=dispersion)
+    robot = restore_robust_robot(firmware, **counts, estimates=[62259] * 5, dispersion=dispersion)
     assert robot.settle() == status
 
 
@@ -568,7 +548,7 @@ def status_of_restore(firmware: FixedPointFirmware, members: dict[str, Any]) -> 
     """
     default_members: dict[str, Any] = {"t": 10, "n": 4, "votes": 1, "estimates": [0]}
     try:
-        robot_with(firmware, **(default_members | members))
+        restore_robust_robot(firmware, **(default_members | members))
     except FirmwareError as error:
         return error.status
     return Status.OK
