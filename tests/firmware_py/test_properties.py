@@ -63,6 +63,7 @@ call_lists = st.lists(
         st.tuples(senders, x_hats, alpha_words),  # receive
         st.tuples(),  # settle
     ),
+    min_size=60,  # enough for tests and updates of the robust filter, and for halved counts
     max_size=200,
 )
 colours = st.sampled_from((Observation.WHITE, Observation.BLACK))

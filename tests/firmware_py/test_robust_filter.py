@@ -407,6 +407,21 @@ def test_a_liar_of_five_does_not_move_the_centre_by_much(firmware: FixedPointFir
     assert robot.counters.tests == 1
 
 
+# design: R37
+@for_fixed_point_firmwares
+@pytest.mark.parametrize(("t", "status"), [(3_804_264, Status.OK), (3_804_263, Status.UPDATED)])
+def test_a_robot_keeps_b_hat_where_both_sides_of_its_test_are_equal(
+    firmware: FixedPointFirmware, t: int, status: Status
+) -> None:
+    """Such counts are rare, so they were searched for: both sides are 43681824."""
+    largest_b_hat = 2**32 - 2**12
+    counts = {"t": t, "n": 3227, "batch_t": t, "batch_n": 3227}
+    robot = restore_robust_robot(
+        firmware, **counts, b_hat=largest_b_hat, initial_b_hat=largest_b_hat, estimates=[0] * 5
+    )
+    assert robot.settle() == status
+
+
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(("filter_period", "tests"), [(1, 3), (2, 1), (3, 1), (4, 0)])
 def test_the_robust_filter_runs_every_filter_period(
