@@ -611,7 +611,8 @@ class MirrorRobot(FixedPointView):
         spread = spread_of(estimates, median)
         centre = huber_centre(estimates, median, spread)
         s.tests = (s.tests + 1) & COUNTER_MASK
-        if self._rejects_initial_b_hat(centre, spread) and not is_supported(robust, s.t, s.n, estimates, centre):
+        is_rejected = self._rejects_initial_b_hat(centre, spread)
+        if is_rejected and not is_supported(robust, s.t, s.n, estimates, centre):
             # The centre takes the place of x_bar.
             return reestimate(s.t, s.n, q32_from_q24(centre))
         # An earlier test may have replaced the initial b_hat, and then it comes back.
