@@ -60,7 +60,7 @@ def re_estimate_to_half(bench: Bench) -> None:
         bench.activity = "many observations, half of them black"
         # Black tiles more than white ones.
         excess = 0 if update is Update.HALF else state.t // 4096 + 1
-        _observe_until_excess(bench, excess)
+        observe_until_excess(bench, excess)
         if update is Update.HALF and state.t < 1 << 12:
             bench.skip_to_test_round()
             bench.activity = "a mean so close to 1/2 that the divisor of eq. 8 is below 1"
@@ -72,7 +72,7 @@ def re_estimate_to_half(bench: Bench) -> None:
             bench.play_tick(bench.draw_observation())
 
 
-def _observe_until_excess(bench: Bench, excess: int) -> None:
+def observe_until_excess(bench: Bench, excess: int) -> None:
     """Observe until the robot has seen so many black tiles more than white ones."""
     state = bench.firmware.s
 

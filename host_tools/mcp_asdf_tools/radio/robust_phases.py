@@ -30,7 +30,7 @@ from mcp_asdf_tools.crosscheck.crafted_slots import (
     slots_of_two_parties,
 )
 from mcp_asdf_tools.radio.bench import BURST, Bench
-from mcp_asdf_tools.radio.filter_phases import count_updates_to_check
+from mcp_asdf_tools.radio.filter_phases import count_updates_to_check, observe_until_excess
 
 _FIRST_SLOTS = (15, 0, 31, 16, 7, 8, 23, 24, 1, 30, 12, 19)
 """Slots in the order in which the first phase fills them: early ones are at the ends of bytes and words."""
@@ -100,6 +100,33 @@ def vote_with_every_slot(bench: Bench) -> None:
     estimates = [NeighbourEstimate(x_hat, draw_normal_alpha(bench.rng)) for x_hat in x_hats]
     bench.play_round(*estimates, senders=_draw_senders(bench, range(SLOTS)))
     _let_vote(bench, SLOTS + 1)
+
+
+def vote_without_own_confidence(bench: Bench) -> None:
+    """Bring b_hat to exactly 1/2, with which the robot has no confidence, and let the slots vote without it.
+
+    That takes a re-estimate when half of the observations are black.
+    """
+    if not _estimates_decide(bench):
+        return
+    bench.activity = "observations, half of them black"
+    observe_until_excess(bench, 0)
+    estimate = _contradicting_estimate(bench)
+    for _ in range(_BALANCED_OBSERVATIONS):
+        if _rejected_slots(bench, estimate) is not None:
+            break
+        bench.play_tick(Observation.BLACK)
+        bench.play_tick(Observation.WHITE)
+    else:
+        bench.not_exercised.append("a re-estimate of b_hat as 1/2")
+        return
+    bench.activity = "a re-estimate of b_hat as 1/2"
+    bench.skip_to_test_round()
+    _set_slots(bench, [estimate] * SLOTS)
+    bench.play_tick(Observation.BLACK)
+    bench.activity = "votes of a robot without confidence"
+    _set_slots(bench, [0, SLOT_ESTIMATE_MAX] * (SLOTS // 2))
+    _let_vote(bench, 2 * SLOTS)
 
 
 def vote_until_spread_is_least(bench: Bench) -> None:
