@@ -80,9 +80,10 @@ def receive_first_estimates(bench: Bench) -> None:
     for count in (5, 6):
         _cross_threshold(bench, count, WIDE_WIDTH)
         _cross_threshold(bench, count, NARROW_WIDTH)
-    # Two of five and four of ten do not protect a robot, three of seven and five of twelve do.
-    for count, supporter_count in ((5, 2), (7, 3), (10, 4), (12, 5)):
-        _test_two_parties(bench, count, supporter_count)
+    if _opposite_estimate_is_rejected(bench):
+        # Two of five and four of ten do not protect a robot, three of seven and five of twelve do.
+        for count, supporter_count in ((5, 2), (7, 3), (10, 4), (12, 5)):
+            _test_two_parties(bench, count, supporter_count)
 
 
 def vote_with_every_slot(bench: Bench) -> None:
@@ -107,7 +108,7 @@ def vote_without_own_confidence(bench: Bench) -> None:
 
     That takes a re-estimate when half of the observations are black.
     """
-    if not _estimates_decide(bench):
+    if not _opposite_estimate_is_rejected(bench):
         return
     bench.activity = "observations, half of them black"
     observe_until_excess(bench, 0)
@@ -289,6 +290,17 @@ def _estimates_decide(bench: Bench) -> bool:
     """Return whether the initial b_hat is so far from 1/2 that estimates can decide the robot's test."""
     b_hat = bench.firmware.s.robust.initial_b_hat / 2**32
     return abs(2 * b_hat - 1) >= _MIN_INFORMATION
+
+
+def _opposite_estimate_is_rejected(bench: Bench) -> bool:
+    """Return whether a run has enough observations for a test that rejects while estimates explain the share.
+
+    The share of black is then that of a fill ratio between 0 and 1, and contradicts an estimate of 0 or 1. It
+    takes 12 / g**2 observations, and more where they depend on each other, with g = |2 b_hat - 1|.
+    """
+    g = abs(2 * bench.firmware.s.robust.initial_b_hat / 2**32 - 1)
+    possible_observations = min(bench.config.memory // 2, _MAX_ATTEMPTS * BURST)
+    return possible_observations * g**2 >= 2 * 12
 
 
 def _explained_share(bench: Bench) -> float:

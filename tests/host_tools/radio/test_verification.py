@@ -53,7 +53,6 @@ ASDF_PHASES = {
     phase.name for phase in PHASES if phase.play is not None and "filter_phases" in phase.play.__module__
 } - {"no filter", "halvings", "long run"}
 """Phases of the paper's filters alone."""
-MODERATE = "test of a moderate spread"
 
 
 def phases_named(*names: str) -> list[Phase]:
@@ -198,7 +197,7 @@ def test_a_right_controller_of_another_configuration_passes(config: dict[str, An
         ),
         (
             {"b_hat": 0.4, **VOTES},
-            phases_named("first black tiles", "few voices", MODERATE),
+            phases_named("first black tiles", "first estimates", "test of a wide spread"),
             "649ca5a08b11edfc",
         ),
         (OFF, phases_named("first black tiles", "no filter"), "b5911caf01c76e19"),
@@ -271,23 +270,16 @@ def test_a_run_does_not_wait_for_a_filter_of_too_long_a_period() -> None:
     assert not can_wait_for_tests(right(filter_period=20_001))
 
 
-def test_crowds_that_cannot_be_brought_about_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(robust_phases, "_MAX_ROUNDS", 0)
-    monkeypatch.setattr(robust_phases, "_MAX_OBSERVATIONS", 0)
-    phases = phases_named("few voices", MODERATE, "test of the least spread")
+def test_robust_tests_that_cannot_be_brought_about_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(robust_phases, "_MAX_ATTEMPTS", 0)
+    phases = phases_named("first estimates", "test of a wide spread", "many rejections")
     verdict = verify(right_controller(**VOTES), surroundings(right(**VOTES)), phases)
     assert verdict.difference is None
     assert verdict.not_exercised == [
-        "two voices",
-        "a crowd of two voices that stays",
-        "a crowd in the middle",
-        "a spread of 0.0625",
-        "observations of one colour: a test that rejects",
-        "observations of one colour: a test that rejects",
-        "a crowd in the middle",
-        "a spread of 0.000244141",
-        "observations of one colour: a test that rejects",
-        "observations of one colour: a test that rejects",
+        *["observations before a test of 5 estimates"] * 2,
+        *["observations before a test of 6 estimates"] * 2,
+        *["observations before a test of 32 estimates"] * 2,
+        "observations until the test rejects",
     ]
 
 
