@@ -195,7 +195,8 @@ def reject_near_half(bench: Bench) -> None:
     # One unit nearer to 1/2 above, and one unit farther away below, is on the other side of the limit.
     for offset in (limit, limit - 1, -limit, -limit - 1, 0):
         bench.activity = f"observations that contradict estimates of 1/2 and {offset} units"
-        slots = _observe_until(bench, partial(_rejected_slots, bench, _HALF_OF_SLOT + offset))
+        estimate = _HALF_OF_SLOT + offset
+        slots = _observe_until(bench, partial(_rejected_slots, bench, estimate), estimate)
         if slots is None:
             return
         bench.activity = f"a test with estimates of 1/2 and {offset} units"
@@ -263,12 +264,15 @@ def _observe_share(bench: Bench, share: float) -> None:
         bench.skip_ticks(BURST, lambda: Observation(state.n < share * state.t))
 
 
-def _observe_until(bench: Bench, make: Callable[[], _Result | None]) -> _Result | None:
+def _observe_until(
+    bench: Bench, make: Callable[[], _Result | None], rejected_estimate: int | None = None
+) -> _Result | None:
     """Observe until ``make`` returns something, and return that.
 
-    The observations bring the test nearer to its threshold: where all estimates at the farther end would not
-    be rejected, they are of the colour that is seen more often, and otherwise of the other one. If ``make``
-    returns nothing after many of them, the present activity is noted as not exercised.
+    The observations bring the test nearer to its threshold: where ``rejected_estimate``, in all slots, would
+    not be rejected, they are of the colour that is seen more often, and otherwise of the other one. By
+    default it is the estimate that contradicts the observations most. If ``make`` returns nothing after many
+    of them, the present activity is noted as not exercised.
     """
     state = bench.firmware.s
     for _ in range(_MAX_ATTEMPTS):
@@ -276,7 +280,8 @@ def _observe_until(bench: Bench, make: Callable[[], _Result | None]) -> _Result 
         if result is not None:
             return result
         is_black_more_frequent = 2 * state.n > state.t
-        is_too_near = _rejected_slots(bench, _contradicting_estimate(bench)) is None
+        estimate = _contradicting_estimate(bench) if rejected_estimate is None else rejected_estimate
+        is_too_near = _rejected_slots(bench, estimate) is None
         colour = Observation(is_black_more_frequent == is_too_near)
         bench.skip_ticks(BURST, partial(Observation, colour))
     bench.not_exercised.append(bench.activity)
