@@ -66,7 +66,7 @@ extern "C" {
 #define MCP_ASDF_HALF (UINT32_C(1) << 22) /* 0.5 as x_hat, x_bar or x */
 #define MCP_ASDF_B_HAT_MIN (UINT32_C(1) << 12)
 #define MCP_ASDF_B_HAT_MAX UINT32_C(0xFFFFF000)
-#define MCP_ASDF_SLOTS 32                         /* members of mcp_asdf_robust_t, down to here */
+#define MCP_ASDF_SLOTS 32U                        /* members of mcp_asdf_robust_t, down to here */
 #define MCP_ASDF_TESTED_ESTIMATES_MIN 5U          /* of five, two that are wrong can be outvoted */
 #define MCP_ASDF_CENTRE_START (UINT32_C(1) << 29) /* 1/2 */
 #define MCP_ASDF_SPREAD_MIN (UINT32_C(1) << 18)   /* 2^-12: below what a score or a tile can show */
@@ -206,16 +206,19 @@ typedef struct {
     uint32_t count;
 } mcp_asdf_open_t;
 
+/* The sums of the open round and of the last closed one. */
+typedef struct {
+    mcp_asdf_open_t open;
+    mcp_asdf_closed_t closed;
+} mcp_asdf_sums_t;
+
 /* What a robot received. With the robust filter it keeps the latest estimate of each sender, in slot id mod
- * 32; with the others the sums of the open round and of the last closed one, in the same memory.
+ * 32; with the others the sums of rounds, in the same memory.
  *   estimates   x_hat of a message with alpha > 0, unit 2^-16, to nearest; 2^16 - 1 for 1.0 */
 typedef union {
     uint16_t estimates[MCP_ASDF_SLOTS];
 #if MCP_ASDF_WITH_ASDF
-    struct {
-        mcp_asdf_open_t open;
-        mcp_asdf_closed_t closed;
-    } sums;
+    mcp_asdf_sums_t sums;
 #endif
 } mcp_asdf_received_t;
 

@@ -65,7 +65,7 @@ ALWAYS_INLINE uint16_t slot_estimate(uint32_t x_hat)
  * equal modulo 32 share a slot. */
 ALWAYS_INLINE void keep_estimate(mcp_asdf_t *robot, uint8_t sender, uint32_t x_hat)
 {
-    const uint32_t slot = sender % MCP_ASDF_SLOTS;
+    const uint32_t slot = (uint32_t)sender % MCP_ASDF_SLOTS;
     robot->received.estimates[slot] = slot_estimate(x_hat);
     robot->robust.filled_slots |= shift_left(1, slot);
 }

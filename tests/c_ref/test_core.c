@@ -90,7 +90,7 @@ static void quotients_follow_their_formula_for_divisors_of_every_length(void)
 /* ---- Size of a robot, tables, and invariants of damaged robots (docs/invariants.md) ---- */
 
 /* The budget of RAM, where a pointer has 32 bits. */
-typedef char robot_is_small[sizeof(void *) != 4 || sizeof(mcp_asdf_t) <= 160 ? 1 : -1];
+typedef char robot_is_small[sizeof(void *) != 4 || sizeof(mcp_asdf_t) <= 176 ? 1 : -1];
 
 /* Write the last word of a table: FNV-1a over those before. */
 static void write_table_hash(uint32_t *table, uint32_t words)
@@ -191,25 +191,47 @@ static void an_estimate_that_does_not_follow_from_b_hat_breaks_an_invariant(void
     CHECK_INVARIANTS(set_b_hat(&robot, 0xC1000000 - 4096), false);
 }
 
-static void a_robust_robot_with_sums_breaks_an_invariant(void)
+static void a_robust_robot_with_another_filter_breaks_an_invariant(void)
 {
-    const mcp_asdf_open_t open = {1, 0, 0, 0, 0, 1};
     CHECK_INVARIANTS_WITH(&robust_config, (void)robot, true);
-    CHECK_INVARIANTS_WITH(&robust_config, robot.open = open, false);
-    CHECK_INVARIANTS_WITH(&robust_config, robot.closed.alpha = 1, false);
+    CHECK_INVARIANTS_WITH(&robust_config, robot.config = &config, false);
+}
+
+static void a_robot_that_gets_the_robust_filter_breaks_an_invariant(void)
+{
     CHECK_INVARIANTS(robot.config = &robust_config, false);
 }
 
-/* Without the robust filter a crowd is as in a new robot: images do not hold it. */
-static void a_crowd_without_the_robust_filter_breaks_an_invariant(void)
+/* Images of such a robot do not hold them. */
+static void members_of_the_robust_filter_that_changed_without_it_break_an_invariant(void)
 {
-    CHECK_INVARIANTS_WITH(&robust_config, robot.config = &config, false);
-    CHECK_INVARIANTS(robot.crowd.first = robot.accuracy.b_hat, false);
-    CHECK_INVARIANTS(++robot.crowd.votes, false);
-    CHECK_INVARIANTS(robot.crowd.voices = 1, false);
-    CHECK_INVARIANTS(++robot.crowd.centre, false);
-    CHECK_INVARIANTS(--robot.crowd.spread, false);
-    CHECK_INVARIANTS(++robot.crowd.trend, false);
+    CHECK_INVARIANTS(++robot.robust.centre, false);
+    CHECK_INVARIANTS(--robot.robust.spread, false);
+    CHECK_INVARIANTS(robot.robust.initial_b_hat = robot.accuracy.b_hat, false);
+    CHECK_INVARIANTS(robot.robust.filled_slots = 1, false);
+    CHECK_INVARIANTS(robot.robust.batch_t = 1, false);
+    CHECK_INVARIANTS(robot.robust.batch_n = 1, false);
+    CHECK_INVARIANTS(robot.robust.votes = 1, false);
+    CHECK_INVARIANTS(++robot.robust.dispersion, false);
+    CHECK_INVARIANTS(robot.robust.turn = 1, false);
+}
+
+/* Of these bytes an image keeps one alone, 255. */
+static void a_turn_beyond_the_last_slot_breaks_an_invariant(void)
+{
+    for (uint8_t turn = UINT8_MAX; turn > MCP_ASDF_SLOTS; --turn) {
+        GIVEN(turn, 0, 0);
+        CHECK_INVARIANTS_WITH(&robust_config, robot.robust.turn = turn, false);
+    }
+}
+
+/* What a damaged turn does until the invariants are checked: the vote is that of the robot itself. */
+static void a_turn_beyond_the_last_slot_lets_the_robot_itself_vote(void)
+{
+    mcp_asdf_t robot = make_busy_robot(&robust_config);
+    robot.robust.turn = UINT8_MAX;
+    CHECK_EQUAL(mcp_asdf_settle(&robot), MCP_ASDF_OK);
+    CHECK_EQUAL(robot.robust.turn, 0);
 }
 
 /* ---- Numbers and configurations that the header offers ---- */
@@ -257,12 +279,12 @@ static void configurations_have_the_filter_that_their_name_says(void)
 {
     static const uint32_t table[1] = {0};
     static const mcp_asdf_config_t asdf = MCP_ASDF_CONFIG_ASDF(table), off = MCP_ASDF_CONFIG_OFF,
-                                   crowd = MCP_ASDF_CONFIG_ROBUST;
+                                   robust = MCP_ASDF_CONFIG_ROBUST;
     CHECK(asdf.filter == MCP_ASDF_ADAPTIVE && asdf.table == table);
     CHECK(off.filter == MCP_ASDF_OFF && off.table == NULL);
-    CHECK(crowd.filter == MCP_ASDF_ROBUST && crowd.table == NULL);
+    CHECK(robust.filter == MCP_ASDF_ROBUST && robust.table == NULL);
     CHECK(off.filter_period == 1000 && off.memory == MCP_ASDF_MEMORY_MAX);
-    CHECK(crowd.filter_period == 1000 && crowd.memory == MCP_ASDF_MEMORY_MAX);
+    CHECK(robust.filter_period == 1000 && robust.memory == MCP_ASDF_MEMORY_MAX);
 }
 
 int main(void)
@@ -281,7 +303,10 @@ int main(void)
     a_check_of_the_invariants_does_not_read_the_table();
     a_flipped_bit_of_the_accuracy_breaks_an_invariant();
     an_estimate_that_does_not_follow_from_b_hat_breaks_an_invariant();
-    a_robust_robot_with_sums_breaks_an_invariant();
-    a_crowd_without_the_robust_filter_breaks_an_invariant();
+    a_robust_robot_with_another_filter_breaks_an_invariant();
+    a_robot_that_gets_the_robust_filter_breaks_an_invariant();
+    members_of_the_robust_filter_that_changed_without_it_break_an_invariant();
+    a_turn_beyond_the_last_slot_breaks_an_invariant();
+    a_turn_beyond_the_last_slot_lets_the_robot_itself_vote();
     return check_report();
 }

@@ -58,7 +58,7 @@ def test_no_function_of_the_header_is_inline_but_by_the_macro() -> None:
 
 
 @pytest.mark.parametrize(
-    ("filter_name", "function"), [("ASDF", "mcp_asdf_beta"), ("ROBUST", "mcp_asdf_crowd")]
+    ("filter_name", "function"), [("ASDF", "mcp_asdf_beta"), ("ROBUST", "mcp_asdf_robust")]
 )
 def test_a_library_without_a_filter_lacks_the_symbol_of_that_filter_alone(
     filter_name: str, function: str, tmp_path: Path

@@ -34,7 +34,7 @@ ROBOT_ID, B_HAT = 7, 0xF3333333  # MCP_ASDF_PROBABILITY(95, 100)
 FORMAT = FrameFormat()
 RADIO_QUEUE = 8
 """Packets that the robot's radio keeps until the end of a tick."""
-IMAGE_SIZE = 124
+IMAGE_SIZE = 156
 NO_TILE = 2
 """Stands for a tick in which the sensor gives no colour."""
 NOISE = b"\x00\xff"
@@ -294,7 +294,7 @@ void board_load(uint8_t copy, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 
 int main(void)
 {
-    static const mcp_asdf_config_t config = {0, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF};
+    static const mcp_asdf_config_t config = {0, 1, MCP_ASDF_MEMORY_MAX, MCP_ASDF_ROBUST};
     const unsigned all_bytes = 2 * MCP_ASDF_IMAGE_SIZE;
     mcp_asdf_t robot, restarted;
     memset(memory, 0xFF, sizeof memory);

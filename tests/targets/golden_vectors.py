@@ -26,13 +26,13 @@ from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, FirmwareError, Status
 from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario, robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import (
-    IMAGE,
     REPLACING,
     Call,
     Scenario,
     TableChoice,
     edited_image,
     perform,
+    unpack_image,
 )
 
 HERE = Path(__file__).parent
@@ -107,7 +107,7 @@ class Player:
         digest = mix(mix(0, robot.x_raw), robot.x_bar_raw)
         accuracy = robot.s.accuracy
         shifts = accuracy.rare_shift << 8 | accuracy.g_shift
-        for word in (*IMAGE.unpack(robot.save()), accuracy.c, accuracy.common, accuracy.rare, shifts):
+        for word in (*unpack_image(robot.save()), accuracy.c, accuracy.common, accuracy.rare, shifts):
             digest = mix(digest, word)
         return digest
 

@@ -8,7 +8,8 @@
 #include "port.h"
 
 #define MAGIC UINT32_C(0x5647434D)
-#define STATE_WORDS (MCP_ASDF_IMAGE_SIZE / 4U)
+#define ROBUST_IMAGE_WORDS 39U
+#define ASDF_IMAGE_WORDS 31U
 
 enum { END, OBSERVE, STEP, SETTLE, RECEIVE, RESTORE, DAMAGE };
 
@@ -61,6 +62,12 @@ static uint32_t read_number(uint8_t bytes)
     return value;
 }
 
+/* Returns the number of words in an image of the scenario's robot. */
+static uint8_t image_word_count(void)
+{
+    return config.filter == MCP_ASDF_ROBUST ? ROBUST_IMAGE_WORDS : ASDF_IMAGE_WORDS;
+}
+
 /* Returns a word of the image, by its index. */
 static uint32_t image_word(uint8_t index)
 {
@@ -92,7 +99,7 @@ static uint32_t digest_of_state(void)
     const mcp_asdf_accuracy_t *const accuracy = &robot.accuracy;
     uint32_t hash = mix(mix(0, mcp_asdf_x(&robot)), mcp_asdf_x_bar(&robot));
     mcp_asdf_save(&robot, image);
-    for (uint8_t i = 0; i < STATE_WORDS; ++i) {
+    for (uint8_t i = 0; i < image_word_count(); ++i) {
         hash = mix(hash, image_word(i));
     }
     hash = mix(mix(mix(hash, accuracy->c), accuracy->common), accuracy->rare);
@@ -135,11 +142,12 @@ static void restore(void)
         const uint8_t index = (uint8_t)read_number(1);
         set_image_word(index, read_number(4));
     }
+    const uint8_t hash_index = (uint8_t)(image_word_count() - 1U);
     uint32_t hash = UINT32_C(0x811C9DC5);
-    for (uint8_t i = 0; i < STATE_WORDS - 1; ++i) {
+    for (uint8_t i = 0; i < hash_index; ++i) {
         hash = (hash ^ image_word(i)) * UINT32_C(0x01000193);
     }
-    set_image_word(STATE_WORDS - 1, hash);
+    set_image_word(hash_index, hash);
     record_outcome(mcp_asdf_restore(&robot, &config, image), true);
 }
 

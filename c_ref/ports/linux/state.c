@@ -88,7 +88,7 @@ static int sync_folder(char *path)
 int state_save(const char *path, const mcp_asdf_t *robot)
 {
     char new_path[PATH_MAX];
-    uint8_t image[MCP_ASDF_IMAGE_SIZE];
+    uint8_t image[MCP_ASDF_IMAGE_SIZE] = {0}; /* saving writes no more bytes than the filter needs */
     const int length = snprintf(new_path, sizeof new_path, "%s.new", path);
     if (length < 0 || (size_t)length >= sizeof new_path) {
         return ENAMETOOLONG;
