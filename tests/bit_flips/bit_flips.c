@@ -1,7 +1,7 @@
 /* The effect of one flipped bit in a running robot's memory, for every bit of every member but the pointer to
  * the configuration. The robot is one of twenty, flawed, and filters. The messages of its neighbours were
  * recorded in a run without a flip, and do not depend on what it sends. A bit flips in some phase of a tick:
- * after the observation, a message, or settle. Then the robot goes on for 600 ticks, and checks its
+ * after the observation, a message, or settle. Then the robot goes on for 1800 ticks, and checks its
  * invariants before each observation and each settle.
  *
  * Prints a line of counts for each member; a call that traps ends the program. `bit_flips FLIPS FILTER` flips
@@ -17,8 +17,8 @@
 #include <string.h>
 
 #define NEIGHBOURS 19
-#define WATCHED_TICKS 600 /* ticks that are watched after a flip */
-#define TICKS 3000        /* of the recorded run */
+#define WATCHED_TICKS 1800 /* ticks that are watched after a flip */
+#define TICKS 5000         /* of the recorded run */
 #define PHASE_AFTER_SETTLE (NEIGHBOURS + 1)
 #define PHASE_COUNT (NEIGHBOURS + 2)
 #define PER_CENT (MCP_ASDF_ONE / 100)
@@ -38,12 +38,17 @@ static struct {
     uint8_t observation;
 } run[TICKS + 1];
 
+/* What of a robot is flipped together: a member, or a part of one. */
 typedef struct {
     const char *name;
     size_t offset, size;
+    bool is_flipped_with_asdf, is_flipped_with_robust; /* some memory has another use with the other filter */
 } member_t;
 
-#define MEMBER(path) {#path, offsetof(mcp_asdf_t, path), sizeof(((mcp_asdf_t *)0)->path)}
+#define MEMBER_OF(path, with_asdf, with_robust)                                                              \
+    {#path, offsetof(mcp_asdf_t, path), sizeof(((mcp_asdf_t *)0)->path), with_asdf, with_robust}
+#define MEMBER(path) MEMBER_OF(path, true, true)
+#define SUM(path) MEMBER_OF(received.sums.path, true, false)
 static const member_t members[] = {MEMBER(heard),
                                    MEMBER(id),
                                    MEMBER(updated),
@@ -59,21 +64,25 @@ static const member_t members[] = {MEMBER(heard),
                                    MEMBER(x_hat),
                                    MEMBER(alpha),
                                    MEMBER(filter_left),
-                                   MEMBER(crowd.centre),
-                                   MEMBER(crowd.spread),
-                                   MEMBER(crowd.voices),
-                                   MEMBER(crowd.first),
-                                   MEMBER(crowd.votes),
-                                   MEMBER(crowd.trend),
-                                   MEMBER(open.alpha),
-                                   MEMBER(open.alpha_x_low),
-                                   MEMBER(open.alpha_x_high),
-                                   MEMBER(open.x_squared),
-                                   MEMBER(open.x),
-                                   MEMBER(open.count),
-                                   MEMBER(closed.alpha),
-                                   MEMBER(closed.alpha_x_low),
-                                   MEMBER(closed.alpha_x_high)};
+                                   MEMBER(robust.centre),
+                                   MEMBER(robust.spread),
+                                   MEMBER(robust.initial_b_hat),
+                                   MEMBER(robust.filled_slots),
+                                   MEMBER(robust.batch_t),
+                                   MEMBER(robust.batch_n),
+                                   MEMBER(robust.votes),
+                                   MEMBER(robust.dispersion),
+                                   MEMBER(robust.turn),
+                                   MEMBER_OF(received.estimates, false, true),
+                                   SUM(open.alpha),
+                                   SUM(open.alpha_x_low),
+                                   SUM(open.alpha_x_high),
+                                   SUM(open.x_squared),
+                                   SUM(open.x),
+                                   SUM(open.count),
+                                   SUM(closed.alpha),
+                                   SUM(closed.alpha_x_low),
+                                   SUM(closed.alpha_x_high)};
 
 /* Counts of flips by their effect. Every flip counts in FLIPS and in one of the next five.
  *   IN_TIME       an invariant fails before x is off by more than 1 %
@@ -215,8 +224,12 @@ int main(int count, char **arguments)
 {
     const unsigned long flips = count > 1 ? strtoul(arguments[1], 0, 10) : 1;
     config.filter = (uint8_t)(count > 2 ? strtoul(arguments[2], 0, 10) : MCP_ASDF_ADAPTIVE);
+    const bool is_robust = config.filter == MCP_ASDF_ROBUST;
     record_run();
     for (size_t i = 0; i < sizeof members / sizeof *members; ++i) {
+        if (is_robust ? !members[i].is_flipped_with_robust : !members[i].is_flipped_with_asdf) {
+            continue;
+        }
         memset(counts, 0, sizeof counts);
         random_state = i; /* each member by itself, whatever stands before it */
         for (unsigned long number = 0; number < flips * 8 * members[i].size; ++number) {

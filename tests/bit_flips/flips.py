@@ -1,4 +1,4 @@
-"""One flipped bit anywhere in a running robot's memory: what sees it, and what it does.
+"""One flipped bit anywhere in a running robot's memory: whether a check finds it, and what it does to x.
 
 ``python -m bit_flips.flips`` with ``PYTHONPATH=tests`` writes the table of ``docs/trust.md`` again.
 """
@@ -15,53 +15,66 @@ from support import CORE, ROOT, TABLE, run
 
 HERE = Path(__file__).parent
 PAGE = ROOT / "docs/trust.md"
-FLIPS = 50
-"""Of each bit, for the published table."""
+FLIPS_PER_BIT = 50
+"""For the published table."""
 FILTERS = (Filter.ADAPTIVE, Filter.ROBUST)
 OUTCOMES = ("in_time", "late", "no_effect", "less", "more")
+"""Effects of a flip, of which each flip has one; ``bit_flips.c`` explains them."""
 COUNTS = ("flips", *OUTCOMES, "still", "unexplained")
-"""As the program prints them for each member."""
+"""What the program prints of each member, in this order."""
+
 Member = dict[str, int]
+"""Flips of a member's bits, by their effect."""
 
 
-def members(folder: Path, flips: int, kind: Filter, *flags: str) -> dict[str, Member]:
-    """Outcomes of so many flips of each bit of a robot with this filter, by member."""
+def count_effects(folder: Path, flips_per_bit: int, filter_kind: Filter, *flags: str) -> dict[str, Member]:
+    """Flip each bit of a robot with this filter so often, and return the counts by the member's name.
+
+    The program is compiled into the folder, with further ``flags`` of gcc.
+    """
     program = folder / "bit_flips"
     run("gcc", "-std=c99", "-O2", f"-I{CORE.parent}", *flags, HERE / "bit_flips.c", TABLE, "-o", program)
-    lines = (line.split() for line in run(program, str(flips), str(int(kind))).splitlines())
-    return {name: dict(zip(COUNTS, map(int, counts), strict=True)) for name, *counts in lines}
+    counts_by_member = {}
+    for line in run(program, str(flips_per_bit), str(int(filter_kind))).splitlines():
+        name, *counts = line.split()
+        counts_by_member[name] = dict(zip(COUNTS, map(int, counts), strict=True))
+    return counts_by_member
 
 
-def total(found: Iterable[Member]) -> Member:
-    """Of all members together."""
-    found = list(found)
-    return {name: sum(member[name] for member in found) for name in COUNTS}
+def sum_of_members(members: Iterable[Member]) -> Member:
+    """Add up the counts of several members."""
+    members = list(members)
+    return {name: sum(member[name] for member in members) for name in COUNTS}
 
 
-def table(found: dict[Filter, dict[str, Member]]) -> str:
-    """For the page, in per cent of all flips."""
-    head = (
+def format_table(counts_by_filter: dict[Filter, dict[str, Member]]) -> str:
+    """Return the page's table, in per cent of all flips, of counts with FLIPS_PER_BIT flips."""
+    titles = (
         *("filter", "bits", "seen before x is off", "seen after"),
-        *("unseen: x right", "less off", "off by 1 %", "so after 600 ticks"),
+        *("unseen: x right", "less off", "off by 1 %", "so after 1800 ticks"),
     )
-    rows = []
-    for kind, counts in found.items():
-        every = total(counts.values())
-        shares = (_share(every, each) for each in (*OUTCOMES, "still"))
-        rows.append((kind.name.lower(), every["flips"] // FLIPS, *shares))
-    return "\n".join(f"| {' | '.join(map(str, cells))} |" for cells in (head, ["---"] * len(head), *rows))
+    rows = [titles, ("---",) * len(titles)]
+    for filter_kind, counts_by_member in counts_by_filter.items():
+        total = sum_of_members(counts_by_member.values())
+        shares = [_format_share(total, name) for name in (*OUTCOMES, "still")]
+        rows.append((filter_kind.name.lower(), str(total["flips"] // FLIPS_PER_BIT), *shares))
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
-def _share(member: Member, name: str) -> str:
+def _format_share(member: Member, name: str) -> str:
+    """Return a count in per cent of the flips with two digits, and nothing for 0."""
     share = 100 * member[name] / member["flips"]
-    return "" if share == 0 else f"{share:.2g}" if share < 10 else f"{share:.0f}"
+    if share == 0:
+        return ""
+    return f"{share:.2g}" if share < 10 else f"{share:.0f}"
 
 
 def main() -> None:
     """Write the table into the page."""
     with TemporaryDirectory() as name:
-        found = table({kind: members(Path(name), FLIPS, kind) for kind in FILTERS})
-    PAGE.write_text(fill(PAGE.read_text(encoding="utf-8"), {"bit flips": found}), encoding="utf-8")
+        counts = {kind: count_effects(Path(name), FLIPS_PER_BIT, kind) for kind in FILTERS}
+    page = fill(PAGE.read_text(encoding="utf-8"), {"bit flips": format_table(counts)})
+    PAGE.write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":
