@@ -39,10 +39,11 @@ def declarations(header: str) -> str:
 def _declare_constant(name: str, value: str) -> str:
     """Return cffi's declaration of a macro whose value is a number.
 
-    It states a decimal value, which cffi needs where it is the length of an array. For any other value it has
-    dots, so that cffi asks the compiler.
+    It states a decimal value, which cffi needs where it is the length of an array, without C's suffix for an
+    unsigned number. For any other value it has dots, so that cffi asks the compiler.
     """
-    declared_value = value if value.isdecimal() else "..."
+    number = value.removesuffix("U")
+    declared_value = number if number.isdecimal() else "..."
     return f"#define {name} {declared_value}"
 
 

@@ -6,7 +6,7 @@
 use std::os::raw::c_int;
 
 /// `MCP_ASDF_SIZE_MAX` of mcp_asdf.h: bytes of a robot on any machine, at most.
-const ROBOT_SIZE: usize = 168;
+const ROBOT_SIZE: usize = 184;
 /// `MCP_ASDF_ROBUST`, the filter that needs no table.
 const ROBUST_FILTER: u8 = 3;
 /// 0.55 in units of 2^-32, rounded to nearest, as `MCP_ASDF_PROBABILITY(55, 100)` computes it.
