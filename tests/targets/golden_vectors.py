@@ -24,7 +24,8 @@ from pathlib import Path
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, FirmwareError, Status
-from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario, robust_scenario
+from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
+from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import (
     REPLACING,
     Call,

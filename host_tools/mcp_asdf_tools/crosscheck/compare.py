@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
 from mcp_asdf.robot import Config, FirmwareError, FixedPointRobot, Status
-from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario, robust_scenario
+from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
+from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import (
     REPLACING,
     Call,

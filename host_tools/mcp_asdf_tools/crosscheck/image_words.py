@@ -1,6 +1,6 @@
 """Which word of a saved robot's image holds what, and how numbers of other sizes than 32 bits are packed.
 
-An image has 31 words of 32 bits (``mcp_asdf_image.c``):
+An image consists of words of 32 bits (``mcp_asdf_image.c``). With any of the paper's filters there are 31:
 
     0         version of the layout, with a flag for the robust filter
     1 .. 6    b_hat, t, n, x_hat, alpha, rounds until the filter runs next
@@ -12,60 +12,72 @@ An image has 31 words of 32 bits (``mcp_asdf_image.c``):
     29        updates of b_hat (bits 0 to 15), whether b_hat is newer than x_hat (16 to 23), id (24 to 31)
     30        checksum
 
-With the robust filter words 7 to 11 hold its crowd, the summary of the votes, and words 12 to 22 are 0.
-The functions here return words by their index, as ``restore`` calls of a scenario take them.
+With the robust filter there are 39. Words 7 to 14 hold what this filter remembers, words 15 to 30 the
+estimates of two slots each, and the senders follow from word 31 on. The functions here return words by their
+index, as ``restore`` calls of a scenario take them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from mcp_asdf.image_format import image_word_count
 from mcp_asdf.robot import MAX_ID, Sums
+from mcp_asdf.robust_filter import SLOTS, RobustFilter
 
 B_HAT_WORD, T_WORD, N_WORD, X_HAT_WORD, ALPHA_WORD, FILTER_LEFT_WORD = range(1, 7)
 CLOSED_ROUND_WORD = 7
 """First word of the sums over the closed round."""
-CROWD_WORD = 7
-"""First word of the robust filter's crowd, which has the place of those sums."""
-FIRST_WORD_AFTER_CROWD = 12
 OPEN_ROUND_WORD = 13
 """First word of the sums over the open round."""
-SENDERS_WORD = 23
-"""First of the four words with a bit for each sender of the open round."""
-ACCEPTED_AND_REPEATED_WORD, REJECTED_AND_TESTS_WORD = 27, 28
-UPDATES_AND_ID_WORD = 29
+ROBUST_FILTER_WORD = 7
+"""First word of the robust filter, which has the place of those sums."""
+SLOTS_WORD = 15
+"""First word of the estimates in the robust filter's slots."""
 
 MAX_16_BITS, MAX_32_BITS = 0xFFFF, 0xFFFFFFFF
 """Largest number of 16 and of 32 bits."""
 
 
-@dataclass
-class CrowdWords:
-    """The robust filter's crowd, its summary of the received x_hat, which are its votes.
-
-    The attributes are in the order of an image's words; the last two share a word.
+@dataclass(frozen=True)
+class ImageLayout:
+    """Indices of the words at the end of an image, which depend on its length.
 
     Attributes:
-        centre: Centre of the votes, in units of 2**-30.
-        spread: Median distance of the votes from the centre, in units of 2**-30.
-        voices: Senders of the votes, with a bit for each id modulo 32.
-        initial_b_hat: Accuracy that the robot assumed at its start, in units of 2**-32.
-        votes: Number of votes.
-        trend: Share of the recent moves of the centre that went up, in units of 2**-16.
+        word_count: Number of words of the image.
     """
 
-    centre: int
-    spread: int
-    voices: int
-    initial_b_hat: int
-    votes: int
-    trend: int
+    word_count: int
 
-    def pack(self) -> dict[int, int]:
-        """Return the crowd as words 7 to 11 of an image."""
-        votes_and_trend = pack_pair(self.votes, self.trend)
-        words = [self.centre, self.spread, self.voices, self.initial_b_hat, votes_and_trend]
-        return dict(enumerate(words, CROWD_WORD))
+    @property
+    def senders_word(self) -> int:
+        """First of the four words with a bit for each sender of the open round."""
+        return self.word_count - 8
+
+    @property
+    def accepted_and_repeated_word(self) -> int:
+        """Word of the counters of accepted and of repeated messages."""
+        return self.word_count - 4
+
+    @property
+    def rejected_and_tests_word(self) -> int:
+        """Word of the counters of rejected messages and of tests."""
+        return self.word_count - 3
+
+    @property
+    def updates_and_id_word(self) -> int:
+        """Word of the counter of updates, of the flag that b_hat is newer than x_hat, and of the id."""
+        return self.word_count - 2
+
+    def pack_sender(self, sender: int) -> dict[int, int]:
+        """Return the word of the open round's senders that has the bit of this id, with no other bit set."""
+        return {self.senders_word + sender // 32: 1 << (sender % 32)}
+
+
+def layout_of(filter_number: int) -> ImageLayout:
+    """Return the layout of an image of a robot with this filter."""
+    return ImageLayout(image_word_count(filter_number))
 
 
 def pack_pair(low_half: int, high_half: int) -> int:
@@ -74,7 +86,7 @@ def pack_pair(low_half: int, high_half: int) -> int:
 
 
 def pack_updates_and_id(robot_id: int, updated: int = 0, updates: int = 0) -> int:
-    """Return word 29 of an image.
+    """Return the last word of an image but the checksum.
 
     Args:
         robot_id: Id of the robot, 8 bits.
@@ -88,6 +100,26 @@ def pack_updates_and_id(robot_id: int, updated: int = 0, updates: int = 0) -> in
 def split_in_words(number: int) -> list[int]:
     """Return a number of 64 bits as two words, the lower one first."""
     return [number & MAX_32_BITS, number >> 32]
+
+
+def pack_robust_filter(robust: RobustFilter, estimates: Sequence[int]) -> dict[int, int]:
+    """Return what the robust filter remembers, and the estimates of its 32 slots, as words 7 to 30.
+
+    Members may be out of their ranges, as far as their bits of the image allow: votes, dispersion and
+    estimates have 16 bits each, the others 32.
+    """
+    words = [
+        robust.centre,
+        robust.spread,
+        robust.initial_b_hat,
+        robust.filled_slots,
+        robust.batch_t,
+        robust.batch_n,
+        pack_pair(robust.votes, robust.dispersion),
+        robust.turn,
+    ]
+    slot_words = [pack_pair(estimates[slot], estimates[slot + 1]) for slot in range(0, SLOTS, 2)]
+    return dict(enumerate(words, ROBUST_FILTER_WORD)) | dict(enumerate(slot_words, SLOTS_WORD))
 
 
 def pack_closed_round(sums: Sums) -> dict[int, int]:
@@ -114,8 +146,3 @@ def pack_open_round_from_all(sums: Sums, robot_id: int) -> dict[int, int]:
     other_senders = all_senders ^ (1 << robot_id)
     sender_words = [(other_senders >> first_id) & MAX_32_BITS for first_id in range(0, MAX_ID + 1, 32)]
     return dict(enumerate([*words, *sender_words], OPEN_ROUND_WORD))
-
-
-def pack_sender(sender: int) -> dict[int, int]:
-    """Return the word of the open round's senders that has the bit of this id, with no other bit set."""
-    return {SENDERS_WORD + sender // 32: 1 << (sender % 32)}

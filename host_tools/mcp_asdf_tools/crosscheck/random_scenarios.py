@@ -1,57 +1,35 @@
 """Random scenarios for the cross-check, built so that they meet the edges at which an implementation can err.
 
-A scenario is a function of a seed and an index, for a robot with one of the paper's filters or with the
-robust one. ``random_values`` draws most of its numbers from pools that are heavy with edges. Besides, robots
-are restored with counts of years of observations; and some rounds are built so that the last bits of a
-threshold decide the hypothesis test, or whether x_bar, the neighbours' mean, carries information.
+A scenario is a function of a seed and an index, for a robot with one of the paper's filters;
+``robust_scenarios`` has those of the robust one. ``random_values`` draws most of its numbers from pools that
+are heavy with edges. Besides, robots are restored with counts of years of observations; and some rounds are
+built so that the last bits of a threshold decide the hypothesis test, or whether x_bar, the neighbours' mean,
+carries information.
 """
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from fractions import Fraction
-from math import sqrt
+from dataclasses import fields
 from random import Random
 
 from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, LARGEST_ALPHA_UNITS, ONE
-from mcp_asdf.mirror import (
-    CENTRE_START,
-    IMAGE_SIZE,
-    INFORMATIVE_G,
-    REJECTED_SIGMAS_SQUARED,
-    SPREAD_MAX,
-    SPREAD_MIN,
-    TREND_MOVING_DOWN,
-    TREND_MOVING_UP,
-    TREND_START,
-    VOTES_MAX,
-    accuracy_of,
-    estimate,
-    q23_from_q30,
-    q30_from_q23,
-)
+from mcp_asdf.mirror import INFORMATIVE_G, accuracy_of, estimate
 from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, Filter, Sums
 from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE, NeighbourEstimate, draw_x_hats_at_threshold
 from mcp_asdf_tools.crosscheck.image_words import (
-    ACCEPTED_AND_REPEATED_WORD,
     ALPHA_WORD,
     B_HAT_WORD,
     CLOSED_ROUND_WORD,
-    CROWD_WORD,
     FILTER_LEFT_WORD,
-    FIRST_WORD_AFTER_CROWD,
     MAX_16_BITS,
     MAX_32_BITS,
     N_WORD,
-    REJECTED_AND_TESTS_WORD,
     T_WORD,
-    UPDATES_AND_ID_WORD,
     X_HAT_WORD,
-    CrowdWords,
+    layout_of,
     pack_closed_round,
     pack_open_round_from_all,
     pack_pair,
-    pack_sender,
     pack_updates_and_id,
     split_in_words,
 )
@@ -74,24 +52,6 @@ TABLES = (TableChoice("0.05", 30), TableChoice("0.05", 127), TableChoice("0.9", 
 
 _X_BAR_INFORMATIVE_DISTANCE = INFORMATIVE_G >> 10
 """Distance of x_bar from 1/2 from which on it carries information, in units of 2**-23."""
-_CENTRE_ONE = q30_from_q23(ONE)
-_CENTRE_INFORMATIVE_DISTANCE = INFORMATIVE_G >> 3
-"""The same distance of the robust filter's centre, in units of 2**-30."""
-
-_COUNTER_OF_TESTS_BEFORE_WRAP = {REJECTED_AND_TESTS_WORD: pack_pair(0, MAX_16_BITS)}
-"""Word of an image in which the counter of tests has its largest value, so that the next test makes it 0."""
-
-_CROWD_SIZES = (
-    # No vote, and first ones
-    *(0, 1, 2),
-    # The gain is constant up to 63 votes, and then halves at each power of two.
-    *(*range(30, 33), *range(62, 65), 255, 256),
-    # From 512 votes on they are halved while the centre moves.
-    *(*range(511, 514), 4095),
-    # More than 2**14 votes are not counted, and a larger number is not legal.
-    *range(VOTES_MAX - 2, VOTES_MAX + 1),
-)
-"""Numbers of votes of the robust filter's crowd at its edges."""
 
 
 def random_scenario(seed: int, index: int) -> Scenario:
@@ -100,17 +60,10 @@ def random_scenario(seed: int, index: int) -> Scenario:
     Each pair of ``seed`` and ``index`` gives another one, always the same.
     """
     rng = Random(f"{seed}/{index}")
-    return _ScenarioWriter(rng, _draw_setup(rng)).write()
+    return ScenarioWriter(rng, draw_setup(rng)).write()
 
 
-def robust_scenario(seed: int, index: int) -> Scenario:
-    """Return a scenario of a robot with the robust filter, as ``random_scenario`` does for the paper's."""
-    rng = Random(f"{seed}/robust/{index}")
-    setup = replace(_draw_setup(rng), table=None, filter=int(Filter.ROBUST))
-    return _RobustScenarioWriter(rng, setup).write()
-
-
-def _draw_setup(rng: Random) -> Setup:
+def draw_setup(rng: Random) -> Setup:
     """Draw the configuration of a robot, in three of five cases one with the paper's filter and its test."""
     filter_kind = rng.choice([Filter.ADAPTIVE, Filter.ADAPTIVE, Filter.ADAPTIVE, Filter.ALWAYS, Filter.OFF])
     return Setup(
@@ -126,7 +79,7 @@ def _draw_setup(rng: Random) -> Setup:
     )
 
 
-class _ScenarioWriter:
+class ScenarioWriter:
     """Writes one scenario of a robot with one of the paper's filters.
 
     Its methods ``_add_...`` append calls to the scenario, ``_draw_...`` return values for them.
@@ -135,6 +88,7 @@ class _ScenarioWriter:
     def __init__(self, rng: Random, setup: Setup) -> None:
         self._rng = rng
         self._setup = setup
+        self._layout = layout_of(setup.filter)
         self._b_hat = setup.b_hat
         self._common_x_hat = rng.choice([rng.randint(0, ONE), 0, HALF, ONE])
         """An x_hat near which many neighbours are."""
@@ -214,10 +168,17 @@ class _ScenarioWriter:
             N_WORD: n,
             X_HAT_WORD: x_hat,
             ALPHA_WORD: alpha,
-            UPDATES_AND_ID_WORD: self._pack_updates(int(is_newer_b_hat), updates),
+            self._layout.updates_and_id_word: self._pack_updates(int(is_newer_b_hat), updates),
         }
-        self._add_restore(words)
+        self._add_restore(words | self._draw_filter_words(t, n))
         self._add_call(rng.choice(["step", "observe"]), rng.randrange(2))
+
+    def _draw_filter_words(self, t: int, n: int) -> dict[int, int]:
+        """Draw the words of the filter that an image with these counts needs; none with the paper's filters.
+
+        The b_hat of such an image is ``self._b_hat``.
+        """
+        return {}
 
     def _add_restore_of_changed_image(self) -> None:
         """Restore the robot from an image with changes that make it just legal, or just not.
@@ -227,29 +188,31 @@ class _ScenarioWriter:
         rng = self._rng
         counter = rng.choice([0, MAX_16_BITS - 1, MAX_16_BITS])
         alpha = rng.choice(SPECIAL_ALPHAS)
-        closed_round = self._draw_closed_round_at_limits()
+        filter_words = self._draw_filter_words_at_limits()
         filter_left = self._draw_filter_left()
         repeated_tests_updates, accepted_rejected = self._pack_counters(counter)
         any_estimate = {
             ALPHA_WORD: alpha,
             X_HAT_WORD: self._draw_x_hat(),
             # Legal only if b_hat is newer, and if alpha is written as robots write it
-            UPDATES_AND_ID_WORD: self._pack_updates(updated=rng.choice([0, 1, 1])),
+            self._layout.updates_and_id_word: self._pack_updates(updated=rng.choice([0, 1, 1])),
         }
-        itself_among_senders = pack_sender(self._setup.robot_id)  # is impossible
+        itself_among_senders = self._layout.pack_sender(self._setup.robot_id)  # is impossible
         # Only 0 and 1 are legal.
-        updated_flag = {UPDATES_AND_ID_WORD: self._pack_updates(updated=rng.choice([0, 1, 2, 3, 128, 255]))}
+        updated_flag = {
+            self._layout.updates_and_id_word: self._pack_updates(updated=rng.choice([0, 1, 2, 3, 128, 255]))
+        }
         # Ids up to 127 are legal.
         id_near_limit = rng.choice([self._setup.robot_id ^ 1, MAX_ID, MAX_ID + 1, 255])
-        another_id = {UPDATES_AND_ID_WORD: pack_updates_and_id(id_near_limit)}
+        another_id = {self._layout.updates_and_id_word: pack_updates_and_id(id_near_limit)}
         # Three illegal ones, and one that x_hat and alpha hardly follow from
         b_hat = {B_HAT_WORD: rng.choice([0, B_HAT_MIN - 1, B_HAT_MAX + 1, draw_b_hat(rng)])}
         # Only below the memory t is legal: it would have been halved there.
         t_at_memory = {
             T_WORD: self._setup.memory - rng.randrange(2),
-            UPDATES_AND_ID_WORD: self._pack_updates(updated=1),
+            self._layout.updates_and_id_word: self._pack_updates(updated=1),
         }
-        word_index = rng.randint(B_HAT_WORD, UPDATES_AND_ID_WORD)
+        word_index = rng.randint(B_HAT_WORD, self._layout.updates_and_id_word)
         one_bit = 1 << rng.randrange(32)
         any_word = {word_index: rng.choice([0, 1, one_bit, MAX_32_BITS])}
         changes: list[dict[int, int]] = [
@@ -258,7 +221,7 @@ class _ScenarioWriter:
             repeated_tests_updates,
             accepted_rejected,
             any_estimate,
-            closed_round,
+            filter_words,
             itself_among_senders,
             updated_flag,
             another_id,
@@ -268,12 +231,12 @@ class _ScenarioWriter:
         ]
         if rng.random() < 0.1:
             # One bit of any byte, and the checksum of before, which must show it
-            self._add_call("damage", rng.randrange(IMAGE_SIZE), 1 << rng.randrange(8))
+            self._add_call("damage", rng.randrange(4 * self._layout.word_count), 1 << rng.randrange(8))
         else:
             self._add_restore(rng.choice(changes))
         self._add_call("receive", self._draw_sender(), self._draw_x_hat(), rng.choice([0, alpha]))
 
-    def _draw_closed_round_at_limits(self) -> dict[int, int]:
+    def _draw_filter_words_at_limits(self) -> dict[int, int]:
         """Draw words of a closed round whose sums of alpha and of alpha x_hat are about at their limits."""
         # 127 messages of the largest confidence, or one unit less or more
         largest_beta = MAX_ID * LARGEST_ALPHA_UNITS
@@ -301,13 +264,13 @@ class _ScenarioWriter:
         """
         other_counter = MAX_16_BITS - counter
         repeated_tests_updates = {
-            ACCEPTED_AND_REPEATED_WORD: pack_pair(other_counter, counter),
-            REJECTED_AND_TESTS_WORD: pack_pair(0, counter),
-            UPDATES_AND_ID_WORD: self._pack_updates(updates=counter),
+            self._layout.accepted_and_repeated_word: pack_pair(other_counter, counter),
+            self._layout.rejected_and_tests_word: pack_pair(0, counter),
+            self._layout.updates_and_id_word: self._pack_updates(updates=counter),
         }
         accepted_rejected = {
-            ACCEPTED_AND_REPEATED_WORD: pack_pair(counter, other_counter),
-            REJECTED_AND_TESTS_WORD: pack_pair(counter, 0),
+            self._layout.accepted_and_repeated_word: pack_pair(counter, other_counter),
+            self._layout.rejected_and_tests_word: pack_pair(counter, 0),
         }
         return repeated_tests_updates, accepted_rejected
 
@@ -385,9 +348,9 @@ class _ScenarioWriter:
             X_HAT_WORD: own_x_hat,
             ALPHA_WORD: ALPHA_ONE,
         }
-        words |= rng.choice([{}, {}, _COUNTER_OF_TESTS_BEFORE_WRAP])
+        words |= rng.choice([{}, {}, self._counter_of_tests_before_wrap()])
         # As if b_hat had just changed: otherwise x_hat and alpha would have to follow from t, n and b_hat.
-        words |= {UPDATES_AND_ID_WORD: self._pack_updates(updated=1), FILTER_LEFT_WORD: 1}
+        words |= {self._layout.updates_and_id_word: self._pack_updates(updated=1), FILTER_LEFT_WORD: 1}
         self._add_call("settle")
         self._add_restore(words)
         other_ids = [sender for sender in range(MAX_ID + 1) if sender != setup.robot_id]
@@ -397,6 +360,10 @@ class _ScenarioWriter:
         self._add_call("settle")
 
     # --- Values ---
+
+    def _counter_of_tests_before_wrap(self) -> dict[int, int]:
+        """Return the word in which the counter of tests has its largest value, so that a test makes it 0."""
+        return {self._layout.rejected_and_tests_word: pack_pair(0, MAX_16_BITS)}
 
     def _pack_updates(self, updated: int = 0, updates: int = 0) -> int:
         """Return word 29 of an image with the robot's own id, as ``pack_updates_and_id`` does."""
@@ -427,150 +394,3 @@ class _ScenarioWriter:
         near = clamp(self._common_x_hat + side * distance, 0, ONE)
         anywhere = rng.choice([rng.randint(0, ONE), rng.choice(SPECIAL_X_HATS)])
         return rng.choice([near, anywhere])
-
-
-class _RobustScenarioWriter(_ScenarioWriter):
-    """Writes one scenario of a robot with the robust filter, which has a crowd in place of rounds."""
-
-    def __init__(self, rng: Random, setup: Setup) -> None:
-        super().__init__(rng, setup)
-        self._vote_centre, self._vote_spread = CENTRE_START, SPREAD_MAX
-        """Centre and spread near which some messages are, in units of 2**-30; first those of a new robot."""
-
-    def _add_restore_at_limits(self) -> None:
-        """Restore a crowd of which one word is at a limit or beyond, or that has another word behind it."""
-        rng = self._rng
-        limits_by_word = (
-            (0, _CENTRE_ONE),
-            (SPREAD_MIN, SPREAD_MAX),
-            (1, 1),  # There is at least one sender, and any further bit is legal.
-            (B_HAT_MIN, B_HAT_MAX),
-            (pack_pair(1, TREND_START), pack_pair(VOTES_MAX, 0)),  # votes and trend
-        )
-        word_in_crowd = rng.randrange(len(limits_by_word))
-        words = self._draw_crowd_and_aim_votes(rng.choice(_CROWD_SIZES)).pack()
-        limit = rng.choice(limits_by_word[word_in_crowd])
-        # A change by one unit passes the limit, or stays within it.
-        words[CROWD_WORD + word_in_crowd] = max(limit + rng.choice([-1, 0, 0, 1]), 0)
-        # All words behind the crowd must be 0.
-        self._add_restore(words | rng.choice([{}, {}, {FIRST_WORD_AFTER_CROWD: 1}]))
-
-    def _add_test_at_threshold(self) -> None:
-        """Run the robust filter's test on a count n at its threshold, on either side."""
-        rng = self._rng
-        crowd = self._draw_crowd_and_aim_votes(votes=VOTES_MAX)
-        t = max(draw_t(rng, self._setup.memory), 1)
-        fill_ratio = Fraction(crowd.centre, _CENTRE_ONE)
-        spread = Fraction(crowd.spread, _CENTRE_ONE)
-        b_hat = Fraction(crowd.initial_b_hat, 1 << 32)
-        predicted_share = b_hat * fill_ratio + (1 - b_hat) * (1 - fill_ratio)
-        side = rng.choice([-1, 1])
-        # The test takes the larger one of the variances of the predicted and of the observed share of black,
-        # so the threshold depends on the observed share itself. Eight iterations approach it.
-        share_at_threshold = predicted_share
-        for _ in range(8):
-            predicted_variance = predicted_share * (1 - predicted_share)
-            observed_variance = share_at_threshold * (1 - share_at_threshold)
-            variance = max(predicted_variance, observed_variance) / t + (2 * b_hat - 1) ** 2 * spread**2
-            distance = Fraction(sqrt(REJECTED_SIGMAS_SQUARED * variance))
-            share_at_threshold = predicted_share + side * distance
-            share_at_threshold = min(max(share_at_threshold, Fraction(0)), Fraction(1))
-        # How far n is on the way from the prediction to the threshold
-        at_prediction, at_threshold = Fraction(0), Fraction(1)
-        where_rounding_decides = 1 + Fraction(rng.randint(-9, 9), 1 << 13)
-        scale = rng.choice([at_prediction, at_threshold, where_rounding_decides])
-        black_share = predicted_share + (share_at_threshold - predicted_share) * scale
-        n = clamp(round(t * black_share) + rng.choice([-1, 0, 1]), 0, t)
-        # If the test passes, a b_hat that is not the initial one must return to it.
-        present_b_hat = rng.choice([crowd.initial_b_hat, draw_b_hat(rng)])
-        self._add_filter_run_on_crowd(crowd, t, n, present_b_hat)
-
-    def _add_filter_near_one_half(self) -> None:
-        """Run the filter with a centre that is just informative, just not informative, or almost 1/2."""
-        rng = self._rng
-        crowd = self._draw_crowd_and_aim_votes(rng.choice(_CROWD_SIZES))
-        side = rng.choice([-1, 1])
-        distance = rng.choice([0, _CENTRE_INFORMATIVE_DISTANCE]) + rng.randint(-1, 1)
-        crowd.centre = CENTRE_START + side * distance
-        t = max(draw_t(rng, self._setup.memory), 1)
-        n = rng.choice([0, t, t // 2])
-        self._add_filter_run_on_crowd(crowd, t, n, draw_b_hat(rng))
-
-    def _add_filter_run_on_crowd(self, crowd: CrowdWords, t: int, n: int, b_hat: int) -> None:
-        """Restore a robot with this crowd and these counts, and run its filter.
-
-        In three of ten cases the robot receives a message before, which may be another vote.
-        """
-        rng = self._rng
-        words = {
-            B_HAT_WORD: b_hat,
-            T_WORD: t,
-            N_WORD: n,
-            FILTER_LEFT_WORD: 1,
-            UPDATES_AND_ID_WORD: self._pack_updates(updated=1),
-        }
-        words |= rng.choice([{}, {}, _COUNTER_OF_TESTS_BEFORE_WRAP])
-        self._add_restore(words | crowd.pack())
-        if rng.random() < 0.3:
-            self._add_receive()
-        self._add_call("settle")
-
-    def _draw_crowd_and_aim_votes(self, votes: int) -> CrowdWords:
-        """Draw a crowd of so many votes; some of the messages that follow are near its centre and spread."""
-        crowd = self._draw_crowd(votes)
-        self._vote_centre, self._vote_spread = crowd.centre, crowd.spread
-        return crowd
-
-    def _draw_crowd(self, votes: int) -> CrowdWords:
-        """Draw a crowd whose trend, senders and spread are near where the filter decides by them.
-
-        The trend is about even or about where the centre counts as moving, in three of four cases, else any.
-        The senders are three, all, or too few; the spread is any legal one, often next to a power of two.
-        """
-        rng = self._rng
-        # Up to two units beside each of these values, as "below 1/8" is not "up to 1/8".
-        any_trend = rng.randrange(1 << 16)
-        trend = rng.choice([TREND_START, TREND_MOVING_DOWN, TREND_MOVING_UP, any_trend])
-        trend = clamp(trend + rng.randint(-2, 1), 0, MAX_16_BITS)
-
-        # Three senders are just enough. They have the lowest ids or the highest ones, which a count of bits
-        # that misses an end of the word would not find.
-        three_lowest_ids, three_highest_ids = 0b111, 0b111 << 29
-        one_or_two_ids = (1 << rng.randrange(32)) | 1
-        voices = rng.choice([three_lowest_ids, three_highest_ids, MAX_32_BITS, one_or_two_ids])
-
-        # The spread shrinks by a shift, which rounds in another way where it has one bit less.
-        power_of_two = 1 << rng.randrange(18, 29)  # from SPREAD_MIN to SPREAD_MAX
-        distance_above = rng.randrange(power_of_two)
-        spread = power_of_two + rng.choice([-1, 0, 1, distance_above])
-        return CrowdWords(
-            spread=clamp(spread, SPREAD_MIN, SPREAD_MAX),
-            centre=self._draw_centre(),
-            voices=voices,
-            initial_b_hat=draw_b_hat(rng),
-            votes=votes,
-            trend=trend,
-        )
-
-    def _draw_centre(self) -> int:
-        """Draw a centre in units of 2**-30: near the messages, anywhere, or at 0 or 1.
-
-        Half of them are multiples of 2**-23, as the x_hat of messages are, so that a vote can lie on them.
-        """
-        rng = self._rng
-        near_messages = q30_from_q23(self._common_x_hat) + rng.randint(-(1 << 20), 1 << 20)
-        anywhere = rng.randint(0, _CENTRE_ONE)
-        centre = clamp(rng.choice([near_messages, anywhere, 0, _CENTRE_ONE]), 0, _CENTRE_ONE)
-        as_x_hat = q30_from_q23(q23_from_q30(centre))
-        return rng.choice([centre, as_x_hat])
-
-    def _draw_x_hat(self) -> int:
-        """Draw an x_hat in units of 2**-23: in one of five cases where the crowd decides by its distance.
-
-        These lie at the centre or one spread below or above it, as the last drawn crowd has them. There the
-        spread changes between growing and shrinking.
-        """
-        rng = self._rng
-        position = self._vote_centre + rng.choice([-1, 0, 1]) * self._vote_spread
-        at_crowd = clamp(q23_from_q30(position), 0, ONE)
-        return at_crowd if rng.random() < 0.2 else super()._draw_x_hat()

@@ -19,7 +19,7 @@ from mcp_asdf_tools.crosscheck.compare import (
     run_crosscheck,
     shrink,
 )
-from mcp_asdf_tools.crosscheck.random_scenarios import robust_scenario
+from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, parse_scenario
 
 

@@ -27,7 +27,7 @@ from mcp_asdf_tools.crosscheck.bounds import (
 )
 from mcp_asdf_tools.crosscheck.compare import CallResult, RobotUnderTest
 from mcp_asdf_tools.crosscheck.oracle import REGIONS, Audit, Errors, region_of
-from mcp_asdf_tools.crosscheck.random_scenarios import robust_scenario
+from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import Call, Setup, parse_scenario
 
 LIMIT = Fraction(INFORMATIVE_G)

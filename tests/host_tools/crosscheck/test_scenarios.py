@@ -14,10 +14,8 @@ from mcp_asdf.robot import Filter
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.crosscheck.compare import RobotUnderTest
 from mcp_asdf_tools.crosscheck.oracle import Audit
-from mcp_asdf_tools.crosscheck.random_scenarios import (
-    random_scenario,
-    robust_scenario,
-)
+from mcp_asdf_tools.crosscheck.random_scenarios import random_scenario
+from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import Scenario, parse_scenario
 
 

@@ -1,0 +1,447 @@
+"""Random scenarios of robots with the robust filter, as ``random_scenarios`` has them of the paper's filters.
+
+Robots are restored with any memory that the filter may have: votes, slots with estimates, and a batch of
+observations. Many of these lie next to a limit: a vote at the distance of the spread, a batch whose deviation
+is just an outlier, estimates that decide the test by one unit, and supporters that are two in five.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from math import isqrt
+from random import Random
+
+from mcp_asdf.arithmetic import Q32_ONE, q32_quotient
+from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, ONE
+from mcp_asdf.mirror import INFORMATIVE_G, MirrorRobot, reestimate
+from mcp_asdf.robot import MAX_ID, Filter
+from mcp_asdf.robust_filter import (
+    CENTRE_START,
+    DISPERSION_MAX,
+    DISPERSION_MIN,
+    REJECTED_SIGMAS_SQUARED,
+    SLOT_ESTIMATE_MAX,
+    SLOTS,
+    SPREAD_MAX,
+    SPREAD_MIN,
+    TESTED_ESTIMATES_MIN,
+    VOTES_MAX,
+    RobustFilter,
+    huber_centre,
+    median_of,
+    probability_of_black,
+    q23_from_q16,
+    q24_from_q16,
+    q30_from_q23,
+    q32_from_q24,
+    slot_estimate,
+    spread_of,
+)
+from mcp_asdf_tools.crosscheck.crafted_rounds import draw_normal_alpha
+from mcp_asdf_tools.crosscheck.crafted_slots import draw_slots_at_threshold, slots_of_two_parties
+from mcp_asdf_tools.crosscheck.image_words import (
+    ALPHA_WORD,
+    B_HAT_WORD,
+    FILTER_LEFT_WORD,
+    MAX_16_BITS,
+    MAX_32_BITS,
+    N_WORD,
+    T_WORD,
+    X_HAT_WORD,
+    pack_robust_filter,
+)
+from mcp_asdf_tools.crosscheck.random_scenarios import ScenarioWriter, draw_setup
+from mcp_asdf_tools.crosscheck.random_values import (
+    clamp,
+    draw_b_hat,
+    draw_n,
+    draw_number_of_any_size,
+    draw_t,
+)
+from mcp_asdf_tools.crosscheck.scenario import Scenario
+
+_CENTRE_ONE = q30_from_q23(ONE)
+_SLOT_ONE = SLOT_ESTIMATE_MAX + 1
+_SLOT_UNIT = q30_from_q23(q23_from_q16(1))
+"""Unit of the estimates in slots, as a number of units of the votes."""
+_SLOT_HALF = slot_estimate(HALF)
+_SLOT_INFORMATIVE_DISTANCE = INFORMATIVE_G >> 17
+"""Distance of an estimate in a slot from 1/2 from which on it carries information, in units of 2**-16."""
+
+_VOTE_COUNTS = (
+    # No vote, and first ones
+    *(0, 1, 2),
+    # The gain is constant up to 63 votes, and then halves at each power of two.
+    *(*range(30, 33), *range(62, 65), 126, 127, 128, 255, 256),
+    # More than 2**9 votes are not counted, and a larger number is not legal.
+    *range(VOTES_MAX - 2, VOTES_MAX + 1),
+)
+"""Numbers of votes at the edges of the gain."""
+
+_SLOWLY_CENTRED = (0, 3, 3, 3, 6, 7, 8, 14, 41, 41, 41, 68, 68, 164, 186, 377, 377, *([833] * 15))
+"""Estimates, less a common part, that five steps take from the median to the centre. Found by search."""
+
+_MAX_DRAWS = 10
+"""Robots that are drawn to find one whose test has a threshold."""
+
+
+@dataclass
+class DrawnRobot:
+    """What the robust filter of a robot works with, as an image holds it.
+
+    Attributes:
+        t: Number of observations, from 1.
+        n: Number of black ones among them.
+        b_hat: Present accuracy that the robot assumes of its sensor, in units of 2**-32.
+        robust: What the filter remembers.
+        estimates: The estimates of all 32 slots, in units of 2**-16.
+    """
+
+    t: int
+    n: int
+    b_hat: int
+    robust: RobustFilter
+    estimates: list[int]
+
+    @property
+    def is_test_possible(self) -> bool:
+        """Whether the filter may have tested the robot, so that b_hat need not be the initial one."""
+        return self.robust.filled_slots.bit_count() >= TESTED_ESTIMATES_MIN and self.robust.batch_t > 0
+
+    def fill_slots(self, estimates: tuple[int, ...], rng: Random) -> None:
+        """Put so many estimates, in any order, into slots drawn from all 32; the other slots become empty."""
+        slots = rng.sample(range(SLOTS), len(estimates))
+        self.estimates = [0] * SLOTS
+        self.robust.filled_slots = 0
+        for slot, estimate in zip(slots, estimates, strict=True):
+            self.estimates[slot] = estimate
+            self.robust.filled_slots |= 1 << slot
+        # A turn that is not 0 follows that of a filled slot.
+        self.robust.turn = rng.choice([0, slots[0] + 1]) if self.robust.votes else 0
+
+
+def robust_scenario(seed: int, index: int) -> Scenario:
+    """Return a scenario of a robot with the robust filter, as ``random_scenario`` does for the paper's."""
+    rng = Random(f"{seed}/robust/{index}")
+    setup = replace(draw_setup(rng), table=None, filter=int(Filter.ROBUST))
+    return RobustScenarioWriter(rng, setup).write()
+
+
+class RobustScenarioWriter(ScenarioWriter):
+    """Writes one scenario of a robot with the robust filter, which has slots and votes in place of rounds."""
+
+    # --- Calls ---
+
+    def _add_restore_at_limits(self) -> None:
+        """Restore a robot of whose robust filter one member is at a limit or beyond."""
+        self._add_restore(self._draw_filter_words_at_limits())
+        self._add_call("settle")
+
+    def _add_test_at_threshold(self) -> None:
+        """Run the filter on estimates of which one decides what it does, or on any that are skewed."""
+        rng = self._rng
+        robot = self._draw_robot()
+        count = rng.choice([5, 5, 6, 31, 32, rng.randint(TESTED_ESTIMATES_MIN, SLOTS)])
+        draw_estimates = rng.choice(
+            [
+                self._draw_estimates_at_threshold,
+                self._draw_estimates_at_threshold,
+                self._draw_parties,
+                self._draw_parties_with_tie,
+                self._draw_skewed_estimates,
+                self._draw_slowly_centred_estimates,
+            ]
+        )
+        estimates = draw_estimates(robot, count)
+        robot.fill_slots(estimates or self._draw_skewed_estimates(robot, count), rng)
+        self._add_filter_run_of(robot)
+
+    def _add_filter_near_one_half(self) -> None:
+        """Run the filter with a centre of estimates that is just informative, just not, or about 1/2."""
+        rng = self._rng
+        robot = self._draw_robot()
+        distance = rng.choice([0, _SLOT_INFORMATIVE_DISTANCE]) + rng.randint(-1, 1)
+        middle = _SLOT_HALF + rng.choice([-1, 1]) * distance
+        count = rng.randint(TESTED_ESTIMATES_MIN, SLOTS)
+        # Among several estimates some are one unit higher, so that their centre lies between two units.
+        raised_count = rng.choice([0, 0, 1, rng.randint(0, count)])
+        robot.fill_slots((middle,) * (count - raised_count) + (middle + 1,) * raised_count, rng)
+        # Observations of one colour, so that the test rejects.
+        robot.n = rng.choice([0, robot.t, robot.n])
+        robot.robust.batch_t, robot.robust.batch_n = robot.t, robot.n
+        self._add_filter_run_of(robot)
+
+    def _add_filter_run_of(self, robot: DrawnRobot) -> None:
+        """Restore this robot, and run its filter.
+
+        In one of five cases the robot receives a message before, which may change a slot.
+        """
+        rng = self._rng
+        # If the test passes, a b_hat that is not the initial one must return to it.
+        may_differ = robot.is_test_possible and rng.random() < 0.5
+        robot.b_hat = draw_b_hat(rng) if may_differ else robot.robust.initial_b_hat
+        words = self._pack(robot) | {FILTER_LEFT_WORD: 1}
+        words |= rng.choice([{}, {}, self._counter_of_tests_before_wrap()])
+        self._add_restore(words)
+        if rng.random() < 0.2:
+            self._add_receive()
+        self._add_call("settle")
+
+    # --- Images ---
+
+    def _pack(self, robot: DrawnRobot) -> dict[int, int]:
+        """Return the words of an image of this robot, with an own x_hat and alpha from before its b_hat."""
+        rng = self._rng
+        self._b_hat = robot.b_hat
+        # Without confidence the robot's own estimate does not vote.
+        alpha = rng.choice([0, rng.randrange(1 << 24) << 8, draw_normal_alpha(rng)])
+        return {
+            B_HAT_WORD: robot.b_hat,
+            T_WORD: robot.t,
+            N_WORD: robot.n,
+            X_HAT_WORD: self._draw_own_x_hat(robot.robust),
+            ALPHA_WORD: alpha,
+            # As if b_hat had just changed: otherwise x_hat and alpha would have to follow from it.
+            self._layout.updates_and_id_word: self._pack_updates(updated=1),
+            **pack_robust_filter(robot.robust, robot.estimates),
+        }
+
+    def _draw_filter_words(self, t: int, n: int) -> dict[int, int]:
+        """Draw the words of the filter's memory after these observations, for the b_hat ``self._b_hat``."""
+        robust = self._draw_filter(t, n, self._b_hat)
+        estimates = self._draw_estimates(robust)
+        if robust.filled_slots.bit_count() >= TESTED_ESTIMATES_MIN and robust.batch_t > 0:
+            robust.initial_b_hat = self._rng.choice([self._b_hat, draw_b_hat(self._rng)])
+        return pack_robust_filter(robust, estimates)
+
+    def _draw_filter_words_at_limits(self) -> dict[int, int]:
+        """Draw an image of which one member of the filter's memory is at a limit, or a unit beside it."""
+        rng = self._rng
+        robot = self._draw_robot()
+        robust = robot.robust
+        if robot.is_test_possible:
+            robot.b_hat = rng.choice([robot.b_hat, draw_b_hat(rng)])
+        white_count = robot.t - robot.n
+        limits = {
+            "centre": (0, _CENTRE_ONE, CENTRE_START),
+            "spread": (SPREAD_MIN, SPREAD_MAX),
+            "initial_b_hat": (B_HAT_MIN, B_HAT_MAX, robot.b_hat),
+            "filled_slots": (robust.filled_slots, robust.filled_slots & (robust.filled_slots - 1)),
+            "batch_t": (0, robust.batch_n, robust.batch_n + white_count),
+            "batch_n": (0, robot.n, robust.batch_t, max(robust.batch_t - white_count, 0)),
+            "votes": (0, VOTES_MAX),
+            "dispersion": (DISPERSION_MIN, DISPERSION_MAX),
+            "turn": (0, SLOTS, robust.turn),
+        }
+        member = rng.choice([field.name for field in fields(RobustFilter)])
+        # One unit more or less may be beyond the limit, and must be refused then.
+        value = clamp(rng.choice(limits[member]) + rng.choice([-1, 0, 0, 1]), 0, MAX_32_BITS)
+        is_short = member in ("votes", "dispersion")
+        setattr(robust, member, min(value, MAX_16_BITS) if is_short else value)
+        if rng.random() < 0.1:
+            # The estimate of an empty slot must be 0.
+            robot.estimates[rng.randrange(SLOTS)] = rng.choice([0, 1, SLOT_ESTIMATE_MAX])
+        return self._pack(robot)
+
+    # --- Values ---
+
+    def _draw_robot(self) -> DrawnRobot:
+        """Draw a robot of which the filter has any memory, and b_hat is the initial one."""
+        rng = self._rng
+        t = max(draw_t(rng, self._setup.memory), 1)
+        initial_b_hat = draw_b_hat(rng)
+        n = draw_n(rng, t, initial_b_hat)
+        robust = self._draw_filter(t, n, initial_b_hat)
+        return DrawnRobot(t, n, initial_b_hat, robust, self._draw_estimates(robust))
+
+    def _draw_filter(self, t: int, n: int, initial_b_hat: int) -> RobustFilter:
+        """Draw what the filter of a robot with this t and n may remember."""
+        rng = self._rng
+        robust = RobustFilter(initial_b_hat=initial_b_hat)
+        robust.filled_slots = self._draw_filled_slots()
+        if robust.filled_slots:
+            robust.votes = rng.choice(_VOTE_COUNTS)
+        if robust.votes:
+            robust.centre = self._draw_centre()
+            robust.spread = self._draw_spread()
+            last_slots = [slot for slot in range(SLOTS) if robust.is_filled(slot)]
+            robust.turn = rng.choice([0, rng.choice(last_slots) + 1, last_slots[-1] + 1])
+        self._draw_batch(robust, t, n)
+        return robust
+
+    def _draw_filled_slots(self) -> int:
+        """Draw the mask of the filled slots: none, one, just enough for a test, any number, or all."""
+        rng = self._rng
+        count = rng.choice([0, 1, 4, 5, 5, 6, rng.randint(0, SLOTS), SLOTS - 1, SLOTS])
+        slots = rng.sample(range(SLOTS), count)
+        # The ends of the mask, which a shift by 32 or a search from bit 1 on would miss.
+        slots_of_one = rng.choice([[0], [SLOTS - 1], slots])
+        return sum(1 << slot for slot in (slots_of_one if count == 1 else slots))
+
+    def _draw_batch(self, robust: RobustFilter, t: int, n: int) -> None:
+        """Set the beginning of a batch that ends after these observations, and the dispersion before it.
+
+        The number of its black observations is that which was to be expected, one just so far from that as
+        an outlier, or all that is possible. Without observations the robot has its first batch.
+        """
+        rng = self._rng
+        if t == 0:
+            return
+        robust.dispersion = rng.choice(
+            [
+                DISPERSION_MIN,
+                DISPERSION_MIN + draw_number_of_any_size(rng, 1, 8),
+                clamp(draw_number_of_any_size(rng, 9, 16), DISPERSION_MIN, DISPERSION_MAX),
+                DISPERSION_MAX - rng.randrange(2),
+            ]
+        )
+        count = rng.choice([0, 1, min(draw_number_of_any_size(rng, 1, 31), t), rng.randint(0, t), t])
+        smallest_black_count, largest_black_count = max(count - (t - n), 0), min(count, n)
+        # Of ``count`` observations so many are black, give or take the largest deviation that counts.
+        expected_black_count = count * n // t
+        variance_limit = REJECTED_SIGMAS_SQUARED * robust.dispersion * count * n * (t - n) // (t * t) >> 8
+        deviation = rng.choice([0, draw_number_of_any_size(rng, 0, 8), isqrt(variance_limit)])
+        black_count = rng.choice(
+            [
+                expected_black_count + rng.choice([-1, 1]) * deviation + rng.randint(-1, 1),
+                smallest_black_count,
+                largest_black_count,
+            ]
+        )
+        robust.batch_t = t - count
+        robust.batch_n = n - clamp(black_count, smallest_black_count, largest_black_count)
+        if robust.batch_t == 0:
+            # No batch has ended yet.
+            robust.batch_n, robust.dispersion = 0, DISPERSION_MIN
+
+    def _draw_centre(self) -> int:
+        """Draw a centre of the votes in units of 2**-30: near the messages, anywhere, or at 0 or 1.
+
+        Half of them are multiples of 2**-16, as the estimates in slots are, so that a vote can lie on them.
+        """
+        rng = self._rng
+        near_messages = q30_from_q23(self._common_x_hat) + rng.randint(-(1 << 20), 1 << 20)
+        anywhere = rng.randint(0, _CENTRE_ONE)
+        centre = clamp(rng.choice([near_messages, anywhere, 0, _CENTRE_ONE]), 0, _CENTRE_ONE)
+        return rng.choice([centre, centre // _SLOT_UNIT * _SLOT_UNIT])
+
+    def _draw_spread(self) -> int:
+        """Draw a spread of the votes in units of 2**-30: often next to a power of two, or one of 2**-16.
+
+        It shrinks by a shift, which rounds in another way where it has one bit less.
+        """
+        rng = self._rng
+        power_of_two = 1 << rng.randrange(18, 29)  # from SPREAD_MIN to SPREAD_MAX
+        distance_above = rng.randrange(power_of_two)
+        spread = power_of_two + rng.choice([-1, 0, 1, distance_above])
+        as_slot = distance_above // _SLOT_UNIT * _SLOT_UNIT
+        return clamp(rng.choice([spread, spread, as_slot]), SPREAD_MIN, SPREAD_MAX)
+
+    def _draw_estimates(self, robust: RobustFilter) -> list[int]:
+        """Draw the estimates of the filled slots; some lie at the distance of the spread from the centre."""
+        rng = self._rng
+        position = robust.centre + rng.choice([-1, 0, 1]) * robust.spread
+        at_spread = clamp(position // _SLOT_UNIT + rng.randint(-1, 1), 0, SLOT_ESTIMATE_MAX)
+        return [
+            rng.choice([at_spread, slot_estimate(min(self._draw_x_hat(), ONE))])
+            if robust.is_filled(slot)
+            else 0
+            for slot in range(SLOTS)
+        ]
+
+    def _draw_own_x_hat(self, robust: RobustFilter) -> int:
+        """Draw an x_hat of the robot itself, half of them at the distance of the spread from the centre."""
+        rng = self._rng
+        position = robust.centre + rng.choice([-1, 0, 1]) * robust.spread
+        at_spread = clamp((position >> 7) + rng.randint(-1, 1), 0, ONE)
+        return rng.choice([at_spread, min(self._draw_x_hat(), ONE)])
+
+    def _draw_sender(self) -> int:
+        """Draw the id of a sender, in one of four cases one that shares its slot with another."""
+        rng = self._rng
+        of_same_slot = rng.randrange(10) + SLOTS * rng.randrange((MAX_ID + 1) // SLOTS)
+        return of_same_slot if rng.random() < 0.25 else super()._draw_sender()
+
+    # --- Estimates for a test ---
+
+    def _mirror_of(self, robot: DrawnRobot) -> MirrorRobot:
+        """Return a mirror with what the test of this robot takes: t, n, and the filter's memory."""
+        mirror = MirrorRobot(self._setup.config(), self._setup.robot_id, robot.b_hat / Q32_ONE)
+        mirror.s.t, mirror.s.n, mirror.s.robust = robot.t, robot.n, robot.robust
+        return mirror
+
+    def _draw_estimates_at_threshold(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
+        """Draw estimates that the test just rejects, or just does not; None if it has no threshold.
+
+        Of several drawn robots the first whose test has a threshold takes the place of ``robot``.
+        """
+        rng = self._rng
+        for _ in range(_MAX_DRAWS):
+            width = draw_number_of_any_size(rng, 1, 15)
+            both_sides = draw_slots_at_threshold(self._mirror_of(robot), count, width, rng)
+            if both_sides is not None:
+                return rng.choice(both_sides).estimates
+            drawn_robot = self._draw_robot()
+            robot.t, robot.n, robot.robust = drawn_robot.t, drawn_robot.n, drawn_robot.robust
+        return None
+
+    def _draw_parties(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
+        """Draw estimates that the test rejects, of which about two in five support the robot.
+
+        The others agree on an estimate that contradicts its observations. None if that is not possible.
+        """
+        supporter_count = 2 * count // 5 + self._rng.randint(0, 1)
+        slots = slots_of_two_parties(self._mirror_of(robot), count, supporter_count)
+        return None if slots is None else slots.estimates
+
+    def _draw_parties_with_tie(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
+        """Draw two parties, of which two in five estimates support the robot, and an estimate between them.
+
+        The robot's initial b_hat becomes such that the prediction by this estimate is exactly as far from the
+        robot's observed share of black as from the prediction by the centre of all: it does not support the
+        robot, but almost. There are at least 12 estimates, so that the other party is more than a half. The
+        result is None if there is no such b_hat.
+        """
+        rng = self._rng
+        count = max(count, 12)
+        supporter_count = 2 * count // 5
+        supporter, tied, other = rng.sample(range(_SLOT_ONE), 3)
+        estimates = (supporter,) * supporter_count + (tied,) + (other,) * (count - supporter_count - 1)
+        sorted_estimates = sorted(map(q24_from_q16, estimates))
+        median = median_of(sorted_estimates)
+        centre = huber_centre(sorted_estimates, median, spread_of(sorted_estimates, median))
+        # By the point opposite to the centre the robot should observe what it does.
+        opposite_point = 2 * q24_from_q16(tied) - centre
+        if not 0 <= opposite_point < q24_from_q16(_SLOT_ONE):
+            return None
+        b_hat_of_point = reestimate(robot.t, robot.n, q32_from_q24(opposite_point))
+        if b_hat_of_point is None:
+            return None
+        # The prediction is rounded, so that a b_hat a few units beside may be the one.
+        share = q32_quotient(robot.n, robot.t)
+        for b_hat in range(max(b_hat_of_point - 8, B_HAT_MIN), min(b_hat_of_point + 8, B_HAT_MAX)):
+            prediction = probability_of_black(b_hat, q32_from_q24(q24_from_q16(tied)))
+            prediction_of_centre = probability_of_black(b_hat, q32_from_q24(centre))
+            if abs(prediction - share) == abs(prediction - prediction_of_centre):
+                robot.robust.initial_b_hat = b_hat
+                return estimates
+        return None
+
+    def _draw_skewed_estimates(self, robot: DrawnRobot, count: int) -> tuple[int, ...]:
+        """Draw estimates at any distances, mostly small, on one side of a point.
+
+        Their median is far from their centre.
+        """
+        rng = self._rng
+        start = rng.choice([rng.randint(0, SLOT_ESTIMATE_MAX), 0, SLOT_ESTIMATE_MAX])
+        max_bits = rng.randint(2, 16)
+        direction = rng.choice([-1, 1])
+        distances = [draw_number_of_any_size(rng, 0, max_bits) for _ in range(count)]
+        return tuple(clamp(start + direction * distance, 0, SLOT_ESTIMATE_MAX) for distance in distances)
+
+    def _draw_slowly_centred_estimates(self, robot: DrawnRobot, count: int) -> tuple[int, ...]:
+        """Draw 32 estimates for whose centre four steps are one too few, anywhere and in either direction."""
+        rng = self._rng
+        scale = rng.choice([-1, 1]) << rng.randrange(4)
+        start = rng.randint(0, SLOT_ESTIMATE_MAX)
+        return tuple(clamp(start + scale * offset, 0, SLOT_ESTIMATE_MAX) for offset in _SLOWLY_CENTRED)
