@@ -19,8 +19,8 @@ static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t x_bar);
 #if MCP_ASDF_WITH_ROBUST
 /* Fewer votes count as so many: the gain is at most 2^-3. */
 #define VOTES_OF_MAX_GAIN 32U
-/* Steps from the median of the estimates to their Huber centre. */
-#define HUBER_STEPS 4U
+/* Steps from the median of the estimates to their Huber centre, which a further step does not move. */
+#define HUBER_STEPS 3U
 /* The test rejects beyond sqrt(12) standard deviations, where a sound robot is in 1 of 2000 tests. */
 #define REJECTED_SIGMAS_SQUARED 12U
 /* A batch of observations counts 1/8 in the dispersion, all batches before it 7/8. */
@@ -337,7 +337,7 @@ static uint32_t run_robust_filter(mcp_asdf_t *robot)
     /* The median, Q24: the mean of the two in the middle, which are one where their number is odd. */
     uint32_t centre = ((uint32_t)sorted[(count - 1U) / 2U] + sorted[count / 2U]) << 7;
     const uint32_t spread = median_distance(sorted, count, centre);
-    for (uint32_t i = 0; i < HUBER_STEPS; ++i) { /* 4 turns */
+    for (uint32_t i = 0; i < HUBER_STEPS; ++i) { /* at most 3 turns */
         centre = huber_step(sorted, count, centre, spread);
     }
     ++robot->counters.tests;

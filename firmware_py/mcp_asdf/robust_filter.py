@@ -39,8 +39,8 @@ VOTES_MAX = 1 << 9
 """More votes are not counted, so that the gain does not fall below 2**-7."""
 VOTES_OF_MAX_GAIN = 32
 """Up to 63 votes the gain stays at that of 32 votes, 1/8."""
-HUBER_STEPS = 4
-"""Steps from the median of the estimates to their Huber centre."""
+HUBER_STEPS = 3
+"""Steps from the median of the estimates to their Huber centre, which a further step does not move."""
 REJECTED_SIGMAS_SQUARED = 12
 """The test rejects beyond sqrt(12) standard deviations."""
 DISPERSION_MIN = 1 << 8

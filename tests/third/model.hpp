@@ -165,7 +165,7 @@ class TestedEstimates
         S = std::clamp<int64_t>(twice_the_median(distances) / 2, 1 << 12, 1 << 22);
 
         C = M;
-        for (int times = 0; times < 4; ++times)
+        for (int times = 0; times < 3; ++times)
             move_centre();
     }
 
