@@ -19,7 +19,7 @@ static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t x_bar);
 #if MCP_ASDF_WITH_ROBUST
 /* Fewer votes count as so many: the gain is at most 2^-3. */
 #define VOTES_OF_MAX_GAIN 32U
-/* Steps from the median of the estimates to their Huber centre, which a further step does not move. */
+/* Steps from the median of the estimates to their Huber centre, which a further step hardly ever moves. */
 #define HUBER_STEPS 3U
 /* The test rejects beyond sqrt(12) standard deviations, where a sound robot is in 1 of 2000 tests. */
 #define REJECTED_SIGMAS_SQUARED 12U

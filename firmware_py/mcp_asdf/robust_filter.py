@@ -40,7 +40,7 @@ VOTES_MAX = 1 << 9
 VOTES_OF_MAX_GAIN = 32
 """Up to 63 votes the gain stays at that of 32 votes, 1/8."""
 HUBER_STEPS = 3
-"""Steps from the median of the estimates to their Huber centre, which a further step does not move."""
+"""Steps from the median of the estimates to their Huber centre, which a further step hardly ever moves."""
 REJECTED_SIGMAS_SQUARED = 12
 """The test rejects beyond sqrt(12) standard deviations."""
 DISPERSION_MIN = 1 << 8
