@@ -4,8 +4,7 @@ Nothing is quantised here and alpha has no upper limit, so this is the measure f
 Names and cases are the paper's, with w_hat = b_hat: the accuracy that a robot assumes of its sensor. x_hat is
 the robot's local estimate of the share of black tiles after n black among t observations, and alpha its
 confidence; ``mcp_asdf.robot`` defines the other words. Equation numbers count its numbered rows in order, so
-the hypothesis test is eq. 12. The robust filter, which is not the paper's, is here, too (``docs/robust.md``):
-to it a received x_hat is a vote, and its crowd is the summary of all votes so far.
+the hypothesis test is eq. 12. The robust filter, which is not the paper's, is ``mcp_asdf.robust_reference``.
 
 The equations but eq. 10 and 12 take floats or fractions: from `fractions.Fraction` they give exact results.
 Sums of floats are correctly rounded, so that no result depends on the order of the messages.
@@ -18,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from operator import index
@@ -41,6 +40,7 @@ from mcp_asdf.robot import (
     create_rejection,
     describe_robot,
 )
+from mcp_asdf.robust_reference import TESTED_ESTIMATES_MIN, RobustReference
 
 Number = TypeVar("Number", float, Fraction)
 """The type in which an equation is computed."""
@@ -50,32 +50,6 @@ INFORMATIVE_G = 2.0**-12
 
 MAX_OMEGA = 0.9
 """Largest omega, which is the type II error probability of the hypothesis test."""
-
-# The robust filter's constants, by the names that they have in the C; ``docs/robust.md`` has the reasons.
-SPREAD_MIN = 2.0**-12
-"""Smallest spread of the votes."""
-SPREAD_MAX = 0.25
-"""Largest spread of the votes, and that before the first vote."""
-VOTES_MAX = 2**14
-"""More votes are not counted, so that the gain does not fall below 2**-12."""
-VOTES_OF_MAX_GAIN = 32
-"""Up to 63 votes the gain stays at that of 32 votes, 1/8."""
-VOTES_MIN_WHILE_MOVING = 2**8
-"""While the centre moves, votes are halved down to about this number."""
-TREND_SHIFT = 8
-"""With every vote the trend loses 2**-8 of itself, so it remembers about 256 votes."""
-TREND_MOVING_DOWN = 1 / 8
-"""The centre moves down if the trend is below this."""
-TREND_MOVING_UP = 7 / 8
-"""The centre moves up if the trend is at least this."""
-REJECTED_SIGMAS_SQUARED = 12
-"""The robust filter's test rejects beyond sqrt(12) standard deviations."""
-SENDERS_MIN = 3
-"""Smallest number of senders among which one that is wrong can be outvoted."""
-STEP_MIN = 2.0**-30
-"""A vote that moves the centre by less does not move it at all in the firmware."""
-SENDER_BITS = 32
-"""The firmware notes who has voted in a mask of so many bits: ids that are equal modulo 32 share a bit."""
 
 COUNTER_MODULUS = 2**16
 """Counters of events have 16 bits in the firmware."""
@@ -286,125 +260,6 @@ def asdf_test_rejects(
     return deviation >= limit
 
 
-# ---- The robust filter ----
-
-
-@dataclass(frozen=True)
-class Crowd:
-    """State of the robust filter: a summary of the x_hat that a robot has received, which are its votes.
-
-    Attributes:
-        centre: Centre of the votes, in [0, 1].
-        spread: Median distance of the votes from the centre, in [SPREAD_MIN, SPREAD_MAX].
-        trend: Share of the centre's recent moves that went up; a move too small to count is half of one.
-        votes: Number of votes up to VOTES_MAX; tests while the centre moves halve it if it is at least 512.
-            The gain, the share of its distance by which a vote moves the centre, falls with this number.
-        voices: Set of the senders heard, those that have voted: their ids modulo SENDER_BITS. The test waits
-            until there are SENDERS_MIN.
-    """
-
-    centre: float = 0.5
-    spread: float = SPREAD_MAX
-    trend: float = 0.5
-    votes: int = 0
-    voices: frozenset[int] = frozenset()
-
-    @property
-    def is_moving(self) -> bool:
-        """True if about 7 of 8 recent moves of the centre went the same way: trend < 1/8 or >= 7/8.
-
-        That is so after a change of the floor.
-        """
-        return not TREND_MOVING_DOWN <= self.trend < TREND_MOVING_UP
-
-
-def crowd_after_vote(crowd: Crowd, sender: int, x_hat: float) -> Crowd:
-    """Return the robust filter's summary of the received estimates with one more, ``x_hat`` in [0, 1]. O(1).
-
-    The new x_hat, a vote, moves the centre and the spread as `step_and_spread_after_vote` says. The trend
-    moves by 1/256 of its distance to 1 if the centre goes up, to 0 if it goes down, and to 1/2 if it stays.
-    ``sender`` joins ``voices``, the set of the senders heard. The given crowd is not changed.
-    """
-    _check_is_in_unit_interval(x_hat, "x_hat")
-    votes = min(crowd.votes + 1, VOTES_MAX)
-    step, spread = step_and_spread_after_vote(votes, crowd.centre, crowd.spread, x_hat)
-    is_still = abs(step) < STEP_MIN  # then the firmware's centre stays where it is
-    is_up = step > 0
-    direction = 0.5 if is_still else float(is_up)
-    # The firmware has 32 bits for the senders, so ids that are equal modulo 32 count as one.
-    sender_bit = sender % SENDER_BITS
-    return Crowd(
-        centre=crowd.centre + step,
-        spread=spread,
-        trend=crowd.trend + (direction - crowd.trend) / 2**TREND_SHIFT,
-        votes=votes,
-        voices=crowd.voices | {sender_bit},
-    )
-
-
-def step_and_spread_after_vote(
-    votes: int, centre: Number, spread: Number, x_hat: Number
-) -> tuple[Number, Number]:
-    """Return by how much a received ``x_hat`` moves the robust filter's centre, and the new spread. O(1).
-
-    The centre moves towards x_hat by a share of the distance, the gain, where a distance above the spread
-    counts as one that equals it. The spread grows by gain / 2 of itself if the distance is above it, and
-    shrinks by as much otherwise, so that it converges to the median of the distances. The gain falls with
-    ``votes``, the number of received estimates with this one: it is 1/8 up to 63 votes, 1/16 up to 127 votes,
-    and so on to 2**-12.
-
-    This is Robbins and Monro's stochastic approximation of Huber's M-estimate.
-    """
-    number = _number_type(centre)
-    # A power of two, so that the firmware shifts instead of dividing: 32 votes have 6 bits, and give 2**-3.
-    gain_exponent = max(votes, VOTES_OF_MAX_GAIN).bit_length() - 3
-    gain = number(2.0**-gain_exponent)
-    difference = x_hat - centre
-    # A vote farther away than the spread moves the centre no more than one at that distance.
-    clamped_difference = max(-spread, min(difference, spread))
-    step = gain * clamped_difference
-    widening = gain / 2 if abs(difference) > spread else -gain / 2
-    new_spread = spread * (1 + widening)
-    return step, max(number(SPREAD_MIN), min(new_spread, number(SPREAD_MAX)))
-
-
-def robust_test_rejects(n: int, t: int, b: float, centre: float, spread: float) -> bool:
-    """Return whether ``n`` black among ``t`` > 0 observations contradict ``b``, the assumed accuracy. O(1).
-
-    A robot tests its initial b_hat. ``centre`` and ``spread`` are those of the robust filter's summary of
-    received estimates, which is taken to be right. The counts contradict ``b`` if
-
-        (n / t - p)**2 > 12 (v / t + (2 b - 1)**2 spread**2)
-
-    where p is the share of black that a sensor of accuracy ``b`` sees if ``centre`` is the share of black
-    tiles, and v / t the variance of n / t. `robust_test_sides` computes both sides. Raises ValueError for
-    counts, a ``b`` or a ``centre`` out of range.
-    """
-    _check_counts(n, t)
-    _check_is_in_unit_interval(b, "b")
-    _check_is_in_unit_interval(centre, "centre")
-    difference_squared, limit = robust_test_sides(n, t, b, centre, spread)
-    return difference_squared > limit
-
-
-def robust_test_sides(n: int, t: int, b: Number, centre: Number, spread: Number) -> tuple[Number, Number]:
-    """Return both sides of the robust filter's test, which rejects if the first is the larger. O(1).
-
-    The test is about ``b``, the assumed accuracy. The sides are D**2 and 12 (v/t + (2b - 1)**2 spread**2),
-    where D is the difference of the observed share n/t and the predicted one p = b centre + (1 - b)(1 -
-    centre) (eq. 1), and v is the larger of their variances p (1 - p) and n/t (1 - n/t).
-    """
-    number = _number_type(b)
-    observed_share = number(n) / t
-    predicted_share = b * centre + (1 - b) * (1 - centre)
-    # Each of these estimates of the variance is 0 if its share is 0 or 1.
-    variance = max(predicted_share * (1 - predicted_share), observed_share * (1 - observed_share))
-    # The prediction is uncertain, too: it changes by 2 b - 1 where the centre changes by 1.
-    prediction_variance = (2 * b - 1) ** 2 * spread**2
-    limit = REJECTED_SIGMAS_SQUARED * (variance / t + prediction_variance)
-    return (observed_share - predicted_share) ** 2, limit
-
-
 # ---- Arguments and numbers ----
 
 
@@ -517,13 +372,12 @@ class ReferenceRobot:
         self._t = 0
         self._n = 0
         self._b_hat = float(b_hat)
-        self._initial_b_hat = float(b_hat)
         self._own_estimate = Estimate(x_hat=0.5, alpha=0.0)
         self._open_round: dict[int, Estimate[float]] = {}
         """Estimates of the open round, by sender."""
         self._closed_round: list[Estimate[float]] = []
         """Estimates with confidence of the last closed round; none with the robust filter."""
-        self._crowd = Crowd()
+        self._robust = RobustReference(initial_b_hat=float(b_hat))
         self._filter_left = config.filter_period
         """Rounds until the filter runs next."""
         self._counts = dict.fromkeys(Counters.__dataclass_fields__, 0)
@@ -543,6 +397,8 @@ class ReferenceRobot:
             # Halving keeps the share of black tiles, and lets new observations weigh more than old ones.
             self._t //= 2
             self._n = round(self._n / 2)  # round() takes ties to even
+            # The counts at the beginning of the present batch can no longer be compared with these.
+            self._robust.begin_batch(self._n, self._t)
         self._own_estimate = Estimate(
             local_estimate(self._n, self._t, self._b_hat, self._conventions),
             local_confidence(self._n, self._t, self._b_hat, self._conventions),
@@ -556,8 +412,8 @@ class ReferenceRobot:
         this sender. Raises FirmwareError, and counts the message as rejected, if ``sender`` is not in
         0 .. 127 or is the robot's own id (ERR_SENDER), or if ``x_hat`` is not in [0, 1] (ERR_X_HAT). Raises
         ValueError, and changes nothing, for an ``alpha`` that is no confidence: negative (also -0.0),
-        infinite or NaN. An estimate with alpha = 0 is accepted, but has no weight; with the robust filter the
-        others also move the centre of the received x_hat.
+        infinite or NaN. An estimate with alpha = 0 is accepted, but has no weight. With the robust filter the
+        others take the place of earlier ones of the same sender.
         """
         sender = index(sender)
         check_alpha(alpha)  # first, since a wrong alpha is the caller's mistake and not counted
@@ -571,7 +427,7 @@ class ReferenceRobot:
         self._count("accepted")
         self._open_round[sender] = Estimate(float(x_hat), float(alpha))
         if self._is_robust and alpha > 0:
-            self._crowd = crowd_after_vote(self._crowd, sender, float(x_hat))
+            self._robust.keep_estimate(sender, float(x_hat))
         return Status.OK
 
     def _check_message(self, sender: int, x_hat: float) -> Status:
@@ -589,9 +445,12 @@ class ReferenceRobot:
     def settle(self) -> Status:
         """Close the open round, and run the filter if ``filter_period`` rounds have passed. O(m).
 
-        The closed round is that of x_bar, beta and x from now on; the new open round is empty. Returns
-        UPDATED if the filter has re-estimated b_hat, the assumed accuracy, and OK otherwise.
+        The closed round is that of x_bar, beta and x from now on; the new open round is empty. With the
+        robust filter one of the estimates that the robot keeps, or its own, counts as a vote. Returns UPDATED
+        if the filter has re-estimated b_hat, the assumed accuracy, and OK otherwise.
         """
+        if self._is_robust:
+            self._robust.take_vote(self._own_estimate.x_hat, has_confidence=self._own_estimate.alpha > 0)
         estimates = () if self._is_robust else self._open_round.values()
         # The filter, which runs below, and the social estimate are about the round that is closed now.
         self._closed_round = [estimate for estimate in estimates if estimate.alpha > 0]
@@ -635,7 +494,8 @@ class ReferenceRobot:
         It is the b_hat for which this robot's own estimate would be x_bar, the estimate of its neighbours. It
         is None before the first observation, and if x_bar carries no information: |2 x_bar - 1| < 2**-12 (but
         see ``Conventions.guarded``). This changes nothing. The filter calls it when its test rejects, or
-        always if it has none. Subclasses may override it for a filter of their own.
+        always if it has none; the robust filter does not. Subclasses may override it for a filter of their
+        own.
         """
         return assumed_accuracy_update(self._n, self._t, self.x_bar, self._conventions)
 
@@ -664,33 +524,25 @@ class ReferenceRobot:
     def _run_robust_filter(self) -> float | None:
         """Test the initial b_hat against the received estimates: return the new b_hat, or None to keep it.
 
-        The crowd is the robust filter's summary of the received estimates, its votes. The first of these
-        cases that applies decides:
+        Before that, the batch of observations since the last run ends. The first of these cases that applies
+        decides:
 
-        - The crowd's centre is moving: None, without a test. If the crowd has 512 votes or more, their number
-          is halved.
-        - Fewer than three senders have voted: None, without a test, as a wrong one could not be outvoted.
-        - The test, which is counted, rejects the initial b_hat: what `reestimate_b_hat` returns, which is the
-          accuracy for which the robot's x_hat would be the centre, or None.
-        - It does not reject: the initial b_hat, or None if that is the present b_hat.
+        - The robot keeps fewer than five estimates: None, without a test. Of five, two can be outvoted.
+        - The test, which is counted, rejects the initial b_hat, and at most two fifths of the estimates
+          support this robot: the accuracy for which its x_hat would be the centre of the estimates (eq. 8),
+          or None if that carries no information.
+        - Otherwise: the initial b_hat, or None if that is the present b_hat.
         """
-        crowd = self._crowd
-        if crowd.is_moving:
-            # The gain, the share of its distance by which a vote moves the centre, falls with the number of
-            # votes. Halved, it lets the centre follow faster.
-            if crowd.votes >= 2 * VOTES_MIN_WHILE_MOVING:
-                self._crowd = replace(crowd, votes=crowd.votes // 2)
-            return None
-        # ``voices`` is the set of the senders heard.
-        if len(crowd.voices) < SENDERS_MIN:
+        robust = self._robust
+        robust.end_batch(self._n, self._t)
+        if len(robust.estimates) < TESTED_ESTIMATES_MIN:
             return None
         self._count("tests")
-        if robust_test_rejects(self._n, self._t, self._initial_b_hat, crowd.centre, crowd.spread):
-            return self.reestimate_b_hat()
+        centre = robust.find_contradiction(self._n, self._t)
+        if centre is not None:
+            return assumed_accuracy_update(self._n, self._t, centre, self._conventions)
         # An earlier test may have replaced the initial b_hat, and then it comes back.
-        if self._b_hat == self._initial_b_hat:
-            return None
-        return self._initial_b_hat
+        return None if self._b_hat == robust.initial_b_hat else robust.initial_b_hat
 
     @property
     def _is_robust(self) -> bool:
@@ -738,10 +590,10 @@ class ReferenceRobot:
     def x_bar(self) -> float:
         """Social estimate (eq. 5): weighted mean of the x_hat of the last closed round; 1/2 if ``beta`` is 0.
 
-        With the robust filter: the centre of all received x_hat, or 1/2 before the first. O(m).
+        With the robust filter: the centre of the votes, or 1/2 before the first. O(m).
         """
         if self._is_robust:
-            return self._crowd.centre
+            return self._robust.votes.centre
         return social_estimate(self._closed_round)
 
     @property
@@ -756,10 +608,10 @@ class ReferenceRobot:
     def x(self) -> float:
         """Informed estimate (eq. 7) of the present local estimate and the last closed round. O(m).
 
-        With the robust filter: the centre of all received x_hat, or this robot's own before the first.
+        With the robust filter: the centre of the votes, or this robot's own x_hat before the first.
         """
         if self._is_robust:
-            return self._crowd.centre if self._crowd.votes else self._own_estimate.x_hat
+            return self._robust.votes.centre if self._robust.votes.count else self._own_estimate.x_hat
         return informed_estimate(self._own_estimate, self._closed_round)
 
     @property

@@ -11,7 +11,7 @@ from enum import IntEnum
 import pytest
 
 import mcp_asdf
-from mcp_asdf import fixed_point, image_format, mirror, reference, robot, robust_filter
+from mcp_asdf import fixed_point, image_format, mirror, reference, robot, robust_filter, robust_reference
 from mcp_asdf.native import NativeRobot, ffi, lib
 from mcp_asdf.robot import Config, Filter, Observation, Status
 from mcp_asdf.table import EXTRA_WORDS, MAX_Q
@@ -73,14 +73,22 @@ def test_the_robust_filter_has_the_same_constants_in_c_and_mirror(name: str) -> 
 @pytest.mark.parametrize(
     ("name", "unit"),
     [
+        ("SLOTS", 1),
+        ("CENTRE_START", 2**-30),
         ("SPREAD_MIN", 2**-30),
         ("SPREAD_MAX", 2**-30),
+        ("VOTES_MAX", 1),
         ("VOTES_OF_MAX_GAIN", 1),
+        ("TESTED_ESTIMATES_MIN", 1),
+        ("HUBER_STEPS", 1),
         ("REJECTED_SIGMAS_SQUARED", 1),
+        ("DISPERSION_MIN", 2**-8),
+        ("DISPERSION_MAX", 2**-8),
+        ("DISPERSION_SHIFT", 1),
     ],
 )
 def test_mirror_and_reference_have_the_same_robust_filter(name: str, unit: float) -> None:
-    assert getattr(robust_filter, name) * unit == getattr(reference, name)
+    assert getattr(robust_filter, name) * unit == getattr(robust_reference, name)
 
 
 def test_an_accuracy_carries_no_information_at_the_same_limit_in_mirror_and_reference() -> None:

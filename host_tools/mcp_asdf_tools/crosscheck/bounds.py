@@ -1,7 +1,8 @@
 """Bounds of the firmware's rounding errors, as exact fractions.
 
 The exact values are those of ``mcp_asdf.reference``, computed in fractions. The bounds are derived from the
-roundings that docs/design.md states, and nothing is taken from the firmware.
+roundings that docs/design.md states, and nothing is taken from the firmware. ``robust_bounds`` has those of
+the robust filter.
 
 Both colours are treated alike, so the derivations are about the rarer one: with k = min(n, t - n),
 c = min(b, 1 - b), g = 1 - 2 c, r = 1 / g and p = k / t, x_hat is max(0, (p - c) / g) or its mirror image.
@@ -15,17 +16,12 @@ from mcp_asdf.reference import (
     is_informative,
     local_confidence,
     local_estimate,
-    robust_test_sides,
-    step_and_spread_after_vote,
 )
 
 HALF = Fraction(1, 2)
 Q23, Q24, Q30, Q31, Q32 = (Fraction(1, 2**bits) for bits in (23, 24, 30, 31, 32))
 
 LARGEST_ALPHA = Fraction(2**31 - 2**7)
-
-UNDECIDED = Fraction(1, 2**13)
-"""The firmware's robust test is right if its sides differ by more than this share of the larger one."""
 
 Bounds = tuple[Fraction, Fraction]
 """Smallest and largest value that the firmware may have."""
@@ -50,8 +46,8 @@ def x_hat_bounds(n: int, t: int, b: Fraction) -> Bounds:
     r = 1 / abs(2 * b - 1)
     # At the end of the scale, where p <= c, x_hat is 0 exactly.
     largest_error = (1 - 2 * exact_of_rarer) * r * Q31 if exact_of_rarer else Fraction(0)
-    lower = _round_down(exact_of_rarer, Q23)
-    upper = _round_down(exact_of_rarer + largest_error, Q23)
+    lower = round_down(exact_of_rarer, Q23)
+    upper = round_down(exact_of_rarer + largest_error, Q23)
     return (lower, upper) if exact == exact_of_rarer else (1 - upper, 1 - lower)
 
 
@@ -122,35 +118,6 @@ def b_hat_error(x_bar: Fraction) -> Fraction:
     return x_bar_error / abs(2 * x_bar - 1) + Q30 + Q31 + Q32
 
 
-def _round_down(value: Fraction, unit: Fraction) -> Fraction:
+def round_down(value: Fraction, unit: Fraction) -> Fraction:
     """Return the largest multiple of ``unit`` that is not above ``value``."""
     return value // unit * unit
-
-
-def _round_towards_0(value: Fraction, unit: Fraction) -> Fraction:
-    """Return the multiple of ``unit`` next to ``value`` on the side of 0."""
-    return int(value / unit) * unit
-
-
-def crowd_after_vote(votes: int, centre: Fraction, spread: Fraction, x_hat: Fraction) -> Bounds:
-    """Return the centre and the spread that the firmware must have after the ``votes``-th vote.
-
-    Both were multiples of 2**-30 before, and their changes are rounded towards 0 to such multiples.
-    """
-    step, exact_spread = step_and_spread_after_vote(votes, centre, spread, x_hat)
-    # The firmware shifts distances, which are not negative, and applies the sign afterwards.
-    return centre + _round_towards_0(step, Q30), spread + _round_towards_0(exact_spread - spread, Q30)
-
-
-def robust_test_outcome(n: int, t: int, b: Fraction, centre: Fraction, spread: Fraction) -> bool | None:
-    """Return whether the robust filter's test rejects ``b`` for t > 0, or None if rounding may decide.
-
-    With g = 2 b - 1 both sides are at least 12 2**-33 where they are alike, as t < 2**31, v >= (1 - g**2) / 4
-    and spread >= 2**-12. So D is at least 160,000 units of 2**-32, of which p lacks less than 4, and n/t less
-    than 5: D**2 is off by 2**-13.9 of itself. The product of g and the spread, rounded down, takes 2**-15.5
-    from the other side, and v, which lacks 5 units, far less.
-    """
-    difference_squared, limit = robust_test_sides(n, t, b, centre, spread)
-    if abs(difference_squared - limit) <= UNDECIDED * max(difference_squared, limit):
-        return None
-    return difference_squared > limit

@@ -2,7 +2,8 @@
 
 The mirror's own code runs, and every bytecode instruction is counted, so a loop shows whatever it loops over.
 Calls are counted over t, over the number m of messages in a round and over the table's q, with both outcomes
-of every decision. Each instruction takes a bounded time, as the mirror's integers are those of the C.
+of every decision. Each instruction takes a bounded time, as the mirror's integers are those of the C. The
+robust filter has loops, but over its 32 slots at most: what it takes must not grow beyond 32 messages.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from itertools import product
 from types import FrameType
 from typing import Any
 
-from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, ONE
+from mcp_asdf.fixed_point import ALPHA_MAX, B_HAT_MAX, B_HAT_MIN, HALF, ONE
 from mcp_asdf.mirror import Closed, MirrorRobot
 from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MIN_MEMORY, Config, Filter, Observation
+from mcp_asdf.robust_filter import VOTES_MAX
 from mcp_asdf.table import MAX_Q, MIN_Q, Table
 from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE
 from mcp_asdf_tools.tables.thresholds import generate, parse_omega
@@ -28,9 +30,8 @@ _OWN_ID = 127
 _ID_IN_ROUND = 0
 _ID_NOT_IN_ROUND = 126
 
-_CENTRE_THAT_CONTRADICTS = 0
-_CENTRE_THAT_AGREES = (1 << 29) - (1 << 24)
-"""Centres of the robust filter that contradict half of the tiles being black, and that do not."""
+_X_HAT_THAT_CONTRADICTS, _X_HAT_THAT_AGREES = 0, HALF
+"""Estimates that contradict half of the observations being black, and that do not, in units of 2**-23."""
 
 AXES = ("t", "m", "q")
 CALLS: dict[str, Callable[[MirrorRobot], object]] = {
@@ -47,7 +48,7 @@ Counts = dict[str, dict[str, dict[int, int]]]
 """Largest number of instructions by call, axis and value on the axis. Calls of robots with the robust filter
 are apart, as "settle, robust"; they have no values for q."""
 
-_MAX_INSTRUCTIONS = 4000
+_MAX_INSTRUCTIONS = 20_000
 """Longer calls are cut short here, as a loop over t would not end."""
 
 
@@ -56,7 +57,7 @@ class _CutShortError(Exception):
 
 
 def count_instructions(action: Callable[[], object]) -> int:
-    """Return the number of bytecode instructions that ``action`` executes; it is cut short after 4000.
+    """Return the number of bytecode instructions that ``action`` executes; it is cut short after 20,000.
 
     The garbage collector is off meanwhile: finalizers of other objects of the process would be counted.
     """
@@ -99,8 +100,8 @@ class Workload:
         q: Number of entries of the table.
         halves: Whether the memory halves t and n at the next observation.
         agrees: Whether x_hat is that of the messages, so that the hypothesis test does not reject it. With
-            the robust filter: whether the crowd's centre agrees with half of the tiles being black.
-        robust: Whether the robot has the robust filter. It has had 128 votes for each of the m messages.
+            the robust filter: whether the messages agree with half of the observations being black.
+        robust: Whether the robot has the robust filter. Then it has taken votes, if there are messages.
     """
 
     t: int = 1000
@@ -123,15 +124,21 @@ class Workload:
         s.t = self.t - 1
         s.n = min(self.n, self.t - 1)
         for sender in range(self.m):
-            robot.receive_raw(sender, ONE // 3 + 1000 * sender, self.alpha ^ (sender << 8))
+            robot.receive_raw(sender, self._smallest_x_hat + 1000 * sender, self.alpha ^ (sender << 8))
         has_estimates = s.open.count > 0
         s.x_hat = s.open.x // s.open.count if self.agrees and has_estimates else ONE
         s.alpha = self.alpha
         s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
-        if self.robust:
-            s.crowd.votes = 128 * self.m
-            s.crowd.centre = _CENTRE_THAT_AGREES if self.agrees else _CENTRE_THAT_CONTRADICTS
+        if self.robust and self.m > 0:
+            s.robust.votes = VOTES_MAX
         return robot
+
+    @property
+    def _smallest_x_hat(self) -> int:
+        """The smallest x_hat of the messages, in units of 2**-23; the others are little larger."""
+        if not self.robust:
+            return ONE // 3
+        return _X_HAT_THAT_AGREES if self.agrees else _X_HAT_THAT_CONTRADICTS
 
 
 def workloads_along(axis: str) -> Iterator[Workload]:
@@ -164,7 +171,7 @@ def _workloads_along_m() -> Iterator[Workload]:
         yield Workload(m=m)
         yield Workload(m=m, agrees=True)
         yield Workload(m=m, alpha=ALPHA_MAX)
-        # Half of 1000 tiles are black, which the robust filter's centre may contradict.
+        # Half of 1000 observations are black, which the messages may contradict.
         yield Workload(m=m, n=500, agrees=False, robust=True)
         yield Workload(m=m, n=500, agrees=True, robust=True)
 
@@ -232,7 +239,14 @@ def find_growth(counts: Counts) -> list[str]:
 
 def measure_storage(firmware: type[MirrorRobot] = MirrorRobot) -> dict[str, dict[int, int]]:
     """Return the bytes of a table by q, and of a saved robot by the messages m in its rounds."""
+
+    def image_sizes(robust: bool) -> dict[int, int]:
+        """Return the bytes of saved robots by m, with the robust filter or without it."""
+        workloads = (Workload(m=m, robust=robust) for m in range(MAX_ID + 1))
+        return {workload.m: len(workload.make_robot(firmware).save()) for workload in workloads}
+
     return {
         "tables": {q: 4 * len(_table(q).words()) for q in range(MIN_Q, MAX_Q + 1)},
-        "images": {m: len(Workload(m=m).make_robot(firmware).save()) for m in range(MAX_ID + 1)},
+        "images": image_sizes(robust=False),
+        "robust_images": image_sizes(robust=True),
     }

@@ -1,9 +1,9 @@
 """Check the calls of a scenario against the paper's equations, in exact fractions, and collect errors.
 
 x_hat and alpha are computed anew from t, n and b_hat; the social values, the test and b_hat from the sums of
-the round, or with the robust filter from the crowd. Values that have one right result must have it to the
-last bit. The others must keep the bounds of ``bounds``; their errors, also against float64, are collected by
-region.
+the round. Values that have one right result must have it to the last bit. The others must keep the bounds of
+``bounds``; their errors, also against float64, are collected by region. ``robust_oracle`` checks what is the
+robust filter's alone.
 """
 
 from __future__ import annotations
@@ -16,11 +16,8 @@ from typing import Any
 
 from mcp_asdf.fixed_point import HALF, ONE
 from mcp_asdf.reference import (
+    COUNTER_MODULUS,
     PAPER,
-    SENDERS_MIN,
-    TREND_MOVING_DOWN,
-    TREND_MOVING_UP,
-    VOTES_MIN_WHILE_MOVING,
     assumed_accuracy_update,
     local_confidence,
     local_estimate,
@@ -29,16 +26,15 @@ from mcp_asdf.robot import Filter
 from mcp_asdf.table import FRACTION_BITS
 from mcp_asdf_tools.crosscheck.bounds import (
     LARGEST_ALPHA,
-    Bounds,
     alpha_bounds,
     b_hat_error,
-    crowd_after_vote,
     exact_alpha,
     is_update_expected,
-    robust_test_outcome,
     x_hat_bounds,
 )
+from mcp_asdf_tools.crosscheck.checks import check_bounds, check_exact, check_update
 from mcp_asdf_tools.crosscheck.compare import CallResult, State
+from mcp_asdf_tools.crosscheck.robust_oracle import Decision, check_memory, find_filter_run, is_filter_run
 from mcp_asdf_tools.crosscheck.scenario import Call, Setup
 
 REGIONS = (
@@ -81,11 +77,9 @@ class Audit:
         errors: Errors by quantity and region.
         tests: Number of hypothesis tests that were checked.
         robust: How often each of these happened to a robot with the robust filter:
-            voted: It received a vote.
-            moving, too few: Its filter ran without a test, as the crowd moved or had too few senders.
-            rejected: The test rejected b_hat, which was re-estimated.
-            returned, kept: The test did not reject, and b_hat became the initial one, or was that already.
-            undecided: The test was so close that the rounding of its terms may decide, so it was not checked.
+            vote, own vote: An estimate in a slot was a vote, or the robot's own estimate.
+            too few, accepted, supported, rejected, undecided: What its filter had to decide; see `Decision`.
+            returned: b_hat became the initial one again.
     """
 
     def __init__(self) -> None:
@@ -96,18 +90,16 @@ class Audit:
     def check_call(self, setup: Setup, call: Call, before: CallResult, after: CallResult) -> list[str]:
         """Check a call by the states before and after it, and return a line for each problem.
 
-        After every call the invariants, x_bar and x are checked; after a message to a robot with the robust
-        filter the crowd; after an observation x_hat and alpha; and after the end of a round the filter.
+        After every call the invariants, x_bar and x are checked, and the memory of the robust filter; after
+        an observation x_hat and alpha; and after the end of a round the filter.
         """
         old_state, new_state = before.state, after.state
         is_robust = setup.filter == Filter.ROBUST
         is_error = after.outcome.startswith("ERR")
         problems = [] if new_state["holds_invariants()"] else ["the invariants do not hold"]
         problems += _check_means(new_state, is_robust)
-        if call.name == "receive" and is_robust:
-            has_confidence = call.numbers[2] >> 8 > 0
-            is_vote = after.outcome == "OK" and has_confidence
-            problems += self._check_vote(call, old_state, new_state, is_vote)
+        if is_robust:
+            problems += check_memory(call, before, after, self.robust)
         if call.name in ("observe", "step") and not is_error:
             problems += self._check_estimate(old_state["b_hat()"], new_state)
         if call.name in ("settle", "step") and not is_error:
@@ -130,8 +122,8 @@ class Audit:
         if exact >= Fraction(1, 2):
             float64_alpha = min(local_confidence(n, t, float(b_hat)), float(LARGEST_ALPHA))
             self.errors["alpha", region].add(alpha / exact - 1, float(alpha) / float64_alpha - 1)
-        problems = _check_bounds("x_hat", x_hat, x_hat_bounds(n, t, b_hat))
-        return problems + _check_bounds("alpha", alpha, alpha_bounds(n, t, b_hat))
+        problems = check_bounds("x_hat", x_hat, x_hat_bounds(n, t, b_hat))
+        return problems + check_bounds("alpha", alpha, alpha_bounds(n, t, b_hat))
 
     def _check_asdf_filter(
         self, setup: Setup, old_state: State, new_state: State, is_updated: bool
@@ -144,7 +136,7 @@ class Audit:
         # The test needs a variance, and so two messages.
         has_enough_messages = m >= (2 if is_adaptive else 1)
         if not is_run or not has_enough_messages:
-            return _check_update(is_updated, expected=False)
+            return check_update(is_updated, expected=False)
         if is_adaptive:
             assert setup.table is not None
             self.tests += 1
@@ -154,72 +146,42 @@ class Audit:
             # Entries of the table have FRACTION_BITS bits after the point.
             scaled_difference_squared = difference_squared << FRACTION_BITS
             if scaled_difference_squared <= setup.table.build().entry(m) * scaled_variance:
-                return _check_update(is_updated, expected=False)
+                return check_update(is_updated, expected=False)
         x_bar = Fraction(_closed_alpha_x(new_state), new_state["closed_alpha"] * ONE)
         return self._check_b_hat(new_state, x_bar, is_updated)
-
-    def _check_vote(self, call: Call, old_state: State, new_state: State, is_vote: bool) -> list[str]:
-        """Check the crowd of a robot with the robust filter after a message.
-
-        If the message was a vote the new centre and spread must be exact, else nothing may have changed.
-        """
-        if not is_vote:
-            crowd_fields = [name for name in old_state if name.startswith("crowd")]
-            changed_fields = [name for name in crowd_fields if new_state[name] != old_state[name]]
-            return [f"{name} has changed without a vote" for name in changed_fields]
-        self.robust["voted"] += 1
-        x_hat = Fraction(call.numbers[1], ONE)
-        old_centre, old_spread = _centre_and_spread(old_state)
-        centre, spread = crowd_after_vote(new_state["crowd_votes"], old_centre, old_spread, x_hat)
-        return _check_exact(
-            new_state, {"crowd_centre": int(centre * 2**30), "crowd_spread": int(spread * 2**30)}
-        )
 
     def _check_robust_filter(
         self, _: Setup, old_state: State, new_state: State, is_updated: bool
     ) -> list[str]:
-        """Check whether the robust filter had to change b_hat, and the result, after the end of a round.
-
-        A crowd that moves, or has too few senders, leaves b_hat as it is. Otherwise b_hat is re-estimated if
-        the test rejects it, and else becomes the initial one. Votes are halved while the crowd moves.
-        """
-        is_filter_round = old_state["filter_left"] == 1  # the last round of a filter period
-        if not is_filter_round or new_state["t"] == 0:
-            return _check_update(is_updated, expected=False)
-        trend = old_state["crowd_trend"] / 2**16
-        is_moving = not TREND_MOVING_DOWN <= trend < TREND_MOVING_UP
-        votes = old_state["crowd_votes"]
-        has_votes_to_halve = is_moving and votes >= 2 * VOTES_MIN_WHILE_MOVING
-        problems = _check_exact(new_state, {"crowd_votes": votes // 2 if has_votes_to_halve else votes})
-        # Then there must be neither a test nor an update.
-        if is_moving or old_state["crowd_voices"].bit_count() < SENDERS_MIN:
-            self.robust["moving" if is_moving else "too few"] += 1
-            problems += _check_exact(
-                new_state, {"b_hat()": old_state["b_hat()"], "tests": old_state["tests"]}
-            )
-            return problems + _check_update(is_updated, expected=False)
-
+        """Check whether the robust filter had to change b_hat, and the result, after the end of a round."""
+        is_run = is_filter_run(old_state, new_state)
+        run = find_filter_run(new_state) if is_run else None
+        if run is None or run.decision is Decision.TOO_FEW:
+            # There must be neither a test nor an update.
+            if run is not None:
+                self.robust[run.decision.value] += 1
+            problems = check_exact(new_state, {"b_hat()": old_state["b_hat()"], "tests": old_state["tests"]})
+            return problems + check_update(is_updated, expected=False)
         self.tests += 1
-        initial_b_hat = old_state["crowd_first"]
-        centre, spread = _centre_and_spread(old_state)
-        is_rejected = robust_test_outcome(
-            new_state["n"], new_state["t"], Fraction(initial_b_hat, 2**32), centre, spread
-        )
-        if is_rejected is None:
-            self.robust["undecided"] += 1
+        self.robust[run.decision.value] += 1
+        problems = check_exact(new_state, {"tests": (old_state["tests"] + 1) % COUNTER_MODULUS})
+        if run.decision is Decision.UNDECIDED:
             return problems
-        if is_rejected:
-            self.robust["rejected"] += 1
-            return problems + self._check_b_hat(new_state, centre, is_updated)
-        self.robust["returned" if is_updated else "kept"] += 1
-        problems += _check_exact(new_state, {"b_hat()": initial_b_hat})
-        return problems + _check_update(is_updated, expected=old_state["b_hat()"] != initial_b_hat)
+        if run.decision is Decision.REJECTED:
+            assert run.centre is not None
+            return problems + self._check_b_hat(new_state, run.centre, is_updated)
+        initial_b_hat = new_state["robust_initial_b_hat"]
+        is_return = old_state["b_hat()"] != initial_b_hat
+        if is_return:
+            self.robust["returned"] += 1
+        problems += check_exact(new_state, {"b_hat()": initial_b_hat})
+        return problems + check_update(is_updated, expected=is_return)
 
     def _check_b_hat(self, state: State, x_bar: Fraction, is_updated: bool) -> list[str]:
         """Check b_hat after the filter had to re-estimate it from this exact x_bar, and collect its error."""
         is_expected = is_update_expected(x_bar)
         if not is_updated or is_expected is False:
-            return _check_update(is_updated, is_expected)
+            return check_update(is_updated, is_expected)
         n, t = state["n"], state["t"]
         b_hat = Fraction(state["b_hat()"], 2**32)
         exact = assumed_accuracy_update(n, t, x_bar, UNGUARDED)
@@ -230,7 +192,7 @@ class Audit:
             errors = self.errors["b_hat", region_of(2 * x_bar - 1)]
             errors.add(b_hat - exact, float(b_hat) - float64_b_hat)
         largest_error = b_hat_error(x_bar)
-        return _check_bounds("b_hat", b_hat, (exact - largest_error, exact + largest_error))
+        return check_bounds("b_hat", b_hat, (exact - largest_error, exact + largest_error))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the errors, the number of tests and the events of the robust filter as plain data, for JSON.
@@ -265,11 +227,6 @@ def _closed_alpha_x(state: State) -> int:
     return (state["closed_alpha_x_high"] << 32) + state["closed_alpha_x_low"]
 
 
-def _centre_and_spread(state: State) -> tuple[Fraction, Fraction]:
-    """Return the centre and the spread of the robust filter's crowd."""
-    return Fraction(state["crowd_centre"], 2**30), Fraction(state["crowd_spread"], 2**30)
-
-
 def _check_means(state: State, is_robust: bool) -> list[str]:
     """Check x_bar and x, which are quotients of whole numbers, rounded down.
 
@@ -278,37 +235,13 @@ def _check_means(state: State, is_robust: bool) -> list[str]:
     message x_bar is 1/2 and x is the robot's own x_hat.
     """
     if is_robust:
-        centre = state["crowd_centre"] * ONE // 2**30
-        has_votes = state["crowd_votes"] > 0
+        centre = state["robust_centre"] * ONE // 2**30
+        has_votes = state["robust_votes"] > 0
         x = centre if has_votes else state["x_hat"]
         x_bar = centre if has_votes else HALF
-        return _check_exact(state, {"x()": x, "x_bar()": x_bar, "beta()": 0})
+        return check_exact(state, {"x()": x, "x_bar()": x_bar, "beta()": 0})
     beta, alpha_x = state["closed_alpha"], _closed_alpha_x(state)
     alpha, x_hat = _alpha_units(state["alpha"]), state["x_hat"]
     x = (alpha * x_hat + alpha_x) // (alpha + beta) if alpha + beta else x_hat
     x_bar = alpha_x // beta if beta else HALF
-    return _check_exact(state, {"x()": x, "x_bar()": x_bar})
-
-
-def _check_exact(state: State, expected: State) -> list[str]:
-    """Return a line for each value of ``expected`` that the state does not have."""
-    wrong_values = {name: value for name, value in expected.items() if state[name] != value}
-    return [f"{name} is {state[name]}, exactly {value}" for name, value in wrong_values.items()]
-
-
-def _check_bounds(name: str, value: Fraction, bounds: Bounds) -> list[str]:
-    """Return a line if the value is out of bounds."""
-    lower, upper = bounds
-    if lower <= value <= upper:
-        return []
-    return [f"{name} is {float(value):.9g}, outside {float(lower):.9g} to {float(upper):.9g}"]
-
-
-def _check_update(is_updated: bool, expected: bool | None) -> list[str]:
-    """Return a line if b_hat was re-estimated although it must not be, or the other way round.
-
-    With ``expected`` None both are right, as where rounding decides.
-    """
-    if expected is None or is_updated == expected:
-        return []
-    return ["b_hat is re-estimated, wrongly" if is_updated else "b_hat is not re-estimated, wrongly"]
+    return check_exact(state, {"x()": x, "x_bar()": x_bar})

@@ -39,8 +39,10 @@ class CrosscheckReport:
             for q, size in self.storage["tables"].items()
             if size != 12 + 4 * q
         ]
-        image_sizes = set(self.storage["images"].values())
-        image_problems = [f"robots take {sorted(image_sizes)} bytes"] if len(image_sizes) != 1 else []
+        sizes_by_filter = [set(self.storage[name].values()) for name in ("images", "robust_images")]
+        image_problems = [
+            f"robots take {sorted(sizes)} bytes" for sizes in sizes_by_filter if len(sizes) != 1
+        ]
         return find_growth(self.counts) + table_problems + image_problems
 
     @property
@@ -89,11 +91,14 @@ class CrosscheckReport:
     def verdict(self) -> str:
         """Return the conclusion in some lines; after a failure the last one replays it."""
         result = self.result
-        image_size = max(self.storage["images"].values())
+        image_size, robust_image_size = (
+            max(self.storage[name].values()) for name in ("images", "robust_images")
+        )
         robust_events = ", ".join(f"{number} {name}" for name, number in sorted(self.audit.robust.items()))
         interrupted = ", interrupted" if result.interrupted else ""
         lines = [
-            f"memory: 12 + 4 q bytes for a table, {image_size} for a saved robot",
+            f"memory: 12 + 4 q bytes for a table, {image_size} for a saved robot, "
+            f"{robust_image_size} with the robust filter",
             f"the robust filter: {robust_events}",
             f"calls made and compared: {result.calls} in {result.scenarios} scenarios, seed {self.seed}"
             + interrupted,

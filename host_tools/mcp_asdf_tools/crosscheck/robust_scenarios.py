@@ -82,7 +82,7 @@ _SLOWLY_CENTRED = (0, 3, 3, 3, 6, 7, 8, 14, 41, 41, 41, 68, 68, 164, 186, 377, 3
 """Estimates, less a common part, that five steps take from the median to the centre. Found by search."""
 
 _MAX_DRAWS = 10
-"""Robots that are drawn to find one whose test has a threshold."""
+"""Robots that are drawn to find one for which there are estimates of a kind."""
 
 
 @dataclass
@@ -140,7 +140,6 @@ class RobustScenarioWriter(ScenarioWriter):
     def _add_test_at_threshold(self) -> None:
         """Run the filter on estimates of which one decides what it does, or on any that are skewed."""
         rng = self._rng
-        robot = self._draw_robot()
         count = rng.choice([5, 5, 6, 31, 32, rng.randint(TESTED_ESTIMATES_MIN, SLOTS)])
         draw_estimates = rng.choice(
             [
@@ -152,9 +151,14 @@ class RobustScenarioWriter(ScenarioWriter):
                 self._draw_slowly_centred_estimates,
             ]
         )
-        estimates = draw_estimates(robot, count)
-        robot.fill_slots(estimates or self._draw_skewed_estimates(robot, count), rng)
-        self._add_filter_run_of(robot)
+        # Not for every robot there are such estimates.
+        for _ in range(_MAX_DRAWS):
+            robot = self._draw_robot()
+            estimates = draw_estimates(robot, count)
+            if estimates is not None:
+                robot.fill_slots(estimates, rng)
+                self._add_filter_run_of(robot)
+                return
 
     def _add_filter_near_one_half(self) -> None:
         """Run the filter with a centre of estimates that is just informative, just not, or about 1/2."""
@@ -371,19 +375,10 @@ class RobustScenarioWriter(ScenarioWriter):
         return mirror
 
     def _draw_estimates_at_threshold(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
-        """Draw estimates that the test just rejects, or just does not; None if it has no threshold.
-
-        Of several drawn robots the first whose test has a threshold takes the place of ``robot``.
-        """
-        rng = self._rng
-        for _ in range(_MAX_DRAWS):
-            width = draw_number_of_any_size(rng, 1, 15)
-            both_sides = draw_slots_at_threshold(self._mirror_of(robot), count, width, rng)
-            if both_sides is not None:
-                return rng.choice(both_sides).estimates
-            drawn_robot = self._draw_robot()
-            robot.t, robot.n, robot.robust = drawn_robot.t, drawn_robot.n, drawn_robot.robust
-        return None
+        """Draw estimates that the test just rejects, or just does not; None if it has no threshold."""
+        width = draw_number_of_any_size(self._rng, 1, 15)
+        both_sides = draw_slots_at_threshold(self._mirror_of(robot), count, width, self._rng)
+        return None if both_sides is None else self._rng.choice(both_sides).estimates
 
     def _draw_parties(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
         """Draw estimates that the test rejects, of which about two in five support the robot.

@@ -122,7 +122,7 @@ class TwoReadingsRobot(ReferenceRobot):
         """Run the robust filter, but take b_hat from the readings instead of from its test."""
         # The robust filter has more to do than its test, and x needs that.
         super()._update_b_hat()
-        initial_b_hat = self._initial_b_hat
+        initial_b_hat = self._robust.initial_b_hat
         if disagreement_test_rejects(self._disagreements, self._pairs, initial_b_hat):
             self._b_hat = accuracy_of_disagreements(self._disagreements, self._pairs)
             return Status.UPDATED

@@ -23,7 +23,7 @@ COUNTS: Counts = {
     "x": {axis: {1: 58, 2: 58} for axis in AXES},
     "x, robust": {"t": {1: 9, 2: 9}, "m": {1: 9, 2: 9}, "q": {}},
 }
-STORAGE = {"tables": {30: 132}, "images": {0: 124, 127: 124}}
+STORAGE = {"tables": {30: 132}, "images": {0: 124, 127: 124}, "robust_images": {0: 156, 127: 156}}
 
 
 @pytest.fixture(autouse=True)
@@ -71,7 +71,7 @@ def test_the_report_has_all_results(capsys: pytest.CaptureFixture[str]) -> None:
         "storage": json.loads(json.dumps(STORAGE)),
     }
     assert tests > 20
-    assert robust.keys() >= {"voted", "moving", "too few", "rejected", "returned", "kept"}
+    assert robust.keys() >= {"vote", "own vote", "too few", "accepted", "rejected", "returned"}
     assert {row["quantity"] for row in errors} == set(oracle.QUANTITIES)
     assert all(row["exact"] < 1e-3 and row["float64"] < 1e-3 for row in errors)
 
@@ -80,7 +80,8 @@ def test_the_verdict_says_what_was_compared_and_how_to_repeat_it(capsys: pytest.
     code, output, errors = main(capsys, "--steps", "2000", "--seed", "4")
     assert (code, errors) == (0, "")
     memory, robust, calls, verdict, repeat = output.splitlines()[-5:]
-    assert memory == "memory: 12 + 4 q bytes for a table, 124 for a saved robot"
+    expected_memory = "memory: 12 + 4 q bytes for a table, 124 for a saved robot, 156 with the robust filter"
+    assert memory == expected_memory
     assert re.fullmatch(r"the robust filter: (\d+ [a-z ]+(, |$))+", robust)
     assert re.fullmatch(r"calls made and compared: 2000 in \d+ scenarios, seed 4", calls)
     assert verdict == "native and mirror agree in every bit"
@@ -110,12 +111,13 @@ def test_errors_and_instructions_are_shown_in_tables(capsys: pytest.CaptureFixtu
             "x: 11 instructions where m is 3 to 127, but 10 below",
         ),
         (
-            {"x": {"t": {1: 4001, 2: 4001}}},
+            {"x": {"t": {1: 20_001, 2: 20_001}}},
             STORAGE,
-            "x: 4001 instructions where t is 2 to 2, but 4001 below",
+            "x: 20001 instructions where t is 2 to 2, but 20001 below",
         ),
         (COUNTS, STORAGE | {"tables": {2: 21}}, "a table with q = 2 takes 21 bytes"),
         (COUNTS, STORAGE | {"images": {0: 124, 1: 125}}, "robots take [124, 125] bytes"),
+        (COUNTS, STORAGE | {"robust_images": {0: 156, 1: 157}}, "robots take [156, 157] bytes"),
     ],
 )
 def test_a_claim_about_time_or_memory_that_does_not_hold_fails_the_check(

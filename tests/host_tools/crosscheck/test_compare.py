@@ -29,7 +29,6 @@ def test_native_and_mirror_agree_and_keep_all_bounds() -> None:
 
 
 def test_native_and_mirror_agree_next_to_the_threshold_of_the_robust_filter() -> None:
-    """Four mistakes in how the mirror folds b_hat at 1/2 are found by this test alone."""
     for index in range(40):
         scenario = robust_scenario(23, index)
         assert compare_firmwares(scenario, MirrorRobot, NativeRobot) is None, str(scenario)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -19,15 +18,12 @@ from mcp_asdf_tools.crosscheck.bounds import (
     alpha_bounds,
     alpha_error,
     b_hat_error,
-    crowd_after_vote,
     exact_alpha,
     is_update_expected,
-    robust_test_outcome,
     x_hat_bounds,
 )
 from mcp_asdf_tools.crosscheck.compare import CallResult, RobotUnderTest
 from mcp_asdf_tools.crosscheck.oracle import REGIONS, Audit, Errors, region_of
-from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import Call, Setup, parse_scenario
 
 LIMIT = Fraction(INFORMATIVE_G)
@@ -118,37 +114,6 @@ def test_an_update_is_expected_from_an_informative_x_bar(side: int, errors: floa
 
 def test_either_is_right_so_near_to_the_limit_that_rounding_decides() -> None:
     assert is_update_expected(HALF + LIMIT / 2 + Fraction(1, 2**31)) is None
-
-
-@pytest.mark.parametrize(
-    ("x_hat", "centre", "spread"),
-    [
-        (ONE, 2**29 + 2**15, 2**18 + 2**14),
-        (0, 2**29 - 2**15, 2**18 + 2**14),
-        (2**22, 2**29, 2**18),  # no narrower than the least spread
-        (2**22 + 1, 2**29 + 2**4, 2**18),
-    ],
-)
-def test_a_vote_moves_centre_and_spread_by_whole_units(x_hat: int, centre: int, spread: int) -> None:
-    """Before the vote, which is the first, the centre is 1/2 and the spread 2**18; units are 2**-30."""
-    centre_after, spread_after = crowd_after_vote(1, HALF, Fraction(2**18, 2**30), Fraction(x_hat, ONE))
-    assert centre_after * 2**30 == centre
-    assert spread_after * 2**30 == spread
-
-
-def test_changes_of_less_than_a_unit_are_rounded_away() -> None:
-    """The gain is 2**-12, so a distance of a little less than 3 * 2**12 units moves the centre by 2."""
-    distance = Fraction(3 * 2**12 - 128, 2**30)
-    spread = Fraction(2**18 + 1, 2**30)
-    centre_after, _ = crowd_after_vote(2**14, HALF, spread, HALF - distance)
-    assert centre_after == HALF - Fraction(2, 2**30)
-
-
-@pytest.mark.parametrize(("n", "outcome"), [(554_100, False), (554_154, None), (554_200, True)])
-def test_the_robust_test_is_left_undecided_next_to_equality(n: int, outcome: bool | None) -> None:
-    centre, spread = HALF, Fraction(1, 32)
-    b = Fraction(3, 4)
-    assert robust_test_outcome(n, 10**6, b, centre, spread) is outcome
 
 
 # --- What is found wrong in a call -----------------------------------------------------------------------
@@ -267,87 +232,7 @@ def test_nothing_is_expected_of_a_call_with_an_error() -> None:
     assert audit.check_call(step.setup, step.call, step.before, refused) == []
 
 
-UNCHANGED = {"crowd_votes": 1, "b_hat()": 1 << 29, "tests": 1}
-EXACT_B_HAT = {"crowd_votes": 1, "b_hat()": 1 << 29}
-DEVIATIONS_BY_EVENT = {
-    "voted": {"crowd_centre": 1, "crowd_spread": 1, "x()": 1},
-    "rejected": {"crowd_votes": 1},
-    "moving": UNCHANGED,
-    "too few": UNCHANGED,
-    "returned": EXACT_B_HAT,
-    "kept": EXACT_B_HAT,
-    "receive": {"crowd_centre": 1, "crowd_spread": 1, "crowd_voices": 1, "beta()": 1},
-}
-"""Deviations of fields that are wrong, by event of the robust filter; "receive" is a message without vote."""
-
-
-def wrong_outcomes(event: str, after: CallResult) -> list[CallResult]:
-    """Return what a wrong firmware may show after an event of the robust filter."""
-    deviations = DEVIATIONS_BY_EVENT.get(event, {})
-    results = [
-        with_value(after, name, after.state[name] + sign * deviation)
-        for name, deviation in deviations.items()
-        for sign in (1, -1)
-    ]
-    if "b_hat()" in deviations:
-        results.append(replace(after, outcome="UPDATED" if after.outcome == "OK" else "OK"))
-    return results
-
-
-def check_that_wrong_outcomes_are_reported(event: str, checked_call: CheckedCall) -> None:
-    """Check that an audit finds a problem in each wrong outcome of a call."""
-    setup, call, before = checked_call.setup, checked_call.call, checked_call.before
-    for wrong in wrong_outcomes(event, checked_call.after):
-        problems = Audit().check_call(setup, call, before, wrong)
-        assert problems, f"{event}: {call}"
-
-
-# design: R35, R37, R38
-def test_a_wrong_outcome_of_any_event_of_the_robust_filter_is_reported() -> None:
-    """In 35 random scenarios, in which each event happens more than five times."""
-    audit, events = Audit(), Counter[str]()
-    for number in range(35):
-        for checked_call in check_calls(str(robust_scenario(1, number)), audit):
-            events_of_call = list(audit.robust)  # one at most, as the counter is cleared after each call
-            event = events_of_call[0] if events_of_call else checked_call.call.name
-            audit.robust.clear()
-            events[event] += 1
-            check_that_wrong_outcomes_are_reported(event, checked_call)
-    for event in DEVIATIONS_BY_EVENT:
-        assert events[event] > 5, event
-
-
 # --- What is counted -------------------------------------------------------------------------------------
-
-
-def count_robust_events(text: str) -> tuple[Counter[str], int]:
-    """Make the calls of a scenario, and return the events of the robust filter and the number of tests."""
-    audit = Audit()
-    list(check_calls(text, audit))
-    return audit.robust, audit.tests
-
-
-def test_a_vote_and_a_filter_that_has_too_few_senders_are_counted() -> None:
-    calls = "step:1,observe:1,receive:1:99:2147483649,observe:1,settle"
-    events, tests = count_robust_events(f"robot:3:2:64:0:3221225472,{calls}")
-    assert events == {"voted": 1, "too few": 1}
-    assert tests == 0
-
-
-def test_a_filter_without_an_observation_is_not_counted() -> None:
-    votes = ",".join(f"receive:{sender}:99:2147483649" for sender in (1, 2, 3))
-    calls = f"{votes},settle,settle,observe:1,settle"
-    events, tests = count_robust_events(f"robot:3:2:64:0:3221225472,{calls}")
-    assert events == {"voted": 3}
-    assert tests == 0
-
-
-def test_a_test_that_rounding_decides_is_counted_as_undecided() -> None:
-    state = "restore:1:2124665746:2:2147483643:3:1085233319:7:3:8:262144:9:7:10:2124665746:11:2147500032"
-    calls = f"{state}:29:65536,settle"
-    events, tests = count_robust_events(f"robot:3:1:2147483648:0:3221225472,{calls}")
-    assert events == {"undecided": 1}
-    assert tests == 1
 
 
 def test_errors_keep_the_largest() -> None:

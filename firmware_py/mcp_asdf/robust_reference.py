@@ -1,0 +1,292 @@
+"""The robust filter in plain equations, to be read beside ``docs/robust.md``; ``ReferenceRobot`` uses it.
+
+The filter is this project's own and not the paper's. Nothing is quantised here. The functions take floats or
+fractions: from `fractions.Fraction` they give exact results, from which the cross-check knows what the
+firmware must compute. ``mcp_asdf.robust_filter`` is the same filter in the firmware's integers.
+
+A robot with this filter keeps the latest estimate of each sender in one of 32 slots. In each round one of
+these estimates, or the robot's own, is a vote, which moves the robot's answer. Every ``filter_period`` rounds
+the robot tests its own observations against the estimates in the slots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from statistics import median
+from typing import Generic, TypeVar
+
+Number = TypeVar("Number", float, Fraction)
+"""The type in which an equation is computed."""
+
+# Constants by the names that they have in the C; ``docs/robust.md`` has the reasons.
+SLOTS = 32
+"""Number of slots for estimates: senders whose ids are equal modulo 32 share one."""
+CENTRE_START = 0.5
+"""Centre of the votes before the first one."""
+SPREAD_MIN = 2.0**-12
+"""Smallest spread of votes or estimates."""
+SPREAD_MAX = 0.25
+"""Largest spread of votes or estimates, and that of the votes before the first one."""
+VOTES_MAX = 2**9
+"""More votes are not counted, so that the gain does not fall below 2**-7."""
+VOTES_OF_MAX_GAIN = 32
+"""Up to 63 votes the gain stays at that of 32 votes, 1/8."""
+TESTED_ESTIMATES_MIN = 5
+"""Smallest number of estimates against which a robot tests itself: of five, two wrong ones are outvoted."""
+HUBER_STEPS = 4
+"""Steps from the median of the estimates to their Huber centre."""
+REJECTED_SIGMAS_SQUARED = 12
+"""The test rejects beyond sqrt(12) standard deviations."""
+DISPERSION_MIN = 1.0
+"""Smallest dispersion, and that before the first batch: observations are independent."""
+DISPERSION_MAX = 2**8 - 2.0**-8
+"""Largest dispersion."""
+DISPERSION_SHIFT = 3
+"""A batch of observations counts 2**-3 in the dispersion, and all batches before it the rest."""
+
+
+# ---- Votes ----
+
+
+@dataclass(frozen=True)
+class Votes(Generic[Number]):
+    """A summary of all votes so far, which are estimates of the share of black tiles.
+
+    Attributes:
+        centre: Centre of the votes, in [0, 1]: the robot's answer.
+        spread: Median distance of the votes from the centre, in [SPREAD_MIN, SPREAD_MAX].
+        count: Number of votes, up to VOTES_MAX.
+    """
+
+    centre: Number
+    spread: Number
+    count: int
+
+
+def votes_after(votes: Votes[Number], x_hat: Number) -> Votes[Number]:
+    """Return the summary of the votes with one more, ``x_hat`` in [0, 1]. O(1).
+
+    The centre moves towards x_hat by a share of the distance, the gain, where a distance above the spread
+    counts as one that equals it. The spread grows by gain / 2 of itself if the distance is above it, and
+    shrinks by as much otherwise, so that it converges to the median of the distances. The gain falls with the
+    number of votes, this one included: it is 1/8 up to 63 votes, 1/16 up to 127 votes, and so on to 1/128.
+
+    This is Robbins and Monro's stochastic approximation of Huber's M-estimate.
+    """
+    count = min(votes.count + 1, VOTES_MAX)
+    # The gain is a power of two, so that the firmware shifts: 32 votes have 6 bits, and give 2**-3.
+    inverse_gain = 1 << (max(count, VOTES_OF_MAX_GAIN).bit_length() - 3)
+
+    difference = x_hat - votes.centre
+    # A vote farther away than the spread moves the centre no more than one at that distance.
+    limited_difference = max(-votes.spread, min(difference, votes.spread))
+    spread_step = votes.spread / (2 * inverse_gain)
+    is_outside = abs(difference) > votes.spread
+    return Votes(
+        centre=votes.centre + limited_difference / inverse_gain,
+        spread=limit_spread(votes.spread + (spread_step if is_outside else -spread_step)),
+        count=count,
+    )
+
+
+def limit_spread(spread: Number) -> Number:
+    """Return the spread, or the limit that it exceeds."""
+    number = type(spread)
+    return max(number(SPREAD_MIN), min(spread, number(SPREAD_MAX)))
+
+
+# ---- The robot's own observations ----
+
+
+@dataclass(frozen=True)
+class Observations(Generic[Number]):
+    """The observations of a robot, and how much they depend on each other.
+
+    Attributes:
+        n: Number of black ones.
+        t: Number of all, at least 1.
+        dispersion: Variance of n from batch to batch, as a multiple of that of independent observations; the
+            phi of overdispersed binomial models. It is in [DISPERSION_MIN, DISPERSION_MAX].
+    """
+
+    n: int
+    t: int
+    dispersion: Number
+
+    @property
+    def share(self) -> Number:
+        """Share of black observations, n/t."""
+        number = type(self.dispersion)
+        return number(self.n) / self.t
+
+
+def dispersion_after_batch(
+    observations: Observations[Number], batch_black_count: int, batch_count: int
+) -> Number:
+    """Return the dispersion after one more batch of observations, which are among all ``observations``. O(1).
+
+    ``batch_black_count`` of the batch's ``batch_count`` observations were black. The square of their
+    deviation, as a multiple of its expectation for independent observations, enters a moving average with a
+    weight of 1/8; but at most 12 times that average does, as more is an outlier. A batch without
+    observations, or where all observations are of one colour, leaves the dispersion as it is.
+    """
+    number = type(observations.dispersion)
+    dispersion, share = observations.dispersion, observations.share
+    variance = batch_count * share * (1 - share)
+    if variance == 0:
+        return dispersion
+    deviation = batch_black_count - batch_count * share
+    ratio: Number = deviation * deviation / variance
+    limited_ratio = min(ratio, REJECTED_SIGMAS_SQUARED * dispersion)
+    average = dispersion + (limited_ratio - dispersion) / (1 << DISPERSION_SHIFT)
+    return max(number(DISPERSION_MIN), min(average, number(DISPERSION_MAX)))
+
+
+# ---- The estimates in the slots ----
+
+
+def spread_around(estimates: Sequence[Number], middle: Number) -> Number:
+    """Return the median distance of estimates from their middle, within the limits of a spread."""
+    distances = [abs(estimate - middle) for estimate in estimates]
+    median_distance: Number = median(distances)
+    return limit_spread(median_distance)
+
+
+def huber_centre(estimates: Sequence[Number], middle: Number, spread: Number) -> Number:
+    """Return the Huber centre of estimates in [0, 1]: four steps of Newton's method from their middle. O(m).
+
+    It is the point where the distances of the estimates above and below balance, if none counts with more
+    than ``spread``: a mean of the estimates near to it, which those far away move by a limited amount.
+    """
+    number = type(middle)
+    centre = middle
+    for _ in range(HUBER_STEPS):
+        centre = max(number(0), min(centre + huber_step(estimates, centre, spread), number(1)))
+    return centre
+
+
+def huber_step(estimates: Sequence[Number], centre: Number, spread: Number) -> Number:
+    """Return one step of Newton's method from a centre towards the Huber centre of estimates. O(m)."""
+    number = type(centre)
+    limited_differences = [max(-spread, min(estimate - centre, spread)) for estimate in estimates]
+    balance = sum(limited_differences, start=number(0))
+    # The balance falls by 1 for each of these where the centre moves up by 1: it is the derivative.
+    inside_count = sum(abs(estimate - centre) <= spread for estimate in estimates)
+    return balance / max(inside_count, 1)
+
+
+# ---- The test ----
+
+
+def probability_of_black(b: Number, fill_ratio: Number) -> Number:
+    """Return the probability that a sensor of accuracy ``b`` names a tile black (eq. 1)."""
+    return b * fill_ratio + (1 - b) * (1 - fill_ratio)
+
+
+def robust_test_sides(
+    observations: Observations[Number], b: Number, centre: Number, spread: Number
+) -> tuple[Number, Number]:
+    """Return both sides of the robust filter's test, which rejects ``b`` if the first is the larger. O(1).
+
+    The sides are (n/t - p)**2 and 12 (dispersion v/t + (2 b - 1)**2 spread**2). There p is the probability of
+    black by the accuracy ``b`` and the ``centre``, and v the larger of p (1 - p) and n/t (1 - n/t).
+    """
+    share = observations.share
+    p = probability_of_black(b, centre)
+    # Each of these estimates of v is 0 if its share is 0 or 1.
+    v = max(p * (1 - p), share * (1 - share))
+    variance_of_share = observations.dispersion * v / observations.t
+    # The prediction is uncertain, too: it changes by 2 b - 1 where the centre changes by 1.
+    variance_of_p = (2 * b - 1) ** 2 * spread**2
+    return (share - p) ** 2, REJECTED_SIGMAS_SQUARED * (variance_of_share + variance_of_p)
+
+
+def is_supported(
+    observations: Observations[Number], b: Number, estimates: Sequence[Number], centre: Number
+) -> bool:
+    """Return whether more than two of five estimates support a robot with these observations. O(m).
+
+    An estimate supports it if the probability of black by this estimate is nearer to n/t than to that by the
+    ``centre`` of all estimates. So many robots are a party and not outliers: who is right cannot be known.
+    ``b`` is the accuracy that the robot assumed at its start.
+    """
+    p_of_centre = probability_of_black(b, centre)
+    p_of_estimates = [probability_of_black(b, estimate) for estimate in estimates]
+    supporter_count = sum(abs(p - observations.share) < abs(p - p_of_centre) for p in p_of_estimates)
+    return 5 * supporter_count > 2 * len(estimates)
+
+
+# ---- The filter of a robot ----
+
+
+@dataclass
+class RobustReference:
+    """The robust filter of a robot in float64.
+
+    Attributes:
+        initial_b_hat: The accuracy that the robot assumed at its start.
+        estimates: The latest estimate of each sender, by slot.
+        turn: Slot that votes next. If it is empty, the next one that has an estimate votes.
+        votes: Summary of the votes.
+        dispersion: Dispersion of the robot's own observations.
+        batch_t: Number of its observations when the present batch of them began.
+        batch_n: Number of black ones among them at that time.
+    """
+
+    initial_b_hat: float
+    estimates: dict[int, float] = field(default_factory=dict)
+    turn: int = 0
+    votes: Votes[float] = field(default_factory=lambda: Votes(CENTRE_START, SPREAD_MAX, 0))
+    dispersion: float = DISPERSION_MIN
+    batch_t: int = 0
+    batch_n: int = 0
+
+    def keep_estimate(self, sender: int, x_hat: float) -> None:
+        """Put a neighbour's x_hat into the slot of its sender, in place of an earlier one."""
+        self.estimates[sender % SLOTS] = x_hat
+
+    def take_vote(self, own_x_hat: float, has_confidence: bool) -> None:
+        """Count the estimate whose turn it is as a vote; nothing if there are none.
+
+        Slots vote in ascending order. After the last one the robot's own x_hat votes if it has confidence.
+        """
+        if not self.estimates:
+            return
+        remaining_slots = [slot for slot in self.estimates if slot >= self.turn]
+        if not remaining_slots and has_confidence:
+            self.votes = votes_after(self.votes, own_x_hat)
+            self.turn = 0
+            return
+        slot = min(remaining_slots or self.estimates)
+        self.votes = votes_after(self.votes, self.estimates[slot])
+        self.turn = slot + 1
+
+    def begin_batch(self, n: int, t: int) -> None:
+        """Begin a new batch of observations, after ``t`` observations of which ``n`` were black."""
+        self.batch_t, self.batch_n = t, n
+
+    def end_batch(self, n: int, t: int) -> None:
+        """Update the dispersion by the batch that ends after these observations, and begin the next."""
+        observations = Observations(n, t, self.dispersion)
+        self.dispersion = dispersion_after_batch(observations, n - self.batch_n, t - self.batch_t)
+        self.begin_batch(n, t)
+
+    def find_contradiction(self, n: int, t: int) -> float | None:
+        """Return the centre of the estimates if n of t observations contradict it, or None if not. O(m).
+
+        They do if the test rejects the initial b_hat, and at most two fifths of the estimates support the
+        robot. There must be an estimate.
+        """
+        estimates = list(self.estimates.values())
+        middle = median(estimates)
+        spread = spread_around(estimates, middle)
+        centre = huber_centre(estimates, middle, spread)
+
+        observations = Observations(n, t, self.dispersion)
+        difference_squared, limit = robust_test_sides(observations, self.initial_b_hat, centre, spread)
+        is_rejected = difference_squared > limit
+        if is_rejected and not is_supported(observations, self.initial_b_hat, estimates, centre):
+            return centre
+        return None

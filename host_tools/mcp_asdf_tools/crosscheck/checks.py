@@ -1,0 +1,32 @@
+"""Checks of single values of a robot's state, each of which returns a line for every value that is wrong."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+from mcp_asdf_tools.crosscheck.bounds import Bounds
+from mcp_asdf_tools.crosscheck.compare import State
+
+
+def check_exact(state: State, expected: State) -> list[str]:
+    """Return a line for each value of ``expected`` that the state does not have."""
+    wrong_values = {name: value for name, value in expected.items() if state[name] != value}
+    return [f"{name} is {state[name]}, exactly {value}" for name, value in wrong_values.items()]
+
+
+def check_bounds(name: str, value: Fraction, bounds: Bounds) -> list[str]:
+    """Return a line if the value is out of bounds."""
+    lower, upper = bounds
+    if lower <= value <= upper:
+        return []
+    return [f"{name} is {float(value):.9g}, outside {float(lower):.9g} to {float(upper):.9g}"]
+
+
+def check_update(is_updated: bool, expected: bool | None) -> list[str]:
+    """Return a line if b_hat was re-estimated although it must not be, or the other way round.
+
+    With ``expected`` None both are right, as where rounding decides.
+    """
+    if expected is None or is_updated == expected:
+        return []
+    return ["b_hat is re-estimated, wrongly" if is_updated else "b_hat is not re-estimated, wrongly"]

@@ -1,0 +1,178 @@
+"""What the firmware's robust filter must compute, in fractions: the value where one is right, or else bounds.
+
+The exact values are those of ``mcp_asdf.robust_reference``. The roundings are those that docs/design.md
+states in section 13, and nothing is taken from the firmware.
+
+The firmware's quotient of two numbers, upper() in docs/design.md, is up to 2**-30 of itself and one unit of
+2**-32 too small, and never as large as an exact one that is above 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from math import ceil
+from statistics import median
+
+from mcp_asdf.robust_reference import (
+    DISPERSION_MAX,
+    DISPERSION_MIN,
+    DISPERSION_SHIFT,
+    HUBER_STEPS,
+    REJECTED_SIGMAS_SQUARED,
+    Observations,
+    Votes,
+    huber_step,
+    probability_of_black,
+    robust_test_sides,
+    spread_around,
+    votes_after,
+)
+from mcp_asdf_tools.crosscheck.bounds import HALF, Q24, Q30, Q32, Bounds, round_down
+
+Q8, Q11, Q16, Q22 = (Fraction(1, 2**bits) for bits in (8, 11, 16, 22))
+
+UNDECIDED = Fraction(1, 2**13)
+"""The firmware's robust test is right if its sides differ by more than this share of the larger one."""
+
+SUPPORT_MARGIN = 10 * Q32
+"""The firmware is right about a supporter if its distances from both shares differ by more than this.
+
+A probability of black lacks less than 4 units of 2**-32, and n/t less than 5."""
+
+LARGEST_ESTIMATE = 1 - Q16
+"""Largest estimate in a slot, which has 16 bits."""
+
+
+def slot_estimate(x_hat: Fraction) -> Fraction:
+    """Return the estimate that a slot must hold for this x_hat: to nearest, and halves are rounded up."""
+    return min(round_down(x_hat + Q16 / 2, Q16), LARGEST_ESTIMATE)
+
+
+def round_towards_0(value: Fraction, unit: Fraction) -> Fraction:
+    """Return the multiple of ``unit`` next to ``value`` on the side of 0."""
+    return int(value / unit) * unit
+
+
+def rounded_votes_after(votes: Votes[Fraction], x_hat: Fraction) -> Votes[Fraction]:
+    """Return the summary of the votes that the firmware must have after one more vote.
+
+    Centre and spread were multiples of 2**-30, and their changes are rounded towards 0 to such multiples.
+    """
+    exact = votes_after(votes, x_hat)
+    # The firmware shifts distances, which are not negative, and applies the sign afterwards.
+    return Votes(
+        centre=votes.centre + round_towards_0(exact.centre - votes.centre, Q30),
+        spread=votes.spread + round_towards_0(exact.spread - votes.spread, Q30),
+        count=exact.count,
+    )
+
+
+# ---- The dispersion ----
+
+
+def dispersion_bounds(
+    observations: Observations[Fraction], batch_black_count: int, batch_count: int
+) -> Bounds:
+    """Return the bounds of the dispersion after a batch, which is a multiple of 2**-8.
+
+    ``observations`` are all observations, with the dispersion before the batch, of which
+    ``batch_black_count`` of ``batch_count`` belong to it.
+
+    n/t may be too small, by its 2**-30th and a unit of 2**-32. That moves the batch's deviation, which is
+    then rounded down to 2**-11, and its variance, which is rounded down to units of 2**-32. Where these are
+    of the size of the variance, which is then next to 0, the bounds are wide.
+    """
+    old, share = observations.dispersion, observations.share
+    if batch_count == 0 or share == 0:
+        return old, old
+    smallest_share = max(share * (1 - Q30) - Q32, Fraction(0))
+    variances = [batch_count * end * (1 - end) for end in (smallest_share, share)]
+    smallest_variance = min(variances) - batch_count * Q32
+    contains_half = smallest_share < HALF < share
+    largest_variance = Fraction(batch_count, 4) if contains_half else max(variances)
+    # The ends of the deviation; if they have different signs it may be 0.
+    deviations = [batch_black_count - batch_count * end for end in (smallest_share, share)]
+    has_both_signs = min(deviations) < 0 < max(deviations)
+    smallest_deviation = Fraction(0) if has_both_signs else min(map(abs, deviations))
+    largest_deviation = max(map(abs, deviations))
+
+    largest_ratio = REJECTED_SIGMAS_SQUARED * old
+    smallest_limit = round_down(largest_ratio * smallest_variance, Q22)
+    if smallest_limit <= 0:
+        # The firmware may find no variance, and keep the dispersion, or nearly none, and take any ratio.
+        return _average_bounds(old, Fraction(0), largest_ratio)
+    largest_limit = largest_ratio * largest_variance
+    smallest_part = round_down(smallest_deviation, Q11) ** 2 / largest_limit * (1 - Q30) - Q32
+    largest_part = largest_deviation**2 / smallest_limit
+    smallest_ratio = largest_ratio * min(max(smallest_part, Fraction(0)), 1 - Q30 - Q32)
+    return _average_bounds(old, smallest_ratio, largest_ratio * min(largest_part, Fraction(1)))
+
+
+def _average_bounds(old: Fraction, smallest_ratio: Fraction, largest_ratio: Fraction) -> Bounds:
+    """Return the bounds of the dispersion after a batch whose ratio is within these bounds.
+
+    Both the ratio and the average are rounded down to 2**-8, and the average has limits.
+    """
+    weight = 2**DISPERSION_SHIFT
+    averages = [
+        round_down(((weight - 1) * old + round_down(ratio, Q8)) / weight, Q8)
+        for ratio in (smallest_ratio, largest_ratio)
+    ]
+    smallest, largest = (
+        min(max(average, Fraction(DISPERSION_MIN)), Fraction(DISPERSION_MAX)) for average in averages
+    )
+    return smallest, largest
+
+
+# ---- The test ----
+
+
+def rounded_centre_and_spread(estimates: Sequence[Fraction]) -> tuple[Fraction, Fraction]:
+    """Return the centre and the spread of estimates that the firmware must have, as multiples of 2**-24.
+
+    The estimates are multiples of 2**-16, so that their median and their spread need no rounding. A step
+    towards the centre is shortened to the multiple of 2**-24 before: as its quotient is never exact, also if
+    it is such a multiple itself.
+    """
+    middle = median(estimates)
+    spread = spread_around(estimates, middle)
+    centre = middle
+    for _ in range(HUBER_STEPS):
+        step = huber_step(estimates, centre, spread)
+        shortened_step = max(ceil(abs(step) / Q24) - 1, 0) * Q24
+        new_centre = centre + (shortened_step if step > 0 else -shortened_step)
+        centre = min(max(new_centre, Fraction(0)), LARGEST_ESTIMATE)
+    return centre, spread
+
+
+def robust_test_outcome(
+    observations: Observations[Fraction], b: Fraction, centre: Fraction, spread: Fraction
+) -> bool | None:
+    """Return whether the robust filter's test rejects ``b``, or None if rounding may decide.
+
+    With g = 2 b - 1 both sides are at least 12 2**-33 where they are alike: t < 2**31, v >= (1 - g**2) / 4,
+    dispersion >= 1 and spread >= 2**-12. So n/t - p is at least 160,000 units of 2**-32, of which p lacks
+    less than 4, and n/t less than 5: its square is off by 2**-13.9 of itself. The product of g and the
+    spread, rounded down, takes 2**-15.5 from the other side. There v lacks at most 6 units: if it is below
+    2**-10, g is near 1, n/t - p is at least sqrt(12) 2**-12, and v has at least 350,000 units.
+    """
+    difference_squared, limit = robust_test_sides(observations, b, centre, spread)
+    if abs(difference_squared - limit) <= UNDECIDED * max(difference_squared, limit):
+        return None
+    return difference_squared > limit
+
+
+def support_outcome(
+    observations: Observations[Fraction], b: Fraction, estimates: Sequence[Fraction], centre: Fraction
+) -> bool | None:
+    """Return whether more than two of five estimates support the robot, or None if rounding may decide."""
+    p_of_centre = probability_of_black(b, centre)
+    fewest_supporters = most_supporters = 0
+    for estimate in estimates:
+        p = probability_of_black(b, estimate)
+        lead = abs(p - p_of_centre) - abs(p - observations.share)
+        fewest_supporters += lead > SUPPORT_MARGIN
+        most_supporters += lead > -SUPPORT_MARGIN
+    answers = {5 * supporters > 2 * len(estimates) for supporters in (fewest_supporters, most_supporters)}
+    return answers.pop() if len(answers) == 1 else None

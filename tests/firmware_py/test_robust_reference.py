@@ -1,0 +1,265 @@
+"""The robust filter in plain equations: its steps, in floats and in exact fractions."""
+
+from __future__ import annotations
+
+import math
+import random
+from fractions import Fraction
+
+import pytest
+
+from mcp_asdf.reference import ReferenceRobot
+from mcp_asdf.robot import Config, Filter, Observation, Status
+from mcp_asdf.robust_reference import (
+    Observations,
+    RobustReference,
+    Votes,
+    dispersion_after_batch,
+    huber_centre,
+    is_supported,
+    robust_test_sides,
+    spread_around,
+    votes_after,
+)
+from robots import OWN_ID, observe_tiles, receive_estimates
+
+ULP = Fraction(1, 2**53)
+
+# --- Votes -----------------------------------------------------------------------------------------------
+
+
+def test_a_vote_at_the_spread_moves_the_centre_up_and_narrows_the_spread() -> None:
+    votes = votes_after(Votes(0.5, 0.25, 0), 0.75)
+    assert votes == Votes(centre=0.5 + 0.25 / 8, spread=0.25 - 0.25 / 16, count=1)
+
+
+def test_a_vote_beyond_the_spread_moves_the_centre_by_the_spread_alone_and_widens_the_spread() -> None:
+    votes = votes_after(Votes(0.5, 0.125, 0), 0.0)
+    assert (votes.centre, votes.spread) == (0.5 - 0.125 / 8, 0.125 + 0.125 / 16)
+
+
+@pytest.mark.parametrize(
+    ("count", "gain"), [(0, 2**-3), (62, 2**-3), (63, 2**-4), (126, 2**-4), (127, 2**-5), (511, 2**-7)]
+)
+def test_the_gain_falls_with_the_number_of_votes(count: int, gain: float) -> None:
+    votes = votes_after(Votes(0.5, 0.25, count), 0.75)
+    assert (votes.centre, votes.spread) == (0.5 + 0.25 * gain, 0.25 * (1 - gain / 2))
+
+
+def test_votes_are_counted_up_to_512() -> None:
+    assert votes_after(Votes(0.5, 0.25, 511), 0.5).count == 512
+    assert votes_after(Votes(0.5, 0.25, 512), 0.5).count == 512
+
+
+@pytest.mark.parametrize(("spread", "x_hat"), [(0.25, 1.0), (2**-12, 0.5)])
+def test_the_spread_of_votes_stays_within_its_limits(spread: float, x_hat: float) -> None:
+    assert votes_after(Votes(0.5, spread, 0), x_hat).spread == spread
+
+
+def test_votes_in_float64_are_right_to_the_last_bits() -> None:
+    rng = random.Random(23)
+    for _ in range(500):
+        count = rng.randrange(513)
+        centre, spread = rng.random(), 2 ** rng.uniform(-12, -2)
+        x_hat = rng.choice([0.0, 1.0, centre, rng.random()])
+        votes = votes_after(Votes(centre, spread, count), x_hat)
+        exact = votes_after(Votes(Fraction(centre), Fraction(spread), count), Fraction(x_hat))
+        assert abs(Fraction(votes.centre) - exact.centre) <= ULP
+        assert abs(Fraction(votes.spread) - exact.spread) <= ULP
+
+
+def test_slots_vote_in_turn_and_then_the_robot_itself() -> None:
+    robust = RobustReference(0.75, estimates={9: 1.0, 2: 0.0})
+    turns = []
+    for _ in range(4):
+        robust.take_vote(own_x_hat=0.5, has_confidence=True)
+        turns.append(robust.turn)
+    assert turns == [3, 10, 0, 3]
+
+
+def test_a_robot_without_confidence_does_not_vote() -> None:
+    robust = RobustReference(0.75, estimates={9: 1.0, 2: 0.0}, turn=10)
+    robust.take_vote(own_x_hat=0.5, has_confidence=False)
+    assert (robust.turn, robust.votes.centre) == (3, 0.5 - 0.25 / 8)
+
+
+def test_nobody_votes_before_the_first_message() -> None:
+    robust = RobustReference(0.75)
+    robust.take_vote(own_x_hat=1.0, has_confidence=True)
+    assert robust == RobustReference(0.75)
+
+
+def test_senders_with_ids_equal_modulo_32_share_a_slot() -> None:
+    robust = RobustReference(0.75)
+    robust.keep_estimate(1, 0.25)
+    robust.keep_estimate(33, 0.75)
+    assert robust.estimates == {1: 0.75}
+
+
+# --- Dispersion ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("batch_black_count", "dispersion"),
+    [
+        (50, 7 / 8 * 2),  # what was to be expected
+        (60, 7 / 8 * 2 + 4 / 8),  # two standard deviations more
+        (100, 7 / 8 * 2 + 24 / 8),  # ten standard deviations, which count as 12 times the dispersion
+    ],
+)
+def test_a_batch_moves_the_dispersion_by_an_eighth(batch_black_count: int, dispersion: float) -> None:
+    """The batch has 100 observations, so that their standard deviation is 5."""
+    assert dispersion_after_batch(Observations(500, 1000, 2.0), batch_black_count, 100) == dispersion
+
+
+def test_the_dispersion_does_not_fall_below_1() -> None:
+    assert dispersion_after_batch(Observations(500, 1000, 1.0), 50, 100) == 1
+
+
+def test_the_dispersion_does_not_rise_above_16_bits_of_the_firmware() -> None:
+    assert dispersion_after_batch(Observations(500, 1000, 250.0), 500, 500) == 256 - 1 / 256
+
+
+@pytest.mark.parametrize(("n", "batch_count"), [(0, 100), (1000, 100), (500, 0)])
+def test_a_batch_without_deviation_leaves_the_dispersion(n: int, batch_count: int) -> None:
+    assert dispersion_after_batch(Observations(n, 1000, 3.0), 0, batch_count) == 3
+
+
+# --- The estimates in the slots --------------------------------------------------------------------------
+
+
+def test_the_spread_of_estimates_is_their_median_distance() -> None:
+    assert spread_around([0.5, 0.625, 0.25, 0.5, 1.0], 0.5) == 0.125
+
+
+@pytest.mark.parametrize(("estimates", "spread"), [([0.5] * 5, 2**-12), ([0.0, 0.0, 0.5, 1.0, 1.0], 0.25)])
+def test_the_spread_of_estimates_stays_within_its_limits(estimates: list[float], spread: float) -> None:
+    assert spread_around(estimates, 0.5) == spread
+
+
+def test_an_outlier_moves_the_centre_by_the_spread_alone() -> None:
+    """Four estimates are inside, and balance the outlier's 0.0625 at a quarter of that."""
+    estimates = [0.4375, 0.4375, 0.5, 0.5, 0.9]
+    assert huber_centre(estimates, middle=0.5, spread=0.0625) == 0.484375
+
+
+def test_the_centre_of_estimates_without_an_outlier_is_their_mean() -> None:
+    assert huber_centre([0.25, 0.375, 0.5, 0.625], middle=0.4375, spread=0.25) == 0.4375
+
+
+def test_the_centre_of_estimates_in_float64_is_right_to_the_last_bits() -> None:
+    rng = random.Random(23)
+    for _ in range(100):
+        estimates = [rng.random() for _ in range(rng.randrange(5, 33))]
+        spread = spread_around(estimates, 0.5)
+        exact = huber_centre(list(map(Fraction, estimates)), Fraction(1, 2), Fraction(spread))
+        assert abs(Fraction(huber_centre(estimates, 0.5, spread)) - exact) <= 16 * ULP
+
+
+# --- The test --------------------------------------------------------------------------------------------
+
+
+def test_the_sides_of_the_test_are_a_squared_deviation_and_12_variances() -> None:
+    """With b = 1/2 the centre does not matter, and v is 1/4."""
+    sides = robust_test_sides(Observations(12, 12, 2.0), 0.5, centre=0.3, spread=0.01)
+    assert sides == (0.25, 12 * 2 * 0.25 / 12)
+
+
+def test_the_spread_widens_the_limit_of_the_test() -> None:
+    sides = robust_test_sides(Observations(512, 1024, 1.0), 0.75, centre=0.5, spread=2**-5)
+    assert sides == (0.0, 12 * (0.25 / 1024 + (0.5 / 32) ** 2))
+
+
+def test_the_robust_test_decides_as_exact_fractions_next_to_its_threshold() -> None:
+    rng = random.Random(23)
+    decisions = []
+    for _ in range(500):
+        centre, spread, b = rng.random(), 2 ** rng.uniform(-12, -2), rng.uniform(0.01, 0.99)
+        dispersion, t = rng.uniform(1, 256), 10**6
+        p = b * centre + (1 - b) * (1 - centre)
+        threshold = math.sqrt(12 * (dispersion * p * (1 - p) / t + (2 * b - 1) ** 2 * spread**2))
+        difference = rng.choice([-1, 1]) * rng.uniform(0.99, 1.01) * threshold
+        n = min(max(round(t * (p + difference)), 0), t)
+        square, limit = robust_test_sides(Observations(n, t, dispersion), b, centre, spread)
+        exact_observations = Observations(n, t, Fraction(dispersion))
+        exact_square, exact_limit = robust_test_sides(exact_observations, *map(Fraction, (b, centre, spread)))
+        if abs(exact_square / exact_limit - 1) > 2**-13:
+            decisions.append(square > limit)
+            assert decisions[-1] == (exact_square > exact_limit)
+    assert min(decisions.count(True), decisions.count(False)) > 100
+
+
+@pytest.mark.parametrize(
+    ("supporter_count", "count", "is_party"), [(2, 5, False), (3, 5, True), (4, 10, False), (5, 10, True)]
+)
+def test_more_than_two_of_five_estimates_are_a_party(
+    supporter_count: int, count: int, is_party: bool
+) -> None:
+    estimates = [1.0] * supporter_count + [0.0] * (count - supporter_count)
+    assert is_supported(Observations(3, 4, 1.0), 0.75, estimates, centre=0.0) == is_party
+
+
+def test_an_estimate_in_the_middle_does_not_support_the_robot() -> None:
+    """The robot observes 3/4 black, by the centre it should observe 1/4, and by the estimate 1/2."""
+    assert not is_supported(Observations(3, 4, 1.0), 0.75, [0.5], centre=0.0)
+
+
+# --- The filter of a robot -------------------------------------------------------------------------------
+
+
+def make_robust_robot(memory: int = 1000) -> ReferenceRobot:
+    """Make a robot with an accuracy of 3/4 that tests itself in every round."""
+    return ReferenceRobot(Config(filter=Filter.ROBUST, filter_period=1, memory=memory), OWN_ID, 0.75)
+
+
+def test_five_estimates_are_needed_for_a_test() -> None:
+    robot = make_robust_robot()
+    observe_tiles(robot, black=50, white=50)
+    receive_estimates(robot, 0.0, 0.0, 0.0, 0.0)
+    robot.settle()
+    assert robot.counters.tests == 0
+    receive_estimates(robot, 0.0, 0.0, 0.0, 0.0, 0.0)
+    robot.settle()
+    assert robot.counters.tests == 1
+
+
+def test_a_robot_whose_observations_contradict_its_neighbours_takes_its_accuracy_from_them() -> None:
+    """With b = 1/2 it would observe half of the tiles black on a white floor."""
+    robot = make_robust_robot()
+    observe_tiles(robot, black=200, white=200)
+    receive_estimates(robot, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert robot.settle() == Status.UPDATED
+    assert robot.b_hat == 0.5
+
+
+def test_a_robot_that_was_misled_returns_to_its_initial_accuracy() -> None:
+    robot = make_robust_robot()
+    observe_tiles(robot, black=200, white=200)
+    receive_estimates(robot, 0.0, 0.0, 0.0, 0.0, 0.0)
+    robot.settle()
+    receive_estimates(robot, 0.5, 0.5, 0.5, 0.5, 0.5)
+    assert robot.settle() == Status.UPDATED
+    assert robot.b_hat == 0.75
+
+
+def test_two_parties_keep_their_accuracy() -> None:
+    robot = make_robust_robot()
+    observe_tiles(robot, black=200, white=200)
+    receive_estimates(robot, 0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.5)
+    assert robot.settle() == Status.OK
+    assert (robot.b_hat, robot.counters.tests) == (0.75, 1)
+
+
+def test_a_batch_begins_anew_where_the_memory_halves_the_counts() -> None:
+    robot = make_robust_robot(memory=64)
+    observe_tiles(robot, black=40, white=24)
+    assert (robot._robust.batch_t, robot._robust.batch_n) == (robot.t, robot.n) == (32, 20)
+
+
+def test_x_is_the_centre_of_the_votes_and_before_the_first_one_x_hat() -> None:
+    robot = make_robust_robot()
+    robot.observe(Observation.BLACK)
+    assert (robot.x, robot.x_bar) == (1.0, 0.5)
+    receive_estimates(robot, 0.0)
+    robot.settle()
+    assert robot.x == robot.x_bar == 0.5 - 0.25 / 8
