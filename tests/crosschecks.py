@@ -85,7 +85,8 @@ FAULTS = {
     "table: two steps": "HUBER_STEPS = {3 => 2}",
     "table: four steps": "HUBER_STEPS = {3 => 4}",
     "table: inside": "sum(abs(difference) {<= => <} spread for",
-    "robust test: sigmas": "REJECTED_SIGMAS_SQUARED = {12 => 13}",
+    "robust test: sigmas": "limit = ({REJECTED_SIGMAS_SQUARED => 13} * robust.dispersion * variance)",
+    "robust test: sigmas of the centre": "- {REJECTED_SIGMAS_SQUARED => 13} * g_spread**2",
     "robust test: variance": "variance = {max => min}(",
     "robust test: dispersion": "(REJECTED_SIGMAS_SQUARED * {robust.dispersion => DISPERSION_MIN} * variance)",
     "robust test: present b_hat": "{s.accuracy => s.robust.initial_b_hat = new_b_hat; s.accuracy} = "

@@ -35,7 +35,7 @@ VOTES_OF_MAX_GAIN = 32
 """Up to 63 votes the gain stays at that of 32 votes, 1/8."""
 TESTED_ESTIMATES_MIN = 5
 """Smallest number of estimates against which a robot tests itself: of five, two wrong ones are outvoted."""
-HUBER_STEPS = 4
+HUBER_STEPS = 3
 """Steps from the median of the estimates to their Huber centre."""
 REJECTED_SIGMAS_SQUARED = 12
 """The test rejects beyond sqrt(12) standard deviations."""
@@ -155,10 +155,11 @@ def spread_around(estimates: Sequence[Number], middle: Number) -> Number:
 
 
 def huber_centre(estimates: Sequence[Number], middle: Number, spread: Number) -> Number:
-    """Return the Huber centre of estimates in [0, 1]: four steps of Newton's method from their middle. O(m).
+    """Return the Huber centre of estimates in [0, 1], after three steps of Newton's method from their middle.
 
     It is the point where the distances of the estimates above and below balance, if none counts with more
     than ``spread``: a mean of the estimates near to it, which those far away move by a limited amount.
+    O(m).
     """
     number = type(middle)
     centre = middle

@@ -79,7 +79,7 @@ _VOTE_COUNTS = (
 """Numbers of votes at the edges of the gain."""
 
 _SLOWLY_CENTRED = (0, 3, 3, 3, 6, 7, 8, 14, 41, 41, 41, 68, 68, 164, 186, 377, 377, *([833] * 15))
-"""Estimates, less a common part, that five steps take from the median to the centre. Found by search."""
+"""Estimates, less a common part, for which each of five steps changes the centre. Found by search."""
 
 _MAX_DRAWS = 10
 """Robots that are drawn to find one for which there are estimates of a kind."""
@@ -145,6 +145,7 @@ class RobustScenarioWriter(ScenarioWriter):
             [
                 self._draw_estimates_at_threshold,
                 self._draw_estimates_at_threshold,
+                self._draw_parties,
                 self._draw_parties,
                 self._draw_parties_with_tie,
                 self._draw_skewed_estimates,
@@ -384,7 +385,9 @@ class RobustScenarioWriter(ScenarioWriter):
         """Draw estimates that the test rejects, of which about two in five support the robot.
 
         The others agree on an estimate that contradicts its observations. None if that is not possible.
+        There are at least 11 estimates, so that the others are more than a half.
         """
+        count = max(count, 11)
         supporter_count = 2 * count // 5 + self._rng.randint(0, 1)
         slots = slots_of_two_parties(self._mirror_of(robot), count, supporter_count)
         return None if slots is None else slots.estimates
@@ -435,7 +438,7 @@ class RobustScenarioWriter(ScenarioWriter):
         return tuple(clamp(start + direction * distance, 0, SLOT_ESTIMATE_MAX) for distance in distances)
 
     def _draw_slowly_centred_estimates(self, robot: DrawnRobot, count: int) -> tuple[int, ...]:
-        """Draw 32 estimates for whose centre four steps are one too few, anywhere and in either direction."""
+        """Draw 32 estimates for whose centre three steps are too few, anywhere and in either direction."""
         rng = self._rng
         scale = rng.choice([-1, 1]) << rng.randrange(4)
         start = rng.randint(0, SLOT_ESTIMATE_MAX)

@@ -9,7 +9,10 @@ from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from support import slow
 
-QUICK_FAULTS = ("estimate: c t", "alpha_word: cap", "mean", "test", "counters", "vote: clamp", "robust: test")
+QUICK_FAULTS = (
+    *("estimate: c t", "alpha_word: cap", "mean", "test", "counters"),
+    *("slot: ids modulo 32", "vote: clamp", "dispersion: weight", "table: median", "robust test: variance"),
+)
 SLOW_FAULTS = tuple(fault for fault in FAULTS if fault not in QUICK_FAULTS)
 
 
@@ -28,20 +31,16 @@ def test_a_fault_in_one_firmware_is_found(fault: str) -> None:
         "mean",
         "test",
         "vote: clamp",
-        "robust: test",
+        "table: median",
         *slow(
             [
                 "estimate: what says nothing",
                 "estimate: mirror image",
                 "test: fewest messages",
                 "filter period",
-                "vote: gain",
-                "vote: spread",
-                "vote: without confidence",
-                "robust: moving",
-                "robust: voices",
-                "robust: variance",
-                "robust: way back",
+                *(name for name in FAULTS if name.startswith(("slot:", "vote:", "batch:", "dispersion:"))),
+                *(name for name in FAULTS if name.startswith(("table:", "robust test:", "robust:"))),
+                "supporters: the other way",
             ]
         ),
     ],

@@ -47,11 +47,13 @@ def audit_of_robust_scenarios() -> Audit:
 
 
 # design: R38
-@pytest.mark.parametrize("event", ["voted", "moving", "too few", "rejected", "returned", "kept"])
+@pytest.mark.parametrize(
+    "event", ["vote", "own vote", "too few", "accepted", "rejected", "returned", "supported"]
+)
 def test_robust_scenarios_bring_about_all_that_the_filter_does(
     audit_of_robust_scenarios: Audit, event: str
 ) -> None:
-    assert audit_of_robust_scenarios.robust[event] > 50
+    assert audit_of_robust_scenarios.robust[event] > 30
 
 
 def test_robust_scenarios_come_so_near_the_threshold_that_rounding_may_decide(
@@ -101,7 +103,7 @@ def test_robust_scenarios_are_of_robots_with_the_robust_filter() -> None:
 def test_the_scenarios_of_a_seed_stay_the_same() -> None:
     """Golden vectors are made of them, too: if they change on purpose, write these anew."""
     assert digest_of(SCENARIOS) == "88a45dd3"
-    assert digest_of(ROBUST_SCENARIOS) == "5ac9a318"
+    assert digest_of(ROBUST_SCENARIOS) == "3973b170"
 
 
 @pytest.mark.parametrize(
