@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import z3
 
-from mcp_asdf_tools.crosscheck import robust_bounds
+from mcp_asdf_tools.crosscheck import bounds
 from proofs.arithmetic import SHIFTED, WORDS, are_leading_zeros, multiply_high
 from proofs.formulas import ONE, Claim, call, formed, same
 from proofs.machine import Machine
@@ -20,7 +20,7 @@ from proofs.numbers import Number
 from proofs.prove import Contract, UnprovenError, prove
 from proofs.source import Program
 
-MARGIN = robust_bounds.UNDECIDED
+MARGIN = bounds.UNDECIDED
 """By how much one side of the test's inequality must exceed the other, as a share of its right side."""
 B_HAT = (2**12, 2**32 - 2**12)
 

@@ -23,6 +23,9 @@ Q23, Q24, Q30, Q31, Q32 = (Fraction(1, 2**bits) for bits in (23, 24, 30, 31, 32)
 
 LARGEST_ALPHA = Fraction(2**31 - 2**7)
 
+UNDECIDED = Fraction(1, 2**13)
+"""The firmware's robust test is right if its sides differ by more than this share of the larger one."""
+
 Bounds = tuple[Fraction, Fraction]
 """Smallest and largest value that the firmware may have."""
 
