@@ -507,7 +507,8 @@ NOINLINE mcp_asdf_status_t update_b_hat(mcp_asdf_t *robot)
  * runs in between. Returns UPDATED if it has re-estimated b_hat, else OK. */
 HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
 {
-    const bool is_robust = mcp_asdf_is_robust(robot->config);
+    /* The constant spares a build without the robust filter a load of robot->config. */
+    const bool is_robust = MCP_ASDF_WITH_ROBUST && mcp_asdf_is_robust(robot->config);
     mcp_asdf_status_t status = MCP_ASDF_OK;
     if (is_robust) {
         take_vote(robot);

@@ -205,7 +205,7 @@ static uint32_t sort_estimates(const mcp_asdf_t *robot, uint16_t sorted[MCP_ASDF
         if ((robot->robust.filled_slots & shift_left(1, slot)) != 0U) {
             const uint16_t estimate = robot->received.estimates[slot];
             uint32_t i = count++;
-            for (; i > 0U && sorted[i - 1U] > estimate; --i) { /* at most 31 turns */
+            for (; i > 0U && sorted[i - 1U] > estimate; --i) { /* at most 31 turns, 496 in all */
                 sorted[i] = sorted[i - 1U];
             }
             sorted[i] = estimate;

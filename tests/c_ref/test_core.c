@@ -236,6 +236,20 @@ static void a_turn_beyond_the_last_slot_lets_the_robot_itself_vote(void)
 
 /* ---- Numbers and configurations that the header offers ---- */
 
+/* Four messages of the closed round have an alpha of 0x812345 2^10 units; the fifth has none. */
+static void beta_is_the_sum_of_alpha_in_the_closed_round(void)
+{
+    const mcp_asdf_t robot = make_busy_robot(&config);
+    CHECK_EQUAL(mcp_asdf_beta(&robot), UINT64_C(4) * 0x812345 << 10);
+}
+
+static void beta_is_zero_with_the_robust_filter(void)
+{
+    const mcp_asdf_t robot = make_busy_robot(&robust_config);
+    CHECK(robot.robust.filled_slots != 0);
+    CHECK_EQUAL(mcp_asdf_beta(&robot), 0);
+}
+
 /* Against 64-bit arithmetic, for every x_hat, x_bar and x. */
 static void thousandths_are_rounded_to_nearest(void)
 {
@@ -289,6 +303,8 @@ static void configurations_have_the_filter_that_their_name_says(void)
 
 int main(void)
 {
+    beta_is_the_sum_of_alpha_in_the_closed_round();
+    beta_is_zero_with_the_robust_filter();
     thousandths_are_rounded_to_nearest();
     probabilities_are_rounded_to_nearest();
     certainty_is_refused_as_an_accuracy();

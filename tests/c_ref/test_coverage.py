@@ -123,9 +123,22 @@ CONSTANT_CONDITIONS = {
         "mcp_asdf_is_robust",
         "MCP_ASDF_WITH_ROBUST && (!MCP_ASDF_WITH_ASDF || config->filter == MCP_ASDF_ROBUST)",
     ): (1, 2),
+    ("mcp_asdf_settle", "MCP_ASDF_WITH_ROBUST && mcp_asdf_is_robust(robot->config)"): (1,),
 }
 """Function and text of decisions, and the numbers of their conditions that are constants of a build."""
-UNREACHABLE = {
+GUARDS = {
+    ("huber_step", "centre > step", "false"): (
+        "a step leads to where estimates are: in a search over 10 million sets none came to 0"
+    ),
+    ("huber_step", "difference < divisor", "false"): (
+        "a step is shorter than a spread, which is at most 1/4: in the same search none exceeded 0.234"
+    ),
+    ("median_distance", "below > 0U", "false"): (
+        "of the count / 2 + 1 estimates that are passed the first is not below the median, and so below >= 1"
+    ),
+}
+"""Conditions that keep a function's arguments or indices in range without a proof, and why they hold."""
+UNREACHABLE = GUARDS | {
     (*decision, f"effect of condition {number}"): REASON
     for decision, numbers in CONSTANT_CONDITIONS.items()
     for number in numbers

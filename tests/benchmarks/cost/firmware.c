@@ -10,8 +10,12 @@ void bench_set(uint32_t filter_period, uint32_t memory, uint32_t t, uint32_t n);
 /* Tests (times 2^16) and re-estimates of b_hat since the start. */
 uint32_t bench_filtered(void);
 #if MCP_ASDF_WITH_ROBUST
-/* Set what it knows of the others; votes in the lower half of a word, trend in the upper one. */
-void bench_crowd(uint32_t centre, uint32_t spread, uint32_t voices, uint32_t votes_trend);
+/* Set its votes; their number in the lower half of a word, the turn in the upper one. */
+void bench_votes(uint32_t centre, uint32_t spread, uint32_t votes_and_turn);
+/* Set its present batch of observations. */
+void bench_batch(uint32_t batch_t, uint32_t batch_n, uint32_t dispersion);
+/* Set which slots are filled, and the estimates of slots 4 `group` to 4 `group` + 3, two in a word. */
+void bench_estimates(uint32_t filled_slots, uint32_t group, uint32_t first_two, uint32_t last_two);
 #endif
 
 extern const uint32_t mcp_asdf_t_table_omega05_q30[33];
@@ -44,10 +48,29 @@ void bench_set(uint32_t filter_period, uint32_t memory, uint32_t t, uint32_t n)
 uint32_t bench_filtered(void) { return (uint32_t)robot.counters.tests << 16 | robot.counters.updates; }
 
 #if MCP_ASDF_WITH_ROBUST
-void bench_crowd(uint32_t centre, uint32_t spread, uint32_t voices, uint32_t votes_trend)
+void bench_votes(uint32_t centre, uint32_t spread, uint32_t votes_and_turn)
 {
-    robot.crowd = (mcp_asdf_crowd_t){
-        centre, spread, voices, robot.crowd.first, (uint16_t)votes_trend, (uint16_t)(votes_trend >> 16)};
+    robot.robust.centre = centre;
+    robot.robust.spread = spread;
+    robot.robust.votes = (uint16_t)votes_and_turn;
+    robot.robust.turn = (uint8_t)(votes_and_turn >> 16);
+}
+
+void bench_batch(uint32_t batch_t, uint32_t batch_n, uint32_t dispersion)
+{
+    robot.robust.batch_t = batch_t;
+    robot.robust.batch_n = batch_n;
+    robot.robust.dispersion = (uint16_t)dispersion;
+}
+
+void bench_estimates(uint32_t filled_slots, uint32_t group, uint32_t first_two, uint32_t last_two)
+{
+    uint16_t *const estimates = &robot.received.estimates[4U * group];
+    robot.robust.filled_slots = filled_slots;
+    estimates[0] = (uint16_t)first_two;
+    estimates[1] = (uint16_t)(first_two >> 16);
+    estimates[2] = (uint16_t)last_two;
+    estimates[3] = (uint16_t)(last_two >> 16);
 }
 #endif
 

@@ -21,8 +21,14 @@ LEVELS = ("-Os", "-O2")
 
 CLONE = re.compile(r"\.(constprop|part|isra|cold)(\.\d+)?")
 """What a compiler adds to the name of a function that it has changed."""
-_LINE = re.compile(r"^\s*([0-9a-f]+):\t(\S+)[ \t]*(.*)$|^[0-9a-f]+ <(.+)>:$", re.MULTILINE)
-_COMMON = ("-std=c99", "-ffunction-sections", "-fdata-sections", "-fstack-usage", "-Wl,--gc-sections")
+_LINE = re.compile(
+    r"^\s*(?P<address>[0-9a-f]+):\t(?P<name>\S+)[ \t]*(?P<operands>.*)$"
+    r"|^[0-9a-f]+ <(?P<function>.+)>:$"
+    r"|^/\S*/(?P<place>[^/\s]+:\d+)( \(discriminator \d+\))?$",
+    re.MULTILINE,
+)
+"""A line of a disassembly: an instruction, a function, or the source of what follows."""
+_COMMON = ("-std=c99", "-ffunction-sections", "-fdata-sections", "-fstack-usage", "-g", "-Wl,--gc-sections")
 _WITHOUT_LIBRARY = ("-ffreestanding", "-nostdlib", "-Wl,-Ttext=0x10000", "-Wl,-e,main")
 
 
@@ -73,12 +79,14 @@ TARGETS = (
 
 @dataclass(frozen=True)
 class Instruction:
-    """One line of a disassembly: where, what, with which operands and comment, in which function."""
+    """One line of a disassembly: where, what, with which operands and comment, in which function, and from
+    which line of the source (``file.c:12``, or nothing if that is not known)."""
 
     address: int
     name: str
     operands: str
     function: str
+    place: str
 
 
 @dataclass(frozen=True)
@@ -123,12 +131,17 @@ class Image:
     @cached_property
     def code(self) -> list[Instruction]:
         """The disassembly, by address."""
-        lines, function = [], ""
-        for address, name, rest, label in _LINE.findall(self._listed("objdump", "-d", "--no-show-raw-insn")):
-            function = label or function
-            if not label:
-                lines.append(Instruction(int(address, 16), name, rest, function))
-        return lines
+        instructions = []
+        function, place = "", ""
+        for line in _LINE.finditer(self._listed("objdump", "-d", "-l", "--no-show-raw-insn")):
+            if line["function"]:
+                function, place = line["function"], ""
+            elif line["place"]:
+                place = line["place"]
+            else:
+                address = int(line["address"], 16)
+                instructions.append(Instruction(address, line["name"], line["operands"], function, place))
+        return instructions
 
     @cached_property
     def frames(self) -> dict[str, int]:

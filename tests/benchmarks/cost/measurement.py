@@ -77,7 +77,7 @@ class Figures:
 def robot_image(target: Target, level: str, folder: Path, of: Build) -> Image:
     """The firmware, ready to be called."""
     kept = [f"mcp_asdf_{name}" for name in STACK_CALLS]
-    kept += [f"bench_{name}" for name in ("start", "set", "filtered", "crowd")]
+    kept += [f"bench_{name}" for name in ("start", "set", "filtered", "votes", "batch", "estimates")]
     sources = [HERE / "firmware.c", *FIRMWARE.glob("*.c"), TABLE]
     return build(target, folder, sources, level, *of.flags, *(f"-Wl,-u,{name}" for name in kept))
 

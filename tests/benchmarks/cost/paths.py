@@ -1,13 +1,13 @@
-"""Bounds from the machine code: the longest path through a function without loops, and its deepest stack."""
+"""Bounds from the machine code: the longest path through a function, and its deepest stack."""
 
 from __future__ import annotations
 
 import re
 from collections import defaultdict
 from collections.abc import Callable
-from graphlib import CycleError, TopologicalSorter
 
-from .images import CLONE, Image, Instruction
+from .images import CLONE, FIRMWARE, Image, Instruction
+from .loops import LongestPath, bounds_in
 
 _CALL = re.compile(r"bl|jal|call|rcall")
 _TARGET = re.compile(r"(?:0x)?([0-9a-f]+) <")
@@ -48,12 +48,15 @@ class Paths:
         self._functions: dict[str, list[int]] = defaultdict(list)
         for number, line in enumerate(image.code):
             self._functions[line.function].append(number)
+        self._places = {number: line.place for number, line in enumerate(image.code)}
+        self._loop_bounds = bounds_in(sorted(FIRMWARE.glob("*.[ch]")))
 
     def longest(self, name: str, weight: Weight = instruction, without: str = "") -> int:
         """The most of a weight on any path through a function and what it calls. ``without``: paths that call
         or jump to the function of this name are left out.
 
-        Raises ValueError if there is no bound: a loop, recursion, a computed jump.
+        Raises ValueError if there is no bound: a loop that the source does not bound, recursion, a computed
+        jump.
         """
         known: dict[int, int] = {}
 
@@ -64,15 +67,13 @@ class Paths:
             if start in known:
                 return known[start]
             graph = self._graph(start, without)
-            found: dict[int, int] = {}
-            try:
-                for number in TopologicalSorter(graph).static_order():
-                    line, called = self._lines[number], self._called(number)
-                    own = weight(line) + (0 if called is None else most(called, (*callers, start)))
-                    found[number] = own + max((found[each] for each in graph[number]), default=0)
-            except CycleError:
-                raise ValueError(f"there is a loop in {function}") from None
-            known[start] = found[start]
+            weights = {}
+            for number in graph:
+                called = self._called(number)
+                weights[number] = weight(self._lines[number])
+                if called is not None:
+                    weights[number] += most(called, (*callers, start))
+            known[start] = LongestPath(graph, weights, self._places, self._loop_bounds).cost(start)
             return known[start]
 
         return most(self._start(name), ())

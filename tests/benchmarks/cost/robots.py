@@ -72,16 +72,49 @@ def situation(rng: random.Random, messages: int, t: int) -> Situation:
     return Situation(b_hat, MEMORY, t - 1, n, tuple(heard), rng.getrandbits(1))
 
 
-def crowd(rng: random.Random, situation: Situation) -> tuple[Argument, ...]:
-    """What a robot with the robust filter can know of the others before the messages of a situation, beside
-    them or anywhere: centre, spread, voices, trend and votes."""
-    beside = [x_hat * 2**7 + rng.randint(-(2**20), 2**20) for _, x_hat, _ in situation.messages]
-    centre = _between(0, rng.choice((*beside, rng.randint(0, 2**30), 0, 2**30)), 2**30)
-    votes = rng.choice((1, 2**14 - 1, 2**14, rng.randrange(1, 2**14)))
-    trend = rng.choice((2**15, 2**13, rng.randrange(2**16)))
-    spread = _between(2**18, int(2 ** rng.uniform(17.9, 28.1)), 2**28)
-    voices = rng.choice((1, rng.getrandbits(31) + 1))
-    return tuple((word, 4) for word in (centre, spread, voices, trend << 16 | votes))
+@dataclass(frozen=True)
+class RobustState:
+    """What a robot with the robust filter keeps, by the members' names in C; 32 estimates."""
+
+    centre: int
+    spread: int
+    votes: int
+    turn: int
+    batch_t: int
+    batch_n: int
+    dispersion: int
+    filled_slots: int
+    estimates: tuple[int, ...]
+
+
+def robust_state(rng: random.Random, situation: Situation) -> RobustState:
+    """Draw what the robot keeps before the messages of a situation.
+
+    Votes and estimates are beside these or anywhere. In half of the cases all slots have an estimate, in
+    descending order, which takes longest to sort.
+    """
+    centres = [x_hat * 2**7 + rng.randint(-(2**20), 2**20) for _, x_hat, _ in situation.messages]
+    centre = _between(0, rng.choice((*centres, rng.randint(0, 2**30), 0, 2**30)), 2**30)
+    width = int(2 ** rng.uniform(0, 16))
+    estimates = [_between(0, (centre >> 14) + rng.randint(-width, width), 2**16 - 1) for _ in range(32)]
+    filled_slots = rng.choice((1, 0x1F, rng.getrandbits(32) | 1, 2**32 - 1))
+    if rng.random() < 0.5:
+        estimates.sort(reverse=True)
+        filled_slots = 2**32 - 1
+    batch_n = rng.randint(0, situation.n)
+    return RobustState(
+        centre=centre,
+        spread=_between(2**18, int(2 ** rng.uniform(17.9, 28.1)), 2**28),
+        votes=rng.choice((1, 2**9 - 1, 2**9, rng.randrange(1, 2**9))),
+        turn=rng.choice((0, 1, 31, 32)),
+        batch_t=batch_n + rng.randint(0, situation.t - situation.n),
+        batch_n=batch_n,
+        dispersion=rng.choice((2**8, 2**16 - 1, rng.randint(2**8, 2**16 - 1))),
+        filled_slots=filled_slots,
+        estimates=tuple(
+            estimate if filled_slots >> slot & 1 else 0 for slot, estimate in enumerate(estimates)
+        ),
+    )
 
 
 def _between(least: int, value: int, most: int) -> int:
@@ -190,6 +223,19 @@ class Robot:
     def _begin(self, situation: Situation, period: int) -> None:
         self.start(situation.b_hat, period, situation.t, situation.n, situation.memory)
         if self.filter == Filter.ROBUST:
-            self.machine.call("bench_crowd", *crowd(random.Random(repr(situation)), situation))
+            self._set(robust_state(random.Random(repr(situation)), situation))
         for message in situation.messages:
             self.receive(message)
+
+    def _set(self, state: RobustState) -> None:
+        """Give the robot a state of the robust filter."""
+        self._call_bench("votes", state.centre, state.spread, state.turn << 16 | state.votes)
+        self._call_bench("batch", state.batch_t, state.batch_n, state.dispersion)
+        for group in range(8):
+            first, second, third, fourth = state.estimates[4 * group : 4 * group + 4]
+            first_two, last_two = second << 16 | first, fourth << 16 | third
+            self._call_bench("estimates", state.filled_slots, group, first_two, last_two)
+
+    def _call_bench(self, name: str, *words: int) -> None:
+        """Call one of the functions that set the robot's state, with words of 32 bits."""
+        self.machine.call(f"bench_{name}", *((word, 4) for word in words))

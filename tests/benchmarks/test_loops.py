@@ -1,0 +1,66 @@
+"""The longest path through code with loops."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.cost.loops import Bound, Graph, LongestPath, bounds_in
+
+
+def cost_of(graph: Graph, places: dict[int, str], bounds: dict[str, Bound]) -> int:
+    """Return the cost of the longest path from instruction 0 on, if each instruction costs 1."""
+    return LongestPath(graph, dict.fromkeys(graph, 1), places, bounds).cost(0)
+
+
+def test_bounds_are_read_from_the_comments_beside_loops(tmp_path: Path) -> None:
+    source = tmp_path / "sort.c"
+    source.write_text(
+        "for (i = 0; i < n; ++i) { /* at most 32 turns */\n"
+        "    for (j = i; j > 0; --j) { /* at most 31 turns, 496 in all */\n"
+        "    }\n"
+        "}\n"
+    )
+    assert bounds_in([source]) == {"sort.c:1": Bound(32, None), "sort.c:2": Bound(31, 496)}
+
+
+def test_without_a_loop_the_longer_branch_counts() -> None:
+    assert cost_of({0: [1, 3], 1: [2], 2: [3], 3: []}, {}, {}) == 4
+
+
+def test_a_loop_that_is_left_at_its_end_counts_as_often_as_it_turns() -> None:
+    graph = {0: [1], 1: [2], 2: [1, 3], 3: []}
+    assert cost_of(graph, {2: "a.c:7"}, {"a.c:7": Bound(10, None)}) == 1 + 10 * 2 + 1
+
+
+def test_a_loop_that_is_left_at_its_beginning_tests_once_more_than_it_turns() -> None:
+    graph = {0: [1], 1: [2, 3], 2: [1], 3: []}
+    assert cost_of(graph, {1: "a.c:7"}, {"a.c:7": Bound(10, None)}) == 1 + 10 * 2 + 1 + 1
+
+
+NESTED_LOOPS = {0: [1], 1: [2], 2: [2, 3], 3: [1, 4], 4: []}
+"""Instruction 2 repeats itself within the loop of instructions 1 to 3."""
+PLACES_OF_NESTED_LOOPS = {2: "a.c:8", 3: "a.c:7"}
+
+
+def test_an_inner_loop_turns_in_every_turn_of_the_outer_one() -> None:
+    bounds = {"a.c:7": Bound(10, None), "a.c:8": Bound(5, None)}
+    assert cost_of(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == 1 + 10 * (1 + 5 + 1) + 1
+
+
+def test_an_inner_loop_whose_turns_are_counted_in_all_adds_these_once() -> None:
+    bounds = {"a.c:7": Bound(10, None), "a.c:8": Bound(5, 20)}
+    assert cost_of(NESTED_LOOPS, PLACES_OF_NESTED_LOOPS, bounds) == 1 + 10 * (1 + 1 + 1) + 20 + 1
+
+
+def test_a_loop_with_two_entries_is_bounded_by_turns_that_come_to_both() -> None:
+    graph = {0: [1, 2], 1: [2, 3], 2: [1], 3: []}
+    cost = cost_of(graph, {1: "a.c:7", 2: "a.c:7"}, {"a.c:7": Bound(10, None)})
+    longest_walk = 1 + 10 * 2 + 1 + 1
+    assert longest_walk <= cost <= 2 * longest_walk
+
+
+def test_a_loop_without_a_bound_in_the_source_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"without a bound in the source: \['a.c:7'\]"):
+        cost_of({0: [1], 1: [1, 2], 2: []}, {1: "a.c:7"}, {})
