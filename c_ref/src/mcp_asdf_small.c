@@ -28,11 +28,11 @@ uint32_t mcp_asdf_x_hat_to_code(uint32_t x_hat, uint32_t bits)
 uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits)
 {
     /* The digits of code / (2^bits - 1) behind the binary point are those of the code, again and again, just
-     * as 37 / 99 is 0.373737... The copies double in each turn, of which there are 5 at most, until there are
-     * 24 digits. */
+     * as 37 / 99 is 0.373737... The copies double in each turn, until there are 24 digits or more. */
     uint32_t digits = code << (32U - bits);
-    for (uint32_t length = bits; length < 24U; length *= 2U) {
-        digits |= digits >> length;
+    for (uint32_t copies = 1; copies < 32U; copies *= 2U) { /* at most 5 turns */
+        const uint32_t length = copies * bits;
+        digits |= length < 32U ? digits >> length : 0U;
     }
     /* To nearest: the last one decides, as a quotient by an odd number is no half. 1.0 has only digits of 1,
      * and is rounded up to 2^23. */

@@ -12,12 +12,12 @@ import z3
 
 from proofs import arithmetic, formulas, robust
 from proofs.arithmetic import EXACT
-from proofs.formulas import BY_LEMMA, ONE, Claim, returns, same, units
+from proofs.formulas import BY_LEMMA, ONE, Claim, call, formed, returns, same, units
 from proofs.machine import Machine, Summary, chosen
 from proofs.numbers import Integers, Number
 from proofs.prove import Contract, Formula, always, any_result
-from proofs.robust import VOTE
-from proofs.source import Variant
+from proofs.robust import VOTE, may_vote
+from proofs.source import Program, Variant
 
 ROBUST = 3
 UPDATED, REPEATED, ERR_OBSERVATION, ERR_SENDER, ERR_X_HAT = 2, 1, -5, -6, -7
@@ -99,7 +99,10 @@ def _observed(status: Any, after: Any, robot: Any, z: Any) -> Any:
     t, n = z3.If(has_reached, z3.UDiv(t, 2), t), z3.If(has_reached, to_even, n)
     t, n = (z3.Extract(31, 0, each) for each in (t, n))
     formed = computed("estimate", {name: t for name in ("x_hat", "alpha")}, t, n, robot["accuracy"])
-    updated = {"t": t, "n": n, "updated": z3.BitVecVal(0, 8), **formed}
+    # Where t and n are halved, the robust filter begins a batch of observations anew.
+    begins_batch = z3.And(has_reached, is_robust(robot["config"]))
+    batch = chosen(begins_batch, {**robot["robust"], "batch_t": t, "batch_n": n}, robot["robust"])
+    updated = {"t": t, "n": n, "updated": z3.BitVecVal(0, 8), "robust": batch, **formed}
     return z3.And(
         returns(status, (z3.Not(is_colour), ERR_OBSERVATION)),
         same(after, chosen(is_colour, {**robot, **updated}, robot)),
@@ -120,11 +123,6 @@ def _heard(robot: Any) -> Any:
 
 def is_robust(config: Any) -> Any:
     return config["filter"] == ROBUST
-
-
-def _may_receive(robot: Any, *_: Any) -> Any:
-    """I24, as far as a vote needs it."""
-    return z3.Implies(is_robust(robot["config"]), VOTE.requires(robot, None, z3.BitVecVal(0, 32)))
 
 
 def _received(status: Any, after: Any, robot: Any, *message: Any) -> Any:
@@ -148,17 +146,23 @@ def _received(status: Any, after: Any, robot: Any, *message: Any) -> Any:
         },
     }
     says_something = z3.And(is_accepted, units(alpha) != 0)
-    voted = computed("update_crowd crowd", robot["crowd"], robot["crowd"], sender, x_hat)
-    has_crowd = is_robust(robot["config"])
+    received, sums = robot["received"], robot["received"]["sums"]
+    enters_sums = z3.And(says_something, z3.Not(is_robust(robot["config"])))
+    enters_slot = z3.And(says_something, is_robust(robot["config"]))
+    open_round = chosen(enters_sums, _added(sums["open"], x_hat, units(alpha)), sums["open"])
+    slot = _wide(sender & 31, 32)
+    filled_slots = robot["robust"]["filled_slots"] | z3.BitVecVal(1, 32) << slot
     expected = {
         **{name: each for name, each in robot.items() if name != "heard"},
         "counters": counters,
-        "open": chosen(
-            z3.And(says_something, z3.Not(has_crowd)),
-            _added(robot["open"], x_hat, units(alpha)),
-            robot["open"],
-        ),
-        "crowd": chosen(z3.And(says_something, has_crowd), voted, robot["crowd"]),
+        "received": {
+            "sums": {**sums, "open": open_round},
+            "estimates": {
+                index: z3.If(z3.And(enters_slot, slot == int(index)), _in_slot(x_hat), estimate)
+                for index, estimate in received["estimates"].items()
+            },
+        },
+        "robust": chosen(enters_slot, {**robot["robust"], "filled_slots": filled_slots}, robot["robust"]),
     }
     return z3.And(
         returns(
@@ -167,6 +171,12 @@ def _received(status: Any, after: Any, robot: Any, *message: Any) -> Any:
         _heard(after) == z3.If(is_accepted, heard | one, heard),
         same(after, expected),
     )
+
+
+def _in_slot(x_hat: Any) -> Any:
+    """Return an x_hat as a slot keeps it (section 13): to nearest, and 2^16 - 1 for 1.0."""
+    rounded = z3.LShR(x_hat + 64, 7)
+    return z3.Extract(15, 0, z3.If(z3.ULT(rounded, 2**16 - 1), rounded, z3.BitVecVal(2**16 - 1, 32)))
 
 
 def _added(sums: Any, x_hat: Any, alpha: Any) -> Any:
@@ -181,15 +191,7 @@ def _added(sums: Any, x_hat: Any, alpha: Any) -> Any:
 
 
 # design: R4, R5, R6, R7, R13
-RECEIVE = Contract(
-    _received,
-    requires=_may_receive,
-    instead={
-        **BY_LEMMA,
-        **opaque_all("multiply"),
-        "update_crowd": opaque("update_crowd", "crowd", requires=VOTE.requires, reads="crowd"),
-    },
-)
+RECEIVE = Contract(_received, instead={**BY_LEMMA, **opaque_all("multiply")})
 
 
 # design: R20
@@ -213,32 +215,98 @@ def of_a_message() -> Iterator[Claim]:
 
 # --- settle ----------------------------------------------------------------------------------------------
 
-FILTER_CHANGES = ("accuracy", "counters", "updated", "crowd")
-"""Of a robot; robust.of_filter() says how."""
+FILTER_CHANGES = ("accuracy", "counters", "updated", "robust")
+"""Members of a robot that a run of its filter may change; of_filter() says how."""
+
+
+def _may_settle(robot: Any) -> Any:
+    """Return what a vote needs, with the robust filter."""
+    return z3.Implies(is_robust(robot["config"]), may_vote(robot))
 
 
 def _settled(status: Any, after: Any, robot: Any) -> Any:
-    """The filter runs on the round that closes."""
+    """A vote is taken or the sums are published; then the filter runs, and the next round begins.
+
+    With the robust filter the sums stay, with another one the estimates stay.
+    """
     left, period = robot["filter_left"] - 1, robot["config"]["filter_period"]
-    runs = left == 0
+    runs, takes_vote = left == 0, is_robust(robot["config"])
+    sums = robot["received"]["sums"]
+    published = {**sums, "closed": {name: sums["open"][name] for name in sums["closed"]}}
+    after_vote = computed("take_vote robust", robot["robust"], robot)
     ended = {
         **robot,
-        "closed": {name: robot["open"][name] for name in robot["closed"]},
+        "robust": chosen(takes_vote, after_vote, robot["robust"]),
+        "received": {**robot["received"], "sums": chosen(takes_vote, sums, published)},
         "filter_left": period,
     }
-    found = {name: computed(f"update_b_hat {name}", robot[name], ended) for name in FILTER_CHANGES}
-    expected = chosen(runs, {**ended, **found}, {**ended, "filter_left": left})
-    nothing = {name: z3.BitVecVal(0, each.size()) for name, each in robot["open"].items()}
+    of_filter = {name: computed(f"update_b_hat {name}", robot[name], ended) for name in FILTER_CHANGES}
+    expected = chosen(runs, {**ended, **of_filter}, {**ended, "filter_left": left})
+    empty_round = {name: z3.BitVecVal(0, each.size()) for name, each in sums["open"].items()}
+    next_sums = {**published, "open": empty_round}
+    received = {**robot["received"], "sums": chosen(takes_vote, sums, next_sums)}
     nobody = {index: z3.BitVecVal(0, 8) for index in robot["heard"]["of"]}
     status_of_filter = computed("update_b_hat", status, ended)
     return z3.And(
         status == z3.If(runs, status_of_filter, z3.BitVecVal(0, status.size())),
-        same(after, {**expected, "open": nothing, "heard": {"of": nobody}}),
+        same(after, {**expected, "received": received, "heard": {"of": nobody}}),
     )
 
 
 # design: R4, R8, R9, R10
-SETTLE = Contract(_settled, instead={"update_b_hat": opaque("update_b_hat", *FILTER_CHANGES)})
+SETTLE = Contract(
+    _settled,
+    requires=_may_settle,
+    instead={
+        "update_b_hat": opaque("update_b_hat", *FILTER_CHANGES),
+        "take_vote": opaque("take_vote", "robust", requires=VOTE.requires),
+    },
+)
+
+# --- The filter ------------------------------------------------------------------------------------------
+
+
+def _of_round(robot: Any) -> tuple[Any, Any]:
+    """Return what b_hat becomes by the paper's filters, 0 if it stays; and whether a test is counted."""
+    sums, mode = robot["received"]["sums"], robot["config"]["filter"]
+    count = sums["open"]["count"]
+    mean = call("round_mean", *(sums["closed"][name] for name in ("alpha", "alpha_x_low", "alpha_x_high")))
+    is_tested = z3.And(mode == 0, z3.UGE(count, 2))
+    runs = z3.Or(z3.And(is_tested, call("asdf_test_rejects") != 0), z3.And(mode == 1, z3.UGE(count, 1)))
+    return z3.If(runs, call("reestimate", mean), 0), is_tested
+
+
+# design: R10, R13, R23, R29
+def of_filter(program: Program) -> Iterator[Claim]:
+    """If there was an observation, what the robot's own filter finds becomes b_hat, unless it is 0.
+
+    Nothing else changes but what counts it. Of the robust filter's run only its result is seen here; what it
+    changes is its own contract's.
+    """
+    given, (status, after) = formed(program, "update_b_hat")
+    counters, accuracy = given["counters"], given["accuracy"]
+    has_observed, has_robust_filter = given["t"] != 0, is_robust(given["config"])
+    of_round, is_round_tested = _of_round(given)
+    b_hat = z3.If(has_robust_filter, call("run_robust_filter"), of_round)
+    is_updated = z3.And(has_observed, b_hat != 0)
+    is_tested = z3.And(has_observed, is_round_tested)
+    one, none = (z3.BitVecVal(value, 16) for value in (1, 0))
+    changed = {
+        "accuracy": {**accuracy, "b_hat": z3.If(is_updated, b_hat, accuracy["b_hat"])},
+        "counters": {
+            **counters,
+            "tests": counters["tests"] + z3.If(is_tested, one, none),
+            "updates": counters["updates"] + z3.If(is_updated, one, none),
+        },
+        "updated": z3.If(is_updated, z3.BitVecVal(1, 8), given["updated"]),
+    }
+    known = [z3.ULE(given["config"]["filter"], ROBUST)]
+    yield "updated", status == z3.If(is_updated, z3.BitVecVal(2, status.size()), 0), known
+    of_paper = [*known, z3.Not(has_robust_filter)]
+    yield "the robot with a filter of the paper", same(after, {**given, **changed}), of_paper
+    new_b_hat = z3.If(is_updated, b_hat, after["accuracy"]["b_hat"])
+    yield "b_hat with the robust filter", after["accuracy"]["b_hat"] == new_b_hat, known
+
 
 # --- The test --------------------------------------------------------------------------------------------
 
@@ -261,12 +329,16 @@ def are_estimates(sums: Any) -> Any:
 
 
 def _may_test(robot: Any) -> Any:
-    return z3.And(are_estimates(robot["open"]), robot["open"]["count"] >= 2, robot["x_hat"] <= ONE)
+    return z3.And(
+        are_estimates(robot["received"]["sums"]["open"]),
+        robot["received"]["sums"]["open"]["count"] >= 2,
+        robot["x_hat"] <= ONE,
+    )
 
 
 def _terms_of_test(robot: Any) -> tuple[Any, Any, Any]:
     """(sum x - m x_hat)^2; k_m, the entry for m > q where m > q; and m sum x^2 - (sum x)^2."""
-    sums, word = robot["open"], robot["config"]["table"].word
+    sums, word = robot["received"]["sums"]["open"], robot["config"]["table"].word
     m, x, q = sums["count"], sums["x"], word(0) % 256
     difference = x - m * robot["x_hat"]
     return difference * difference, word(z3.If(m <= q, m, q + 1)), m * sums["x_squared"] - x * x
@@ -285,6 +357,7 @@ def _decided(rejects: Any, _: Any, robot: Any) -> Any:
 
 # design: R24
 TEST = Contract(_decided, Integers, requires=_may_test, steps=(_spread_is_small,), uses=("multiply",))
+OF_THE_CODE = (of_filter,)
 CONTRACTS = {
     "mcp_asdf_observe": OBSERVE,
     "mcp_asdf_receive": RECEIVE,

@@ -23,7 +23,7 @@ RESULTS = {
     **dict.fromkeys(("multiply", "shift_right_64", "join"), 64),
     **dict.fromkeys(("leading_zeros", "shift_left", "upper", "high_word", "low_word", "multiply_high"), 32),
     **dict.fromkeys(("divide_24", "alpha_word_from_mantissa", "square_of_ratio", "round_mean"), 32),
-    **dict.fromkeys(("quotient", "reestimate"), 32),
+    **dict.fromkeys(("quotient", "reestimate", "next_slot", "run_robust_filter"), 32),
     **dict.fromkeys(("asdf_test_rejects", "robust_test_rejects"), 1),
 }
 """Called functions, of which nothing is known here, and bits of their results."""

@@ -139,8 +139,19 @@ class Machine:
         if isinstance(kind, c_ast.ArrayDecl):
             size = known(self.value(kind.dim).term)
             return {str(index): self._filled(kind.type, name, number) for index in range(size)}
-        members = kind.decls[:1] if isinstance(kind, c_ast.Union) else kind.decls
+        members = kind.decls
+        if isinstance(kind, c_ast.Union) and not self._has_separate_members(kind):
+            members = kind.decls[:1]
         return {each.name: self._filled(each.type, each.name, number) for each in members}
+
+    @staticmethod
+    def _has_separate_members(union: Any) -> bool:
+        """Return whether a union stands for a structure here: mcp_asdf_received_t.
+
+        A call uses its estimates or its sums, by the robot's filter, and never reads the one after writing
+        the other: the contracts of receive and settle say so.
+        """
+        return "sums" in [member.name for member in union.decls]
 
     def _pointer_to(self, declared: Any, name: str) -> Place:
         """To something unknown: constant words may be any number of them."""
@@ -258,6 +269,10 @@ class Machine:
             value = self._initialised(self._resolve(node.type), node.init)
         elif node.init is not None:
             value = self.value(node.init)
+            if isinstance(node.type, c_ast.PtrDecl) and isinstance(value, dict):
+                value = self._place(node.init).below("0")  # an array, to whose first element this points
+        elif isinstance(node.type, c_ast.ArrayDecl):
+            value = self.unknown_of(node.type, node.name)
         self._declare(node.name, node.type, value)
 
     def _Return(self, node: Any) -> None:  # noqa: N802
@@ -385,10 +400,10 @@ class Machine:
         return whole[node.field.name]
 
     def _value_ArrayRef(self, node: Any) -> Any:  # noqa: N802
-        array = self.value(node.name)
-        if isinstance(array, Place):
+        array, index = self.value(node.name), z3.simplify(self.value(node.subscript).term)
+        if isinstance(array, Place) or not (z3.is_int_value(index) or z3.is_bv_value(index)):
             return self.load(self._place(node))
-        return array[str(known(self.value(node.subscript).term))]
+        return array[str(index.as_long())]
 
     def _value_Cast(self, node: Any) -> Any:  # noqa: N802
         kind, value = self._resolve(node.to_type.type), self.value(node.expr)
@@ -436,11 +451,18 @@ class Machine:
         return self.store(self._place(node.lvalue), self.value(node.rvalue))
 
     def _value_FuncCall(self, node: Any) -> Any:  # noqa: N802
-        arguments, name = [self.value(each) for each in node.args.exprs], node.name.name
+        arguments, name = [self._argument(each) for each in node.args.exprs], node.name.name
         if name == "__builtin_clz":
             return self._count_leading_zeros(arguments[0])
         kinds = [self._resolve(each.type) for each in self.program.parameters(name)]
         return self.call(name, *map(self._converted, arguments, kinds))
+
+    def _argument(self, node: Any) -> Any:
+        """Return the value of an argument: of a local array, a pointer to its first element."""
+        declared = self._frames[-1].types.get(node.name) if isinstance(node, c_ast.ID) else None
+        if isinstance(declared, c_ast.ArrayDecl) and isinstance(self.load(self.variable(node.name)), dict):
+            return self.variable(node.name).below("0")
+        return self.value(node)
 
     def _count_leading_zeros(self, number: Number) -> Number:
         """gcc's and clang's, which leave it open for 0."""

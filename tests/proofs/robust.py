@@ -1,6 +1,9 @@
-"""The robust filter (docs/design.md, section 13): a vote, the test and what becomes of b_hat, in every state
-that is possible, are what that section says; its ranges hold, and its test is that of exact rational
-arithmetic, except within ``MARGIN`` of the border.
+"""Claims about the robust filter (docs/design.md, section 13), for all inputs.
+
+A vote moves the centre and the spread as that section says, keeps both in their ranges, and never moves the
+centre beyond the vote. The test of the initial b_hat is formed as that section says, none of its products
+wraps, and it decides as exact rational arithmetic does, except within ``MARGIN`` of the threshold. A run of
+the filter changes nothing but what it may change.
 """
 
 from __future__ import annotations
@@ -17,103 +20,170 @@ from proofs.arithmetic import SHIFTED, WORDS, are_leading_zeros, multiply_high
 from proofs.formulas import ONE, Claim, call, formed, same
 from proofs.machine import Machine
 from proofs.numbers import Number
-from proofs.prove import Contract, UnprovenError, prove
+from proofs.prove import Contract, UnprovenError, any_result, prove
 from proofs.source import Program
 
 MARGIN = bounds.UNDECIDED
 """By how much one side of the test's inequality must exceed the other, as a share of its right side."""
-B_HAT = (2**12, 2**32 - 2**12)
+B_HAT_RANGE = (2**12, 2**32 - 2**12)
+SLOTS = 32
+VOTES_MAX = 2**9
+DISPERSION_RANGE = (2**8, 2**16 - 1)
+
+
+def widen(value: Any, bits: int = 32) -> Any:
+    """Return a term with zeros in front, so that it has so many bits."""
+    return z3.ZeroExt(bits - value.size(), value)
+
+
+def smaller(a: Any, b: Any) -> Any:
+    """Return the smaller of two words."""
+    return z3.If(z3.ULT(a, b), a, b)
+
 
 # --- A vote ----------------------------------------------------------------------------------------------
 
 
-def _zeros(machine: Machine, votes: Number) -> Number:
-    """leading_zeros() by its lemma; its argument is the new number of votes, at least 32."""
-    machine.claim(votes.term == _votes(machine.given["robot"]["crowd"]) | 32, "votes")
+def votes_after(robust: dict[str, Any]) -> Any:
+    """Return the number of votes after one more."""
+    return smaller(widen(robust["votes"]) + 1, z3.BitVecVal(VOTES_MAX, 32))
+
+
+def gain_shift(votes: Any) -> Any:
+    """Return max(bits(votes) - 3, 3), for fewer than 2^10 votes."""
+    shift = z3.BitVecVal(3, 32)
+    for bits in range(7, 11):
+        shift = z3.If(z3.UGE(votes, 2 ** (bits - 1)), z3.BitVecVal(bits - 3, 32), shift)
+    return shift
+
+
+def _leading_zeros_of_votes(machine: Machine, votes: Number) -> Number:
+    """Stand in for leading_zeros() by its lemma, where its argument is the new number of votes."""
+    robust = machine.given["robot"]["robust"]
+    machine.claim(votes.term == votes_after(robust) | 32, "votes")
     return cast("Number", WORDS["leading_zeros"].stands_in("leading_zeros")(machine, votes))
 
 
-def _votes(crowd: dict[str, Any]) -> Any:
-    return _least(_wide(crowd["votes"]) + 1, z3.BitVecVal(2**14, 32))
+def _shift_by_gain(machine: Machine, value: Number, count: Number) -> Number:
+    """Stand in for shift_right() by its lemma, with a count that is the section's shift, or one more.
 
-
-def _shift(votes: Any) -> Any:
-    """max(bits(votes) - 3, 3), of fewer than 2^15 votes."""
-    found = z3.BitVecVal(3, 32)
-    for bits in range(7, 16):
-        found = z3.If(z3.UGE(votes, 2 ** (bits - 1)), z3.BitVecVal(bits - 3, 32), found)
-    return found
-
-
-def _shifted(machine: Machine, value: Number, count: Number) -> Number:
-    """shift_right() by its lemma, and by the section's shift or one more: written as there, so that what
-    follows is alike."""
-    shift = _shift(_votes(machine.given["robot"]["crowd"]))
+    The count is written as the section has it, so that the terms of both sides look alike.
+    """
+    shift = gain_shift(votes_after(machine.given["robot"]["robust"]))
     try:
         prove(count.term == shift, *machine.facts)
     except UnprovenError:
         prove(count.term == shift + 1, *machine.facts, about="shift")
         shift += 1
-    machine.claim(z3.ULE(shift, 13), "a shift by at most 13")
+    machine.claim(z3.ULE(shift, 8), "a shift by at most 8")
     return Number(SHIFTED["shift_right"](value.term, shift), value.type)
 
 
-def in_range(crowd: dict[str, Any]) -> Any:
-    spread, votes = crowd["spread"], crowd["votes"]
+def _slot_of_turn(machine: Machine, filled_slots: Number, turn: Number, has_confidence: Number) -> Number:
+    """Stand in for next_slot(): the same slot for the same arguments, and 32 at most (see ``NEXT_SLOT``)."""
+    slot = call("next_slot", filled_slots.term, turn.term, has_confidence.term)
+    machine.know(z3.ULE(slot, SLOTS))
+    return Number(slot, filled_slots.type)
+
+
+def in_range(robust: dict[str, Any]) -> Any:
+    """Return that the members that a vote changes are in their ranges."""
     return z3.And(
-        *(z3.ULE(crowd["centre"], 2**30), z3.UGE(spread, 2**18), z3.ULE(spread, 2**28)),
-        *(z3.ULE(votes, 2**14), z3.UGE(crowd["first"], B_HAT[0]), z3.ULE(crowd["first"], B_HAT[1])),
+        z3.ULE(robust["centre"], 2**30),
+        z3.UGE(robust["spread"], 2**18),
+        z3.ULE(robust["spread"], 2**28),
+        z3.ULE(robust["votes"], VOTES_MAX),
     )
 
 
-def _may_vote(robot: dict[str, Any], _: Any, x_hat: Any) -> Any:
-    return z3.And(in_range(robot["crowd"]), z3.ULE(x_hat, ONE))
+def may_vote(robot: dict[str, Any]) -> Any:
+    """Return what a vote needs: the members in their ranges, and an own x_hat of at most 1."""
+    return z3.And(in_range(robot["robust"]), z3.ULE(robot["x_hat"], ONE))
 
 
-def _least(a: Any, b: Any) -> Any:
-    return z3.If(z3.ULT(a, b), a, b)
+def _has_slots(robot: dict[str, Any]) -> Any:
+    return robot["robust"]["filled_slots"] != 0
 
 
-def _wide(half_word: Any) -> Any:
-    return z3.ZeroExt(16, half_word)
+def _next_slot(robot: dict[str, Any]) -> Any:
+    """Return the slot that votes; 32 stands for the robot's own estimate."""
+    has_confidence = z3.If(z3.LShR(robot["alpha"], 8) != 0, z3.BitVecVal(1, 1), z3.BitVecVal(0, 1))
+    robust = robot["robust"]
+    return call("next_slot", robust["filled_slots"], widen(robust["turn"]), has_confidence)
 
 
-def _voted(after: dict[str, Any], robot: dict[str, Any], sender: Any, x_hat: Any) -> tuple[Any, ...]:
-    """The section's formulas, each by itself."""
-    crowd, found = robot["crowd"], after["crowd"]
-    r, s, trend, said = crowd["centre"], crowd["spread"], _wide(crowd["trend"]), x_hat * 2**7
-    votes, shift = _votes(crowd), _shift(_votes(crowd))
-    is_above = z3.UGT(said, r)
-    distance = z3.If(is_above, said - r, r - said)
-    step, change = z3.LShR(_least(distance, s), shift), z3.LShR(s, shift + 1)
-    way = z3.If(step == 0, z3.BitVecVal(128, 32), z3.If(is_above, z3.BitVecVal(255, 32), z3.BitVecVal(0, 32)))
-    wider = z3.If(z3.UGT(distance, s), s + change, s - change)
-    kept = z3.If(z3.ULT(wider, 2**18), 2**18, _least(wider, z3.BitVecVal(2**28, 32)))
-    voices = crowd["voices"] | z3.BitVecVal(1, 32) << z3.ZeroExt(24, sender & 31)
-    others = {name: each for name, each in robot.items() if name != "crowd"}
+def _vote_of(robot: dict[str, Any]) -> Any:
+    """Return the vote in units of 2^-30: 2^14 times a slot's estimate, or 2^7 times the robot's own x_hat."""
+    slot, vote = _next_slot(robot), robot["x_hat"] << 7
+    for index, estimate in robot["received"]["estimates"].items():
+        vote = z3.If(slot == int(index), widen(estimate) << 14, vote)
+    return vote
+
+
+def _vote_formulas(after: dict[str, Any], robot: dict[str, Any]) -> tuple[Any, ...]:
+    """Return the section's formulas for a vote, each by itself; without a filled slot nothing changes."""
+    before, result = robot["robust"], after["robust"]
+    centre, spread, vote = before["centre"], before["spread"], _vote_of(robot)
+    votes, slot = votes_after(before), _next_slot(robot)
+    shift = gain_shift(votes)
+    is_above = z3.UGT(vote, centre)
+    distance = z3.If(is_above, vote - centre, centre - vote)
+    step, spread_step = z3.LShR(smaller(distance, spread), shift), z3.LShR(spread, shift + 1)
+    new_spread = z3.If(z3.UGT(distance, spread), spread + spread_step, spread - spread_step)
+    limited_spread = z3.If(
+        z3.ULT(new_spread, 2**18), z3.BitVecVal(2**18, 32), smaller(new_spread, z3.BitVecVal(2**28, 32))
+    )
+    turn = z3.If(slot == SLOTS, z3.BitVecVal(0, 8), z3.Extract(7, 0, slot) + 1)
+    changed = {"centre", "spread", "votes", "turn"}
+    unchanged = {name: member for name, member in before.items() if name not in changed}
+    others = {name: member for name, member in robot.items() if name != "robust"}
+    has_slots = _has_slots(robot)
     return (
-        _wide(found["votes"]) == votes,
-        _wide(found["trend"]) == trend - z3.LShR(trend, 8) + way,
-        z3.Implies(is_above, found["centre"] == r + step),
-        z3.Implies(z3.Not(is_above), found["centre"] == r - step),
-        found["spread"] == kept,
-        z3.And(found["voices"] == voices, found["first"] == crowd["first"], same(after, others)),
+        z3.Implies(has_slots, widen(result["votes"]) == votes),
+        z3.Implies(z3.And(has_slots, is_above), result["centre"] == centre + step),
+        z3.Implies(z3.And(has_slots, z3.Not(is_above)), result["centre"] == centre - step),
+        z3.Implies(has_slots, result["spread"] == limited_spread),
+        z3.Implies(has_slots, result["turn"] == turn),
+        z3.Implies(z3.Not(has_slots), same(result, before)),
+        z3.And(same(result, unchanged), same(after, others)),
     )
 
 
-def _stays_in_range(after: dict[str, Any], robot: dict[str, Any], _: Any, x_hat: Any) -> Any:
-    """And the centre is between where it was and what was said."""
-    r, found, said = robot["crowd"]["centre"], after["crowd"]["centre"], x_hat * 2**7
-    low, high = z3.If(z3.ULT(r, said), r, said), z3.If(z3.ULT(r, said), said, r)
-    return z3.And(in_range(after["crowd"]), z3.ULE(low, found), z3.ULE(found, high))
+def _stays_in_range(after: dict[str, Any], robot: dict[str, Any]) -> Any:
+    """Return that the ranges hold again, and the new centre is between the old one and the vote."""
+    old, new, vote = robot["robust"]["centre"], after["robust"]["centre"], _vote_of(robot)
+    is_between = z3.Or(
+        z3.And(z3.ULE(old, new), z3.ULE(new, vote)), z3.And(z3.ULE(vote, new), z3.ULE(new, old))
+    )
+    return z3.And(in_range(after["robust"]), z3.Or(z3.Not(_has_slots(robot)), is_between))
+
+
+def _is_next_slot(slot: Any, filled_slots: Any, turn: Any, has_confidence: Any) -> Any:
+    """Return that a slot is the one of section 13: the first line of its list that applies."""
+    later_slots = filled_slots & z3.If(z3.ULT(turn, SLOTS), z3.BitVecVal(-1, 32) << turn, z3.BitVecVal(0, 32))
+    remaining = z3.If(later_slots != 0, later_slots, filled_slots)
+    is_own_turn = z3.And(later_slots == 0, has_confidence != 0)
+    one = z3.BitVecVal(1, 32)
+    # The lowest bit that is set: this bit is set, and none below it.
+    is_lowest = z3.And(z3.ULT(slot, SLOTS), remaining & ((one << slot << 1) - 1) == one << slot)
+    return z3.If(is_own_turn, slot == SLOTS, is_lowest)
+
+
+def _has_filled_slot(filled_slots: Any, *_: Any) -> Any:
+    return filled_slots != 0
 
 
 # design: R35
+NEXT_SLOT = Contract(_is_next_slot, requires=_has_filled_slot)
 VOTE = Contract(
     _stays_in_range,
-    requires=_may_vote,
-    steps=tuple(partial(lambda part, *of: _voted(*of)[part], part) for part in range(6)),
-    instead={"leading_zeros": _zeros, "shift_right": _shifted},
+    requires=may_vote,
+    steps=tuple(partial(lambda part, *terms: _vote_formulas(*terms)[part], part) for part in range(7)),
+    instead={
+        "leading_zeros": _leading_zeros_of_votes,
+        "shift_right": _shift_by_gain,
+        "next_slot": _slot_of_turn,
+    },
 )
 
 # --- The test ----------------------------------------------------------------------------------------------
@@ -121,114 +191,124 @@ VOTE = Contract(
 
 # design: R38
 def of_robust_test(program: Program) -> Iterator[Claim]:
-    """The section's test in words, of products and a quotient that may be any."""
-    given, (found, _) = formed(program, "robust_test_rejects")
-    crowd, t, product = given["crowd"], given["t"], partial(call, "multiply")
-    first, centre, upper = crowd["first"], crowd["centre"], partial(call, "multiply_high")
-    r = z3.If(z3.LShR(centre, 30) == 0, centre << 2, z3.BitVecVal(2**32 - 1, 32))
-    long = partial(z3.ZeroExt, 32)
-    yield "R", long(r) == _least(4 * long(centre), z3.BitVecVal(2**32 - 1, 64)), [in_range(crowd)]
-    p = upper(first, r) + upper(~first, ~r)
-    seen = call("quotient", long(given["n"]), long(t))
-    v_p, v_seen = upper(p, -p), upper(seen, -seen)
-    g = z3.If(z3.LShR(first, 31) == 0, -2 * first, 2 * first)
-    is_positive = z3.And(2 * long(first) - 2**32 == long(g), z3.UGE(first, 2**31))
-    yield "g", z3.Or(is_positive, 2**32 - 2 * long(first) == long(g)), [in_range(crowd)]
-    g_spread = upper(g, crowd["spread"] << 2)
-    distance = z3.If(z3.UGT(seen, p), seen - p, p - seen)
-    square, least = product(distance, distance), 12 * product(g_spread, g_spread)
+    """The code forms the section's test, of products that may be any."""
+    given, (result, _) = formed(program, "robust_test_rejects")
+    robust, t, share = given["robust"], given["t"], given["share"]
+    product, upper = partial(call, "multiply"), partial(call, "multiply_high")
+    b_hat, centre = robust["initial_b_hat"], given["centre"]
+    p = upper(b_hat, centre) + upper(~b_hat, ~centre)
+    v_p, v_share = upper(p, -p), upper(share, -share)
+    g = z3.If(z3.LShR(b_hat, 31) == 0, -2 * b_hat, 2 * b_hat)
+    wide = partial(z3.ZeroExt, 32)
+    is_positive = z3.And(2 * wide(b_hat) - 2**32 == wide(g), z3.UGE(b_hat, 2**31))
+    is_b_hat = z3.And(z3.UGE(b_hat, B_HAT_RANGE[0]), z3.ULE(b_hat, B_HAT_RANGE[1]))
+    yield "g", z3.Or(is_positive, 2**32 - 2 * wide(b_hat) == wide(g)), [is_b_hat]
+    # Squares have 64 bits and are in units of 2^-64.
+    g_spread = upper(g, given["spread"])
+    deviation = z3.If(z3.UGT(share, p), share - p, p - share)
+    square, least = product(deviation, deviation), 12 * product(g_spread, g_spread)
     high, low = call("high_word", square - least), call("low_word", square - least)
-    above = product(t, high) + long(call("high_word", product(t, low)))
-    most = product(z3.BitVecVal(12, 32), z3.If(z3.UGT(v_seen, v_p), v_seen, v_p))
-    rejects = z3.And(z3.UGT(square, least), z3.UGT(above, most))
-    yield "the test", (found == 1) == rejects, []
+    t_excess = product(t, high) + wide(call("high_word", product(t, low)))
+    v = z3.If(z3.UGT(v_share, v_p), v_share, v_p)
+    limit = z3.LShR(product(12 * widen(robust["dispersion"]), v), 8)
+    rejects = z3.And(z3.UGT(square, least), z3.UGT(t_excess, limit))
+    yield "the test", (result == 1) == rejects, []
 
 
-# --- The filter ---------------------------------------------------------------------------------------------
+# --- A run of the filter ------------------------------------------------------------------------------------
+
+RUN_CHANGES = ("batch_t", "batch_n", "dispersion")
+"""Members of the robust filter that a run of it may change."""
 
 
-def _of_round(robot: dict[str, Any]) -> tuple[Any, Any]:
-    """What b_hat becomes by the paper's filters, 0 if it stays; and whether a test is counted."""
-    closed, count, mode = robot["closed"], robot["open"]["count"], robot["config"]["filter"]
-    mean = call("round_mean", *(closed[name] for name in ("alpha", "alpha_x_low", "alpha_x_high")))
-    is_tested = z3.And(mode == 0, z3.UGE(count, 2))
-    runs = z3.Or(z3.And(is_tested, call("asdf_test_rejects") != 0), z3.And(mode == 1, z3.UGE(count, 1)))
-    return z3.If(runs, call("reestimate", mean), 0), is_tested
+def _is_b_hat_or_zero(b_hat: Any) -> Any:
+    return z3.Or(b_hat == 0, z3.And(z3.UGE(b_hat, B_HAT_RANGE[0]), z3.ULE(b_hat, B_HAT_RANGE[1])))
 
 
-def _of_crowd(robot: dict[str, Any]) -> tuple[Any, Any, Any]:
-    """The same by the robust one; and what becomes of the votes."""
-    crowd, trend = robot["crowd"], _wide(robot["crowd"]["trend"])
-    is_moving = z3.Or(z3.ULT(trend, 2**13), z3.UGE(trend, 7 * 2**13))
-    voices = sum(z3.LShR(crowd["voices"], bit) & 1 for bit in range(32))
-    is_tested = z3.And(z3.Not(is_moving), z3.UGE(voices, 3))
-    first = crowd["first"]
-    kept = z3.If(robot["accuracy"]["b_hat"] == first, z3.BitVecVal(0, 32), first)
-    b_hat = z3.If(is_tested, z3.If(call("robust_test_rejects") != 0, _anew(crowd), kept), z3.BitVecVal(0, 32))
-    halved = z3.And(is_moving, z3.UGE(crowd["votes"], 2**9))
-    return b_hat, is_tested, z3.If(halved, z3.LShR(crowd["votes"], 1), crowd["votes"])
+def may_run(robot: dict[str, Any]) -> Any:
+    """Return what a run of the filter needs: an initial b_hat in its range."""
+    b_hat = robot["robust"]["initial_b_hat"]
+    return z3.And(b_hat != 0, _is_b_hat_or_zero(b_hat))
 
 
-def _anew(crowd: dict[str, Any]) -> Any:
-    whole = crowd["centre"] == 2**30
-    return call("reestimate", z3.If(whole, z3.BitVecVal(2**32 - 1, 32), 4 * crowd["centre"]))
+def _run_formulas(b_hat: Any, after: dict[str, Any], robot: dict[str, Any]) -> Any:
+    """Return that a run changes the batch, the dispersion and the counter of tests at most.
 
-
-# design: R10, R13, R23, R29, R37
-def of_filter(program: Program) -> Iterator[Claim]:
-    """If there was an observation, what the robot's own filter finds becomes b_hat, unless it is 0; nothing
-    else changes but what counts it."""
-    given, (found, after) = formed(program, "update_b_hat")
-    counters, crowd, accuracy = (given[name] for name in ("counters", "crowd", "accuracy"))
-    some, is_robust = given["t"] != 0, given["config"]["filter"] == 3
-    (of_round, is_round_tested), (of_crowd, is_crowd_tested, votes) = _of_round(given), _of_crowd(given)
-    b_hat, is_tested = (
-        z3.If(is_robust, of_crowd, of_round),
-        z3.If(is_robust, is_crowd_tested, is_round_tested),
+    The result is 0 or a b_hat in its range; without a test it is 0.
+    """
+    before, result = robot["robust"], after["robust"]
+    kept = {name: member for name, member in before.items() if name not in RUN_CHANGES}
+    tests, new_tests = robot["counters"]["tests"], after["counters"]["tests"]
+    others = {name: member for name, member in robot.items() if name not in ("robust", "counters")}
+    counters = {name: member for name, member in robot["counters"].items() if name != "tests"}
+    return z3.And(
+        same(after, others),
+        same(result, kept),
+        same(after["counters"], counters),
+        z3.Or(new_tests == tests + 1, z3.And(new_tests == tests, b_hat == 0)),
+        _is_b_hat_or_zero(b_hat),
     )
-    updates, tests = z3.And(some, b_hat != 0), z3.And(some, is_tested)
-    one, none = (z3.BitVecVal(value, 16) for value in (1, 0))
-    changed = {
-        "accuracy": {**accuracy, "b_hat": z3.If(updates, b_hat, accuracy["b_hat"])},
-        "counters": {
-            **counters,
-            "tests": counters["tests"] + z3.If(tests, one, none),
-            "updates": counters["updates"] + z3.If(updates, one, none),
+
+
+def _batch_ends(machine: Machine, robot: Any, _: Number) -> None:
+    """Stand in for end_batch(): it may change the batch and the dispersion."""
+    for name in RUN_CHANGES:
+        place = robot.below("robust", name)
+        machine.store(place, machine.unknown(name, machine.load(place).type))
+
+
+def _any_b_hat(machine: Machine, *_: Any) -> Number:
+    """Stand in for reestimate(): 0 or a b_hat in its range, as accuracy.of_reestimate() shows."""
+    b_hat = machine.unknown_of(machine.program.heads["reestimate"].type, "b_hat")
+    machine.know(_is_b_hat_or_zero(b_hat.term))
+    return cast("Number", b_hat)
+
+
+def _any_count(machine: Machine, _: Any, sorted_estimates: Any) -> Number:
+    """Stand in for sort_estimates(): at most 32 estimates, whatever they are."""
+    count = any_result("sort_estimates")(machine, _, sorted_estimates.whole().below("0"))
+    machine.know(z3.ULE(count.term, SLOTS))
+    return cast("Number", count)
+
+
+# design: R37
+RUN = Contract(
+    _run_formulas,
+    requires=may_run,
+    instead={
+        "end_batch": _batch_ends,
+        "sort_estimates": _any_count,
+        "reestimate": _any_b_hat,
+        **{
+            name: any_result(name)
+            for name in ("quotient", "median_distance", "huber_step", "robust_test_rejects", "is_supported")
         },
-        "crowd": {**crowd, "votes": z3.If(z3.And(some, is_robust), votes, crowd["votes"])},
-        "updated": z3.If(updates, z3.BitVecVal(1, 8), given["updated"]),
-    }
-    in_order = z3.And(in_range(crowd), _is_b_hat(_anew(crowd)))  # as of_reestimate() has it
-    known = [z3.ULE(given["config"]["filter"], 3), z3.Implies(is_robust, in_order)]
-    yield "updated", found == z3.If(updates, z3.BitVecVal(2, found.size()), 0), known
-    yield "the robot", same(after, {**given, **changed}), known
-    yield "in range", _is_b_hat(of_crowd), [in_order]
+    },
+)
 
-
-def _is_b_hat(found: Any) -> Any:
-    return z3.Or(found == 0, z3.And(z3.UGE(found, B_HAT[0]), z3.ULE(found, B_HAT[1])))
-
-
-# --- Of the numbers: the test's integers, and how far they are from what they stand for -----------------
+# --- Numbers: the test's integers, and how far they are from what they stand for -------------------------
 
 UNIT = Fraction(1, 2**32)
 
 
 def of_integers() -> Iterator[Claim]:
     """No sum or product of the test wraps, so that its words are the section's integers."""
-    first, r, product, other = z3.Ints("first R product other")
+    b_hat, fill_ratio, product, other = z3.Ints("b_hat fill_ratio product other")
     one, most = 2**32, 2**32 - 1
-    known = [first >= B_HAT[0], first <= B_HAT[1], r >= 0, r <= most]
-    known += [_floor(product, first * r), _floor(other, (most - first) * (most - r))]
+    known = [b_hat >= B_HAT_RANGE[0], b_hat <= B_HAT_RANGE[1], fill_ratio >= 0, fill_ratio <= most]
+    known += [_floor(product, b_hat * fill_ratio), _floor(other, (most - b_hat) * (most - fill_ratio))]
     p = product + other
     yield "p", z3.And(p > 0, p < most), known
-    g, spread, g_spread = z3.Ints("g s g_spread")
-    known = [g >= 0, g <= most, spread >= 0, spread <= 2**28, _floor(g_spread, g * (4 * spread))]
-    yield "g s", z3.And(g_spread >= 0, g_spread < 2**30), known
+    g, spread, g_spread = z3.Ints("g spread g_spread")
+    known = [g >= 0, g <= most, spread >= 0, spread <= 2**30, _floor(g_spread, g * spread)]
+    yield "g spread", z3.And(g_spread >= 0, g_spread < 2**30), known
     yield "least", 12 * (g_spread * g_spread) < 2**64, [g_spread >= 0, g_spread < 2**30]
-    seen, v = z3.Ints("seen v")
-    known = [seen >= 1, seen <= most, _floor(v, seen * (one - seen))]
+    share, v = z3.Ints("share v")
+    known = [share >= 1, share <= most, _floor(v, share * (one - share))]
     yield "v", z3.And(v >= 0, v <= 2**30), known
+    dispersion, v = z3.Ints("dispersion v")
+    known = [dispersion >= 0, dispersion <= DISPERSION_RANGE[1], v >= 0, v <= 2**30]
+    yield "12 dispersion v", z3.And(12 * dispersion < 2**32, 12 * dispersion * v < 2**64), known
     t, excess, high, low, above = z3.Ints("t excess high low above")
     known = [t >= 0, t < one, excess >= 0, excess < 2**64, excess == one * high + low, low >= 0, low < one]
     known += [_floor(above, t * low), high >= 0]
@@ -236,24 +316,61 @@ def of_integers() -> Iterator[Claim]:
     yield "t excess", z3.And(_floor(total, t * excess), total >= 0, total < 2**64), known
 
 
-def _floor(found: Any, product: Any) -> Any:
-    return multiply_high(found, product, 1)
+# design: R37
+def of_the_dispersion() -> Iterator[Claim]:
+    """No product of end_batch() wraps, and the dispersion stays in its range."""
+    d, share, variance, phi = z3.Ints("d share variance phi")
+    known = [share >= 0, share < 2**32, _floor(variance, share * (2**32 - share))]
+    yield "variance of one", z3.And(variance >= 0, variance <= 2**30), known
+    known = [d >= 0, d <= 2**31, variance >= 0, variance <= 2**30]
+    known += [phi >= DISPERSION_RANGE[0], phi <= DISPERSION_RANGE[1]]
+    yield "variance of the batch", d * variance <= 2**61, known
+    yield "limit", 12 * phi * (d * variance) < 2**63 * 2**18, known
+    high, low = z3.Ints("high low")
+    known = [phi >= DISPERSION_RANGE[0], phi <= DISPERSION_RANGE[1], high >= 0, high <= 2**29]
+    known += [low >= 0, low < 2**32]
+    yield "its upper part", 12 * phi * high * 2**14 < 2**64, known
+    black, difference = z3.Ints("black difference")
+    known = [black >= 0, black <= d, d <= 2**31, share >= 0, share < 2**32]
+    known += [difference == 2**32 * black - d * share]
+    yield "difference", z3.And(difference <= 2**63, difference >= -(2**63)), known
+    ratio = z3.Int("ratio")
+    known = [phi >= DISPERSION_RANGE[0], phi <= DISPERSION_RANGE[1], ratio >= 0, ratio < 2**20]
+    yield "average", z3.And(7 * phi + ratio >= 0, 7 * phi + ratio < 2**32), known
+
+
+# design: R37
+def of_the_centre() -> Iterator[Claim]:
+    """Sums of 32 limited distances do not wrap, and quotient() gets what it requires."""
+    spread, total, difference, inside = z3.Ints("spread total difference inside")
+    known = [spread >= 0, spread <= 2**22, total >= 0, total <= 32 * spread]
+    yield "a sum", total < 2**28, known
+    known = [inside >= 1, inside <= 32, difference >= 0, difference < 2**28]
+    divisor = 2**24 * inside
+    yield "divisor", z3.And(divisor > 0, divisor <= 2**29), known
+    yield "dividend", z3.If(difference < divisor, difference, divisor) <= divisor, known
+    centre, step = z3.Ints("centre step")
+    largest = (2**16 - 1) * 2**8
+    known = [centre >= 0, centre <= largest, step >= 0, step <= 2**24]
+    yield "centre and step", centre + step < 2**32, known
+
+
+def _floor(quotient: Any, product: Any) -> Any:
+    return multiply_high(quotient, product, 1)
 
 
 def of_errors() -> Iterator[Claim]:
-    """p, n / t, v and g s, in units of 2^-32, are too small by what the section says."""
-    first, r, product, other = z3.Reals("first R product other")
+    """p, n / t, v and g spread, in units of 2^-32, are too small by what the section says."""
+    b_hat, fill_ratio, product, other = z3.Reals("b_hat fill_ratio product other")
     one, most = 2**32, 2**32 - 1
-    known = [first >= B_HAT[0], first <= B_HAT[1], r >= 0, r <= most]
-    known += [_floor(product, first * r), _floor(other, (most - first) * (most - r))]
-    lost = first * r + (one - first) * (one - r) - one * (product + other)
+    known = [b_hat >= B_HAT_RANGE[0], b_hat <= B_HAT_RANGE[1], fill_ratio >= 0, fill_ratio <= most]
+    known += [_floor(product, b_hat * fill_ratio), _floor(other, (most - b_hat) * (most - fill_ratio))]
+    lost = b_hat * fill_ratio + (one - b_hat) * (one - fill_ratio) - one * (product + other)
     yield "p", z3.And(lost >= 0, lost < 4 * one), known
-    known = [first >= B_HAT[0], first <= B_HAT[1], _floor(product, first * most)]
-    yield "p where r is 1", z3.And(first - product >= 0, first - product < 4), known
-    x, total, half, seen = z3.Reals("x T half seen")
+    x, total, half, share = z3.Reals("x T half share")
     known = [x >= 0, x <= 1, total >= 2**31, 2 * half > total, 2 * half <= total + 2]
-    known += [seen * half <= 2**31 * x * total, 2**31 * x * total < (seen + 1) * half]
-    yield "n / t", z3.And(seen <= one * x, one * x < seen + 4 * x + 1), known
+    known += [share * half <= 2**31 * x * total, 2**31 * x * total < (share + 1) * half]
+    yield "n / t", z3.And(share <= one * x, one * x < share + 4 * x + 1), known
     g, h, p = z3.Reals("g h p")
     known = [h >= -1, h <= 1, 2 * p - 1 == g * h]
     yield "v is at least b_hat (1 - b_hat)", 4 * p * (1 - p) >= 1 - g * g, known
@@ -261,9 +378,9 @@ def of_errors() -> Iterator[Claim]:
     exact, u = p * (1 - p), UNIT
     known = [p >= 0, p <= 1, error >= 0, p - error >= 0, v <= (p - error) * (1 - p + error)]
     known += [v > (p - error) * (1 - p + error) - _real(u)]
-    for name, most_lost in (("v of p", _real(4 * u)), ("v of n / t", _real(u) * (4 * p + 1))):
+    for name, largest_error in (("v of p", _real(4 * u)), ("v of n / t", _real(u) * (4 * p + 1))):
         near = z3.And(v <= exact + _real(5 * u), v >= exact - _real(6 * u))
-        yield name, near, [*known, error <= most_lost]
+        yield name, near, [*known, error <= largest_error]
 
 
 def _real(value: Fraction) -> Any:
@@ -272,14 +389,16 @@ def _real(value: Fraction) -> Any:
 
 # design: R38
 def of_the_decision() -> Iterator[Claim]:
-    """Rejected is D^2 > L = 12 (v w + h^2), h being g s and w 1 / t: right, with errors as above,
-    wherever the sides differ by MARGIN of the larger. Where g^2 <= 1/2, v is not small, else h is not; where
-    observations are few, D is not small either."""
+    """The test is right, with errors as above, wherever its sides differ by MARGIN of the larger.
+
+    It rejects for D^2 > L = 12 (v w + h^2), where h is g times the spread, and w the dispersion divided by t.
+    Where g^2 <= 1/2, v is not small, else h is not. Where observations are few, D is not small either.
+    """
     p, x, d, v, g, h, w = z3.Reals("p x D v g h w")
     u, m, limit = _real(UNIT), _real(MARGIN), 12 * (v * w + h * h)
     known = [p >= 0, x <= 1, d == x - p, d >= 0, 3 * d <= 1, v >= p * (1 - p), v >= x * (1 - x)]
     yield "v", 3 * v >= 2 * d, known
-    ranges = [v > 0, 4 * v <= 1, w > 0, w <= 1, h >= 0, d >= 0, d <= 1, w * 2**31 >= 1, v * 2**21 >= 1]
+    ranges = [v > 0, 4 * v <= 1, w > 0, w <= 256, h >= 0, d >= 0, d <= 1, w * 2**31 >= 1, v * 2**21 >= 1]
     known = [*ranges, g >= 0, g <= 1, 4 * v >= 1 - g, h * h * 2**24 >= g]
     yield "L", limit * 2**33 >= 12, known
     large = z3.Or(8 * v >= 1, h * h * 2**25 >= 1)
@@ -291,12 +410,15 @@ def of_the_decision() -> Iterator[Claim]:
         above = [*known, d * d >= (1 + m) * limit]
         yield f"above, {name}", d * d - errors >= limit, above
         below = [*known, d * d <= (1 - m) * limit]
-        lost = 10 * u * d + 25 * u * u + 71 * u * w + 24 * u * h
+        lost = 10 * u * d + 25 * u * u + 72 * u * w + 24 * u * h
         yield f"below, {name}", d * d + lost < limit, below
 
 
 def of_the_formed() -> Iterator[Claim]:
-    """What the claims of the decision show is what the test needs: d, V and G are formed of D, v and h."""
+    """What the claims of the decision show is what the test needs: d, V and G are formed of D, v and h.
+
+    w is the dispersion divided by t, and so at least 1 / t.
+    """
     zeros, value = z3.BitVecs("zeros value", 32)
     known = [are_leading_zeros(zeros, value), z3.UGE(value, 32)]
     yield "what any_calls.c admits", z3.ULE(zeros, 26), known
@@ -305,20 +427,31 @@ def of_the_formed() -> Iterator[Claim]:
     known = [x <= 1, p >= formed_p, p < formed_p + 4 * u, x >= formed_x, x < formed_x + (4 * x + 1) * u]
     off = z3.If(x > p, x - p, p - x) - z3.If(formed_x > formed_p, formed_x - formed_p, formed_p - formed_x)
     yield "D", z3.And(off <= 5 * u, -off <= 5 * u), known
-    product, above, v = z3.Ints("product above v")
-    is_more = (above > 12 * v) == (product >= 2**32 * (12 * v + 1))
+    product, above, limit, scaled = z3.Ints("product above limit scaled")
+    # limit is scaled / 256 rounded down: an integer is above the one where it is above the other.
+    known = [256 * limit <= scaled, scaled < 256 * limit + 256]
+    yield "the dispersion's unit", (above > limit) == (256 * above > scaled), known
+    is_more = (above > limit) == (product >= 2**32 * (limit + 1))
     yield "rejected", is_more, [_floor(above, product)]
-    d, formed_d, formed_v, v, h, formed_h, w = z3.Reals("D d V v h G w")
-    limit, formed = 12 * (v * w + h * h), 12 * (formed_v * w + formed_h * formed_h) + u * w
-    known = [w > 0, w <= 1, h >= 0, formed_h >= 0, formed_h <= h, d >= 5 * u, formed_d >= d - 5 * u]
-    known += [formed_v <= v + 5 * u, d * d - (10 * u * d + 61 * u * w) >= limit]
-    yield "above", formed_d * formed_d >= formed, known
-    known = [w > 0, w <= 1, h >= 0, formed_h >= 0, h < formed_h + u, d >= 0, formed_d >= 0]
-    known += [formed_d <= d + 5 * u, formed_v >= v - 6 * u]
-    lost = 10 * u * d + 25 * u * u + 71 * u * w + 24 * u * h
-    yield "below", formed_d * formed_d < formed, [*known, d * d + lost < limit]
+    d, formed_d, formed_v, v, h, formed_h, w, one_over_t = z3.Reals("D d V v h G w one_over_t")
+    limit, formed = 12 * (v * w + h * h), 12 * (formed_v * w + formed_h * formed_h) + u * one_over_t
+    known = [w > 0, w <= 256, one_over_t > 0, one_over_t <= w, formed_v >= 0]
+    above = [*known, h >= 0, formed_h >= 0, formed_h <= h, d >= 5 * u, formed_d >= d - 5 * u]
+    above += [formed_v <= v + 5 * u, d * d - (10 * u * d + 61 * u * w) >= limit]
+    yield "above", formed_d * formed_d >= formed, above
+    below = [*known, h >= 0, formed_h >= 0, h < formed_h + u, d >= 0, formed_d >= 0]
+    below += [formed_d <= d + 5 * u, formed_v >= v - 6 * u]
+    lost = 10 * u * d + 25 * u * u + 72 * u * w + 24 * u * h
+    yield "below", formed_d * formed_d < formed, [*below, d * d + lost < limit]
 
 
-CONTRACTS = {"update_crowd": VOTE}
-OF_THE_CODE = (of_robust_test, of_filter)
-OF_THE_NUMBERS = (of_integers, of_errors, of_the_decision, of_the_formed)
+CONTRACTS = {"next_slot": NEXT_SLOT, "take_vote": VOTE, "run_robust_filter": RUN}
+OF_THE_CODE = (of_robust_test,)
+OF_THE_NUMBERS = (
+    of_integers,
+    of_the_dispersion,
+    of_the_centre,
+    of_errors,
+    of_the_decision,
+    of_the_formed,
+)

@@ -8,13 +8,13 @@ from fractions import Fraction
 import pytest
 
 from mcp_asdf_tools.crosscheck import bounds
-from proofs import accuracy, robust, sums
+from proofs import accuracy, calls, robust, sums
 from proofs.formulas import BY_LEMMA, CORE, RESULTS, Claims
 from proofs.prove import prove_all
 from proofs.source import VARIANTS, Variant, program
 from support import slow
 
-OF_THE_CODE = (*accuracy.OF_THE_CODE, *sums.OF_THE_CODE, *robust.OF_THE_CODE)
+OF_THE_CODE = (*accuracy.OF_THE_CODE, *sums.OF_THE_CODE, *robust.OF_THE_CODE, *calls.OF_THE_CODE)
 OF_THE_NUMBERS = (*accuracy.OF_THE_NUMBERS, *sums.OF_THE_NUMBERS, *robust.OF_THE_NUMBERS)
 
 

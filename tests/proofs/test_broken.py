@@ -110,7 +110,12 @@ def test_broken_code_has_no_proof(name: str, digits: str, right: str, wrong: str
     with pytest.raises(UnprovenError):
         if name:
             prove_lemma(code, name, {**calls.contracts(variant), **images.CONTRACTS}, set())
-        of_the_code = (*robust.OF_THE_CODE, *accuracy.OF_THE_CODE, *sums.OF_THE_CODE)
+        of_the_code = (
+            *robust.OF_THE_CODE,
+            *calls.OF_THE_CODE,
+            *accuracy.OF_THE_CODE,
+            *sums.OF_THE_CODE,
+        )
         for claims in () if name else of_the_code:
             prove_all(claims(code))
 

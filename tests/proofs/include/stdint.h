@@ -13,6 +13,7 @@ typedef int int32_t;
 typedef long long int64_t;
 
 #define UINT16_MAX 0xFFFFU
+#define UINT8_MAX 255
 #define UINT32_MAX ((uint32_t)0xFFFFFFFF)
 #define UINT32_C(value) ((uint32_t)value)
 #define UINT64_C(value) ((uint64_t)value)
