@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE
 BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmware_py/build_native.py firmware_py/messages.h \
               $(wildcard c_ref/src/*.[ch] host_tools/mcp_asdf_tools/*/arena/*.[ch] host_tools/mcp_asdf_tools/*/engine/*.[ch])
 PYTEST := $(BIN)/pytest --numprocesses=auto --dist=worksteal
-C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h' '*.ino')
+C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h' '*.cpp' '*.ino')
 
 MINUTES := 5
 

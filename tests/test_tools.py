@@ -184,7 +184,8 @@ def test_the_page_is_formatted_and_biome_finds_nothing() -> None:
 
 def test_c_is_formatted() -> None:
     sketches = (ROOT / "c_ref/examples").rglob("*.ino")
-    run(require("clang-format"), "--dry-run", "-Werror", *C_FILES, *sketches)
+    cpp_files = [*(ROOT / "c_ref").rglob("*.cpp"), *(ROOT / "tests").rglob("*.cpp")]
+    run(require("clang-format"), "--dry-run", "-Werror", *C_FILES, *sketches, *cpp_files)
 
 
 def test_all_c_is_in_a_room() -> None:
