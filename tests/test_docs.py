@@ -60,6 +60,7 @@ NOT_RUN = {
     r"mcp-asdf view \S+$|--view$": "ends with Ctrl-C; tests/host_tools/view/test_browser.py",
     "reproduce(?!.*--quick)": "takes minutes",
     r"study\.(toml|parquet)": "takes minutes",
+    r"theirs\.(parquet|png)": "wants the authors' trials; tests/host_tools/cli/test_convert.py",
     r"mcp_asdf_tools\.studies": "tests/host_tools/studies/test_study_program.py",
     r"benchmarks\.pages": "tests/host_tools/studies/test_pages.py",
     r"(advice|knobs)\.(toml|parquet)": "takes a minute; tests/host_tools/test_advice.py sweeps the same",

@@ -12,10 +12,10 @@ A table has a row for each trial, with a column for each parameter of the experi
   Steps are recorded from step 0 on, every ``sampling_interval`` steps; empty if nothing was recorded.
 
 The metadata have JSON under the key ``mcp-asdf``: the version of the format, the versions of the software,
-the threshold delta, ``sampling_interval``, and unit and meaning of each of ``columns``. Rows with the same
-parameters belong to one experiment. A parameter without a column has its default, so that a table can be
-read which was written before the parameter existed. A table in format 5, whose records are flat lists in the
-order of ``b_hat``, is converted when it is read.
+the threshold delta, ``sampling_interval``, unit and meaning of each of ``columns``, and ``source`` if another
+program has run the trials. Rows with the same parameters belong to one experiment. A parameter without a
+column has its default, so that a table can be read which was written before the parameter existed. A table in
+format 5, whose records are flat lists in the order of ``b_hat``, is converted when it is read.
 """
 
 from __future__ import annotations
@@ -241,6 +241,8 @@ def trials_to_table(trials: Trials) -> pa.Table:
         "sampling_interval": trials.sampling_interval,
         "columns": describe_columns(),
     }
+    if trials.source:
+        metadata["source"] = trials.source
     arrays = {name: pa.array(columns[name], column_type) for name, column_type in column_types().items()}
     return pa.table(arrays, metadata={METADATA_KEY: json.dumps(metadata)})
 
@@ -306,6 +308,7 @@ def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
         if sample_count > 0:
             values: NDArray[Any] = pc.list_flatten(pc.list_flatten(table[column])).to_numpy()
             records[name] = values.reshape(len(table), sample_count, experiment.robots)
+    metadata = read_metadata(table)
     return Trials(
         experiment,
         table["trial"].to_pylist(),
@@ -315,7 +318,8 @@ def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
         tests=read_lists("tests", -1),
         updates=read_lists("updates", -1),
         records=records,
-        sampling_interval=read_metadata(table)["sampling_interval"],
+        sampling_interval=metadata["sampling_interval"],
+        source=metadata.get("source", ""),
     )
 
 
