@@ -14,7 +14,7 @@ from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.view.history import History, RunDescription, State, steps_between_states
 from mcp_asdf_tools.view.run_description import describe_run
-from mcp_asdf_tools.view.run_states import add_world
+from mcp_asdf_tools.view.run_states import ESTIMATES, add_world
 
 _MAX_TRIAL_ROBOT_STEPS = 200_000_000
 """Robots times steps of a trial that is run again: its estimates take 800 MB."""
@@ -43,7 +43,7 @@ def recompute_trial_history(trials: Trials, trial: int) -> History:
             f"trial {trial} does not come out again as in the results, which another version or extension "
             "made: run mcp-asdf simulate again"
         )
-    series = [rerun_trials.records[name][0] for name in ("x", "x_hat", "b_hat")]
+    series = [rerun_trials.records[name][0] for name in ESTIMATES]
     estimates = np.stack(series, axis=1)
     return History(describe_run(experiment, trial), add_world(experiment, trial, estimates, spacing))
 
