@@ -33,7 +33,7 @@ EXAMPLES = [Example(*groups) for groups in PROGRAM_AND_OUTPUT.findall(TEXT)]
 
 @pytest.fixture(scope="module")
 def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with what the page's commands for a sweep have written; programs of the page leave its files alone."""
+    """A folder with what the page's commands for a sweep have written; its programs leave that alone."""
     return made_once(tmp_path_factory, "tables", run_commands_for_a_sweep)
 
 
