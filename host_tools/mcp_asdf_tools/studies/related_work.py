@@ -51,6 +51,8 @@ EARLY_HEAD = "error of the first quarter"
 LATE_HEAD = "error of the last quarter"
 COLOUR_HEAD = "robots that name the right colour, in percent"
 
+DRAWN_SWARMS = ("fully connected, 5 liars", "moving, density 1, 5 liars", "moving, density 1, 6 flawed")
+
 DENSE: dict[str, Any] = {**MOVING, "density": 12.0}
 """Parameters of moving swarms whose robots receive from about twelve others at a time."""
 
@@ -145,8 +147,13 @@ def right_text(experiments: Sequence[Trials]) -> str:
 
 
 def draw_errors(rows: Rows) -> Figure:
-    """Draw |x - f|, the error of the estimates, over time: a panel for each row, a line for each column."""
-    return plot_errors_over_time(rows, series_name=column_label)
+    """Draw |x - f|, the error of the estimates, over time: a line for each filter or rule.
+
+    The panels of a row have the same accuracies, the underconfident ones first. Its columns are the swarms of
+    DRAWN_SWARMS.
+    """
+    labels = [f"{swarm}, {flaw}" for flaw in FLAWS for swarm in DRAWN_SWARMS]
+    return plot_errors_over_time({label: rows[label] for label in labels}, series_name=column_label)
 
 
 def main() -> None:

@@ -56,6 +56,8 @@ SWARMS: dict[str, dict[str, Any]] = {
 }
 """Shares of flawed robots, and of second readings that are the first once more, by the labels of rows."""
 
+DRAWN_SWARMS = ("half flawed", "all flawed", "none flawed, 1 reading in 2 repeated")
+
 
 def two_readings_rows() -> dict[str, list[Experiment]]:
     """Return moving swarms of SWARMS with each kind of flawed robots, under- and overconfident ones.
@@ -96,12 +98,13 @@ def harm_text(experiments: Sequence[Trials]) -> str:
 
 
 def draw_errors(rows: Rows) -> Figure:
-    """Draw |x - f|, the error of the estimates, over time: a panel for each row, a line for each column.
+    """Draw |x - f|, the error of the estimates, over time: a line for each filter, and for two readings.
 
-    Rows in which few second readings are repeated are left out.
+    The panels of a row have the same accuracies, the underconfident ones first. Its columns are the swarms of
+    DRAWN_SWARMS.
     """
-    panels = {label: experiments for label, experiments in rows.items() if "1 reading in 10" not in label}
-    return plot_errors_over_time(panels, series_name=column_label)
+    labels = [f"{swarm}, {flaw}" for flaw in FLAWS for swarm in DRAWN_SWARMS]
+    return plot_errors_over_time({label: rows[label] for label in labels}, series_name=column_label)
 
 
 def main() -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 
 from host_tools.experiments.drawn_figures import legend_of, titles_of
@@ -14,7 +11,12 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import study_program, two_readings
 from mcp_asdf_tools.studies.peers import column_label
-from mcp_asdf_tools.studies.reading_pairs import HalfRepeated, IndependentReadings, TenthRepeated
+from mcp_asdf_tools.studies.reading_pairs import (
+    HalfRepeated,
+    IndependentReadings,
+    TenthRepeated,
+    TwoReadingsRobot,
+)
 
 
 def experiment_of(row: str, column: str) -> Experiment:
@@ -101,21 +103,19 @@ def test_repeated_readings_harm_all_robots_with_poor_sensors() -> None:
     assert harmed == 100
 
 
-def test_the_picture_leaves_out_rare_repetitions_and_has_a_line_for_each_column() -> None:
-    rows = {
-        label: [
-            run_trials(replace(experiment, steps=2000), first=0, trials=1, sampling_interval=500)
-            for experiment in experiments
-        ]
-        for label, experiments in two_readings.two_readings_rows().items()
-        if "overconfident" in label
-    }
+def test_the_picture_has_three_swarms_of_each_kind_and_a_line_for_each_column() -> None:
+    one_reading = short_trials(filter=["none", "asdf-minus", "robust"])
+    two_readings_of_tile = short_trials(filter="robust", firmware=TwoReadingsRobot)
+    experiments = [*one_reading, *two_readings_of_tile]
+    rows = {label: experiments for label in two_readings.two_readings_rows()}
     figure = two_readings.draw_errors(rows)
     assert titles_of(figure) == [
-        "none flawed, overconfident",
+        "half flawed, underconfident",
+        "all flawed, underconfident",
+        "none flawed, 1 reading in 2 repeated, underconfident",
         "half flawed, overconfident",
         "all flawed, overconfident",
         "none flawed, 1 reading in 2 repeated, overconfident",
     ]
     assert legend_of(figure) == ["no filter", "ASDF-", "robust", "two readings"]
-    assert all(np.isfinite(line.get_ydata()).all() for line in figure.axes[0].lines)
+    assert all(len(axes.lines) == 4 for axes in figure.axes)
