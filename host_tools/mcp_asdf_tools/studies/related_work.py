@@ -35,14 +35,13 @@ from mcp_asdf_tools.studies.robust_filter import as_honest_robots_see_it
 from mcp_asdf_tools.studies.study_program import (
     FLAWS,
     MOVING,
+    PLAIN_NOTE,
     Rows,
-    format_error,
-    format_interval,
     format_tenths,
-    late_error_text,
     markdown_table,
     mean_over_experiments,
     parse_arguments,
+    plain_error_text,
     run_rows,
     write_tables,
 )
@@ -123,9 +122,8 @@ def early_errors(trials: Trials) -> Sample:
 
 
 def early_error_text(experiments: Sequence[Trials]) -> str:
-    """Format the early error of experiments that share a cell of a table, such as "0.012 (0.010..0.015)"."""
-    interval = mean_over_experiments(early_errors, experiments)
-    return format_interval(interval, format_error, tolerance=interval.value / 10)
+    """Format the early error of experiments that share a cell of a table, such as "0.012"."""
+    return plain_error_text(experiments, early_errors)
 
 
 def right_percents(trials: Trials) -> Sample:
@@ -142,8 +140,7 @@ def right_percents(trials: Trials) -> Sample:
 
 def right_text(experiments: Sequence[Trials]) -> str:
     """Format the percentage of right answers of experiments that share a cell, such as "98.1"."""
-    right_percent = mean_over_experiments(right_percents, experiments, resample_mean)
-    return format_interval(right_percent, format_tenths, tolerance=1)
+    return format_tenths(mean_over_experiments(right_percents, experiments, resample_mean).value)
 
 
 def draw_errors(rows: Rows) -> Figure:
@@ -164,10 +161,10 @@ def main() -> None:
     resilience = _honest_rows(all_resilience)
     tables = {
         "early": markdown_table(EARLY_HEAD, resilience, early_error_text),
-        "late": markdown_table(LATE_HEAD, resilience, late_error_text),
+        "late": markdown_table(LATE_HEAD, resilience, plain_error_text),
         "colour": markdown_table(COLOUR_HEAD, _honest_rows(all_colour), right_text),
     }
-    write_tables(arguments.folder / "related_work.md", "Related work", tables)
+    write_tables(arguments.folder / "related_work.md", "Related work", tables, PLAIN_NOTE)
     save_figure(draw_errors(resilience), arguments.folder / "related_work.png")
 
 

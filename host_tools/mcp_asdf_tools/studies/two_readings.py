@@ -32,14 +32,14 @@ from mcp_asdf_tools.studies.reading_pairs import (
 from mcp_asdf_tools.studies.study_program import (
     FLAWS,
     MOVING,
+    PLAIN_NOTE,
     Rows,
-    format_interval,
     format_tenths,
     harmed_percents,
-    late_error_text,
     markdown_table,
     mean_over_experiments,
     parse_arguments,
+    plain_error_text,
     run_rows,
     write_tables,
 )
@@ -92,9 +92,9 @@ def harm_text(experiments: Sequence[Trials]) -> str:
 
     It is the mean over the trials: so few robots are harmed that most medians would be 0.
     """
-    harmed_percent = mean_over_experiments(harmed_percents, experiments, resample_mean)
-    has_healthy_robots = not math.isnan(harmed_percent.value)
-    return format_interval(harmed_percent, format_tenths, tolerance=1) if has_healthy_robots else ""
+    harmed_percent = mean_over_experiments(harmed_percents, experiments, resample_mean).value
+    has_healthy_robots = not math.isnan(harmed_percent)
+    return format_tenths(harmed_percent) if has_healthy_robots else ""
 
 
 def draw_errors(rows: Rows) -> Figure:
@@ -112,10 +112,10 @@ def main() -> None:
     arguments = parse_arguments(__doc__)
     rows = run_rows("two_readings", two_readings_rows(), arguments, record=500)
     tables = {
-        "errors": markdown_table(ERROR_HEAD, rows, late_error_text),
+        "errors": markdown_table(ERROR_HEAD, rows, plain_error_text),
         "harm": markdown_table(HARM_HEAD, rows, harm_text),
     }
-    write_tables(arguments.folder / "two_readings.md", "Two readings of a tile", tables)
+    write_tables(arguments.folder / "two_readings.md", "Two readings of a tile", tables, PLAIN_NOTE)
     save_figure(draw_errors(rows), arguments.folder / "two_readings.png")
 
 
