@@ -101,7 +101,7 @@ def _rows_of_swarms(swarms: dict[str, dict[str, Any]], steps: int) -> dict[str, 
             **swarm,
             **accuracies,
             steps=steps,
-            trials=8,
+            trials=6,
             seed=4714,  # which no tuning has seen
         )
         for label, swarm in swarms.items()

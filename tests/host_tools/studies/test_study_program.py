@@ -303,6 +303,11 @@ def sampling_interval(path: Path) -> int:
         (ageing.ageing_rows, "ageing", "filters"),
         (ageing.peer_rows, "ageing", "peers"),
         (swarm_sizes.size_rows, "robust", "scale"),
+        (related_work.resilience_rows, "related_work", "early"),
+        (related_work.resilience_rows, "related_work", "late"),
+        (related_work.colour_rows, "related_work", "colour"),
+        (two_readings.two_readings_rows, "two_readings", "errors"),
+        (two_readings.two_readings_rows, "two_readings", "harm"),
     ],
 )
 def test_a_page_shows_rows_of_its_study(rows_of: Any, page: str, mark: str) -> None:
@@ -318,6 +323,8 @@ def test_a_page_shows_rows_of_its_study(rows_of: Any, page: str, mark: str) -> N
         (robust_filter.peer_rows, "robust", "peers"),
         (robust_filter.world_rows, "robust", "worlds"),
         (ageing.peer_rows, "ageing", "peers"),
+        (related_work.colour_rows, "related_work", "colour"),
+        (two_readings.two_readings_rows, "two_readings", "errors"),
     ],
 )
 def test_a_page_fills_the_cells_of_which_there_are_experiments(rows_of: Any, page: str, mark: str) -> None:
