@@ -48,6 +48,8 @@ def run_commands_for_a_sweep(folder: Path) -> None:
 def skip_without_modules_of(code: str) -> None:
     """Skip the test, visibly, if Python code imports a module that is not installed."""
     modules = re.findall(r"^import (\w+)", code, re.MULTILINE)
+    if ".to_pandas()" in code:
+        modules.append("pandas")
     if ".to_xarray()" in code:
         modules += ["xarray", "tables"]
     for module in modules:
