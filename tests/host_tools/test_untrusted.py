@@ -47,6 +47,7 @@ from wire import record
 OMEGA, NEIGHBOURS = Decimal("0.05"), 4
 """What the valid table is for."""
 LOG_SUFFIXES = (".log", ".asc", ".trc", ".blf")
+FORMAT_5_FILE = Path(__file__).with_name("experiments") / "results_format_5.parquet"
 
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -152,6 +153,7 @@ PARSERS = {
     "compressed events": Parser(".events", read_entries, lambda: gzip.compress(valid_events(), mtime=0)),
     "TOML": Parser(".toml", read_experiments, (STUDIES / "physical.toml").read_bytes),
     "results": Parser(".parquet", read_results, valid_results),
+    "results in format 5": Parser(".parquet", read_results, FORMAT_5_FILE.read_bytes),
     "authors' trial": Parser(".json", read_authors_trial, valid_authors_trial),
     "graph": Parser(".txt", parse_graph, lambda: b"3 5\n3 > 7 # one way\n"),
     "fault": Parser(".txt", reader_of_text(parse_fault), lambda: b"delay=0.5,ticks=3,from=9,robots=0+3-5"),
