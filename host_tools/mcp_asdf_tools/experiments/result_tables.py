@@ -149,14 +149,19 @@ def to_present_format(table: pa.Table, row_count: int) -> pa.Table:
         index = complete_table.column_names.index(column)
         nested_record = _nest_flat_record(complete_table, column)
         complete_table = complete_table.set_column(index, column, nested_record)
-    metadata = complete_table.schema.metadata or {}
+    return _describe_as_present_format(complete_table)
+
+
+def _describe_as_present_format(table: pa.Table) -> pa.Table:
+    """Return a table whose metadata name the present format and its columns; it may have no metadata."""
+    metadata = table.schema.metadata or {}
     if METADATA_KEY not in metadata:
-        return complete_table
+        return table
     description = json.loads(metadata[METADATA_KEY])
     if description.get("format") == FORMAT:
-        return complete_table
+        return table
     present_description = description | {"format": FORMAT, "columns": describe_columns()}
-    return complete_table.replace_schema_metadata({**metadata, METADATA_KEY: json.dumps(present_description)})
+    return table.replace_schema_metadata({**metadata, METADATA_KEY: json.dumps(present_description)})
 
 
 def _nest_flat_record(table: pa.Table, column: str) -> pa.ChunkedArray:
