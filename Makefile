@@ -8,7 +8,7 @@ unexport PYTHONDONTWRITEBYTECODE
 BUILT_FROM := .ci/setup pyproject.toml CMakeLists.txt c_ref/CMakeLists.txt firmware_py/build_native.py firmware_py/messages.h \
               $(wildcard c_ref/src/*.[ch] host_tools/mcp_asdf_tools/*/arena/*.[ch] host_tools/mcp_asdf_tools/*/engine/*.[ch])
 PYTEST := $(BIN)/pytest --numprocesses=auto --dist=worksteal
-C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h' '*.ino')
+C_FILES = $(shell git ls-files -co --exclude-standard '*.c' '*.h' '*.cpp' '*.ino')
 
 MINUTES := 5
 
@@ -68,10 +68,10 @@ lowest: .venv/ready-to-test ## install the lowest versions that pyproject.toml a
 	@uv pip install --quiet --python build/lowest cantools hypothesis pycparser pytest pytest-timeout pytest-xdist
 	@build/lowest/bin/pytest -m "not slow" -W default --numprocesses=auto tests/firmware_py tests/host_tools
 
-newest: .venv/ready-to-test ## install all for the newest Python that can be had, in build/newest, and run the quick tests
+newest: .venv/ready-to-test ## install all for the newest Python that can be had, in build/newest, and run the quick tests in random order
 	@.ci/newest build/newest
 	@uv pip install --quiet --python build/newest --editable '.[all]' --group dev
-	@build/newest/bin/pytest --numprocesses=auto --dist=worksteal -m "not slow"
+	@build/newest/bin/pytest --numprocesses=auto --dist=worksteal -m "not slow" --shuffle=$$(date +%s)
 
 docs: .venv/ready-to-test ## build the documentation in build/site
 	@$(BIN)/mkdocs build --strict --config-file .ci/mkdocs.yml

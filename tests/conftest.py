@@ -1,8 +1,12 @@
-"""Random tests draw some of their cases in ``make test``, and all in ``make verify``; no test may hang."""
+"""Random tests draw some of their cases in ``make test``, and all in ``make verify``; no test may hang.
+
+The option ``--shuffle SEED`` runs the tests in another order: none may need what another one has left behind.
+"""
 
 from __future__ import annotations
 
 import os
+import random
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -28,6 +32,16 @@ settings.register_profile(
 settings.load_profile("busy")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--shuffle", type=int, metavar="SEED", help="run the tests in an order drawn by a seed")
+
+
+def pytest_report_header(config: pytest.Config) -> str | None:
+    """Return the line that says how to repeat an order, or none if tests are in their own."""
+    seed = config.getoption("--shuffle")
+    return None if seed is None else f"order of the tests: --shuffle {seed}"
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Before ``support`` is imported by the tests."""
     if config.option.markexpr == "slow":
@@ -39,8 +53,26 @@ def pytest_itemcollected(item: pytest.Item) -> None:
         item.add_marker("slow")
 
 
+def shuffle_tests(items: list[pytest.Item], generator: random.Random) -> None:
+    """Shuffle the files, and the tests of each file.
+
+    Tests of a file stay together, since they share what takes long to make.
+    """
+    items_by_file: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        items_by_file.setdefault(item.nodeid.partition("::")[0], []).append(item)
+    files = list(items_by_file)
+    generator.shuffle(files)
+    for file in files:
+        generator.shuffle(items_by_file[file])
+    items[:] = [item for file in files for item in items_by_file[file]]
+
+
 @pytest.hookimpl(trylast=True)  # when all have been marked that are slow
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    seed = config.getoption("--shuffle")
+    if seed is not None:
+        shuffle_tests(items, random.Random(seed))
     items.sort(key=lambda item: not any(name in item.nodeid for name in LONGEST_TESTS))
     if not config.pluginmanager.hasplugin("timeout"):
         return

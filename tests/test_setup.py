@@ -16,7 +16,8 @@ from support import ROOT, blocks, require, run
 PAGE = ROOT / "docs/development.md"
 PYTHON = """#!/bin/sh
 # Stands in for Python: writes down how it was called, and makes environments whose Python does the same.
-echo "$0 $*" >>"$CALLS"
+for word in "$0" "$@"; do printf "'%s' " "$word"; done >>"$CALLS"
+echo >>"$CALLS"
 for last; do :; done
 if [ "$1 $2" = "-m venv" ]; then mkdir -p "$last/bin" && cp "$0" "$last/bin/python"; fi
 """

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import shutil
 import tomllib
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from _pytest.mark import ParameterSet
@@ -184,7 +185,8 @@ def test_the_page_is_formatted_and_biome_finds_nothing() -> None:
 
 def test_c_is_formatted() -> None:
     sketches = (ROOT / "c_ref/examples").rglob("*.ino")
-    run(require("clang-format"), "--dry-run", "-Werror", *C_FILES, *sketches)
+    cpp_files = [*(ROOT / "c_ref").rglob("*.cpp"), *(ROOT / "tests").rglob("*.cpp")]
+    run(require("clang-format"), "--dry-run", "-Werror", *C_FILES, *sketches, *cpp_files)
 
 
 def test_all_c_is_in_a_room() -> None:
@@ -210,6 +212,10 @@ TIDIED_QUICKLY = ("mcp_asdf_image.c", "mcp_asdf_frame.c", "mcp_asdf_small.c", "m
     ],
 )
 def test_clang_tidy_finds_nothing(room: Room, path: Path) -> None:
+    analyse_by_clang_tidy(room, path)
+
+
+def analyse_by_clang_tidy(room: Room, path: Path) -> None:
     checks = [f"--checks=-{room.not_clang_tidy}"] if room.not_clang_tidy else []
     run(require("clang-tidy"), "--quiet", *checks, path, "--", *room.flags(), *room.clang)
 
@@ -238,20 +244,89 @@ def test_cppcheck_finds_nothing(room: Room) -> None:
 
 @pytest.mark.parametrize("room", quick_for(("core", "tables", "tests"), (*ROOMS, TESTS)))
 def test_gcc_and_its_analyser_find_nothing(room: Room, tmp_path: Path) -> None:
+    analyse_by_gcc(room, tmp_path)
+
+
+def analyse_by_gcc(room: Room, folder: Path) -> None:
+    """Compile a room with all warnings into a folder, and analyse it where its gcc can."""
     require(room.gcc[0], room.packages)
-    how = (
-        ["-fsyntax-only"]
-        if room == TESTS
-        else ["-fanalyzer", "-O2", "-c"]
-        if room.can_analyse
-        else ["-O2", "-c"]
-    )
-    run(*room.gcc, *room.flags(), *WARNINGS, *how, *room.sources, cwd=tmp_path)
+    if room == TESTS:
+        mode = ["-fsyntax-only"]
+    elif room.can_analyse:
+        mode = ["-fanalyzer", "-O2", "-c"]
+    else:
+        mode = ["-O2", "-c"]
+    run(*room.gcc, *room.flags(), *WARNINGS, *mode, *room.sources, cwd=folder)
 
 
 @each_of((*ROOMS, TESTS))
 def test_clang_warns_of_nothing(room: Room) -> None:
+    check_by_clang(room)
+
+
+def check_by_clang(room: Room) -> None:
     run(require("clang", "clang"), *room.flags(), *WARNINGS, *room.clang, "-fsyntax-only", *room.sources)
+
+
+@dataclass(frozen=True)
+class PlantedRoom(Room):
+    """A room with one file, which need not be in this project."""
+
+    path: Path = Path()
+
+    @property
+    def sources(self) -> list[Path]:
+        return [self.path]
+
+
+MISTAKES = """
+int flag_of(int count);
+int flag_of(int count)
+{
+    int flag;
+    if (count > 3) {
+        flag = 1;
+    }
+    return flag;
+}
+int value_at(const int *place, int count);
+int value_at(const int *place, int count)
+{
+    if (place == 0 && count > 3) {
+        return *place;
+    }
+    return count;
+}
+"""
+"""A variable that may have no value yet, and a pointer that may lead nowhere."""
+
+
+@pytest.fixture
+def room_with_mistakes() -> Iterator[PlantedRoom]:
+    """A room with one file, inside the project, where analysers find their settings."""
+    (ROOT / "build").mkdir(exist_ok=True)
+    with TemporaryDirectory(dir=ROOT / "build") as folder:
+        path = Path(folder) / "mistakes.c"
+        path.write_text(MISTAKES)
+        yield PlantedRoom("planted", (), path=path)
+
+
+@pytest.mark.parametrize(
+    ("analyse", "finding"),
+    [
+        (cppcheck, "uninitvar"),
+        (check_by_clang, "-Wsometimes-uninitialized"),
+        (lambda room: analyse_by_gcc(room, room.path.parent), "analyzer-null-dereference"),
+        (lambda room: analyse_by_clang_tidy(room, room.path), "clang-analyzer-core"),
+    ],
+    ids=["cppcheck", "clang", "gcc", "clang-tidy"],
+)
+def test_an_analyser_finds_a_mistake(
+    analyse: Callable[[PlantedRoom], None], finding: str, room_with_mistakes: PlantedRoom
+) -> None:
+    """An analyser that is called wrongly finds nothing either."""
+    with pytest.raises(AssertionError, match=finding):
+        analyse(room_with_mistakes)
 
 
 @pytest.mark.parametrize("script", [".ci/setup", ".ci/run", ".ci/newest", "tests/release/evidence.sh"])

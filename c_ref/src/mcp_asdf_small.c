@@ -46,13 +46,11 @@ uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits)
  */
 static uint32_t long_code_from_alpha(uint32_t alpha)
 {
-    /* ALPHA_SHIFT_MAX is also the mask of the bits that hold the shift. */
-    uint32_t mantissa = alpha >> 8, length = 24U + (alpha & ALPHA_SHIFT_MAX);
-    /* Shift until the highest of 24 bits is set; the value's length in bits follows. */
-    while (mantissa >> 23 == 0U) { /* at most 23 turns, so the length stays above 0 */
-        mantissa <<= 1;
-        --length;
-    }
+    /* The mantissa is shifted until its highest bit is set: by at most 23, as it is not 0. */
+    const uint32_t mantissa_at_top = alpha & ~UINT32_C(0xFF), zeros = leading_zeros(mantissa_at_top);
+    const uint32_t mantissa = shift_left(mantissa_at_top, zeros) >> 8; /* [2^23, 2^24) */
+    /* The value's length in bits. ALPHA_SHIFT_MAX is also the mask of the bits that hold the shift. */
+    const uint32_t length = 24U + (alpha & ALPHA_SHIFT_MAX) - zeros;
     if (length > ALPHA_LINEAR_BITS + 31U) {
         return UINT32_MAX;
     }

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,7 +45,11 @@ __all__ = [
     "score",
     "simulate",
     "start_swarm",
+    "to_frame",
 ]
+
+_ROWS_AT_ONCE = 2**16
+"""Rows of a tidy table that are made at once when a log is replayed."""
 
 
 # --- Swarms ----------------------------------------------------------------------------------------------
@@ -190,6 +195,73 @@ def score(table: pa.Table, k_max: float | None = None, e_max: float | None = Non
     from mcp_asdf_tools.experiments.result_tables import score_table
 
     return score_table(table, Limits(k_max, E_MAX if e_max is None else e_max))
+
+
+# --- Tidy tables -----------------------------------------------------------------------------------------
+
+
+@naming_extras()
+def to_frame(source: pa.Table | Path | str) -> pa.Table:
+    """Return the values of robots over time as a tidy table: a row for each trial, step and robot.
+
+    The columns are ``trial``, the parameters that vary, ``step``, ``robot``, ``is_flawed``, ``t``, ``n``,
+    ``x_hat``, ``alpha``, ``x_bar``, ``beta``, ``x`` and ``b_hat``; ``to_pandas()`` of the table returns a
+    DataFrame. ``source`` is a table of results, their file or folder, or the log of a swarm, whose robots run
+    again from the events beside it. Raises UsageError if it cannot be read, or if no values were recorded
+    (``record`` of ``simulate``).
+    """
+    import pyarrow as pa
+
+    from mcp_asdf_tools.experiments.tidy_tables import tidy_results
+
+    if isinstance(source, pa.Table):
+        return tidy_results(source)
+    return pa.concat_tables(stream_tidy_tables(Path(source)))
+
+
+def stream_tidy_tables(path: Path) -> Iterator[pa.Table]:
+    """Yield what ``to_frame`` returns for a file or folder of results or for a log, some rows at a time.
+
+    Raises UsageError as ``to_frame``.
+    """
+    from mcp_asdf_tools.experiments.tidy_tables import stream_tidy_results
+
+    if path.suffix == ".parquet" or path.is_dir():
+        yield from stream_tidy_results(path)
+    else:
+        yield from _replay_to_tidy_tables(path)
+
+
+def _replay_to_tidy_tables(log: Path) -> Iterator[pa.Table]:
+    """Run the robots of a swarm's log again, and yield their values in tidy tables, from tick 0 on.
+
+    Raises UsageError if the log has no events beside it or is not of a swarm, or if the events are damaged.
+    """
+    import numpy as np
+
+    from mcp_asdf_tools.experiments.results import QUANTITIES
+    from mcp_asdf_tools.experiments.tidy_tables import tidy_table
+    from mcp_asdf_tools.recording.events import EventsReader, events_path
+    from mcp_asdf_tools.swarm.log_replay import read_swarm_settings, replay_values
+
+    events_file = events_path(log)
+    if not events_file.exists():
+        raise UsageError(
+            f"there is no {events_file}, from which robots could run again; give results (.parquet), or the "
+            "log of a swarm with the file .events beside it"
+        )
+    with EventsReader(events_file) as events:
+        settings = read_swarm_settings(log, events.header)
+        values_by_tick = replay_values(events, settings.steps, QUANTITIES)
+        ticks_at_once = max(1, _ROWS_AT_ONCE // settings.robots)
+        first_tick = 0
+        while states := list(islice(values_by_tick, ticks_at_once)):
+            ticks = first_tick + np.arange(len(states))
+            # From shape (ticks, quantities, N) to an array for each quantity, shape (1, ticks, N).
+            series = np.stack(states, axis=1)
+            values = {name: series[index][np.newaxis] for index, name in enumerate(QUANTITIES)}
+            yield tidy_table(settings, (), [0], ticks, values)
+            first_tick += len(states)
 
 
 # --- Pictures --------------------------------------------------------------------------------------------

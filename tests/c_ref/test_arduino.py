@@ -138,8 +138,8 @@ def test_the_led_shows_what_the_robot_and_its_neighbour_know(robot: Board) -> No
 
 
 def test_the_robot_ignores_a_packet_with_a_wrong_checksum(robot: Board) -> None:
-    damaged = WHITE_ESTIMATE[:-1] + bytes([WHITE_ESTIMATE[-1] ^ 1])
-    send_to(robot, damaged)
+    damaged_packet = WHITE_ESTIMATE[:-1] + bytes([WHITE_ESTIMATE[-1] ^ 1])
+    send_to(robot, damaged_packet)
     run_tick(robot, 1)
     assert is_led_lit(robot)
 

@@ -202,10 +202,10 @@ def test_cmake_installs_the_messages_and_the_program() -> None:
 
 def launch(**arguments: str) -> list[Any]:
     """Return the nodes that the launch file starts with these arguments, and its defaults for the others."""
-    *declared, function = LAUNCH_FILE.generate_launch_description().entities
+    *argument_declarations, function = LAUNCH_FILE.generate_launch_description().entities
     assert isinstance(function, OpaqueFunction)
-    assert all(isinstance(argument, DeclareLaunchArgument) for argument in declared)
-    defaults = {argument.name: argument.default_value for argument in declared}
+    assert all(isinstance(argument, DeclareLaunchArgument) for argument in argument_declarations)
+    defaults = {argument.name: argument.default_value for argument in argument_declarations}
     return function.function(LaunchContext(defaults | arguments))
 
 

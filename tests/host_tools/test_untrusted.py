@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import resource
 import subprocess
 import sys
@@ -23,11 +24,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from authors_files import FIXED, trial_content
 from events_files import read_entries
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.crosscheck.scenario import parse_scenario
 from mcp_asdf_tools.experiments import experiment_files
+from mcp_asdf_tools.experiments.authors_trials import read_trials
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.experiment_files import STUDIES, read_experiments
 from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
@@ -44,6 +47,7 @@ from wire import record
 OMEGA, NEIGHBOURS = Decimal("0.05"), 4
 """What the valid table is for."""
 LOG_SUFFIXES = (".log", ".asc", ".trc", ".blf")
+FORMAT_5_FILE = Path(__file__).with_name("experiments") / "results_format_5.parquet"
 
 
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -118,6 +122,17 @@ def read_results(path: Path) -> object:
     return read_metadata(table)["versions"]
 
 
+def valid_authors_trial() -> bytes:
+    """Return a trial file of the paper's authors."""
+    experiment = replace(FIXED, steps=6, filter_period=2)
+    return json.dumps(trial_content(experiment, 0)).encode()
+
+
+def read_authors_trial(path: Path) -> object:
+    """Read a trial file of the paper's authors, and score its trial."""
+    return [trials.scores() for trials in read_trials([path], sampling_interval=1)]
+
+
 def read_frames(path: Path) -> list[object]:
     """Return all frames of a log."""
     return list(read_log(path))
@@ -138,6 +153,8 @@ PARSERS = {
     "compressed events": Parser(".events", read_entries, lambda: gzip.compress(valid_events(), mtime=0)),
     "TOML": Parser(".toml", read_experiments, (STUDIES / "physical.toml").read_bytes),
     "results": Parser(".parquet", read_results, valid_results),
+    "results in format 5": Parser(".parquet", read_results, FORMAT_5_FILE.read_bytes),
+    "authors' trial": Parser(".json", read_authors_trial, valid_authors_trial),
     "graph": Parser(".txt", parse_graph, lambda: b"3 5\n3 > 7 # one way\n"),
     "fault": Parser(".txt", reader_of_text(parse_fault), lambda: b"delay=0.5,ticks=3,from=9,robots=0+3-5"),
     "scenario": Parser(".txt", reader_of_text(parse_scenario), lambda: VALID_SCENARIO),

@@ -42,6 +42,7 @@ mcp-asdf simulate --steps 1000 --trials 2 --output run.parquet
 mcp-asdf sweep physical --steps 10 --trials 1 --output physical.parquet
 mcp-asdf score run.parquet
 mcp-asdf plot run.parquet run.png
+mcp-asdf export run.log run.csv
 mcp-asdf reproduce --quick --part physical --trials 2 --steps 4000
 """
 """What is run from the wheel: every command. They read the files that are no Python: the C core, the page of

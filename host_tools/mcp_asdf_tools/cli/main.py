@@ -48,8 +48,10 @@ GROUPS = {
     "Experiments": {
         "simulate": "run one experiment: a swarm, many trials, the paper's scores",
         "sweep": "run a grid of experiments on all processors; goes on where it was interrupted",
+        "convert": "convert trial files of the paper's authors into results",
         "score": "score results: K, e, h_K, h_e and H",
         "plot": "draw results: scores, curves over any parameter, a trial over time",
+        "export": "write the values of robots over time as a table, for pandas, R and the like",
         "reproduce": "run the paper's whole study and report which of its claims hold",
     },
 }

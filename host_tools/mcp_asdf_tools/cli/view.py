@@ -113,12 +113,15 @@ def _read_recording(args: argparse.Namespace) -> History:
     from mcp_asdf_tools.experiments.results import single_experiment
     from mcp_asdf_tools.recording.events import events_path
     from mcp_asdf_tools.view.swarm_log_history import recompute_swarm_history
-    from mcp_asdf_tools.view.trial_history import recompute_trial_history
+    from mcp_asdf_tools.view.trial_history import recompute_trial_history, recorded_trial_history
 
-    # No file holds all that the page draws: the rest is computed again from seed and parameters.
+    # No file holds all that the page draws: the rest is computed again from seed and parameters, unless
+    # another program has run the trial.
     if args.file.suffix.lower() in _RESULTS:
-        experiment = single_experiment(options.read_selected_experiments(args))
-        return recompute_trial_history(experiment, args.trial)
+        trials = single_experiment(options.read_selected_experiments(args))
+        if trials.source:
+            return recorded_trial_history(trials, args.trial)
+        return recompute_trial_history(trials, args.trial)
     if args.trial or args.where:
         raise UsageError(f"--trial and --where choose from results (.parquet), but {args.file} is a log")
     if not args.file.exists():

@@ -272,11 +272,13 @@ def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> None:
     if metadata["format"] not in READABLE_FORMATS:
         content = f"results in format {metadata['format']}"
         raise UsageError(f"{path} holds {content}; format {FORMAT} is needed: run mcp-asdf sweep again")
-    # Later code relies on these two, whatever program has written the file.
+    # Later code relies on these, whatever program has written the file.
     sampling_interval = metadata.get("sampling_interval")
     has_interval = isinstance(sampling_interval, int) and sampling_interval >= 0
     if not (has_interval and isinstance(metadata.get("versions"), dict)):
         raise UsageError(f"{path} is damaged: its metadata lack versions or sampling_interval; run it again")
+    if not isinstance(metadata.get("source", ""), str):
+        raise UsageError(f"{path} is damaged: source in its metadata is no text; make the file again")
 
 
 def _check_former_parameters(path: Path, file: Any, row_group_index: int) -> None:

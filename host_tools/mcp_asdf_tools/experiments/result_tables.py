@@ -12,10 +12,10 @@ A table has a row for each trial, with a column for each parameter of the experi
   Steps are recorded from step 0 on, every ``sampling_interval`` steps; empty if nothing was recorded.
 
 The metadata have JSON under the key ``mcp-asdf``: the version of the format, the versions of the software,
-the threshold delta, ``sampling_interval``, and unit and meaning of each of ``columns``. Rows with the same
-parameters belong to one experiment. A parameter without a column has its default, so that a table can be
-read which was written before the parameter existed. A table in format 5, whose records are flat lists in the
-order of ``b_hat``, is converted when it is read.
+the threshold delta, ``sampling_interval``, unit and meaning of each of ``columns``, and ``source`` if another
+program has run the trials. Rows with the same parameters belong to one experiment. A parameter without a
+column has its default, so that a table can be read which was written before the parameter existed. A table in
+format 5, whose records are flat lists in the order of ``b_hat``, is converted when it is read.
 """
 
 from __future__ import annotations
@@ -149,14 +149,19 @@ def to_present_format(table: pa.Table, row_count: int) -> pa.Table:
         index = complete_table.column_names.index(column)
         nested_record = _nest_flat_record(complete_table, column)
         complete_table = complete_table.set_column(index, column, nested_record)
-    metadata = complete_table.schema.metadata or {}
+    return _describe_as_present_format(complete_table)
+
+
+def _describe_as_present_format(table: pa.Table) -> pa.Table:
+    """Return a table whose metadata name the present format and its columns; it may have no metadata."""
+    metadata = table.schema.metadata or {}
     if METADATA_KEY not in metadata:
-        return complete_table
+        return table
     description = json.loads(metadata[METADATA_KEY])
     if description.get("format") == FORMAT:
-        return complete_table
+        return table
     present_description = description | {"format": FORMAT, "columns": describe_columns()}
-    return complete_table.replace_schema_metadata({**metadata, METADATA_KEY: json.dumps(present_description)})
+    return table.replace_schema_metadata({**metadata, METADATA_KEY: json.dumps(present_description)})
 
 
 def _nest_flat_record(table: pa.Table, column: str) -> pa.ChunkedArray:
@@ -241,6 +246,8 @@ def trials_to_table(trials: Trials) -> pa.Table:
         "sampling_interval": trials.sampling_interval,
         "columns": describe_columns(),
     }
+    if trials.source:
+        metadata["source"] = trials.source
     arrays = {name: pa.array(columns[name], column_type) for name, column_type in column_types().items()}
     return pa.table(arrays, metadata={METADATA_KEY: json.dumps(metadata)})
 
@@ -306,6 +313,7 @@ def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
         if sample_count > 0:
             values: NDArray[Any] = pc.list_flatten(pc.list_flatten(table[column])).to_numpy()
             records[name] = values.reshape(len(table), sample_count, experiment.robots)
+    metadata = read_metadata(table)
     return Trials(
         experiment,
         table["trial"].to_pylist(),
@@ -315,7 +323,8 @@ def trials_from_rows(experiment: Experiment, table: pa.Table) -> Trials:
         tests=read_lists("tests", -1),
         updates=read_lists("updates", -1),
         records=records,
-        sampling_interval=read_metadata(table)["sampling_interval"],
+        sampling_interval=metadata["sampling_interval"],
+        source=metadata.get("source", ""),
     )
 
 

@@ -43,6 +43,7 @@ class Trials:
         records: QUANTITIES by name, at step 0 and every ``sampling_interval`` steps, shape
             (trials, T // sampling_interval + 1, N); empty without recording.
         sampling_interval: In steps; 0 without recording.
+        source: The program whose trials these are; empty if it is this one, which can run them again.
     """
 
     experiment: Experiment
@@ -54,6 +55,7 @@ class Trials:
     updates: NDArray[np.int64]
     records: dict[str, NDArray[np.float64]]
     sampling_interval: int = 0
+    source: str = ""
 
     def scores(self, limits: Limits = PAPERS) -> dict[str, NDArray[np.float64]]:
         """Return the SCORES of each trial, by the score's name."""

@@ -122,6 +122,7 @@ class Store:
             is_comparable = (
                 metadata["sampling_interval"] == self.sampling_interval
                 and metadata["versions"]["mcp-asdf"] == software_versions()["mcp-asdf"]
+                and "source" not in metadata
             )
             for experiment, rows in rows_by_experiment(table).items():
                 row_of_trial = self._row_of_trial.get(_result_key(experiment), np.empty(0, np.int64))

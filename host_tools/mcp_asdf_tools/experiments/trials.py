@@ -71,7 +71,7 @@ def _concatenate(batches: Sequence[Trials]) -> Trials:
     return replace(batches[0], numbers=numbers, records=records, **arrays)
 
 
-def _convergence_and_errors(
+def convergence_and_errors(
     experiment: Experiment, x_series: NDArray[Any], unit: float
 ) -> tuple[NDArray[np.int64], Floats]:
     """Return K and e of each robot, shape (trials, N) each: its convergence step, and its error |x - f| then.
@@ -114,7 +114,7 @@ def _run_native(experiment: Experiment, numbers: range, sampling_interval: int) 
     """Run trials of consecutive numbers in the C engine, and convert its integers to the paper's units."""
     engine_trials = _load_engine().run(experiment, numbers[0], len(numbers), sampling_interval)
     # The engine counts x in units of 1 / ONE, and b_hat in units of 2^-32.
-    convergence_steps, errors = _convergence_and_errors(experiment, engine_trials.x, unit=1 / ONE)
+    convergence_steps, errors = convergence_and_errors(experiment, engine_trials.x, unit=1 / ONE)
     counters = engine_trials.counters
     records = _records_in_paper_units(experiment, engine_trials.records) if sampling_interval else {}
     return Trials(
@@ -200,7 +200,7 @@ def _run_by_message(experiment: Experiment, number: int, sampling_interval: int)
             snapshots.append(swarm.snapshot())
     x_series = np.array(x_by_step).T  # shape (N, steps + 1)
     # The arrays of Trials have the trial as their first axis, here of length 1.
-    convergence_steps, errors = _convergence_and_errors(experiment, x_series[np.newaxis], unit=1.0)
+    convergence_steps, errors = convergence_and_errors(experiment, x_series[np.newaxis], unit=1.0)
     counters = [robot.counters for robot in swarm.robots]
     return Trials(
         experiment=experiment,

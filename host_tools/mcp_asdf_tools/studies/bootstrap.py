@@ -48,6 +48,10 @@ class Resampled:
         """Return the difference of two statistics: of their values, and of their resamples in pairs."""
         return Resampled(self.value - other.value, self.resamples - other.resamples)
 
+    def __truediv__(self, other: Resampled) -> Resampled:
+        """Return the ratio of two statistics: of their values, and of their resamples in pairs."""
+        return Resampled(self.value / other.value, self.resamples / other.resamples)
+
     def minus_constant(self, constant: float) -> Resampled:
         """Return the statistic less a number that is not subject to chance."""
         return Resampled(self.value - constant, self.resamples - np.float32(constant))

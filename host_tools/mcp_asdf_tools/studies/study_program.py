@@ -51,6 +51,8 @@ INTERVAL_NOTE = (
     "tenth from an error, or 1 % from a share of robots."
 )
 
+PLAIN_NOTE = "Errors are medians over trials, and percentages means; the picture has the errors' intervals."
+
 Measure = Callable[[Trials], Sample]
 """Returns a value for each trial of an experiment."""
 
@@ -173,6 +175,11 @@ def format_interval(interval: Interval, format_value: Callable[[float], str], to
     return f"{value_text} ({low_text}..{high_text})"
 
 
+def plain_error_text(experiments: Sequence[Trials], measure: Measure = late_errors) -> str:
+    """Format an error of experiments that share a cell of a table, without an interval, such as "0.012"."""
+    return format_error(mean_over_experiments(measure, experiments).value)
+
+
 def late_error_text(experiments: Sequence[Trials]) -> str:
     """Format the late error of experiments that share a cell of a table, such as "0.012 (0.010..0.015)"."""
     interval = mean_over_experiments(late_errors, experiments)
@@ -233,8 +240,11 @@ def markdown_table(head: str, rows: Rows, text_of: Callable[[Sequence[Trials]], 
     return "\n".join(lines)
 
 
-def write_tables(path: Path, title: str, tables: Mapping[str, str]) -> None:
-    """Write tables into a Markdown file, each between its mark and ``<!-- end -->``, as docs/ has them."""
+def write_tables(path: Path, title: str, tables: Mapping[str, str], note: str = INTERVAL_NOTE) -> None:
+    """Write tables into a Markdown file, each between its mark and ``<!-- end -->``, as docs/ has them.
+
+    ``note`` says above the tables what their numbers are.
+    """
     marked_tables = [f"<!-- {mark} -->\n{table}\n<!-- end -->" for mark, table in tables.items()]
-    paragraphs = [f"# {title}", INTERVAL_NOTE, *marked_tables]
+    paragraphs = [f"# {title}", note, *marked_tables]
     write_atomically(path, "\n\n".join(paragraphs) + "\n")

@@ -6,22 +6,19 @@ computed again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf.robot import Robot
 from mcp_asdf_tools.view.history import State
 from mcp_asdf_tools.world.graph import MAX_ON_BUS
 from mcp_asdf_tools.world.settings import WorldSettings
 from mcp_asdf_tools.world.world import World
 
-
-def collect_estimates(robots: Iterable[Robot]) -> NDArray[np.float64]:
-    """Return x, x_hat and b_hat of robots, shape (3, N)."""
-    return np.array([[robot.x, robot.x_hat, robot.b_hat] for robot in robots]).T
+ESTIMATES = ("x", "x_hat", "b_hat")
+"""What a state has of each robot besides its true accuracy, as attributes of ``Robot``."""
 
 
 def add_world(

@@ -7,11 +7,12 @@ import time
 import numpy as np
 
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.swarm.log_replay import collect_values
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.view.history import History, State, steps_between_states
 from mcp_asdf_tools.view.run_description import describe_run
-from mcp_asdf_tools.view.run_states import collect_estimates
+from mcp_asdf_tools.view.run_states import ESTIMATES
 
 
 class SwarmRecorder:
@@ -52,7 +53,7 @@ def _read_swarm_state(swarm: Swarm) -> State:
     """Return the present state of a running swarm; robots that are not alive have NaN for their estimates."""
     world = swarm.world
     # A row for each quantity, and a column for each robot
-    estimates = collect_estimates(node.robot for node in swarm.nodes)
+    estimates = collect_values((node.robot for node in swarm.nodes), ESTIMATES)
     is_robot_dead = [not node.is_alive for node in swarm.nodes]
     estimates[:, is_robot_dead] = np.nan
     # The last row is the true accuracy of each robot's sensor.

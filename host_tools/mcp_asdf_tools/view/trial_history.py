@@ -1,15 +1,20 @@
-"""The history of a trial of an experiment, which is run again, as results hold no states."""
+"""The history of a trial of an experiment, which is run again, as results hold no complete states.
+
+A trial that another program has run cannot be run again here. Of it, the page shows what is recorded.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
-from mcp_asdf_tools.view.history import History, steps_between_states
+from mcp_asdf_tools.view.history import History, RunDescription, State, steps_between_states
 from mcp_asdf_tools.view.run_description import describe_run
-from mcp_asdf_tools.view.run_states import add_world
+from mcp_asdf_tools.view.run_states import ESTIMATES, add_world
 
 _MAX_TRIAL_ROBOT_STEPS = 200_000_000
 """Robots times steps of a trial that is run again: its estimates take 800 MB."""
@@ -22,9 +27,7 @@ def recompute_trial_history(trials: Trials, trial: int) -> History:
     if it is too long, or if its errors differ from those in ``trials``.
     """
     experiment = trials.experiment
-    if trial not in trials.numbers:
-        numbers = f"{trials.numbers[0]} to {trials.numbers[-1]}"
-        raise UsageError(f"there is no trial {trial}; choose one of {numbers}")
+    _check_number(trials, trial)
     if experiment.robots * experiment.steps > _MAX_TRIAL_ROBOT_STEPS:
         raise UsageError(
             f"a trial of {experiment.robots} robots and {experiment.steps} steps is too long to be run "
@@ -40,6 +43,56 @@ def recompute_trial_history(trials: Trials, trial: int) -> History:
             f"trial {trial} does not come out again as in the results, which another version or extension "
             "made: run mcp-asdf simulate again"
         )
-    series = [rerun_trials.records[name][0] for name in ("x", "x_hat", "b_hat")]
+    series = [rerun_trials.records[name][0] for name in ESTIMATES]
     estimates = np.stack(series, axis=1)
     return History(describe_run(experiment, trial), add_world(experiment, trial, estimates, spacing))
+
+
+def recorded_trial_history(trials: Trials, trial: int) -> History:
+    """Return the history of a trial that another program has run, as far as it is recorded.
+
+    It has the robots' values, but neither places nor neighbours. ``trial`` is the trial's number, one of
+    ``trials.numbers``. Raises UsageError if there is no such trial, or if nothing is recorded.
+    """
+    experiment = trials.experiment
+    _check_number(trials, trial)
+    if not trials.records:
+        raise UsageError(
+            f"nothing is recorded of the trials of {trials.source}; run mcp-asdf convert again, without "
+            "--record 0"
+        )
+    filter_term = experiment.swarm_filter.typeset_term
+    swarm_term = f"{experiment.robots} robots, {experiment.flawed} flawed, {filter_term}"
+    description = RunDescription(
+        title=f"{swarm_term}, trial {trial} of {trials.source}",
+        robots=list(range(experiment.robots)),
+        flawed=range(experiment.flawed),
+        fill_ratio=experiment.fill_ratio,
+        steps=experiment.steps,
+        steps_per_second=experiment.steps_per_second,
+        filter=experiment.filter,
+    )
+    index = trials.numbers.index(trial)
+    values = np.stack([trials.records[name][index] for name in ("x", "x_hat", "b_hat")], axis=1)
+    true_accuracies = np.full(experiment.robots, experiment.true_accuracy)
+    unknown_neighbours = np.zeros((experiment.robots, experiment.robots), bool)
+    # Of the recorded states only so many are taken as a page should have.
+    spacing = steps_between_states(experiment.steps, experiment.robots)
+    stride = math.ceil(spacing / trials.sampling_interval)
+    states = [
+        State(
+            sample * trials.sampling_interval,
+            np.vstack([values[sample], true_accuracies]),
+            unknown_neighbours,
+            None,
+        )
+        for sample in range(0, len(values), stride)
+    ]
+    return History(description, states)
+
+
+def _check_number(trials: Trials, trial: int) -> None:
+    """Raise UsageError unless ``trial`` is the number of one of the trials."""
+    if trial not in trials.numbers:
+        numbers = f"{trials.numbers[0]} to {trials.numbers[-1]}"
+        raise UsageError(f"there is no trial {trial}; choose one of {numbers}")

@@ -16,6 +16,7 @@ import can
 import pyarrow as pa  # type: ignore[import-untyped]
 import pytest
 
+from mcp_asdf_tools.bus.interfaces import BusChoice
 from mcp_asdf_tools.cli import view
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.cli.output import sleep_until
@@ -155,6 +156,13 @@ def test_a_command_sleeps_until_it_is_asked_to_stop(monkeypatch: pytest.MonkeyPa
 WATCH_A_BUS = ["view", "--interface", "udp_multicast", "--channel", "239.74.163.77"]
 
 
+@pytest.fixture
+def bus_without_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a bus inside this process stand in for any other, so that the test needs no network."""
+    monkeypatch.setattr(BusChoice, "open", lambda *_, **__: can.Bus("watched", "virtual"))
+
+
+@pytest.mark.usefixtures("bus_without_network")
 def test_view_of_a_bus_prints_its_address_and_that_nobody_sent_telemetry(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
@@ -166,6 +174,7 @@ def test_view_of_a_bus_prints_its_address_and_that_nobody_sent_telemetry(
     assert "no robot sent telemetry" in errors
 
 
+@pytest.mark.usefixtures("bus_without_network")
 def test_view_reports_a_bus_that_fails(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     monkeypatch.setattr(BusRecorder, "record", Mock(side_effect=can.CanOperationError("it is off")))
     assert main(WATCH_A_BUS) == 1

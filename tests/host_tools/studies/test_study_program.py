@@ -138,6 +138,11 @@ def test_an_error_shows_its_interval_from_a_tenth_on() -> None:
     assert study_program.late_error_text([wide]) == "0.150 (0.100..0.200)"
 
 
+def test_a_plain_error_has_no_interval() -> None:
+    wide = trials_of_four_robots(np.array([[[0.7]], [[0.6]]]) * np.ones((2, 1, 4)))
+    assert study_program.plain_error_text([wide]) == "0.150"
+
+
 def test_a_score_has_one_decimal() -> None:
     trials = trials_of_four_robots(series_ending_in([0.5] * 4))  # converged at step 0, without an error
     assert study_program.score_text([trials]) == "100.0"
@@ -173,6 +178,11 @@ def test_tables_are_written_between_their_marks(tmp_path: Path) -> None:
     text = (tmp_path / "a.md").read_text(encoding="utf-8")
     assert text.startswith("# A study\n\nMedians over trials.")
     assert text.endswith("<!-- first -->\n| 1 |\n<!-- end -->\n\n<!-- second -->\n| 2 |\n<!-- end -->\n")
+
+
+def test_a_note_of_the_study_stands_above_its_tables(tmp_path: Path) -> None:
+    study_program.write_tables(tmp_path / "a.md", "A study", {"first": "| 1 |"}, note="Means.")
+    assert (tmp_path / "a.md").read_text(encoding="utf-8").startswith("# A study\n\nMeans.\n\n<!-- first -->")
 
 
 # --- Programs ------------------------------------------------------------------------------------------
@@ -293,6 +303,11 @@ def sampling_interval(path: Path) -> int:
         (ageing.ageing_rows, "ageing", "filters"),
         (ageing.peer_rows, "ageing", "peers"),
         (swarm_sizes.size_rows, "robust", "scale"),
+        (related_work.resilience_rows, "related_work", "early"),
+        (related_work.resilience_rows, "related_work", "late"),
+        (related_work.colour_rows, "related_work", "colour"),
+        (two_readings.two_readings_rows, "two_readings", "errors"),
+        (two_readings.two_readings_rows, "two_readings", "harm"),
     ],
 )
 def test_a_page_shows_rows_of_its_study(rows_of: Any, page: str, mark: str) -> None:
@@ -308,6 +323,8 @@ def test_a_page_shows_rows_of_its_study(rows_of: Any, page: str, mark: str) -> N
         (robust_filter.peer_rows, "robust", "peers"),
         (robust_filter.world_rows, "robust", "worlds"),
         (ageing.peer_rows, "ageing", "peers"),
+        (related_work.colour_rows, "related_work", "colour"),
+        (two_readings.two_readings_rows, "two_readings", "errors"),
     ],
 )
 def test_a_page_fills_the_cells_of_which_there_are_experiments(rows_of: Any, page: str, mark: str) -> None:

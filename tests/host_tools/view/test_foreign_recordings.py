@@ -79,7 +79,7 @@ def test_a_log_whose_header_lacks_an_entry_is_replayed(name: str, log: Path) -> 
 
 def test_a_log_of_a_node_is_not_of_a_swarm(log: Path) -> None:
     change_header(log, lambda header: header.update(parameters={"steps_per_second": 10, "steps": 5}))
-    with pytest.raises(UsageError, match="is not of a swarm, so there is nothing to see"):
+    with pytest.raises(UsageError, match="is not the log of a swarm; give one of mcp-asdf swarm"):
         recompute_swarm_history(log)
 
 

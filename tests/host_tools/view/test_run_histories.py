@@ -11,8 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from authors_files import FIXED, write_trial
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.authors_trials import read_trials
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.result_tables import experiments_in, trials_to_table
 from mcp_asdf_tools.experiments.results import Trials
@@ -27,7 +29,7 @@ from mcp_asdf_tools.view.history import History, State
 from mcp_asdf_tools.view.page import encode_description
 from mcp_asdf_tools.view.swarm_log_history import recompute_swarm_history
 from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
-from mcp_asdf_tools.view.trial_history import recompute_trial_history
+from mcp_asdf_tools.view.trial_history import recompute_trial_history, recorded_trial_history
 from mcp_asdf_tools.world.arena import Arena
 
 PARAMETERS: dict[str, Any] = {
@@ -304,3 +306,55 @@ def test_a_trial_of_a_billion_steps_is_refused() -> None:
     long_trials = replace(trials, experiment=replace(trials.experiment, steps=10**9))
     with pytest.raises(UsageError, match=r"too long to be run again, .* at most 100000000 steps"):
         recompute_trial_history(long_trials, trial=0)
+
+
+# --- Trials of another program ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def trials_of_the_authors(tmp_path: Path) -> Trials:
+    """A trial of the paper's authors, recorded every 20 of its 60 steps."""
+    [trials] = read_trials([write_trial(tmp_path / "trial.json", FIXED, number=2)], sampling_interval=20)
+    return trials
+
+
+def test_a_trial_of_another_program_has_the_states_that_are_recorded(trials_of_the_authors: Trials) -> None:
+    states = states_of(recorded_trial_history(trials_of_the_authors, trial=2))
+    assert [state.tick for state in states] == [0, 20, 40, 60]
+    for index, name in enumerate(("x", "x_hat", "b_hat")):
+        recorded_values = trials_of_the_authors.records[name][0]
+        assert np.array_equal([state.values[index] for state in states], recorded_values)
+    assert (states[0].values[3] == FIXED.true_accuracy).all()
+
+
+def test_a_trial_of_another_program_has_neither_places_nor_neighbours(trials_of_the_authors: Trials) -> None:
+    history = recorded_trial_history(trials_of_the_authors, trial=2)
+    assert history.description.sides is None
+    assert all(state.positions is None and not state.neighbours.any() for state in states_of(history))
+
+
+def test_a_trial_of_another_program_is_named_by_it(trials_of_the_authors: Trials) -> None:
+    title = recorded_trial_history(trials_of_the_authors, trial=2).description.title
+    assert title.startswith("5 robots, 2 flawed, ")
+    assert title.endswith(", trial 2 of NESTLab/sensor-degradation-filter")
+
+
+def test_a_long_trial_of_another_program_has_some_of_its_states(
+    trials_of_the_authors: Trials, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(history_module, "MAX_STATES", 2)
+    states = states_of(recorded_trial_history(trials_of_the_authors, trial=2))
+    assert [state.tick for state in states] == [0, 40]
+
+
+def test_a_trial_of_another_program_without_records_is_refused(trials_of_the_authors: Trials) -> None:
+    unrecorded = replace(trials_of_the_authors, records={}, sampling_interval=0)
+    with pytest.raises(
+        UsageError, match=r"nothing is recorded .* run mcp-asdf convert again, without --record 0"
+    ):
+        recorded_trial_history(unrecorded, trial=2)
+
+
+def test_a_trial_that_another_program_has_not_run_is_refused(trials_of_the_authors: Trials) -> None:
+    with pytest.raises(UsageError, match="there is no trial 0; choose one of 2 to 2"):
+        recorded_trial_history(trials_of_the_authors, trial=0)

@@ -70,7 +70,7 @@ class Node:
         self.timers: list[tuple[float, Callable[[], None]]] = []
         self.defaults: dict[str, Any] = {}
         self._namespace = environment.namespace
-        self._given_parameters = environment.parameters
+        self._parameter_overrides = environment.parameters
 
     def _whole_name(self, topic: str) -> str:
         return topic if topic.startswith("/") else f"{self._namespace}/{topic}"
@@ -78,10 +78,12 @@ class Node:
     def declare_parameter(self, name: str, value: Any) -> Parameter:
         """Return the parameter. Raises InvalidParameterTypeException if its type is not the default's."""
         self.defaults[name] = value
-        given_value = self._given_parameters.get(name, value)
-        if type(given_value) is not type(value):
-            raise InvalidParameterTypeException(f"{name} is {given_value!r}, and not {type(value).__name__}")
-        return Parameter(given_value)
+        parameter_value = self._parameter_overrides.get(name, value)
+        if type(parameter_value) is not type(value):
+            raise InvalidParameterTypeException(
+                f"{name} is {parameter_value!r}, and not {type(value).__name__}"
+            )
+        return Parameter(parameter_value)
 
     def create_publisher(self, message_type: type, topic: str, queue_depth: int) -> Publisher:
         assert queue_depth > 0

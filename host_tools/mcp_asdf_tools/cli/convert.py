@@ -1,0 +1,82 @@
+"""``mcp-asdf convert``: convert trial files of the paper's authors into results."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mcp_asdf_tools.cli import options
+from mcp_asdf_tools.cli.output import json_report
+from mcp_asdf_tools.common.errors import UsageError
+
+if TYPE_CHECKING:
+    import pyarrow as pa  # type: ignore[import-untyped]
+
+EPILOG = """\
+examples:
+  mcp-asdf convert data --output theirs.parquet      # all .json files in a folder and below
+  mcp-asdf convert flw6_t0.json flw6_t1.json --output theirs.parquet --record 100
+  mcp-asdf score theirs.parquet
+  mcp-asdf view theirs.parquet --trial 1
+The files are those of github.com/NESTLab/sensor-degradation-filter, of fixed networks and of ARGoS.
+exit code: 0 done, 2 bad usage"""
+LIBRARIES = ("numpy", "pyarrow", "rich.progress")
+
+_DEFAULT_RECORD = 10
+"""Steps from one recorded value to the next: fine enough for a page, and a tenth of the data."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments and options of the command."""
+    parser.add_argument(
+        "files", metavar="FILE", nargs="+", type=Path, help="trials (.json), or folders of them"
+    )
+    parser.add_argument("--output", metavar="FILE", type=Path, required=True, help="results: .parquet")
+    parser.add_argument(
+        "--record",
+        metavar="STEPS",
+        type=int,
+        default=_DEFAULT_RECORD,
+        help="also keep every robot's values, every STEPS steps (default %(default)s; 0: only the scores)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read the trials, write them to the file of results, and print their scores; return exit code 0."""
+    from mcp_asdf_tools.cli.score_table import print_scores, summarize
+    from mcp_asdf_tools.common.files import check_target
+    from mcp_asdf_tools.common.progress_bar import progress
+    from mcp_asdf_tools.experiments.authors_trials import find_trial_files
+    from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments, write_tables
+    from mcp_asdf_tools.experiments.result_tables import read_metadata
+    from mcp_asdf_tools.experiments.scores import PAPERS
+
+    # Path and options are checked before the trials are read, which may take long.
+    options.check_results_path(args.output)
+    check_target(args.output)
+    if args.record < 0:
+        raise UsageError(f"--record is {args.record}; choose a number of steps, or 0 for none")
+    files = find_trial_files(args.files)
+    with progress("trials", len(files), args.json) as report_progress:
+        write_tables(args.output, _read_tables(files, args.record, report_progress))
+    rows = summarize(stream_experiments(args.output), PAPERS)
+    if args.json:
+        metadata = read_metadata(read_table(args.output, ["trial"]))
+        print(json_report({**metadata, "output": str(args.output), "experiments": rows}))
+    else:
+        print_scores(rows, str(args.output))
+    return 0
+
+
+def _read_tables(
+    files: Iterable[Path], sampling_interval: int, report_progress: Callable[[float], None]
+) -> Iterator[pa.Table]:
+    """Yield each trial as a table of one row, and report it as done."""
+    from mcp_asdf_tools.experiments.authors_trials import read_trials
+    from mcp_asdf_tools.experiments.result_tables import trials_to_table
+
+    for trials in read_trials(files, sampling_interval):
+        yield trials_to_table(trials)
+        report_progress(1)

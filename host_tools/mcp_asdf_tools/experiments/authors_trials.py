@@ -1,0 +1,337 @@
+"""Trial files of the paper's authors: the JSON that their simulators write, read as ``Trials``.
+
+A file has one trial: its parameters by name, and under ``data_str`` a list for each robot with a text for
+each step from 0 on. A text is numbers with commas between, of which the first ten are: seed, n, t, x_hat,
+alpha, x_bar, beta, x, and the accuracies that the robot assumes on black and on white. Numbers from x_hat on
+have six decimal places. The flawed robots are the last ones.
+
+The format was read in github.com/NESTLab/sensor-degradation-filter at commit 7bc1acc. There
+``scripts/python/sim_module.py`` writes the trials of fixed networks, and
+``src/loop_functions/SensorDegLoopFunctions.cpp`` those of robots that move in ARGoS.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import read_at_most
+from mcp_asdf_tools.common.parameters import ParameterError
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
+from mcp_asdf_tools.experiments.trials import convergence_and_errors
+
+SOURCE = "NESTLab/sensor-degradation-filter"
+"""``Trials.source`` of trials that come from these files."""
+
+_MAX_BYTES = 2**30
+"""Maximum size of a file. One of 20 robots and 40,000 steps has 103 MB."""
+
+_COLUMNS = ("n", "t", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat", "b_hat on white")
+"""What the numbers of a text mean, without the seed, which is the first."""
+_SHARES = ("x_hat", "x_bar", "x", "b_hat")
+_CONFIDENCES = ("alpha", "beta")
+
+_KEYS = {
+    "robots": "num_robots",
+    "flawed": "num_flawed_robots",
+    "steps": "num_steps",
+    "trials": "num_trials",
+    "fill_ratio": "tfr",
+    "true_accuracy": "correct_sensor_acc_b",
+    "flawed_accuracy": "flawed_sensor_acc_b",
+    "comms_period": "comms_period",
+    "filter_period": "sensor_filter_period",
+}
+"""Their keys of the parameters that all their files have, by our names."""
+_KEYS_OF_MOVING_ROBOTS = {
+    "observation_period": "meas_period",
+    "radio_range": "comms_range",
+    "density": "density",
+    "speed": "speed",
+}
+"""Their keys of the parameters that only files of moving robots have."""
+_WHOLE_PARAMETERS = (
+    "robots",
+    "flawed",
+    "steps",
+    "trials",
+    "comms_period",
+    "filter_period",
+    "observation_period",
+)
+_NUMBER_LIMIT = 1e300
+"""No parameter is larger; JSON may have whole numbers that no float can hold."""
+_CM_PER_M = 100
+_DENSITY_DECIMALS = 3
+"""Decimal places of a density, which they compute from the walls' positions, that count."""
+_ACTIVATIONS = {"BRAVO": "adaptive", "ALPHA": "always"}
+"""What their methods are called here."""
+
+
+def find_trial_files(paths: Iterable[Path]) -> list[Path]:
+    """Return the files among ``paths``, and all .json files in the folders among them and below, sorted.
+
+    Raises UsageError for a path that is neither a file nor a folder, and for a folder without such files.
+    """
+    files = []
+    for path in paths:
+        if path.is_dir():
+            files_below = [file for file in path.rglob("*.json") if file.is_file()]
+            if not files_below:
+                raise UsageError(
+                    f"there is no .json file in {path} or below; give the folder of their trials"
+                )
+            files += files_below
+        elif path.is_file():
+            files.append(path)
+        else:
+            raise UsageError(f"{path} is no file; give files, or folders, of the authors' trials")
+    return sorted(set(files))
+
+
+def read_trials(files: Iterable[Path], sampling_interval: int) -> Iterator[Trials]:
+    """Yield the trial of each file, with values recorded every ``sampling_interval`` steps (0: never).
+
+    Only one trial is in memory at a time. Raises UsageError, which names the file and what is wrong with it,
+    for one that is no trial, that the paper's method cannot have made, or that repeats an earlier trial.
+    """
+    file_of_trial: dict[tuple[Experiment, int], Path] = {}
+    for path in files:
+        trials = _read_trial(path, sampling_interval)
+        [number] = trials.numbers
+        earlier_path = file_of_trial.setdefault((trials.experiment, number), path)
+        if earlier_path != path:
+            raise UsageError(
+                f"{path} and {earlier_path} are both trial {number} of an experiment; give one of them"
+            )
+        yield trials
+
+
+def _read_trial(path: Path, sampling_interval: int) -> Trials:
+    """Return the trial in a file. Raises UsageError as ``read_trials``."""
+    file = _TrialFile(path, _read_json(path))
+    experiment = _experiment_of(file)
+    number = file.whole_number("trial_ind")
+    if not 0 <= number < experiment.trials:
+        raise file.error("trial_ind", f"it must be 0 to {experiment.trials - 1}, as num_trials says")
+    series = _read_series(file, experiment)
+    convergence_steps, errors = convergence_and_errors(experiment, series["x"][np.newaxis], unit=1.0)
+    # Column 0 is the initial b_hat, and the others those after each filter step.
+    b_hat = series["b_hat"][:, :: experiment.filter_period]
+    is_same = (b_hat[:, 1:] == b_hat[:, :-1]) | np.isnan(b_hat[:, 1:])
+    records = {}
+    if sampling_interval:
+        records = {name: series[name][:, ::sampling_interval].T[np.newaxis] for name in QUANTITIES}
+    return Trials(
+        experiment=experiment,
+        numbers=[number],
+        convergence_steps=convergence_steps,
+        errors=errors,
+        b_hat=b_hat[:, 1:].T[np.newaxis],
+        tests=np.zeros((1, experiment.robots), np.int64),  # their files do not say
+        updates=(~is_same).sum(axis=1)[np.newaxis],
+        records=records,
+        sampling_interval=sampling_interval,
+        source=SOURCE,
+    )
+
+
+# --- Parameters ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _TrialFile:
+    """The content of a trial file, with errors that name the file and the key.
+
+    Attributes:
+        path: The file.
+        content: What it has under each key.
+    """
+
+    path: Path
+    content: dict[str, Any]
+
+    def error(self, key: str, fix: str) -> UsageError:
+        """Return an error about the value of a key, which ends with ``fix``."""
+        if key not in self.content:
+            return UsageError(f"{self.path}: it has no {key}; give a trial of {SOURCE}")
+        return UsageError(f"{self.path}: {key} is {self.content[key]!r}; {fix}")
+
+    def number(self, key: str) -> float:
+        """Return the number under a key. Raises UsageError if there is none."""
+        value = self.content.get(key)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.error(key, "it must be a number")
+        if not abs(value) < _NUMBER_LIMIT:  # NaN is not, either
+            raise self.error(key, "it must be a smaller number")
+        return float(value)
+
+    def whole_number(self, key: str) -> int:
+        """Return the whole number under a key. Raises UsageError if there is none."""
+        value = self.content.get(key)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self.error(key, "it must be a whole number")
+        return value
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    """Return the JSON object in a file. Raises UsageError if there is none."""
+    try:
+        content = json.loads(read_at_most(path, _MAX_BYTES))
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:  # no JSON, or no UTF-8, or too large
+        raise UsageError(f"cannot read {path}: {error}") from error
+    if not isinstance(content, dict):
+        raise UsageError(f"{path}: it is no trial but {type(content).__name__}; give a trial of {SOURCE}")
+    return content
+
+
+def _experiment_of(file: _TrialFile) -> Experiment:
+    """Return the experiment that a file has a trial of.
+
+    Its seed is 0, since their draws cannot be repeated here. Raises UsageError for parameters that no
+    experiment here has.
+    """
+    keys = _KEYS | (_KEYS_OF_MOVING_ROBOTS if _has_moving_robots(file) else {})
+    parameters: dict[str, Any] = {"firmware": "reference", "conventions": "authors", "seed": 0}
+    for name, key in keys.items():
+        parameters[name] = file.whole_number(key) if name in _WHOLE_PARAMETERS else file.number(key)
+    if _has_moving_robots(file):
+        parameters["topology"] = "dynamic"
+        parameters["latency"] = 1
+        parameters["speed"] = round(parameters["speed"] / _CM_PER_M, 9)
+        parameters["density"] = round(parameters["density"], _DENSITY_DECIMALS)
+    _check_sensors(file)
+    parameters |= _filter_parameters(file)
+    # A period that never ends in a trial is their way to switch the filter off.
+    if parameters["filter_period"] > parameters["steps"]:
+        parameters["filter"] = "none"
+    try:
+        return Experiment(**parameters)
+    except ParameterError as error:
+        their_key = f" (their {keys[error.key]})" if error.key in keys else ""
+        raise UsageError(f"{file.path}: {error}{their_key}") from error
+
+
+def _has_moving_robots(file: _TrialFile) -> bool:
+    """Return whether a file is of ARGoS, and not of a fixed network.
+
+    Raises UsageError for a kind of simulation that has no equivalent here.
+    """
+    simulation = file.content.get("sim_type")
+    if simulation == "dynamic_topo_static_deg_1d":
+        if file.content.get("obs_queue_size") != 0:
+            raise file.error("obs_queue_size", "a queue of observations is not the paper's")
+        return True
+    if simulation == "static_topo_static_degrad_1d":
+        if file.content.get("fully_connected") is not True:
+            raise file.error("fully_connected", "neighbours that are drawn anew are not the paper's")
+        return False
+    raise file.error(
+        "sim_type", "it must be static_topo_static_degrad_1d or dynamic_topo_static_deg_1d, of the paper"
+    )
+
+
+def _check_sensors(file: _TrialFile) -> None:
+    """Raise UsageError unless sensors have one accuracy, for black and for white."""
+    for robots in ("correct", "flawed"):
+        on_black = file.number(f"{robots}_sensor_acc_b")
+        on_white = file.number(f"{robots}_sensor_acc_w")
+        if on_white != on_black:
+            raise file.error(
+                f"{robots}_sensor_acc_w",
+                f"the method knows one accuracy for both colours, and that on black is {on_black}",
+            )
+
+
+def _filter_parameters(file: _TrialFile) -> dict[str, Any]:
+    """Return filter, activation and omega of a file. Raises UsageError if they are not the paper's."""
+    method = file.content.get("method")
+    if not isinstance(method, str) or method not in _ACTIVATIONS:
+        raise file.error("method", f"the paper's methods are {' and '.join(_ACTIVATIONS)}")
+    all_robots_filter = file.content.get("correct_robot_filter")
+    if not isinstance(all_robots_filter, bool):
+        raise file.error("correct_robot_filter", "it must be true or false")
+    parameters = {
+        "filter": "asdf-plus" if all_robots_filter else "asdf-minus",
+        "activation": _ACTIVATIONS[method],
+    }
+    if method == "BRAVO":
+        # One simulator writes {"type_2_err_prob": "0.05"}, the other [0.05].
+        key = "filter_specific_params"
+        omegas = file.content.get(key)
+        if isinstance(omegas, dict):
+            omegas = list(omegas.values())
+        if not isinstance(omegas, list) or len(omegas) != 1:
+            raise file.error(key, "it must have the error probability of the test alone")
+        parameters["omega"] = str(omegas[0])
+    return parameters
+
+
+# --- Series ----------------------------------------------------------------------------------------------
+
+
+def _read_series(file: _TrialFile, experiment: Experiment) -> dict[str, NDArray[np.float64]]:
+    """Return the QUANTITIES of all robots by name, shape (N, steps + 1) each, flawed robots first.
+
+    Raises UsageError if robots or steps are missing, or a number is none that a robot can have.
+    """
+    texts_by_robot = file.content.get("data_str")
+    if not isinstance(texts_by_robot, list) or len(texts_by_robot) != experiment.robots:
+        raise UsageError(f"{file.path}: data_str must be {experiment.robots} lists, one of each robot")
+    numbers_by_robot = []
+    for index, texts in enumerate(texts_by_robot):
+        try:
+            numbers_by_robot.append(_parse_texts(texts, experiment.steps))
+        except ValueError as error:
+            raise UsageError(f"{file.path}: data_str of robot {index}: {error}") from error
+    # Theirs are the last robots.
+    flawed_robots_first = np.roll(np.stack(numbers_by_robot), experiment.flawed, axis=0)
+    return {name: flawed_robots_first[:, :, column] for column, name in enumerate(_COLUMNS)}
+
+
+def _parse_texts(texts: Any, steps: int) -> NDArray[np.float64]:
+    """Return the numbers in the texts of a robot, shape (steps + 1, columns).
+
+    NaN may be among them: their programs divide by 0 where b_hat becomes 1/2. Raises ValueError for texts
+    that are none of a robot's.
+    """
+    if not isinstance(texts, list) or len(texts) != steps + 1:
+        raise ValueError(f"it must be a list of {steps + 1} texts, one of each step from 0 on")
+    for step, text in enumerate(texts):
+        if not isinstance(text, str) or not text.strip() or "\n" in text or "\r" in text:
+            raise ValueError(f"step {step} is {text!r}, and must be a line of numbers")
+    columns_without_seed = range(1, 1 + len(_COLUMNS))
+    numbers = np.loadtxt(texts, delimiter=",", usecols=columns_without_seed, comments=None, ndmin=2)
+    _check_numbers(dict(zip(_COLUMNS, numbers.T, strict=True)))
+    return numbers
+
+
+def _check_numbers(series: dict[str, NDArray[np.float64]]) -> None:
+    """Raise ValueError, with the first step, if a number is out of its range; NaN is in every real range."""
+    n, t = series["n"], series["t"]
+    steps = np.arange(len(t))
+    # Written so that NaN fails the comparison, as a count cannot be NaN.
+    is_wrong_by_name = {"n": ~((n >= 0) & (n <= t)), "t": ~((t >= 0) & (t <= steps))}
+    for name in _SHARES:
+        is_wrong_by_name[name] = (series[name] < 0) | (series[name] > 1)
+    for name in _CONFIDENCES:
+        is_wrong_by_name[name] = (series[name] < 0) | np.isinf(series[name])
+    on_white = series["b_hat on white"]
+    is_nan_in_both = np.isnan(on_white) & np.isnan(series["b_hat"])
+    is_wrong_by_name["b_hat on white"] = (on_white != series["b_hat"]) & ~is_nan_in_both
+    for name, is_wrong in is_wrong_by_name.items():
+        if is_wrong.any():
+            step = int(is_wrong.argmax())
+            raise ValueError(
+                f"{name} is {series[name][step]:g} in step {step}, which no robot of the paper has"
+            )

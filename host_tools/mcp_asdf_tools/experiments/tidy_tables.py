@@ -1,0 +1,249 @@
+"""Tidy tables: a row for each trial, step and robot, with the robot's values then, for data analysis.
+
+Results have a row for each trial, and lists in it. Here no cell is a list, so that a table can be a CSV file,
+and a data frame of any program. The columns are
+
+- ``trial``;
+- the parameters that differ between the experiments of the table;
+- ``step``, ``robot`` and ``is_flawed``;
+- QUANTITIES, as plain numbers. They are missing where a robot was dead.
+
+The metadata of each column has its ``unit`` and its ``meaning``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.compute as pc  # type: ignore[import-untyped]
+import pyarrow.csv  # type: ignore[import-untyped]
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.common.files import check_target, drafts_for, explaining
+from mcp_asdf_tools.experiments.result_files import RowGroups
+from mcp_asdf_tools.experiments.result_tables import (
+    METADATA_KEY,
+    column_types,
+    describe_columns,
+    experiments_in,
+    to_present_format,
+)
+from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, QUANTITIES, Trials
+from mcp_asdf_tools.robots.population import Population
+
+SUFFIXES = (".csv", ".parquet")
+"""Suffixes of the files that a tidy table can be written to."""
+
+_MIN_ROWS_WRITTEN = 2**17
+"""Number of rows that are collected before they are written, unless they are the last. In Parquet they become
+a row group, of which a file should have few."""
+
+_TYPES = {"trial": pa.int64(), "step": pa.int64(), "robot": pa.int32(), "is_flawed": pa.bool_()}
+"""Types of the columns that are neither parameters nor QUANTITIES, which are doubles."""
+
+_UNITS_AND_MEANINGS = {
+    "trial": ("1", "number of the trial, from 0; 0 for a swarm's log"),
+    "step": ("step", "steps so far; values at 0 are those before the first observation"),
+    "robot": ("1", "id of the robot, from 0"),
+    "is_flawed": ("1", "whether the robot assumed a wrong accuracy at step 0"),
+    "t": ("1", "observations so far, halved together with n whenever they reach memory"),
+    "n": ("1", "black observations among them"),
+    "x_hat": ("1", "local estimate of the fill ratio"),
+    "alpha": ("1", "confidence of x_hat"),
+    "x_bar": ("1", "social estimate of the fill ratio"),
+    "beta": ("1", "confidence of x_bar"),
+    "x": ("1", "informed estimate of the fill ratio"),
+    "b_hat": ("1", "accuracy that the robot assumes of its sensor"),
+}
+"""Unit and meaning of the columns that are not parameters."""
+
+
+# --- Rows ------------------------------------------------------------------------------------------------
+
+
+def tidy_trials(trials: Trials, parameter_names: Sequence[str]) -> pa.Table:
+    """Return the recorded values of trials as a tidy table, with a column for each of these parameters.
+
+    Raises UsageError, with the fix, if nothing was recorded.
+    """
+    if not trials.records:
+        raise UsageError(
+            "no values of robots over time were recorded; run simulate or sweep again with --record 100, or "
+            "in Python with record=100, into another file"
+        )
+    sample_count = trials.records["x"].shape[1]
+    steps = np.arange(sample_count) * trials.sampling_interval
+    return tidy_table(trials.experiment, parameter_names, trials.numbers, steps, trials.records)
+
+
+def tidy_table(
+    population: Population,
+    parameter_names: Sequence[str],
+    trial_numbers: Sequence[int],
+    steps: NDArray[np.int64],
+    values: Mapping[str, NDArray[np.float64]],
+) -> pa.Table:
+    """Return values of robots over time as a tidy table, in the order of trials, steps and robots.
+
+    Args:
+        population: The robots and their parameters, the same in all trials.
+        parameter_names: Parameters with a column.
+        trial_numbers: Numbers of the trials.
+        steps: Numbers of the steps.
+        values: QUANTITIES by name, shape (trials, steps, N); NaN where one is missing.
+    """
+    robot_ids = np.arange(population.robots)
+    is_flawed_by_robot = np.array([population.is_flawed(robot) for robot in range(population.robots)])
+    shape = (len(trial_numbers), len(steps), len(robot_ids))
+    columns: dict[str, Any] = {
+        "trial": np.broadcast_to(np.reshape(trial_numbers, (-1, 1, 1)), shape),
+        "step": np.broadcast_to(np.reshape(steps, (-1, 1)), shape),
+        "robot": np.broadcast_to(robot_ids, shape),
+        "is_flawed": np.broadcast_to(is_flawed_by_robot, shape),
+        **{name: values[name] for name in QUANTITIES},
+    }
+    schema = _schema_with(tuple(parameter_names))
+    row_count = columns["trial"].size
+    parameters = population.parameters()
+    arrays = []
+    for field in schema:
+        if field.name in parameter_names:
+            arrays.append(pa.repeat(pa.scalar(parameters[field.name], field.type), row_count))
+        else:
+            # With this option NaN becomes a missing value, which all programs know, also in CSV.
+            arrays.append(pa.array(columns[field.name].ravel(), field.type, from_pandas=True))
+    return pa.table(arrays, schema=schema)
+
+
+@cache
+def _schema_with(parameter_names: tuple[str, ...]) -> pa.Schema:
+    """Return the columns of a tidy table that has these parameters: names, types, units and meanings."""
+    column_names = ("trial", *parameter_names, "step", "robot", "is_flawed", *QUANTITIES)
+    fields = []
+    for name in column_names:
+        if name in parameter_names:
+            column_type = column_types()[name]
+            description = describe_columns()[name]
+        else:
+            column_type = _TYPES.get(name, pa.float64())
+            unit, meaning = _UNITS_AND_MEANINGS[name]
+            description = {"unit": unit, "meaning": meaning}
+        fields.append(pa.field(name, column_type, metadata=description))
+    return pa.schema(fields)
+
+
+# --- Results ---------------------------------------------------------------------------------------------
+
+
+def tidy_results(table: pa.Table) -> pa.Table:
+    """Return the recorded values in a table of results as a tidy table.
+
+    Raises UsageError, with the fix, if nothing was recorded.
+    """
+    table = to_present_format(table, len(table))
+    parameter_names = _varying_parameters([table])
+    return pa.concat_tables(tidy_trials(trials, parameter_names) for trials in experiments_in(table))
+
+
+def stream_tidy_results(path: Path) -> Iterator[pa.Table]:
+    """Yield the recorded values in a file of results, or all files in a folder, as tidy tables.
+
+    They have the same columns, and are in the order of the files' rows. One row group at a time is in memory.
+    Raises UsageError as ``result_files.read_table``, and with the fix if nothing was recorded.
+    """
+    row_groups = RowGroups()
+    row_groups.add(path)
+    parameter_names = _varying_parameters(row_group.read(PARAMETER_NAMES) for row_group in row_groups)
+    for row_group in row_groups:
+        for trials in experiments_in(row_group.read()):
+            yield tidy_trials(trials, parameter_names)
+
+
+def _varying_parameters(tables: Iterable[pa.Table]) -> list[str]:
+    """Return the names of the parameters that have more than one value in tables of results together."""
+    values_by_parameter: dict[str, set[Any]] = {name: set() for name in PARAMETER_NAMES}
+    for table in tables:
+        for name, values in values_by_parameter.items():
+            values.update(pc.unique(table[name]).to_pylist())
+    return [name for name, values in values_by_parameter.items() if len(values) > 1]
+
+
+# --- Files -----------------------------------------------------------------------------------------------
+
+
+def check_tidy_path(path: Path) -> None:
+    """Raise UsageError if a tidy table cannot be written to a path, or would replace results there."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(f"cannot export to {path.name}: choose a name that ends in {' or '.join(SUFFIXES)}")
+    if check_target(path).exists() and _has_results(path):
+        raise UsageError(f"{path} has results, which would be lost; choose another name")
+
+
+def _has_results(path: Path) -> bool:
+    """Return whether an existing file is a Parquet file of results, in any format of them."""
+    try:
+        return METADATA_KEY in (pq.read_schema(path).metadata or {})
+    except (OSError, pa.ArrowException):  # no Parquet file, or one that cannot be read
+        return False
+
+
+def write_tidy_tables(path: Path, tables: Iterable[pa.Table]) -> int:
+    """Write tidy tables of the same columns, at least one, to a file, and return its number of rows.
+
+    The suffix of the path, CSV or Parquet, gives the format. In CSV ``is_flawed`` is 0 or 1. The file has its
+    name only once it is complete. Raises UsageError if it cannot be written.
+    """
+    check_tidy_path(path)
+    is_csv = path.suffix.lower() == ".csv"
+    if is_csv:
+        tables = map(_replace_truth_by_number, tables)
+    row_count = 0
+    # The writer needs the columns before the first row, and the tables may be made one by one.
+    remaining_tables = _collect_rows(tables)
+    first_table = next(remaining_tables)
+    with (
+        explaining(path),
+        drafts_for([path]) as [draft],
+        _open_writer(draft, first_table.schema, is_csv) as writer,
+    ):
+        for table in chain([first_table], remaining_tables):
+            writer.write_table(table)
+            row_count += len(table)
+    return row_count
+
+
+def _replace_truth_by_number(table: pa.Table) -> pa.Table:
+    """Return a tidy table with 0 or 1 in ``is_flawed``: R and Octave would take "true" for a text."""
+    index = table.column_names.index("is_flawed")
+    field = table.schema.field("is_flawed").with_type(pa.int8())
+    return table.set_column(index, field, table["is_flawed"].cast(pa.int8()))
+
+
+def _open_writer(draft: Path, schema: pa.Schema, is_csv: bool) -> Any:
+    """Return a writer of pyarrow for CSV, or else for Parquet; it is a context manager."""
+    if is_csv:
+        return pyarrow.csv.CSVWriter(draft, schema)
+    return pq.ParquetWriter(draft, schema, compression="zstd")
+
+
+def _collect_rows(tables: Iterable[pa.Table]) -> Iterator[pa.Table]:
+    """Yield the rows of tables in tables of at least _MIN_ROWS_WRITTEN rows, but for the last."""
+    collected_tables: list[pa.Table] = []
+    row_count = 0
+    for table in tables:
+        collected_tables.append(table)
+        row_count += len(table)
+        if row_count >= _MIN_ROWS_WRITTEN:
+            yield pa.concat_tables(collected_tables)
+            collected_tables = []
+            row_count = 0
+    if collected_tables:
+        yield pa.concat_tables(collected_tables)

@@ -1,0 +1,398 @@
+"""The example for ARGoS3: it compiles, its robots compute the mirror's bits, and check_log.py notices if not.
+
+ARGoS itself is not installed here. The folder argos3 beside this file has stand-ins for those of its types
+that the example uses, and a small simulator around them.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from xml.etree import ElementTree
+
+import pytest
+
+from support import ROOT, made_once, require, run
+
+EXAMPLE = ROOT / "c_ref/examples/argos3"
+STUBS = Path(__file__).parent / "argos3"
+ARGOS_HEADERS = (
+    "core/control_interface/ci_controller.h",
+    "core/simulator/entity/controllable_entity.h",
+    "core/simulator/loop_functions.h",
+    "core/simulator/simulator.h",
+    "core/simulator/space/space.h",
+    "core/utility/configuration/argos_exception.h",
+    "core/utility/logging/argos_log.h",
+    "core/utility/math/angles.h",
+    "core/utility/math/rng.h",
+    "core/utility/math/vector2.h",
+    "plugins/robots/generic/control_interface/ci_differential_steering_actuator.h",
+    "plugins/robots/generic/control_interface/ci_range_and_bearing_actuator.h",
+    "plugins/robots/generic/control_interface/ci_range_and_bearing_sensor.h",
+    "plugins/robots/kheperaiv/control_interface/ci_kheperaiv_ground_sensor.h",
+    "plugins/robots/kheperaiv/control_interface/ci_kheperaiv_proximity_sensor.h",
+)
+"""Headers of ARGoS3 (421bd76) and of its plugin for the Khepera IV (7bb1bb3) that the example may include."""
+WARNINGS = (
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Wconversion",
+    "-Wsign-conversion",
+    "-Wshadow",
+    "-Wundef",
+    "-Werror",
+)
+TICKS = 300
+FIRST_RECEIVE = re.compile(r"^receive,(\d+),", re.MULTILINE)
+
+
+# --- Building --------------------------------------------------------------------------------------------
+
+
+def compiler_arguments(folder: Path) -> list[str | Path]:
+    """Return the arguments with which a C++ compiler finds all headers, in a folder made by ``prepare``."""
+    include_folders = (folder / "include", STUBS, folder / "vendor/mcp_asdf", EXAMPLE)
+    return ["-std=c++17", *WARNINGS, *(f"-I{include_folder}" for include_folder in include_folders)]
+
+
+def prepare(folder: Path) -> None:
+    """Put the firmware and the stand-ins for ARGoS's headers into a folder."""
+    for header in ARGOS_HEADERS:
+        path = folder / "include/argos3" / header
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text('#include "argos_stub.h"\n')
+    run("mcp-asdf", "firmware", "vendor/mcp_asdf", "--neighbours", "30", cwd=folder)
+
+
+def build(folder: Path) -> None:
+    """Compile the example and the simulator into ``folder/swarm``."""
+    prepare(folder)
+    run(require("gcc", "gcc"), "-O2", "-c", *sorted((folder / "vendor/mcp_asdf").glob("*.c")), cwd=folder)
+    sources = [*sorted(EXAMPLE.glob("*.cpp")), STUBS / "run_swarm.cpp", *sorted(folder.glob("*.o"))]
+    run(require("g++", "g++"), *compiler_arguments(folder), *sources, "-o", "swarm", cwd=folder)
+
+
+@pytest.fixture(scope="module")
+def built_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the compiled example."""
+    return made_once(tmp_path_factory, "argos", build)
+
+
+def test_the_example_compiles_without_warnings_in_clang(tmp_path: Path) -> None:
+    prepare(tmp_path)
+    sources = sorted(EXAMPLE.glob("*.cpp"))
+    run(require("clang++", "clang"), *compiler_arguments(tmp_path), "-fsyntax-only", *sources)
+
+
+def test_the_build_file_names_all_sources_of_the_example() -> None:
+    commands = (EXAMPLE / "CMakeLists.txt").read_text(encoding="utf-8")
+    sources = set(re.findall(r"\w+\.cpp", commands))
+    assert sources == {path.name for path in EXAMPLE.glob("*.cpp")}
+
+
+def test_the_build_file_says_how_to_get_the_firmware(tmp_path: Path) -> None:
+    shutil.copy(EXAMPLE / "CMakeLists.txt", tmp_path)
+    command = [require("cmake"), "-S", str(tmp_path), "-B", str(tmp_path / "build")]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert "run mcp-asdf firmware vendor/mcp_asdf --neighbours 30 here" in " ".join(result.stderr.split())
+
+
+# --- Running ---------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Swarm:
+    """What the simulator is to run: the swarm of swarm.argos, which a test may change.
+
+    Attributes:
+        loop: Label of the loop functions and their attributes.
+        robots: Label, number of robots, first number, and parameters, of each group.
+        packet_size: Bytes of a range-and-bearing packet.
+    """
+
+    loop: tuple[str, dict[str, str]]
+    robots: list[tuple[str, int, int, dict[str, str]]] = field(default_factory=list)
+    packet_size: int = 0
+
+    def description(self, ticks: int, options: str = "") -> str:
+        """Return the lines that run_swarm.cpp reads."""
+        lines = [f"loop {self.loop[0]} {_format_attributes(self.loop[1])}"]
+        for label, count, first_number, parameters in self.robots:
+            lines.append(f"robots {label} {count} {first_number} {_format_attributes(parameters)}")
+        lines.append(f"run {ticks} {self.packet_size} 0.7 {options}")
+        return "\n".join(lines) + "\n"
+
+    def set_parameter(self, name: str, value: str) -> None:
+        """Give all robots a parameter."""
+        for *_, parameters in self.robots:
+            parameters[name] = value
+
+
+def _format_attributes(attributes: dict[str, str]) -> str:
+    return " ".join(f"{name}={value}" for name, value in attributes.items())
+
+
+@pytest.fixture
+def swarm() -> Swarm:
+    """The swarm of swarm.argos, with a filter that runs often enough for a short test."""
+    root = ElementTree.parse(EXAMPLE / "swarm.argos").getroot()
+    loop_node = root.find("loop_functions")
+    assert loop_node is not None
+    loop_attributes = dict(loop_node.attrib)
+    del loop_attributes["library"]
+    swarm = Swarm((loop_attributes.pop("label"), loop_attributes))
+    controllers = {node.attrib["id"]: node for node in root.iterfind("controllers/*")}
+    for entity in root.iterfind("arena/distribute/entity"):
+        robot_node = entity[0]
+        controller = controllers[robot_node[0].attrib["config"]]
+        parameters = controller.find("params")
+        assert parameters is not None
+        count, first_number = int(entity.attrib["quantity"]), int(entity.attrib["base_num"])
+        swarm.robots.append((controller.tag, count, first_number, dict(parameters.attrib)))
+        swarm.packet_size = int(robot_node.attrib["rab_data_size"])
+    swarm.set_parameter("filter_period", "50")
+    return swarm
+
+
+RunSwarm = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def run_swarm(built_folder: Path, tmp_path: Path) -> RunSwarm:
+    """A function that runs a swarm in the test's folder, and returns the ended process."""
+
+    def run_in_folder(
+        swarm: Swarm, ticks: int = TICKS, options: str = ""
+    ) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [built_folder / "swarm"],
+            input=swarm.description(ticks, options),
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    return run_in_folder
+
+
+def check_logs(folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run check_log.py on all logs in a folder, as a user does, and return the ended process."""
+    logs = sorted(str(path) for path in folder.glob("*.csv"))
+    command = [sys.executable, str(EXAMPLE / "check_log.py"), *logs]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def updates_in(line: str) -> int:
+    """Return the number of updates that a line of check_log.py's output has."""
+    [count] = re.findall(r"(\d+) updates", line)
+    return int(count)
+
+
+def test_robots_compute_the_bits_of_the_mirror(run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path) -> None:
+    assert run_swarm(swarm).returncode == 0
+    result = check_logs(tmp_path / "logs")
+    assert result.returncode == 0
+    lines = result.stdout.splitlines()
+    assert len(lines) == 20
+    assert all(f": {TICKS} ticks, " in line for line in lines)
+    assert sum(updates_in(line) for line in lines) > 10
+
+
+def test_robots_with_the_robust_filter_compute_the_bits_of_the_mirror(
+    run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
+) -> None:
+    swarm.set_parameter("filter", "robust")
+    assert run_swarm(swarm).returncode == 0
+    assert check_logs(tmp_path / "logs").returncode == 0
+
+
+def test_a_second_run_after_a_reset_begins_anew(run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path) -> None:
+    result = run_swarm(swarm, options="reset")
+    assert result.returncode == 0
+    log = (tmp_path / "logs/kiv0.csv").read_text(encoding="utf-8")
+    assert log.count("start,") == 1
+    assert log.count("settle,") == TICKS
+    assert check_logs(tmp_path / "logs").returncode == 0
+
+
+def test_what_robots_send_before_their_first_broadcast_is_refused(
+    run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
+) -> None:
+    """ARGoS delivers zeros then, which must not become an estimate of robot 0."""
+    assert run_swarm(swarm).returncode == 0
+    log = (tmp_path / "logs/kiv3.csv").read_text(encoding="utf-8")
+    first_tick, later_ticks = log.split("settle,", maxsplit=1)
+    assert not FIRST_RECEIVE.search(first_tick)
+    assert FIRST_RECEIVE.search(later_ticks)
+
+
+def test_robots_receive_the_estimates_of_the_tick_before(
+    run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
+) -> None:
+    assert run_swarm(swarm, ticks=2).returncode == 0
+    x_hat_after_first_tick = {}
+    for path in (tmp_path / "logs").glob("*.csv"):
+        first_settle = path.read_text(encoding="utf-8").split("settle,")[1]
+        x_hat_after_first_tick[path.stem] = first_settle.split(",")[1]
+    received = re.findall(r"receive,(\d+),(\d+),", (tmp_path / "logs/kiv3.csv").read_text(encoding="utf-8"))
+    assert received
+    for sender, x_hat in received:
+        assert x_hat == x_hat_after_first_tick[f"kiv{sender}"]
+
+
+def test_the_table_of_results_has_the_state_of_each_robot(
+    run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
+) -> None:
+    assert run_swarm(swarm).returncode == 0
+    rows = [line.split(",") for line in (tmp_path / "results.csv").read_text(encoding="utf-8").splitlines()]
+    assert rows[0] == ["tick", "robot", "x", "x_hat", "b_hat", "accepted", "refused", "tests", "updates"]
+    assert [(row[0], row[1]) for row in rows[1:]] == [
+        (str(tick), f"kiv{number}") for tick in (100, 200, 300) for number in range(20)
+    ]
+    last_x, _, _, last_b_hat, _ = (
+        (tmp_path / "logs/kiv19.csv").read_text(encoding="utf-8").split("settle,")[-1].split(",")
+    )
+    assert rows[-1][2] == f"{int(last_x) / 2**23:.9g}"
+    assert rows[-1][4] == f"{int(last_b_hat) / 2**32:.9g}"
+
+
+def test_the_run_ends_with_the_mean_errors(run_swarm: RunSwarm, swarm: Swarm) -> None:
+    swarm.set_parameter("filter", "off")
+    result = run_swarm(swarm)
+    # Six of twenty robots are wrong by 0.4, and stay so without a filter.
+    assert result.stdout.endswith("mean |b_hat - b| at the end 0.12\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("filter", "asdf-minus", 'filter is "asdf-minus"; it must be off, asdf or robust'),
+        ("b_hat", "1", "b_hat is 1; it must be a probability, 0.000001 to 0.999999"),
+        ("b_hat", "-0.5", "b_hat is -0.5; it must be a probability, 0.000001 to 0.999999"),
+        ("sensor_accuracy", "95", "sensor_accuracy is 95; it must be 0 to 1"),
+        ("filter_period", "0", "filter_period is 0; it must be 1 or more"),
+        ("log_folder", "/dev/null", "cannot write /dev/null/kiv0.csv; give another log_folder"),
+    ],
+)
+def test_a_parameter_that_robots_cannot_have_is_refused_by_its_name(
+    name: str, value: str, message: str, run_swarm: RunSwarm, swarm: Swarm
+) -> None:
+    swarm.set_parameter(name, value)
+    result = run_swarm(swarm)
+    assert result.returncode == 1
+    assert result.stderr.startswith(f"cannot start the MCP-ASDF firmware of robot kiv0: {message}")
+
+
+def test_a_fill_ratio_that_no_floor_has_is_refused_by_its_name(run_swarm: RunSwarm, swarm: Swarm) -> None:
+    swarm.loop[1]["fill_ratio"] = "55"
+    assert "fill_ratio is 55" in run_swarm(swarm).stderr
+
+
+# --- check_log.py ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def check_log() -> ModuleType:
+    """The module check_log.py."""
+    spec = importlib.util.spec_from_file_location("check_log", EXAMPLE / "check_log.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["check_log"] = module  # its dataclasses look for their module there
+    spec.loader.exec_module(module)
+    return module
+
+
+LOG = """\
+start,7,4080218931,2,1000,2147483648
+observe,1
+settle,8388608,8388608,3854762496,4080218931,0
+"""
+"""One tick of a robot that has observed a black tile, and assumes an accuracy of 0.95."""
+
+
+@pytest.fixture
+def log_of_one_tick(run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path) -> str:
+    """The log of a healthy robot that has made a tick and a half."""
+    assert run_swarm(swarm, ticks=2).returncode == 0
+    return (tmp_path / "logs/kiv19.csv").read_text(encoding="utf-8")
+
+
+def verdict_on(check_log: ModuleType, text: str, folder: Path) -> int:
+    """Return the exit code of check_log.py for a log with this text."""
+    path = folder / "robot.csv"
+    path.write_text(text, encoding="utf-8")
+    exit_code: int = check_log.main([str(path)])
+    return exit_code
+
+
+def test_a_log_with_the_bits_of_the_mirror_passes(
+    check_log: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert verdict_on(check_log, LOG, tmp_path) == 0
+    assert ": 1 ticks, 0 messages, 0 updates of b_hat: all bits are equal\n" in capsys.readouterr().out
+
+
+def test_a_changed_bit_is_a_difference(
+    check_log: ModuleType, log_of_one_tick: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    start, rest = log_of_one_tick.split("settle,", maxsplit=1)
+    x = int(rest.split(",")[0])
+    changed = f"{start}settle,{x ^ 1},{rest.split(',', maxsplit=1)[1]}"
+    assert verdict_on(check_log, changed, tmp_path) == 1
+    assert f"line 3 in tick 1 differs: settle gave {x ^ 1}," in capsys.readouterr().out
+
+
+def test_a_message_that_was_left_out_is_a_difference(
+    check_log: ModuleType, log_of_one_tick: str, tmp_path: Path
+) -> None:
+    without_messages = re.sub(r"receive,.*\n", "", log_of_one_tick)
+    assert without_messages != log_of_one_tick
+    assert verdict_on(check_log, without_messages, tmp_path) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "its first line must be start with 5 numbers"),
+        ("start,7\n", "its first line must be start with 5 numbers"),
+        ("start,128,4080218931,2,1000,2147483648\n", "no robot can start so"),
+        ("start,7,4080218931,9,1000,2147483648\n", "no robot can start so: 9 is not a valid Filter"),
+        ("start,7,4080218931,0,1000,2147483648\ntable,1,2,3\n", "no robot can start so"),
+        (f"{LOG}observe,2\n", "line 4 has the input 2, not 0 to 1"),
+        (f"{LOG}receive,1,2\n", "line 4 has 2 numbers, not 4"),
+        (f"{LOG}receive,1,2,99999999999,0\n", "line 4 has '99999999999' where a whole number must be"),
+        (f"{LOG}receive,1,2,-3,0\n", "line 4 has the input -3, not 0 to 4294967295"),
+        (f"{LOG}dance,1\n", "line 4 begins with 'dance'"),
+        (f"{LOG}start,7,4080218931,2,1000,2147483648\n", "line 4 begins with 'start'"),
+        (f"{LOG}settle,83886", "line 4 has 1 numbers, not 5"),
+        (f"{LOG}\x00", "line 4 begins with '\\x00'"),
+        (f"{LOG}ü", "byte 94 is no text"),
+    ],
+)
+def test_a_damaged_log_is_refused_with_the_line(
+    text: str, message: str, check_log: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert verdict_on(check_log, text, tmp_path) == 2
+    assert f"cannot be checked: {message}" in capsys.readouterr().err
+
+
+def test_a_missing_log_is_reported(check_log: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    assert check_log.main(["no/such.csv"]) == 2
+    assert "no/such.csv: cannot be checked: No such file or directory" in capsys.readouterr().err
+
+
+def test_without_a_log_its_usage_is_shown(check_log: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    assert check_log.main([]) == 2
+    assert capsys.readouterr().err == "usage: python3 check_log.py LOG.csv ...\n"

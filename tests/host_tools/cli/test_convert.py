@@ -1,0 +1,90 @@
+"""``mcp-asdf convert`` makes results of the authors' trial files, which the other commands take."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from authors_files import FIXED, MOVING, write_trial
+from mcp_asdf_tools.cli.main import main
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(autouse=True)
+def trials_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The present folder, which has two trials of a fixed network and one of a moving swarm in data."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").mkdir()
+    write_trial(tmp_path / "data/flw2_t0.json", FIXED, 0)
+    write_trial(tmp_path / "data/flw2_t1.json", FIXED, 1)
+    write_trial(tmp_path / "data/moving.json", MOVING, 2)
+    return tmp_path
+
+
+def test_a_folder_becomes_results_and_their_scores_are_printed(capsys: Capture) -> None:
+    assert main(["convert", "data", "--output", "theirs.parquet"]) == 0
+    output = capsys.readouterr().out
+    assert "fully-connected" in output
+    assert "2 of 3" in output
+    assert "1 of 3" in output
+
+
+def test_json_has_experiments_and_source(capsys: Capture) -> None:
+    assert main(["convert", "data/flw2_t1.json", "--output", "theirs.parquet", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["source"] == "NESTLab/sensor-degradation-filter"
+    assert report["output"] == "theirs.parquet"
+    assert [row["trials"] for row in report["experiments"]] == [1]
+
+
+def test_results_are_scored_like_others(capsys: Capture) -> None:
+    main(["convert", "data", "--output", "theirs.parquet"])
+    converted = capsys.readouterr().out
+    assert main(["score", "theirs.parquet", "--csv", "theirs.csv"]) == 0
+    assert capsys.readouterr().out == converted
+    assert len(Path("theirs.csv").read_text(encoding="utf-8").splitlines()) == 1 + 3
+
+
+@pytest.mark.parametrize("kind", ["boxes", "bands", "series"])
+def test_results_are_drawn_like_others(kind: str) -> None:
+    main(["convert", "data/flw2_t0.json", "--output", "theirs.parquet"])
+    assert main(["plot", "theirs.parquet", "picture.png", "--kind", kind]) == 0
+    assert Path("picture.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_trial_is_shown_like_others() -> None:
+    main(["convert", "data", "--output", "theirs.parquet"])
+    view = ["view", "theirs.parquet", "--where", "topology=dynamic", "--trial", "2"]
+    assert main([*view, "--export", "page.html"]) == 0
+    assert "trial 2 of NESTLab/sensor-degradation-filter" in Path("page.html").read_text(encoding="utf-8")
+
+
+def test_without_records_a_trial_is_not_shown(capsys: Capture) -> None:
+    main(["convert", "data/moving.json", "--output", "theirs.parquet", "--record", "0"])
+    assert main(["view", "theirs.parquet", "--trial", "2", "--export", "page.html"]) == 2
+    assert "nothing is recorded" in capsys.readouterr().err
+
+
+def test_after_a_damaged_file_nothing_is_written(trials_folder: Path, capsys: Capture) -> None:
+    (trials_folder / "data/zzz.json").write_text("{", encoding="utf-8")
+    assert main(["convert", "data", "--output", "theirs.parquet"]) == 2
+    assert "data/zzz.json" in capsys.readouterr().err
+    assert not list(trials_folder.glob("*theirs*"))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("data --output theirs.csv", "choose a name that ends in .parquet"),
+        ("data --output no/theirs.parquet", "its folder does not exist"),
+        ("data --output theirs.parquet --record -1", "--record is -1; choose a number of steps"),
+        ("other --output theirs.parquet", "other is no file"),
+        ("data", "--output"),
+    ],
+)
+def test_what_cannot_be_converted_is_refused(options: str, message: str, capsys: Capture) -> None:
+    assert main(["convert", *options.split()]) == 2
+    assert message in capsys.readouterr().err

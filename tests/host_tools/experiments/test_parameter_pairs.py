@@ -1,0 +1,184 @@
+"""Each parameter has an effect, and pictures and tables keep experiments apart that differ in it alone.
+
+Other tests draw and read results in which only some parameters vary, and would not notice another one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+import pytest
+
+from host_tools.experiments.drawn_figures import results_of, titles_of
+from mcp_asdf_tools.common.errors import UsageError
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.plots.bands import plot_bands
+from mcp_asdf_tools.experiments.plots.boxes import plot_boxes
+from mcp_asdf_tools.experiments.plots.curve import plot_curve
+from mcp_asdf_tools.experiments.plots.scatter import plot_scatter
+from mcp_asdf_tools.experiments.result_tables import experiments_in, trials_to_table
+from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, QUANTITIES, Trials
+from support import slow
+
+SHORT_SWARM: dict[str, Any] = {
+    "robots": 4,
+    "flawed": 2,
+    "filter": "asdf-plus",
+    "topology": "dynamic",
+    "density": 4.0,
+    "filter_period": 20,
+    "steps": 160,
+    "trials": 3,
+}
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two values of a parameter, and what else has to be given so that the parameter has an effect."""
+
+    first_value: Any
+    second_value: Any
+    others: dict[str, Any]
+
+
+def pair(first_value: Any, second_value: Any, **others: Any) -> Pair:
+    return Pair(first_value, second_value, others)
+
+
+PAIRS = {
+    "robots": pair(4, 6, flawed="50%"),
+    "topology": pair("dynamic", "fully-connected", density=1.0),
+    "graph": pair("0 1; 1 2; 2 3", "0 1; 2 3", topology="graph", density=1.0),
+    "fill_ratio": pair(0.55, 0.75),
+    "true_accuracy": pair(0.95, 0.85),
+    "white_offset": pair(0.0, -0.1),
+    "drift": pair("none", "linear"),
+    "drift_rate": pair(-0.001, -0.002, drift="linear"),
+    "lowest_accuracy": pair(0.5, 0.75, drift="linear", drift_rate=-0.01),
+    "density": pair(1.0, 2.0),
+    "width": pair(2.0, 3.0, height=2.0, density=1.0),
+    "height": pair(2.0, 3.0, width=2.0, density=1.0),
+    "speed": pair(0.1414, 0.07),
+    "radio_range": pair(0.7, 0.5, width=2.0, height=2.0, density=1.0),
+    "floor": pair("tiles", "code", fill_ratio=0.55),
+    "tile": pair(0.01, 0.1),
+    "steps_per_second": pair(10, 20),
+    "observation_period": pair(1, 2),
+    "steps": pair(160, 180),
+    "seed": pair(1, 2),
+    "flawed": pair(1, 2),
+    "flawed_accuracy": pair(0.55, 0.75),
+    "unflawed_accuracy": pair(0.0, 0.9),
+    "drift_of": pair("all", "flawed", drift="linear", drift_rate=-0.001),
+    "filter": pair("asdf-plus", "asdf-minus"),
+    "activation": pair("adaptive", "always"),
+    "comms_period": pair(1, 2),
+    "filter_period": pair(20, 40),
+    "omega": pair(0.05, 0.5),
+    "memory": pair(2**31, 64),
+    "latency": pair(0, 1),
+    "firmware": pair("native", "mirror"),
+    "trials": pair(3, 4),
+    "conventions": pair("paper", "authors", firmware="reference"),
+    "message_bits": pair("exact", "7+4"),
+}
+"""Two values of each parameter; of ``sensor`` there is one where no extension is installed."""
+
+WITHOUT_EFFECT = {
+    "drift": "without a rate of its own no accuracy changes",
+    "firmware": "the mirror computes the same bits",
+    "trials": "a trial does not depend on how many there are",
+}
+"""Parameters whose two values give the same results of a trial, and why."""
+
+
+@cache
+def results_of_pair(name: str) -> list[Trials]:
+    """Run two experiments that differ in the parameter of this name alone."""
+    values = PAIRS[name]
+    common = SHORT_SWARM | values.others
+    return [
+        results_of(Experiment(**common | {name: value}), sampling_interval=1)
+        for value in (values.first_value, values.second_value)
+    ]
+
+
+def test_every_parameter_is_varied() -> None:
+    assert {*PAIRS, "sensor"} == set(PARAMETER_NAMES)
+
+
+def are_equal(first: Trials, second: Trials) -> bool:
+    """Return whether all robots have had the same values in the trials that both experiments have."""
+    count = min(len(first.numbers), len(second.numbers))
+    return all(
+        np.array_equal(first.records[name][:count], second.records[name][:count]) for name in QUANTITIES
+    )
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_a_parameter_changes_the_results(name: str) -> None:
+    assert are_equal(*results_of_pair(name)) == (name in WITHOUT_EFFECT)
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_a_table_keeps_experiments_apart(name: str) -> None:
+    first, second = results_of_pair(name)
+    table = pa.concat_tables([trials_to_table(first), trials_to_table(second)])
+    assert [trials.experiment for trials in experiments_in(table)] == [first.experiment, second.experiment]
+
+
+# --- Pictures --------------------------------------------------------------------------------------------
+
+DRAWN_QUICKLY = ("fill_ratio", "true_accuracy", "flawed_accuracy", "flawed", "filter", "omega")
+"""Parameters that pictures show in ways of their own, and one that they show as all others."""
+DRAWN = [name for name in PAIRS if name != "trials"]  # more trials of one experiment may be drawn together
+DRAWN_CASES = [*DRAWN_QUICKLY, *slow(name for name in DRAWN if name not in DRAWN_QUICKLY)]
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_a_curve_of_another_parameter_is_refused(name: str) -> None:
+    x = "seed" if name == "comms_period" else "comms_period"
+    with pytest.raises(UsageError, match=rf"the results differ in {name} too"):
+        plot_curve(results_of_pair(name), x)
+
+
+@pytest.mark.parametrize("name", DRAWN_CASES)
+def test_a_curve_over_the_parameter_has_a_point_for_each_value(name: str) -> None:
+    first, second = results_of_pair(name)
+    (axes,) = plot_curve([first, second], name, "e").axes
+    medians = [float(np.median(trials.measures()["e"])) for trials in (first, second)]
+    assert sorted(np.asarray(axes.lines[0].get_ydata()).tolist()) == sorted(medians)
+
+
+@pytest.mark.parametrize("name", DRAWN_CASES)
+def test_boxes_are_of_one_experiment_each(name: str) -> None:
+    """Two boxes with the points of three trials each: in two panels, in two colours or side by side."""
+    figure = plot_boxes(results_of_pair(name))
+    points = [(axes, line) for axes in figure.axes for line in axes.lines if line.get_marker() == "."]
+    assert [len(np.asarray(line.get_xdata())) for _, line in points] == [3, 3]
+    places = [
+        (axes, line.get_color(), np.mean(np.asarray(line.get_xdata())).round(2)) for axes, line in points
+    ]
+    assert places[0] != places[1]
+
+
+@pytest.mark.parametrize("name", DRAWN_CASES)
+def test_points_of_scores_differ_between_experiments(name: str) -> None:
+    """In their panel, colour or marker."""
+    figure = plot_scatter(results_of_pair(name))
+    points = [(axes, line) for axes in figure.axes for line in axes.lines]
+    assert [len(np.asarray(line.get_xdata())) for _, line in points] == [3, 3]
+    first, second = [(axes, line.get_color(), line.get_marker()) for axes, line in points]
+    assert first != second
+
+
+@pytest.mark.parametrize("name", DRAWN_CASES)
+def test_bands_have_titles_that_differ_between_experiments(name: str) -> None:
+    """Also without their last lines, which say how many robots have been harmed."""
+    titles = titles_of(plot_bands(results_of_pair(name)))
+    first_title, second_title = [title.rpartition("\n")[0] for title in titles]
+    assert first_title != second_title

@@ -1,0 +1,161 @@
+"""``mcp-asdf export`` and ``to_frame``: values of robots over time from results, and from logs by replay."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.csv  # type: ignore[import-untyped]
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
+import pytest
+
+import mcp_asdf_tools as m
+from events_files import lines_of
+from mcp_asdf_tools import library
+from mcp_asdf_tools.cli.main import main
+from mcp_asdf_tools.recording.events import events_path
+
+pytestmark = pytest.mark.usefixtures("no_bus_is_left")
+
+Capture = pytest.CaptureFixture[str]
+
+PARAMETERS: dict[str, Any] = {
+    "robots": 4,
+    "flawed": 1,
+    "steps": 60,
+    "filter": "asdf-plus",
+    "filter_period": 20,
+    "topology": "dynamic",
+    "seed": 3,
+}
+"""Of a swarm, and of an experiment whose trial 0 is the same run."""
+
+
+def write_log(path: Path, *options: str) -> Path:
+    """Run the swarm by the command, with further options and a log, and return the log's path."""
+    parameters = [f"--{name.replace('_', '-')}={value}" for name, value in PARAMETERS.items()]
+    assert main(["swarm", *parameters, *options, "--log", str(path), "--quiet"]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def swarm_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of the swarm, with events beside it; only to be read."""
+    return write_log(tmp_path_factory.mktemp("swarm") / "run.log")
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of trial 0 with the values of every step; only to be read."""
+    path = tmp_path_factory.mktemp("results") / "run.parquet"
+    m.simulate(m.Experiment(**PARAMETERS, trials=1), path, record=1)
+    return path
+
+
+# --- The library -----------------------------------------------------------------------------------------
+
+
+def test_a_log_gives_the_same_table_as_the_trial_with_its_parameters(swarm_log: Path, results: Path) -> None:
+    assert m.to_frame(swarm_log).equals(m.to_frame(results))
+
+
+def test_a_table_in_memory_gives_the_same_as_its_file(results: Path) -> None:
+    assert m.to_frame(m.read_table(results)).equals(m.to_frame(str(results)))
+
+
+def test_some_rows_of_results_give_a_table_of_these_trials() -> None:
+    table = m.simulate(m.Experiment(**PARAMETERS, trials=3), record=30)
+    tidy = m.to_frame(table.slice(1, 1))
+    assert tidy["trial"].to_pylist() == [1] * 12
+    assert tidy["step"].to_pylist() == [0] * 4 + [30] * 4 + [60] * 4
+
+
+def test_a_log_that_is_replayed_in_pieces_gives_the_same_table(
+    swarm_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table_at_once = m.to_frame(swarm_log)
+    monkeypatch.setattr(library, "_ROWS_AT_ONCE", 7)
+    assert len(list(library.stream_tidy_tables(swarm_log))) == 61
+    assert m.to_frame(swarm_log).equals(table_at_once)
+
+
+def test_a_dead_robot_has_no_values(tmp_path: Path) -> None:
+    """Robot 2 crashes in step 21, and is dead for 15 steps."""
+    log = write_log(tmp_path / "run.log", "--fault", "crash=1.0,from=20,to=21,robots=2,ticks=15")
+    tidy = m.to_frame(log)
+    rows_without_values = tidy.filter(pa.compute.is_null(tidy["x"]))
+    assert rows_without_values["step"].to_pylist() == [*range(21, 36)]
+    assert set(rows_without_values["robot"].to_pylist()) == {2}
+    assert rows_without_values["b_hat"].null_count == 15
+
+
+def test_a_log_that_was_cut_off_is_exported_as_far_as_it_goes(swarm_log: Path, tmp_path: Path) -> None:
+    """The last line, of a robot in step 10, has no end."""
+    log = tmp_path / "run.log.part"
+    header_and_nine_steps = "".join(lines_of(events_path(swarm_log))[: 1 + 9 * 4])
+    with gzip.open(events_path(log), "wt") as file:
+        file.write(header_and_nine_steps + "[0,1,")
+    assert m.to_frame(log)["step"].to_pylist()[-4:] == [9] * 4
+
+
+def test_a_log_without_events_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(m.UsageError, match=r"there is no .*/run\.log\.events, .* give results \(\.parquet\)"):
+        m.to_frame(tmp_path / "run.log")
+
+
+def test_a_log_of_a_node_is_refused(swarm_log: Path, tmp_path: Path) -> None:
+    first_line, *lines = lines_of(events_path(swarm_log))
+    header_of_node = json.loads(first_line) | {"parameters": {}}
+    with gzip.open(tmp_path / "node.log.events", "wt") as file:
+        file.write("".join([json.dumps(header_of_node) + "\n", *lines]))
+    with pytest.raises(m.UsageError, match=r"node\.log is not the log of a swarm; give one of"):
+        m.to_frame(tmp_path / "node.log")
+
+
+# --- The command -----------------------------------------------------------------------------------------
+
+
+def test_export_writes_the_values_of_a_log_as_csv(swarm_log: Path, tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "robots.csv"
+    assert main(["export", str(swarm_log), str(path)]) == 0
+    assert capsys.readouterr().out == f"wrote 244 rows to {path}\n"
+    assert pyarrow.csv.read_csv(path)["x"].to_pylist() == m.to_frame(swarm_log)["x"].to_pylist()
+
+
+def test_export_writes_the_values_of_results_as_parquet(results: Path, tmp_path: Path) -> None:
+    path = tmp_path / "robots.parquet"
+    assert main(["export", str(results), str(path)]) == 0
+    assert pq.read_table(path).equals(m.to_frame(results))
+
+
+def test_export_reports_the_files_and_the_number_of_rows_as_json(
+    results: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    path = tmp_path / "robots.csv"
+    assert main(["export", str(results), str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"source": str(results), "table": str(path), "rows": 244}
+
+
+def test_export_does_not_replace_what_it_exports(swarm_log: Path, tmp_path: Path, capsys: Capture) -> None:
+    """The log of a swarm may be a CSV file itself."""
+    log = tmp_path / "run.csv"
+    log.write_bytes(b"frames")
+    events_path(log).write_bytes(events_path(swarm_log).read_bytes())
+    assert main(["export", str(log), str(log)]) == 2
+    assert f"{log} is what is to be exported; choose another name" in capsys.readouterr().err
+    assert log.read_bytes() == b"frames"
+
+
+def test_export_of_results_without_records_leaves_no_file(tmp_path: Path, capsys: Capture) -> None:
+    m.simulate(m.Experiment(**PARAMETERS, trials=1), tmp_path / "run.parquet")
+    assert main(["export", str(tmp_path / "run.parquet"), str(tmp_path / "robots.csv")]) == 2
+    assert "run simulate or sweep again with --record 100" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["run.parquet"]
+
+
+def test_export_refuses_a_suffix_before_anything_is_read(tmp_path: Path, capsys: Capture) -> None:
+    assert main(["export", str(tmp_path / "missing.log"), str(tmp_path / "robots.xlsx")]) == 2
+    assert "choose a name that ends in .csv or .parquet" in capsys.readouterr().err

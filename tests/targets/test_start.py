@@ -1,0 +1,166 @@
+"""What start-up code of the ports does before main(): it gives all variables their values, whatever RAM held.
+
+An emulated board has zeros in its RAM when it is switched on; a real one has anything. So here the processor
+alone is emulated, with RAM that is full of other bytes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from elftools.elf.constants import SH_FLAGS
+from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import SymbolTableSection
+
+from support import ROOT, require, run, slow
+
+unicorn: Any = pytest.importorskip("unicorn", reason="unicorn is not installed: make setup")
+
+PORTS = ROOT / "c_ref/ports"
+OTHER_BYTE = b"\xa5"
+"""What RAM is full of before the start."""
+MAX_INSTRUCTIONS = 100_000
+
+PROGRAM = """
+unsigned char first_byte = 1; /* so that the words behind it need not be at the start of .data */
+unsigned int words[3] = {0x11223344, 2, 3};
+unsigned char last_byte = 4;
+unsigned int zero_words[5];
+unsigned char zero_byte;
+int main(void);
+int main(void) { return 0; }
+"""
+
+
+@dataclass(frozen=True)
+class Board:
+    """A board whose start-up code is a port of this project.
+
+    Attributes:
+        name: Of the board.
+        compiler: With the flags that choose the processor.
+        packages: Debian packages that have the compiler.
+        script: The linker script.
+        sources: The port.
+        memories: First address and size of RAM, and of what else the port uses: flash, and registers.
+    """
+
+    name: str
+    compiler: tuple[str, ...]
+    packages: str
+    script: str
+    sources: tuple[str, ...]
+    memories: dict[str, tuple[int, int]]
+
+    @property
+    def is_arm(self) -> bool:
+        return self.compiler[0].startswith("arm")
+
+
+CORTEX_M_MEMORIES = {
+    "ram": (0x20000000, 0x4000),
+    "flash": (0, 0x40000),
+    "registers of the chip": (0x40000000, 0x10000),
+    "registers of the processor": (0xE000E000, 0x1000),
+}
+BOARDS = (
+    Board(
+        "micro:bit",
+        ("arm-none-eabi-gcc", "-mcpu=cortex-m0", "-mthumb"),
+        "gcc-arm-none-eabi",
+        "cortex_m/cortex_m.ld",
+        ("cortex_m/start.c", "cortex_m/nrf51.c", "memory.c"),
+        CORTEX_M_MEMORIES,
+    ),
+    Board(
+        "MPS2",
+        ("arm-none-eabi-gcc", "-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft"),
+        "gcc-arm-none-eabi",
+        "cortex_m/cortex_m.ld",
+        ("cortex_m/start.c", "cortex_m/mps2.c", "memory.c"),
+        CORTEX_M_MEMORIES,
+    ),
+    Board(
+        "virt",
+        ("riscv64-unknown-elf-gcc", "-march=rv32imc", "-mabi=ilp32", "-mcmodel=medany"),
+        "gcc-riscv64-unknown-elf",
+        "riscv/virt.ld",
+        ("riscv/virt.c", "riscv/virt_uart.c", "memory.c"),
+        {
+            "ram": (0x80000000, 0x80000),
+            "serial line": (0x10000000, 0x1000),
+            "interrupt controller": (0x0C000000, 0x400000),
+        },
+    ),
+)
+
+
+def build(board: Board, level: str, folder: Path) -> Path:
+    """Build the program for a board, with the port's start-up code; returns the image."""
+    compiler, *processor_flags = board.compiler
+    (folder / "program.c").write_text(PROGRAM)
+    flags = ["-std=c99", level, "-ffreestanding", "-nostdlib", f"-T{PORTS / board.script}", f"-I{PORTS}"]
+    sources = [PORTS / source for source in board.sources]
+    image = folder / "program.elf"
+    require(compiler, board.packages)
+    run(compiler, *processor_flags, *flags, *sources, folder / "program.c", "-lgcc", "-o", image)
+    return image
+
+
+def address_of(elf: ELFFile, name: str) -> int:
+    """Return the address of a function or variable, without the bit that marks Thumb code."""
+    table = elf.get_section_by_name(".symtab")
+    assert isinstance(table, SymbolTableSection)
+    symbols = table.get_symbol_by_name(name)
+    assert symbols is not None and len(symbols) == 1
+    return int(symbols[0]["st_value"]) & ~1
+
+
+def run_to_main(board: Board, elf: ELFFile) -> Any:
+    """Load an image over RAM that is full of other bytes, and run it from the reset up to main().
+
+    Returns Unicorn's processor. Fails if main() is not reached, or if its stack is not at the end of RAM.
+    """
+    if board.is_arm:
+        processor = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
+        stack_pointer, program_counter = unicorn.arm_const.UC_ARM_REG_SP, unicorn.arm_const.UC_ARM_REG_PC
+    else:
+        processor = unicorn.Uc(unicorn.UC_ARCH_RISCV, unicorn.UC_MODE_RISCV32)
+        stack_pointer, program_counter = (
+            unicorn.riscv_const.UC_RISCV_REG_SP,
+            unicorn.riscv_const.UC_RISCV_REG_PC,
+        )
+    for address, size in board.memories.values():
+        processor.mem_map(address, size)
+    ram_address, ram_size = board.memories["ram"]
+    processor.mem_write(ram_address, OTHER_BYTE * ram_size)
+    for segment in elf.iter_segments("PT_LOAD"):
+        processor.mem_write(segment["p_paddr"], segment.data())
+    entry = elf["e_entry"]
+    if board.is_arm:  # which reads its stack's and its first instruction's addresses from the vector table
+        stack, entry = (int.from_bytes(processor.mem_read(4 * i, 4), "little") for i in range(2))
+        processor.reg_write(stack_pointer, stack)
+    processor.emu_start(entry, address_of(elf, "main"), count=MAX_INSTRUCTIONS)
+    assert processor.reg_read(program_counter) == address_of(elf, "main"), "main() is not reached"
+    used_stack = ram_address + ram_size - processor.reg_read(stack_pointer)
+    assert 0 <= used_stack < 64
+    return processor
+
+
+@pytest.mark.parametrize("level", ["-Os", *slow(["-O0", "-O3"])])
+@pytest.mark.parametrize("board", BOARDS, ids=lambda board: board.name)
+def test_variables_have_their_values_when_main_starts(board: Board, level: str, tmp_path: Path) -> None:
+    with build(board, level, tmp_path).open("rb") as stream:
+        elf = ELFFile(stream)
+        processor = run_to_main(board, elf)
+        values = dict[str, bytes]()
+        expected_values = dict[str, bytes]()
+        for section in elf.iter_sections():
+            if section["sh_flags"] & SH_FLAGS.SHF_WRITE and section["sh_size"] > 0:
+                values[section.name] = bytes(processor.mem_read(section["sh_addr"], section["sh_size"]))
+                expected_values[section.name] = section.data()  # zeros of a section that has no bytes
+    assert len(expected_values) == 2, "variables with values, and variables that are 0"
+    assert values == expected_values

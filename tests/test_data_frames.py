@@ -1,0 +1,97 @@
+"""The page about data frames: its commands and programs print what it shows, in each program for analysis."""
+
+from __future__ import annotations
+
+import re
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import mcp_asdf_tools as m
+from support import ROOT, blocks, made_once, require, run
+
+PAGE = ROOT / "docs/data_frames.md"
+TEXT = PAGE.read_text(encoding="utf-8")
+PROGRAM_AND_OUTPUT = re.compile(
+    r"^```(python|r|octave)\n(.*?)^```\n\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE
+)
+
+
+class Example(NamedTuple):
+    """A program of the page, in the language of its block, and what the page says that it prints."""
+
+    language: str
+    code: str
+    output: str
+
+
+EXAMPLES = [Example(*groups) for groups in PROGRAM_AND_OUTPUT.findall(TEXT)]
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what the page's commands for a sweep have written; its programs leave that alone."""
+    return made_once(tmp_path_factory, "tables", run_commands_for_a_sweep)
+
+
+def run_commands_for_a_sweep(folder: Path) -> None:
+    """Run the page's first commands in a folder, and write what they print to ``printed.txt`` there."""
+    [grid] = blocks(PAGE, "toml")
+    (folder / "grid.toml").write_text(grid)
+    commands_for_a_sweep, _ = blocks(PAGE, "sh")
+    (folder / "printed.txt").write_text(run("sh", "-ec", commands_for_a_sweep, cwd=folder))
+
+
+def skip_without_modules_of(code: str) -> None:
+    """Skip the test, visibly, if Python code imports a module that is not installed."""
+    modules = re.findall(r"^import (\w+)", code, re.MULTILINE)
+    if ".to_pandas()" in code:
+        modules.append("pandas")
+    if ".to_xarray()" in code:
+        modules += ["xarray", "tables"]
+    for module in modules:
+        if find_spec(module) is None:
+            pytest.skip(f"{module} is not installed: make setup")
+
+
+def run_example(example: Example, folder: Path) -> str:
+    """Run a program of the page in a folder, and return what it prints; skip if it has no interpreter."""
+    if example.language == "r":
+        return run(require("Rscript", "r-base-core"), "-e", example.code, cwd=folder)
+    if example.language == "octave":
+        return run(require("octave-cli", "octave"), "--norc", "--eval", example.code, cwd=folder)
+    skip_without_modules_of(example.code)
+    return run(sys.executable, "-c", example.code, cwd=folder)
+
+
+def test_every_program_of_the_page_has_its_output_below_it() -> None:
+    assert len(EXAMPLES) == len(blocks(PAGE, "python", "r", "octave")) == 7
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.language)
+def test_a_program_of_the_page_prints_what_the_page_shows(example: Example, tables: Path) -> None:
+    assert run_example(example, tables) == example.output
+
+
+def test_the_commands_for_a_sweep_end_with_what_the_page_shows(tables: Path) -> None:
+    shown_for_sweep, *_ = blocks(PAGE, "text")
+    assert (tables / "printed.txt").read_text().endswith(shown_for_sweep)
+
+
+def test_the_commands_for_a_log_end_with_what_the_page_shows(tmp_path: Path) -> None:
+    _, commands_for_log = blocks(PAGE, "sh")
+    _, shown_for_log, *_ = blocks(PAGE, "text")
+    assert run("sh", "-ec", commands_for_log, cwd=tmp_path).endswith(shown_for_log)
+
+
+def test_the_page_lists_the_columns_with_their_units_and_meanings(tables: Path) -> None:
+    schema = m.to_frame(tables / "grid.parquet").schema
+    rows = []
+    for field in schema:
+        if field.name != "filter":  # a parameter of the example
+            unit, meaning = field.metadata[b"unit"].decode(), field.metadata[b"meaning"].decode()
+            rows.append(f"| `{field.name}` | {unit} | {meaning} |")
+    assert re.findall(r"^\| `.*$", TEXT, re.MULTILINE) == rows
