@@ -18,7 +18,7 @@ import z3
 from mcp_asdf_tools.crosscheck import bounds
 from proofs.arithmetic import SHIFTED, WORDS, are_leading_zeros, multiply_high
 from proofs.formulas import ONE, Claim, call, formed, same
-from proofs.machine import Machine
+from proofs.machine import Machine, Summary
 from proofs.numbers import Number
 from proofs.prove import Contract, UnprovenError, any_result, prove
 from proofs.source import Program
@@ -231,22 +231,34 @@ def may_run(robot: dict[str, Any]) -> Any:
     return z3.And(b_hat != 0, _is_b_hat_or_zero(b_hat))
 
 
-def _run_formulas(b_hat: Any, after: dict[str, Any], robot: dict[str, Any]) -> Any:
-    """Return that a run changes the batch, the dispersion and the counter of tests at most.
+ESTIMATE_COUNT = z3.BitVec("estimate_count", 32)
+"""Number of the estimates that a robot keeps: what sort_estimates() returns."""
+REJECTS, IS_SUPPORTED = z3.BitVecs("rejects is_supported", 1)
+"""What robust_test_rejects() and is_supported() return."""
+NEW_B_HAT = z3.BitVec("new_b_hat", 32)
+"""What reestimate() returns: 0 or a b_hat in its range, as accuracy.of_reestimate() shows."""
 
-    The result is 0 or a b_hat in its range; without a test it is 0.
+
+def _run_formulas(b_hat: Any, after: dict[str, Any], robot: dict[str, Any]) -> Any:
+    """Return that a run gives the b_hat of section 13, and counts its test.
+
+    Beside that it changes the batch and the dispersion at most.
     """
-    before, result = robot["robust"], after["robust"]
+    before = robot["robust"]
+    initial_b_hat, tests = before["initial_b_hat"], robot["counters"]["tests"]
+    is_tested = z3.UGE(ESTIMATE_COUNT, 5)
+    is_updated = z3.And(REJECTS != 0, IS_SUPPORTED == 0)
+    kept_b_hat = z3.If(robot["accuracy"]["b_hat"] == initial_b_hat, z3.BitVecVal(0, 32), initial_b_hat)
+    expected_b_hat = z3.If(is_updated, NEW_B_HAT, kept_b_hat)
     kept = {name: member for name, member in before.items() if name not in RUN_CHANGES}
-    tests, new_tests = robot["counters"]["tests"], after["counters"]["tests"]
     others = {name: member for name, member in robot.items() if name not in ("robust", "counters")}
-    counters = {name: member for name, member in robot["counters"].items() if name != "tests"}
+    counters = {**robot["counters"], "tests": z3.If(is_tested, tests + 1, tests)}
     return z3.And(
-        same(after, others),
-        same(result, kept),
-        same(after["counters"], counters),
-        z3.Or(new_tests == tests + 1, z3.And(new_tests == tests, b_hat == 0)),
+        b_hat == z3.If(is_tested, expected_b_hat, z3.BitVecVal(0, 32)),
         _is_b_hat_or_zero(b_hat),
+        same(after["robust"], kept),
+        same(after["counters"], counters),
+        same(after, others),
     )
 
 
@@ -257,18 +269,22 @@ def _batch_ends(machine: Machine, robot: Any, _: Number) -> None:
         machine.store(place, machine.unknown(name, machine.load(place).type))
 
 
-def _any_b_hat(machine: Machine, *_: Any) -> Number:
-    """Stand in for reestimate(): 0 or a b_hat in its range, as accuracy.of_reestimate() shows."""
-    b_hat = machine.unknown_of(machine.program.heads["reestimate"].type, "b_hat")
-    machine.know(_is_b_hat_or_zero(b_hat.term))
-    return cast("Number", b_hat)
-
-
-def _any_count(machine: Machine, _: Any, sorted_estimates: Any) -> Number:
+def _sorted_estimates(machine: Machine, robot: Any, estimates: Any) -> Number:
     """Stand in for sort_estimates(): at most 32 estimates, whatever they are."""
-    count = any_result("sort_estimates")(machine, _, sorted_estimates.whole().below("0"))
-    machine.know(z3.ULE(count.term, SLOTS))
-    return cast("Number", count)
+    count = any_result("sort_estimates")(machine, robot, estimates)
+    machine.know(z3.ULE(ESTIMATE_COUNT, SLOTS))
+    return Number(ESTIMATE_COUNT, count.type)
+
+
+def _result_named(name: str, term: Any) -> Summary:
+    """Return what stands in for a function that returns this term and changes nothing."""
+
+    def summary(machine: Machine, *_: Any) -> Number:
+        if name == "reestimate":
+            machine.know(_is_b_hat_or_zero(term))
+        return Number(term, machine.unknown_of(machine.program.heads[name].type, name).type)
+
+    return summary
 
 
 # design: R37
@@ -277,12 +293,11 @@ RUN = Contract(
     requires=may_run,
     instead={
         "end_batch": _batch_ends,
-        "sort_estimates": _any_count,
-        "reestimate": _any_b_hat,
-        **{
-            name: any_result(name)
-            for name in ("quotient", "median_distance", "huber_step", "robust_test_rejects", "is_supported")
-        },
+        "sort_estimates": _sorted_estimates,
+        "robust_test_rejects": _result_named("robust_test_rejects", REJECTS),
+        "is_supported": _result_named("is_supported", IS_SUPPORTED),
+        "reestimate": _result_named("reestimate", NEW_B_HAT),
+        **{name: any_result(name) for name in ("quotient", "median_distance", "huber_step")},
     },
 )
 
