@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mcp_asdf.arithmetic import Q32_ONE, multiply_high, q32_quotient
-from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, ONE
+from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, ONE, alpha_units
 from mcp_asdf.table import MAX_WORD
 
 # Constants by the names that they have in C; docs/robust.md has the reasons.
@@ -161,7 +161,7 @@ def take_vote(robust: RobustFilter, estimates: Sequence[int], x_hat: int, alpha:
     """
     if robust.filled_slots == 0:
         return
-    has_confidence = alpha >> 8 != 0  # the mantissa of an alpha word is in the bits from 8 on
+    has_confidence = alpha_units(alpha) > 0
     slot = next_slot(robust.filled_slots, robust.turn, has_confidence)
     if slot == SLOTS:
         count_vote(robust, x_hat)

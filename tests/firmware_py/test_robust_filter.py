@@ -14,7 +14,9 @@ import pytest
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation, Status
 from mcp_asdf.robust_filter import RobustFilter
+from mcp_asdf_tools.crosscheck.scenario import Call, edited_image
 from robots import (
+    ALPHA_MIN,
     ALPHA_ONE,
     HALF,
     ONE,
@@ -201,6 +203,22 @@ def test_the_own_estimate_without_confidence_is_passed_over(firmware: FixedPoint
     for sender in (6, 31):
         robot.receive(sender, 0.5, 1.0)
     assert turns_of_rounds(robot, 4) == [7, 32, 7, 32]
+
+
+@for_fixed_point_firmwares
+@pytest.mark.parametrize(("alpha", "turn"), [(0, 1), (ALPHA_MIN, 0)])
+def test_the_smallest_confidence_is_enough_for_the_own_estimate_to_vote(
+    firmware: FixedPointFirmware, alpha: int, turn: int
+) -> None:
+    """The slot has voted, so it is the robot's own turn. After its vote the turn is 0.
+
+    Any alpha is possible in a robot whose b_hat has just been re-estimated (word 37 of the image).
+    """
+    image = restore_robust_robot(firmware, t=1, estimates=[0], turn=1, votes=1).save()
+    words = (5, alpha, 37, OWN_ID << 24 | 1 << 16)
+    robot = firmware.restore(ROBUST, edited_image(image, Call("restore", words)))
+    robot.settle()
+    assert robust_members(robot)["turn"] == turn
 
 
 @for_fixed_point_firmwares

@@ -15,7 +15,9 @@ from mutation.equivalents import equivalents
 from mutation.python_mutants import mutants
 from support import ROOT, run
 
-FIRMWARE = [f"firmware_py/mcp_asdf/{name}.py" for name in ("mirror", "fixed_point")]
+FIRMWARE = [
+    f"firmware_py/mcp_asdf/{name}.py" for name in ("mirror", "robust_filter", "arithmetic", "fixed_point")
+]
 TOOLS = "host_tools/mcp_asdf_tools"
 
 
