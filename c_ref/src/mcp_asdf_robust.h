@@ -21,8 +21,9 @@ static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t x_bar);
 #define VOTES_OF_MAX_GAIN 32U
 /* Steps from the median of the estimates to their Huber centre, which a further step hardly ever moves. */
 #define HUBER_STEPS 3U
-/* The test rejects beyond sqrt(12) standard deviations, where a sound robot is in 1 of 2000 tests. */
-#define REJECTED_SIGMAS_SQUARED 12U
+/* The test rejects beyond sqrt(12) standard deviations, where a sound robot is in 1 of 2000 tests. 32 bits,
+ * as products with a dispersion need more than the 16 of a small int. */
+#define REJECTED_SIGMAS_SQUARED UINT32_C(12)
 /* A batch of observations counts 1/8 in the dispersion, all batches before it 7/8. */
 #define DISPERSION_SHIFT 3U
 
@@ -191,7 +192,7 @@ static void end_batch(mcp_asdf_t *robot, uint32_t share)
     const uint32_t ratio_of_limit = quotient(square < limit ? square : limit, limit); /* Q32 */
     const uint32_t batch_ratio = multiply_high(largest_ratio, ratio_of_limit);        /* Q8: < 2^20 */
     const uint32_t average =
-        (((1U << DISPERSION_SHIFT) - 1U) * robust->dispersion + batch_ratio) >> DISPERSION_SHIFT;
+        (((UINT32_C(1) << DISPERSION_SHIFT) - 1U) * robust->dispersion + batch_ratio) >> DISPERSION_SHIFT;
     const uint32_t limited_average = average < UINT16_MAX ? average : UINT16_MAX;
     robust->dispersion =
         (uint16_t)(limited_average > MCP_ASDF_DISPERSION_MIN ? limited_average : MCP_ASDF_DISPERSION_MIN);

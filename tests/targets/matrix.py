@@ -122,8 +122,10 @@ class Cell:
             require("ld.lld", "clang lld")
 
     def images(self) -> list[list[str]]:
-        """The files of vectors that each of its images plays; an ATmega328P's flash holds a small one."""
-        return [["golden_few.bin"], ["golden_robust.bin"]] if self.target == AVR else [list(FILES)]
+        """The files of vectors that each of its images plays; an ATmega328P's flash holds one small file."""
+        if self.target == AVR:
+            return [[name] for name in FILES if name != "golden_many.bin"]
+        return [list(FILES)]
 
     def settings(self) -> Iterator[str]:
         """CMake's settings for its image but for the files."""
