@@ -43,8 +43,8 @@ FILES = {
     "golden_robust.bin": (robust_scenario, 1, 300, 10_000),
     "golden_robust_more.bin": (robust_scenario, 2, 300, 10_000),
 }
-"""Where scenarios of each come from, the seed, how many are tried, and its bytes. All but golden_many have room
-beside the core in the flash of an ATmega328P."""
+"""Where scenarios of each come from, the seed, how many are tried, and its bytes. All but golden_many have
+room beside the core in the flash of an ATmega328P."""
 MAGIC, MASK = 0x5647434D, 0xFFFFFFFF
 TABLES = (None, TableChoice("0.05", 30))
 """By their codes; an image has one table."""
