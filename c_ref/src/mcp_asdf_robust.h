@@ -226,12 +226,12 @@ static uint32_t median_distance(const uint16_t *sorted, uint32_t count, uint32_t
         const uint32_t distance_below = below > 0U ? median - q24_from_q16(sorted[below - 1U]) : UINT32_MAX;
         const uint32_t distance_above = above < count ? q24_from_q16(sorted[above]) - median : UINT32_MAX;
         last_distance = distance;
-        if (distance_above <= distance_below) {
-            distance = distance_above;
-            ++above;
-        } else {
+        if (below > 0U && distance_below < distance_above) {
             distance = distance_below;
             --below;
+        } else {
+            distance = distance_above;
+            ++above;
         }
     }
     /* An even number of estimates has two in the middle: the mean of their distances. */
@@ -328,7 +328,7 @@ static bool is_supported(const mcp_asdf_t *robot, const uint16_t *estimates, uin
  * that was misled by the others comes back. */
 static uint32_t run_robust_filter(mcp_asdf_t *robot)
 {
-    uint16_t sorted[MCP_ASDF_SLOTS];
+    uint16_t sorted[MCP_ASDF_SLOTS] = {0};
     const uint32_t share = quotient(robot->n, robot->t); /* n / t */
     end_batch(robot, share);
     const uint32_t count = sort_estimates(robot, sorted);

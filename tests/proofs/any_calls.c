@@ -25,7 +25,9 @@ unsigned char Frama_C_unsigned_char_interval(unsigned char least, unsigned char 
 unsigned long Frama_C_unsigned_long_interval(unsigned long least, unsigned long most);
 #endif
 
+/* The byte of an image that is the id: the last one before the checksum. */
 #define ID_IN_IMAGE 119
+#define ID_IN_ROBUST_IMAGE 151
 #define UNKNOWN(object) Frama_C_make_unknown((char *)&(object), sizeof(object))
 
 static uint32_t table[130];
@@ -67,6 +69,34 @@ static void forget_all(void)
 /* That a call is written twice, for an id that is possible and one that is not, keeps Eva from mixing them:
  * it would not remember that the second one is refused before it serves as an index. */
 
+static void restore_with_id_at(uint8_t place)
+{
+    if (image[place] <= MCP_ASDF_MAX_ID) {
+        (void)mcp_asdf_restore(&robot, &config, image);
+    } else {
+        (void)mcp_asdf_restore(&robot, &config, image);
+    }
+}
+
+/* With the robust filter an image is longer. The filters before and behind it are tried apart: Eva would take
+ * both for a range with it in between. */
+static void restore_any(void)
+{
+    switch (Frama_C_interval(0, 2)) {
+    case 0:
+        config.filter = MCP_ASDF_ROBUST;
+        restore_with_id_at(ID_IN_ROBUST_IMAGE);
+        break;
+    case 1:
+        config.filter = Frama_C_unsigned_char_interval(0, MCP_ASDF_ROBUST - 1);
+        restore_with_id_at(ID_IN_IMAGE);
+        break;
+    default:
+        config.filter = Frama_C_unsigned_char_interval(MCP_ASDF_ROBUST + 1, 255);
+        restore_with_id_at(ID_IN_IMAGE);
+    }
+}
+
 /* Those that accept a table, of any contents, or none; and those of the two codecs. */
 static void call_any(void)
 {
@@ -77,11 +107,7 @@ static void call_any(void)
         (void)mcp_asdf_init(&robot, &config, byte(), word());
         break;
     case 1:
-        if (image[ID_IN_IMAGE] <= MCP_ASDF_MAX_ID) {
-            (void)mcp_asdf_restore(&robot, &config, image);
-        } else {
-            (void)mcp_asdf_restore(&robot, &config, image);
-        }
+        restore_any();
         break;
     case 2:
         (void)mcp_asdf_encode_estimate(&frame, &format, &estimate_message);
