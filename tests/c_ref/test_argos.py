@@ -17,6 +17,7 @@ from pathlib import Path
 from types import ModuleType
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from support import ROOT, made_once, require, run
@@ -297,6 +298,36 @@ def test_a_parameter_that_robots_cannot_have_is_refused_by_its_name(
 def test_a_fill_ratio_that_no_floor_has_is_refused_by_its_name(run_swarm: RunSwarm, swarm: Swarm) -> None:
     swarm.loop[1]["fill_ratio"] = "55"
     assert "fill_ratio is 55" in run_swarm(swarm).stderr
+
+
+def floor_of(
+    seed: int, built_folder: Path, tmp_path: Path
+) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
+    """Return which of 100 by 100 tiles of a floor are black."""
+    description = (
+        f"loop asdf_loop_functions fill_ratio=0.55 tile=0.01 results={tmp_path}/r results_period=1\n"
+    )
+    result = subprocess.run(
+        [built_folder / "swarm"],
+        input=f"{description}robots asdf_controller 1 0 filter=off b_hat=0.9 sensor_accuracy=0.9\n"
+        f"floor {seed} 100 0.01\n",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return np.array([[tile == "1" for tile in row] for row in result.stdout.split()])
+
+
+def test_a_floor_has_the_fill_ratio(built_folder: Path, tmp_path: Path) -> None:
+    # Five standard deviations of the share of 10,000 tiles.
+    assert floor_of(1, built_folder, tmp_path).mean() == pytest.approx(0.55, abs=0.025)
+
+
+def test_floors_of_two_seeds_have_no_row_or_column_in_common(built_folder: Path, tmp_path: Path) -> None:
+    first, second = (floor_of(seed, built_folder, tmp_path) for seed in (1, 2))
+    for floors in ((first, second), (first.T, second.T)):
+        lines_by_floor = [{line.tobytes() for line in floor} for floor in floors]
+        assert not lines_by_floor[0] & lines_by_floor[1]
 
 
 # --- check_log.py ----------------------------------------------------------------------------------------
