@@ -354,9 +354,9 @@ settle,8388608,8388608,3854762496,4080218931,0
 
 
 @pytest.fixture
-def log_of_one_tick(run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path) -> str:
-    """The log of a healthy robot that has made a tick and a half."""
-    assert run_swarm(swarm, ticks=2).returncode == 0
+def short_log(run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path) -> str:
+    """The log of ten ticks of a healthy robot."""
+    assert run_swarm(swarm, ticks=10).returncode == 0
     return (tmp_path / "logs/kiv19.csv").read_text(encoding="utf-8")
 
 
@@ -376,9 +376,9 @@ def test_a_log_with_the_bits_of_the_mirror_passes(
 
 
 def test_a_changed_bit_is_a_difference(
-    check_log: ModuleType, log_of_one_tick: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    check_log: ModuleType, short_log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    start, rest = log_of_one_tick.split("settle,", maxsplit=1)
+    start, rest = short_log.split("settle,", maxsplit=1)
     x = int(rest.split(",")[0])
     changed = f"{start}settle,{x ^ 1},{rest.split(',', maxsplit=1)[1]}"
     assert verdict_on(check_log, changed, tmp_path) == 1
@@ -386,10 +386,10 @@ def test_a_changed_bit_is_a_difference(
 
 
 def test_a_message_that_was_left_out_is_a_difference(
-    check_log: ModuleType, log_of_one_tick: str, tmp_path: Path
+    check_log: ModuleType, short_log: str, tmp_path: Path
 ) -> None:
-    without_messages = re.sub(r"receive,.*\n", "", log_of_one_tick)
-    assert without_messages != log_of_one_tick
+    without_messages = re.sub(r"receive,.*\n", "", short_log)
+    assert without_messages != short_log
     assert verdict_on(check_log, without_messages, tmp_path) == 1
 
 
