@@ -34,6 +34,8 @@ SHOWN = (
     "tick 1000: robot 2",
     "share of black 0.685",
     "6 flawed, none:",
+    "mean |x - f|",
+    "logs/kiv0",
 )
 """How the blocks of text begin that a program prints; every other line of text is a command."""
 
@@ -69,6 +71,8 @@ NOT_RUN = {
     r"benchmarks\.pages": "tests/host_tools/studies/test_pages.py",
     r"(advice|knobs)\.(toml|parquet)": "takes a minute; tests/host_tools/test_advice.py sweeps the same",
     r"^colcon|^ros2|^\. install/setup": "wants ROS 2; tests/c_ref/test_ros2.py runs the node over stubs",
+    r"^argos3 |check_log|cmake -S \. |cmake --build build$": "wants ARGoS3; tests/c_ref/test_argos.py",
+    "--latency 1 --filter asdf-minus": "tests/host_tools/experiments/test_argos_results.py runs more of it",
     "^dask|tcp://head": "wants several machines; tests/host_tools/experiments/test_sweep_cluster.py",
 }
 """Commands that no test runs as they stand, by a part of them, and why."""

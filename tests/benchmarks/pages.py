@@ -27,6 +27,7 @@ PAGES = {
     "scale": "robust.md",
     "related_work": "related_work.md",
     "two_readings": "two_readings.md",
+    "small_messages": "small_messages.md",
 }
 """The page of docs/ that has the tables of each study."""
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import ModuleType
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from support import ROOT, made_once, require, run
@@ -299,6 +300,36 @@ def test_a_fill_ratio_that_no_floor_has_is_refused_by_its_name(run_swarm: RunSwa
     assert "fill_ratio is 55" in run_swarm(swarm).stderr
 
 
+def floor_of(
+    seed: int, built_folder: Path, tmp_path: Path
+) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
+    """Return which of 100 by 100 tiles of a floor are black."""
+    description = (
+        f"loop asdf_loop_functions fill_ratio=0.55 tile=0.01 results={tmp_path}/r results_period=1\n"
+    )
+    result = subprocess.run(
+        [built_folder / "swarm"],
+        input=f"{description}robots asdf_controller 1 0 filter=off b_hat=0.9 sensor_accuracy=0.9\n"
+        f"floor {seed} 100 0.01\n",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return np.array([[tile == "1" for tile in row] for row in result.stdout.split()])
+
+
+def test_a_floor_has_the_fill_ratio(built_folder: Path, tmp_path: Path) -> None:
+    # Five standard deviations of the share of 10,000 tiles.
+    assert floor_of(1, built_folder, tmp_path).mean() == pytest.approx(0.55, abs=0.025)
+
+
+def test_floors_of_two_seeds_have_no_row_or_column_in_common(built_folder: Path, tmp_path: Path) -> None:
+    first, second = (floor_of(seed, built_folder, tmp_path) for seed in (1, 2))
+    for floors in ((first, second), (first.T, second.T)):
+        lines_by_floor = [{line.tobytes() for line in floor} for floor in floors]
+        assert not lines_by_floor[0] & lines_by_floor[1]
+
+
 # --- check_log.py ----------------------------------------------------------------------------------------
 
 
@@ -323,9 +354,9 @@ settle,8388608,8388608,3854762496,4080218931,0
 
 
 @pytest.fixture
-def log_of_one_tick(run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path) -> str:
-    """The log of a healthy robot that has made a tick and a half."""
-    assert run_swarm(swarm, ticks=2).returncode == 0
+def short_log(run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path) -> str:
+    """The log of ten ticks of a healthy robot."""
+    assert run_swarm(swarm, ticks=10).returncode == 0
     return (tmp_path / "logs/kiv19.csv").read_text(encoding="utf-8")
 
 
@@ -345,9 +376,9 @@ def test_a_log_with_the_bits_of_the_mirror_passes(
 
 
 def test_a_changed_bit_is_a_difference(
-    check_log: ModuleType, log_of_one_tick: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    check_log: ModuleType, short_log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    start, rest = log_of_one_tick.split("settle,", maxsplit=1)
+    start, rest = short_log.split("settle,", maxsplit=1)
     x = int(rest.split(",")[0])
     changed = f"{start}settle,{x ^ 1},{rest.split(',', maxsplit=1)[1]}"
     assert verdict_on(check_log, changed, tmp_path) == 1
@@ -355,10 +386,10 @@ def test_a_changed_bit_is_a_difference(
 
 
 def test_a_message_that_was_left_out_is_a_difference(
-    check_log: ModuleType, log_of_one_tick: str, tmp_path: Path
+    check_log: ModuleType, short_log: str, tmp_path: Path
 ) -> None:
-    without_messages = re.sub(r"receive,.*\n", "", log_of_one_tick)
-    assert without_messages != log_of_one_tick
+    without_messages = re.sub(r"receive,.*\n", "", short_log)
+    assert without_messages != short_log
     assert verdict_on(check_log, without_messages, tmp_path) == 1
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import shutil
 import sys
 import tarfile
@@ -180,7 +181,7 @@ def test_pkg_config_describes_the_installed_library(project: Path) -> None:
     pkg_config = require("pkg-config", "pkgconf")
     version = run(pkg_config, "mcp_asdf", "--modversion", PKG_CONFIG_PATH=folder).strip()
     assert version == version_of_header()
-    flags = run(pkg_config, "mcp_asdf", "--cflags", "--libs", PKG_CONFIG_PATH=folder).split()
+    flags = shlex.split(run(pkg_config, "mcp_asdf", "--cflags", "--libs", PKG_CONFIG_PATH=folder))
     run("cc", *STRICT, "main.c", TABLE.name, *flags, "-o", "program", cwd=project)
     run(project / "program")
 

@@ -18,13 +18,14 @@ using namespace argos;
 
 namespace
 {
-/* Return a number from 0 to less than 1 that is drawn anew for each tile and each seed: the bits of the
- * three are mixed as in the generator SplitMix64. */
+/* Return a number from 0 to less than 1 that is drawn anew for each tile and each seed. The bits of the three
+ * are mixed one after the other, as in the generator SplitMix64: a seed that was only combined with the
+ * column would give other seeds the same columns in another order. */
 Real DrawOfTile(UInt64 seed, SInt64 column, SInt64 row)
 {
-    UInt64 mixed = seed;
-    for (const SInt64 coordinate : {column, row}) {
-        mixed = (mixed ^ static_cast<UInt64>(coordinate)) + 0x9E3779B97F4A7C15ULL;
+    UInt64 mixed = 0;
+    for (const UInt64 value : {seed, static_cast<UInt64>(column), static_cast<UInt64>(row)}) {
+        mixed = (mixed ^ value) + 0x9E3779B97F4A7C15ULL;
         mixed = (mixed ^ (mixed >> 30)) * 0xBF58476D1CE4E5B9ULL;
         mixed = (mixed ^ (mixed >> 27)) * 0x94D049BB133111EBULL;
         mixed ^= mixed >> 31;

@@ -7,7 +7,8 @@ have six decimal places. The flawed robots are the last ones.
 
 The format was read in github.com/NESTLab/sensor-degradation-filter at commit 7bc1acc. There
 ``scripts/python/sim_module.py`` writes the trials of fixed networks, and
-``src/loop_functions/SensorDegLoopFunctions.cpp`` those of robots that move in ARGoS.
+``src/loop_functions/SensorDegLoopFunctions.cpp`` those of robots that move in ARGoS. Versions since
+12 June 2024 write the same numbers; before, the seed was missing.
 """
 
 from __future__ import annotations
@@ -201,11 +202,12 @@ def _experiment_of(file: _TrialFile) -> Experiment:
     Its seed is 0, since their draws cannot be repeated here. Raises UsageError for parameters that no
     experiment here has.
     """
-    keys = _KEYS | (_KEYS_OF_MOVING_ROBOTS if _has_moving_robots(file) else {})
+    has_moving_robots = _has_moving_robots(file)
+    keys = _KEYS | (_KEYS_OF_MOVING_ROBOTS if has_moving_robots else {})
     parameters: dict[str, Any] = {"firmware": "reference", "conventions": "authors", "seed": 0}
     for name, key in keys.items():
         parameters[name] = file.whole_number(key) if name in _WHOLE_PARAMETERS else file.number(key)
-    if _has_moving_robots(file):
+    if has_moving_robots:
         parameters["topology"] = "dynamic"
         parameters["latency"] = 1
         parameters["speed"] = round(parameters["speed"] / _CM_PER_M, 9)
@@ -229,7 +231,7 @@ def _has_moving_robots(file: _TrialFile) -> bool:
     """
     simulation = file.content.get("sim_type")
     if simulation == "dynamic_topo_static_deg_1d":
-        if file.content.get("obs_queue_size") != 0:
+        if file.content.get("obs_queue_size", 0) != 0:  # versions before November 2024 had none
             raise file.error("obs_queue_size", "a queue of observations is not the paper's")
         return True
     if simulation == "static_topo_static_degrad_1d":

@@ -320,10 +320,11 @@ class CSimulator
         static CSimulator simulator;
         return simulator;
     }
-    UInt32 GetRandomSeed() const { return 1; }
+    UInt32 GetRandomSeed() const { return random_seed; }
     UInt32 GetMaxSimulationClock() const { return max_clock; }
     CSpace &GetSpace() { return space; }
 
+    UInt32 random_seed = 1;
     UInt32 max_clock = 0;
     CSpace space;
 };

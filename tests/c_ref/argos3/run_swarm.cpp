@@ -4,6 +4,7 @@
  *     loop LABEL NAME=VALUE ...                        loop functions and their attributes
  *     robots LABEL COUNT FIRST_NUMBER NAME=VALUE ...   robots kivN with a controller and its parameters
  *     run TICKS PACKET_SIZE RANGE [reset]              with reset, the experiment is run a second time
+ *     floor SEED SIDE TILE                             prints the floor of a seed instead: 1 for a black tile
  *
  * Robots stand on a line, half a range apart, and each tick at a new place of it. In each tick they receive
  * the packets of the last tick from within the range. Exit code 1 with a message for a CARGoSException. */
@@ -109,6 +110,20 @@ void Run(Robots &robots, CLoopFunctions &loop_functions, UInt32 ticks, Real rang
     loop_functions.PostExperiment();
 }
 
+void PrintFloor(CLoopFunctions &loop_functions, std::istream &line)
+{
+    int side = 0;
+    Real tile = 0.0;
+    line >> CSimulator::GetInstance().random_seed >> side >> tile;
+    for (int row = 0; row < side; ++row) {
+        for (int column = 0; column < side; ++column) {
+            const CVector2 centre((column + 0.5) * tile, (row + 0.5) * tile);
+            std::cout << (loop_functions.GetFloorColor(centre).gray == 0 ? '1' : '0');
+        }
+        std::cout << '\n';
+    }
+}
+
 void RunDescribedSwarm()
 {
     Robots robots;
@@ -124,6 +139,11 @@ void RunDescribedSwarm()
             loop_attributes = ReadAttributes(line);
         } else if (word == "robots") {
             AddRobots(robots, line);
+        } else if (word == "floor") {
+            const auto loop_functions =
+                std::unique_ptr<CLoopFunctions>(Makers<CLoopFunctions>().at(loop_label)());
+            loop_functions->Init(loop_attributes);
+            PrintFloor(*loop_functions, line);
         } else if (word == "run") {
             UInt32 ticks = 0;
             size_t packet_size = 0;

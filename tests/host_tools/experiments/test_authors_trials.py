@@ -79,6 +79,13 @@ def test_without_recording_there_are_no_records(tmp_path: Path) -> None:
     assert read_trial(write_trial(tmp_path / "trial.json", FIXED, number=0)).records == {}
 
 
+def test_a_trial_of_their_version_of_june_2024_is_read(tmp_path: Path) -> None:
+    data_str = trial_content(MOVING, 0)["data_str"]
+    ten_numbers = [[",".join(text.split(",")[:10]) for text in texts] for texts in data_str]
+    path = write_trial(tmp_path / "trial.json", MOVING, 0, data_str=ten_numbers, obs_queue_size=None)
+    assert read_trial(path).experiment == MOVING
+
+
 def test_a_filter_period_beyond_the_end_is_no_filter(tmp_path: Path) -> None:
     trials = read_trial(write_trial(tmp_path / "trial.json", FIXED, 0, sensor_filter_period=61))
     assert trials.experiment.filter == "none"

@@ -46,10 +46,11 @@
  *   arcs          NULL unless there is a graph: `arc_count` pairs, b receives from a, in ascending order of a
  *   latency       0: a message reaches the robots linked to its sender in its step; 1: in the next. Fully
  *                 connected 0
- *   x_hat_bits, alpha_bits  bits of x_hat and of alpha in a message, as mcp_asdf_small.h has their codes:
- * what robots receive is rounded. x_hat_bits 0: messages are exact liars         number of robots that
- * broadcast a lie in place of their estimates, 0 .. N: the last ones lie           x_hat and alpha that they
- * broadcast, as mcp_asdf_receive() takes them */
+ *   x_hat_bits    bits of x_hat in a message, 1 .. MCP_ASDF_X_HAT_BITS_MAX: what robots receive is rounded to
+ *                 codes of mcp_asdf_small.h. 0: messages are exact
+ *   alpha_bits    bits of alpha in a message, 1 .. MCP_ASDF_ALPHA_BITS_MAX; unused if x_hat_bits is 0
+ *   liars         number of robots that broadcast a lie in place of their estimates, 0 .. N: the last ones
+ *   lie           x_hat and alpha that they broadcast, as mcp_asdf_receive() takes them */
 typedef struct {
     uint64_t seed;
     uint32_t first_trial;

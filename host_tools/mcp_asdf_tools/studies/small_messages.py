@@ -1,0 +1,174 @@
+"""How few bits suffice in a message: errors of swarms with rounded messages, beside those with exact ones.
+
+``python -m mcp_asdf_tools.studies.small_messages FOLDER`` writes ``small_messages.md`` and
+``small_messages.png`` for docs/small_messages.md.
+
+Robots send x_hat, their estimate of f, the share of black floor, and its confidence alpha. Each is rounded to
+a code of some bits (``mcp_asdf.small_messages``). The late error is the mean of |x - f| over the last quarter
+of a trial, where x is a robot's estimate from its own observations and from messages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import mcp_asdf_tools as m
+from mcp_asdf_tools.common.figures import WIDTH, empty_figure, save_figure
+from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.message_codes import EXACT, MessageCode
+from mcp_asdf_tools.robots.filters import FILTERS
+from mcp_asdf_tools.studies.bootstrap import Interval, Resampled, mean_of_resampled, resample_median
+from mcp_asdf_tools.studies.study_program import (
+    CONFIDENCE,
+    FLAWS,
+    MOVING,
+    Rows,
+    format_error,
+    late_errors,
+    parse_arguments,
+    run_rows,
+    write_tables,
+)
+
+X_HAT_BITS = (4, 5, 6, 7, 8, 16)
+ALPHA_BITS = (1, 2, 3, 4, 9)
+CODES = [MessageCode(x_hat_bits, alpha_bits) for x_hat_bits in X_HAT_BITS for alpha_bits in ALPHA_BITS]
+FILTERS_COMPARED = ("asdf-minus", "robust")
+
+_WORLDS: dict[str, dict[str, Any]] = {
+    "moving": {**MOVING, "robots": 20},
+    "fully connected": {"robots": 10},
+}
+SWARMS: dict[str, dict[str, Any]] = {
+    f"{world}, {flaw}": {**_WORLDS[world], **FLAWS[flaw]} for world in _WORLDS for flaw in FLAWS
+}
+"""Parameters of the four kinds of swarms, without the share of black floor."""
+
+FILL_RATIOS = [0.55, 0.65, 0.75, 0.85, 0.95]
+"""Shares of black floor: several, since some are nearer to a code of x_hat than others."""
+
+TOLERANCE = 1.1
+"""A code suffices if errors are at most so many times those of exact messages, with its interval."""
+
+RatiosByCode = Mapping[MessageCode, Interval]
+"""How many times as large errors are with each code as with exact messages, where that is worst."""
+
+
+# --- Experiments -----------------------------------------------------------------------------------------
+
+
+def row_label(message_bits: str, swarm: str) -> str:
+    """Return the label of the experiments of a kind of swarm with messages of these bits, such as "7+4"."""
+    return f"{message_bits}, {swarm}"
+
+
+def experiments_of(filter_name: str) -> dict[str, list[Experiment]]:
+    """Return the experiments of a filter by ``row_label``, with each code and with exact messages."""
+    return {
+        row_label(message_bits, swarm): m.grid(
+            **{**parameters, "fill_ratio": FILL_RATIOS},
+            filter=filter_name,
+            message_bits=message_bits,
+            flawed="30%",
+            steps=10_000,
+            trials=30,
+            seed=4716,  # which no tuning has seen
+        )
+        for message_bits in (EXACT, *map(str, CODES))
+        for swarm, parameters in SWARMS.items()
+    }
+
+
+# --- Measures --------------------------------------------------------------------------------------------
+
+
+def late_error(rows: Rows, message_bits: str, swarm: str) -> Resampled:
+    """Return the late error of a kind of swarm: the mean over f of its medians over the trials."""
+    experiments = rows[row_label(message_bits, swarm)]
+    return mean_of_resampled([resample_median(late_errors(trials)) for trials in experiments])
+
+
+def worst_ratios(rows: Rows) -> RatiosByCode:
+    """Return for each code how many times as large the late error is as with exact messages.
+
+    It is the largest of the ratios of SWARMS, with its interval of CONFIDENCE. Trials of one number had the
+    same floor and random numbers, so what two errors have in common cancels in their ratio.
+    """
+    exact_errors = {swarm: late_error(rows, EXACT, swarm) for swarm in SWARMS}
+    worst: dict[MessageCode, Interval] = {}
+    for code in CODES:
+        ratios = [late_error(rows, str(code), swarm) / exact_errors[swarm] for swarm in SWARMS]
+        largest_ratio = Resampled(
+            max(ratio.value for ratio in ratios), np.max([ratio.resamples for ratio in ratios], axis=0)
+        )
+        worst[code] = largest_ratio.interval(CONFIDENCE)
+    return worst
+
+
+# --- Text and picture ------------------------------------------------------------------------------------
+
+
+def ratio_text(ratio: Interval) -> str:
+    """Format a ratio such as "1.02", in bold type if all of its interval is within TOLERANCE."""
+    text = f"{ratio.value:.2f}"
+    return f"**{text}**" if ratio.high <= TOLERANCE else text
+
+
+def ratio_table(ratios: RatiosByCode) -> str:
+    """Return a table of ratios in Markdown: a row for each number of bits of x_hat, a column of alpha's."""
+    columns = [f"alpha {alpha_bits}" for alpha_bits in ALPHA_BITS]
+    lines = [f"| bits | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
+    for x_hat_bits in X_HAT_BITS:
+        cells = [ratio_text(ratios[MessageCode(x_hat_bits, alpha_bits)]) for alpha_bits in ALPHA_BITS]
+        lines.append(f"| x_hat {x_hat_bits} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def exact_table(rows_by_filter: Mapping[str, Rows]) -> str:
+    """Return a table in Markdown of late errors with exact messages: a row a swarm, a column a filter."""
+    columns = [FILTERS[filter_name].term for filter_name in rows_by_filter]
+    lines = [f"| error with exact messages | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
+    for swarm in SWARMS:
+        errors = [late_error(rows, EXACT, swarm).value for rows in rows_by_filter.values()]
+        lines.append(f"| {swarm} | {' | '.join(map(format_error, errors))} |")
+    return "\n".join(lines)
+
+
+def draw_ratios(ratios_by_filter: Mapping[str, RatiosByCode]) -> Figure:
+    """Draw the ratios of errors over the bits of x_hat: a panel for each filter, a line for bits of alpha."""
+    figure = empty_figure(WIDTH, 3.2)
+    panels = figure.subplots(nrows=1, ncols=len(ratios_by_filter), sharey=True, squeeze=False)[0]
+    for axes, (filter_name, ratios) in zip(panels, ratios_by_filter.items(), strict=True):
+        for alpha_bits in ALPHA_BITS:
+            values = [ratios[MessageCode(x_hat_bits, alpha_bits)].value for x_hat_bits in X_HAT_BITS]
+            axes.plot(X_HAT_BITS, values, marker=".", label=f"alpha {alpha_bits}")
+        axes.axhline(TOLERANCE, color="grey", linestyle=":")
+        axes.set(title=FILTERS[filter_name].term, xlabel="bits of x_hat", yscale="log")
+    panels[0].set_ylabel("error by that of exact messages")
+    panels[-1].legend(title="bits of")
+    return figure
+
+
+def main() -> None:
+    """Run the experiments, or resume them, and write small_messages.md and small_messages.png."""
+    arguments = parse_arguments(__doc__)
+    rows_by_filter = {
+        filter_name: run_rows(
+            f"small_messages_{filter_name}", experiments_of(filter_name), arguments, record=250
+        )
+        for filter_name in FILTERS_COMPARED
+    }
+    ratios_by_filter = {filter_name: worst_ratios(rows) for filter_name, rows in rows_by_filter.items()}
+    tables = {"exact": exact_table(rows_by_filter)}
+    for filter_name, ratios in ratios_by_filter.items():
+        tables[filter_name.replace("-", "_")] = ratio_table(ratios)
+    write_tables(arguments.folder / "small_messages.md", "How few bits suffice", tables)
+    save_figure(draw_ratios(ratios_by_filter), arguments.folder / "small_messages.png")
+
+
+if __name__ == "__main__":
+    main()
