@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import b_hat_to_raw
+from mcp_asdf.image_format import image_word_count
 from mcp_asdf.robot import Config, FirmwareError, Status
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
@@ -144,11 +145,15 @@ class EngineTrials:
 
     def images(self) -> list[bytes]:
         """Return the state of each robot at the end, as the firmware saves it."""
-        images = [_engine.ffi.new("uint8_t[]", _engine.lib.MCP_ASDF_IMAGE_SIZE) for _ in self.robots]
-        for index, image in enumerate(images):
+        images = []
+        for index, robot in enumerate(self.robots):
+            c_image = _engine.ffi.new("uint8_t[]", _engine.lib.MCP_ASDF_IMAGE_SIZE)
             # The function in C takes a pointer to one robot of the array.
-            _engine.lib.mcp_asdf_save(_engine.ffi.addressof(self.robots, index), image)
-        return [bytes(image) for image in images]
+            _engine.lib.mcp_asdf_save(_engine.ffi.addressof(self.robots, index), c_image)
+            # The array has room for the longest image; those of most filters are shorter.
+            size = 4 * image_word_count(robot.config.filter)
+            images.append(bytes(c_image)[:size])
+        return images
 
     def _array(self, c_type: str, values: Any) -> Any:
         """Return a C array that lives as long as this object: a copy of a list, or a NumPy array's memory.
