@@ -16,6 +16,7 @@ from mcp_asdf.robust_reference import (
     Votes,
     dispersion_after_batch,
     huber_centre,
+    huber_step,
     is_supported,
     robust_test_sides,
     spread_around,
@@ -147,6 +148,20 @@ def test_the_centre_of_estimates_without_an_outlier_is_their_mean() -> None:
     assert huber_centre([0.25, 0.375, 0.5, 0.625], middle=0.4375, spread=0.25) == 0.4375
 
 
+def test_an_estimate_at_the_distance_of_the_spread_is_inside() -> None:
+    assert huber_step([0.625, 0.5], centre=0.5, spread=0.125) == 0.125 / 2
+
+
+def test_a_step_of_which_nobody_is_inside_is_not_divided() -> None:
+    assert huber_step([0.75], centre=0.5, spread=0.125) == 0.125
+
+
+@pytest.mark.parametrize("estimate", [0.1, 0.9])
+def test_the_centre_of_estimates_stays_between_0_and_1(estimate: float) -> None:
+    """The first step, of 4 * 0.25, ends at 0 or 1; from 1/2 beyond the others would not lead back."""
+    assert huber_centre([estimate] * 4, middle=0.5, spread=0.25) == pytest.approx(estimate)
+
+
 def test_the_centre_of_estimates_in_float64_is_right_to_the_last_bits() -> None:
     rng = random.Random(23)
     for _ in range(100):
@@ -163,6 +178,15 @@ def test_the_sides_of_the_test_are_a_squared_deviation_and_12_variances() -> Non
     """With b = 1/2 the centre does not matter, and v is 1/4."""
     sides = robust_test_sides(Observations(12, 12, 2.0), 0.5, centre=0.3, spread=0.01)
     assert sides == (0.25, 12 * 2 * 0.25 / 12)
+
+
+@pytest.mark.parametrize(
+    ("n", "centre", "v"),
+    [(1, 1.0, 1 / 4), (2, 0.5, 1 / 4)],  # v of the share, as p is 3/4; and of p, as the share is 1
+)
+def test_the_larger_variance_counts(n: int, centre: float, v: float) -> None:
+    _, limit = robust_test_sides(Observations(n, 2, 1.0), 0.75, centre, spread=0.0)
+    assert limit == 12 * v / 2
 
 
 def test_the_spread_widens_the_limit_of_the_test() -> None:

@@ -213,11 +213,10 @@ class RobustScenarioWriter(ScenarioWriter):
 
     def _draw_filter_words(self, t: int, n: int) -> dict[int, int]:
         """Draw the words of the filter's memory after these observations, for the b_hat ``self._b_hat``."""
-        robust = self._draw_filter(t, n, self._b_hat)
-        estimates = self._draw_estimates(robust)
-        if robust.filled_slots.bit_count() >= TESTED_ESTIMATES_MIN and robust.batch_t > 0:
-            robust.initial_b_hat = self._rng.choice([self._b_hat, draw_b_hat(self._rng)])
-        return pack_robust_filter(robust, estimates)
+        robot = self._draw_robot_after(t, n, initial_b_hat=self._b_hat)
+        if robot.is_test_possible:
+            robot.robust.initial_b_hat = self._rng.choice([self._b_hat, draw_b_hat(self._rng)])
+        return pack_robust_filter(robot.robust, robot.estimates)
 
     def _draw_filter_words_at_limits(self) -> dict[int, int]:
         """Draw an image of which one member of the filter's memory is at a limit, or a unit beside it."""
@@ -256,11 +255,10 @@ class RobustScenarioWriter(ScenarioWriter):
         t = max(draw_t(rng, self._setup.memory), 1)
         initial_b_hat = draw_b_hat(rng)
         n = draw_n(rng, t, initial_b_hat)
-        robust = self._draw_filter(t, n, initial_b_hat)
-        return DrawnRobot(t, n, initial_b_hat, robust, self._draw_estimates(robust))
+        return self._draw_robot_after(t, n, initial_b_hat)
 
-    def _draw_filter(self, t: int, n: int, initial_b_hat: int) -> RobustFilter:
-        """Draw what the filter of a robot with this t and n may remember."""
+    def _draw_robot_after(self, t: int, n: int, initial_b_hat: int) -> DrawnRobot:
+        """Draw a robot with these counts and this b_hat, of which the filter has any memory."""
         rng = self._rng
         robust = RobustFilter(initial_b_hat=initial_b_hat)
         robust.filled_slots = self._draw_filled_slots()
@@ -269,10 +267,11 @@ class RobustScenarioWriter(ScenarioWriter):
         if robust.votes:
             robust.centre = self._draw_centre()
             robust.spread = self._draw_spread()
-            last_slots = [slot for slot in range(SLOTS) if robust.is_filled(slot)]
-            robust.turn = rng.choice([0, rng.choice(last_slots) + 1, last_slots[-1] + 1])
+            # The turn is 0, or that after a filled slot.
+            slots = [slot for slot in range(SLOTS) if robust.is_filled(slot)]
+            robust.turn = rng.choice([0, rng.choice(slots) + 1, slots[-1] + 1])
         self._draw_batch(robust, t, n)
-        return robust
+        return DrawnRobot(t, n, initial_b_hat, robust, self._draw_estimates(robust))
 
     def _draw_filled_slots(self) -> int:
         """Draw the mask of the filled slots: none, one, just enough for a test, any number, or all."""
@@ -280,18 +279,20 @@ class RobustScenarioWriter(ScenarioWriter):
         count = rng.choice([0, 1, 4, 5, 5, 6, rng.randint(0, SLOTS), SLOTS - 1, SLOTS])
         slots = rng.sample(range(SLOTS), count)
         # The ends of the mask, which a shift by 32 or a search from bit 1 on would miss.
-        slots_of_one = rng.choice([[0], [SLOTS - 1], slots])
-        return sum(1 << slot for slot in (slots_of_one if count == 1 else slots))
+        single_slot = rng.choice([[0], [SLOTS - 1], slots])
+        if count == 1:
+            slots = single_slot
+        return sum(1 << slot for slot in slots)
 
     def _draw_batch(self, robust: RobustFilter, t: int, n: int) -> None:
-        """Set the beginning of a batch that ends after these observations, and the dispersion before it.
+        """Draw a batch that ends after these observations, and the dispersion before it, and set both.
 
-        The number of its black observations is that which was to be expected, one just so far from that as
-        an outlier, or all that is possible. Without observations the robot has its first batch.
+        The number of black observations in the batch is the expected one, one next to the distance at which
+        a batch is an outlier, or the smallest or largest possible one.
         """
         rng = self._rng
         if t == 0:
-            return
+            return  # as in a new robot
         robust.dispersion = rng.choice(
             [
                 DISPERSION_MIN,
@@ -302,8 +303,8 @@ class RobustScenarioWriter(ScenarioWriter):
         )
         count = rng.choice([0, 1, min(draw_number_of_any_size(rng, 1, 31), t), rng.randint(0, t), t])
         smallest_black_count, largest_black_count = max(count - (t - n), 0), min(count, n)
-        # Of ``count`` observations so many are black, give or take the largest deviation that counts.
         expected_black_count = count * n // t
+        # The dispersion has 8 fraction bits.
         variance_limit = REJECTED_SIGMAS_SQUARED * robust.dispersion * count * n * (t - n) // (t * t) >> 8
         deviation = rng.choice([0, draw_number_of_any_size(rng, 0, 8), isqrt(variance_limit)])
         black_count = rng.choice(
