@@ -203,6 +203,7 @@ static uint32_t sort_estimates(const mcp_asdf_t *robot, uint16_t sorted[MCP_ASDF
 {
     uint32_t count = 0;
     for (uint32_t slot = 0; slot < MCP_ASDF_SLOTS; ++slot) { /* at most 32 turns */
+        sorted[slot] = 0; /* so that all are written, also where `count` is less */
         if ((robot->robust.filled_slots & shift_left(1, slot)) != 0U) {
             const uint16_t estimate = robot->received.estimates[slot];
             uint32_t i = count++;
@@ -328,7 +329,7 @@ static bool is_supported(const mcp_asdf_t *robot, const uint16_t *estimates, uin
  * that was misled by the others comes back. */
 static uint32_t run_robust_filter(mcp_asdf_t *robot)
 {
-    uint16_t sorted[MCP_ASDF_SLOTS] = {0};
+    uint16_t sorted[MCP_ASDF_SLOTS];
     const uint32_t share = quotient(robot->n, robot->t); /* n / t */
     end_batch(robot, share);
     const uint32_t count = sort_estimates(robot, sorted);
