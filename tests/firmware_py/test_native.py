@@ -65,7 +65,7 @@ def test_the_default_config_is_that_of_the_header() -> None:
 )
 def test_the_robust_filter_has_the_same_constants_in_c_and_mirror(name: str) -> None:
     source = (ROOT / "c_ref/src/mcp_asdf_robust.h").read_text(encoding="utf-8")
-    match = re.search(rf"^#define {name} (\d+)U$", source, re.MULTILINE)
+    match = re.search(rf"^#define {name} (?:UINT32_C\()?(\d+)U?\)?$", source, re.MULTILINE)
     assert match is not None
     assert int(match[1]) == getattr(robust_filter, name)
 
