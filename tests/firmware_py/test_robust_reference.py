@@ -78,6 +78,18 @@ def test_slots_vote_in_turn_and_then_the_robot_itself() -> None:
     assert turns == [3, 10, 0, 3]
 
 
+def test_the_robot_s_own_estimate_is_a_vote_like_the_others() -> None:
+    robust = RobustReference(0.75, estimates={9: 1.0}, turn=10)
+    robust.take_vote(own_x_hat=0.75, has_confidence=True)
+    assert robust.votes == Votes(centre=0.5 + 0.25 / 8, spread=0.25 - 0.25 / 16, count=1)
+
+
+def test_the_slot_whose_turn_it_is_votes() -> None:
+    robust = RobustReference(0.75, estimates={2: 0.5, 9: 1.0}, turn=2)
+    robust.take_vote(own_x_hat=0.5, has_confidence=True)
+    assert (robust.turn, robust.votes.centre) == (3, 0.5)
+
+
 def test_a_robot_without_confidence_does_not_vote() -> None:
     robust = RobustReference(0.75, estimates={9: 1.0, 2: 0.0}, turn=10)
     robust.take_vote(own_x_hat=0.5, has_confidence=False)
@@ -124,6 +136,14 @@ def test_the_dispersion_does_not_rise_above_16_bits_of_the_firmware() -> None:
 @pytest.mark.parametrize(("n", "batch_count"), [(0, 100), (1000, 100), (500, 0)])
 def test_a_batch_without_deviation_leaves_the_dispersion(n: int, batch_count: int) -> None:
     assert dispersion_after_batch(Observations(n, 1000, 3.0), 0, batch_count) == 3
+
+
+def test_a_batch_ends_with_the_observations_since_it_began() -> None:
+    """Of 100 observations 60 are black, and of all 1000 half: two standard deviations of 5 more."""
+    robust = RobustReference(0.75, dispersion=2.0, batch_t=900, batch_n=440)
+    robust.end_batch(n=500, t=1000)
+    assert robust.dispersion == 7 / 8 * 2 + 4 / 8
+    assert (robust.batch_t, robust.batch_n) == (1000, 500)
 
 
 # --- The estimates in the slots --------------------------------------------------------------------------
@@ -187,6 +207,13 @@ def test_the_sides_of_the_test_are_a_squared_deviation_and_12_variances() -> Non
 def test_the_larger_variance_counts(n: int, centre: float, v: float) -> None:
     _, limit = robust_test_sides(Observations(n, 2, 1.0), 0.75, centre, spread=0.0)
     assert limit == 12 * v / 2
+
+
+def test_observations_at_the_limit_of_the_test_contradict_nothing() -> None:
+    """With b = 1/2 both sides are 1/4, and no estimate supports the robot."""
+    robust = RobustReference(0.5, estimates=dict.fromkeys(range(5), 0.5))
+    assert robust.find_contradiction(n=12, t=12) is None
+    assert robust.find_contradiction(n=13, t=13) == 0.5
 
 
 def test_the_spread_widens_the_limit_of_the_test() -> None:
