@@ -34,7 +34,7 @@ from mcp_asdf_tools.crosscheck.bounds import (
 )
 from mcp_asdf_tools.crosscheck.checks import check_bounds, check_exact, check_update
 from mcp_asdf_tools.crosscheck.compare import CallResult, State
-from mcp_asdf_tools.crosscheck.robust_oracle import Decision, check_memory, find_filter_run, is_filter_run
+from mcp_asdf_tools.crosscheck.robust_oracle import Decision, check_memory, expected_filter_run, is_filter_run
 from mcp_asdf_tools.crosscheck.scenario import Call, Setup
 
 REGIONS = (
@@ -154,16 +154,13 @@ class Audit:
         self, _: Setup, old_state: State, new_state: State, is_updated: bool
     ) -> list[str]:
         """Check whether the robust filter had to change b_hat, and the result, after the end of a round."""
-        is_run = is_filter_run(old_state, new_state)
-        run = find_filter_run(new_state) if is_run else None
-        if run is None or run.decision is Decision.TOO_FEW:
-            # There must be neither a test nor an update.
-            if run is not None:
-                self.robust[run.decision.value] += 1
-            problems = check_exact(new_state, {"b_hat()": old_state["b_hat()"], "tests": old_state["tests"]})
-            return problems + check_update(is_updated, expected=False)
-        self.tests += 1
+        if not is_filter_run(old_state, new_state):
+            return _check_no_test(old_state, new_state, is_updated)
+        run = expected_filter_run(new_state)
         self.robust[run.decision.value] += 1
+        if run.decision is Decision.TOO_FEW:
+            return _check_no_test(old_state, new_state, is_updated)
+        self.tests += 1
         problems = check_exact(new_state, {"tests": (old_state["tests"] + 1) % COUNTER_MODULUS})
         if run.decision is Decision.UNDECIDED:
             return problems
@@ -225,6 +222,12 @@ def _alpha_units(word: int) -> int:
 def _closed_alpha_x(state: State) -> int:
     """Return the sum of alpha x_hat of the last closed round."""
     return (state["closed_alpha_x_high"] << 32) + state["closed_alpha_x_low"]
+
+
+def _check_no_test(old_state: State, new_state: State, is_updated: bool) -> list[str]:
+    """Check that there was neither a test nor an update of b_hat."""
+    problems = check_exact(new_state, {"b_hat()": old_state["b_hat()"], "tests": old_state["tests"]})
+    return problems + check_update(is_updated, expected=False)
 
 
 def _check_means(state: State, is_robust: bool) -> list[str]:

@@ -74,36 +74,49 @@ def dispersion_bounds(
     """Return the bounds of the dispersion after a batch, which is a multiple of 2**-8.
 
     ``observations`` are all observations, with the dispersion before the batch, of which
-    ``batch_black_count`` of ``batch_count`` belong to it.
-
-    n/t may be too small, by its 2**-30th and a unit of 2**-32. That moves the batch's deviation, which is
-    then rounded down to 2**-11, and its variance, which is rounded down to units of 2**-32. Where these are
-    of the size of the variance, which is then next to 0, the bounds are wide.
+    ``batch_black_count`` of ``batch_count`` belong to it. The bounds are wide where the variance of n/t is of
+    the size of its rounding error, as next to 0.
     """
     old, share = observations.dispersion, observations.share
     if batch_count == 0 or share == 0:
         return old, old
-    smallest_share = max(share * (1 - Q30) - Q32, Fraction(0))
-    variances = [batch_count * end * (1 - end) for end in (smallest_share, share)]
-    smallest_variance = min(variances) - batch_count * Q32
-    contains_half = smallest_share < HALF < share
-    largest_variance = Fraction(batch_count, 4) if contains_half else max(variances)
-    # The ends of the deviation; if they have different signs it may be 0.
-    deviations = [batch_black_count - batch_count * end for end in (smallest_share, share)]
-    has_both_signs = min(deviations) < 0 < max(deviations)
-    smallest_deviation = Fraction(0) if has_both_signs else min(map(abs, deviations))
-    largest_deviation = max(map(abs, deviations))
-
     largest_ratio = REJECTED_SIGMAS_SQUARED * old
+    # The share of black is a quotient, and may be too small.
+    share_bounds = max(share * (1 - Q30) - Q32, Fraction(0)), share
+    smallest_variance, largest_variance = _variance_bounds(share_bounds, batch_count)
+    smallest_deviation, largest_deviation = _deviation_bounds(share_bounds, batch_black_count, batch_count)
     smallest_limit = round_down(largest_ratio * smallest_variance, Q22)
     if smallest_limit <= 0:
         # The firmware may find no variance, and keep the dispersion, or nearly none, and take any ratio.
         return _average_bounds(old, Fraction(0), largest_ratio)
-    largest_limit = largest_ratio * largest_variance
-    smallest_part = round_down(smallest_deviation, Q11) ** 2 / largest_limit * (1 - Q30) - Q32
+    # The ratio is found as a part of the largest ratio, by another quotient.
+    smallest_part = smallest_deviation**2 / (largest_ratio * largest_variance) * (1 - Q30) - Q32
     largest_part = largest_deviation**2 / smallest_limit
     smallest_ratio = largest_ratio * min(max(smallest_part, Fraction(0)), 1 - Q30 - Q32)
     return _average_bounds(old, smallest_ratio, largest_ratio * min(largest_part, Fraction(1)))
+
+
+def _variance_bounds(share_bounds: Bounds, batch_count: int) -> Bounds:
+    """Return the bounds of the variance of so many independent observations.
+
+    That of one observation is rounded down to 2**-32. It is largest where half of the observations are black.
+    """
+    variances = [share * (1 - share) for share in share_bounds]
+    smallest_share, largest_share = share_bounds
+    largest = Fraction(1, 4) if smallest_share < HALF < largest_share else max(variances)
+    return batch_count * (min(variances) - Q32), batch_count * largest
+
+
+def _deviation_bounds(share_bounds: Bounds, batch_black_count: int, batch_count: int) -> Bounds:
+    """Return the bounds of how far the number of black observations is from the expected one.
+
+    The firmware rounds it down to 2**-11.
+    """
+    deviations = [batch_black_count - batch_count * share for share in share_bounds]
+    distances = [abs(deviation) for deviation in deviations]
+    has_both_signs = min(deviations) < 0 < max(deviations)
+    smallest = Fraction(0) if has_both_signs else min(distances)
+    return round_down(smallest, Q11), max(distances)
 
 
 def _average_bounds(old: Fraction, smallest_ratio: Fraction, largest_ratio: Fraction) -> Bounds:
@@ -165,11 +178,10 @@ def support_outcome(
 ) -> bool | None:
     """Return whether more than two of five estimates support the robot, or None if rounding may decide."""
     p_of_centre = probability_of_black(b, centre)
-    fewest_supporters = most_supporters = 0
-    for estimate in estimates:
-        p = probability_of_black(b, estimate)
-        lead = abs(p - p_of_centre) - abs(p - observations.share)
-        fewest_supporters += lead > SUPPORT_MARGIN
-        most_supporters += lead > -SUPPORT_MARGIN
-    answers = {5 * supporters > 2 * len(estimates) for supporters in (fewest_supporters, most_supporters)}
+    p_of_estimates = [probability_of_black(b, estimate) for estimate in estimates]
+    # By how much each estimate is nearer to the robot's share than to the prediction by the centre
+    leads = [abs(p - p_of_centre) - abs(p - observations.share) for p in p_of_estimates]
+    certain_supporters = sum(lead > SUPPORT_MARGIN for lead in leads)
+    possible_supporters = sum(lead > -SUPPORT_MARGIN for lead in leads)
+    answers = {5 * supporters > 2 * len(leads) for supporters in (certain_supporters, possible_supporters)}
     return answers.pop() if len(answers) == 1 else None

@@ -46,7 +46,7 @@ class Decision(Enum):
 
 @dataclass(frozen=True)
 class FilterRun:
-    """What a run of the robust filter must find.
+    """What a run of the robust filter must decide, and by which estimates.
 
     Attributes:
         decision: What it must decide.
@@ -64,9 +64,10 @@ def is_filter_run(old_state: State, new_state: State) -> bool:
 
 
 def check_memory(call: Call, before: CallResult, after: CallResult, events: Counter[str]) -> list[str]:
-    """Check what a call has done to the memory of the robust filter: slots, votes, and batch with dispersion.
+    """Check what a call has done to the memory of the robust filter, and return a line for each problem.
 
-    Nothing else may have changed there. Each vote is counted in ``events``.
+    The memory consists of slots, votes, and the batch of observations with their dispersion; what a call must
+    not change there must be as before. Each vote is counted in ``events``.
     """
     old_state, new_state = before.state, after.state
     if call.name in ("restore", "damage"):
@@ -163,10 +164,10 @@ def _check_dispersion(memory: State, new_state: State) -> list[str]:
     return check_bounds("dispersion", Fraction(new_state["robust_dispersion"], 2**8), bounds)
 
 
-def find_filter_run(state: State) -> FilterRun:
-    """Return what the filter must find at the end of a round.
+def expected_filter_run(state: State) -> FilterRun:
+    """Return what the filter must have decided if it has run, and led to this state.
 
-    ``state`` is that after the round, as the filter uses the dispersion with the batch that has just ended.
+    Besides b_hat a run changes only the batch and the dispersion, before it decides.
     """
     estimates = [_estimate_of_slot(state, slot) for slot in _filled_slots(state)]
     if len(estimates) < TESTED_ESTIMATES_MIN:

@@ -185,7 +185,7 @@ class RobustScenarioWriter(ScenarioWriter):
         # If the test passes, a b_hat that is not the initial one must return to it.
         may_differ = robot.is_test_possible and rng.random() < 0.5
         robot.b_hat = draw_b_hat(rng) if may_differ else robot.robust.initial_b_hat
-        words = self._pack(robot) | {FILTER_LEFT_WORD: 1}
+        words = self._draw_image_words(robot) | {FILTER_LEFT_WORD: 1}
         words |= rng.choice([{}, {}, self._counter_of_tests_before_wrap()])
         self._add_restore(words)
         if rng.random() < 0.2:
@@ -194,8 +194,11 @@ class RobustScenarioWriter(ScenarioWriter):
 
     # --- Images ---
 
-    def _pack(self, robot: DrawnRobot) -> dict[int, int]:
-        """Return the words of an image of this robot, with an own x_hat and alpha from before its b_hat."""
+    def _draw_image_words(self, robot: DrawnRobot) -> dict[int, int]:
+        """Return the words of an image of this robot, whose own x_hat and alpha are drawn.
+
+        Its b_hat becomes that of the scenario's robot from now on.
+        """
         rng = self._rng
         self._b_hat = robot.b_hat
         # Without confidence the robot's own estimate does not vote.
@@ -245,7 +248,7 @@ class RobustScenarioWriter(ScenarioWriter):
         if rng.random() < 0.1:
             # The estimate of an empty slot must be 0.
             robot.estimates[rng.randrange(SLOTS)] = rng.choice([0, 1, SLOT_ESTIMATE_MAX])
-        return self._pack(robot)
+        return self._draw_image_words(robot)
 
     # --- Values ---
 
@@ -427,7 +430,7 @@ class RobustScenarioWriter(ScenarioWriter):
         return None
 
     def _draw_skewed_estimates(self, robot: DrawnRobot, count: int) -> tuple[int, ...]:
-        """Draw estimates at any distances, mostly small, on one side of a point.
+        """Draw estimates on one side of a point, at small distances as often as at large ones.
 
         Their median is far from their centre.
         """
