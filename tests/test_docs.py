@@ -69,6 +69,7 @@ NOT_RUN = {
     r"theirs\.(parquet|png)": "wants the authors' trials; tests/host_tools/cli/test_convert.py",
     r"mcp_asdf_tools\.studies": "tests/host_tools/studies/test_study_program.py",
     r"benchmarks\.pages": "tests/host_tools/studies/test_pages.py",
+    r"benchmarks\.robust_judge": "tests/benchmarks/test_robust_judge.py",
     r"(advice|knobs)\.(toml|parquet)": "takes a minute; tests/host_tools/test_advice.py sweeps the same",
     r"^colcon|^ros2|^\. install/setup": "wants ROS 2; tests/c_ref/test_ros2.py runs the node over stubs",
     r"^argos3 |check_log|cmake -S \. |cmake --build build$": "wants ARGoS3; tests/c_ref/test_argos.py",
