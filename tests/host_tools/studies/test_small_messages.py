@@ -117,7 +117,7 @@ def test_the_program_keeps_the_results_of_each_filter(study_folder: Path) -> Non
 # --- The page --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("filter_name", ["asdf-minus"])
+@pytest.mark.parametrize("filter_name", ["asdf-minus", "robust"])
 def test_the_page_has_a_ratio_of_every_code(filter_name: str) -> None:
     mark = filter_name.replace("-", "_")
     text = (ROOT / "docs/small_messages.md").read_text(encoding="utf-8")
