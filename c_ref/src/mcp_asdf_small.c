@@ -31,7 +31,7 @@ uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits)
      * as 37 / 99 is 0.373737... The copies double in each turn, of which there are 5 at most, until there are
      * 24 digits. */
     uint32_t digits = code << (32U - bits);
-    for (uint32_t length = bits; length < 24U; length *= 2U) {
+    for (uint32_t length = bits; length < 24U; length *= 2U) { /* at most 5 turns */
         digits |= digits >> length;
     }
     /* To nearest: the last one decides, as a quotient by an odd number is no half. 1.0 has only digits of 1,
