@@ -28,11 +28,11 @@ uint32_t mcp_asdf_x_hat_to_code(uint32_t x_hat, uint32_t bits)
 uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits)
 {
     /* The digits of code / (2^bits - 1) behind the binary point are those of the code, again and again, just
-     * as 37 / 99 is 0.373737... The copies double in each turn, until there are 24 digits or more. */
+     * as 37 / 99 is 0.373737... The copies double in each turn, of which there are 5 at most, until there are
+     * 24 digits. */
     uint32_t digits = code << (32U - bits);
-    for (uint32_t copies = 1; copies < 32U; copies *= 2U) { /* at most 5 turns */
-        const uint32_t length = copies * bits;
-        digits |= length < 32U ? digits >> length : 0U;
+    for (uint32_t length = bits; length < 24U; length *= 2U) { /* at most 5 turns */
+        digits |= digits >> length;
     }
     /* To nearest: the last one decides, as a quotient by an odd number is no half. 1.0 has only digits of 1,
      * and is rounded up to 2^23. */
@@ -46,11 +46,13 @@ uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits)
  */
 static uint32_t long_code_from_alpha(uint32_t alpha)
 {
-    /* The mantissa is shifted until its highest bit is set: by at most 23, as it is not 0. */
-    const uint32_t mantissa_at_top = alpha & ~UINT32_C(0xFF), zeros = leading_zeros(mantissa_at_top);
-    const uint32_t mantissa = shift_left(mantissa_at_top, zeros) >> 8; /* [2^23, 2^24) */
-    /* The value's length in bits. ALPHA_SHIFT_MAX is also the mask of the bits that hold the shift. */
-    const uint32_t length = 24U + (alpha & ALPHA_SHIFT_MAX) - zeros;
+    /* ALPHA_SHIFT_MAX is also the mask of the bits that hold the shift. */
+    uint32_t mantissa = alpha >> 8, length = 24U + (alpha & ALPHA_SHIFT_MAX);
+    /* Shift until the highest of 24 bits is set; the value's length in bits follows. */
+    while (mantissa >> 23 == 0U) { /* at most 23 turns, so the length stays above 0 */
+        mantissa <<= 1;
+        --length;
+    }
     if (length > ALPHA_LINEAR_BITS + 31U) {
         return UINT32_MAX;
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shlex
 from pathlib import Path
 
 import pytest
@@ -29,7 +30,7 @@ pytestmark = pytest.mark.usefixtures("private_setup")
 def printed_by(command: str, capsys: pytest.CaptureFixture[str]) -> str:
     """Run a command that succeeds, and return its standard output."""
     capsys.readouterr()
-    assert main(command.split()) == 0
+    assert main(shlex.split(command)) == 0
     return capsys.readouterr().out
 
 
@@ -87,17 +88,17 @@ def test_scores_name_the_filter_of_each_experiment(
 ) -> None:
     filters = ["none", "asdf-minus", "asdf-plus"]
     m.simulate(m.grid(robots=4, flawed=1, steps=40, trials=1, filter=filters), tmp_path / "grid.parquet")
-    text = printed_by(f"score {tmp_path}/grid.parquet", capsys)
+    text = printed_by(f"score '{tmp_path}/grid.parquet'", capsys)
     for description in ("no filter: no robot", ASDF_MINUS, "ASDF+: all robots recalibrate"):
         assert description in text
-    rows = json.loads(printed_by(f"score {tmp_path}/grid.parquet --json", capsys))["experiments"]
+    rows = json.loads(printed_by(f"score '{tmp_path}/grid.parquet' --json", capsys))["experiments"]
     assert [row["filter"].partition(":")[0] for row in rows] == ["no filter", "ASDF-", "ASDF+"]
 
 
 def test_a_replay_names_the_filter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    printed_by(f"swarm {SWARM} --quiet --log {tmp_path}/run.log", capsys)
-    assert ASDF_MINUS in printed_by(f"replay {tmp_path}/run.log", capsys)
-    assert json.loads(printed_by(f"replay {tmp_path}/run.log --json", capsys))["filter"] == ASDF_MINUS
+    printed_by(f"swarm {SWARM} --quiet --log '{tmp_path}/run.log'", capsys)
+    assert ASDF_MINUS in printed_by(f"replay '{tmp_path}/run.log'", capsys)
+    assert json.loads(printed_by(f"replay '{tmp_path}/run.log' --json", capsys))["filter"] == ASDF_MINUS
 
 
 @pytest.mark.parametrize("output", ["", "--json"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import shutil
 import sys
@@ -58,3 +59,30 @@ def test_the_tests_of_this_folder_pass_in_a_guest() -> None:
     status = shared / "status"
     assert status.exists(), f"the guest did not start, or broke off within {SECONDS:g} s"
     assert status.read_text() == "0\n"
+    check_summary((shared / "log").read_text(errors="replace"))
+
+
+def check_summary(log: str) -> None:
+    """Fail unless tests have passed in the guest, and skip this test if some were skipped there.
+
+    pytest ends with status 0 even if all have been skipped.
+    """
+    summary = log.splitlines()[-1]
+    assert re.search(r"\d+ passed", summary), summary
+    skipped = re.search(r"(\d+) skipped", summary)
+    if skipped is not None:
+        pytest.skip(f"{skipped[1]} tests were skipped in the guest, whose log says why")
+
+
+def test_a_guest_in_which_all_tests_pass_is_right() -> None:
+    check_summary("tests/socketcan/test_socketcan.py::test_a PASSED\n==== 9 passed in 81.20s ====\n")
+
+
+def test_a_guest_in_which_all_tests_are_skipped_is_none() -> None:
+    with pytest.raises(AssertionError, match="9 skipped"):
+        check_summary("==== 9 skipped in 1.02s ====\n")
+
+
+def test_a_guest_in_which_some_tests_are_skipped_is_reported_as_skipped() -> None:
+    with pytest.raises(pytest.skip.Exception, match="2 tests were skipped in the guest"):
+        check_summary("==== 7 passed, 2 skipped in 81.20s ====\n")

@@ -206,7 +206,7 @@ def test_neighbours_in_real_time_send_frames_and_leave_a_report(
 ) -> None:
     log_path, options = tmp_path / "run.log", "--steps 20 --steps-per-second 100 --fault loss=0.5,receivers=3"
     with join() as bus:
-        assert radio(f"--id 3 --robots 5 {options} --json --log {log_path}") == 0
+        assert radio(f"--id 3 --robots 5 {options} --json --log '{log_path}'") == 0
         frames = list(iter(lambda: bus.recv(0), None))
     report = json.loads(capsys.readouterr().out)
     assert json.loads(Path(f"{log_path}.json").read_text()) == report

@@ -639,7 +639,7 @@ def test_a_verification_leaves_a_report_and_a_log_to_replay(
     config = "--memory 64"
     with node_in_a_thread(f"{CONTROLLER} {config}"):
         options = f"{CONTROLLER} {config} --verify --robots 5 --timeout 20 --steps 10 --json"
-        assert radio(f"{options} --report {report_path} --log {log_path}") == 0
+        assert radio(f"{options} --report '{report_path}' --log '{log_path}'") == 0
     report = json.loads(capsys.readouterr().out)
     verdict, parameters = report["verdict"], report["parameters"]
 

@@ -123,7 +123,8 @@ def test_the_events_of_many_robots_are_hardly_larger_than_the_log(
 ) -> None:
     """The ratios are those of docs/radio.md."""
     log = tmp_path / "run.log"
-    assert main(["swarm", *f"--robots 100 --steps 12 --quiet --log {log} {options}".split()]) == 0
+    settings = ["--robots", "100", "--steps", "12", *options.split()]
+    assert main(["swarm", *settings, "--quiet", "--log", str(log)]) == 0
     assert ratio - 0.2 < events_path(log).stat().st_size / log.stat().st_size < ratio
     assert replay(list(read_log(log)), log).reproduced == 1200
 
@@ -283,7 +284,7 @@ def test_replay_prints_the_number_of_frames_of_each_kind(swarm_log: Path, capsys
         "   0  broadcasts after the events were cut off",
         "  16  other frames",
         "ASDF-: only the flawed robots recalibrate",
-        f"again: mcp-asdf replay {swarm_log}",
+        f"again: mcp-asdf replay {shlex.quote(str(swarm_log))}",
     ]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
@@ -276,7 +277,7 @@ def test_closed_standard_input_is_refused(monkeypatch: pytest.MonkeyPatch, capsy
 
 
 def test_standard_input_without_an_end_is_refused() -> None:
-    command = f"yes 512,black | {sys.executable} -m mcp_asdf_tools.cli.main calibrate -"
+    command = f"yes 512,black | {shlex.quote(sys.executable)} -m mcp_asdf_tools.cli.main calibrate -"
     result = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60, check=False)
     assert result.returncode == 2
     message = "cannot read standard input: it has more than 16777216 bytes; give a shorter one"

@@ -425,7 +425,7 @@ def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setattr(processes, "_EXIT_TIMEOUT", 0.1)
     nodes = NodeProcesses([record(3)], lambda robot: BusChoice("udp_multicast", {}), Subjects(), 10)
     # It prints a report, and then ignores that it is asked to end.
-    script = f"trap '' TERM; echo '{{}}'; touch {tmp_path}/up; exec sleep 1000"
+    script = f"trap '' TERM; echo '{{}}'; touch '{tmp_path}/up'; exec sleep 1000"
     nodes._commands = {3: ["sh", "-c", script]}
     with nodes:
         wait_until((tmp_path / "up").exists)

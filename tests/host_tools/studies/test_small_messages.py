@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,10 @@ import pytest
 
 import mcp_asdf_tools as m
 from mcp_asdf_tools.experiments.message_codes import MessageCode
+from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import small_messages, study_program
 from mcp_asdf_tools.studies.bootstrap import Interval, Resampled
-from mcp_asdf_tools.studies.small_messages import CODES, SWARMS
+from mcp_asdf_tools.studies.small_messages import SWARMS
 from support import ROOT
 
 # --- Experiments -----------------------------------------------------------------------------------------
@@ -20,17 +22,30 @@ from support import ROOT
 
 def test_every_swarm_has_experiments_with_each_code_and_with_exact_messages() -> None:
     experiments = small_messages.experiments_of("asdf-minus")
-    assert len(experiments) == len(SWARMS) * (len(CODES) + 1)
+    assert len(experiments) == len(SWARMS) * (6 * 5 + 1)
     assert {experiment.message_bits for experiment in experiments["7+4, moving, overconfident"]} == {"7+4"}
     assert experiments["exact, fully connected, underconfident"][0].message_code is None
 
 
 def test_swarms_have_floors_of_five_shares_of_black() -> None:
-    experiments = small_messages.experiments_of("robust")["16+9, moving, underconfident"]
+    experiments = small_messages.experiments_of("robust")["16+1, moving, underconfident"]
     assert [experiment.fill_ratio for experiment in experiments] == [0.55, 0.65, 0.75, 0.85, 0.95]
     assert {(experiment.filter, experiment.robots, experiment.flawed) for experiment in experiments} == {
         ("robust", 20, 6)
     }
+
+
+def test_the_robust_filter_is_run_with_one_bit_of_alpha() -> None:
+    codes = small_messages.codes_of("robust")
+    assert [str(code) for code in codes] == ["4+1", "5+1", "6+1", "7+1", "8+1", "16+1"]
+
+
+def test_more_bits_of_alpha_change_nothing_for_the_robust_filter() -> None:
+    experiment = small_messages.experiments_of("robust")["7+1, moving, overconfident"][0]
+    short = replace(experiment, steps=1500, trials=1)
+    one_bit = run_trials(short, 0, 1)
+    nine_bits = run_trials(replace(short, message_bits="7+9"), 0, 1)
+    assert np.array_equal(one_bit.errors, nine_bits.errors)
 
 
 # --- Ratios ----------------------------------------------------------------------------------------------
@@ -49,7 +64,7 @@ def test_the_ratio_of_a_code_is_that_of_the_worst_swarm(monkeypatch: pytest.Monk
         return Resampled(0.3 if is_worst else 0.1, np.full(100, 0.3 if is_worst else 0.1, np.float32))
 
     monkeypatch.setattr(small_messages, "late_error", planted_error)
-    ratios = small_messages.worst_ratios({})
+    ratios = small_messages.worst_ratios({}, [MessageCode(4, 1), MessageCode(16, 9)])
     assert ratios[MessageCode(4, 1)] == pytest.approx((3.0, 3.0, 3.0))
     assert ratios[MessageCode(16, 9)] == pytest.approx((1.0, 1.0, 1.0))
 
@@ -73,8 +88,7 @@ def test_a_ratio_is_in_bold_type_if_all_of_its_interval_is_tolerable(ratio: Inte
 def study_folder(few_resamples: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder of a study of two codes, one floor and short trials, after the program has run."""
     monkeypatch.setattr(small_messages, "X_HAT_BITS", (4, 16))
-    monkeypatch.setattr(small_messages, "ALPHA_BITS", (9,))
-    monkeypatch.setattr(small_messages, "CODES", [MessageCode(4, 9), MessageCode(16, 9)])
+    monkeypatch.setattr(small_messages, "ALPHA_BITS", {"asdf-minus": (4, 9), "robust": (1,)})
     monkeypatch.setattr(small_messages, "FILL_RATIOS", [0.55])
     monkeypatch.setattr(study_program, "QUICK_STEPS", 1000)
     monkeypatch.setattr("sys.argv", ["study", str(tmp_path), "--quick"])
@@ -103,11 +117,12 @@ def test_the_program_keeps_the_results_of_each_filter(study_folder: Path) -> Non
 # --- The page --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mark", ["asdf_minus"])
-def test_the_page_has_a_ratio_of_every_code(mark: str) -> None:
+@pytest.mark.parametrize("filter_name", ["asdf-minus", "robust"])
+def test_the_page_has_a_ratio_of_every_code(filter_name: str) -> None:
+    mark = filter_name.replace("-", "_")
     text = (ROOT / "docs/small_messages.md").read_text(encoding="utf-8")
     table = text.partition(f"<!-- {mark} -->\n")[2].partition("\n<!-- end -->")[0]
     rows = [[cell.strip(" *") for cell in line.split("|")[1:-1]] for line in table.splitlines()[2:]]
     assert [label for label, *_ in rows] == [f"x_hat {bits}" for bits in small_messages.X_HAT_BITS]
-    assert all(len(ratios) == len(small_messages.ALPHA_BITS) for _, *ratios in rows)
+    assert all(len(ratios) == len(small_messages.ALPHA_BITS[filter_name]) for _, *ratios in rows)
     assert all(float(ratio) > 0.5 for _, *ratios in rows for ratio in ratios)

@@ -81,6 +81,11 @@ def test_only_the_last_filter_step_says_who_is_harmed() -> None:
     assert study_program.harmed_percents(trials).tolist() == [0, 0]
 
 
+def test_a_trial_that_ends_before_the_first_filter_step_harms_nobody() -> None:
+    trials = trials_of_four_robots(series_ending_in([0.5] * 4), b_hat=np.empty((2, 0, 4)))
+    assert study_program.harmed_percents(trials).tolist() == [0, 0]
+
+
 def test_swarms_without_healthy_robots_have_no_percentage_of_harmed_ones() -> None:
     trials = trials_of_four_robots(series_ending_in([0.5] * 4), flawed=4)
     assert np.isnan(study_program.harmed_percents(trials)).all()
