@@ -133,8 +133,8 @@ def test_a_table_keeps_experiments_apart(name: str) -> None:
 
 # --- Pictures --------------------------------------------------------------------------------------------
 
-DRAWN_QUICKLY = ("fill_ratio", "true_accuracy", "flawed_accuracy", "flawed", "filter", "omega")
-"""Parameters that pictures show in ways of their own, and one that they show as all others."""
+DRAWN_QUICKLY = ("true_accuracy", "flawed_accuracy", "omega")
+"""Two parameters that pictures show in ways of their own, and one that they show as all others."""
 DRAWN = [name for name in PAIRS if name != "trials"]  # more trials of one experiment may be drawn together
 DRAWN_CASES = [*DRAWN_QUICKLY, *slow(name for name in DRAWN if name not in DRAWN_QUICKLY)]
 
