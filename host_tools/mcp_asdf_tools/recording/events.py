@@ -19,9 +19,10 @@ robots have to be there, everything else has a default. Every other line is eith
 
 - ``"186BB92A#0000603333F307E5"``: a frame on the bus that no robot sent, but a fault; as candump writes it.
 
-Version 3 of the format is read, too. It is not compressed, and may have a hexadecimal mask such as ``"1b"``
-in place of estimates. It stands for the last estimate in the file of each sender whose bit is set, here of
-robots 0, 1, 3 and 4 in this order.
+Versions 3 and 4 of the format are read, too, unless a robot has the robust filter: it was another filter
+then. Version 3 is not compressed, and may have a hexadecimal mask such as ``"1b"`` in place of estimates. It
+stands for the last estimate in the file of each sender whose bit is set, here of robots 0, 1, 3 and 4 in this
+order.
 """
 
 from __future__ import annotations
@@ -37,19 +38,22 @@ from typing import IO, Any
 
 import can
 
-from mcp_asdf.robot import MAX_ID, Observation
+from mcp_asdf.robot import MAX_ID, Filter, Observation
 from mcp_asdf_tools.bus.frame_layout import Action
 from mcp_asdf_tools.bus.frames import FrameFormat, format_frame
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.recording.frame_logs import PART
-from mcp_asdf_tools.robots.robot_setup import RobotSetup
+from mcp_asdf_tools.robots.robot_setup import RobotSetup, format_ids
 
 FORMAT = "mcp-asdf events"
-VERSION = 4
-_READABLE_VERSIONS = (3, VERSION)
+VERSION = 5
+_READABLE_VERSIONS = (3, 4, VERSION)
 """Version 1 had alpha as the bits of an IEEE number and t-tables of another format. Version 2 repeated each
-estimate for every receiver, without compression."""
+estimate for every receiver, without compression. Version 4 has the form of version 5."""
+_FIRST_VERSION_OF_ROBUST_FILTER = 5
+"""First version in which robots with the robust filter keep the latest estimate of each sender. Before, every
+message was a vote, so such a robot would not repeat its run."""
 
 Event = int | str | list[int]
 """One event of a robot as the file has it; the table above lists the forms."""
@@ -68,6 +72,7 @@ received a flood of frames is short enough to be read."""
 _MAX_INTEGER = 2**32 - 1
 """Maximum of the integers in an event: all of them have at most 32 bits in the firmware."""
 _SENDER_MASK = re.compile(r"[0-9a-f]{1,32}")
+_USE_OTHER_VERSION = "replay the log with the mcp-asdf that wrote it, or record the run again"
 _GZIP_MAGIC = b"\x1f\x8b"
 """First two bytes of every file that is compressed by gzip."""
 
@@ -339,16 +344,16 @@ class EventsReader:
         """Return the description of a run in the JSON value of the first line.
 
         Settings that are missing have their defaults: the file was written before they existed. Raises
-        UsageError for another format or version, and for a value that is impossible.
+        UsageError for another format or version, for a robot with the robust filter of an earlier version,
+        and for a value that is impossible.
         """
         if not isinstance(plain_header, dict) or plain_header.get("format") != FORMAT:
             raise self.error(f'"format": "{FORMAT}" is missing')
         version = plain_header.get("version")
         if version not in _READABLE_VERSIONS:
-            readable_versions = " and ".join(map(str, _READABLE_VERSIONS))
             raise self.error(
-                f"the format is version {version}, and versions {readable_versions} are read here; "
-                "replay the log with the mcp-asdf that wrote it, or record the run again"
+                f"the format is version {version}, and versions {_READABLE_VERSIONS[0]} to {VERSION} "
+                f"are read here; {_USE_OTHER_VERSION}"
             )
         if not isinstance(plain_header.get("robots"), list):
             raise self.error(f"robots is {plain_header.get('robots')!r}; it must be a list in brackets")
@@ -362,6 +367,14 @@ class EventsReader:
             raise self.error(str(error)) from error
         if len({robot.id for robot in robots}) < len(robots):
             raise self.error("two robots have the same id")
+        ids_with_robust_filter = frozenset(
+            robot.id for robot in robots if robot.config.filter == Filter.ROBUST
+        )
+        if ids_with_robust_filter and version < _FIRST_VERSION_OF_ROBUST_FILTER:
+            raise self.error(
+                f"robots {format_ids(ids_with_robust_filter)} have the robust filter of an earlier mcp-asdf, "
+                f"which cannot be repeated here; {_USE_OTHER_VERSION}"
+            )
         return EventsHeader(
             robots,
             plain_header.get("seed"),

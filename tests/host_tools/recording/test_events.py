@@ -110,9 +110,9 @@ def test_a_flood_of_estimates_is_written_in_several_lines(
     assert read_entries(tmp_path / "x") == [RobotEvents(7, [[3, 1, 2]] * 15)] * 2
 
 
-# --- Version 3 ----------------------------------------------------------------------------------------
+# --- Earlier versions -----------------------------------------------------------------------------------
 
-FIRST_LINE_OF_VERSION_3 = FIRST_LINE.replace('"version": 4', '"version": 3')
+FIRST_LINE_OF_VERSION_3 = FIRST_LINE.replace('"version": 5', '"version": 3')
 
 
 def test_a_mask_of_version_3_stands_for_the_last_estimates_of_its_senders(tmp_path: Path) -> None:
@@ -130,6 +130,33 @@ def test_a_log_that_version_3_wrote_is_replayed() -> None:
     with EventsReader(events_path(log)) as reader:
         verdict = verify(read_log(log), reader)
     assert verdict == ReplayVerdict(reproduced=51, falsified=5, foreign=2, other=8)
+
+
+def test_events_of_version_4_are_read(tmp_path: Path) -> None:
+    (tmp_path / "x").write_text(FIRST_LINE.replace('"version": 5', '"version": 4') + "[7,1,3]\n")
+    assert read_entries(tmp_path / "x") == [RobotEvents(7, [1, 3])]
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_the_robust_filter_of_an_earlier_version_is_refused_with_the_robots(
+    version: int, tmp_path: Path
+) -> None:
+    robots = [record(0), *(record(robot_id, filter=Filter.ROBUST) for robot_id in (3, 4, 7))]
+    first_line = EventsHeader(robots, 5, FrameFormat()).to_line()
+    (tmp_path / "x").write_text(first_line.replace('"version": 5', f'"version": {version}'))
+    with pytest.raises(
+        UsageError,
+        match=r"x, line 1: robots 3-4\+7 have the robust filter of an earlier mcp-asdf, which cannot be "
+        "repeated here; replay the log with the mcp-asdf that wrote it, or record the run again",
+    ):
+        EventsReader(tmp_path / "x")
+
+
+def test_the_robust_filter_of_this_version_is_read(tmp_path: Path) -> None:
+    robots = (record(0, filter=Filter.ROBUST),)
+    (tmp_path / "x").write_text(EventsHeader(robots, 5, FrameFormat()).to_line())
+    with EventsReader(tmp_path / "x") as reader:
+        assert reader.header.robots == robots
 
 
 # --- Files that were cut or damaged -------------------------------------------------------------------
@@ -198,8 +225,8 @@ def changed_header(key: str, value: Any) -> str:
         ("(1.0) vcan0 1#00", "not JSON"),
         ("[" * 100_000, "not JSON"),
         ("\xff\xfe", "not JSON"),
-        (changed_header("version", 2), "the format is version 2, and versions 3 and 4 are read here; replay"),
-        (changed_header("version", 5), "the format is version 5, and versions 3 and 4 are read here"),
+        (changed_header("version", 2), "the format is version 2, and versions 3 to 5 are read here; replay"),
+        (changed_header("version", 6), "the format is version 6, and versions 3 to 5 are read here"),
         (changed_header("robots", 5), "robots is 5; it must be a list in brackets"),
         (changed_header("robots", json.loads(FIRST_LINE)["robots"][:1] * 2), "two robots have the same id"),
         (changed_header("frames", {"subject": 6144, "priority": 4}), "subject is 6144"),
