@@ -3,9 +3,9 @@
 ``python tests/benchmarks/engine.py``, with the compiler that ``CC`` names (default ``cc``): robot-steps per
 second of processor time on one core, fully connected (N = 10) and in the moving world (N = 20, D = 1,
 messages a step late), 40 000 steps, filter on: the paper's, then the robust one, whose price fully connected
-is a vote for each message. All are measured in turn, ten times over, and the best of each counts. The physics
-simulator's figure, with its logging removed, is that of tests/data/motion_statistics.json. Plain double C is
-plain_swarm.c on the arena as its text stands, one robot after the other, and on its vectors.
+is that each robot keeps every message. All are measured in turn, ten times over, and the best of each counts.
+The physics simulator's figure, with its logging removed, is that of tests/data/motion_statistics.json. Plain
+double C is plain_swarm.c on the arena as its text stands, one robot after the other, and on its vectors.
 """
 
 from __future__ import annotations

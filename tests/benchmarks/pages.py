@@ -3,11 +3,11 @@
 mcp-asdf reproduce --trials 120 --output FOLDER      # also the verdicts, into tests/data/study_verdicts.csv
 PYTHONPATH=tests python -m benchmarks.pages study FOLDER
 
-python -m mcp_asdf_tools.studies.robust_filter FOLDER    # or another study, such as swarm_sizes for scale
+python -m mcp_asdf_tools.studies.robust_filter FOLDER    # or another study
 PYTHONPATH=tests python -m benchmarks.pages robust FOLDER
 
-A page shows some rows of a table: those that stand in it are replaced. The exit code is 1 if the report of a
-study has no verdicts.
+A page shows some rows of a table, or none: those that stand in it are replaced. The exit code is 1 if the
+report of a study has no verdicts.
 """
 
 from __future__ import annotations
@@ -24,12 +24,11 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = {
     "robust": "robust.md",
     "ageing": "ageing.md",
-    "scale": "robust.md",
     "related_work": "related_work.md",
     "two_readings": "two_readings.md",
     "small_messages": "small_messages.md",
 }
-"""The page of docs/ that has the tables of each study."""
+"""The page of docs/ that has the tables of each study, if any, and its picture."""
 
 MARKED = re.compile(r"<!-- (\w+) -->\n(.*?)\n<!-- end -->", re.DOTALL)
 """A table, or other text, between its mark and the end."""

@@ -74,7 +74,7 @@ class RememberingRobot(ReferenceRobot):
     """The paper's filter, or none, with a memory instead of rounds.
 
     x_bar and x are running means of all that was received, weighted by alpha per observation. Their gain
-    falls with the number of messages as that of the robust filter: from 2^-3 down to 2^-12.
+    falls with the number of messages, from 2^-3 down to 2^-12.
     """
 
     _messages = 0

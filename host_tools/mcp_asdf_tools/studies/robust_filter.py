@@ -1,7 +1,8 @@
 """The robust filter beside the paper's: on the paper's grid, beyond it, beside peers and in hard worlds.
 
-``python -m mcp_asdf_tools.studies.robust_filter FOLDER`` writes ``robust.md`` and ``robust.png``, which
-docs/robust.md shows. The peers run message by message, which takes hours.
+``python -m mcp_asdf_tools.studies.robust_filter FOLDER`` writes tables into ``robust.md``, and the picture of
+docs/robust.md into ``robust.png``. The picture comes first, after the grid and the hard worlds. The peers run
+message by message, which takes hours.
 
 Each robot estimates f, the share of black floor, as x. b_hat is the accuracy that it assumes for its sensor,
 and b the true one; a flawed robot starts with a wrong b_hat. The late error is the mean of |x - f| over the
@@ -10,6 +11,7 @@ last quarter of a trial. e is the mean of |x - f| from the step on at which a ro
 
 from __future__ import annotations
 
+import random
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -58,7 +60,12 @@ from mcp_asdf_tools.studies.study_program import (
 )
 
 GRID_HEAD = "H, error of the last quarter, e, healthy robots harmed"
-PAIR_HEAD = "underconfident, overconfident"
+ERRORS_HEAD = "errors of the last quarter, underconfident and overconfident, then healthy robots harmed"
+
+SLOW = 0.007
+"""Speed in m/s with which a robot takes many readings of one tile, and meets few others."""
+
+ROBOTS_OF_STATIC_GRAPHS = 20
 
 # --- Experiments -----------------------------------------------------------------------------------------
 
@@ -94,11 +101,25 @@ def beyond_rows() -> dict[str, list[Experiment]]:
     flawed: dict[str, Any] = {"flawed": "30%", "sensors": BOTH_FLAWS, "filter": ALL_FILTERS}
     healthy: dict[str, Any] = {"flawed": "0%", "fill_ratio": 0.75, "filter": FILTERS_OF_HEALTHY_SWARMS}
     worse_on_white: dict[str, Any] = {"sensors": [FLAWS["underconfident"]], "white_offset": -0.1}
+    # Robots that never move, each with four neighbours.
+    ring: dict[str, Any] = {"topology": "graph", "graph": static_graph((1, 2)), "latency": 1}
+    # Four rows of five robots: the end of a row is joined to the start of the next one.
+    grid: dict[str, Any] = {"topology": "graph", "graph": static_graph((1, 5)), "latency": 1}
     swarms: dict[str, dict[str, Any]] = {
         "moving, latency 0": {"topology": "dynamic", **flawed},
         "moving": {**MOVING, **flawed},
         "moving, density 0.25": {**MOVING, **flawed, "density": 0.25},
         "moving, density 4": {**MOVING, **flawed, "density": 4.0},
+        "moving slowly": {**MOVING, **flawed, "speed": SLOW},
+        "moving slowly, 0 % flawed": {
+            **MOVING,
+            "flawed": "0%",
+            "sensors": BOTH_FLAWS,
+            "filter": FILTERS_OF_HEALTHY_SWARMS,
+            "speed": SLOW,
+        },
+        "static ring": {**flawed, **ring},
+        "static grid": {**flawed, **grid},
         "moving, 3 robots": {**MOVING, **flawed, "robots": 3},
         "moving, 5 robots": {**MOVING, **flawed, "robots": 5},
         "moving, 10 robots": {**MOVING, **flawed, "robots": 10},
@@ -114,6 +135,21 @@ def beyond_rows() -> dict[str, list[Experiment]]:
     common = {"steps": 20_000, "trials": 30, "seed": 4712}
     # Of two values for a parameter the row's own holds.
     return {label: m.grid(**{**common, **swarm}) for label, swarm in swarms.items()}
+
+
+def static_graph(steps_to_neighbours: Sequence[int]) -> str:
+    """Return a graph in which robots stand on a circle and hear those so many places before and after them.
+
+    The result has an edge such as "3 5" for each pair that hear each other, with "; " between edges. The
+    flawed robots of an experiment are its first ones, so robots stand in a random order, always the same one.
+    """
+    circle = random.Random(1).sample(range(ROBOTS_OF_STATIC_GRAPHS), ROBOTS_OF_STATIC_GRAPHS)
+    edges = []
+    for place, robot in enumerate(circle):
+        for step in steps_to_neighbours:
+            neighbour = circle[(place + step) % ROBOTS_OF_STATIC_GRAPHS]
+            edges.append(f"{robot} {neighbour}")
+    return "; ".join(edges)
 
 
 def peer_rows() -> dict[str, list[Experiment]]:
@@ -166,6 +202,12 @@ def world_rows() -> dict[str, list[Experiment]]:
         "moving, 1 liar": {**moving, "firmware": one_liar},
         "moving, 2 liars": {**moving, "firmware": two_liars},
         "moving, 5 liars": {**moving, "firmware": five_liars},
+        "moving, 5 liars, 0 % flawed": {
+            **moving,
+            "firmware": five_liars,
+            "flawed": "0%",
+            "filter": FILTERS_OF_HEALTHY_SWARMS,
+        },
     }
     common = {"flawed": "30%", "steps": 20_000, "trials": 8, "seed": 4713}
     return {label: m.grid(**{**common, **world}) for label, world in worlds.items()}
@@ -175,18 +217,19 @@ def world_rows() -> dict[str, list[Experiment]]:
 
 
 def as_honest_robots_see_it(trials: Trials) -> Trials:
-    """Return trials with x of the robots that do not lie as their only record, and with the floor's last f.
+    """Return trials with x and b_hat of the robots that do not lie alone, and with the floor's last f.
 
-    The liars are the last robots of a swarm. f, the share of black floor, is FLOOR_AFTER_CHANGE where the
-    floor changes in the middle of a trial.
+    x is the only record. The liars are the last robots of a swarm. f, the share of black floor, is
+    FLOOR_AFTER_CHANGE where the floor changes in the middle of a trial.
     """
     experiment = trials.experiment
     honest_robots = experiment.robots - LIARS.get(firmware_name(experiment), 0)
-    # Axes are trials, recorded steps and robots.
+    # Axes are trials, recorded steps or filter steps, and robots.
     x = trials.records["x"][:, :, :honest_robots]
+    b_hat = trials.b_hat[:, :, :honest_robots]
     if experiment.sensor:  # in hard worlds, this is always ChangingFloor
         experiment = replace(experiment, fill_ratio=FLOOR_AFTER_CHANGE)
-    return replace(trials, experiment=experiment, records={"x": x})
+    return replace(trials, experiment=experiment, b_hat=b_hat, records={"x": x})
 
 
 def grid_text(experiments: Sequence[Trials]) -> str:
@@ -199,12 +242,26 @@ def grid_text(experiments: Sequence[Trials]) -> str:
     # Beside the late error, e shows the beginnings: it counts from convergence on, which may come early.
     e = mean_over_experiments(mean_e_of_robots, experiments).value
     texts = [score_text(experiments), late_error_text(experiments), format_error(e)]
+    return ", ".join([*texts, *harm_texts(experiments)])
+
+
+def errors_text(experiments: Sequence[Trials]) -> str:
+    """Format the numbers of experiments that share one cell of the other tables: "0.012, 0.034, 0.5 %".
+
+    These are the late errors of the underconfident and of the overconfident swarms, and the share of healthy
+    robots that a filter harmed, in both. One that the experiments do not have is left out.
+    """
+    return ", ".join([under_and_over_text(experiments), *harm_texts(experiments)])
+
+
+def harm_texts(experiments: Sequence[Trials]) -> list[str]:
+    """Format the share of healthy robots that a filter harmed, as the only item; none if all are flawed."""
     # So few robots are harmed that most medians would be 0.
     harmed_percent = mean_over_experiments(harmed_percents, experiments, resample_mean)
     has_healthy_robots = not np.isnan(harmed_percent.value)
-    if has_healthy_robots:
-        texts.append(f"{format_interval(harmed_percent, format_tenths, tolerance=1)} %")
-    return ", ".join(texts)
+    if not has_healthy_robots:
+        return []
+    return [f"{format_interval(harmed_percent, format_tenths, tolerance=1)} %"]
 
 
 def mean_e_of_robots(trials: Trials) -> Sample:
@@ -214,12 +271,12 @@ def mean_e_of_robots(trials: Trials) -> Sample:
 
 
 def make_tables(grid: Rows, beyond: Rows, peers: Rows, worlds: Rows) -> dict[str, str]:
-    """Return the four tables of docs/robust.md in Markdown, by the marks that the page has before them."""
+    """Return the four tables of the study in Markdown, by their names."""
     return {
         "grid": markdown_table(GRID_HEAD, grid, grid_text),
-        "beyond": markdown_table(PAIR_HEAD, beyond, under_and_over_text),
-        "peers": markdown_table(PAIR_HEAD, peers, under_and_over_text),
-        "worlds": markdown_table(PAIR_HEAD, worlds, under_and_over_text),
+        "beyond": markdown_table(ERRORS_HEAD, beyond, errors_text),
+        "peers": markdown_table(ERRORS_HEAD, peers, errors_text),
+        "worlds": markdown_table(ERRORS_HEAD, worlds, errors_text),
     }
 
 
@@ -251,13 +308,14 @@ def main() -> None:
     """Run the study's experiments, or resume them, and write robust.md and robust.png into the folder."""
     arguments = parse_arguments(__doc__)
     grid = run_rows("robust_grid", grid_rows(), arguments)
-    beyond = run_rows("robust_beyond", beyond_rows(), arguments)
-    peers = run_rows("robust_peers", peer_rows(), arguments, record=500)
     all_worlds = run_rows("robust_worlds", world_rows(), arguments, record=500)
     worlds = {label: [as_honest_robots_see_it(trials) for trials in row] for label, row in all_worlds.items()}
+    # The picture does not have to wait for the peers, which take hours.
+    save_figure(draw_errors(grid, worlds), arguments.folder / "robust.png")
+    beyond = run_rows("robust_beyond", beyond_rows(), arguments)
+    peers = run_rows("robust_peers", peer_rows(), arguments, record=500)
     tables = make_tables(grid, beyond, peers, worlds)
     write_tables(arguments.folder / "robust.md", "The robust filter", tables)
-    save_figure(draw_errors(grid, worlds), arguments.folder / "robust.png")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Swarms of 20 to 10,000 robots at one density: score, error and cost of a robot's step.
 
-``python -m mcp_asdf_tools.studies.swarm_sizes FOLDER`` writes ``scale.md`` and ``scale.png`` for
-docs/robust.md. The costs are measured on this machine each time.
+``python -m mcp_asdf_tools.studies.swarm_sizes FOLDER`` writes ``scale.md`` and ``scale.png``, which no
+page shows. The costs are measured on this machine each time.
 """
 
 from __future__ import annotations

@@ -45,12 +45,12 @@ def test_a_table_that_the_study_has_not_stays() -> None:
 
 
 def test_tables_and_picture_of_a_study_go_into_its_page(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (root / "docs/robust.md").write_text(PAGE.replace("grid", "scale"))
-    (root / "scale.md").write_text("<!-- scale -->\n| moving | new |\n<!-- end -->")
-    Image.new("RGB", (4, 4)).save(root / "scale.png")
-    assert put("scale", root, monkeypatch) == 0
-    assert "| moving | new |" in (root / "docs/robust.md").read_text()
-    assert (root / "docs/images/scale.webp").read_bytes()[8:12] == b"WEBP"
+    (root / "docs/ageing.md").write_text(PAGE.replace("grid", "filters"))
+    (root / "ageing.md").write_text("<!-- filters -->\n| moving | new |\n<!-- end -->")
+    Image.new("RGB", (4, 4)).save(root / "ageing.png")
+    assert put("ageing", root, monkeypatch) == 0
+    assert "| moving | new |" in (root / "docs/ageing.md").read_text()
+    assert (root / "docs/images/ageing.webp").read_bytes()[8:12] == b"WEBP"
 
 
 REPORT = """# The study

@@ -301,13 +301,8 @@ def sampling_interval(path: Path) -> int:
 @pytest.mark.parametrize(
     ("rows_of", "page", "mark"),
     [
-        (robust_filter.grid_rows, "robust", "grid"),
-        (robust_filter.beyond_rows, "robust", "beyond"),
-        (robust_filter.peer_rows, "robust", "peers"),
-        (robust_filter.world_rows, "robust", "worlds"),
         (ageing.ageing_rows, "ageing", "filters"),
         (ageing.peer_rows, "ageing", "peers"),
-        (swarm_sizes.size_rows, "robust", "scale"),
         (related_work.resilience_rows, "related_work", "early"),
         (related_work.resilience_rows, "related_work", "late"),
         (related_work.colour_rows, "related_work", "colour"),
@@ -321,22 +316,13 @@ def test_a_page_shows_rows_of_its_study(rows_of: Any, page: str, mark: str) -> N
     assert set(page_rows) <= set(rows_of())
 
 
-@pytest.mark.parametrize(
-    ("rows_of", "page", "mark"),
-    [
-        (robust_filter.grid_rows, "robust", "grid"),
-        (robust_filter.peer_rows, "robust", "peers"),
-        (robust_filter.world_rows, "robust", "worlds"),
-        (ageing.peer_rows, "ageing", "peers"),
-        (related_work.colour_rows, "related_work", "colour"),
-        (two_readings.two_readings_rows, "two_readings", "errors"),
-    ],
-)
-def test_a_page_fills_the_cells_of_which_there_are_experiments(rows_of: Any, page: str, mark: str) -> None:
-    filled_cells = {row: len(cells) - cells.count("") for row, cells in rows_of_page(page, mark).items()}
+def test_the_page_of_ageing_fills_the_cells_of_which_there_are_experiments() -> None:
+    filled_cells = {
+        row: len(cells) - cells.count("") for row, cells in rows_of_page("ageing", "peers").items()
+    }
     columns = {
         row: len({peers.column_label(experiment) for experiment in experiments})
-        for row, experiments in rows_of().items()
+        for row, experiments in ageing.peer_rows().items()
     }
     assert filled_cells == columns
 

@@ -1,4 +1,4 @@
-"""The study of swarm sizes: costs, table and picture of its page."""
+"""The study of swarm sizes: costs, table and picture."""
 
 from __future__ import annotations
 
