@@ -13,7 +13,13 @@ import pytest
 
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Counters, Filter, FirmwareError, Observation, Status
-from mcp_asdf.robust_filter import RobustFilter
+from mcp_asdf.robust_filter import (
+    RobustFilter,
+    centre_after_huber_step,
+    huber_centre,
+    median_of,
+    spread_of,
+)
 from mcp_asdf_tools.crosscheck.scenario import Call, edited_image
 from robots import (
     ALPHA_MIN,
@@ -33,6 +39,8 @@ from robots import (
 
 WITHOUT_TEST = replace(ROBUST, filter_period=1000)
 
+LARGEST_ESTIMATE = (1 << 24) - (1 << 8)
+"""The largest estimate of a slot in units of 2**-24."""
 INDEPENDENT = 256
 """The dispersion of independent observations: 1 in units of 2**-8."""
 
@@ -451,6 +459,56 @@ def test_the_robust_filter_runs_every_filter_period(
     for _ in range(3):
         robot.settle()
     assert robot.counters.tests == tests
+
+
+# --- Centre and spread of the estimates ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("values", "median"), [([1, 2, 9], 2), ([1, 2, 6, 9], 4), ([1, 2, 5, 9], 3), ([0, 1, 7, 8, 9, 9], 7)]
+)
+def test_the_median_of_an_even_number_is_the_mean_of_the_middle_two_rounded_down(
+    values: list[int], median: int
+) -> None:
+    assert median_of(values) == median
+
+
+@pytest.mark.parametrize(
+    ("estimates", "spread"),
+    [
+        ([1 << 20, 2 << 20, 4 << 20, 5 << 20, 15 << 20], 2 << 20),
+        ([4 << 20] * 5, 1 << 12),
+        ([0, 0, 4 << 20, 15 << 20, 15 << 20], 4 << 20),
+        ([0, 0, 8 << 20, 15 << 20, 15 << 20], 4 << 20),  # 7 << 20, but at most 1/4
+    ],
+)
+def test_the_spread_is_the_median_distance_from_the_median_within_limits(
+    estimates: list[int], spread: int
+) -> None:
+    assert spread_of(estimates, median=estimates[2]) == spread
+
+
+def test_an_estimate_far_away_counts_as_one_at_the_distance_of_the_spread() -> None:
+    """Two lie below by a spread or more, and two above: they balance, however far one of them is."""
+    estimates = [value << 8 for value in (1000, 2000, 3000, 4000, 60000)]
+    assert huber_centre(estimates, median=3000 << 8, spread=1000 << 8) == 3000 << 8
+
+
+def test_the_centre_of_estimates_within_the_spread_is_their_mean() -> None:
+    estimates = [value << 8 for value in (1000, 2000, 6000)]
+    centre = huber_centre(estimates, median=2000 << 8, spread=5000 << 8)
+    assert centre == pytest.approx(3000 << 8, abs=2)
+
+
+@pytest.mark.parametrize(
+    ("estimate_of_all", "centre"), [(LARGEST_ESTIMATE, LARGEST_ESTIMATE - 5000), (0, 5000)]
+)
+def test_a_step_of_the_centre_does_not_leave_the_range_of_an_estimate(
+    estimate_of_all: int, centre: int
+) -> None:
+    """No estimate is within the spread, so the step is five spreads, which is too far."""
+    new_centre = centre_after_huber_step([estimate_of_all] * 5, centre, spread=1 << 12)
+    assert new_centre == estimate_of_all
 
 
 # --- The dispersion --------------------------------------------------------------------------------------
