@@ -45,7 +45,7 @@ B_HAT = 0.55
 DEFAULT: dict[str, Any] = {"b_hat": 0.95, "filter_period": 1000, "table": generate(parse_omega("0.05"), 127)}
 """The configuration of a controller that is set up by the defaults."""
 VOTES: dict[str, Any] = {"filter": Filter.ROBUST, "table": None}
-"""The robust filter, which takes estimates for votes."""
+"""The robust filter, in which the latest estimate of each neighbour votes."""
 ALWAYS: dict[str, Any] = {"filter": Filter.ALWAYS, "table": None}
 """Re-estimates of b_hat without a test."""
 HALVED = {"memory": 512}
@@ -131,22 +131,22 @@ def with_testless_firmware(phase: str, *changes: str) -> Wrong:
     return with_firmware(phase, *changes, config=ALWAYS)
 
 
-def with_robust_test_in_floats(phase: str, number_format: str) -> Wrong:
-    """Return a controller whose robust filter tests in numbers of this format of ``struct``."""
+def with_robust_test_in_float32(phase: str) -> Wrong:
+    """Return a controller whose robust filter tests in float32."""
     return with_robust_firmware(
         phase,
-        f"""def {{robust_test_rejects => robust_test_rejects(crowd, t, n):
-    def fit(value):
-        return struct.unpack({number_format!r}, struct.pack({number_format!r}, value))[0]
-    r, b_hat, spread = fit(crowd.centre / 2**30), fit(crowd.first / 2**32), fit(crowd.spread / 2**30)
-    p = fit(fit(b_hat * r) + fit(fit(1 - b_hat) * fit(1 - r)))
-    seen = fit(n / t)
-    variance = max(fit(seen * fit(1 - seen)), fit(p * fit(1 - p)))
-    g_spread = fit(fit(fit(2 * b_hat) - 1) * spread)
-    limit = fit(12 * fit(fit(variance / t) + fit(g_spread * g_spread)))
-    return fit(fit(seen - p) * fit(seen - p)) > limit
-
-def deviates_in_integers}}(crowd: Crowd, t""",
+        """        {return robust_test_rejects( => def fit(value):
+            return struct.unpack('<f', struct.pack('<f', value))[0]
+        robust, t, n = self.s.robust, self.s.t, self.s.n
+        b_hat, r = fit(robust.initial_b_hat / 2**32), fit(centre / 2**24)
+        p = fit(fit(b_hat * r) + fit(fit(1 - b_hat) * fit(1 - r)))
+        share = fit(n / t)
+        variance = max(fit(share * fit(1 - share)), fit(p * fit(1 - p)))
+        dispersed_variance = fit(robust.dispersion / 2**8 * variance)
+        g_spread = fit(fit(fit(2 * b_hat) - 1) * fit(spread / 2**24))
+        limit = fit(12 * fit(fit(dispersed_variance / t) + fit(g_spread * g_spread)))
+        return fit(fit(share - p) * fit(share - p)) > limit
+        return robust_test_rejects(}self.s.robust, self.s.t, self.s.n, centre, spread)""",
     )
 
 
@@ -517,144 +517,170 @@ WRONG: dict[str, Wrong] = {
         f"{most} messages in a tick": with_node("a crowded tick", receive_frame=taking_at_most(most))
         for most in (200, 256, 500)
     },
-    # The robust filter: votes
-    "takes a large alpha for two votes": with_robust_firmware(
-        "few voices",
-        "8:{ => \n            if alpha_units(alpha) > 1 << 40: update_crowd(s.crowd, sender, x_hat)}",
+    # The robust filter: slots
+    "keeps estimates of alpha = 0": with_robust_firmware("first estimates", "elif {alpha >> 8 => True}:"),
+    "keeps later estimates of a sender in a round": with_robust_firmware(
+        "a crowded tick",
+        "            { => keep_estimate(s.robust, s.estimates, sender, x_hat); }return Status.REPEATED",
     ),
-    "takes alpha = 0 for a vote": with_robust_firmware("few voices", "{elif alpha >> 8 => else}:"),
-    "votes for repeated senders": with_robust_firmware(
-        "same sender", "            { => update_crowd(s.crowd, sender, x_hat); }return Status.REPEATED"
+    "slots modulo 16": with_robust_firmware("first estimates", "slot = sender % {SLOTS => 16}\n"),
+    "estimates in the next slot": with_robust_firmware(
+        "first estimates", "slot = {sender => (sender + 1)} % SLOTS\n    estimates"
+    ),
+    "rounds slots down": with_robust_firmware("first estimates", "min((x_hat{ + 64 => }) >> 7, SLOT"),
+    "1.0 becomes 0 in a slot": with_robust_firmware(
+        "first estimates",
+        "return {min((x_hat + 64) >> 7, SLOT_ESTIMATE_MAX) => (x_hat + 64) >> 7 & 0xFFFF}",
+    ),
+    "keeps the first estimate of a sender": with_robust_firmware(
+        "first estimates", "estimates[slot] = {slot => estimates[slot] or slot}_estimate(x_hat)\n"
+    ),
+    "averages the estimates of a sender": with_robust_firmware(
+        "first estimates",
+        "estimates[slot] = slot_estimate({x_hat) => x_hat) if not robust.is_filled(slot) else "
+        "(estimates[slot] + slot_estimate(x_hat)) // 2}\n",
+    ),
+    # The robust filter: votes
+    "its own estimate does not vote": with_robust_firmware(
+        "first estimates", "return {SLOTS if has_confidence else => } lowest_bit(filled_slots)"
+    ),
+    "votes without confidence of its own": with_robust_firmware(
+        "no confidence of its own", "return {SLOTS if has_confidence else lowest_bit(filled_slots) => SLOTS}"
+    ),
+    "takes every message for a vote": with_robust_firmware(
+        "first estimates", "robust.filled_slots |= 1 << slot{ => ; count_vote(robust, x_hat)}"
+    ),
+    "the turn stays": with_robust_firmware("first estimates", "robust.turn = slot + {1 => 0}\n"),
+    "the turn does not go back to 0": with_robust_firmware("first estimates", "robust.turn = {0 => 1}\n"),
+    "no vote in the round of a test": with_robust_firmware(
+        "first estimates", "            { => if s.filter_left > 1: }take_vote(s.robust, s.estimates"
     ),
     "does not clamp": with_robust_firmware(
-        "few voices", "{min(distance, crowd.spread) => distance} >> gain_shift"
+        "first estimates", "step = {min(distance, robust.spread) => distance} >> gain_shift"
     ),
     "clamps at 2 s": with_robust_firmware(
-        "few voices", "min(distance, { => 2 * }crowd.spread) >> gain_shift"
+        "first estimates", "min(distance, {robust.spread => 2 * robust.spread}) >> gain_shift"
     ),
     "constant gain": with_robust_firmware(
-        "few voices", "gain_shift = {max(crowd.votes, VOTES_OF_MAX_GAIN).bit_length() - 3 => 3}"
+        "first estimates", "gain_shift = {max(robust.votes, VOTES_OF_MAX_GAIN).bit_length() - 3 => 3}"
     ),
-    "gain without end": with_robust_firmware("many votes", "VOTES_MAX = 1 << {14 => 15}"),
+    "gain without end": with_robust_firmware("first estimates", "VOTES_MAX = 1 << {9 => 14}"),
+    "gain down to 1/64": with_robust_firmware("first estimates", "VOTES_MAX = 1 << {9 => 8}"),
     "starts at the first vote": with_robust_firmware(
-        "few voices",
-        "position = q30_from_q23(x_hat){ => ; crowd.centre = crowd.centre if crowd.votes > 1 else position}",
+        "first estimates",
+        "position = q30_from_q23(x_hat){ => \n    if robust.votes == 1: robust.centre = position}",
     ),
-    "s never shrinks": with_robust_firmware("few voices", "> crowd.spread else {-spread_step => 0}"),
+    "s never shrinks": with_robust_firmware(
+        "first estimates", "if distance > robust.spread else {-spread_step => 0})"
+    ),
     "s grows at equality": with_robust_firmware(
-        "few voices", "distance {> => >=} crowd.spread else -spread_step"
+        "first estimates", "spread_step if distance {> => >=} robust.spread"
     ),
     "s without a floor": with_robust_firmware(
-        "test of the least spread", "{max(new_spread, SPREAD_MIN) => new_spread}, SPREAD"
+        "first estimates", "max(new_spread, {SPREAD_MIN => 0}), SPREAD"
     ),
     "s without a ceiling": with_robust_firmware(
-        "few voices", "max(new_spread, SPREAD_MIN), SPREAD_MAX{ =>  << 9})"
+        "first estimates", "max(new_spread, SPREAD_MIN), {SPREAD_MAX => 1 << 30})"
     ),
-    "sends its centre as x_hat": with_robust_firmware("few voices", "return {self.s.x_hat => self.x_raw}\n"),
-    "x of the last round": with_robust_firmware(
-        "few voices",
-        "{if self.config.filter != Filter.ROBUST => if True}:",
-        "elif { => True or }alpha",
-        "if {self.config.filter == Filter.ROBUST => False}:\n            return",
+    "sends its centre as x_hat": with_robust_firmware(
+        "first estimates", "return {self.s.x_hat => self.x_raw}\n"
     ),
     "x is 1/2 before the first vote": with_robust_firmware("alone", "estimate({self.s.x_hat => HALF}, self"),
-    # Its test
-    "takes votes for voices": with_robust_firmware(
-        "few voices", "if crowd.{voices.bit_count() => votes} < SENDERS_MIN:"
+    # The robust filter: dispersion of its own observations
+    "assumes independent observations": with_robust_firmware(
+        "first estimates",
+        "robust.dispersion = {min(max(average, DISPERSION_MIN), DISPERSION_MAX) => DISPERSION_MIN}",
     ),
-    "voices modulo 128": with_robust_firmware("few voices", "1 << {(sender & 31) => sender}\n    crowd"),
-    "two voices are enough": with_robust_firmware("few voices", "SENDERS_MIN = {3 => 2}"),
-    "three voices are too few": with_robust_firmware("few voices", "SENDERS_MIN = {3 => 4}"),
-    "rejects at 3 sigma": with_robust_firmware("test of a moderate spread", "SIGMAS_SQUARED = {12 => 9}"),
-    "forgets the spread in its test": with_robust_firmware(
-        "test of a moderate spread", "{(g_spread * g_spread) => 0}"
+    "dispersion below 1": with_robust_firmware("first estimates", "max(average, {DISPERSION_MIN => 0})"),
+    "dispersion counts outliers up to 24 times": with_robust_firmware(
+        "test of a wide spread", "largest_ratio = {REJECTED_SIGMAS_SQUARED => 24} * robust.dispersion"
+    ),
+    "dispersion of about 4 batches": with_robust_firmware("first estimates", "DISPERSION_SHIFT = {3 => 2}"),
+    "one batch of all observations": with_robust_firmware(
+        "first estimates", "    {begin_batch(robust, t, n) => pass}\n\n    share"
+    ),
+    "the batch goes on at a halving": with_firmware(
+        "test of a wide spread",
+        "{begin_batch(s.robust, s.t, s.n) => pass}",
+        config=VOTES | HALVED | {"b_hat": B_HAT, "filter_period": 50},
+    ),
+    # The robust filter: its test
+    "four estimates are enough": with_robust_firmware("first estimates", "TESTED_ESTIMATES_MIN = {5 => 4}"),
+    "five estimates are too few": with_robust_firmware("first estimates", "TESTED_ESTIMATES_MIN = {5 => 6}"),
+    "the lower median": with_robust_firmware(
+        "first estimates", "return (lower_middle + {upper_middle => lower_middle}) // 2"
+    ),
+    "tests against the median": with_robust_firmware("first estimates", "HUBER_STEPS = {3 => 0}"),
+    "two steps to the centre": with_robust_firmware("test of a wide spread", "HUBER_STEPS = {3 => 2}"),
+    "mean of all estimates": with_robust_firmware(
+        "first estimates", "sum({max(-spread, min(spread, difference)) => difference} for"
+    ),
+    "tests against the centre of the votes": with_robust_firmware(
+        "first estimates",
+        "self._rejects_initial_b_hat({centre => min(robust.centre >> 6, 0xFFFF00)}, spread)",
+    ),
+    "spread of the votes in the test": with_robust_firmware(
+        "first estimates", "self._rejects_initial_b_hat(centre, {spread => robust.spread >> 6})"
+    ),
+    "rejects at 3 sigma": with_robust_firmware("first estimates", "SIGMAS_SQUARED = {12 => 9}"),
+    "forgets the spread in its test": with_robust_firmware("first estimates", "{g_spread**2 => 0}"),
+    "spread without a floor in the test": with_robust_firmware(
+        "first estimates", "smallest, largest = {SPREAD_MIN >> 6 => 0}"
+    ),
+    "spread without a ceiling in the test": with_firmware(
+        "estimates far apart", "{SPREAD_MAX >> 6 => 1 << 24}", config=VOTES | {"b_hat": B_HAT}
     ),
     "variance of the prediction alone": with_robust_firmware(
-        "test of a moderate spread", "for share in ({observed_share, predicted_share => predicted_share,}))"
+        "first estimates", "variance = max({multiply_high(share, Q32_ONE - share) => 0},"
     ),
     "variance of the count alone": with_robust_firmware(
-        "test of the least spread", "for share in (observed_share,{ predicted_share => })"
-    ),
-    "eq. 8 from its own estimate": with_robust_firmware(
-        "few voices", "s.n, {crowd_fill_ratio(crowd) => s.x_hat << 9})"
+        "first estimates", "share), {multiply_high(p, Q32_ONE - p) => 0})"
     ),
     "tests the present b_hat": with_robust_firmware(
-        "moving up", 'robust_test_rejects({crowd => Crowd(**vars(crowd) | {"first": s.accuracy.b_hat})}, s.t'
+        "first estimates",
+        "return robust_test_rejects({self.s.robust => "
+        "RobustFilter(**vars(self.s.robust) | {'initial_b_hat': self.s.accuracy.b_hat})}, self.s.t",
     ),
-    "no way back": with_robust_firmware("moving up", "return None if is_initial else {crowd.first => None}"),
-    # A crowd that moves
-    "does not see that the crowd moves": with_robust_firmware("few voices", "if {crowd.is_moving => False}:"),
-    "tests while the crowd moves": with_robust_firmware(
-        "limits of the trend", "votes >>= 1\n            {return None => pass}"
+    "robust test in float32": with_robust_test_in_float32("first estimates"),
+    "n/t of 23 bits": with_robust_firmware(
+        "first estimates", "b_hat = robust.initial_b_hat\n    share = q32_quotient(n, t){ =>  >> 9 << 9}"
     ),
-    "keeps its gain when the crowd moves": with_robust_firmware("few voices", "votes >>= {1 => 0}\n"),
-    "sees only a crowd that moves up": with_robust_firmware(
-        "few voices", "not {TREND_MOVING_DOWN <= self => self}.trend < TREND"
+    "p of 23 bits": with_robust_firmware(
+        "first estimates",
+        "return {black_observed_as_black + white_observed_as_black => "
+        "(black_observed_as_black + white_observed_as_black) >> 9 << 9}",
     ),
-    "a trend of 512 moves": with_robust_firmware(
-        "few voices",
-        "TREND_SHIFT = {8 => 9}",
-        "TREND_STEP_UP = {255 => 127}",
-        "TREND_STEP_EVEN = {128 => 64}",
-    ),
-    "halves below the floor": with_robust_firmware(
-        "few voices", "if crowd.votes {>= 2 * VOTES_MIN_WHILE_MOVING => >= VOTES_MIN_WHILE_MOVING}:"
-    ),
-    "does not halve to the floor": with_robust_firmware(
-        "few voices", "if crowd.votes {>= => >} 2 * VOTES_MIN_WHILE_MOVING:"
-    ),
-    "halves from 511 votes on": with_robust_firmware(
-        "moving up", "if crowd.votes >= 2 * VOTES_MIN_WHILE_MOVING{ =>  - 1}:"
-    ),
-    "halves by rounding up": with_robust_firmware(
-        "moving down", "crowd.votes {>>= 1 => = crowd.votes + 1 >> 1}"
-    ),
-    "throws the trend back": with_robust_firmware(
-        "few voices", "crowd.votes >>= 1{ => ; crowd.trend = 1 << 15}"
-    ),
-    "halves only with three voices": with_robust_firmware(
-        "few voices",
-        "s, crowd = self.s, self.s.crowd\n        if {crowd.is_moving => "
-        "crowd.voices.bit_count() < 3:\n            return None\n        if crowd.is_moving}:",
-    ),
-    "voices modulo 16": with_robust_firmware("few voices", "crowd.voices |= 1 << (sender & {31 => 15})"),
-    "voices of 31 bits": with_robust_firmware(
-        "few voices", "crowd.voices |= {1 << (sender & 31) => (1 << (sender & 31)) & 0x7FFF_FFFF}"
-    ),
-    "a trend of 2^13 moves": with_robust_firmware(
-        "limits of the trend", "TREND_MOVING_DOWN {<= => <} self.trend"
-    ),
-    "a trend of 2^13 - 1 stays": with_robust_firmware(
-        "limits of the trend", "TREND_MOVING_DOWN = {1 << 13 => (1 << 13) - 1}"
-    ),
-    "a trend of 7/8 - 2^-16 moves": with_robust_firmware(
-        "limits of the trend", "TREND_MOVING_UP = {7 << 13 => (7 << 13) - 1}"
-    ),
-    "a trend of 7/8 stays": with_robust_firmware(
-        "limits of the trend", "self.trend {< => <=} TREND_MOVING_UP"
-    ),
-    "r uninformative from 2^-11 on": with_robust_firmware(
-        "centre at 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G << 1}:"
-    ),
-    "r uninformative to 2^-13": with_robust_firmware(
-        "centre at 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G >> 1}:"
-    ),
-    "r uninformative at 2^-12": with_robust_firmware("centre at 1/2", "minus_one {< => <=} INFORMATIVE_G:"),
-    "robust test in float32": with_robust_test_in_floats("test of the least spread", "<f"),
-    "robust test in float64": with_robust_test_in_floats("test of the least spread", "<d"),
-    **{
-        f"{what} of 23 bits": with_robust_firmware("test of the least spread", f"{place}{{ =>  >> 9 << 9}}")
-        for what, place in (
-            ("n/t", "observed_share = q32_quotient(n, t)"),
-            ("r", "fill_ratio = crowd_fill_ratio(crowd)"),
-            ("p", "predicted_share = black_seen_as_black + white_seen_as_black"),
-        )
-    },
     "t of 14 bits in the test": with_robust_firmware(
-        "test of the least spread", "return multiply_high({t => t % (1 << 14)}, difference_squared"
+        "test of the least spread", "scaled_excess = ({t => t % (1 << 14)} * excess) >> 32"
+    ),
+    # The robust filter: what follows a rejection
+    "eq. 8 from its own estimate": with_robust_firmware(
+        "first estimates", "s.n, {q32_from_q24(centre) => s.x_hat << 9})"
+    ),
+    "eq. 8 from the centre of the votes": with_robust_firmware(
+        "first estimates", "s.n, {q32_from_q24(centre) => min(robust.centre << 2, 0xFFFFFFFF)})"
+    ),
+    "no way back": with_robust_firmware(
+        "first estimates", "return None if is_initial else {robust.initial_b_hat => None}"
+    ),
+    "no party": with_robust_firmware(
+        "first estimates", "return 5 * supporter_count > {2 => 5} * len(estimates)"
+    ),
+    "half is a party": with_robust_firmware(
+        "first estimates", "return {5 * => 4 *} supporter_count > 2 * len(estimates)"
+    ),
+    "two fifths are a party": with_robust_firmware("first estimates", "supporter_count {> => >=} 2 * len"),
+    "a centre is uninformative up to 2^-11": with_robust_firmware(
+        "estimates of 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G << 1}:"
+    ),
+    "a centre is uninformative up to 2^-13": with_robust_firmware(
+        "estimates of 1/2", "minus_one < {INFORMATIVE_G => INFORMATIVE_G >> 1}:"
+    ),
+    "a centre is uninformative at 2^-12": with_robust_firmware(
+        "estimates of 1/2", "minus_one {< => <=} INFORMATIVE_G:"
     ),
     "an update counter of 5 bits, robust": with_robust_firmware(
-        "many rejections", "(s.updates + 1) & {COUNTER_MASK => 31}"
+        "long run", "(s.updates + 1) & {COUNTER_MASK => 31}"
     ),
     # What it hears
     "compares the priority of estimates": with_node(

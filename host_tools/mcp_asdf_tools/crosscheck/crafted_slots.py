@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from random import Random
 
 from mcp_asdf.mirror import MirrorRobot, State
@@ -22,7 +23,6 @@ from mcp_asdf.robust_filter import (
     huber_centre,
     is_supported,
     median_of,
-    q23_from_q16,
     q24_from_q16,
     robust_test_rejects,
     spread_of,
@@ -36,7 +36,7 @@ _SLOT_ONE = 1 << 16
 
 
 @dataclass(frozen=True)
-class TestedSlots:
+class SlotsAtTest:
     """Estimates against which a robot would test itself, and what its test needs beside them.
 
     Attributes:
@@ -53,21 +53,22 @@ class TestedSlots:
 
     def is_rejected(self, test: RobustTest = robust_test_rejects) -> bool:
         """Return whether a test, by default the firmware's, rejects the initial b_hat."""
-        centre, spread = self._centre_and_spread()
+        centre, spread = self._centre_and_spread
         return test(self.robust, self.t, self.n, centre, spread)
 
     @property
     def is_supported(self) -> bool:
         """Whether so many estimates support the robot that a test which rejects has no effect."""
-        centre, _ = self._centre_and_spread()
+        centre, _ = self._centre_and_spread
         return is_supported(self.robust, self.t, self.n, self._sorted_estimates(), centre)
 
     def _sorted_estimates(self) -> list[int]:
         """Return the estimates in the unit and order of the test: 2**-24, ascending."""
         return sorted(map(q24_from_q16, self.estimates))
 
+    @cached_property
     def _centre_and_spread(self) -> tuple[int, int]:
-        """Return centre and spread of the estimates, in units of 2**-24."""
+        """Centre and spread of the estimates, in units of 2**-24."""
         estimates = self._sorted_estimates()
         median = median_of(estimates)
         spread = spread_of(estimates, median)
@@ -79,11 +80,6 @@ def filter_at_test(state: State) -> RobustFilter:
     robust = copy(state.robust)
     end_batch(robust, state.t, state.n)
     return robust
-
-
-def x_hat_of_slot(estimate: int) -> int:
-    """Return an x_hat, in units of 2**-23, with which a message sets a slot to this estimate."""
-    return q23_from_q16(estimate)
 
 
 def estimate_that_predicts(robust: RobustFilter, share: float) -> int:
@@ -101,11 +97,11 @@ def estimate_that_predicts(robust: RobustFilter, share: float) -> int:
 
 def draw_slots_at_threshold(
     robot: MirrorRobot, count: int, width: int, rng: Random
-) -> tuple[TestedSlots, TestedSlots] | None:
-    """Draw estimates that a robot's test just does not reject, and the same with one unit more in one slot.
+) -> tuple[SlotsAtTest, SlotsAtTest] | None:
+    """Draw estimates by which a robot's test just does not reject, and by which it just does.
 
-    The second ones it just rejects, and no two fifths of them support the robot. The test is that before the
-    robot's next observation.
+    The second ones differ from the first by one unit in one slot, and at most two fifths of them support the
+    robot. The test is one that comes before the robot's next observation.
 
     Args:
         robot: The robot, after its last observation before the test.
@@ -114,7 +110,8 @@ def draw_slots_at_threshold(
         rng: Source of the estimates.
 
     Returns:
-        The estimates that are not rejected, and those that are; None if none of the range are rejected.
+        The estimates by which the test does not reject, and those by which it does; None if there are none in
+        the direction that was drawn, or if too many of the second ones support the robot.
     """
     state = robot.s
     robust = filter_at_test(state)
@@ -122,11 +119,11 @@ def draw_slots_at_threshold(
     drawn = [middle + rng.randint(-width, width) for _ in range(count)]
     direction = rng.choice((-1, 1))
 
-    def slots_after(steps: int) -> TestedSlots:
+    def slots_after(steps: int) -> SlotsAtTest:
         """Return the drawn estimates after so many steps: each moves the next one by a unit."""
         rounds, rest = divmod(steps, count)
         moved = [estimate + direction * (rounds + (index < rest)) for index, estimate in enumerate(drawn)]
-        return TestedSlots(tuple(map(_limit_estimate, moved)), robust, state.t, state.n)
+        return SlotsAtTest(tuple(map(_limit_estimate, moved)), robust, state.t, state.n)
 
     near, far = 0, count * _SLOT_ONE
     if slots_after(near).is_rejected() or not slots_after(far).is_rejected():
@@ -141,18 +138,19 @@ def draw_slots_at_threshold(
     return None if rejected.is_supported else (slots_after(near), rejected)
 
 
-def slots_of_two_parties(robot: MirrorRobot, count: int, supporter_count: int) -> TestedSlots | None:
-    """Return estimates that a robot's test rejects although so many of them support the robot.
+def slots_of_two_parties(robot: MirrorRobot, count: int, supporter_count: int) -> SlotsAtTest | None:
+    """Return estimates by which a robot's test rejects, although some of them support the robot.
 
-    The others agree on an estimate that contradicts its observations. None if there are no such estimates.
+    Of ``count`` estimates ``supporter_count`` predict the share of black that the robot has observed. The
+    others agree on the estimate that contradicts it most. Returns None if the test does not reject by these
+    estimates, or if estimates count as supporters that should not, or the other way round.
     """
     state = robot.s
     robust = filter_at_test(state)
     supporters = [estimate_that_predicts(robust, state.n / state.t)] * supporter_count
-    # The farther end contradicts the observations more.
     opposite = 0 if supporters[0] > _SLOT_ONE // 2 else SLOT_ESTIMATE_MAX
     others = [opposite] * (count - supporter_count)
-    slots = TestedSlots((*supporters, *others), robust, state.t, state.n)
+    slots = SlotsAtTest((*supporters, *others), robust, state.t, state.n)
     has_two_parties = slots.is_supported == (5 * supporter_count > 2 * count)
     return slots if slots.is_rejected() and has_two_parties else None
 

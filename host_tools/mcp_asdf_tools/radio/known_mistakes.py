@@ -156,7 +156,6 @@ class KnownMistake:
 
 _WRONG_ROBUST_TESTS: dict[str, RobustTest] = {
     "tests in float32": FloatTest(significant_bits=24),
-    "tests in float64": FloatTest(significant_bits=53),
     "tests a prediction of 23 bits": FloatTest(prediction_bits=23),
     "tests a share n/t of 23 bits": FloatTest(observed_bits=23),
     "tests with a t of 14 bits": test_with_t_of_14_bits,

@@ -104,6 +104,7 @@ PHASES: tuple[Phase, ...] = (
     Phase("votes by turns", robust.vote_with_every_slot, applies=_has_robust_filter),
     Phase("no confidence of its own", robust.vote_without_own_confidence, applies=_has_robust_filter),
     Phase("test of a wide spread", robust.threshold_phase(robust.WIDE_WIDTH), applies=_has_robust_filter),
+    Phase("estimates far apart", robust.test_estimates_far_apart, applies=_has_robust_filter),
     Phase("estimates of 1/2", robust.reject_near_half, applies=_has_robust_filter),
     Phase("dependent observations", robust.test_dependent_observations, applies=_has_robust_filter),
     Phase("halvings", filtering.halve_memory, applies=can_fill_memory),

@@ -23,7 +23,7 @@ from mcp_asdf.robot import Observation
 from mcp_asdf.robust_filter import SLOT_ESTIMATE_MAX, SLOTS, VOTES_MAX
 from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_LEAST, NeighbourEstimate, draw_normal_alpha
 from mcp_asdf_tools.crosscheck.crafted_slots import (
-    TestedSlots,
+    SlotsAtTest,
     draw_slots_at_threshold,
     estimate_that_predicts,
     filter_at_test,
@@ -36,12 +36,14 @@ _FIRST_SLOTS = (15, 0, 31, 16, 7, 8, 23, 24, 1, 30, 12, 19)
 """Slots in the order in which the first phase fills them: early ones are at the ends of bytes and words."""
 _HALF_OF_SLOT = SLOT_ESTIMATE_MAX // 2 + 1
 """1/2 in units of 2**-16, as slots have them."""
+_FILL_RATIO = 0.75
+"""Fill ratio that the observations indicate before the tests: estimates fit in on either side of it."""
 _INFORMATIVE_DISTANCE = 8
 """Distance of estimates from 1/2 from which on they carry information, in units of 2**-16: 2**-13."""
 NARROW_WIDTH, WIDE_WIDTH = 4, 1 << 13
 """How far estimates are from their middle, in units of 2**-16: their spread is the least one, or large."""
-_MAX_CANDIDATES = 400
-"""Sets of estimates at the threshold of a test among which one is chosen."""
+_MAX_DRAWS = 400
+"""Draws of estimates at the threshold of a test among which one is chosen."""
 _MAX_ATTEMPTS = 500
 """Times that a burst of observations is made to bring about a test."""
 _MIN_INFORMATION = 0.05
@@ -57,7 +59,7 @@ _Result = TypeVar("_Result")
 def receive_first_estimates(bench: Bench) -> None:
     """Fill the first slots one by one, and test with four, five and more estimates."""
     bench.activity = "observations, of which the initial b_hat explains the share"
-    _observe_share(bench, _explained_share(bench))
+    _observe_share(bench, _predicted_share(bench, _FILL_RATIO))
     bench.activity = "confidences of 0 before the first estimate"
     bench.play_round(*(NeighbourEstimate(x_hat, 0) for x_hat in (ONE, ONE, 0)))
     first_senders = [robot for robot in bench.other_ids if robot % SLOTS == _FIRST_SLOTS[0]]
@@ -158,11 +160,35 @@ def threshold_phase(width: int) -> Callable[[Bench], None]:
     def play(bench: Bench) -> None:
         if not _estimates_decide(bench):
             return
-        _observe_share(bench, _explained_share(bench))
+        _observe_share(bench, _predicted_share(bench, _FILL_RATIO))
         for _ in range(2):
             _cross_threshold(bench, SLOTS, width)
 
     return play
+
+
+def test_estimates_far_apart(bench: Bench) -> None:
+    """Play a test against estimates whose median distance from their median is above the largest spread.
+
+    Half of them are 0 and the others 3/4, so that their centre and the distance are 3/8. The observations are
+    such that the test rejects with the largest spread, 1/4, and would not with that distance. If the initial
+    b_hat is far from 1/2 there are no such observations, and with a short memory too few. Then nothing is
+    played.
+    """
+    g = abs(2 * bench.firmware.s.robust.initial_b_hat / 2**32 - 1)
+    # Many observations are rejected if they deviate by more than sqrt(12) g spread: 0.87 g with a spread of
+    # 1/4, and 1.3 g with one of 3/8.
+    share = _predicted_share(bench, fill_ratio=3 / 8) + 1.1 * g
+    if not _estimates_decide(bench) or share >= 1:
+        return
+    bench.activity = "observations that estimates far apart contradict"
+    estimates = (0, 3 * _HALF_OF_SLOT // 2) * (SLOTS // 2)
+    if not _observe_share(bench, share, lambda: _slots_at_test(bench, estimates).is_rejected()):
+        return
+    bench.activity = "a test with estimates that are far apart"
+    bench.skip_to_test_round()
+    _set_slots(bench, estimates)
+    bench.play_tick(bench.draw_observation())
 
 
 def test_dependent_observations(bench: Bench) -> None:
@@ -255,13 +281,18 @@ def _play_test(bench: Bench) -> None:
     bench.play_round()
 
 
-def _observe_share(bench: Bench, share: float) -> None:
-    """Observe until the share of black observations is near ``share``, or for many observations."""
+def _observe_share(bench: Bench, share: float, is_enough: Callable[[], bool] = lambda: True) -> bool:
+    """Observe until the share of black observations is near ``share`` and ``is_enough`` returns True.
+
+    Returns whether that was reached; it is given up after many observations.
+    """
     state = bench.firmware.s
     for _ in range(_BALANCED_OBSERVATIONS // BURST):
-        if state.t > 4 * BURST and abs(state.n - share * state.t) < 0.01 * state.t:
-            return
+        is_near = state.t > 4 * BURST and abs(state.n - share * state.t) < 0.01 * state.t
+        if is_near and is_enough():
+            return True
         bench.skip_ticks(BURST, lambda: Observation(state.n < share * state.t))
+    return False
 
 
 def _observe_until(
@@ -308,10 +339,10 @@ def _opposite_estimate_is_rejected(bench: Bench) -> bool:
     return possible_observations * g**2 >= 2 * 12
 
 
-def _explained_share(bench: Bench) -> float:
-    """Return the share of black that the initial b_hat predicts for a fill ratio of 3/4."""
+def _predicted_share(bench: Bench, fill_ratio: float) -> float:
+    """Return the share of black observations that the initial b_hat predicts for a fill ratio (eq. 1)."""
     b_hat = bench.firmware.s.robust.initial_b_hat / 2**32
-    return b_hat * 0.75 + (1 - b_hat) * 0.25
+    return b_hat * fill_ratio + (1 - b_hat) * (1 - fill_ratio)
 
 
 def _contradicting_estimate(bench: Bench) -> int:
@@ -321,10 +352,15 @@ def _contradicting_estimate(bench: Bench) -> int:
     return 0 if explaining_estimate > _HALF_OF_SLOT else SLOT_ESTIMATE_MAX
 
 
-def _rejected_slots(bench: Bench, estimate: int) -> TestedSlots | None:
-    """Return slots with this estimate alone if the next test, before another observation, rejects them."""
+def _slots_at_test(bench: Bench, estimates: tuple[int, ...]) -> SlotsAtTest:
+    """Return these estimates with what the next test needs beside them, if no observation comes before."""
     state = bench.firmware.s
-    slots = TestedSlots((estimate,) * SLOTS, filter_at_test(state), state.t, state.n)
+    return SlotsAtTest(estimates, filter_at_test(state), state.t, state.n)
+
+
+def _rejected_slots(bench: Bench, estimate: int) -> SlotsAtTest | None:
+    """Return slots with this estimate alone if the next test, before another observation, rejects them."""
+    slots = _slots_at_test(bench, (estimate,) * SLOTS)
     return slots if slots.is_rejected() else None
 
 
@@ -341,25 +377,32 @@ def _cross_threshold(bench: Bench, count: int, width: int) -> None:
         bench.play_tick(bench.draw_observation())
 
 
-def _choose_slots(bench: Bench, count: int, width: int, is_rejection: bool) -> TestedSlots | None:
+def _choose_slots(bench: Bench, count: int, width: int, is_rejection: bool) -> SlotsAtTest | None:
     """Return estimates that a test just rejects, or just does not, and that show most known mistakes.
 
     A mistake counts only while no frame has shown it. The search ends with the first estimates that show one.
     Returns None if the test cannot be brought to its threshold.
     """
-    best: TestedSlots | None = None
-    for slots in _candidates(bench, count, width, is_rejection):
-        if best is None:
-            best = slots
-        if any(slots.is_rejected(test) != is_rejection for test in bench.mistaken_models.robust_tests):
+    first_slots: SlotsAtTest | None = None
+    for slots in _draw_slots_at_threshold(bench, count, width, is_rejection):
+        if first_slots is None:
+            first_slots = slots
+        wrong_tests = bench.mistaken_models.robust_tests
+        if any(slots.is_rejected(test) != is_rejection for test in wrong_tests) and not slots.is_supported:
             return slots
-    return best
+    return first_slots
 
 
-def _candidates(bench: Bench, count: int, width: int, is_rejection: bool) -> Iterator[TestedSlots]:
-    """Yield sets of estimates at the threshold of the next test, many if mistakes are still to be shown."""
-    candidate_count = _MAX_CANDIDATES if bench.mistaken_models.robust_tests else 1
-    for _ in range(candidate_count):
+def _draw_slots_at_threshold(
+    bench: Bench, count: int, width: int, is_rejection: bool
+) -> Iterator[SlotsAtTest]:
+    """Yield estimates by which the next test just rejects, or just does not.
+
+    Of many draws if mistakes are still to be shown, otherwise of one. There are none if no draw reaches the
+    threshold.
+    """
+    draw_count = _MAX_DRAWS if bench.mistaken_models.robust_tests else 1
+    for _ in range(draw_count):
         pair = draw_slots_at_threshold(bench.firmware, count, width, bench.rng)
         if pair is not None:
             yield pair[is_rejection]

@@ -161,7 +161,8 @@ def not_checked(setup: RobotSetup) -> list[str]:
     """
     config = setup.config
     has_filter = config.filter is not Filter.OFF
-    has_asdf_filter = has_filter and config.filter is not Filter.ROBUST
+    has_robust_filter = config.filter is Filter.ROBUST
+    has_asdf_filter = has_filter and not has_robust_filter
     sizes = ", ".join(map(str, UPDATES_BY_CRAFTED_SIZE))
     # Each phrase stands beside the condition under which it applies to this controller.
     limits = (
@@ -174,6 +175,7 @@ def not_checked(setup: RobotSetup) -> list[str]:
         (has_asdf_filter, "a re-estimate before its first white tile"),
         (has_filter, f"a counter of more than {count_updates_to_check(setup)} updates"),
         (has_asdf_filter, "a re-estimate from tiles of both colours before some 200 observations"),
+        (has_robust_filter, "rounding of its test below that of float64, and ties of those that support it"),
         (True, f"more than {CROWDED_MESSAGES} messages in a tick"),
         (True, "its own clock, sensor and telemetry period: commands replace them"),
         (True, "saving and restoring of its state"),
