@@ -186,7 +186,7 @@ static void end_batch(mcp_asdf_t *robot, uint32_t share)
     const uint32_t short_deviation = high_word(deviation) == 0U ? low_word(deviation) : UINT32_MAX;
     const uint64_t square = multiply(short_deviation, short_deviation); /* Q22 */
     begin_batch(robot);
-    if (limit == 0U) { /* no observation, or all of one colour */
+    if (limit == 0U) { /* no observation, or none that was black */
         return;
     }
     const uint32_t ratio_of_limit = quotient(square < limit ? square : limit, limit); /* Q32 */
