@@ -366,9 +366,17 @@ def test_a_wrong_controller_of_the_default_configuration_fails_in_the_phase_of_i
     assert set(outcomes[failed_index + 1 :]) <= {"not run"}
 
 
-ONLY_BY_DEFAULT = {"variance of the prediction alone", "t of 14 bits in eq. 8"}
-"""Mistakes that need the default configuration to show: with the short one both variances decide alike, and
-all re-estimates come before 2^14 observations."""
+ONLY_BY_DEFAULT = {
+    "variance of the prediction alone",
+    "t of 14 bits in eq. 8",
+    "four estimates are enough",
+    "two steps to the centre",
+}
+"""Mistakes that some seeds show with the default configuration alone.
+
+With the short one both variances decide alike, and all re-estimates come before 2^14 observations. With a
+b_hat of 0.55 few observations do not contradict four estimates, and a third step to the centre, which hardly
+moves it, seldom decides a test."""
 
 
 @pytest.mark.slow
