@@ -179,9 +179,9 @@ static void end_batch(mcp_asdf_t *robot, uint32_t share)
     /* largest_ratio variance as Q22, rounded down: it is at most 12 2^8 2^29 as a number, so < 2^63. */
     const uint64_t limit = (multiply(largest_ratio, high_word(variance)) << 14) +
                            (multiply(largest_ratio, low_word(variance)) >> 18);
-    /* black - count share, as Q32 in two's complement: within 2^63 of 0. */
-    const uint64_t difference = join(black, 0) - multiply(count, share);
-    const uint64_t deviation = (difference >> 63 == 0U ? difference : 0U - difference) >> 21; /* Q11 */
+    const uint64_t observed = join(black, 0), expected = multiply(count, share); /* black ones, Q32: < 2^63 */
+    const uint64_t deviation =
+        (observed > expected ? observed - expected : expected - observed) >> 21; /* Q11 */
     /* From 2^21 observations on a square is beyond every limit: it need not be formed. */
     const uint32_t short_deviation = high_word(deviation) == 0U ? low_word(deviation) : UINT32_MAX;
     const uint64_t square = multiply(short_deviation, short_deviation); /* Q22 */

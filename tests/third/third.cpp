@@ -288,6 +288,18 @@ class Run
         robust.turn = slot == MCP_ASDF_SLOTS ? 0 : slot + 1;
     }
 
+    /* Lets the robot's own estimate vote next, and makes it one of an earlier b_hat, which nothing but the
+     * formats of x_hat and alpha restricts. The model has t > 0 and a filled slot. */
+    void make_own_vote_stale()
+    {
+        Robust &robust = model.robust;
+        robust.turn = static_cast<uint32_t>(bits(robust.filled_slots));
+        robust.votes = std::max<uint16_t>(robust.votes, 1);
+        model.updated = 1;
+        model.local.x_hat = random.below(MCP_ASDF_ONE + 1);
+        model.local.alpha = random.among({0, 0x100, 0x200, 0x1000000, 0x80000000, 0x80000001});
+    }
+
     /* Gives the model, which has t > 0, an initial b_hat beside which the filter decides otherwise, if a few
      * tries find one. */
     void bring_to_the_threshold()
@@ -616,10 +628,13 @@ class Run
             bring_to_the_threshold();
             model.filter_left = 1;
         }
+        bool is_stale = !is_tested && model.t != 0 && model.robust.filled_slots != 0 && random.one_in(4);
+        if (is_stale)
+            make_own_vote_stale();
         if (random.one_in(8))
             model.counters = {0xFFFF, 0xFFFF, 0xFFFF, 0xFFFF, 0xFFFF};
         do_restore("restore of an age", model.save());
-        if (is_tested)
+        if (is_tested || is_stale)
             do_settle();
     }
 
