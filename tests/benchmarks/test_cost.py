@@ -132,7 +132,7 @@ def check_aims(compared: dict[str, list[Figures]]) -> None:
         assert robust.bound["receive"] <= 55 and alone.bound["receive"] <= 40
     small, fast = compared["-Os"][2], compared["-O2"][2]
     assert fast.bound["step"] <= 190 and small.bound["step"] <= 200
-    assert fast.bound[UPDATED] <= 8000 and small.bound[UPDATED] <= 9600
+    assert fast.bound[UPDATED] <= 7450 and small.bound[UPDATED] <= 8450
     assert small.code[0] <= 2250
 
 
