@@ -105,15 +105,15 @@ PHASES: tuple[Phase, ...] = (
     Phase("no confidence of its own", robust.vote_without_own_confidence, applies=_has_robust_filter),
     Phase("test of a wide spread", robust.threshold_phase(robust.WIDE_WIDTH), applies=_has_robust_filter),
     Phase("estimates far apart", robust.test_estimates_far_apart, applies=_has_robust_filter),
-    Phase("estimates of 1/2", robust.reject_near_half, applies=_has_robust_filter),
+    Phase("estimates of 1/2", robust.re_estimate_near_half, applies=_has_robust_filter),
     Phase("dependent observations", robust.test_dependent_observations, applies=_has_robust_filter),
     Phase("halvings", filtering.halve_memory, applies=can_fill_memory),
     Phase("long run", filtering.observe_long, applies=lambda setup: not can_fill_memory(setup)),
     Phase(
         "test of the least spread", robust.threshold_phase(robust.NARROW_WIDTH), applies=_has_robust_filter
     ),
-    Phase("many rejections", robust.reject_often, applies=_has_robust_filter),
-    Phase("votes that agree", robust.vote_until_spread_is_least, applies=_has_robust_filter),
+    Phase("many rejections", robust.re_estimate_often, applies=_has_robust_filter),
+    Phase("votes that agree", robust.vote_until_spread_is_smallest, applies=_has_robust_filter),
     Phase("many votes", robust.vote_often, applies=_has_robust_filter),
     Phase("among neighbours"),
     Phase("loss", fault="loss=0.5,receivers={me}"),

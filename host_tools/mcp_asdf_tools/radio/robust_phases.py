@@ -4,25 +4,26 @@ The filter keeps the latest estimate of each sender in one of 32 slots, that of 
 the end of each round one of these estimates is a vote, in turn, and after the last of them the robot's own
 estimate is one. Votes move x, their centre, which telemetry shows, so each round shows one of them.
 
-Every filter period the robot tests whether its observations contradict the estimates in the slots, if these
-are five or more. If they do, it re-estimates b_hat, unless more than two fifths of the estimates support it;
-if they do not, b_hat goes back to the initial one. A larger dispersion, which is how much more the robot's
-observations vary than independent ones, makes the test more careful.
+Every filter period, if five or more slots are filled, the robot tests whether its observations contradict the
+estimates in them. If they do, the test rejects the initial b_hat, and the robot re-estimates b_hat, unless
+more than two fifths of the estimates support it. If they do not, b_hat goes back to the initial one. A larger
+dispersion, which is how much more the robot's observations vary than independent ones, makes the test more
+careful.
 
-What is sent depends on the model's state: one unit of the estimate in one slot decides a test.
+What is sent depends on the model's state: one unit of the estimate in one slot decides a test. Estimates in
+slots are in units of 2**-16, and x_hat in messages is in units of 2**-23.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
-from typing import TypeVar
+from collections.abc import Callable, Sequence
 
 from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE
 from mcp_asdf.robot import Observation
 from mcp_asdf.robust_filter import SLOT_ESTIMATE_MAX, SLOTS, VOTES_MAX
 from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_LEAST, NeighbourEstimate, draw_normal_alpha
 from mcp_asdf_tools.crosscheck.crafted_slots import (
+    RobustTest,
     SlotsAtTest,
     draw_slots_at_threshold,
     estimate_that_predicts,
@@ -33,94 +34,122 @@ from mcp_asdf_tools.radio.bench import BURST, Bench
 from mcp_asdf_tools.radio.filter_phases import count_updates_to_check, observe_until_excess
 
 _FIRST_SLOTS = (15, 0, 31, 16, 7, 8, 23, 24, 1, 30, 12, 19)
-"""Slots in the order in which the first phase fills them: early ones are at the ends of bytes and words."""
-_HALF_OF_SLOT = SLOT_ESTIMATE_MAX // 2 + 1
-"""1/2 in units of 2**-16, as slots have them."""
-_FILL_RATIO = 0.75
-"""Fill ratio that the observations indicate before the tests: estimates fit in on either side of it."""
-_INFORMATIVE_DISTANCE = 8
-"""Distance of estimates from 1/2 from which on they carry information, in units of 2**-16: 2**-13."""
-NARROW_WIDTH, WIDE_WIDTH = 4, 1 << 13
-"""How far estimates are from their middle, in units of 2**-16: their spread is the least one, or large."""
-_MAX_DRAWS = 400
-"""Draws of estimates at the threshold of a test among which one is chosen."""
-_MAX_ATTEMPTS = 500
-"""Times that a burst of observations is made to bring about a test."""
-_MIN_INFORMATION = 0.05
-"""|2 b_hat - 1| of an initial b_hat below which estimates move the threshold too little to be shown."""
-_BALANCED_OBSERVATIONS = 4096
-"""Largest number of observations to bring the share of black ones to some value."""
-_ROUNDS_AT_SPREAD_MIN = 2500
-"""Rounds of votes that agree after which the spread would be below its limit, if it had none."""
+"""Slots that are filled before the others: the first of them are at the ends of bytes and words."""
+_FILLING_ORDER = (*_FIRST_SLOTS, *(slot for slot in range(SLOTS) if slot not in _FIRST_SLOTS))
+"""All slots in the order in which estimates are sent to them."""
 
-_Result = TypeVar("_Result")
+_SLOT_HALF = SLOT_ESTIMATE_MAX // 2 + 1
+"""An estimate of 1/2."""
+_X_HAT_PER_SLOT_UNIT = 1 << 7
+"""Units of x_hat in one unit of a slot's estimate."""
+_INFORMATIVE_DISTANCE = 8
+"""Distance from 1/2 from which on an estimate is enough for a re-estimate of b_hat (eq. 8): 2**-13."""
+
+NARROW_WIDTH, WIDE_WIDTH = 4, 1 << 13
+"""How far estimates are from their middle: so little that their spread is the smallest one, or much."""
+_FILL_RATIO = 0.75
+"""Fill ratio that the observations indicate before a test, with room for estimates on either side of it."""
+_MIN_INFORMATION = 0.05
+"""|2 b_hat - 1| of the initial b_hat below which estimates move the threshold too little to be shown."""
+
+_MAX_DRAWS = 400
+"""Number of draws of estimates at a test's threshold, of which one is chosen."""
+_MAX_BURSTS = 500
+"""Number of bursts of observations after which a test that has not come about is given up."""
+_MAX_OBSERVATIONS_FOR_SHARE = 4096
+"""Number of observations after which a share of black ones that has not come about is given up."""
+_MAX_PAIRS_OF_COLOURS = 4096
+"""Number of pairs, of a black and a white observation, after which a rejection is no longer waited for."""
+_ROUNDS_TO_SMALLEST_SPREAD = 2500
+"""Rounds of votes that agree after which the spread would be below its lower limit, if it had none."""
+
+
+# --- Phases: votes ---
 
 
 def receive_first_estimates(bench: Bench) -> None:
-    """Fill the first slots one by one, and test with four, five and more estimates."""
+    """Send the controller its first estimates, and play its first votes and tests.
+
+    These are tests with four estimates, too few for the filter, and with five and more.
+    """
     bench.activity = "observations, of which the initial b_hat explains the share"
-    _observe_share(bench, _predicted_share(bench, _FILL_RATIO))
-    bench.activity = "confidences of 0 before the first estimate"
-    bench.play_round(*(NeighbourEstimate(x_hat, 0) for x_hat in (ONE, ONE, 0)))
-    first_senders = [robot for robot in bench.other_ids if robot % SLOTS == _FIRST_SLOTS[0]]
-    bench.activity = "the first vote, as far from the centre as the spread"
-    bench.play_round(NeighbourEstimate(ONE - HALF // 2, ALPHA_MAX), senders=first_senders[:1])
-    _let_vote(bench, 3)
-    bench.activity = "a sender whose id is equal modulo 32"
-    bench.play_round(NeighbourEstimate(0, ALPHA_LEAST), senders=first_senders[1:2])
-    _let_vote(bench, 3)
-    bench.activity = "estimates of the extremes, and votes by turns"
-    _set_slots(bench, [0, SLOT_ESTIMATE_MAX, SLOT_ESTIMATE_MAX, 0])
-    _let_vote(bench, 12)
+    _observe_until_black_share(bench, _predict_black_share(bench, _FILL_RATIO))
+    _play_first_votes(bench)
     for count in (4, 5):
         bench.activity = f"a test with {count} estimates, all of which contradict the observations"
-        _set_slots(bench, [_contradicting_estimate(bench)] * count)
-        _play_test(bench)
+        _set_slots(bench, [_most_contradicting_estimate(bench)] * count)
+        _play_test_round(bench)
         bench.play_tick(bench.draw_observation())
-    if not _estimates_decide(bench):
+    if not _can_estimates_decide_test(bench):
         return
     for count in (5, 6):
-        _cross_threshold(bench, count, WIDE_WIDTH)
-        _cross_threshold(bench, count, NARROW_WIDTH)
-    if _opposite_estimate_is_rejected(bench):
+        _play_tests_at_threshold(bench, count, WIDE_WIDTH)
+        _play_tests_at_threshold(bench, count, NARROW_WIDTH)
+    if _can_contradict_extreme_estimate(bench):
         # Two of five and four of ten do not protect a robot, three of seven and five of twelve do.
         for count, supporter_count in ((5, 2), (7, 3), (10, 4), (12, 5)):
-            _test_two_parties(bench, count, supporter_count)
+            _play_test_of_two_parties(bench, count, supporter_count)
+
+
+def _play_first_votes(bench: Bench) -> None:
+    """Fill a slot for the first time, overwrite it from another id, and then fill a few more.
+
+    After each of these steps some rounds pass, in which the slots vote.
+    """
+    bench.activity = "confidences of 0 before the first estimate"
+    estimates_without_confidence = [NeighbourEstimate(x_hat, alpha=0) for x_hat in (ONE, ONE, 0)]
+    bench.play_round(*estimates_without_confidence)
+
+    first_sender, sender_of_same_slot = _ids_of_slot(bench, _FILLING_ORDER[0])[:2]
+    bench.activity = "the first vote, as far from the centre as the spread"
+    # Before the first vote the centre is 1/2 and the spread is 1/4, so that the estimate is 3/4.
+    bench.play_round(NeighbourEstimate(ONE - HALF // 2, ALPHA_MAX), senders=[first_sender])
+    _let_rounds_vote(bench, 3)
+    bench.activity = "a sender whose id is equal modulo 32"
+    bench.play_round(NeighbourEstimate(0, ALPHA_LEAST), senders=[sender_of_same_slot])
+    _let_rounds_vote(bench, 3)
+    bench.activity = "estimates of the extremes, and votes by turns"
+    _set_slots(bench, [0, SLOT_ESTIMATE_MAX, SLOT_ESTIMATE_MAX, 0])
+    _let_rounds_vote(bench, 12)
 
 
 def vote_with_every_slot(bench: Bench) -> None:
-    """Fill all slots, and let them vote by turns, the robot itself among them, and some change in between."""
+    """Fill all slots, and let each of them and the robot itself vote, while some estimates are replaced."""
     bench.activity = "estimates of the extremes in all slots"
     _set_slots(bench, [0, SLOT_ESTIMATE_MAX] * (SLOTS // 2))
-    _let_vote(bench, SLOTS + 3)
+    _let_rounds_vote(bench, SLOTS + 3)
     for slot in range(0, SLOTS, 5):
         bench.activity = f"a new estimate in slot {slot}"
-        senders = _draw_senders(bench, [slot])
-        bench.play_round(NeighbourEstimate(HALF + slot, draw_normal_alpha(bench.rng)), senders=senders)
-        _let_vote(bench, 2)
+        sender = _draw_sender(bench, slot)
+        estimate = NeighbourEstimate(HALF + slot, draw_normal_alpha(bench.rng))
+        bench.play_round(estimate, senders=[sender])
+        _let_rounds_vote(bench, 2)
+
     bench.activity = "estimates that are halfway between two units of a slot"
-    x_hats = [HALF + 128 * slot + (63, 64)[slot % 2] for slot in range(SLOTS)]
-    estimates = [NeighbourEstimate(x_hat, draw_normal_alpha(bench.rng)) for x_hat in x_hats]
-    bench.play_round(*estimates, senders=_draw_senders(bench, range(SLOTS)))
-    _let_vote(bench, SLOTS + 1)
+    half_unit = _X_HAT_PER_SLOT_UNIT // 2
+    estimates = []
+    for slot in range(SLOTS):
+        # Half a unit of a slot is rounded up, and the next smaller fraction down.
+        fraction = half_unit if slot % 2 == 1 else half_unit - 1
+        x_hat = HALF + slot * _X_HAT_PER_SLOT_UNIT + fraction
+        estimates.append(NeighbourEstimate(x_hat, draw_normal_alpha(bench.rng)))
+    senders = [_draw_sender(bench, slot) for slot in range(SLOTS)]
+    bench.play_round(*estimates, senders=senders)
+    _let_rounds_vote(bench, SLOTS + 1)
 
 
 def vote_without_own_confidence(bench: Bench) -> None:
     """Bring b_hat to exactly 1/2, with which the robot has no confidence, and let the slots vote without it.
 
-    That takes a re-estimate when half of the observations are black.
+    That takes a re-estimate when half of the observations are black. Nothing is played if a run is too short
+    for it. If it does not come about, this is noted as not exercised.
     """
-    if not _opposite_estimate_is_rejected(bench):
+    if not _can_contradict_extreme_estimate(bench):
         return
     bench.activity = "observations, half of them black"
     observe_until_excess(bench, 0)
-    estimate = _contradicting_estimate(bench)
-    for _ in range(_BALANCED_OBSERVATIONS):
-        if _rejected_slots(bench, estimate) is not None:
-            break
-        bench.play_tick(Observation.BLACK)
-        bench.play_tick(Observation.WHITE)
-    else:
+    estimate = _most_contradicting_estimate(bench)
+    if not _observe_equal_colours_until_rejection(bench, estimate):
         bench.not_exercised.append("a re-estimate of b_hat as 1/2")
         return
     bench.activity = "a re-estimate of b_hat as 1/2"
@@ -129,40 +158,47 @@ def vote_without_own_confidence(bench: Bench) -> None:
     bench.play_tick(Observation.BLACK)
     bench.activity = "votes of a robot without confidence"
     _set_slots(bench, [0, SLOT_ESTIMATE_MAX] * (SLOTS // 2))
-    _let_vote(bench, 2 * SLOTS)
+    _let_rounds_vote(bench, 2 * SLOTS)
 
 
-def vote_until_spread_is_least(bench: Bench) -> None:
-    """Let all estimates agree until the spread is at its lower limit, and then disagree."""
+def vote_until_spread_is_smallest(bench: Bench) -> None:
+    """Let all votes agree until their spread is at its lower limit, and then let them disagree."""
     bench.activity = "votes that agree"
-    own_estimate = min(bench.firmware.s.x_hat >> 7, SLOT_ESTIMATE_MAX)
+    own_estimate = min(bench.firmware.s.x_hat // _X_HAT_PER_SLOT_UNIT, SLOT_ESTIMATE_MAX)
     _set_slots(bench, [own_estimate] * SLOTS)
-    _let_vote(bench, _ROUNDS_AT_SPREAD_MIN)
+    _let_rounds_vote(bench, _ROUNDS_TO_SMALLEST_SPREAD)
     bench.activity = "votes on both sides of a centre with the least spread"
-    _set_slots(bench, [max(own_estimate - 40, 0), min(own_estimate + 40, SLOT_ESTIMATE_MAX)] * (SLOTS // 2))
-    _let_vote(bench, SLOTS)
+    below = max(own_estimate - 40, 0)
+    above = min(own_estimate + 40, SLOT_ESTIMATE_MAX)
+    _set_slots(bench, [below, above] * (SLOTS // 2))
+    _let_rounds_vote(bench, SLOTS)
 
 
 def vote_often(bench: Bench) -> None:
-    """Let twice as many votes be taken as are counted, for both ends."""
+    """Let twice as many rounds vote as the filter counts, half of the slots for 0 and half for almost 1."""
     bench.activity = "many votes"
     _set_slots(bench, [0, 0, SLOT_ESTIMATE_MAX, SLOT_ESTIMATE_MAX] * (SLOTS // 4))
-    _let_vote(bench, 2 * VOTES_MAX + SLOTS)
+    _let_rounds_vote(bench, 2 * VOTES_MAX + SLOTS)
+
+
+# --- Phases: tests ---
 
 
 def threshold_phase(width: int) -> Callable[[Bench], None]:
     """Return a phase that plays the robust filter's test on both sides of its threshold.
 
-    The phase is a function that plays it on the bench of a controller. All slots have estimates, which differ
-    by up to ``width`` from their middle, in units of 2**-16.
+    All slots are filled with estimates that differ by up to ``width`` from their middle. The phase plays
+    nothing if the initial b_hat is so close to 1/2 that estimates cannot decide the test.
     """
 
     def play(bench: Bench) -> None:
-        if not _estimates_decide(bench):
+        if not _can_estimates_decide_test(bench):
             return
-        _observe_share(bench, _predicted_share(bench, _FILL_RATIO))
+        _observe_until_black_share(bench, _predict_black_share(bench, _FILL_RATIO))
+        # Estimates are chosen to show one known mistake in the arithmetic of the test. There are several
+        # mistakes, so that a second pair of tests can show another one.
         for _ in range(2):
-            _cross_threshold(bench, SLOTS, width)
+            _play_tests_at_threshold(bench, count=SLOTS, width=width)
 
     return play
 
@@ -172,29 +208,32 @@ def test_estimates_far_apart(bench: Bench) -> None:
 
     Half of them are 0 and the others 3/4, so that their centre and the distance are 3/8. The observations are
     such that the test rejects with the largest spread, 1/4, and would not with that distance. If the initial
-    b_hat is far from 1/2 there are no such observations, and with a short memory too few. Then nothing is
-    played.
+    b_hat is far from 1/2 there are no such observations, and with a short memory too few. If it is next to
+    1/2, estimates cannot decide the test. In these three cases no test is played.
     """
-    g = abs(2 * bench.firmware.s.robust.initial_b_hat / 2**32 - 1)
-    # Many observations are rejected if they deviate by more than sqrt(12) g spread: 0.87 g with a spread of
-    # 1/4, and 1.3 g with one of 3/8.
-    share = _predicted_share(bench, fill_ratio=3 / 8) + 1.1 * g
-    if not _estimates_decide(bench) or share >= 1:
+    # Many observations are rejected if their share of black deviates from the prediction by more than
+    # sqrt(12) g spread: 0.87 g with a spread of 1/4, and 1.3 g with one of 3/8.
+    g = _initial_information(bench)
+    black_share = _predict_black_share(bench, fill_ratio=3 / 8) + 1.1 * g
+    if not _can_estimates_decide_test(bench) or black_share >= 1:
         return
     bench.activity = "observations that estimates far apart contradict"
-    estimates = (0, 3 * _HALF_OF_SLOT // 2) * (SLOTS // 2)
-    if not _observe_share(bench, share, lambda: _slots_at_test(bench, estimates).is_rejected()):
-        return
-    bench.activity = "a test with estimates that are far apart"
-    bench.skip_to_test_round()
-    _set_slots(bench, estimates)
-    bench.play_tick(bench.draw_observation())
+    three_quarters = 3 * _SLOT_HALF // 2
+    estimates = (0, three_quarters) * (SLOTS // 2)
+
+    def would_reject() -> bool:
+        return _slots_at_test(bench, estimates).is_rejected()
+
+    if _observe_until_black_share(bench, black_share, is_enough=would_reject):
+        bench.activity = "a test with estimates that are far apart"
+        _play_test_with_estimates(bench, estimates)
 
 
 def test_dependent_observations(bench: Bench) -> None:
     """Play tests at their threshold after batches of observations that raise and lower the dispersion.
 
-    A batch is what the robot observes from one test to the next.
+    A batch is what the robot observes from one test to the next. If the initial b_hat is so close to 1/2 that
+    estimates cannot decide a test, each batch is followed by a test with whatever is in the slots.
     """
     batches: dict[str, list[Observation]] = {
         "as many of one colour in a row as of the other": [Observation.BLACK] * 48 + [Observation.WHITE] * 48,
@@ -205,151 +244,247 @@ def test_dependent_observations(bench: Bench) -> None:
     }
     for name, observations in batches.items():
         bench.activity = f"a batch of observations: {name}"
-        bench.skip_ticks(len(observations), partial(next, iter(observations)))
-        if _estimates_decide(bench):
-            _cross_threshold(bench, SLOTS, NARROW_WIDTH)
+        _observe_in_order(bench, observations)
+        if _can_estimates_decide_test(bench):
+            _play_tests_at_threshold(bench, count=SLOTS, width=NARROW_WIDTH)
         else:
-            _play_test(bench)
+            _play_test_round(bench)
 
 
-def reject_near_half(bench: Bench) -> None:
-    """Let the test reject with estimates that carry just enough information, or just too little, or 1/2.
+def re_estimate_near_half(bench: Bench) -> None:
+    """Play tests that reject, with estimates just far enough from 1/2 for a re-estimate and just too close.
 
-    All slots have the same estimate. The first two are played on either side of 1/2.
+    They are above 1/2 in the first two tests, below it in the next two, and exactly 1/2 in the last; with 1/2
+    or too close to it the robot keeps its b_hat. In each test all slots have the same estimate. If no
+    observations make a test reject, this is noted as not exercised, and the tests after it are left out.
     """
-    limit = _INFORMATIVE_DISTANCE
-    # One unit nearer to 1/2 above, and one unit farther away below, is on the other side of the limit.
-    for offset in (limit, limit - 1, -limit, -limit - 1, 0):
-        bench.activity = f"observations that contradict estimates of 1/2 and {offset} units"
-        estimate = _HALF_OF_SLOT + offset
-        slots = _observe_until(bench, partial(_rejected_slots, bench, estimate), estimate)
-        if slots is None:
+    # Below 1/2 the firmware exchanges the colours, and computes 1 - x as 2**32 - 1 - X from an X in units of
+    # 2**-32. That is one unit too small, and brings an estimate at the exact limit too close to 1/2. The
+    # nearest that is far enough is one unit of a slot below.
+    nearest_above = _INFORMATIVE_DISTANCE
+    nearest_below = -_INFORMATIVE_DISTANCE - 1
+    for offset in (nearest_above, nearest_above - 1, nearest_below + 1, nearest_below, 0):
+        bench.activity = f"observations that contradict estimates {offset:+} units from 1/2"
+        estimate = _SLOT_HALF + offset
+        if not _observe_until_rejection(bench, estimate):
             return
-        bench.activity = f"a test with estimates of 1/2 and {offset} units"
-        bench.skip_to_test_round()
-        _set_slots(bench, slots.estimates)
-        bench.play_tick(bench.draw_observation())
+        bench.activity = f"a test with estimates {offset:+} units from 1/2"
+        _play_test_with_estimates(bench, [estimate] * SLOTS)
 
 
-def reject_often(bench: Bench) -> None:
-    """Let the test reject so often that a controller shows whose counter of updates has too few bits."""
+def re_estimate_often(bench: Bench) -> None:
+    """Re-estimate b_hat so often that the controller's counter of updates overflows if it has too few bits.
+
+    If no test can be made to reject, this is noted as not exercised, and nothing is re-estimated.
+    """
     bench.activity = "observations until the test rejects"
-    slots = _observe_until(bench, lambda: _rejected_slots(bench, _contradicting_estimate(bench)))
-    if slots is None:
+    if not _observe_until_rejection(bench):
         return
-    _set_slots(bench, slots.estimates)
+    _set_slots(bench, [_most_contradicting_estimate(bench)] * SLOTS)
     bench.activity = "one of many re-estimates"
     missing_updates = count_updates_to_check(bench.setup) - bench.firmware.s.updates
-    for _ in range(max(missing_updates, 1)):
-        _play_test(bench)
+    # Earlier phases may have made all updates, but the estimates just sent are to be tested once.
+    test_count = max(missing_updates, 1)
+    for _ in range(test_count):
+        _play_test_round(bench)
 
 
-# --- Steps ---
+# --- Estimates for the slots ---
 
 
-def _draw_senders(bench: Bench, slots: Sequence[int]) -> list[int]:
-    """Draw a sender for each slot: one of the ids that are equal to its number modulo 32, but not our own."""
-    return [bench.rng.choice([robot for robot in bench.other_ids if robot % SLOTS == slot]) for slot in slots]
+def _ids_of_slot(bench: Bench, slot: int) -> list[int]:
+    """Return the ids whose estimates the controller keeps in this slot, without its own id."""
+    return [robot for robot in bench.other_ids if robot % SLOTS == slot]
+
+
+def _draw_sender(bench: Bench, slot: int) -> int:
+    """Draw one of the ids whose estimates the controller keeps in this slot."""
+    return bench.rng.choice(_ids_of_slot(bench, slot))
 
 
 def _set_slots(bench: Bench, estimates: Sequence[int]) -> None:
-    """Play a round of messages that set as many slots to these estimates, in the order of the first phase."""
-    order = _FIRST_SLOTS + tuple(slot for slot in range(SLOTS) if slot not in _FIRST_SLOTS)
+    """Play a round of messages that sets as many slots as there are estimates to these values.
+
+    The slots are the first ones of ``_FILLING_ORDER``; the others keep what they have.
+    """
     messages = [
         NeighbourEstimate(_draw_x_hat(bench, estimate), draw_normal_alpha(bench.rng))
         for estimate in estimates
     ]
-    bench.play_round(*messages, senders=_draw_senders(bench, order[: len(estimates)]))
+    senders = [_draw_sender(bench, slot) for slot in _FILLING_ORDER[: len(estimates)]]
+    bench.play_round(*messages, senders=senders)
 
 
 def _draw_x_hat(bench: Bench, estimate: int) -> int:
-    """Draw an x_hat, in units of 2**-23, that a slot keeps as this estimate, in units of 2**-16."""
-    nearest = estimate << 7
-    largest = ONE if estimate == SLOT_ESTIMATE_MAX else nearest + 63
-    return bench.rng.randint(max(nearest - 64, 0), largest)
+    """Draw one of the x_hat, in units of 2**-23, that a slot keeps as this estimate."""
+    exact = estimate * _X_HAT_PER_SLOT_UNIT
+    smallest = max(exact - _X_HAT_PER_SLOT_UNIT // 2, 0)
+    # A slot cannot have 1.0, so that it keeps all that is above its largest estimate as that estimate.
+    largest = ONE if estimate == SLOT_ESTIMATE_MAX else exact + _X_HAT_PER_SLOT_UNIT // 2 - 1
+    return bench.rng.randint(smallest, largest)
 
 
-def _let_vote(bench: Bench, rounds: int) -> None:
-    """Let rounds without messages pass, in each of which a slot or the robot itself votes."""
+# --- Rounds ---
+
+
+def _let_rounds_vote(bench: Bench, rounds: int) -> None:
+    """Let so many rounds pass without messages. In each of them a slot or the robot itself votes."""
     bench.skip_to_round()
     bench.skip_ticks(rounds * bench.setup.comms_period)
 
 
-def _play_test(bench: Bench) -> None:
-    """Skip ticks until the round of the next test, and play that round without messages."""
+def _play_test_round(bench: Bench) -> None:
+    """Let ticks pass until the round of the next test, and play that round without messages."""
     bench.skip_to_test_round()
     bench.play_round()
 
 
-def _observe_share(bench: Bench, share: float, is_enough: Callable[[], bool] = lambda: True) -> bool:
-    """Observe until the share of black observations is near ``share`` and ``is_enough`` returns True.
+def _play_test_with_estimates(bench: Bench, estimates: Sequence[int]) -> None:
+    """Send these estimates in the round of the next test, and observe once after it.
 
-    Returns whether that was reached; it is given up after many observations.
+    No other observation comes before the test. The one after it makes the robot form its x_hat from the b_hat
+    that the test has left.
+    """
+    bench.skip_to_test_round()
+    _set_slots(bench, estimates)
+    bench.play_tick(bench.draw_observation())
+
+
+# --- Observations ---
+
+
+def _observe_in_order(bench: Bench, observations: Sequence[Observation]) -> None:
+    """Let the controller make these observations, one a tick."""
+    remaining_observations = iter(observations)
+    bench.skip_ticks(len(observations), lambda: next(remaining_observations))
+
+
+def _observe_burst(bench: Bench, colour: Observation) -> None:
+    """Let the controller observe this colour in each tick of a burst."""
+    bench.skip_ticks(BURST, lambda: colour)
+
+
+def _observe_until_black_share(
+    bench: Bench, black_share: float, is_enough: Callable[[], bool] = lambda: True
+) -> bool:
+    """Observe until the share of black observations is near ``black_share`` and ``is_enough`` returns True.
+
+    Returns False if that has not come about after ``_MAX_OBSERVATIONS_FOR_SHARE``.
     """
     state = bench.firmware.s
-    for _ in range(_BALANCED_OBSERVATIONS // BURST):
-        is_near = state.t > 4 * BURST and abs(state.n - share * state.t) < 0.01 * state.t
+
+    def choose_colour() -> Observation:
+        is_share_too_low = state.n < black_share * state.t
+        return Observation(is_share_too_low)
+
+    for _ in range(_MAX_OBSERVATIONS_FOR_SHARE // BURST):
+        is_near = state.t > 4 * BURST and abs(state.n - black_share * state.t) < 0.01 * state.t
         if is_near and is_enough():
             return True
-        bench.skip_ticks(BURST, lambda: Observation(state.n < share * state.t))
+        bench.skip_ticks(BURST, choose_colour)
     return False
 
 
-def _observe_until(
-    bench: Bench, make: Callable[[], _Result | None], rejected_estimate: int | None = None
-) -> _Result | None:
-    """Observe until ``make`` returns something, and return that.
+def _observe_equal_colours_until_rejection(bench: Bench, estimate: int) -> bool:
+    """Observe black and white by turns until a test would reject with ``estimate`` in all slots.
 
-    The observations bring the test nearer to its threshold: where ``rejected_estimate``, in all slots, would
-    not be rejected, they are of the colour that is seen more often, and otherwise of the other one. By
-    default it is the estimate that contradicts the observations most. If ``make`` returns nothing after many
-    of them, the present activity is noted as not exercised.
+    Returns False if it would not after many observations.
     """
-    state = bench.firmware.s
-    for _ in range(_MAX_ATTEMPTS):
-        result = make()
-        if result is not None:
-            return result
-        is_black_more_frequent = 2 * state.n > state.t
-        estimate = _contradicting_estimate(bench) if rejected_estimate is None else rejected_estimate
-        is_too_near = _rejected_slots(bench, estimate) is None
-        colour = Observation(is_black_more_frequent == is_too_near)
-        bench.skip_ticks(BURST, partial(Observation, colour))
+    for _ in range(_MAX_PAIRS_OF_COLOURS):
+        if _would_reject(bench, estimate):
+            return True
+        bench.play_tick(Observation.BLACK)
+        bench.play_tick(Observation.WHITE)
+    return False
+
+
+def _observe_until_rejection(bench: Bench, estimate: int | None = None) -> bool:
+    """Observe the more frequent colour until a test would reject with ``estimate`` in all slots.
+
+    By default, that is the estimate that contradicts the observations most. If the test would not reject
+    after many observations, the present activity is noted as not exercised, and the result is False.
+    """
+    for _ in range(_MAX_BURSTS):
+        tested_estimate = _most_contradicting_estimate(bench) if estimate is None else estimate
+        if _would_reject(bench, tested_estimate):
+            return True
+        _observe_burst(bench, _more_frequent_colour(bench))
+    bench.not_exercised.append(bench.activity)
+    return False
+
+
+def _observe_until_slots_can_be_crafted(
+    bench: Bench, craft_slots: Callable[[], SlotsAtTest | None]
+) -> SlotsAtTest | None:
+    """Observe until ``craft_slots`` returns estimates for the next test, and return these.
+
+    All observations of a burst have one colour. It is the more frequent colour while no estimate contradicts
+    the observations enough for the test to reject. Once some estimate does, it is the other colour, so that
+    the contradiction does not become too large. If there are no estimates for the test after many bursts, the
+    present activity is noted as not exercised, and the result is None.
+    """
+    for _ in range(_MAX_BURSTS):
+        slots = craft_slots()
+        if slots is not None:
+            return slots
+        colour = _more_frequent_colour(bench)
+        if _would_reject(bench, _most_contradicting_estimate(bench)):
+            colour = Observation.WHITE if colour is Observation.BLACK else Observation.BLACK
+        _observe_burst(bench, colour)
     bench.not_exercised.append(bench.activity)
     return None
 
 
-# --- The test and its threshold ---
+def _more_frequent_colour(bench: Bench) -> Observation:
+    """Return the colour that the robot has observed more often, and white if both are equally frequent."""
+    state = bench.firmware.s
+    return Observation(2 * state.n > state.t)
 
 
-def _estimates_decide(bench: Bench) -> bool:
-    """Return whether the initial b_hat is so far from 1/2 that estimates can decide the robot's test."""
-    b_hat = bench.firmware.s.robust.initial_b_hat / 2**32
-    return abs(2 * b_hat - 1) >= _MIN_INFORMATION
+# --- What decides a test ---
 
 
-def _opposite_estimate_is_rejected(bench: Bench) -> bool:
-    """Return whether a run has enough observations for a test that rejects while estimates explain the share.
+def _initial_b_hat(bench: Bench) -> float:
+    """Return the accuracy that the robot assumed of its sensor at its start."""
+    return bench.firmware.s.robust.initial_b_hat / 2**32
 
-    The share of black is then that of a fill ratio between 0 and 1, and contradicts an estimate of 0 or 1. It
-    takes 12 / g**2 observations, and more where they depend on each other, with g = |2 b_hat - 1|.
+
+def _initial_information(bench: Bench) -> float:
+    """Return g = |2 b_hat - 1| of the initial b_hat: 0 if it says nothing about a tile, 1 if it says all."""
+    return abs(2 * _initial_b_hat(bench) - 1)
+
+
+def _can_estimates_decide_test(bench: Bench) -> bool:
+    """Return whether the initial b_hat is so far from 1/2 that estimates can decide the robot's test.
+
+    Near 1/2, it predicts nearly the same share of black observations from all estimates.
     """
-    g = abs(2 * bench.firmware.s.robust.initial_b_hat / 2**32 - 1)
-    possible_observations = min(bench.config.memory // 2, _MAX_ATTEMPTS * BURST)
-    return possible_observations * g**2 >= 2 * 12
+    return _initial_information(bench) >= _MIN_INFORMATION
 
 
-def _predicted_share(bench: Bench, fill_ratio: float) -> float:
+def _can_contradict_extreme_estimate(bench: Bench) -> bool:
+    """Return whether a run has enough observations to contradict an estimate of 0 or 1.
+
+    Their share of black must be one that the initial b_hat predicts from some fill ratio. Then the test needs
+    12 / g**2 observations to reject, and more if they depend on each other.
+    """
+    g = _initial_information(bench)
+    # A full memory is halved, so that a test is sure to have only half of it.
+    possible_observations = min(bench.config.memory // 2, _MAX_BURSTS * BURST)
+    return possible_observations * g**2 >= 2 * 12  # twice as many, as they may depend on each other
+
+
+def _predict_black_share(bench: Bench, fill_ratio: float) -> float:
     """Return the share of black observations that the initial b_hat predicts for a fill ratio (eq. 1)."""
-    b_hat = bench.firmware.s.robust.initial_b_hat / 2**32
+    b_hat = _initial_b_hat(bench)
     return b_hat * fill_ratio + (1 - b_hat) * (1 - fill_ratio)
 
 
-def _contradicting_estimate(bench: Bench) -> int:
+def _most_contradicting_estimate(bench: Bench) -> int:
     """Return the estimate, 0 or almost 1, that contradicts the robot's observations most."""
     state = bench.firmware.s
-    explaining_estimate = estimate_that_predicts(state.robust, state.n / state.t)
-    return 0 if explaining_estimate > _HALF_OF_SLOT else SLOT_ESTIMATE_MAX
+    agreeing_estimate = estimate_that_predicts(state.robust, state.n / state.t)
+    return 0 if agreeing_estimate > _SLOT_HALF else SLOT_ESTIMATE_MAX
 
 
 def _slots_at_test(bench: Bench, estimates: tuple[int, ...]) -> SlotsAtTest:
@@ -358,63 +493,87 @@ def _slots_at_test(bench: Bench, estimates: tuple[int, ...]) -> SlotsAtTest:
     return SlotsAtTest(estimates, filter_at_test(state), state.t, state.n)
 
 
-def _rejected_slots(bench: Bench, estimate: int) -> SlotsAtTest | None:
-    """Return slots with this estimate alone if the next test, before another observation, rejects them."""
-    slots = _slots_at_test(bench, (estimate,) * SLOTS)
-    return slots if slots.is_rejected() else None
+def _would_reject(bench: Bench, estimate: int) -> bool:
+    """Return whether a test before the next observation rejects, if all slots have this estimate."""
+    return _slots_at_test(bench, (estimate,) * SLOTS).is_rejected()
 
 
-def _cross_threshold(bench: Bench, count: int, width: int) -> None:
-    """Play a test that just rejects, and one that just does not, with ``count`` estimates."""
-    for is_rejection in (True, False):
-        bench.activity = f"observations before a test of {count} estimates"
-        slots = _observe_until(bench, partial(_choose_slots, bench, count, width, is_rejection))
-        if slots is None:
-            return
-        bench.activity = "a test that " + ("just rejects" if is_rejection else "just does not reject")
-        bench.skip_to_test_round()
-        _set_slots(bench, slots.estimates)
-        bench.play_tick(bench.draw_observation())
+# --- Tests that are decided by a hair, or by supporters ---
 
 
-def _choose_slots(bench: Bench, count: int, width: int, is_rejection: bool) -> SlotsAtTest | None:
-    """Return estimates that a test just rejects, or just does not, and that show most known mistakes.
+def _play_tests_at_threshold(bench: Bench, count: int, width: int) -> None:
+    """Play a test that just rejects with ``count`` estimates, and then one that just does not.
 
-    A mistake counts only while no frame has shown it. The search ends with the first estimates that show one.
-    Returns None if the test cannot be brought to its threshold.
+    The estimates differ by up to ``width`` from their middle. The second test is left out if the first cannot
+    be brought about.
     """
+    if _play_test_at_threshold(bench, count, width, is_rejection=True):
+        _play_test_at_threshold(bench, count, width, is_rejection=False)
+
+
+def _play_test_at_threshold(bench: Bench, count: int, width: int, is_rejection: bool) -> bool:
+    """Play a test with ``count`` estimates that just rejects, or just does not.
+
+    The estimates differ by up to ``width`` from their middle. If no observations bring the test about, this
+    is noted as not exercised, and the result is False.
+    """
+
+    def craft_slots() -> SlotsAtTest | None:
+        return _choose_slots_at_threshold(bench, count, width, is_rejection)
+
+    bench.activity = f"observations before a test of {count} estimates"
+    slots = _observe_until_slots_can_be_crafted(bench, craft_slots)
+    if slots is None:
+        return False
+    bench.activity = "a test that just rejects" if is_rejection else "a test that just does not reject"
+    _play_test_with_estimates(bench, slots.estimates)
+    return True
+
+
+def _choose_slots_at_threshold(
+    bench: Bench, count: int, width: int, is_rejection: bool
+) -> SlotsAtTest | None:
+    """Return estimates with which the next test just rejects, or just does not, if ``is_rejection`` is False.
+
+    They are drawn until some show a known mistake that no frame has shown yet. If none of many draws does,
+    the first estimates at the threshold are returned, and None if no draw reaches the threshold.
+    """
+    wrong_tests = bench.mistaken_models.robust_tests
+    draw_count = _MAX_DRAWS if wrong_tests else 1
     first_slots: SlotsAtTest | None = None
-    for slots in _draw_slots_at_threshold(bench, count, width, is_rejection):
+    for _ in range(draw_count):
+        slots_on_both_sides = draw_slots_at_threshold(bench.firmware, count, width, bench.rng)
+        if slots_on_both_sides is None:
+            continue
+        accepted_slots, rejected_slots = slots_on_both_sides
+        slots = rejected_slots if is_rejection else accepted_slots
+        if _shows_wrong_test(slots, wrong_tests):
+            return slots
         if first_slots is None:
             first_slots = slots
-        wrong_tests = bench.mistaken_models.robust_tests
-        if any(slots.is_rejected(test) != is_rejection for test in wrong_tests) and not slots.is_supported:
-            return slots
     return first_slots
 
 
-def _draw_slots_at_threshold(
-    bench: Bench, count: int, width: int, is_rejection: bool
-) -> Iterator[SlotsAtTest]:
-    """Yield estimates by which the next test just rejects, or just does not.
+def _shows_wrong_test(slots: SlotsAtTest, wrong_tests: Sequence[RobustTest]) -> bool:
+    """Return whether one of these wrong tests decides otherwise than the firmware's, and with an effect."""
+    if slots.is_supported:
+        # b_hat goes back to the initial one, whatever the test decides.
+        return False
+    right_decision = slots.is_rejected()
+    return any(slots.is_rejected(wrong_test) != right_decision for wrong_test in wrong_tests)
 
-    Of many draws if mistakes are still to be shown, otherwise of one. There are none if no draw reaches the
-    threshold.
+
+def _play_test_of_two_parties(bench: Bench, count: int, supporter_count: int) -> None:
+    """Play a test that rejects although ``supporter_count`` of ``count`` estimates support the robot.
+
+    If no observations bring it about, this is noted as not exercised.
     """
-    draw_count = _MAX_DRAWS if bench.mistaken_models.robust_tests else 1
-    for _ in range(draw_count):
-        pair = draw_slots_at_threshold(bench.firmware, count, width, bench.rng)
-        if pair is not None:
-            yield pair[is_rejection]
 
+    def craft_slots() -> SlotsAtTest | None:
+        return slots_of_two_parties(bench.firmware, count, supporter_count)
 
-def _test_two_parties(bench: Bench, count: int, supporter_count: int) -> None:
-    """Play a test that rejects although ``supporter_count`` of ``count`` estimates support the robot."""
     bench.activity = f"observations that {supporter_count} of {count} estimates support"
-    slots = _observe_until(bench, lambda: slots_of_two_parties(bench.firmware, count, supporter_count))
-    if slots is None:
-        return
-    bench.activity = f"a test in which {supporter_count} of {count} estimates support the robot"
-    bench.skip_to_test_round()
-    _set_slots(bench, slots.estimates)
-    bench.play_tick(bench.draw_observation())
+    slots = _observe_until_slots_can_be_crafted(bench, craft_slots)
+    if slots is not None:
+        bench.activity = f"a test in which {supporter_count} of {count} estimates support the robot"
+        _play_test_with_estimates(bench, slots.estimates)

@@ -207,7 +207,7 @@ def test_a_right_controller_of_another_configuration_passes(config: dict[str, An
             [
                 ({}, PHASES, "dde7bb5febfce51d"),
                 ({"memory": 64}, PHASES, "20ace46b5a67a0f2"),
-                (VOTES, PHASES, "7c4618837c9f0d61"),
+                (VOTES, PHASES, "c290c201508f257c"),
                 (OFF, CRAFTED_PHASES, "a955cf607a15a6c5"),
             ]
         ),
@@ -271,7 +271,7 @@ def test_a_run_does_not_wait_for_a_filter_of_too_long_a_period() -> None:
 
 
 def test_robust_tests_that_cannot_be_brought_about_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(robust_phases, "_MAX_ATTEMPTS", 0)
+    monkeypatch.setattr(robust_phases, "_MAX_BURSTS", 0)
     phases = phases_named("first estimates", "test of a wide spread", "many rejections")
     verdict = verify(right_controller(**VOTES), surroundings(right(**VOTES)), phases)
     assert verdict.difference is None
