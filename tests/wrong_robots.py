@@ -611,7 +611,6 @@ WRONG: dict[str, Wrong] = {
         "first estimates", "return (lower_middle + {upper_middle => lower_middle}) // 2"
     ),
     "tests against the median": with_robust_firmware("first estimates", "HUBER_STEPS = {3 => 0}"),
-    "two steps to the centre": with_robust_firmware("test of a wide spread", "HUBER_STEPS = {3 => 2}"),
     "mean of all estimates": with_robust_firmware(
         "first estimates", "sum({max(-spread, min(spread, difference)) => difference} for"
     ),

@@ -176,6 +176,7 @@ def not_checked(setup: RobotSetup) -> list[str]:
         (has_filter, f"a counter of more than {count_updates_to_check(setup)} updates"),
         (has_asdf_filter, "a re-estimate from tiles of both colours before some 200 observations"),
         (has_robust_filter, "rounding of its test below that of float64, and ties of those that support it"),
+        (has_robust_filter, "the last step to the centre of its estimates, which seldom moves it"),
         (True, f"more than {CROWDED_MESSAGES} messages in a tick"),
         (True, "its own clock, sensor and telemetry period: commands replace them"),
         (True, "saving and restoring of its state"),
