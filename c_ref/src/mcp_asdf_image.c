@@ -252,20 +252,22 @@ bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)
  * reads.
  *   source   where the image is read from; null if it is written
  *   target   where the image is written to; null if it is read
- *   hash     FNV-1a over the words so far */
+ *   hash     FNV-1a over the words so far
+ *   is_read  whether the image is read */
 typedef struct {
     const uint8_t *source;
     uint8_t *target;
     uint32_t hash;
+    bool is_read;
 } image_t;
 
 /* Pass a word through the image, little-endian. Returns the value itself if the image is written, and its
  * next word if it is read. */
 static uint32_t pass_word(image_t *image, uint32_t value)
 {
-    uint32_t word = image->target == NULL ? 0U : value;
+    uint32_t word = image->is_read ? 0U : value;
     for (uint8_t shift = 0; shift < 32U; shift = (uint8_t)(shift + 8U)) { /* at most 4 turns */
-        if (image->target == NULL) {
+        if (image->is_read) {
             word |= (uint32_t)*image->source++ << shift;
         } else {
             *image->target++ = (uint8_t)(value >> shift);
@@ -396,7 +398,7 @@ static uint32_t magic_word(bool is_robust) { return is_robust ? IMAGE_MAGIC | RO
 /* Write the image of `robot` to `image`: the magic word, the state, and the hash of both. */
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    image_t output = {NULL, image, HASH_START};
+    image_t output = {NULL, image, HASH_START, false};
     /* pass_state() serves for reading, too: it assigns to all members what pass_word() returns. */
     mcp_asdf_t copy = *robot;
     const bool is_robust = mcp_asdf_is_robust(robot->config);
@@ -411,7 +413,7 @@ void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *config,
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    image_t input = {image, NULL, HASH_START};
+    image_t input = {image, NULL, HASH_START, true};
     mcp_asdf_t restored = {0}, fresh;
     const bool is_robust = mcp_asdf_is_robust(config);
     /* While an image is read, the value that is passed to pass_word() does not matter. */

@@ -96,11 +96,11 @@ static double normal(stream_t *s)
     const double u = 1 - uniform(s), v = uniform(s);
     return sqrt(-2 * log(u)) * cos(2 * M_PI * v);
 }
-static stream_t open_stream(uint64_t seed, uint64_t world, uint64_t trial, uint64_t purpose)
+static stream_t open_stream(uint64_t seed, uint64_t world, int trial, uint64_t purpose)
 {
     const uint64_t a = mixed(seed + 0x9E3779B97F4A7C15U), b = mixed(a ^ (world + 0x632BE59BD9B4E019U));
     return (stream_t){
-        mixed(mixed(b ^ (trial * 0xD1342543DE82EF95U + 1)) ^ (purpose * 0x2545F4914F6CDD1DU + 7))};
+        mixed(mixed(b ^ ((uint64_t)trial * 0xD1342543DE82EF95U + 1)) ^ (purpose * 0x2545F4914F6CDD1DU + 7))};
 }
 
 /* ---- A world ---- */
@@ -252,7 +252,7 @@ static void make_world(uint64_t seed, uint64_t world, int trial)
         for (int i = 0; i < N; ++i) {
             double change = 0;
             if (age == 1 || (age == 3 && is_flawed[i])) {
-                change = -1e-5 * t;
+                change = -1e-5 * (double)t;
             } else if (age == 2) {
                 wandered[i] += t > 0 ? .001 * normal(&ageing) : 0;
                 change = wandered[i];
@@ -333,24 +333,25 @@ static double score(double fill)
         if (is_liar[i] || dies[i]) {
             continue;
         }
-        const float *x = series + (size_t)i * readings;
+        const float *x = series + (size_t)i * (size_t)readings;
         double low = 1e9, high = -1e9, error = 0;
         long k = readings - 1;
         for (long z = readings - 1; z >= 0; --z) {
-            low = fmin(low, x[z]);
-            high = fmax(high, x[z]);
+            const double value = (double)x[z];
+            low = fmin(low, value);
+            high = fmax(high, value);
             if (high - low >= .02) {
                 break;
             }
-            if (high - x[z] < .01 && x[z] - low < .01) {
+            if (high - value < .01 && value - low < .01) {
                 k = z;
             }
         }
         for (long z = k; z < readings; ++z) {
-            error += fabs(x[z] - fill);
+            error += fabs((double)x[z] - fill);
         }
         settled[count] = (double)k * gap;
-        errors[count] = error / (readings - k);
+        errors[count] = error / (double)(readings - k);
         mean_settled += settled[count];
         mean_error += errors[count];
         ++count;
@@ -359,7 +360,7 @@ static double score(double fill)
     mean_error /= count;
     const double settled_range = quantile(settled, count, .75) - quantile(settled, count, .25);
     const double error_range = quantile(errors, count, .75) - quantile(errors, count, .25);
-    return 50 * ((1 - mean_settled / T) * exp(-settled_range / T) +
+    return 50 * ((1 - mean_settled / (double)T) * exp(-settled_range / (double)T) +
                  (1 - mean_error / .45) * exp(-error_range / .45));
 }
 
@@ -455,14 +456,14 @@ static result_t run_filter(const char *filter, uint64_t seed, uint64_t world, in
         int honest = 0, sound = 0, flawed = 0, harmed = 0, unfixed = 0;
         for (int i = 0; i < N; ++i) {
             const double x = mcp_asdf_x(&robots[i]) * 0x1p-23;
-            series[(size_t)i * readings + t / gap] = (float)x;
+            series[i * readings + t / gap] = (float)x;
             if (is_liar[i] || dies[i]) {
                 continue;
             }
             error += fabs(x - fill);
             ++honest;
             const int is_off =
-                fabs(mcp_asdf_b_hat(&robots[i]) * 0x1p-32 - accuracies[t / gap * N + i]) > FAR_OFF;
+                fabs(mcp_asdf_b_hat(&robots[i]) * 0x1p-32 - (double)accuracies[t / gap * N + i]) > FAR_OFF;
             sound += !is_flawed[i];
             flawed += is_flawed[i];
             harmed += !is_flawed[i] && is_off;
@@ -479,8 +480,8 @@ static result_t run_filter(const char *filter, uint64_t seed, uint64_t world, in
     for (int i = 0; i < N; ++i) {
         tests += mcp_asdf_counters(&robots[i]).tests / (double)N;
     }
-    return (result_t){error_sum / count_of_readings, score(fill), harmed_sum / count_of_readings,
-                      unfixed_sum / count_of_readings, tests};
+    return (result_t){error_sum / (double)count_of_readings, score(fill),
+                      harmed_sum / (double)count_of_readings, unfixed_sum / (double)count_of_readings, tests};
 }
 
 /* ---- The command ---- */
@@ -521,10 +522,10 @@ int main(int argc, char **argv)
         fprintf(stderr, "too many trials or robots, or no filter\n");
         return 2;
     }
-    black = malloc((size_t)T * N);
-    accuracies = malloc(sizeof *accuracies * readings * N);
-    series = malloc(sizeof *series * readings * N);
-    first_link = malloc(sizeof *first_link * (T + 1));
+    black = malloc((size_t)T * (size_t)N);
+    accuracies = malloc(sizeof *accuracies * (size_t)readings * (size_t)N);
+    series = malloc(sizeof *series * (size_t)readings * (size_t)N);
+    first_link = malloc(sizeof *first_link * (size_t)(T + 1));
     static double values[4][5][MAX_TRIALS];
     for (int trial = 0; trial < trials; ++trial) {
         make_world(seed, world, first + trial);
