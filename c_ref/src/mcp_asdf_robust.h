@@ -164,6 +164,13 @@ ALWAYS_INLINE void begin_batch(mcp_asdf_t *robot)
     }
 }
 
+/* Returns factor times half_word. By multiply(), as avr-gcc calls another helper of its library where it
+ * knows that both have 16 bits. */
+ALWAYS_INLINE uint32_t times_half_word(uint32_t factor, uint16_t half_word)
+{
+    return low_word(multiply(factor, half_word));
+}
+
 /* End a batch of observations: update the dispersion by it, and begin the next batch. `share` is n / t.
  *
  * Of d independent observations d share are black, with a variance of d share (1 - share). If a robot takes
@@ -175,7 +182,8 @@ static void end_batch(mcp_asdf_t *robot, uint32_t share)
     mcp_asdf_robust_t *const robust = &robot->robust;
     const uint32_t count = robot->t - robust->batch_t, black = robot->n - robust->batch_n;
     const uint64_t variance = multiply(count, multiply_high(share, 0U - share)); /* Q32: < 2^61 */
-    const uint32_t largest_ratio = REJECTED_SIGMAS_SQUARED * robust->dispersion; /* Q8: < 2^20 */
+    const uint32_t largest_ratio =
+        times_half_word(REJECTED_SIGMAS_SQUARED, robust->dispersion); /* Q8: < 2^20 */
     /* largest_ratio variance as Q22, rounded down: it is at most 12 2^8 2^29 as a number, so < 2^63. */
     const uint64_t limit = (multiply(largest_ratio, high_word(variance)) << 14) +
                            (multiply(largest_ratio, low_word(variance)) >> 18);
@@ -192,7 +200,8 @@ static void end_batch(mcp_asdf_t *robot, uint32_t share)
     const uint32_t ratio_of_limit = quotient(square < limit ? square : limit, limit); /* Q32 */
     const uint32_t batch_ratio = multiply_high(largest_ratio, ratio_of_limit);        /* Q8: < 2^20 */
     const uint32_t average =
-        (((UINT32_C(1) << DISPERSION_SHIFT) - 1U) * robust->dispersion + batch_ratio) >> DISPERSION_SHIFT;
+        (times_half_word((UINT32_C(1) << DISPERSION_SHIFT) - 1U, robust->dispersion) + batch_ratio) >>
+        DISPERSION_SHIFT;
     const uint32_t limited_average = average < UINT16_MAX ? average : UINT16_MAX;
     robust->dispersion =
         (uint16_t)(limited_average > MCP_ASDF_DISPERSION_MIN ? limited_average : MCP_ASDF_DISPERSION_MIN);
@@ -302,7 +311,7 @@ static bool robust_test_rejects(const mcp_asdf_t *robot, uint32_t share, uint32_
         multiply(robot->t, high_word(excess)) + high_word(multiply(robot->t, low_word(excess)));
     /* The dispersion is Q8. 12 dispersion v: < 2^20 2^30 */
     const uint64_t variance_limit =
-        multiply(REJECTED_SIGMAS_SQUARED * robot->robust.dispersion, variance) >> 8;
+        multiply(times_half_word(REJECTED_SIGMAS_SQUARED, robot->robust.dispersion), variance) >> 8;
     return square > spread_limit && t_excess > variance_limit;
 }
 

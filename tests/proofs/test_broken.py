@@ -55,7 +55,7 @@ BROKEN = (
     (
         "",
         "1000",
-        "REJECTED_SIGMAS_SQUARED * robot->robust.dispersion, variance) >> 8",
+        "times_half_word(REJECTED_SIGMAS_SQUARED, robot->robust.dispersion), variance) >> 8",
         "12U * 256U, variance) >> 8",
     ),
     ("next_slot", "1000", "shift_left(UINT32_MAX, turn)", "shift_left(UINT32_MAX, turn + 1U)"),

@@ -8,6 +8,13 @@
 #include <string.h>
 #include <unistd.h>
 
+/* Returns the bytes of an image of a robot with this config, and of its file: only the robust filter needs
+ * all of them (mcp_asdf_image.h). */
+static size_t image_size(const mcp_asdf_config_t *config)
+{
+    return mcp_asdf_is_robust(config) ? MCP_ASDF_IMAGE_SIZE : 124U;
+}
+
 /* Read a file to its end, but at most `maximum` bytes. Returns the number of bytes, or -1 with errno set. */
 static ssize_t read_file(int fd, uint8_t *bytes, size_t maximum)
 {
@@ -30,13 +37,14 @@ const char *state_load(const char *path, mcp_asdf_t *robot, const mcp_asdf_confi
     if (fd < 0) {
         return errno == ENOENT ? NULL : strerror(errno);
     }
-    const ssize_t size = read_file(fd, image, sizeof image);
+    const size_t expected_size = image_size(config);
+    const ssize_t size = read_file(fd, image, expected_size + 1);
     const int error = errno;
     (void)close(fd);
     if (size < 0) {
         return strerror(error);
     }
-    if (size != MCP_ASDF_IMAGE_SIZE || mcp_asdf_restore(&loaded, config, image) != MCP_ASDF_OK) {
+    if ((size_t)size != expected_size || mcp_asdf_restore(&loaded, config, image) != MCP_ASDF_OK) {
         return "it is damaged, or does not fit the periods and the memory";
     }
     if (loaded.id != robot->id) {
@@ -46,15 +54,15 @@ const char *state_load(const char *path, mcp_asdf_t *robot, const mcp_asdf_confi
     return NULL;
 }
 
-/* Write an image to a new file, and wait until it is on the disk. Returns 0 or an errno. */
-static int write_file(const char *path, const uint8_t image[MCP_ASDF_IMAGE_SIZE])
+/* Write an image of so many bytes to a new file, and wait until it is on the disk. Returns 0 or an errno. */
+static int write_file(const char *path, const uint8_t *image, size_t size)
 {
     const int fd = open(path, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
     if (fd < 0) {
         return errno;
     }
     errno = ENOSPC; /* for a short write, which sets no errno */
-    if (write(fd, image, MCP_ASDF_IMAGE_SIZE) != MCP_ASDF_IMAGE_SIZE || fsync(fd) != 0) {
+    if (write(fd, image, size) != (ssize_t)size || fsync(fd) != 0) {
         const int error = errno; /* closing may change it */
         (void)close(fd);
         return error;
@@ -88,13 +96,13 @@ static int sync_folder(char *path)
 int state_save(const char *path, const mcp_asdf_t *robot)
 {
     char new_path[PATH_MAX];
-    uint8_t image[MCP_ASDF_IMAGE_SIZE] = {0}; /* saving writes no more bytes than the filter needs */
+    uint8_t image[MCP_ASDF_IMAGE_SIZE]; /* saving writes as many bytes as the filter needs */
     const int length = snprintf(new_path, sizeof new_path, "%s.new", path);
     if (length < 0 || (size_t)length >= sizeof new_path) {
         return ENAMETOOLONG;
     }
     mcp_asdf_save(robot, image);
-    int error = write_file(new_path, image);
+    int error = write_file(new_path, image, image_size(robot->config));
     if (error == 0 && rename(new_path, path) != 0) {
         error = errno;
     }
