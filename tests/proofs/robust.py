@@ -210,7 +210,9 @@ def of_robust_test(program: Program) -> Iterator[Claim]:
     high, low = call("high_word", square - least), call("low_word", square - least)
     t_excess = product(t, high) + wide(call("high_word", product(t, low)))
     v = z3.If(z3.UGT(v_share, v_p), v_share, v_p)
-    limit = z3.LShR(product(12 * widen(robust["dispersion"]), v), 8)
+    # The product of a constant and a half word, of which the lower word is all.
+    dispersion_12 = call("low_word", product(z3.BitVecVal(12, 32), widen(robust["dispersion"])))
+    limit = z3.LShR(product(dispersion_12, v), 8)
     rejects = z3.And(z3.UGT(square, least), z3.UGT(t_excess, limit))
     yield "the test", (result == 1) == rejects, []
 
