@@ -480,6 +480,13 @@ class Run
             [&] { robust.batch_n = robust.batch_t = 0, robust.dispersion = 256; },
             [&] { robust.filled_slots = random.among({0, 0xF, 0x1F}) << over; },
             [&] { robust.filled_slots ^= uint32_t(1) << slot, robust.estimates[slot] = over; },
+            [&] { /* four or five estimates, and another b_hat than the initial one */
+                  robust.filled_slots = over == 0 ? 0xF : 0x1F;
+                  for (uint32_t other = 4 + over; other < MCP_ASDF_SLOTS; ++other)
+                      robust.estimates[other] = 0;
+                  robust.turn = 0;
+                  robust.initial_b_hat = model.b_hat ^ 0x10000;
+            },
             [&] { robust.filled_slots = robust.votes = 0, robust.estimates = {}; },
             [&] { /* without votes, one member as no new robot has it */
                   robust.votes = 0;
