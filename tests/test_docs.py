@@ -52,7 +52,7 @@ RUN_ELSEWHERE = {
 """Pages whose commands another test runs."""
 
 PROGRAMS_RUN_ELSEWHERE = ("data_frames.md",)
-"""Those of them whose programs in Python need files that the commands write, and are run with them."""
+"""Pages whose Python programs are run by the test of their commands, since they read the commands' files."""
 
 NOT_RUN = {
     "^make ": "sets up or tests everything",

@@ -26,7 +26,10 @@ VARIANTS_OF = {
     "mcp_asdf_frame.c": VARIANTS[:1],
     "mcp_asdf_small.c": VARIANTS[:1],
 }
-"""Those in which a file is compiled, where that is not in all; codecs have no choices of their own."""
+"""Variants with which the mutants of a file are tried, by file. Those of other files are tried with all.
+
+A file of one target is compiled for that target alone, and the codecs do not depend on the target.
+"""
 THIRD = "third"
 """The independent implementation; all else is what it cannot see."""
 CORE_LIBRARY = "libcore.so"

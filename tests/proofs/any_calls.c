@@ -69,6 +69,8 @@ static void forget_all(void)
 /* That a call is written twice, for an id that is possible and one that is not, keeps Eva from mixing them:
  * it would not remember that the second one is refused before it serves as an index. */
 
+/* Restore the robot from the image, whose byte at `place` is the id: once for an id that is possible, and
+ * once for one that is not. */
 static void restore_with_id_at(uint8_t place)
 {
     if (image[place] <= MCP_ASDF_MAX_ID) {

@@ -234,11 +234,17 @@ def may_run(robot: dict[str, Any]) -> Any:
 
 
 ESTIMATE_COUNT = z3.BitVec("estimate_count", 32)
-"""Number of the estimates that a robot keeps: what sort_estimates() returns."""
+"""Number of the estimates that a robot keeps. It stands for the result of sort_estimates()."""
 REJECTS, IS_SUPPORTED = z3.BitVecs("rejects is_supported", 1)
-"""What robust_test_rejects() and is_supported() return."""
+"""Whether the test rejects, and whether two fifths support the robot: 1 for yes, 0 for no.
+
+They stand for the results of robust_test_rejects() and is_supported(), of which nothing is known.
+"""
 NEW_B_HAT = z3.BitVec("new_b_hat", 32)
-"""What reestimate() returns: 0 or a b_hat in its range, as accuracy.of_reestimate() shows."""
+"""The re-estimated b_hat, or 0 if there is none. It stands for the result of reestimate().
+
+Its range is what accuracy.of_reestimate() proves.
+"""
 
 
 def _run_formulas(b_hat: Any, after: dict[str, Any], robot: dict[str, Any]) -> Any:

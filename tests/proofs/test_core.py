@@ -75,7 +75,10 @@ LIMITS = {
 
 
 REQUIREMENTS = {"long_code_from_alpha": lambda alpha: z3.LShR(alpha, 8) != 0}
-"""What the callers of a function owe it, where its loop would not end otherwise."""
+"""What must hold of a function's argument for its loop to end, by the function's name.
+
+The function's callers see to it.
+"""
 
 
 def prove_ends(code: Program, name: str, loop: Any) -> None:

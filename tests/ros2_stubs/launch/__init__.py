@@ -15,6 +15,6 @@ class LaunchContext:
 
 @dataclass
 class LaunchDescription:
-    """What is launched."""
+    """The actions of a launch file, in the order in which they are executed."""
 
     entities: list[Any]
