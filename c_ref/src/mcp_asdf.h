@@ -66,13 +66,16 @@ extern "C" {
 #define MCP_ASDF_HALF (UINT32_C(1) << 22) /* 0.5 as x_hat, x_bar or x */
 #define MCP_ASDF_B_HAT_MIN (UINT32_C(1) << 12)
 #define MCP_ASDF_B_HAT_MAX UINT32_C(0xFFFFF000)
-#define MCP_ASDF_SLOTS 32U                        /* members of mcp_asdf_robust_t, down to here */
+/* Of the robust filter: the number of slots, how many of them must be filled for a test, and the limits and
+ * first values of members of mcp_asdf_robust_t, in their units. */
+#define MCP_ASDF_SLOTS 32U
 #define MCP_ASDF_TESTED_ESTIMATES_MIN 5U          /* of five, two that are wrong can be outvoted */
 #define MCP_ASDF_CENTRE_START (UINT32_C(1) << 29) /* 1/2 */
 #define MCP_ASDF_SPREAD_MIN (UINT32_C(1) << 18)   /* 2^-12: below what a score or a tile can show */
 #define MCP_ASDF_SPREAD_MAX (UINT32_C(1) << 28)   /* 1/4: that of estimates anywhere in [0, 1] */
 #define MCP_ASDF_VOTES_MAX (UINT32_C(1) << 9)
 #define MCP_ASDF_DISPERSION_MIN (UINT32_C(1) << 8) /* 1: that of independent observations */
+/* Limits of the memory in a config. */
 #define MCP_ASDF_MEMORY_MIN UINT32_C(64)
 #define MCP_ASDF_MEMORY_MAX (UINT32_C(1) << 31)
 
@@ -105,10 +108,12 @@ typedef enum { MCP_ASDF_WHITE = 0, MCP_ASDF_BLACK = 1 } mcp_asdf_observation_t;
 #error "no filter is left: set MCP_ASDF_WITH_ASDF or MCP_ASDF_WITH_ROBUST to 1"
 #endif
 
-/* When b_hat is re-estimated, every filter_period rounds: if the test of eq. 12 rejects (ASDF); without a
- * test; never. Or the robust filter, which is not the paper's: it remembers what it receives for
- * longer than a round, and needs neither a table nor to know which robots are doubtful (docs/robust.md).
- * Where it alone is built, it is the only choice. */
+/* What a robot does every filter_period rounds.
+ *   ADAPTIVE  re-estimate b_hat if the test of eq. 12 rejects (the paper's ASDF)
+ *   ALWAYS    re-estimate it without a test
+ *   OFF       nothing
+ *   ROBUST    test the initial b_hat against the estimates it has kept; this filter is not the paper's,
+ *             and needs no table (docs/robust.md). Where it alone is built, it is the only choice */
 typedef enum {
     MCP_ASDF_ADAPTIVE = 0,
     MCP_ASDF_ALWAYS = 1,
@@ -230,9 +235,10 @@ typedef union {
  *   batch_t        t and n when the present batch of observations began: at the last run of the filter or,
  *   batch_n        if that was later, at the last halving of t
  *   votes          how many were taken, up to 2^9: the more, the less the next changes centre and spread
- *   dispersion     variance of n from batch to batch, as a multiple of what it were if observations were
- *                  independent, unit 2^-8: 2^8 .. 2^16 - 1
- *   turn           slot that votes next; 32: the robot's own estimate does */
+ *   dispersion     how many times as large the variance of n from batch to batch is as that of independent
+ *                  observations, unit 2^-8: 2^8 .. 2^16 - 1
+ *   turn           0 .. 32: the next filled slot from this one on votes; if there is none, the robot's own
+ *                  estimate does, unless it has no confidence */
 typedef struct {
     uint32_t centre;
     uint32_t spread;

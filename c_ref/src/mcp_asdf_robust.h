@@ -1,10 +1,10 @@
 /* The robust filter, which is this project's own and not the paper's. Private: a part of mcp_asdf.c, which
  * provides eq. 8. docs/robust.md explains the filter, docs/design.md, section 13, states every bit.
  *
- * A robot with this filter keeps no sums of rounds, but the latest estimate of each sender, whatever its
- * alpha, and however often it is received. In each round one of these estimates is a vote, in turn, and after
- * the last of them the robot's own estimate is one. A vote moves the robot's answer, the centre, towards its
- * x_hat, by a limited distance: a wrong one moves it no farther than another (a Huber M-estimate).
+ * A robot with this filter keeps no sums of rounds, but of each sender the latest estimate that had any
+ * confidence; how much does not matter. Each round one estimate is a vote: the kept ones in turn, then the
+ * robot's own, then the first again. A vote moves the robot's answer, the centre, towards its x_hat, by a
+ * limited distance: a wrong one moves it no farther than another (a Huber M-estimate).
  *
  * Every filter_period rounds the robot tests its own observations against the estimates that it keeps. */
 #ifndef MCP_ASDF_ROBUST_H
@@ -315,9 +315,10 @@ static bool robust_test_rejects(const mcp_asdf_t *robot, uint32_t share, uint32_
     return square > spread_limit && t_excess > variance_limit;
 }
 
-/* Whether more than two of five estimates support the robot's own share of black observations: by them, it is
- * nearer to what the robot should observe than by their centre (Q32). Then these robots are a party of their
- * own, and not outliers: nothing can be said about who is right. */
+/* Whether more than two of five estimates support the robot, whose share of black observations is `share`. An
+ * estimate supports the robot if the share of black that it predicts is nearer to the robot's own share than
+ * to the share that the centre predicts. Then these robots are a party of their own, and not outliers:
+ * nothing can be said about who is right. Share and centre are Q32. */
 static bool is_supported(const mcp_asdf_t *robot, const uint16_t *estimates, uint32_t count, uint32_t share,
                          uint32_t centre)
 {

@@ -56,16 +56,20 @@ void mcp_asdf_decode_small(mcp_asdf_small_message_t *message, const uint8_t byte
  * encoding what was decoded gives the same code again. Decoders ignore the bits above. */
 
 /* Returns the code of `bits` bits, 1 .. MCP_ASDF_X_HAT_BITS_MAX, that stands for the number nearest to x_hat,
- * which is 0 .. 2^23. Code 0 is 0.0 and the largest is 1.0. Of the two that are as near to 1/2, it is the
- * larger. */
+ * which is 0 .. 2^23. Code 0 is 0.0 and the largest is 1.0. An x_hat of 1/2 lies halfway between two codes,
+ * and gets the larger. */
 #define MCP_ASDF_X_HAT_BITS_MAX 23U
 uint32_t mcp_asdf_x_hat_to_code(uint32_t x_hat, uint32_t bits);
+
+/* Returns the x_hat nearest to what a code stands for. */
 uint32_t mcp_asdf_x_hat_from_code(uint32_t code, uint32_t bits);
 
 /* Returns the code of `bits` bits, 1 .. MCP_ASDF_ALPHA_BITS_MAX, of the largest confidence not above that of
- * an alpha word. Code 0 is no confidence; no other confidence gets this code, as small as it may be. */
+ * an alpha word. Code 0 is no confidence; even the smallest confidence above 0 gets code 1. */
 #define MCP_ASDF_ALPHA_BITS_MAX 25U
 uint32_t mcp_asdf_alpha_to_code(uint32_t alpha, uint32_t bits);
+
+/* Returns the alpha word of a code, with the smallest shift. */
 uint32_t mcp_asdf_alpha_from_code(uint32_t code, uint32_t bits);
 
 #ifdef __cplusplus

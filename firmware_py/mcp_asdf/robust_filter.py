@@ -337,9 +337,10 @@ def robust_test_rejects(robust: RobustFilter, t: int, n: int, centre: int, sprea
 def is_supported(robust: RobustFilter, t: int, n: int, estimates: Sequence[int], centre: int) -> bool:
     """Return whether more than two of five estimates support a robot whose n of t observations were black.
 
-    An estimate supports it if n / t is nearer to the share of black that the initial b_hat predicts by this
-    estimate than that is to the share predicted by the ``centre`` of all estimates. So many robots are a
-    party and not outliers: which side is right cannot be known. Estimates and centre are in units of 2**-24.
+    An estimate supports the robot if the share of black that it predicts, with the initial b_hat, is nearer
+    to the robot's own share, n / t, than to the share that the ``centre`` of all estimates predicts. So many
+    robots are a party and not outliers: which side is right cannot be known. Estimates and centre are in
+    units of 2**-24.
     """
     share = q32_quotient(n, t)
     p_of_centre = probability_of_black(robust.initial_b_hat, q32_from_q24(centre))

@@ -209,9 +209,9 @@ def is_supported(
 ) -> bool:
     """Return whether more than two of five estimates support a robot with these observations. O(m).
 
-    An estimate supports it if the probability of black by this estimate is nearer to n/t than to that by the
-    ``centre`` of all estimates. So many robots are a party and not outliers: who is right cannot be known.
-    ``b`` is the accuracy that the robot assumed at its start.
+    An estimate supports the robot if the share of black that it predicts is nearer to the robot's own share,
+    n/t, than to the share that the ``centre`` of all estimates predicts. So many robots are a party and not
+    outliers: who is right cannot be known. ``b`` is the accuracy that the robot assumed at its start.
     """
     p_of_centre = probability_of_black(b, centre)
     p_of_estimates = [probability_of_black(b, estimate) for estimate in estimates]
