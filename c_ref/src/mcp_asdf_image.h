@@ -10,8 +10,10 @@ extern "C" {
 #endif
 
 #define MCP_ASDF_IMAGE_VERSION 3U
-/* Bytes of an image, whatever is built: all of them with the robust filter, the first 124 with another. */
+/* Room for any image, in every build. A robot with the robust filter fills all of it, one with another filter
+ * the first MCP_ASDF_ASDF_IMAGE_SIZE bytes. */
 #define MCP_ASDF_IMAGE_SIZE 156
+#define MCP_ASDF_ASDF_IMAGE_SIZE 124
 
 /* Write the robot's state to an image: little-endian, the same on every target, with version and checksum.
  * Bytes that are not used are not touched. O(1). Needs a copy of the robot on the stack (docs/cost.md has the

@@ -30,6 +30,11 @@ def image_word_count(filter_number: int) -> int:
     return ROBUST_IMAGE_WORDS if filter_number == Filter.ROBUST else ASDF_IMAGE_WORDS
 
 
+def image_size(filter_number: int) -> int:
+    """Return the number of bytes in an image of a robot with this filter, a number of `Filter`."""
+    return 4 * image_word_count(filter_number)
+
+
 def first_image_word(filter_number: int) -> int:
     """Return the first word of an image of a robot with this filter, a number of `Filter`."""
     robust_bit = ROBUST_IMAGE if filter_number == Filter.ROBUST else 0

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcp_asdf._native import ffi, lib
 from mcp_asdf.fixed_point import FixedPointView, b_hat_to_raw
-from mcp_asdf.image_format import IMPOSSIBLE_STATE, find_image_error, image_word_count
+from mcp_asdf.image_format import IMPOSSIBLE_STATE, find_image_error, image_size
 from mcp_asdf.robot import B_HAT_MARGIN, Config, Counters, Filter, FirmwareError, Observation, Status
 from mcp_asdf.table import EXTRA_WORDS, MAX_Q, MAX_WORD, Table
 
@@ -82,7 +82,7 @@ class NativeRobot(FixedPointView):
         image_bytes = bytes(memoryview(image))
         # The C reads as many bytes as its filter needs. It refuses zeros, which stand in for an image of
         # another size.
-        size = 4 * image_word_count(config.filter)
+        size = image_size(config.filter)
         c_image = image_bytes if len(image_bytes) == size else bytes(size)
         status = lib.mcp_asdf_restore(robot.pointer, robot._c_config.pointer, c_image)
         if status == Status.ERR_IMAGE:
@@ -95,8 +95,8 @@ class NativeRobot(FixedPointView):
         """Return the state as an image for ``restore``."""
         image = ffi.new("uint8_t[]", lib.MCP_ASDF_IMAGE_SIZE)
         lib.mcp_asdf_save(self.pointer, image)
-        # Behind the words that the filter of this robot needs, there is room for those of another.
-        return bytes(image)[: 4 * image_word_count(self.config.filter)]
+        # The buffer is as long as the longest image; other filters fill only its beginning.
+        return bytes(image)[: image_size(self.config.filter)]
 
     def observe(self, z: Observation) -> Status:
         """Count an observation, and compute x_hat and alpha from all observations so far.

@@ -41,6 +41,7 @@ def test_enums_are_those_of_the_header(c_type: str, enum: type[IntEnum]) -> None
         ("MEMORY_MIN", robot.MIN_MEMORY),
         ("MEMORY_MAX", robot.DEFAULT_MEMORY),
         ("IMAGE_SIZE", 4 * image_format.ROBUST_IMAGE_WORDS),
+        ("ASDF_IMAGE_SIZE", 4 * image_format.ASDF_IMAGE_WORDS),
         ("IMAGE_VERSION", image_format.IMAGE_VERSION),
         ("SLOTS", robust_filter.SLOTS),
         ("TESTED_ESTIMATES_MIN", robust_filter.TESTED_ESTIMATES_MIN),

@@ -8,8 +8,6 @@
 #include "port.h"
 
 #define MAGIC UINT32_C(0x5647434D)
-#define ROBUST_IMAGE_WORDS 39U
-#define ASDF_IMAGE_WORDS 31U
 
 enum { END, OBSERVE, STEP, SETTLE, RECEIVE, RESTORE, DAMAGE };
 
@@ -65,7 +63,7 @@ static uint32_t read_number(uint8_t bytes)
 /* Returns the number of words in an image of the scenario's robot. */
 static uint8_t image_word_count(void)
 {
-    return config.filter == MCP_ASDF_ROBUST ? ROBUST_IMAGE_WORDS : ASDF_IMAGE_WORDS;
+    return (config.filter == MCP_ASDF_ROBUST ? MCP_ASDF_IMAGE_SIZE : MCP_ASDF_ASDF_IMAGE_SIZE) / 4;
 }
 
 /* Returns a word of the image, by its index. */

@@ -12,7 +12,7 @@
  * all of them (mcp_asdf_image.h). */
 static size_t image_size(const mcp_asdf_config_t *config)
 {
-    return mcp_asdf_is_robust(config) ? MCP_ASDF_IMAGE_SIZE : 124U;
+    return mcp_asdf_is_robust(config) ? MCP_ASDF_IMAGE_SIZE : MCP_ASDF_ASDF_IMAGE_SIZE;
 }
 
 /* Read a file to its end, but at most `maximum` bytes. Returns the number of bytes, or -1 with errno set. */

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcp_asdf.fixed_point import b_hat_to_raw
-from mcp_asdf.image_format import image_word_count
+from mcp_asdf.image_format import image_size
 from mcp_asdf.robot import Config, FirmwareError, Status
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments import _engine
@@ -151,8 +151,7 @@ class EngineTrials:
             # The function in C takes a pointer to one robot of the array.
             _engine.lib.mcp_asdf_save(_engine.ffi.addressof(self.robots, index), c_image)
             # The array has room for the longest image; those of most filters are shorter.
-            size = 4 * image_word_count(robot.config.filter)
-            images.append(bytes(c_image)[:size])
+            images.append(bytes(c_image)[: image_size(robot.config.filter)])
         return images
 
     def _array(self, c_type: str, values: Any) -> Any:
