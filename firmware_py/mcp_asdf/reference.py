@@ -451,9 +451,10 @@ class ReferenceRobot:
         """
         if self._is_robust:
             self._robust.take_vote(self._own_estimate.x_hat, has_confidence=self._own_estimate.alpha > 0)
-        estimates = () if self._is_robust else self._open_round.values()
-        # The filter, which runs below, and the social estimate are about the round that is closed now.
-        self._closed_round = [estimate for estimate in estimates if estimate.alpha > 0]
+        else:
+            # The filter, which runs below, and the social estimate are about the round that is closed now.
+            estimates = self._open_round.values()
+            self._closed_round = [estimate for estimate in estimates if estimate.alpha > 0]
         self._open_round = {}
         self._filter_left -= 1
         if self._filter_left:
