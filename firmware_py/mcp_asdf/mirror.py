@@ -68,18 +68,16 @@ from mcp_asdf.robust_filter import (
     are_valid_slots,
     are_valid_votes,
     begin_batch,
+    centre_and_spread_of,
     end_batch,
-    huber_centre,
     is_supported,
     is_valid_batch,
     is_valid_initial_b_hat,
     keep_estimate,
-    median_of,
     q23_from_q30,
     q32_from_q24,
     robust_test_rejects,
     sorted_estimates,
-    spread_of,
     take_vote,
 )
 from mcp_asdf.table import FRACTION_BITS, MAX_WORD, Table, checksum
@@ -606,10 +604,7 @@ class MirrorRobot(FixedPointView):
         estimates = sorted_estimates(robust, s.estimates)
         if len(estimates) < TESTED_ESTIMATES_MIN:
             return None
-        # All three are in units of 2**-24.
-        median = median_of(estimates)
-        spread = spread_of(estimates, median)
-        centre = huber_centre(estimates, median, spread)
+        centre, spread = centre_and_spread_of(estimates)
         s.tests = (s.tests + 1) & COUNTER_MASK
         is_rejected = self._rejects_initial_b_hat(centre, spread)
         if is_rejected and not is_supported(robust, s.t, s.n, estimates, centre):

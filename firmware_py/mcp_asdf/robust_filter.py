@@ -277,6 +277,13 @@ def huber_centre(estimates: Sequence[int], median: int, spread: int) -> int:
     return centre
 
 
+def centre_and_spread_of(sorted_values: Sequence[int]) -> tuple[int, int]:
+    """Return the Huber centre and the spread of sorted estimates. All are in units of 2**-24."""
+    median = median_of(sorted_values)
+    spread = spread_of(sorted_values, median)
+    return huber_centre(sorted_values, median, spread), spread
+
+
 def centre_after_huber_step(estimates: Sequence[int], centre: int, spread: int) -> int:
     """Return the centre after one step of Newton's method towards the Huber centre of some estimates.
 
