@@ -785,6 +785,11 @@ def _word_of_halves(low_half: int, high_half: int) -> int:
     return low_half | (high_half << 16)
 
 
+def _halves_of_word(word: int) -> tuple[int, int]:
+    """Return the numbers of 16 bits in the lower and in the upper half of a word."""
+    return word & 0xFFFF, word >> 16
+
+
 def _encode_rounds(s: State) -> list[int]:
     """Return the sums of the closed and of the open round in ``s``, a robot's state, as 16 words.
 
@@ -823,9 +828,11 @@ def _decode_state(config: Config, words: tuple[int, ...]) -> State:
     filter_words = words[7:-8]
     sender_words = words[-8:-4]
     # Numbers that have less than 32 bits share a word, as `MirrorRobot.save` packs them.
-    accepted_and_repeated, rejected_and_tests, updates_updated_and_id = words[-4:-1]
+    accepted, repeated = _halves_of_word(words[-4])
+    rejected, tests = _halves_of_word(words[-3])
+    updates, updated_and_id = _halves_of_word(words[-2])
     state = State(
-        id=updates_updated_and_id >> 24,
+        id=updated_and_id >> 8,
         accuracy=accuracy_of(b_hat),
         t=t,
         n=n,
@@ -833,12 +840,12 @@ def _decode_state(config: Config, words: tuple[int, ...]) -> State:
         alpha=alpha,
         filter_left=filter_left,
         heard=list(sender_words),
-        accepted=accepted_and_repeated & COUNTER_MASK,
-        repeated=accepted_and_repeated >> 16,
-        rejected=rejected_and_tests & COUNTER_MASK,
-        tests=rejected_and_tests >> 16,
-        updates=updates_updated_and_id & COUNTER_MASK,
-        updated=(updates_updated_and_id >> 16) & 0xFF,
+        accepted=accepted,
+        repeated=repeated,
+        rejected=rejected,
+        tests=tests,
+        updates=updates,
+        updated=updated_and_id & 0xFF,
     )
     if config.filter == Filter.ROBUST:
         state.robust, state.estimates = _decode_robust_filter(filter_words)
@@ -860,6 +867,7 @@ def _decode_rounds(words: tuple[int, ...]) -> tuple[Closed, Sums]:
 def _decode_robust_filter(words: tuple[int, ...]) -> tuple[RobustFilter, list[int]]:
     """Return what the 24 words of `_encode_robust_filter` hold: the filter's members, and the slots."""
     centre, spread, initial_b_hat, filled_slots, batch_t, batch_n, votes_and_dispersion, turn = words[:8]
+    votes, dispersion = _halves_of_word(votes_and_dispersion)
     robust = RobustFilter(
         centre=centre,
         spread=spread,
@@ -867,8 +875,8 @@ def _decode_robust_filter(words: tuple[int, ...]) -> tuple[RobustFilter, list[in
         filled_slots=filled_slots,
         batch_t=batch_t,
         batch_n=batch_n,
-        votes=votes_and_dispersion & 0xFFFF,
-        dispersion=votes_and_dispersion >> 16,
+        votes=votes,
+        dispersion=dispersion,
         turn=turn,
     )
     # A word has the estimates of two slots, the lower slot in its lower half.
