@@ -27,9 +27,10 @@ from mcp_asdf_tools.studies.study_program import (
     FLAWS,
     MOVING,
     Rows,
-    format_error,
     late_errors,
+    markdown_table,
     parse_arguments,
+    plain_error_text,
     run_rows,
     write_tables,
 )
@@ -127,7 +128,10 @@ def ratio_text(ratio: Interval) -> str:
 
 
 def ratio_table(ratios: RatiosByCode) -> str:
-    """Return a table of ratios in Markdown: a row for each number of bits of x_hat, a column of alpha's."""
+    """Return a table of ratios in Markdown.
+
+    It has a row for each number of bits of x_hat, and a column for each of alpha.
+    """
     columns_of_alpha = sorted({code.alpha_bits for code in ratios})
     columns = [f"alpha {alpha_bits}" for alpha_bits in columns_of_alpha]
     lines = [f"| bits | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
@@ -138,17 +142,22 @@ def ratio_table(ratios: RatiosByCode) -> str:
 
 
 def exact_table(rows_by_filter: Mapping[str, Rows]) -> str:
-    """Return a table in Markdown of late errors with exact messages: a row a swarm, a column a filter."""
-    columns = [FILTERS[filter_name].term for filter_name in rows_by_filter]
-    lines = [f"| error with exact messages | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
-    for swarm in SWARMS:
-        errors = [late_error(rows, EXACT, swarm).value for rows in rows_by_filter.values()]
-        lines.append(f"| {swarm} | {' | '.join(map(format_error, errors))} |")
-    return "\n".join(lines)
+    """Return a table in Markdown of late errors with exact messages.
+
+    It has a row for each kind of swarm, and a column for each filter.
+    """
+    exact_rows = {
+        swarm: [trials for rows in rows_by_filter.values() for trials in rows[row_label(EXACT, swarm)]]
+        for swarm in SWARMS
+    }
+    return markdown_table("error with exact messages", exact_rows, plain_error_text)
 
 
 def draw_ratios(ratios_by_filter: Mapping[str, RatiosByCode]) -> Figure:
-    """Draw the ratios of errors over the bits of x_hat: a panel for each filter, a line for bits of alpha."""
+    """Draw the ratios of errors over the bits of x_hat.
+
+    There is a panel for each filter, and in it a line for each number of bits of alpha.
+    """
     figure = empty_figure(WIDTH, 3.2)
     panels = figure.subplots(nrows=1, ncols=len(ratios_by_filter), sharey=True, squeeze=False)[0]
     for axes, (filter_name, ratios) in zip(panels, ratios_by_filter.items(), strict=True):
