@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
 from mcp_asdf_tools.common.figures import save_figure
-from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.studies.bootstrap import Sample, resample_mean
@@ -25,23 +24,24 @@ from mcp_asdf_tools.studies.peers import (
     MajorityRobot,
     TrimmedMeanRobot,
     WmsrRobot,
-    column_label,
     five_liars,
     majority_robots_and_five_liars,
     trimmed_mean_robots_and_five_liars,
     wmsr_robots_and_five_liars,
 )
-from mcp_asdf_tools.studies.robust_filter import as_honest_robots_see_it
+from mcp_asdf_tools.studies.robust_filter import without_liars
 from mcp_asdf_tools.studies.study_program import (
     FLAWS,
     MOVING,
     PLAIN_NOTE,
     Rows,
     format_tenths,
+    late_estimates,
     markdown_table,
     mean_over_experiments,
     parse_arguments,
     plain_error_text,
+    plot_errors_of_swarms,
     run_rows,
     write_tables,
 )
@@ -131,9 +131,7 @@ def right_percents(trials: Trials) -> Sample:
 
     A robot answers that black prevails if its recorded estimate x is above 1/2; that is right if f is, too.
     """
-    x = trials.records["x"]  # shape (trials, recorded steps, robots)
-    quarter_length = max(1, x.shape[1] // 4)
-    is_right = (x[:, -quarter_length:, :] > 0.5) == (trials.experiment.fill_ratio > 0.5)
+    is_right = (late_estimates(trials) > 0.5) == (trials.experiment.fill_ratio > 0.5)
     percents: Sample = 100 * is_right.mean(axis=(1, 2))
     return percents
 
@@ -144,13 +142,8 @@ def right_text(experiments: Sequence[Trials]) -> str:
 
 
 def draw_errors(rows: Rows) -> Figure:
-    """Draw |x - f|, the error of the estimates, over time: a line for each filter or rule.
-
-    The panels of a row have the same accuracies, the underconfident ones first. Its columns are the swarms of
-    DRAWN_SWARMS.
-    """
-    labels = [f"{swarm}, {flaw}" for flaw in FLAWS for swarm in DRAWN_SWARMS]
-    return plot_errors_over_time({label: rows[label] for label in labels}, series_name=column_label)
+    """Draw the error of the estimates over time in DRAWN_SWARMS: a line for each filter or rule."""
+    return plot_errors_of_swarms(rows, DRAWN_SWARMS)
 
 
 def main() -> None:
@@ -158,19 +151,14 @@ def main() -> None:
     arguments = parse_arguments(__doc__)
     all_resilience = run_rows("related_resilience", resilience_rows(), arguments, record=100)
     all_colour = run_rows("related_colour", colour_rows(), arguments, record=500)
-    resilience = _honest_rows(all_resilience)
+    resilience = without_liars(all_resilience)
     tables = {
         "early": markdown_table(EARLY_HEAD, resilience, early_error_text),
         "late": markdown_table(LATE_HEAD, resilience, plain_error_text),
-        "colour": markdown_table(COLOUR_HEAD, _honest_rows(all_colour), right_text),
+        "colour": markdown_table(COLOUR_HEAD, without_liars(all_colour), right_text),
     }
     write_tables(arguments.folder / "related_work.md", "Related work", tables, PLAIN_NOTE)
     save_figure(draw_errors(resilience), arguments.folder / "related_work.png")
-
-
-def _honest_rows(rows: Rows) -> Rows:
-    """Return rows without the values of robots that lie."""
-    return {label: [as_honest_robots_see_it(trials) for trials in row] for label, row in rows.items()}
 
 
 if __name__ == "__main__":

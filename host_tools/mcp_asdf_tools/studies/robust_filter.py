@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
@@ -25,7 +24,7 @@ from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials, select_experiments
 from mcp_asdf_tools.studies.ageing_sensors import DRIFT_RATE, WanderingSensors
-from mcp_asdf_tools.studies.bootstrap import Sample, resample_mean
+from mcp_asdf_tools.studies.bootstrap import Sample
 from mcp_asdf_tools.studies.peers import (
     FLOOR_AFTER_CHANGE,
     LIARS,
@@ -48,9 +47,9 @@ from mcp_asdf_tools.studies.study_program import (
     format_error,
     format_interval,
     format_tenths,
-    harmed_percents,
     late_error_text,
     markdown_table,
+    mean_harmed_percent,
     mean_over_experiments,
     parse_arguments,
     run_rows,
@@ -232,6 +231,11 @@ def as_honest_robots_see_it(trials: Trials) -> Trials:
     return replace(trials, experiment=experiment, b_hat=b_hat, records={"x": x})
 
 
+def without_liars(rows: Rows) -> dict[str, list[Trials]]:
+    """Return the results of rows without the robots that lie, as ``as_honest_robots_see_it`` does."""
+    return {label: [as_honest_robots_see_it(trials) for trials in row] for label, row in rows.items()}
+
+
 def grid_text(experiments: Sequence[Trials]) -> str:
     """Format the numbers of experiments that share one cell of the grid's table: "95.1, 0.012, 0.034, 0.5 %".
 
@@ -256,10 +260,8 @@ def errors_text(experiments: Sequence[Trials]) -> str:
 
 def harm_texts(experiments: Sequence[Trials]) -> list[str]:
     """Format the share of healthy robots that a filter harmed, as the only item; none if all are flawed."""
-    # So few robots are harmed that most medians would be 0.
-    harmed_percent = mean_over_experiments(harmed_percents, experiments, resample_mean)
-    has_healthy_robots = not np.isnan(harmed_percent.value)
-    if not has_healthy_robots:
+    harmed_percent = mean_harmed_percent(experiments)
+    if harmed_percent is None:
         return []
     return [f"{format_interval(harmed_percent, format_tenths, tolerance=1)} %"]
 
@@ -309,7 +311,7 @@ def main() -> None:
     arguments = parse_arguments(__doc__)
     grid = run_rows("robust_grid", grid_rows(), arguments)
     all_worlds = run_rows("robust_worlds", world_rows(), arguments, record=500)
-    worlds = {label: [as_honest_robots_see_it(trials) for trials in row] for label, row in all_worlds.items()}
+    worlds = without_liars(all_worlds)
     # The picture does not have to wait for the peers, which take hours.
     save_figure(draw_errors(grid, worlds), arguments.folder / "robust.png")
     beyond = run_rows("robust_beyond", beyond_rows(), arguments)

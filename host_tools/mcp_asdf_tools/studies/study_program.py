@@ -15,9 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 import mcp_asdf_tools as m
 from mcp_asdf_tools.common.files import make_folder, write_atomically
+from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.studies.bootstrap import (
@@ -25,6 +28,7 @@ from mcp_asdf_tools.studies.bootstrap import (
     Resampled,
     Sample,
     mean_of_resampled,
+    resample_mean,
     resample_median,
 )
 from mcp_asdf_tools.studies.peers import column_label
@@ -115,11 +119,16 @@ def late_errors(trials: Trials) -> Sample:
 
     x is a robot's recorded estimate, f the share of black floor.
     """
-    x = trials.records["x"]  # shape (trials, recorded steps, robots)
-    quarter_length = max(1, x.shape[1] // 4)  # a short trial has few values, but at least one counts
-    late_x = x[:, -quarter_length:, :]
-    errors: Sample = abs(late_x - trials.experiment.fill_ratio).mean(axis=(1, 2))
+    errors: Sample = abs(late_estimates(trials) - trials.experiment.fill_ratio).mean(axis=(1, 2))
     return errors
+
+
+def late_estimates(trials: Trials) -> NDArray[np.float64]:
+    """Return x, the recorded estimates, in the last quarter of each trial; shape (trials, steps, robots)."""
+    x = trials.records["x"]
+    quarter_length = max(1, x.shape[1] // 4)  # a short trial has few values, but at least one counts
+    late_x: NDArray[np.float64] = x[:, -quarter_length:, :]
+    return late_x
 
 
 def harmed_percents(trials: Trials) -> Sample:
@@ -145,6 +154,14 @@ def mean_over_experiments(
     # All experiments are resampled by the same trials, which had the same floors and random numbers.
     statistics = [resample(measure(trials)) for trials in experiments]
     return mean_of_resampled(statistics).interval(CONFIDENCE)
+
+
+def mean_harmed_percent(experiments: Sequence[Trials]) -> Interval | None:
+    """Return the mean percentage of healthy robots that a filter harmed, or None if all are flawed."""
+    # So few robots are harmed that most medians would be 0.
+    harmed_percent = mean_over_experiments(harmed_percents, experiments, resample_mean)
+    has_healthy_robots = not np.isnan(harmed_percent.value)
+    return harmed_percent if has_healthy_robots else None
 
 
 # --- Text ------------------------------------------------------------------------------------------------
@@ -212,6 +229,19 @@ def under_and_over_text(experiments: Sequence[Trials]) -> str:
         if group:
             texts.append(late_error_text(group))
     return ", ".join(texts)
+
+
+# --- Pictures --------------------------------------------------------------------------------------------
+
+
+def plot_errors_of_swarms(rows: Rows, swarms: Sequence[str]) -> Figure:
+    """Draw |x - f|, the error of the estimates, over time: a line for each filter or peer.
+
+    The panels of a row have the same kind of flaws of FLAWS, the underconfident ones first. Its columns are
+    the ``swarms``: the labels of rows are these, with the kind of flaws after a comma.
+    """
+    labels = [f"{swarm}, {flaw}" for flaw in FLAWS for swarm in swarms]
+    return plot_errors_over_time({label: rows[label] for label in labels}, series_name=column_label)
 
 
 # --- Tables ----------------------------------------------------------------------------------------------

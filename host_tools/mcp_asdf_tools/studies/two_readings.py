@@ -9,7 +9,6 @@ that it assumes; a flawed robot starts with a wrong b_hat. All robots broadcast 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,11 +16,8 @@ from matplotlib.figure import Figure
 
 import mcp_asdf_tools as m
 from mcp_asdf_tools.common.figures import save_figure
-from mcp_asdf_tools.experiments.error_plot import plot_errors_over_time
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
-from mcp_asdf_tools.studies.bootstrap import resample_mean
-from mcp_asdf_tools.studies.peers import column_label
 from mcp_asdf_tools.studies.reading_pairs import (
     READINGS_OF_TILE,
     HalfRepeated,
@@ -35,11 +31,11 @@ from mcp_asdf_tools.studies.study_program import (
     PLAIN_NOTE,
     Rows,
     format_tenths,
-    harmed_percents,
     markdown_table,
-    mean_over_experiments,
+    mean_harmed_percent,
     parse_arguments,
     plain_error_text,
+    plot_errors_of_swarms,
     run_rows,
     write_tables,
 )
@@ -88,23 +84,17 @@ def two_readings_rows() -> dict[str, list[Experiment]]:
 
 
 def harm_text(experiments: Sequence[Trials]) -> str:
-    """Format the percentage of the healthy robots that a filter harmed, such as "12.5"; empty without any.
+    """Format the percentage of healthy robots that a filter harmed, such as "12.5"; empty if all are flawed.
 
-    It is the mean over the trials: so few robots are harmed that most medians would be 0.
+    It is the mean over the trials.
     """
-    harmed_percent = mean_over_experiments(harmed_percents, experiments, resample_mean).value
-    has_healthy_robots = not math.isnan(harmed_percent)
-    return format_tenths(harmed_percent) if has_healthy_robots else ""
+    harmed_percent = mean_harmed_percent(experiments)
+    return "" if harmed_percent is None else format_tenths(harmed_percent.value)
 
 
 def draw_errors(rows: Rows) -> Figure:
-    """Draw |x - f|, the error of the estimates, over time: a line for each filter, and for two readings.
-
-    The panels of a row have the same accuracies, the underconfident ones first. Its columns are the swarms of
-    DRAWN_SWARMS.
-    """
-    labels = [f"{swarm}, {flaw}" for flaw in FLAWS for swarm in DRAWN_SWARMS]
-    return plot_errors_over_time({label: rows[label] for label in labels}, series_name=column_label)
+    """Draw the errors over time in DRAWN_SWARMS: a line for each filter, and one for two readings."""
+    return plot_errors_of_swarms(rows, DRAWN_SWARMS)
 
 
 def main() -> None:
