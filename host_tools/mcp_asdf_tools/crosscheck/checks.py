@@ -1,4 +1,7 @@
-"""Checks of single values of a robot's state, each of which returns a line for every value that is wrong."""
+"""Checks of single values of a robot's state, and the question whether its filter had to run.
+
+Each check returns a line for every value that is wrong.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +23,12 @@ def check_bounds(name: str, value: Fraction, bounds: Bounds) -> list[str]:
     if lower <= value <= upper:
         return []
     return [f"{name} is {float(value):.9g}, outside {float(lower):.9g} to {float(upper):.9g}"]
+
+
+def is_filter_run(old_state: State, new_state: State) -> bool:
+    """Return whether a filter, if the robot has one, had to run in a round between these two states."""
+    is_filter_round = old_state["filter_left"] == 1  # the last round of a filter period
+    return is_filter_round and new_state["t"] > 0
 
 
 def check_update(is_updated: bool, expected: bool | None) -> list[str]:

@@ -32,9 +32,9 @@ from mcp_asdf_tools.crosscheck.bounds import (
     is_update_expected,
     x_hat_bounds,
 )
-from mcp_asdf_tools.crosscheck.checks import check_bounds, check_exact, check_update
+from mcp_asdf_tools.crosscheck.checks import check_bounds, check_exact, check_update, is_filter_run
 from mcp_asdf_tools.crosscheck.compare import CallResult, State
-from mcp_asdf_tools.crosscheck.robust_oracle import Decision, check_memory, expected_filter_run, is_filter_run
+from mcp_asdf_tools.crosscheck.robust_oracle import Decision, check_memory, expected_filter_run
 from mcp_asdf_tools.crosscheck.scenario import Call, Setup
 
 REGIONS = (
@@ -131,8 +131,7 @@ class Audit:
         """Check whether the paper's filter had to re-estimate b_hat (eq. 12), and the result (eq. 8)."""
         m = old_state["open_count"]
         is_adaptive = setup.filter == Filter.ADAPTIVE
-        is_filter_round = old_state["filter_left"] == 1  # the last round of a filter period
-        is_run = is_filter_round and setup.filter != Filter.OFF and new_state["t"] > 0
+        is_run = setup.filter != Filter.OFF and is_filter_run(old_state, new_state)
         # The test needs a variance, and so two messages.
         has_enough_messages = m >= (2 if is_adaptive else 1)
         if not is_run or not has_enough_messages:

@@ -16,7 +16,7 @@ from fractions import Fraction
 
 from mcp_asdf.fixed_point import ONE
 from mcp_asdf.robust_reference import SLOTS, TESTED_ESTIMATES_MIN, Observations, Votes
-from mcp_asdf_tools.crosscheck.checks import check_bounds, check_exact
+from mcp_asdf_tools.crosscheck.checks import check_bounds, check_exact, is_filter_run
 from mcp_asdf_tools.crosscheck.compare import CallResult, State
 from mcp_asdf_tools.crosscheck.robust_bounds import (
     dispersion_bounds,
@@ -55,12 +55,6 @@ class FilterRun:
 
     decision: Decision
     centre: Fraction | None
-
-
-def is_filter_run(old_state: State, new_state: State) -> bool:
-    """Return whether the filter had to run in a round that ended between these two states."""
-    is_filter_round = old_state["filter_left"] == 1  # the last round of a filter period
-    return is_filter_round and new_state["t"] > 0
 
 
 def check_memory(call: Call, before: CallResult, after: CallResult, events: Counter[str]) -> list[str]:
