@@ -9,13 +9,13 @@ Estimates in slots are in units of 2**-16, probabilities and shares in units of 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from random import Random
 
-from mcp_asdf.mirror import MirrorRobot, State
+from mcp_asdf.mirror import INFORMATIVE_G, MirrorRobot, State
 from mcp_asdf.robust_filter import (
     SLOT_ESTIMATE_MAX,
     RobustFilter,
@@ -31,8 +31,11 @@ from mcp_asdf.robust_filter import (
 RobustTest = Callable[[RobustFilter, int, int, int, int], bool]
 """A test as ``robust_test_rejects``: of the filter's memory, t, n, and centre and spread of the estimates."""
 
-_SLOT_ONE = 1 << 16
-"""1.0 in the unit of slots; the largest estimate is one less."""
+SLOT_ONE = SLOT_ESTIMATE_MAX + 1
+"""1.0 in the unit of slots, which no estimate reaches."""
+SLOT_HALF = SLOT_ONE // 2
+SLOT_INFORMATIVE_DISTANCE = INFORMATIVE_G >> 17
+"""Distance from 1/2 from which on an estimate is enough for a re-estimate of b_hat (eq. 8): 2**-13."""
 
 
 @dataclass(frozen=True)
@@ -60,19 +63,21 @@ class SlotsAtTest:
     def is_supported(self) -> bool:
         """Whether so many estimates support the robot that a test which rejects has no effect."""
         centre, _ = self._centre_and_spread
-        return is_supported(self.robust, self.t, self.n, self._sorted_estimates(), centre)
-
-    def _sorted_estimates(self) -> list[int]:
-        """Return the estimates in the unit and order of the test: 2**-24, ascending."""
-        return sorted(map(q24_from_q16, self.estimates))
+        tested_estimates = [q24_from_q16(estimate) for estimate in self.estimates]
+        return is_supported(self.robust, self.t, self.n, tested_estimates, centre)
 
     @cached_property
     def _centre_and_spread(self) -> tuple[int, int]:
-        """Centre and spread of the estimates, in units of 2**-24."""
-        estimates = self._sorted_estimates()
-        median = median_of(estimates)
-        spread = spread_of(estimates, median)
-        return huber_centre(estimates, median, spread), spread
+        """Centre and spread of the estimates, computed once for all tests of them."""
+        return centre_and_spread(self.estimates)
+
+
+def centre_and_spread(estimates: Sequence[int]) -> tuple[int, int]:
+    """Return the centre and the spread of estimates in slots. Both are in units of 2**-24, as the test's."""
+    sorted_estimates = sorted(q24_from_q16(estimate) for estimate in estimates)
+    median = median_of(sorted_estimates)
+    spread = spread_of(sorted_estimates, median)
+    return huber_centre(sorted_estimates, median, spread), spread
 
 
 def filter_at_test(state: State) -> RobustFilter:
@@ -90,9 +95,14 @@ def estimate_that_predicts(robust: RobustFilter, share: float) -> int:
     """
     b_hat = robust.initial_b_hat / 2**32
     if b_hat == 0.5:
-        return _SLOT_ONE // 2
+        return SLOT_HALF
     fill_ratio = (share + b_hat - 1) / (2 * b_hat - 1)
-    return _limit_estimate(round(fill_ratio * _SLOT_ONE))
+    return _limit_estimate(round(fill_ratio * SLOT_ONE))
+
+
+def opposite_end(estimate: int) -> int:
+    """Return the end of the range on the other side of 1/2, and for 1/2 itself the upper end."""
+    return 0 if estimate > SLOT_HALF else SLOT_ESTIMATE_MAX
 
 
 def draw_slots_at_threshold(
@@ -125,7 +135,7 @@ def draw_slots_at_threshold(
         moved = [estimate + direction * (rounds + (index < rest)) for index, estimate in enumerate(drawn)]
         return SlotsAtTest(tuple(map(_limit_estimate, moved)), robust, state.t, state.n)
 
-    near, far = 0, count * _SLOT_ONE
+    near, far = 0, count * SLOT_ONE
     if slots_after(near).is_rejected() or not slots_after(far).is_rejected():
         return None
     while far - near > 1:
@@ -147,10 +157,10 @@ def slots_of_two_parties(robot: MirrorRobot, count: int, supporter_count: int) -
     """
     state = robot.s
     robust = filter_at_test(state)
-    supporters = [estimate_that_predicts(robust, state.n / state.t)] * supporter_count
-    opposite = 0 if supporters[0] > _SLOT_ONE // 2 else SLOT_ESTIMATE_MAX
-    others = [opposite] * (count - supporter_count)
-    slots = SlotsAtTest((*supporters, *others), robust, state.t, state.n)
+    supporter = estimate_that_predicts(robust, state.n / state.t)
+    other = opposite_end(supporter)
+    estimates = (supporter,) * supporter_count + (other,) * (count - supporter_count)
+    slots = SlotsAtTest(estimates, robust, state.t, state.n)
     has_two_parties = slots.is_supported == (5 * supporter_count > 2 * count)
     return slots if slots.is_rejected() and has_two_parties else None
 

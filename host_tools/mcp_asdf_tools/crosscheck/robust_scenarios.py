@@ -12,8 +12,8 @@ from math import isqrt
 from random import Random
 
 from mcp_asdf.arithmetic import Q32_ONE, q32_quotient
-from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, ONE
-from mcp_asdf.mirror import INFORMATIVE_G, MirrorRobot, reestimate
+from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, ONE
+from mcp_asdf.mirror import MirrorRobot, reestimate
 from mcp_asdf.robot import MAX_ID, Filter
 from mcp_asdf.robust_filter import (
     CENTRE_START,
@@ -27,18 +27,22 @@ from mcp_asdf.robust_filter import (
     TESTED_ESTIMATES_MIN,
     VOTES_MAX,
     RobustFilter,
-    huber_centre,
-    median_of,
     probability_of_black,
     q23_from_q16,
     q24_from_q16,
     q30_from_q23,
     q32_from_q24,
     slot_estimate,
-    spread_of,
 )
 from mcp_asdf_tools.crosscheck.crafted_rounds import draw_normal_alpha
-from mcp_asdf_tools.crosscheck.crafted_slots import draw_slots_at_threshold, slots_of_two_parties
+from mcp_asdf_tools.crosscheck.crafted_slots import (
+    SLOT_HALF,
+    SLOT_INFORMATIVE_DISTANCE,
+    SLOT_ONE,
+    centre_and_spread,
+    draw_slots_at_threshold,
+    slots_of_two_parties,
+)
 from mcp_asdf_tools.crosscheck.image_words import (
     ALPHA_WORD,
     B_HAT_WORD,
@@ -61,12 +65,8 @@ from mcp_asdf_tools.crosscheck.random_values import (
 from mcp_asdf_tools.crosscheck.scenario import Scenario
 
 _CENTRE_ONE = q30_from_q23(ONE)
-_SLOT_ONE = SLOT_ESTIMATE_MAX + 1
 _SLOT_UNIT = q30_from_q23(q23_from_q16(1))
 """Unit of the estimates in slots, as a number of units of the votes."""
-_SLOT_HALF = slot_estimate(HALF)
-_SLOT_INFORMATIVE_DISTANCE = INFORMATIVE_G >> 17
-"""Distance of an estimate in a slot from 1/2 from which on it carries information, in units of 2**-16."""
 
 _VOTE_COUNTS = (
     # No vote, and first ones
@@ -79,7 +79,10 @@ _VOTE_COUNTS = (
 """Numbers of votes at the edges of the gain."""
 
 _SLOWLY_CENTRED = (0, 3, 3, 3, 6, 7, 8, 14, 41, 41, 41, 68, 68, 164, 186, 377, 377, *([833] * 15))
-"""Estimates, less a common part, for which each of five steps changes the centre. Found by search."""
+"""Distances of estimates from the smallest, with which each of five steps still moves their centre.
+
+They were found by search.
+"""
 
 _MAX_DRAWS = 10
 """Robots that are drawn to find one for which there are estimates of a kind."""
@@ -165,8 +168,8 @@ class RobustScenarioWriter(ScenarioWriter):
         """Run the filter with a centre of estimates that is just informative, just not, or about 1/2."""
         rng = self._rng
         robot = self._draw_robot()
-        distance = rng.choice([0, _SLOT_INFORMATIVE_DISTANCE]) + rng.randint(-1, 1)
-        middle = _SLOT_HALF + rng.choice([-1, 1]) * distance
+        distance = rng.choice([0, SLOT_INFORMATIVE_DISTANCE]) + rng.randint(-1, 1)
+        middle = SLOT_HALF + rng.choice([-1, 1]) * distance
         count = rng.randint(TESTED_ESTIMATES_MIN, SLOTS)
         # Among several estimates some are one unit higher, so that their centre lies between two units.
         raised_count = rng.choice([0, 0, 1, rng.randint(0, count)])
@@ -407,14 +410,13 @@ class RobustScenarioWriter(ScenarioWriter):
         rng = self._rng
         count = max(count, 12)
         supporter_count = 2 * count // 5
-        supporter, tied, other = rng.sample(range(_SLOT_ONE), 3)
+        supporter, tied, other = rng.sample(range(SLOT_ONE), 3)
         estimates = (supporter,) * supporter_count + (tied,) + (other,) * (count - supporter_count - 1)
-        sorted_estimates = sorted(map(q24_from_q16, estimates))
-        median = median_of(sorted_estimates)
-        centre = huber_centre(sorted_estimates, median, spread_of(sorted_estimates, median))
-        # By the point opposite to the centre the robot should observe what it does.
+        centre, _ = centre_and_spread(estimates)
+        # Seen from the tied estimate, this point lies opposite to the centre, and as far away. The b_hat
+        # sought is that by which the point predicts the robot's own share of black.
         opposite_point = 2 * q24_from_q16(tied) - centre
-        if not 0 <= opposite_point < q24_from_q16(_SLOT_ONE):
+        if not 0 <= opposite_point < q24_from_q16(SLOT_ONE):
             return None
         b_hat_of_point = reestimate(robot.t, robot.n, q32_from_q24(opposite_point))
         if b_hat_of_point is None:

@@ -20,14 +20,17 @@ from collections.abc import Callable, Sequence
 
 from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE
 from mcp_asdf.robot import Observation
-from mcp_asdf.robust_filter import SLOT_ESTIMATE_MAX, SLOTS, VOTES_MAX
+from mcp_asdf.robust_filter import SLOT_ESTIMATE_MAX, SLOTS, VOTES_MAX, q23_from_q16
 from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_LEAST, NeighbourEstimate, draw_normal_alpha
 from mcp_asdf_tools.crosscheck.crafted_slots import (
+    SLOT_HALF,
+    SLOT_INFORMATIVE_DISTANCE,
     RobustTest,
     SlotsAtTest,
     draw_slots_at_threshold,
     estimate_that_predicts,
     filter_at_test,
+    opposite_end,
     slots_of_two_parties,
 )
 from mcp_asdf_tools.radio.bench import BURST, Bench
@@ -38,12 +41,8 @@ _FIRST_SLOTS = (15, 0, 31, 16, 7, 8, 23, 24, 1, 30, 12, 19)
 _FILLING_ORDER = (*_FIRST_SLOTS, *(slot for slot in range(SLOTS) if slot not in _FIRST_SLOTS))
 """All slots in the order in which estimates are sent to them."""
 
-_SLOT_HALF = SLOT_ESTIMATE_MAX // 2 + 1
-"""An estimate of 1/2."""
-_X_HAT_PER_SLOT_UNIT = 1 << 7
+_X_HAT_PER_SLOT_UNIT = q23_from_q16(1)
 """Units of x_hat in one unit of a slot's estimate."""
-_INFORMATIVE_DISTANCE = 8
-"""Distance from 1/2 from which on an estimate is enough for a re-estimate of b_hat (eq. 8): 2**-13."""
 
 NARROW_WIDTH, WIDE_WIDTH = 4, 1 << 13
 """How far estimates are from their middle: so little that their spread is the smallest one, or much."""
@@ -218,7 +217,7 @@ def test_estimates_far_apart(bench: Bench) -> None:
     if not _can_estimates_decide_test(bench) or black_share >= 1:
         return
     bench.activity = "observations that estimates far apart contradict"
-    three_quarters = 3 * _SLOT_HALF // 2
+    three_quarters = 3 * SLOT_HALF // 2
     estimates = (0, three_quarters) * (SLOTS // 2)
 
     def would_reject() -> bool:
@@ -261,11 +260,11 @@ def re_estimate_near_half(bench: Bench) -> None:
     # Below 1/2 the firmware exchanges the colours, and computes 1 - x as 2**32 - 1 - X from an X in units of
     # 2**-32. That is one unit too small, and brings an estimate at the exact limit too close to 1/2. The
     # nearest that is far enough is one unit of a slot below.
-    nearest_above = _INFORMATIVE_DISTANCE
-    nearest_below = -_INFORMATIVE_DISTANCE - 1
+    nearest_above = SLOT_INFORMATIVE_DISTANCE
+    nearest_below = -SLOT_INFORMATIVE_DISTANCE - 1
     for offset in (nearest_above, nearest_above - 1, nearest_below + 1, nearest_below, 0):
         bench.activity = f"observations that contradict estimates {offset:+} units from 1/2"
-        estimate = _SLOT_HALF + offset
+        estimate = SLOT_HALF + offset
         if not _observe_until_rejection(bench, estimate):
             return
         bench.activity = f"a test with estimates {offset:+} units from 1/2"
@@ -484,7 +483,7 @@ def _most_contradicting_estimate(bench: Bench) -> int:
     """Return the estimate, 0 or almost 1, that contradicts the robot's observations most."""
     state = bench.firmware.s
     agreeing_estimate = estimate_that_predicts(state.robust, state.n / state.t)
-    return 0 if agreeing_estimate > _SLOT_HALF else SLOT_ESTIMATE_MAX
+    return opposite_end(agreeing_estimate)
 
 
 def _slots_at_test(bench: Bench, estimates: tuple[int, ...]) -> SlotsAtTest:
