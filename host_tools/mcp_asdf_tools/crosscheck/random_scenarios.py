@@ -366,7 +366,7 @@ class ScenarioWriter:
         return {self._layout.rejected_and_tests_word: pack_pair(0, MAX_16_BITS)}
 
     def _pack_updates(self, updated: int = 0, updates: int = 0) -> int:
-        """Return word 29 of an image with the robot's own id, as ``pack_updates_and_id`` does."""
+        """Return the word of an image that has the updates and the robot's id, by ``pack_updates_and_id``."""
         return pack_updates_and_id(self._setup.robot_id, updated, updates)
 
     def _draw_observation(self) -> int:

@@ -3,8 +3,9 @@
 The exact values are those of ``mcp_asdf.robust_reference``. The roundings are those that docs/design.md
 states in section 13, and nothing is taken from the firmware.
 
-The firmware's quotient of two numbers, upper() in docs/design.md, is up to 2**-30 of itself and one unit of
-2**-32 too small, and never as large as an exact one that is above 0.
+The firmware's quotient of two numbers, upper() in docs/design.md, is always smaller than the exact one if
+that is above 0. With a divisor of at most 32 bits it is smaller by at most 2**-30 of it plus one unit of
+2**-32.
 """
 
 from __future__ import annotations
@@ -89,7 +90,8 @@ def dispersion_bounds(
     if smallest_limit <= 0:
         # The firmware may find no variance, and keep the dispersion, or nearly none, and take any ratio.
         return _average_bounds(old, Fraction(0), largest_ratio)
-    # The ratio is found as a part of the largest ratio, by another quotient.
+    # The firmware divides the square of the deviation by the largest one, and multiplies the largest ratio by
+    # this quotient, which may be too small as well.
     smallest_part = smallest_deviation**2 / (largest_ratio * largest_variance) * (1 - Q30) - Q32
     largest_part = largest_deviation**2 / smallest_limit
     smallest_ratio = largest_ratio * min(max(smallest_part, Fraction(0)), 1 - Q30 - Q32)
@@ -141,9 +143,9 @@ def _average_bounds(old: Fraction, smallest_ratio: Fraction, largest_ratio: Frac
 def rounded_centre_and_spread(estimates: Sequence[Fraction]) -> tuple[Fraction, Fraction]:
     """Return the centre and the spread of estimates that the firmware must have, as multiples of 2**-24.
 
-    The estimates are multiples of 2**-16, so that their median and their spread need no rounding. A step
-    towards the centre is shortened to the multiple of 2**-24 before: as its quotient is never exact, also if
-    it is such a multiple itself.
+    The estimates are multiples of 2**-16, so that their median and their spread need no rounding. The
+    firmware's quotient is always a little too small. So a step towards the centre is shortened to the next
+    smaller multiple of 2**-24, even a step that is such a multiple already.
     """
     middle = median(estimates)
     spread = spread_around(estimates, middle)

@@ -194,8 +194,8 @@ def threshold_phase(width: int) -> Callable[[Bench], None]:
         if not _can_estimates_decide_test(bench):
             return
         _observe_until_black_share(bench, _predict_black_share(bench, _FILL_RATIO))
-        # Estimates are chosen to show one known mistake in the arithmetic of the test. There are several
-        # mistakes, so that a second pair of tests can show another one.
+        # A pair of tests is chosen to show one of the known mistakes in the arithmetic of the test. The
+        # second pair may show another.
         for _ in range(2):
             _play_tests_at_threshold(bench, count=SLOTS, width=width)
 
