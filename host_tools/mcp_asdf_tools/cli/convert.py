@@ -49,7 +49,13 @@ def run(args: argparse.Namespace) -> int:
     from mcp_asdf_tools.common.files import check_target
     from mcp_asdf_tools.common.progress_bar import progress
     from mcp_asdf_tools.experiments.authors_trials import find_trial_files
-    from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments, write_tables
+    from mcp_asdf_tools.experiments.result_files import (
+        ROW_GROUP_BYTES,
+        collect_rows,
+        read_table,
+        stream_experiments,
+        write_tables,
+    )
     from mcp_asdf_tools.experiments.result_tables import read_metadata
     from mcp_asdf_tools.experiments.scores import PAPERS
 
@@ -60,7 +66,9 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--record is {args.record}; choose a number of steps, or 0 for none")
     files = find_trial_files(args.files)
     with progress("trials", len(files), args.json) as report_progress:
-        write_tables(args.output, _read_tables(files, args.record, report_progress))
+        tables = _read_tables(files, args.record, report_progress)
+        # A row group for each trial would make the time to read them grow with the square of their number.
+        write_tables(args.output, collect_rows(tables, min_bytes=ROW_GROUP_BYTES))
     rows = summarize(stream_experiments(args.output), PAPERS)
     if args.json:
         metadata = read_metadata(read_table(args.output, ["trial"]))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -32,26 +33,65 @@ from mcp_asdf_tools.experiments.result_tables import (
 from mcp_asdf_tools.experiments.results import PARAMETER_NAMES, Trials
 from mcp_asdf_tools.world.settings import FORMER_PARAMETERS
 
+ROW_GROUP_BYTES = 50_000_000
+"""Size of a row group in memory for which rows are collected: a file should have few row groups, since each
+is found and read by itself, but one at a time has to fit into memory."""
+
 _ROW_GROUPS_IN_MEMORY = 4
 """Number of row groups that are kept after they were read. Rows that are needed together usually stand close
 to each other, so few are enough."""
 
 
-def write_tables(path: Path, tables: Iterable[pa.Table]) -> None:
-    """Write tables of the same columns, at least one, to a Parquet file; each becomes a row group.
+def _open_parquet_writer(path: Path, schema: pa.Schema) -> Any:
+    """Return pyarrow's writer of a Parquet file with these columns; it is a context manager."""
+    return pq.ParquetWriter(path, schema, compression="zstd")
 
-    The file has its name only once it is complete. Raises UsageError if it cannot be written.
+
+def write_tables(
+    path: Path,
+    tables: Iterable[pa.Table],
+    open_writer: Callable[[Path, pa.Schema], Any] = _open_parquet_writer,
+) -> int:
+    """Write tables of the same columns, at least one, to a file, and return its number of rows.
+
+    It is a Parquet file, in which each table is a row group (several if it has more than 2**20 rows), unless
+    ``open_writer`` returns another writer of pyarrow for a path and columns. The file has its name only once
+    it is complete. Raises UsageError if it cannot be written.
     """
+    row_count = 0
     # The writer needs the columns before the first row, and the tables may be made one by one.
     remaining_tables = iter(tables)
     first_table = next(remaining_tables)
     with (
         explaining(path),
         drafts_for([path]) as [draft],
-        pq.ParquetWriter(draft, first_table.schema, compression="zstd") as writer,
+        open_writer(draft, first_table.schema) as writer,
     ):
         for table in chain([first_table], remaining_tables):
-            writer.write_table(table, row_group_size=len(table))
+            writer.write_table(table)
+            row_count += len(table)
+    return row_count
+
+
+def collect_rows(
+    tables: Iterable[pa.Table], *, min_rows: float = math.inf, min_bytes: float = math.inf
+) -> Iterator[pa.Table]:
+    """Yield the rows of tables of the same columns in fewer, larger tables.
+
+    Each has at least ``min_rows`` rows or ``min_bytes`` bytes, but for the last.
+    """
+    collected_tables: list[pa.Table] = []
+    row_count = byte_count = 0
+    for table in tables:
+        collected_tables.append(table)
+        row_count += len(table)
+        byte_count += table.nbytes
+        if row_count >= min_rows or byte_count >= min_bytes:
+            yield pa.concat_tables(collected_tables)
+            collected_tables = []
+            row_count = byte_count = 0
+    if collected_tables:
+        yield pa.concat_tables(collected_tables)
 
 
 def parts_folder(output: Path) -> Path:

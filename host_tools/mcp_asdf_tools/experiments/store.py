@@ -23,7 +23,7 @@ from mcp_asdf_tools.common.files import check_target, remove_abandoned_drafts
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.output_lock import lock_file, unlock_file
-from mcp_asdf_tools.experiments.result_files import RowGroups, parts_folder, write_tables
+from mcp_asdf_tools.experiments.result_files import ROW_GROUP_BYTES, RowGroups, parts_folder, write_tables
 from mcp_asdf_tools.experiments.result_tables import (
     INDEX_COLUMNS,
     read_metadata,
@@ -33,10 +33,8 @@ from mcp_asdf_tools.experiments.result_tables import (
 from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
 
 _MAX_ROWS = 20_000
-"""Maximum number of rows in a part, and in a row group of the output. A row is a trial."""
-
-_MAX_BYTES = 50_000_000
-"""Maximum size of the lists in these rows. It makes rows fewer if they are long."""
+"""Maximum number of rows in a part, and in a row group of the output. A row is a trial. They are fewer if
+the lists in them have more than ROW_GROUP_BYTES."""
 
 _SECONDS_BETWEEN_PARTS = 1.0
 """Shortest time from one part to the next; a process that is killed loses the results since the last part."""
@@ -102,14 +100,14 @@ class Store:
         self._find_existing_trials()
 
     def _rows_that_fit(self, experiment: Experiment) -> int:
-        """Return how many trials of an experiment have lists of at most _MAX_BYTES together; at least 1."""
+        """Return how many trials of an experiment have lists of at most ROW_GROUP_BYTES together, or 1."""
         filter_steps = experiment.steps // experiment.filter_period
         values_per_robot = 4 + filter_steps  # K, e, tests and updates, and b_hat after each filter step
         if self.sampling_interval:
             samples = 1 + experiment.steps // self.sampling_interval
             values_per_robot += _RECORDED_QUANTITIES * samples
         bytes_per_trial = _BYTES_PER_VALUE * experiment.robots * values_per_robot
-        return max(1, _MAX_BYTES // bytes_per_trial)
+        return max(1, ROW_GROUP_BYTES // bytes_per_trial)
 
     # --- Existing results --------------------------------------------------------------------------------
 

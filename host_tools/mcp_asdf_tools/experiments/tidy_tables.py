@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +26,8 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.files import check_target, drafts_for, explaining
-from mcp_asdf_tools.experiments.result_files import RowGroups
+from mcp_asdf_tools.common.files import check_target
+from mcp_asdf_tools.experiments.result_files import RowGroups, collect_rows, write_tables
 from mcp_asdf_tools.experiments.result_tables import (
     METADATA_KEY,
     column_types,
@@ -202,22 +201,11 @@ def write_tidy_tables(path: Path, tables: Iterable[pa.Table]) -> int:
     name only once it is complete. Raises UsageError if it cannot be written.
     """
     check_tidy_path(path)
-    is_csv = path.suffix.lower() == ".csv"
-    if is_csv:
-        tables = map(_replace_truth_by_number, tables)
-    row_count = 0
-    # The writer needs the columns before the first row, and the tables may be made one by one.
-    remaining_tables = _collect_rows(tables)
-    first_table = next(remaining_tables)
-    with (
-        explaining(path),
-        drafts_for([path]) as [draft],
-        _open_writer(draft, first_table.schema, is_csv) as writer,
-    ):
-        for table in chain([first_table], remaining_tables):
-            writer.write_table(table)
-            row_count += len(table)
-    return row_count
+    larger_tables = collect_rows(tables, min_rows=_MIN_ROWS_WRITTEN)
+    if path.suffix.lower() == ".csv":
+        csv_tables = map(_replace_truth_by_number, larger_tables)
+        return write_tables(path, csv_tables, pyarrow.csv.CSVWriter)
+    return write_tables(path, larger_tables)
 
 
 def _replace_truth_by_number(table: pa.Table) -> pa.Table:
@@ -225,25 +213,3 @@ def _replace_truth_by_number(table: pa.Table) -> pa.Table:
     index = table.column_names.index("is_flawed")
     field = table.schema.field("is_flawed").with_type(pa.int8())
     return table.set_column(index, field, table["is_flawed"].cast(pa.int8()))
-
-
-def _open_writer(draft: Path, schema: pa.Schema, is_csv: bool) -> Any:
-    """Return a writer of pyarrow for CSV, or else for Parquet; it is a context manager."""
-    if is_csv:
-        return pyarrow.csv.CSVWriter(draft, schema)
-    return pq.ParquetWriter(draft, schema, compression="zstd")
-
-
-def _collect_rows(tables: Iterable[pa.Table]) -> Iterator[pa.Table]:
-    """Yield the rows of tables in tables of at least _MIN_ROWS_WRITTEN rows, but for the last."""
-    collected_tables: list[pa.Table] = []
-    row_count = 0
-    for table in tables:
-        collected_tables.append(table)
-        row_count += len(table)
-        if row_count >= _MIN_ROWS_WRITTEN:
-            yield pa.concat_tables(collected_tables)
-            collected_tables = []
-            row_count = 0
-    if collected_tables:
-        yield pa.concat_tables(collected_tables)

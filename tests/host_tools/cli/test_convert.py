@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
 import pytest
 
 from authors_files import FIXED, MOVING, write_trial
@@ -30,6 +31,13 @@ def test_a_folder_becomes_results_and_their_scores_are_printed(capsys: Capture) 
     assert "fully-connected" in output
     assert "2 of 3" in output
     assert "1 of 3" in output
+
+
+def test_a_converted_folder_is_read_back_in_one_piece() -> None:
+    """With a row group for each trial, the time to read them would grow with the square of their number."""
+    main(["convert", "data", "--output", "theirs.parquet"])
+    metadata = pq.read_metadata("theirs.parquet")
+    assert (metadata.num_rows, metadata.num_row_groups) == (3, 1)
 
 
 def test_json_has_experiments_and_source(capsys: Capture) -> None:

@@ -19,7 +19,12 @@ from host_tools.test_untrusted import PARSERS, try_to_read, valid_results_table
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments, write_tables
+from mcp_asdf_tools.experiments.result_files import (
+    collect_rows,
+    read_table,
+    stream_experiments,
+    write_tables,
+)
 from mcp_asdf_tools.experiments.result_tables import (
     FORMAT,
     experiments_in,
@@ -122,6 +127,12 @@ def test_experiments_read_one_by_one_may_be_spread_over_files(tmp_path: Path) ->
         write_tables(tmp_path / f"{number}.parquet", [table])
     streamed = list(stream_experiments(tmp_path))
     assert [(trials.experiment, trials.numbers) for trials in streamed] == [(SHORT, [0, 2]), (OTHER, [1])]
+
+
+def test_rows_are_collected_until_their_tables_have_enough_bytes() -> None:
+    table = trials_to_table(run_trials(SHORT, 0, 1))
+    larger_tables = collect_rows([table] * 5, min_bytes=2 * table.nbytes)
+    assert [len(larger_table) for larger_table in larger_tables] == [2, 2, 1]
 
 
 def test_any_reader_of_parquet_finds_parameters_and_results_of_a_trial(results_path: Path) -> None:

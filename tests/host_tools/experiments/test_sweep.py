@@ -305,7 +305,7 @@ def test_the_rows_of_a_part_fit_the_size_of_their_lists(
 ) -> None:
     (row,) = trials_to_table(Job(GRID[0], 0, 1, 400).run()).to_pylist()
     value_count = sum(np.size(values) for values in row.values() if isinstance(values, list))
-    monkeypatch.setattr(store_module, "_MAX_BYTES", 1000 * 8 * value_count)
+    monkeypatch.setattr(store_module, "ROW_GROUP_BYTES", 1000 * 8 * value_count)
     assert Store(output, GRID[:1], 400)._rows_per_part == 1000
     assert Store(output, [replace(GRID[0], steps=10**7)], 400)._rows_per_part == 1
 
