@@ -224,9 +224,10 @@ def stream_tidy_tables(path: Path) -> Iterator[pa.Table]:
 
     Raises UsageError as ``to_frame``.
     """
+    from mcp_asdf_tools.experiments.results import is_results_path
     from mcp_asdf_tools.experiments.tidy_tables import stream_tidy_results
 
-    if path.suffix == ".parquet" or path.is_dir():
+    if is_results_path(path) or path.is_dir():
         yield from stream_tidy_results(path)
     else:
         yield from _replay_to_tidy_tables(path)

@@ -131,6 +131,13 @@ def test_export_writes_the_values_of_results_as_parquet(results: Path, tmp_path:
     assert pq.read_table(path).equals(m.to_frame(results))
 
 
+@pytest.mark.parametrize("name", ["run.pq", "run.PARQUET"])
+def test_results_are_exported_under_any_suffix_of_parquet(name: str, results: Path, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(results.read_bytes())
+    assert main(["export", str(path), str(tmp_path / "robots.csv")]) == 0
+
+
 def test_export_reports_the_files_and_the_number_of_rows_as_json(
     results: Path, tmp_path: Path, capsys: Capture
 ) -> None:

@@ -32,8 +32,6 @@ exit code: 0 done, 1 the bus failed, 2 bad usage, 130 interrupted"""
 LIBRARIES = ("numpy", "can")
 
 _NO_TELEMETRY = "no robot sent telemetry, which has x and b_hat: see mcp-asdf swarm --telemetry-period 1"
-_RESULTS = (".parquet", ".pq")
-"""Suffixes of files of results; any other file is a log."""
 _OPTIONS_OF_A_BUS = ("interface", "bitrate", "bus_kwargs")
 _OPTIONS_OF_FRAMES = ("fill_ratio", "true_accuracy", "subject", "channel")
 """Options that say what the frames of a bus mean, or of a log that has no events beside it."""
@@ -91,10 +89,11 @@ def _frame_format_of(args: argparse.Namespace) -> FrameFormat:
 
 def _check_recording_options(args: argparse.Namespace) -> None:
     """Raise UsageError for an option that does nothing where a recording is shown."""
+    from mcp_asdf_tools.experiments.results import is_results_path
     from mcp_asdf_tools.recording.events import events_path
 
     unused_options = [*_OPTIONS_OF_A_BUS]
-    has_parameters = args.file.suffix.lower() in _RESULTS or events_path(args.file).exists()
+    has_parameters = is_results_path(args.file) or events_path(args.file).exists()
     if has_parameters:  # what the frames of any other log mean is for the user to say
         unused_options += _OPTIONS_OF_FRAMES
     for option_name in unused_options:
@@ -110,14 +109,14 @@ def _read_recording(args: argparse.Namespace) -> History:
 
     Raises UsageError if there is none, or for options that do not go with it.
     """
-    from mcp_asdf_tools.experiments.results import single_experiment
+    from mcp_asdf_tools.experiments.results import is_results_path, single_experiment
     from mcp_asdf_tools.recording.events import events_path
     from mcp_asdf_tools.view.swarm_log_history import recompute_swarm_history
     from mcp_asdf_tools.view.trial_history import recompute_trial_history, recorded_trial_history
 
     # No file holds all that the page draws: the rest is computed again from seed and parameters, unless
     # another program has run the trial.
-    if args.file.suffix.lower() in _RESULTS:
+    if is_results_path(args.file):
         trials = single_experiment(options.read_selected_experiments(args))
         if trials.source:
             return recorded_trial_history(trials, args.trial)

@@ -27,6 +27,14 @@ HARM_LIMIT = 0.05
 
 PARAMETER_NAMES = tuple(parameters_of(Experiment))
 
+_SUFFIXES = (".parquet", ".pq")
+"""Suffixes of files of results, in upper or lower case."""
+
+
+def is_results_path(path: Path) -> bool:
+    """Return whether the suffix of a path is that of a file of results; other recordings are logs."""
+    return path.suffix.lower() in _SUFFIXES
+
 
 @dataclass(frozen=True)
 class Trials:
