@@ -9,8 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mcp_asdf_tools.common.figures import SMALL, clean
-from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plot_labels import make_caption
+from mcp_asdf_tools.experiments.plot_labels import filter_name, make_caption
 from mcp_asdf_tools.experiments.plot_panels import (
     Series,
     SeriesName,
@@ -37,13 +36,12 @@ def plot_errors_over_time(
 
     x is a robot's informed estimate and f the true share of black tiles, so this is the mean over the robots
     of a trial; the line is the median over the trials. Trials of one panel and filter are taken together. All
-    must have been recorded, with the same interval. ``series_name`` gives the lines other names than those
-    of their filters, and experiments of one name share a line. Raises UsageError if there are too many
-    panels.
+    must have been recorded, with the same interval. With ``series_name`` there is a line for each name that
+    it returns, in place of a line for each filter. Raises UsageError if there are too many panels.
     """
     all_experiments = [trials for experiments in panels.values() for trials in experiments]
     if series_name is None:
-        series_name = _name_of_filter
+        series_name = filter_name
         all_series = _series_of_filters(all_experiments)
     else:
         all_series = group_into_series(all_experiments, series_name)
@@ -63,11 +61,6 @@ def plot_errors_over_time(
     marks = f"lines are medians over the trials of a swarm's mean error, {intervals}"
     caption = make_caption(all_experiments, marks, limits)
     return label_figure(figure, "step", "error |x \u2212 f|", caption, handles)
-
-
-def _name_of_filter(experiment: Experiment) -> str:
-    """Return the name of an experiment's filter as pictures typeset it."""
-    return experiment.swarm_filter.typeset_term
 
 
 def _series_of_filters(experiments: Sequence[Trials]) -> list[Series]:

@@ -279,8 +279,8 @@ def _open_checked(path: Path) -> Any:
     """Open a file of results. Raises UsageError unless it is one in READABLE_FORMATS, and has rows."""
     with _name_file_in_errors(path):
         file = pq.ParquetFile(path)
-        _check_metadata(path, file.schema_arrow.metadata or {})
-        _check_schema(path, file.schema_arrow)
+        format_number = _check_metadata(path, file.schema_arrow.metadata or {})
+        _check_schema(path, file.schema_arrow, format_number)
         if not file.metadata.num_rows:
             raise UsageError(f"{path} holds no trials; run mcp-asdf sweep again")
     return file
@@ -301,8 +301,11 @@ def _name_file_in_errors(path: Path) -> Iterator[None]:
         raise UsageError(f"cannot read {path}: {reason}{hint}") from error
 
 
-def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> None:
-    """Raise UsageError unless a file's metadata are those of results in one of READABLE_FORMATS."""
+def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> int:
+    """Return the format of results, one of READABLE_FORMATS, that a file's metadata have.
+
+    Raises UsageError if the metadata are not those of such results.
+    """
     try:
         metadata = json.loads(file_metadata.get(METADATA_KEY, b"{}"))
     except (ValueError, RecursionError):  # another program may use the same key
@@ -319,6 +322,8 @@ def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> None:
         raise UsageError(f"{path} is damaged: its metadata lack versions or sampling_interval; run it again")
     if not isinstance(metadata.get("source", ""), str):
         raise UsageError(f"{path} is damaged: source in its metadata is no text; make the file again")
+    format_number: int = metadata["format"]
+    return format_number
 
 
 def _check_former_parameters(path: Path, file: Any, row_group_index: int) -> None:
@@ -340,12 +345,12 @@ def _check_former_parameters(path: Path, file: Any, row_group_index: int) -> Non
             )
 
 
-def _check_schema(path: Path, schema: Any) -> None:
-    """Raise UsageError if columns are missing, there twice or of another type than those of results.
+def _check_schema(path: Path, schema: Any, format_number: int) -> None:
+    """Raise UsageError if columns are missing, there twice or of another type than those of a format.
 
-    A parameter may be missing, since it may be newer than the file. The metadata must have been checked.
+    A parameter may be missing, since it may be newer than the file.
     """
-    column_types = column_types_of_format(json.loads(schema.metadata[METADATA_KEY])["format"])
+    column_types = column_types_of_format(format_number)
     missing_columns = set(column_types) - set(PARAMETER_NAMES) - set(schema.names)
     if missing_columns:
         missing_names = ", ".join(sorted(missing_columns))

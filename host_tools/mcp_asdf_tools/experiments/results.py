@@ -87,16 +87,15 @@ class Trials:
         """Return which of the healthy robots their filter has harmed, shape (trials, healthy robots).
 
         After the last filter step these have a b_hat, the accuracy that they assume, that is more than
-        HARM_LIMIT from the one that they started with. Trials that end before the first one harm nobody.
+        HARM_LIMIT from the one that they started with. Trials that end before the first filter step harm
+        nobody.
         """
         # The first robots are the flawed ones, and all others start with the same b_hat.
         b_hat_of_healthy_robots = self.b_hat[:, :, self.experiment.flawed :]
-        trial_count, filter_steps, healthy_count = b_hat_of_healthy_robots.shape
-        if filter_steps == 0:
-            return np.zeros((trial_count, healthy_count), dtype=np.bool_)
-        final_b_hat = b_hat_of_healthy_robots[:, -1, :]
         initial_b_hat = self.experiment.b_hat(self.experiment.robots - 1)
-        return np.asarray(abs(final_b_hat - initial_b_hat) > HARM_LIMIT)
+        # The slice has only the last filter step, or none: then ``any`` of nothing is False.
+        final_b_hat = b_hat_of_healthy_robots[:, -1:, :]
+        return np.asarray((abs(final_b_hat - initial_b_hat) > HARM_LIMIT).any(axis=1))
 
 
 def select_experiments(experiments: Sequence[Trials], where: Mapping[str, Any]) -> list[Trials]:

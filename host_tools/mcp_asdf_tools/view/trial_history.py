@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.experiments.results import Trials
@@ -43,8 +44,7 @@ def recompute_trial_history(trials: Trials, trial: int) -> History:
             f"trial {trial} does not come out again as in the results, which another version or extension "
             "made: run mcp-asdf simulate again"
         )
-    series = [rerun_trials.records[name][0] for name in ESTIMATES]
-    estimates = np.stack(series, axis=1)
+    estimates = _recorded_estimates(rerun_trials, trial)
     return History(describe_run(experiment, trial), add_world(experiment, trial, estimates, spacing))
 
 
@@ -72,23 +72,29 @@ def recorded_trial_history(trials: Trials, trial: int) -> History:
         steps_per_second=experiment.steps_per_second,
         filter=experiment.filter,
     )
-    index = trials.numbers.index(trial)
-    values = np.stack([trials.records[name][index] for name in ("x", "x_hat", "b_hat")], axis=1)
+    estimates = _recorded_estimates(trials, trial)
     true_accuracies = np.full(experiment.robots, experiment.true_accuracy)
     unknown_neighbours = np.zeros((experiment.robots, experiment.robots), bool)
-    # Of the recorded states only so many are taken as a page should have.
+    # A page should have at most one state every ``spacing`` steps, so only every ``stride``-th recorded one
+    # is taken.
     spacing = steps_between_states(experiment.steps, experiment.robots)
     stride = math.ceil(spacing / trials.sampling_interval)
     states = [
         State(
             sample * trials.sampling_interval,
-            np.vstack([values[sample], true_accuracies]),
+            np.vstack([estimates[sample], true_accuracies]),
             unknown_neighbours,
             None,
         )
-        for sample in range(0, len(values), stride)
+        for sample in range(0, len(estimates), stride)
     ]
     return History(description, states)
+
+
+def _recorded_estimates(trials: Trials, trial: int) -> NDArray[np.float64]:
+    """Return the recorded ESTIMATES of the robots in a trial, by its number; shape (recorded steps, 3, N)."""
+    index = trials.numbers.index(trial)
+    return np.stack([trials.records[name][index] for name in ESTIMATES], axis=1)
 
 
 def _check_number(trials: Trials, trial: int) -> None:
