@@ -14,7 +14,10 @@ export function computeQuartiles(series) {
   return [quantile(0.5), quantile(0.25), quantile(0.75)];
 }
 
-/** Returns means of SAMPLES_PER_POINT values each: from step to step x jumps as neighbours come and go. */
+/**
+ * Returns the mean of each block of SAMPLES_PER_POINT values. This smooths the line: x jumps from step to step,
+ * as neighbours come and go.
+ */
 export function averageBlocks(values) {
   const blockCount = Math.floor(values.length / SAMPLES_PER_POINT) || 1;
   return Float64Array.from({ length: blockCount }, (_, block) => {

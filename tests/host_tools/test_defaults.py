@@ -87,7 +87,7 @@ def is_without_parameters(thing: object) -> bool:
 
 
 def default_factories(thing: object) -> dict[str, Callable[[], object]]:
-    """Return what makes the defaults of a dataclass that are made anew for each instance, by parameter."""
+    """Return the default factories of a dataclass by parameter; none for anything else."""
     if not dataclasses.is_dataclass(thing):
         return {}
     factories = {field.name: field.default_factory for field in dataclasses.fields(thing)}

@@ -72,7 +72,8 @@ _NUMBER_LIMIT = 1e300
 """No parameter is larger; JSON may have whole numbers that no float can hold."""
 _CM_PER_M = 100
 _DENSITY_DECIMALS = 3
-"""Decimal places of a density, which they compute from the walls' positions, that count."""
+"""Decimal places to which a density is rounded. The authors compute it from the positions of the walls, so
+further places are only rounding errors."""
 _ACTIVATIONS = {"BRAVO": "adaptive", "ALPHA": "always"}
 """What their methods are called here."""
 
@@ -161,7 +162,10 @@ class _TrialFile:
     content: dict[str, Any]
 
     def error(self, key: str, fix: str) -> UsageError:
-        """Return an error about the value of a key, which ends with ``fix``."""
+        """Return an error that names a key and its value, and then says ``fix``.
+
+        If the key is missing, the error says that instead.
+        """
         if key not in self.content:
             return UsageError(f"{self.path}: it has no {key}; give a trial of {SOURCE}")
         return UsageError(f"{self.path}: {key} is {self.content[key]!r}; {fix}")
@@ -319,7 +323,10 @@ def _parse_texts(texts: Any, steps: int) -> NDArray[np.float64]:
 
 
 def _check_numbers(series: dict[str, NDArray[np.float64]]) -> None:
-    """Raise ValueError, with the first step, if a number is out of its range; NaN is in every real range."""
+    """Raise ValueError, which names the first such step, if a number is out of its range.
+
+    Only the counts n and t must not be NaN.
+    """
     n, t = series["n"], series["t"]
     steps = np.arange(len(t))
     # Written so that NaN fails the comparison, as a count cannot be NaN.

@@ -60,8 +60,8 @@ INDEX_COLUMNS = (*PARAMETER_NAMES, "trial")
 RECORD_COLUMNS = {name: f"record_{name}" for name in QUANTITIES}
 """Name of the column of each recorded quantity."""
 
-# Elements of lists are called so in a file that has been read. With the same name in a table that has not,
-# equal rows give equal files.
+# In tables read from files pyarrow calls the elements of lists "element". New tables use the same name, so
+# that equal rows give equal files.
 _VALUES_OF_ROBOTS = pa.list_(pa.field("element", pa.float64()))
 """Type of a list with a value of each robot."""
 _RECORD_OF_TRIAL = pa.list_(pa.field("element", _VALUES_OF_ROBOTS))
