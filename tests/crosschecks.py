@@ -1,9 +1,11 @@
-"""Cross-checks as tests run them, and mirrors with a planted fault for them to find."""
+"""Cross-checks as tests run them, call by call or as a whole, and mirrors with a planted fault to find."""
 
 from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import cast
@@ -16,13 +18,16 @@ import mcp_asdf.robust_filter
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Status
 from mcp_asdf_tools.crosscheck.compare import (
+    CallResult,
     CheckScenario,
     Failure,
     Firmware,
+    RobotUnderTest,
     compare_firmwares,
     run_crosscheck,
 )
 from mcp_asdf_tools.crosscheck.oracle import Audit
+from mcp_asdf_tools.crosscheck.scenario import Call, Setup, parse_scenario
 
 SOURCES = {
     module.__name__: Path(cast(str, module.__file__)).read_text(encoding="utf-8")
@@ -45,6 +50,32 @@ def check_with_audit(first: Firmware, second: Firmware) -> CheckScenario:
 def find_failure(check_scenario: CheckScenario, calls: int = CALLS) -> Failure | None:
     """Return the first failure of the check in so many calls of random scenarios."""
     return run_crosscheck(check_scenario, SEED, calls, lambda calls_made: None).failure
+
+
+@dataclass
+class CheckedCall:
+    """A call of a scenario, with what was observed before and after it."""
+
+    setup: Setup
+    call: Call
+    before: CallResult
+    after: CallResult
+
+
+def check_calls(text: str, audit: Audit) -> Iterator[CheckedCall]:
+    """Make the calls of a scenario, in which ``audit`` finds nothing wrong, and yield them."""
+    scenario = parse_scenario(text)
+    robot = RobotUnderTest(MirrorRobot, scenario.setup)
+    for call in scenario.calls:
+        before = robot.last_result
+        after = robot.apply(call)
+        assert audit.check_call(scenario.setup, call, before, after) == []
+        yield CheckedCall(scenario.setup, call, before, after)
+
+
+def with_value(result: CallResult, name: str, value: int) -> CallResult:
+    """Return the result with another value of a field of the state."""
+    return replace(result, state=result.state | {name: value})
 
 
 FAULTS = {

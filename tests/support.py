@@ -6,6 +6,7 @@ import fcntl
 import math
 import os
 import re
+import resource
 import shutil
 import signal
 import subprocess
@@ -153,6 +154,17 @@ def interruptible() -> Iterator[None]:
     finally:
         signal.signal(signal.SIGINT, previous_int_handler)
         signal.signal(signal.SIGHUP, previous_hup_handler)
+
+
+@contextmanager
+def limited_file_size(max_bytes: int) -> Iterator[None]:
+    """Let no file of this process become larger, which fails like a full disk."""
+    previous_limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (max_bytes, previous_limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, previous_limits)
 
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:

@@ -10,7 +10,7 @@ import pytest
 
 from mcp_asdf.fixed_point import ALPHA_MAX
 from mcp_asdf.mirror import MirrorRobot
-from mcp_asdf.robot import Config, Filter, Observation, Status
+from mcp_asdf.robot import Observation, Status
 from mcp_asdf.robust_filter import RobustFilter, q23_from_q16
 from mcp_asdf_tools.crosscheck.crafted_slots import (
     SlotsAtTest,
@@ -19,9 +19,7 @@ from mcp_asdf_tools.crosscheck.crafted_slots import (
     filter_at_test,
     slots_of_two_parties,
 )
-
-ROBUST = Config(filter=Filter.ROBUST, filter_period=1)
-"""A robot with this configuration tests itself at the end of each round."""
+from robots import ROBUST
 
 
 def robot_before_test(t: int, n: int, b_hat: float = 0.8) -> MirrorRobot:

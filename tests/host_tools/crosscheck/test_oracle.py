@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
 import pytest
 
+from crosschecks import CheckedCall, check_calls, with_value
 from mcp_asdf.fixed_point import ONE, alpha_from_word
-from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.reference import INFORMATIVE_G, assumed_accuracy_update, local_estimate
 from mcp_asdf.robot import Filter
 from mcp_asdf_tools.crosscheck.bounds import (
@@ -22,9 +21,7 @@ from mcp_asdf_tools.crosscheck.bounds import (
     is_update_expected,
     x_hat_bounds,
 )
-from mcp_asdf_tools.crosscheck.compare import CallResult, RobotUnderTest
 from mcp_asdf_tools.crosscheck.oracle import REGIONS, Audit, Errors, region_of
-from mcp_asdf_tools.crosscheck.scenario import Call, Setup, parse_scenario
 
 LIMIT = Fraction(INFORMATIVE_G)
 
@@ -119,35 +116,9 @@ def test_either_is_right_so_near_to_the_limit_that_rounding_decides() -> None:
 # --- What is found wrong in a call -----------------------------------------------------------------------
 
 
-@dataclass
-class CheckedCall:
-    """A call of a scenario, with what was observed before and after it."""
-
-    setup: Setup
-    call: Call
-    before: CallResult
-    after: CallResult
-
-
-def check_calls(text: str, audit: Audit) -> Iterator[CheckedCall]:
-    """Make the calls of a scenario, in which ``audit`` finds nothing wrong, and yield them."""
-    scenario = parse_scenario(text)
-    robot = RobotUnderTest(MirrorRobot, scenario.setup)
-    for call in scenario.calls:
-        before = robot.last_result
-        after = robot.apply(call)
-        assert audit.check_call(scenario.setup, call, before, after) == []
-        yield CheckedCall(scenario.setup, call, before, after)
-
-
 def last_call(text: str, audit: Audit) -> CheckedCall:
     """Make the calls of a scenario, and return the last one."""
     return list(check_calls(text, audit))[-1]
-
-
-def with_value(result: CallResult, name: str, value: int) -> CallResult:
-    """Return the result with another value of a field of the state."""
-    return replace(result, state=result.state | {name: value})
 
 
 UPDATE = "robot:1:1:64:0:3221225472,step:1,step:0,receive:1:3000000:2147483649,step:0"

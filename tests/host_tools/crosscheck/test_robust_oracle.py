@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 
 import pytest
 
+from crosschecks import check_calls, with_value
 from mcp_asdf.fixed_point import ONE
-from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robust_reference import Observations, Votes
 from mcp_asdf_tools.crosscheck.bounds import HALF
-from mcp_asdf_tools.crosscheck.compare import CallResult, RobotUnderTest
+from mcp_asdf_tools.crosscheck.compare import CallResult
 from mcp_asdf_tools.crosscheck.oracle import Audit
 from mcp_asdf_tools.crosscheck.robust_bounds import (
     dispersion_bounds,
@@ -24,7 +24,6 @@ from mcp_asdf_tools.crosscheck.robust_bounds import (
     support_outcome,
 )
 from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
-from mcp_asdf_tools.crosscheck.scenario import Call, Setup, parse_scenario
 
 INDEPENDENT = Fraction(1)
 """The dispersion of independent observations."""
@@ -121,32 +120,6 @@ def test_supporters_are_more_than_two_of_five_unless_one_is_in_the_middle(
 
 
 # --- What is found wrong in a call -----------------------------------------------------------------------
-
-
-@dataclass
-class CheckedCall:
-    """A call of a scenario, with what was observed before and after it."""
-
-    setup: Setup
-    call: Call
-    before: CallResult
-    after: CallResult
-
-
-def check_calls(text: str, audit: Audit) -> Iterator[CheckedCall]:
-    """Make the calls of a scenario, in which ``audit`` finds nothing wrong, and yield them."""
-    scenario = parse_scenario(text)
-    robot = RobotUnderTest(MirrorRobot, scenario.setup)
-    for call in scenario.calls:
-        before = robot.last_result
-        after = robot.apply(call)
-        assert audit.check_call(scenario.setup, call, before, after) == []
-        yield CheckedCall(scenario.setup, call, before, after)
-
-
-def with_value(result: CallResult, name: str, value: int) -> CallResult:
-    """Return the result with another value of a field of the state."""
-    return replace(result, state=result.state | {name: value})
 
 
 MEMORY_FIELDS = (

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import resource
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +18,7 @@ from mcp_asdf_tools.experiments.result_tables import trials_to_table
 from mcp_asdf_tools.experiments.results import QUANTITIES, Trials
 from mcp_asdf_tools.experiments.tidy_tables import stream_tidy_results, tidy_results, write_tidy_tables
 from mcp_asdf_tools.experiments.trials import run_trials
+from support import limited_file_size
 
 SHORT = Experiment(robots=3, flawed=1, filter="asdf-plus", steps=40, filter_period=10, trials=2)
 FORMAT_5_FILE = Path(__file__).with_name("results_format_5.parquet")
@@ -181,17 +180,6 @@ def test_a_table_replaces_an_earlier_table(tidy: pa.Table, tmp_path: Path) -> No
     write_tidy_tables(tmp_path / "robots.parquet", [tidy])
     write_tidy_tables(tmp_path / "robots.parquet", [tidy.slice(0, 1)])
     assert len(pq.read_table(tmp_path / "robots.parquet")) == 1
-
-
-@contextmanager
-def limited_file_size(max_bytes: int) -> Iterator[None]:
-    """Let no file of this process become larger, which fails like a full disk."""
-    previous_limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (max_bytes, previous_limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, previous_limits)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])

@@ -6,7 +6,6 @@ import errno
 import json
 import os
 import re
-import resource
 import shlex
 import subprocess
 import sys
@@ -33,7 +32,7 @@ from mcp_asdf_tools.recording.recording import NoRecording, Recording
 from mcp_asdf_tools.recording.replay import verify
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from robots import ALPHA_ONE
-from support import ROOT, names_in, require
+from support import ROOT, limited_file_size, names_in, require
 from wire import record
 
 HEADER = EventsHeader((record(5),), None, FrameFormat())
@@ -345,17 +344,6 @@ def test_a_log_without_events_removes_those_of_the_log_that_it_replaces(tmp_path
 
 
 # --- Full disks ---------------------------------------------------------------------------------------
-
-
-@contextmanager
-def limited_file_size(max_bytes: int) -> Iterator[None]:
-    """Let no file of this process become larger, which fails like a full disk."""
-    previous_limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (max_bytes, previous_limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, previous_limits)
 
 
 def test_a_full_disk_and_a_run_that_fails_give_one_warning(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mcp_asdf import Config, Filter, ReferenceRobot, Status
+from mcp_asdf import ReferenceRobot, Status
 from mcp_asdf.robot import B_HAT_MARGIN, Observation
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.studies.reading_pairs import (
@@ -19,6 +19,7 @@ from mcp_asdf_tools.studies.reading_pairs import (
     accuracy_of_disagreements,
     disagreement_test_rejects,
 )
+from robots import ROBUST
 
 # --- Sensors ---------------------------------------------------------------------------------------------
 
@@ -99,12 +100,10 @@ def test_the_accuracy_is_the_one_at_which_as_many_pairs_disagree(disagreements: 
 
 # --- Robot -----------------------------------------------------------------------------------------------
 
-EVERY_ROUND = Config(filter=Filter.ROBUST, filter_period=1)
-
 
 def robot_after(agreeing_pairs: int, disagreeing_pairs: int, b_hat: float) -> TwoReadingsRobot:
     """Make a robot, and let it read so many tiles twice, with a run of the filter at the end."""
-    robot = TwoReadingsRobot(EVERY_ROUND, 0, b_hat)
+    robot = TwoReadingsRobot(ROBUST, 0, b_hat)
     for _ in range(agreeing_pairs):
         robot.observe(Observation.BLACK)
         robot.observe(Observation.BLACK)
@@ -142,14 +141,14 @@ def test_b_hat_returns_when_the_disagreements_no_longer_contradict_it() -> None:
 
 @pytest.mark.parametrize(("b_hat", "status"), [(0.9, Status.OK), (0.55, Status.UPDATED)])
 def test_settle_reports_an_update_where_b_hat_is_rejected(b_hat: float, status: Status) -> None:
-    robot = TwoReadingsRobot(EVERY_ROUND, 0, b_hat)
+    robot = TwoReadingsRobot(ROBUST, 0, b_hat)
     robot._pairs, robot._disagreements = 1000, 180
     assert robot.settle() is status
 
 
 def test_x_is_that_of_the_robust_filter() -> None:
-    robot = TwoReadingsRobot(EVERY_ROUND, 0, 0.9)
-    ordinary_robot = ReferenceRobot(EVERY_ROUND, 0, 0.9)
+    robot = TwoReadingsRobot(ROBUST, 0, 0.9)
+    ordinary_robot = ReferenceRobot(ROBUST, 0, 0.9)
     robot.observe(Observation.BLACK)
     robot.observe(Observation.BLACK)
     ordinary_robot.observe(Observation.BLACK)
@@ -161,7 +160,7 @@ def test_x_is_that_of_the_robust_filter() -> None:
 
 @pytest.mark.parametrize("readings_before", [0, 1])
 def test_a_reading_that_is_no_colour_is_refused(readings_before: int) -> None:
-    robot = TwoReadingsRobot(EVERY_ROUND, 0, 0.9)
+    robot = TwoReadingsRobot(ROBUST, 0, 0.9)
     for _ in range(readings_before):
         robot.observe(Observation.BLACK)
     no_colour: Any = 2
