@@ -26,7 +26,8 @@ def _counts(_: Any, count: Any) -> Any:
     return z3.ULE(count, 31)
 
 
-def _wide(word: Any, bits: int = 64) -> Any:
+def widen(word: Any, bits: int = 64) -> Any:
+    """Return a word with zeros in front, so that it has so many bits."""
     return z3.ZeroExt(bits - word.size(), word)
 
 
@@ -40,7 +41,7 @@ EXACT: dict[str, Callable[..., Any]] = {
     "low_word": partial(_word, 31),
     "add": lambda sum_, term: sum_ + term,
     "hash_word": lambda hash_, word: (hash_ ^ word) * 0x01000193,
-    "shift_right_64": lambda value, count: z3.LShR(value, _wide(count & 63)),
+    "shift_right_64": lambda value, count: z3.LShR(value, widen(count & 63)),
 }
 """What these functions give for any arguments, to the bit."""
 
@@ -53,15 +54,15 @@ WORDS = {name: _gives(exact) for name, exact in EXACT.items()}
 
 
 def _is_shifted_wide(found: Any, value: Any, count: Any) -> Any:
-    return z3.Concat(found["high"], found["low"]) == _wide(value) << _wide(count & 31)
+    return z3.Concat(found["high"], found["low"]) == widen(value) << widen(count & 31)
 
 
 SHIFTED: dict[str, Callable[..., Any]] = {
-    "shift_left_by": lambda value, count: value << _wide(count, 32),
-    "shift_right_by": lambda value, count: z3.LShR(value, _wide(count, 32)),
+    "shift_left_by": lambda value, count: value << widen(count, 32),
+    "shift_right_by": lambda value, count: z3.LShR(value, widen(count, 32)),
     "shift_left": lambda value, count: value << count,
     "shift_right": z3.LShR,
-    "upper": lambda value, count: _word(63, value << _wide(count)),
+    "upper": lambda value, count: _word(63, value << widen(count)),
 }
 """What shifts by a count of 0 to 31 give."""
 
@@ -282,7 +283,7 @@ def is_ratio(upper_a: Any, half_d: Any, long_a: Any, long_d: Any) -> Any:
 
 def _whole(word: Any) -> Any:
     """The word with so many bits that nothing in these formulas wraps, nor in a shift by 63."""
-    return _wide(word, 128)
+    return widen(word, 128)
 
 
 def _is_ratio_of_words(found: Any, a: Any, d: Any) -> Any:

@@ -11,8 +11,8 @@ from typing import Any
 import z3
 
 from proofs import arithmetic, formulas, robust
-from proofs.arithmetic import EXACT
-from proofs.formulas import BY_LEMMA, ONE, Claim, call, formed, returns, same, units
+from proofs.arithmetic import EXACT, widen
+from proofs.formulas import BY_LEMMA, ONE, Claim, call, formed, nothing, returns, same, units
 from proofs.machine import Machine, Summary, chosen
 from proofs.numbers import Integers, Number
 from proofs.prove import Contract, Formula, always, any_result
@@ -38,21 +38,26 @@ def words(value: Any) -> Iterator[Any]:
 
 
 def computed(name: str, like: Any, *given: Any) -> Any:
-    """What a function makes of what it is given, in the form of ``like``: the same of the same."""
+    """Return what an unknown function makes of these arguments, shaped like ``like``.
+
+    Equal arguments give equal results.
+    """
     if isinstance(like, dict):
         return {each: computed(f"{name} {each}", value, *given) for each, value in like.items()}
     terms = [each for value in given for each in words(value)]
     return z3.Function(name, *(each.sort() for each in terms), like.sort())(*terms)
 
 
-def opaque(name: str, *changes: str, requires: Formula = always, reads: str = "") -> Summary:
-    """Stands for a function that its arguments decide, of the first one perhaps one member. Of what that
-    points to it changes these members at most, as its lemma says; without any, it may write to anything."""
+def opaque(name: str, *changes: str, requires: Formula = always) -> Summary:
+    """Return a stand-in for a function whose result depends on its arguments alone.
+
+    It changes only the members ``changes`` of what the first argument points to, as its lemma says; if none
+    are named, it may write to anything.
+    """
 
     def summary(machine: Machine, *arguments: Any) -> Any:
         given = [machine.seen(each) for each in arguments]
         machine.claim(requires(*given), f"what {name} requires")
-        given[0] = given[0][reads] if reads else given[0]
         for member in changes:
             place = arguments[0].below(member)
             found = computed(f"{name} {member}", machine.seen(machine.load(place)), *given)
@@ -76,10 +81,6 @@ def opaque_all(*names: str) -> dict[str, Summary]:
     return {name: opaque(name) for name in names}
 
 
-def _wide(word: Any, bits: int = 64) -> Any:
-    return z3.ZeroExt(bits - word.size(), word)
-
-
 # --- observe ---------------------------------------------------------------------------------------------
 
 
@@ -93,8 +94,8 @@ def _may_observe(robot: Any, _: Any) -> Any:
 def _observed(status: Any, after: Any, robot: Any, z: Any) -> Any:
     """And I2 holds again."""
     is_colour = z3.Or(z == 0, z == 1)
-    t, n = _wide(robot["t"]) + 1, _wide(robot["n"]) + _wide(z)
-    has_reached = t == _wide(robot["config"]["memory"])
+    t, n = widen(robot["t"]) + 1, widen(robot["n"]) + widen(z)
+    has_reached = t == widen(robot["config"]["memory"])
     to_even = z3.If(n % 2 == 0, z3.UDiv(n, 2), 2 * z3.UDiv(n + 1, 4))
     t, n = z3.If(has_reached, z3.UDiv(t, 2), t), z3.If(has_reached, to_even, n)
     t, n = (z3.Extract(31, 0, each) for each in (t, n))
@@ -129,7 +130,7 @@ def _received(status: Any, after: Any, robot: Any, *message: Any) -> Any:
     sender, x_hat, alpha = message
     is_sender = z3.And(z3.ULE(sender, 127), sender != robot["id"])
     is_valid = z3.And(is_sender, z3.ULE(x_hat, ONE))
-    heard, one = _heard(robot), z3.BitVecVal(1, 128) << _wide(sender, 128)
+    heard, one = _heard(robot), z3.BitVecVal(1, 128) << widen(sender, 128)
     is_new = heard & one == 0
     is_accepted = z3.And(is_valid, is_new)
     counted = {
@@ -150,7 +151,7 @@ def _received(status: Any, after: Any, robot: Any, *message: Any) -> Any:
     enters_sums = z3.And(says_something, z3.Not(is_robust(robot["config"])))
     enters_slot = z3.And(says_something, is_robust(robot["config"]))
     open_round = chosen(enters_sums, _added(sums["open"], x_hat, units(alpha)), sums["open"])
-    slot = _wide(sender & 31, 32)
+    slot = widen(sender & 31, 32)
     filled_slots = robot["robust"]["filled_slots"] | z3.BitVecVal(1, 32) << slot
     expected = {
         **{name: each for name, each in robot.items() if name != "heard"},
@@ -242,14 +243,12 @@ def _settled(status: Any, after: Any, robot: Any) -> Any:
     }
     of_filter = {name: computed(f"update_b_hat {name}", robot[name], ended) for name in FILTER_CHANGES}
     expected = chosen(runs, {**ended, **of_filter}, {**ended, "filter_left": left})
-    empty_round = {name: z3.BitVecVal(0, each.size()) for name, each in sums["open"].items()}
-    next_sums = {**published, "open": empty_round}
+    next_sums = {**published, "open": nothing(sums["open"])}
     received = {**robot["received"], "sums": chosen(takes_vote, sums, next_sums)}
-    nobody = {index: z3.BitVecVal(0, 8) for index in robot["heard"]["of"]}
     status_of_filter = computed("update_b_hat", status, ended)
     return z3.And(
         status == z3.If(runs, status_of_filter, z3.BitVecVal(0, status.size())),
-        same(after, {**expected, "received": received, "heard": {"of": nobody}}),
+        same(after, {**expected, "received": received, "heard": nothing(robot["heard"])}),
     )
 
 

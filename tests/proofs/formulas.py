@@ -79,6 +79,13 @@ def same(after: Any, before: Any) -> Any:
     return after == before
 
 
+def nothing(value: Any) -> Any:
+    """Return a structure like this one in which all members are 0."""
+    if isinstance(value, dict):
+        return {name: nothing(member) for name, member in value.items()}
+    return z3.BitVecVal(0, value.size())
+
+
 def returns(status: Any, *cases: tuple[Any, int]) -> Any:
     """The code of the first case that is so, or 0."""
     found = z3.BitVecVal(0, status.size())

@@ -10,7 +10,7 @@ from typing import Any
 import z3
 
 from proofs.calls import computed, is_robust, numbers, opaque_all
-from proofs.formulas import Claim, returns, same
+from proofs.formulas import Claim, nothing, returns, same
 from proofs.machine import Machine, chosen
 from proofs.numbers import Words
 from proofs.prove import Contract
@@ -47,10 +47,6 @@ def _at(robot: Any, path: str) -> Any:
 def _with(robot: Any, path: str, value: Any) -> Any:
     step, _, rest = path.partition(".")
     return {**robot, step: _with(robot[step], rest, value) if rest else value}
-
-
-def _said(robot: Any, *paths: str) -> list[Any]:
-    return [_at(robot, path) for part in paths for path in part.split()]
 
 
 def _bits_of_member(robot: Any, path: str) -> Any:
@@ -114,13 +110,6 @@ def read_from(bits: Any, robot: Any, config: Any, fresh: Any) -> Any:
         return result
 
     return chosen(is_robust(config), read(robust=True), read(robust=False))
-
-
-def nothing(value: Any) -> Any:
-    """Return a structure like this one in which all members are 0."""
-    if isinstance(value, dict):
-        return {name: nothing(member) for name, member in value.items()}
-    return z3.BitVecVal(0, value.size())
 
 
 def _init(machine: Machine, fresh: Any, config: Any, *given: Any) -> Any:

@@ -146,10 +146,10 @@ class Machine:
 
     @staticmethod
     def _has_separate_members(union: Any) -> bool:
-        """Return whether a union stands for a structure here: mcp_asdf_received_t.
+        """Return whether the members of a union are kept apart here, as if it were a structure.
 
-        A call uses its estimates or its sums, by the robot's filter, and never reads the one after writing
-        the other: the contracts of receive and settle say so.
+        This is so for mcp_asdf_received_t alone. A call uses its estimates or its sums, by the robot's
+        filter, and never reads the one after writing the other: the contracts of receive and settle say so.
         """
         return "sums" in [member.name for member in union.decls]
 
@@ -226,7 +226,11 @@ class Machine:
     def claim(self, formula: Any, about: str) -> None:
         """Something that must hold here."""
         if not z3.is_true(z3.simplify(formula)):
-            self.obligations.append(Obligation((*self.facts, *self._path), formula, about))
+            self.obligations.append(Obligation(self.known_here(), formula, about))
+
+    def known_here(self) -> tuple[Any, ...]:
+        """Return the facts, and the conditions under which the program gets here."""
+        return (*self.facts, *self._path)
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Call a function; returns its result, None without one."""

@@ -181,11 +181,9 @@ def _run(
         else machine.parameter_of(each)
         for each in parameters
     ]
+    arguments_by_name = {each.name: argument for each, argument in zip(parameters, arguments, strict=True)}
     for path, value in constants.items():
         if "." in path:
-            arguments_by_name = {
-                each.name: argument for each, argument in zip(parameters, arguments, strict=True)
-            }
             _set_member(machine, arguments_by_name, path, value)
     before = [machine.seen(each) for each in arguments]
     machine.given = {each.name: term for each, term in zip(parameters, before, strict=True)}

@@ -16,7 +16,7 @@ from typing import Any, cast
 import z3
 
 from mcp_asdf_tools.crosscheck import bounds
-from proofs.arithmetic import SHIFTED, WORDS, are_leading_zeros, multiply_high
+from proofs.arithmetic import SHIFTED, WORDS, are_leading_zeros, multiply_high, widen
 from proofs.formulas import ONE, Claim, call, formed, same
 from proofs.machine import Machine, Summary
 from proofs.numbers import Number
@@ -31,11 +31,6 @@ VOTES_MAX = 2**9
 DISPERSION_RANGE = (2**8, 2**16 - 1)
 
 
-def widen(value: Any, bits: int = 32) -> Any:
-    """Return a term with zeros in front, so that it has so many bits."""
-    return z3.ZeroExt(bits - value.size(), value)
-
-
 def smaller(a: Any, b: Any) -> Any:
     """Return the smaller of two words."""
     return z3.If(z3.ULT(a, b), a, b)
@@ -46,7 +41,7 @@ def smaller(a: Any, b: Any) -> Any:
 
 def votes_after(robust: dict[str, Any]) -> Any:
     """Return the number of votes after one more."""
-    return smaller(widen(robust["votes"]) + 1, z3.BitVecVal(VOTES_MAX, 32))
+    return smaller(widen(robust["votes"], 32) + 1, z3.BitVecVal(VOTES_MAX, 32))
 
 
 def gain_shift(votes: Any) -> Any:
@@ -71,9 +66,9 @@ def _shift_by_gain(machine: Machine, value: Number, count: Number) -> Number:
     """
     shift = gain_shift(votes_after(machine.given["robot"]["robust"]))
     try:
-        prove(count.term == shift, *machine.facts)
+        prove(count.term == shift, *machine.known_here())
     except UnprovenError:
-        prove(count.term == shift + 1, *machine.facts, about="shift")
+        prove(count.term == shift + 1, *machine.known_here(), about="shift")
         shift += 1
     machine.claim(z3.ULE(shift, 8), "a shift by at most 8")
     return Number(SHIFTED["shift_right"](value.term, shift), value.type)
@@ -109,14 +104,14 @@ def _next_slot(robot: dict[str, Any]) -> Any:
     """Return the slot that votes; 32 stands for the robot's own estimate."""
     has_confidence = z3.If(z3.LShR(robot["alpha"], 8) != 0, z3.BitVecVal(1, 1), z3.BitVecVal(0, 1))
     robust = robot["robust"]
-    return call("next_slot", robust["filled_slots"], widen(robust["turn"]), has_confidence)
+    return call("next_slot", robust["filled_slots"], widen(robust["turn"], 32), has_confidence)
 
 
 def _vote_of(robot: dict[str, Any]) -> Any:
     """Return the vote in units of 2^-30: 2^14 times a slot's estimate, or 2^7 times the robot's own x_hat."""
     slot, vote = _next_slot(robot), robot["x_hat"] << 7
     for index, estimate in robot["received"]["estimates"].items():
-        vote = z3.If(slot == int(index), widen(estimate) << 14, vote)
+        vote = z3.If(slot == int(index), widen(estimate, 32) << 14, vote)
     return vote
 
 
@@ -139,7 +134,7 @@ def _vote_formulas(after: dict[str, Any], robot: dict[str, Any]) -> tuple[Any, .
     others = {name: member for name, member in robot.items() if name != "robust"}
     has_slots = _has_slots(robot)
     return (
-        z3.Implies(has_slots, widen(result["votes"]) == votes),
+        z3.Implies(has_slots, widen(result["votes"], 32) == votes),
         z3.Implies(z3.And(has_slots, is_above), result["centre"] == centre + step),
         z3.Implies(z3.And(has_slots, z3.Not(is_above)), result["centre"] == centre - step),
         z3.Implies(has_slots, result["spread"] == limited_spread),
@@ -211,7 +206,7 @@ def of_robust_test(program: Program) -> Iterator[Claim]:
     t_excess = product(t, high) + wide(call("high_word", product(t, low)))
     v = z3.If(z3.UGT(v_share, v_p), v_share, v_p)
     # The product of a constant and a half word, of which the lower word is all.
-    dispersion_12 = call("low_word", product(z3.BitVecVal(12, 32), widen(robust["dispersion"])))
+    dispersion_12 = call("low_word", product(z3.BitVecVal(12, 32), widen(robust["dispersion"], 32)))
     limit = z3.LShR(product(dispersion_12, v), 8)
     rejects = z3.And(z3.UGT(square, least), z3.UGT(t_excess, limit))
     yield "the test", (result == 1) == rejects, []
@@ -284,12 +279,16 @@ def _sorted_estimates(machine: Machine, robot: Any, estimates: Any) -> Number:
     return Number(ESTIMATE_COUNT, count.type)
 
 
+def _new_b_hat(machine: Machine, _: Any, x_bar: Number) -> Number:
+    """Stand in for reestimate(): a b_hat in its range or 0, whatever it is."""
+    machine.know(_is_b_hat_or_zero(NEW_B_HAT))
+    return Number(NEW_B_HAT, x_bar.type)
+
+
 def _result_named(name: str, term: Any) -> Summary:
     """Return what stands in for a function that returns this term and changes nothing."""
 
     def summary(machine: Machine, *_: Any) -> Number:
-        if name == "reestimate":
-            machine.know(_is_b_hat_or_zero(term))
         return Number(term, machine.unknown_of(machine.program.heads[name].type, name).type)
 
     return summary
@@ -304,7 +303,7 @@ RUN = Contract(
         "sort_estimates": _sorted_estimates,
         "robust_test_rejects": _result_named("robust_test_rejects", REJECTS),
         "is_supported": _result_named("is_supported", IS_SUPPORTED),
-        "reestimate": _result_named("reestimate", NEW_B_HAT),
+        "reestimate": _new_b_hat,
         **{name: any_result(name) for name in ("quotient", "median_distance", "huber_step")},
     },
 )
@@ -314,12 +313,20 @@ RUN = Contract(
 UNIT = Fraction(1, 2**32)
 
 
+def _products_of_p(b_hat: Any, fill_ratio: Any, product: Any, other: Any) -> list[Any]:
+    """Return what is known of the two products that the test adds up to p, of which each is rounded down."""
+    most = 2**32 - 1
+    return [
+        *(b_hat >= B_HAT_RANGE[0], b_hat <= B_HAT_RANGE[1], fill_ratio >= 0, fill_ratio <= most),
+        *(_floor(product, b_hat * fill_ratio), _floor(other, (most - b_hat) * (most - fill_ratio))),
+    ]
+
+
 def of_integers() -> Iterator[Claim]:
     """No sum or product of the test wraps, so that its words are the section's integers."""
     b_hat, fill_ratio, product, other = z3.Ints("b_hat fill_ratio product other")
     one, most = 2**32, 2**32 - 1
-    known = [b_hat >= B_HAT_RANGE[0], b_hat <= B_HAT_RANGE[1], fill_ratio >= 0, fill_ratio <= most]
-    known += [_floor(product, b_hat * fill_ratio), _floor(other, (most - b_hat) * (most - fill_ratio))]
+    known = _products_of_p(b_hat, fill_ratio, product, other)
     p = product + other
     yield "p", z3.And(p > 0, p < most), known
     g, spread, g_spread = z3.Ints("g spread g_spread")
@@ -385,9 +392,8 @@ def _floor(quotient: Any, product: Any) -> Any:
 def of_errors() -> Iterator[Claim]:
     """p, n / t, v and g spread, in units of 2^-32, are too small by what the section says."""
     b_hat, fill_ratio, product, other = z3.Reals("b_hat fill_ratio product other")
-    one, most = 2**32, 2**32 - 1
-    known = [b_hat >= B_HAT_RANGE[0], b_hat <= B_HAT_RANGE[1], fill_ratio >= 0, fill_ratio <= most]
-    known += [_floor(product, b_hat * fill_ratio), _floor(other, (most - b_hat) * (most - fill_ratio))]
+    known = _products_of_p(b_hat, fill_ratio, product, other)
+    one = 2**32
     lost = b_hat * fill_ratio + (one - b_hat) * (one - fill_ratio) - one * (product + other)
     yield "p", z3.And(lost >= 0, lost < 4 * one), known
     x, total, half, share = z3.Reals("x T half share")
@@ -438,9 +444,9 @@ def of_the_decision() -> Iterator[Claim]:
 
 
 def of_the_formed() -> Iterator[Claim]:
-    """What the claims of the decision show is what the test needs: d, V and G are formed of D, v and h.
+    """The code decides with rounded numbers, formed_d, formed_v and formed_h, in place of d, v and h.
 
-    w is the dispersion divided by t, and so at least 1 / t.
+    These claims carry of_the_decision() over to them. w is the dispersion divided by t: at least 1 / t.
     """
     zeros, value = z3.BitVecs("zeros value", 32)
     known = [are_leading_zeros(zeros, value), z3.UGE(value, 32)]

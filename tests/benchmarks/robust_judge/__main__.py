@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import math
 import statistics
 import subprocess
 import sys
@@ -26,6 +25,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+
+from mcp_asdf_tools.experiments.plot_panels import median_interval
 
 ROOT = Path(__file__).resolve().parents[3]
 CORE = ROOT / "c_ref/src"
@@ -207,24 +210,13 @@ def run_case(program: Path, case: Case, trials: int) -> dict[str, dict[str, list
     return result
 
 
-def interval_of_median(values: Sequence[float]) -> tuple[float, float]:
-    """Return order statistics that have the median between them with a probability of 95 % or more."""
-    ordered, count = sorted(values), len(values)
-    rank = 0
-    for candidate in range(count // 2):
-        probability_below = sum(math.comb(count, i) for i in range(candidate + 1)) / 2**count
-        if 2 * probability_below <= 0.05:
-            rank = candidate
-    return ordered[rank], ordered[count - 1 - rank]
-
-
 def rows_of(case: Case, results: dict[str, dict[str, list[float]]]) -> Iterator[dict[str, str]]:
     """Yield the rows of the table for the results of a case."""
     for name, label in FILTERS.items():
         values = results[name]
-        low, high = interval_of_median(values["error"])
+        median_error, low, high = median_interval(np.array(values["error"]))
         numbers = {
-            "error": statistics.median(values["error"]),
+            "error": median_error,
             "error_low": low,
             "error_high": high,
             "worst": max(values["error"]),

@@ -3,7 +3,7 @@
  *
  *   judge key=value ... filter=none filter=minus filter=robust
  *
- * Prints one JSON object per filter and line: lists with one number a trial. */
+ * Prints one JSON object on one line: for each filter, an object of lists with one number for each trial. */
 #include <math.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -23,6 +23,8 @@ extern const uint32_t mcp_asdf_t_table_omega05_q30[];
 #define MAX_TRIALS 256
 #define ALPHA_LARGEST UINT32_C(0xFFFFFF1F)
 #define FAR_OFF 0.05
+#define TILE .01
+#define READING_STEPS 20 /* from one reading of x and b_hat to the next */
 
 /* ---- Settings ---- */
 
@@ -32,28 +34,27 @@ typedef struct {
 } setting_t;
 
 static setting_t settings[] = {
-    {"seed", 1},      {"world", 0},     {"trials", 12},
-    {"first", 0},     {"N", 20},        {"top", 1},
-    {"steps", 20000}, {"tau", 1000},    {"memory", 2147483648.0},
-    {"f", .55},       {"f2", -1},       {"b", .95},
-    {"fb", .55},      {"aw", 0},        {"share", .3},
-    {"D", 1},         {"speed", .1414}, {"loss", 0},
-    {"tile", .01},    {"gap", 20},      {"hrate", 1},
-    {"frate", 1},     {"hper", 0},      {"cluster", 0},
-    {"liars", 0},     {"strat", 0},     {"lx", 0},
-    {"kap", 1},       {"dir", -1},      {"restart", 0},
-    {"reinit", 0},    {"age", 0},       {"death", 0},
-    {"ids", 0},       {"evict", 0},
+    {"seed", 1},      {"world", 0},  {"trials", 12},           {"N", 20}, /* robots */
+    {"top", 1}, /* 0: all hear all, 1: moving, 2: ring with 4 neighbours, 3: grid of 4 x 5 */
+    {"steps", 20000}, {"tau", 1000}, {"memory", 2147483648.0}, {"f", .55}, /* fill ratio */
+    {"f2", -1},                     /* fill ratio from half time on; -1: none */
+    {"b", .95},                     /* accuracy of all sensors, and b_hat of sound robots */
+    {"fb", .55},                    /* b_hat of flawed robots */
+    {"share", .3},                  /* of flawed robots */
+    {"cluster", 0},                 /* 1: flawed robots are side by side */
+    {"D", 1},                       /* density of moving robots */
+    {"speed", .1414}, {"loss", 0},  /* probability that a message is lost */
+    {"hrate", 1},                   /* probability that a sound robot sends in a step */
+    {"hper", 0},                    /* sound robots send once in so many steps; 0: in every one */
+    {"liars", 0},     {"strat", 0}, /* 0: liars say 0, 1: they say r + dir s */
+    {"dir", -1},      {"evict", 0}, /* 1: each liar's id is a sound robot's plus 32, and its messages come
+                                       last */
+    {"restart", 0},                 /* probability that a robot restarts in a step */
+    {"reinit", 0},                  /* 0: it keeps its phase of tau, 1: tau counts anew */
+    {"age", 0},                     /* sensors age, 1: all alike, 2: each in its own way */
+    {"death", 0},                   /* at half time die, 1: a flawed and a sound robot, 2: all flawed ones */
+    {"ids", 0},                     /* 1: ids are 0 .. N/2-1 and 32 .. 32+N/2-1 */
 };
-/* top      0 all hear all, 1 moving, 2 ring with 4 neighbours, 3 grid of 4 x 5
- * f2       fill ratio from half time on; -1: none
- * fb       b_hat of flawed robots;  aw: how much less accurate on white
- * hrate    probability that a sound robot sends in a step;  frate: a flawed one;  hper: sound ones every so
- * often strat    0 liars say lx; 1 they say r + dir kap s; 5 they say f + dir kap restart  probability a
- * robot and step;  reinit 0: a robot keeps its phase of tau, 1: tau counts anew age      1 all alike, 2 each
- * in its own way, 3 the flawed ones alike death    at half time: 1 a flawed and a sound robot, 2 all flawed
- * ones, 3 two sound ones ids      1: 0 .. N/2-1 and 32 .. 32+N/2-1 evict    1: each liar's id is a sound
- * robot's plus 32, and its messages come last */
 
 static double get(const char *name)
 {
@@ -105,9 +106,9 @@ static stream_t open_stream(uint64_t seed, uint64_t world, int trial, uint64_t p
 
 /* ---- A world ---- */
 
-static int N, top, liars, gap;
-static long T, tau, readings; /* readings: of x, one every `gap` steps */
-static double f, f2, b, fb, aw, share, loss;
+static int N, top, liars;
+static long T, tau, readings; /* readings: of x, one in READING_STEPS steps */
+static double f, f2, b, fb, share, loss;
 
 static uint8_t *black;     /* [T][N] what the sensors show */
 static float *accuracies;  /* [readings][N] true ones */
@@ -115,7 +116,7 @@ static size_t *first_link; /* [T + 1] */
 static mcp_asdf_pair_t *links;
 static size_t link_room;
 static uint8_t is_flawed[MAX_ROBOTS], is_liar[MAX_ROBOTS], dies[MAX_ROBOTS], ids[MAX_ROBOTS];
-static double b_of[MAX_ROBOTS], b0_of[MAX_ROBOTS];
+static double b0_of[MAX_ROBOTS];
 
 static void add_link(size_t index, int a, int c)
 {
@@ -146,8 +147,7 @@ static void assign_roles(uint64_t seed, uint64_t world, int trial)
     for (int i = 0; i < N; ++i) {
         is_liar[i] = rank[i] >= N - liars;
         is_flawed[i] = !is_liar[i] && rank[i] < flawed;
-        b_of[i] = b - aw / 2;
-        b0_of[i] = is_flawed[i] ? fb : b_of[i];
+        b0_of[i] = is_flawed[i] ? fb : b;
         ids[i] = (uint8_t)(i % 128);
         if (get("ids") != 0 && i >= N / 2) {
             ids[i] = (uint8_t)(32 + i - N / 2);
@@ -156,7 +156,7 @@ static void assign_roles(uint64_t seed, uint64_t world, int trial)
         if (is_flawed[i]) {
             dies[i] = death == 2 || (death == 1 && dead_flawed++ == 0);
         } else if (!is_liar[i]) {
-            dies[i] = (death == 1 && dead_sound++ == 0) || (death == 3 && dead_sound++ < 2);
+            dies[i] = death == 1 && dead_sound++ == 0;
         }
     }
     if (evict) {
@@ -203,7 +203,7 @@ static void move_robots(uint64_t seed, uint64_t world, int trial)
                                       .speed = get("speed"),
                                       .range = .7,
                                       .tick = .1,
-                                      .tile = get("tile"),
+                                      .tile = TILE,
                                       .fill_ratio = f};
     config.width = config.height = .7 * sqrt(N * M_PI / get("D"));
     mcp_asdf_arena_t arena;
@@ -251,17 +251,16 @@ static void make_world(uint64_t seed, uint64_t world, int trial)
     for (long t = 0; t < T; ++t) {
         for (int i = 0; i < N; ++i) {
             double change = 0;
-            if (age == 1 || (age == 3 && is_flawed[i])) {
+            if (age == 1) {
                 change = -1e-5 * (double)t;
             } else if (age == 2) {
                 wandered[i] += t > 0 ? .001 * normal(&ageing) : 0;
                 change = wandered[i];
             }
-            const double middle = age == 0 ? b : fmin(1, fmax(.5, b + change));
-            const double accuracy = black[t * N + i] ? middle : middle - aw;
+            const double accuracy = age == 0 ? b : fmin(1, fmax(.5, b + change));
             black[t * N + i] ^= uniform(&sensor) >= accuracy;
-            if (t % gap == 0) {
-                accuracies[t / gap * N + i] = (float)(middle - aw / 2);
+            if (t % READING_STEPS == 0) {
+                accuracies[t / READING_STEPS * N + i] = (float)accuracy;
             }
         }
     }
@@ -270,7 +269,7 @@ static void make_world(uint64_t seed, uint64_t world, int trial)
 /* ---- A run of one filter in it ---- */
 
 typedef struct {
-    double error, score, harmed, unfixed, tests;
+    double error, score, harmed, unfixed;
 } result_t;
 
 static mcp_asdf_t robots[MAX_ROBOTS];
@@ -293,16 +292,13 @@ static void deliver(int from, int to, uint32_t x_hat, uint32_t alpha)
     robot->id = own;
 }
 
-static uint32_t lie_of(int i, int is_robust, double fill)
+static uint32_t lie_of(int i, int is_robust)
 {
-    const int strategy = (int)get("strat");
-    double x = get("lx");
-    if (strategy == 1) {
+    double x = 0;
+    if (get("strat") == 1) {
         const double centre = is_robust ? CENTRE(&robots[i]) * 0x1p-30 : .5;
         const double spread = is_robust ? SPREAD(&robots[i]) * 0x1p-30 : .25;
-        x = centre + get("dir") * get("kap") * spread;
-    } else if (strategy == 5) {
-        x = fill + get("dir") * get("kap");
+        x = centre + get("dir") * spread;
     }
     return (uint32_t)llround(fmin(1, fmax(0, x)) * 0x1p23);
 }
@@ -323,7 +319,7 @@ static double quantile(const double *values, int count, double share_below)
     return low + 1 < count ? sorted[low] + (place - low) * (sorted[low + 1] - sorted[low]) : sorted[low];
 }
 
-/* The project's score H, of x read every `gap` steps. */
+/* The project's score H, of x read every READING_STEPS steps. */
 static double score(double fill)
 {
     static double settled[MAX_ROBOTS], errors[MAX_ROBOTS];
@@ -350,7 +346,7 @@ static double score(double fill)
         for (long z = k; z < readings; ++z) {
             error += fabs((double)x[z] - fill);
         }
-        settled[count] = (double)k * gap;
+        settled[count] = (double)k * READING_STEPS;
         errors[count] = error / (double)(readings - k);
         mean_settled += settled[count];
         mean_error += errors[count];
@@ -376,7 +372,7 @@ static void start_robot(int i, const mcp_asdf_config_t *config)
 static result_t run_filter(const char *filter, uint64_t seed, uint64_t world, int trial)
 {
     const int is_robust = strcmp(filter, "robust") == 0, is_minus = strcmp(filter, "minus") == 0;
-    const double restart = get("restart"), hrate = get("hrate"), frate = get("frate");
+    const double restart = get("restart"), hrate = get("hrate");
     const int evict = get("evict") != 0, reinit = get("reinit") != 0, has_deaths = get("death") != 0;
     const long hper = (long)get("hper");
     const uint32_t memory = (uint32_t)get("memory");
@@ -412,7 +408,7 @@ static result_t run_filter(const char *filter, uint64_t seed, uint64_t world, in
             (void)mcp_asdf_observe(&robots[i], black[t * N + i] ? MCP_ASDF_BLACK : MCP_ASDF_WHITE);
         }
         for (int i = 0; i < N; ++i) {
-            const double rate = is_flawed[i] ? frate : is_liar[i] ? 1 : hrate;
+            const double rate = is_flawed[i] || is_liar[i] ? 1 : hrate;
             sends[i] = rate >= 1 || uniform(&sending) < rate;
             if (hper != 0 && !is_flawed[i] && t % hper != i % hper) {
                 sends[i] = 0;
@@ -420,7 +416,7 @@ static result_t run_filter(const char *filter, uint64_t seed, uint64_t world, in
             if (after_death && dies[i]) {
                 sends[i] = 0;
             }
-            x_hat[i] = is_liar[i] ? lie_of(i, is_robust, fill) : mcp_asdf_x_hat(&robots[i]);
+            x_hat[i] = is_liar[i] ? lie_of(i, is_robust) : mcp_asdf_x_hat(&robots[i]);
             alpha[i] = is_liar[i] ? ALPHA_LARGEST : mcp_asdf_alpha(&robots[i]);
         }
         const int first = (int)(draw(&order) % (unsigned)N);
@@ -449,21 +445,21 @@ static result_t run_filter(const char *filter, uint64_t seed, uint64_t world, in
         for (int i = 0; i < N; ++i) {
             (void)mcp_asdf_settle(&robots[i]);
         }
-        if (t % gap != 0) {
+        if (t % READING_STEPS != 0) {
             continue;
         }
         double error = 0;
         int honest = 0, sound = 0, flawed = 0, harmed = 0, unfixed = 0;
         for (int i = 0; i < N; ++i) {
             const double x = mcp_asdf_x(&robots[i]) * 0x1p-23;
-            series[i * readings + t / gap] = (float)x;
+            series[i * readings + t / READING_STEPS] = (float)x;
             if (is_liar[i] || dies[i]) {
                 continue;
             }
             error += fabs(x - fill);
             ++honest;
-            const int is_off =
-                fabs(mcp_asdf_b_hat(&robots[i]) * 0x1p-32 - (double)accuracies[t / gap * N + i]) > FAR_OFF;
+            const int is_off = fabs(mcp_asdf_b_hat(&robots[i]) * 0x1p-32 -
+                                    (double)accuracies[t / READING_STEPS * N + i]) > FAR_OFF;
             sound += !is_flawed[i];
             flawed += is_flawed[i];
             harmed += !is_flawed[i] && is_off;
@@ -476,12 +472,8 @@ static result_t run_filter(const char *filter, uint64_t seed, uint64_t world, in
             ++count_of_readings;
         }
     }
-    double tests = 0;
-    for (int i = 0; i < N; ++i) {
-        tests += mcp_asdf_counters(&robots[i]).tests / (double)N;
-    }
     return (result_t){error_sum / (double)count_of_readings, score(fill),
-                      harmed_sum / (double)count_of_readings, unfixed_sum / (double)count_of_readings, tests};
+                      harmed_sum / (double)count_of_readings, unfixed_sum / (double)count_of_readings};
 }
 
 /* ---- The command ---- */
@@ -513,10 +505,10 @@ int main(int argc, char **argv)
         }
     }
     const uint64_t seed = (uint64_t)get("seed"), world = (uint64_t)get("world");
-    const int trials = (int)get("trials"), first = (int)get("first");
-    N = (int)get("N"), top = (int)get("top"), liars = (int)get("liars"), gap = (int)get("gap");
-    T = (long)get("steps"), tau = (long)get("tau"), readings = (T + gap - 1) / gap;
-    f = get("f"), f2 = get("f2"), b = get("b"), fb = get("fb"), aw = get("aw");
+    const int trials = (int)get("trials");
+    N = (int)get("N"), top = (int)get("top"), liars = (int)get("liars");
+    T = (long)get("steps"), tau = (long)get("tau"), readings = (T + READING_STEPS - 1) / READING_STEPS;
+    f = get("f"), f2 = get("f2"), b = get("b"), fb = get("fb");
     share = get("share"), loss = get("loss");
     if (trials > MAX_TRIALS || N > MAX_ROBOTS || filter_count == 0 || filter_count > 4) {
         fprintf(stderr, "too many trials or robots, or no filter\n");
@@ -526,13 +518,13 @@ int main(int argc, char **argv)
     accuracies = malloc(sizeof *accuracies * (size_t)readings * (size_t)N);
     series = malloc(sizeof *series * (size_t)readings * (size_t)N);
     first_link = malloc(sizeof *first_link * (size_t)(T + 1));
-    static double values[4][5][MAX_TRIALS];
+    static double values[4][4][MAX_TRIALS];
     for (int trial = 0; trial < trials; ++trial) {
-        make_world(seed, world, first + trial);
+        make_world(seed, world, trial);
         for (int k = 0; k < filter_count; ++k) {
-            const result_t r = run_filter(filters[k], seed, world, first + trial);
-            const double all[5] = {r.error, r.score, r.harmed, r.unfixed, r.tests};
-            for (int v = 0; v < 5; ++v) {
+            const result_t r = run_filter(filters[k], seed, world, trial);
+            const double all[4] = {r.error, r.score, r.harmed, r.unfixed};
+            for (int v = 0; v < 4; ++v) {
                 values[k][v][trial] = all[v];
             }
         }
@@ -543,8 +535,7 @@ int main(int argc, char **argv)
         print_list("error", values[k][0], trials, ", ");
         print_list("score", values[k][1], trials, ", ");
         print_list("harmed", values[k][2], trials, ", ");
-        print_list("unfixed", values[k][3], trials, ", ");
-        print_list("tests", values[k][4], trials, k + 1 < filter_count ? "}, " : "}");
+        print_list("unfixed", values[k][3], trials, k + 1 < filter_count ? "}, " : "}");
     }
     printf("}\n");
     return 0;
