@@ -14,8 +14,9 @@ pytestmark = pytest.mark.slow
 
 
 def test_all_are_known() -> None:
-    scripts = {path.stem for path in Path(__file__).parent.glob("*.py")}
-    assert scripts == {"engine", "fidelity", "pages", "shared_bus", "test_benchmarks", "test_cost"}
+    """The table of ``argos`` and ``robust_judge`` have tests of their own."""
+    scripts = {path.stem for path in Path(__file__).parent.glob("*.py") if not path.stem.startswith("test_")}
+    assert scripts == {"argos", "engine", "fidelity", "pages", "shared_bus"}
 
 
 def test_the_engine_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
