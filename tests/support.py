@@ -87,7 +87,7 @@ def matching_files(folder: Path, pattern: str) -> list[Path]:
     return paths
 
 
-PAGES = [ROOT / "README.md", *matching_files(ROOT / "docs", "*.md")]
+PAGES = [ROOT / "README.md", *matching_files(ROOT / "docs", "**/*.md")]
 """All pages of the documentation."""
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 

@@ -14,7 +14,7 @@ from support import ROOT, matching_files, run
 
 TOOLS = ROOT / "host_tools/mcp_asdf_tools"
 ROOMS = [path.parent.name for path in matching_files(TOOLS, "*/__init__.py")]
-PAGE = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/internals/architecture.md").read_text(encoding="utf-8")
 
 
 def test_imports_run_down_through_the_rooms() -> None:

@@ -1,6 +1,6 @@
 /* Functions that an image needs from its board. A port is a file or two that keep this promise;
- * docs/targets.md lists the ones there are. Without a C library, memory.c gives the two functions that
- * compilers call. */
+ * docs/internals/targets.md lists the ones there are. Without a C library, memory.c gives the two functions
+ * that compilers call. */
 #ifndef MCP_ASDF_PORT_H
 #define MCP_ASDF_PORT_H
 

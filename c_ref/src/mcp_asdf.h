@@ -113,7 +113,8 @@ typedef enum { MCP_ASDF_WHITE = 0, MCP_ASDF_BLACK = 1 } mcp_asdf_observation_t;
  *   ALWAYS    re-estimate it without a test
  *   OFF       nothing
  *   ROBUST    test the initial b_hat against the estimates it has kept; this filter is not the paper's,
- *             and needs no table (docs/robust.md). Where it alone is built, it is the only choice */
+ *             and needs no table (docs/internals/robust.md). Where it alone is built, it is the only choice
+ */
 typedef enum {
     MCP_ASDF_ADAPTIVE = 0,
     MCP_ASDF_ALWAYS = 1,

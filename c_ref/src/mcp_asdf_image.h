@@ -16,8 +16,8 @@ extern "C" {
 #define MCP_ASDF_ASDF_IMAGE_SIZE 124
 
 /* Write the robot's state to an image: little-endian, the same on every target, with version and checksum.
- * Bytes that are not used are not touched. O(1). Needs a copy of the robot on the stack (docs/cost.md has the
- * bytes). */
+ * Bytes that are not used are not touched. O(1). Needs a copy of the robot on the stack
+ * (docs/internals/cost.md has the bytes). */
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE]);
 
 /* Make a robot from an image; it goes on as the saved one would have, bit for bit. O(q) for the table. Needs

@@ -1,5 +1,5 @@
 /* The robust filter, which is this project's own and not the paper's. Private: a part of mcp_asdf.c, which
- * provides eq. 8. docs/robust.md explains the filter, docs/design.md, section 13, states every bit.
+ * provides eq. 8. docs/internals/robust.md explains the filter, docs/design.md, section 13, states every bit.
  *
  * A robot with this filter keeps no sums of rounds, but of each sender the latest estimate that had any
  * confidence; how much does not matter. Each round one estimate is a vote: the kept ones in turn, then the

@@ -71,7 +71,7 @@ class Filter(IntEnum):
     """No run re-estimates b_hat. This is collective perception without calibration."""
     ROBUST = 3
     """The robot's count of black tiles contradicts the latest estimates of its neighbours. This is this
-    project's filter and not the paper's (``docs/robust.md``)."""
+    project's filter and not the paper's (``docs/internals/robust.md``)."""
 
 
 class Status(IntEnum):

@@ -1,6 +1,6 @@
 """The mirror's robust filter: after every call the same bits as ``c_ref/src/mcp_asdf_robust.h``.
 
-The robust filter is this project's own and not the paper's. ``docs/robust.md`` explains it, and
+The robust filter is this project's own and not the paper's. ``docs/internals/robust.md`` explains it, and
 ``docs/design.md``, section 13, specifies every bit.
 
 A robot with this filter keeps no sums of rounds, but the latest estimate of each sender, in one of 32 slots.
@@ -22,7 +22,7 @@ from mcp_asdf.arithmetic import Q32_ONE, multiply_high, q32_quotient
 from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, ONE, alpha_units
 from mcp_asdf.table import MAX_WORD
 
-# Constants by the names that they have in C; docs/robust.md has the reasons.
+# Constants by the names that they have in C; docs/internals/robust.md has the reasons.
 SLOTS = 32
 """Number of slots for estimates of senders. In place of a slot it stands for the robot's own estimate."""
 SLOT_ESTIMATE_MAX = (1 << 16) - 1

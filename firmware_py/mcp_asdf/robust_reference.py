@@ -1,4 +1,4 @@
-"""The robust filter in plain equations, to be read beside ``docs/robust.md``; ``ReferenceRobot`` uses it.
+"""The robust filter in plain equations, as ``ReferenceRobot`` uses it. docs/internals/robust.md explains it.
 
 The filter is this project's own and not the paper's. Nothing is quantised here. The functions take floats or
 fractions: from `fractions.Fraction` they give exact results, from which the cross-check knows what the
@@ -20,7 +20,7 @@ from typing import Generic, TypeVar
 Number = TypeVar("Number", float, Fraction)
 """The type in which an equation is computed."""
 
-# Constants by the names that they have in the C; ``docs/robust.md`` has the reasons.
+# Constants by the names that they have in the C; ``docs/internals/robust.md`` has the reasons.
 SLOTS = 32
 """Number of slots for estimates: senders whose ids are equal modulo 32 share one."""
 CENTRE_START = 0.5

@@ -1,10 +1,10 @@
 """Compare the errors of swarms in ARGoS3 with those of ``mcp-asdf simulate``.
 
-    python tests/benchmarks/argos.py                     # print the table of docs/argos.md
+    python tests/benchmarks/argos.py                     # print the table of docs/platforms/argos.md
     python tests/benchmarks/argos.py FOLDER [FILTER ...] # run ARGoS3 first; FOLDER has the example, built
 
 The second form makes tests/data/argos_results.csv anew, or only the rows of some filters. The example is
-c_ref/examples/argos3; docs/argos.md says how it is built.
+c_ref/examples/argos3; docs/platforms/argos.md says how it is built.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ def p_values(simulated: ErrorsByQuantity, argos: ErrorsByQuantity) -> dict[str, 
 
 
 def format_table(trials: int = TRIALS) -> str:
-    """Return the table of docs/argos.md: medians of both, and the p-value of each comparison."""
+    """Return the table of docs/platforms/argos.md: medians of both, and the p-value of each comparison."""
     lines = [
         "| filter | quantity, mean over the robots | ARGoS3 | `simulate` | p |",
         "|---|---|---|---|---|",

@@ -22,11 +22,11 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[2]
 
 PAGES = {
-    "robust": "robust.md",
-    "ageing": "ageing.md",
-    "related_work": "related_work.md",
-    "two_readings": "two_readings.md",
-    "small_messages": "small_messages.md",
+    "robust": "internals/robust.md",
+    "ageing": "internals/ageing.md",
+    "related_work": "internals/related_work.md",
+    "two_readings": "internals/two_readings.md",
+    "small_messages": "internals/small_messages.md",
 }
 """The page of docs/ that has the tables of each study, if any, and its picture."""
 

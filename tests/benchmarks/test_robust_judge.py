@@ -33,7 +33,7 @@ def test_the_page_shows_figures_of_the_table() -> None:
     errors_by_row = {
         (row["case"], row["flaw"], row["filter"]): float(row["error"]) for row in read_rows(STUDY)
     }
-    page = (ROOT / "docs/robust.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/internals/robust.md").read_text(encoding="utf-8")
     table = page[page.index("| case | swarm |") :].split("\n\n")[0]
     shown_rows = list(csv.reader(table.splitlines()[2:], delimiter="|"))
     assert len(shown_rows) == 18

@@ -1,6 +1,6 @@
 """One flipped bit anywhere in a running robot's memory: whether a check finds it, and what it does to x.
 
-``python -m bit_flips.flips`` with ``PYTHONPATH=tests`` writes the table of ``docs/trust.md`` again.
+``python -m bit_flips.flips`` with ``PYTHONPATH=tests`` writes the table of ``docs/internals/trust.md`` again.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from mcp_asdf import Filter
 from support import CORE, ROOT, TABLE, run
 
 HERE = Path(__file__).parent
-PAGE = ROOT / "docs/trust.md"
+PAGE = ROOT / "docs/internals/trust.md"
 FLIPS_PER_BIT = 50
 """For the published table."""
 FILTERS = (Filter.ADAPTIVE, Filter.ROBUST)

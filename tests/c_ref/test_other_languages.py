@@ -15,7 +15,7 @@ from mcp_asdf.robot import Config, Filter, Observation
 from mcp_asdf_tools.tables.thresholds import generate
 from support import CORE, HEADER, ROOT, block_with, require, run
 
-PAGE = ROOT / "docs/elsewhere.md"
+PAGE = ROOT / "docs/platforms/elsewhere.md"
 RUST_PROGRAM = ROOT / "c_ref/examples/rust/robot.rs"
 ROBOT_ID = 7
 INITIAL_B_HAT = 0.55
@@ -24,7 +24,7 @@ TICKS = 300
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The shared library that the commands of docs/elsewhere.md build."""
+    """The shared library that the commands of docs/platforms/elsewhere.md build."""
     folder = tmp_path_factory.mktemp("library")
     require("cmake")
     (folder / "c_ref").symlink_to(ROOT / "c_ref")

@@ -187,11 +187,11 @@ def test_pkg_config_describes_the_installed_library(project: Path) -> None:
 
 
 def test_meson_finds_the_installed_library(project: Path) -> None:
-    """By pkg-config, with the lines of docs/elsewhere.md."""
+    """By pkg-config, with the lines of docs/platforms/elsewhere.md."""
     require("meson")
     require("ninja")
     [description] = install_library(project / "library").rglob("mcp_asdf.pc")
-    [commands] = blocks(ROOT / "docs/elsewhere.md", "meson")
+    [commands] = blocks(ROOT / "docs/platforms/elsewhere.md", "meson")
     (project / "meson.build").write_text(commands)
     run("meson", "setup", "--werror", "build", cwd=project, PKG_CONFIG_PATH=str(description.parent))
     run("meson", "compile", "-C", "build", cwd=project)

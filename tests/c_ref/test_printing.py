@@ -16,7 +16,8 @@ from support import CORE, PAGES, PATIENCE, ROOT, TABLE, block_with, blocks, requ
 from targets.c_node import CORTEX_A8, PLAIN, Kind, built
 from targets.test_khepera import LIBRARY
 
-README, TUTORIAL, KHEPERA = ROOT / "README.md", ROOT / "docs/robot_tutorial.md", ROOT / "docs/khepera.md"
+README, TUTORIAL = ROOT / "README.md", ROOT / "docs/robot_tutorial.md"
+KHEPERA = ROOT / "docs/platforms/khepera.md"
 PORTS = ROOT / "c_ref/ports"
 
 

@@ -163,7 +163,7 @@ def test_a_node_runs_until_ctrl_c() -> None:
 
 
 def test_the_page_has_the_parameters_with_their_defaults() -> None:
-    page = (ROOT / "docs/elsewhere.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/platforms/elsewhere.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| `?([\w.]+)`? \|", page, re.MULTILINE)
     defaults = start_node(0).defaults
     assert dict(rows) == {name: str(value) for name, value in defaults.items()}

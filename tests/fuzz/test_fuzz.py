@@ -33,7 +33,7 @@ def test_inputs_find_nothing(
 
 
 def test_the_page_lists_the_harnesses() -> None:
-    page = (ROOT / "docs/trust.md").read_text(encoding="utf-8").partition("## Fuzzing")[2]
+    page = (ROOT / "docs/internals/trust.md").read_text(encoding="utf-8").partition("## Fuzzing")[2]
     assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == list(HARNESSES)
     assert f"tries {MORE:,} more of each" in page
 

@@ -69,7 +69,7 @@ def test_every_divisor_is_prepared(divide: int, tmp_path: Path) -> None:
 
 
 def test_each_definition_has_a_lemma_in_some_variant() -> None:
-    """As many as the text has, and as docs/trust.md says."""
+    """As many as the text has, and as docs/internals/trust.md says."""
     texts = {path: path.read_text(encoding="utf-8").splitlines() for path in ARITHMETIC}
     lines = {(path, at): line for path, text in texts.items() for at, line in enumerate(text, 1)}
     found = {place: DEFINITION.match(line) for place, line in lines.items()}
@@ -82,7 +82,7 @@ def test_each_definition_has_a_lemma_in_some_variant() -> None:
     assert parsed == written
     names = {name for *_, name in written}
     assert names == set(LEMMAS)
-    said = (ROOT / "docs/trust.md").read_text(encoding="utf-8")
+    said = (ROOT / "docs/internals/trust.md").read_text(encoding="utf-8")
     assert f"Each of the {len(names)} functions, in all its {len(written)} definitions" in said
     assert len(HERE) == 6 and "Eva reports no alarm for six targets' choices" in said
     lines_of_c = sum(

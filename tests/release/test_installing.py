@@ -88,7 +88,7 @@ def pins_in(path: Path) -> list[str]:
 
 def workflow_files() -> list[Path]:
     """Return the files of the project that hold workflows: its own, and pages that propose some."""
-    pages = [path for path in sorted((ROOT / "docs").glob("*.md")) if pins_in(path)]
+    pages = [path for path in sorted((ROOT / "docs").rglob("*.md")) if pins_in(path)]
     return [*sorted((ROOT / ".github").rglob("*.y*ml")), *pages]
 
 

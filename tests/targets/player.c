@@ -1,7 +1,7 @@
-/* Plays the golden vectors on the firmware of this image and prints the verdict; docs/targets.md has their
- * format. tests/targets/golden_vectors.py is the same player in Python, function by function. A scenario's
- * digest covers every call; where it is not the expected one the scenario is played again with a line for
- * every call, as `golden_vectors.py --scenario N` prints them of a robot that is right.
+/* Plays the golden vectors on the firmware of this image and prints the verdict; docs/internals/targets.md
+ * has their format. tests/targets/golden_vectors.py is the same player in Python, function by function. A
+ * scenario's digest covers every call; where it is not the expected one the scenario is played again with a
+ * line for every call, as `golden_vectors.py --scenario N` prints them of a robot that is right.
  */
 #include "mcp_asdf_arithmetic.h"
 #include "mcp_asdf_image.h"

@@ -17,7 +17,7 @@ from multicast import multicast
 from support import PATIENCE, ROOT, blocks, require, run
 from targets.c_node import CORTEX_A8
 
-PAGE = ROOT / "docs/khepera.md"
+PAGE = ROOT / "docs/platforms/khepera.md"
 LIBRARY = """\
 #include <stdio.h>
 #include <stdlib.h>

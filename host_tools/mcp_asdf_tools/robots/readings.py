@@ -12,7 +12,7 @@ from mcp_asdf_tools.common.errors import UsageError
 _IS_BLACK = {"black": True, "1": True, "white": False, "0": False}
 _COLOUR_NAMES = ("colour", "color")
 _NO_ANSWER = -1.0
-"""Reading that ``tile_sensor`` of docs/khepera.md prints if the sensor did not answer."""
+"""Reading that ``tile_sensor`` of docs/platforms/khepera.md prints if the sensor did not answer."""
 _SEPARATORS = ";\t,"
 """Characters that may separate columns: the first of these that a line contains does. If it contains none of
 them, white space separates its columns."""

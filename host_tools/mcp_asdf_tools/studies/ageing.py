@@ -1,6 +1,7 @@
 """Sensors that age, which the paper leaves open: the error at the end, and over time.
 
-``python -m mcp_asdf_tools.studies.ageing FOLDER`` writes ``ageing.md`` and ``ageing.png`` for docs/ageing.md.
+``python -m mcp_asdf_tools.studies.ageing FOLDER`` writes ``ageing.md`` and ``ageing.png``, which are for
+docs/internals/ageing.md.
 
 Each robot estimates f, the share of black floor, as x. Its late error is the mean of |x - f| over the last
 quarter of a trial. b is the accuracy of a robot's sensor, which ageing changes, and b_hat the accuracy that

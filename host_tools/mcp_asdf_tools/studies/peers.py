@@ -1,7 +1,7 @@
 """Robots with which the robust filter is compared, and robots and sensors that make a world hard for it.
 
 docs/extending.md says how to write such classes; experiments take them in place of a name.
-docs/related_work.md compares the methods from which some of them come.
+docs/internals/related_work.md compares the methods from which some of them come.
 """
 
 from __future__ import annotations

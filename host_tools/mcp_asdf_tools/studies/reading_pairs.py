@@ -1,7 +1,7 @@
 """Sensors that read every tile twice, and a robot that finds its accuracy from how often readings disagree.
 
 A tile lasts two steps: in the first one a robot gets its first reading, in the second one the second. The
-robot is an experiment and not part of the firmware; docs/two_readings.md has its results.
+robot is an experiment and not part of the firmware; docs/internals/two_readings.md has its results.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Rules from related work beside the project's filters: resilient consensus, and a vote on one colour.
 
 ``python -m mcp_asdf_tools.studies.related_work FOLDER`` writes ``related_work.md`` and ``related_work.png``
-for docs/related_work.md.
+for docs/internals/related_work.md.
 
 Each robot estimates f, the share of black floor, as x. b is the accuracy of its sensor, and b_hat the one
 that it assumes; a flawed robot starts with a wrong b_hat. Liars say that no tile is black, and are not

@@ -1,8 +1,8 @@
 """The robust filter beside the paper's: on the paper's grid, beyond it, beside peers and in hard worlds.
 
 ``python -m mcp_asdf_tools.studies.robust_filter FOLDER`` writes tables into ``robust.md``, and the picture of
-docs/robust.md into ``robust.png``. The picture comes first, after the grid and the hard worlds. The peers run
-message by message, which takes hours.
+docs/internals/robust.md into ``robust.png``. The picture comes first, after the grid and the hard worlds.
+The peers run message by message, which takes hours.
 
 Each robot estimates f, the share of black floor, as x. b_hat is the accuracy that it assumes for its sensor,
 and b the true one; a flawed robot starts with a wrong b_hat. The late error is the mean of |x - f| over the

@@ -1,7 +1,7 @@
 """How few bits suffice in a message: errors of swarms with rounded messages, beside those with exact ones.
 
 ``python -m mcp_asdf_tools.studies.small_messages FOLDER`` writes ``small_messages.md`` and
-``small_messages.png`` for docs/small_messages.md.
+``small_messages.png`` for docs/internals/small_messages.md.
 
 Robots send x_hat, their estimate of f, the share of black floor, and its confidence alpha. Each is rounded to
 a code of some bits (``mcp_asdf.small_messages``). The late error is the mean of |x - f| over the last quarter

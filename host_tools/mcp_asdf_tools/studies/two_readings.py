@@ -1,7 +1,7 @@
 """Self-calibration by two readings of each tile, and where it fails: the error at the end, and over time.
 
 ``python -m mcp_asdf_tools.studies.two_readings FOLDER`` writes ``two_readings.md`` and ``two_readings.png``
-for docs/two_readings.md.
+for docs/internals/two_readings.md.
 
 Each robot estimates f, the share of black floor, as x. b is the accuracy of its sensor, and b_hat the one
 that it assumes; a flawed robot starts with a wrong b_hat. All robots broadcast once for each tile.

@@ -1,4 +1,4 @@
-"""The tables of docs/cost.md and of the README, from the figures: a row for each target, or each level."""
+"""The tables of docs/internals/cost.md and of the README: a row for each target, or for each level."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .images import AVR, KILOBOT_CLOCK, LEVELS, ROOT, TARGETS
 from .measurement import Figures
 from .robots import TESTED, UPDATED
 
-README, PAGE = ROOT / "README.md", ROOT / "docs/cost.md"
+README, PAGE = ROOT / "README.md", ROOT / "docs/internals/cost.md"
 FLASH, RAM = 32 * 1024, 2 * 1024
 """Bytes of an ATmega328P."""
 Cells = dict[tuple[str, str], tuple[Figures, ...]]
@@ -50,8 +50,10 @@ def sections(cells: Cells, kilobots: Kilobots) -> dict[Path, dict[str, str]]:
 
 
 def is_in_page(name: str, level: str) -> bool:
-    """Whether docs/cost.md has the build: a Cortex-M3 has nearly the figures of a Cortex-M4, and where a
-    target has no divider -O2 gains next to nothing.
+    """Return whether docs/internals/cost.md has the build.
+
+    A Cortex-M3 has nearly the figures of a Cortex-M4, and where a target has no divider -O2 gains next to
+    nothing.
     """
     return name != "Cortex-M3" and (level == "-Os" or name not in {AVR.name, "Cortex-M0+"})
 

@@ -1,4 +1,4 @@
-"""Swarms in ARGoS3 have the errors of ``mcp-asdf simulate``, as docs/argos.md says."""
+"""Swarms in ARGoS3 have the errors of ``mcp-asdf simulate``, as docs/platforms/argos.md says."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from benchmarks import argos
 from support import ROOT
 
-PAGE = ROOT / "docs/argos.md"
+PAGE = ROOT / "docs/platforms/argos.md"
 EXAMPLE = ROOT / "c_ref/examples/argos3"
 LEVEL = 0.01
 """p-value below which two samples are not taken for one distribution."""

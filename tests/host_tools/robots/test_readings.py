@@ -28,7 +28,7 @@ def test_readings_of_any_program_are_parsed(program: str, text: str) -> None:
 
 
 def test_readings_of_minus_one_are_left_out_and_counted() -> None:
-    """They are what tile_sensor of docs/khepera.md prints if the sensor did not answer."""
+    """They are what tile_sensor of docs/platforms/khepera.md prints if the sensor did not answer."""
     readings = parse_readings("300,black\n-1,black\n-1.0,white\n700,white\n", "x.csv")
     assert readings.rows == [(300.0, True), (700.0, False)]
     assert readings.left_out == {"reading -1": 2}

@@ -24,7 +24,7 @@ More words."""
 @pytest.fixture
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Make a folder with pages, in place of the project's."""
-    for folder in ("docs/images", "tests/data"):
+    for folder in ("docs/images", "docs/internals", "tests/data"):
         (tmp_path / folder).mkdir(parents=True)
     monkeypatch.setattr(pages, "ROOT", tmp_path)
     return tmp_path
@@ -45,11 +45,11 @@ def test_a_table_that_the_study_has_not_stays() -> None:
 
 
 def test_tables_and_picture_of_a_study_go_into_its_page(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (root / "docs/ageing.md").write_text(PAGE.replace("grid", "filters"))
+    (root / "docs/internals/ageing.md").write_text(PAGE.replace("grid", "filters"))
     (root / "ageing.md").write_text("<!-- filters -->\n| moving | new |\n<!-- end -->")
     Image.new("RGB", (4, 4)).save(root / "ageing.png")
     assert put("ageing", root, monkeypatch) == 0
-    assert "| moving | new |" in (root / "docs/ageing.md").read_text()
+    assert "| moving | new |" in (root / "docs/internals/ageing.md").read_text()
     assert (root / "docs/images/ageing.webp").read_bytes()[8:12] == b"WEBP"
 
 

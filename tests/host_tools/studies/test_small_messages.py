@@ -120,7 +120,7 @@ def test_the_program_keeps_the_results_of_each_filter(study_folder: Path) -> Non
 @pytest.mark.parametrize("filter_name", ["asdf-minus", "robust"])
 def test_the_page_has_a_ratio_of_every_code(filter_name: str) -> None:
     mark = filter_name.replace("-", "_")
-    text = (ROOT / "docs/small_messages.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/internals/small_messages.md").read_text(encoding="utf-8")
     table = text.partition(f"<!-- {mark} -->\n")[2].partition("\n<!-- end -->")[0]
     rows = [[cell.strip(" *") for cell in line.split("|")[1:-1]] for line in table.splitlines()[2:]]
     assert [label for label, *_ in rows] == [f"x_hat {bits}" for bits in small_messages.X_HAT_BITS]

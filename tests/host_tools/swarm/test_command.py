@@ -416,4 +416,4 @@ def test_the_figures_of_the_readme_are_those_of_its_first_command() -> None:
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     with_filter, without_filter = final_error("asdf-minus"), final_error("none")
     assert f"is {with_filter:.3f} at the end; without it, on the same seed, {without_filter:.3f};" in readme
-    assert f"[robust filter](docs/robust.md) {final_error('robust'):.3f}." in readme
+    assert f"[robust filter](docs/internals/robust.md) {final_error('robust'):.3f}." in readme

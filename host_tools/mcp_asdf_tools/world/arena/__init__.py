@@ -1,8 +1,8 @@
 """A moving world: robots diffuse through a walled arena, see its floor and receive from those nearby.
 
-The C files in this folder do the work; docs/arena.md states their model and its sources. An ``Arena`` says
-which robots receive from which, and the colour under each robot; how well robots see it depends on their
-sensors, and when a message arrives on what carries it.
+The C files in this folder do the work; docs/internals/arena.md states their model and its sources. An
+``Arena`` says which robots receive from which, and the colour under each robot; how well robots see it
+depends on their sensors, and when a message arrives on what carries it.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-/* A world from its settings: its floor, its start, a tick. arena.h is the manual; docs/arena.md states the
- * model and where its numbers come from.
+/* A world from its settings: its floor, its start, a tick. arena.h is the manual; docs/internals/arena.md
+ * states the model and where its numbers come from.
  *
  *   arena.c        robots are placed and the floor coloured; a tick
  *   motion.c       bodies move as their motors and contacts drive them

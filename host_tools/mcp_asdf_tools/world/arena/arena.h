@@ -4,8 +4,8 @@
  * For PCs only.
  *
  * The model is that of the paper's dynamic experiments, written anew from the authors' controller, the ARGoS3
- * simulator and its Khepera IV plugin. docs/arena.md states it number by number, with the sources, and
- * compares the motion with that of the authors' programs.
+ * simulator and its Khepera IV plugin. docs/internals/arena.md states it number by number, with the sources,
+ * and compares the motion with that of the authors' programs.
  *
  * Units are metres, seconds and radians. The origin is the middle of the floor, x points east, y north.
  *

@@ -15,7 +15,7 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
-/* The Khepera IV, in metres; docs/arena.md has the sources. */
+/* The Khepera IV, in metres; docs/internals/arena.md has the sources. */
 #define BODY_RADIUS 0.0704
 #define DIAMETER (2 * BODY_RADIUS)
 #define WHEEL_DISTANCE 0.1054

@@ -81,8 +81,8 @@ IN_LOOPS void shorten_rays_at_walls(double *free_distance, double cx, double cy,
 }
 
 /* Returns the reading, 0 .. 1, of a sensor whose ray meets something at `distance` metres from the edge of
- * the body, within its reach: 1 when near, and then falling exponentially. docs/arena.md has the source of
- * the numbers. */
+ * the body, within its reach: 1 when near, and then falling exponentially. docs/internals/arena.md has the
+ * source of the numbers. */
 IN_LOOPS double sensor_reading(double distance)
 {
     const double far_reading = clamp(4.14 * arena_fading(33 * distance) - 0.085, 0, 1);
