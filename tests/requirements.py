@@ -84,5 +84,10 @@ def format_table(statements: Mapping[str, str], trace: Mapping[str, list[str]]) 
 
 
 def format_table_of_project() -> str:
-    """Return the table of this project's statements, which the documentation shows."""
-    return format_table(*read_project())
+    """Return the table of this project's statements, for docs/internals/trust.md.
+
+    Links in the statements start at docs/design.md, and are made to start at that page.
+    """
+    table = format_table(*read_project())
+    table = table.replace("](#", "](../design.md#")
+    return re.sub(r"\]\((?=\w+\.md)", "](../", table)
