@@ -14,6 +14,7 @@ from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Config, Observation
 from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat
+from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.tables.thresholds import generate
 from packets import PACKET_SIZE, packet_of
 from simulated_avr import Board, require_simavr
@@ -31,9 +32,14 @@ FORMAT = FrameFormat()
 
 def build_sketch(folder: Path) -> None:
     """Build the sketch for an Uno, with the firmware as a library, and keep all files in the folder."""
-    (folder / "libraries").mkdir()
+    library = folder / "libraries/mcp_asdf"
+    shutil.copytree(ROOT / "c_ref", library)
+    build_with_libraries(library / "examples/MinimalRobot/MinimalRobot.ino", folder)
+
+
+def build_with_libraries(sketch: Path, folder: Path) -> None:
+    """Build a sketch for an Uno in the folder, which has its ``libraries``."""
     (folder / "build").mkdir()
-    shutil.copytree(ROOT / "c_ref", folder / "libraries/mcp_asdf")
     options = [
         *("-hardware", "/usr/share/arduino-builder", "-hardware", "/usr/share/arduino/hardware"),
         *("-tools", "/usr/bin", "-libraries", folder / "libraries", "-build-path", folder / "build"),
@@ -41,7 +47,6 @@ def build_sketch(folder: Path) -> None:
         # Debian's core asks for a macro that Debian's avr-gcc does not have in C++.
         *("-prefs", "compiler.cpp.extra_flags=-DDECIMAL_DIG=17"),
     ]
-    sketch = folder / "libraries/mcp_asdf/examples/MinimalRobot/MinimalRobot.ino"
     command = shlex.join(["arduino-builder", "-compile", *map(str, options), str(sketch)])
     run("sh", "-c", f"{command} >output.txt 2>&1 || {{ cat output.txt; exit 1; }}", cwd=folder)
 
@@ -112,6 +117,18 @@ def test_the_sketch_builds_without_a_warning(built_sketch: Path) -> None:
     warnings = [line for line in output.splitlines() if "warning:" in line or "error:" in line]
     assert [line for line in warnings if "/usr/share/arduino/" not in line] == []
     assert "Sketch uses" in output
+
+
+def test_the_folder_that_the_command_writes_is_a_library_of_arduino(tmp_path: Path) -> None:
+    """It has the table, which the sketch need not have then."""
+    require("arduino-builder", "arduino-builder arduino-core-avr")
+    require("avr-gcc", "gcc-avr avr-libc")
+    assert main(["firmware", str(tmp_path / "libraries/mcp_asdf"), "--neighbours", "30"]) == 0
+    (tmp_path / "MinimalRobot").mkdir()
+    sketch = tmp_path / "MinimalRobot/MinimalRobot.ino"
+    shutil.copy(SKETCH / sketch.name, sketch)
+    build_with_libraries(sketch, tmp_path)
+    assert "Sketch uses" in (tmp_path / "output.txt").read_text(encoding="utf-8")
 
 
 def test_the_robot_broadcasts_what_the_mirror_does(robot: Board, packets: list[bytes]) -> None:

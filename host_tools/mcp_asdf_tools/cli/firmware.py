@@ -1,4 +1,4 @@
-"""``mcp-asdf firmware``: write the C firmware and a t-table into a project."""
+"""``mcp-asdf firmware``: write the C firmware, a t-table and build files into a project."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mcp_asdf_tools.cli.output import json_report
 
 EPILOG = """\
 examples:
-  mcp-asdf firmware vendor/mcp_asdf                       # core, the paper's table, a CMake file
+  mcp-asdf firmware vendor/mcp_asdf                       # core, the paper's table, build files
   mcp-asdf firmware vendor/mcp_asdf --neighbours 30       # a shorter table: 372 bytes of flash
 With CMake: add_subdirectory(vendor/mcp_asdf), link mcp_asdf::mcp_asdf. Without: compile all .c files there.
 Of several such folders in one CMake project the first makes the library, and each adds its table.
@@ -45,6 +45,6 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json_report({"files": files, "symbol": symbol}))
     else:
-        print("\n".join(f"wrote {file}" for file in files))
+        print(f"wrote {len(files)} files into {args.folder}")
         print(_USAGE.format(symbol=symbol))
     return 0

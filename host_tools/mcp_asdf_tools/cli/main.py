@@ -37,7 +37,7 @@ GROUPS = {
         "replay": "check a log by running its robots again",
     },
     "Put the firmware into robots": {
-        "firmware": "write the C firmware with a t-table and a CMake file into a project",
+        "firmware": "write the C firmware with a t-table and build files into a project",
         "calibrate": "find a ground sensor's threshold and accuracy from readings over known tiles",
         "table": "make t-tables, and check their files",
         "radio": "emulate the neighbours of one real controller on a CAN bus, and check its firmware",

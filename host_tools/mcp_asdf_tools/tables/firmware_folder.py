@@ -1,4 +1,7 @@
-"""Writing the C firmware as a folder for other projects: sources, licence, one t-table and a CMake file."""
+"""Writing the C firmware as a folder for other projects: sources, licence, one t-table and build files.
+
+The build files are for CMake, ESP-IDF, Meson, Arduino, PlatformIO and Zephyr.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,11 @@ from mcp_asdf_tools.tables.table_files import format_c_source, table_name
 _CMAKE = """\
 # MCP-ASDF {version}, the firmware and the t-table of omega {omega}, q {q}: made by
 # mcp-asdf firmware --omega {omega} --neighbours {q}. Link mcp_asdf::mcp_asdf.
+if(ESP_PLATFORM) # a component of ESP-IDF, which builds it in its own way
+    idf_component_register(SRCS {sources} {table} INCLUDE_DIRS .)
+    return()
+endif()
+
 cmake_minimum_required(VERSION 3.21)
 project(mcp_asdf LANGUAGES C)
 
@@ -50,6 +58,65 @@ if(NOT {table} IN_LIST tables)
     set_property(TARGET mcp_asdf APPEND PROPERTY MCP_ASDF_TABLES {table})
 endif()
 """
+_MESON = """\
+# subdir() of this folder gives your meson.build the variable mcp_asdf, for dependencies: of an executable.
+mcp_asdf = declare_dependency(
+    sources: files({quoted_sources}),
+    include_directories: include_directories('.'))
+"""
+_LIBRARY_JSON = """\
+{{
+  "name": "mcp_asdf",
+  "version": "{version}",
+  "description": "Collective perception by robots that calibrate their own sensors",
+  "license": "MIT",
+  "frameworks": "*",
+  "platforms": "*"
+}}
+"""
+"""PlatformIO's manifest. Without it, PlatformIO takes Arduino's, and builds the library for Arduino only."""
+_LIBRARY_PROPERTIES = """\
+name=mcp_asdf
+version={version}
+author=The mcp-asdf authors
+maintainer=The mcp-asdf authors
+sentence=Collective perception by robots that calibrate their own sensors.
+paragraph=MCP-ASDF in fixed-point C99, with the frames that robots exchange.
+category=Data Processing
+url=https://arxiv.org/abs/2410.21546
+architectures=*
+includes=mcp_asdf.h
+license=MIT
+"""
+_ZEPHYR_MODULE = """\
+name: mcp_asdf
+build:
+  cmake: zephyr
+  kconfig: zephyr/Kconfig
+"""
+_ZEPHYR_CMAKE = """\
+if(CONFIG_MCP_ASDF)
+    zephyr_include_directories(..)
+    zephyr_library()
+    zephyr_library_sources({parent_sources})
+endif()
+"""
+_ZEPHYR_KCONFIG = """\
+config MCP_ASDF
+    bool "MCP-ASDF: collective perception by robots that calibrate their own sensors"
+    help
+      Builds the firmware core and its t-table.
+"""
+_BUILD_FILES = {
+    "CMakeLists.txt": _CMAKE,
+    "meson.build": _MESON,
+    "library.json": _LIBRARY_JSON,
+    "library.properties": _LIBRARY_PROPERTIES,
+    "zephyr/module.yml": _ZEPHYR_MODULE,
+    "zephyr/CMakeLists.txt": _ZEPHYR_CMAKE,
+    "zephyr/Kconfig": _ZEPHYR_KCONFIG,
+}
+"""Templates of the files by which build systems find the sources, by name."""
 _CHECKSUMS_FILE = "sha256sums.txt"
 """Checksums of all other files as written, in sha256sum's format: they show what has been changed since."""
 
@@ -69,12 +136,11 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
     other_tables = [path for path in sorted(folder.glob("t_table_*.c")) if path.name not in texts]
     if not force:
         old_checksums = _read_checksums(folder / _CHECKSUMS_FILE)
-        replaced_files = [folder / name for name in texts]
-        _check_unchanged([*other_tables, *replaced_files], old_checksums, checksums)
+        _check_unchanged(folder, [*(path.name for path in other_tables), *texts], old_checksums, checksums)
     # The file of checksums cannot hold its own, so it is added when all others have theirs.
     texts[_CHECKSUMS_FILE] = "".join(f"{checksum}  {name}\n" for name, checksum in checksums.items())
     text_by_path = {folder / name: content for name, content in texts.items()}
-    make_folder(folder)
+    make_folder(folder / "zephyr")
     write_together(text_by_path)
     # Only now that the new files are complete: if writing them fails, the old tables stay.
     for path in other_tables:
@@ -83,31 +149,39 @@ def write_firmware(omega: Decimal, q: int, folder: Path, force: bool = False) ->
 
 
 def _folder_texts(omega: Decimal, q: int) -> dict[str, str]:
-    """Return the text of each file of the folder, by name: the sources, the t-table and the CMake file."""
+    """Return the text of each file of the folder, by name: the sources, the t-table and the build files."""
     core_folder = Path(_native.__file__).parent / "core"  # installed beside the compiled firmware
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(core_folder.iterdir())}
     sources = sorted(name for name in texts if name.endswith(".c"))
     table_file = f"{table_name(omega, q)}.c"
     texts[table_file] = format_c_source(omega, q)
-    texts["CMakeLists.txt"] = _CMAKE.format(
-        version=own_version(), omega=omega, q=q, sources=" ".join(sources), table=table_file
-    )
+    values = {
+        "version": own_version(),
+        "omega": omega,
+        "q": q,
+        "sources": " ".join(sources),
+        "table": table_file,
+        "quoted_sources": ", ".join(f"'{name}'" for name in (*sources, table_file)),
+        "parent_sources": " ".join(f"../{name}" for name in (*sources, table_file)),
+    }
+    texts |= {name: template.format_map(values) for name, template in _BUILD_FILES.items()}
     return texts
 
 
 def _check_unchanged(
-    paths: Iterable[Path], old_checksums: Mapping[str, str], new_checksums: Mapping[str, str]
+    folder: Path, names: Iterable[str], old_checksums: Mapping[str, str], new_checksums: Mapping[str, str]
 ) -> None:
     """Raise UsageError for the first file whose checksum is neither the old nor the new one of its name.
 
-    Files that do not exist are unchanged.
+    Names are relative to the folder. Files that do not exist are unchanged.
     """
-    for path in paths:
+    for name in names:
+        path = folder / name
         if not path.is_file():
             continue
         # Either the file is as it was written, or it is what is about to be written anyway.
         checksum = sha256(path.read_bytes()).hexdigest()
-        if checksum not in (old_checksums.get(path.name), new_checksums.get(path.name)):
+        if checksum not in (old_checksums.get(name), new_checksums.get(name)):
             fix = "keep it elsewhere, or give --force to replace it"
             raise UsageError(f"{path} is not as mcp-asdf firmware wrote it; {fix}")
 

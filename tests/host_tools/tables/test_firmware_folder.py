@@ -5,13 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.versions import own_version
-from support import ROOT, matching_files, require, run
+from support import ROOT, blocks, matching_files, require, run
 
 PROGRAM = """\
 #include "mcp_asdf.h"
@@ -78,7 +80,7 @@ def test_firmware_names_the_array_of_the_table(tmp_path: Path, capsys: pytest.Ca
 def test_firmware_reports_files_and_array_in_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_folder(tmp_path, "--omega", "0.1", "--neighbours", "30", "--json")
     report = json.loads(capsys.readouterr().out)
-    assert sorted(report["files"]) == sorted(map(str, tmp_path.iterdir()))
+    assert sorted(report["files"]) == sorted(str(path) for path in tmp_path.rglob("*") if path.is_file())
     assert report["symbol"] == "mcp_asdf_t_table_omega10_q30"
 
 
@@ -191,6 +193,107 @@ def test_cmake_can_be_asked_for_position_independent_code(tmp_path: Path) -> Non
     library_commands = [entry["command"] for entry in entries if "vendor/mcp_asdf" in entry["file"]]
     assert len(library_commands) == len(list((tmp_path / "vendor/mcp_asdf").glob("*.c")))
     assert all("-fPIC" in command for command in library_commands)
+
+
+# --- Other build systems --------------------------------------------------------------------------------
+
+ESP_IDF_PROJECT = """\
+cmake_minimum_required(VERSION 3.21)
+project(robot LANGUAGES C)
+set(ESP_PLATFORM 1)
+function(idf_component_register)
+    cmake_parse_arguments(component "" "" "SRCS;INCLUDE_DIRS" ${ARGN})
+    add_library(component ${component_SRCS})
+    target_include_directories(component PUBLIC ${component_INCLUDE_DIRS})
+endfunction()
+add_subdirectory(components/mcp_asdf)
+add_executable(robot robot.c)
+target_link_libraries(robot PRIVATE component)
+"""
+ZEPHYR_PROJECT = """\
+cmake_minimum_required(VERSION 3.21)
+project(robot LANGUAGES C)
+set(CONFIG_MCP_ASDF y)
+add_library(zephyr_interface INTERFACE)
+function(zephyr_include_directories)
+    target_include_directories(zephyr_interface INTERFACE ${ARGN})
+endfunction()
+function(zephyr_library)
+    add_library(module)
+    target_link_libraries(module PUBLIC zephyr_interface)
+endfunction()
+function(zephyr_library_sources)
+    target_sources(module PRIVATE ${ARGN})
+endfunction()
+add_subdirectory(modules/mcp_asdf/zephyr)
+add_executable(robot robot.c)
+target_link_libraries(robot PRIVATE module)
+"""
+"""These projects have functions of ESP-IDF and of Zephyr that do in plain CMake what those are for."""
+
+
+@pytest.mark.parametrize(
+    ("project", "folder"),
+    [
+        pytest.param(ESP_IDF_PROJECT, "components/mcp_asdf", id="ESP-IDF"),
+        pytest.param(ZEPHYR_PROJECT, "modules/mcp_asdf", id="Zephyr"),
+    ],
+)
+def test_the_commands_for_other_build_systems_build_a_robot(
+    project: str, folder: str, tmp_path: Path
+) -> None:
+    write_folder(tmp_path / folder, "--omega", "0.1", "--neighbours", "30")
+    (tmp_path / "robot.c").write_text(PROGRAM)
+    (tmp_path / "CMakeLists.txt").write_text(project)
+    run(require("cmake", "cmake"), "-S", tmp_path, "-B", tmp_path / "build")
+    run("cmake", "--build", tmp_path / "build")
+    run(tmp_path / "build/robot")
+
+
+def test_zephyr_finds_build_commands_and_options_where_the_module_says(tmp_path: Path) -> None:
+    kconfiglib = pytest.importorskip("kconfiglib", reason="kconfiglib is not installed: make setup")
+    write_folder(tmp_path)
+    module = yaml.safe_load((tmp_path / "zephyr/module.yml").read_text(encoding="utf-8"))
+    assert module["name"] == "mcp_asdf"
+    assert (tmp_path / module["build"]["cmake"] / "CMakeLists.txt").is_file()
+    options = kconfiglib.Kconfig(str(tmp_path / module["build"]["kconfig"]), warn_to_stderr=False)
+    assert [symbol.name for symbol in options.unique_defined_syms] == ["MCP_ASDF"]
+
+
+def test_meson_builds_the_folder(tmp_path: Path) -> None:
+    """With the lines of docs/porting.md."""
+    require("meson")
+    require("ninja")
+    write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
+    (tmp_path / "robot.c").write_text(PROGRAM)
+    [commands] = blocks(ROOT / "docs/porting.md", "meson")
+    (tmp_path / "meson.build").write_text(commands)
+    run("meson", "setup", "--werror", "build", cwd=tmp_path)
+    run("meson", "compile", "-C", "build", cwd=tmp_path)
+    run(tmp_path / "build/robot")
+
+
+def test_platformio_reads_both_manifests_and_builds_for_any_framework(tmp_path: Path) -> None:
+    pytest.importorskip("platformio", reason="platformio is not installed: make setup")
+    write_folder(tmp_path)
+    printed = run(sys.executable, "-c", PLATFORMIO, tmp_path, PLATFORMIO_CORE_DIR=str(tmp_path / "home"))
+    for_platformio, for_arduino = map(json.loads, printed.splitlines())
+    for manifest in (for_platformio, for_arduino):
+        assert (manifest["name"], manifest["version"]) == ("mcp_asdf", own_version())
+    assert for_platformio["frameworks"] == ["*"]
+
+
+# PlatformIO's own reader and schema; the schema would fetch the list of licences.
+PLATFORMIO = """
+import json, sys
+from platformio.package.manifest.parser import ManifestParserFactory
+from platformio.package.manifest.schema import ManifestSchema
+ManifestSchema.load_spdx_licenses = staticmethod(lambda: {"licenses": [{"licenseId": "MIT"}]})
+for name in ("library.json", "library.properties"):
+    found = ManifestParserFactory.new_from_file(f"{sys.argv[1]}/{name}").as_dict()
+    ManifestSchema().load_manifest(found)
+    print(json.dumps(found))
+"""
 
 
 # --- Writing into a folder that has files already -------------------------------------------------------
