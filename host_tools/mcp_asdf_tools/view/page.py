@@ -24,7 +24,7 @@ from mcp_asdf_tools.world.graph import MAX_ON_BUS
 _FOLDER = Path(__file__).parent / "page"
 _SAFE_IN_DATA_URL = " !\"$&'()*+,-./:;=>?@[\\]^_`{|}~"
 """Characters that need no escape in a data URL inside HTML."""
-_SCRIPTS = ("arena", "bus", "charts", "colours", "history", "main", "panels", "player", "view")
+_SCRIPTS = ("arena", "bus", "charts", "colours", "history", "main", "panels", "player", "view", "words")
 """Scripts of the folder ``page``, which import each other as ``view/NAME``."""
 
 

@@ -27,6 +27,7 @@ from mcp_asdf_tools.view.server import serve_page
 from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
 from mcp_asdf_tools.view.trial_history import recompute_trial_history
 from mcp_asdf_tools.world.arena import Arena
+from support import ROOT
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -152,6 +153,17 @@ def test_the_charts_draw_the_values_of_the_history(browser: Page, file: Path, hi
 def test_the_arena_is_drawn_in_many_colours(browser: Page, file: Path) -> None:
     open_file(browser, file)
     assert browser.evaluate(f"new Set(new Uint32Array({PIXELS}.buffer)).size") > 50
+
+
+def test_a_page_explains_itself_and_leads_to_the_method(browser: Page, file: Path) -> None:
+    open_file(browser, file)
+    text = browser.locator("#about span").inner_text()
+    assert text == (
+        "Each robot guesses the share of black tiles. Half of them misjudge their sensor (orange). "
+        "Watch them find out. The truth is 55 %."
+    )
+    paper = browser.locator("#about a").get_attribute("href")
+    assert f"url: {paper}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
 def test_nothing_comes_from_a_network(browser: Page, file: Path) -> None:
@@ -330,6 +342,29 @@ def test_the_page_says_when_a_run_has_ended(browser: Page) -> None:
         browser.goto(url)
         live.has_ended = True
         until(browser, "document.getElementById('state').textContent === 'the run has ended'")
+        assert browser.locator("#waiting").inner_text() == "the run has ended without any data"
+
+
+def test_a_run_that_has_just_ended_is_shown_at_its_end(browser: Page, history: History) -> None:
+    update = history.states_since()
+    live = History(update.description)
+    for state in update.states:
+        live.add(state)
+    live.has_ended = True
+    with serve_page(live) as url:
+        browser.goto(url)
+        until(browser, "document.getElementById('clock').textContent.startsWith('step 300 of 300')")
+        assert browser.locator("#play").inner_text() == "▶ play"
+
+
+def test_the_page_of_a_bus_waits_for_it(browser: Page) -> None:
+    live = History(RunDescription("a bus", []))
+    with serve_page(live) as url:
+        browser.goto(url)
+        until(browser, "document.getElementById('waiting').textContent.startsWith('waiting for the bus')")
+        live.add_robot(5)
+        live.add(State(1, np.full((4, 1), 0.5), np.eye(1) > 1, None))
+        until(browser, "view.history.stateCount === 1 && document.getElementById('waiting').hidden")
 
 
 @pytest.fixture

@@ -102,7 +102,7 @@ export class Arena {
   #radiusOfRobots() {
     const { robotCount, robotsMove } = this.history;
     if (robotsMove) {
-      const smallestRadius = robotCount > MANY_ROBOTS ? 2.5 : 6;
+      const smallestRadius = robotCount > MANY_ROBOTS ? 2.5 : 8; // in which two digits fit
       return Math.max(BODY_RADIUS * this.scale, smallestRadius * this.pixelRatio);
     }
     const radiusBetweenNeighbours = (this.scale * Math.PI) / robotCount / 1.6;
@@ -214,7 +214,7 @@ export class Arena {
   #drawId(id, x, y) {
     const { context, radius, pixelRatio } = this;
     const comfortableSize = Math.max(9 * pixelRatio, 0.95 * radius);
-    const largestFittingSize = (1.6 * radius) / (0.6 * id.length);
+    const largestFittingSize = (1.45 * radius) / (0.6 * id.length);
     const fontSize = Math.min(comfortableSize, largestFittingSize);
     if (fontSize < 7 * pixelRatio) return;
     context.fillStyle = colour("card");

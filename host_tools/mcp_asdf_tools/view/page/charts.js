@@ -121,7 +121,7 @@ class RobotLinesChart {
 class MeanErrorChart {
   constructor(history) {
     this.history = history;
-    this.label = "mean error of x: ";
+    this.label = "mean error of what they believe:";
     this.relativeHeight = 1;
     this.hasRobotLines = false;
   }
@@ -178,9 +178,9 @@ class MeanErrorChart {
 /** Returns the charts of a history, from top to bottom. */
 export function chartsOf(history) {
   const charts = [
-    new RobotLinesChart(history, "b_hat", "b_hat: trust in the own sensor", "b"),
-    new RobotLinesChart(history, "x_hat", "x_hat: what each sees by itself", "f"),
-    new RobotLinesChart(history, "x", "x: what each believes after hearing its neighbours", "f"),
+    new RobotLinesChart(history, "b_hat", "how far each trusts its sensor (b_hat)", "b"),
+    new RobotLinesChart(history, "x_hat", "what each sees by itself (x_hat)", "f"),
+    new RobotLinesChart(history, "x", "what each believes after hearing others (x)", "f"),
   ];
   const isTruthKnown = history.description.fill_ratio !== null;
   return isTruthKnown ? [new MeanErrorChart(history), ...charts] : charts;

@@ -41,6 +41,7 @@ function followServer(view) {
     view.show(await History.decode(description));
     findElement("live").hidden = false;
     showStatus("live", true);
+    view.showWaiting();
     if (isFirst) {
       view.chooseSpeed(description.steps ?? STEPS_OF_UNKNOWN_LENGTH);
       view.player.follow();
@@ -51,15 +52,23 @@ function followServer(view) {
     if (!hasOpenedAddress) view.openAddress();
     hasOpenedAddress = true;
   });
-  handleEvents("report", (report) => view.bus.showReport(report));
+  handleEvents("report", (report) => {
+    view.bus.showReport(report);
+    view.showWaiting();
+  });
   handleEvents("end", () => {
     view.isLive = false;
     findElement("live").hidden = true;
     showStatus("the run has ended");
-    if (view.player.isFollowing) view.player.pause();
+    if (view.player.isFollowing) {
+      view.player.seek(view.history.lastTick);
+      view.player.pause();
+    }
+    view.showWaiting("the run has ended without any data");
   });
   source.addEventListener("end", () => source.close()); // or the browser would connect again
   source.addEventListener("error", () => showStatus("no connection; trying again"));
+  view.showWaiting("waiting for the run");
 }
 
 const view = new View({ keepsAddress: true });

@@ -1,5 +1,7 @@
 // What stands beside the arena: figures of the swarm, numbers of one robot, events; and helpers for elements.
 
+import { colourOfError } from "view/colours";
+
 const MAX_SHOWN_EVENTS = 40;
 const MAX_SHOWN_SENDERS = 8;
 const LARGE_ERROR = 0.1; // of a b_hat that counts as wrong
@@ -35,11 +37,23 @@ function mean(values) {
   return values.reduce((sum, value) => sum + value, 0) / values.length;
 }
 
+/** Returns the estimates x in a state of all robots that do not lie, are not silent and not dead. */
+function estimatesOf(history, state) {
+  const { robots, liars = [] } = history.description;
+  const x = robots.map((_, robot) => (liars.includes(robot) ? Number.NaN : history.value("x", robot, state)));
+  return removeUnknown(x);
+}
+
+/** Returns the mean of the estimates in a state; NaN if there are none. */
+export function meanEstimate(history, state) {
+  return mean(estimatesOf(history, state));
+}
+
 /** Shows four figures of the swarm in a state; robots that are silent or dead do not count. */
 export function showFigures(history, state) {
   const fillRatio = history.description.fill_ratio;
   const robots = history.description.robots.map((_, robot) => robot);
-  const x = removeUnknown(robots.map((robot) => history.value("x", robot, state)));
+  const x = estimatesOf(history, state);
   const bHatErrors = removeUnknown(robots.map((robot) => history.bHatError(robot, state)));
   const meanError = fillRatio === null ? null : mean(x.map((value) => Math.abs(value - fillRatio)));
   const spread = x.length === 0 ? null : Math.max(...x) - Math.min(...x);
@@ -64,11 +78,11 @@ export function showRobot(history, state, robot) {
   title.textContent = `Robot ${robots[robot]}${flawedText}`;
   const formatQuantity = (quantity) => formatValue(history.value(quantity, robot, state), 4);
   const rows = [
-    ["b_hat", formatQuantity("b_hat")],
-    ["b", formatQuantity("b")],
-    ["x_hat", formatQuantity("x_hat")],
-    ["f", formatValue(fillRatio, 4)],
-    ["x", formatQuantity("x")],
+    ["trusts its sensor (b_hat)", formatQuantity("b_hat")],
+    ["true accuracy (b)", formatQuantity("b")],
+    ["sees by itself (x_hat)", formatQuantity("x_hat")],
+    ["believes (x)", formatQuantity("x")],
+    ["true share of black (f)", formatValue(fillRatio, 4)],
     ["hears", formatSenders(history, state, robot)],
   ];
   const cells = rows.flatMap(([name, text]) => [createElement("dt", name), createElement("dd", text)]);
@@ -82,16 +96,19 @@ function formatSenders(history, state, robot) {
   return senderIds.join(" ") || "–";
 }
 
-/** Returns an event as texts and elements; a new b_hat is coloured by whether it is better than the old one. */
+/** Returns two values as texts with two digits after the point, or with three if they would be equal. */
+function formatChange(before, after) {
+  const digits = before.toFixed(2) === after.toFixed(2) ? 3 : 2;
+  return `${before.toFixed(digits)} → ${after.toFixed(digits)}`;
+}
+
+/** Returns an event as texts and elements; before a new b_hat stands the colour that the robot has from now on. */
 function describeEvent(history, { robot, state, before, after, text }) {
   const prefix = robot === undefined ? "" : `robot ${history.description.robots[robot]}: `;
   if (text) return [prefix + text];
-  const truth = history.value("b", robot, state);
-  let className = "";
-  if (!Number.isNaN(truth)) {
-    className = Math.abs(after - truth) <= Math.abs(before - truth) ? "better" : "worse";
-  }
-  return [`${prefix}b_hat ${before.toFixed(2)} → `, createElement("span", after.toFixed(2), className)];
+  const dot = createElement("i");
+  dot.style.background = colourOfError(history.bHatError(robot, state));
+  return [dot, prefix + formatChange(before, after)];
 }
 
 /** Marks on the time line, of `totalSteps` steps, where faults began or ended and robots were lost or back. */
@@ -132,6 +149,6 @@ export function showEvents(history, tick, onSeek) {
     item.append(button);
     list.append(item);
   }
-  const heading = eventCount === 0 ? "No recalibration yet" : `Events (${eventCount})`;
+  const heading = eventCount === 0 ? "No recalibration yet" : `Recalibrations (b_hat), faults: ${eventCount}`;
   parent.replaceChildren(createElement("h2", heading), list);
 }

@@ -47,9 +47,14 @@ export class Player {
     this.isFollowing = false;
   }
 
-  /** Plays, or pauses if it plays. */
+  /** Whether the tick changes with time. */
+  get isMoving() {
+    return this.isPlaying || this.isFollowing;
+  }
+
+  /** Plays, or pauses if it plays or follows a run. */
   toggle() {
-    if (this.isPlaying) this.pause();
+    if (this.isMoving) this.pause();
     else this.play();
   }
 

@@ -6,6 +6,7 @@ import { Charts, chartsOf } from "view/charts";
 import { clearColours } from "view/colours";
 import { findElement, showEvents, showFigures, showMarks, showRobot, writeText } from "view/panels";
 import { Player } from "view/player";
+import { describeWaiting, formatPercent, introduceRun } from "view/words";
 
 const MILLISECONDS_BETWEEN_ADDRESSES = 500; // browsers refuse addresses that change too often
 const MILLISECONDS_BETWEEN_CHARTS = 250;
@@ -23,6 +24,7 @@ export class View {
     this.history = null;
     this.isLive = false;
     this.followedRobot = null;
+    this.onDraw = () => {}; // called with each state that is drawn
     this.lastFrameTime = performance.now();
     this.nextChartTime = 0;
     this.nextAddressTime = 0;
@@ -41,16 +43,33 @@ export class View {
     this.charts.follow(this.followedRobot);
     findElement("title").textContent = history.description.title;
     document.title = `${history.description.title} – mcp-asdf`;
+    this.#showIntroduction();
     const faults = history.description.faults ?? [];
     findElement("faults").textContent = faults.map(([text]) => text).join("; ");
     findElement("marks").dataset.key = "";
     findElement("events").dataset.end = "";
   }
 
+  #showIntroduction() {
+    const { description } = this.history;
+    const truth = description.fill_ratio;
+    const truthText = truth === null ? "" : ` The truth is ${formatPercent(truth)}.`;
+    findElement("about").firstElementChild.textContent = introduceRun(description) + truthText;
+  }
+
+  /** Shows what a page without any data waits for; hides that as soon as there are data. */
+  showWaiting(text = describeWaiting(this.history.description)) {
+    const hasData = this.history?.stateCount > 0 || this.bus.tableRows.size > 0;
+    findElement("waiting").textContent = text;
+    findElement("waiting").hidden = hasData;
+    findElement("play").disabled = !hasData;
+  }
+
   /** Appends a block of states to the history. */
   async appendBlock(block) {
     await this.history.appendBlock(block);
     this.player.end = this.history.lastTick;
+    this.showWaiting();
     this.scheduleCharts(MILLISECONDS_BETWEEN_CHARTS);
   }
 
@@ -179,6 +198,7 @@ export class View {
     if (isUnchanged && !this.arena.isBlank) return;
     this.lastShownValues = shownValues;
     const state = history.stateAt(tick);
+    findElement("lost").hidden = history.description.steps !== null && history.robotsOnceLost.size === 0;
     this.arena.draw(tick, followedRobot);
     this.charts.markPresent(tick);
     showFigures(history, state);
@@ -186,6 +206,7 @@ export class View {
     showEvents(history, tick, (event) => this.#openEvent(event));
     showMarks(history, this.totalSteps);
     this.#showTime(tick);
+    this.onDraw(state);
   }
 
   #showTime(tick) {
@@ -194,7 +215,7 @@ export class View {
     findElement("time").max = this.totalSteps;
     const seconds = (tick / history.description.steps_per_second).toFixed(1);
     writeText(findElement("clock"), `step ${Math.floor(tick)} of ${this.totalSteps}, ${seconds} s`);
-    writeText(findElement("play"), player.isPlaying ? "❚❚" : "▶");
+    writeText(findElement("play"), player.isMoving ? "❚❚ pause" : "▶ play");
     findElement("live").setAttribute("aria-pressed", String(player.isFollowing));
   }
 

@@ -110,6 +110,6 @@ test("without the fill ratio there is no chart of the mean error", () => {
     ticks: [0],
     quantities: {},
   });
-  const labels = chartsOf(history).map(({ label }) => label.split(":")[0]);
-  assert.deepEqual(labels, ["b_hat", "x_hat", "x"]);
+  const symbols = chartsOf(history).map(({ label }) => /\((.*)\)/.exec(label)[1]);
+  assert.deepEqual(symbols, ["b_hat", "x_hat", "x"]);
 });

@@ -2,7 +2,8 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { formatValue, showEvents, showFigures, showRobot } from "view/panels";
+import { colourOfError } from "view/colours";
+import { formatValue, meanEstimate, showEvents, showFigures, showRobot } from "view/panels";
 import { element, makeHistory } from "./fake_page.js";
 
 /** Returns the four figures of the swarm in the first state of a history. */
@@ -83,11 +84,24 @@ test("the numbers of a robot are those of the robot and the state that are shown
   showRobot(history, 1, 1);
   assert.equal(element("robot-title").textContent, "Robot 8, flawed at the start");
   const texts = element("robot-list").children.map((cell) => cell.textContent);
-  const expected = "b_hat 0.9300 b – x_hat 0.8000 f 0.2500 x 0.4000 hears –";
-  assert.equal(texts.join(" "), expected);
+  assert.deepEqual(texts, [
+    ...["trusts its sensor (b_hat)", "0.9300", "true accuracy (b)", "–"],
+    ...["sees by itself (x_hat)", "0.8000", "believes (x)", "0.4000"],
+    ...["true share of black (f)", "0.2500", "hears", "–"],
+  ]);
 });
 
-test("events are listed with the latest first, and say whether a new b_hat is better", () => {
+test("liars are in no mean of the estimates", () => {
+  const history = makeHistory({
+    robots: [0, 1, 2],
+    ticks: [0],
+    liars: [2],
+    quantities: { x: [0.25, 0.75, 0] },
+  });
+  assert.equal(meanEstimate(history, 0).toFixed(3), "0.500");
+});
+
+test("events are listed with the latest first, each with the colour that its robot has from then on", () => {
   const history = makeHistory({
     robots: [3],
     ticks: [0, 10, 20],
@@ -95,14 +109,25 @@ test("events are listed with the latest first, and say whether a new b_hat is be
   });
   showEvents(history, 20, () => {});
   const [heading, list] = element("events").children;
-  assert.equal(heading.textContent, "Events (2)");
+  assert.equal(heading.textContent, "Recalibrations (b_hat), faults: 2");
   const buttons = list.children.map((item) => item.children[0]);
   assert.deepEqual(
     buttons.map((button) => button.text),
-    ["20robot 3: b_hat 0.90 → 0.60", "10robot 3: b_hat 0.55 → 0.90"],
+    ["20robot 3: 0.90 → 0.60", "10robot 3: 0.55 → 0.90"],
   );
   assert.deepEqual(
-    buttons.map((button) => button.children.at(-1).className),
-    ["worse", "better"],
+    buttons.map((button) => button.children[1].style.background),
+    [0.35, 0.05].map(colourOfError),
   );
+});
+
+test("a change that two digits hide has three", () => {
+  const history = makeHistory({
+    robots: [3],
+    ticks: [0, 10],
+    quantities: { b_hat: [0.551, 0.548], b: [0.95, 0.95] },
+  });
+  showEvents(history, 10, () => {});
+  const [, list] = element("events").children;
+  assert.equal(list.children[0].text, "10robot 3: 0.551 → 0.548");
 });

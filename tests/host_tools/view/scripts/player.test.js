@@ -46,3 +46,10 @@ test("a player that follows closes the gap to the end", () => {
 test("a tick that does not exist leads to the nearest end", () => {
   assert.deepEqual([playerAt(-5).tick, playerAt(500).tick], [0, 100]);
 });
+
+test("the button pauses a player that follows", () => {
+  const player = playerAt(20);
+  player.follow();
+  player.toggle();
+  assert.deepEqual([player.isMoving, player.tick], [false, 20]);
+});
