@@ -74,7 +74,8 @@ newest: .venv/ready-to-test ## install all for the newest Python that can be had
 	@build/newest/bin/pytest --numprocesses=auto --dist=worksteal -m "not slow" --shuffle=$$(date +%s)
 
 docs: .venv/ready-to-test ## build the documentation in build/site
-	@$(BIN)/mkdocs build --strict --config-file .ci/mkdocs.yml
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --config-file .ci/mkdocs.yml
+	@echo "Open build/site/index.html in a browser; it needs no server."
 
 clean: ## remove everything that was built or installed here
 	rm -rf build .venv

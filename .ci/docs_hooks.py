@@ -72,6 +72,8 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if page.is_homepage:
         markdown = _PICTURE.sub(_FRAME, markdown, count=1)
         page.meta["hide"] = ["navigation", "toc"]  # room for it
+    if page.file.src_uri.startswith(("api", "cli", "headers", "internals")):
+        page.meta["search"] = {"boost": 1e-4}  # guides come first; a word in a heading counts 1000 times
     page.formulas = []
     parts = _CODE.split(markdown)
     parts[::2] = [_FORMULA.sub(lambda found: _keep(found, page.formulas), part) for part in parts[::2]]

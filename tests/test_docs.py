@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from browser import new_page
+from browser import new_page, until
 from mcp_asdf_tools.cli import main as cli
 from support import PAGES, ROOT, TABLE, block_with, blocks, require, run, version_of_header
 from targets.c_node import HOST, built
@@ -213,8 +213,9 @@ def test_make_knows_the_target(command: str) -> None:
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The documentation, built."""
     folder = tmp_path_factory.mktemp("site")
-    *_, command = run(require("make", "make"), "-n", "--no-print-directory", "docs").splitlines()
-    words = shlex.split(command)
+    lines = run(require("make", "make"), "-n", "--no-print-directory", "docs").splitlines()
+    (command,) = (line for line in lines if "mkdocs build" in line)
+    _, *words = shlex.split(command)  # without the variable before it
     assert "--strict" in words
     assert "--quiet" not in words, "then mkdocs does not count warnings, and nothing is strict"
     run(require(Path(words[0]).name), *words[1:], "--site-dir", folder)
@@ -224,9 +225,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_the_documentation_is_built(site: Path) -> None:
     """Every name that the pages of the Python API ask for is there, and links and anchors lead somewhere."""
-    texts = {
-        path.parent.name: path.read_text(encoding="utf-8") for path in sorted(site.rglob("*/index.html"))
-    }
+    texts = {path.stem: path.read_text(encoding="utf-8") for path in sorted(site.rglob("*.html"))}
     commands, headers, method = (
         html.unescape(re.sub(r"<[^>]+>", "", texts[page])) for page in ("cli", "headers", "method")
     )
@@ -240,6 +239,7 @@ def test_the_documentation_is_built(site: Path) -> None:
     assert f"mcp-asdf {version_of_header()}</title>" in advice
     assert "md-footer__link--prev" in advice and "md-footer__link--next" in advice
     for name, text in texts.items():
+        assert not re.search(r'<script[^>]*src="https?:', text), f"{name} loads something from elsewhere"
         assert not re.search("flowchart|sequenceDiagram|<pre class=.mermaid", text), name
 
 
@@ -247,16 +247,34 @@ def test_the_documentation_is_built(site: Path) -> None:
 def test_no_page_is_wider_than_a_phone(site: Path, chromium: Browser) -> None:
     """Each row of a table stands by itself there, and each cell names its column."""
     with new_page(chromium, width=390) as browser:
-        for path in sorted(site.rglob("index.html")):
+        for path in sorted(set(site.rglob("*.html")) - {site / "play.html", site / "404.html"}):
             browser.goto(path.as_uri(), wait_until="domcontentloaded")
             wide = browser.evaluate(
                 "[document.documentElement, ...document.querySelectorAll('.md-typeset table:not([class]), "
                 ".md-typeset table:not([class]) td')].map((each) => each.scrollWidth).filter((w) => w > 390)"
             )
-            assert wide == [], path.parent.name
-        browser.goto((site / "advice/index.html").as_uri())
+            assert wide == [], path.stem
+        browser.goto((site / "advice.html").as_uri())
         label = "getComputedStyle(document.querySelectorAll('td')[1], '::before').content"
         assert "filter" in browser.evaluate(label)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("page", "words", "found"),
+    [("index", "liars", "threats.html"), ("api/world", "figure", "reproduce.html")],
+)
+def test_the_search_works_in_files_and_ranks_guides_first(
+    page: str, words: str, found: str, site: Path, chromium: Browser
+) -> None:
+    with new_page(chromium) as browser:
+        browser.goto((site / f"{page}.html").as_uri())
+        browser.locator(".md-search__input").press_sequentially(words)
+        until(browser, "document.querySelector('.md-search-result__link')")
+        links = browser.locator(".md-search-result__item > .md-search-result__link")
+        addresses = [link.get_attribute("href") or "" for link in links.all()]
+        assert any(found in address for address in addresses)
+        assert not any("/api/" in address for address in addresses[:5])
 
 
 def test_links_of_the_readme_lead_somewhere() -> None:
