@@ -1,6 +1,6 @@
 """Controllers that are wrong, each in one way, with the phase that finds it.
 
-Most are mistakes that one makes when porting the firmware or writing a node from docs/frame.md.
+Most are mistakes that one makes when porting the firmware or writing a node from docs/design.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-/* The codec of the bus frames. mcp_asdf_frame.h is the manual; docs/frame.md gives the layout. */
+/* The codec of the bus frames. mcp_asdf_frame.h is the manual; docs/design.md gives the layout. */
 #include "mcp_asdf_frame.h"
 
 #include "mcp_asdf.h"

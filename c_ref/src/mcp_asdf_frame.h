@@ -2,7 +2,7 @@
  * numbers of mcp_asdf.h. It is optional: the core does not use it, and it uses nothing of the core.
  *
  * Every message is one classic CAN 2.0B data frame with a 29-bit identifier and 8 bytes, and also one
- * OpenCyphal v1 single-frame message; docs/frame.md gives every bit. There are four kinds:
+ * OpenCyphal v1 single-frame message; docs/design.md gives every bit. There are four kinds:
  *
  *   estimate    a robot's broadcast (x_hat, alpha); every robot sends and receives these
  *   heartbeat   Cyphal's sign of life, once a second from every node
@@ -10,7 +10,7 @@
  *   command     a simulator's order to observe or to settle, for lockstep (optional)
  *
  * A robot sends the first three, and receives estimates and commands. Tools read and write all four
- * (docs/frame.md).
+ * (docs/design.md).
  *
  * When its broadcast timer expires, a robot sends
  *

@@ -1,4 +1,4 @@
-/* Save, restore and invariants. mcp_asdf_image.h is the manual, docs/invariants.md the list of what is
+/* Save, restore and invariants. mcp_asdf_image.h is the manual, docs/internals/properties.md lists what is
  * checked.
  */
 #include "mcp_asdf_image.h"
@@ -48,9 +48,10 @@ static bool has_same_accuracy(const mcp_asdf_accuracy_t *accuracy, const mcp_asd
            accuracy->g_shift == fresh->g_shift && accuracy->rare_shift == fresh->rare_shift;
 }
 
-/* Whether accuracy, x_hat and alpha follow from t, n and b_hat (I4 and I5 of docs/invariants.md), and t is
- * below the memory. Rejects an id out of range, too, as no robot can have it. The caller lends *fresh, memory
- * for the robot that is computed to compare with, since a small stack may have room for few. */
+/* Whether accuracy, x_hat and alpha follow from t, n and b_hat (I4 and I5 of docs/internals/properties.md),
+ * and t is below the memory. Rejects an id out of range, too, as no robot can have it. The caller lends
+ * *fresh, memory for the robot that is computed to compare with, since a small stack may have room for few.
+ */
 static bool is_valid_estimate(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
     /* The other robot needs no filter, and so no table. A constant config would take RAM on an AVR. */

@@ -28,10 +28,10 @@ void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE]);
 mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *config,
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE]);
 
-/* Whether the state could have come from calls of these functions (docs/invariants.md): false after a stray
- * write or a bit flip that breaks a relation between members. Forms x_hat and alpha anew from t, n and b_hat
- * to compare them, unless b_hat was updated since the last observation. O(1), writes nothing; any memory
- * contents are safe but a damaged config pointer. Needs a copy of the robot on the stack. */
+/* Whether the state could have come from calls of these functions (docs/internals/properties.md): false after
+ * a stray write or a bit flip that breaks a relation between members. Forms x_hat and alpha again from t, n
+ * and b_hat to compare them, unless b_hat was updated since the last observation. O(1), writes nothing; any
+ * memory contents are safe but a damaged config pointer. Needs a copy of the robot on the stack. */
 bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot);
 
 #ifdef __cplusplus

@@ -1,4 +1,4 @@
-/* The codec of small messages. mcp_asdf_small.h is the manual; docs/frame.md gives the layout. */
+/* The codec of small messages. mcp_asdf_small.h is the manual; docs/design.md gives the layout. */
 #include "mcp_asdf_small.h"
 
 #include "mcp_asdf_arithmetic.h"

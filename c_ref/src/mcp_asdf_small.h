@@ -15,8 +15,8 @@
  *     mcp_asdf_decode_small(&message, bytes);
  *     mcp_asdf_receive(&robot, message.node, message.x_hat, message.alpha);
  *
- * docs/frame.md gives every bit and the rounding; docs/internals/small_messages.md says how few bits suffice.
- * A message has no checksum: the radio has to drop damaged ones.
+ * docs/design.md gives every bit and the rounding; docs/internals/small_messages.md shows how few bits
+ * suffice. A message has no checksum: the radio has to drop damaged ones.
  *
  * What holds for every function: C99, freestanding; no floating point, heap, recursion, static data or libc
  * call; O(1). Pointers must be valid; this is not checked.

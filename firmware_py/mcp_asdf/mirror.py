@@ -698,7 +698,7 @@ class MirrorRobot(FixedPointView):
         return values
 
     def holds_invariants(self) -> bool:
-        """Return whether calls of the interface alone could have led to this state (``docs/invariants.md``).
+        """Return whether calls alone could have led to this state (``docs/internals/properties.md``).
 
         False means that the state, or the image from which it was restored, was damaged.
         """

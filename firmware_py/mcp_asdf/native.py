@@ -204,7 +204,7 @@ class NativeRobot(FixedPointView):
         return numbers
 
     def holds_invariants(self) -> bool:
-        """Return whether calls of the interface alone could have led to this state (``docs/invariants.md``).
+        """Return whether calls alone could have led to this state (``docs/internals/properties.md``).
 
         False means that the state was damaged, for example in memory.
         """

@@ -2,7 +2,7 @@
 
 Units are the firmware's (``mcp_asdf.fixed_point``): x_hat in units of 2**-23, alpha as an alpha word. In a
 message each of them is a *code* of some bits. ``c_ref/src/mcp_asdf_small.h`` is the same codec in C, bit for
-bit; docs/frame.md has the layout and the rounding.
+bit; docs/design.md has the layout and the rounding.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ static void quotients_follow_their_formula_for_divisors_of_every_length(void)
     }
 }
 
-/* ---- Size of a robot, tables, and invariants of damaged robots (docs/invariants.md) ---- */
+/* ---- Size of a robot, tables, and invariants of damaged robots (docs/internals/properties.md) ---- */
 
 /* The budget of RAM, where a pointer has 32 bits. */
 typedef char robot_is_small[sizeof(void *) != 4 || sizeof(mcp_asdf_t) <= 176 ? 1 : -1];

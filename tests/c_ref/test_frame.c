@@ -1,4 +1,4 @@
-/* The frame codec against the rules of docs/frame.md, which are written here once more: with division,
+/* The frame codec against the rules of docs/design.md, which are written here once more: with division,
  * remainder and floating point instead of masks and shifts. tests/host_tools/bus compares any frame, and the
  * acceptance filter, with the codec in Python. */
 #include "mcp_asdf_frame.h"
@@ -88,7 +88,7 @@ static mcp_asdf_frame_status_t decode_and_check_members(int kind, const mcp_asdf
     return status;
 }
 
-/* Status of a frame by docs/frame.md, whatever its content: the first error in the order of the header. */
+/* Status of a frame by docs/design.md, whatever its content: the first error in the order of the header. */
 static mcp_asdf_frame_status_t expected_envelope_status(const mcp_asdf_frame_t *frame, uint32_t subject)
 {
     const uint32_t id = frame->id;
@@ -113,7 +113,7 @@ static mcp_asdf_frame_status_t expected_envelope_status(const mcp_asdf_frame_t *
     return frame->data[7] / 32 == 7 ? MCP_ASDF_FRAME_OK : MCP_ASDF_FRAME_ERR_MULTI_FRAME;
 }
 
-/* Status of a frame of this kind by docs/frame.md. */
+/* Status of a frame of this kind by docs/design.md. */
 static mcp_asdf_frame_status_t expected_status(int kind, const mcp_asdf_frame_t *frame)
 {
     const mcp_asdf_frame_status_t envelope = expected_envelope_status(frame, subjects[kind]);
@@ -131,7 +131,7 @@ static mcp_asdf_frame_status_t expected_status(int kind, const mcp_asdf_frame_t 
     return data[5] <= 3 ? MCP_ASDF_FRAME_OK : MCP_ASDF_FRAME_ERR_ACTION;
 }
 
-/* Check that both decoders return what docs/frame.md says. */
+/* Check that both decoders return what docs/design.md says. */
 static void check_decoders(const mcp_asdf_frame_t *frame)
 {
     for (int kind = 0; kind < KIND_COUNT; ++kind) {

@@ -1,4 +1,4 @@
-/* The codec of small messages against the rules of docs/frame.md, which are written here once more with
+/* The codec of small messages against the rules of docs/design.md, which are written here once more with
  * division and floating point. tests/firmware_py compares it with the codec in Python. */
 #include "mcp_asdf_small.h"
 
@@ -61,7 +61,7 @@ static double value_of_word(uint32_t alpha)
     return (double)(alpha >> 8) * (double)(UINT32_C(1) << alpha % 32) / UNITS_PER_ONE;
 }
 
-/* Value of a code by docs/frame.md: 2^-4 times a number whose exponent of 5 bits and fraction begin with the
+/* Value of a code by docs/design.md: 2^-4 times a number whose exponent of 5 bits and fraction begin with the
  * code, and are 0 behind it. */
 static double expected_value(uint32_t code, uint32_t bits)
 {

@@ -1,6 +1,6 @@
 """Robots refuse invalid messages, observations, images, settings and tables, and an error changes nothing.
 
-I1, I2, ... are the numbers of docs/invariants.md.
+I1, I2, ... are the numbers of docs/internals/properties.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Properties of every sequence of calls (docs/invariants.md), tried by Hypothesis on the mirror and the C.
+"""Properties of every sequence of calls (docs/internals/properties.md), tried on mirror and C by Hypothesis.
 
 Examples are derandomised: a failure prints the smallest calls that show it, and another run finds it again.
 """

@@ -1,6 +1,6 @@
 """The calls: observe, receive, settle and the test do what docs/design.md says (sections 2 and 8), in all
-states in the ranges of docs/invariants.md. What they call is any function of what it is given, and changes no
-more than its own lemma says.
+states in the ranges of docs/internals/properties.md. What they call is any function of what it is given, and
+changes no more than its own lemma says.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def test_roundings_are_within_their_limits(claims: Claims) -> None:
 
 @pytest.mark.parametrize("b", [Fraction(1, 2) + Fraction(1, 2**12), Fraction(3, 5), Fraction(99, 100)])
 def test_the_limits_are_those_of_the_design(b: Fraction) -> None:
-    """The roundings' shares, multiplied, are what the cross-check allows and docs/design.md states."""
+    """The roundings' shares, multiplied, are what the cross-check allows and the page of accuracy states."""
     below, above = bounds.alpha_error(1, 2, b)
     r = 1 / abs(2 * b - 1)
     kept = (1 - accuracy.BELOW[0]) * (1 - accuracy.BELOW[1]) * (1 - accuracy.BELOW[2])

@@ -1,4 +1,4 @@
-/* A robot as a node of the bus, without bus, clock or operating system: frames in, frames out. docs/frame.md
+/* A robot as a node of the bus, without bus, clock or operating system: frames in, frames out. docs/design.md
  * has the rules that it follows in lockstep; mcp_asdf_tools/robots/node.py is the same node in Python.
  *
  * In every control tick the node does these things. Every comms_period-th tick is a broadcast tick:

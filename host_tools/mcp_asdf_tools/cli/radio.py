@@ -36,7 +36,7 @@ examples:
   mcp-asdf radio --id 3 --interface socketcan --channel can0 --verify --wait 60 --report it.md
 --id and the other options under "robot" say what the controller is. Without --verify the neighbours run in
 real time, hear it if they are in range, and it is sent what it would hear of them. With --verify it must have
-been reset just before (or, with --wait, just after) and obey command frames (docs/frame.md); it is taken
+been reset just before (or, with --wait, just after) and obey command frames (docs/design.md); it is taken
 through one phase for each claim and each class of fault, and must do, bit for bit, what its model does.
 exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 128 + signal if
 interrupted"""

@@ -4,7 +4,7 @@ In each tick a robot observes the floor, broadcasts its estimate if its round is
 the tick, which in the last tick of a round makes it use what it has received in the round, and answers with a
 telemetry frame.
 
-The simulator's half of the protocol in ``docs/frame.md``; the robot's is ``robots.node.RobotNode``, the
+The simulator's half of the protocol in ``docs/design.md``; the robot's is ``robots.node.RobotNode``, the
 C node and the firmware images. A tick of robots that are all driven::
 
     lockstep.observe({3: Observation.BLACK, 4: Observation.WHITE})

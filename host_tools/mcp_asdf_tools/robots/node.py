@@ -2,7 +2,7 @@
 
 ``RobotNode`` has no bus: it takes frames and returns those to send. ``BusLink`` is its connection to a bus,
 and ``run_node`` connects both. The same node runs in ``mcp-asdf node``, on any bus, and in tools that predict
-the frames of a robot. ``docs/frame.md`` has the rules that it follows.
+the frames of a robot. ``docs/design.md`` has the rules that it follows.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _RAW_ATTRIBUTES = ("x_hat_raw", "alpha_raw", "x_bar_raw", "beta_raw", "x_raw", "
 _STATE_ATTRIBUTES = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 
 ACCEPTANCE_MASK = 0x1FFF_FFFF & ~IGNORED_IDENTIFIER_BITS
-"""Identifier bits that a receiver checks, 0x039F_FF80; see docs/frame.md."""
+"""Identifier bits that a receiver checks, 0x039F_FF80; see docs/design.md."""
 
 SEND_TIMEOUT = 2.0
 """Seconds after which a bus that takes no frame counts as failed."""
@@ -106,7 +106,7 @@ class RobotNode:
         subjects: Formats of the messages.
         is_settled: Whether the last tick has ended; true before the first.
         obeyed: Number of commands followed.
-        disobeyed: Number of commands for this robot that the rules of ``docs/frame.md`` did not let it
+        disobeyed: Number of commands for this robot that the rules of ``docs/design.md`` did not let it
             follow.
         unsettled: Number of ticks that ended only when the next one began, since no *settle* had come.
     """

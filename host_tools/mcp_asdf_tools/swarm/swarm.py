@@ -271,7 +271,7 @@ class Swarm:
         robot_frames: list[RobotFrame] = []
         for driver in self._drivers:
             for node, frame in driver.observe({robot: observations[robot] for robot in driver.nodes}):
-                # The driver leaves out telemetry, and by docs/frame.md a robot sends nothing else but
+                # The driver leaves out telemetry, and by docs/design.md a robot sends nothing else but
                 # heartbeats.
                 is_estimate = isinstance(decode_estimate(frame, self.settings.frames), Estimate)
                 self.traffic.sent += is_estimate

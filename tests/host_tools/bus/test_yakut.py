@@ -1,4 +1,4 @@
-"""Cyphal's command-line tool reads a running swarm, by the commands that docs/frame.md shows."""
+"""Cyphal's command-line tool reads a running swarm, by the commands of docs/platforms/can_tools.md."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from messages import DEFAULT, write_regulated_types
 from support import PATH, PATIENCE, ROOT, interruptible, require
 
 ROBOTS = 3
-PAGE = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/platforms/can_tools.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

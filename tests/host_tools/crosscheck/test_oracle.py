@@ -42,7 +42,7 @@ def test_x_hat_is_exact_without_information() -> None:
 
 @dataclass
 class AccuracyCase:
-    """Bounds that docs/design.md, section 11, states for an accuracy and a count of black tiles.
+    """Bounds that docs/internals/properties.md states for an accuracy and a count of black tiles.
 
     Attributes:
         n: Number of black ones among 10**6 tiles.

@@ -452,9 +452,9 @@ def check_that_all_frames_are_reproduced_or_beyond(part: Path) -> None:
 
 
 def test_wireshark_shows_every_frame_as_a_transfer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The commands are those of docs/frame.md: one writes a log, one converts it, one reads it."""
+    """The commands of docs/platforms/can_tools.md: one writes a log, one converts it, one reads it."""
     tshark = require("tshark", "tshark")
-    page = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/platforms/can_tools.md").read_text(encoding="utf-8")
     commands = re.search(r"```text\nmcp-asdf (swarm .*)\ncan_logconvert (.*)\ntshark (.*)\n```", page)
     assert commands is not None
     swarm_options, converter_options, tshark_options = commands.groups()

@@ -37,7 +37,7 @@ SUBJECTS = FrameFormat(3000), COMMAND_FORMAT
 
 
 def test_the_mask_of_filters_is_that_of_the_page_of_frames() -> None:
-    page = (ROOT / "docs/frame.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
     mask = filters_for(*SUBJECTS)[0]["can_mask"]
     assert f"mask `0x{mask:08X}`" in page
 
