@@ -31,6 +31,10 @@ requirements = import_module("requirements")
 ROOMS = ROOT / "host_tools/mcp_asdf_tools"
 HEADERS = ("mcp_asdf", "mcp_asdf_frame", "mcp_asdf_small", "mcp_asdf_image")
 
+SEARCH_BOOSTS = {"internals": 1e-2, "api": 1e-4, "cli": 1e-4, "headers": 1e-4}
+"""Weights of pages in the search by how their names begin, where guides have 1: a word in a heading counts
+1000 times."""
+
 _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
 _FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\s](?:[^$\n]*[^$\s])?)\$", re.DOTALL)
 _FILE = re.compile(r"<!-- file: (\S+) -->")
@@ -72,8 +76,9 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if page.is_homepage:
         markdown = _PICTURE.sub(_FRAME, markdown, count=1)
         page.meta["hide"] = ["navigation", "toc"]  # room for it
-    if page.file.src_uri.startswith(("api", "cli", "headers", "internals")):
-        page.meta["search"] = {"boost": 1e-4}  # guides come first; a word in a heading counts 1000 times
+    for name, boost in SEARCH_BOOSTS.items():
+        if page.file.src_uri.startswith(name):
+            page.meta["search"] = {"boost": boost}
     page.formulas = []
     parts = _CODE.split(markdown)
     parts[::2] = [_FORMULA.sub(lambda found: _keep(found, page.formulas), part) for part in parts[::2]]
