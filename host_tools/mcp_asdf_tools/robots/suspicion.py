@@ -23,7 +23,7 @@ class Suspicion(Enum):
 MEANINGS = {
     Suspicion.CONFLICT: "another node sends under this node's own id; give one of them another",
     Suspicion.UNKNOWN: "its id is not among those of --allow, so its estimates are dropped",
-    Suspicion.JUMP: "its alpha doubled at once: it has recalibrated (its telemetry counts updates), or lies",
+    Suspicion.JUMP: "its confidence doubled at once: normal after a recalibration and in radio --verify",
 }
 """What each kind of event means, for the user."""
 
