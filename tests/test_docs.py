@@ -22,11 +22,13 @@ from targets.c_node import HOST, built
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
+COMMANDS_AND_OUTPUT = re.compile(r"^```sh\n(.*?)^```\n\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)")
 
 SHOWN = (
     "FAILED at call",
-    "FAILED: 30 of 45",
+    "FAILED: 0 of 45",
+    "| phase ",
     "(0.000000) vcan0",
     "1 0.000000000",
     '{"3000":',
@@ -46,7 +48,6 @@ RUN_ELSEWHERE = {
     "development.md": "tests/test_setup.py",
     "extending.md": "tests/host_tools/test_extending.py",
     "installing.md": "tests/test_newcomer.py",
-    "firmware_in_the_loop.md": "tests/targets/test_firmware_in_the_loop.py",
     "khepera.md": "tests/targets/test_khepera.py",
     "porting.md": "tests/c_ref/test_porting.py",
     "robot_tutorial.md": "tests/test_tutorials.py",
@@ -59,7 +60,8 @@ PROGRAMS_RUN_ELSEWHERE = ("data_frames.md",)
 NOT_RUN = {
     "^make ": "sets up or tests everything",
     r"can0\b|modprobe": "wants a CAN interface or root; tests/socketcan has both in a guest",
-    r"mcp_asdf_node --interface udp": "wants a robot; tests/targets/test_multicast.py",
+    r"^mcp_asdf_node --interface udp": "wants a robot; tests/targets/test_multicast.py",
+    "build/loop": "wants an emulated board; tests/targets/test_firmware_in_the_loop.py",
     "udp_multicast": "wants two terminals; test_remote_robot.py and test_verification.py in tests/host_tools",
     r"robot\.c|\./robot": "test_the_c_program_of_the_readme_runs",
     "golden_vectors": "writes the project's own files; tests/targets/test_targets.py",
@@ -86,9 +88,9 @@ LONG_PAGES = (
     "experiments.md",
     "can_tools.md",
     "library.md",
+    "linux.md",
     "radio.md",
     "reproduce.md",
-    "socketcan.md",
     "swarm.md",
     "targets.md",
     "threats.md",
@@ -100,6 +102,9 @@ CASES = [
     for page in PAGES
 ]
 
+PAGES_WITH_CHECKED_OUTPUT = ("linux.md", "radio.md", "swarm.md", "view.md")
+"""Pages that show what their commands print."""
+
 NEEDED = {
     "aarch64-linux-gnu": ("aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu libc6-dev-arm64-cross"),
     "rustc": ("rustc", "rustc"),
@@ -108,6 +113,11 @@ NEEDED = {
     "ctest": ("qemu-system-arm", "qemu-system-arm"),
 }
 """Programs and packages that commands need besides Python and a C compiler, by a part of the command."""
+
+
+def outputs_of(page: Path) -> dict[str, str]:
+    """The blocks of text that directly follow blocks of commands, by the latter: what these print."""
+    return dict(COMMANDS_AND_OUTPUT.findall(page.read_text(encoding="utf-8")))
 
 
 def commands_in(block: str) -> list[str]:
@@ -119,7 +129,12 @@ def commands_in(block: str) -> list[str]:
 
 def scripts(page: Path) -> list[list[str]]:
     """The page's blocks of commands."""
-    shown = [block for block in blocks(page, "sh", "console", "text") if not block.startswith(SHOWN)]
+    outputs = outputs_of(page).values()
+    shown = [
+        block
+        for block in blocks(page, "sh", "console", "text")
+        if block not in outputs and not block.startswith(SHOWN)
+    ]
     return [commands_in(block) for block in shown]
 
 
@@ -157,13 +172,17 @@ def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("page", CASES)
 def test_commands_of_the_page_work(page: Path, workplace: Path) -> None:
-    """Each block of commands runs in a shell of its own."""
+    """Each block of commands runs in a shell of its own, and prints the lines that the page shows."""
     for script in scripts(page):
         lines = [command for command in script if is_run(page, command)]
         for tool, packages in NEEDED.items():
             if any(tool in line for line in lines):
                 require(*packages)
-        run("sh", "-exc", "\n".join(lines), cwd=workplace, MPLBACKEND="Agg")
+        printed = run("sh", "-exc", "\n".join(lines), cwd=workplace, MPLBACKEND="Agg")
+        if page.name in PAGES_WITH_CHECKED_OUTPUT and lines == script:
+            shown = next((text for code, text in outputs_of(page).items() if commands_in(code) == script), "")
+            pattern = re.escape(shown).replace(re.escape("..."), ".*?")  # dots stand for what is left out
+            assert re.search(pattern, re.sub(" +$", "", printed, flags=re.MULTILINE), re.DOTALL)
 
 
 @pytest.mark.parametrize(

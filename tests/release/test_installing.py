@@ -24,7 +24,7 @@ PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 INSTALLS_PROJECT = re.compile(
     r"pip (?:-\S+ )*install (?:-\S+ )*['\"]?(?:\.|mcp[-_]asdf)(?:\[[^\]]*\])?(?=['\"`\s]|$)"
 )
-PAGES_THAT_INSTALL = {"docs/installing.md", "docs/ci.md"}
+PAGES_THAT_INSTALL = {"docs/installing.md", "docs/radio.md"}
 OTHER_MENTIONS = {
     "docs/development.md": "the set-up of developers, who always have a clone",
     "docs/extending.md": "installs the reader's own package",
@@ -72,7 +72,7 @@ def test_the_table_of_extras_has_the_commands_of_the_messages() -> None:
 
 
 def test_the_workflow_for_users_installs_as_the_messages_say() -> None:
-    page = (ROOT / "docs/ci.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/radio.md").read_text(encoding="utf-8")
     assert f"          .venv/bin/python -m {install_command()}\n" in page
 
 
@@ -95,7 +95,7 @@ def workflow_files() -> list[Path]:
 def test_workflows_pin_actions_and_containers_by_hash() -> None:
     """A tag can be moved to other code, a hash cannot. The tag stands beside it, for people."""
     pins = {path.name: pins_in(path) for path in workflow_files()}
-    assert len(pins["tests.yml"]) == 3 and len(pins["ci.md"]) == 4
+    assert len(pins["tests.yml"]) == 3 and len(pins["radio.md"]) == 4
     unpinned = [(name, pin) for name in pins for pin in pins[name] if not PINNED_BY_HASH.fullmatch(pin)]
     assert unpinned == []
 

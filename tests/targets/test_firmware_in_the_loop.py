@@ -35,7 +35,7 @@ from targets.test_node import any_frame, command_frame
 IMAGE_ID, B_HAT, FILTER_PERIOD = 3, 0.55, 5
 SEED = 20261121
 SLCAN = ROOT / "c_ref/ports/slcan"
-PAGE = ROOT / "docs/firmware_in_the_loop.md"
+PAGE = ROOT / "docs/radio.md"
 QEMU = {
     "cortex-m3": "qemu-system-arm -M mps2-an385",
     "cortex-m4": "qemu-system-arm -M mps2-an386",
@@ -256,7 +256,7 @@ def test_the_workflow_of_the_page_judges_an_image(tmp_path: Path) -> None:
     """Its steps as they stand, but for what root installs. The image is configured otherwise than they
     say, so the verdict comes soon: exit code 1, a report, and a log that can be replayed."""
     port = prepared("cortex-m3", tmp_path)
-    (text,) = blocks(ROOT / "docs/ci.md", "yaml")
+    (text,) = blocks(PAGE, "yaml")
     workflow = yaml.safe_load(text.replace("20001", port).replace("-B build ", "-B build -DROBOT_B_HAT=0.6 "))
     steps = workflow["jobs"]["emulated"]["steps"]
     upload = steps.pop()

@@ -1,4 +1,4 @@
-/* mcp_asdf_node: a robot on a CAN bus under Linux. docs/socketcan.md is the manual. */
+/* mcp_asdf_node: a robot on a CAN bus under Linux. docs/platforms/linux.md is the manual. */
 #include "bus.h"
 #include "options.h"
 #include "source.h"
@@ -348,7 +348,7 @@ static void run_until_end(run_t *run)
     }
 }
 
-/* ---- The summary: a line of JSON, whose members docs/socketcan.md explains ---------------------------- */
+/* ---- The summary: a line of JSON, whose members docs/platforms/linux.md explains ---------------------------- */
 
 /* Print a member of the summary, a number. */
 static void print_number(const char *name, uint64_t value)

@@ -1,5 +1,5 @@
 /* CAN frames as lines of text: the serial protocol of Lawicel's adapters ("slcan"), which Linux's slcand,
- * python-can and most UART-CAN adapters speak. docs/firmware_in_the_loop.md lists the commands.
+ * python-can and most UART-CAN adapters speak. docs/platforms/serial.md lists the commands.
  *
  * A line ends with a carriage return:
  *

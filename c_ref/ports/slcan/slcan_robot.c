@@ -1,5 +1,5 @@
 /* A robot that speaks CAN over its serial line, by the protocol of Lawicel's adapters, and takes its clock
- * and its observations from command frames: the firmware in the loop of docs/firmware_in_the_loop.md. */
+ * and its observations from command frames: the firmware in the loop of docs/platforms/serial.md. */
 #include "slcan.h"
 
 #include "../node/node.h"

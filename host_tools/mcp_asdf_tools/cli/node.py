@@ -36,7 +36,7 @@ examples:
   mcp-asdf node --id 3 --interface udp_multicast    # with others on this machine, until Ctrl-C
   mcp-asdf node --id 3 --interface socketcan --channel can0 --b-hat 0.8 --log run.log
 The robot observes and settles as command frames tell it (docs/design.md): try "mcp-asdf radio --verify" on
-it. The C node, mcp_asdf_node, runs by a clock of its own, too, and reads a sensor (docs/socketcan.md).
+it. The C node, mcp_asdf_node, runs by a clock of its own, too, and reads a sensor (docs/platforms/linux.md).
 exit code: 0 done, 1 the bus failed, 2 bad usage, 128 + signal if one came before --steps were done"""
 LIBRARIES = ("numpy", "can", "rich.console")
 

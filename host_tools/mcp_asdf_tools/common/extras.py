@@ -18,7 +18,7 @@ EXTRAS = {
 """The extra of ``pyproject.toml`` that installs a module, by the name of the module."""
 
 # Nothing is published yet, so only a clone can be installed. A release changes these two, to "mcp-asdf" and
-# "run"; docs/installing.md and docs/ci.md then have to follow, as tests/release/test_installing.py says.
+# "run"; docs/installing.md and docs/radio.md then have to follow, as tests/release/test_installing.py says.
 PIP_TARGET = "."
 PIP_PLACE = "in a clone of mcp-asdf run"
 

@@ -121,7 +121,7 @@ def test_the_effects_of_faults_are_no_difference(options: str, tmp_path: Path) -
 def test_the_events_of_many_robots_are_hardly_larger_than_the_log(
     options: str, ratio: float, tmp_path: Path
 ) -> None:
-    """The ratios are those of docs/radio.md."""
+    """The ratios are those of docs/internals/emulation.md."""
     log = tmp_path / "run.log"
     settings = ["--robots", "100", "--steps", "12", *options.split()]
     assert main(["swarm", *settings, "--quiet", "--log", str(log)]) == 0
