@@ -1,4 +1,4 @@
-"""The tables of docs/internals/cost.md and of the README: a row for each target, or for each level."""
+"""The tables of docs/internals/cost.md, with a row for each target or level, and that of the README."""
 
 from __future__ import annotations
 
@@ -11,6 +11,12 @@ from .robots import TESTED, UPDATED
 README, PAGE = ROOT / "README.md", ROOT / "docs/internals/cost.md"
 FLASH, RAM = 32 * 1024, 2 * 1024
 """Bytes of an ATmega328P."""
+CHIPS = {"ATmega328P": 8, "Cortex-M0+": 48, "Cortex-M4": 64}
+"""The targets of the README's table, and the megahertz at which it has their times."""
+NEIGHBOURS = 10
+"""Of how many neighbours a robot of the README's table hears in a round."""
+CYCLES_PER_INSTRUCTION = 2
+"""Assumed for a Cortex-M, whose instructions alone are counted."""
 Cells = dict[tuple[str, str], tuple[Figures, ...]]
 """Measurements by target and level: of the paper's filter alone, then of BUILDS."""
 Kilobots = tuple[tuple[int, int], ...]
@@ -40,8 +46,9 @@ def sections(cells: Cells, kilobots: Kilobots) -> dict[Path, dict[str, str]]:
     shown = [(name, level) for name in names for level in LEVELS if is_in_page(name, level)]
     every = [(" ".join(each), cells[each]) for each in shown]
     return {
-        README: {"cost table": f"{table(short)}\n\n{_kilobot(cells[AVR.name, '-Os'][0], kilobots)}"},
+        README: {"cost table": table([chip_row(name, cells[name, "-Os"][2]) for name in CHIPS])},
         PAGE: {
+            "targets": f"{table(short)}\n\n{_kilobot(cells[AVR.name, '-Os'][0], kilobots)}",
             "calls": table([call_row(name, found[0]) for name, found in every]),
             "memory": table([memory_row(name, found[0]) for name, found in every]),
             "filters": table([filter_row(name, *found[1:]) for name, found in every]),
@@ -58,8 +65,27 @@ def is_in_page(name: str, level: str) -> bool:
     return name != "Cortex-M3" and (level == "-Os" or name not in {AVR.name, "Cortex-M0+"})
 
 
+def chip_row(name: str, found: Figures) -> Row:
+    """The README's figures of a chip, of a robot with the robust filter."""
+    calls = {"step": 1, "receive": NEIGHBOURS, "x": 1}
+    observation = sum(number * _microseconds(name, found, call) for call, number in calls.items())
+    return {
+        "chip and clock": f"{name}, {CHIPS[name]} MHz",
+        "flash, bytes": str(found.code[0]),
+        "RAM with stack, bytes": str(found.ram + found.tick_stack()),
+        "an observation, µs": f"{observation:.0f}",
+        "the filter's test, µs": f"{_microseconds(name, found, UPDATED):.0f}",
+    }
+
+
+def _microseconds(name: str, found: Figures, kind: str) -> float:
+    """The longest that a call took at the chip's clock."""
+    cycles = found.most(kind, "cycles") or CYCLES_PER_INSTRUCTION * found.most(kind)
+    return cycles / CHIPS[name]
+
+
 def short_row(name: str, small: Figures, fast: Figures) -> Row:
-    """The README's figures of a target."""
+    """What a target takes with the paper's filter alone."""
     titles = {"step": "step with 10 neighbours", "receive": "receive", "x": "x", UPDATED: UPDATED}
     times = (f"{fast.times[kind]:.1f}" if kind in fast.times else "none" for kind in ("double", "float"))
     return {
