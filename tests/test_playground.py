@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import runpy
 import shlex
 from collections.abc import Iterator
@@ -142,7 +143,7 @@ def check_final_errors(browser: Page) -> None:
         "document.querySelectorAll('#filters output')[index].textContent])"
     )
     for errors, text in errors_and_texts:
-        assert text == f"{sorted(errors)[len(errors) // 2]:.3f}"
+        assert text == f"{100 * sorted(errors)[len(errors) // 2]:.1f}"
 
 
 def check_last_positions(browser: Page, experiment: Experiment) -> None:
@@ -213,6 +214,7 @@ def test_settings_of_an_address_that_are_no_settings_have_their_defaults(small_b
 
 @pytest.mark.slow
 def test_a_slider_changes_address_and_command(small_browser: Page) -> None:
+    small_browser.locator("#more").click()
     small_browser.locator("[name=liars]").focus()
     small_browser.keyboard.press("ArrowRight")
     until(small_browser, "location.hash.includes('liars=1')")
@@ -223,6 +225,7 @@ def test_a_slider_changes_address_and_command(small_browser: Page) -> None:
 @pytest.mark.slow
 def test_the_space_bar_on_a_slider_does_not_pause(small_browser: Page) -> None:
     until(small_browser, "view.history !== null")
+    small_browser.locator("#more").click()
     was_playing = small_browser.evaluate("view.player.isPlaying = true")
     small_browser.locator("[name=liars]").press("Space")
     assert small_browser.evaluate("view.player.isPlaying") == was_playing
@@ -244,8 +247,63 @@ def test_another_filter_can_be_shown(small_browser: Page) -> None:
 
 
 @pytest.mark.slow
-def test_the_playground_fits_on_a_narrow_screen(small_browser: Page) -> None:
-    assert small_browser.evaluate("document.documentElement.scrollWidth") <= 390
+@pytest.mark.parametrize(("width", "height"), [(1400, 900), (800, 600), (390, 844)])
+@pytest.mark.parametrize("is_open", [False, True], ids=["closed", "open"])
+def test_floor_figures_and_controls_fit_on_a_screen(
+    chromium: Browser, playground: Path, width: int, height: int, is_open: bool
+) -> None:
+    with new_page(chromium, width, height) as browser:
+        open_playground(browser, playground, "liars=1&steps=100")
+        if is_open:
+            browser.locator("#more").click()
+        assert browser.evaluate("document.documentElement.scrollWidth") <= width
+        controls = ["#play", "#miscalibrate", "#add-liar", "#more", "#time"]
+        for name in ("#about", "#beliefs", "#arena", *controls, *(["#settings"] if is_open else [])):
+            box = browser.locator(name).bounding_box()
+            assert box is not None and min(box["width"], box["height"]) > 10, name
+            assert box["y"] + box["height"] <= height, name
+
+
+@pytest.mark.slow
+def test_the_first_line_says_what_one_sees(small_browser: Page) -> None:
+    text = "document.getElementById('about').textContent"
+    assert small_browser.evaluate(text).startswith("Each robot guesses the share of black tiles. 4 of them")
+    small_browser.locator("#miscalibrate").click()
+    until(small_browser, f"{text}.includes('6 of them misjudge their sensor (orange).')")
+    small_browser.locator("#add-liar").click()
+    until(small_browser, f"{text}.includes('One claims that no tile is black.')")
+    small_browser.locator("#start-over").click()
+    until(small_browser, f"{text}.includes('Half of them')")
+
+
+@pytest.mark.slow
+def test_other_settings_start_the_run_again_at_its_end(small_browser: Page) -> None:
+    small_browser.evaluate("view.player.seek(view.player.end)")
+    small_browser.evaluate("location.hash = '#steps=100&robots=4'")
+    until(small_browser, "view.history.robotCount === 4 && view.player.isPlaying")
+
+
+@pytest.mark.slow
+def test_the_large_figures_are_grey_until_all_runs_are_in(browser: Page, playground: Path) -> None:
+    open_playground(browser, playground, "steps=3000")
+    figure = "document.querySelectorAll('#beliefs .result')[{}].children"
+    first = f"(([, error, note]) => [error.className, note.textContent])([...{figure.format(0)}])"
+    class_name, runs = browser.evaluate(first)
+    if not runs.endswith("median of 30 runs"):
+        assert class_name == "unfinished" and re.fullmatch(r"points, \d+ of 30 runs", runs)
+    until(browser, f"{first}.join() === ',points, median of 30 runs'")
+    errors = browser.evaluate("view.playground.comparison.filters[0].trials.map((errors) => errors.at(-1))")
+    assert len(errors) == 30
+    text = browser.evaluate(f"{figure.format(0)}[1].textContent")
+    assert text == f"off by {100 * sorted(errors)[15]:.1f}"
+
+
+@pytest.mark.slow
+def test_the_swarm_believes_the_mean_of_its_robots(small_browser: Page) -> None:
+    small_browser.evaluate("view.player.seek(100)")
+    x = "view.history.description.robots.map((_, robot) => view.history.value('x', robot, 100))"
+    text = "document.getElementById('belief').textContent"
+    until(small_browser, f"{text} === `${{Math.round(5 * {x}.reduce((sum, value) => sum + value))}} %`")
 
 
 @pytest.mark.slow
@@ -264,6 +322,7 @@ def test_a_page_that_frames_the_playground_has_its_address_height_and_colours(
     until(inner_page, f"{background} === 'rgb(16, 20, 26)'")
     browser.evaluate("document.body.dataset.mdColorScheme = 'default'")
     until(inner_page, f"{background} === 'rgb(246, 247, 249)'")
+    inner_page.locator("#more").click()
     inner_page.locator("[name=everybody]").check()
     until(browser, "location.hash === '#robots=5&everybody=1&steps=40'")
     assert browser.evaluate("document.getElementById('playground').offsetHeight") > 300

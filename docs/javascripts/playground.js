@@ -1,16 +1,23 @@
-// The frame of the playground on the first page: it gets this page's address and colours, and the height it needs.
+// The frame of the playground on the first page: it gets this page's address and colours, the height that it needs, and
+// the height of a screen, into which its floor and its controls fit.
 const frame = document.getElementById("playground");
 if (frame) {
   const send = (message) => frame.contentWindow.postMessage(message, "*");
   const sendTheme = () => send({ theme: document.body.dataset.mdColorScheme === "slate" ? "dark" : "light" });
+  const sendScreen = () =>
+    send({ screen: innerHeight - (document.querySelector(".md-header")?.offsetHeight ?? 0) });
   const hasSettings = () => location.hash.includes("=");
   frame.src = `play.html${hasSettings() ? location.hash : ""}`;
   addEventListener("message", ({ data, source }) => {
     if (source !== frame.contentWindow) return;
-    if (data.isReady) sendTheme();
+    if (data.isReady) {
+      sendTheme();
+      sendScreen();
+    }
     if (data.height) frame.style.height = `${data.height}px`;
     if (data.address) history.replaceState(null, "", data.address);
   });
+  addEventListener("resize", sendScreen);
   addEventListener("hashchange", () => {
     if (hasSettings()) send({ address: location.hash });
   });

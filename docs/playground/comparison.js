@@ -4,6 +4,7 @@ import { FILTER_LABELS, lineOptions } from "view/charts";
 import { colour } from "view/colours";
 
 const SAMPLES_PER_POINT = 8; // of an error's line
+const POINTS = 100; // of a whole: errors are shown in percentage points
 
 /** Returns the median, the lower and the upper quartile of series at each point. */
 export function computeQuartiles(series) {
@@ -27,6 +28,22 @@ export function averageBlocks(values) {
   });
 }
 
+/** Returns an error in percentage points; null if it is undefined. */
+function toPoints(error) {
+  return error === undefined ? null : POINTS * error;
+}
+
+/** Returns a final error as texts: the error in points, its runs, and whether all of `trialCount` runs are in. */
+export function describeFinalError(finalError, trialCount) {
+  if (finalError === null) return { value: "…", runs: `0 of ${trialCount} runs`, isComplete: false };
+  const isComplete = finalError.trialCount === trialCount;
+  return {
+    value: toPoints(finalError.median).toFixed(1),
+    runs: isComplete ? `median of ${trialCount} runs` : `${finalError.trialCount} of ${trialCount} runs`,
+    isComplete,
+  };
+}
+
 /** The errors of all filters in all trials so far, and the chart that shows them. */
 export class Comparison {
   /** Creates a comparison without errors; `interval` is the number of steps between samples. */
@@ -34,7 +51,7 @@ export class Comparison {
     this.interval = interval;
     this.chosenFilter = null;
     this.filters = Object.keys(FILTER_LABELS).map((name) => ({ name, trials: [] }));
-    this.label = "mean error of x: median and middle half of runs";
+    this.label = "points off per robot: median, middle half of runs";
     this.names = [];
     this.relativeHeight = 1.6;
     this.hasRobotLines = false;
@@ -79,7 +96,8 @@ export class Comparison {
     const series = this.filters.flatMap(({ trials }) => {
       const knownTrials = trials.filter(Boolean);
       if (knownTrials.length === 0) return [unknown, unknown, unknown, unknown];
-      return [...computeQuartiles(knownTrials), trials[0] ?? unknown];
+      const lines = [...computeQuartiles(knownTrials), trials[0] ?? []];
+      return lines.map((errors) => Array.from(unknown, (_, point) => toPoints(errors[point])));
     });
     return [ticks, ...series];
   }

@@ -1,29 +1,39 @@
 // The playground: a page with settings, whose runs a worker computes, and the comparison of all filters.
 
-import { Comparison } from "playground/comparison";
+import { Comparison, describeFinalError } from "playground/comparison";
 import {
   AddressFormat,
+  addLiar,
   describeRun,
+  FILTER_WORDS,
   formatCommand,
   limitLiars,
   MAX_SAMPLES,
   makeJob,
+  miscalibrateMore,
+  TRIALS,
 } from "playground/settings";
 import { chartsOf, FILTER_LABELS } from "view/charts";
 import { decodeBase64, History, ONE } from "view/history";
-import { createElement, findElement } from "view/panels";
+import { createElement, findElement, meanEstimate, writeText } from "view/panels";
 import { View } from "view/view";
+import { formatPercent } from "view/words";
 
 const MILLISECONDS_BETWEEN_ADDRESSES = 200; // browsers refuse addresses that change at every move of a slider
 const MILLISECONDS_BETWEEN_CHARTS = 100;
 
 /** Puts what playground.html adds at the end of the page to where it belongs. */
 function placeElements() {
-  document.querySelector("header").after(findElement("playground"));
-  document.querySelector("main").prepend(findElement("settings"));
+  const [main, footer] = ["main", "footer"].map((name) => document.querySelector(name));
+  const stage = createElement("div");
+  stage.id = "stage";
+  document.body.prepend(stage);
+  stage.append(findElement("about"), findElement("beliefs"), main, findElement("actions"), footer);
+  findElement("world").after(findElement("settings"));
   findElement("charts").before(findElement("filters"));
-  findElement("legend").lastElementChild.before(findElement("liars"));
-  document.querySelector("footer").after(findElement("command"));
+  findElement("actions").prepend(findElement("play"));
+  findElement("lost").after(findElement("liars"));
+  stage.after(findElement("examples"), findElement("below"), findElement("command"));
   document.body.classList.add("playing");
 }
 
@@ -61,8 +71,10 @@ class Playground {
     this.worker = new Worker(import.meta.resolve("playground/worker"));
     this.worker.addEventListener("message", ({ data }) => this.#handleResult(data));
     this.worker.postMessage({ module });
+    this.view.onDraw = (state) => this.#showBelief(state);
     this.#createFilterChoices();
     this.#connectControls();
+    this.#connectActions();
     this.#connectSite();
     this.#requestRun(true);
   }
@@ -81,14 +93,30 @@ class Playground {
     addEventListener("hashchange", () => this.#changeSettings(ADDRESS_FORMAT.parse(location.hash)));
   }
 
+  #connectActions() {
+    const connect = (id, change) =>
+      findElement(id).addEventListener("click", () => {
+        this.shouldRestart = true;
+        this.#changeSettings(change(this.settings));
+      });
+    connect("miscalibrate", miscalibrateMore);
+    connect("add-liar", addLiar);
+    connect("start-over", () => ADDRESS_FORMAT.parse(""));
+    const moreButton = findElement("more");
+    moreButton.addEventListener("click", () => {
+      const isOpen = document.body.classList.toggle("more");
+      moreButton.setAttribute("aria-expanded", String(isOpen));
+    });
+  }
+
   /** Adds a choice for each filter, in its colour, with room for its error. */
   #createFilterChoices() {
-    for (const [name, text] of Object.entries(FILTER_LABELS)) {
+    for (const [name, text] of Object.entries(FILTER_WORDS)) {
       const label = createElement("label");
       label.style.setProperty("--colour", `var(--${name})`);
       const choice = Object.assign(createElement("input"), { type: "radio", name: "filter", value: name });
       choice.addEventListener("change", () => this.#changeSettings({ ...this.settings, filter: name }));
-      label.append(choice, createElement("b", text), createElement("output"));
+      label.append(choice, createElement("span", text), createElement("output"));
       findElement("filters").append(label);
     }
   }
@@ -108,6 +136,9 @@ class Playground {
   #changeSettings(settings) {
     const oldAddress = ADDRESS_FORMAT.format({ ...this.settings, filter: "" });
     const newAddress = ADDRESS_FORMAT.format({ ...settings, filter: "" });
+    const { player } = this.view;
+    // At the end of a run nothing would move, and so nobody would see what has changed.
+    if (newAddress !== oldAddress && player.tick >= player.end) this.shouldRestart = true;
     this.settings = limitLiars(settings);
     this.#requestRun(newAddress !== oldAddress);
     const address = ADDRESS_FORMAT.format(this.settings);
@@ -143,6 +174,12 @@ class Playground {
     code.textContent = formatCommand(this.settings);
     copyButton.textContent = "copy";
     findElement("liars").hidden = job.liars === 0;
+    const isDefault =
+      ADDRESS_FORMAT.format(this.settings) === ADDRESS_FORMAT.format(ADDRESS_FORMAT.parse(""));
+    findElement("start-over").disabled = isDefault;
+    findElement("miscalibrate").disabled = job.flawed === miscalibrateMore(job).flawed;
+    findElement("add-liar").disabled = job.liars === addLiar(job).liars;
+    this.#showFinalErrors();
     this.#showStory();
   }
 
@@ -161,7 +198,7 @@ class Playground {
   #handleResult({ id, error, run, records, filter, trial, errors }) {
     if (id !== this.jobId) return;
     if (error) {
-      findElement("story").textContent = error;
+      findElement("about").textContent = error;
       return;
     }
     this.comparison.addErrors(filter, trial, errors);
@@ -172,15 +209,38 @@ class Playground {
     this.#showFinalErrors();
   }
 
+  /** Shows the errors at the end of the runs so far: large without and with the chosen filter, small of all. */
   #showFinalErrors() {
+    const describe = (name) => describeFinalError(this.comparison.finalError(name), TRIALS);
     for (const label of findElement("filters").children) {
-      const finalError = this.comparison.finalError(label.firstElementChild.value);
-      const output = label.lastElementChild;
-      output.textContent = finalError === null ? "…" : finalError.median.toFixed(3);
-      if (finalError !== null) {
-        label.title = `mean error of x at the end, median of ${finalError.trialCount} runs`;
-      }
+      const { value, runs, isComplete } = describe(label.firstElementChild.value);
+      writeText(label.lastElementChild, value);
+      label.lastElementChild.classList.toggle("unfinished", !isComplete);
+      label.title = `points off per robot at the end, ${runs}`;
     }
+    const { filter } = this.settings;
+    findElement("charts").classList.toggle("provisional", !describe(filter).isComplete);
+    for (const box of document.querySelectorAll("#beliefs .result")) {
+      const name = box.dataset.name ?? filter;
+      const { value, runs, isComplete } = describe(name);
+      const [title, error, note] = box.children;
+      box.style.setProperty("--colour", `var(--${name})`);
+      box.hidden = filter === "none" && box.dataset.name === undefined;
+      writeText(
+        title,
+        name === "none" ? "no filter, at the end" : `${FILTER_LABELS[name]} filter, at the end`,
+      );
+      writeText(error, `off by ${value}`);
+      writeText(note, `points, ${runs}`);
+      error.classList.toggle("unfinished", !isComplete);
+    }
+  }
+
+  /** Shows the truth and the mean estimate in a state. */
+  #showBelief(state) {
+    const { history } = this.view;
+    writeText(findElement("truth"), formatPercent(history.description.fill_ratio));
+    writeText(findElement("belief"), `${Math.round(100 * meanEstimate(history, state))} %`);
   }
 
   /** Shows a run of the worker in the view; the first one is played. */
@@ -195,13 +255,14 @@ class Playground {
       columns: { ...columns, b: trueAccuracies },
       links,
     });
-    const liars = Array.from({ length: job.liars }, (_, liar) => job.robots - 1 - liar);
-    view.arena.specialColours = new Map(liars.map((robot) => [robot, "liar"]));
+    view.arena.specialColours = new Map(history.description.liars.map((robot) => [robot, "liar"]));
     const isFirst = view.history === null;
     const bHatChart = chartsOf(history).find(({ quantity }) => quantity === "b_hat");
     view.show(history, [this.comparison, bHatChart]);
     view.player.end = history.lastTick;
-    if (isFirst) {
+    if (isFirst || this.shouldRestart) {
+      this.shouldRestart = false;
+      view.player.seek(0);
       view.chooseSpeed(history.lastTick);
       view.player.play();
     }
@@ -219,6 +280,7 @@ class Playground {
         document.documentElement.style.colorScheme = data.theme;
         this.view.recolour();
       }
+      if (data.screen) document.documentElement.style.setProperty("--screen", `${data.screen}px`);
       if (data.address !== undefined) this.#changeSettings(ADDRESS_FORMAT.parse(data.address));
     });
     const bodyObserver = new ResizeObserver(() => this.#postToSite({ height: document.body.offsetHeight }));

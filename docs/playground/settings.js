@@ -3,9 +3,29 @@
 import { FILTER_LABELS } from "view/charts";
 
 export const MAX_SAMPLES = 1000;
+export const TRIALS = 30; // of each filter
 const STEPS_PER_SECOND = 10;
+const MAX_LIARS = 10;
 const RADIO_RANGE = 0.7; // metres
 const INTEGER_SETTINGS = ["robots", "liars", "seed", "everybody", "steps"];
+
+/** The filters in words, by the names that programs use. */
+export const FILTER_WORDS = {
+  none: "no filter",
+  "asdf-minus": "paper's filter in the flawed robots only (ASDF−)",
+  "asdf-plus": "paper's filter in all robots (ASDF+)",
+  robust: "robust filter",
+};
+
+/** Returns the settings with more robots that misjudge their sensors. */
+export function miscalibrateMore(settings) {
+  return { ...settings, flawed: Math.min(settings.flawed + 10, 100) };
+}
+
+/** Returns the settings with a liar more, if there may be one. */
+export function addLiar(settings) {
+  return limitLiars({ ...settings, liars: Math.min(settings.liars + 1, MAX_LIARS) });
+}
 
 /** Returns the settings with fewer liars, if there are not fewer liars than robots. */
 export function limitLiars(settings) {
@@ -58,6 +78,7 @@ export function makeJob(settings) {
     flawedCount: Math.floor((settings.flawed / 100) * settings.robots + 0.5),
     steps,
     interval: Math.max(steps / MAX_SAMPLES, 1),
+    trials: TRIALS,
   };
 }
 
@@ -82,6 +103,9 @@ export function describeRun(job, { sides, floor }) {
     title: `${job.robots} robots, ${job.flawedCount} flawed, ${FILTER_LABELS[job.filter]}`,
     robots: Array.from({ length: job.robots }, (_, robot) => robot),
     flawed: Array.from({ length: job.flawedCount }, (_, robot) => robot),
+    liars: Array.from({ length: job.liars }, (_, liar) => job.robots - 1 - liar),
+    filter: job.filter,
+    unfiltered_errors: [],
     quantities: ["x", "x_hat", "b_hat", "b"],
     fill_ratio: job.fill,
     steps: job.steps,

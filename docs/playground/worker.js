@@ -2,7 +2,6 @@
 // ends the one before. The worker imports nothing, since import maps do not reach workers.
 
 const FILTERS = ["none", "asdf-minus", "asdf-plus", "robust"]; // in the order of filter_t in playground.c
-const TRIALS = 30;
 const ONE = 65534; // the 16-bit number that stands for the value 1 in a history
 const WORDS_PER_RECORD = 10;
 const RECORD_WORDS = { x_hat: 4, x: 7, b_hat: 8 }; // indices in mcp_asdf_record_t
@@ -91,10 +90,14 @@ function* computeResults(job) {
   const records = readArray(Uint32Array, "records", recordWords);
   const columns = { ...estimateColumns(job, records), ...positions };
   yield { run: { ...motion, columns }, records, filter: job.filter, trial: 0, errors: firstErrors };
-  for (let trial = 0; trial < TRIALS; trial++) {
-    for (const filter of FILTERS) {
-      const isDone = trial === 0 && filter === job.filter;
-      if (!isDone) yield { filter, trial, errors: runTrial(job, filter, trial) };
+  // Those of which the page shows large figures come first.
+  const isFirst = (filter) => filter === "none" || filter === job.filter;
+  for (const filters of [FILTERS.filter(isFirst), FILTERS.filter((filter) => !isFirst(filter))]) {
+    for (let trial = 0; trial < job.trials; trial++) {
+      for (const filter of filters) {
+        const isDone = trial === 0 && filter === job.filter;
+        if (!isDone) yield { filter, trial, errors: runTrial(job, filter, trial) };
+      }
     }
   }
 }

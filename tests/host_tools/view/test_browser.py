@@ -157,10 +157,9 @@ def test_the_arena_is_drawn_in_many_colours(browser: Page, file: Path) -> None:
 
 def test_a_page_explains_itself_and_leads_to_the_method(browser: Page, file: Path) -> None:
     open_file(browser, file)
-    text = browser.locator("#about span").inner_text()
-    assert text == (
+    assert browser.locator("#about").inner_text() == (
         "Each robot guesses the share of black tiles. Half of them misjudge their sensor (orange). "
-        "Watch them find out. The truth is 55 %."
+        "Watch them find out. The truth is 55 %. How it works: the paper"
     )
     paper = browser.locator("#about a").get_attribute("href")
     assert f"url: {paper}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")

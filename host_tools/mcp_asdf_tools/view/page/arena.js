@@ -1,6 +1,7 @@
 // The arena: the floor, the robots with their radio ranges, and the links between them.
 
 import { colour, colourOfError } from "view/colours";
+import { findElement } from "view/panels";
 
 const BODY_RADIUS = 0.0704; // metres
 const FULL_TURN = 2 * Math.PI;
@@ -24,6 +25,7 @@ export class Arena {
   show(history) {
     this.history = history;
     this.floorImage = null;
+    findElement("tiles").parentElement.hidden = !history.description.floor;
     this.flawedRobots = new Set(history.description.flawed);
   }
 
@@ -120,7 +122,10 @@ export class Arena {
     const [left, top, width, height] = this.#bounds();
     const { floor } = history.description;
     if (floor) {
-      this.floorImage ??= paintFloor(floor);
+      if (this.floorImage === null) {
+        this.floorImage = paintFloor(floor);
+        showTiles(this.floorImage);
+      }
       // Tiles that are smaller than pixels are averaged; larger ones keep their edges.
       context.imageSmoothingEnabled = floor.columns > width / 3;
       context.drawImage(this.floorImage, left, top, width, height);
@@ -232,6 +237,14 @@ export class Arena {
     const largestDistance = Math.max(1.6 * this.radius, 14 * this.pixelRatio);
     return distances[nearestRobot] < largestDistance ? nearestRobot : null;
   }
+}
+
+/** Shows the tiles in the middle of a floor in the legend, since on a screen they are smaller than pixels. */
+function showTiles(floorImage) {
+  const { width, height } = findElement("tiles");
+  const left = (floorImage.width - width) >> 1;
+  const top = (floorImage.height - height) >> 1;
+  findElement("tiles").getContext("2d").drawImage(floorImage, -left, -top);
 }
 
 /** Returns a canvas with the floor, one pixel for each tile. */

@@ -53,8 +53,9 @@ export class View {
   #showIntroduction() {
     const { description } = this.history;
     const truth = description.fill_ratio;
-    const truthText = truth === null ? "" : ` The truth is ${formatPercent(truth)}.`;
-    findElement("about").firstElementChild.textContent = introduceRun(description) + truthText;
+    const [introduction, truthText] = findElement("about").children;
+    introduction.textContent = introduceRun(description);
+    truthText.textContent = truth === null ? "" : ` The truth is ${formatPercent(truth)}.`;
   }
 
   /** Shows what a page without any data waits for; hides that as soon as there are data. */

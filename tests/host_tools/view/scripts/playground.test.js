@@ -2,8 +2,18 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { averageBlocks, Comparison, computeQuartiles } from "playground/comparison";
-import { AddressFormat, formatCommand, limitLiars, makeJob } from "playground/settings";
+import { averageBlocks, Comparison, computeQuartiles, describeFinalError } from "playground/comparison";
+import {
+  AddressFormat,
+  addLiar,
+  describeRun,
+  FILTER_WORDS,
+  formatCommand,
+  limitLiars,
+  makeJob,
+  miscalibrateMore,
+} from "playground/settings";
+import { FILTER_LABELS } from "view/charts";
 
 const LIMITS = [
   { name: "robots", minimum: 2, maximum: 127, defaultValue: 20 },
@@ -59,15 +69,28 @@ test("the error of a filter without trials is unknown", () => {
   assert.equal(new Comparison(1).finalError("none"), null);
 });
 
-test("the chart has median, quartiles and the first trial of each filter, at the middles of the points", () => {
+test("an error at the end is in points, and unfinished until all runs are in", () => {
+  assert.deepEqual(
+    [null, { median: 0.0386, trialCount: 12 }, { median: 0.0386, trialCount: 30 }].map((error) =>
+      Object.values(describeFinalError(error, 30)),
+    ),
+    [
+      ["…", "0 of 30 runs", false],
+      ["3.9", "12 of 30 runs", false],
+      ["3.9", "median of 30 runs", true],
+    ],
+  );
+});
+
+test("the chart has median, quartiles and the first trial of each filter in points, at the middles of the points", () => {
   const comparison = new Comparison(10);
-  [1, 2, 3, 4, 5].forEach((error, trial) => {
+  [0.01, 0.02, 0.03, 0.04, 0.05].forEach((error, trial) => {
     comparison.addErrors("none", trial, new Float64Array(16).fill(error));
   });
   const [ticks, median, lower, upper, first, ...others] = comparison.computeData();
   assert.deepEqual(ticks, [40, 120]);
   assert.deepEqual(
-    [median, lower, upper, [...first]],
+    [median, lower, upper, first],
     [
       [3, 3],
       [2, 2],
@@ -90,6 +113,26 @@ test("settings that are out of range or no numbers have their defaults", () => {
   const settings = new AddressFormat(LIMITS).parse("#robots=128&flawed=many&seed=3.7&filter=best");
   const { robots, flawed, seed, filter } = settings;
   assert.deepEqual([robots, flawed, seed, filter], [20, 50, 3, "asdf-minus"]);
+});
+
+test("a tenth of the robots more misjudge their sensors at a time, until all do", () => {
+  const shares = [50, 95, 100].map((flawed) => miscalibrateMore({ ...SETTINGS, flawed }).flawed);
+  assert.deepEqual(shares, [60, 100, 100]);
+});
+
+test("a liar more comes at a time, up to ten and to all robots but one", () => {
+  assert.deepEqual([addLiar(SETTINGS).liars, addLiar({ ...SETTINGS, liars: 10 }).liars], [1, 10]);
+  assert.equal(addLiar({ ...SETTINGS, robots: 3, liars: 2 }).liars, 2);
+});
+
+test("the description has the first robots as flawed and the last ones as liars", () => {
+  const job = makeJob({ ...SETTINGS, robots: 9, flawed: 20, liars: 2 });
+  const { flawed, liars, filter } = describeRun(job, { sides: null, floor: null });
+  assert.deepEqual([flawed, liars, filter], [[0, 1], [8, 7], "robust"]);
+});
+
+test("every filter has words", () => {
+  assert.deepEqual(Object.keys(FILTER_WORDS), Object.keys(FILTER_LABELS));
 });
 
 test("one robot at least is no liar", () => {
