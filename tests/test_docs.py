@@ -31,6 +31,7 @@ SHOWN = (
     "| phase ",
     "(0.000000) vcan0",
     "1 0.000000000",
+    "seed 1: 20 robots",
     '{"3000":',
     "PASS scenarios",
     "call 0 status",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import csv
 import os
-import re
 from collections import Counter
 from pathlib import Path
 from statistics import fmean
@@ -16,6 +16,7 @@ from can.interfaces import virtual
 from host_tools.swarm.swarms import ON_ONE_BUS, ON_OWN_BUSES, content, own_bus, record, small, states
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, decode_estimate, decode_heartbeat
 from mcp_asdf_tools.bus.interfaces import BusChoice
+from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.recording.events import EventsReader, InjectedFrame
 from mcp_asdf_tools.recording.replay import verify
 from mcp_asdf_tools.swarm.carrier import Wiring
@@ -23,7 +24,7 @@ from mcp_asdf_tools.swarm.run import SwarmRun, run_swarm
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from multicast import multicast
-from support import ROOT, slow
+from support import ROOT, block_with, slow
 
 pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
@@ -335,21 +336,24 @@ def test_no_frame_of_a_flood_is_lost(medium: str) -> None:
     assert frame_counts(run)["arrived"] == 4 * len(frames)
 
 
-# The figures of docs/threats.md
+# The figures of docs/internals/threats.csv, and the table of docs/threats.md
 
-FIGURES = re.compile(r"\d\.\d{3}, \d\.\d{3}, \d\.\d{3}")
-ROWS = [
-    (re.findall(r"`(\w+,robots=[^`]*)`", line.split("|")[1]), FIGURES.findall(line))
-    for line in (ROOT / "docs/threats.md").read_text(encoding="utf-8").splitlines()
-    if line.startswith("|") and FIGURES.search(line)
-]
-"""The faults of each row of the table, none in the first one, and its figures: texts of three numbers."""
+SETTINGS: dict[str, dict[str, Any]] = {
+    "asdf_plus": {"filter": "asdf-plus"},
+    "robust": {"filter": "robust"},
+    "asdf_plus_allow_0_19": {"filter": "asdf-plus", "allow": "0-19"},
+}
+"""Settings of a row's runs, by the beginning of their columns; the last is for made-up ids alone."""
 
-RUNS = [{"filter": "asdf-plus"}, {"filter": "robust"}, {"filter": "asdf-plus", "allow": "0-19"}]
-"""Settings of the columns of the table; the last one is there for robots under several ids alone."""
+FIGURES = ("error", "flawed_b_hat", "healthy_b_hat")
+"""How the columns of a run end: what `figures_of_run` returns."""
+
+ATTACKS = list(csv.DictReader((ROOT / "docs/internals/threats.csv").read_text(encoding="utf-8").splitlines()))
+RUNS = [attack for attack in ATTACKS if attack["robust_error"]]
+"""The attacks and faults that can be run; the others are words."""
 
 
-def figures_of_run(faults: list[str], settings: dict[str, Any]) -> str:
+def figures_of_run(faults: list[str], settings: dict[str, Any]) -> list[str]:
     """Return the mean error of robots without a fault, and the mean b_hat of flawed and of other ones.
 
     Robots from 6 on have the faults, and the first six are flawed.
@@ -361,15 +365,43 @@ def figures_of_run(faults: list[str], settings: dict[str, Any]) -> str:
     flawed_robots, other_robots = robots[:6], robots[last_with_fault + 1 :]
     mean_error = fmean(abs(robot.x - 0.55) for robot in flawed_robots + other_robots)
     b_hat = [fmean(robot.b_hat for robot in group) for group in (flawed_robots, other_robots)]
-    return f"{mean_error:.3f}, {b_hat[0]:.3f}, {b_hat[1]:.3f}"
+    return [f"{figure:.3f}" for figure in (mean_error, *b_hat)]
 
 
 def test_the_table_of_threats_begins_with_a_swarm_without_faults() -> None:
-    assert len(ROWS) == 20
-    assert ROWS[0][0] == []
+    assert (len(ATTACKS), len(RUNS)) == (27, 20)
+    assert RUNS[0] == ATTACKS[0] and RUNS[0]["faults"] == ""
 
 
-@pytest.mark.parametrize(("faults", "figures"), [ROWS[1], *slow([ROWS[0], *ROWS[2:]])])
-def test_the_table_of_threats_has_the_figures_of_these_runs(faults: list[str], figures: list[str]) -> None:
-    assert len(figures) == (3 if "sybil" in str(faults) else 2)
-    assert figures == [figures_of_run(faults, settings) for settings in RUNS[: len(figures)]]
+@pytest.mark.parametrize("row", [RUNS[1], *slow([RUNS[0], *RUNS[2:]])])
+def test_the_table_of_threats_has_the_figures_of_these_runs(row: dict[str, str]) -> None:
+    columns = {run: [f"{run}_{figure}" for figure in FIGURES] for run in SETTINGS}
+    written = {run: [row[name] for name in names] for run, names in columns.items() if row[names[0]]}
+    assert len(written) == (3 if "sybil" in row["faults"] else 2)
+    faults = row["faults"].split()
+    assert written == {run: figures_of_run(faults, SETTINGS[run]) for run in written}
+
+
+def test_the_page_of_threats_puts_six_of_them_in_words() -> None:
+    """Its words stand for the errors in the table, by the limits that it names."""
+
+    def in_a_word(error: str) -> str:
+        return "safe" if float(error) < 0.05 else "wrong" if float(error) < 0.2 else "lost"
+
+    page = (ROOT / "docs/threats.md").read_text(encoding="utf-8")
+    assert "ends below 0.05, *wrong* if below 0.2" in page
+    by_name = {row["attack"]: row for row in RUNS}
+    lines = page.partition("|---|---|---|---|---|\n")[2].partition("\n\n")[0].splitlines()
+    assert len(lines) == 6
+    for line in lines:
+        name, *cells, _ = [cell.strip() for cell in line.strip("|").split("|")]
+        error_asdf, error_robust = (by_name[name][f"{run}_error"] for run in ("asdf_plus", "robust"))
+        assert cells == [in_a_word(error_asdf), in_a_word(error_robust), error_robust]
+    assert f"the robust filter ends at {RUNS[0]['robust_error']}." in page
+
+
+def test_the_page_of_threats_shows_what_its_commands_print(capsys: pytest.CaptureFixture[str]) -> None:
+    page = ROOT / "docs/threats.md"
+    for command in block_with(page, "--filter robust", "sh").splitlines():
+        assert main(command.split()[1:]) == 0
+    assert capsys.readouterr().out == block_with(page, "seed 1", "text")
