@@ -520,6 +520,13 @@ def add_scheduler_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_firmware_option(parser: argparse.ArgumentParser, help_text: str) -> None:
+    """Add the option ``--firmware`` without a default, for commands that do not have all parameters."""
+    from mcp_asdf_tools.robots.firmwares import firmware_names
+
+    parser.add_argument("--firmware", help=help_text, **_keywords_of_names(firmware_names()))
+
+
 def add_limit_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for K_max and e_max, the convergence time K and the error e that score 0."""
     from mcp_asdf_tools.experiments.scores import E_MAX

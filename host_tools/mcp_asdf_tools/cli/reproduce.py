@@ -11,14 +11,18 @@ from mcp_asdf_tools.cli import options
 from mcp_asdf_tools.cli.output import json_report, print_again, reporting_missing_trials
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import ParameterError
+from mcp_asdf_tools.robots.filters import FILTERS
 from mcp_asdf_tools.studies.cells import (
     FILTER_PERIODS,
+    PAPERS_FILTERS,
+    PAPERS_FIRMWARE,
     Cell,
     StudyPart,
     StudySize,
     cell_of,
     cells_of,
     experiment_of,
+    own_experiments_of,
 )
 
 if TYPE_CHECKING:
@@ -27,15 +31,19 @@ if TYPE_CHECKING:
 
 EPILOG = """\
 examples:
-  mcp-asdf reproduce                                # the paper's 30 trials of each experiment
-  mcp-asdf reproduce --trials 120                   # more trials, which leave fewer claims undecided
-  mcp-asdf reproduce --quick                        # fewer and shorter trials, no verdicts
-  mcp-asdf reproduce --part fully_connected --seed 7 --output other
-The same command resumes a run that was interrupted, and makes the report of a finished one again. With more
-trials it runs those that are new.
+  mcp-asdf reproduce                                # every figure and claim, with the paper's 30 trials
+  mcp-asdf reproduce --part dynamic                 # figures 3 and 4 only
+  mcp-asdf reproduce --quick --filter robust        # short trials, with the robust filter in each figure
+  mcp-asdf reproduce --part physical --firmware beta --output mine    # your firmware in figure 8
+  mcp-asdf reproduce --trials 120                   # decide more claims, with more trials
+The same command resumes an interrupted run, and renews the report of a finished one. With more trials it runs
+only the new ones.
 exit code: 0 done, whatever the claims' verdicts, 2 bad usage, 128 + signal if interrupted (what
 was finished is kept)"""
 LIBRARIES = ("numpy", "matplotlib", "pyarrow", "rich.progress")
+
+StoreKey = tuple[StudyPart, str]
+"""Part of a store, and the name of the user's firmware or filter in it; empty in the paper's study."""
 
 PAPER_SIZE = StudySize()
 QUICK_SIZE = StudySize(trials=10, steps=10_000)
@@ -46,25 +54,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help=f"{QUICK_SIZE.trials} trials of {QUICK_SIZE.steps} steps: whether it works, without verdicts",
+        help=f"run {QUICK_SIZE.trials} trials of {QUICK_SIZE.steps} steps, without verdicts",
     )
     parser.add_argument(
-        "--output", metavar="FOLDER", type=Path, help="for report and results (default: reproduction[-quick])"
+        "--output",
+        metavar="FOLDER",
+        type=Path,
+        help="write report and results there (default: reproduction[-quick])",
     )
     parser.add_argument(
         "--part",
         action="append",
         choices=[study_part.value for study_part in StudyPart],
-        help="only this part; may be repeated (default: all)",
+        help="run only this part; repeat for a second one (default: all)",
+    )
+    options.add_firmware_option(
+        parser, "draw this firmware of yours beside the paper's filter, such as beta (default: none)"
     )
     parser.add_argument(
-        "--trials", type=int, metavar="N", help=f"of each experiment (default {PAPER_SIZE.trials})"
+        "--filter",
+        choices=[name for name in FILTERS if name not in PAPERS_FILTERS],
+        help="draw this filter beside the paper's (default: none)",
     )
     parser.add_argument(
-        "--steps", type=int, metavar="N", help=f"at most, of a trial (default {PAPER_SIZE.steps})"
+        "--trials",
+        type=int,
+        metavar="N",
+        help=f"run so many trials of each experiment (default {PAPER_SIZE.trials})",
     )
     parser.add_argument(
-        "--seed", type=int, metavar="N", help=f"of all random numbers (default {PAPER_SIZE.seed})"
+        "--steps", type=int, metavar="N", help=f"end a trial after N steps (default {PAPER_SIZE.steps})"
+    )
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help=f"seed all random numbers (default {PAPER_SIZE.seed})"
     )
     options.add_worker_option(parser)
     options.add_scheduler_option(parser)
@@ -83,8 +105,8 @@ def run(args: argparse.Namespace) -> int:
     study_parts = [
         study_part for study_part in StudyPart if args.part is None or study_part.value in args.part
     ]
-    stores = open_stores(output_folder, study_parts, study_size)
-    study_results = StudyResults(_run_missing_trials(stores, workers, args))
+    stores = open_stores(output_folder, study_parts, study_size, *own_choice(args))
+    study_results = StudyResults(*_run_missing_trials(stores, workers, args))
     decisions = decide(study_results)
     report.write_report(output_folder, study_results, decisions, study_size)
 
@@ -118,35 +140,62 @@ def study_size_from(args: argparse.Namespace) -> StudySize:
     return study_size
 
 
-def open_stores(folder: Path, parts: list[StudyPart], study_size: StudySize) -> dict[StudyPart, Store]:
+def own_choice(args: argparse.Namespace) -> tuple[str, str | None]:
+    """Return the firmware, and the filter if there is one, that the user sets beside the paper's filter.
+
+    Raises UsageError for a firmware that is that of the study.
+    """
+    if args.firmware == PAPERS_FIRMWARE:
+        raise UsageError(
+            f"--firmware {args.firmware} would do nothing: the study runs it anyway; leave it out"
+        )
+    return args.firmware or PAPERS_FIRMWARE, args.filter
+
+
+def open_stores(
+    folder: Path,
+    parts: list[StudyPart],
+    study_size: StudySize,
+    own_firmware: str = PAPERS_FIRMWARE,
+    own_filter: str | None = None,
+) -> dict[StoreKey, Store]:
     """Open the results of each part in a folder, which is made if need be; those that exist are kept.
 
-    Raises UsageError for a size out of range, results of another study, and a folder that cannot be written.
+    With a firmware or a filter of the user's each part has a second store. Raises UsageError for a size out
+    of range, results of another study, and a folder that cannot be written.
     """
     from mcp_asdf_tools.common.files import make_folder
     from mcp_asdf_tools.experiments.store import Store
+    from mcp_asdf_tools.studies.study_results import own_name_of
 
     try:
         # All experiments are made first: a wrong option must leave no folder behind.
-        experiments_by_part = {
-            study_part: [experiment_of(cell, study_size) for cell in cells_of(study_part)]
+        experiments_by_key = {
+            (study_part, ""): [experiment_of(cell, study_size) for cell in cells_of(study_part)]
             for study_part in parts
         }
+        if (own_firmware, own_filter) != (PAPERS_FIRMWARE, None):
+            for study_part in parts:
+                experiments = own_experiments_of(study_part, study_size, own_firmware, own_filter)
+                experiments_by_key[study_part, own_name_of(experiments[0])] = experiments
     except ParameterError as error:
         raise UsageError(f"--{error.key}: {error}") from error
     make_folder(folder)
     return {
-        study_part: Store(folder / f"{study_part.value}.parquet", experiments)
-        for study_part, experiments in experiments_by_part.items()
+        (study_part, own_name): Store(
+            folder / f"{'_'.join(filter(None, (study_part.value, own_name)))}.parquet", experiments
+        )
+        for (study_part, own_name), experiments in experiments_by_key.items()
     }
 
 
 def _run_missing_trials(
-    stores: dict[StudyPart, Store], workers: int, args: argparse.Namespace
-) -> dict[Cell, Trials]:
+    stores: dict[StoreKey, Store], workers: int, args: argparse.Namespace
+) -> tuple[dict[Cell, Trials], dict[StudyPart, list[Trials]]]:
     """Run the trials that the stores lack, part by part, and return all trials by cell of the study.
 
-    Progress goes to standard error, unless --json is given.
+    Those of a firmware or filter of the user's are returned by part. Progress goes to standard error, unless
+    --json is given.
     """
     from mcp_asdf_tools.common.progress_bar import progress
     from mcp_asdf_tools.experiments.result_files import stream_experiments
@@ -155,12 +204,17 @@ def _run_missing_trials(
     if not args.json:
         missing_count = sum(store.missing_count for store in stores.values())
         print(f"{missing_count} trials to run", file=sys.stderr)
-    trials_by_cell = {}
+    trials_by_cell: dict[Cell, Trials] = {}
+    own_trials: dict[StudyPart, list[Trials]] = {}
     with reporting_missing_trials(list(stores.values())):
-        for study_part, store in stores.items():
-            with progress(f"{study_part.value}: trials", store.missing_count, args.json) as report_progress:
+        for (study_part, own_name), store in stores.items():
+            label = f"{study_part.value} {own_name}".rstrip()
+            with progress(f"{label}: trials", store.missing_count, args.json) as report_progress:
                 run_sweep(store, workers, report_progress, args.scheduler)
             # Read from the file, which also has the trials of earlier runs.
             for trials in stream_experiments(store.output):
-                trials_by_cell[cell_of(study_part, trials.experiment)] = trials
-    return trials_by_cell
+                if own_name:
+                    own_trials.setdefault(study_part, []).append(trials)
+                else:
+                    trials_by_cell[cell_of(study_part, trials.experiment)] = trials
+    return trials_by_cell, own_trials

@@ -24,6 +24,9 @@ FLAWED_PERCENTS = (0, 10, 30, 50, 100)
 FILTER_PERIODS = (1000, 2000, 4000)
 """tau, the steps from one filter step of a robot to the next."""
 
+PAPERS_FIRMWARE, PAPERS_FILTERS = "native", ("none", "asdf-minus", "asdf-plus")
+"""Firmware that runs the paper's filter here, and the paper's choices of ``Experiment.filter``."""
+
 PAPER_TRIALS = 30
 PAPER_STEPS = 40_000
 
@@ -133,6 +136,23 @@ def cell_of(study_part: StudyPart, experiment: Experiment) -> Cell:
         filter_period=experiment.filter_period,
     )
     return cell.normal
+
+
+def own_experiments_of(
+    study_part: StudyPart, study_size: StudySize, firmware: str, filter_name: str | None
+) -> list[Experiment]:
+    """Return the experiments that set a firmware or filter of the user's beside the paper's filter.
+
+    They are those of a part in which robots filter, with the shortest period, and with this firmware. A
+    filter that is given takes the place of ASDF- and ASDF+. Raises ParameterError as ``experiment_of``.
+    """
+    cells = [
+        cell if filter_name is None else replace(cell, filter=filter_name)
+        for cell in cells_of(study_part)
+        if cell.filter != "none" and cell.filter_period == FILTER_PERIODS[0]
+    ]
+    # Cells with ASDF- and with ASDF+ are the same with another filter.
+    return [replace(experiment_of(cell, study_size), firmware=firmware) for cell in dict.fromkeys(cells)]
 
 
 def experiment_of(cell: Cell, study_size: StudySize) -> Experiment:

@@ -19,8 +19,16 @@ from mcp_asdf_tools.experiments.plots import bands, boxes, scatter, series
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.robots.filters import FILTERS
-from mcp_asdf_tools.studies.cells import FILTER_PERIODS, Cell, StudyPart, StudySize, experiment_of
-from mcp_asdf_tools.studies.study_results import StudyResults
+from mcp_asdf_tools.studies.cells import (
+    FILTER_PERIODS,
+    PAPERS_FIRMWARE,
+    Cell,
+    StudyPart,
+    StudySize,
+    cell_of,
+    experiment_of,
+)
+from mcp_asdf_tools.studies.study_results import StudyResults, own_name_of
 
 UNFILTERED: str = "none"
 ASDF_MINUS: str = "asdf-minus"
@@ -80,6 +88,28 @@ def _make_picture(name: str, title: str, figure: Figure) -> Picture:
     return Picture(name, title, figure)
 
 
+def _own_beside(study_results: StudyResults, study_part: StudyPart, filter_name: str) -> list[Trials]:
+    """Return the trials of the user's firmware or filter that stand beside the paper's filter in a picture.
+
+    A filter of its own stands beside both ASDF- and ASDF+, a firmware beside the one that it ran with. Where
+    all robots are flawed, both are the same, as in ``_select_with_shortest_period``.
+    """
+    selected = []
+    for trials in study_results.own_trials_of(study_part):
+        own_filter = trials.experiment.filter
+        if filter_name == ASDF_MINUS and own_filter == ASDF_PLUS and _all_flawed(trials.experiment):
+            selected.append(replace(trials, experiment=replace(trials.experiment, filter=ASDF_MINUS)))
+        elif own_filter in (filter_name, *(FILTERS.keys() - {ASDF_MINUS, ASDF_PLUS})):
+            selected.append(trials)
+    return selected
+
+
+def _name_in_words(experiment: Experiment) -> str:
+    """Return the name of an experiment's filter, with a firmware of the user's, such as "beta, ASDF+"."""
+    term = experiment.swarm_filter.typeset_term
+    return term if experiment.firmware == PAPERS_FIRMWARE else f"{experiment.firmware}, {term}"
+
+
 def draw_pictures(study_results: StudyResults, study_size: StudySize) -> Iterator[Picture]:
     """Draw the pictures of all parts of the study that have results, one after the other.
 
@@ -91,17 +121,17 @@ def draw_pictures(study_results: StudyResults, study_size: StudySize) -> Iterato
         if study_part in parts:
             yield _draw_score_boxes(study_results, study_part, ASDF_MINUS)
             yield _draw_score_boxes(study_results, study_part, ASDF_PLUS)
-            yield _draw_score_scatter(study_results, study_part)
+            yield from _draw_score_scatters(study_results, study_part)
             yield _draw_b_hat_bands(study_results, study_part)
     if StudyPart.DYNAMIC in parts and StudyPart.FULLY_CONNECTED in parts:
         yield _draw_boxes_by_topology(study_results, ASDF_MINUS)
         yield _draw_boxes_by_topology(study_results, ASDF_PLUS)
     if StudyPart.FULLY_CONNECTED in parts:
-        yield _draw_single_trials(study_size)
+        yield _draw_single_trials(study_results, study_size)
     # Of physical robots the paper has two such figures, 8a and 8b.
     if StudyPart.PHYSICAL in parts:
         yield _draw_score_boxes(study_results, StudyPart.PHYSICAL, ASDF_PLUS)
-        yield _draw_score_scatter(study_results, StudyPart.PHYSICAL)
+        yield from _draw_score_scatters(study_results, StudyPart.PHYSICAL)
 
 
 def _select_by_filter(
@@ -155,28 +185,43 @@ def _draw_score_boxes(study_results: StudyResults, study_part: StudyPart, filter
     A box shows the trials of one experiment.
     """
     experiments = _select_by_filter(study_results, study_part, [UNFILTERED, filter_name])
+    own = _own_beside(study_results, study_part, filter_name)
     if filter_name == ASDF_MINUS:
         # Where all robots are flawed, ASDF- is ASDF+, whose picture shows these swarms.
         experiments = [trials for trials in experiments if not _all_flawed(trials.experiment)]
+        own = [trials for trials in own if not _all_flawed(trials.experiment)]
     return _make_picture(
         name=f"{study_part.value}_{filter_name}",
         title=f"H of {study_part.label} swarms without filter and with {FILTERS[filter_name].typeset_term}",
-        figure=boxes.plot_boxes(experiments),
+        figure=boxes.plot_boxes([*experiments, *own], series_name=_filter_and_period),
     )
 
 
-def _draw_score_scatter(study_results: StudyResults, study_part: StudyPart) -> Picture:
+def _filter_and_period(experiment: Experiment) -> str:
+    """Return the legend's label of an experiment by its filter, such as "ASDF+, filter period 1000"."""
+    name = _name_in_words(experiment)
+    return f"{name}, filter period {experiment.filter_period}" if experiment.swarm_filter.is_on else name
+
+
+def _draw_score_scatters(study_results: StudyResults, study_part: StudyPart) -> Iterator[Picture]:
     """Draw h_e, a trial's score for accuracy, against h_K, its score for speed, of all trials of a part.
 
     It shows swarms without a filter, with ASDF- and with ASDF+, of which only those with the shortest filter
-    period tau.
+    period tau. A firmware or filter of the user's has a picture for itself, since both would not fit.
     """
     experiments = _select_with_shortest_period(study_results, study_part, [UNFILTERED, ASDF_MINUS, ASDF_PLUS])
-    return _make_picture(
+    yield _make_picture(
         name=f"{study_part.value}_scatter",
         title=f"Accuracy against convergence of {study_part.label} swarms, tau = {SHORTEST_PERIOD}",
         figure=scatter.plot_scatter(experiments),
     )
+    if own_trials := study_results.own_trials_of(study_part):
+        own_name = own_name_of(own_trials[0].experiment)
+        yield _make_picture(
+            name=f"{study_part.value}_scatter_{own_name}",
+            title=f"The same with {own_name}",
+            figure=scatter.plot_scatter(own_trials),
+        )
 
 
 def _draw_b_hat_bands(study_results: StudyResults, study_part: StudyPart) -> Picture:
@@ -205,6 +250,7 @@ def _draw_boxes_by_topology(study_results: StudyResults, filter_name: str) -> Pi
     experiments: list[Trials] = []
     for study_part in (StudyPart.DYNAMIC, StudyPart.FULLY_CONNECTED):
         experiments += _select_with_shortest_period(study_results, study_part, [UNFILTERED, filter_name])
+        experiments += _own_beside(study_results, study_part, filter_name)
     filters_shown = f"without filter and with {FILTERS[filter_name].typeset_term}"
     return _make_picture(
         name=f"topologies_{filter_name}",
@@ -216,24 +262,28 @@ def _draw_boxes_by_topology(study_results: StudyResults, filter_name: str) -> Pi
 def _topology_and_filter(experiment: Experiment) -> str:
     """Return the legend's label of an experiment by its topology and filter, such as "dynamic, ASDF+"."""
     topology = "dynamic" if experiment.is_dynamic else "fully connected"
-    return f"{topology}, {experiment.swarm_filter.typeset_term}"
+    return f"{topology}, {_name_in_words(experiment)}"
 
 
-def _draw_single_trials(study_size: StudySize) -> Picture:
+def _draw_single_trials(study_results: StudyResults, study_size: StudySize) -> Picture:
     """Draw what each robot estimates and assumes over time, in one trial without a filter and one with ASDF+.
 
-    Both are trial SERIES_TRIAL of the swarm of UNFILTERED_SERIES_CELL. They are run again here with the steps
-    and the seed of ``study_size``, and recorded every SERIES_SAMPLING_INTERVAL steps.
+    With a firmware or filter of the user's there is one with that, too. All are trial SERIES_TRIAL of the
+    swarm of UNFILTERED_SERIES_CELL. They are run again here with the steps and the seed of ``study_size``,
+    and recorded every SERIES_SAMPLING_INTERVAL steps.
     """
+    experiments = [
+        experiment_of(replace(UNFILTERED_SERIES_CELL, filter=filter_name), study_size)
+        for filter_name in (UNFILTERED, ASDF_PLUS)
+    ]
+    for trials in _own_beside(study_results, StudyPart.FULLY_CONNECTED, ASDF_PLUS):
+        own_cell = cell_of(StudyPart.FULLY_CONNECTED, trials.experiment)
+        if own_cell == replace(UNFILTERED_SERIES_CELL, filter=own_cell.filter):
+            experiments.append(trials.experiment)
     # The study keeps no values over time, but a trial that is run again gives the same values.
     recorded = [
-        run_trials(
-            experiment_of(replace(UNFILTERED_SERIES_CELL, filter=filter_name), study_size),
-            first=SERIES_TRIAL,
-            trials=1,
-            sampling_interval=SERIES_SAMPLING_INTERVAL,
-        )
-        for filter_name in (UNFILTERED, ASDF_PLUS)
+        run_trials(experiment, SERIES_TRIAL, trials=1, sampling_interval=SERIES_SAMPLING_INTERVAL)
+        for experiment in experiments
     ]
     return _make_picture(
         name="series",

@@ -18,7 +18,7 @@ from mcp_asdf_tools.experiments.scores import E_MAX
 from mcp_asdf_tools.studies.bootstrap import RESAMPLES
 from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of
 from mcp_asdf_tools.studies.claims import LEVELS, QUESTIONS, SIZES, Decision
-from mcp_asdf_tools.studies.figures import Picture, draw_pictures
+from mcp_asdf_tools.studies.figures import SHORTEST_PERIOD, Picture, draw_pictures
 from mcp_asdf_tools.studies.study_results import StudyResults
 from mcp_asdf_tools.studies.verdicts import (
     CONFIDENCE,
@@ -122,6 +122,8 @@ def render_markdown(
         runs=[_describe_run(study_part, study_size) for study_part in study_results.parts],
         versions=", ".join(f"{name} {version}" for name, version in software_versions().items()),
         pictures=pictures,
+        own_name=study_results.own_name,
+        own_period=SHORTEST_PERIOD,
         # Functions and constants that the template uses: how claims are shown, and the limits of verdicts
         Verdict=Verdict,
         heading_of=heading_of,

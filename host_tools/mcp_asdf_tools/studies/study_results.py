@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import SCORES
 from mcp_asdf_tools.studies.bootstrap import (
@@ -16,7 +17,7 @@ from mcp_asdf_tools.studies.bootstrap import (
     resample_quantile,
     resample_rank_correlation,
 )
-from mcp_asdf_tools.studies.cells import Cell, StudyPart
+from mcp_asdf_tools.studies.cells import PAPERS_FILTERS, PAPERS_FIRMWARE, Cell, StudyPart
 
 SAMPLES = (*SCORES, "b_hat")
 """Values of a trial: its scores, and the final b_hat, averaged over the robots that are not flawed.
@@ -38,9 +39,18 @@ class StudyResults:
     Methods that take a cell raise KeyError if it has not been run.
     """
 
-    def __init__(self, trials_by_cell: Mapping[Cell, Trials]) -> None:
-        """Keep trials by cell; every cell must be a normal one, equal to its ``Cell.normal``."""
+    def __init__(
+        self,
+        trials_by_cell: Mapping[Cell, Trials],
+        own_trials: Mapping[StudyPart, Sequence[Trials]] | None = None,
+    ) -> None:
+        """Keep trials by cell; every cell must be a normal one, equal to its ``Cell.normal``.
+
+        ``own_trials`` are those of ``own_experiments_of``, which stand beside them in pictures; no claim is
+        about them.
+        """
         self._trials_by_cell = dict(trials_by_cell)
+        self._own_trials = dict(own_trials or {})
         self._scores = {cell: trials.scores() for cell, trials in trials_by_cell.items()}
         self._measured: dict[tuple[Cell, str], Resampled] = {}
 
@@ -53,6 +63,18 @@ class StudyResults:
     def trials_of(self, study_part: StudyPart) -> list[Trials]:
         """Return the trials of all cells of a part, a list entry for each cell."""
         return [trials for cell, trials in self._trials_by_cell.items() if cell.study_part is study_part]
+
+    def own_trials_of(self, study_part: StudyPart) -> Sequence[Trials]:
+        """Return the trials of a firmware or filter of the user's in a part, if there is one."""
+        return self._own_trials.get(study_part, ())
+
+    @property
+    def own_name(self) -> str:
+        """The firmware or filter of the user's that these results have, such as "beta"; empty without one."""
+        for own_trials in self._own_trials.values():
+            for trials in own_trials:
+                return own_name_of(trials.experiment)
+        return ""
 
     def sample(self, cell: Cell, name: str) -> Sample:
         """Return a value for each trial of a cell; ``name``, one of SAMPLES, says which value."""
@@ -102,6 +124,14 @@ class StudyResults:
             k_differences.append(float(np.ptp(trials.convergence_steps, axis=1).max()))
             e_differences.append(float(np.ptp(trials.errors, axis=1).max()))
         return {"K": max(k_differences), "e": max(e_differences)}
+
+
+def own_name_of(experiment: Experiment) -> str:
+    """Return the name of a firmware or filter that the paper does not have, or an empty one."""
+    names = [] if experiment.firmware == PAPERS_FIRMWARE else [experiment.firmware]
+    if experiment.filter not in PAPERS_FILTERS:
+        names.append(experiment.filter)
+    return "_".join(names)
 
 
 def final_b_hat_of_healthy_robots(trials: Trials) -> Sample:

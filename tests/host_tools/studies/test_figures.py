@@ -11,7 +11,7 @@ import pytest
 
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plots import bands, boxes, scatter, series
-from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of
+from mcp_asdf_tools.studies.cells import StudyPart, StudySize, cells_of, experiment_of, own_experiments_of
 from mcp_asdf_tools.studies.figures import draw_pictures
 from mcp_asdf_tools.studies.study_results import StudyResults
 from support import slow
@@ -20,8 +20,13 @@ from support import slow
 class ResultsWithoutTrials(StudyResults):
     """Results of parts of the study that have experiments, but nothing measured."""
 
-    def __init__(self, parts: Collection[StudyPart]) -> None:
-        super().__init__({})
+    def __init__(self, parts: Collection[StudyPart], firmware: str, own_filter: str | None) -> None:
+        own: dict[StudyPart, Any] = {}
+        if (firmware, own_filter) != ("native", None):
+            for study_part in parts:
+                experiments = own_experiments_of(study_part, StudySize(2, 4000), firmware, own_filter)
+                own[study_part] = [ExperimentOnly(experiment) for experiment in experiments]
+        super().__init__({}, own)
         self._parts = [study_part for study_part in StudyPart if study_part in parts]
 
     @property
@@ -78,9 +83,9 @@ def plots_that_record_swarms(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, function, record_drawn_swarms)
 
 
-def pictures_of(*parts: StudyPart) -> dict[str, Any]:
-    study_size = StudySize(2, 4000)
-    return {picture.name: picture for picture in draw_pictures(ResultsWithoutTrials(parts), study_size)}
+def pictures_of(*parts: StudyPart, firmware: str = "native", own_filter: str | None = None) -> dict[str, Any]:
+    results = ResultsWithoutTrials(parts, firmware, own_filter)
+    return {picture.name: picture for picture in draw_pictures(results, StudySize(2, 4000))}
 
 
 @pytest.mark.parametrize(
@@ -166,3 +171,65 @@ def test_single_trials_are_run_again_with_records(monkeypatch: pytest.MonkeyPatc
 def test_the_title_has_the_filters_typeset_name() -> None:
     title = pictures_of(StudyPart.DYNAMIC)["dynamic_asdf-minus"].title
     assert title.startswith("H of dynamic swarms without filter and with ASDF\N{MINUS SIGN}")
+
+
+# --- A firmware or filter of the user's ------------------------------------------------------------------
+
+NO_FILTER, MINUS, PLUS = "no filter", "ASDF\N{MINUS SIGN}", "ASDF+"
+
+
+@pytest.mark.parametrize(
+    ("name", "own_filter", "names"),
+    [
+        (
+            "dynamic_asdf-minus",
+            None,
+            {
+                NO_FILTER,
+                *(f"{MINUS}, filter period {period}" for period in ANY_PERIOD),
+                f"reference, {MINUS}, filter period 1000",
+            },
+        ),
+        (
+            "topologies_asdf-plus",
+            None,
+            {
+                f"{topology}, {name}"
+                for topology in ("dynamic", "fully connected")
+                for name in (NO_FILTER, PLUS, f"reference, {PLUS}")
+            },
+        ),
+        (
+            "topologies_asdf-minus",
+            "robust",
+            {
+                f"{topology}, {name}"
+                for topology in ("dynamic", "fully connected")
+                for name in (NO_FILTER, MINUS, "robust")
+            },
+        ),
+        (
+            "physical_asdf-plus",
+            "robust",
+            {NO_FILTER, f"{PLUS}, filter period 1000", "robust, filter period 1000"},
+        ),
+    ],
+)
+def test_the_users_filter_stands_beside_the_papers(
+    name: str, own_filter: str | None, names: set[str]
+) -> None:
+    firmware = "reference" if own_filter is None else "native"
+    assert pictures_of(*StudyPart, firmware=firmware, own_filter=own_filter)[name].figure.names == names
+
+
+def test_a_firmware_where_all_are_flawed_is_shown_with_asdf_minus_too() -> None:
+    drawn = pictures_of(*StudyPart, firmware="reference")["topologies_asdf-minus"].figure
+    assert ("asdf-minus", 100) in drawn.filters_and_percents
+    assert ("asdf-plus", 100) not in drawn.filters_and_percents
+
+
+def test_the_users_filter_has_points_and_a_trial_for_itself() -> None:
+    pictures = pictures_of(*StudyPart, own_filter="robust")
+    assert pictures["dynamic_scatter_robust"].figure.filters == {"robust"}
+    assert pictures["dynamic_scatter"].figure.filters == {"none", "asdf-minus", "asdf-plus"}
+    assert pictures["series"].figure.filters == {"none", "asdf-plus", "robust"}

@@ -14,7 +14,7 @@ from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.cli import reproduce
 from mcp_asdf_tools.experiments.trials import run_trials
 from mcp_asdf_tools.studies import report
-from mcp_asdf_tools.studies.cells import Cell, StudyPart, StudySize, experiment_of
+from mcp_asdf_tools.studies.cells import Cell, StudyPart, StudySize, experiment_of, own_experiments_of
 from mcp_asdf_tools.studies.claims import CLAIMS, Claim, Decision, decide
 from mcp_asdf_tools.studies.study_results import StudyResults
 from support import ROOT
@@ -124,6 +124,40 @@ def test_results_of_another_seed_are_not_overwritten(
     assert contents_of(tmp_path) == before
 
 
+@pytest.mark.parametrize(("firmware", "filter_name"), [("mirror", None), ("native", "robust")])
+def test_a_firmware_or_filter_of_the_users_has_the_swarms_of_the_papers_filter(
+    firmware: str, filter_name: str | None
+) -> None:
+    """Where ASDF- and ASDF+ are two swarms, a filter in their place is one."""
+    own = own_experiments_of(StudyPart.DYNAMIC, StudySize(2, 4000), firmware, filter_name)
+    assert len(set(own)) == len(own) == (60 if filter_name is None else 36)
+    assert {(each.firmware, each.filter_period, each.trials, each.steps) for each in own} == {
+        (firmware, 1000, 2, 4000)
+    }
+    assert {each.filter for each in own} == ({filter_name} if filter_name else {"asdf-minus", "asdf-plus"})
+
+
+def test_a_filter_of_the_users_is_run_beside_the_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shown: list[StudyResults] = []
+    monkeypatch.setattr(
+        report, "draw_pictures", lambda study_results, study_size: shown.append(study_results) or []
+    )
+    claims = run_json(capsys, tmp_path)["claims"]
+    before = contents_of(tmp_path)
+    assert run_json(capsys, tmp_path, "--filter", "robust")["claims"] == claims
+    after = contents_of(tmp_path)
+    assert after.keys() - before.keys() == {"physical_robust.parquet"}
+    assert after["physical.parquet"] == before["physical.parquet"]
+    assert shown[0].own_name == "" and shown[1].own_name == "robust"
+    own = [trials.experiment for trials in shown[1].own_trials_of(StudyPart.PHYSICAL)]
+    assert own == own_experiments_of(StudyPart.PHYSICAL, StudySize(2, 4000), "native", "robust")
+    sentence = "The figures also show robust, with a filter period of 1000 steps. No claim is about it."
+    assert sentence in after["report.md"].decode()
+    assert sentence not in before["report.md"].decode()
+
+
 @pytest.mark.parametrize(
     ("arguments", "study_size"),
     [
@@ -146,6 +180,9 @@ def test_options_say_how_much_is_run(arguments: list[str], study_size: StudySize
         ("--trials 1000001", "--trials: trials is 1000001"),
         ("--steps 3999", "--steps is 3999; give at least 4000"),
         ("--workers 0", "--workers is 0"),
+        ("--firmware native", "--firmware native would do nothing: the study runs it anyway"),
+        ("--firmware refrence", "argument --firmware: 'refrence' is none of native, mirror, reference"),
+        ("--filter asdf-plus", "argument --filter: invalid choice: 'asdf-plus'"),
         ("--output /dev/null/x", "cannot write /dev/null/x: Not a directory; choose a folder"),
     ],
 )

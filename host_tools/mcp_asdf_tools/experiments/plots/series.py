@@ -151,6 +151,8 @@ def _series_title(experiment: Experiment, trial_number: int) -> str:
     flawed robots; the second has topology, seed and trial.
     """
     title = filter_name(experiment)
+    if experiment.firmware != "native":
+        title = f"{experiment.firmware}, {title}"
     if experiment.swarm_filter.is_on:
         title += rf", $\tau$ = {experiment.filter_period}"
     robot_counts = f"{experiment.robots} robots, {experiment.flawed} flawed"
