@@ -182,7 +182,7 @@ def test_options_say_how_much_is_run(arguments: list[str], study_size: StudySize
         ("--workers 0", "--workers is 0"),
         ("--firmware native", "--firmware native would do nothing: the study runs it anyway"),
         ("--firmware refrence", "argument --firmware: 'refrence' is none of native, mirror, reference"),
-        ("--filter asdf-plus", "argument --filter: invalid choice: 'asdf-plus'"),
+        ("--filter asdf-plus", "argument --filter: 'asdf-plus' is none of robust"),
         ("--output /dev/null/x", "cannot write /dev/null/x: Not a directory; choose a folder"),
     ],
 )
