@@ -141,9 +141,13 @@ def test_a_filter_of_the_users_is_run_beside_the_study(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shown: list[StudyResults] = []
-    monkeypatch.setattr(
-        report, "draw_pictures", lambda study_results, study_size: shown.append(study_results) or []
-    )
+    render = report.render_markdown
+
+    def note_results(study_results: StudyResults, *others: Any) -> str:
+        shown.append(study_results)
+        return render(study_results, *others)
+
+    monkeypatch.setattr(report, "render_markdown", note_results)
     claims = run_json(capsys, tmp_path)["claims"]
     before = contents_of(tmp_path)
     assert run_json(capsys, tmp_path, "--filter", "robust")["claims"] == claims
