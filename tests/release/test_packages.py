@@ -16,6 +16,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from authors_files import FIXED, write_trial
 from mcp_asdf_tools.cli import main as cli
 from support import CORE, ROOT, made_once, run, version_of_header
 
@@ -43,6 +44,7 @@ mcp-asdf sweep physical --steps 10 --trials 1 --output physical.parquet
 mcp-asdf score run.parquet
 mcp-asdf plot run.parquet run.png
 mcp-asdf export run.log run.csv
+mcp-asdf convert authors_trial.json --output authors_trial.parquet
 mcp-asdf reproduce --quick --part physical --trials 2 --steps 4000
 """
 """What is run from the wheel: every command. They read the files that are no Python: the C core, the page of
@@ -165,6 +167,7 @@ def test_every_command_runs_from_the_wheel(environment: Path, tmp_path: Path) ->
     lines = COMMANDS.splitlines()
     assert {line.split()[1] for line in lines[1:]} == set(cli.COMMANDS)
     (tmp_path / "readings.csv").write_text("100,black\n800,white\n" * 10)
+    write_trial(tmp_path / "authors_trial.json", FIXED, 0)
     for line in lines:
         program, *words = shlex.split(line)
         run(environment / "bin" / program, *words, cwd=tmp_path, MPLBACKEND="Agg")
