@@ -30,7 +30,6 @@ def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]
     """
     try:
         import distributed as dask  # noqa: PLC0415
-        from distributed.comm.core import CommClosedError  # noqa: PLC0415
     except ImportError as error:
         message = f"Dask cannot be loaded ({error}); to install it, {install_instruction('cluster')}"
         raise UsageError(message) from error
@@ -38,20 +37,27 @@ def connect_cluster(address: str) -> Iterator[tuple[Executor, Callable[[], int]]
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     client = _connect_client(dask, address)
     try:
-        client.wait_for_workers(1, timeout=_TIMEOUT)
+        _wait_for_a_worker(client, address)
         # Dask runs pure jobs of equal arguments only once. Without a worker at present a job is submitted
         # even so, and the scheduler keeps it for the next one.
         yield client.get_executor(pure=False), lambda: max(1, sum(client.nthreads().values()))
-    except TimeoutError as error:
-        message = f"the cluster at {address} has no workers; start some: dask worker {address}"
-        raise UsageError(message) from error
-    except (dask.KilledWorker, CancelledError, CommClosedError) as error:
+    except (dask.KilledWorker, CancelledError, OSError) as error:
+        # A question to a scheduler that is gone ends with an OSError: its connection is closed, or timed out.
         # Dask's messages have several lines, and an error of ours has one.
         reason = " ".join(str(error).split())
         message = f"the cluster at {address} failed; what was finished is kept: run the same again ({reason})"
         raise UsageError(message) from error
     finally:
         client.close()
+
+
+def _wait_for_a_worker(client: Any, address: str) -> None:
+    """Wait until the cluster has a worker. Raises UsageError if it gets none in time."""
+    try:
+        client.wait_for_workers(1, timeout=_TIMEOUT)
+    except TimeoutError as error:
+        message = f"the cluster at {address} has no workers; start some: dask worker {address}"
+        raise UsageError(message) from error
 
 
 def _connect_client(dask: Any, address: str) -> Any:

@@ -87,6 +87,19 @@ def test_the_cluster_runs_what_is_missing_and_keeps_it_when_lost(
     assert 0 < Store(long_sweep.output, [long]).missing_count == long_sweep.missing_count < long.trials
 
 
+@pytest.mark.parametrize("error", [OSError("Timed out trying to connect"), TimeoutError("no answer")])
+def test_a_scheduler_that_does_not_answer_any_more_is_a_lost_cluster(
+    error: OSError, store: Store, tmp_path: Path
+) -> None:
+    """Dask raises these where it asks a scheduler that is gone for its number of threads."""
+    with (
+        cluster_of(1, tmp_path) as (address, _),
+        pytest.raises(UsageError, match="what was finished is kept"),
+        cluster_module.connect_cluster(address),
+    ):
+        raise error
+
+
 @pytest.mark.parametrize(
     "address",
     ["tcp://127.0.0.1:1", "nonsense://x", "", "127.0.0.1:b", "tls://127.0.0.1:1", "inproc://x"],
