@@ -132,6 +132,18 @@ static uint32_t choose_vote(lanes_t *row, size_t l)
     return is_own ? row->x_hat[l] : q23_from_q16(row->estimates[slot][l]);
 }
 
+/* Take a vote in lane l if a slot is filled there. The statistics after it are formed in any case, and then
+ * these or the old ones are selected. */
+ALWAYS_INLINE void take_vote_in_lane(lanes_t *row, size_t l, uint32_t vote)
+{
+    const vote_statistics_t before = {row->centre[l], row->spread[l], row->votes[l]};
+    const vote_statistics_t after = statistics_after_vote(before, vote);
+    const bool counts = row->filled_slots[l] != 0U;
+    row->centre[l] = counts ? after.centre : before.centre;
+    row->spread[l] = counts ? after.spread : before.spread;
+    row->votes[l] = counts ? after.votes : before.votes;
+}
+
 /* Take a vote in each lane in which a slot is filled, and store the informed estimate of each lane in
  * x[x_row]: the centre, or the robot's own estimate before the first vote. Which slot votes differs from lane
  * to lane, so that this is found lane by lane; what the vote changes is computed side by side. */
@@ -144,13 +156,8 @@ FOR_EACH_TARGET void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t 
         }
         SIDE_BY_SIDE
         for (uint32_t l = 0; l < LANES; ++l) {
-            const vote_statistics_t before = {row->centre[l], row->spread[l], row->votes[l]};
-            const vote_statistics_t after = statistics_after_vote(before, votes[l]);
-            const bool counts = row->filled_slots[l] != 0U;
-            row->centre[l] = counts ? after.centre : before.centre;
-            row->spread[l] = counts ? after.spread : before.spread;
-            row->votes[l] = counts ? after.votes : before.votes;
-            row->x[x_row][l] = counts ? q23_from_q30(row->centre[l]) : row->x_hat[l];
+            take_vote_in_lane(row, l, votes[l]);
+            row->x[x_row][l] = row->filled_slots[l] != 0U ? q23_from_q30(row->centre[l]) : row->x_hat[l];
         }
     }
 }
