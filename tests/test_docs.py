@@ -29,6 +29,7 @@ SHOWN = (
     "FAILED at call",
     "FAILED: 0 of 45",
     "| phase ",
+    "calls made and compared",
     "(0.000000) vcan0",
     "1 0.000000000",
     "seed 1: 20 robots",

@@ -196,7 +196,7 @@ def test_the_page_has_about_what_ten_trials_of_another_seed_give(
     flaw: str, filter_name: str, column: int
 ) -> None:
     page = (ROOT / "docs/internals/robust.md").read_text(encoding="utf-8")
-    row = re.search(rf"^\| moving \| {flaw} \|(.*)\|$", page, re.MULTILINE)
+    row = re.search(rf"^\| moving, \.3 flawed \| {flaw} \|(.*)\|$", page, re.MULTILINE)
     assert row is not None
     (experiment,) = m.grid(**MOVING, **FLAWS[flaw], filter=filter_name, steps=40_000, trials=10, seed=5)
     trials = run_trials(experiment, first=0, trials=10, sampling_interval=1000)
