@@ -33,22 +33,12 @@ function toPoints(error) {
   return error === undefined ? null : POINTS * error;
 }
 
-/** Returns a final error as texts: the error in points, its runs, and whether all of `trialCount` runs are in. */
-export function describeFinalError(finalError, trialCount) {
-  if (finalError === null) return { value: "…", runs: `0 of ${trialCount} runs`, isComplete: false };
-  const isComplete = finalError.trialCount === trialCount;
-  return {
-    value: toPoints(finalError.median).toFixed(1),
-    runs: isComplete ? `median of ${trialCount} runs` : `${finalError.trialCount} of ${trialCount} runs`,
-    isComplete,
-  };
-}
-
 /** The errors of all filters in all trials so far, and the chart that shows them. */
 export class Comparison {
-  /** Creates a comparison without errors; `interval` is the number of steps between samples. */
-  constructor(interval) {
+  /** Creates a comparison without errors of `trialCount` trials; samples are `interval` steps apart. */
+  constructor(interval, trialCount) {
     this.interval = interval;
+    this.trialCount = trialCount;
     this.chosenFilter = null;
     this.filters = Object.keys(FILTER_LABELS).map((name) => ({ name, trials: [] }));
     this.label = "points off per robot: median, middle half of runs";
@@ -70,8 +60,10 @@ export class Comparison {
   get seriesOptions() {
     const transparent = "transparent";
     const colourIfChosen = (name, alpha) => (name === this.chosenFilter ? colour(name) + alpha : transparent);
+    // A median of few trials may mislead, and so is pale.
+    const alpha = (name) => (this.finalError(name)?.trialCount === this.trialCount ? "" : "48");
     const lines = this.filters.flatMap(({ name }) => [
-      lineOptions(() => colour(name), 2.2),
+      lineOptions(() => colour(name) + alpha(name), 2.2),
       lineOptions(transparent, 1),
       lineOptions(transparent, 1),
       lineOptions(() => colourIfChosen(name, ""), 0.7),
@@ -108,5 +100,18 @@ export class Comparison {
     if (knownTrials.length === 0) return null;
     const [[median]] = computeQuartiles(knownTrials.map((errors) => errors.slice(-1)));
     return { median, trialCount: knownTrials.length };
+  }
+
+  /** Returns `finalError` as texts: the error in points, its runs, and whether all of them are in. */
+  describeFinalError(filterName) {
+    const { trialCount } = this;
+    const finalError = this.finalError(filterName);
+    if (finalError === null) return { value: "…", runs: `0 of ${trialCount} runs`, isComplete: false };
+    const isComplete = finalError.trialCount === trialCount;
+    return {
+      value: toPoints(finalError.median).toFixed(1),
+      runs: isComplete ? `median of ${trialCount} runs` : `${finalError.trialCount} of ${trialCount} runs`,
+      isComplete,
+    };
   }
 }

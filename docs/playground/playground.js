@@ -1,19 +1,19 @@
 // The playground: a page with settings, whose runs a worker computes, and the comparison of all filters.
 
-import { Comparison, describeFinalError } from "playground/comparison";
+import { Comparison } from "playground/comparison";
 import {
   AddressFormat,
   addLiar,
   describeRun,
   FILTER_WORDS,
+  FILTER_WORDS_OF_FIGURES,
   formatCommand,
   limitLiars,
   MAX_SAMPLES,
   makeJob,
   miscalibrateMore,
-  TRIALS,
 } from "playground/settings";
-import { chartsOf, FILTER_LABELS } from "view/charts";
+import { chartsOf } from "view/charts";
 import { decodeBase64, History, ONE } from "view/history";
 import { createElement, findElement, meanEstimate, writeText } from "view/panels";
 import { View } from "view/view";
@@ -152,7 +152,7 @@ class Playground {
   /** Asks the worker for the run of the settings; if more than the filter is new, all errors are, too. */
   #requestRun(hasNewErrors) {
     const job = { ...makeJob(this.settings), id: ++this.jobId };
-    if (hasNewErrors) this.comparison = new Comparison(job.interval);
+    if (hasNewErrors) this.comparison = new Comparison(job.interval, job.trials);
     this.comparison.chosenFilter = job.filter;
     this.view.charts.invalidate();
     this.worker.postMessage(job);
@@ -211,7 +211,7 @@ class Playground {
 
   /** Shows the errors at the end of the runs so far: large without and with the chosen filter, small of all. */
   #showFinalErrors() {
-    const describe = (name) => describeFinalError(this.comparison.finalError(name), TRIALS);
+    const describe = (name) => this.comparison.describeFinalError(name);
     for (const label of findElement("filters").children) {
       const { value, runs, isComplete } = describe(label.firstElementChild.value);
       writeText(label.lastElementChild, value);
@@ -219,17 +219,13 @@ class Playground {
       label.title = `points off per robot at the end, ${runs}`;
     }
     const { filter } = this.settings;
-    findElement("charts").classList.toggle("provisional", !describe(filter).isComplete);
     for (const box of document.querySelectorAll("#beliefs .result")) {
       const name = box.dataset.name ?? filter;
       const { value, runs, isComplete } = describe(name);
       const [title, error, note] = box.children;
       box.style.setProperty("--colour", `var(--${name})`);
       box.hidden = filter === "none" && box.dataset.name === undefined;
-      writeText(
-        title,
-        name === "none" ? "no filter, at the end" : `${FILTER_LABELS[name]} filter, at the end`,
-      );
+      writeText(title, `${FILTER_WORDS_OF_FIGURES[name]}, at the end`);
       writeText(error, `off by ${value}`);
       writeText(note, `points, ${runs}`);
       error.classList.toggle("unfinished", !isComplete);

@@ -3,7 +3,7 @@
 import { FILTER_LABELS } from "view/charts";
 
 export const MAX_SAMPLES = 1000;
-export const TRIALS = 30; // of each filter
+const TRIALS = 30; // of each filter
 const STEPS_PER_SECOND = 10;
 const MAX_LIARS = 10;
 const RADIO_RANGE = 0.7; // metres
@@ -14,6 +14,14 @@ export const FILTER_WORDS = {
   none: "no filter",
   "asdf-minus": "paper's filter in the flawed robots only (ASDF−)",
   "asdf-plus": "paper's filter in all robots (ASDF+)",
+  robust: "robust filter",
+};
+
+/** The same, where there is little room. */
+export const FILTER_WORDS_OF_FIGURES = {
+  none: "no filter",
+  "asdf-minus": "paper's filter",
+  "asdf-plus": "paper's filter in all",
   robust: "robust filter",
 };
 

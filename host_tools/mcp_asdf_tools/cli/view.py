@@ -200,8 +200,8 @@ def _serve_bus(args: argparse.Namespace) -> int:
     bus_choice = options.bus_of(args)
     if bus_choice.interface == DEFAULT_INTERFACE:
         raise UsageError(
-            f"give a recording, or with --interface the bus of robots elsewhere: the bus {bus_choice} is "
-            "inside this process, where nothing else is (mcp-asdf swarm --view shows a swarm)"
+            "there is no recording and no bus; give a file (mcp-asdf view run.log), or the bus of real robots "
+            "(--interface socketcan --channel can0); mcp-asdf swarm --view shows an emulated swarm"
         )
     # Trial 0, the default, cannot be told from a typed 0, which does no harm.
     for option in ("export", "where", "trial"):

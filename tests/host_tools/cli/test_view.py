@@ -202,7 +202,7 @@ DIFFERENCES = "fill_ratio=0.55|0.95, filter=asdf-plus|none"
 @pytest.mark.parametrize(
     ("line", "reason"),
     [
-        ("view", "give a recording, or with --interface the bus"),
+        ("view", "there is no recording and no bus; give a file"),
         ("view --export x.html --interface udp_multicast", "--export is for recordings"),
         ("view none.log", "there is no log"),
         ("view none.log --export no/such/out.html", "its folder does not exist"),

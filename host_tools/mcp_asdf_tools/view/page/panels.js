@@ -149,6 +149,9 @@ export function showEvents(history, tick, onSeek) {
     item.append(button);
     list.append(item);
   }
-  const heading = eventCount === 0 ? "No recalibration yet" : `Recalibrations (b_hat), faults: ${eventCount}`;
+  const kinds = shownEvents.some(({ isMark }) => isMark)
+    ? "Recalibrations (b_hat), faults"
+    : "Recalibrations (b_hat)";
+  const heading = eventCount === 0 ? "No recalibration yet" : `${kinds}: ${eventCount}`;
   parent.replaceChildren(createElement("h2", heading), list);
 }

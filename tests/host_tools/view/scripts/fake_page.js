@@ -45,7 +45,12 @@ export function element(id) {
 }
 
 /** The colours of the style sheet, which `getComputedStyle` computes. */
-const COLOURS = { right: "rgb(0, 0, 255)", wrong: "rgb(255, 100, 0)", soft: "rgb(1, 2, 3)" };
+const COLOURS = {
+  right: "rgb(0, 0, 255)",
+  wrong: "rgb(255, 100, 0)",
+  soft: "rgb(1, 2, 3)",
+  none: "rgb(122, 134, 148)",
+};
 
 globalThis.document = {
   body: new FakeElement("body"),

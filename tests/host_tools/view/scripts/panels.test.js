@@ -109,7 +109,7 @@ test("events are listed with the latest first, each with the colour that its rob
   });
   showEvents(history, 20, () => {});
   const [heading, list] = element("events").children;
-  assert.equal(heading.textContent, "Recalibrations (b_hat), faults: 2");
+  assert.equal(heading.textContent, "Recalibrations (b_hat): 2");
   const buttons = list.children.map((item) => item.children[0]);
   assert.deepEqual(
     buttons.map((button) => button.text),

@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { averageBlocks, Comparison, computeQuartiles, describeFinalError } from "playground/comparison";
+import { averageBlocks, Comparison, computeQuartiles } from "playground/comparison";
 import {
   AddressFormat,
   addLiar,
@@ -14,6 +14,7 @@ import {
   miscalibrateMore,
 } from "playground/settings";
 import { FILTER_LABELS } from "view/charts";
+import "./fake_page.js";
 
 const LIMITS = [
   { name: "robots", minimum: 2, maximum: 127, defaultValue: 20 },
@@ -56,7 +57,7 @@ test("a run of fewer than eight samples is one point", () => {
 });
 
 test("the error at the end is the median of the trials that are known", () => {
-  const comparison = new Comparison(1);
+  const comparison = new Comparison(1, 30);
   [0.3, 0.1, 0.2].forEach((error, trial) => {
     const errors = Float64Array.of(...new Array(8).fill(1), ...new Array(8).fill(error));
     comparison.addErrors("robust", trial + 1, errors); // trial 0 is not there yet
@@ -66,24 +67,37 @@ test("the error at the end is the median of the trials that are known", () => {
 });
 
 test("the error of a filter without trials is unknown", () => {
-  assert.equal(new Comparison(1).finalError("none"), null);
+  assert.equal(new Comparison(1, 30).finalError("none"), null);
 });
 
 test("an error at the end is in points, and unfinished until all runs are in", () => {
+  const comparison = new Comparison(1, 2);
+  const texts = [0, 1].map((trial) => {
+    const before = Object.values(comparison.describeFinalError("robust"));
+    comparison.addErrors("robust", trial, Float64Array.of(0.0386));
+    return before;
+  });
   assert.deepEqual(
-    [null, { median: 0.0386, trialCount: 12 }, { median: 0.0386, trialCount: 30 }].map((error) =>
-      Object.values(describeFinalError(error, 30)),
-    ),
+    [...texts, Object.values(comparison.describeFinalError("robust"))],
     [
-      ["…", "0 of 30 runs", false],
-      ["3.9", "12 of 30 runs", false],
-      ["3.9", "median of 30 runs", true],
+      ["…", "0 of 2 runs", false],
+      ["3.9", "1 of 2 runs", false],
+      ["3.9", "median of 2 runs", true],
     ],
   );
 });
 
+test("the median of a filter is pale until all runs are in", () => {
+  const comparison = new Comparison(1, 2);
+  const strokes = [0, 1].map((trial) => {
+    comparison.addErrors("none", trial, Float64Array.of(0.1));
+    return comparison.seriesOptions.series[1].stroke();
+  });
+  assert.deepEqual(strokes, ["#7a869448", "#7a8694"]);
+});
+
 test("the chart has median, quartiles and the first trial of each filter in points, at the middles of the points", () => {
-  const comparison = new Comparison(10);
+  const comparison = new Comparison(10, 30);
   [0.01, 0.02, 0.03, 0.04, 0.05].forEach((error, trial) => {
     comparison.addErrors("none", trial, new Float64Array(16).fill(error));
   });
