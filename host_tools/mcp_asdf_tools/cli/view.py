@@ -200,7 +200,7 @@ def _serve_bus(args: argparse.Namespace) -> int:
     bus_choice = options.bus_of(args)
     if bus_choice.interface == DEFAULT_INTERFACE:
         raise UsageError(
-            "there is no recording and no bus; give a file (mcp-asdf view run.log), or the bus of real robots "
+            "there is no recording and no bus; give a file (mcp-asdf view run.log) or the bus of real robots "
             "(--interface socketcan --channel can0); mcp-asdf swarm --view shows an emulated swarm"
         )
     # Trial 0, the default, cannot be told from a typed 0, which does no harm.
