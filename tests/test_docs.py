@@ -279,7 +279,7 @@ def test_no_page_is_wider_than_a_phone(site: Path, chromium: Browser) -> None:
             assert wide == [], path.stem
         browser.goto((site / "advice.html").as_uri())
         label = "getComputedStyle(document.querySelectorAll('td')[1], '::before').content"
-        assert browser.evaluate(label).strip("\"") == "if yes"
+        assert "if yes" in browser.evaluate(label)
 
 
 @pytest.mark.slow
