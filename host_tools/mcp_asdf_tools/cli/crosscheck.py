@@ -18,13 +18,15 @@ if TYPE_CHECKING:
 
 EPILOG = """\
 examples:
-  mcp-asdf crosscheck                               # about ten seconds
-  mcp-asdf crosscheck --steps 100000000 --seed 7    # hours; Ctrl-C reports what was done
+  mcp-asdf crosscheck --steps 2000                  # the default, 25000 steps, takes some ten seconds
+      native and mirror agree in every bit
+  mcp-asdf crosscheck --steps 100000000 --seed 7    # hours; Ctrl-C prints the results so far
   mcp-asdf crosscheck --replay robot:2:1:64:0:2147483648,step:1
-Random and adversarial scenarios run through the C and through its mirror in Python. Any differing bit of
-state, output or status ends the run with the shortest scenario that shows it and the line that replays it.
+Random and adversarial scenarios run in the C code and in its Python mirror. The first bit of state, output or
+status that differs ends the run. The report then has the shortest scenario that shows it, and its line for
+--replay.
 exit code: 0 all is well, 1 a check failed, 2 bad usage, 128 + signal if
-interrupted (what was done is reported)"""
+interrupted (results so far are printed)"""
 LIBRARIES = ("mpmath", "rich.console")
 
 _DEFAULT_STEPS = 25_000
@@ -34,12 +36,15 @@ _DEFAULT_SEED = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
     parser.add_argument(
-        "--steps", type=int, metavar="N", help=f"calls to make and compare (default {_DEFAULT_STEPS})"
+        "--steps", type=int, metavar="N", help=f"make and compare this many calls (default {_DEFAULT_STEPS})"
     )
     parser.add_argument(
-        "--seed", type=int, metavar="S", help=f"of the scenarios, 0 or more (default {_DEFAULT_SEED})"
+        "--seed",
+        type=int,
+        metavar="S",
+        help=f"seed of the random scenarios, 0 or more (default {_DEFAULT_SEED})",
     )
-    parser.add_argument("--replay", metavar="LINE", help="run one scenario, as a failed check printed it")
+    parser.add_argument("--replay", metavar="LINE", help="run only the scenario that a failed check printed")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,11 +12,11 @@ from mcp_asdf_tools.cli.output import json_report
 
 EPILOG = f"""\
 examples:
-  mcp-asdf dbc                                      # to the screen
-  mcp-asdf dbc --output mcp_asdf.dbc                # one entry for each kind of frame, for any node
-  mcp-asdf dbc --per-node 0 1 2 --output swarm.dbc # an entry for each kind and node
-The entries for any node are those of node 0: let the tool ignore the lower 8 bits of the identifier,
-`cantools decode -m {ANY_NODE_MASK:#X} mcp_asdf.dbc`. Where a tool cannot, use --per-node.
+  mcp-asdf dbc --output mcp_asdf.dbc                # entries for any node
+      wrote mcp_asdf.dbc
+  mcp-asdf dbc --per-node 0 1 2 --output swarm.dbc  # entries for each kind of frame and node
+Entries for any node have the identifiers of node 0. Tell your tool to ignore the lower 8 bits, as in
+`cantools decode -m {ANY_NODE_MASK:#X} mcp_asdf.dbc`. If it cannot, use --per-node.
 exit code: 0 done, 2 bad usage"""
 LIBRARIES = ()
 
@@ -24,14 +24,14 @@ LIBRARIES = ()
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
     parser.add_argument(
-        "--output", metavar="FILE", type=Path, help="write this file (default: standard output)"
+        "--output", metavar="FILE", type=Path, help="write to this file (default: standard output)"
     )
     parser.add_argument(
         "--per-node",
         metavar="ID",
         type=int,
         nargs="+",
-        help="nodes with entries of their own: ids 0 to 127",
+        help="write entries for each of these nodes, ids 0 to 127 (default: entries for any node)",
     )
     options.add_estimate_format(parser)
 

@@ -33,10 +33,12 @@ if TYPE_CHECKING:
 
 EPILOG = """\
 examples:
-  mcp-asdf node --id 3 --interface udp_multicast    # with others on this machine, until Ctrl-C
+  mcp-asdf node --id 3 --interface udp_multicast    # until Ctrl-C, on this computer
+  mcp-asdf radio --id 3 --interface udp_multicast --verify     # in another terminal, at once
+      PASSED: 45 of 45 phases passed; every frame of the controller equals the model's
   mcp-asdf node --id 3 --interface socketcan --channel can0 --b-hat 0.8 --log run.log
-The robot observes and settles as command frames tell it (docs/design.md): try "mcp-asdf radio --verify" on
-it. The C node, mcp_asdf_node, runs by a clock of its own, too, and reads a sensor (docs/platforms/linux.md).
+Command frames drive the robot (docs/design.md). The C node, mcp_asdf_node, also runs in real time and reads
+a sensor (docs/platforms/linux.md).
 exit code: 0 done, 1 the bus failed, 2 bad usage, 128 + signal if one came before --steps were done"""
 LIBRARIES = ("numpy", "can", "rich.console")
 
@@ -46,13 +48,15 @@ _logger = logging.getLogger(__name__)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    options.add_robot_options(parser, "native", "robot id and node id, 0 to 127, unique on the bus")
-    options.add_parameters(parser, Population, "heartbeats", ("steps_per_second",))
+    options.add_robot_options(
+        parser, "robot", "native", "id on the bus, 0 to 127; no other robot may have it"
+    )
+    options.add_bus_options(parser)
     group = parser.add_argument_group("run")
     group.add_argument("--steps", type=int, metavar="N", help="end after N steps (default: at Ctrl-C)")
     group.add_argument("--allow", metavar="IDS", help="take estimates of these ids only, such as 0-19+30")
-    group.add_argument("--until-eof", action="store_true", help="also stop at end of input")
-    options.add_bus_options(parser)
+    group.add_argument("--until-eof", action="store_true", help="also end when the standard input ends")
+    options.add_parameters(parser, Population, "heartbeats", ("steps_per_second",))
     options.add_subject_options(parser)
     output = parser.add_argument_group("output")
     options.add_log_option(output, "FILE.events gets what a replay needs")

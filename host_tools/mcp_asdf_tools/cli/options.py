@@ -84,6 +84,13 @@ def add_parameters(
     group = parser.add_argument_group(
         group_title, _describe_filters() if "filter" in parameter_names else None
     )
+    _add_parameters_to(group, settings_class, parameter_names)
+
+
+def _add_parameters_to(
+    group: argparse._ArgumentGroup, settings_class: Any, parameter_names: Collection[str]
+) -> None:
+    """Add the options for the named parameters of the class ``settings_class`` to a group."""
     for parameter_name, parameter in parameters_of(settings_class).items():
         if parameter_name in parameter_names:
             _add_option(group, parameter)
@@ -94,7 +101,7 @@ def _describe_filters() -> str:
     from mcp_asdf_tools.robots.filters import FILTERS
 
     lines = [f"  {swarm_filter.name:11} {swarm_filter.meaning}" for swarm_filter in FILTERS.values()]
-    return "\n".join(["What --filter may be:", *lines])
+    return "\n".join(["Which robots recalibrate (--filter):", *lines])
 
 
 def _add_option(group: argparse._ArgumentGroup, parameter: Parameter) -> None:
@@ -192,38 +199,43 @@ def _name_option(error: ParameterError) -> str:
 
 # --- One robot -------------------------------------------------------------------------------------------
 
-_ROBOT_PARAMETERS = ("filter", "activation", "comms_period", "filter_period", "omega", "memory")
+_COMMON_ROBOT_PARAMETERS = ("filter", "filter_period")
+_FURTHER_ROBOT_PARAMETERS = ("comms_period", "memory", "omega", "activation")
+_ROBOT_PARAMETERS = _COMMON_ROBOT_PARAMETERS + _FURTHER_ROBOT_PARAMETERS
 """Parameters of a population that are settings of each of its robots."""
 
 
-def add_robot_options(parser: argparse.ArgumentParser, default_firmware: str, id_help: str) -> None:
+def add_robot_options(
+    parser: argparse.ArgumentParser, group_title: str, default_firmware: str, id_help: str
+) -> None:
     """Add the options of a robot, with the default of ``--firmware`` and the help of ``--id``."""
     from mcp_asdf.robot import MAX_ID
     from mcp_asdf_tools.robots.firmwares import firmware_names
     from mcp_asdf_tools.robots.population import Population
 
-    group = parser.add_argument_group("robot")
+    group = parser.add_argument_group(group_title, _describe_filters())
     group.add_argument("--id", type=int, metavar="ID", required=True, help=id_help)
     group.add_argument(
         "--b-hat",
         type=float,
         metavar="B",
         default=0.95,
-        help="accuracy that it assumes (default %(default)s)",
+        help="accuracy that it assumes at the start, 0 to 1 (default %(default)s)",
     )
     group.add_argument(
         "--neighbours",
         type=int,
         metavar="Q",
-        help=f"neighbours that its t-table is made for, 2 to 127 (default {MAX_ID})",
+        help=f"neighbours for which its t-table is made, 2 to 127 (default {MAX_ID})",
     )
+    _add_parameters_to(group, Population, _COMMON_ROBOT_PARAMETERS)
+    _add_parameters_to(group, Population, _FURTHER_ROBOT_PARAMETERS)
     group.add_argument(
         "--firmware",
         default=default_firmware,
-        help="firmware of the robot (default %(default)s)",
+        help="implementation of the robot (default %(default)s)",
         **_keywords_of_names(firmware_names()),
     )
-    add_parameters(parser, Population, "robot's configuration", _ROBOT_PARAMETERS)
 
 
 def robot_of(args: argparse.Namespace) -> RobotSetup:
@@ -272,14 +284,14 @@ def add_table_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that describe a t-table, which ``table_of`` reads."""
     parser.add_argument(
         "--omega",
-        help="type II error probability, above 0 and at most 0.9, at most 9 decimal places "
+        help="set the type II error probability of the test, above 0 to 0.9, with up to 9 decimal places "
         f"(default {_DEFAULT_OMEGA})",
     )
     parser.add_argument(
         "--neighbours",
         metavar="Q",
         type=int,
-        help="q, maximum number of neighbours with an exact threshold, 2 to 127 "
+        help="store exact thresholds for up to this many neighbours, 2 to 127; 4 bytes each "
         f"(default {_DEFAULT_NEIGHBOURS})",
     )
 
@@ -305,7 +317,7 @@ def add_bus_options(parser: argparse.ArgumentParser) -> None:
     An option that the user leaves out is no attribute of the parsed arguments.
     """
     group = parser.add_argument_group(
-        "bus (default: inside this process; python-can's CAN_* variables and files are honoured)",
+        "bus (default: inside this process; python-can's CAN_* variables and files also count)",
         argument_default=argparse.SUPPRESS,
     )
     group.add_argument(
@@ -313,21 +325,21 @@ def add_bus_options(parser: argparse.ArgumentParser) -> None:
         "--interface",
         metavar="INTERFACE",
         type=_check_interface,
-        help="kind of bus: socketcan, slcan, udp_multicast, pcan or another of python-can's",
+        help="use this kind of bus: socketcan, slcan, udp_multicast, pcan or another of python-can's",
     )
     group.add_argument(
         "-c",
         "--channel",
         metavar="CHANNEL",
-        help="bus of that kind, such as can0, vcan0, /dev/ttyACM0 or 239.74.163.2",
+        help="use this bus of that kind, such as can0, vcan0, /dev/ttyACM0 or 239.74.163.2",
     )
-    group.add_argument("-b", "--bitrate", type=int, help="bits per second, where the interface sets them")
+    group.add_argument("-b", "--bitrate", type=int, help="set the bit rate in bit/s, if the interface can")
     group.add_argument(
         "--bus-kwargs",
         type=_parse_bus_setting,
         nargs="+",
         metavar="KEY=VALUE",
-        help="further settings of the interface, such as app_name=MyCanApp serial=1234",
+        help="pass further settings to the interface, such as app_name=MyCanApp serial=1234",
     )
 
 
@@ -431,13 +443,13 @@ def add_log_option(group: argparse._ArgumentGroup, files_beside: str) -> None:
         "--log",
         metavar="FILE",
         type=Path,
-        help=f"keep all frames as candump does, in a file that ends in .log; {files_beside}",
+        help=f"write all frames to this file, which ends in .log, in candump's format; {files_beside}",
     )
 
 
 def add_port_option(group: argparse._ActionsContainer) -> None:
     """Add the option ``--port`` of commands that serve a page."""
-    group.add_argument("--port", type=int, help="TCP port of the page (default: any free one)")
+    group.add_argument("--port", type=int, help="serve the page at this TCP port (default: any free port)")
 
 
 # --- Experiments and their results -----------------------------------------------------------------------
@@ -558,7 +570,7 @@ def add_where_option(group: argparse._ActionsContainer) -> None:
         metavar="NAME=VALUE",
         action="append",
         default=[],
-        help="only experiments with this parameter, such as filter=none; repeatable",
+        help="choose the experiments with this parameter, such as filter=none; repeatable",
     )
 
 

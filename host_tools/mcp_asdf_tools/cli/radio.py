@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 EPILOG = """\
 examples:
   mcp-asdf radio --id 3 --robots 11 --interface socketcan --channel can0             # until Ctrl-C
-  mcp-asdf radio --id 3 --robots 11 --interface socketcan --channel can0 --fault loss=0.3
-  mcp-asdf radio --id 3 --interface socketcan --channel can0 --verify --wait 60 --report it.md
---id and the other options under "robot" say what the controller is. Without --verify the neighbours run in
-real time, hear it if they are in range, and it is sent what it would hear of them. With --verify it must have
-been reset just before (or, with --wait, just after) and obey command frames (docs/design.md); it is taken
-through one phase for each claim and each class of fault, and must do, bit for bit, what its model does.
+  mcp-asdf radio --id 3 --interface socketcan --channel can0 --verify --wait 60 --report verdict.md
+      PASSED: 45 of 45 phases passed; every frame of the controller equals the model's
+Describe your controller with --id, --b-hat, --filter, --filter-period and --neighbours. Without --verify it
+only has to broadcast: the neighbours run in real time and receive its messages, and it receives theirs. With
+--verify it has to obey command frames (docs/design.md) and to start just before, or within --wait seconds.
+docs/radio.md explains verdicts.
 exit code: 0 done or verified, 1 not verified or the bus failed, 2 bad usage, 128 + signal if
 interrupted"""
 LIBRARIES = ("numpy", "can", "rich.console")
@@ -65,10 +65,10 @@ _DEFAULT_TIMEOUT = 2.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
-    options.add_robot_options(parser, "mirror", "robot id of the controller, 0 to 127")
-    _add_neighbour_options(parser)
-    _add_verification_options(parser)
+    options.add_robot_options(parser, "controller", "mirror", "id of the controller, 0 to 127")
     options.add_bus_options(parser)
+    _add_verification_options(parser)
+    _add_neighbour_options(parser)
     options.add_subject_options(parser)
     output = parser.add_argument_group("output")
     options.add_log_option(output, "with --verify FILE.events gets what 'mcp-asdf replay FILE' needs")
@@ -76,21 +76,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_neighbour_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the world, the neighbours and the disturbances."""
-    options.add_parameters(parser, SwarmSettings, "controller, neighbours and world", _WORLD_PARAMETERS)
     group = parser.add_argument_group("neighbours")
     group.add_argument(
         "--first-id",
         type=int,
         metavar="ID",
         default=0,
-        help="emulated robots get the ids from here on, without the controller's (default %(default)s)",
+        help="give the emulated robots ids from here on, without the controller's (default %(default)s)",
     )
     group.add_argument(
         "--steps",
         type=int,
         metavar="N",
-        help="end after N steps (default: at Ctrl-C); with --verify, of each phase among neighbours, "
-        f"or two rounds if these are longer (default {_DEFAULT_PHASE_TICKS})",
+        help="end after N steps (default: at Ctrl-C); with --verify, end each phase among neighbours after "
+        f"N steps, or two rounds if these are longer (default {_DEFAULT_PHASE_TICKS})",
     )
     group.add_argument(
         "--fault",
@@ -98,28 +97,35 @@ def _add_neighbour_options(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         dest="faults",
-        help="as for swarm, repeatable; with --verify each adds a phase",
+        help="inject this fault, as for swarm; repeatable; with --verify each fault adds a phase",
+    )
+    options.add_parameters(
+        parser, SwarmSettings, "world of the controller and its neighbours", _WORLD_PARAMETERS
     )
 
 
 def _add_verification_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options that go with --verify."""
     group = parser.add_argument_group("verification")
-    group.add_argument("--verify", action="store_true", help="drive the controller in lockstep and judge it")
+    group.add_argument(
+        "--verify",
+        action="store_true",
+        help="drive the controller in lockstep and compare every frame with a model",
+    )
     group.add_argument(
         "--timeout",
         type=float,
         metavar="SECONDS",
-        help=f"time that the controller has to answer (default {_DEFAULT_TIMEOUT:g})",
+        help=f"wait this many seconds for an answer of the controller (default {_DEFAULT_TIMEOUT:g})",
     )
     group.add_argument(
         "--wait",
         type=float,
         metavar="SECONDS",
-        help="wait so long for the heartbeat with which the controller starts (default: it has started)",
+        help="wait this many seconds for the controller's first heartbeat (default: assume that it runs)",
     )
     group.add_argument(
-        "--report", metavar="FILE", type=Path, help="keep the report, with what repeats it, as Markdown"
+        "--report", metavar="FILE", type=Path, help="write the report, with all parameters, as Markdown"
     )
 
 

@@ -19,11 +19,12 @@ if TYPE_CHECKING:
 
 EPILOG = """\
 examples:
-  mcp-asdf replay run.log                       # is every broadcast what the firmware makes of it?
-  mcp-asdf replay run.log --events run.log.events --json
-  mcp-asdf replay any.log --channel vcan0 --events run.log.events     # of a log of several buses
-Checking needs the file FILE.events that swarm and radio write beside their logs. To play a log onto a bus,
-use python-can's can_player.
+  mcp-asdf swarm --robots 6 --steps 60 --quiet --log run.log
+  mcp-asdf replay run.log
+      360  broadcasts reproduced bit for bit
+  mcp-asdf replay all.log --channel vcan0 --events run.log.events     # of a log of several buses
+The events are in the file FILE.events that swarm, radio and node write beside their logs. To play a log onto
+a bus, use python-can's can_player.
 exit code: 0 done, 1 a broadcast is not reproduced, 2 bad usage, 128 + signal if interrupted"""
 LIBRARIES = ("numpy", "can", "rich.console")
 
@@ -31,10 +32,13 @@ LIBRARIES = ("numpy", "can", "rich.console")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
     parser.add_argument(
-        "log", metavar="LOG", type=Path, help=".log (candump), .asc, .blf, .csv, .mf4 or .trc"
+        "log", metavar="LOG", type=Path, help="log to check: .log (candump), .asc, .blf, .csv, .mf4 or .trc"
     )
     parser.add_argument(
-        "--events", metavar="FILE", type=Path, help="what happened to the robots (default: LOG.events)"
+        "--events",
+        metavar="FILE",
+        type=Path,
+        help="read here what each robot saw and heard (default: LOG.events)",
     )
     parser.add_argument("--channel", metavar="NAME", help="check only the frames of this bus (default: all)")
 

@@ -41,22 +41,17 @@ if TYPE_CHECKING:
 
 EPILOG = """\
 examples:
-  mcp-asdf swarm                                    # the paper's swarm on a bus inside this process
-  mcp-asdf swarm --filter none                      # the same without the filter
-  mcp-asdf swarm --topology dynamic --flawed 50% --filter robust --compare   # with other filters, too
-  mcp-asdf swarm --topology dynamic --view          # in a browser, as it goes
-  mcp-asdf swarm --flawed 0.5 --omega 0.1 --seed 7 --log run.log --json
-  mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5
-  mcp-asdf swarm --slcan 20000                      # others join at socket://127.0.0.1:20000
+  mcp-asdf swarm --robots 6 --steps 60 --quiet
+      seed 1: 6 robots, ASDF-, 60 steps, mean error 0.04549, spread 0.00000
+  mcp-asdf swarm --topology dynamic --flawed 50% --filter robust --compare   # beside other filters
+  mcp-asdf swarm --topology dynamic --view          # in a browser, while it runs
+  mcp-asdf swarm --interface socketcan --channel vcan0 --robots 5 --log run.log
   mcp-asdf swarm --fault loss=0.5 --fault liar,robots=3,x=1,alpha=1e6
-  mcp-asdf swarm --channel 'vcan{robot}' --fault babble=0.1,robots=0,frames=30 --log run.log
-  mcp-asdf swarm --clock real-time --steps 100
-  mcp-asdf swarm --interface udp_multicast --processes --robots 4 --steps 100
   mcp-asdf swarm --channel 'vcan{robot}' --device 3=slcan:socket://127.0.0.1:20001
-With {robot} in the channel each robot has a bus of its own, and frames are carried between them. The same
-settings give the same run to the bit, and the same log, on every bus. docs/swarm.md says more.
+With {robot} in the channel each robot has its own bus. The same settings give the same run, bit for bit, on
+every bus. docs/swarm.md explains topologies, buses and faults.
 exit code: 0 done, 1 the bus lost a frame or a robot elsewhere did not answer, 2 bad usage, 128 + signal
-if interrupted (what was done is saved)"""
+if interrupted (results so far are saved)"""
 LIBRARIES = ("numpy", "can", "rich.console")
 
 _logger = logging.getLogger(__name__)
@@ -88,8 +83,8 @@ def _add_fault_options(parser: argparse.ArgumentParser) -> None:
         kind_lines.append(f"  {kind.name:10}{kind.summary}{kind_options}")
     group = parser.add_argument_group(
         "faults and clock",
-        "A fault is KIND=RATE (1 if left out), then options, separated by commas. All kinds have\n"
-        "from=TICK, to=TICK (the first without it), robots=0+3-5 (the nodes, or senders of frames).\n"
+        "A fault is KIND=RATE (default 1) and options, separated by commas. All kinds take\n"
+        "from=TICK, to=TICK (the first tick without it) and robots=0+3-5 (affected nodes or senders).\n"
         + "\n".join(kind_lines),
     )
     group.add_argument(
@@ -98,13 +93,13 @@ def _add_fault_options(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         dest="faults",
-        help="repeatable; faults act in the order given",
+        help="inject this fault; repeatable, and faults act in the order given",
     )
     group.add_argument(
         "--clock",
         choices=get_args(ClockKind),
         default=SwarmSettings.clock,
-        help="a tick ends when all frames have arrived, or with its time slot (default %(default)s)",
+        help="end a tick when its frames have arrived, or with its share of a second (default %(default)s)",
     )
 
 
@@ -113,46 +108,46 @@ def _add_remote_options(parser: argparse.ArgumentParser) -> None:
 
     --processes and --device exclude each other.
     """
-    group = parser.add_argument_group("robots and programs elsewhere")
+    group = parser.add_argument_group("robots and programs outside this process")
     group.add_argument(
         "--slcan",
         metavar="PORT",
         type=int,
-        help="let other programs join the bus as an slcan adapter at this TCP port (0: any free one)",
+        help="let other programs join the bus through an slcan adapter at this TCP port (0: any free port)",
     )
     remote_robots = group.add_mutually_exclusive_group()
     remote_robots.add_argument(
-        "--processes", action="store_true", help="run each robot as a process with a connection of its own"
+        "--processes", action="store_true", help="run each robot as a process with its own connection"
     )
     remote_robots.add_argument(
         "--device",
         metavar="ID=INTERFACE:CHANNEL",
         action="append",
         default=[],
-        help="this robot is a controller there that obeys command frames; repeatable",
+        help="use the controller there, which obeys command frames, as this robot; repeatable",
     )
 
 
 def _add_output_options(parser: argparse.ArgumentParser) -> None:
     """Declare --log, --compare, --view, --pace, --port and --quiet: what a run writes and shows."""
-    group = parser.add_argument_group("output (beside a log, FILE.json gets all parameters and results)")
-    options.add_log_option(group, "FILE.events gets what each robot saw and heard")
+    group = parser.add_argument_group("output")
+    options.add_log_option(
+        group, "FILE.json gets all parameters and results, FILE.events what each robot saw and heard"
+    )
     group.add_argument(
         "--compare",
         action="store_true",
         help="also run the same swarm without a filter, with ASDF- and with the robust filter",
     )
-    group.add_argument("--view", action="store_true", help="show the run in a browser as it goes")
+    group.add_argument("--view", action="store_true", help="show the run in a browser while it runs")
     group.add_argument(
         "--pace",
         metavar="N",
         type=float,
-        help=f"steps a second with --view; 0 for any (default {_DEFAULT_PACE:g})",
+        help=f"run N steps per second with --view; 0: as fast as possible (default {_DEFAULT_PACE:g})",
     )
     options.add_port_option(group)
-    group.add_argument(
-        "--quiet", action="store_true", help="nothing while it runs, and one line for a summary"
-    )
+    group.add_argument("--quiet", action="store_true", help="print only a summary of one line")
 
 
 def settings_of(args: argparse.Namespace) -> SwarmSettings:

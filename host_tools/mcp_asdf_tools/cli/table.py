@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 EPILOG = """\
 examples:
   mcp-asdf table --output build/tables            # the paper's omega, any number of neighbours
+      omega 0.05, q 127: 520 bytes (12 + 4 q)
   mcp-asdf table --omega 0.1 --neighbours 30 --output build/tables
-  mcp-asdf table --check tables/*.c tables/*.json # are they what the generator makes?
+  mcp-asdf table --check tables/*.c tables/*.json
 exit code: 0 done, 1 a table is not what it should be, 2 bad usage"""
 LIBRARIES = ("mpmath",)
 
@@ -27,9 +28,15 @@ LIBRARIES = ("mpmath",)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options: exactly one of two jobs, and what the first one needs."""
     job = parser.add_mutually_exclusive_group(required=True)
-    job.add_argument("--output", metavar="DIR", type=Path, help="write a C and a JSON file into this folder")
     job.add_argument(
-        "--check", metavar="FILE", type=Path, nargs="+", help="check generated .c or .json files"
+        "--output", metavar="DIR", type=Path, help="write a t-table as a C and a JSON file into this folder"
+    )
+    job.add_argument(
+        "--check",
+        metavar="FILE",
+        type=Path,
+        nargs="+",
+        help="check that these generated .c or .json files are as the generator makes them",
     )
     options.add_table_options(parser)
 

@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 EPILOG = """\
 examples:
-  mcp-asdf view run.parquet                         # trial 0 of what simulate has kept
+  mcp-asdf swarm --robots 8 --steps 300 --quiet --log run.log
+  mcp-asdf view run.log --export run.html           # one file, to send to a colleague
+      run.html
+  mcp-asdf view run.parquet                         # results of simulate: serve trial 0 until Ctrl-C
   mcp-asdf view grid.parquet --where filter=none --trial 3
-  mcp-asdf view run.log                             # a log of swarm, beside run.log.events
-  mcp-asdf view run.log --export run.html           # one file that needs nothing else
-  mcp-asdf view candump.log --channel can0          # a log of real robots: what their frames say
-  mcp-asdf view --interface socketcan --channel vcan0       # robots elsewhere that send telemetry
-mcp-asdf swarm --view shows a swarm as it runs.
-The page is for browsers of this computer alone; Ctrl-C ends it. A recording need not hold positions and
-floor: they follow from its seed and parameters.
+  mcp-asdf view candump.log --channel can0          # a log of real robots: what their frames contain
+  mcp-asdf view --interface socketcan --channel vcan0       # robots that send telemetry, live
+Only browsers of this computer can open the page. A recording needs no positions: they follow from its seed
+and parameters. mcp-asdf swarm --view shows a swarm while it runs.
 exit code: 0 done, 1 the bus failed, 2 bad usage, 130 interrupted"""
 LIBRARIES = ("numpy", "can")
 
@@ -42,21 +42,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from mcp_asdf_tools.bus.frames import FrameFormat
 
     parser.add_argument(
-        "file", metavar="FILE", type=Path, nargs="?", help="results (.parquet) or a log; without one, a bus"
+        "file",
+        metavar="FILE",
+        type=Path,
+        nargs="?",
+        help="recording to show: results (.parquet) or a log; without one a bus is shown",
     )
     recording = parser.add_argument_group("recordings")
     recording.add_argument(
-        "--trial", metavar="N", type=int, default=0, help="which one (default %(default)s)"
+        "--trial", metavar="N", type=int, default=0, help="show this trial, from 0 (default %(default)s)"
     )
     options.add_where_option(recording)
-    recording.add_argument("--export", metavar="FILE", type=Path, help="write the page as one file: .html")
-    truth = parser.add_argument_group("truth of a bus, or of a log of real robots, drawn if known")
-    truth.add_argument("--fill-ratio", metavar="F", type=float, help="f, share of black tiles")
-    truth.add_argument("--true-accuracy", metavar="B", type=float, help="b of every sensor")
+    recording.add_argument(
+        "--export",
+        metavar="FILE",
+        type=Path,
+        help="write the page to this file (.html) instead of serving it",
+    )
+    truth = parser.add_argument_group("truth to draw beside a bus or a log of real robots, if you know it")
+    truth.add_argument("--fill-ratio", metavar="F", type=float, help="share of black tiles, 0 to 1 (f)")
+    truth.add_argument(
+        "--true-accuracy", metavar="B", type=float, help="share of right readings of every sensor, 0 to 1 (b)"
+    )
     options.add_port_option(parser)
     # Without the usual default: only an option that was typed is refused where it would do nothing.
     parser.add_argument(
-        "--subject", type=int, help=f"of estimates on a bus (default {FrameFormat().subject})"
+        "--subject", type=int, help=f"Cyphal subject of estimates on a bus (default {FrameFormat().subject})"
     )
     options.add_bus_options(parser)
 

@@ -35,28 +35,32 @@ class Population(WorldSettings):
     with a point or a percent sign (``0.3``, ``30%``); a share becomes the nearest count, halves up.
     """
 
-    flawed: Any = parameter("flawed robots: a count (6) or a share (30%, 0.3)", default="30%")
-    flawed_accuracy: float = parameter("b_hat that flawed robots assume at the start", 0, 1, default=0.55)
+    flawed: Any = parameter("robots that misjudge their sensor: a count (6) or a share (30%)", default="30%")
+    flawed_accuracy: float = parameter(
+        "accuracy that flawed robots assume at the start (b_hat)", 0, 1, default=0.55
+    )
     unflawed_accuracy: float = parameter(
-        "b_hat that unflawed robots assume at the start; 0: the true accuracy", 0, 1, default=0.0
+        "accuracy that the other robots assume at the start; 0: the true one", 0, 1, default=0.0
     )
     drift_of: Drifting = parameter("robots whose sensors drift", default="all")
     filter: str = parameter(
-        "which robots recalibrate; robust: all, by a filter that is not the paper's",
+        "which robots recalibrate, and how",
         default="asdf-minus",
         choices=tuple(FILTERS),
     )
-    activation: Activation = parameter("recalibrate if the test rejects, or always", default="adaptive")
-    comms_period: int = parameter("steps between broadcasts", 1, MAX_PERIOD, default=1)
+    activation: Activation = parameter("recalibrate only if the test rejects, or always", default="adaptive")
+    comms_period: int = parameter("steps between two broadcasts", 1, MAX_PERIOD, default=1)
     filter_period: int = parameter(
-        "nominal filtering period tau in steps, a multiple of comms_period",
+        "steps between two tests of the filter (tau), a multiple of comms_period",
         1,
         MAX_PERIOD,
         default=DEFAULT_FILTER_PERIOD,
     )
-    omega: Any = parameter("type II error probability of the test, up to 0.9", default=Decimal("0.05"))
+    omega: Any = parameter(
+        "type II error probability of the test, up to 0.9 (omega)", default=Decimal("0.05")
+    )
     memory: int = parameter(
-        "forgetting: halve t and n at this many observations, a multiple of 4",
+        "observations at which a robot halves its counts (forgetting), a multiple of 4",
         MIN_MEMORY,
         2**31,
         default=DEFAULT_MEMORY,

@@ -32,11 +32,11 @@ class SwarmSettings(Population):
         clock: Clock that ends ticks.
     """
 
-    robots: int = parameter("number of robots N", 1, MAX_ON_BUS, default=20)
+    robots: int = parameter("number of robots (N)", 1, MAX_ON_BUS, default=20)
     telemetry_period: int = parameter(
-        "steps between telemetry frames of a robot; 0 for none", 0, MAX_PERIOD, default=0
+        "steps between two telemetry frames of a robot; 0: send none", 0, MAX_PERIOD, default=0
     )
-    allow: str = parameter("ids whose estimates robots take, such as 0-19+30; any if not given", default="")
+    allow: str = parameter("take estimates of these ids only, such as 0-19+30; all if left out", default="")
     frames: FrameFormat = field(default_factory=FrameFormat)
     faults: Any = ()
     clock: ClockKind = "lockstep"

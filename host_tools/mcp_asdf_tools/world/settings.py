@@ -80,25 +80,27 @@ class WorldSettings:
     ParameterError, naming the parameter, for a value that is wrong or has no effect.
     """
 
-    robots: int = parameter("number of robots N", 1, MAX_ROBOTS, default=20)
+    robots: int = parameter("number of robots (N)", 1, MAX_ROBOTS, default=20)
     topology: str = parameter(
         "who hears whom",
         default="fully-connected",
         choices=extensions.Names(TOPOLOGIES, extensions.TOPOLOGIES),
     )
     graph: Any = parameter("edges of topology graph: a file, or '3 5; 5 > 7' (7 hears 5)", default="")
-    fill_ratio: float = parameter("f, share of black tiles", 0, 1, default=0.55)
-    true_accuracy: float = parameter("b of every sensor", 0, 1, default=0.95)
-    white_offset: float = parameter(
-        "true accuracy on white tiles less that on black ones", -1, 1, default=0.0
+    fill_ratio: float = parameter("share of black tiles, 0 to 1 (f)", 0, 1, default=0.55)
+    true_accuracy: float = parameter(
+        "share of right readings of every sensor, 0 to 1 (b)", 0, 1, default=0.95
     )
-    sensor: str = parameter("installed sensor model, in place of the built-in one", default="")
+    white_offset: float = parameter(
+        "true accuracy on white tiles minus that on black tiles", -1, 1, default=0.0
+    )
+    sensor: str = parameter("installed sensor model, instead of the built-in one", default="")
     drift: Drift = parameter("how the true accuracy changes", default="none")
     drift_rate: float = parameter("change of the true accuracy per step", -1, 1, default=0.0)
     lowest_accuracy: float = parameter("lower limit of a drifting accuracy", 0, 1, default=0.5)
-    density: float = parameter("swarm density D = N pi r^2 / L^2 of a square arena", 1e-6, 1e6, default=1.0)
+    density: float = parameter("swarm density of a square arena (D = N pi r^2 / L^2)", 1e-6, 1e6, default=1.0)
     width: float = parameter(
-        "side of the arena along x in metres, in place of a density", 0, MAX_SIDE, default=0.0
+        "side of the arena along x in metres, instead of a density", 0, MAX_SIDE, default=0.0
     )
     height: float = parameter("side of the arena along y in metres", 0, MAX_SIDE, default=0.0)
     speed: float = parameter("speed limit of a wheel, m/s", 1e-6, 0.814, default=0.1414)
@@ -107,10 +109,10 @@ class WorldSettings:
     )
     floor: Floor = parameter("floor that moving robots observe", default="tiles")
     tile: float = parameter("side of a tile, metres", 1e-6, MAX_SIDE, default=0.01)
-    steps_per_second: int = parameter("steps per second of simulated time", 1, 1_000_000, default=10)
+    steps_per_second: int = parameter("steps in a second of simulated time", 1, 1_000_000, default=10)
     observation_period: int = parameter("steps between observations", 1, MAX_PERIOD, default=1)
-    steps: int = parameter("length of a run", 1, MAX_STEPS, default=10_000)
-    seed: int = parameter("seed of everything random", 0, 2**64 - 1, default=1)
+    steps: int = parameter("length of a run in steps", 1, MAX_STEPS, default=10_000)
+    seed: int = parameter("seed of all random numbers", 0, 2**64 - 1, default=1)
 
     def __post_init__(self) -> None:
         """Bring each value to its type, then check it alone and with those that it must fit.

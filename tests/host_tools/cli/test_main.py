@@ -405,6 +405,24 @@ def test_every_command_has_examples_that_it_accepts(name: str) -> None:
         cli._parser_for(command, cli._load(command)).parse_all(options)
 
 
+@pytest.mark.parametrize("name", sorted(cli.COMMANDS.keys() - {"node", "radio"}))
+def test_examples_print_what_the_help_shows(
+    name: str, capsys: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Lines further to the right below an example are of its output. Node and radio want a second program."""
+    monkeypatch.chdir(tmp_path)
+    numbers = range(1, 21)
+    readings = "".join(f"{200 + 7 * i},black\n{400 + 13 * i},white\n" for i in numbers)
+    (tmp_path / "readings.csv").write_text(readings)
+    help_text = cli._load(name).EPILOG
+    examples = re.findall(r"^  mcp-asdf (.*)\n((?:      .*\n)*)", help_text, re.MULTILINE)
+    last = max((i for i, (_, shown) in enumerate(examples) if shown), default=-1)
+    for line, shown in examples[: last + 1]:  # the first ones may make the files that the next one reads
+        assert cli.main(shlex.split(line, comments=True)) == 0
+        printed = [printed_line.strip() for printed_line in capsys.readouterr().out.splitlines()]
+        assert [each.strip() for each in shown.splitlines() if each.strip() not in printed] == []
+
+
 def examples_of(name: str) -> list[tuple[str, list[str]]]:
     """Return the examples below a command's help: the command of each, and its options.
 
