@@ -33,17 +33,17 @@ _BROKEN_PIPE = 128 + 13
 GROUPS = {
     "See a swarm calibrate itself": {
         "swarm": "emulate a swarm on a CAN bus and watch it calibrate itself",
-        "view": "see a run in a browser: a recording, a bus as it goes, or one file to send to somebody",
+        "view": "show a run in a browser: a recording, a live bus, or one file to send to a colleague",
         "replay": "check a log by running its robots again",
     },
     "Put the firmware into robots": {
         "firmware": "write the C firmware with a t-table and build files into a project",
-        "calibrate": "find a ground sensor's threshold and accuracy from readings over known tiles",
+        "calibrate": "find a ground sensor's threshold and accuracy from readings over tiles of known colour",
         "table": "make t-tables, and check their files",
-        "radio": "emulate the neighbours of one real controller on a CAN bus, and check its firmware",
+        "radio": "surround a real controller with emulated robots on a CAN bus, and check its firmware",
         "node": "run one robot on a CAN bus",
-        "dbc": "write a DBC file, so that CAN tools show the frames' content",
-        "crosscheck": "check the C against its mirror, exact arithmetic and its own claims",
+        "dbc": "write a DBC file, with which CAN tools show the content of frames",
+        "crosscheck": "check the C code against its Python mirror, exact arithmetic and the claims about it",
     },
     "Experiments": {
         "simulate": "run one experiment: a swarm, many trials, the paper's scores",

@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--steps", type=int, metavar="N", help="end after N steps (default: at Ctrl-C)")
     group.add_argument("--allow", metavar="IDS", help="take estimates of these ids only, such as 0-19+30")
     group.add_argument("--until-eof", action="store_true", help="also end when the standard input ends")
-    options.add_parameters(parser, Population, "heartbeats", ("steps_per_second",))
+    options.add_parameters_to(group, Population, ("steps_per_second",))
     options.add_subject_options(parser)
     output = parser.add_argument_group("output")
     options.add_log_option(output, "FILE.events gets what a replay needs")

@@ -84,10 +84,10 @@ def add_parameters(
     group = parser.add_argument_group(
         group_title, _describe_filters() if "filter" in parameter_names else None
     )
-    _add_parameters_to(group, settings_class, parameter_names)
+    add_parameters_to(group, settings_class, parameter_names)
 
 
-def _add_parameters_to(
+def add_parameters_to(
     group: argparse._ArgumentGroup, settings_class: Any, parameter_names: Collection[str]
 ) -> None:
     """Add the options for the named parameters of the class ``settings_class`` to a group."""
@@ -228,8 +228,8 @@ def add_robot_options(
         metavar="Q",
         help=f"neighbours for which its t-table is made, 2 to 127 (default {MAX_ID})",
     )
-    _add_parameters_to(group, Population, _COMMON_ROBOT_PARAMETERS)
-    _add_parameters_to(group, Population, _FURTHER_ROBOT_PARAMETERS)
+    add_parameters_to(group, Population, _COMMON_ROBOT_PARAMETERS)
+    add_parameters_to(group, Population, _FURTHER_ROBOT_PARAMETERS)
     group.add_argument(
         "--firmware",
         default=default_firmware,
