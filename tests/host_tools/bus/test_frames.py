@@ -53,6 +53,7 @@ from mcp_asdf_tools.bus.frames import (
     decode_estimate,
     decode_frame,
     encode_estimate,
+    encode_telemetry,
     format_frame,
 )
 from messages import (
@@ -184,6 +185,23 @@ def test_the_documented_estimate_has_the_documented_identifier_and_bytes() -> No
     frame = encode_estimate(estimate, DEFAULT)
     assert frame.arbitration_id == 0x106BB82A
     assert frame.data.hex() == "0000400000803fe0"
+
+
+def test_the_specification_shows_frames_of_such_messages() -> None:
+    page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
+    estimate = encode_estimate(Estimate(42, 2**22, ALPHA_ONE, transfer_id=0), DEFAULT)
+    telemetry = encode_telemetry(
+        Telemetry(42, x=3 * 2**21, b_hat=0xF33333, updates=7, transfer_id=5), TELEMETRY_FORMAT
+    )
+    assert f"`{format_frame(estimate)}`; x = 0.75, b_hat = 0.95, 7 updates" in page
+    assert f"transfer id 5: `{format_frame(telemetry)}`." in page
+
+
+def test_the_specification_lists_the_codes_of_the_header_in_their_order() -> None:
+    page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
+    section = page.partition("### What a receiver refuses\n")[2].partition("###")[0]
+    header = (ROOT / "c_ref/src/mcp_asdf_frame.h").read_text(encoding="utf-8")
+    assert re.findall(r"-\d\d\b", section) == re.findall(r"= (-\d\d)\b", header)
 
 
 def test_an_estimate_is_a_classic_data_frame_with_an_extended_identifier() -> None:
