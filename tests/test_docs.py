@@ -41,6 +41,8 @@ SHOWN = (
     "share of black 0.685",
     "6 flawed, none:",
     "mean |x - f|",
+    "omega 0.125, q 40:",
+    "wrote 25 files",
     "logs/kiv0",
 )
 """How the blocks of text begin that a program prints; every other line of text is a command."""

@@ -1,5 +1,5 @@
 /* A whole robot without an operating system: in every tick it reads its ground sensor, sends its estimate to
- * its neighbours, and settles the round of what it has received from them. docs/porting.md goes through it.
+ * its neighbours, and settles the round of what it has received from them. docs/porting.md builds it.
  */
 #include "demo.h"
 

@@ -124,7 +124,7 @@ typedef enum {
 
 /* Settings, shared by any number of robots and never written: may be const, though on an AVR not in PROGMEM,
  * as they are read like any variable. Both the struct and the table must outlive the robots.
- *   table          t-table as `mcp-asdf table` generates it (docs/tables.md); not read and may be null
+ *   table          t-table as `mcp-asdf table` generates it (docs/porting.md); not read and may be null
  *                  unless filter is MCP_ASDF_ADAPTIVE
  *   filter_period  rounds from one run of the filter to the next, 1 .. 2^32 - 1: the paper's tau divided by
  *                  the caller's broadcast period

@@ -1,5 +1,5 @@
 /* An estimate as a message of nine bytes, for radios that carry short packets: the sender's id and the data
- * of the estimate's CAN frame (mcp_asdf_frame.h). The Kilobot of docs/porting.md sends the same.
+ * of the estimate's CAN frame (mcp_asdf_frame.h). The Kilobot of docs/platforms/kilobot.md sends the same.
  */
 #ifndef MCP_ASDF_NINE_BYTES_H
 #define MCP_ASDF_NINE_BYTES_H

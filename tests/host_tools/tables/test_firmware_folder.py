@@ -13,7 +13,7 @@ import yaml
 
 from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.common.versions import own_version
-from support import ROOT, blocks, matching_files, require, run
+from support import ROOT, matching_files, require, run
 
 PROGRAM = """\
 #include "mcp_asdf.h"
@@ -197,19 +197,6 @@ def test_cmake_can_be_asked_for_position_independent_code(tmp_path: Path) -> Non
 
 # --- Other build systems --------------------------------------------------------------------------------
 
-ESP_IDF_PROJECT = """\
-cmake_minimum_required(VERSION 3.21)
-project(robot LANGUAGES C)
-set(ESP_PLATFORM 1)
-function(idf_component_register)
-    cmake_parse_arguments(component "" "" "SRCS;INCLUDE_DIRS" ${ARGN})
-    add_library(component ${component_SRCS})
-    target_include_directories(component PUBLIC ${component_INCLUDE_DIRS})
-endfunction()
-add_subdirectory(components/mcp_asdf)
-add_executable(robot robot.c)
-target_link_libraries(robot PRIVATE component)
-"""
 ZEPHYR_PROJECT = """\
 cmake_minimum_required(VERSION 3.21)
 project(robot LANGUAGES C)
@@ -229,22 +216,13 @@ add_subdirectory(modules/mcp_asdf/zephyr)
 add_executable(robot robot.c)
 target_link_libraries(robot PRIVATE module)
 """
-"""These projects have functions of ESP-IDF and of Zephyr that do in plain CMake what those are for."""
+"""A project with functions that do in plain CMake what Zephyr's are for."""
 
 
-@pytest.mark.parametrize(
-    ("project", "folder"),
-    [
-        pytest.param(ESP_IDF_PROJECT, "components/mcp_asdf", id="ESP-IDF"),
-        pytest.param(ZEPHYR_PROJECT, "modules/mcp_asdf", id="Zephyr"),
-    ],
-)
-def test_the_commands_for_other_build_systems_build_a_robot(
-    project: str, folder: str, tmp_path: Path
-) -> None:
-    write_folder(tmp_path / folder, "--omega", "0.1", "--neighbours", "30")
+def test_the_commands_for_zephyr_build_a_robot(tmp_path: Path) -> None:
+    write_folder(tmp_path / "modules/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
     (tmp_path / "robot.c").write_text(PROGRAM)
-    (tmp_path / "CMakeLists.txt").write_text(project)
+    (tmp_path / "CMakeLists.txt").write_text(ZEPHYR_PROJECT)
     run(require("cmake", "cmake"), "-S", tmp_path, "-B", tmp_path / "build")
     run("cmake", "--build", tmp_path / "build")
     run(tmp_path / "build/robot")
@@ -258,19 +236,6 @@ def test_zephyr_finds_build_commands_and_options_where_the_module_says(tmp_path:
     assert (tmp_path / module["build"]["cmake"] / "CMakeLists.txt").is_file()
     options = kconfiglib.Kconfig(str(tmp_path / module["build"]["kconfig"]), warn_to_stderr=False)
     assert [symbol.name for symbol in options.unique_defined_syms] == ["MCP_ASDF"]
-
-
-def test_meson_builds_the_folder(tmp_path: Path) -> None:
-    """With the lines of docs/porting.md."""
-    require("meson")
-    require("ninja")
-    write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
-    (tmp_path / "robot.c").write_text(PROGRAM)
-    [commands] = blocks(ROOT / "docs/porting.md", "meson")
-    (tmp_path / "meson.build").write_text(commands)
-    run("meson", "setup", "--werror", "build", cwd=tmp_path)
-    run("meson", "compile", "-C", "build", cwd=tmp_path)
-    run(tmp_path / "build/robot")
 
 
 def test_platformio_reads_both_manifests_and_builds_for_any_framework(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""T-tables: every entry against SciPy's quantiles, and the figures of docs/tables.md."""
+"""T-tables: every entry against SciPy's quantiles, and the figures of docs/internals/t_tables.md."""
 
 from __future__ import annotations
 
@@ -119,8 +119,8 @@ def test_a_word_that_no_omega_gives_has_none(word: int) -> None:
 
 
 def page_rows(heading: str) -> list[dict[str, str]]:
-    """Return the rows of the first table below a heading of docs/tables.md, each as cells by column."""
-    page = (ROOT / "docs" / "tables.md").read_text()
+    """Return the rows of the first table below a heading of the page, each as cells by column."""
+    page = (ROOT / "docs/internals/t_tables.md").read_text(encoding="utf-8")
     _, _, section = page.partition(f"## {heading}\n")
     table_lines = re.findall(r"(?:^\|.*\n)+", section, re.MULTILINE)[0].splitlines()
     titles, _, *rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table_lines]
@@ -132,6 +132,15 @@ def test_the_page_has_scipy_s_thresholds() -> None:
         m = int(row.pop("m"))
         for title, cell in row.items():
             assert cell == f"{eq_12_multiple(float(title.removeprefix('omega ')), m):.4f}", (m, title)
+
+
+def test_the_page_has_how_much_too_high_the_last_threshold_is() -> None:
+    for row in page_rows("What a shorter table costs"):
+        q = int(row.pop("q"))
+        for title, cell in row.items():
+            omega = Decimal(title.removeprefix("omega "))
+            error = worst_threshold_error(omega, generate(omega, q))
+            assert cell == f"{error.beyond_q:.2%}", (q, omega)
 
 
 def test_the_page_has_the_rejection_rates_of_the_noncentral_t_distribution() -> None:
