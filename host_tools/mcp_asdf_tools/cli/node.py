@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 EPILOG = """\
 examples:
   mcp-asdf node --id 3 --interface udp_multicast    # until Ctrl-C, on this computer
-  mcp-asdf radio --id 3 --interface udp_multicast --verify     # in another terminal, at once
+  mcp-asdf radio --id 3 --interface udp_multicast --verify     # in another terminal
       PASSED: 45 of 45 phases passed; every frame of the controller equals the model's
   mcp-asdf node --id 3 --interface socketcan --channel can0 --b-hat 0.8 --log run.log
 Command frames drive the robot (docs/design.md). The C node, mcp_asdf_node, also runs in real time and reads
