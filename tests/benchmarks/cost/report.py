@@ -6,7 +6,7 @@ from pathlib import Path
 
 from .images import AVR, KILOBOT_CLOCK, LEVELS, ROOT, TARGETS
 from .measurement import Figures
-from .robots import TESTED, UPDATED
+from .robots import UPDATED
 
 README, PAGE = ROOT / "README.md", ROOT / "docs/internals/cost.md"
 FLASH, RAM = 32 * 1024, 2 * 1024
@@ -42,16 +42,17 @@ def fill(text: str, sections: dict[str, str]) -> str:
 def sections(cells: Cells, kilobots: Kilobots) -> dict[Path, dict[str, str]]:
     """For every page what stands between its markers."""
     names = [target.name for target in TARGETS]
-    short = [short_row(name, *(cells[name, level][0] for level in LEVELS)) for name in names]
+    short = [short_row(name, cells[name, "-O2"][0]) for name in names]
     shown = [(name, level) for name in names for level in LEVELS if is_in_page(name, level)]
     every = [(" ".join(each), cells[each]) for each in shown]
     return {
         README: {"cost table": table([chip_row(name, cells[name, "-Os"][2]) for name in CHIPS])},
         PAGE: {
             "targets": f"{table(short)}\n\n{_kilobot(cells[AVR.name, '-Os'][0], kilobots)}",
-            "calls": table([call_row(name, found[0]) for name, found in every]),
+            "calls": table([call_row("paper's filter", name, found[0]) for name, found in every]),
             "memory": table([memory_row(name, found[0]) for name, found in every]),
-            "filters": table([filter_row(name, *found[1:]) for name, found in every]),
+            "robust calls": table([call_row("robust filter", name, found[-1]) for name, found in every]),
+            "robust memory": table([filter_memory_row(name, *found[2:]) for name, found in every]),
         },
     }
 
@@ -59,10 +60,9 @@ def sections(cells: Cells, kilobots: Kilobots) -> dict[Path, dict[str, str]]:
 def is_in_page(name: str, level: str) -> bool:
     """Return whether docs/internals/cost.md has the build.
 
-    A Cortex-M3 has nearly the figures of a Cortex-M4, and where a target has no divider -O2 gains next to
-    nothing.
+    A Cortex-M3 has nearly the figures of a Cortex-M4, and one chip shows what -O2 gains.
     """
-    return name != "Cortex-M3" and (level == "-Os" or name not in {AVR.name, "Cortex-M0+"})
+    return name != "Cortex-M3" and (level == "-Os" or name == "Cortex-M4")
 
 
 def chip_row(name: str, found: Figures) -> Row:
@@ -84,58 +84,50 @@ def _microseconds(name: str, found: Figures, kind: str) -> float:
     return cycles / CHIPS[name]
 
 
-def short_row(name: str, small: Figures, fast: Figures) -> Row:
-    """What a target takes with the paper's filter alone."""
+def short_row(name: str, fast: Figures) -> Row:
+    """What a target takes on average with the paper's filter alone, and plain C in comparison."""
     titles = {"step": "step with 10 neighbours", "receive": "receive", "x": "x", UPDATED: UPDATED}
-    times = (f"{fast.times[kind]:.1f}" if kind in fast.times else "none" for kind in ("double", "float"))
+    times = {
+        kind: f"{fast.times[kind]:.1f}" if kind in fast.times else "none" for kind in ("double", "float")
+    }
     return {
-        "instructions at -O2, mean (max)": name,
-        **{title: f"{fast.mean[kind]:.0f} ({fast.most(kind)})" for kind, title in titles.items()},
-        "step and x of plain C, double, float: times as many": ", ".join(times),
-        "code, -Os (-O2)": f"{small.code[0]} ({fast.code[0]}) bytes",
-        "RAM, stack": f"{fast.ram}, {fast.tick_stack()} bytes",
+        "instructions at -O2, mean": name,
+        **{title: f"{fast.mean[kind]:.0f}" for kind, title in titles.items()},
+        "plain C, double, times as many": times.get("double", "none"),
+        "plain C, float, times as many": times.get("float", "none"),
     }
 
 
-def call_row(name: str, found: Figures) -> Row:
-    """The most instructions of calls, with bounds where there are any; cycles where they are counted."""
-    row = {"worst observed : bound": name}
-    for kind in ("step", TESTED, UPDATED, "receive", "x"):
-        bound = f" : {found.bound[kind]}" if kind in found.bound else ""
-        cycles = found.most(kind, "cycles")
-        row[kind] = f"{found.most(kind)}{bound}{f', {cycles} cycles' if cycles else ''}"
-    return row
+def call_row(filter_name: str, name: str, found: Figures) -> Row:
+    """The most instructions of calls; of an AVR the most cycles."""
+    unit = "cycles" if name.startswith(AVR.name) else "instructions"
+    calls = {kind: str(found.most(kind, unit)) for kind in ("step", UPDATED, "receive", "x")}
+    return {f"{filter_name} alone, worst observed": name, **calls}
 
 
 def memory_row(name: str, found: Figures) -> Row:
     """Bytes of flash, RAM and stack."""
-    stacks = {
-        f"stack of {each}": found.stack[each] for each in ("init", "save", "restore", "invariants_hold")
-    }
     bytes_of = {
         "code": found.code[0],
-        "all code, save and restore among it": found.code[1],
+        "code with save and restore": found.code[1],
         "RAM of a robot": found.ram,
         "stack of a tick": found.tick_stack(),
-        **stacks,
+        "stack of restore": found.stack["restore"],
+        "stack of invariants_hold": found.stack["invariants_hold"],
+    }
+    return {"bytes, paper's filter alone": name, **{title: str(each) for title, each in bytes_of.items()}}
+
+
+def filter_memory_row(name: str, both: Figures, alone: Figures) -> Row:
+    """Bytes of flash, RAM and stack where both filters are built, and where the robust one is alone."""
+    bytes_of = {
+        "code, both filters": both.code[0],
+        "code, robust filter alone": alone.code[0],
+        "RAM of a robot": both.ram,
+        "stack of a tick, both filters": both.tick_stack(),
+        "stack of a tick, robust filter alone": alone.tick_stack(),
     }
     return {"bytes": name, **{title: str(each) for title, each in bytes_of.items()}}
-
-
-def filter_row(name: str, *compared: Figures) -> Row:
-    """The most instructions of BUILDS in their order, and the bytes of what is built."""
-    calls = {
-        kind: ", ".join(str(found.most(kind)) for found in compared)
-        for kind in ("step", UPDATED, "receive", "x")
-    }
-    both, alone = compared[1:]
-    return {
-        "worst observed; bytes": name,
-        **calls,
-        "code": f"{both.code[0]}, {alone.code[0]}",
-        "RAM of a robot": f"{both.ram}, {alone.ram}",
-        "stack of a tick": f"{both.tick_stack()}, {alone.tick_stack()}",
-    }
 
 
 def table(rows: list[Row]) -> str:
