@@ -38,6 +38,7 @@ SHOWN = (
     "call 0 status",
     "tick  50: share of black",
     "tick 1000: robot 2",
+    "Mean error on the same seed",
     "share of black 0.685",
     "6 flawed, none:",
     "mean |x - f|",
@@ -49,7 +50,6 @@ SHOWN = (
 
 RUN_ELSEWHERE = {
     "data_frames.md": "tests/test_data_frames.py",
-    "development.md": "tests/test_setup.py",
     "extending.md": "tests/host_tools/test_extending.py",
     "installing.md": "tests/test_newcomer.py",
     "khepera.md": "tests/targets/test_khepera.py",
@@ -346,22 +346,37 @@ def test_the_notebook_prints_what_it_shows(tmp_path: Path) -> None:
     assert any("image/png" in output.get("data", {}) for output in outputs)
 
 
-def test_the_python_program_of_the_readme_runs() -> None:
-    (code,) = blocks(ROOT / "README.md", "python")
-    assert run(sys.executable, "-c", code) == block_with(ROOT / "README.md", "tick 1000", "text")
+def test_the_example_of_the_python_api_prints_what_it_shows() -> None:
+    page = ROOT / "docs/api.md"
+    (code,) = blocks(page, "python")
+    assert run(sys.executable, "-c", code) == block_with(page, "tick 1000", "text")
 
 
-def test_the_readme_says_how_much_it_helps_as_the_page_does() -> None:
-    """The page's figures are those of its program; the README rounds them no further."""
-    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    page = (ROOT / "docs/experiments.md").read_text(encoding="utf-8")
-    assert "trials=200" in page and "[200 worlds](docs/experiments.md#how-much-it-helps)" in readme
-    lines = block_with(ROOT / "docs/experiments.md", "6 flawed, none:", "text").splitlines()
+def test_the_readme_and_the_advice_say_how_much_it_helps_as_the_page_does() -> None:
+    """The page's figures are those of its program; the others round them no further."""
+    experiments = ROOT / "docs/experiments.md"
+    readme, advice, page = (
+        " ".join(path.read_text(encoding="utf-8").split())
+        for path in (ROOT / "README.md", ROOT / "docs/advice.md", experiments)
+    )
+    assert "trials=200" in page
+    for text, folder in ((readme, "docs/"), (advice, "")):
+        assert f"]({folder}experiments.md#how-much-it-helps)" in text
+    lines = block_with(experiments, "6 flawed, none:", "text").splitlines()
     figures = [[float(number) for number in re.findall(r"\d+\.\d*", line)] for line in lines]
-    none, minus, robust, _, half_minus, half_robust = figures
-    for low, middle, high, *_ in (none, minus, robust):
-        assert f"{middle:.3f} ({low:.3f} to {high:.3f})" in readme
-    low, middle, high = half_minus[3:]
-    assert f"makes the error at the end {middle} times smaller (quartiles {low} to {high})" in readme
+    none, minus, robust, _, half_minus, _ = figures
+    error = "the error is {:.3f} without a filter, {:.3f} with ASDF-, and {:.3f} with the robust filter"
+    assert error.format(none[1], minus[1], robust[1]) in readme
+    assert f"it makes the error at the end {half_minus[4]} times smaller" in advice
     (harmed,) = re.findall(r"larger in (\d+)%", lines[-1])
-    assert f"{half_robust[3]} and {half_robust[5]}, and it does harm in {harmed} % of these worlds" in readme
+    assert f"the robust filter does harm in {harmed} % of these worlds" in readme
+    assert f"The robust filter makes it larger in [{harmed} % of these worlds]" in advice
+
+
+def test_all_state_the_same_time_for_the_tests() -> None:
+    """The README, the guide for contributors and the help of make."""
+    texts = (
+        (ROOT / name).read_text(encoding="utf-8")
+        for name in ("README.md", ".github/CONTRIBUTING.md", "Makefile")
+    )
+    assert [re.findall(r"(\d+) minutes once set up", text) for text in texts] == [["2"]] * 3

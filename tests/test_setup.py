@@ -13,7 +13,7 @@ import pytest
 
 from support import ROOT, blocks, require, run
 
-PAGE = ROOT / "docs/development.md"
+PAGE = ROOT / ".github/CONTRIBUTING.md"
 PYTHON = """#!/bin/sh
 # Stands in for Python: writes down how it was called, and makes environments whose Python does the same.
 for word in "$0" "$@"; do printf "'%s' " "$word"; done >>"$CALLS"

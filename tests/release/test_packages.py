@@ -18,7 +18,7 @@ from packaging.utils import canonicalize_name
 
 from authors_files import FIXED, write_trial
 from mcp_asdf_tools.cli import main as cli
-from support import CORE, ROOT, made_once, run, version_of_header
+from support import CORE, ROOT, block_with, made_once, require, run, version_of_header
 
 PACKAGE_FOLDERS = ("firmware_py/mcp_asdf", "host_tools/mcp_asdf_tools")
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -192,3 +192,25 @@ def test_the_source_archive_has_every_file_that_git_lists(tmp_path: Path) -> Non
     with tarfile.open(archive) as opened:
         names = {re.sub("^[^/]+/", "", member.name) for member in opened if member.isfile()}
     assert names - {"PKG-INFO"} == listed_files()
+
+
+def build_and_check(folder: Path, option: str = "") -> list[str]:
+    """Build and check the packages in a folder with the commands of RELEASING.md; return what is built."""
+    require("twine")
+    commands = block_with(ROOT / ".github/RELEASING.md", "twine check", "sh")
+    assert "build/dist" in commands
+    commands = commands.replace("build/dist", shlex.quote(str(folder)))
+    commands = commands.replace("-m build", f"-m build --quiet {option}")
+    printed = run("sh", "-exc", commands, cwd=ROOT)
+    built = sorted(path.name for path in folder.iterdir())
+    assert printed.count("PASSED") == len(built)
+    return built
+
+
+def test_the_source_archive_passes_the_check_of_an_index(tmp_path: Path) -> None:
+    assert build_and_check(tmp_path, "--sdist") == [f"mcp_asdf-{version_of_header()}.tar.gz"]
+
+
+@pytest.mark.slow
+def test_the_commands_of_a_release_build_the_archive_and_a_wheel(tmp_path: Path) -> None:
+    assert [Path(name).suffix for name in build_and_check(tmp_path)] == [".whl", ".gz"]

@@ -28,7 +28,7 @@ from mcp_asdf_tools.swarm.live_view import LiveView
 from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.summary import one_line, summary, summary_table
 from mcp_asdf_tools.swarm.swarm import Swarm
-from support import ROOT, interruptible
+from support import ROOT, block_with, interruptible
 
 pytestmark = pytest.mark.usefixtures("private_setup")
 
@@ -414,6 +414,14 @@ def final_error(filter_name: str) -> float:
 
 def test_the_figures_of_the_readme_are_those_of_its_first_command() -> None:
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    with_filter, without_filter = final_error("asdf-minus"), final_error("none")
-    assert f"is {with_filter:.3f} at the end; without it, on the same seed, {without_filter:.3f};" in readme
-    assert f"[robust filter](docs/internals/robust.md) {final_error('robust'):.3f}." in readme
+    without_filter, with_filter, robust = map(final_error, ("none", "asdf-minus", "robust"))
+    line = f"no filter {without_filter:.3f}, ASDF- {with_filter:.3f}, robust {robust:.3f}."
+    assert f"Mean error on the same seed: {line}" in readme
+
+
+@pytest.mark.slow
+def test_the_first_command_of_the_readme_ends_as_it_shows(capsys: Capture) -> None:
+    command = re.search(r"^\t@\$\(BIN\)/mcp-asdf (swarm .*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert command is not None and main(command[1].split()) == 0
+    *_, last_line = capsys.readouterr().out.splitlines()
+    assert f"{last_line}\n" == block_with(ROOT / "README.md", "Mean error", "text")
