@@ -40,6 +40,8 @@ SHOWN = (
     "tick 1000: robot 2",
     "Mean error on the same seed",
     "share of black 0.685",
+    "share of black 1.000",
+    "the bus is an slcan adapter",
     "6 flawed, none:",
     "mean |x - f|",
     "omega 0.125, q 40:",

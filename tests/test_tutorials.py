@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from support import PATH, PATIENCE, ROOT, blocks, interruptible, require, run
+from support import PATH, PATIENCE, ROOT, block_with, blocks, interruptible, require, run
 
 PAGE = ROOT / "docs/robot_tutorial.md"
 PORT_OF_THE_PAGE = "20001"
@@ -32,7 +32,8 @@ def build_first_robot(folder: Path) -> str:
     """Do what the first two parts of the page say, and return what the robot prints."""
     require("cmake")
     get_firmware, build_and_start, *_ = blocks(PAGE, "sh")
-    run("sh", "-exc", get_firmware, cwd=folder)
+    printed = run("sh", "-exc", get_firmware, cwd=folder)
+    assert printed == block_with(PAGE, "wrote 25 files", "text")
     write_file(blocks(PAGE, "c")[0], folder)
     write_file(blocks(PAGE, "cmake")[0], folder)
     return run("sh", "-exc", build_and_start, cwd=folder)
@@ -52,8 +53,10 @@ def running_swarm() -> Iterator[str]:
     with started as swarm:
         assert swarm.stderr is not None
         try:
-            address = re.search(r"socket://\S+:(\d+)", swarm.stderr.readline())
+            line = swarm.stderr.readline()
+            address = re.search(r"socket://\S+:(\d+)", line)
             assert address is not None
+            assert line.replace(address[1], PORT_OF_THE_PAGE) == block_with(PAGE, "socket://", "text")
             yield address[1]
         finally:
             swarm.send_signal(signal.SIGINT)
@@ -61,7 +64,7 @@ def running_swarm() -> Iterator[str]:
 
 
 def test_the_first_robot_of_the_tutorial_is_built_and_runs(tmp_path: Path) -> None:
-    assert build_first_robot(tmp_path).endswith("share of black 1.000\n")
+    assert build_first_robot(tmp_path).endswith(block_with(PAGE, "share of black 1.000", "text"))
 
 
 @pytest.mark.slow
