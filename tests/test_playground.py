@@ -289,9 +289,9 @@ def test_the_large_figures_are_grey_until_all_runs_are_in(browser: Page, playgro
     figure = "document.querySelectorAll('#beliefs .result')[{}].children"
     first = f"(([, error, note]) => [error.className, note.textContent])([...{figure.format(0)}])"
     class_name, runs = browser.evaluate(first)
-    if not runs.endswith("median of 30 runs"):
+    if runs != "points, 30 runs":
         assert class_name == "unfinished" and re.fullmatch(r"points, \d+ of 30 runs", runs)
-    until(browser, f"{first}.join() === ',points, median of 30 runs'")
+    until(browser, f"{first}.join() === ',points, 30 runs'")
     errors = browser.evaluate("view.playground.comparison.filters[0].trials.map((errors) => errors.at(-1))")
     assert len(errors) == 30
     text = browser.evaluate(f"{figure.format(0)}[1].textContent")
@@ -319,6 +319,7 @@ def test_a_page_that_frames_the_playground_has_its_address_height_and_colours(
     inner_page = browser.frames[-1]
     until(inner_page, HAS_TWO_TRIALS)
     assert inner_page.evaluate("view.history.robotCount") == 5
+    until(inner_page, "document.documentElement.style.getPropertyValue('--screen') === '800px'")
     until(inner_page, f"{background} === 'rgb(16, 20, 26)'")
     browser.evaluate("document.body.dataset.mdColorScheme = 'default'")
     until(inner_page, f"{background} === 'rgb(246, 247, 249)'")

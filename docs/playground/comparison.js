@@ -110,7 +110,7 @@ export class Comparison {
     const isComplete = finalError.trialCount === trialCount;
     return {
       value: toPoints(finalError.median).toFixed(1),
-      runs: isComplete ? `median of ${trialCount} runs` : `${finalError.trialCount} of ${trialCount} runs`,
+      runs: isComplete ? `${trialCount} runs` : `${finalError.trialCount} of ${trialCount} runs`,
       isComplete,
     };
   }

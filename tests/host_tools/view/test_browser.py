@@ -159,7 +159,7 @@ def test_a_page_explains_itself_and_leads_to_the_method(browser: Page, file: Pat
     open_file(browser, file)
     assert browser.locator("#about").inner_text() == (
         "Each robot guesses the share of black tiles. Half of them misjudge their sensor (orange). "
-        "Watch them find out. The truth is 55 %. How it works: the paper"
+        "Watch them find out. The truth is 55\N{NO-BREAK SPACE}%. How it works: the paper"
     )
     paper = browser.locator("#about a").get_attribute("href")
     assert f"url: {paper}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")

@@ -178,7 +178,7 @@ class MeanErrorChart {
 /** Returns the charts of a history, from top to bottom. */
 export function chartsOf(history) {
   const charts = [
-    new RobotLinesChart(history, "b_hat", "how far each trusts its sensor (b_hat)", "b"),
+    new RobotLinesChart(history, "b_hat", "trust in its sensor (b_hat)", "b"),
     new RobotLinesChart(history, "x_hat", "what each sees by itself (x_hat)", "f"),
     new RobotLinesChart(history, "x", "what each believes after hearing others (x)", "f"),
   ];

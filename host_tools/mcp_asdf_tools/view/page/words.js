@@ -2,7 +2,7 @@
 
 /** Returns a share, 0 to 1, as text in percent. */
 export function formatPercent(share) {
-  return `${+(100 * share).toFixed(1)} %`;
+  return `${+(100 * share).toFixed(1)}\u00a0%`; // no line begins with the sign
 }
 
 /** Returns who of `total` robots misjudges its sensor at the start, as a sentence. */

@@ -82,7 +82,7 @@ test("an error at the end is in points, and unfinished until all runs are in", (
     [
       ["…", "0 of 2 runs", false],
       ["3.9", "1 of 2 runs", false],
-      ["3.9", "median of 2 runs", true],
+      ["3.9", "2 runs", true],
     ],
   );
 });

@@ -52,7 +52,12 @@ test("of robots elsewhere the introduction has what is known", () => {
 });
 
 test("a share is a percentage with a digit after the point if it needs one", () => {
-  assert.deepEqual([0.55, 0.125, 0, 1].map(formatPercent), ["55 %", "12.5 %", "0 %", "100 %"]);
+  assert.deepEqual([0.55, 0.125, 0, 1].map(formatPercent), [
+    "55\u00a0%",
+    "12.5\u00a0%",
+    "0\u00a0%",
+    "100\u00a0%",
+  ]);
 });
 
 test("a page without data waits for the bus or for the swarm", () => {
