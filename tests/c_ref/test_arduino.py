@@ -20,6 +20,8 @@ from packets import PACKET_SIZE, packet_of
 from simulated_avr import Board, require_simavr
 from support import ROOT, TABLE, made_once, require, run
 
+pytestmark = pytest.mark.slow
+
 SKETCH = ROOT / "c_ref/examples/MinimalRobot"
 ROBOT_ID = 7
 CLOCK = 16_000_000

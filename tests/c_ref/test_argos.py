@@ -22,6 +22,8 @@ import pytest
 
 from support import ROOT, made_once, require, run
 
+pytestmark = pytest.mark.slow
+
 EXAMPLE = ROOT / "c_ref/examples/argos3"
 STUBS = Path(__file__).parent / "argos3"
 ARGOS_HEADERS = (

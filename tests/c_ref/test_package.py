@@ -186,6 +186,7 @@ def test_pkg_config_describes_the_installed_library(project: Path) -> None:
     run(project / "program")
 
 
+@pytest.mark.slow
 def test_meson_finds_the_installed_library(project: Path) -> None:
     """By pkg-config, with the lines of docs/platforms/elsewhere.md."""
     require("meson")

@@ -348,6 +348,17 @@ def _spread_is_small(_: Any, __: Any, robot: Any) -> Any:
     return z3.And(spread >= 0, spread < 2**58)
 
 
+def _sum_of_own_is_small(_: Any, __: Any, robot: Any) -> Any:
+    m_x_hat = robot["received"]["sums"]["open"]["count"] * robot["x_hat"]
+    return z3.And(m_x_hat >= 0, m_x_hat < 2**30)
+
+
+def _product_is_sum_of_two(_: Any, __: Any, robot: Any) -> Any:
+    """The products of k_m and the two words of the spread add up to that of k_m and the spread."""
+    _, k, spread = _terms_of_test(robot)
+    return k * spread == 2**32 * (k * (spread / 2**32)) + k * (spread % 2**32)
+
+
 def _decided(rejects: Any, _: Any, robot: Any) -> Any:
     """Eq. 12 multiplied out, with k in units of 2^-26."""
     square, k, spread = _terms_of_test(robot)
@@ -355,7 +366,13 @@ def _decided(rejects: Any, _: Any, robot: Any) -> Any:
 
 
 # design: R24
-TEST = Contract(_decided, Integers, requires=_may_test, steps=(_spread_is_small,), uses=("multiply",))
+TEST = Contract(
+    _decided,
+    Integers,
+    requires=_may_test,
+    steps=(_spread_is_small, _sum_of_own_is_small, _product_is_sum_of_two),
+    uses=("multiply",),
+)
 OF_THE_CODE = (of_filter,)
 CONTRACTS = {
     "mcp_asdf_observe": OBSERVE,

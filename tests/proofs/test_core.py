@@ -32,7 +32,7 @@ FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c", SO
 
 
 LEMMAS = [*formulas.CONTRACTS, *robust.CONTRACTS, *calls.CONTRACTS, *images.CONTRACTS]
-LONG = ("take_vote", "mcp_asdf_receive", "asdf_test_rejects")
+LONG = ("take_vote", "mcp_asdf_receive")
 CORTEX_M4 = VARIANTS[0]
 
 

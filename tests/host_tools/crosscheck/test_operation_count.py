@@ -164,11 +164,13 @@ def operations() -> Counts:
 
 
 # design: R34
+@pytest.mark.slow
 def test_no_call_of_the_mirror_grows(operations: Counts) -> None:
     assert find_growth(operations) == []
     assert operations.keys() == CALLS.keys() | {f"{name}, robust" for name in CALLS}
 
 
+@pytest.mark.slow
 def test_calls_are_counted_over_the_ranges_of_t_m_and_q(operations: Counts) -> None:
     for name, count_by_axis in operations.items():
         assert {1, 2, 2**31 - 1, 2**31} <= count_by_axis["t"].keys()
@@ -181,6 +183,7 @@ def largest_count(operations: Counts, name: str) -> int:
     return max(count for count_by_value in operations[name].values() for count in count_by_value.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "limit"), [("step", 1000), ("step, robust", 10_000), ("receive, robust", 200)]
 )
@@ -189,6 +192,7 @@ def test_calls_take_few_instructions(operations: Counts, name: str, limit: int) 
     assert 0 < largest_count(operations, name) < limit
 
 
+@pytest.mark.slow
 def test_both_outcomes_of_the_test_and_an_update_are_counted(operations: Counts) -> None:
     count_by_m = {name: count_by_axis["m"] for name, count_by_axis in operations.items()}
     settle = count_by_m["settle"]
@@ -198,6 +202,7 @@ def test_both_outcomes_of_the_test_and_an_update_are_counted(operations: Counts)
     assert robust_settle[4] < robust_settle[5] < robust_settle[32] == robust_settle[127]
 
 
+@pytest.mark.slow
 def test_all_kinds_of_messages_are_counted(operations: Counts) -> None:
     count = {name: count_by_axis["m"][20] for name, count_by_axis in operations.items()}
     assert count["receive"] > count["receive again"] > count["receive own"]
