@@ -46,6 +46,7 @@ SHOWN = (
     "mean |x - f|",
     "omega 0.125, q 40:",
     "wrote 25 files",
+    "x_hat 8388608",
     "logs/kiv0",
 )
 """How the blocks of text begin that a program prints; every other line of text is a command."""
