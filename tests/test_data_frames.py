@@ -13,7 +13,7 @@ import pytest
 import mcp_asdf_tools as m
 from support import ROOT, blocks, made_once, require, run
 
-PAGE = ROOT / "docs/data_frames.md"
+PAGE = ROOT / "docs/platforms/data_frames.md"
 TEXT = PAGE.read_text(encoding="utf-8")
 PROGRAM_AND_OUTPUT = re.compile(
     r"^```(python|r|octave)\n(.*?)^```\n\n```text\n(.*?)^```$", re.DOTALL | re.MULTILINE

@@ -101,14 +101,14 @@ def test_the_experiment_of_the_tutorial_runs_with_the_extra_that_it_names(
     newcomer: Newcomer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     programs = blocks(EXPERIMENT_TUTORIAL, "python")
+    for program in programs:
+        (newcomer.folder / program.split("\n", 1)[0].removeprefix("# ")).write_text(program)
     [extra] = re.findall(r"with the extra `(\w+)`", EXPERIMENT_TUTORIAL.read_text(encoding="utf-8"))
     printed = newcomer.run_python(programs[0], "2>&1 || echo exit code $?").splitlines()
     assert printed[-1] == "exit code 1"
     assert printed[-2].endswith(install_instruction(extra)), "as the page says"
 
     monkeypatch.setenv("EXTRAS", extra)
-    for program in programs:
-        newcomer.run_python(program)
     newcomer.enter(*blocks(EXPERIMENT_TUTORIAL, "sh"))
     newcomer.enter(
         "mcp-asdf view question.parquet --where density=0.5 --where filter=none --export page.html"

@@ -1,6 +1,6 @@
 """Tools around the firmware ``mcp_asdf``: experiments, swarms on a CAN bus, scores and plots.
 
-The names of this package are those of ``mcp_asdf_tools.library``, and ``show``; docs/library.md has an
+The names of this package are those of ``mcp_asdf_tools.library``, and ``show``; docs/api.md has an
 example of each. They are imported when one is first used, so that the command line, whose modules stand in
 this package, too, loads only what a command needs.
 """

@@ -1,4 +1,4 @@
-"""The library: experiments, swarms, scores and pictures in a few lines; docs/library.md has examples."""
+"""The library: experiments, swarms, scores and pictures in a few lines; docs/api.md has examples."""
 
 from __future__ import annotations
 

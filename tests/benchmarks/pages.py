@@ -89,7 +89,7 @@ def put_study(folder: Path) -> int:
     if "Too short for verdicts" in report:
         return 1
     write_verdicts(folder / "comparisons.csv", ROOT / "tests/data/study_verdicts.csv")
-    page = ROOT / "docs/reproduce.md"
+    page = ROOT / "docs/internals/study.md"
     overview = f"<!-- results -->\n{overview_of(report)}\n<!-- end -->"
     page.write_text(MARKED.sub(lambda _: overview, page.read_text(encoding="utf-8")), encoding="utf-8")
     return 0

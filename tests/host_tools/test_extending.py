@@ -1,4 +1,4 @@
-"""The extensions of docs/extending.md work as an installed package, in worker processes too."""
+"""The extensions of docs/platforms/extending.md work as an installed package, in worker processes too."""
 
 from __future__ import annotations
 
@@ -21,23 +21,27 @@ from mcp_asdf_tools.swarm.settings import SwarmSettings
 from mcp_asdf_tools.swarm.swarm import Swarm
 from mcp_asdf_tools.world.sensors import make_sensor_model
 from mcp_asdf_tools.world.settings import WorldSettings
-from support import ROOT, blocks, run
+from support import ROOT, block_with, blocks, run
 from trials import images_by_message
 
-PAGE = ROOT / "docs/extending.md"
+PAGE = ROOT / "docs/platforms/extending.md"
+PAGE_OF_FILTER = ROOT / "docs/experiments.md"
 
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
     """Return a folder with the page's package, as ``pip install`` leaves it, and the page's grid.toml.
 
-    The first line of each Python block on the page is a comment with the path of its module.
+    The first line of each Python block on the page is a comment with the path of its module. The firmware is
+    that of the page about experiments.
     """
     for code in blocks(PAGE, "python"):
         first_line, _ = code.split("\n", 1)
         path = tmp_path / first_line.removeprefix("# ")
         path.parent.mkdir(exist_ok=True)
         path.write_text(code, encoding="utf-8")
+    firmware = block_with(PAGE_OF_FILTER, "class BetaRobot", "python")
+    (tmp_path / "my_swarm/beta.py").write_text(firmware, encoding="utf-8")
     pyproject, grid = blocks(PAGE, "toml")
     (tmp_path / "grid.toml").write_text(grid)
     write_package_information(tmp_path, tomllib.loads(pyproject)["project"])

@@ -66,7 +66,7 @@ def simulate_one(experiment: m.Experiment) -> Trials:
 
 @pytest.mark.parametrize("name", m.__all__)
 def test_every_name_of_the_library_is_on_its_page_and_has_a_docstring(name: str) -> None:
-    page = (ROOT / "docs/library.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/api.md").read_text(encoding="utf-8")
     assert f"m.{name}" in page or f"`{name}`" in page
     assert getattr(m, name).__doc__
 

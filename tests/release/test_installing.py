@@ -27,7 +27,7 @@ INSTALLS_PROJECT = re.compile(
 PAGES_THAT_INSTALL = {"docs/installing.md", "docs/radio.md"}
 OTHER_MENTIONS = {
     ".github/CONTRIBUTING.md": "the set-up of developers, who always have a clone",
-    "docs/extending.md": "installs the reader's own package",
+    "docs/platforms/extending.md": "installs the reader's own package",
     "CHANGELOG.md": "tells what was once written",
 }
 

@@ -31,15 +31,21 @@ _DEFAULT_RECORD = 10
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
     parser.add_argument(
-        "files", metavar="FILE", nargs="+", type=Path, help="trials (.json), or folders of them"
+        "files",
+        metavar="FILE",
+        nargs="+",
+        type=Path,
+        help="read trials from .json files, or from folders of them",
     )
-    parser.add_argument("--output", metavar="FILE", type=Path, required=True, help="results: .parquet")
+    parser.add_argument(
+        "--output", metavar="FILE", type=Path, required=True, help="write the results to a .parquet file"
+    )
     parser.add_argument(
         "--record",
         metavar="STEPS",
         type=int,
         default=_DEFAULT_RECORD,
-        help="also keep every robot's values, every STEPS steps (default %(default)s; 0: only the scores)",
+        help="keep the values of each robot every STEPS steps; 0: only the scores (default %(default)s)",
     )
 
 

@@ -21,9 +21,9 @@ LIBRARIES = ("numpy", "pyarrow")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     parser.add_argument(
-        "source", metavar="RESULTS", type=Path, help="results (.parquet), or the log of a swarm"
+        "source", metavar="RESULTS", type=Path, help="read results (.parquet), or the log of a swarm (.log)"
     )
-    parser.add_argument("table", metavar="TABLE", type=Path, help="file to write: .csv or .parquet")
+    parser.add_argument("table", metavar="TABLE", type=Path, help="write a .csv or .parquet file")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -469,7 +469,7 @@ def add_experiment_options(parser: argparse.ArgumentParser, output_help: str) ->
         metavar="STEPS",
         type=int,
         default=0,
-        help="also keep every robot's values, every STEPS steps (default: only the scores)",
+        help="keep the values of each robot every STEPS steps, such as 100 (default: only the scores)",
     )
     add_worker_option(parser)
     add_common_parameters(parser, Experiment, "experiment (values replace those of FILE)")
@@ -511,7 +511,7 @@ def add_worker_option(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         # Processors that this process may use, which may be fewer than the machine has.
         default=len(os.sched_getaffinity(0)),
-        help="processes (default %(default)s: one per processor)",
+        help="run N processes (default %(default)s: one per processor)",
     )
 
 
@@ -528,7 +528,7 @@ def add_scheduler_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="run on the Dask cluster with this scheduler, such as tcp://HOST:8786, not in processes here",
+        help="run on the Dask cluster of this scheduler, such as tcp://head:8786 (default: on this machine)",
     )
 
 
@@ -545,9 +545,14 @@ def add_limit_options(parser: argparse.ArgumentParser) -> None:
 
     group = parser.add_argument_group("scores")
     group.add_argument(
-        "--k-max", type=float, metavar="STEPS", help="K that scores 0 (default: the length of a trial)"
+        "--k-max",
+        type=float,
+        metavar="STEPS",
+        help="score 0 for this convergence time K (default: length of a trial)",
     )
-    group.add_argument("--e-max", type=float, metavar="ERROR", help=f"e that scores 0 (default: {E_MAX})")
+    group.add_argument(
+        "--e-max", type=float, metavar="ERROR", help=f"score 0 for this error e (default: {E_MAX})"
+    )
 
 
 def limits_of(args: argparse.Namespace) -> Limits:

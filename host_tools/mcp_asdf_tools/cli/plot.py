@@ -29,16 +29,18 @@ _PLOT_OPTIONS = ("trial", "x", "hue", "y", "facet")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
-    parser.add_argument("file", metavar="FILE", type=Path, help="results: .parquet")
-    parser.add_argument("picture", metavar="PICTURE", type=Path, help="what to draw into: .png, .svg or .pdf")
-    parser.add_argument("--kind", choices=KINDS, default="boxes", help="what to draw (default %(default)s)")
+    parser.add_argument("file", metavar="FILE", type=Path, help="read the results from a .parquet file")
+    parser.add_argument("picture", metavar="PICTURE", type=Path, help="draw into a .png, .svg or .pdf file")
+    parser.add_argument(
+        "--kind", choices=KINDS, default="boxes", help="draw this kind of picture (default %(default)s)"
+    )
     options.add_where_option(parser)
-    parser.add_argument("--trial", metavar="N", type=int, help="which one, for series (default 0)")
+    parser.add_argument("--trial", metavar="N", type=int, help="draw trial N, for series (default 0)")
     group = parser.add_argument_group("curves")
-    group.add_argument("--x", metavar="NAME", help="parameter along the axis")
-    group.add_argument("--hue", metavar="NAME", help="parameter with a curve for each value")
-    group.add_argument("--y", metavar="NAME", help="H, h_K, h_e, K or e (default H)")
-    group.add_argument("--facet", metavar="NAME", help="parameter with a panel for each value")
+    group.add_argument("--x", metavar="NAME", help="draw over this parameter, such as flawed")
+    group.add_argument("--hue", metavar="NAME", help="draw a curve for each value of it, such as filter")
+    group.add_argument("--y", metavar="NAME", help="draw H, h_K, h_e, K (steps) or e (default H)")
+    group.add_argument("--facet", metavar="NAME", help="draw a panel for each value of it, such as robots")
     options.add_limit_options(parser)
 
 

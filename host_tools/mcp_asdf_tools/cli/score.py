@@ -19,8 +19,15 @@ LIBRARIES = ("numpy", "pyarrow", "rich.console")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
-    parser.add_argument("file", metavar="FILE", type=Path, help="results: .parquet")
-    parser.add_argument("--csv", metavar="FILE", type=Path, help="write a line for every trial")
+    parser.add_argument(
+        "file", metavar="FILE", type=Path, help="read the results from a .parquet file, such as grid.parquet"
+    )
+    parser.add_argument(
+        "--csv",
+        metavar="FILE",
+        type=Path,
+        help="write a line for each trial, such as to grid.csv (default: no file)",
+    )
     options.add_limit_options(parser)
 
 

@@ -13,10 +13,10 @@ EPILOG = """\
 examples:
   mcp-asdf simulate                                 # 20 fully connected robots, 6 of them flawed
   mcp-asdf simulate --filter none --flawed 5 --output none.parquet
-  mcp-asdf simulate --filter robust --flawed 5      # this project's own filter
+  mcp-asdf simulate --topology dynamic --filter robust             # moving robots, the robust filter
   mcp-asdf simulate --trials 1 --record 100 --output run.parquet   # for mcp-asdf plot --kind series
   mcp-asdf simulate --drift linear --drift-rate=-1e-5 --memory 2000
-FILE is an experiment (.toml). Equal parameters give equal results.
+Equal parameters give equal results.
 exit code: 0 done, 2 bad usage, 128 + signal if interrupted"""
 LIBRARIES = ("numpy", "pyarrow", "rich.console")
 
@@ -26,8 +26,16 @@ _ROBOT_STEPS_FOR_PROCESSES = 10**8
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
-    parser.add_argument("file", metavar="FILE", nargs="?", type=Path, help="describes the experiment: .toml")
-    options.add_experiment_options(parser, "keep the results: .parquet")
+    parser.add_argument(
+        "file",
+        metavar="FILE",
+        nargs="?",
+        type=Path,
+        help="read the experiment from a .toml file, such as one.toml",
+    )
+    options.add_experiment_options(
+        parser, "write the results to a .parquet file (default: print only their scores)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -14,16 +14,20 @@ examples:
   mcp-asdf sweep grid.toml --scheduler tcp://head:8786      # on a Dask cluster
   mcp-asdf sweep grid.toml --record 100 --output recorded.parquet     # with values over time
   mcp-asdf sweep grid.toml --seed 2 --firmware mirror --output mirror.parquet
-A sweep that was interrupted is resumed by the same command: finished trials are in OUTPUT.parts and not run
-again. So are those of a finished sweep when the file asks for more.
+To resume an interrupted sweep, repeat the command: finished trials are in OUTPUT.parts and do not run again.
+If the file asks for more trials later, only the new ones run.
 exit code: 0 done, 2 bad usage, 128 + signal if interrupted (what was finished is kept)"""
 LIBRARIES = ("numpy", "pyarrow", "rich.progress")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments and options of the command."""
-    parser.add_argument("file", metavar="FILE", type=Path, help="describes the experiments: .toml")
-    options.add_experiment_options(parser, "where results go (default: FILE's name with .parquet)")
+    parser.add_argument(
+        "file", metavar="FILE", type=Path, help="read the experiments from a .toml file, such as grid.toml"
+    )
+    options.add_experiment_options(
+        parser, "write the results to a .parquet file (default: FILE's name with .parquet)"
+    )
     options.add_scheduler_option(parser)
 
 

@@ -1,7 +1,7 @@
 """Extensions: classes and functions of users that take the place of firmware, topologies or sensors.
 
 An extension is installed, and found by its name through an entry point, or it is an object of this process.
-Worker processes find the same installed extensions. docs/extending.md has an example of each group.
+Worker processes find the same installed extensions. docs/platforms/extending.md has an example of each group.
 """
 
 from __future__ import annotations

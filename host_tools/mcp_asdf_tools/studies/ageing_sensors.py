@@ -1,7 +1,7 @@
 """Sensors whose accuracy changes in other ways than that of the built-in ones, and the rates of all changes.
 
-Each starts at ``true_accuracy`` and stays within ``lowest_accuracy`` and 1. docs/extending.md says how to
-write such sensors.
+Each starts at ``true_accuracy`` and stays within ``lowest_accuracy`` and 1. docs/platforms/extending.md
+describes how to write such sensors.
 """
 
 from __future__ import annotations

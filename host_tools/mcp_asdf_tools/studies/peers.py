@@ -1,6 +1,6 @@
 """Robots with which the robust filter is compared, and robots and sensors that make a world hard for it.
 
-docs/extending.md says how to write such classes; experiments take them in place of a name.
+docs/platforms/extending.md says how to write such classes; experiments take them in place of a name.
 docs/internals/related_work.md compares the methods from which some of them come.
 """
 

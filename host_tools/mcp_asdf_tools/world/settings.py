@@ -53,7 +53,7 @@ code: a pattern like a QR code's of which exactly the share f is black, the same
 Drift = Literal["none", "linear"]
 """How the true accuracy changes in step k, counted from 0: not at all, or as b + drift_rate k.
 
-docs/extending.md shows how to write sensors that change otherwise.
+docs/platforms/extending.md shows how to write sensors that change otherwise.
 """
 
 FORMER_PARAMETERS = {"drift_spread": 0.0}

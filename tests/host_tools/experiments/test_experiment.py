@@ -104,7 +104,7 @@ def test_an_error_names_file_and_line(tmp_path: Path, text: str, words: str) -> 
 
 def test_the_page_translates_the_authors_template(tmp_path: Path) -> None:
     """Each parameter that its table of their keys names is one of ours, and its file is read."""
-    page = ROOT / "docs/experiments.md"
+    page = ROOT / "docs/platforms/authors.md"
     (text,) = (block for block in blocks(page, "toml") if block.startswith("robots = 10"))
     found = experiments_of(tmp_path, text)
     assert [(each.robots, each.flawed, each.comms_period) for each in found] == [

@@ -76,7 +76,9 @@ second,dynamic,mixed,no
 @pytest.fixture
 def study_folder(root: Path) -> Path:
     """Make a page and the report of a study for it."""
-    (root / "docs/reproduce.md").write_text("Words.\n\n<!-- results -->\nold\n<!-- end -->\n\nMore words.")
+    (root / "docs/internals/study.md").write_text(
+        "Words.\n\n<!-- results -->\nold\n<!-- end -->\n\nMore words."
+    )
     (root / "report.md").write_text(REPORT)
     (root / "comparisons.csv").write_text(COMPARISONS)
     return root
@@ -88,7 +90,7 @@ def test_the_overview_of_the_study_goes_into_its_page(
     assert put("study", study_folder, monkeypatch) == 0
     overview = "1 of 2 claims hold.\n\nyes, 1 of 1\n\n### What was run\n\n30 trials"
     expected = f"Words.\n\n<!-- results -->\n{overview}\n<!-- end -->\n\nMore words."
-    assert (study_folder / "docs/reproduce.md").read_text() == expected
+    assert (study_folder / "docs/internals/study.md").read_text() == expected
 
 
 def test_the_verdicts_of_the_study_are_recorded(study_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -105,4 +107,4 @@ def test_a_study_without_verdicts_changes_no_page(
 ) -> None:
     (study_folder / "report.md").write_text("# The study\n\n**Too short for verdicts**")
     assert put("study", study_folder, monkeypatch) == 1
-    assert "old" in (study_folder / "docs/reproduce.md").read_text()
+    assert "old" in (study_folder / "docs/internals/study.md").read_text()

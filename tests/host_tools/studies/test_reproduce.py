@@ -235,7 +235,7 @@ def test_recorded_verdicts_are_those_of_fewer_trials(decisions_of_60_trials: lis
 def test_the_page_has_the_gain_of_asdf_plus_that_fewer_trials_give(
     decisions_of_60_trials: list[Decision],
 ) -> None:
-    page = (ROOT / "docs/reproduce.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/internals/study.md").read_text(encoding="utf-8")
     gain = re.search(r"helps overconfident swarms only at P = 10 %\*\*, by (\d+) to (\d+) points", page)
     assert gain
     (decision,) = [each for each in decisions_of_60_trials if each.claim.name == CHECKED_CLAIMS[0]]
