@@ -354,7 +354,7 @@ def test_the_notebook_prints_what_it_shows(tmp_path: Path) -> None:
 
 def test_the_example_of_the_python_api_prints_what_it_shows() -> None:
     page = ROOT / "docs/api.md"
-    (code,) = blocks(page, "python")
+    code = block_with(page, "NativeRobot", "python")
     assert run(sys.executable, "-c", code) == block_with(page, "tick 1000", "text")
 
 
