@@ -143,10 +143,13 @@ def _kilobot(avr: Figures, kilobots: Kilobots) -> str:
         KILOBOT_CLOCK // round(1.05 * avr.most(kind, "cycles")) for kind in ("step", UPDATED)
     )  # 5 % spare
     return (
-        f"With {compilers}. A t-table takes 12 + 4 q bytes of flash. A whole Kilobot (ATmega328P, -Os:\n"
-        f"core, t-table, frames, main loop, radio) takes {paper}, stack included; at 8 MHz it\n"
-        f"takes at least {next(rates)} steps per second, or {next(rates)} if each of them tests and updates. "
-        f"With both filters it takes\n{both}, with the robust one alone {alone}."
+        f"The compilers are {compilers}. A t-table takes 12 + 4 q bytes of flash.\n\n"
+        "A whole Kilobot (ATmega328P, -Os) with core, t-table, frames, main loop, radio and stack takes\n\n"
+        f"- {paper} with the paper's filter,\n"
+        f"- {alone} with the robust filter,\n"
+        f"- {both} with both.\n\n"
+        f"At 8 MHz it takes at least {next(rates)} steps per second with the paper's filter, "
+        f"or {next(rates)} if each of them tests and updates."
     )
 
 
