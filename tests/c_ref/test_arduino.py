@@ -18,11 +18,12 @@ from mcp_asdf_tools.cli.main import main
 from mcp_asdf_tools.tables.thresholds import generate
 from packets import PACKET_SIZE, packet_of
 from simulated_avr import Board, require_simavr
-from support import ROOT, TABLE, made_once, require, run
+from support import ROOT, TABLE, block_with, made_once, require, run
 
 pytestmark = pytest.mark.slow
 
 SKETCH = ROOT / "c_ref/examples/MinimalRobot"
+PAGE = ROOT / "docs/porting.md"
 ROBOT_ID = 7
 CLOCK = 16_000_000
 CYCLES_OF_A_TICK = CLOCK // 2
@@ -121,14 +122,14 @@ def test_the_sketch_builds_without_a_warning(built_sketch: Path) -> None:
     assert "Sketch uses" in output
 
 
-def test_the_folder_that_the_command_writes_is_a_library_of_arduino(tmp_path: Path) -> None:
-    """It has the table, which the sketch need not have then."""
+def test_the_sketch_of_the_page_builds_with_the_folder_that_the_command_writes(tmp_path: Path) -> None:
     require("arduino-builder", "arduino-builder arduino-core-avr")
     require("avr-gcc", "gcc-avr avr-libc")
     assert main(["firmware", str(tmp_path / "libraries/mcp_asdf"), "--neighbours", "30"]) == 0
-    (tmp_path / "MinimalRobot").mkdir()
-    sketch = tmp_path / "MinimalRobot/MinimalRobot.ino"
-    shutil.copy(SKETCH / sketch.name, sketch)
+    (tmp_path / "sketch").mkdir()
+    sketch = tmp_path / "sketch/sketch.ino"
+    sketch.write_text(block_with(PAGE, "sketch.ino", "cpp"))
+    (tmp_path / "sketch/robot.c").write_text(block_with(PAGE, "/* robot.c */", "c"))
     build_with_libraries(sketch, tmp_path)
     assert "Sketch uses" in (tmp_path / "output.txt").read_text(encoding="utf-8")
 
