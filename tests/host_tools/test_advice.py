@@ -64,14 +64,6 @@ def test_the_table_of_the_figures_has_the_errors_of_the_file() -> None:
         assert errors == [published_error("dynamic", flawed, f"{share}%", each) for each in filters]
 
 
-def test_the_page_on_the_method_has_the_figures_of_the_advice() -> None:
-    method = (ROOT / "docs/method.md").read_text(encoding="utf-8")
-    without_filter, with_filter = (
-        published_error("dynamic", "underconfident", "30%", each) for each in ("none", "asdf-minus")
-    )
-    assert f"moving swarm is {without_filter}; if they filter, {with_filter} " in method
-
-
 def test_the_defaults_are_the_advice() -> None:
     """The tools have them, and so have all configurations of robots in C."""
     header = (ROOT / "c_ref/src/mcp_asdf.h").read_text(encoding="utf-8")
