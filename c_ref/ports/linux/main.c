@@ -348,7 +348,7 @@ static void run_until_end(run_t *run)
     }
 }
 
-/* ---- The summary: a line of JSON, whose members docs/platforms/linux.md explains ---------------------------- */
+/* ---- The summary: a line of JSON, whose members docs/platforms/linux.md explains ---- */
 
 /* Print a member of the summary, a number. */
 static void print_number(const char *name, uint64_t value)

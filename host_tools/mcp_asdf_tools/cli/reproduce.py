@@ -34,7 +34,7 @@ examples:
   mcp-asdf reproduce                                # every figure and claim, with the paper's 30 trials
   mcp-asdf reproduce --part dynamic                 # figures 3 and 4 only
   mcp-asdf reproduce --quick --filter robust        # short trials, with the robust filter in each figure
-  mcp-asdf reproduce --part physical --firmware beta --output mine    # your firmware in figure 8
+  mcp-asdf reproduce --part physical --firmware reference --output mine   # another firmware in figure 8
   mcp-asdf reproduce --trials 120                   # decide more claims, with more trials
 The same command resumes an interrupted run, and renews the report of a finished one. With more trials it runs
 only the new ones.

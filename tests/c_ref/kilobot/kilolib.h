@@ -1,5 +1,5 @@
-/* What the Kilobot of docs/platforms/kilobot.md calls of kilolib, in kilolib's shapes. A test sets clock, light and the
- * message that is heard, and calls the robot's functions as kilolib does. */
+/* What the Kilobot of docs/platforms/kilobot.md calls of kilolib, in kilolib's shapes. A test sets clock,
+ * light and the message that is heard, and calls the robot's functions as kilolib does. */
 #ifndef KILOLIB_H
 #define KILOLIB_H
 
