@@ -71,22 +71,26 @@ def test_every_program_of_the_page_has_its_output_below_it() -> None:
     assert len(EXAMPLES) == len(blocks(PAGE, "python", "r", "octave")) == 7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.language)
 def test_a_program_of_the_page_prints_what_the_page_shows(example: Example, tables: Path) -> None:
     assert run_example(example, tables) == example.output
 
 
+@pytest.mark.slow
 def test_the_commands_for_a_sweep_end_with_what_the_page_shows(tables: Path) -> None:
     shown_for_sweep, *_ = blocks(PAGE, "text")
     assert (tables / "printed.txt").read_text().endswith(shown_for_sweep)
 
 
+@pytest.mark.slow
 def test_the_commands_for_a_log_end_with_what_the_page_shows(tmp_path: Path) -> None:
     _, commands_for_log = blocks(PAGE, "sh")
     _, shown_for_log, *_ = blocks(PAGE, "text")
     assert run("sh", "-ec", commands_for_log, cwd=tmp_path).endswith(shown_for_log)
 
 
+@pytest.mark.slow
 def test_the_page_lists_the_columns_with_their_units_and_meanings(tables: Path) -> None:
     schema = m.to_frame(tables / "grid.parquet").schema
     rows = []

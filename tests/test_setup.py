@@ -68,6 +68,7 @@ def test_an_environment_that_lacks_pip_is_made_again(clone: Path) -> None:
     assert set_up(clone, "run") == installed, "what has pip is kept"
 
 
+@pytest.mark.slow
 def test_without_root_it_names_what_is_missing_and_goes_on(clone: Path) -> None:
     program(clone / "bin/avr-gcc", "#!/bin/sh\nexit 1\n")
     program(clone / "bin/apt-get", '#!/bin/sh\necho "apt-get $*" >>"$CALLS"\n')
@@ -78,6 +79,7 @@ def test_without_root_it_names_what_is_missing_and_goes_on(clone: Path) -> None:
     assert (clone / ".venv/ready-to-test").exists()
 
 
+@pytest.mark.slow
 def test_without_the_index_of_packages_it_says_so_in_one_line(clone: Path) -> None:
     """pip's own message where nothing answers."""
     nowhere = "-qq --isolated --retries 1 --index-url http://127.0.0.1:1/simple mcp-asdf-of-nowhere"
@@ -89,6 +91,7 @@ def test_without_the_index_of_packages_it_says_so_in_one_line(clone: Path) -> No
     assert not (clone / ".venv/ready-to-run").exists()
 
 
+@pytest.mark.slow
 def test_the_set_up_by_hand_is_the_same(clone: Path) -> None:
     """The page's commands are what made the environment of these tests; only how much pip says may differ."""
     (block,) = (block for block in blocks(PAGE, "sh") if "venv" in block)

@@ -46,6 +46,7 @@ def symbols_in(path: Path, *options: str) -> set[str]:
 # --- Symbols ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_inline_function_is_a_symbol_of_the_library(library: Path) -> None:
     assert len(inline_functions()) == 11
     assert inline_functions() <= symbols_in(library, "--dynamic", "--defined-only")

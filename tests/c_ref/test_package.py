@@ -175,6 +175,7 @@ def test_library_headers_and_descriptions_are_installed_and_nothing_else(tmp_pat
     assert files == {"libmcp_asdf.a", "mcp_asdf.pc"} | HEADERS | cmake_files
 
 
+@pytest.mark.slow
 def test_pkg_config_describes_the_installed_library(project: Path) -> None:
     [description] = install_library(project / "library").rglob("mcp_asdf.pc")
     folder = str(description.parent)

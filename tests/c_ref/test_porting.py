@@ -359,6 +359,7 @@ def project(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_robot_of_the_page_builds_by_cmake_and_does_what_the_mirror_does(project: Path) -> None:
     (project / "CMakeLists.txt").write_text(block_with(PAGE, "add_subdirectory(vendor/mcp_asdf)", "cmake"))
     run(require("cmake"), "-S", project, "-B", project / "build", CFLAGS=WARNINGS)
@@ -366,6 +367,7 @@ def test_the_robot_of_the_page_builds_by_cmake_and_does_what_the_mirror_does(pro
     assert run(project / "build/robot") == output_of_the_mirror()
 
 
+@pytest.mark.slow
 def test_the_robot_of_the_page_builds_for_a_cortex_m4(project: Path) -> None:
     require("arm-none-eabi-gcc", "gcc-arm-none-eabi libnewlib-arm-none-eabi")
     (project / "CMakeLists.txt").write_text(block_with(PAGE, "add_subdirectory(vendor/mcp_asdf)", "cmake"))
@@ -384,6 +386,7 @@ def test_the_robot_of_the_page_builds_without_a_build_system(project: Path) -> N
     assert run(project / "robot") == output_of_the_mirror()
 
 
+@pytest.mark.slow
 def test_the_robot_of_the_page_builds_by_meson(project: Path) -> None:
     require("meson")
     require("ninja")
@@ -414,6 +417,7 @@ add_subdirectory(main)
 """A project with what stands in for ESP-IDF's function."""
 
 
+@pytest.mark.slow
 def test_the_robot_of_the_page_builds_as_a_component_of_esp_idf(tmp_path: Path) -> None:
     (tmp_path / "main").mkdir()
     begin_project(tmp_path / "main", vendor="../components/mcp_asdf")

@@ -44,7 +44,7 @@ def skip_without_tools(preset: str) -> None:
         require("qemu-s390x", "qemu-user")
 
 
-QUICK_PRESETS = ("gcc", "sanitizers")
+QUICK_PRESETS = ("gcc",)
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ from robots import (
     restore_robot,
     restore_robust_robot,
 )
-from support import draws
+from support import draws, slow
 
 pytestmark = pytest.mark.random
 
@@ -206,7 +206,7 @@ def make_calls(robot: FixedPoint, calls: list[tuple[int, ...]]) -> None:
 
 
 @for_fixed_point_firmwares
-@pytest.mark.parametrize("mode", [Filter.ROBUST, Filter.ALWAYS])
+@pytest.mark.parametrize("mode", [Filter.ROBUST, *slow([Filter.ALWAYS])])
 @thorough
 @given(calls=call_lists)
 def test_every_sequence_of_calls_keeps_the_invariants(
@@ -219,7 +219,7 @@ def test_every_sequence_of_calls_keeps_the_invariants(
 
 
 @for_fixed_point_firmwares
-@pytest.mark.parametrize("mode", [Filter.ROBUST, Filter.ALWAYS])
+@pytest.mark.parametrize("mode", [Filter.ROBUST, *slow([Filter.ALWAYS])])
 @thorough
 @given(calls=call_lists)
 def test_a_restored_robot_is_the_saved_one(
@@ -232,7 +232,7 @@ def test_a_restored_robot_is_the_saved_one(
     assert firmware.restore(config, robot.save()).state() == robot.state()
 
 
-@pytest.mark.parametrize("mode", [Filter.ROBUST, Filter.ALWAYS])
+@pytest.mark.parametrize("mode", [Filter.ROBUST, *slow([Filter.ALWAYS])])
 @thorough
 @given(calls=call_lists)
 def test_mirror_and_c_are_equal_after_every_sequence_of_calls(

@@ -387,6 +387,7 @@ def test_a_class_of_a_notebook_is_refused_for_workers(monkeypatch: pytest.Monkey
         m.simulate(experiment, workers=2)
 
 
+@pytest.mark.slow
 def test_a_class_of_a_module_is_sent_to_workers() -> None:
     experiment = small_experiment(firmware=ReferenceRobot)
     assert m.simulate(experiment, workers=2).equals(m.simulate(experiment))

@@ -272,6 +272,7 @@ def test_a_link_to_a_device_without_an_end_is_no_table(tmp_path: Path) -> None:
     assert "than 16777216 bytes" in refusal_of("table", "--check", str(tmp_path / "endless.c"))
 
 
+@pytest.mark.slow
 def test_a_file_with_100001_grids_is_refused(tmp_path: Path) -> None:
     grid = tmp_path / "grid.toml"
     grid.write_text("steps = 9\n" + "[[grid]]\n" * 100_001)

@@ -207,6 +207,7 @@ def build_and_check(folder: Path, option: str = "") -> list[str]:
     return built
 
 
+@pytest.mark.slow
 def test_the_source_archive_passes_the_check_of_an_index(tmp_path: Path) -> None:
     assert build_and_check(tmp_path, "--sdist") == [f"mcp_asdf-{version_of_header()}.tar.gz"]
 

@@ -165,8 +165,7 @@ def any_line(draw: random.Random) -> bytes:
 @pytest.mark.parametrize(
     ("target", "number", "filters"),
     [
-        ("host", 6, Filter.ROBUST),
-        *slow([("host", 0, Filter.ADAPTIVE), ("host", 1, Filter.ADAPTIVE)]),
+        *slow([("host", 6, Filter.ROBUST), ("host", 0, Filter.ADAPTIVE), ("host", 1, Filter.ADAPTIVE)]),
         *slow([("cortex-m3", 2, Filter.ADAPTIVE), ("cortex-m3", 7, Filter.ROBUST)]),
         *slow([("rv32imc", 3, Filter.ADAPTIVE), ("cortex-m4", 5, Filter.ADAPTIVE)]),
     ],

@@ -73,7 +73,7 @@ def on_wifi(frames: list[can.Message], draw: random.Random) -> list[tuple[can.Me
     return arrived
 
 
-@pytest.mark.parametrize("address", [IPV4, IPV6])
+@pytest.mark.parametrize("address", [IPV4, *slow([IPV6])])
 @pytest.mark.parametrize("kind", [HOST, *slow([CORTEX_A8])], ids=lambda kind: kind.name)
 def test_the_bits_are_those_of_a_python_node_that_hears_the_same(
     kind: Kind, address: str, tmp_path_factory: pytest.TempPathFactory

@@ -20,7 +20,7 @@ from rich.console import Console
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extras import install_instruction
-from support import HIDING, ROOT
+from support import HIDING, ROOT, slow
 
 Capture = pytest.CaptureFixture[str]
 CHECK = "table --check tables/t_table_omega05_q30.c"
@@ -329,6 +329,7 @@ LINES_AND_MISSING_MODULES = [
 """Command lines that need the extra "study", each with the module of it that is missing."""
 
 
+@pytest.mark.slow
 def test_a_missing_extra_is_named_before_anything_is_begun(tmp_path: Path) -> None:
     lines = [line for line, _ in LINES_AND_MISSING_MODULES]
     exit_codes, errors = run_without_extras(lines, tmp_path)
@@ -341,6 +342,7 @@ def test_a_missing_extra_is_named_before_anything_is_begun(tmp_path: Path) -> No
         )
 
 
+@pytest.mark.slow
 def test_the_library_names_a_missing_extra_as_the_command_does(tmp_path: Path) -> None:
     calls = (
         "m.simulate(m.Experiment(steps=1000, trials=1))",
@@ -393,6 +395,7 @@ def test_the_check_of_a_table_loads_mpmath_alone() -> None:
     assert libraries_loaded_by([CHECK]) == [["mpmath"]]
 
 
+@pytest.mark.slow
 def test_a_swarm_loads_neither_matplotlib_nor_pyarrow_nor_scipy() -> None:
     assert libraries_loaded_by(["swarm --steps 1 --quiet"]) == [["can", "mpmath", "numpy", "rich"]]
 
@@ -405,7 +408,9 @@ def test_every_command_has_examples_that_it_accepts(name: str) -> None:
         cli._parser_for(command, cli._load(command)).parse_all(options)
 
 
-@pytest.mark.parametrize("name", sorted(cli.COMMANDS.keys() - {"node", "radio"}))
+@pytest.mark.parametrize(
+    "name", [*sorted(cli.COMMANDS.keys() - {"node", "radio", "crosscheck"}), *slow(["crosscheck"])]
+)
 def test_examples_print_what_the_help_shows(
     name: str, capsys: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

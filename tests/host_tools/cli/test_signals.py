@@ -110,6 +110,7 @@ def has_frames(log: Path) -> bool:
     return log.exists() and log.stat().st_size > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "number"),
     [("--robots 4", signal.SIGTERM), *slow([("--robots 2 --processes", signal.SIGHUP)])],
@@ -146,6 +147,7 @@ def test_a_radio_that_a_signal_ends_leaves_a_whole_log(tmp_path: Path) -> None:
     assert not part.exists()
 
 
+@pytest.mark.slow
 @interruptible()
 def test_a_swarm_that_is_killed_leaves_a_part_of_its_log_that_is_reproduced(
     tmp_path: Path, capsys: Capture

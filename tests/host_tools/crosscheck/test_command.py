@@ -56,6 +56,7 @@ def json_report(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str
 # --- The whole check -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_report_has_all_results(capsys: pytest.CaptureFixture[str]) -> None:
     report = json_report(capsys, "--steps", "6000")
     errors, tests, robust = report.pop("errors"), report.pop("tests"), report.pop("robust")

@@ -239,6 +239,7 @@ class RobotThatSearchesItsTable(MirrorRobot):
         return super().save() + bytes(self.s.open.count)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("firmware", "axis", "growing_calls"),
     [

@@ -153,6 +153,7 @@ def wrong_results(event: str, after: CallResult) -> Iterator[CallResult]:
 
 
 # design: R35, R37, R38
+@pytest.mark.slow
 def test_a_wrong_result_of_any_event_of_the_robust_filter_is_reported() -> None:
     """In 40 random scenarios, in which each event happens at least three times; the first ten are checked."""
     audit, events = Audit(), Counter[str]()

@@ -47,6 +47,7 @@ def audit_of_robust_scenarios() -> Audit:
 
 
 # design: R38
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "event", ["vote", "own vote", "too few", "accepted", "rejected", "returned", "supported"]
 )
@@ -56,6 +57,7 @@ def test_robust_scenarios_bring_about_all_that_the_filter_does(
     assert audit_of_robust_scenarios.robust[event] > 30
 
 
+@pytest.mark.slow
 def test_robust_scenarios_come_so_near_the_threshold_that_rounding_may_decide(
     audit_of_robust_scenarios: Audit,
 ) -> None:

@@ -31,6 +31,7 @@ def test_all_seeds_of_each_filter_are_there() -> None:
         assert [len(values) for values in errors.values()] == [40, 40, 40]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filter_name", FILTERS_WITH_TABLE)
 def test_errors_in_argos_and_here_have_one_distribution(filter_name: str) -> None:
     simulated = argos.simulate(filter_name, trials=50)
@@ -38,6 +39,7 @@ def test_errors_in_argos_and_here_have_one_distribution(filter_name: str) -> Non
     assert min(p_by_quantity.values()) >= LEVEL, p_by_quantity
 
 
+@pytest.mark.slow
 def test_the_comparison_notices_swarms_with_another_filter_period() -> None:
     simulated = argos.simulate("asdf-minus", trials=50, filter_period=3000)
     p_by_quantity = argos.p_values(simulated, argos.read_results()["asdf-minus"])

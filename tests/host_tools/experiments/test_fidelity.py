@@ -39,11 +39,13 @@ def test_the_references_are_whole() -> None:
         assert cell.experiment.sides == pytest.approx((5.5486, 5.5486), abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.slow)])
 def test_native_has_the_scores_of_the_float64_program(every: int) -> None:
     assert_alike(CONNECTED[::every], trials=32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.slow)])
 def test_native_has_the_scores_of_the_authors_simulation(every: int) -> None:
     assert_alike(PHYSICS[1::every], trials=20)

@@ -212,6 +212,7 @@ def test_a_single_experiment_differs_in_no_parameters(experiments: list[Trials])
 # --- Old and damaged files -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*Experiment().parameters()])
 def test_results_without_a_parameter_have_its_default(name: str, path: Path) -> None:
     values = {"trials": 1, "robots": 20, "flawed": 6, name: getattr(Experiment(), name)}

@@ -635,6 +635,7 @@ def is_worker(process: str) -> bool:
         return False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, *slow([signal.SIGINT])])
 def test_a_signal_keeps_what_is_finished(
     number: signal.Signals, slow_sweep: subprocess.Popen[str], tmp_path: Path
@@ -666,6 +667,7 @@ def test_ctrl_c_while_a_part_is_written_loses_nothing(output: Path, monkeypatch:
     assert 0 < Store(output, [SHORT_SWEEP]).missing_count == store.missing_count < SHORT_SWEEP.trials
 
 
+@pytest.mark.slow
 def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen[str]) -> None:
     wait_until(lambda: bool(workers_of(slow_sweep)))
     os.killpg(slow_sweep.pid, signal.SIGINT)

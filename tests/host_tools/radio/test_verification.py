@@ -190,21 +190,21 @@ def test_a_right_controller_of_another_configuration_passes(config: dict[str, An
 @pytest.mark.parametrize(
     ("config", "phases", "digest"),
     [
-        (
-            {"comms_period": 5, "filter_period": 20, "memory": 512, **ALWAYS},
-            CRAFTED_PHASES,
-            "c6c5a1b6e3b9abce",
-        ),
-        (
-            {"b_hat": 0.4, **VOTES},
-            phases_named("first black tiles", "first estimates", "test of a wide spread"),
-            "b5cca6fd22bd1bd6",
-        ),
         (OFF, phases_named("first black tiles", "no filter"), "b5911caf01c76e19"),
         ({"memory": 80}, phases_named("alone", "messages and silence", "halvings"), "10b82ac699f41f47"),
         ({"memory": 76}, phases_named("first black tiles", "halvings"), "7fae411d4a628d8c"),
         *slow(
             [
+                (
+                    {"comms_period": 5, "filter_period": 20, "memory": 512, **ALWAYS},
+                    CRAFTED_PHASES,
+                    "c6c5a1b6e3b9abce",
+                ),
+                (
+                    {"b_hat": 0.4, **VOTES},
+                    phases_named("first black tiles", "first estimates", "test of a wide spread"),
+                    "b5cca6fd22bd1bd6",
+                ),
                 ({}, PHASES, "dde7bb5febfce51d"),
                 ({"memory": 64}, PHASES, "20ace46b5a67a0f2"),
                 (VOTES, PHASES, "c290c201508f257c"),
@@ -343,10 +343,11 @@ def test_a_verdict_lists_what_was_not_checked(config: dict[str, Any], first_line
 MISTAKE_BY_PHASE = {
     wrong.phase: name for name, wrong in WRONG.items() if wrong.config.get("filter") is not Filter.ROBUST
 }
-SAMPLE = [*MISTAKE_BY_PHASE.values()][::3]
-"""A mistake for a third of the phases that find any, as each takes a second; the slow tests have all."""
+SAMPLE = [*MISTAKE_BY_PHASE.values()][::6]
+"""A mistake for a sixth of the phases that find any, as each takes a second; the slow tests have all."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAMPLE)
 def test_a_wrong_controller_is_found(name: str) -> None:
     assert verify_wrong(WRONG[name]).difference is not None
@@ -442,7 +443,11 @@ DIFFERENCES = {
 }
 
 
-@pytest.mark.parametrize("name", DIFFERENCES)
+LATE_DIFFERENCES = ["rejects its own estimate"]
+"""Those that come in a late phase, after seconds."""
+
+
+@pytest.mark.parametrize("name", [*sorted(DIFFERENCES.keys() - LATE_DIFFERENCES), *slow(LATE_DIFFERENCES)])
 def test_a_difference_says_what_was_expected_and_what_came(name: str) -> None:
     difference = verify_wrong(WRONG[name]).difference
     assert difference is not None
@@ -638,6 +643,7 @@ def radio(options: str) -> int:
     return main(["radio", "--interface", "virtual", *shlex.split(options)])
 
 
+@pytest.mark.slow
 def test_a_verification_leaves_a_report_and_a_log_to_replay(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -117,6 +117,7 @@ def test_the_effects_of_faults_are_no_difference(options: str, tmp_path: Path) -
     assert all(fault["injected"] > 0 for fault in results["faults"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("options", "ratio"), [("", 0.6), *slow([("--fault loss=0.3", 1.1)])])
 def test_the_events_of_many_robots_are_hardly_larger_than_the_log(
     options: str, ratio: float, tmp_path: Path

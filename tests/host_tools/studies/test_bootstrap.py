@@ -19,13 +19,14 @@ from mcp_asdf_tools.studies.bootstrap import (
     resample_quantile,
     resample_rank_correlation,
 )
+from support import slow
 
 
 def normal_sample(seed: int, trials: int = 30) -> Sample:
     return np.random.default_rng(seed).normal(0, 1, trials)
 
 
-@pytest.mark.parametrize("trials", [2, 7, 30, 61])
+@pytest.mark.parametrize("trials", [2, 7, *slow([30, 61])])
 @pytest.mark.parametrize(
     ("resample", "statistic"),
     [

@@ -55,6 +55,7 @@ def claim_named(name: str) -> Claim:
 # --- Every claim -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("claim", "study_part"),
     [

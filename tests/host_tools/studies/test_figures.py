@@ -181,32 +181,36 @@ NO_FILTER, MINUS, PLUS = "no filter", "ASDF\N{MINUS SIGN}", "ASDF+"
 @pytest.mark.parametrize(
     ("name", "own_filter", "names"),
     [
-        (
-            "dynamic_asdf-minus",
-            None,
-            {
-                NO_FILTER,
-                *(f"{MINUS}, filter period {period}" for period in ANY_PERIOD),
-                f"reference, {MINUS}, filter period 1000",
-            },
-        ),
-        (
-            "topologies_asdf-plus",
-            None,
-            {
-                f"{topology}, {name}"
-                for topology in ("dynamic", "fully connected")
-                for name in (NO_FILTER, PLUS, f"reference, {PLUS}")
-            },
-        ),
-        (
-            "topologies_asdf-minus",
-            "robust",
-            {
-                f"{topology}, {name}"
-                for topology in ("dynamic", "fully connected")
-                for name in (NO_FILTER, MINUS, "robust")
-            },
+        *slow(
+            [
+                (
+                    "dynamic_asdf-minus",
+                    None,
+                    {
+                        NO_FILTER,
+                        *(f"{MINUS}, filter period {period}" for period in ANY_PERIOD),
+                        f"reference, {MINUS}, filter period 1000",
+                    },
+                ),
+                (
+                    "topologies_asdf-plus",
+                    None,
+                    {
+                        f"{topology}, {name}"
+                        for topology in ("dynamic", "fully connected")
+                        for name in (NO_FILTER, PLUS, f"reference, {PLUS}")
+                    },
+                ),
+                (
+                    "topologies_asdf-minus",
+                    "robust",
+                    {
+                        f"{topology}, {name}"
+                        for topology in ("dynamic", "fully connected")
+                        for name in (NO_FILTER, MINUS, "robust")
+                    },
+                ),
+            ]
         ),
         (
             "physical_asdf-plus",
@@ -222,6 +226,7 @@ def test_the_users_filter_stands_beside_the_papers(
     assert pictures_of(*StudyPart, firmware=firmware, own_filter=own_filter)[name].figure.names == names
 
 
+@pytest.mark.slow
 def test_a_firmware_where_all_are_flawed_is_shown_with_asdf_minus_too() -> None:
     drawn = pictures_of(*StudyPart, firmware="reference")["topologies_asdf-minus"].figure
     assert ("asdf-minus", 100) in drawn.filters_and_percents

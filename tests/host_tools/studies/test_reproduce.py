@@ -73,6 +73,7 @@ def test_an_interrupted_study_runs_the_trials_that_are_left(
     assert sum(job.count for job in started) == 24
 
 
+@pytest.mark.slow
 def test_an_interrupted_study_ends_in_the_files_of_one_that_was_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -105,6 +106,7 @@ def test_the_claims_are_printed_with_the_report_and_the_line_to_repeat(
     assert f"\n{tmp_path}/report.html\nagain: mcp-asdf reproduce --seed=1 " in output
 
 
+@pytest.mark.slow
 def test_more_trials_are_added_to_those_that_are_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -137,6 +139,7 @@ def test_a_firmware_or_filter_of_the_users_has_the_swarms_of_the_papers_filter(
     assert {each.filter for each in own} == ({filter_name} if filter_name else {"asdf-minus", "asdf-plus"})
 
 
+@pytest.mark.slow
 def test_a_filter_of_the_users_is_run_beside_the_study(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

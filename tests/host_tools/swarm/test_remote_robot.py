@@ -156,6 +156,7 @@ def test_the_known_state_of_a_remote_robot_is_that_of_its_telemetry(lossless: Co
         assert known_robot.b_hat == int(local_robot.b_hat * 2**24) / 2**24
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wiring", "faults", "comms_period", "swarm_filter"),
     [

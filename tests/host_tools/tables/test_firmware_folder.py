@@ -116,6 +116,7 @@ def test_two_folders_of_one_project_share_the_library(tmp_path: Path) -> None:
     run(tmp_path / "build/robot")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "folders",
     [
@@ -141,6 +142,7 @@ def test_folders_of_two_versions_are_refused(tmp_path: Path) -> None:
     assert f"another version ({own_version()}) than this folder (9.8.7)" in message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("setting", "code"),
     [
@@ -219,6 +221,7 @@ target_link_libraries(robot PRIVATE module)
 """A project with functions that do in plain CMake what Zephyr's are for."""
 
 
+@pytest.mark.slow
 def test_the_commands_for_zephyr_build_a_robot(tmp_path: Path) -> None:
     write_folder(tmp_path / "modules/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
     (tmp_path / "robot.c").write_text(PROGRAM)

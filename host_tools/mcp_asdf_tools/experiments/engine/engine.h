@@ -4,8 +4,8 @@
  * fully connected swarm each receives from all others (latency 0 of Algorithm 1); in a moving world, arena.h,
  * those that are linked in this step; in a graph, those from which an arc leads to it. A trial depends on the
  * experiment, the seed and its number alone, not on the other trials of a call or on how they are run;
- * docs/internals/study.md describes the draws. Nothing here is static or shared: any number of threads may run
- * trials at once.
+ * docs/internals/study.md describes the draws. Nothing here is static or shared: any number of threads may
+ * run trials at once.
  *
  * Ids have 16 bits here, 7 in the firmware, whose rounds end at 127 messages: no robot may receive from
  * more than 127 others in a step. Where there are more than 128 robots, one receives from another under its
