@@ -93,18 +93,23 @@ static bool is_valid_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x
             (upper_sum == upper_limit && (uint32_t)alpha_x_low <= ((uint32_t)alpha << 23)));
 }
 
-/* Whether open->count estimates with alpha > 0 can have these sums: every alpha has at least one unit of
- * 2^-24 and at most ALPHA_MANTISSA 2^31, no mean is above 1.0, and no variance below 0. The ranges in the
- * comments show that no product wraps. */
+/* Whether open->count estimates with alpha > 0 can have the sums in *open. The numbers at the right show that
+ * no product wraps. */
 static bool are_valid_sums(const mcp_asdf_open_t *open)
 {
     const uint32_t m = open->count;
-    return m <= MCP_ASDF_MAX_ID && open->x <= m * MCP_ASDF_ONE && /* < 2^30 */
+    return m <= MCP_ASDF_MAX_ID &&
+           /* each x_hat is at most 1.0, and its square at most x_hat */
+           open->x <= m * MCP_ASDF_ONE && /* < 2^30 */
            open->x_squared <= (uint64_t)open->x * MCP_ASDF_ONE &&
-           m * open->x_squared >= (uint64_t)open->x * open->x &&            /* < 2^60 */
+           /* m^2 times the variance of the x_hat is not negative */
+           m * open->x_squared >= (uint64_t)open->x * open->x && /* < 2^60 */
+           /* each alpha is at least one unit of 2^-24, and at most ALPHA_MANTISSA 2^31 of them */
            open->alpha >= m && open->alpha <= (m * ALPHA_MANTISSA) << 31 && /* < 2^62 */
+           /* the lower word of such an alpha is at most 2^32 - 1, the upper one ALPHA_MANTISSA 2^31 / 2^32 */
            open->alpha_x_low <= (uint64_t)open->x * UINT32_MAX &&
            open->alpha_x_high <= open->x * (ALPHA_MANTISSA >> 1) &&
+           /* the mean of the x_hat, weighted by alpha, is at most 1.0 */
            is_valid_mean(open->alpha, open->alpha_x_low, open->alpha_x_high);
 }
 

@@ -171,30 +171,35 @@ ALWAYS_INLINE uint32_t times_half_word(uint32_t factor, uint16_t half_word)
     return low_word(multiply(factor, half_word));
 }
 
-/* End a batch of observations: update the dispersion by it, and begin the next batch. `share` is n / t.
+/* End a batch of observations: let it enter the dispersion, and begin the next batch. `share` is n / t, Q32.
  *
- * Of d independent observations d share are black, with a variance of d share (1 - share). If a robot takes
- * several from one tile they are not independent, and the variance is larger: the dispersion says how many
- * times (the phi of overdispersed binomial models). Here the ratio of the square of a batch's deviation to
- * that variance enters its average, but at most 12 times what it was: a change of the floor is an outlier. */
+ * Of the batch's `count` independent observations, count share are expected to be black, with a variance of
+ * count share (1 - share). A robot that takes several observations of one tile has a larger variance: the
+ * dispersion is the factor (the phi of overdispersed binomial models). It is a moving average over batches of
+ * the ratio between the squared deviation from the expected number and that variance. A ratio above 12 times
+ * the dispersion so far counts as 12 times: it comes from a change of the floor. */
 static void end_batch(mcp_asdf_t *robot, uint32_t share)
 {
     mcp_asdf_robust_t *const robust = &robot->robust;
     const uint32_t count = robot->t - robust->batch_t, black = robot->n - robust->batch_n;
+    /* 0 - share is 1 - share as Q32. */
     const uint64_t variance = multiply(count, multiply_high(share, 0U - share)); /* Q32: < 2^61 */
     const uint32_t largest_ratio =
         times_half_word(REJECTED_SIGMAS_SQUARED, robust->dispersion); /* Q8: < 2^20 */
-    /* largest_ratio variance as Q22, rounded down: it is at most 12 2^8 2^29 as a number, so < 2^63. */
+    /* The square that the largest ratio stands for: the product of ratio (Q8) and variance (Q32), a Q40, is
+     * formed from the two words of the variance and shifted to Q22. It is rounded down, and as a number at
+     * most 12 2^8 2^29: < 2^63. */
     const uint64_t limit = (multiply(largest_ratio, high_word(variance)) << 14) +
                            (multiply(largest_ratio, low_word(variance)) >> 18);
-    const uint64_t observed = join(black, 0), expected = multiply(count, share); /* black ones, Q32: < 2^63 */
+    /* Numbers of black observations, Q32: < 2^63 */
+    const uint64_t observed = join(black, 0), expected = multiply(count, share);
     const uint64_t deviation =
         (observed > expected ? observed - expected : expected - observed) >> 21; /* Q11 */
-    /* From 2^21 observations on a square is beyond every limit: it need not be formed. */
+    /* A deviation of 2^21 observations or more is beyond every limit, so any large square will do. */
     const uint32_t short_deviation = high_word(deviation) == 0U ? low_word(deviation) : UINT32_MAX;
     const uint64_t square = multiply(short_deviation, short_deviation); /* Q22 */
     begin_batch(robot);
-    if (limit == 0U) { /* no observation, or none that was black */
+    if (limit == 0U) { /* no observation in the batch, or no black one so far */
         return;
     }
     const uint32_t ratio_of_limit = quotient(square < limit ? square : limit, limit); /* Q32 */

@@ -82,15 +82,16 @@ static void set_black_limits(const run_t *run, uint32_t k)
 {
     const mcp_asdf_experiment_t *const experiment = run->experiment;
     for (uint32_t l = 0; l < run->active_trials; ++l) {
-        /* Walks through the experiment's probabilities for this trial and step, robot by robot: for a robot
-         * that stands on black, or of any robot where there is no floor. */
+        /* The experiment's array `black` has a probability for each trial, step and robot: that of observing
+         * black if the robot stands on black or, without an arena, in any case. */
         const uint32_t *black = experiment->black + (run->first_index + l) * experiment->trial_stride +
                                 k * experiment->step_stride;
         /* The colours under the robots of this trial, by robot: 1 is black. */
         const uint8_t *const floor = run->arenas == NULL ? NULL : run->arenas[l].black;
-        uint32_t lane = l; /* that of robot 0; the next robot's is parallel_trials further */
+        /* Robot j of this trial has lane l + j parallel_trials, counted over all rows of LANES lanes. */
+        uint32_t lane = l;
         for (uint32_t j = 0; j < experiment->robots; ++j) {
-            /* Without a floor it is 0, so that the probability is taken as it is. */
+            /* 0 where there is no arena */
             const uint32_t is_floor_white = floor != NULL && floor[j] == 0;
             run->lanes[lane / LANES].black_limit[lane % LANES] = probability_of_black(*black, is_floor_white);
             lane += run->parallel_trials;

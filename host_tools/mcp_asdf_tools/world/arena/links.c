@@ -7,14 +7,15 @@
 
 #define MAX_ROBOTS_WITHOUT_GRID 128 /* up to which comparing all pairs is fastest */
 
-/* Write all pairs whose centres are closer than `limit` metres to arena->candidates, in ascending order.
- * Returns their number. */
+/* Write all pairs whose centres are closer than `limit` metres to arena->candidates: (i, j) with i < j,
+ * ordered by i and then by j. Returns their number. */
 static uint32_t find_candidates_among_all(mcp_asdf_arena_t *arena, double limit)
 {
     uint32_t count = 0;
     for (uint32_t i = 0; i < arena->config.robots; ++i) {
         for (uint32_t j = i + 1; j < arena->config.robots; ++j) {
-            /* Written always, and overwritten unless near: a branch could not be predicted. */
+            /* Every pair is written, and the next one overwrites it unless it is near: this takes no branch,
+             * which a processor could not predict. */
             arena->candidates[count] = (mcp_asdf_pair_t){(uint16_t)i, (uint16_t)j};
             count += squared_distance(arena, i, j) < limit * limit;
         }
@@ -258,7 +259,8 @@ static void remove_blocked_links(mcp_asdf_arena_t *arena)
     arena->link_count = kept_count;
 }
 
-/* Find the links and the near pairs of this tick, and before that the candidates if it is time. */
+/* Find the links and the near pairs of this tick among the candidates. When robots may have come near that
+ * are no candidates, once in ticks_to_search ticks, the candidates are found first. */
 void arena_find_links(mcp_asdf_arena_t *arena)
 {
     if (arena->ticks_to_search == 0) {
