@@ -103,7 +103,7 @@ def test_the_robust_filter_costs_what_is_published(target: Target, tmp_path: Pat
     if target.name in report.CHIPS:
         readme, small = report.README.read_text(encoding="utf-8"), compared["-Os"][1]
         check_row(readme, report.chip_row(target.name, small))
-        assert "at most 15 KB of flash and 500 bytes of RAM" in readme
+        assert "| flash | [at most 15 KB]" in readme and "| RAM | [at most 500 bytes]" in readme
         assert small.code[0] <= 15_000 and small.ram + small.tick_stack() <= 500
     for level, (_, robust, alone) in compared.items():
         if report.is_in_page(target.name, level):
