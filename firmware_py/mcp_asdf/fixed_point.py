@@ -90,9 +90,9 @@ def alpha_from_word(word: int) -> float:
 
 
 def alpha_word_from_units(units: int) -> int:
-    """Convert a confidence in units of 2**-24 to an alpha word, rounded down.
+    """Convert a confidence in units of 2**-24 to an alpha word, rounded down to one that it can hold.
 
-    An alpha word has a mantissa of 24 bits above a shift of 5. Of the words with the same value the result is
+    An alpha word is a mantissa of 24 bits above a shift of 5. Of the words with the same value the result is
     the one with the smallest shift. It is ALPHA_MAX for a confidence above that of ALPHA_MAX.
     """
     # The shift drops the bits of a long number that the mantissa cannot hold.
@@ -104,15 +104,16 @@ def alpha_word_from_units(units: int) -> int:
 
 
 def alpha_word_from_float(alpha: float) -> int:
-    """Convert a confidence to an alpha word, the firmware's 32 bits of it, rounded down.
+    """Convert a confidence to an alpha word, rounded down to the next confidence that such a word can hold.
 
-    A confidence above 2**31 - 2**7 becomes ALPHA_MAX, which stands for that number. Raises ValueError for an
+    An alpha word is a mantissa of 24 bits above a shift of 5; it stands for mantissa * 2**shift * 2**-24. A
+    confidence above 2**31 - 2**7 becomes ALPHA_MAX, which stands for that number. Raises ValueError for an
     ``alpha`` that is no confidence: a negative number, -0.0, infinity or NaN.
     """
     check_alpha(alpha)
-    # A huge float would overflow below. The limit is above ALPHA_MAX, so it does not change the result.
+    # A huge float would overflow below. The limit is above 2**31 - 2**7, so it does not change the result.
     limited_alpha = min(alpha, 2.0**31)
-    units = math.ldexp(limited_alpha, 24)  # times 2**24, without rounding
+    units = math.ldexp(limited_alpha, 24)  # in units of 2**-24: times 2**24, without rounding
     return alpha_word_from_units(math.floor(units))
 
 

@@ -476,7 +476,8 @@ class MirrorRobot(FixedPointView):
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
         """Add a neighbour's estimate to the open round or, with the robust filter, keep it in its slot.
 
-        ``x_hat`` is in units of 2**-23, and ``alpha`` an alpha word. Returns OK if the estimate was accepted;
+        ``x_hat`` is in units of 2**-23, and ``alpha`` a word of 32 bits: a mantissa of 24 above a shift of 5,
+        together worth mantissa * 2**shift units of 2**-24. Returns OK if the estimate was accepted;
         REPEATED, which ignores it, if the round already has one of this sender; ERR_SENDER if ``sender`` is
         not in 0 .. 127 or is the robot's own id; and ERR_X_HAT if ``x_hat`` is not in [0, 1]. The counters
         ``accepted``, ``repeated`` and ``rejected`` say how often each has happened. An estimate with alpha =
@@ -498,7 +499,7 @@ class MirrorRobot(FixedPointView):
         s.accepted = (s.accepted + 1) & COUNTER_MASK
         if not self.is_robust:
             add_estimate(s.open, x_hat, alpha)
-        elif alpha >> 8:  # an estimate without confidence is not kept
+        elif alpha >> 8:  # an estimate without confidence, whose mantissa is 0, is not kept
             keep_estimate(s.robust, s.estimates, sender, x_hat)
         return Status.OK
 
@@ -761,8 +762,9 @@ class MirrorRobot(FixedPointView):
         if error is not None:
             raise FirmwareError(Status.ERR_IMAGE, error)
         words = _image_struct(config).unpack(image_bytes)
-        if not B_HAT_MIN <= words[1] <= B_HAT_MAX:
-            raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {words[1]} is out of range")
+        b_hat = words[1]  # checked first, as the state has values that are computed from it
+        if not B_HAT_MIN <= b_hat <= B_HAT_MAX:
+            raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {b_hat} is out of range")
         # Without __init__, which needs an id and a b_hat that are valid.
         robot = cls.__new__(cls)
         robot.config = config
@@ -809,8 +811,9 @@ def _encode_rounds(s: State) -> list[int]:
 def _encode_robust_filter(s: State) -> list[int]:
     """Return what the robust filter remembers of ``s``, a robot's state, as 24 words.
 
-    Eight are its own members, of which votes and dispersion share a word. In the others are the estimates of
-    two slots each, the lower slot in the lower half.
+    These are centre, spread, initial_b_hat, filled_slots, batch_t and batch_n; votes and dispersion, which
+    share a word; turn; and the 32 estimates, two in a word. Of two numbers in a word the one that is named
+    first, or has the lower slot, is in the lower half.
     """
     robust = s.robust
     words = [robust.centre, robust.spread, robust.initial_b_hat, robust.filled_slots]

@@ -7,7 +7,7 @@ from C: ``lib.mcp_asdf_receive(robot.pointer, ...)``.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import fields
 from operator import index
 from typing import TYPE_CHECKING, Any
@@ -27,8 +27,10 @@ __all__ = ["NativeRobot", "ffi", "lib"]
 _MAX_BYTE = 2**8 - 1
 # A dictionary, since it is used at every call of the C, and Status(value) takes several times as long.
 _STATUS_BY_VALUE = {int(status): status for status in Status}
-_NOTHING_RECEIVED = ffi.new("mcp_asdf_received_t *")
-"""Sums and estimates of a robot that has received nothing: zeros."""
+_ZEROS_RECEIVED = ffi.new("mcp_asdf_received_t *")
+"""What a robot has received before the first message, for ``state``: sums of 0, or estimates of 0."""
+_COUNTERS_TYPE = ffi.typeof("mcp_asdf_counters_t")
+_SENDERS_TYPE = ffi.typeof("mcp_asdf_senders_t")
 
 _ERROR_MESSAGES = {
     Status.ERR_CONFIG: "the firmware refuses the filter, the filter_period or the memory of {config}",
@@ -108,11 +110,18 @@ class NativeRobot(FixedPointView):
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
         """Add a neighbour's estimate to the open round or, with the robust filter, to its received estimates.
 
-        Returns OK, REPEATED, ERR_SENDER or ERR_X_HAT as ``receive_raw``, and counts the message as such.
+        ``x_hat`` is in units of 2**-23, and ``alpha`` a word of 32 bits: a mantissa of 24 above a shift of 5.
+        Returns OK if the estimate was accepted; REPEATED, which ignores it, if the round already has one of
+        this sender; ERR_SENDER if ``sender`` is not in 0 .. 127 or is the robot's own id; and ERR_X_HAT if
+        ``x_hat`` is not in [0, 1]. The counters ``accepted``, ``repeated`` and ``rejected`` say how often
+        each has happened.
         """
         try:
             return _STATUS_BY_VALUE[lib.mcp_asdf_receive(self.pointer, sender, x_hat, alpha)]
-        except OverflowError:  # invalid in any case, so the C rejects and counts what fits its types
+        except OverflowError:
+            # A sender that fits no byte, or an x_hat that fits no word, is out of its range. The largest
+            # number of the type is so, too: the C rejects that one in its place, and counts the message.
+            # The alpha fits: ``receive_raw`` has checked it.
             c_sender = _fit_to_c_type(sender, _MAX_BYTE)
             c_x_hat = _fit_to_c_type(x_hat, MAX_WORD)
             return _STATUS_BY_VALUE[lib.mcp_asdf_receive(self.pointer, c_sender, c_x_hat, alpha)]
@@ -188,20 +197,25 @@ class NativeRobot(FixedPointView):
         return Counters(*(getattr(c_counters, member.name) for member in fields(Counters)))
 
     def state(self) -> dict[str, int]:
-        """Return every member of ``mcp_asdf_t`` but ``config``, by the names of ``MirrorRobot.state``.
+        """Return all numbers of the robot's C struct, ``mcp_asdf_t``, by name, to compare two firmwares.
 
-        The C keeps what a robot receives in a union: estimates with the robust filter, sums with any other.
-        Those that the robot does not keep are 0.
+        The names are those of ``MirrorRobot.state``, such as ``t``, ``open_alpha`` and ``estimates_31``.
+        ``config``, a pointer, is left out. The robot has either the estimates of the robust filter or the
+        sums of the other filters; those that it does not have are 0.
         """
-        received = self.pointer.received
-        nothing_received = _NOTHING_RECEIVED[0]
-        is_robust = self.config.filter == Filter.ROBUST
-        estimates = received.estimates if is_robust else nothing_received.estimates
-        sums = nothing_received.sums if is_robust else received.sums
-        numbers = dict(_named_numbers("", self.pointer[0], ffi.typeof("mcp_asdf_t")))
-        numbers.update(_named_numbers("estimates", estimates, ffi.typeof(estimates)))
-        numbers.update(_named_numbers("", sums, ffi.typeof(sums)))
-        return numbers
+        c_robot = self.pointer[0]
+        # The estimates and the sums are a union: the same memory, of which the filter tells the meaning.
+        if self.config.filter == Filter.ROBUST:
+            estimates = c_robot.received.estimates
+            sums = _ZEROS_RECEIVED.sums
+        else:
+            estimates = _ZEROS_RECEIVED.estimates
+            sums = c_robot.received.sums
+        return {
+            **_numbers_in_struct(c_robot),  # without its pointer ``config`` and its union ``received``
+            **_numbers_in_array("estimates", estimates),
+            **_numbers_in_struct(sums),
+        }
 
     def holds_invariants(self) -> bool:
         """Return whether calls alone could have led to this state (``docs/internals/properties.md``).
@@ -262,23 +276,31 @@ def _raise_for_error(status: int, **settings: object) -> None:
         raise FirmwareError(error, _ERROR_MESSAGES[error].format(**settings))
 
 
-def _named_numbers(name: str, value: Any, c_type: Any) -> Iterator[tuple[str, int]]:
-    """Yield the name and value of each number in a C value; those of nested structs as ``open_alpha``.
+def _numbers_in_struct(c_struct: Any, prefix: str = "") -> dict[str, int]:
+    """Return all numbers in a C struct, each by the name of its member after ``prefix``.
 
-    Counters are named without their struct. Numbers in an array are named by their index, and a set of
-    senders is divided into words of 32 bits, as in an image. Pointers are left out, and so is the union of
-    what a robot received, whose meaning depends on its filter.
+    The name of a nested struct becomes a prefix, as in ``open_alpha``, but not that of the counters. Elements
+    of an array are named by their index, as in ``heard_3``: this is also how a set of senders is named, which
+    is divided into words of 32 bits as in an image. Pointers and all other unions are left out.
     """
-    if c_type.kind == "struct":
-        prefix = f"{name}_" if name and c_type != ffi.typeof("mcp_asdf_counters_t") else ""
-        for member, field in c_type.fields:
-            yield from _named_numbers(prefix + member, getattr(value, member), field.type)
-    elif c_type == ffi.typeof("mcp_asdf_senders_t"):
-        words = struct.iter_unpack("<I", ffi.buffer(ffi.addressof(value)))
-        for word_index, (word,) in enumerate(words):
-            yield f"{name}_{word_index}", word
-    elif c_type.kind == "array":
-        for element_index, element in enumerate(value):
-            yield f"{name}_{element_index}", int(element)
-    elif c_type.kind == "primitive":
-        yield name, int(value)
+    numbers: dict[str, int] = {}
+    for member_name, field in ffi.typeof(c_struct).fields:
+        member = getattr(c_struct, member_name)
+        name = prefix + member_name
+        if field.type == _COUNTERS_TYPE:
+            numbers.update(_numbers_in_struct(member))
+        elif field.type == _SENDERS_TYPE:
+            sender_words = struct.unpack("<4I", ffi.buffer(ffi.addressof(member)))  # a bit for each of 128
+            numbers.update(_numbers_in_array(name, sender_words))
+        elif field.type.kind == "struct":
+            numbers.update(_numbers_in_struct(member, prefix=f"{name}_"))
+        elif field.type.kind == "array":
+            numbers.update(_numbers_in_array(name, member))
+        elif field.type.kind == "primitive":
+            numbers[name] = int(member)
+    return numbers
+
+
+def _numbers_in_array(name: str, array: Iterable[int]) -> dict[str, int]:
+    """Return the elements of an array, each by its name and index, as in ``estimates_31``."""
+    return {f"{name}_{element_index}": int(element) for element_index, element in enumerate(array)}

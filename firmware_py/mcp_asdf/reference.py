@@ -465,7 +465,8 @@ class ReferenceRobot:
     def step(self, z: Observation) -> Status:
         """Observe ``z``, then settle.
 
-        Returns UPDATED or OK, as ``settle`` does; or ERR_OBSERVATION, without settling, for an invalid ``z``.
+        Returns UPDATED if the filter has run and re-estimated b_hat, and OK otherwise; or ERR_OBSERVATION,
+        without settling, for an invalid ``z``.
         """
         status = self.observe(z)
         if status == Status.OK:

@@ -373,7 +373,10 @@ def check_table(table: Table | None) -> Table:
 
 
 def check_id_and_b_hat(robot_id: int, b_hat: float) -> None:
-    """Raise FirmwareError for an id (ERR_ID) or an initial accuracy (ERR_B_HAT) that is out of range."""
+    """Raise FirmwareError for an id (ERR_ID) or an initial accuracy (ERR_B_HAT) that is out of range.
+
+    Ids are 0 .. 127, and b_hat is in [2**-20, 1 - 2**-20].
+    """
     if not 0 <= robot_id <= MAX_ID:
         raise FirmwareError(Status.ERR_ID, f"robot id is {robot_id}; choose 0 .. {MAX_ID}")
     if not B_HAT_MARGIN <= b_hat <= 1 - B_HAT_MARGIN:

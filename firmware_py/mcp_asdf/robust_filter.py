@@ -110,6 +110,19 @@ def q32_from_q24(value: int) -> int:
     return value << 8
 
 
+def q11_from_q32(deviation: int) -> int:
+    """Convert a batch's deviation from units of 2**-32 to units of 2**-11, rounded down.
+
+    Its square is then in units of 2**-22.
+    """
+    return deviation >> 21
+
+
+def q22_from_q40(square: int) -> int:
+    """Convert a square of a deviation from units of 2**-40 to units of 2**-22, rounded down."""
+    return square >> 18
+
+
 # ---- Receive: the latest estimate of each sender ----
 
 
@@ -206,13 +219,18 @@ def begin_batch(robust: RobustFilter, t: int, n: int) -> None:
 
 
 def end_batch(robust: RobustFilter, t: int, n: int) -> None:
-    """Update the dispersion by the batch that ends after ``t`` observations, ``n`` black, and begin the next.
+    """Update the dispersion by the batch of observations that ends now, and begin the next batch.
 
-    Of d independent observations d share are black, with a variance of d share (1 - share) where share is
-    n / t. If a robot takes several from one tile they are not independent, and the variance is larger: the
-    dispersion says how many times. This is the phi of overdispersed binomial models. The ratio of the square
-    of the batch's deviation to that variance enters the dispersion, a moving average, with a weight of 1/8.
-    A ratio above 12 times the average counts as so much: a change of the floor is an outlier.
+    ``t`` is the number of all observations so far, ``n`` that of black ones, and share = n / t. Of the
+    batch's observations, count in number, count share are expected to be black. The deviation is how far the
+    number of those that were black is from this. For independent observations its square is on average the
+    variance, count share (1 - share). If a robot takes several from one tile they are not independent, and
+    the square is larger: the dispersion says how many times. This is the phi of overdispersed binomial
+    models.
+
+    The dispersion is a moving average of deviation**2 / variance, in which a batch has a weight of 1/8. A
+    batch whose ratio is above 12 times the dispersion enters with 12 times the dispersion instead: it is an
+    outlier, as after a change of the floor.
 
     A batch without observations leaves the dispersion as it is, and so does any while none was black.
     """
@@ -220,15 +238,19 @@ def end_batch(robust: RobustFilter, t: int, n: int) -> None:
     black_count = n - robust.batch_n
     begin_batch(robust, t, n)
 
+    # Shares, numbers of black observations and their variance are in units of 2**-32, ratios in units of
+    # 2**-8 as the dispersion, and squares in units of 2**-22, so that they fit 64 bits in the C.
     share = q32_quotient(n, t)
-    variance = count * multiply_high(share, Q32_ONE - share)  # units of 2**-32
-    largest_ratio = REJECTED_SIGMAS_SQUARED * robust.dispersion  # units of 2**-8, as the dispersion
-    largest_square = (largest_ratio * variance) >> 18  # from units of 2**-40 to 2**-22
+    variance = count * multiply_high(share, Q32_ONE - share)
+    largest_ratio = REJECTED_SIGMAS_SQUARED * robust.dispersion
+    largest_square = q22_from_q40(largest_ratio * variance)  # 2**-8 times 2**-32 is 2**-40
     if largest_square == 0:
         return  # there is nothing to divide by
-    deviation = abs(black_count * Q32_ONE - count * share) >> 21  # from units of 2**-32 to 2**-11
+    expected_black_count = count * share
+    deviation = q11_from_q32(abs(black_count * Q32_ONE - expected_black_count))
     square = min(deviation * deviation, largest_square)
-    # square / variance is largest_ratio times this quotient.
+    # The ratio is square / variance. As the variance is largest_square / largest_ratio, this is
+    # largest_ratio times a quotient that is at most 1.
     ratio = multiply_high(largest_ratio, q32_quotient(square, largest_square))
 
     old_weight = (1 << DISPERSION_SHIFT) - 1
@@ -261,7 +283,8 @@ def spread_of(estimates: Sequence[int], median: int) -> int:
     All are in units of 2**-24.
     """
     distances = sorted(abs(estimate - median) for estimate in estimates)
-    smallest, largest = SPREAD_MIN >> 6, SPREAD_MAX >> 6  # from units of 2**-30
+    # The limits are in units of 2**-30, those of the votes.
+    smallest, largest = SPREAD_MIN >> 6, SPREAD_MAX >> 6
     return min(max(median_of(distances), smallest), largest)
 
 

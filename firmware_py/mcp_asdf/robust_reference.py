@@ -169,10 +169,14 @@ def huber_centre(estimates: Sequence[Number], middle: Number, spread: Number) ->
 
 
 def huber_step(estimates: Sequence[Number], centre: Number, spread: Number) -> Number:
-    """Return one step of Newton's method from a centre towards the Huber centre of estimates. O(m)."""
-    number = type(centre)
+    """Return what one step of Newton's method adds to a centre on its way to the Huber centre of estimates.
+
+    It is the sum of the differences of the estimates from the centre, each limited to -spread .. spread,
+    divided by the number of those that need no limit. O(m) for m estimates.
+    """
     limited_differences = [max(-spread, min(estimate - centre, spread)) for estimate in estimates]
-    balance = sum(limited_differences, start=number(0))
+    zero = type(centre)(0)  # a float or a Fraction, as the differences are
+    balance = sum(limited_differences, start=zero)
     # The balance falls by 1 for each of these where the centre moves up by 1: it is the derivative.
     inside_count = sum(abs(estimate - centre) <= spread for estimate in estimates)
     return balance / max(inside_count, 1)
@@ -269,16 +273,25 @@ class RobustReference:
         self.batch_t, self.batch_n = t, n
 
     def end_batch(self, n: int, t: int) -> None:
-        """Update the dispersion by the batch that ends after these observations, and begin the next."""
+        """Update the dispersion by the batch of observations that ends now, and begin the next batch.
+
+        ``t`` is the number of all observations so far, and ``n`` that of black ones.
+        """
         observations = Observations(n, t, self.dispersion)
         self.dispersion = dispersion_after_batch(observations, n - self.batch_n, t - self.batch_t)
         self.begin_batch(n, t)
 
     def find_contradiction(self, n: int, t: int) -> float | None:
-        """Return the centre of the estimates if n of t observations contradict it, or None if not. O(m).
+        """Return the Huber centre of the estimates if n black of t observations contradict it, else None.
 
-        They do if the test rejects the initial b_hat, and at most two fifths of the estimates support the
-        robot. There must be an estimate.
+        They contradict it if both hold:
+
+        - They are too unlikely for a sensor of the initial b_hat where the centre is the share of black
+          tiles: of the sides of ``robust_test_sides``, the first is the larger.
+        - At most two fifths of the estimates are nearer to these observations than to the centre, as
+          ``is_supported`` counts them.
+
+        There must be an estimate. O(m) for m estimates.
         """
         estimates = list(self.estimates.values())
         middle = median(estimates)
@@ -286,8 +299,8 @@ class RobustReference:
         centre = huber_centre(estimates, middle, spread)
 
         observations = Observations(n, t, self.dispersion)
-        difference_squared, limit = robust_test_sides(observations, self.initial_b_hat, centre, spread)
-        is_rejected = difference_squared > limit
+        squared_difference, limit = robust_test_sides(observations, self.initial_b_hat, centre, spread)
+        is_rejected = squared_difference > limit
         if is_rejected and not is_supported(observations, self.initial_b_hat, estimates, centre):
             return centre
         return None
