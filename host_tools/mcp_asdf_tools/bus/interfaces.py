@@ -269,7 +269,10 @@ class Connection(can.BusABC):
 
 
 def _can_be_sent(frame: can.Message) -> bool:
-    """Return whether a CAN controller can send ``frame``: python-can decodes some damaged input to others."""
+    """Return whether a CAN controller can send ``frame``, by its identifier and its length.
+
+    From some damaged input python-can decodes frames that no controller can send.
+    """
     if not 0 <= frame.arbitration_id <= _MAX_EXTENDED_ID:
         return False
     if frame.is_error_frame:  # its identifier has bits that describe the error

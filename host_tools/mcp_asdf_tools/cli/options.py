@@ -199,16 +199,26 @@ def _name_option(error: ParameterError) -> str:
 
 # --- One robot -------------------------------------------------------------------------------------------
 
-_COMMON_ROBOT_PARAMETERS = ("filter", "filter_period")
-_FURTHER_ROBOT_PARAMETERS = ("comms_period", "memory", "omega", "activation")
-_ROBOT_PARAMETERS = _COMMON_ROBOT_PARAMETERS + _FURTHER_ROBOT_PARAMETERS
+_FILTER_PARAMETERS = ("filter", "filter_period")
+_OTHER_ROBOT_PARAMETERS = ("comms_period", "memory", "omega", "activation")
+_ROBOT_PARAMETERS = _FILTER_PARAMETERS + _OTHER_ROBOT_PARAMETERS
 """Parameters of a population that are settings of each of its robots."""
 
 
 def add_robot_options(
     parser: argparse.ArgumentParser, group_title: str, default_firmware: str, id_help: str
 ) -> None:
-    """Add the options of a robot, with the default of ``--firmware`` and the help of ``--id``."""
+    """Add the options that describe one robot, which ``robot_of`` reads.
+
+    They are ``--id``, ``--b-hat`` (the accuracy that it assumes), ``--neighbours`` (for its t-table),
+    ``--firmware``, and those of _ROBOT_PARAMETERS, such as ``--filter``.
+
+    Args:
+        parser: Gets the options.
+        group_title: Title of their group in the help.
+        default_firmware: Default of ``--firmware``.
+        id_help: Help of ``--id``.
+    """
     from mcp_asdf.robot import MAX_ID
     from mcp_asdf_tools.robots.firmwares import firmware_names
     from mcp_asdf_tools.robots.population import Population
@@ -228,8 +238,9 @@ def add_robot_options(
         metavar="Q",
         help=f"neighbours for which its t-table is made, 2 to 127 (default {MAX_ID})",
     )
-    add_parameters_to(group, Population, _COMMON_ROBOT_PARAMETERS)
-    add_parameters_to(group, Population, _FURTHER_ROBOT_PARAMETERS)
+    # In two calls, for the help: within one, options come in the order that they have in Population.
+    add_parameters_to(group, Population, _FILTER_PARAMETERS)
+    add_parameters_to(group, Population, _OTHER_ROBOT_PARAMETERS)
     group.add_argument(
         "--firmware",
         default=default_firmware,

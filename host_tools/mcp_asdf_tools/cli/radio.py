@@ -307,7 +307,11 @@ def _print_report(args: argparse.Namespace, report_text: str, report: dict[str, 
 
 
 def _format_results(results: dict[str, Any], filter_description: str) -> str:
-    """Return the lines that sum up a run in real time for a reader."""
+    """Format the results of a run in real time, as ``RadioRun.figures`` returns them, for a terminal.
+
+    There is a line each on the run, the filter, the frames and the neighbours, then one for each injected
+    fault and for each id that another node also uses.
+    """
     lines = [
         f"run         {results['steps']} steps; {results['ending']}",
         f"filter      {filter_description}",

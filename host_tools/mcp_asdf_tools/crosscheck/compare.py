@@ -232,9 +232,10 @@ class CrosscheckResult:
 def run_crosscheck(
     check_scenario: CheckScenario, seed: int, calls: int, on_calls: Callable[[int], object]
 ) -> CrosscheckResult:
-    """Check the random scenarios of ``seed`` until ``calls`` calls were made, or a scenario fails.
+    """Check the random scenarios of ``seed`` until ``calls`` calls were made, a scenario fails, or Ctrl-C.
 
-    ``on_calls`` is called after each scenario with the number of calls that were made in it.
+    ``on_calls`` is called after each scenario with the number of calls that were made in it. The result says
+    how many calls and scenarios were checked, which scenario failed, and whether Ctrl-C ended the check.
     """
     result = CrosscheckResult()
     try:

@@ -186,7 +186,10 @@ Pairs = Sequence[Sequence[int]]
 
 
 def _run_by_message(experiment: Experiment, number: int, sampling_interval: int) -> Trials:
-    """Run one trial in Python, message by message."""
+    """Run the trial of this number in Python, message by message.
+
+    All quantities of the robots are recorded every ``sampling_interval`` steps; 0 means never.
+    """
     swarm = MessageSwarm(experiment, number)
     # Series and records begin with step 0, before the first observation.
     x_by_step = [swarm.values_of("x")]
@@ -198,16 +201,19 @@ def _run_by_message(experiment: Experiment, number: int, sampling_interval: int)
             b_hat_by_filter_step.append(swarm.values_of("b_hat"))
         if sampling_interval and step % sampling_interval == 0:
             snapshots.append(swarm.snapshot())
-    x_series = np.array(x_by_step).T  # shape (N, steps + 1)
-    # The arrays of Trials have the trial as their first axis, here of length 1.
-    convergence_steps, errors = convergence_and_errors(experiment, x_series[np.newaxis], unit=1.0)
+    # All arrays have the trial as their first axis, here of length 1: hence the lists around one element.
+    x_by_robot = np.transpose(x_by_step)  # shape (N, steps + 1)
+    x_series = np.array([x_by_robot])
+    convergence_steps, errors = convergence_and_errors(experiment, x_series, unit=1.0)
+    # Shape (1, filter steps, N), also where a trial is too short for a filter step.
+    b_hat = np.reshape(b_hat_by_filter_step, (1, len(b_hat_by_filter_step), experiment.robots))
     counters = [robot.counters for robot in swarm.robots]
     return Trials(
         experiment=experiment,
         numbers=[number],
         convergence_steps=convergence_steps,
         errors=errors,
-        b_hat=np.reshape(b_hat_by_filter_step, (1, -1, experiment.robots)),
+        b_hat=b_hat,
         tests=np.array([[robot_counters.tests for robot_counters in counters]]),
         updates=np.array([[robot_counters.updates for robot_counters in counters]]),
         records=_records_of_snapshots(snapshots) if sampling_interval else {},

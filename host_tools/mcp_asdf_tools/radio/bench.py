@@ -156,11 +156,12 @@ class Bench(ControllerLink):
         tick_in_period = period - (1 + rounds_before) * self.setup.comms_period
         self.skip_ticks((tick_in_period - self.model.ticks) % period, observe)
 
-    def avoid_test(self, activity: str, rounds: int = 1) -> None:
-        """Play rounds without messages until the next ``rounds`` have no test, and then set ``activity``.
+    def begin_activity_without_test(self, activity: str, rounds: int = 1) -> None:
+        """Wait until the controller's filter has no test in the next ``rounds`` rounds, and set ``activity``.
 
-        A test is one of the controller's filter. No round is played if the next rounds have none anyway, if
-        the filter is off, or if it tests in every round, which cannot be avoided.
+        That is what the phase does from now on, for the report of a difference. To wait is to play rounds
+        without messages. No round is played if the next rounds have no test anyway, if the filter is off, or
+        if it tests in every round, which cannot be avoided.
         """
         if self.config.filter is not Filter.OFF and self.config.filter_period > 1:
             # From the furthest round to the next one: a round that is played brings the test one closer.

@@ -208,7 +208,7 @@ def play_rounds_without_test(bench: Bench) -> None:
         estimates = draw_distant_estimates(bench.robot_state, bench.rng, m=1) + estimates
     bench.play_round(*estimates)
     for _ in range(2):
-        bench.avoid_test("a round after that of the test")
+        bench.begin_activity_without_test("a round after that of the test")
         bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
 
 
@@ -278,7 +278,7 @@ def _play_test_round(bench: Bench, estimates: Sequence[NeighbourEstimate]) -> No
     """Play the round of the test, and then another of the same senders, who must be counted again."""
     senders = bench.rng.sample(bench.other_ids, len(estimates))
     bench.play_round(*estimates, senders=senders)
-    bench.avoid_test(f"{bench.activity}; then others of the same senders")
+    bench.begin_activity_without_test(f"{bench.activity}; then others of the same senders")
     bench.play_round(*(draw_estimate(bench.rng) for _ in senders), senders=senders)
 
 

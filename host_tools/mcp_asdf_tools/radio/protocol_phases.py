@@ -2,6 +2,11 @@
 
 A tick of the controller begins with an *observe* command and ends with a *settle* command. The estimates that
 it receives from one of its broadcasts to the next make up a round.
+
+A phase only sends, and checks nothing itself: the bench gives the same to a model of the controller, and
+compares every frame that the controller sends with that of the model. Most phases choose rounds in which the
+filter does not test, so that a difference comes from what they send. Senders such as ``other_ids[5:8]`` are
+any three robots but the controller.
 """
 
 from __future__ import annotations
@@ -263,20 +268,20 @@ def observe_first_black(bench: Bench) -> None:
 
 
 def receive_and_wait(bench: Bench) -> None:
-    """Play ticks with a few estimates of similar confidence, and ticks without any."""
+    """Play a tick with a few estimates of similar confidence, then one or two without any; all six times."""
     for _ in range(6):
-        bench.avoid_test("a few messages")
+        bench.begin_activity_without_test("a few messages")
         estimates = {robot: draw_estimate(bench.rng, max_shift=3) for robot in bench.other_ids[:3]}
         bench.play_tick(bench.draw_observation(), bench.encode_estimates(estimates))
-        bench.avoid_test("no messages")
+        bench.begin_activity_without_test("no messages")
         for _ in range(2 if bench.rng.random() < 0.5 else 1):
             bench.play_tick(bench.draw_observation())
 
 
 def lose_settles(bench: Bench) -> None:
-    """Leave out every other *settle*: the next *observe* must end the tick and its round all the same."""
+    """Leave out a *settle* four times: the next *observe* must end the tick and its round all the same."""
     for _ in range(4):
-        bench.avoid_test("messages in a tick whose settle is lost")
+        bench.begin_activity_without_test("messages in a tick whose settle is lost")
         bench.observe(bench.draw_observation())
         _send_any_estimates(bench, bench.other_ids[5:8])
         bench.leave_open()
@@ -291,7 +296,7 @@ def send_stray_commands(bench: Bench) -> None:
     """
     for _ in range(_STRAY_REPEATS):
         for name, stray in STRAY_COMMANDS.items():
-            bench.avoid_test(name)
+            bench.begin_activity_without_test(name)
             bench.observe(bench.draw_observation())
             usual = bench.make_command(stray.action)
             other_robot = _draw_other_robot(bench)
@@ -320,7 +325,8 @@ def send_unusual_commands(bench: Bench) -> None:
     controller misses an observation, or has a round too many messages.
     """
     for name, variant in UNUSUAL_COMMANDS.items():
-        bench.avoid_test(f"commands {name}", rounds=2)  # the last message is one of the next round
+        # Of two rounds, because the last message comes after the settle and is one of the next round.
+        bench.begin_activity_without_test(f"commands {name}", rounds=2)
         other_robot = _draw_other_robot(bench) if variant.is_from_another_node else None
         observe = bench.make_command(Action.to_observe(bench.draw_observation()))
         bench.send([_encode_variant(bench, observe, variant, other_robot)])
@@ -333,7 +339,7 @@ def send_unusual_commands(bench: Bench) -> None:
     # Numbers of ticks may jump, in both directions.
     for bit in (8, 16, 24, 31):
         for direction, distance in (("higher", 1 << bit), ("lower", 1 - (1 << bit))):
-            bench.avoid_test(
+            bench.begin_activity_without_test(
                 f"an observe of a number {direction} by about 2^{bit} than that of the open tick"
             )
             bench.observe(bench.draw_observation())
@@ -344,7 +350,7 @@ def send_unusual_commands(bench: Bench) -> None:
 def receive_unusual_identifiers(bench: Bench) -> None:
     """Send estimates of every priority, and with reserved bits clear, which a receiver must ignore."""
     for name, identifier in UNUSUAL_IDENTIFIERS.items():
-        bench.avoid_test(f"messages {name}")
+        bench.begin_activity_without_test(f"messages {name}")
         frames = _encode_any_estimates(bench, bench.other_ids[:3])
         identifier.write_to(frames[0])
         bench.play_round_of_frames(frames)
@@ -358,10 +364,13 @@ def wait_for_heartbeats(bench: Bench) -> None:
 
 
 def receive_malformed(bench: Bench) -> None:
-    """Send frames that are no estimates, each kind by itself, before an estimate of the same sender."""
+    """Send frames that are no estimates, each kind by itself, before an estimate of the same sender.
+
+    Each kind is sent twice, with other random content.
+    """
     for _ in range(2):
         for name, change_frame in MALFORMED.items():
-            bench.avoid_test(name)
+            bench.begin_activity_without_test(name)
             senders = bench.rng.sample(bench.other_ids, 2)
             malformed_frames = _encode_any_estimates(bench, senders[:1])
             change_frame(malformed_frames[0], bench.rng)
@@ -373,7 +382,7 @@ def _receive_other_kinds(bench: Bench) -> None:
     """Send telemetry and heartbeats of other robots, which are no estimates either."""
     subjects, rng = bench.settings.subjects, bench.rng
     for sender in rng.sample(bench.other_ids, 3):
-        bench.avoid_test("telemetry and a heartbeat of another robot")
+        bench.begin_activity_without_test("telemetry and a heartbeat of another robot")
         x, b_hat = rng.randint(0, Q23_ONE), rng.randint(16, 1 << 23)
         telemetry = Telemetry(sender, x, b_hat, updates=rng.randrange(256), transfer_id=0)
         heartbeat = Heartbeat(sender, uptime=rng.randrange(1 << 32), transfer_id=0)
@@ -384,32 +393,32 @@ def _receive_other_kinds(bench: Bench) -> None:
 def receive_from_every_sender(bench: Bench) -> None:
     """Play a round of one estimate for every id."""
     for sender in bench.other_ids:
-        bench.avoid_test(f"one message, of robot {sender}")
+        bench.begin_activity_without_test(f"one message, of robot {sender}")
         bench.play_round(draw_estimate(bench.rng), senders=[sender])
 
 
 def receive_from_alike_ids(bench: Bench) -> None:
     """Play rounds of two senders whose ids differ in one bit."""
     other_ids = set(bench.other_ids)
-    for bit_index in range(7):
+    for bit_index in range(MAX_ID.bit_length()):
         bit = 1 << bit_index
         pairs = [(robot, robot | bit) for robot in other_ids if not robot & bit and robot | bit in other_ids]
         for pair in bench.rng.sample(pairs, 2):
-            bench.avoid_test(f"messages of the robots {pair[0]} and {pair[1]}")
+            bench.begin_activity_without_test(f"messages of the robots {pair[0]} and {pair[1]}")
             bench.play_round(*(draw_estimate(bench.rng) for _ in pair), senders=pair)
 
 
 def receive_growing_rounds(bench: Bench) -> None:
     """Play rounds of 2 to 126 estimates, each round larger than the one before."""
     for size in _ROUND_SIZES:
-        bench.avoid_test(f"a round of {size} messages")
+        bench.begin_activity_without_test(f"a round of {size} messages")
         bench.play_round(*(draw_estimate(bench.rng) for _ in range(size)))
 
 
 def receive_crowded_tick(bench: Bench) -> None:
     """Send hundreds of estimates in a tick, most of them repeated; the last counts, as its sender is new."""
     *senders, last_sender = bench.other_ids
-    bench.avoid_test(f"a tick with {CROWDED_MESSAGES} messages")
+    bench.begin_activity_without_test(f"a tick with {CROWDED_MESSAGES} messages")
     frames = _encode_any_estimates(bench, senders * _CROWDED_REPEATS + [last_sender])
     bench.skip_to_round()
     bench.play_tick(bench.draw_observation(), frames)
@@ -419,10 +428,10 @@ def receive_crowded_tick(bench: Bench) -> None:
 def receive_extremes(bench: Bench) -> None:
     """Send estimates at the ends of their ranges, and confidences that no robot of ours sends."""
     for name, estimates in EXTREME_ROUNDS.items():
-        bench.avoid_test(name)
+        bench.begin_activity_without_test(name)
         bench.play_round(*estimates)
     for name, alpha_bits in FOREIGN_ALPHAS.items():
-        bench.avoid_test(name)
+        bench.begin_activity_without_test(name)
         frames = bench.encode_estimates(
             {
                 robot: NeighbourEstimate(draw_estimate(bench.rng).x_hat, ALPHA_LEAST)
@@ -440,31 +449,40 @@ def receive_repeated_sender(bench: Bench) -> None:
     from that of the model, with whose frames the bench compares those of the controller.
     """
     for repeats in (1, 2, 5):
-        # The round that follows has no test of the filter; the text is what a report says of it.
-        bench.avoid_test("different messages of one sender in a round")
+        bench.begin_activity_without_test("different messages of one sender in a round")
         repeating_sender, other_sender = bench.rng.sample(bench.other_ids, 2)
         senders = [repeating_sender, other_sender] + [repeating_sender] * repeats
         bench.play_round_of_frames(_encode_any_estimates(bench, senders))
 
 
 def receive_own_id(bench: Bench) -> None:
-    """Send estimates under the controller's own id, which it must not count."""
+    """Send estimates under the controller's own id, which it must not count.
+
+    They come before, between and after the estimates of three other robots, in four rounds.
+    """
     own_id = bench.settings.controller.id
     for index in range(4):
-        bench.avoid_test(f"a message under its own id, {own_id}")
+        bench.begin_activity_without_test(f"a message under its own id, {own_id}")
         frames = _encode_any_estimates(bench, bench.other_ids[3:6])
-        # Before, between or after the messages of three other robots
         [own_frame] = _encode_any_estimates(bench, [own_id])
         frames.insert(index, own_frame)
         bench.play_round_of_frames(frames)
 
 
 def receive_between_ticks(bench: Bench) -> None:
-    """Send estimates after a *settle*, which count in the next round."""
+    """Send estimates between a *settle* and the next *observe*, and play the round that follows.
+
+    The *settle* has ended a round, so the controller must count these estimates in the next round, together
+    with that of a fourth robot, which comes after the *observe*. If it does not, its next broadcasts differ
+    from those of the model, with which the bench compares them. This is done three times.
+    """
     for _ in range(3):
-        bench.avoid_test("messages between a settle and the next observe")
-        _send_any_estimates(bench, bench.other_ids[7:10])
-        bench.play_round(draw_estimate(bench.rng), senders=bench.other_ids[11:12])
+        bench.begin_activity_without_test("messages between a settle and the next observe")
+        # Any four robots: a second estimate of one of them would be ignored.
+        early_senders = bench.other_ids[7:10]
+        late_sender = bench.other_ids[11]
+        _send_any_estimates(bench, early_senders)
+        bench.play_round(draw_estimate(bench.rng), senders=[late_sender])
 
 
 # --- Steps ---

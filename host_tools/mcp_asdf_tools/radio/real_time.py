@@ -71,11 +71,19 @@ class RadioRun:
             self.outcome.has_failed = True
 
     def figures(self) -> dict[str, Any]:
-        """Return the results as plain values, for JSON."""
+        """Return the results by name, as plain values for JSON: counts, how the run has ended, and mean x.
+
+        ``mean_x`` and ``spread_x`` are the mean and the range, the largest minus the smallest, of the
+        neighbours' estimates of the share of black tiles. In reports a tick is a step, and nodes that are
+        neither the controller nor emulated are strangers.
+        """
         x = [node.robot.x for node in self.neighbours.nodes.values()]
         return {
             "steps": self.neighbours.tick,
-            **vars(self.outcome),
+            "ending": self.outcome.ending,
+            "is_interrupted": self.outcome.is_interrupted,
+            "has_failed": self.outcome.has_failed,
+            "lateness": self.outcome.lateness,
             "frames_sent": self.sent_count,
             "estimates_heard": self.estimate_count,
             "strangers": self.foreign_count,

@@ -259,10 +259,14 @@ def errors_text(experiments: Sequence[Trials]) -> str:
 
 
 def harm_texts(experiments: Sequence[Trials]) -> list[str]:
-    """Format the share of healthy robots that a filter harmed, as the only item; none if all are flawed."""
+    """Format the percentage of healthy robots that a filter harmed, such as ["4.2 (2.9..5.6) %"].
+
+    The list is empty if all robots of these experiments are flawed, so that there are no healthy ones.
+    """
     harmed_percent = mean_harmed_percent(experiments)
     if harmed_percent is None:
         return []
+    # An end of the interval within one percentage point is too near to be worth its room in a table.
     return [f"{format_interval(harmed_percent, format_tenths, tolerance=1)} %"]
 
 
