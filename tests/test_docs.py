@@ -377,7 +377,7 @@ def test_the_readme_and_the_advice_say_how_much_it_helps_as_the_page_does() -> N
     assert error.format(none[1], minus[1], robust[1]) in readme
     assert f"it makes the error at the end {half_minus[4]} times smaller" in advice
     (harmed,) = re.findall(r"larger in (\d+)%", lines[-1])
-    assert f"the robust filter does harm in {harmed} % of these worlds" in readme
+    assert f"of 200 worlds like it, the error is larger than without a filter in {harmed} %" in readme
     assert f"The robust filter makes it larger in [{harmed} % of these worlds]" in advice
 
 

@@ -94,8 +94,10 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
     if first_change is None:  # there are no flawed robots
         return sentences
     changes = [f"{term} {change['after']:.2f}" for term, change in b_hat_changes.items()]
+    # Sensors that age have no one true accuracy.
+    truth = f" (true: {settings.true_accuracy:.2f})" if settings.drift == "none" else ""
     sentences += (
-        f" The flawed robots took their sensors for {first_change['before']:.2f} accurate, now: "
+        f" The flawed robots first assumed an accuracy of {first_change['before']:.2f}{truth}, now: "
         f"{', '.join(changes)}."
     )
     # The nearer an assumed accuracy is to 1/2, the smaller is the confidence that the robot broadcasts.
