@@ -364,7 +364,8 @@ def test_a_comparison_ends_with_the_error_and_b_hat_of_each_filter(capsys: Captu
     last_line = capsys.readouterr().out.splitlines()[-1]
     assert last_line.startswith(
         "Mean error on the same seed: no filter 0.025, ASDF- 0.030, ASDF+ 0.046, robust 0.153. "
-        "The flawed robots first assumed an accuracy of 0.55 (true: 0.95), now: ASDF- 0.84, ASDF+ 0.80, robust 0.64. "
+        "The flawed robots first assumed an accuracy of 0.55 (true: 0.95), now: "
+        "ASDF- 0.84, ASDF+ 0.80, robust 0.64. "
     )
 
 
