@@ -827,10 +827,12 @@ def _decode_state(config: Config, words: tuple[int, ...]) -> State:
 
     ``config.filter`` says whether they have the sums of the rounds or what the robust filter remembers.
     """
+    # In the order of `MirrorRobot.save`. What the filter keeps, in the middle, differs in length; the last
+    # eight words are four of senders, three of short numbers, and the checksum.
     _, b_hat, t, n, x_hat, alpha, filter_left = words[:7]
     filter_words = words[7:-8]
     sender_words = words[-8:-4]
-    # Numbers that have less than 32 bits share a word, as `MirrorRobot.save` packs them.
+    # Two numbers of 16 bits share a word, or one of them and two of 8 bits.
     accepted, repeated = _halves_of_word(words[-4])
     rejected, tests = _halves_of_word(words[-3])
     updates, updated_and_id = _halves_of_word(words[-2])

@@ -358,9 +358,11 @@ def robust_test_rejects(robust: RobustFilter, t: int, n: int, centre: int, sprea
     g = abs(2 * b_hat - Q32_ONE)
     g_spread = multiply_high(g, q32_from_q24(spread))
     excess = (share - p) ** 2 - REJECTED_SIGMAS_SQUARED * g_spread**2
-    # Both sides are multiplied by t, so that v needs no division: t excess > 12 dispersion v.
+    # Both sides are multiplied by t, so that v needs no division: t excess > 12 dispersion v. Both become
+    # numbers in units of 2**-32: the left one is in units of 2**-64, and the right one in units of 2**-40,
+    # as the dispersion is in units of 2**-8.
     scaled_excess = (t * excess) >> 32
-    limit = (REJECTED_SIGMAS_SQUARED * robust.dispersion * variance) >> 8  # without the dispersion's unit
+    limit = (REJECTED_SIGMAS_SQUARED * robust.dispersion * variance) >> 8
     return scaled_excess > limit
 
 

@@ -92,10 +92,11 @@ def dispersion_bounds(
         return _average_bounds(old, Fraction(0), largest_ratio)
     # The firmware divides the square of the deviation by the largest one, and multiplies the largest ratio by
     # this quotient, which may be too small as well.
-    smallest_part = smallest_deviation**2 / (largest_ratio * largest_variance) * (1 - Q30) - Q32
-    largest_part = largest_deviation**2 / smallest_limit
-    smallest_ratio = largest_ratio * min(max(smallest_part, Fraction(0)), 1 - Q30 - Q32)
-    return _average_bounds(old, smallest_ratio, largest_ratio * min(largest_part, Fraction(1)))
+    smallest_quotient = smallest_deviation**2 / (largest_ratio * largest_variance) * (1 - Q30) - Q32
+    largest_quotient = largest_deviation**2 / smallest_limit
+    # A square above the largest one counts as that: a quotient of 1, or hardly less in the firmware.
+    smallest_ratio = largest_ratio * min(max(smallest_quotient, Fraction(0)), 1 - Q30 - Q32)
+    return _average_bounds(old, smallest_ratio, largest_ratio * min(largest_quotient, Fraction(1)))
 
 
 def _variance_bounds(share_bounds: Bounds, batch_count: int) -> Bounds:

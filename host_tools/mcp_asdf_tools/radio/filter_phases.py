@@ -51,6 +51,8 @@ _MAX_ROUNDS_BEFORE_UPDATE = 4
 _NEAR_HALF = (Update.HALF, Update.FAINT)
 """Updates for which the share of black tiles must be near 1/2."""
 _MANY_OBSERVATIONS = "many observations in a row"
+_ROUND_SIZE = 5
+"""Estimates in a round whose size does not matter. The adaptive filter tests rounds of two or more."""
 
 
 def re_estimate_to_half(bench: Bench) -> None:
@@ -85,28 +87,31 @@ def observe_until_excess(bench: Bench, excess: int) -> None:
 
 
 def re_estimate_without_black(bench: Bench) -> None:
-    """Re-estimate b_hat before the first black tile."""
+    """Re-estimate b_hat before the first black tile, from five estimates near 1/4."""
     bench.activity = "white tiles, and then none until the test"
     # So few that t is still small in the next phases.
     bench.skip_ticks(_WHITE_TILES, lambda: Observation.WHITE)
     bench.skip_to_test_round()
     bench.activity = "a re-estimate without a black tile"
-    alphas = draw_alphas_of_one_scale(bench.rng, 5)
+    alphas = draw_alphas_of_one_scale(bench.rng, _ROUND_SIZE)
     _play_test_round(
         bench, [NeighbourEstimate(HALF // 2 + index, alpha) for index, alpha in enumerate(alphas)]
     )
 
 
 def re_estimate_from_ends(bench: Bench) -> None:
-    """Re-estimate from an x_bar of 0 and of 1, after which one colour leaves the range that b_hat allows."""
+    """Re-estimate from an x_bar of 0 and of 1, after which one colour leaves the range that b_hat allows.
+
+    After each re-estimate the robot observes three white tiles and three black ones, twice.
+    """
     for end in (0, ONE) if bench.firmware.s.x_hat > HALF else (ONE, 0):
         _observe_until_test(bench)
         bench.activity = f"estimates of {end // ONE}"
-        alphas = draw_alphas_of_one_scale(bench.rng, 5)
+        alphas = draw_alphas_of_one_scale(bench.rng, _ROUND_SIZE)
         _play_test_round(bench, [NeighbourEstimate(end, alpha) for alpha in alphas])
         bench.activity = f"tiles of one colour, then of the other, after estimates of {end // ONE}"
-        for tick in range(12):
-            bench.play_tick(Observation(tick // 3 % 2))
+        for z in 2 * (3 * [Observation.WHITE] + 3 * [Observation.BLACK]):
+            bench.play_tick(z)
 
 
 def test_large_sums(bench: Bench) -> None:
@@ -153,7 +158,7 @@ def re_estimate_without_test(bench: Bench) -> None:
 
 def _draw_own_estimates(bench: Bench) -> list[NeighbourEstimate]:
     """Draw five estimates whose x_hat is the controller's."""
-    alphas = draw_alphas_of_one_scale(bench.rng, 5)
+    alphas = draw_alphas_of_one_scale(bench.rng, _ROUND_SIZE)
     return [NeighbourEstimate(bench.robot_state.x_hat, alpha) for alpha in alphas]
 
 
@@ -216,7 +221,7 @@ def re_estimate_to_each_kind(bench: Bench) -> None:
     """Re-estimate with every kind of update but those for which as many tiles must be black as white."""
     state = bench.firmware.s
     bench.activity = "more black tiles, for a b_hat that is off 1/2"
-    while 20 * state.n < 11 * state.t:
+    while 20 * state.n < 11 * state.t:  # until the share of black ones, n / t, is 11/20
         bench.skip_ticks(BURST, lambda: Observation.BLACK)
     for update in Update:
         if update not in _NEAR_HALF:
