@@ -19,7 +19,6 @@ from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Status
 from mcp_asdf_tools.crosscheck.compare import (
     CallResult,
-    CheckScenario,
     Failure,
     Firmware,
     RobotUnderTest,
@@ -27,7 +26,7 @@ from mcp_asdf_tools.crosscheck.compare import (
     run_crosscheck,
 )
 from mcp_asdf_tools.crosscheck.oracle import Audit
-from mcp_asdf_tools.crosscheck.scenario import Call, Setup, parse_scenario
+from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, Setup, parse_scenario
 
 SOURCES = {
     module.__name__: Path(cast(str, module.__file__)).read_text(encoding="utf-8")
@@ -41,15 +40,22 @@ CALLS = 40_000
 """Maximum number of calls to find a fault; most take a few hundred."""
 
 
-def check_with_audit(first: Firmware, second: Firmware) -> CheckScenario:
-    """Return a check that compares two firmwares, and checks the first against the oracle."""
+def compare_with_oracle(scenario: Scenario, first: Firmware, second: Firmware) -> Failure | None:
+    """Compare two firmwares in a scenario, and the first with exact arithmetic; return what is wrong."""
+    return compare_firmwares(scenario, first, second, Audit().check_call)
+
+
+def find_failure(first: Firmware, second: Firmware, max_calls: int = CALLS) -> Failure | None:
+    """Cross-check two firmwares by random scenarios, and return the first failure.
+
+    The first firmware is also compared with exact arithmetic. None if nothing is wrong in so many calls.
+    """
     audit = Audit()
-    return lambda scenario: compare_firmwares(scenario, first, second, audit.check_call)
 
+    def check_scenario(scenario: Scenario) -> Failure | None:
+        return compare_firmwares(scenario, first, second, audit.check_call)
 
-def find_failure(check_scenario: CheckScenario, calls: int = CALLS) -> Failure | None:
-    """Return the first failure of the check in so many calls of random scenarios."""
-    return run_crosscheck(check_scenario, SEED, calls, lambda calls_made: None).failure
+    return run_crosscheck(check_scenario, SEED, max_calls, lambda calls_made: None).failure
 
 
 @dataclass

@@ -148,7 +148,7 @@ def draw_slots_at_threshold(
     return None if rejected.is_supported else (slots_after(near), rejected)
 
 
-def slots_of_two_parties(robot: MirrorRobot, count: int, supporter_count: int) -> SlotsAtTest | None:
+def slots_with_supporters(robot: MirrorRobot, count: int, supporter_count: int) -> SlotsAtTest | None:
     """Return estimates by which a robot's test rejects, although some of them support the robot.
 
     Of ``count`` estimates ``supporter_count`` predict the share of black that the robot has observed. The
@@ -161,8 +161,9 @@ def slots_of_two_parties(robot: MirrorRobot, count: int, supporter_count: int) -
     other = opposite_end(supporter)
     estimates = (supporter,) * supporter_count + (other,) * (count - supporter_count)
     slots = SlotsAtTest(estimates, robust, state.t, state.n)
-    has_two_parties = slots.is_supported == (5 * supporter_count > 2 * count)
-    return slots if slots.is_rejected() and has_two_parties else None
+    should_be_supported = 5 * supporter_count > 2 * count
+    are_supporters_recognized = slots.is_supported == should_be_supported
+    return slots if slots.is_rejected() and are_supporters_recognized else None
 
 
 def _limit_estimate(estimate: int) -> int:

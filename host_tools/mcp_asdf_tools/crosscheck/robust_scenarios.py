@@ -41,7 +41,7 @@ from mcp_asdf_tools.crosscheck.crafted_slots import (
     SLOT_ONE,
     centre_and_spread,
     draw_slots_at_threshold,
-    slots_of_two_parties,
+    slots_with_supporters,
 )
 from mcp_asdf_tools.crosscheck.image_words import (
     ALPHA_WORD,
@@ -396,7 +396,7 @@ class RobustScenarioWriter(ScenarioWriter):
         """
         count = max(count, 11)
         supporter_count = 2 * count // 5 + self._rng.randint(0, 1)
-        slots = slots_of_two_parties(self._mirror_of(robot), count, supporter_count)
+        slots = slots_with_supporters(self._mirror_of(robot), count, supporter_count)
         return None if slots is None else slots.estimates
 
     def _draw_parties_with_tie(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:

@@ -31,7 +31,7 @@ from mcp_asdf_tools.crosscheck.crafted_slots import (
     estimate_that_predicts,
     filter_at_test,
     opposite_end,
-    slots_of_two_parties,
+    slots_with_supporters,
 )
 from mcp_asdf_tools.radio.bench import BURST, Bench
 from mcp_asdf_tools.radio.filter_phases import count_updates_to_check, observe_until_excess
@@ -569,7 +569,7 @@ def _play_test_of_two_parties(bench: Bench, count: int, supporter_count: int) ->
     """
 
     def craft_slots() -> SlotsAtTest | None:
-        return slots_of_two_parties(bench.firmware, count, supporter_count)
+        return slots_with_supporters(bench.firmware, count, supporter_count)
 
     bench.activity = f"observations that {supporter_count} of {count} estimates support"
     slots = _observe_until_slots_can_be_crafted(bench, craft_slots)

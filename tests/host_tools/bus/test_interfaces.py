@@ -57,11 +57,13 @@ def test_a_malformed_datagram_is_one_error_frame_and_the_next_frame_is_received(
 
 def test_a_burst_of_four_estimates_from_each_robot_waits_in_the_socket_of_a_multicast_group() -> None:
     choice = multicast(32)
+    robot_count = 126
+    frame_numbers = list(range(4 * robot_count))
     with choice.open() as sender, choice.open() as receiver:
-        for number in range(4 * 126):
+        for number in frame_numbers:
             sender.send(can.Message(arbitration_id=number))
-        received = [receiver.recv(PATIENCE) for _ in range(4 * 126)]
-    assert [frame.arbitration_id for frame in received if frame is not None] == [*range(4 * 126)]
+        received = [receiver.recv(PATIENCE) for _ in frame_numbers]
+    assert [frame.arbitration_id for frame in received if frame is not None] == frame_numbers
 
 
 def receive_all(bus: can.BusABC) -> list[IdentifierAndData]:
@@ -93,17 +95,22 @@ def test_a_connection_that_returns_its_own_frames_does_so_once() -> None:
 
 
 def test_equal_frames_of_several_senders_reach_all_others() -> None:
-    """Contents come again and again, also from others at the same time. The third one gets its own back."""
-    choice, draw = multicast(35), random.Random(2)
+    """Two contents and two ids come again and again, also from others at the same time.
+
+    Only the third connection returns the frames that it has sent itself.
+    """
+    choice = multicast(35)
+    rng = random.Random(2)
     connections = [choice.open(), choice.open(), choice.open(returns_own=True)]
     received: list[list[IdentifierAndData]] = [[], [], []]
     expected: list[list[IdentifierAndData]] = [[], [], []]
     for _ in range(700):
-        sender = draw.randrange(3)
-        if draw.random() < 0.5:
-            frame = can.Message(arbitration_id=draw.randrange(2), data=bytes([draw.randrange(2)]))
+        sender = rng.randrange(3)
+        if rng.random() < 0.5:
+            frame = can.Message(arbitration_id=rng.randrange(2), data=bytes([rng.randrange(2)]))
             connections[sender].send(frame, timeout=1)
-            for receiver in {0, 1, 2} - {sender} | {2}:
+            others = {0, 1, 2} - {sender}
+            for receiver in others | {2}:
                 expected[receiver].append(identifier_and_data(frame))
         received[sender] += receive_all(connections[sender])
     for receiver in (0, 1, 2, 0, 1, 2):
@@ -191,105 +198,113 @@ def test_a_signal_ends_a_wait_while_the_clock_is_set_back(monkeypatch: pytest.Mo
 
 def test_a_wait_ends_in_time_while_the_clock_is_set_back(monkeypatch: pytest.MonkeyPatch) -> None:
     waits = set_clock_back(monkeypatch)
-    with chosen("--channel", "mine").open() as bus:
+    with bus_from_options("--channel", "mine").open() as bus:
         assert bus.recv(0.01) is None
     assert waits
 
 
-def chosen(*words: str) -> BusChoice:
+def bus_from_options(*options: str) -> BusChoice:
+    """Return the bus that these command-line options choose."""
     parser = argparse.ArgumentParser()
     add_bus_options(parser)
-    return bus_of(parser.parse_args(words))
+    return bus_of(parser.parse_args(options))
 
 
-GROUPS_OF_ROBOTS = ("-i", "udp_multicast", "-c", "239.1.1.{robot}", "--bus-kwargs", "port=9", "a=b")
-"""A group for each robot."""
+A_GROUP_FOR_EACH_ROBOT = ("-i", "udp_multicast", "-c", "239.1.1.{robot}", "--bus-kwargs", "port=9", "a=b")
+"""Options of a bus whose channel has a place for the id of a robot, so that each robot has its own."""
 
 
-def test_each_robot_has_its_own_group_and_port() -> None:
-    bus_of_robot = chosen(*GROUPS_OF_ROBOTS).of_robot(7)
-    assert bus_of_robot.settings == {"hop_limit": 0, "channel": "239.1.1.7", "port": 16, "a": "b"}
-    assert str(bus_of_robot) == "udp_multicast 239.1.1.7"
+def test_the_id_of_a_robot_is_put_into_its_group_and_added_to_its_port() -> None:
+    bus_of_all = bus_from_options(*A_GROUP_FOR_EACH_ROBOT)
+    bus_of_robot_7 = bus_of_all.of_robot(7)
+    assert bus_of_robot_7.settings == {"hop_limit": 0, "channel": "239.1.1.7", "port": 9 + 7, "a": "b"}
+    assert str(bus_of_robot_7) == "udp_multicast 239.1.1.7"
 
 
-def test_the_ports_of_robots_begin_with_python_can_s_own() -> None:
-    choice = chosen("-i", "udp_multicast", "-c", "g{robot}")
-    assert choice.of_robot(2).settings["port"] == 43115
+def test_the_id_of_a_robot_is_added_to_python_can_s_port_where_no_port_is_chosen() -> None:
+    bus_of_all = bus_from_options("-i", "udp_multicast", "-c", "g{robot}")
+    default_port = 43113
+    assert bus_of_all.of_robot(2).settings["port"] == default_port + 2
 
 
 def test_robots_on_socketcan_have_no_ports() -> None:
-    choice = chosen("-i", "socketcan", "-c", "vcan{robot}")
-    assert choice.of_robot(2).settings == {"channel": "vcan2"}
+    bus_of_all = bus_from_options("-i", "socketcan", "-c", "vcan{robot}")
+    assert bus_of_all.of_robot(2).settings == {"channel": "vcan2"}
 
 
-def test_the_bus_of_a_robot_is_its_bus_whatever_the_id() -> None:
-    choice = chosen(*GROUPS_OF_ROBOTS)
-    bus_of_robot = choice.of_robot(7)
-    assert choice.has_channels
-    assert not bus_of_robot.has_channels
-    assert bus_of_robot.of_robot(3) is bus_of_robot
+def test_a_bus_with_a_place_for_the_id_has_a_channel_for_each_robot() -> None:
+    bus_of_all = bus_from_options(*A_GROUP_FOR_EACH_ROBOT)
+    assert bus_of_all.has_channels
 
 
-def test_another_process_joins_the_same_bus_by_its_arguments() -> None:
-    choice = chosen(*GROUPS_OF_ROBOTS, "-b", "500000").of_robot(7)
-    same_choice = chosen(*choice.arguments())
-    assert same_choice.interface == choice.interface
-    assert same_choice.settings == {name: str(value) for name, value in choice.settings.items()}
+def test_the_bus_of_one_robot_is_not_divided_further() -> None:
+    """Its channel has no place for an id any more, so ``of_robot`` returns the bus itself."""
+    bus_of_robot_7 = bus_from_options(*A_GROUP_FOR_EACH_ROBOT).of_robot(7)
+    assert not bus_of_robot_7.has_channels
+    assert bus_of_robot_7.of_robot(3) is bus_of_robot_7
+
+
+def test_the_arguments_of_a_bus_choose_the_same_bus_again() -> None:
+    """So a command in another process joins it. All settings are texts there."""
+    bus = bus_from_options(*A_GROUP_FOR_EACH_ROBOT, "-b", "500000").of_robot(7)
+    same_bus = bus_from_options(*bus.arguments())
+    assert same_bus.interface == bus.interface
+    assert same_bus.settings == {name: str(value) for name, value in bus.settings.items()}
 
 
 def test_a_bus_without_settings_needs_no_further_arguments() -> None:
-    assert chosen("-i", "socketcan").arguments() == ["--interface=socketcan"]
+    assert bus_from_options("-i", "socketcan").arguments() == ["--interface=socketcan"]
 
 
-def test_no_other_process_joins_a_bus_of_this_one() -> None:
+def test_the_arguments_of_a_bus_inside_this_process_are_refused() -> None:
     with pytest.raises(UsageError, match="the bus virtual vcan0 is inside this process, so no other can"):
-        chosen().arguments()
+        bus_from_options().arguments()
 
 
 def test_a_bus_of_this_process_is_private_by_default_and_with_another_name() -> None:
-    assert chosen().is_private
-    assert chosen("--channel", "mine").is_private
+    assert bus_from_options().is_private
+    assert bus_from_options("--channel", "mine").is_private
 
 
-@pytest.mark.parametrize("words", ["--bus-kwargs preserve_timestamps=True", "-i socketcan -c vcan0"])
-def test_a_bus_with_settings_or_of_another_kind_is_not_private(words: str) -> None:
-    assert not chosen(*words.split()).is_private
+@pytest.mark.parametrize("options", ["--bus-kwargs preserve_timestamps=True", "-i socketcan -c vcan0"])
+def test_a_bus_with_settings_or_of_another_kind_is_not_private(options: str) -> None:
+    assert not bus_from_options(*options.split()).is_private
 
 
 def test_a_setting_without_a_value_is_refused() -> None:
     with pytest.raises(SystemExit):
-        chosen("--bus-kwargs", "no value")
+        bus_from_options("--bus-kwargs", "no value")
 
 
-SEE = "see --interface, --channel and --bus-kwargs"
-VIRTUAL = (
+SEE_OPTIONS = "see --interface, --channel and --bus-kwargs"
+CREATE_VIRTUAL_BUS = (
     "as root, create it with: modprobe vcan && ip link add dev vcan97 type vcan && ip link set vcan97 up"
 )
-REAL = "as root, create it with: modprobe can-raw && ip link set can0 up type can bitrate 500000"
+CREATE_REAL_BUS = "as root, create it with: modprobe can-raw && ip link set can0 up type can bitrate 500000"
 
 
 @pytest.mark.parametrize(
-    ("words", "number", "fix"),
+    ("options", "error_number", "fix"),
     [
-        ("-i socketcan -c vcan97", errno.ENODEV, VIRTUAL),
-        ("-i socketcan", errno.EAFNOSUPPORT, REAL),
-        ("-i socketcan -c can97", errno.EPERM, SEE),
-        ("-i udp_multicast -c nowhere", errno.ENODEV, SEE),
+        ("-i socketcan -c vcan97", errno.ENODEV, CREATE_VIRTUAL_BUS),
+        ("-i socketcan", errno.EAFNOSUPPORT, CREATE_REAL_BUS),
+        ("-i socketcan -c can97", errno.EPERM, SEE_OPTIONS),
+        ("-i udp_multicast -c nowhere", errno.ENODEV, SEE_OPTIONS),
     ],
 )
 def test_the_failure_to_open_a_bus_is_reported_with_its_fix(
-    words: str, number: int, fix: str, monkeypatch: pytest.MonkeyPatch
+    options: str, error_number: int, fix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    choice = chosen(*words.split())
-    monkeypatch.setattr(can, "Bus", Mock(side_effect=OSError(number, "no way")))
+    bus = bus_from_options(*options.split())
+    monkeypatch.setattr(can, "Bus", Mock(side_effect=OSError(error_number, "no way")))
     with pytest.raises(UsageError) as failure:
-        choice.open()
-    assert str(failure.value) == f"cannot open the bus {choice}: [Errno {number}] no way; {fix}"
+        bus.open()
+    assert str(failure.value) == f"cannot open the bus {bus}: [Errno {error_number}] no way; {fix}"
 
 
 def test_the_failure_to_open_a_bus_that_does_not_exist_says_how_to_create_it() -> None:
     with pytest.raises(UsageError, match=r"vcan97 up$"):
-        chosen("-i", "socketcan", "-c", "vcan97").open()
+        bus_from_options("-i", "socketcan", "-c", "vcan97").open()
 
 
 def test_an_interface_that_python_can_does_not_have_is_refused_with_those_that_it_has() -> None:
@@ -306,7 +321,7 @@ def test_python_can_s_files_variables_and_rc_and_then_options_decide_on_the_bus(
     monkeypatch.setenv("CAN_INTERFACE", "udp_multicast")
     monkeypatch.setattr(can, "rc", {"bustype": "pcan", "channel": "rc", "bitrate": 6})
     settings = {"channel": "mine", "bitrate": 6, "port": "9", "hop_limit": 0}
-    assert chosen("-c", "mine") == BusChoice("udp_multicast", settings)
+    assert bus_from_options("-c", "mine") == BusChoice("udp_multicast", settings)
 
 
 def test_a_variable_of_python_can_that_cannot_be_read_is_a_usage_error(
@@ -314,7 +329,7 @@ def test_a_variable_of_python_can_that_cannot_be_read_is_a_usage_error(
 ) -> None:
     monkeypatch.setenv("CAN_CONFIG", "no JSON")
     with pytest.raises(UsageError, match="variables or configuration files are not valid"):
-        chosen()
+        bus_from_options()
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from crosschecks import ROBOT, SEED, BrokenRobot, check_with_audit, find_failure
+from crosschecks import ROBOT, SEED, BrokenRobot, find_failure
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.native import NativeRobot
 from mcp_asdf.robot import Config, Filter
@@ -25,7 +25,7 @@ from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, parse_scenario
 
 # design: R12, R21, R24, R33
 def test_native_and_mirror_agree_and_keep_all_bounds() -> None:
-    assert find_failure(check_with_audit(NativeRobot, MirrorRobot), calls=10_000) is None
+    assert find_failure(NativeRobot, MirrorRobot, max_calls=10_000) is None
 
 
 def test_native_and_mirror_agree_next_to_the_threshold_of_the_robust_filter() -> None:

@@ -17,21 +17,36 @@ from mcp_asdf_tools.crosscheck.crafted_slots import (
     draw_slots_at_threshold,
     estimate_that_predicts,
     filter_at_test,
-    slots_of_two_parties,
+    slots_with_supporters,
 )
 from robots import ROBUST
 
+B_HAT = 0.8
+"""What the robots of these tests take for the accuracy of their sensor, unless a test says otherwise."""
+SUPPORTER = 43691
+"""An estimate of 2/3, in units of 2**-16: it agrees with a robot whose observations are black by 0.6.
 
-def robot_before_test(t: int, n: int, b_hat: float = 0.8) -> MirrorRobot:
-    """Return a robot in its first round that has made ``t`` observations, ``n`` of them black."""
+With 2/3 of the tiles black, a sensor of accuracy 0.8 sees 2/3 * 0.8 + 1/3 * 0.2 = 0.6 of them black.
+"""
+OPPONENT = 0
+"""The estimate that is farthest from that of a supporter."""
+
+
+def robot_that_observed(black: int, white: int, b_hat: float = B_HAT) -> MirrorRobot:
+    """Return a robot in its first round that has observed so many black and white tiles."""
     robot = MirrorRobot(ROBUST, robot_id=127, b_hat=b_hat)
-    for index in range(t):
-        robot.observe(Observation(index < n))
+    for _ in range(black):
+        robot.observe(Observation.BLACK)
+    for _ in range(white):
+        robot.observe(Observation.WHITE)
     return robot
 
 
 def settle_with(robot: MirrorRobot, estimates: Sequence[int]) -> MirrorRobot:
-    """Return a copy of the robot that has received these estimates of robots 0, 1 and so on, and settled."""
+    """Return a copy of the robot that has received these estimates, and then has made its test.
+
+    The estimates are those of robots 0, 1 and so on, in units of 2**-16.
+    """
     settled_robot = deepcopy(robot)
     for sender, estimate in enumerate(estimates):
         assert settled_robot.receive_raw(sender, q23_from_q16(estimate), ALPHA_MAX) == Status.OK
@@ -40,7 +55,7 @@ def settle_with(robot: MirrorRobot, estimates: Sequence[int]) -> MirrorRobot:
 
 
 def draw_pair(robot: MirrorRobot, count: int, width: int, seed: int) -> tuple[SlotsAtTest, SlotsAtTest]:
-    """Draw estimates at the threshold, of which there must be some."""
+    """Draw estimates by which the robot's test just does not reject, and others by which it just does."""
     pair = draw_slots_at_threshold(robot, count, width, Random(seed))
     assert pair is not None
     return pair
@@ -54,16 +69,19 @@ for_pairs = pytest.mark.parametrize(
 """Number of estimates, how far they are from their middle in units of 2**-16, and the seed of the draw."""
 
 
+# Each pair: estimates by which the robot just keeps its b_hat, and others by which it just does not.
+
+
 @for_pairs
 def test_the_estimates_of_a_pair_differ_by_one_unit_in_one_slot(count: int, width: int, seed: int) -> None:
-    kept, rejected = draw_pair(robot_before_test(t=500, n=300), count, width, seed)
+    kept, rejected = draw_pair(robot_that_observed(black=300, white=200), count, width, seed)
     distances = [abs(a - b) for a, b in zip(kept.estimates, rejected.estimates, strict=True)]
     assert sorted(distances) == [0] * (count - 1) + [1]
 
 
 @for_pairs
 def test_a_robot_keeps_its_b_hat_by_the_first_estimates_of_a_pair(count: int, width: int, seed: int) -> None:
-    robot = robot_before_test(t=500, n=300)
+    robot = robot_that_observed(black=300, white=200)
     kept, _ = draw_pair(robot, count, width, seed)
     settled_robot = settle_with(robot, kept.estimates)
     assert settled_robot.counters.updates == 0
@@ -74,7 +92,7 @@ def test_a_robot_keeps_its_b_hat_by_the_first_estimates_of_a_pair(count: int, wi
 def test_a_robot_re_estimates_b_hat_by_the_second_estimates_of_a_pair(
     count: int, width: int, seed: int
 ) -> None:
-    robot = robot_before_test(t=500, n=300)
+    robot = robot_that_observed(black=300, white=200)
     _, rejected = draw_pair(robot, count, width, seed)
     settled_robot = settle_with(robot, rejected.estimates)
     assert settled_robot.counters.updates == 1
@@ -82,80 +100,90 @@ def test_a_robot_re_estimates_b_hat_by_the_second_estimates_of_a_pair(
     assert not rejected.is_supported
 
 
-def test_there_is_no_pair_if_the_test_rejects_by_no_estimates() -> None:
+def test_there_is_no_pair_if_no_estimates_contradict_the_robot() -> None:
     """With b_hat = 1/2 a robot predicts that half of its observations are black, whatever the floor is."""
-    robot = robot_before_test(t=500, n=250, b_hat=0.5)
-    assert draw_slots_at_threshold(robot, 5, 4, Random(1)) is None
+    robot = robot_that_observed(black=250, white=250, b_hat=0.5)
+    assert draw_slots_at_threshold(robot, count=5, width=4, rng=Random(1)) is None
 
 
-def test_there_is_no_pair_if_the_test_rejects_by_the_estimates_that_explain_the_observations_best() -> None:
+def test_there_is_no_pair_if_all_estimates_contradict_the_robot() -> None:
     """With b_hat = 0.6 no fill ratio explains that all of 500 observations are black."""
-    robot = robot_before_test(t=500, n=500, b_hat=0.6)
-    assert draw_slots_at_threshold(robot, 5, 4, Random(1)) is None
+    robot = robot_that_observed(black=500, white=0, b_hat=0.6)
+    assert draw_slots_at_threshold(robot, count=5, width=4, rng=Random(1)) is None
 
 
 def test_a_draw_does_not_change_the_robot() -> None:
-    robot = robot_before_test(t=500, n=300)
-    state = robot.state()
-    draw_pair(robot, 5, 4, seed=1)
-    assert robot.state() == state
+    robot = robot_that_observed(black=300, white=200)
+    state_before = robot.state()
+    draw_pair(robot, count=5, width=4, seed=1)
+    assert robot.state() == state_before
 
 
-# --- Two parties ---
+# --- Supporters and opponents of a robot ---
 
 
-def test_two_of_five_supporters_do_not_prevent_a_re_estimate() -> None:
-    robot = robot_before_test(t=500, n=300)
-    slots = slots_of_two_parties(robot, count=5, supporter_count=2)
+def test_a_robot_re_estimates_b_hat_if_only_two_of_five_neighbours_agree_with_it() -> None:
+    """Two of five are two fifths; it takes more supporters to keep b_hat."""
+    robot = robot_that_observed(black=300, white=200)
+    slots = slots_with_supporters(robot, count=5, supporter_count=2)
     assert slots is not None
-    # The share of black, 0.6, is predicted by a fill ratio of 2/3: 43691 / 2**16.
-    assert slots.estimates == (43691, 43691, 0, 0, 0)
-    assert settle_with(robot, slots.estimates).counters.updates == 1
+    assert slots.estimates == (SUPPORTER, SUPPORTER, OPPONENT, OPPONENT, OPPONENT)
+    settled_robot = settle_with(robot, slots.estimates)
+    assert settled_robot.counters.updates == 1
 
 
-def test_three_of_seven_supporters_prevent_a_re_estimate() -> None:
-    robot = robot_before_test(t=500, n=300)
-    slots = slots_of_two_parties(robot, count=7, supporter_count=3)
+def test_a_robot_keeps_b_hat_if_three_of_seven_neighbours_agree_with_it() -> None:
+    """The test rejects b_hat, but three of seven are more than two fifths."""
+    robot = robot_that_observed(black=300, white=200)
+    slots = slots_with_supporters(robot, count=7, supporter_count=3)
     assert slots is not None
-    assert slots.estimates == (43691, 43691, 43691, 0, 0, 0, 0)
+    assert slots.estimates == (SUPPORTER, SUPPORTER, SUPPORTER, OPPONENT, OPPONENT, OPPONENT, OPPONENT)
     assert slots.is_rejected()
-    assert settle_with(robot, slots.estimates).counters.updates == 0
+    settled_robot = settle_with(robot, slots.estimates)
+    assert settled_robot.counters.updates == 0
 
 
-def test_there_are_no_two_parties_if_the_test_rejects_by_no_estimates() -> None:
-    assert slots_of_two_parties(robot_before_test(t=500, n=250, b_hat=0.5), 5, 2) is None
+def test_no_neighbours_can_contradict_a_robot_with_a_b_hat_of_one_half() -> None:
+    """Such a robot predicts that half of its observations are black, whatever the others estimate."""
+    robot = robot_that_observed(black=250, white=250, b_hat=0.5)
+    assert slots_with_supporters(robot, count=5, supporter_count=2) is None
 
 
 # --- What a test needs beside the estimates ---
 
 
 @pytest.mark.parametrize(
-    ("b_hat", "share", "estimate"),
+    ("b_hat", "share_of_black", "estimate"),
     [
-        (0.75, 0.5, 32768),  # a fill ratio of 1/2
-        (0.75, 0.625, 49152),  # 3/4
-        (0.25, 0.625, 16384),  # 1/4, as the sensor exchanges the colours more often than not
+        (0.75, 0.5, 2**16 // 2),
+        (0.75, 0.625, 2**16 * 3 // 4),  # 3/4 * 0.75 + 1/4 * 0.25 = 0.625
+        (0.25, 0.625, 2**16 // 4),  # the sensor exchanges the colours more often than not
         (0.75, 0.1, 0),  # less than b_hat predicts of a floor without black tiles
-        (0.75, 0.9, 65535),
-        (0.5, 0.9, 32768),  # no estimate predicts anything but 1/2
+        (0.75, 0.9, 2**16 - 1),  # more than b_hat predicts of a black floor: the largest estimate
+        (0.5, 0.9, 2**16 // 2),  # no estimate predicts anything but 1/2
     ],
 )
-def test_an_estimate_predicts_a_share_of_black(b_hat: float, share: float, estimate: int) -> None:
+def test_the_estimate_that_explains_a_share_of_black_follows_from_b_hat(
+    b_hat: float, share_of_black: float, estimate: int
+) -> None:
     robust = RobustFilter(initial_b_hat=round(b_hat * 2**32))
-    assert estimate_that_predicts(robust, share) == estimate
+    assert estimate_that_predicts(robust, share_of_black) == estimate
 
 
 def test_the_filter_at_the_test_has_the_dispersion_of_the_robot_after_it() -> None:
-    robot = settle_with(robot_before_test(t=100, n=50), [])
+    """A batch of 100 black tiles after a mixed one is rare by chance, so the dispersion rises above 1."""
+    robot = settle_with(robot_that_observed(black=50, white=50), estimates=[])
     for _ in range(100):
-        robot.observe(Observation.BLACK)  # by as many more than expected as is rare of independent ones
-    robust = filter_at_test(robot.s)
+        robot.observe(Observation.BLACK)
+    filter_before_test = filter_at_test(robot.s)
     robot.settle()
-    assert robust.dispersion == robot.s.robust.dispersion > 256
+    dispersion_of_independent_observations = 256  # 1 in units of 2**-8
+    assert filter_before_test.dispersion == robot.s.robust.dispersion
+    assert filter_before_test.dispersion > dispersion_of_independent_observations
 
 
-def test_the_filter_at_the_test_is_a_copy() -> None:
-    robot = robot_before_test(t=100, n=50)
+def test_asking_for_the_filter_at_the_test_does_not_end_the_robot_s_batch() -> None:
+    robot = robot_that_observed(black=50, white=50)
     filter_at_test(robot.s)
     assert robot.s.robust.batch_t == 0
 

@@ -51,7 +51,7 @@ def output(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def jobs_run(monkeypatch: pytest.MonkeyPatch) -> list[Job]:
-    """The jobs that are run in this process; a sixth in a row ends in Ctrl-C."""
+    """The jobs that are run in this process. Ctrl-C interrupts the sixth if the list is not cleared before."""
     return noted_jobs(monkeypatch, 5)
 
 
@@ -59,30 +59,33 @@ def jobs_run(monkeypatch: pytest.MonkeyPatch) -> list[Job]:
 
 
 def test_jobs_are_every_trial_once(output: Path) -> None:
-    jobs = list(jobs_of(Store(output, GRID, 7)))
-    trials = [(job.experiment, job.first + i) for job in jobs for i in range(job.count)]
+    jobs = list(jobs_of(Store(output, GRID, sampling_interval=7)))
+    trials = [(job.experiment, job.first + index) for job in jobs for index in range(job.count)]
     assert trials == [(experiment, trial) for experiment in GRID for trial in range(40)]
     assert {job.sampling_interval for job in jobs} == {7}
 
 
 @pytest.mark.parametrize(
-    ("changes", "counts"),
+    ("changes", "trials_of_jobs"),
     [
-        ({}, [32, 8]),
+        ({}, [32, 8]),  # 40 trials of 8,000 steps
         ({"firmware": "mirror", "trials": 2}, [1, 1]),
         ({"steps": 10**7, "trials": 2}, [1, 1]),
         ({"steps": 300, "filter_period": 100, "trials": 1200}, [833, 367]),
         ({"steps": 2_500_000, "trials": 3}, [2, 1]),
     ],
 )
-def test_jobs_have_more_trials_the_shorter_these_are(changes: dict[str, Any], counts: list[int]) -> None:
+def test_jobs_have_more_trials_the_shorter_these_are(
+    changes: dict[str, Any], trials_of_jobs: list[int]
+) -> None:
     experiment = replace(GRID[0], **changes)
-    jobs = sweep.jobs_of_experiment(experiment, range(experiment.trials), 0)
-    assert [job.count for job in jobs] == counts
+    jobs = sweep.jobs_of_experiment(experiment, range(experiment.trials), sampling_interval=0)
+    assert [job.count for job in jobs] == trials_of_jobs
 
 
 def test_jobs_leave_out_the_trials_between_missing_ones() -> None:
-    jobs = sweep.jobs_of_experiment(GRID[0], [0, 1, 5, 7, 8, 9], 0)
+    missing_trials = [0, 1, 5, 7, 8, 9]
+    jobs = sweep.jobs_of_experiment(GRID[0], missing_trials, sampling_interval=0)
     assert [(job.first, job.count) for job in jobs] == [(0, 2), (5, 1), (7, 3)]
 
 
@@ -534,30 +537,48 @@ def test_simulate_writes_results_if_it_is_asked_to(
     assert len(read_table(tmp_path / "one.parquet")) == 30
 
 
-@pytest.mark.parametrize(
-    ("options", "workers"),
-    [
-        ("--steps 999999", 1),
-        ("--steps 1000000", 1024),
-        ("--steps 1000 --firmware mirror", 1024),
-    ],
-)
-def test_a_short_experiment_starts_no_processes(
-    options: str, workers: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    simulate = Mock(side_effect=UsageError("that is enough"))
+def workers_used(monkeypatch: pytest.MonkeyPatch, options: str) -> int:
+    """Return the number of processes on which the command ``simulate`` runs 5 trials of 20 robots.
+
+    The user asks for 1024 processes. The trials themselves are not run.
+    """
+    simulate = Mock(side_effect=UsageError("the command ends here"))
     monkeypatch.setattr("mcp_asdf_tools.library.simulate", simulate)
-    assert cli.main(f"simulate --robots 20 --trials 5 --workers 1024 {options}".split()) == 2
-    assert simulate.call_args.kwargs["workers"] == workers
+    exit_code = cli.main(["simulate", "--robots=20", "--trials=5", "--workers=1024", *options.split()])
+    exit_code_of_usage_error = 2
+    assert exit_code == exit_code_of_usage_error
+    workers: int = simulate.call_args.kwargs["workers"]
+    return workers
 
 
-MANY = "--robots 1000 --trials 1 --steps 20"
+def test_simulate_runs_a_short_experiment_in_its_own_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Short is less than 10**8 steps of robots: 20 robots * 5 trials * 999,999 steps."""
+    assert workers_used(monkeypatch, "--steps 999999") == 1
+
+
+def test_simulate_runs_a_long_experiment_on_as_many_processes_as_it_is_asked_to(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """20 robots * 5 trials * 1,000,000 steps are 10**8 steps of robots."""
+    assert workers_used(monkeypatch, "--steps 1000000") == 1024
+
+
+def test_simulate_runs_even_a_short_experiment_of_the_mirror_on_processes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The mirror runs in Python, which takes far longer than starting a process."""
+    assert workers_used(monkeypatch, "--steps 1000 --firmware mirror") == 1024
+
+
+A_THOUSAND_ROBOTS = "--robots 1000 --trials 1 --steps 20"
 
 
 def test_a_thousand_robots_are_simulated_where_they_move(
     run_for_json: Callable[..., dict[str, Any]],
 ) -> None:
-    answer = run_for_json("simulate", *MANY.split(), "--topology", "dynamic", "--filter-period", "20")
+    answer = run_for_json(
+        "simulate", *A_THOUSAND_ROBOTS.split(), "--topology", "dynamic", "--filter-period", "20"
+    )
     assert (answer["parameters"]["robots"], answer["trials"]) == (1000, 1)
 
 
@@ -567,7 +588,14 @@ def test_a_thousand_robots_are_simulated_in_a_graph(
     ring = tmp_path / "ring"
     ring.write_text("".join(f"{robot} {(robot + 1) % 1000}\n" for robot in range(1000)))
     answer = run_for_json(
-        "simulate", *MANY.split(), "--topology", "graph", "--graph", ring, "--filter-period", "20"
+        "simulate",
+        *A_THOUSAND_ROBOTS.split(),
+        "--topology",
+        "graph",
+        "--graph",
+        ring,
+        "--filter-period",
+        "20",
     )
     assert (answer["parameters"]["robots"], answer["trials"]) == (1000, 1)
 
@@ -576,13 +604,22 @@ def test_a_thousand_robots_are_simulated_in_a_graph(
     ("arguments", "message"),
     [
         ("simulate --robots 0", "--robots is 0; it must be 1 to 65536"),
-        (f"simulate {MANY}", "--robots is 1000, but each would hear 999 others, and a round of the firmware"),
-        (f"simulate {MANY} --topology dynamic --radio-range 2", "--radio-range: robots is 1000, but with"),
         (
-            f"simulate {MANY} --topology dynamic --firmware mirror",
+            f"simulate {A_THOUSAND_ROBOTS}",
+            "--robots is 1000, but each would hear 999 others, and a round of the firmware",
+        ),
+        (
+            f"simulate {A_THOUSAND_ROBOTS} --topology dynamic --radio-range 2",
+            "--radio-range: robots is 1000, but with",
+        ),
+        (
+            f"simulate {A_THOUSAND_ROBOTS} --topology dynamic --firmware mirror",
             "--firmware: robots is 1000, but firmware is",
         ),
-        (f"simulate {MANY} --topology dynamic --white-offset 0.1", "--white-offset: robots is 1000, but"),
+        (
+            f"simulate {A_THOUSAND_ROBOTS} --topology dynamic --white-offset 0.1",
+            "--white-offset: robots is 1000, but",
+        ),
         ("simulate --filter none --omega 0.1", "--omega would do nothing: filter is none"),
         ("simulate --lowest-accuracy 0.4", "--lowest-accuracy would do nothing: drift is none"),
         ("simulate --workers 0", "--workers is 0"),
