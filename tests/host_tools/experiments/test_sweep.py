@@ -51,7 +51,7 @@ def output(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def jobs_run(monkeypatch: pytest.MonkeyPatch) -> list[Job]:
-    """The jobs that are run in this process. Ctrl-C interrupts the sixth if the list is not cleared before."""
+    """The jobs that this process runs; Ctrl-C interrupts the sixth unless the list is cleared before."""
     return noted_jobs(monkeypatch, 5)
 
 
