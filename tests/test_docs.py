@@ -17,7 +17,7 @@ import pytest
 from browser import new_page, until
 from mcp_asdf_tools.cli import main as cli
 from support import PAGES, ROOT, TABLE, block_with, blocks, require, run, version_of_header
-from targets.c_node import HOST, built
+from targets.c_node import SANITIZED_BUILD, node_command
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -218,7 +218,7 @@ def test_what_is_not_run_is_parsed(command: str) -> None:
 
 def test_the_c_node_understands_the_commands(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Each gets as far as the interface, the sensor or the file, which are not there by that name."""
-    node = built(HOST, tmp_path_factory)
+    node = node_command(SANITIZED_BUILD, tmp_path_factory)
     shown = [command for page in PAGES for command in all_commands(page)]
     for command in [each for each in shown if re.search("(^|[|] )mcp_asdf_node ", each)]:
         words = re.sub(r"v?can0", "none0", command.split("| ")[-1]).replace("/sys/", "/none/").split()

@@ -13,7 +13,7 @@ import pytest
 
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, encode_estimate
 from support import CORE, PAGES, PATIENCE, ROOT, TABLE, block_with, blocks, require, run
-from targets.c_node import CORTEX_A8, PLAIN, Kind, built
+from targets.c_node import CORTEX_A8, PLAIN_BUILD, NodeBuild, node_command
 from targets.test_khepera import LIBRARY
 
 README, TUTORIAL = ROOT / "README.md", ROOT / "docs/robot_tutorial.md"
@@ -163,20 +163,20 @@ def test_the_sensor_of_the_khepera_prints_the_mean_of_each_line(machine: Machine
 
 # --- The node of the Linux port --------------------------------------------------------------------------
 
-NODE_OF_32_BITS = Kind("32-bit", flags=" -m32 -idirafter /usr/include/x86_64-linux-gnu")  # asm/types.h
+NODE_OF_32_BITS = NodeBuild("32-bit", flags=" -m32 -idirafter /usr/include/x86_64-linux-gnu")  # asm/types.h
 NODE_OPTIONS = "--interface udp:239.74.163.99:43199 --hop-limit 0 --id 7 --b-hat 0.95 --steps-per-second 1000"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [NODE_OF_32_BITS, CORTEX_A8], ids=lambda kind: kind.name)
 def test_the_node_prints_the_state_that_it_prints_here(
-    kind: Kind, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+    kind: NodeBuild, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     (tmp_path / "tiles").write_text("1101111111" * 5)
 
-    def state_of(node: Kind) -> dict[str, Any]:
+    def state_of(node: NodeBuild) -> dict[str, Any]:
         command = [
-            *built(node, tmp_path_factory),
+            *node_command(node, tmp_path_factory),
             *NODE_OPTIONS.split(),
             "--observations",
             str(tmp_path / "tiles"),
@@ -184,7 +184,7 @@ def test_the_node_prints_the_state_that_it_prints_here(
         printed = json.loads(run(*command))
         return {name: printed[name] for name in ("t", "n", "b_hat", "x_hat", "alpha", "x", "x_bar")}
 
-    state_here = state_of(PLAIN)
+    state_here = state_of(PLAIN_BUILD)
     assert state_here["t"] == 50
     assert state_of(kind) == state_here
 

@@ -21,7 +21,7 @@ from robots import ALPHA_ONE
 from socketcan.test_socketcan import ESTIMATE, wait_for
 from socketcan.vcan import connect, ip
 from support import PATIENCE
-from targets.c_node import PLAIN, CNode, assert_same_run, built, twin
+from targets.c_node import PLAIN_BUILD, CNode, assert_same_run, node_command, python_node
 
 pytestmark = pytest.mark.socketcan
 
@@ -53,7 +53,7 @@ def test_a_node_on_a_controller_has_the_bits_of_a_python_node(
 ) -> None:
     draw, frames = random.Random(5), list[can.Message]()
     options = ("--lockstep", "--b-hat", 0.75, "--filter-period", 5, "--steps", 25)
-    with CNode(built(PLAIN, tmp_path_factory), "can0", 3, *options) as node:
+    with CNode(node_command(PLAIN_BUILD, tmp_path_factory), "can0", 3, *options) as node:
         lockstep = Lockstep(wire, timeout=PATIENCE, on_frame=frames.append)
         lockstep.wait_until_up([3], PATIENCE)
         for tick in range(25):
@@ -68,7 +68,7 @@ def test_a_node_on_a_controller_has_the_bits_of_a_python_node(
             lockstep.estimates([3])
             lockstep.settle([3])
         figures = node.summary()
-    expected = twin(3, 0.75, filter_period=5)
+    expected = python_node(3, 0.75, filter_period=5)
     assert_same_run(frames, figures, expected)
     assert figures["updates"] > 0
     assert (figures["ticks"], figures["heard"], figures["filtered_by"]) == (25, 75, "kernel")
@@ -83,7 +83,7 @@ def test_a_controller_may_be_restarted_at_another_bit_rate(
     options = ("--sensor", tmp_path / "value", "--steps-per-second", 50)
     assert details("can0")["bittiming"]["bitrate"] == 500_000
     assert details("can0")["restart_ms"] == 100
-    with CNode(built(PLAIN, tmp_path_factory), "can0", 0, *options) as node:
+    with CNode(node_command(PLAIN_BUILD, tmp_path_factory), "can0", 0, *options) as node:
         wait_for(wire, 5)
         ip("link set can0 down")
         time.sleep(2)

@@ -14,7 +14,7 @@ import pytest
 
 from socketcan.guest import run_in_guest, why_not_native
 from support import ROOT
-from targets.c_node import CORTEX_A8, NODES, PLAIN
+from targets.c_node import CORTEX_A8, NODES, PLAIN_BUILD
 
 SECONDS = 1100.0
 """Time limit for a guest's whole life, in which it starts and runs one test after the other."""
@@ -47,7 +47,7 @@ def test_the_tests_of_this_folder_pass_in_a_guest() -> None:
     """Nodes are built here, which is much faster than there; the log of the tests is what this one prints."""
     if not why_not_native():
         pytest.skip("this machine's kernel has CAN, and the tests run on it")
-    for kind in (PLAIN, CORTEX_A8):
+    for kind in (PLAIN_BUILD, CORTEX_A8):
         with suppress(pytest.skip.Exception):  # the guest's test skips, too, and says why
             kind.build(WORK / kind.name)
     shared = WORK / "shared"

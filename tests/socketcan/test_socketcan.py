@@ -19,15 +19,15 @@ from socketcan.vcan import connect, ip, making
 from support import PATIENCE
 from targets.c_node import (
     CORTEX_A8,
-    PLAIN,
+    PLAIN_BUILD,
     CNode,
-    Kind,
-    Start,
+    NodeBuild,
+    StartNode,
     assert_same_run,
-    built,
-    content,
-    drive,
-    twin,
+    candump_lines,
+    node_command,
+    python_node,
+    run_lockstep,
 )
 
 pytestmark = pytest.mark.socketcan
@@ -36,12 +36,14 @@ NODE_BITS = 0x7F
 
 
 @pytest.fixture
-def start(vcan: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Start]:
+def start(vcan: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartNode]:
     """Starts C nodes on the interface, and stops those that are left."""
     with ExitStack() as started:
 
-        def start_node(robot_id: int, *options: object, kind: Kind = PLAIN) -> CNode:
-            return started.enter_context(CNode(built(kind, tmp_path_factory), vcan, robot_id, *options))
+        def start_node(robot_id: int, *options: object, kind: NodeBuild = PLAIN_BUILD) -> CNode:
+            return started.enter_context(
+                CNode(node_command(kind, tmp_path_factory), vcan, robot_id, *options)
+            )
 
         yield start_node
 
@@ -49,27 +51,27 @@ def start(vcan: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Start
 # ---- Robots together ----
 
 
-@pytest.mark.parametrize("kind", [PLAIN, CORTEX_A8], ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", [PLAIN_BUILD, CORTEX_A8], ids=lambda kind: kind.name)
 def test_c_nodes_have_the_bits_of_python_nodes_that_hear_the_same(
-    kind: Kind, start: Start, vcan: str, tmp_path: Path
+    kind: NodeBuild, start: StartNode, vcan: str, tmp_path: Path
 ) -> None:
     ticks, options = 25, ("--lockstep", "--filter-period", 5, "--steps", 25, "--b-hat")
-    nodes = {0: (0.55, kind), 1: (0.95, PLAIN), 2: (0.75, PLAIN)}
+    nodes = {0: (0.55, kind), 1: (0.95, PLAIN_BUILD), 2: (0.75, PLAIN_BUILD)}
     with Candump(vcan, tmp_path) as candump, connect(vcan) as bus:
         started = [start(robot, *options, b_hat, kind=kind) for robot, (b_hat, kind) in nodes.items()]
-        seen = drive(bus, nodes, ticks, seed=5)
+        seen = run_lockstep(bus, nodes, ticks, seed=5)
         figures = [node.summary() for node in started]
         log = candump.frames()
     for robot, (b_hat, _) in nodes.items():
-        expected = twin(robot, b_hat, filter_period=5)
+        expected = python_node(robot, b_hat, filter_period=5)
         assert_same_run(log, figures[robot], expected)
         assert figures[robot]["heard"] == 2 * ticks
     assert figures[0]["updates"] > 0
     by_others = [frame for frame in log if frame.arbitration_id & NODE_BITS != DRIVER_ID]
-    assert content(by_others) == content(seen), "candump and python-can saw the same"
+    assert candump_lines(by_others) == candump_lines(seen), "candump and python-can saw the same"
     needed = [frame for frame in log if is_needed(frame)]
     last = max(number for number, frame in enumerate(needed) if is_command_to(0, frame))
-    assert figures[0]["filtered_by"] == ("kernel" if kind is PLAIN else "node")
+    assert figures[0]["filtered_by"] == ("kernel" if kind is PLAIN_BUILD else "node")
     assert figures[0]["received"] - figures[0]["others"] == last + 1
     assert figures[0]["others"] == 0 or kind is CORTEX_A8
 
@@ -98,7 +100,9 @@ def sensor(tmp_path: Path) -> Path:
     return tmp_path / "value"
 
 
-def test_frames_that_overflow_the_receive_buffer_are_counted(start: Start, sensor: Path, vcan: str) -> None:
+def test_frames_that_overflow_the_receive_buffer_are_counted(
+    start: StartNode, sensor: Path, vcan: str
+) -> None:
     node = start(0, "--sensor", sensor, "--receive-buffer", 4096)
     with connect(vcan) as bus:
         assert bus.recv(PATIENCE) is not None
@@ -128,7 +132,9 @@ _ABSENCE = 3.0
 
 
 @pytest.mark.parametrize("does_vanish", [False, True])
-def test_an_interface_may_go_and_come_back(does_vanish: bool, start: Start, sensor: Path, vcan: str) -> None:
+def test_an_interface_may_go_and_come_back(
+    does_vanish: bool, start: StartNode, sensor: Path, vcan: str
+) -> None:
     """The node ticks on meanwhile, and afterwards sends and hears again."""
     node = start(0, "--sensor", sensor, "--steps-per-second", 50)
     with connect(vcan) as bus:

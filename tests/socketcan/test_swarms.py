@@ -13,7 +13,7 @@ from mcp_asdf_tools.recording.frame_logs import read_log
 from socketcan.candump import Candump, listeners
 from socketcan.vcan import interfaces
 from support import wait_until
-from targets.c_node import PLAIN, CNode, built, content
+from targets.c_node import PLAIN_BUILD, CNode, candump_lines, node_command
 
 pytestmark = pytest.mark.socketcan
 
@@ -32,7 +32,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 def logged(folder: Path, *bus: str) -> list[str]:
     """The swarm's log on a bus."""
     assert main([*SWARM, *bus, "--log", str(folder / "run.log")]) == 0
-    return content(read_log(folder / "run.log"))
+    return candump_lines(read_log(folder / "run.log"))
 
 
 def test_twenty_robots_on_one_interface_leave_the_log_that_candump_and_any_bus_have(
@@ -40,7 +40,7 @@ def test_twenty_robots_on_one_interface_leave_the_log_that_candump_and_any_bus_h
 ) -> None:
     with Candump(vcan, tmp_path) as candump:
         real = logged(tmp_path, "--interface", "socketcan", "--channel", vcan)
-        told = content(candump.frames())
+        told = candump_lines(candump.frames())
     assert told == real == simulated
     assert len(told) == 20 * (5 + 1 + 2)
 
@@ -52,7 +52,7 @@ def test_the_c_node_is_a_robot_of_an_emulated_swarm(
     real, one, name = tmp_path / "real.log", tmp_path / "one.log", f"v{os.getpid()}d"
     bus = ("--interface", "socketcan", "--channel", f"{name}{{robot}}", "--device", f"0=socketcan:{name}0")
     with interfaces(*(f"{name}{robot}" for robot in range(4))):
-        command = built(PLAIN, tmp_path_factory)
+        command = node_command(PLAIN_BUILD, tmp_path_factory)
         flawed = ("--lockstep", "--filter-period", 4, "--b-hat", 0.55)
         with ThreadPoolExecutor() as pool:
             starting = pool.submit(start_when_heard, command, f"{name}0", *flawed)
@@ -71,4 +71,4 @@ def start_when_heard(command: list[str], interface: str, *options: object) -> CN
 
 def estimates(log: Path) -> list[str]:
     """The broadcasts of a log, sorted."""
-    return sorted(line for line in content(read_log(log)) if line.startswith("106BB8"))
+    return sorted(line for line in candump_lines(read_log(log)) if line.startswith("106BB8"))

@@ -1,4 +1,4 @@
-"""Building and running ``mcp_asdf_node``, and the Python node that has to say the same."""
+"""Building and running ``mcp_asdf_node``, and the Python node that has to send the same frames."""
 
 from __future__ import annotations
 
@@ -37,13 +37,15 @@ TABLE = generate(parse_omega("0.05"), q=127)
 
 
 @dataclass(frozen=True)
-class Kind:
-    """A build of the node.
+class NodeBuild:
+    """A way to build the node.
 
     Attributes:
-        compiler: Its compiler, and the Debian packages that have it.
-        runner: What runs the program, if it does not run by itself.
-        settings: For CMake.
+        name: Name of the folder of the program.
+        compiler: The compiler, and the Debian packages that have it.
+        flags: Further flags of the compiler.
+        runner: Command before the program, such as an emulator.
+        settings: Further options of CMake.
     """
 
     name: str
@@ -61,15 +63,17 @@ class Kind:
         run("cmake", "--build", folder)
 
 
-HOST = Kind("host", flags=SANITIZERS)
-PLAIN = Kind("plain")
-COVERED = Kind(
+SANITIZED_BUILD = NodeBuild("host", flags=SANITIZERS)
+"""For this machine, with sanitizers: the usual one of these tests."""
+PLAIN_BUILD = NodeBuild("plain")
+"""For this machine, as users build it."""
+COVERAGE_BUILD = NodeBuild(
     "covered",
     ("gcov", "gcc"),
     " --coverage -O0 -Dalways_inline=unused",  # each function once
     settings=("-DCMAKE_BUILD_TYPE=Debug",),
 )
-CORTEX_A8 = Kind(
+CORTEX_A8 = NodeBuild(
     "cortex-a8",
     ("arm-linux-gnueabihf-gcc", "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"),
     runner=("qemu-arm", "-cpu", "cortex-a8"),
@@ -77,8 +81,8 @@ CORTEX_A8 = Kind(
 )
 
 
-def built(kind: Kind, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """The command of a build that is made once, unless it is there already."""
+def node_command(kind: NodeBuild, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Return the command that runs the node of a build, which is made once, unless it is there already."""
     for tool in kind.runner[:1]:
         require(tool, "qemu-user")
     ready = Path(os.environ.get(NODES, "none"), kind.name)
@@ -86,8 +90,11 @@ def built(kind: Kind, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     return [*kind.runner, str(folder / "mcp_asdf_node")]
 
 
-def unexecuted(folder: Path) -> set[str]:
-    """Lines of the core that a covered build has not executed, or only in one way, as "file: text"."""
+def unexecuted_lines(folder: Path) -> set[str]:
+    """Return the lines of the core that a coverage build has not executed, or only in one way.
+
+    Each is "file: text of the line".
+    """
     rarest = dict[str, int]()
     for data in folder.glob("core/**/*.gcda"):
         report = json.loads(
@@ -109,13 +116,13 @@ class CNode:
     """A running ``mcp_asdf_node``.
 
     Attributes:
-        complaints: What it said on standard error, once it has ended.
+        error_lines: What it has written to standard error, once it has ended.
     """
 
     def __init__(
         self, command: Sequence[str], interface: str, robot_id: int, *options: object, **streams: Any
     ) -> None:
-        """Start it with the options given, by default with the paper's filter, as ``twin`` has it.
+        """Start it with the options given, by default with the paper's filter, as ``python_node`` has it.
 
         ``streams`` are those of subprocess.Popen.
         """
@@ -124,21 +131,22 @@ class CNode:
         words = [*command, *map(str, ("--interface", interface, "--id", robot_id, *options))]
         pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams}
         self.process = subprocess.Popen(words, text=True, **pipes)
+        self.error_lines: list[str] = []
 
     def summary(self, status: int = 0) -> dict[str, Any]:
-        """Its last line, when it has ended by itself with ``status``.
+        """Wait until the node has ended by itself with ``status``, and return the summary that it prints.
 
-        With status 0 it must not have said anything else but that another node has its id.
+        With status 0 its only messages may be those that another node has its id.
         """
         printed, complaints = self.process.communicate(timeout=PATIENCE)
         assert self.process.returncode == status, f"{self.process.returncode}\n{printed}\n{complaints}"
-        self.complaints = complaints.splitlines()
-        assert all("; give one of them another" in each for each in self.complaints) or status
+        self.error_lines = complaints.splitlines()
+        assert all("; give one of them another" in each for each in self.error_lines) or status
         figures: dict[str, Any] = json.loads(printed)
         return figures
 
     def stop(self, number: signal.Signals = signal.SIGTERM) -> dict[str, Any]:
-        """Its last line, after that signal."""
+        """End the node by a signal, and return the summary that it prints."""
         self.process.send_signal(number)
         return self.summary()
 
@@ -150,11 +158,11 @@ class CNode:
         self.process.communicate()
 
 
-Start = Callable[..., CNode]
-"""What starts nodes on a bus: an id and options."""
+StartNode = Callable[..., CNode]
+"""A function that starts a node on a bus with these options."""
 
 
-def twin(
+def python_node(
     robot_id: int,
     b_hat: float = 0.95,
     subjects: Subjects | None = None,
@@ -162,27 +170,30 @@ def twin(
     allow: frozenset[int] | None = None,
     **config: Any,
 ) -> RobotNode:
-    """The Python node of the same options, on plain integers."""
+    """Return the Python node of the same options, whose firmware is the mirror."""
     usual = {"table": TABLE, "filter": Filter.ADAPTIVE, "filter_period": DEFAULT_FILTER_PERIOD}
     start = replace(record(robot_id, "mirror", b_hat, **(usual | config)), allow=allow)
     return RobotNode(start, subjects, steps_per_second)
 
 
-def content(frames: Iterable[can.Message]) -> list[str]:
-    """Frames as candump writes them, for comparison."""
+def candump_lines(frames: Iterable[can.Message]) -> list[str]:
+    """Return each frame as candump writes it, such as 106BB805#0102, for comparison."""
     return [f"{frame.arbitration_id:08X}#{frame.data.hex().upper()}" for frame in frames]
 
 
-def greeted_once(frames: Iterable[can.Message]) -> list[can.Message]:
-    """What one node said, without the greetings that it repeats until it is commanded."""
-    said = list(frames)
-    while len(said) > 1 and content(said[:1]) == content(said[1:2]):
-        said.pop(0)
-    return said
+def without_repeated_greetings(frames: Iterable[can.Message]) -> list[can.Message]:
+    """Return the frames of one node with its greeting once: it repeats that until it is commanded."""
+    remaining_frames = list(frames)
+    while len(remaining_frames) > 1:
+        first_line, second_line = candump_lines(remaining_frames[:2])
+        if first_line != second_line:
+            break
+        remaining_frames.pop(0)
+    return remaining_frames
 
 
 def assert_same_robot(figures: dict[str, Any], node: RobotNode) -> None:
-    """The C node's summary has every number of the Python node."""
+    """Check that the C node's summary has every number of the Python node."""
     robot = node.robot
     assert isinstance(robot, MirrorRobot)
     numbers = {
@@ -196,28 +207,35 @@ def assert_same_robot(figures: dict[str, Any], node: RobotNode) -> None:
 
 
 def assert_same_run(log: Iterable[can.Message], figures: dict[str, Any], node: RobotNode) -> None:
-    """Of what a bus carried the C node has made what the Python node makes of it."""
-    said, answers = list[can.Message](), node.start()
+    """Check that the C node has sent what the Python node sends on the same bus, and ends in its state.
+
+    Args:
+        log: All frames on the bus, those of the C node included.
+        figures: The C node's summary.
+        node: The Python node, which has not been started yet.
+    """
+    frames_of_c_node: list[can.Message] = []
+    expected_frames = node.start()
     for frame in log:
         if frame.arbitration_id & MAX_NODE_ID == node.id:
-            said.append(frame)
+            frames_of_c_node.append(frame)
         else:
-            answers += node.receive_frame(frame)
-    assert content(greeted_once(said)) == content(answers)
+            expected_frames += node.receive_frame(frame)
+    assert candump_lines(without_repeated_greetings(frames_of_c_node)) == candump_lines(expected_frames)
     assert_same_robot(figures, node)
 
 
-def drive(bus: can.BusABC, robots: Collection[int], ticks: int, seed: int) -> list[can.Message]:
-    """Let robots observe what a seeded generator draws, exchange and settle.
+def run_lockstep(bus: can.BusABC, robots: Collection[int], ticks: int, seed: int) -> list[can.Message]:
+    """Command robots for so many ticks: to observe what a seeded generator draws, broadcast and settle.
 
-    Returns all frames that came in, in order: all but the commands.
+    Returns the frames of the robots in order.
     """
-    draw = random.Random(seed)
+    rng = random.Random(seed)
     frames: list[can.Message] = []
     lockstep = Lockstep(bus, timeout=PATIENCE, on_frame=frames.append)
     lockstep.wait_until_up(robots, PATIENCE)
     for _ in range(ticks):
-        lockstep.observe({robot: Observation(draw.randrange(2)) for robot in robots})
+        lockstep.observe({robot: Observation(rng.randrange(2)) for robot in robots})
         lockstep.estimates(robots)
         lockstep.settle(robots)
     return [frame for frame in frames if frame.is_rx]

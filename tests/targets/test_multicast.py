@@ -25,16 +25,16 @@ from multicast import multicast
 from support import PATIENCE, require, run, slow
 from targets.c_node import (
     CORTEX_A8,
-    HOST,
-    PLAIN,
+    PLAIN_BUILD,
+    SANITIZED_BUILD,
     SOURCES,
     CNode,
-    Kind,
+    NodeBuild,
     assert_same_robot,
-    built,
-    content,
-    greeted_once,
-    twin,
+    candump_lines,
+    node_command,
+    python_node,
+    without_repeated_greetings,
 )
 from targets.test_node import ID, SUBJECTS, any_frame, command_frame
 
@@ -74,12 +74,12 @@ def on_wifi(frames: list[can.Message], draw: random.Random) -> list[tuple[can.Me
 
 
 @pytest.mark.parametrize("address", [IPV4, *slow([IPV6])])
-@pytest.mark.parametrize("kind", [HOST, *slow([CORTEX_A8])], ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", [SANITIZED_BUILD, *slow([CORTEX_A8])], ids=lambda kind: kind.name)
 def test_the_bits_are_those_of_a_python_node_that_hears_the_same(
-    kind: Kind, address: str, tmp_path_factory: pytest.TempPathFactory
+    kind: NodeBuild, address: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     draw, group = random.Random(address), join(address)
-    expected = twin(ID, 0.75, SUBJECTS, 3, filter_period=4)
+    expected = python_node(ID, 0.75, SUBJECTS, 3, filter_period=4)
     answers, said, odd = expected.start(), list[can.Message](), 0
 
     def tell(frame: can.Message | None, datagram: bytes) -> None:
@@ -91,7 +91,7 @@ def test_the_bits_are_those_of_a_python_node_that_hears_the_same(
             odd += 1
 
     arrived = on_wifi([any_frame(draw) for _ in range(600)], draw)
-    with CNode(built(kind, tmp_path_factory), interface(address), ID, *NODE) as node:
+    with CNode(node_command(kind, tmp_path_factory), interface(address), ID, *NODE) as node:
         hear(group, said, len(answers))
         for number, (frame, datagram) in enumerate(arrived):
             tell(frame, datagram)
@@ -106,7 +106,7 @@ def test_the_bits_are_those_of_a_python_node_that_hears_the_same(
         hear(group, said, len(answers))
         figures = node.stop()
     group.shutdown()
-    assert content(said) == content(answers)
+    assert candump_lines(said) == candump_lines(answers)
     assert_same_robot(figures, expected)
     assert figures["refused"] + figures["others"] == expected.reception.rejected.total()
     assert figures["received"] == len(arrived) + 3, "neither its own nor another group's"
@@ -127,7 +127,7 @@ def hear(group: Group, said: list[can.Message], frames: int) -> None:
         if sender[1] != PORT:
             said.append(unpack_message(datagram, check=True))
             assert pack_message(said[-1]) == datagram
-            said[:] = greeted_once(said)
+            said[:] = without_repeated_greetings(said)
             assert abs(said[-1].timestamp - time.time()) < PATIENCE
 
 
@@ -218,7 +218,9 @@ def test_nothing_is_allocated_after_the_start(
         "--steps-per-second",
         1000,
     )
-    with CNode([*strace, *built(PLAIN, tmp_path_factory)], interface(IPV4), ID, *options) as node:
+    with CNode(
+        [*strace, *node_command(PLAIN_BUILD, tmp_path_factory)], interface(IPV4), ID, *options
+    ) as node:
         assert node.summary()["unsent"] == 0
     calls = trace.read_text(encoding="utf-8").splitlines()
     assert any("IP_MULTICAST_TTL, [0]" in call for call in calls)
@@ -248,7 +250,7 @@ def test_a_network_may_go_and_come_back(
         pytest.skip("no network namespaces: unshare -rn fails here")
     sensor = tmp_path / "sensor"
     sensor.write_text("1", encoding="ascii")
-    node = [*built(PLAIN, tmp_path_factory), "--network", "wlan0", "--steps-per-second", "100"]
+    node = [*node_command(PLAIN_BUILD, tmp_path_factory), "--network", "wlan0", "--steps-per-second", "100"]
     node += ["--interface", interface(address), "--sensor", str(sensor)]
     lines = run("unshare", "-rn", "bash", "-m", "-c", LOSING, "robots", *node).splitlines()
     assert len(lines) == 2
@@ -263,6 +265,6 @@ def test_the_verdict_on_a_node_without_can_is_good(tmp_path_factory: pytest.Temp
     choice = multicast(92)
     group = f"udp:{choice.settings['channel']}:{choice.settings['port']}"
     options = ("--lockstep", "--hop-limit", 0, "--b-hat", 0.75, "--filter-period", 4)
-    with CNode(built(PLAIN, tmp_path_factory), group, 3, *options):
+    with CNode(node_command(PLAIN_BUILD, tmp_path_factory), group, 3, *options):
         robot = ("--id", "3", "--b-hat", "0.75", "--filter-period", "4", "--robots", "3", "--steps", "20")
         assert main(["radio", "--verify", *robot, "--timeout", str(PATIENCE), *choice.arguments()]) == 0

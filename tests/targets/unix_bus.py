@@ -13,12 +13,14 @@ from support import PATIENCE
 
 
 class UnixBus(can.BusABC):
-    """The owner's end, a bus like any other of python-can, with one node at a time at the other.
+    """A bus of python-can with one C node at a time at its other end.
+
+    A node greets with its first heartbeat, which it repeats until it is commanded.
 
     Attributes:
         node: The socket of the present node.
-        said: Frames that it sent, in order, but its greeting once.
-        greetings: How often it sent that.
+        received_frames: Frames that it has sent, in order. Its greeting is there once.
+        greeting_count: How often it has sent its greeting.
     """
 
     def __init__(self, path: Path) -> None:
@@ -31,29 +33,30 @@ class UnixBus(can.BusABC):
         self.channel_info = f"unix:{path}"
         super().__init__(channel=self.channel_info)
 
-    def accept(self) -> None:
-        """Take the next node that connects for the present one. Raises TimeoutError if none does."""
+    def accept_node(self) -> None:
+        """Wait until the next node connects; it is the present one then. Raises TimeoutError if none does."""
         self.node.close()
-        self.node, self.said = self._listener.accept()[0], list[can.Message]()
-        self.greetings = 0
+        self.node, _ = self._listener.accept()
+        self.received_frames: list[can.Message] = []
+        self.greeting_count = 0
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send to the node."""
         self.node.settimeout(PATIENCE)
-        with suppress(BrokenPipeError, ConnectionResetError):  # what it said is still to come
+        with suppress(BrokenPipeError, ConnectionResetError):  # its last frames can still be received
             self.node.send(build_can_frame(msg))
 
-    def hear(self, frames: int) -> None:
-        """Listen to so many more frames."""
-        end = len(self.said) + frames
-        while len(self.said) < end:
+    def receive_frames(self, count: int) -> None:
+        """Wait for so many more frames."""
+        expected_count = len(self.received_frames) + count
+        while len(self.received_frames) < expected_count:
             assert self.recv(PATIENCE) is not None
 
-    def hear_out(self) -> None:
-        """Listen until the node has ended."""
+    def receive_until_node_ends(self) -> None:
+        """Receive frames until the node has ended."""
         with suppress(EOFError):
             while True:
-                self.hear(1)
+                self.receive_frames(1)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         """The next frame, a classic data frame with a 29-bit identifier; anything else fails.
@@ -73,10 +76,12 @@ class UnixBus(can.BusABC):
         identifier, length, _, data = dissect_can_frame(packet)
         assert identifier >> 29 == 0b100
         frame = can.Message(arbitration_id=identifier & 0x1FFF_FFFF, data=data[:length])
-        if not self.said or (frame.data == self.said[0].data and len(self.said) == 1):
-            self.greetings += 1
-            self.said.clear()
-        self.said.append(frame)
+        is_first = not self.received_frames
+        is_repeated_greeting = len(self.received_frames) == 1 and frame.data == self.received_frames[0].data
+        if is_first or is_repeated_greeting:
+            self.greeting_count += 1
+            self.received_frames.clear()
+        self.received_frames.append(frame)
         return frame, False
 
     def shutdown(self) -> None:
