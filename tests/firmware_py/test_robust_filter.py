@@ -355,14 +355,22 @@ def test_before_the_first_observation_a_robust_robot_does_not_test(firmware: Fix
 
 # design: R37
 @for_fixed_point_firmwares
-def test_a_robot_that_contradicts_the_others_re_estimates_b_hat(firmware: FixedPointFirmware) -> None:
-    """545 of 1000 black where 0.95 of the tiles are: eq. 8 gives (0.545 + 0.95 - 1) / (2 0.95 - 1) = 0.55."""
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+def test_a_robot_whose_observations_contradict_the_others_estimates_its_accuracy_anew(
+    firmware: FixedPointFirmware,
+) -> None:
+    """It sees 0.545 of the tiles black, but all others estimate that 0.95 of them are.
+
+    With its b_hat of 0.95 it would see 0.95 * 0.95 + 0.05 * 0.05 = 0.905 of them black. Its new b_hat is the
+    accuracy that explains what it sees (eq. 8 of the paper): (0.545 + 0.95 - 1) / (2 * 0.95 - 1) = 0.55.
+    """
+    fill_ratio_of_others = 0.95
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=545, white=455)
-    receive_estimates(robot, *[0.95] * 5)
+    receive_estimates(robot, *[fill_ratio_of_others] * 5)
     assert robot.settle() == Status.UPDATED
     assert robot.b_hat == pytest.approx(0.55, abs=1e-4)
-    assert (robot.counters.tests, robot.counters.updates) == (1, 1)
+    assert robot.counters.tests == 1
+    assert robot.counters.updates == 1
 
 
 @for_fixed_point_firmwares

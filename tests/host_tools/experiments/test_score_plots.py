@@ -140,9 +140,17 @@ def test_boxes_are_labelled_by_offset_of_b_hat_and_share_of_flawed_robots(boxes:
     assert labels == ["+0\n0%", "-0.4\n50%", "-0.2\n50%", "-0.4\n100%"]
 
 
-def test_boxes_have_the_axes_of_scores_and_slots(boxes: Figure) -> None:
-    assert {axes.get_ylim() for axes in boxes.axes} == {(0, 103)}
-    assert {axes.get_xlim() for axes in boxes.axes} == {(-0.5, 3.5)}
+def test_each_panel_of_boxes_shows_scores_from_0_to_100_with_a_margin_above(boxes: Figure) -> None:
+    margin = 3
+    assert {axes.get_ylim() for axes in boxes.axes} == {(0, 100 + margin)}
+
+
+def test_each_panel_of_boxes_shows_four_slots_around_0_to_3(boxes: Figure) -> None:
+    last_slot = len(FLAWED_AND_ACCURACIES) - 1
+    assert {axes.get_xlim() for axes in boxes.axes} == {(-0.5, last_slot + 0.5)}
+
+
+def test_the_score_and_the_labels_of_slots_are_named_beside_the_boxes(boxes: Figure) -> None:
     assert boxes.get_supylabel() == "score $H$"
     assert caption_of(boxes).startswith(r"$\hat{b} - b$ of flawed robots")
 

@@ -49,6 +49,7 @@ def new_comparison() -> Comparison:
 
 
 def comparison_after_a_tick() -> Comparison:
+    """Return a comparison that has received telemetry, as the controller sends it at the end of a tick."""
     comparison = new_comparison()
     assert comparison.check([telemetry()], [telemetry()]) is None
     return comparison
@@ -189,15 +190,21 @@ def test_a_first_heartbeat_is_a_difference_later() -> None:
 def test_an_advisory_health_is_a_difference_unless_it_is_allowed(is_advisory_allowed: bool) -> None:
     comparison = comparison_after_a_tick()
     comparison.is_advisory_allowed = is_advisory_allowed
-    found_difference = comparison.check([heartbeat(1, Health.ADVISORY)], [heartbeat(1)])
+    found_difference = comparison.check(
+        received=[heartbeat(1, Health.ADVISORY)], expected=[heartbeat(1, Health.NOMINAL)]
+    )
     assert (found_difference is None) == is_advisory_allowed
 
 
-def test_a_health_worse_than_advisory_is_always_a_difference() -> None:
+def test_health_caution_in_a_heartbeat_is_a_difference_even_if_advisory_is_allowed() -> None:
+    """From good to bad: nominal, advisory, caution, warning."""
     comparison = comparison_after_a_tick()
     comparison.is_advisory_allowed = True
-    found_difference = comparison.check([heartbeat(1, Health.CAUTION)], [heartbeat(1)])
-    assert found_difference is not None and found_difference.field == "health"
+    found_difference = comparison.check(
+        received=[heartbeat(1, Health.CAUTION)], expected=[heartbeat(1, Health.NOMINAL)]
+    )
+    assert found_difference is not None
+    assert found_difference.field == "health"
 
 
 # --- Senders ---

@@ -354,11 +354,15 @@ def test_a_full_disk_and_a_run_that_fails_give_one_warning(tmp_path: Path) -> No
 
 
 SWARM_ON_FULL_DISK = ["swarm", "--robots", "3", "--steps", "200"]
+FULL_DISK_BYTES = 8000
+"""Size that a file may have there; the log of this swarm would have more than 600 lines."""
+LOG_LINE_BYTES = 80
+"""No line of the log is that long."""
 
 
 def test_a_full_disk_ends_the_recording_but_not_the_swarm(tmp_path: Path, capsys: Capture) -> None:
     log = tmp_path / "run.log"
-    with limited_file_size(8000):
+    with limited_file_size(FULL_DISK_BYTES):
         assert main([*SWARM_ON_FULL_DISK, "--json", "--log", str(log)]) == 2
     captured = capsys.readouterr()
     assert captured.err == (
@@ -373,21 +377,20 @@ def test_a_full_disk_ends_the_recording_but_not_the_swarm(tmp_path: Path, capsys
 def unfinished_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The name of a log of a swarm whose disk became full: there are only ``.part`` files beside it."""
     log = tmp_path_factory.mktemp("full") / "run.log"
-    with limited_file_size(8000):
+    with limited_file_size(FULL_DISK_BYTES):
         main([*SWARM_ON_FULL_DISK, "--quiet", "--log", str(log)])
     return log
 
 
-def test_a_log_that_a_full_disk_cut_off_can_be_replayed_as_its_part(
+def test_the_part_file_of_a_log_that_a_full_disk_cut_off_can_be_replayed(
     unfinished_log: Path, capsys: Capture
 ) -> None:
+    """Frames are reproduced as far as there are events; those beyond the last event cannot be checked."""
     assert main(["replay", f"{unfinished_log}.part", "--json"]) == 0
     verdict = json.loads(capsys.readouterr().out)["verdict"]
     assert verdict["difference"] is None
-    # Frames are reproduced as far as there are events, and those beyond the last event cannot be checked.
-    # 8000 bytes have room for more than 100 lines.
-    frames_replayed = verdict["reproduced"] + verdict["beyond"]
-    assert frames_replayed > 100
+    frames_in_part = verdict["reproduced"] + verdict["beyond"]
+    assert frames_in_part > FULL_DISK_BYTES // LOG_LINE_BYTES
 
 
 def test_replay_names_the_part_of_a_log_that_is_not_there(unfinished_log: Path, capsys: Capture) -> None:

@@ -109,14 +109,28 @@ def test_a_robot_that_has_crashed_receives_nothing() -> None:
     assert robot.reception == Reception()
 
 
-@pytest.mark.parametrize(("loses_state", "ticks"), [(False, 1), (True, 0)])
-def test_a_robot_that_rejoins_has_its_state_unless_the_crash_lost_it(loses_state: bool, ticks: int) -> None:
+def robot_that_rejoins(*, loses_state: bool) -> BusRobot:
+    """Return a robot that has made one observation in one tick, has crashed and has rejoined."""
     robot = BusRobot(record(5), ESTIMATES)
     robot.observe(Observation.BLACK)
     robot.settle()
     robot.crash(loses_state)
     robot.rejoin()
-    assert (robot.is_alive, robot.ticks, robot.robot.t) == (True, ticks, ticks)
+    return robot
+
+
+def test_a_robot_that_rejoins_goes_on_where_it_was_if_the_crash_kept_its_state() -> None:
+    robot = robot_that_rejoins(loses_state=False)
+    assert robot.is_alive
+    assert robot.ticks == 1
+    assert robot.robot.t == 1
+
+
+def test_a_robot_that_rejoins_begins_anew_if_the_crash_lost_its_state() -> None:
+    robot = robot_that_rejoins(loses_state=True)
+    assert robot.is_alive
+    assert robot.ticks == 0
+    assert robot.robot.t == 0
 
 
 def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:

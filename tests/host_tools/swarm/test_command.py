@@ -277,23 +277,31 @@ def test_swarm_refuses_a_file_that_it_cannot_write_before_the_first_tick(
 # --- Ends before the last step ---------------------------------------------------------------------------
 
 
+def frames_of_small_swarm(ticks: int) -> int:
+    """Return how many frames four robots send in so few ticks: a heartbeat, and an estimate in each tick."""
+    robots, heartbeats, estimates = 4, 1, ticks
+    return robots * (heartbeats + estimates)
+
+
 @interruptible()
 def test_a_signal_ends_the_run_after_a_whole_tick_and_saves_log_and_results(
     capsys: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def interrupt(view: LiveView, swarm: Swarm) -> None:
+    """The signal comes during the seventh tick of 30, of a swarm of four robots."""
+
+    def send_signal_in_tick_7(view: LiveView, swarm: Swarm) -> None:
         if swarm.ticks == 7:
             os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr(LiveView, "__call__", interrupt)
+    # The swarm calls its live view in each tick.
+    monkeypatch.setattr(LiveView, "__call__", send_signal_in_tick_7)
     log = tmp_path / "run.log"
-    assert run_swarm_command("--json", "--log", log) == 143
+    assert run_swarm_command("--json", "--log", log) == 128 + signal.SIGTERM
     report = json.loads(capsys.readouterr().out)
     assert report["interrupted"]
     assert report["results"]["steps"] == 7
     assert json.loads(Path(f"{log}.json").read_text()) == report
-    heartbeats_and_estimates = 4 * (1 + 7)
-    assert len(log.read_text().splitlines()) == heartbeats_and_estimates
+    assert len(log.read_text().splitlines()) == frames_of_small_swarm(ticks=7)
 
 
 def test_a_failing_bus_gives_exit_code_1_and_saves_what_is_done(
@@ -302,7 +310,7 @@ def test_a_failing_bus_gives_exit_code_1_and_saves_what_is_done(
     send = virtual.VirtualBus.send
 
     def fail_after_tick_8(bus: virtual.VirtualBus, frame: can.Message, timeout: float) -> None:
-        if frame.timestamp > 0.75:
+        if frame.timestamp > 0.75:  # tick 8 is at 0.7 s, and tick 9 at 0.8 s
             raise can.CanOperationError("bus off")
         send(bus, frame, timeout)
 
@@ -310,8 +318,7 @@ def test_a_failing_bus_gives_exit_code_1_and_saves_what_is_done(
     log = tmp_path / "run.log"
     assert run_swarm_command("--bus-kwargs", "preserve_timestamps=True", "--log", log) == 1
     assert "failed in tick 9: bus off" in capsys.readouterr().err
-    heartbeats_and_estimates = 4 * (1 + 8)
-    assert len(log.read_text().splitlines()) == heartbeats_and_estimates
+    assert len(log.read_text().splitlines()) == frames_of_small_swarm(ticks=8)
 
 
 def test_a_bus_that_takes_no_more_frames_fails_after_a_time_limit(

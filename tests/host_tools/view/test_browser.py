@@ -100,10 +100,10 @@ def test_the_page_has_the_values_links_and_positions_of_all_states(
         assert np.abs(shown["positions"] - state.positions).max() <= smallest_step * longest_side
 
 
-def test_the_page_has_the_links_of_robots_whose_ids_do_not_fit_seven_bits(
+def test_the_page_has_the_links_of_a_trial_with_more_robots_than_fit_a_bus(
     browser: Page, tmp_path: Path
 ) -> None:
-    """A swarm on a bus has 128 robots at most, but a trial may have more."""
+    """A history of up to 128 robots has links as a matrix of bits, and one of more robots as pairs of ids."""
     experiment = Experiment(topology="dynamic", robots=140, steps=40, trials=1)
     history = recompute_trial_history(run_trials(experiment, 0, 1), 0)
     (tmp_path / "many.html").write_text(make_page(history))
@@ -114,9 +114,7 @@ def test_the_page_has_the_links_of_robots_whose_ids_do_not_fit_seven_bits(
         for sender in np.flatnonzero(is_heard).tolist()
     ]
     first_receiver = expected_links[0][1]
-    expected_links_to_first = [
-        [sender, receiver] for sender, receiver in expected_links if receiver == first_receiver
-    ]
+    expected_links_to_first = [link for link in expected_links if link[1] == first_receiver]
 
     open_file(browser, tmp_path / "many.html")
     last_state = browser.evaluate("view.history.stateCount - 1")
@@ -139,9 +137,7 @@ def test_the_figures_are_those_of_the_state_that_is_shown(
     values = dict(zip(QUANTITIES, state.values, strict=True))
     x = values["x"]
     b_hat_errors = np.abs(values["b_hat"] - values["b"])
-    half_digit = (
-        0.00055  # of the three digits that are shown, and a little more for the rounded values of a page
-    )
+    half_digit = 0.00055  # three digits are shown, of values that the page has rounded before
     assert read_figure(browser, "mean-x") == pytest.approx(x.mean(), abs=half_digit)
     assert read_figure(browser, "spread") == pytest.approx(np.ptp(x), abs=half_digit)
     mean_error = np.abs(x - SETTINGS.fill_ratio).mean()

@@ -44,11 +44,14 @@ def test_a_graph_knows_its_file(tmp_path: Path) -> None:
     assert parse_file("0 1", tmp_path).source == str(tmp_path / "edges.txt")
 
 
-@pytest.mark.parametrize("text", ["", "\n", "# 0 1\n", "\ufeff"])
+@pytest.mark.parametrize(
+    "text",
+    ["", "\n", "# 0 1\n", "\ufeff"],
+    ids=["an empty file", "an empty line", "a comment", "a byte order mark"],
+)
 def test_a_graph_file_without_edges_is_refused(text: str, tmp_path: Path) -> None:
-    with pytest.raises(
-        UsageError, match=r"edges\.txt has no edge, so no robot would hear another; write edg"
-    ):
+    message = r"edges\.txt has no edge, so no robot would hear another; write edges"
+    with pytest.raises(UsageError, match=message):
         parse_file(text, tmp_path)
 
 
