@@ -38,6 +38,9 @@ SEARCH_BOOSTS = {"internals": 1e-2, "api": 1e-4, "cli": 1e-4, "headers": 1e-4}
 _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
 _FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\s](?:[^$\n]*[^$\s])?)\$", re.DOTALL)
 _FILE = re.compile(r"<!-- file: (\S+) -->")
+_INLINE_CODE = re.compile(r"(?<=<code>)[^<\n]+(?=</code>)")
+_WORD = re.compile(r"(?<![^ ])(?=[^ ]*[-.])[^ ]{2,26}(?![^ ])")
+_BLOCK = re.compile(r'<div class="highlight">(.*?)</div>', re.DOTALL)
 _POWER = re.compile(r"(?<=[\w)])\*\*(-?\w+|\([^)]*\))")
 
 _PICTURE = re.compile(r"^!\[([^\]]*)\]\(images/view\.webp\)$", re.MULTILINE)
@@ -93,11 +96,21 @@ def on_post_build(config: Any, **_: Any) -> None:
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:
-    """Name the columns in every cell, and put the formulas in."""
+    """Name the columns in every cell, put the formulas in, and mark where lines may break."""
     content = re.sub(r"<table>.*?</table>", _labelled, content, flags=re.DOTALL)
+    content = _INLINE_CODE.sub(lambda code: _WORD.sub(r'<span class="word">\g<0></span>', code[0]), content)
+    content = _BLOCK.sub(_wrapped, content)
+    content = re.sub(r"\(?formula\d+formula[),.;:]*", r'<span class="formula">\g<0></span>', content)
     for number, formula in enumerate(page.formulas):
         content = content.replace(f"formula{number}formula", formula)
     return content
+
+
+def _wrapped(block: re.Match[str]) -> str:
+    """Commands and output may break their lines, except columns, tables and what is indented."""
+    if re.search("   |[|\u2503]", block[1]):
+        return block[0]
+    return block[0].replace('class="', 'class="wrapped ', 1)
 
 
 def _keep(found: re.Match[str], formulas: list[str]) -> str:
