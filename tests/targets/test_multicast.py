@@ -10,7 +10,7 @@ import random
 import subprocess
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import can
 import pytest
@@ -48,7 +48,7 @@ NODE = (
 
 
 def join(address: str) -> Group:
-    """One more member, which hears what it says. Skips the test where there is no multicast."""
+    """Join a multicast group, also to receive own datagrams. Skips the test where there is no multicast."""
     multicast(91)
     try:
         return Group(address, PORT, 0)
@@ -57,78 +57,91 @@ def join(address: str) -> Group:
 
 
 def interface(address: str) -> str:
+    """Return the option --interface of a node in a group."""
     return f"udp:[{address}]:{PORT}" if ":" in address else f"udp:{address}:{PORT}"
 
 
-def on_wifi(frames: list[can.Message], draw: random.Random) -> list[tuple[can.Message | None, bytes]]:
-    """Frames as they arrive, with their datagrams: some lost, twice, or late, and datagrams that are none."""
-    arrived: list[tuple[can.Message | None, bytes]] = []
+def datagrams_on_wifi(
+    frames: list[can.Message], rng: random.Random
+) -> list[tuple[can.Message | None, bytes]]:
+    """Return datagrams as they arrive, each with its frame, or None if it has none.
+
+    Some frames are lost, some come twice or late, and between them are datagrams that are no frames.
+    """
+    arrivals: list[tuple[can.Message | None, bytes]] = []
     for frame in frames:
-        arrived += [(frame, pack_message(frame))] * draw.choice((0, 1, 1, 1, 1, 1, 2))
-        if draw.random() < 0.1:
-            arrived[-2:] = reversed(arrived[-2:])
-        if draw.random() < 0.1:
-            whole = pack_message(frame)
-            arrived.append((None, draw.choice((b"", whole[:-1], whole + b"\0", bytes(3000), b"\x8b" * 150))))
-    return arrived
+        datagram = pack_message(frame)
+        copies = rng.choice((0, 1, 1, 1, 1, 1, 2))
+        arrivals += [(frame, datagram)] * copies
+        if rng.random() < 0.1:
+            arrivals[-2:] = reversed(arrivals[-2:])
+        if rng.random() < 0.1:
+            garbage = (b"", datagram[:-1], datagram + b"\0", bytes(3000), b"\x8b" * 150)
+            arrivals.append((None, rng.choice(garbage)))
+    return arrivals
 
 
 @pytest.mark.parametrize("address", [IPV4, *slow([IPV6])])
 @pytest.mark.parametrize("kind", [SANITIZED_BUILD, *slow([CORTEX_A8])], ids=lambda kind: kind.name)
-def test_the_bits_are_those_of_a_python_node_that_hears_the_same(
+def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
     kind: NodeBuild, address: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    draw, group = random.Random(address), join(address)
-    expected = python_node(ID, 0.75, SUBJECTS, 3, filter_period=4)
-    answers, said, odd = expected.start(), list[can.Message](), 0
+    """They send the same frames, and end with the same state and counters."""
+    rng, group = random.Random(address), join(address)
+    model = python_node(ID, 0.75, SUBJECTS, 3, filter_period=4)
+    expected_answers = model.start()
+    received_frames: list[can.Message] = []
+    odd_count = 0
 
-    def tell(frame: can.Message | None, datagram: bytes) -> None:
-        nonlocal odd
+    def send_to_both_nodes(frame: can.Message | None, datagram: bytes) -> None:
+        nonlocal odd_count
         group.send(datagram)
         if frame is not None and is_classic(frame):
-            answers.extend(expected.receive_frame(frame))
+            expected_answers.extend(model.receive_frame(frame))
         else:
-            odd += 1
+            odd_count += 1
 
-    arrived = on_wifi([any_frame(draw) for _ in range(600)], draw)
+    arrivals = datagrams_on_wifi([any_frame(rng) for _ in range(600)], rng)
     with CNode(node_command(kind, tmp_path_factory), interface(address), ID, *NODE) as node:
-        hear(group, said, len(answers))
-        for number, (frame, datagram) in enumerate(arrived):
-            tell(frame, datagram)
-            if number % 20 == 19:  # else they overflow a socket
-                hear(group, said, len(answers))
-        for action in (
-            Action.SETTLE,
-            Action.OBSERVE_BLACK,
-            Action.SETTLE,
-        ):  # the last answer shows that all was heard
-            tell(end := command_frame(expected._tick_of_command or 0, ID, action), pack_message(end))
-        hear(group, said, len(answers))
-        figures = node.stop()
+        receive_until(group, received_frames, len(expected_answers))
+        for number, (frame, datagram) in enumerate(arrivals, start=1):
+            send_to_both_nodes(frame, datagram)
+            if number % 20 == 0:  # else the answers overflow a socket
+                receive_until(group, received_frames, len(expected_answers))
+        # The last of these commands is answered for certain, which shows that all before was handled.
+        for action in (Action.SETTLE, Action.OBSERVE_BLACK, Action.SETTLE):
+            command = command_frame(model._tick_of_command or 0, ID, action)
+            send_to_both_nodes(command, pack_message(command))
+        receive_until(group, received_frames, len(expected_answers))
+        summary = node.stop()
     group.shutdown()
-    assert candump_lines(said) == candump_lines(answers)
-    assert_same_robot(figures, expected)
-    assert figures["refused"] + figures["others"] == expected.reception.rejected.total()
-    assert figures["received"] == len(arrived) + 3, "neither its own nor another group's"
-    assert (figures["odd_packets"], figures["overflowed"], figures["downs"]) == (odd, 0, 0)
-    assert min(odd, figures["repeated"], figures["collisions"], figures["obeyed"]) > 10
+    assert candump_lines(received_frames) == candump_lines(expected_answers)
+    assert_same_robot(summary, model)
+    assert summary["refused"] + summary["others"] == model.reception.rejected.total()
+    assert summary["received"] == len(arrivals) + 3, "neither its own nor another group's"
+    assert (summary["odd_packets"], summary["overflowed"], summary["downs"]) == (odd_count, 0, 0)
+    assert min(odd_count, summary["repeated"], summary["collisions"], summary["obeyed"]) > 10
 
 
 def is_classic(frame: can.Message) -> bool:
+    """Return whether a frame is a data frame of classic CAN."""
     return not (frame.is_fd or frame.is_remote_frame or frame.is_error_frame)
 
 
-def hear(group: Group, said: list[can.Message], frames: int) -> None:
-    """Listen until the node has said so many in all; they are packed as python-can does it."""
-    while len(said) < frames:
+def receive_until(group: Group, received_frames: list[can.Message], count: int) -> None:
+    """Append the node's frames to ``received_frames`` until there are ``count``, its greeting once.
+
+    Each datagram is what python-can packs of its frame, with the present time.
+    """
+    while len(received_frames) < count:
         received = group.recv(PATIENCE / 10)
-        assert received is not None, f"{len(said)} of {frames} answers"
-        datagram, sender, _ = received
-        if sender[1] != PORT:
-            said.append(unpack_message(datagram, check=True))
-            assert pack_message(said[-1]) == datagram
-            said[:] = without_repeated_greetings(said)
-            assert abs(said[-1].timestamp - time.time()) < PATIENCE
+        assert received is not None, f"{len(received_frames)} of {count} answers"
+        datagram, (_, sender_port, *_), _ = received
+        if sender_port != PORT:
+            frame = unpack_message(datagram, check=True)
+            assert pack_message(frame) == datagram
+            assert abs(frame.timestamp - time.time()) < PATIENCE
+            received_frames[:] = without_repeated_greetings([*received_frames, frame])
 
 
 @pytest.fixture(scope="module")
@@ -151,12 +164,15 @@ def test_the_c_node_and_the_tools_unpack_the_same_datagrams_to_the_same_frames(l
             assert bytes(raw_frame[8 : 8 + raw_frame[4]]) == frame.data
 
 
-def test_what_is_taken_is_what_python_can_takes(library: ctypes.CDLL) -> None:
-    """Of datagrams that it packs, each classic data frame; of spoilt ones, none that it refuses."""
+def test_the_c_node_unpacks_what_python_can_packs_and_nothing_that_python_can_refuses(
+    library: ctypes.CDLL,
+) -> None:
+    """It unpacks each classic data frame, and with a flipped bit only some of what python-can unpacks."""
     unpack, frame = library.multicast_unpack, (ctypes.c_uint8 * 72)()
-    draw, taken = random.Random(8), [0, 0]
+    rng = random.Random(8)
+    unpacked_counts = {"intact": 0, "flipped": 0}
 
-    def check(datagram: bytes, *, is_spoilt: bool) -> None:
+    def check(datagram: bytes, kind: Literal["intact", "flipped"]) -> None:
         expected: can.Message | None
         try:
             expected = unpack_message(datagram, replace={"timestamp": 0.0}, check=True)
@@ -170,31 +186,31 @@ def test_what_is_taken_is_what_python_can_takes(library: ctypes.CDLL) -> None:
             identifier = int.from_bytes(bytes(frame[:4]), "little")
             assert identifier == expected.arbitration_id | expected.is_extended_id << 31
             assert bytes(frame[8 : 8 + frame[4]]) == expected.data
-            taken[is_spoilt] += 1
+            unpacked_counts[kind] += 1
         else:
-            assert is_spoilt or expected is None or not is_classic(expected)
+            assert kind == "flipped" or expected is None or not is_classic(expected)
 
     for _ in range(3000):
-        datagram = pack_message(any_message(draw))
-        check(datagram, is_spoilt=False)
-        spoilt = bytearray(datagram)
-        spoilt[draw.randrange(len(spoilt))] ^= 1 << draw.randrange(8)
-        check(bytes(spoilt), is_spoilt=True)
-    assert taken[0] > 1500
-    assert taken[1] > 200
+        datagram = pack_message(any_message(rng))
+        check(datagram, "intact")
+        flipped = bytearray(datagram)
+        flipped[rng.randrange(len(flipped))] ^= 1 << rng.randrange(8)
+        check(bytes(flipped), "flipped")
+    assert unpacked_counts["intact"] > 1500
+    assert unpacked_counts["flipped"] > 200
 
 
-def any_message(draw: random.Random) -> can.Message:
-    """One that may be anything, seldom not a classic data frame."""
-    kind = draw.choice((None,) * 6 + ("is_fd", "is_remote_frame", "is_error_frame"))
+def any_message(rng: random.Random) -> can.Message:
+    """Return a frame, in one of three cases CAN FD, a remote frame or an error frame."""
+    kind = rng.choice((None,) * 6 + ("is_fd", "is_remote_frame", "is_error_frame"))
     fields: dict[str, Any] = {kind: True} if kind else {}
-    is_extended = draw.random() < 0.7
-    data = None if kind == "is_remote_frame" else draw.randbytes(draw.randrange(9))
+    is_extended = rng.random() < 0.7
+    data = None if kind == "is_remote_frame" else rng.randbytes(rng.randrange(9))
     return can.Message(
-        timestamp=draw.choice((0, 0.0, 300, 1.8e9)),
-        arbitration_id=draw.getrandbits(draw.choice((7, 11, 29 if is_extended else 11))),
+        timestamp=rng.choice((0, 0.0, 300, 1.8e9)),
+        arbitration_id=rng.getrandbits(rng.choice((7, 11, 29 if is_extended else 11))),
         is_extended_id=is_extended,
-        channel=draw.choice((None, "can0", "c" * 99, 3)),
+        channel=rng.choice((None, "can0", "c" * 99, 3)),
         data=data,
         **fields,
     )
