@@ -37,16 +37,19 @@ def images_by_message(experiment: Experiment, trial: int) -> list[bytes]:
     return [cast(FixedPointRobot, robot).save() for robot in swarm.robots]
 
 
-def noted_jobs(monkeypatch: pytest.MonkeyPatch, most: int = 10**9) -> list[Job]:
-    """The jobs that this process runs from now on, as they start; one more than ``most`` ends in Ctrl-C."""
-    started: list[Job] = []
+def record_jobs(monkeypatch: pytest.MonkeyPatch, max_jobs: int = 10**9) -> list[Job]:
+    """Return a list to which each job that this process starts from now on is added.
+
+    Once the list has ``max_jobs``, Ctrl-C interrupts the next job before it starts.
+    """
+    started_jobs: list[Job] = []
     run = Job.run
 
-    def noted(job: Job) -> Trials:
-        if len(started) == most:
+    def record_and_run(job: Job) -> Trials:
+        if len(started_jobs) == max_jobs:
             raise KeyboardInterrupt
-        started.append(job)
+        started_jobs.append(job)
         return run(job)
 
-    monkeypatch.setattr(Job, "run", noted)
-    return started
+    monkeypatch.setattr(Job, "run", record_and_run)
+    return started_jobs

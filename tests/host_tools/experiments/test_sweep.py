@@ -35,7 +35,7 @@ from mcp_asdf_tools.experiments.sweep import jobs_of, run_sweep
 from mcp_asdf_tools.experiments.trials import Job
 from mcp_asdf_tools.robots.filters import FILTERS
 from support import PATIENCE, ROOT, interruptible, slow, wait_until
-from trials import noted_jobs
+from trials import record_jobs
 
 GRID = [
     Experiment(robots=4, flawed=flawed, filter=filter_name, steps=8000, trials=40)
@@ -52,7 +52,7 @@ def output(tmp_path: Path) -> Path:
 @pytest.fixture
 def jobs_run(monkeypatch: pytest.MonkeyPatch) -> list[Job]:
     """The jobs that this process runs; Ctrl-C interrupts the sixth unless the list is cleared before."""
-    return noted_jobs(monkeypatch, 5)
+    return record_jobs(monkeypatch, max_jobs=5)
 
 
 # --- Jobs ------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from mcp_asdf_tools.studies.cells import Cell, StudyPart, StudySize, experiment_
 from mcp_asdf_tools.studies.claims import CLAIMS, Claim, Decision, decide
 from mcp_asdf_tools.studies.study_results import StudyResults
 from support import ROOT
-from trials import noted_jobs
+from trials import record_jobs
 
 SHORT_STUDY = ("--part", "physical", "--trials", "2", "--steps", "4000", "--workers", "1")
 TRIALS = 40  # 20 experiments of the physical part
@@ -65,10 +65,10 @@ def test_an_interrupted_study_runs_the_trials_that_are_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with monkeypatch.context() as patch:
-        noted_jobs(patch, 8)  # Ctrl-C after eight jobs of two trials
+        record_jobs(patch, max_jobs=8)  # Ctrl-C after eight jobs of two trials
         assert run_plain(tmp_path) == 130
     assert "24 of 40 trials left; the same command goes on" in capsys.readouterr().err
-    started = noted_jobs(monkeypatch)
+    started = record_jobs(monkeypatch)
     run_json(capsys, tmp_path)
     assert sum(job.count for job in started) == 24
 
@@ -79,7 +79,7 @@ def test_an_interrupted_study_ends_in_the_files_of_one_that_was_not(
 ) -> None:
     run_json(capsys, tmp_path / "uninterrupted")
     with monkeypatch.context() as patch:
-        noted_jobs(patch, 8)
+        record_jobs(patch, max_jobs=8)
         assert run_plain(tmp_path / "resumed") == 130
     run_json(capsys, tmp_path / "resumed")
     assert contents_of(tmp_path / "resumed") == contents_of(tmp_path / "uninterrupted")
@@ -91,7 +91,7 @@ def test_the_report_of_a_finished_study_is_made_again(
     run_json(capsys, tmp_path)
     before = contents_of(tmp_path)
     (tmp_path / "report.html").unlink()
-    noted_jobs(monkeypatch, 0)  # any job would be an interrupt
+    record_jobs(monkeypatch, max_jobs=0)  # any job would be an interrupt
     assert run_plain(tmp_path) == 0
     assert contents_of(tmp_path) == before
     assert capsys.readouterr().err == "0 trials to run\n"
@@ -111,7 +111,7 @@ def test_more_trials_are_added_to_those_that_are_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run_json(capsys, tmp_path)
-    started = noted_jobs(monkeypatch)
+    started = record_jobs(monkeypatch)
     run_json(capsys, tmp_path, "--trials", "3")
     assert sum(job.count for job in started) == TRIALS // 2
 
