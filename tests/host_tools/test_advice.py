@@ -61,7 +61,9 @@ def test_the_table_of_the_figures_has_the_errors_of_the_file() -> None:
     assert len(rows) == 6
     for flawed, share, *errors in rows:
         filters = ("none", "asdf-minus", "robust")
-        assert errors == [published_error("dynamic", flawed, f"{share}%", each) for each in filters]
+        assert errors == [
+            published_error("dynamic", flawed, f"{share}%", filter_name) for filter_name in filters
+        ]
 
 
 def test_the_defaults_are_the_advice() -> None:

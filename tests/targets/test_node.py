@@ -310,7 +310,7 @@ def test_wrong_options_are_refused_with_exit_code_2(
 def test_observations_come_from_a_file_or_the_standard_input(
     start_node: StartNode, bus: UnixBus, tmp_path: Path
 ) -> None:
-    """One symbol for each of 300 ticks: 0 is white, 1 is black, and - is no observation."""
+    """Return the observations of 300 ticks, a symbol for each: 0 is white, 1 is black, - is none."""
     rng = random.Random(7)
     symbols = [rng.choice("01-") for _ in range(300)]
     file = tmp_path / "observations"

@@ -19,13 +19,11 @@ from mcp_asdf.mirror import INFORMATIVE_G, MirrorRobot, State
 from mcp_asdf.robust_filter import (
     SLOT_ESTIMATE_MAX,
     RobustFilter,
+    centre_and_spread_of,
     end_batch,
-    huber_centre,
     is_supported,
-    median_of,
     q24_from_q16,
     robust_test_rejects,
-    spread_of,
 )
 
 RobustTest = Callable[[RobustFilter, int, int, int, int], bool]
@@ -74,10 +72,7 @@ class SlotsAtTest:
 
 def centre_and_spread(estimates: Sequence[int]) -> tuple[int, int]:
     """Return the centre and the spread of estimates in slots. Both are in units of 2**-24, as the test's."""
-    sorted_estimates = sorted(q24_from_q16(estimate) for estimate in estimates)
-    median = median_of(sorted_estimates)
-    spread = spread_of(sorted_estimates, median)
-    return huber_centre(sorted_estimates, median, spread), spread
+    return centre_and_spread_of(sorted(q24_from_q16(estimate) for estimate in estimates))
 
 
 def filter_at_test(state: State) -> RobustFilter:

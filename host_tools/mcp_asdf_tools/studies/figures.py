@@ -88,11 +88,13 @@ def _make_picture(name: str, title: str, figure: Figure) -> Picture:
     return Picture(name, title, figure)
 
 
-def _own_beside(study_results: StudyResults, study_part: StudyPart, filter_name: str) -> list[Trials]:
+def _trials_of_users_filter(
+    study_results: StudyResults, study_part: StudyPart, filter_name: str
+) -> list[Trials]:
     """Return the trials of the user's firmware or filter that stand beside the paper's filter in a picture.
 
-    A filter of its own stands beside both ASDF- and ASDF+, a firmware beside the one that it ran with. Where
-    all robots are flawed, both are the same, as in ``_select_with_shortest_period``.
+    Another filter stands beside both ASDF- and ASDF+; a firmware stands beside the one that it ran with.
+    Where all robots are flawed, both are the same, as in ``_select_with_shortest_period``.
     """
     selected = []
     for trials in study_results.own_trials_of(study_part):
@@ -185,15 +187,15 @@ def _draw_score_boxes(study_results: StudyResults, study_part: StudyPart, filter
     A box shows the trials of one experiment.
     """
     experiments = _select_by_filter(study_results, study_part, [UNFILTERED, filter_name])
-    own = _own_beside(study_results, study_part, filter_name)
+    users_trials = _trials_of_users_filter(study_results, study_part, filter_name)
     if filter_name == ASDF_MINUS:
         # Where all robots are flawed, ASDF- is ASDF+, whose picture shows these swarms.
         experiments = [trials for trials in experiments if not _all_flawed(trials.experiment)]
-        own = [trials for trials in own if not _all_flawed(trials.experiment)]
+        users_trials = [trials for trials in users_trials if not _all_flawed(trials.experiment)]
     return _make_picture(
         name=f"{study_part.value}_{filter_name}",
         title=f"H of {study_part.label} swarms without filter and with {FILTERS[filter_name].typeset_term}",
-        figure=boxes.plot_boxes([*experiments, *own], series_name=_filter_and_period),
+        figure=boxes.plot_boxes([*experiments, *users_trials], series_name=_filter_and_period),
     )
 
 
@@ -250,7 +252,7 @@ def _draw_boxes_by_topology(study_results: StudyResults, filter_name: str) -> Pi
     experiments: list[Trials] = []
     for study_part in (StudyPart.DYNAMIC, StudyPart.FULLY_CONNECTED):
         experiments += _select_with_shortest_period(study_results, study_part, [UNFILTERED, filter_name])
-        experiments += _own_beside(study_results, study_part, filter_name)
+        experiments += _trials_of_users_filter(study_results, study_part, filter_name)
     filters_shown = f"without filter and with {FILTERS[filter_name].typeset_term}"
     return _make_picture(
         name=f"topologies_{filter_name}",
@@ -276,7 +278,7 @@ def _draw_single_trials(study_results: StudyResults, study_size: StudySize) -> P
         experiment_of(replace(UNFILTERED_SERIES_CELL, filter=filter_name), study_size)
         for filter_name in (UNFILTERED, ASDF_PLUS)
     ]
-    for trials in _own_beside(study_results, StudyPart.FULLY_CONNECTED, ASDF_PLUS):
+    for trials in _trials_of_users_filter(study_results, StudyPart.FULLY_CONNECTED, ASDF_PLUS):
         own_cell = cell_of(StudyPart.FULLY_CONNECTED, trials.experiment)
         if own_cell == replace(UNFILTERED_SERIES_CELL, filter=own_cell.filter):
             experiments.append(trials.experiment)

@@ -34,7 +34,7 @@ def test_a_folder_becomes_results_and_their_scores_are_printed(capsys: Capture) 
 
 
 def test_a_converted_folder_is_read_back_in_one_piece() -> None:
-    """With a row group for each trial, the time to read them would grow with the square of their number."""
+    """A row group for each trial would make reading slow: its time grows with the square of their number."""
     main(["convert", "data", "--output", "theirs.parquet"])
     metadata = pq.read_metadata("theirs.parquet")
     assert (metadata.num_rows, metadata.num_row_groups) == (3, 1)

@@ -425,7 +425,7 @@ def test_examples_print_what_the_help_shows(
     for line, shown in examples[: last + 1]:  # the first ones may make the files that the next one reads
         assert cli.main(shlex.split(line, comments=True)) == 0
         printed = [printed_line.strip() for printed_line in capsys.readouterr().out.splitlines()]
-        assert [each.strip() for each in shown.splitlines() if each.strip() not in printed] == []
+        assert [line.strip() for line in shown.splitlines() if line.strip() not in printed] == []
 
 
 def examples_of(name: str) -> list[tuple[str, list[str]]]:

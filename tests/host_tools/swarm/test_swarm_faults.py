@@ -343,7 +343,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "robust": {"filter": "robust"},
     "asdf_plus_allow_0_19": {"filter": "asdf-plus", "allow": "0-19"},
 }
-"""Settings of a row's runs, by the beginning of their columns; the last is for made-up ids alone."""
+"""Settings of a row's runs, by how their columns begin. Only rows of made-up ids use the last ones."""
 
 FIGURES = ("error", "flawed_b_hat", "healthy_b_hat")
 """How the columns of a run end: what `figures_of_run` returns."""
