@@ -137,8 +137,8 @@ FAULTS = {
 """Faults by name, as `mirror_with` reads them: places in SOURCES and what is wrong there, often one bit."""
 
 
-def mirror_with(*changes: str) -> Firmware:
-    """Return the mirror with changes in its source.
+def changed_sources(*changes: str) -> dict[str, str]:
+    """Return the mirror's sources by their modules' names, with changes.
 
     A change ``before {right => wrong} after`` replaces ``before right after``, which must be unique in the
     sources, by ``before wrong after``.
@@ -152,8 +152,13 @@ def mirror_with(*changes: str) -> Firmware:
         occurrences = sum(source.count(right_text) for source in sources.values())
         assert occurrences == 1, f"{change!r} occurs {occurrences} times: plant it anew"
         sources = {name: source.replace(right_text, wrong_text) for name, source in sources.items()}
+    return sources
+
+
+def mirror_with(*changes: str) -> Firmware:
+    """Return the mirror with changes in its source, as ``changed_sources`` reads them."""
     with patch.dict(sys.modules):
-        for name, source in sources.items():
+        for name, source in changed_sources(*changes).items():
             sys.modules[name] = ModuleType(name)
             exec(compile(source, f"changed {name}", "exec"), vars(sys.modules[name]))
         return cast(Firmware, sys.modules[mcp_asdf.mirror.__name__].MirrorRobot)

@@ -13,7 +13,7 @@ from typing import Any
 
 import can
 
-from crosschecks import mirror_with
+from crosschecks import changed_sources, mirror_with
 from mcp_asdf.fixed_point import ONE
 from mcp_asdf.mirror import MirrorRobot
 from mcp_asdf.robot import Filter, Observation
@@ -114,6 +114,7 @@ def with_setup(
 
 def with_firmware(phase: str, *changes: str, config: dict[str, Any] | None = None) -> Wrong:
     """Return a controller whose firmware is the mirror with changes as ``mirror_with`` reads them."""
+    changed_sources(*changes)  # fails at once if the mirror has no such place any more, not in a slow test
 
     def make(*arguments: Any) -> Any:
         return mirror_with(*changes)(*arguments)
@@ -597,7 +598,7 @@ WRONG: dict[str, Wrong] = {
     ),
     "dispersion of about 4 batches": with_robust_firmware("first estimates", "DISPERSION_SHIFT = {3 => 2}"),
     "one batch of all observations": with_robust_firmware(
-        "first estimates", "    {begin_batch(robust, t, n) => pass}\n\n    share"
+        "first estimates", "    {begin_batch(robust, t, n) => pass}\n\n    # Shares"
     ),
     "the batch goes on at a halving": with_firmware(
         "test of a wide spread",

@@ -46,9 +46,9 @@ CALLS = 1_000_000
 """Calls of the independent implementation: a tenth of a second."""
 PATIENT_CALLS = 8_000_000
 """The same for a mutant that has passed all tests: some mistakes show in one of many million calls."""
-SECONDS = 2
-"""Of processor for one test, many times what it needs; a mutant that hangs costs no more."""
-PATIENT_SECONDS = 30
+SECONDS = 10
+"""Of processor for one test, over ten times what it needs; a mutant that hangs costs no more."""
+PATIENT_SECONDS = 80
 """The same for so many calls."""
 
 
