@@ -64,9 +64,13 @@ def update_tables(page: str, study: str) -> str:
 
 
 def overview_of(report: str) -> str:
-    """Return what a report says before its claims, without links, and its headings one level lower."""
+    """Return what a report says before its claims, without links, and its headings one level lower.
+
+    Of a verdict in a table only the word stays: the counts are in the record of the verdicts.
+    """
     overview = report.partition("\n\n")[2].partition("## Claims")[0]
     overview = re.sub(r"^(#+) ", r"#\1 ", overview, flags=re.MULTILINE)
+    overview = re.sub(r", \d+ of \d+(?= \|)", "", overview)
     return re.sub(r"\[([^\]]*)\]\(#[^)]*\)", r"\1", overview).strip()
 
 

@@ -57,7 +57,9 @@ REPORT = """# The study
 
 1 of 2 claims hold.
 
-[yes](#a), 1 of 1
+| for a user | dynamic |
+|---|---|
+| Is it 1 of 2? | [yes](#a), 1 of 1 |
 
 ## What was run
 
@@ -88,7 +90,8 @@ def test_the_overview_of_the_study_goes_into_its_page(
     study_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert put("study", study_folder, monkeypatch) == 0
-    overview = "1 of 2 claims hold.\n\nyes, 1 of 1\n\n### What was run\n\n30 trials"
+    table = "| for a user | dynamic |\n|---|---|\n| Is it 1 of 2? | yes |"
+    overview = f"1 of 2 claims hold.\n\n{table}\n\n### What was run\n\n30 trials"
     expected = f"Words.\n\n<!-- results -->\n{overview}\n<!-- end -->\n\nMore words."
     assert (study_folder / "docs/internals/study.md").read_text() == expected
 
