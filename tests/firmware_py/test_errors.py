@@ -1,7 +1,4 @@
-"""Robots refuse invalid messages, observations, images, settings and tables, and an error changes nothing.
-
-I1, I2, ... are the numbers of docs/internals/properties.md.
-"""
+"""Robots refuse invalid messages, observations, images, settings and tables, and an error changes nothing."""
 
 from __future__ import annotations
 
