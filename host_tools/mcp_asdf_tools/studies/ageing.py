@@ -58,7 +58,7 @@ KINDS_OF_AGEING: dict[str, dict[str, Any]] = {
     "all age at once": {**HEALTHY_SWARM, "sensor": SuddenlyWorseSensors},
     "all age, some faster": {**HEALTHY_SWARM, "sensor": UnequallyAgeingSensors},
     "each ages in its own way": {**HEALTHY_SWARM, "sensor": WanderingSensors},
-    "6 of 20 age alike": {**STEADY_DRIFT, "flawed": 6, "drift_of": "flawed", "filter": ALL_FILTERS},
+    "six age alike": {**STEADY_DRIFT, "flawed": 6, "drift_of": "flawed", "filter": ALL_FILTERS},
 }
 """Parameters of the swarms by how their sensors age; 20 robots have the right b_hat at first."""
 
