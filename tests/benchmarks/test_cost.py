@@ -123,7 +123,7 @@ def check_summary(page: str, paper: Figures, robust: Figures) -> None:
     """The page's summary has the figures of one build: what was seen and what bounds it, told apart."""
     seen = max(paper.most(UPDATED), robust.most(UPDATED))
     told = re.search(
-        r"([\d.]+) KB of flash, (\d+) bytes of RAM for a robot and (\d+) of stack;"
+        r"([\d.]+) KB of flash, (\d+) bytes of RAM for a robot and (\d+) of stack\."
         r".* took at most (\d+) instructions, and the bound is (\d+)",
         page,
     )

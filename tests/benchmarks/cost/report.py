@@ -143,13 +143,13 @@ def _kilobot(avr: Figures, kilobots: Kilobots) -> str:
         KILOBOT_CLOCK // round(1.05 * avr.most(kind, "cycles")) for kind in ("step", UPDATED)
     )  # 5 % spare
     return (
-        f"The compilers are {compilers}. A t-table takes 12 + 4 q bytes of flash.\n\n"
-        "A whole Kilobot (ATmega328P, -Os) with core, t-table, frames, main loop, radio and stack takes\n\n"
+        f"The compilers are {compilers}.\n\n"
+        "A whole Kilobot (ATmega328P, -Os) takes\n\n"
         f"- {paper} with the paper's filter,\n"
         f"- {alone} with the robust filter,\n"
         f"- {both} with both.\n\n"
         f"At 8 MHz it takes at least {next(rates)} steps per second with the paper's filter, "
-        f"or {next(rates)} if each of them tests and updates."
+        f"or {next(rates)} if each of them tests."
     )
 
 
