@@ -50,7 +50,7 @@ EARLY_HEAD = "error of the first quarter"
 LATE_HEAD = "error of the last quarter"
 COLOUR_HEAD = "robots that name the right colour, in percent"
 
-DRAWN_SWARMS = ("fully connected, 5 liars", "moving, density 1, 5 liars", "moving, density 1, 6 flawed")
+DRAWN_SWARMS = ("fully connected, 5 liars", "moving, 5 liars", "moving, 6 flawed")
 
 DENSE: dict[str, Any] = {**MOVING, "density": 12.0}
 """Parameters of moving swarms whose robots receive from about twelve others at a time."""
@@ -62,10 +62,10 @@ def resilience_rows() -> dict[str, list[Experiment]]:
     flawed = _with_flawed_robots([WmsrRobot, TrimmedMeanRobot])
     swarms: dict[str, dict[str, Any]] = {
         "fully connected, 5 liars": liars,
-        "moving, density 12, 5 liars": {**DENSE, **liars},
-        "moving, density 1, 5 liars": {**MOVING, **liars},
+        "moving, dense, 5 liars": {**DENSE, **liars},
+        "moving, 5 liars": {**MOVING, **liars},
         "fully connected, 6 flawed": flawed,
-        "moving, density 1, 6 flawed": {**MOVING, **flawed},
+        "moving, 6 flawed": {**MOVING, **flawed},
     }
     return _rows_of_swarms(swarms, steps=4000)
 

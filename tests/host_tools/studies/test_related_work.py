@@ -27,7 +27,7 @@ def test_swarms_with_liars_have_rules_that_trim_beside_two_filters() -> None:
 
 
 def test_flawed_swarms_have_rules_that_trim_beside_three_filters() -> None:
-    experiments = related_work.resilience_rows()["moving, density 1, 6 flawed, overconfident"]
+    experiments = related_work.resilience_rows()["moving, 6 flawed, overconfident"]
     assert columns_of(experiments) == ["no filter", "ASDF-", "robust", "W-MSR", "trimmed mean"]
     assert {experiment.flawed for experiment in experiments} == {6}
 
@@ -36,8 +36,8 @@ def test_flawed_swarms_have_rules_that_trim_beside_three_filters() -> None:
     ("row", "topology", "density"),
     [
         ("fully connected, 5 liars", "fully-connected", 1.0),
-        ("moving, density 12, 5 liars", "dynamic", 12.0),
-        ("moving, density 1, 5 liars", "dynamic", 1.0),
+        ("moving, dense, 5 liars", "dynamic", 12.0),
+        ("moving, 5 liars", "dynamic", 1.0),
     ],
 )
 def test_a_row_has_the_topology_that_it_says(row: str, topology: str, density: float) -> None:
@@ -88,11 +88,11 @@ def test_the_picture_has_three_swarms_of_each_kind_and_a_line_for_each_rule() ->
     figure = related_work.draw_errors(rows)
     assert titles_of(figure) == [
         "fully connected, 5 liars, underconfident",
-        "moving, density 1, 5 liars, underconfident",
-        "moving, density 1, 6 flawed, underconfident",
+        "moving, 5 liars, underconfident",
+        "moving, 6 flawed, underconfident",
         "fully connected, 5 liars, overconfident",
-        "moving, density 1, 5 liars, overconfident",
-        "moving, density 1, 6 flawed, overconfident",
+        "moving, 5 liars, overconfident",
+        "moving, 6 flawed, overconfident",
     ]
     assert legend_of(figure) == ["no filter", "W-MSR", "trimmed mean", "robust"]
     assert all(len(axes.lines) == 4 for axes in figure.axes)
