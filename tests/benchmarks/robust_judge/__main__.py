@@ -1,11 +1,13 @@
 """Judge the robust filter beside the paper's and none, in hundreds of worlds: make docs/robust_study.csv.
 
     PYTHONPATH=tests python -m benchmarks.robust_judge docs/robust_study.csv
+    PYTHONPATH=tests python -m benchmarks.robust_judge docs/robust_variants.csv --variants
 
+With ``--variants`` it judges variants of the robust filter instead, each in the worlds of groups A to F.
 ``judge.c`` runs the firmware's core in the arena; its comments say what each setting means. The worlds
 of a case depend on its name and the seed alone, so all filters meet the same ones. The table has a row for
 each case, flaw and filter. Rows that it has already are not made again. All cases take half an hour of
-processor time.
+processor time, and as much again for the variants.
 
 Flaws: underconfident robots have a sensor of 0.95 on a floor with f = 0.55, and flawed ones assume 0.55;
 overconfident ones have 0.55, 0.95 and 0.95.
@@ -21,13 +23,14 @@ import subprocess
 import sys
 import tempfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.robust_judge.variants import VARIANTS, write_variant
 from mcp_asdf_tools.experiments.plot_panels import median_interval
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -191,28 +194,40 @@ ALL_CASES = (
 )
 
 
-def compile_judge(folder: Path) -> Path:
-    """Compile judge.c with the core, the arena and a t-table, and return the program."""
+VARIANT_CASES = tuple(
+    case
+    for case in ALL_CASES
+    if case.group != "G" and "N=127" not in case.settings and "N=1000" not in case.settings
+)
+"""Cases in which variants of the robust filter are compared."""
+
+
+def compile_judge(folder: Path, core: Path = CORE) -> Path:
+    """Compile judge.c with a core, the arena and a t-table into a folder; return the program."""
     program = folder / "judge"
-    sources = [Path(__file__).with_name("judge.c"), CORE / "mcp_asdf.c", *sorted(ARENA.glob("*.c"))]
+    sources = [Path(__file__).with_name("judge.c"), core / "mcp_asdf.c", *sorted(ARENA.glob("*.c"))]
     table = ROOT / "tables/t_table_omega05_q30.c"
-    flags = ["-std=c99", "-D_GNU_SOURCE", "-O2", "-ffp-contract=off", f"-I{CORE}", f"-I{ARENA}"]
+    flags = ["-std=c99", "-D_GNU_SOURCE", "-O2", "-ffp-contract=off", f"-I{core}", f"-I{ARENA}"]
     subprocess.run(["gcc", *flags, "-o", program, *sources, table, "-lm"], check=True)
     return program
 
 
-def run_case(program: Path, case: Case, trials: int) -> dict[str, dict[str, list[float]]]:
-    """Run a case with all filters, and return lists with a number for each trial, by filter and quantity."""
+def run_case(
+    program: Path, case: Case, trials: int, filters: Sequence[str] = tuple(FILTERS)
+) -> dict[str, dict[str, list[float]]]:
+    """Run a case with each filter, and return lists with a number for each trial, by filter and quantity."""
     world = zlib.crc32(f"{case.group} {case.name} {case.flaw}".encode())
     arguments = [f"seed={SEED}", f"world={world}", f"trials={trials}", *case.settings.split()]
-    command = [str(program), *arguments, *(f"filter={name}" for name in FILTERS)]
+    command = [str(program), *arguments, *(f"filter={name}" for name in filters)]
     result: dict[str, Any] = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
     return result
 
 
-def rows_of(case: Case, results: dict[str, dict[str, list[float]]]) -> Iterator[dict[str, str]]:
-    """Yield the rows of the table for the results of a case."""
-    for name, label in FILTERS.items():
+def rows_of(
+    case: Case, results: dict[str, dict[str, list[float]]], labels: Mapping[str, str] = FILTERS
+) -> Iterator[dict[str, str]]:
+    """Yield the rows of the table for the results of a case; labels are what the table calls the filters."""
+    for name, label in labels.items():
         values = results[name]
         median_error, low, high = median_interval(np.array(values["error"]))
         numbers = {
@@ -244,6 +259,33 @@ def read_rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def generate_study_rows(
+    finished: set[tuple[str, ...]], name_part: str, trials: int | None
+) -> Iterator[dict[str, str]]:
+    """Yield the rows of all cases with each filter, but for the finished ones."""
+    with tempfile.TemporaryDirectory() as folder:
+        program = compile_judge(Path(folder))
+        for number, case in enumerate(ALL_CASES, 1):
+            if name_part in case.name and (case.group, case.name, case.flaw, "robust") not in finished:
+                yield from rows_of(case, run_case(program, case, trials or case.trials))
+                print(f"{number} of {len(ALL_CASES)}: {case.name} {case.flaw}", file=sys.stderr)
+
+
+def generate_variant_rows(
+    finished: set[tuple[str, ...]], name_part: str, trials: int | None
+) -> Iterator[dict[str, str]]:
+    """Yield the rows of the cases of variants with each variant, but for the finished ones."""
+    for variant in VARIANTS:
+        with tempfile.TemporaryDirectory() as core, tempfile.TemporaryDirectory() as folder:
+            write_variant(CORE, Path(core), variant)
+            program = compile_judge(Path(folder), Path(core))
+            for number, case in enumerate(VARIANT_CASES, 1):
+                if name_part in case.name and (case.group, case.name, case.flaw, variant) not in finished:
+                    results = run_case(program, case, trials or case.trials, ["robust"])
+                    yield from rows_of(case, results, {"robust": variant})
+                    print(f"{variant}, {number} of {len(VARIANT_CASES)}: {case.name}", file=sys.stderr)
+
+
 def main() -> None:
     """Run the cases that a table lacks, and append their rows."""
     parser = argparse.ArgumentParser(
@@ -252,23 +294,20 @@ def main() -> None:
     parser.add_argument("table", type=Path, help="the CSV file to make or to complete")
     parser.add_argument("--trials", type=int, help="trials of each case (default: 40, of large swarms fewer)")
     parser.add_argument("--match", default="", help="run only cases whose name contains this")
+    parser.add_argument("--variants", action="store_true", help="judge variants of the robust filter")
     arguments = parser.parse_args()
-    finished = {(row["group"], row["case"], row["flaw"]) for row in read_rows(arguments.table)}
+    finished: set[tuple[str, ...]] = {
+        (row["group"], row["case"], row["flaw"], row["filter"]) for row in read_rows(arguments.table)
+    }
     print(f"seed {SEED}", file=sys.stderr)
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        arguments.table.open("a", newline="", encoding="utf-8") as file,
-    ):
-        program = compile_judge(Path(folder))
+    generate_rows = generate_variant_rows if arguments.variants else generate_study_rows
+    with arguments.table.open("a", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         if not finished:
             writer.writeheader()
-        for number, case in enumerate(ALL_CASES, 1):
-            if (case.group, case.name, case.flaw) in finished or arguments.match not in case.name:
-                continue
-            writer.writerows(rows_of(case, run_case(program, case, arguments.trials or case.trials)))
+        for row in generate_rows(finished, arguments.match, arguments.trials):
+            writer.writerow(row)
             file.flush()
-            print(f"{number} of {len(ALL_CASES)}: {case.name} {case.flaw}", file=sys.stderr)
 
 
 if __name__ == "__main__":
