@@ -92,12 +92,13 @@ HOT uint32_t alpha_word_from_mantissa(uint32_t mantissa, uint32_t exponent)
     return exponent <= ALPHA_SHIFT_MAX ? (mantissa << 8) | exponent : ALPHA_MAX;
 }
 
-/* Returns alpha where x_hat is 0 or 1 (eq. 4, first two cases), that is
+/* Returns alpha where x_hat is 0 or 1 (eq. 4 of the paper, first two cases), that is
  *
  *     rare_observations (g / c)^2 + (t - rare_observations) (g / (1 - c))^2
  *
- * after t observations, rare_observations of them of the rarer colour. The squares are accuracy->rare and
- * accuracy->common, in the units of mcp_asdf_accuracy_t. `g_shift` is that of the accuracy, at most 31. */
+ * after t observations, rare_observations of them of the rarer colour, with the probability c that the sensor
+ * is wrong and g = 1 - 2c. The squares are accuracy->rare and accuracy->common. They were formed from a g
+ * that was shifted left by `g_shift`, at most 31, and the exponent of the result takes this back. */
 ALWAYS_INLINE confidence_t confidence_at_end(uint32_t t, uint32_t rare_observations, uint32_t g_shift,
                                              const mcp_asdf_accuracy_t *accuracy)
 {
@@ -121,35 +122,54 @@ ALWAYS_INLINE confidence_t confidence_at_end(uint32_t t, uint32_t rare_observati
     return alpha;
 }
 
-/* Returns alpha where x_hat is between 0 and 1 (eq. 4, last case), which is g^2 t / (p (1 - p)) with the
- * share p = rarer / total of the rarer colour.
+/* Returns alpha where x_hat is between 0 and 1 (eq. 4 of the paper, last case), that is
+ *
+ *     g^2 t / (p (1 - p))
+ *
+ * after t observations, with the share p of the rarer colour among them and g = 1 - 2c, where c is the
+ * probability that the sensor is wrong. The arguments are t, p t and g t, shifted left so that products and
+ * quotients keep many significant bits. The exponent of the result takes the shifts back.
  *   total     t 2^shift                    [2^31, 2^32)
  *   rarer     p t 2^shift                  [2^11, total / 2]
- *   scale     g t 2^(shift + g_shift)      [2^30, 2^32) */
+ *   scale     g t 2^(shift + g_shift)      [2^30, 2^32)
+ *   g_shift   by how much g was shifted    at most 31
+ *   shift     by how much t was shifted    at most 31 */
 ALWAYS_INLINE confidence_t confidence_inside(uint32_t total, uint32_t rarer, uint32_t scale, uint32_t g_shift,
                                              uint32_t shift)
 {
-    /* alpha = (g t)^2 t / (p t (1 - p) t), from the numbers with their shifts: of g^2 t^3 the upper word of
-     * three, which is 2^-64 of it, and both words of p (1 - p) t^2. */
+    /* With t^2 above and below, alpha = (g t)^2 t / (p t (1 - p) t). The dividend is a product of three
+     * words: each multiply_high() leaves out the lower 32 bits, and the upper word of the three is what is
+     * left. Of the divisor both words are formed. */
     const uint32_t square = multiply_high(multiply_high(scale, scale), total); /* [2^27, 2^32) */
     const uint64_t spread = multiply(rarer, total - rarer);                    /* [2^41, 2^62] */
-    /* Both are shifted until their highest bit is set, and of the divisor the upper word is taken. */
+    /* Both are shifted until their highest bit is set, and of the divisor the upper word is taken, so that
+     * the quotient has as many significant bits as it can. */
     const uint32_t square_shift = leading_zeros(square), spread_shift = leading_zeros(high_word(spread));
-    /* The exponent takes back what was shifted or cut off: 64 bits of the dividend and 32 of the divisor, and
-     * the points of the quotient and of a unit of alpha; g_shift twice, and the shift of t, which the
-     * dividend has three times and the divisor twice; then the two shifts above. */
+    /* The exponent takes back what was left out or shifted:
+     *
+     *     64                        bits left out of the dividend
+     *     -32                       bits left out of the divisor
+     *     -QUOTIENT_FRACTION_BITS   bits of divide_24()'s result behind its binary point
+     *     ALPHA_FRACTION_BITS       as alpha counts units of 2^-24
+     *     -2 g_shift                the dividend has g twice
+     *     -shift                    the dividend has t three times, the divisor twice
+     *
+     * and then the two shifts above. It may be negative, in two's complement. */
     uint32_t exponent = 64U - 32U - QUOTIENT_FRACTION_BITS + ALPHA_FRACTION_BITS - 2U * g_shift - shift;
     exponent = exponent + spread_shift - square_shift;
+    /* divide_24() takes divisors up to 2^31: both sides are halved, which leaves their quotient as it is. */
     uint32_t mantissa = divide_24(shift_left(square, square_shift) >> 1, upper(spread, spread_shift) >> 1);
-    const uint32_t excess_bit = (mantissa >> 24) & 1U; /* the quotient is in [2^23, 2^25) */
-    mantissa >>= excess_bit;                           /* a shift by at most 1 */
+    /* The quotient is in [2^23, 2^25), a mantissa below 2^24: a 25th bit goes into the exponent. */
+    const uint32_t excess_bit = (mantissa >> 24) & 1U;
+    mantissa >>= excess_bit; /* a shift by at most 1 */
     exponent += excess_bit;
     const confidence_t alpha = {mantissa, exponent};
     return alpha;
 }
 
-/* Returns x_hat (eq. 3) and alpha (eq. 4) after n black observations of t > 0, with a sensor of this
- * accuracy.
+/* Returns the local estimate after n black observations of t > 0, with a sensor of this accuracy: x_hat, the
+ * share of black tiles that explains them best (eq. 3 of the paper), as Q23, and as an alpha word its
+ * confidence alpha, the Fisher information of x_hat (eq. 4).
  *
  * White and black are mirror images, and so are b_hat and 1 - b_hat. So only one case is computed, and
  * mirrored where it is another: how much of the floor has the rarer colour, of which a share p was observed,
@@ -192,8 +212,9 @@ HOT estimate_t estimate(uint32_t t, uint32_t n, const mcp_asdf_accuracy_t *accur
 }
 
 /* Count the observation z, and form the local estimate x_hat (Q23) and its alpha word. When t reaches the
- * memory, t and n are halved: this keeps the share of black, and new observations weigh more. Returns OK, or
- * ERR_OBSERVATION if z is no observation; the robot is then as it was. */
+ * memory, t and n are halved: this keeps the share of black, and new observations weigh more; the robust
+ * filter then begins a new batch of observations. Sets `updated` to 0. Returns OK, or ERR_OBSERVATION if z is
+ * no observation; the robot is then as it was. */
 HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observation_t z)
 {
     if ((uint32_t)z > (uint32_t)MCP_ASDF_BLACK) {
@@ -223,22 +244,25 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_observe(mcp_asdf_t *robot, mcp_asdf_observ
 
 #if MCP_ASDF_WITH_ASDF
 
-/* Value of an alpha word in units of 2^-24, below 2^55. The shift is in bits 4 to 0, and shift_left_wide()
- * ignores the others. */
+/* Returns the value of an alpha word, its mantissa (bits 31 to 8) times 2^shift (bits 4 to 0), in units of
+ * 2^-24: below 2^55, as two words. Bits 7 to 5 are ignored, by shift_left_wide(). */
 ALWAYS_INLINE word_pair_t alpha_units(uint32_t alpha) { return shift_left_wide(alpha >> 8, alpha); }
 
-/* Add a neighbour's estimate (x_hat as Q23, an alpha word above 0) to the sums of the open round, and count
- * it. The product alpha x_hat is summed in two parts, for the lower and the upper word of alpha. The comments
- * say by how much each sum grows at most. */
+/* Count a neighbour's estimate in the open round, and add it to the round's sums of alpha, alpha x_hat,
+ * x_hat^2 and x_hat. x_hat is Q23, and `alpha` an alpha word above 0: a mantissa in bits 31 to 8, shifted
+ * left by the number in bits 4 to 0, in units of 2^-24. */
 HOT void add_estimate(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
 {
     mcp_asdf_open_t *const open = &robot->received.sums.open;
-    const word_pair_t units = alpha_units(alpha);
-    add(&open->alpha, join(units.high, units.low));        /* + 2^55 */
-    add(&open->alpha_x_low, multiply(units.low, x_hat));   /* + 2^55 */
-    add(&open->alpha_x_high, multiply(units.high, x_hat)); /* + 2^46 */
-    add(&open->x_squared, multiply(x_hat, x_hat));         /* + 2^46 */
-    open->x += x_hat;                                      /* + 2^23 */
+    /* Alpha has up to 55 bits and x_hat 24, so that their product may have more than 64. So it is summed in
+     * two parts, for the lower and the upper word of alpha. At the right is what each term is at most; a
+     * round has up to 127 of them, less than 2^7, so that no sum wraps. */
+    const word_pair_t wide_alpha = alpha_units(alpha);
+    add(&open->alpha, join(wide_alpha.high, wide_alpha.low));   /* 2^55 */
+    add(&open->alpha_x_low, multiply(wide_alpha.low, x_hat));   /* 2^32 2^23 */
+    add(&open->alpha_x_high, multiply(wide_alpha.high, x_hat)); /* 2^23 2^23 */
+    add(&open->x_squared, multiply(x_hat, x_hat));              /* 2^23 2^23 */
+    open->x += x_hat;                                           /* 2^23 */
     ++open->count;
 }
 
@@ -265,13 +289,14 @@ HOT uint32_t round_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_h
  * is an alpha word, x_hat is Q23. */
 HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, uint32_t own_alpha)
 {
-    const word_pair_t own_units = alpha_units(own_alpha);
-    const uint64_t alpha = closed->alpha + join(own_units.high, own_units.low); /* of 128 robots: < 2^62 */
+    const word_pair_t wide_own_alpha = alpha_units(own_alpha);
+    const uint64_t alpha =
+        closed->alpha + join(wide_own_alpha.high, wide_own_alpha.low); /* of 128 robots: < 2^62 */
     if (alpha == 0U) {
         return x_hat;
     }
-    const uint64_t alpha_x_low = closed->alpha_x_low + multiply(own_units.low, x_hat);
-    const uint64_t alpha_x_high = closed->alpha_x_high + multiply(own_units.high, x_hat);
+    const uint64_t alpha_x_low = closed->alpha_x_low + multiply(wide_own_alpha.low, x_hat);
+    const uint64_t alpha_x_high = closed->alpha_x_high + multiply(wide_own_alpha.high, x_hat);
     /* Q32 to Q23. The mean is at most 7 of its units too small, and a unit of x has 512 of these: x is right
      * or one too small. */
     const uint32_t x = round_mean(alpha, alpha_x_low, alpha_x_high) >> 9;
@@ -290,8 +315,8 @@ ALWAYS_INLINE uint32_t combine_with_round(const mcp_asdf_t *robot, uint32_t x_ha
     return informed_estimate(&robot->received.sums.closed, x_hat, alpha);
 }
 
-/* Whether x_hat differs too much from the m >= 2 estimates of the open round (eq. 12). With the table's
- * threshold k_m, squared and multiplied out, this is
+/* Whether x_hat differs too much from the m >= 2 estimates of the open round (eq. 12 of the paper, a t-test).
+ * With the t-table's threshold k_m for m estimates, squared and multiplied out, this is
  *
  *     (sum x - m x_hat)^2 > k_m (m sum x^2 - (sum x)^2)
  *
@@ -312,8 +337,9 @@ static bool asdf_test_rejects(const mcp_asdf_t *robot)
     return multiply(difference, difference) > upper_part + (multiply(k, low_word(spread)) >> 26);
 }
 
-/* Run the paper's filter at the end of a round, for t > 0. Returns the new b_hat, or 0 if it stays: there are
- * too few estimates, the test does not reject x_hat, or x_bar carries no information. */
+/* Run the paper's filter at the end of a round, for t > 0. Counts the test, if there is one: the filter
+ * ADAPTIVE has it, ALWAYS has none, and OFF does nothing. Returns the new b_hat as Q32, or 0 if it stays:
+ * there are too few estimates, the test does not reject x_hat, or x_bar carries no information. */
 ALWAYS_INLINE uint32_t run_asdf_filter(mcp_asdf_t *robot)
 {
     const mcp_asdf_closed_t *const closed = &robot->received.sums.closed;
@@ -364,8 +390,8 @@ ALWAYS_INLINE void clear_round_sums(mcp_asdf_t *robot)
 static bool is_valid_table(const uint32_t *table)
 {
     const uint32_t head = MCP_ASDF_READ_WORD(&table[0]);
-    /* The last byte of TABLE_MAGIC is 0, so that the last byte of `head` is q: this is q + 2, and at most 129
-     * where the range of `head` below has been found right. */
+    /* The last byte of `head` is q, since that of TABLE_MAGIC is 0. Of other heads this is a meaningless
+     * byte, and they are refused below, before it is used. */
     const uint8_t hash_index = (uint8_t)(head + 2U); /* q + 2 */
     /* No robot has more neighbours than there are ids but its own: q is at most MCP_ASDF_MAX_ID. */
     if (head < TABLE_MAGIC + 2U || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {
@@ -374,15 +400,17 @@ static bool is_valid_table(const uint32_t *table)
     uint32_t hash = HASH_START, previous = 0;
     for (uint8_t i = 0; i < hash_index; ++i) { /* at most 129 turns */
         const uint32_t word = MCP_ASDF_READ_WORD(&table[i]);
-        /* Words 0 and 1 are no thresholds: from word 3 on a threshold follows another one. */
-        if (word >= previous && i > 2U) { /* the first threshold, word 2, follows no other */
+        /* Thresholds must fall: each from word 3 on is compared with the one before. Word 2 is the first, and
+         * words 0 and 1 are none. */
+        if (word >= previous && i > 2U) {
             return false;
         }
         previous = word;
         hash = hash_word(hash, word);
     }
-    /* `previous` is word q + 1 now, the least threshold. Omega must be in [1, TABLE_OMEGA_MAX]: less 1, an
-     * omega of 0 wraps to 2^32 - 1, so that one comparison covers both ends. */
+    /* `previous` is word q + 1 now, the least threshold. The last comparison is that omega, word 1, is from 1
+     * to TABLE_OMEGA_MAX: omega - 1 is below that, and of an omega of 0 it wraps to 2^32 - 1, which is not.
+     */
     return previous > THRESHOLD_ONE && hash == MCP_ASDF_READ_WORD(&table[hash_index]) &&
            MCP_ASDF_READ_WORD(&table[1]) - 1U < TABLE_OMEGA_MAX;
 }
@@ -436,7 +464,8 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
         ++robot->counters.rejected;
         return MCP_ASDF_ERR_X_HAT;
     }
-    /* The set of this round's senders: bit (id mod 8) of byte (id div 8). */
+    /* The set of this round's senders has bit (id mod 8) of byte (id div 8) for each id: `senders` is the
+     * byte that has the bit of this sender. */
     uint8_t *const senders = &robot->heard.of[sender >> 3];
     const uint32_t old_senders = *senders, new_senders = old_senders | (UINT32_C(1) << (sender & 7U));
     if (old_senders == new_senders) {
@@ -484,7 +513,8 @@ static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t x_bar)
 }
 
 /* Run the robot's filter at the end of a round, before its sums are cleared. Returns UPDATED if it has
- * re-estimated b_hat, else OK. x_hat and alpha stay as they are until the next observation. */
+ * re-estimated b_hat, which is then counted in `updates` and marked in `updated`; else OK. x_hat and alpha
+ * stay as they are until the next observation. */
 NOINLINE mcp_asdf_status_t update_b_hat(mcp_asdf_t *robot)
 {
     if (robot->t == 0U) { /* there is no estimate to be tested */
@@ -503,8 +533,9 @@ NOINLINE mcp_asdf_status_t update_b_hat(mcp_asdf_t *robot)
 
 /* ---- Rounds ---- */
 
-/* Close the round and begin the next with empty sums and no senders. Every filter_period rounds the filter
- * runs in between. Returns UPDATED if it has re-estimated b_hat, else OK. */
+/* Close the round: publish its sums, of which x and x_bar are formed, or with the robust filter take a vote.
+ * Then begin the next round with empty sums and no senders. Every filter_period rounds the filter runs in
+ * between. Returns UPDATED if it has re-estimated b_hat, else OK. */
 HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
 {
     /* The constant spares a build without the robust filter a load of robot->config. */
@@ -528,8 +559,8 @@ HOT_PUBLIC mcp_asdf_status_t mcp_asdf_settle(mcp_asdf_t *robot)
     return status;
 }
 
-/* Observe z, then settle. Returns what settling returns, or ERR_OBSERVATION if z is no observation; then
- * nothing is settled. */
+/* Observe z, then settle: a tick that is a round. Returns UPDATED if settling has re-estimated b_hat, else
+ * OK; or ERR_OBSERVATION if z is no observation, and then nothing is settled. */
 mcp_asdf_status_t mcp_asdf_step(mcp_asdf_t *robot, mcp_asdf_observation_t z)
 {
     const mcp_asdf_status_t status = mcp_asdf_observe(robot, z);

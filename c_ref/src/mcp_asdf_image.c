@@ -34,9 +34,9 @@ static bool recompute_estimate(const mcp_asdf_t *robot, const mcp_asdf_config_t 
     return true;
 }
 
-/* Whether an alpha word is one that a robot forms: bits 5 to 7 are 0, and the shift (bits 0 to 4) is 0 unless
- * the highest bit of the mantissa is set, so that no smaller shift would do. */
-static bool is_canonical(uint32_t alpha)
+/* Whether an alpha word is one that a robot can form: bits 5 to 7 are 0, and the shift (bits 0 to 4) is 0
+ * unless the highest bit of the mantissa (bit 31) is set, so that no smaller shift would do. */
+static bool is_possible_alpha(uint32_t alpha)
 {
     return (alpha & 0xE0U) == 0U && ((alpha >> 31) != 0U || (alpha & 0x1FU) == 0U);
 }
@@ -48,32 +48,46 @@ static bool has_same_accuracy(const mcp_asdf_accuracy_t *accuracy, const mcp_asd
            accuracy->g_shift == fresh->g_shift && accuracy->rare_shift == fresh->rare_shift;
 }
 
-/* Whether accuracy, x_hat and alpha follow from t, n and b_hat (I4 and I5 of docs/internals/properties.md),
- * and t is below the memory. Rejects an id out of range, too, as no robot can have it. The caller lends
- * *fresh, memory for the robot that is computed to compare with, since a small stack may have room for few.
- */
+/* Whether n <= t < memory, id and b_hat are in their ranges, and x_hat, alpha and all that is derived from
+ * b_hat have the bits that a robot forms from t, n and b_hat. There is one exception: with `updated` 1, b_hat
+ * was re-estimated after the last observation. x_hat and alpha then follow from an earlier b_hat, which is
+ * not known, and may be any that a robot can form.
+ *
+ * The caller lends *fresh, memory for a robot that is computed to compare with: a small stack may have no
+ * room for another one. */
 static bool is_valid_estimate(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
-    /* The other robot needs no filter, and so no table. A constant config would take RAM on an AVR. */
+    /* The robot to compare with never settles, so that its filter does not matter: it has one that needs no
+     * t-table. That is OFF or, where only the robust filter is built, this one. A constant config would take
+     * RAM on an AVR. */
     mcp_asdf_config_t config = *robot->config;
     config.filter = MCP_ASDF_WITH_ASDF ? MCP_ASDF_OFF : MCP_ASDF_ROBUST;
+    /* recompute_estimate() fails for an id or b_hat out of range, and for n > t. */
     if (robot->t >= config.memory || !recompute_estimate(robot, &config, fresh) ||
         !has_same_accuracy(&robot->accuracy, &fresh->accuracy)) {
         return false;
     }
     if (robot->updated == 1U) {
-        /* b_hat was re-estimated since the last observation: x_hat and alpha still follow from the old one,
-         * which is not known. */
-        return robot->t != 0U && robot->x_hat <= MCP_ASDF_ONE && is_canonical(robot->alpha);
+        /* No filter runs before the first observation, so that t is not 0. */
+        return robot->t != 0U && robot->x_hat <= MCP_ASDF_ONE && is_possible_alpha(robot->alpha);
     }
+    /* `updated` has no other values than 0 and 1. */
     return robot->updated == 0U && robot->x_hat == fresh->x_hat && robot->alpha == fresh->alpha;
 }
 
 #if MCP_ASDF_WITH_ASDF
 
-/* Whether the sums over the messages of a round are in their ranges, and give a mean of x_hat weighted by
- * alpha of at most 1.0. `alpha` is the sum of alpha in units of 2^-24; the sum of alpha x_hat is
- * 2^32 alpha_x_high + alpha_x_low, in units of 2^-47 (mcp_asdf_closed_t). */
+/* Whether sums over at most 127 messages of a round can be these, and give a mean of x_hat weighted by alpha
+ * of at most 1.0. `alpha` is the sum of alpha in units of 2^-24, and the sum of alpha x_hat in units of 2^-47
+ * is 2^32 alpha_x_high + alpha_x_low: with alpha = 2^32 high + low, the sums of high x_hat and of low x_hat.
+ * One message adds to them at most
+ *
+ *     alpha          ALPHA_MANTISSA 2^31
+ *     alpha_x_low    (2^32 - 1) 2^23          the lower word of alpha, and an x_hat of 1.0, which is 2^23
+ *     alpha_x_high   (2^23 - 1) 2^23          the upper word: alpha is below 2^55 units
+ *
+ * and 127 messages, which is less than 2^7, give the limits below, of which the last two are rounded up to
+ * powers of two. */
 static bool is_valid_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
     /* Where the mean is 1.0, the sum of alpha x_hat is 2^23 alpha. Neither fits in 64 bits, so that both are
@@ -83,9 +97,11 @@ static bool is_valid_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x
      *     sum              alpha_x_high + alpha_x_low / 2^32   those of alpha_x_low
      *     2^23 alpha       alpha / 2^9                         the lowest 9 bits of alpha, times 2^23
      *
-     * upper_sum may wrap, but then one of its two terms is out of its range, which is checked first. */
+     * upper_sum wraps only if alpha_x_high is at least 2^64 - 2^32, which is out of its range: this is
+     * checked first. */
     const uint64_t upper_sum = alpha_x_high + (alpha_x_low >> 32);
     const uint64_t upper_limit = alpha >> 9; /* 2^23 alpha / 2^32 */
+    /* MCP_ASDF_MAX_ID, 127, is also the number of messages: a robot has 127 others. */
     return alpha <= (MCP_ASDF_MAX_ID * ALPHA_MANTISSA) << 31 && alpha_x_low < (UINT64_C(1) << 62) &&
            alpha_x_high < (UINT64_C(1) << 53) &&
            (upper_sum < upper_limit ||
@@ -93,8 +109,9 @@ static bool is_valid_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x
             (upper_sum == upper_limit && (uint32_t)alpha_x_low <= ((uint32_t)alpha << 23)));
 }
 
-/* Whether open->count estimates with alpha > 0 can have the sums in *open. The numbers at the right show that
- * no product wraps. */
+/* Whether open->count estimates with alpha > 0, at most 127, can have the sums in *open. The conditions are
+ * those that each sum has to meet for itself or with another one; that such estimates exist does not follow.
+ * The numbers at the right show that no product wraps. */
 static bool are_valid_sums(const mcp_asdf_open_t *open)
 {
     const uint32_t m = open->count;
@@ -167,8 +184,9 @@ static bool are_valid_slots(const mcp_asdf_t *robot)
            robot->robust.initial_b_hat == robot->accuracy.b_hat;
 }
 
-/* Whether calls of the firmware can have led to the votes of the robust filter: without any, centre, spread
- * and turn are as in a new robot; the turn is that of slot 0, or of the one after a filled slot. */
+/* Whether calls of the firmware can have led to the votes of the robust filter. Without any, centre, spread
+ * and turn are as in a new robot. Else a slot is filled, the number of votes, the centre and the spread are
+ * in their ranges, and the turn is that of slot 0 or of the one after a filled slot. */
 static bool are_valid_votes(const mcp_asdf_robust_t *robust)
 {
     if (robust->votes == 0U) {
@@ -232,8 +250,13 @@ static bool are_valid_senders(const mcp_asdf_t *robot)
     return count_of_open_round(robot) <= sender_count && !has_sender(robot, robot->id);
 }
 
-/* Whether calls of the firmware can have led to this state. The caller lends *fresh, memory in which another
- * robot is computed to compare with; its contents do not matter, before or after. */
+/* Whether calls of the firmware can have led to this state, as far as that shows without a search: a damaged
+ * state may pass, but none to which calls have led is refused. The local estimate must follow from the
+ * observations; the sums of rounds, or what the robust filter keeps, and the set of senders must be possible;
+ * and filter_left must be from 1 to filter_period. The counters may have any values.
+ *
+ * The caller lends *fresh, memory in which another robot is computed to compare with; its contents do not
+ * matter, before or after. */
 static bool is_valid_state(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
 {
     const mcp_asdf_config_t *const config = robot->config;
@@ -244,7 +267,8 @@ static bool is_valid_state(const mcp_asdf_t *robot, mcp_asdf_t *fresh)
            robot->filter_left != 0U && robot->filter_left <= config->filter_period;
 }
 
-/* Whether calls of the firmware can have led to the state of `robot`. */
+/* Whether calls of the firmware can have led to the state of `robot`: no such state is refused, but a damaged
+ * one may pass. */
 bool mcp_asdf_invariants_hold(const mcp_asdf_t *robot)
 {
     mcp_asdf_t fresh;
@@ -267,8 +291,9 @@ typedef struct {
     bool is_read;
 } image_t;
 
-/* Pass a word through the image, little-endian. Returns the value itself if the image is written, and its
- * next word if it is read. */
+/* Pass a word through the image, little-endian: append `value` if the image is written, or take its next word
+ * if it is read, where `value` does not matter. Returns the word, moves the image's source or target on by
+ * its 4 bytes, and adds it to the image's hash. */
 static uint32_t pass_word(image_t *image, uint32_t value)
 {
     uint32_t word = image->is_read ? 0U : value;
@@ -404,7 +429,7 @@ static uint32_t magic_word(bool is_robust) { return is_robust ? IMAGE_MAGIC | RO
 /* Write the image of `robot` to `image`: the magic word, the state, and the hash of both. */
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    image_t output = {NULL, image, HASH_START, false};
+    image_t output = {.source = NULL, .target = image, .hash = HASH_START, .is_read = false};
     /* pass_state() serves for reading, too: it assigns to all members what pass_word() returns. */
     mcp_asdf_t copy = *robot;
     const bool is_robust = mcp_asdf_is_robust(robot->config);
@@ -419,13 +444,13 @@ void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *config,
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    image_t input = {image, NULL, HASH_START, true};
+    image_t input = {.source = image, .target = NULL, .hash = HASH_START, .is_read = true};
     mcp_asdf_t restored = {0}, fresh;
     const bool is_robust = mcp_asdf_is_robust(config);
     /* While an image is read, the value that is passed to pass_word() does not matter. */
     const bool has_magic_word = pass_word(&input, 0) == magic_word(is_robust);
     pass_state(&input, &restored, is_robust);
-    const uint32_t hash = input.hash;
+    const uint32_t hash = input.hash; /* before the last word, which is read next and should be equal to it */
     const bool is_undamaged = has_magic_word && pass_word(&input, 0) == hash;
     /* Errors of the config come before those of the image. The new robot gives the restored one what an image
      * leaves out: what follows from b_hat, and the robust filter's memory where the filter is another. */

@@ -22,7 +22,7 @@ typedef struct {
 #define ENABLE_SENDER 1U      /* in control */
 #define ENABLE_RECEIVER 0xAU  /* in control: the receiver, and its interrupt */
 #define RECEIVER_INTERRUPT 2U /* in interrupt: cleared by writing 1 */
-#define QUEUE_SIZE 128U       /* a power of two */
+#define QUEUE_SIZE 128U       /* divides 256, at which the counts of entries wrap */
 #define RECEIVER_ENABLE_BIT 1 /* of the UART's receiver in the NVIC registers below */
 
 #define UART ((volatile uart_t *)0x40004000)

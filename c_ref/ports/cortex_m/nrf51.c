@@ -16,9 +16,9 @@
 void uart_start(void)
 {
     PIN_TX = 24;       /* the line to the interface chip's USB port */
-    BAUD = 0x01D7E000; /* 115200 */
-    ENABLE = 4;
-    START_TX = 1;
+    BAUD = 0x01D7E000; /* 115200, in the code that the manual of the chip lists */
+    ENABLE = 4;        /* the number that the manual gives for it */
+    START_TX = 1;      /* writing 1 starts the sender */
 }
 
 /* Send a byte, and wait until it has been sent. */

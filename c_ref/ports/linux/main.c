@@ -135,10 +135,13 @@ static void set_up_node(run_t *run)
     }
 }
 
-/* Open the source of observations. Ends the program with a message on failure. */
+/* Open run->source, from which a node that is not in lockstep takes an observation in each tick: with
+ * --sensor a sensor's file that is read anew each time, with --observations a stream that is read on. Ends
+ * the program with a message if it cannot be opened. */
 static void set_up_source(run_t *run)
 {
     const options_t *options = &run->options;
+    /* options_read() has seen to it that there is exactly one of the two. */
     run->source.is_sensor = options->sensor != NULL;
     run->source.path = options->sensor != NULL ? options->sensor : options->observations;
     const int error = source_open(&run->source);
@@ -165,7 +168,7 @@ static void set_up_bus(run_t *run)
 
 /* ---- The clock -------------------------------------------------------------------------------------- */
 
-/* Time in nanoseconds since some moment in the past; nobody sets this clock back. */
+/* Returns the time in nanoseconds since some moment in the past; nobody sets this clock back. */
 static int64_t now_ns(void)
 {
     struct timespec now;
@@ -192,7 +195,7 @@ static bool has_expired(periodic_timer_t *timer, int64_t now)
 
 /* ---- Running ---------------------------------------------------------------------------------------- */
 
-/* Let the run end, for a reason that the summary shows. */
+/* Let run_until_end() return, for a reason that the summary shows; the program will end with exit_status. */
 static void end_run(run_t *run, const char *reason, int exit_status)
 {
     run->end_reason = reason;

@@ -5,7 +5,9 @@
 
 #define HEARTBEAT_PRIORITY 4
 
-/* Check that the periods fit together, and initialise the node and its robot. */
+/* Initialise the node and its robot, whose filter period is that of the settings in rounds. Returns the
+ * status of mcp_asdf_init(); or ERR_CONFIG, and leaves *node as it was, if comms_period is 0 or filter_period
+ * no multiple of it. */
 mcp_asdf_status_t node_init(node_t *node, const node_settings_t *settings, node_output_t output)
 {
     const uint32_t comms_period = settings->comms_period, filter_period = settings->filter_period;
@@ -32,7 +34,8 @@ static void send_frame(node_t *node, const mcp_asdf_frame_t *frame)
     }
 }
 
-/* Send a heartbeat with the present health, and count it. */
+/* Send a heartbeat with the present health, and count it: its transfer id is the number of those before it,
+ * modulo 2^8. */
 static void send_heartbeat(node_t *node)
 {
     const mcp_asdf_heartbeat_t heartbeat = {.node = node->settings->id,
@@ -163,7 +166,7 @@ static void handle_command(node_t *node, const mcp_asdf_command_t *command)
  * below 2^55. */
 static uint64_t alpha_to_units(uint32_t alpha_word)
 {
-    return (uint64_t)(alpha_word >> 8) << (alpha_word & 31U);
+    return (uint64_t)(alpha_word >> 8) << (alpha_word & 31U); /* mantissa 2^shift */
 }
 
 /* Compare an estimate's alpha with the sender's last one, and remember it as the last one. Counts a jump if

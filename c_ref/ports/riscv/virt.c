@@ -5,9 +5,10 @@
 
 #include <stdint.h>
 
+/* Register of the test device: what is written to it ends the emulation. */
 #define TEST (*(volatile uint32_t *)0x00100000)
-#define TEST_PASS 0x5555
-#define TEST_FAIL 0x3333
+#define TEST_PASS 0x5555 /* with status 0 */
+#define TEST_FAIL 0x3333 /* with the status in the bits from 16 on */
 
 int main(void);
 void start(void);

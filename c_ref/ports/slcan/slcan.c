@@ -17,7 +17,8 @@
 static char *write_hex(char *text, uint32_t value, uint8_t digit_count)
 {
     for (uint8_t digits_left = digit_count; digits_left > 0; --digits_left) {
-        *text++ = "0123456789ABCDEF"[(value >> (4 * (digits_left - 1U))) & 15];
+        const uint32_t shift = 4 * (digits_left - 1U); /* of 4 bits a digit, those of the digits behind it */
+        *text++ = "0123456789ABCDEF"[(value >> shift) & 15];
     }
     return text;
 }
@@ -134,7 +135,8 @@ static bool queue_text(slcan_link_t *link, const char *text, uint8_t length)
     return has_room;
 }
 
-/* Initialise the adapter, and queue an empty line. */
+/* Initialise the adapter with a closed bus, and queue an empty line, which ends whatever was on the serial
+ * line before. */
 void slcan_start(slcan_link_t *link)
 {
     *link = (slcan_link_t){.is_open = false};

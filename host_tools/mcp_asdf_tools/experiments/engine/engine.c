@@ -17,12 +17,13 @@
 #define MAX_PARALLEL_ARENAS 8
 
 /* Trials under way.
- *   has_lanes          whether steps are taken in lanes where that is possible
+ *   steps_in_lanes     whether steps are taken in lanes where that is possible
  *   is_robust          whether the robots have the robust filter, which keeps messages and has no sums
  *   columns            series of x in a trial
  *   parallel_trials    lane j parallel_trials + l is robot j of trial l, both from 0: the trial runs fastest,
  *                      and the robots of a trial are parallel_trials lanes apart. Other lanes run idle
- *   lanes              in `rows` rows of LANES: lane i is entry i % LANES of row i / LANES
+ *   lanes              in `rows` rows of LANES: lane i is entry i % LANES of row i / LANES. What decides the
+ *                      observations is kept there in any case, also where no step is taken in lanes
  *   arenas             NULL, or the arena of each trial
  *   first_index        index of the first of the `active_trials` trials among those of the experiment
  *   t                  observations of each robot
@@ -31,7 +32,7 @@
  *   unwritten_steps    how many of these have informed estimates that are not yet in the outcome */
 typedef struct {
     const mcp_asdf_experiment_t *experiment;
-    bool has_lanes;
+    bool steps_in_lanes;
     bool is_robust;
     uint32_t columns;
     uint32_t parallel_trials;
@@ -115,8 +116,9 @@ static void prepare_observations(const run_t *run, uint32_t k)
 
 /* --- Steps in lanes --- */
 
-/* Let the robot of lane `receiver` receive the message of that of lane `sender`: the robust filter keeps it;
- * with other filters its sums are added to those of the round. Counts the message. */
+/* Let the robot of lane `receiver` receive the message of that of lane `sender`, both counted over all rows:
+ * the robust filter keeps it; with other filters its sums are added to those of the round. Counts the
+ * message. */
 IN_LOOPS void receive_in_lane(const run_t *run, uint32_t receiver, uint32_t sender)
 {
     lanes_t *const receiver_row = &run->lanes[receiver / LANES];
@@ -203,7 +205,7 @@ static void transpose_row(uint32_t series[LANES][STEPS_IN_ROW], const lanes_t *r
 /* Write the informed estimates of the unwritten steps, of which `step` is the last, from the lanes into the
  * outcome, and count no step as unwritten. Each series gets its steps at once: written one by one, each value
  * would wait for a page of memory of its own. */
-static void write_series(run_t *run, uint32_t step)
+static void write_informed_estimates(run_t *run, uint32_t step)
 {
     const size_t steps_of_series = (size_t)run->experiment->steps + 1; /* with step 0 */
     const size_t first_step = (size_t)step + 1 - run->unwritten_steps;
@@ -235,7 +237,7 @@ static void settle_lanes(run_t *run, uint32_t step)
         lanes_settle_sums(run->lanes, rows, run->unwritten_steps);
     }
     if (++run->unwritten_steps == STEPS_IN_ROW) {
-        write_series(run, step);
+        write_informed_estimates(run, step);
     }
 }
 
@@ -264,27 +266,27 @@ static void step_lanes(run_t *run, uint32_t k)
  * its next step forms anew: the rounds are closed and empty. */
 static void store_in_robot(const run_t *run, uint32_t j, uint32_t l)
 {
-    const uint32_t lane = j * run->parallel_trials + l, column = lane % LANES;
+    const uint32_t lane = j * run->parallel_trials + l, entry = lane % LANES;
     const uint32_t messages_of_all = run->ticks * (run->experiment->robots - 1);
     const lanes_t *const row = &run->lanes[lane / LANES];
     mcp_asdf_t *const robot = &run->trials[l].robots[j];
-    const uint32_t messages = trial_is_linked(run->experiment) ? row->message_count[column] : messages_of_all;
+    const uint32_t messages = trial_is_linked(run->experiment) ? row->message_count[entry] : messages_of_all;
     robot->t = run->t;
-    robot->n = row->n[column];
-    robot->x_hat = row->x_hat[column];
-    robot->alpha = row->alpha[column];
+    robot->n = row->n[entry];
+    robot->x_hat = row->x_hat[entry];
+    robot->alpha = row->alpha[entry];
     if (run->observation_count != 0) {
         robot->updated = 0; /* as mcp_asdf_observe() would have set it */
     }
     robot->filter_left -= run->ticks;
     robot->counters.accepted = (uint16_t)(robot->counters.accepted + messages);
-    lanes_store_filter(row, column, robot);
+    lanes_store_filter(row, entry, robot);
 }
 
 /* Load the values of all robots into the lanes, before the next steps there. Idle lanes, to which no robot of
  * an active trial belongs, get those of robot 0 or of trial 0, so that they hold numbers that are possible.
  */
-static void load_lanes(run_t *run)
+static void load_lanes_from_robots(run_t *run)
 {
     const uint32_t robots = run->experiment->robots, parallel_trials = run->parallel_trials;
     run->t = mcp_asdf_t_count(&run->trials[0].robots[0]);
@@ -298,18 +300,19 @@ static void load_lanes(run_t *run)
     }
 }
 
-/* Whether the firmware has to take step k, as lanes cannot: without lanes always; at a test of the filter,
- * where t reaches the memory, and in the last step, after which the robots are results. */
+/* Whether the firmware has to take step k, as lanes cannot: always if the run is not to take steps in lanes;
+ * else at a test of the filter, where t reaches the memory, and in the last step, after which the robots are
+ * results. */
 static bool needs_firmware(const run_t *run, uint32_t k)
 {
     const mcp_asdf_experiment_t *const experiment = run->experiment;
     const mcp_asdf_config_t *const config = experiment->configs[0];
-    return !run->has_lanes || (k + 1) % config->filter_period == 0 || k + 1 == experiment->steps ||
+    return !run->steps_in_lanes || (k + 1) % config->filter_period == 0 || k + 1 == experiment->steps ||
            (run->t + 1 == config->memory && trial_observes(experiment, k));
 }
 
 /* Store what the steps in lanes have made of the robots of all active trials in these robots. */
-static void store_lanes(const run_t *run)
+static void store_lanes_in_robots(const run_t *run)
 {
     for (uint32_t l = 0; l < run->active_trials; ++l) {
         for (uint32_t j = 0; j < run->experiment->robots; ++j) {
@@ -318,24 +321,28 @@ static void store_lanes(const run_t *run)
     }
 }
 
-/* Take step k, from 0, of all active trials by calls of the firmware, and record in the outcome what it has
- * of the robots after this step. Estimates of earlier steps that are still in lanes are written first. */
+/* Take step k, from 0, of all active trials by calls of the firmware, for each robot in its mcp_asdf_t, and
+ * record in the outcome the results of this step.
+ *
+ * In a run that takes steps in lanes (arrays with an entry for each robot), informed estimates of earlier
+ * steps that are not in the outcome yet are written there first. Then the values of the lanes are stored in
+ * the robots, and after the step the lanes are loaded from the robots again. */
 static void step_firmware(run_t *run, uint32_t k)
 {
-    write_series(run, k);
-    if (run->has_lanes) {
-        store_lanes(run);
+    write_informed_estimates(run, k); /* up to the step before: in the series step k, from 0, is k + 1 */
+    if (run->steps_in_lanes) {
+        store_lanes_in_robots(run);
     }
     for (uint32_t l = 0; l < run->active_trials; ++l) {
         const mcp_asdf_arena_t *const arena = run->arenas == NULL ? NULL : &run->arenas[l];
-        /* Draws and limits of observations are kept in lanes, also where steps are not. */
+        /* What decides the observations is in the lanes, also where no step is taken in them. */
         const trial_observations_t observations = {
             .lanes = run->lanes, .first_lane = l, .parallel_trials = run->parallel_trials};
         trial_tick(run->experiment, &run->trials[l], arena, k, observations);
         trial_record(run->experiment, &run->trials[l], k + 1);
     }
-    if (run->has_lanes) {
-        load_lanes(run);
+    if (run->steps_in_lanes) {
+        load_lanes_from_robots(run);
     }
 }
 
@@ -380,7 +387,7 @@ static mcp_asdf_status_t start_trials(run_t *run, const mcp_asdf_outcome_t *outc
         }
     }
     number_lanes(run, index);
-    load_lanes(run);
+    load_lanes_from_robots(run);
     return MCP_ASDF_OK;
 }
 
@@ -460,16 +467,16 @@ size_t mcp_asdf_engine_bytes(const mcp_asdf_experiment_t *experiment)
 
 /* Run all trials, as many at a time as run side by side, and store their results in the outcome. Returns the
  * first error; the outcome is then incomplete. */
-mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, bool lanes,
+mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, bool in_lanes,
                                       const mcp_asdf_outcome_t *outcome, void *memory)
 {
     mcp_asdf_status_t status = MCP_ASDF_OK;
-    const uint32_t parallel_trials = lanes ? count_parallel_trials(experiment) : 1;
+    const uint32_t parallel_trials = in_lanes ? count_parallel_trials(experiment) : 1;
     const uint32_t rows = count_rows(experiment, parallel_trials);
     /* The next address that is a multiple of VECTOR_BYTES: negation modulo 2^64 gives the distance to it. */
     lanes_t *const first_row = (void *)((uint8_t *)memory + -(uintptr_t)memory % VECTOR_BYTES);
     run_t run = {.experiment = experiment,
-                 .has_lanes = lanes,
+                 .steps_in_lanes = in_lanes,
                  .is_robust = mcp_asdf_is_robust(experiment->configs[0]),
                  .columns = mcp_asdf_engine_columns(experiment),
                  .parallel_trials = parallel_trials,

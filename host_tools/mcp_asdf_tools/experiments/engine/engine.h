@@ -112,13 +112,13 @@ bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment);
 /* Bytes of memory that a run needs, for any number of trials: linear in robots, from 2048 on. O(1). */
 size_t mcp_asdf_engine_bytes(const mcp_asdf_experiment_t *experiment);
 
-/* Run the trials, one by one through calls of the firmware for every robot and step, or with `lanes` the same
+/* Run the trials, one by one through calls of the firmware for every robot and step, or `in_lanes` the same
  * to the bit, faster: between filter steps several fully connected trials are computed side by side, or the
  * robots of one that move. O(trials steps robots).
  * Fails as mcp_asdf_init() does, and with MCP_ASDF_ERR_CONFIG where robots find no room in their arena. With
- * `lanes` it needs mcp_asdf_engine_has_lanes(). `memory`, of mcp_asdf_engine_bytes() and aligned for doubles,
- * is free again afterwards. */
-mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, bool lanes,
+ * `in_lanes` it needs mcp_asdf_engine_has_lanes(). `memory`, of mcp_asdf_engine_bytes() and aligned for
+ * doubles, is free again afterwards. */
+mcp_asdf_status_t mcp_asdf_engine_run(const mcp_asdf_experiment_t *experiment, bool in_lanes,
                                       const mcp_asdf_outcome_t *outcome, void *memory);
 
 #endif

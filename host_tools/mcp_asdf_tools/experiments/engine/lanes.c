@@ -4,6 +4,7 @@
  * functions: the engine has no arithmetic of its own. gcc turns these loops into vector instructions as long
  * as no value in those functions comes from a table, a call or more than four ways; the benchmark shows it.
  * It needs -fno-trapping-math, because it may then compute both ways of an `if` with a division in it.
+ * SIDE_BY_SIDE before a loop tells it that no lane needs what another one writes (targets.h).
  */
 #define MCP_ASDF_DIVIDE MCP_ASDF_DIVIDE_BY_INCLUDER
 
@@ -14,17 +15,18 @@
 
 #include "lanes.h"
 
-/* Set message_sums of lane l to the sums of a round in which its message (x_hat, alpha) is the only one. */
+/* Set message_sums of lane l to the sums of a round in which its message (x_hat, alpha) is the only one:
+ * alpha, and alpha x_hat in two parts, for the lower and the upper word of alpha. */
 ALWAYS_INLINE void form_message_sums(lanes_t *row, size_t l)
 {
-    const word_pair_t alpha = alpha_units(row->alpha[l]);
-    row->message_sums.alpha[l] = join(alpha.high, alpha.low);
-    row->message_sums.alpha_x_low[l] = multiply(alpha.low, row->x_hat[l]);
-    row->message_sums.alpha_x_high[l] = multiply(alpha.high, row->x_hat[l]);
+    const word_pair_t wide_alpha = alpha_units(row->alpha[l]); /* in units of 2^-24, as two words */
+    row->message_sums.alpha[l] = join(wide_alpha.high, wide_alpha.low);
+    row->message_sums.alpha_x_low[l] = multiply(wide_alpha.low, row->x_hat[l]);
+    row->message_sums.alpha_x_high[l] = multiply(wide_alpha.high, row->x_hat[l]);
 }
 
-/* Copy the robot's counts, estimate, accuracy and robust filter into lane l, and form the sums of its message
- * from them. */
+/* Copy n, the local estimate, the accuracy and what the robust filter keeps from the robot into lane l, and
+ * form the sums of its message. t is the same in all lanes, and is not kept there. */
 void lanes_load_robot(lanes_t *row, uint32_t l, const mcp_asdf_t *robot)
 {
     row->n[l] = robot->n;
@@ -67,16 +69,17 @@ FOR_EACH_TARGET void lanes_observe(lanes_t *rows, uint32_t count, uint32_t t, ui
     }
 }
 
-/* Form the informed estimate of each lane from the sums of its round and its own message, store it in
- * x[x_row], and clear the sums. */
-FOR_EACH_TARGET void lanes_settle_sums(lanes_t *rows, uint32_t count, uint32_t x_row)
+/* End the round in all lanes of `count` rows: form the informed estimate x of each lane, Q23, which is the
+ * mean of x_hat weighted by alpha over the messages of the round and the lane's own one; store it in
+ * x[x_index], and set the sums of the round to 0. */
+FOR_EACH_TARGET void lanes_settle_sums(lanes_t *rows, uint32_t count, uint32_t x_index)
 {
     for (lanes_t *row = rows; row < rows + count; ++row) {
         SIDE_BY_SIDE
         for (uint32_t l = 0; l < LANES; ++l) {
             const mcp_asdf_closed_t closed = {row->round_sums.alpha[l], row->round_sums.alpha_x_low[l],
                                               row->round_sums.alpha_x_high[l]};
-            row->x[x_row][l] = informed_estimate(&closed, row->x_hat[l], row->alpha[l]);
+            row->x[x_index][l] = informed_estimate(&closed, row->x_hat[l], row->alpha[l]);
             row->round_sums.alpha[l] = 0;
             row->round_sums.alpha_x_low[l] = 0;
             row->round_sums.alpha_x_high[l] = 0;
@@ -85,12 +88,12 @@ FOR_EACH_TARGET void lanes_settle_sums(lanes_t *rows, uint32_t count, uint32_t x
 }
 
 /* Keep the message of robot `sender`, x_hat as Q23 and an alpha word, in the robust filter of lane l, unless
- * its alpha is 0. What the slot would hold is formed in any case, and then that or the old value is selected:
- * vectors have no branches. */
+ * its alpha is 0: in slot `sender` modulo 32, in place of an earlier one. What the slot would hold is formed
+ * in any case, and then that or the old value is selected: vectors have no branches. */
 ALWAYS_INLINE void keep_in_lane(lanes_t *row, size_t l, uint32_t sender, uint32_t x_hat, uint32_t alpha)
 {
     const uint32_t slot = sender % MCP_ASDF_SLOTS;
-    const bool counts = alpha >> 8 != 0U;
+    const bool counts = alpha >> 8 != 0U; /* the mantissa, in bits 31 to 8, is not 0 */
     row->estimates[slot][l] = counts ? slot_estimate(x_hat) : row->estimates[slot][l];
     row->filled_slots[l] |= (uint32_t)counts << slot; /* no bit if it does not count */
 }
@@ -102,7 +105,8 @@ void lanes_keep_estimate(lanes_t *row, uint32_t receiver, const lanes_t *sender_
                  sender_row->alpha[sender]);
 }
 
-/* Keep the message of each robot in all others. Row j has robot j of LANES swarms. */
+/* Keep the message of each robot in the robust filters of all others of its swarm, senders in ascending
+ * order. Row j has robot j of LANES swarms, one in each lane. */
 FOR_EACH_TARGET void lanes_keep_all_estimates(lanes_t *rows, uint32_t robots)
 {
     for (uint32_t sender = 0; sender < robots; ++sender) {
@@ -119,21 +123,25 @@ FOR_EACH_TARGET void lanes_keep_all_estimates(lanes_t *rows, uint32_t robots)
     }
 }
 
-/* Choose the estimate that votes next in lane l, as the core's take_vote() does, and set the turn after it.
- * Returns its x_hat as Q23, or that of the robot itself while no slot is filled; then there is no vote. */
+/* Choose the estimate that votes next in lane l, and set the turn to what follows it: filled slots vote in
+ * ascending order, from the turn on; after the last one the robot's own estimate does, unless it has no
+ * confidence; then the first filled slot again. Returns the x_hat of the vote as Q23. While no slot is filled
+ * there is no vote: then the robot's own x_hat is returned, of which nothing is made, and the turn stays. */
 static uint32_t choose_vote(lanes_t *row, size_t l)
 {
     if (row->filled_slots[l] == 0U) {
         return row->x_hat[l];
     }
-    const uint32_t slot = next_slot(row->filled_slots[l], row->turn[l], row->alpha[l] >> 8 != 0U);
+    const bool has_confidence = row->alpha[l] >> 8 != 0U; /* the mantissa, in bits 31 to 8, is not 0 */
+    const uint32_t slot = next_slot(row->filled_slots[l], row->turn[l], has_confidence);
     const bool is_own = slot >= MCP_ASDF_SLOTS;
     row->turn[l] = is_own ? 0U : slot + 1U;
     return is_own ? row->x_hat[l] : q23_from_q16(row->estimates[slot][l]);
 }
 
-/* Take a vote in lane l if a slot is filled there. The statistics after it are formed in any case, and then
- * these or the old ones are selected. */
+/* Take a vote for the x_hat `vote`, Q23, in lane l, if a slot is filled there: it changes the centre of the
+ * votes, their spread and their number. These are formed in any case, and then the new or the old ones are
+ * selected: vectors have no branches. */
 ALWAYS_INLINE void take_vote_in_lane(lanes_t *row, size_t l, uint32_t vote)
 {
     const vote_statistics_t before = {row->centre[l], row->spread[l], row->votes[l]};
@@ -144,10 +152,10 @@ ALWAYS_INLINE void take_vote_in_lane(lanes_t *row, size_t l, uint32_t vote)
     row->votes[l] = counts ? after.votes : before.votes;
 }
 
-/* Take a vote in each lane in which a slot is filled, and store the informed estimate of each lane in
- * x[x_row]: the centre, or the robot's own estimate before the first vote. Which slot votes differs from lane
- * to lane, so that this is found lane by lane; what the vote changes is computed side by side. */
-FOR_EACH_TARGET void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t x_row)
+/* Take a vote in each lane in which a slot is filled, and store the informed estimate of each lane, Q23, in
+ * x[x_index]: the centre, or the robot's own estimate before the first vote. Which slot votes differs from
+ * lane to lane, so that this is found lane by lane; what the vote changes is computed side by side. */
+FOR_EACH_TARGET void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t x_index)
 {
     for (lanes_t *row = rows; row < rows + count; ++row) {
         uint32_t votes[LANES];
@@ -157,12 +165,13 @@ FOR_EACH_TARGET void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t 
         SIDE_BY_SIDE
         for (uint32_t l = 0; l < LANES; ++l) {
             take_vote_in_lane(row, l, votes[l]);
-            row->x[x_row][l] = row->filled_slots[l] != 0U ? q23_from_q30(row->centre[l]) : row->x_hat[l];
+            row->x[x_index][l] = row->filled_slots[l] != 0U ? q23_from_q30(row->centre[l]) : row->x_hat[l];
         }
     }
 }
 
-/* Copy the values of the robust filter in lane l into the robot. */
+/* Copy what votes and messages have changed in the robust filter of lane l into the robot. Does nothing if
+ * the robot has another filter. */
 void lanes_store_filter(const lanes_t *row, uint32_t l, mcp_asdf_t *robot)
 {
     if (!mcp_asdf_is_robust(robot->config)) {

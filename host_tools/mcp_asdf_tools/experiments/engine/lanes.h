@@ -7,8 +7,8 @@
 #include "engine.h"
 #include "targets.h"
 
-#define LANES 16 /* side by side */
-#define STEPS_IN_ROW 32
+#define LANES 16        /* side by side */
+#define STEPS_IN_ROW 32 /* of which a row keeps the informed estimates */
 
 /* The sums of a message or of a round, as in mcp_asdf_closed_t, by lane. */
 typedef struct {
@@ -68,22 +68,24 @@ void lanes_load_robot(lanes_t *row, uint32_t l, const mcp_asdf_t *robot);
  * message change. */
 void lanes_observe(lanes_t *rows, uint32_t count, uint32_t t, uint32_t k);
 
-/* End the round of robots with the paper's filter or none: informed estimates go to x[x_row], and the next
+/* End the round of robots with the paper's filter or none: informed estimates go to x[x_index], and the next
  * round is empty. */
-void lanes_settle_sums(lanes_t *rows, uint32_t count, uint32_t x_row);
+void lanes_settle_sums(lanes_t *rows, uint32_t count, uint32_t x_index);
 
-/* Keep the message of lane `sender` of `sender_row` in the robust filter of lane `receiver`. */
+/* Keep the message of lane `sender` of sender_row in the robust filter of lane `receiver` of `row`, unless
+ * its alpha is 0. */
 void lanes_keep_estimate(lanes_t *row, uint32_t receiver, const lanes_t *sender_row, uint32_t sender);
 
 /* Keep all messages of fully connected swarms in the robust filters of their receivers, senders in ascending
  * order. LANES swarms run side by side, with a row for each robot. */
 void lanes_keep_all_estimates(lanes_t *rows, uint32_t robots);
 
-/* End the round of robots with the robust filter: each takes a vote, and informed estimates go to x[x_row].
- */
-void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t x_row);
+/* End the round of robots with the robust filter: each takes a vote, and informed estimates go to
+ * x[x_index]. */
+void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t x_index);
 
-/* Copy the robust filter's values of lane l into a robot. */
+/* Copy the robust filter's values of lane l into a robot that has this filter; does nothing to another one.
+ */
 void lanes_store_filter(const lanes_t *row, uint32_t l, mcp_asdf_t *robot);
 
 #endif

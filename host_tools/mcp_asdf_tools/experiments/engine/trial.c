@@ -53,7 +53,9 @@ static mcp_asdf_open_t subtract_message(mcp_asdf_open_t all, const mcp_asdf_open
 }
 
 /* Let `robot` receive what robot number `sender` of `robots` broadcasts: its estimate or, if it is among the
- * last ones, which are the liars, the experiment's lie; either one rounded to the bits of a message. */
+ * last ones, which are the liars, the experiment's lie; either one rounded to the bits of a message, if the
+ * experiment has x_hat_bits. In a swarm of more than 128 robots, where ids repeat, the set of senders that
+ * the robot has received from in this round is cleared before. */
 static void receive_from(const mcp_asdf_experiment_t *experiment, const mcp_asdf_t *robots, mcp_asdf_t *robot,
                          uint32_t sender)
 {
@@ -183,7 +185,8 @@ static mcp_asdf_record_t record_of_robot(const mcp_asdf_t *robot)
                                .b_hat = mcp_asdf_b_hat(robot)};
 }
 
-/* Store the informed estimates x after a step in the outcome's series of x. */
+/* Store the informed estimates x after `step`, 0 .. T, Q23, as that entry of the outcome's series of x: of
+ * all robots, or of robot 0 alone where all have the same. */
 static void record_x(const mcp_asdf_experiment_t *experiment, const trial_t *trial, uint32_t step)
 {
     const uint32_t columns = mcp_asdf_engine_columns(experiment);

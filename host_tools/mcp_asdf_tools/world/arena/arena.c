@@ -23,7 +23,7 @@ IN_LOOPS uint64_t splitmix(uint64_t z)
 }
 
 /* Returns the next random number, uniform in [0, 1), and moves the counter on. It has the 53 bits that a
- * double has. */
+ * double has, of the 64 of the hash. */
 static inline double splitmix_uniform(uint64_t *counter)
 {
     *counter += 0x9E3779B97F4A7C15U;
@@ -35,7 +35,7 @@ static inline double splitmix_uniform(uint64_t *counter)
  * A tile's colour is a hash of the seed and the tile's column and row, so that no floor is stored however
  * large it is; a picture is read from the caller's memory. */
 
-/* Position of the ground sensor, from the centre. */
+/* Position of the Khepera IV's ground sensor, from the centre, in metres (docs/internals/arena.md). */
 #define SENSOR_FORWARD 0.0614
 #define SENSOR_RIGHT 0.01
 
@@ -73,23 +73,26 @@ int mcp_asdf_arena_is_black(const mcp_asdf_arena_t *arena, double x, double y)
     return arena->config.image != NULL ? pixel_is_black(&arena->config, x, y) : tile_is_black(arena, x, y);
 }
 
-/* Coordinates of robot i's ground sensor: its position in the robot's frame, turned by the heading (cx, cy).
- */
+/* Returns the x coordinate in metres of robot i's ground sensor: its position in the robot's frame, turned by
+ * the heading (cx, cy), from the robot's centre. */
 IN_LOOPS double ground_sensor_x(const mcp_asdf_arena_t *arena, size_t i)
 {
     return arena->x[i] + SENSOR_FORWARD * arena->cx[i] + SENSOR_RIGHT * arena->cy[i];
 }
 
+/* Returns the y coordinate of robot i's ground sensor, likewise. */
 IN_LOOPS double ground_sensor_y(const mcp_asdf_arena_t *arena, size_t i)
 {
     return arena->y[i] + SENSOR_FORWARD * arena->cy[i] - SENSOR_RIGHT * arena->cx[i];
 }
 
-/* Store in arena->black whether the tile under each robot is black. Indices are size_t, as loops whose index
- * cannot wrap around become vectors; colours are words first, as wide as the numbers that decide them. */
+/* Store in arena->black 1 for each robot whose ground sensor is on a black tile, else 0. Robots are taken a
+ * vector at a time, and the last vector may go beyond the last robot: allocate() has made room for that in
+ * all arrays. Indices are size_t, as loops whose index cannot wrap around become vectors; colours are words
+ * first, as wide as the numbers that decide them. */
 FOR_EACH_TARGET static void read_tiles(const mcp_asdf_arena_t *arena)
 {
-    for (size_t first = 0; first < arena->config.robots; first += VECTOR) {
+    for (size_t first = 0; first < arena->config.robots; first += VECTOR) { /* `first` and those after it */
         uint64_t is_black[VECTOR];
         SIDE_BY_SIDE
         for (size_t i = 0; i < VECTOR; ++i) {
@@ -102,7 +105,8 @@ FOR_EACH_TARGET static void read_tiles(const mcp_asdf_arena_t *arena)
     }
 }
 
-/* Store in arena->black whether the floor, a picture or tiles, is black under each robot. */
+/* Store in arena->black 1 for each robot whose ground sensor is on a black floor, tiles or a picture; else
+ * 0. */
 static void read_floor(const mcp_asdf_arena_t *arena)
 {
     if (arena->config.image == NULL) {
@@ -218,9 +222,11 @@ static void sense_surroundings(mcp_asdf_arena_t *arenas, uint32_t count)
     }
 }
 
+/* Draws for a robot's position before the arena counts as full: where a robot still fits in a share of
+ * 1/10000 of the floor, all of them fail once in e^10 times. */
 #define PLACING_ATTEMPTS 100000
 
-/* Mixed into the seed, so that positions and colours have different draws. */
+/* Mixed into the seed, so that positions and colours have different draws: "place" and "colour" in ASCII. */
 #define POSITION_STREAM 0x706C616365U
 #define COLOUR_STREAM 0x636F6C6F7572U
 
@@ -235,8 +241,9 @@ static bool overlaps_earlier_robot(const mcp_asdf_arena_t *arena, uint32_t i)
     return false;
 }
 
-/* Put robot i at a random position where it overlaps no robot placed before. Returns false if none was found
- * in PLACING_ATTEMPTS draws. */
+/* Put robot i at a random position where it overlaps no robot placed before, with numbers that *counter gives
+ * and moves on. Returns false if none was found in PLACING_ATTEMPTS draws; the robot is then at the last one.
+ */
 static bool place_robot(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
 {
     for (int attempt = 0; attempt < PLACING_ATTEMPTS; ++attempt) {
@@ -249,8 +256,8 @@ static bool place_robot(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
     return false;
 }
 
-/* Turn robot i to a random heading. The direction of a point that is uniform in a disc is uniform as well,
- * and needs no sine. */
+/* Turn robot i to a random heading, with numbers that *counter gives and moves on. The direction of a point
+ * that is uniform in a disc is uniform as well, and needs no sine. */
 static void draw_heading(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
 {
     double x, y, squared;
@@ -263,14 +270,15 @@ static void draw_heading(mcp_asdf_arena_t *arena, uint32_t i, uint64_t *counter)
     arena->cy[i] = y / sqrt(squared);
 }
 
-/* Set all that follows from the configuration alone, and the rest to 0. */
+/* Set all that follows from the configuration alone, point the arena's arrays into `memory`, and set the rest
+ * of both to 0. */
 static void set_constants(mcp_asdf_arena_t *arena, const mcp_asdf_arena_config_t *config, void *memory)
 {
     memset(arena, 0, sizeof *arena);
     memset(memory, 0, lay_out_memory(arena, config, memory));
     arena->config = *config;
     arena->colour_seed = splitmix(config->seed ^ COLOUR_STREAM);
-    arena->black_limit = config->fill_ratio * 0x1p53;
+    arena->black_limit = config->fill_ratio * 0x1p53; /* hashes of tiles have 53 bits */
     arena->tiles_per_metre = 1 / config->tile;
     arena->substep = config->tick / SUBSTEPS;
     arena->max_motor_change = ACCELERATION * arena->substep;

@@ -5,7 +5,7 @@
  */
 #include "arena_private.h"
 
-#define MAX_ROBOTS_WITHOUT_GRID 128 /* up to which comparing all pairs is fastest */
+#define MAX_ROBOTS_WITHOUT_GRID 128 /* for up to so many, comparing all pairs is fastest */
 
 /* Write all pairs whose centres are closer than `limit` metres to arena->candidates: (i, j) with i < j,
  * ordered by i and then by j. Returns their number. */
@@ -38,9 +38,11 @@ static uint32_t cell_index(double coordinate, double side, uint32_t cells)
     return (uint32_t)clamp((coordinate / side + 0.5) * cells, 0, cells - 1);
 }
 
-/* Sort the robots into cells whose sides are above `limit` metres, so that a pair that is closer lies in one
- * cell or in two that touch. It is a counting sort: count the robots of each cell, sum the counts up to the
- * ends of the cells, and fill each cell from its end. There are at most as many cells as robots. */
+/* Sort the robots into the cells of arena->grid, whose sides are above `limit` metres, so that a pair that is
+ * closer lies in one cell or in two that touch. There are at most as many cells as robots.
+ *
+ * It is a counting sort: count the robots of each cell, sum the counts up to where the cells end in the
+ * sorted list, and fill each cell from its end. Counts, ends and beginnings are in the same array in turn. */
 static void sort_robots_into_cells(mcp_asdf_arena_t *arena, double limit)
 {
     mcp_asdf_grid_t *const grid = &arena->grid;
@@ -51,17 +53,21 @@ static void sort_robots_into_cells(mcp_asdf_arena_t *arena, double limit)
     grid->columns = count_cells(width, cell_size, robots);
     grid->rows = count_cells(height, cell_size, robots);
     const uint32_t cells = grid->columns * grid->rows;
+    /* First the array has the number of robots in each cell. */
     memset(grid->first_of_cell, 0, cells * sizeof *grid->first_of_cell);
     for (uint32_t i = 0; i < robots; ++i) {
         const uint32_t row = cell_index(arena->y[i], height, grid->rows);
         grid->cell_of_robot[i] = row * grid->columns + cell_index(arena->x[i], width, grid->columns);
         ++grid->first_of_cell[grid->cell_of_robot[i]];
     }
+    /* Then it has the end of each cell in the sorted list: the end of the cell before, and its number. */
     for (uint32_t cell = 1; cell < cells; ++cell) {
-        grid->first_of_cell[cell] += grid->first_of_cell[cell - 1]; /* its end in robots_by_cell */
+        grid->first_of_cell[cell] += grid->first_of_cell[cell - 1];
     }
-    grid->first_of_cell[cells] = robots;
-    for (uint32_t i = robots; i-- > 0;) { /* filled from its end, which so becomes its beginning */
+    grid->first_of_cell[cells] = robots; /* where a cell behind the last one would begin */
+    /* Each robot takes the last free entry of its cell, whose end so moves down. When all robots are in their
+     * cells it is the beginning, and they are in ascending order, as they came in descending order. */
+    for (uint32_t i = robots; i-- > 0;) {
         grid->robots_by_cell[--grid->first_of_cell[grid->cell_of_robot[i]]] = (uint16_t)i;
     }
 }
@@ -123,23 +129,27 @@ static uint32_t find_candidates_in_cells(mcp_asdf_arena_t *arena, double limit)
 /* ---- Links -----------------------------------------------------------------------------------------------
  */
 
-/* Store for each robot the other robots of its candidate pairs, in candidates_of from first_candidate on. It
- * is a counting sort of the pairs, each of which counts for both of its robots. */
+/* Store for each robot the other robots of its candidate pairs: those of robot i in candidates_of, from entry
+ * first_candidate[i] to below entry first_candidate[i + 1]. It is a counting sort of the pairs, each of which
+ * counts for both of its robots. first_candidate has the lengths of the lists first, then their ends, and
+ * last their beginnings. */
 static void list_candidates_by_robot(mcp_asdf_arena_t *arena)
 {
     const mcp_asdf_pair_t *const pairs = arena->candidates;
-    uint32_t *const first = arena->first_candidate, robots = arena->config.robots;
-    memset(first, 0, (robots + 1) * sizeof *first);
+    uint32_t *const length_of_list = arena->first_candidate, *const end_of_list = length_of_list;
+    const uint32_t robots = arena->config.robots;
+    memset(length_of_list, 0, (robots + 1) * sizeof *length_of_list);
     for (uint32_t p = 0; p < arena->candidate_count; ++p) {
-        ++first[pairs[p].a];
-        ++first[pairs[p].b];
+        ++length_of_list[pairs[p].a];
+        ++length_of_list[pairs[p].b];
     }
     for (uint32_t i = 0; i < robots; ++i) {
-        first[i + 1] += first[i]; /* the end of each list, which moves to its beginning as it fills */
+        end_of_list[i + 1] += end_of_list[i]; /* its length so far, and the end of the list before */
     }
     for (uint32_t p = 0; p < arena->candidate_count; ++p) {
-        arena->candidates_of[--first[pairs[p].a]] = pairs[p].b;
-        arena->candidates_of[--first[pairs[p].b]] = pairs[p].a;
+        /* The end of a list moves down as it fills, and is its beginning when all are in their lists. */
+        arena->candidates_of[--end_of_list[pairs[p].a]] = pairs[p].b;
+        arena->candidates_of[--end_of_list[pairs[p].b]] = pairs[p].a;
     }
 }
 
@@ -220,7 +230,8 @@ static void classify_candidates(mcp_asdf_arena_t *arena)
     arena->link_count = link_count;
 }
 
-/* Whether body k reaches into the line between the centres of i and j. */
+/* Whether body k reaches into the line between the centres of i and j: its centre is beside the line, between
+ * both ends, and nearer to it than a radius. */
 static bool blocks_line(const mcp_asdf_arena_t *arena, uint32_t i, uint32_t j, uint32_t k)
 {
     const double dx = arena->x[j] - arena->x[i], dy = arena->y[j] - arena->y[i];

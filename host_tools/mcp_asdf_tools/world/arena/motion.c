@@ -6,9 +6,11 @@
  */
 #include "arena_private.h"
 
-#define PASSES 10 /* of motors and contacts, in each substep */
-#define FRICTION_ROBOTS 0.49
-#define FRICTION_WALL 0.07
+/* Numbers of ARGoS3's physics engine and its Khepera IV (docs/internals/arena.md). */
+#define PASSES 10            /* of motors and contacts, in each substep */
+#define FRICTION_ROBOTS 0.49 /* friction coefficient between two bodies */
+#define FRICTION_WALL 0.07   /* friction coefficient between a body and a wall */
+
 #define WALL (-1) /* in place of the second body of a contact */
 
 /* Move body i for `time` seconds at its present velocity. */
@@ -41,7 +43,8 @@ static void collect_touching_bodies(const mcp_asdf_arena_t *arena, mcp_asdf_bodi
     }
 }
 
-/* Append a contact. The limit is never reached but by numbers that no arena has. */
+/* Append a contact to the list in *bodies, or drop it if there is no room, as only numbers that no arena has
+ * could bring about: there is room for CONTACTS_PER_BODY contacts of each robot. */
 static void add_contact(const mcp_asdf_arena_t *arena, mcp_asdf_bodies_t *bodies, mcp_asdf_contact_t contact)
 {
     if (bodies->contact_count < CONTACTS_PER_BODY * arena->config.robots) {
@@ -159,8 +162,8 @@ static void resolve_contact(mcp_asdf_arena_t *arena, mcp_asdf_contact_t *contact
     }
 }
 
-/* Slow body i down to the speed that it can drive at: contacts may not push it faster, as links.c relies on
- * that. */
+/* Slow body i down to config.speed, in its direction, if contacts have pushed it faster: pairs that no robot
+ * can close at this speed before the next search are left out of the candidates for links and contacts. */
 static void limit_speed(mcp_asdf_arena_t *arena, uint32_t i)
 {
     const double limit = arena->config.speed;

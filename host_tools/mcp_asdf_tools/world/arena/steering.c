@@ -6,7 +6,7 @@
 #include "arena_private.h"
 
 #define HALF_ROOT 0.70710678118654752440 /* cosine and sine of 45 degrees */
-#define BEYOND_REACH (2 * SENSOR_REACH)  /* free distance along a ray that meets nothing */
+#define BEYOND_REACH (2 * SENSOR_REACH)  /* free distance of a ray that meets nothing: above the reach */
 
 /* Directions of the sensors in the robot's own frame, from straight ahead counterclockwise. */
 static const double SENSOR_AHEAD[SENSORS] = {1, HALF_ROOT, 0, -HALF_ROOT, -1, -HALF_ROOT, 0, HALF_ROOT};
@@ -89,14 +89,15 @@ IN_LOOPS double sensor_reading(double distance)
     return distance < 0.04 ? 1 : far_reading;
 }
 
+/* Angles and lengths of the authors' controller (docs/internals/arena.md). */
 #define DEGREE (PI / 180)
 #define WEAK_OBSTACLE 0.1 /* a shorter obstacle vector is ignored if it points ahead, within 5 degrees */
 #define TAN_5_DEGREES 0.08748866352592400522
 
-/* Returns the next state of the wheels, a MCP_ASDF_..._TURN or MCP_ASDF_STRAIGHT, after `state`, where the
- * heading to turn to is `angle` away, 0 .. pi. A turn on the spot begins at 90 degrees and ends at 70.
- * Exactly 90 is no rare tie: it is what a side sensor alone gives. It counts as a turn on the spot because it
- * does so in the physics simulation. */
+/* Returns the next state of the wheels, a mcp_asdf_wheels_t, after `state`, where the heading to turn to is
+ * `angle` away, 0 .. pi: straight on up to 10 degrees, then a soft turn. A hard turn, on the spot, begins at
+ * 90 degrees and ends at 70. Exactly 90 is no rare tie: it is what a side sensor alone gives. It counts as a
+ * turn on the spot because it does so in the physics simulation. */
 IN_LOOPS uint8_t next_wheels(uint8_t state, double angle)
 {
     if (angle >= PI / 2 || (state == MCP_ASDF_HARD_TURN && angle > 70 * DEGREE)) {
@@ -137,7 +138,8 @@ IN_LOOPS void steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, doubl
         (left < 0 ? outer_speed - slower_speed : slower_speed - outer_speed) / WHEEL_DISTANCE;
 }
 
-/* Set the wheels of a robot from its obstacle vector, as steer() does. */
+/* Set the wheels of a robot, and so its speed and spin for the coming tick, so that it turns away from the
+ * obstacle vector (ahead, left), in the robot's own frame. A weak one is ignored. */
 void mcp_asdf_arena_steer(mcp_asdf_arena_t *arena, uint32_t robot, double ahead, double left)
 {
     steer(arena, robot, ahead, left, arena_bearing(-ahead, -left));
