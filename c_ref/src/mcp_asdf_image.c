@@ -429,7 +429,7 @@ static uint32_t magic_word(bool is_robust) { return is_robust ? IMAGE_MAGIC | RO
 /* Write the image of `robot` to `image`: the magic word, the state, and the hash of both. */
 void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    image_t output = {.source = NULL, .target = image, .hash = HASH_START, .is_read = false};
+    image_t output = {NULL, image, HASH_START, false}; /* source, target, hash, is_read */
     /* pass_state() serves for reading, too: it assigns to all members what pass_word() returns. */
     mcp_asdf_t copy = *robot;
     const bool is_robust = mcp_asdf_is_robust(robot->config);
@@ -444,7 +444,7 @@ void mcp_asdf_save(const mcp_asdf_t *robot, uint8_t image[MCP_ASDF_IMAGE_SIZE])
 mcp_asdf_status_t mcp_asdf_restore(mcp_asdf_t *robot, const mcp_asdf_config_t *config,
                                    const uint8_t image[MCP_ASDF_IMAGE_SIZE])
 {
-    image_t input = {.source = image, .target = NULL, .hash = HASH_START, .is_read = true};
+    image_t input = {image, NULL, HASH_START, true}; /* source, target, hash, is_read */
     mcp_asdf_t restored = {0}, fresh;
     const bool is_robust = mcp_asdf_is_robust(config);
     /* While an image is read, the value that is passed to pass_word() does not matter. */
