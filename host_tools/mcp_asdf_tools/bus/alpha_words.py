@@ -18,14 +18,19 @@ FRACTION_MASK = (1 << FRACTION_BITS) - 1
 IMPLICIT_BIT = 1 << FRACTION_BITS
 """Highest bit of a normal binary32 number's significand, which its bits leave out."""
 MANTISSA_BITS = 24
+MANTISSA_POSITION = 8
+"""Number of bits below the mantissa in an alpha word: 5 bits of shift, and 3 above them that are not used."""
 UNIT_EXPONENT = 126
 """Biased exponent of the binary32 numbers whose last bit is worth 2**-24, the unit of a word with shift 0."""
 
 
 def float32_bits_from_alpha_word(alpha_word: int) -> int:
-    """Return the binary32 bits of the number that an alpha word, any 32 bits, stands for. Exact."""
-    mantissa = alpha_word >> 8
-    shift = alpha_word & SHIFT_MAX
+    """Return the binary32 bits of the number that an alpha word, any 32 bits, stands for. Exact.
+
+    An alpha word is the firmware's form of a confidence: a mantissa of 24 bits above a shift of 5 bits.
+    """
+    mantissa = alpha_word >> MANTISSA_POSITION
+    shift = alpha_word & SHIFT_MAX  # all bits of the largest shift are set, so that it is their mask, too
     if mantissa == 0:
         return 0
     # The mantissa is shifted up until its highest bit is where binary32 has the bit that it leaves out.
@@ -38,8 +43,9 @@ def float32_bits_from_alpha_word(alpha_word: int) -> int:
 def alpha_word_from_float32_bits(bits: int) -> int:
     """Convert the binary32 bits of a finite number >= 0 to an alpha word, rounded down.
 
-    Parts smaller than 2**-24 are lost; numbers above the largest confidence, 2**31 - 2**7, become that. Of
-    the words with the same value the result is the one with the smallest shift.
+    An alpha word is the firmware's form of a confidence: a mantissa of 24 bits above a shift of 5 bits, worth
+    mantissa * 2**shift * 2**-24. Parts smaller than 2**-24 are lost; numbers above the largest confidence,
+    2**31 - 2**7, become that. Of the words with the same value the result is the one with the smallest shift.
     """
     # The sign bit of a number >= 0 is 0: above the fraction there is only the biased exponent.
     mantissa = (bits & FRACTION_MASK) | IMPLICIT_BIT
@@ -48,8 +54,8 @@ def alpha_word_from_float32_bits(bits: int) -> int:
         return ALPHA_MAX
     if shift < 0:
         # Bits below 2**-24 are dropped. A subnormal number has no implicit bit, but it loses all 24 bits.
-        return (mantissa >> -shift) << 8
-    return (mantissa << 8) | shift
+        return (mantissa >> -shift) << MANTISSA_POSITION
+    return (mantissa << MANTISSA_POSITION) | shift
 
 
 def float32_value(bits: int) -> float:

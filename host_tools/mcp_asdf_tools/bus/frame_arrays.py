@@ -15,6 +15,7 @@ from mcp_asdf_tools.bus.alpha_words import (
     FRACTION_MASK,
     IMPLICIT_BIT,
     MANTISSA_BITS,
+    MANTISSA_POSITION,
     UNIT_EXPONENT,
 )
 from mcp_asdf_tools.bus.frame_layout import ESTIMATE, FRAME_BYTES, START_END_TOGGLE, Field
@@ -36,8 +37,8 @@ class EstimateArray:
     """Estimates of many frames; entry i of each array belongs to frame i.
 
     Attributes:
-        rows: Sender, x_hat (unit 2**-23) and alpha word of each frame, shape (frames, 3), in the layout that
-            a robot's ``receive_all`` takes. Undefined where ``is_estimate`` is false.
+        rows: Sender, x_hat (unit 2**-23) and alpha (as the firmware's 32 bits) of each frame, shape (frames,
+            3), in the layout that a robot's ``receive_all`` takes. Undefined where ``is_estimate`` is false.
         is_estimate: Whether each frame holds an estimate, shape (frames,).
     """
 
@@ -74,14 +75,18 @@ def decode_estimates(
 
 
 def _alpha_words_from_float32_bits(bits: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return ``alpha_word_from_float32_bits`` of all numbers in an array at once."""
+    """Convert the binary32 bits of finite numbers >= 0 to alpha words, rounded down, all of an array at once.
+
+    An alpha word is the firmware's form of a confidence: a mantissa of 24 bits above a shift of 5 bits. The
+    words are those of ``alpha_word_from_float32_bits``, which converts a single number.
+    """
     mantissas = (bits & FRACTION_MASK) | IMPLICIT_BIT
     shifts = (bits >> FRACTION_BITS) - UNIT_EXPONENT
     # A word's shift cannot be negative, so the mantissa loses bits instead. After 24 bits nothing of it is
     # left, and NumPy shifts by no more than 63.
     lost_bits = np.clip(-shifts, 0, MANTISSA_BITS)
     kept_mantissas = mantissas >> lost_bits
-    alpha_words = (kept_mantissas << 8) | np.maximum(shifts, 0)
+    alpha_words = (kept_mantissas << MANTISSA_POSITION) | np.maximum(shifts, 0)
     return np.where(shifts <= SHIFT_MAX, alpha_words, ALPHA_MAX)
 
 

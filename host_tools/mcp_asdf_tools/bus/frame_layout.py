@@ -78,7 +78,7 @@ class Mode(Enum):
 
 
 class Action(Enum):
-    """Half of a control tick that a command asks for: an observation, or the end of the round."""
+    """Half of a control tick that a command asks for: to observe, which begins it, or to settle, its end."""
 
     OBSERVE_WHITE = 0
     OBSERVE_BLACK = 1
@@ -87,7 +87,7 @@ class Action(Enum):
 
     @classmethod
     def to_observe(cls, observation: Observation | None) -> Action:
-        """Return the action that carries an observation, or none in this tick."""
+        """Return the action that begins a tick with an observation, or without one if that is None."""
         # The actions to observe white and black have the values of Observation.
         return cls.OBSERVE_NONE if observation is None else cls(int(observation))
 
@@ -190,7 +190,7 @@ class FrameKind:
         return self.fields + _TAIL_BYTE
 
     def field(self, name: str) -> Field:
-        """Return the field of that name."""
+        """Return the field of that name, which must be one of the kind or of the tail byte."""
         return next(field for field in self.fields_and_tail if field.name == name)
 
     def pack(self, transfer_id: int, values: Mapping[str, int]) -> int:

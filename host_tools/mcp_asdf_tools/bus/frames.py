@@ -167,7 +167,7 @@ FrameContent = Estimate | Heartbeat | Telemetry | Rejection
 def encode_estimate(estimate: Estimate, frame_format: FrameFormat, timestamp: float = 0.0) -> can.Message:
     """Return the frame of an estimate, which carries alpha as binary32 bits. ``timestamp`` is in seconds.
 
-    Raises UsageError, as the other encoders, for a value outside the range that `Estimate` names.
+    Raises UsageError for a value outside the range that `Estimate` names.
     """
     # An alpha word may be any 32 bits. `pack` checks the other values, and alpha only as binary32 bits.
     check_range("alpha", estimate.alpha, 0, 0xFFFF_FFFF)
@@ -190,7 +190,10 @@ def decode_estimate(frame: can.Message, frame_format: FrameFormat) -> Estimate |
 
 
 def encode_heartbeat(heartbeat: Heartbeat, timestamp: float = 0.0) -> can.Message:
-    """Return the frame of a heartbeat. ``timestamp`` is in seconds."""
+    """Return the frame of a heartbeat. ``timestamp`` is in seconds.
+
+    Raises UsageError for a value outside the range that `Heartbeat` names.
+    """
     payload = layout.HEARTBEAT.pack(
         heartbeat.transfer_id,
         {
@@ -224,7 +227,10 @@ def decode_heartbeat(frame: can.Message) -> Heartbeat | Rejection:
 def encode_telemetry(
     telemetry: Telemetry, frame_format: FrameFormat = TELEMETRY_FORMAT, timestamp: float = 0.0
 ) -> can.Message:
-    """Return the frame of a robot's telemetry. ``timestamp`` is in seconds."""
+    """Return the frame of a robot's telemetry. ``timestamp`` is in seconds.
+
+    Raises UsageError for a value outside the range that `Telemetry` names.
+    """
     payload = layout.TELEMETRY.pack(
         telemetry.transfer_id, {"x": telemetry.x, "b_hat": telemetry.b_hat, "updates": telemetry.updates}
     )
@@ -245,7 +251,10 @@ def decode_telemetry(
 def encode_command(
     command: Command, frame_format: FrameFormat = COMMAND_FORMAT, timestamp: float = 0.0
 ) -> can.Message:
-    """Return the frame of a simulator's command. ``timestamp`` is in seconds."""
+    """Return the frame of a simulator's command. ``timestamp`` is in seconds.
+
+    Raises UsageError for a value outside the range that `Command` names.
+    """
     payload = layout.COMMAND.pack(
         command.transfer_id,
         {"tick": command.tick, "target": command.target, "action": command.action.value},
@@ -287,12 +296,15 @@ def sender_of(frame: can.Message) -> int:
 
 
 def alpha_float32_bits(frame: can.Message) -> int:
-    """Return the binary32 bits of alpha in an estimate's frame as sent; several may decode to one word."""
+    """Return the binary32 bits of alpha in the frame of an estimate, exactly as they were sent.
+
+    ``decode_estimate`` rounds them to the firmware's form of alpha, in which different bits may be the same.
+    """
     return layout.ESTIMATE.field("alpha").extract(payload_of(frame))
 
 
 def payload_of(frame: can.Message) -> int:
-    """Return a frame's data as one integer, the first byte lowest."""
+    """Return a frame's data as one integer, whose lowest byte is the first byte of the data."""
     return int.from_bytes(frame.data, "little")
 
 

@@ -184,7 +184,11 @@ class Connection(can.BusABC):
         self._can_protocol = bus.protocol
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame, as ``can.BusABC.send``. Raises BusGoneError if the bus is gone."""
+        """Send a frame, waiting up to ``timeout`` seconds until the bus takes it.
+
+        Without a timeout, None, the interface decides how long. Raises BusGoneError if the bus is gone, and
+        another can.CanError if it does not take the frame.
+        """
         try:
             self._send(msg, timeout)
         except Exception as error:  # an interface may raise anything
@@ -194,10 +198,10 @@ class Connection(can.BusABC):
             raise failure from error
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Return the next frame that passes the filters, as ``can.BusABC.recv``.
+        """Return the next frame that passes the filters; None if none comes within ``timeout`` seconds.
 
-        Returns None if none has come within ``timeout`` seconds; None as the timeout waits for ever. Raises
-        BusGoneError, or another can.CanError, if the bus fails.
+        Without a timeout, None, it waits for ever. Raises BusGoneError if the bus is gone, and another
+        can.CanError if it fails otherwise.
         """
         deadline = math.inf if timeout is None else time.monotonic() + timeout
         while True:
@@ -221,8 +225,8 @@ class Connection(can.BusABC):
     def _receive(self, timeout: float) -> tuple[can.Message | None, bool]:
         """Return the next frame, or None after ``timeout`` seconds, and whether it has passed the filters.
 
-        An error frame, which has, stands for input that cannot be decoded, or that no CAN controller can have
-        sent. Raises can.CanError if the bus fails.
+        Input that cannot be decoded, or that no CAN controller can have sent, gives an error frame, which has
+        passed them. Raises can.CanError if the bus fails.
         """
         try:
             frame, has_passed_filters = self._recv_internal(timeout)
@@ -288,7 +292,10 @@ class SerialAdapter(Connection):
     """Connection through an adapter that sends frames as lines of text, damaged or endless ones included."""
 
     def __init__(self, bus: can.BusABC, returns_own: bool = False) -> None:
-        """Take over ``bus``, as ``Connection``."""
+        """Take over ``bus``, which closes with this connection.
+
+        ``returns_own`` says whether frames that are sent through this connection come back from ``recv``.
+        """
         super().__init__(bus, returns_own)
         adapter = cast(slcanBus, bus)
         self._port = adapter.serialPortOrig
@@ -305,9 +312,10 @@ class SerialAdapter(Connection):
             self._socket.close()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """Return what ``Connection._recv_internal`` does, and forget a line that is no text or too long.
+        """Return the next frame, or None after ``timeout`` seconds, and whether it has passed the filters.
 
-        Raises ValueError for a line without an end, and whatever the interface raises.
+        A line that is no text, or too long, is forgotten, and an error raised: ValueError for a line without
+        an end, otherwise what the interface raises.
         """
         try:
             frame_and_filtered = super()._recv_internal(timeout)
@@ -329,7 +337,10 @@ class Multicast(Connection):
     """
 
     def __init__(self, bus: can.BusABC, returns_own: bool = False) -> None:
-        """Take over ``bus``, as ``Connection``."""
+        """Take over ``bus``, which closes with this connection.
+
+        ``returns_own`` says whether frames that are sent through this connection come back from ``recv``.
+        """
         super().__init__(bus, returns_own)
         self._group = cast(UdpMulticastBus, bus)._multicast
         # The kernel grants less where the system's limit is lower, and says nothing.
@@ -346,9 +357,10 @@ class Multicast(Connection):
         self._group.send(datagram, timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """Return the next frame of another, or an own one if those are returned, as ``Connection`` does.
+        """Return the next frame, of another node or an own one if those are returned, and if it is filtered.
 
-        Returns None early, after an own frame that is not returned.
+        The second value is true if the frame passes every filter, and false if it has not been filtered yet.
+        The frame is None after ``timeout`` seconds, and earlier after an own frame that is not returned.
         """
         while (received := self._group.recv(timeout)) is not None:
             datagram, _sender_address, timestamp = received

@@ -10,11 +10,19 @@ BIT_RATES = (125_000, 250_000, 500_000, 1_000_000)
 HIGH_LOAD = 0.7
 """Share of a bus's time above which frames of low priority wait long."""
 
-_ERROR_FRAME_BITS = 23
+_ERROR_FRAME_BITS = 12 + 8 + 3
 """An error frame at its longest: two superposed flags, the delimiter and the gap to the next frame."""
 
-_UNSTUFFED_BITS = 13
-"""Bits at the end of a frame that are never stuffed: delimiters, acknowledgement, end and gap."""
+_UNSTUFFED_BITS = 1 + 2 + 7 + 3
+"""Bits at the end of a frame that are never stuffed: the checksum's delimiter, the acknowledgement with its
+own, the end of the frame and the gap to the next one."""
+
+_HEADER_AND_CHECKSUM_BITS = 1 + 11 + 3 + 4 + 15
+"""Bits of a frame with an 11-bit identifier from its start to the end of its checksum, without data: the
+start, the identifier, three flags, the length and the checksum."""
+
+_EXTENDED_HEADER_AND_CHECKSUM_BITS = _HEADER_AND_CHECKSUM_BITS + 18 + 2
+"""The same of a frame with a 29-bit identifier: 18 bits of it, and two flags, are added."""
 
 
 def worst_case_bits(frame: can.Message) -> int:
@@ -26,8 +34,9 @@ def worst_case_bits(frame: can.Message) -> int:
     """
     if frame.is_error_frame:
         return _ERROR_FRAME_BITS
-    # From the start of the frame to the end of its checksum, without data.
-    header_and_checksum_bits = 54 if frame.is_extended_id else 34
+    header_and_checksum_bits = (
+        _EXTENDED_HEADER_AND_CHECKSUM_BITS if frame.is_extended_id else _HEADER_AND_CHECKSUM_BITS
+    )
     stuffable_bits = header_and_checksum_bits + 8 * len(frame.data)
     # After the first bit, one is stuffed after every four.
     return stuffable_bits + (stuffable_bits - 1) // 4 + _UNSTUFFED_BITS

@@ -19,7 +19,7 @@ from typing import Protocol, cast
 
 from mcp_asdf_tools.cli.output import log_to_standard_error, report_failure
 from mcp_asdf_tools.cli.parsing import Parser
-from mcp_asdf_tools.common.errors import UsageError, offer
+from mcp_asdf_tools.common.errors import UsageError, did_you_mean
 from mcp_asdf_tools.common.extras import naming_extras
 from mcp_asdf_tools.common.signals import INTERRUPTED, exit_code_of_signal, stopping
 from mcp_asdf_tools.common.standard_streams import OutputError, checked_streams
@@ -224,7 +224,7 @@ def _show_overview(arguments: Sequence[str]) -> int:
         return 0
     if args.command is not None:
         # Some type help or version as if it were a command.
-        nearest_command = offer(args.command, [*COMMANDS, "--help", "--version"])
+        nearest_command = did_you_mean(args.command, [*COMMANDS, "--help", "--version"])
         parser.error(f"no command is called {args.command!r}{nearest_command}")
     # No command is there, so that what is left can only be an unknown option.
     parser.parse_all(arguments)

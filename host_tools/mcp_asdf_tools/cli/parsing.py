@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
-from mcp_asdf_tools.common.errors import UsageError, offer
+from mcp_asdf_tools.common.errors import UsageError, did_you_mean
 
 
 def option_of(parameter_name: str) -> str:
@@ -17,7 +17,7 @@ def option_of(parameter_name: str) -> str:
 def describe_unknown_value(value: str, known_values: Iterable[str]) -> str:
     """Return what is wrong with a value that is none of the known ones, and the nearest of them."""
     known_values = list(known_values)
-    return f"{value!r} is none of {', '.join(known_values)}{offer(value, known_values)}"
+    return f"{value!r} is none of {', '.join(known_values)}{did_you_mean(value, known_values)}"
 
 
 class Parser(argparse.ArgumentParser):
@@ -53,7 +53,7 @@ class Parser(argparse.ArgumentParser):
         first = unknown_options[0] if unknown_options else unknown_arguments[0]
         known_options = [option for action in self._actions for option in action.option_strings]
         option_name, _, _ = first.partition("=")  # of --robots=3 only the name can be like another
-        self.error(f"no such {kind}: {first}{offer(option_name, known_options)}")
+        self.error(f"no such {kind}: {first}{did_you_mean(option_name, known_options)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Raise ArgumentError, with the nearest choice, for a value that is none of an option's choices."""

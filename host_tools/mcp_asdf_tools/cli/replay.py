@@ -92,12 +92,12 @@ def _check_files(args: argparse.Namespace) -> Path:
     Raises UsageError if the log cannot be read, and if it has no events beside it where none are named.
     """
     from mcp_asdf_tools.recording.events import events_path
-    from mcp_asdf_tools.recording.frame_logs import PART, check_log
+    from mcp_asdf_tools.recording.frame_logs import PART_SUFFIX, check_log
 
     events_file: Path = args.events or events_path(args.log)
     check_log(args.log)
     # A log keeps this suffix if its run did not end.
-    if args.log.suffix == PART:
+    if args.log.suffix == PART_SUFFIX:
         warn("replay", f"{args.log} is incomplete: its run was cut off")
     if args.events is None and not events_file.exists():
         raise UsageError(
@@ -126,12 +126,12 @@ def _report(
     filter_description: str,
 ) -> dict[str, object]:
     """Return the result as plain values for JSON."""
-    from mcp_asdf_tools.recording.frame_logs import PART
+    from mcp_asdf_tools.recording.frame_logs import PART_SUFFIX
 
     return {
         "log": str(args.log),
         "events": str(events_file),
-        "incomplete": args.log.suffix == PART,
+        "incomplete": args.log.suffix == PART_SUFFIX,
         "filter": filter_description,
         "channel": args.channel,
         "channels": summary.channels,

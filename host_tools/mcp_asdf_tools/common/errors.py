@@ -23,10 +23,10 @@ class UsageError(ValueError):
         super().__init__(printable_line)
 
 
-def offer(word: str, known: Iterable[str]) -> str:
-    """Return the end of a message that offers the known word nearest to a misspelt one.
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return the end of a message about an unknown word: it asks whether a similar known one was meant.
 
-    It is ``; did you mean robots?`` for ``robot``, and empty if no known word is near.
+    It is ``; did you mean robots?`` for ``robot``, and empty if no known word is similar.
     """
     from difflib import get_close_matches  # noqa: PLC0415 (only a mistake needs it)
 

@@ -84,7 +84,7 @@ class Names:
 
 
 def name_object(value: Any) -> Any:
-    """Return an object that can be called as an ObjectName; return a text, or anything else, unchanged."""
+    """Return the ObjectName of an object that can be called; return a text, or anything else, unchanged."""
     if isinstance(value, str) or not callable(value):
         return value
     return ObjectName(value)
@@ -109,7 +109,7 @@ def check_for_workers(name: str) -> None:
 
 @cache
 def _entry_points(group: str) -> list[EntryPoint]:
-    """Return the entry points of a group. Reading all that is installed takes up to a tenth of a second."""
+    """Return the installed entry points of a group. The first call takes up to a tenth of a second."""
     from importlib.metadata import entry_points  # noqa: PLC0415 (it loads slowly)
 
     return list(entry_points(group=group))

@@ -149,10 +149,11 @@ _LARGE_NUMBER = 1 << 16
 """Smallest power of two that is written as one."""
 
 
-def number_in_words(value: float | str) -> str:
-    """Return a value as a legend or a title shows it: 0.5 as "0.5", 5.0 as "5", 65536 as "2^16".
+def format_for_legend(value: float | str) -> str:
+    """Return a parameter's value as legends and titles show it: 0.5 as "0.5", 5.0 as "5", 65536 as "2^16".
 
-    A text has spaces in place of underscores.
+    Whole numbers have all their digits, unless they are powers of two from 65536 on; other numbers have six
+    significant ones at most. A text has spaces in place of underscores.
     """
     if isinstance(value, str):
         return value.replace("_", " ")

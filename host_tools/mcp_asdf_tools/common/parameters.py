@@ -131,7 +131,7 @@ def parameters_of(kind: Any) -> dict[str, Parameter]:
 
 @cache
 def _declared(kind: Any) -> dict[str, Parameter]:
-    """Read the parameters of a class from the fields of its dataclass."""
+    """Return the declared parameters of a dataclass by name; the result is shared, so do not change it."""
     types = get_type_hints(kind)
     parameters = {}
     for declared_field in fields(kind):

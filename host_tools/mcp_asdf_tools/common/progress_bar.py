@@ -42,21 +42,21 @@ def progress(unit: str, total: float, quiet: bool = False) -> Iterator[Callable[
             is_line_due = now - last_line_time >= _SECONDS_BETWEEN_LINES
             if is_line_due and not can_show_bar and not quiet:
                 last_line_time = now
-                rate = rate_in_words(done_count, total, now - start_time)
+                rate = format_rate(done_count, total, now - start_time)
                 console.print(f"{unit}: {done_count:g} of {total:g}, {rate}")
 
         yield add
 
 
 class _Rate(ProgressColumn):
-    """Column of a progress bar with the rate and the time left, as ``rate_in_words`` gives them."""
+    """Column of a progress bar with the rate and the time left, such as ``2.5/s, 0:01:20 left``."""
 
     def render(self, task: Task) -> Text:
         """Return the present text of the column; rich calls this."""
-        return Text(rate_in_words(task.completed, task.total or 0.0, task.elapsed or 0.0))
+        return Text(format_rate(task.completed, task.total or 0.0, task.elapsed or 0.0))
 
 
-def rate_in_words(done_count: float, total: float, seconds: float) -> str:
+def format_rate(done_count: float, total: float, seconds: float) -> str:
     """Return the rate so far and the time left at that rate, such as ``2.5/s, 0:01:20 left``.
 
     The text is empty as long as nothing is done.

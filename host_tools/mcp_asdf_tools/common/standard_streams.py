@@ -64,7 +64,7 @@ class _CheckedStream(ABC):
 
     @abstractmethod
     def _handle(self, error: OSError) -> None:
-        """React to the failure of a write."""
+        """React to the failure of a write, which counts as done if this method returns."""
 
 
 class _CheckedOutput(_CheckedStream):

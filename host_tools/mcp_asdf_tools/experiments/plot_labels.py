@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from mcp_asdf_tools.common.figures import number_in_words
+from mcp_asdf_tools.common.figures import format_for_legend
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.results import Trials
@@ -77,7 +77,7 @@ def name_series(experiment: Experiment, varying_names: Sequence[str]) -> str:
     names = [filter_name(experiment)]
     for parameter_name in varying_names:
         if has_effect(experiment, parameter_name):
-            value = number_in_words(experiment.parameters()[parameter_name])
+            value = format_for_legend(experiment.parameters()[parameter_name])
             names.append(f"{parameter_name.replace('_', ' ')} {value}")
     return ", ".join(names)
 
@@ -89,7 +89,7 @@ def parameter_in_words(parameter_name: str) -> str:
 
 def parameter_with_value(parameter_name: str, value: Any) -> str:
     """Return a parameter with its value, such as "filter period 100"."""
-    return f"{parameter_in_words(parameter_name)} {shorten(number_in_words(value))}"
+    return f"{parameter_in_words(parameter_name)} {shorten(format_for_legend(value))}"
 
 
 def shorten(text: str) -> str:
@@ -111,7 +111,7 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
     for parameter_name in _CAPTION_PARAMETERS:
         values = _effective_values(experiments, parameter_name)
         if len(values) == 1:
-            details.append(f"{parameter_name.replace('_', ' ')} {number_in_words(values.pop())}")
+            details.append(f"{parameter_name.replace('_', ' ')} {format_for_legend(values.pop())}")
     trial_counts = {len(trials.numbers) for trials in experiments}
     # As a set, so that equal extremes are one number: "30 trials", but "12 to 30 trials".
     extreme_counts = sorted({min(trial_counts), max(trial_counts)})
@@ -120,6 +120,6 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
     k_limits = {k_max for k_max, _ in limits_by_experiment}
     e_limits = {e_max for _, e_max in limits_by_experiment}
     for symbol, values in (("K", k_limits), ("e", e_limits)):
-        values_in_words = " and ".join(number_in_words(value) for value in sorted(values))
+        values_in_words = " and ".join(format_for_legend(value) for value in sorted(values))
         details.append(f"${symbol}_{{max}}$ = {values_in_words}")
     return f"{', '.join(details)}; {marks}."

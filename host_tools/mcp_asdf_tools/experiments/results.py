@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common.errors import UsageError, offer
+from mcp_asdf_tools.common.errors import UsageError, did_you_mean
 from mcp_asdf_tools.common.files import write_atomically
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -107,7 +107,7 @@ def select_experiments(experiments: Sequence[Trials], where: Mapping[str, Any]) 
     selected = list(experiments)
     for parameter_name, value in where.items():
         if parameter_name not in PARAMETER_NAMES:
-            nearest = offer(parameter_name, PARAMETER_NAMES)
+            nearest = did_you_mean(parameter_name, PARAMETER_NAMES)
             raise UsageError(
                 f"where {parameter_name}={value}: no parameter is called so{nearest}; "
                 f"the experiments differ in {describe_differences(selected)}"

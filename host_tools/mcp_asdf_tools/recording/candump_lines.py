@@ -72,7 +72,10 @@ def parse_line(line: str) -> can.Message | None:
 
 
 def _frame_of_log_line(match: re.Match[str]) -> can.Message | None:
-    """Return the frame of a match of _LOG_LINE, or None as ``_make_frame``."""
+    """Return the frame in a line of a log, given its match of _LOG_LINE.
+
+    Returns None if it has an impossible time, identifier or amount of data.
+    """
     if match["remote"] is not None:
         return _make_frame(match, remote_length=int(match["remote_length"] or 0))
     if match["fd_flags"] is not None:
@@ -81,9 +84,10 @@ def _frame_of_log_line(match: re.Match[str]) -> can.Message | None:
 
 
 def _frame_of_console_line(match: re.Match[str]) -> can.Message | None:
-    """Return the frame of a match of _CONSOLE_LINE.
+    """Return the frame in a line of a console, given its match of _CONSOLE_LINE.
 
-    None as ``_make_frame``, and if the line has not as many bytes of data as it states.
+    Returns None if it has an impossible time, identifier or amount of data, or other bytes of data than the
+    length in the line says.
     """
     length_text = match["length"] or ""
     if match["remote"] is not None:
@@ -123,12 +127,14 @@ def _make_frame(
     if odd_digits or byte_count > max_bytes:
         return None
     arbitration_id = int(match["id"], 16)
-    is_extended_id = len(match["id"]) == 8
+    is_extended_id = len(match["id"]) == 8  # candump writes the 11 bits of a standard one in 3 digits
     if is_extended_id and arbitration_id & _ERROR_FLAG:
         return can.Message(timestamp=timestamp, channel=match["channel"], is_error_frame=True)
     id_bits = 29 if is_extended_id else 11
     if arbitration_id >= 1 << id_bits:
         return None
+    flags = fd_flags or 0
+    direction = match["direction"] or "R"  # a line without a direction counts as received
     return can.Message(
         timestamp=timestamp,
         channel=match["channel"],
@@ -138,9 +144,9 @@ def _make_frame(
         dlc=byte_count if remote_length is None else remote_length,
         data=bytes.fromhex(hex_digits),
         is_fd=fd_flags is not None,
-        bitrate_switch=bool((fd_flags or 0) & _BIT_RATE_SWITCH),
-        error_state_indicator=bool((fd_flags or 0) & _ERROR_STATE),
-        is_rx=(match["direction"] or "R").upper() == "R",
+        bitrate_switch=bool(flags & _BIT_RATE_SWITCH),
+        error_state_indicator=bool(flags & _ERROR_STATE),
+        is_rx=direction.upper() == "R",
     )
 
 

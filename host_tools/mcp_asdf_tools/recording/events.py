@@ -43,7 +43,7 @@ from mcp_asdf_tools.bus.frame_layout import Action
 from mcp_asdf_tools.bus.frames import FrameFormat, format_frame
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.versions import software_versions
-from mcp_asdf_tools.recording.frame_logs import PART
+from mcp_asdf_tools.recording.frame_logs import PART_SUFFIX
 from mcp_asdf_tools.robots.robot_setup import RobotSetup, format_ids
 
 FORMAT = "mcp-asdf events"
@@ -80,16 +80,16 @@ _GZIP_MAGIC = b"\x1f\x8b"
 def events_path(log: Path | str) -> Path:
     """Return the path of a log's events: ``run.log.events`` for ``run.log``.
 
-    A part belongs to a part: ``run.log.events.part`` to ``run.log.part``. Raises UsageError if ``log`` is
-    the path of a file of events.
+    For ``run.log.part``, the log of a run that was cut off, it is ``run.log.events.part``. Raises UsageError
+    if ``log`` is the path of a file of events.
     """
     path = Path(log)
     if path.suffix == ".events":
         raise UsageError(
             f"{path} is what happened to the robots of a log; give the log, {path.with_suffix('')}"
         )
-    if path.suffix == PART:
-        return Path(f"{path.with_suffix('')}.events{PART}")
+    if path.suffix == PART_SUFFIX:
+        return Path(f"{path.with_suffix('')}.events{PART_SUFFIX}")
     return Path(f"{path}.events")
 
 
@@ -232,14 +232,17 @@ class EventsReader:
 
     Attributes:
         header: Description of the run.
-        is_part: Whether the run was cut off. Then a last line without an end is ignored.
+        is_part: Whether the file is the part of a run that was cut off. Then a last line without an end is
+            ignored.
     """
 
     def __init__(self, path: Path | str) -> None:
         """Open the file and read its header. Raises UsageError if it is missing or malformed."""
         self._path = Path(path)
-        self.is_part = self._path.suffix == PART
+        self.is_part = self._path.suffix == PART_SUFFIX
         self._line_number = 1
+        self._last_estimates: dict[int, list[int]] = {}
+        """The last estimate of each sender in the lines read so far, by the sender's id."""
         try:
             self._file = _open_text(self._path)
         except OSError as error:
@@ -258,67 +261,76 @@ class EventsReader:
         self._file.close()
 
     def entries(self) -> Iterator[RobotEvents | InjectedFrame]:
-        """Yield the content of each line after the header, with the masks of version 3 replaced by estimates.
+        """Yield what each line after the header holds: the next events of a robot, or an injected frame.
 
-        Raises UsageError, which names the line, for a malformed one.
+        All received estimates are in the events, also those that a file of version 3 only refers to: it may
+        have a mask of senders in place of estimates that it has told before. Raises UsageError, which names
+        the line, for a malformed one.
         """
         robot_ids = {robot.id for robot in self.header.robots}
-        last_estimates: dict[int, list[int]] = {}
         for value in self._values:
             if isinstance(value, str):
                 yield InjectedFrame(value)
                 continue
-            if not (isinstance(value, list) and value and _is_whole_number(value[0])):
-                raise self.error("neither a robot with its events nor a frame")
+            begins_with_id = isinstance(value, list) and len(value) > 0 and _is_whole_number(value[0])
+            if not begins_with_id:
+                raise self.error_in_line("neither a robot with its events nor a frame")
             robot_id, *plain_events = value
             if robot_id not in robot_ids:
-                raise self.error(f"robot {robot_id} is not in the first line")
-            events: list[Event] = []
-            for plain_event in plain_events:
-                events += self._parse_event(plain_event, last_estimates)
-            yield RobotEvents(robot_id, events)
+                raise self.error_in_line(f"robot {robot_id} is not in the first line")
+            yield RobotEvents(robot_id, self._parse_events(plain_events))
 
-    def error(self, text: str) -> UsageError:
-        """Return a UsageError with a text about the line that was read last."""
+    def error_in_line(self, text: str) -> UsageError:
+        """Return a UsageError that names the line read last, and then says ``text``; the caller raises it."""
         return UsageError(f"{self._path}, line {self._line_number}: {text}")
 
-    def _parse_event(self, event: Any, last_estimates: dict[int, list[int]]) -> Sequence[Event]:
-        """Check the JSON value of an event, and return it, or the estimates that a mask of version 3 means.
+    def _parse_events(self, plain_events: Sequence[Any]) -> list[Event]:
+        """Return the events in the JSON values of a line, with estimates in place of a mask of senders.
 
-        ``last_estimates`` has the last estimate of each sender in the file; an estimate is added to it.
-        Raises UsageError for a value that is no event, and for a mask with a sender without an estimate.
+        Remembers the last estimate of each sender, to which a mask in this line or a later one may refer.
+        Raises UsageError for a value that is no event, and for a mask of a sender without an estimate.
         """
-        if isinstance(event, str) and _SENDER_MASK.fullmatch(event):
-            return self._estimates_of_mask(event, last_estimates)
-        if not _is_event(event):
-            raise self.error(f"{event!r} is no event")
-        if isinstance(event, list) and len(event) == 3:
-            sender = event[0]
-            last_estimates[sender] = event
-        return (event,)
+        events: list[Event] = []
+        for plain_event in plain_events:
+            if isinstance(plain_event, str) and _SENDER_MASK.fullmatch(plain_event):
+                events += self._estimates_of_mask(plain_event)
+                continue
+            if not _is_event(plain_event):
+                raise self.error_in_line(f"{plain_event!r} is no event")
+            is_estimate = isinstance(plain_event, list) and len(plain_event) == 3
+            if is_estimate:
+                sender, _x_hat, _alpha = plain_event
+                self._last_estimates[sender] = plain_event
+            events.append(plain_event)
+        return events
 
-    def _estimates_of_mask(self, mask_text: str, last_estimates: dict[int, list[int]]) -> Sequence[Event]:
-        """Return the last estimates of the senders in a mask of version 3, by rising id."""
+    def _estimates_of_mask(self, mask_text: str) -> Sequence[Event]:
+        """Return the last estimates of the senders in a mask of version 3, by rising id.
+
+        Bit k of the hexadecimal number stands for the robot with id k. Raises UsageError if one of these
+        robots has sent no estimate before.
+        """
         mask = int(mask_text, 16)
         senders = [sender for sender in range(MAX_ID + 1) if (mask >> sender) & 1]
-        if not all(sender in last_estimates for sender in senders):
-            raise self.error(f"{mask_text!r} refers to a robot of which no message is told before")
-        return [last_estimates[sender] for sender in senders]
+        if not all(sender in self._last_estimates for sender in senders):
+            raise self.error_in_line(f"{mask_text!r} refers to a robot of which no message is told before")
+        return [self._last_estimates[sender] for sender in senders]
 
     def _read_values(self) -> Iterator[Any]:
-        """Yield the value of each line. Raises UsageError for a line that is not JSON."""
+        """Yield the JSON value of each line, the header included. Raises UsageError if a line is not JSON."""
         for line in self._read_lines():
             try:
                 value = json.loads(line)
             except (ValueError, RecursionError) as error:
-                raise self.error(f"not JSON ({error}); was the file cut?") from error
+                raise self.error_in_line(f"not JSON ({error}); was the file cut?") from error
             yield value
 
     def _read_lines(self) -> Iterator[str]:
-        """Yield the lines of the file; those of a part as far as they are complete.
+        """Yield the lines of the file; if the run was cut off, those before an incomplete last one.
 
-        ``_line_number`` is that of the last line, or that of the place which an error is about. Raises
-        UsageError if the file is damaged, or if it ends too early and is not a part.
+        Sets ``_line_number`` to the number of each line before it is yielded, or of the line in which an
+        error is. Raises UsageError if the file is damaged, or if it ends in the middle though the run was not
+        cut off.
         """
         line_number = 0
         while True:
@@ -329,15 +341,15 @@ class EventsReader:
                 if self.is_part:
                     return
                 self._line_number = line_number
-                raise self.error("the file ends here, in the middle; was it cut?") from error
+                raise self.error_in_line("the file ends here, in the middle; was it cut?") from error
             except (OSError, zlib.error) as error:
                 self._line_number = line_number
-                raise self.error(f"the file is damaged here: {error}") from error
+                raise self.error_in_line(f"the file is damaged here: {error}") from error
             if not line or (self.is_part and not line.endswith("\n")):
                 return
             self._line_number = line_number
             if len(line) > MAX_LINE_LENGTH:
-                raise self.error(f"not JSON of at most {MAX_LINE_LENGTH} characters")
+                raise self.error_in_line(f"not JSON of at most {MAX_LINE_LENGTH} characters")
             yield line
 
     def _parse_header(self, plain_header: Any) -> EventsHeader:
@@ -348,30 +360,32 @@ class EventsReader:
         and for a value that is impossible.
         """
         if not isinstance(plain_header, dict) or plain_header.get("format") != FORMAT:
-            raise self.error(f'"format": "{FORMAT}" is missing')
+            raise self.error_in_line(f'"format": "{FORMAT}" is missing')
         version = plain_header.get("version")
         if version not in _READABLE_VERSIONS:
-            raise self.error(
+            raise self.error_in_line(
                 f"the format is version {version}, and versions {_READABLE_VERSIONS[0]} to {VERSION} "
                 f"are read here; {_USE_OTHER_VERSION}"
             )
         if not isinstance(plain_header.get("robots"), list):
-            raise self.error(f"robots is {plain_header.get('robots')!r}; it must be a list in brackets")
+            raise self.error_in_line(
+                f"robots is {plain_header.get('robots')!r}; it must be a list in brackets"
+            )
         try:
             robots = tuple(RobotSetup.from_plain(plain_robot) for plain_robot in plain_header["robots"])
             frames = FrameFormat(**plain_header.get("frames", {}))
         except KeyError as error:
-            raise self.error(f"{error} is missing") from error
+            raise self.error_in_line(f"{error} is missing") from error
         except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
             # The values may be of any JSON type and size, and wrong ones lead to any of these errors.
-            raise self.error(str(error)) from error
+            raise self.error_in_line(str(error)) from error
         if len({robot.id for robot in robots}) < len(robots):
-            raise self.error("two robots have the same id")
+            raise self.error_in_line("two robots have the same id")
         ids_with_robust_filter = frozenset(
             robot.id for robot in robots if robot.config.filter == Filter.ROBUST
         )
         if ids_with_robust_filter and version < _FIRST_VERSION_OF_ROBUST_FILTER:
-            raise self.error(
+            raise self.error_in_line(
                 f"robots {format_ids(ids_with_robust_filter)} have the robust filter of an earlier mcp-asdf, "
                 f"which cannot be repeated here; {_USE_OTHER_VERSION}"
             )
@@ -387,14 +401,14 @@ class EventsReader:
         """Return the JSON object at a key of the header, or an empty one. Raises UsageError if it is none."""
         value = plain_header.get(key, {})
         if not isinstance(value, dict):
-            raise self.error(f"{key} is {value!r}; it must be an object in braces")
+            raise self.error_in_line(f"{key} is {value!r}; it must be an object in braces")
         return value
 
 
 def _open_text(path: Path) -> IO[str]:
     """Open a text, which may be compressed by gzip. Raises OSError if it cannot be read."""
     with path.open("rb") as file:
-        is_compressed = file.read(2) == _GZIP_MAGIC
+        is_compressed = file.read(len(_GZIP_MAGIC)) == _GZIP_MAGIC
     # Bytes that are no ASCII become escapes. These are no JSON, so their line is reported as malformed.
     if is_compressed:
         return gzip.open(path, "rt", encoding="ascii", errors="backslashreplace", newline="\n")
@@ -404,11 +418,12 @@ def _open_text(path: Path) -> IO[str]:
 def _is_event(event: Any) -> bool:
     """Return whether a JSON value is one of the events that the head of this file lists."""
     if isinstance(event, list):
-        if len(event) not in (2, 3):
-            return False
-        return all(map(_is_whole_number, event)) and max(event) <= _MAX_INTEGER
+        # An estimate is [sender, x_hat, alpha], a broadcast that a fault has changed [x_hat, alpha].
+        has_possible_length = len(event) in (2, 3)
+        return has_possible_length and all(map(_is_whole_number, event)) and max(event) <= _MAX_INTEGER
     if isinstance(event, str):
         return event in (SILENT, RESTART)
+    # The numbers of actions are 0 to 3, and that of SETTLE is the last.
     return _is_whole_number(event) and event <= SETTLE
 
 

@@ -24,12 +24,12 @@ _SUFFIXES = ".log (candump), .asc, .blf, .csv, .mf4 or .trc"
 _LONGEST_QUOTE = 60
 """Characters of a line that an error message shows."""
 
-PART = ".part"
+PART_SUFFIX = ".part"
 """Suffix, behind all others, of a file that is not complete."""
 
 
 def check_log(path: Path | str) -> None:
-    """Raise UsageError if a log is missing, cannot be read or is empty.
+    """Raise UsageError if a log is missing, cannot be read or is empty; nothing is returned.
 
     If it is missing but ``NAME.log.part`` is there, a run was cut off, and the message says so.
     """
@@ -37,7 +37,7 @@ def check_log(path: Path | str) -> None:
         with Path(path).open("rb") as file:
             is_empty = not file.read(1)
     except OSError as error:
-        part = Path(f"{path}{PART}")
+        part = Path(f"{path}{PART_SUFFIX}")
         hint = f"; its run was cut off, partial data is in {part}" if part.exists() else ""
         raise UsageError(f"cannot read the log {path}: {error.strerror}{hint}") from error
     if is_empty:
@@ -89,8 +89,9 @@ def read_log(
     """Yield the frames of a log in its order: all of them, or those of one channel.
 
     Everything that reads recorded frames does it here, so every format can be read everywhere. The suffix
-    gives the format; behind it ``.part`` may stand for a run that was cut off, and ``.gz`` for a compressed
-    log. Lines of candump that are no frames are skipped. Of a part, the complete frames are yielded.
+    gives the format, such as ``.log`` for candump's. Behind it ``.part`` may stand for a run that was cut
+    off, of which the complete frames are yielded, and ``.gz`` for a compressed log. In candump's format lines
+    that are no frames are skipped, in all other formats they are errors.
 
     Args:
         path: The log.
@@ -121,23 +122,26 @@ def read_log(
 
 
 def _read_frames(path: Path, summary: LogSummary) -> Iterator[can.Message]:
-    """Yield the frames of all channels in a log, and count in ``summary`` the lines that are skipped.
+    """Yield the frames of all channels in a log, whose format its suffix gives.
 
-    Raises UsageError if the log cannot be read or is malformed.
+    In candump's format, ``.log``, lines that are no frames are skipped, and ``summary`` counts them. Raises
+    UsageError if the log cannot be read, if its suffix is of no format, or if it is in another format than
+    candump's and has a malformed frame.
     """
+    # A name may be run.log.part.gz: the format, then the mark of a run that was cut off, then compression.
     name = path.name.lower().removesuffix(".gz")
-    is_part = name.endswith(PART)
-    suffix = Path(name.removesuffix(PART)).suffix
+    is_cut_off = name.endswith(PART_SUFFIX)
+    format_suffix = Path(name.removesuffix(PART_SUFFIX)).suffix
     try:
-        if suffix == ".log":
+        if format_suffix == ".log":
             with _open_text(path) as lines:
-                yield from _parse_candump_lines(lines, summary, is_part)
-        elif suffix in _TEXT_READERS:
+                yield from _parse_candump_lines(lines, summary, is_cut_off)
+        elif format_suffix in _TEXT_READERS:
             with _open_text(path) as lines:
-                frames = _TEXT_READERS[suffix](lines)
+                frames = _TEXT_READERS[format_suffix](lines)
                 yield from _explain_errors(frames, path, lines)
         else:
-            with _open_binary(path, suffix) as frames:
+            with _open_binary(path, format_suffix) as frames:
                 yield from _explain_errors(frames, path)
     except OSError as error:
         raise UsageError(f"cannot read the log {path}: {error.strerror or error}") from error
@@ -146,7 +150,7 @@ def _read_frames(path: Path, summary: LogSummary) -> Iterator[can.Message]:
 
 
 class _NumberedLines:
-    """Iterator over the lines of a text file, each cut to LONGEST_LINE + 1 characters.
+    """Iterator over the lines of a text file, each cut to LONGEST_LINE + 1 characters: one too many shows it.
 
     Attributes:
         number: Number of the line read last, from 1.
@@ -189,9 +193,13 @@ def _open_text(path: Path) -> Iterator[_NumberedLines]:
         yield _NumberedLines(file)
 
 
-def _open_binary(path: Path, suffix: str) -> Any:
-    """Return python-can's reader of a binary log. Raises UsageError if there is none for this suffix."""
-    if suffix == ".mf4" and find_spec("asammdf") is None:
+def _open_binary(path: Path, format_suffix: str) -> Any:
+    """Return python-can's reader of a binary log, which yields the frames and is a context manager.
+
+    Raises UsageError if there is none for this suffix, if it needs a package that is not installed, or if the
+    log does not begin as its format must; OSError if the log cannot be read.
+    """
+    if format_suffix == ".mf4" and find_spec("asammdf") is None:
         raise UsageError(
             f"to read {path} the package asammdf is needed, which is not installed; run: pip install asammdf "
             "(or convert the log where it is installed: can_logconvert FILE.mf4 FILE.log)"
@@ -206,14 +214,17 @@ def _open_binary(path: Path, suffix: str) -> Any:
         ) from error
 
 
-def _parse_candump_lines(lines: _NumberedLines, summary: LogSummary, is_part: bool) -> Iterator[can.Message]:
+def _parse_candump_lines(
+    lines: _NumberedLines, summary: LogSummary, is_cut_off: bool
+) -> Iterator[can.Message]:
     """Yield the frames in candump's lines, and count other lines that are not empty as skipped.
 
-    The last line of a part is ignored if it has no end, since it may have been cut anywhere.
+    If the run was cut off, a last line without a line break is ignored, since its frame may lack digits.
     """
     for line in lines:
+        # A line that is too long has no line break either: it was cut when it was read.
         is_unfinished = not line.endswith("\n") and len(line) <= LONGEST_LINE
-        if is_part and is_unfinished:
+        if is_cut_off and is_unfinished:
             return
         frame = parse_line(line)
         if frame is not None and _has_possible_time(frame):
@@ -248,7 +259,7 @@ def _explain_errors(
 
 
 def _has_possible_time(frame: can.Message) -> bool:
-    """Return whether a frame's time is a number within a range that all that use it can count with."""
+    """Return whether a frame's time is a number of at most _MAX_TIME seconds, before or after 0."""
     return abs(frame.timestamp) < _MAX_TIME  # false for NaN, too
 
 

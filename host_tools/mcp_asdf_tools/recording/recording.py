@@ -14,7 +14,7 @@ import can
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, explaining, rename_drafts
 from mcp_asdf_tools.recording.events import EventsHeader, EventsWriter, events_path
-from mcp_asdf_tools.recording.frame_logs import PART
+from mcp_asdf_tools.recording.frame_logs import PART_SUFFIX
 
 LogOutputs = tuple[Callable[[can.Message], None] | None, EventsWriter | None]
 """The function that records a frame, and the writer of events; None for what is not recorded."""
@@ -53,7 +53,10 @@ class _PartFile:
         self._write_to_disk()
 
     def close(self) -> None:
-        """Write what is in memory and the end of compressed data, and close. Raises OSError as ``flush``."""
+        """Write what is in memory and the end of compressed data, and close the file.
+
+        Raises OSError if the disk refuses the data; the file stays open then.
+        """
         if self._compressor is not None:
             self._unwritten += self._compressor.flush(zlib.Z_FINISH)
         self._write_to_disk()
@@ -137,10 +140,12 @@ class Recording:
         with explaining(self._path):
             self._files = [_PartFile(log_part, is_compressed=False)]
             self._files += [_PartFile(part, is_compressed=True) for part in events_parts]
+        log_file, *events_files = self._files
         # The writer uses no method of a file but "write".
-        self._log_writer = can.CanutilsLogWriter(self._files[0])  # type: ignore[arg-type]
+        self._log_writer = can.CanutilsLogWriter(log_file)  # type: ignore[arg-type]
         if self._header is not None:
-            self._files[1].write(self._header.to_line())
+            (events_file,) = events_files
+            events_file.write(self._header.to_line())
         return self._write_frame, self._events
 
     def __exit__(self, error_type: type[BaseException] | None, *_: object) -> None:
@@ -234,9 +239,12 @@ class Recording:
 
 
 def _part_of(path: Path) -> Path:
-    """Return the path of a file while it grows, beside the file that links lead to. Raises UsageError."""
+    """Return the path that a file has while it grows: that of the file itself, with ``.part`` behind it.
+
+    A link is followed to the file. Raises UsageError if there can be no file of this path.
+    """
     target = check_target(path)
-    return target.with_name(f"{target.name}{PART}")
+    return target.with_name(f"{target.name}{PART_SUFFIX}")
 
 
 def _call_all(calls: Sequence[Callable[[], None]]) -> None:

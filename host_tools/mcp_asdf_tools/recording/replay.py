@@ -15,7 +15,7 @@ import numpy as np
 
 from mcp_asdf.robot import Observation, Robot
 from mcp_asdf_tools.bus.alpha_words import float32_bits_from_alpha_word, float32_value
-from mcp_asdf_tools.bus.frame_layout import TRANSFER_IDS, Action
+from mcp_asdf_tools.bus.frame_layout import Q23_ONE, TRANSFER_IDS, Action
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, alpha_float32_bits, decode_estimate, format_frame
 from mcp_asdf_tools.recording.events import (
     RESTART,
@@ -86,11 +86,11 @@ class RepeatedRobot:
 
     def _apply_event(self, event: Event) -> None:
         """Repeat an event that is not an estimate. Raises ValueError if it needs a broadcast before it."""
-        if isinstance(event, list):
+        if isinstance(event, list):  # a fault put these values into the robot's last broadcast
             x_hat, alpha_bits = event
             broadcast = self._remove_last_broadcast("falsified")
             self.broadcasts.append(replace(broadcast, x_hat=x_hat, alpha_bits=alpha_bits, is_false=True))
-        elif event == SILENT:
+        elif event == SILENT:  # a fault kept the robot's last broadcast from the bus
             self._remove_last_broadcast(SILENT)
         elif event == RESTART:
             self.robot.restart()
@@ -116,7 +116,8 @@ class RepeatedRobot:
     def _remove_last_broadcast(self, description: str) -> Broadcast:
         """Remove and return the last broadcast.
 
-        Raises ValueError if there is none, with a description of what should have happened to it.
+        Raises ValueError if there is none. Its message says by ``description``, a word such as "silent", what
+        happened to the broadcast in the recorded run.
         """
         if not self.broadcasts:
             raise ValueError(f"robot {self.robot.id} has a broadcast {description} before it made one")
@@ -170,7 +171,7 @@ def rerun(events: EventsReader) -> Iterator[tuple[int, Robot]]:
     """Run every robot again, and yield a robot's id and the robot each time that it has ended a tick.
 
     It is the same object each time, in its present state. The order of robots and ticks is that of the file.
-    O(1) per event. Raises UsageError as ``verify``.
+    O(1) per event. Raises UsageError if the events cannot be read or contradict each other.
     """
     robots = _start_robots(events)
     for entry in _apply_entries(events, robots):
@@ -189,13 +190,17 @@ def _start_robots(events: EventsReader) -> dict[int, RepeatedRobot]:
 def _apply_entries(
     events: EventsReader, robots: dict[int, RepeatedRobot]
 ) -> Iterator[RobotEvents | InjectedFrame]:
-    """Yield the entries of a file of events; a robot repeats its events before their entry is yielded."""
+    """Yield the entries of a file of events; a robot repeats its events before their entry is yielded.
+
+    Raises UsageError, which names the line, if a line is malformed or has an event that cannot follow the one
+    before it.
+    """
     for entry in events.entries():
         if isinstance(entry, RobotEvents):
             try:
                 robots[entry.robot_id].apply_events(entry.events)
             except ValueError as error:
-                raise events.error(str(error)) from error
+                raise events.error_in_line(str(error)) from error
         yield entry
 
 
@@ -299,7 +304,8 @@ def _describe_difference(
 def _index_of_broadcast(transfer_id: int, broadcasts: deque[Broadcast]) -> int | None:
     """Return the index of the next broadcast with a transfer_id; it is 0 as long as the log has no gaps.
 
-    Return None if none of the next 32 broadcasts has it. After these the transfer_ids repeat.
+    Returns None if none of the next 32 broadcasts has it. More are not searched, as transfer_ids, which count
+    broadcasts modulo 32, repeat then.
     """
     for index in range(min(len(broadcasts), TRANSFER_IDS)):
         if broadcasts[index].transfer_id == transfer_id:
@@ -308,9 +314,13 @@ def _index_of_broadcast(transfer_id: int, broadcasts: deque[Broadcast]) -> int |
 
 
 def _format_values(x_hat: int, alpha_bits: int, transfer_id: int) -> str:
-    """Return the values of a broadcast in words: as hexadecimal integers and as numbers."""
+    """Return a text such as ``x_hat 0x400000 (0.5000000), alpha 0x41000000 (8), transfer_id 3``.
+
+    ``x_hat`` is in units of 2**-23, ``alpha_bits`` has the 32 bits of an IEEE number. Both appear as
+    hexadecimal integers and, in parentheses, as the numbers that they stand for.
+    """
     return (
-        f"x_hat {x_hat:#08x} ({x_hat / 2**23:.7f}), "
+        f"x_hat {x_hat:#08x} ({x_hat / Q23_ONE:.7f}), "
         f"alpha {alpha_bits:#010x} ({float32_value(alpha_bits):.7g}), "
         f"transfer_id {transfer_id}"
     )

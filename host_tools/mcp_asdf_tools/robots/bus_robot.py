@@ -46,7 +46,8 @@ from mcp_asdf_tools.robots.robot_setup import RobotSetup
 from mcp_asdf_tools.robots.suspicion import Suspicion, Suspicions
 
 EstimateRows: TypeAlias = NDArray[np.uint32]
-"""Estimates for a firmware, shape (estimates, 3): sender, x_hat and alpha, as ``bus.frames.Estimate``."""
+"""Estimates for a firmware, shape (estimates, 3): the sender, x_hat in units of 2**-23, and alpha as the 32
+bits in which a firmware keeps it, a mantissa and a shift."""
 
 _SENDER_COLUMN = 0
 """Column of the sender in ``EstimateRows``."""
@@ -55,7 +56,7 @@ _COUNTER_MODULUS = 2**16
 """Number of values of a counter in the firmware, which wraps: it has 16 bits."""
 
 _TICKS_BETWEEN_COUNTS = 64
-"""Few enough for 1000 messages a tick: a counter must not gain 2**16 unseen."""
+"""Few enough for 1000 messages a tick: 64 * 1000 is below 2**16, which a counter must not gain unseen."""
 
 
 class Recorder(Protocol):
@@ -159,7 +160,8 @@ class BusRobot:
     ) -> None:
         """Start a robot, with the firmware that ``make_firmware`` returns in place of the setup's.
 
-        Estimates and telemetry are sent in these formats. Raises as ``RobotSetup.make_robot``.
+        Estimates and telemetry are sent in these formats. Raises UsageError if the setup's firmware is not
+        available here, and FirmwareError if it refuses the setup.
         """
         self.id = setup.id
         self.is_alive = True
@@ -184,7 +186,11 @@ class BusRobot:
     # --- Start, crash and restart ---
 
     def restart(self) -> None:
-        """Start anew, as after a reset that loses everything. Raises as ``RobotSetup.make_robot``."""
+        """Start anew, as after a reset that loses everything but the counts of received frames.
+
+        Raises UsageError if the setup's firmware is not available here, and FirmwareError if it refuses the
+        setup.
+        """
         self.ticks = 0
         self.sent = FramesSent()
         self.robot = self._make_firmware()
@@ -195,12 +201,16 @@ class BusRobot:
         self._counters = self.robot.counters
 
     def crash(self, loses_state: bool) -> None:
-        """Stop. The state is lost, or there again when the robot rejoins."""
+        """Stop until ``rejoin``, which starts the robot anew if ``loses_state``, and else lets it go on."""
         self.is_alive = False
         self._loses_state = loses_state
 
     def rejoin(self) -> None:
-        """Go on after a crash. Raises as ``RobotSetup.make_robot``."""
+        """Go on after a crash; start anew, and record that, if the crash has lost the state.
+
+        Raises UsageError if the setup's firmware is not available here, and FirmwareError if it refuses the
+        setup.
+        """
         self.is_alive = True
         if self._loses_state:
             self.restart()
@@ -212,7 +222,7 @@ class BusRobot:
     def observe(self, z: Observation | None) -> bool:
         """Begin a tick, with an observation or without, and return whether a broadcast is due.
 
-        It is due in the last tick of a round, and stays due until a tick has ended.
+        It is due in the last of the ``comms_period`` ticks of a round, and stays due until a tick has ended.
         """
         # Recorded first, as it begins the tick to which the events that follow belong.
         if self.recorder is not None:
@@ -321,14 +331,20 @@ class BusRobot:
         if self.recorder is not None:
             self.recorder.record_estimates([[sender, estimate.x_hat, estimate.alpha]])
         self.reception.delivered += 1
-        # The firmware refuses a sender that the round has already, its own id, and impossible values.
+        # The firmware refuses its own id, a sender of which it has an estimate in this round, and values that
+        # are impossible.
         if self._port.receive_raw(sender, estimate.x_hat, estimate.alpha) is not Status.OK:
             self.reception.refused += 1
             if sender == self.id:
                 self._count_id_conflicts(1)
 
     def receive_all(self, estimates: EstimateRows) -> None:
-        """Hand many estimates to the firmware in order, as ``receive`` does with one. O(estimates)."""
+        """Hand many estimates to the firmware in order, and count them and its refusals. O(estimates).
+
+        Estimates whose sender is not allowed are only counted, as the event UNKNOWN. Those under the robot's
+        own id always reach the firmware, which refuses them, and count as the event CONFLICT. A robot that
+        has crashed receives nothing.
+        """
         if not self.is_alive:
             return
         if self._is_allowed is not None:

@@ -77,7 +77,7 @@ class Calibration:
         )
 
     def _colours(self) -> Iterable[tuple[float, int]]:
-        """Return the accuracy and the number of readings of each colour."""
+        """Return a pair for each colour: the accuracy and the number of readings."""
         return zip(self.accuracy.values(), self.readings.values(), strict=True)
 
 
@@ -121,7 +121,10 @@ def calibrate(rows: Sequence[tuple[float, bool]]) -> Calibration:
             "above": {"black": 1 - black_accuracy, "white": 1 - white_accuracy},
         }
         for black_side, accuracy in accuracy_by_side.items():
-            rank = (min(accuracy.values()), sum(accuracy.values()), gap)
+            worse_accuracy = min(accuracy.values())
+            accuracy_sum = sum(accuracy.values())
+            # Compared in this order: the next value decides only between thresholds with equal ones so far.
+            rank = (worse_accuracy, accuracy_sum, gap)
             if rank > best_rank:
                 best_rank = rank
                 best_calibration = Calibration(threshold, black_side, accuracy, reading_counts)

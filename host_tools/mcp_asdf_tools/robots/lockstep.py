@@ -135,7 +135,7 @@ class Lockstep:
         """
         # Telemetry that came before the command is no answer to it.
         self._telemetry.clear()
-        self._last_actions = dict.fromkeys(robots, Action.SETTLE)
+        self._last_actions = {robot: Action.SETTLE for robot in robots}
         self._send_commands(self._last_actions)
         answers = self._wait_for_answers(robots, self._telemetry, "settle")
         for robot, answer in answers.items():

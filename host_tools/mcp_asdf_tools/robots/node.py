@@ -38,8 +38,12 @@ from mcp_asdf_tools.robots.suspicion import AlphaWatch, Suspicion
 _RAW_ATTRIBUTES = ("x_hat_raw", "alpha_raw", "x_bar_raw", "beta_raw", "x_raw", "b_hat_raw")
 _STATE_ATTRIBUTES = ("t", "n", "x_hat", "alpha", "x_bar", "beta", "x", "b_hat")
 
-ACCEPTANCE_MASK = 0x1FFF_FFFF & ~IGNORED_IDENTIFIER_BITS
-"""Identifier bits that a receiver checks, 0x039F_FF80; see docs/design.md."""
+_ALL_IDENTIFIER_BITS = 0x1FFF_FFFF
+"""The 29 bits of an extended identifier."""
+
+ACCEPTANCE_MASK = _ALL_IDENTIFIER_BITS & ~IGNORED_IDENTIFIER_BITS
+"""Identifier bits that a receiver checks, 0x039F_FF80: all but the priority, the sender, and the two that
+Cyphal sends as 1."""
 
 SEND_TIMEOUT = 2.0
 """Seconds after which a bus that takes no frame counts as failed."""
@@ -276,8 +280,9 @@ class RobotNode:
             return []
         is_settle = command.action is Action.SETTLE
         is_tick_open = not self.is_settled and command.tick == self._tick_of_command
-        # Both rules in one: to settle the tick must be open, to observe it must not.
-        if is_settle != is_tick_open:
+        # A settle is in turn while the tick of its number is open, a command to observe while it is not.
+        is_in_turn = is_settle == is_tick_open
+        if not is_in_turn:
             self.disobeyed += 1
             return []
         self.obeyed += 1
@@ -377,8 +382,9 @@ class BusLink:
     def catch_up(self, on_frame: FrameTaker) -> None:
         """Call ``on_frame`` with the frames in the receive buffer, up to 4096 of them, without waiting.
 
-        A node whose ticks are late calls this, as it has no time left to wait for frames. Raises as
-        ``receive``.
+        A node whose ticks are late calls this, as it has no time left to wait for frames. Raises Stopped if
+        the node was asked to stop, and can.CanError if the bus fails, unless the link endures failures and
+        the bus is not gone.
         """
         for _ in range(_MAX_FRAMES_AT_ONCE):
             frame = self.receive(0)
@@ -420,8 +426,8 @@ def run_node(
     """Let a node follow commands until it has done ``ticks`` ticks, or without end if that is None.
 
     ``watch`` is called after each wait for a frame, at least ten times per second. The run ends early when
-    the link is asked to stop, on Ctrl-C, or when the bus fails; the result says which. Only a run with a
-    number of ticks counts as interrupted by a stop: the other has no other end.
+    the link is asked to stop, on Ctrl-C, or when the bus fails; the result says which. A stop interrupts only
+    a run with a number of ticks: for a run without end it is the regular end.
     """
     outcome = RunOutcome("all ticks done")
     try:

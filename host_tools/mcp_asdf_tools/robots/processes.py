@@ -62,7 +62,9 @@ class NodeProcesses:
         if any(bus_of(robot).interface == "socketcan" for robot in self._commands):
             # A virtual CAN interface of Linux delivers a frame on the processor of its sender. With several
             # one robot may receive a command before the estimate that it followed; lockstep needs one order.
-            os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+            this_process = 0
+            first_processor = min(os.sched_getaffinity(this_process))
+            os.sched_setaffinity(this_process, {first_processor})
 
     def __enter__(self) -> NodeProcesses:
         """Start all processes. They may not be up yet when this returns."""

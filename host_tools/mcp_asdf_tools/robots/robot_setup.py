@@ -104,9 +104,12 @@ class RobotSetup:
         return load_firmware(self.firmware)(self.config, self.id, self.b_hat)
 
     def plain(self) -> dict[str, Any]:
-        """Return the setup as plain values, for JSON: the table as its omega, q and checksum.
+        """Return the setup as plain values, for JSON, from which ``from_plain`` makes it again.
 
-        Raises UsageError if the table's omega has more than 9 decimal places: no table generated here has.
+        Keys: ``id``, ``firmware``, ``b_hat``, ``filter``, ``filter_period`` (in ticks), ``memory`` and
+        ``comms_period``; ``allow``, a text of ids, if not all are allowed; and ``table`` if there is a
+        t-table, with the keys ``omega``, ``q`` and ``checksum``. Raises UsageError if the table's omega, its
+        type II error probability, has more than 9 decimal places: no table generated here has.
         """
         plain: dict[str, Any] = {
             "id": self.id,
@@ -128,8 +131,9 @@ class RobotSetup:
     def from_plain(cls, plain: Any) -> RobotSetup:
         """Return the setup of plain values, which may come from any file.
 
-        The id and b_hat must be there, all else has its default. Raises a built-in error or one of ours, all
-        with a message, for what is no setup of a robot.
+        ``id`` and ``b_hat`` must be there, all else has its default. Raises KeyError for an entry that is
+        missing, and for an impossible value a ValueError (so UsageError and FirmwareError, too),
+        ArithmeticError, AttributeError or TypeError; each has a message.
         """
         if not isinstance(plain, dict):
             raise UsageError(f"a robot is {plain!r}; give its settings as an object in braces")
@@ -139,7 +143,7 @@ class RobotSetup:
             raise UsageError(
                 f"filter is {plain['filter']!r}; it must be one of {', '.join(_FILTERS_BY_NAME)}"
             )
-        # The values may come from any file, and isinstance() would take True for a whole number.
+        # Not isinstance(), which would take True for a whole number.
         for name, kind in _TYPES.items():
             if type(plain[name]) is not kind:
                 raise UsageError(f"{name} is {plain[name]!r}; give {_TYPE_NAMES[kind]}")

@@ -137,7 +137,8 @@ class ExpectingConnection:
 
         Returns those that have arrived, with the frame as it was received, by their index in ``awaited``.
         Others that arrive meanwhile are reported as unexpected. Of frames that are alike, those sent first
-        count as received first.
+        count as received first. When the time is over, up to _MAX_READS_AFTER_DEADLINE frames that wait in
+        the receive buffer are still read.
         """
         # Indices in ``awaited`` of the frames that have not arrived, by what a bus preserves of them.
         pending: defaultdict[tuple[int, bytes], deque[int]] = defaultdict(deque)
@@ -242,10 +243,14 @@ class Carrier:
         self._open_buses = ExitStack()
 
     def join(self, wiring: Wiring, on_frame: FrameTaker | None = None) -> None:
-        """Open the buses, for the carrier and for the robots in this process.
+        """Open the buses of ``wiring``, which may be one for all robots, one for each, or none.
 
-        ``on_frame`` is called with every frame that a robot sends. Raises what ``wiring.open_bus`` raises;
-        no bus is left open then.
+        The carrier gets a connection to each bus. A robot in this process gets a second connection to a bus
+        of its own, and sends over the carrier's connection on a shared bus. A remote robot is connected where
+        it runs.
+
+        ``on_frame`` is called with every frame that a robot sends: without a bus when it is sent, otherwise
+        when the carrier reads it. Raises what ``wiring.open_bus`` raises; no bus is left open then.
         """
         open_bus = wiring.open_bus
         if open_bus is None:
@@ -253,24 +258,31 @@ class Carrier:
                 self._on_unread_frame = on_frame
             return
         self._has_bus_per_robot = not wiring.is_shared
-        all_robots = list(self._robots)
+        robot_ids = list(self._robots)
         with ExitStack() as open_buses:  # which closes those that are open if a later one fails
             if wiring.is_shared:
-                bus = open_buses.enter_context(open_bus(all_robots[0]))
-                self._connect_carrier(all_robots, bus, on_frame)
-                if not wiring.remote:
-                    self._robot_connections = dict(self.bus_connections)
+                any_robot = robot_ids[0]  # all have the same bus, so that any of them gives it
+                shared_bus = open_buses.enter_context(open_bus(any_robot))
+                self._connect_carrier(robot_ids, shared_bus, on_frame)
+                are_robots_local = not wiring.remote  # on a shared bus all robots are remote, or none
+                if are_robots_local:
+                    self._robot_connections.update(self.bus_connections)
             else:
-                for robot in all_robots:
-                    self._connect_carrier([robot], open_buses.enter_context(open_bus(robot)), on_frame)
+                for robot in robot_ids:
+                    carrier_bus = open_buses.enter_context(open_bus(robot))
+                    self._connect_carrier([robot], carrier_bus, on_frame)
                     if robot not in wiring.remote:
                         robot_bus = open_buses.enter_context(open_bus(robot))
-                        self._robot_connections[robot] = ExpectingConnection(robot_bus, f"robot {robot}")
+                        listener = f"robot {robot}"
+                        self._robot_connections[robot] = ExpectingConnection(robot_bus, listener)
             # All could be opened: from here on close() closes them, not the end of this block.
             self._open_buses = open_buses.pop_all()
 
     def _connect_carrier(self, robots: Sequence[int], bus: can.BusABC, on_frame: FrameTaker | None) -> None:
-        """Connect the carrier to the bus of ``robots``, which count what others send there."""
+        """Connect the carrier to the bus of ``robots``, which count the frames of other nodes there.
+
+        ``on_frame`` is called with every frame that the carrier reads there.
+        """
         on_unexpected = partial(self._count_foreign_frame, robots)
         connection = ExpectingConnection(bus, "the carrier", on_unexpected, on_frame)
         for robot in robots:
@@ -284,8 +296,9 @@ class Carrier:
     def send(self, sent_frame: SentFrame) -> None:
         """Put a frame on the bus of its sender, unless the sender is remote and has done so itself.
 
-        After some frames those sent so far are read back, before receive buffers overflow; ``deliver`` reads
-        the others. Raises can.CanError if the bus does not take the frame, and SwarmError as ``deliver``.
+        Each time that _BATCH_SIZE frames are on the buses, the carrier reads them back, before receive
+        buffers overflow; ``deliver`` reads the others. Raises can.CanError if the bus does not take the
+        frame, and SwarmError if it has lost one and no clock limits the wait for it.
         """
         # This does nothing with a bus, where frames are reported when they are read back.
         self._on_unread_frame(sent_frame.frame)
@@ -300,9 +313,10 @@ class Carrier:
                 robot_connection.discard_echoes()
 
     def _read_back(self, tick: int) -> None:
-        """Read the frames that are on the buses, in the order in which they were sent.
+        """Read the frames that are on the buses, and keep them in the order in which they were sent.
 
-        Frames that are late are left out, and follow in a later call.
+        Frames that are late are left out, and follow in a later call. Raises SwarmError if a bus has lost one
+        and no clock limits the wait for it.
         """
         unread_frames = self._unread_frames
         self._unread_frames = []
@@ -317,7 +331,9 @@ class Carrier:
         """Return where the carrier has to read a frame; None without a bus, or if it has read it already."""
         # What a remote robot sent, its driver has read already from the connection of the carrier.
         is_sent_from_here = sent_frame.sender in self._robot_connections
-        return self.bus_connections[sent_frame.sender] if is_sent_from_here else None
+        if not is_sent_from_here:
+            return None
+        return self.bus_connections[sent_frame.sender]
 
     def _timeout(self, tick: int) -> float | None:
         """Return how many seconds to wait for frames of this tick; None if all must arrive."""
@@ -347,7 +363,8 @@ class Carrier:
         """Write ``frames`` on the bus of a robot, and return those that it reads there.
 
         Late ones are missing, and follow in a later call. A remote robot reads for itself: for its local half
-        all of ``frames`` are returned.
+        all of ``frames`` are returned. Raises can.CanError if the bus does not take a frame, and SwarmError
+        if it loses one and no clock limits the wait for it.
         """
         carrier_connection = self.bus_connections[robot]
         for frame in frames:

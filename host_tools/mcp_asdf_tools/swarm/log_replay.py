@@ -49,8 +49,9 @@ def replay_values(
 ) -> Iterator[NDArray[np.float64]]:
     """Replay a swarm's events; yield all robots' values, shape (quantities, N), every ``spacing`` ticks.
 
-    The first is their start. A robot that did not settle in a tick, since it was dead, has NaN there. Raises
-    UsageError if the events go on after ``max_ticks``, and as ``rerun``.
+    The values before the first tick come first. A robot that was dead in a tick, and so did not end it, has
+    NaN there. Raises UsageError if the events cannot be read, contradict each other, or go on after
+    ``max_ticks``.
     """
     setups = events.header.robots
     yield collect_values((setup.make_robot() for setup in setups), quantities)
@@ -64,9 +65,10 @@ def replay_values(
 def _replay_ticks(
     events: EventsReader, max_ticks: int, quantities: Sequence[str]
 ) -> Iterator[dict[int, list[float]]]:
-    """Replay a swarm's events; yield the values of the robots that settled in each tick, by id.
+    """Replay a swarm's events; yield for each tick the values of the robots that ended it (settled), by id.
 
-    Raises UsageError if the events go on after ``max_ticks``, and as ``rerun``.
+    The values of a robot are in the order of ``quantities``. Raises UsageError if the events cannot be read,
+    contradict each other, or go on after ``max_ticks``.
     """
     tick = 1
     values_by_robot: dict[int, list[float]] = {}
@@ -78,12 +80,12 @@ def _replay_ticks(
             values_by_robot = {}
             tick += 1
             if tick > max_ticks:
-                raise events.error(f"the run goes on after the {max_ticks} steps of the first line")
+                raise events.error_in_line(f"the run goes on after the {max_ticks} steps of the first line")
         values_by_robot[robot_id] = _values_of(robot, quantities)
     if values_by_robot:
         yield values_by_robot
 
 
 def _values_of(robot: Robot, quantities: Sequence[str]) -> list[float]:
-    """Return the present values of a robot, in the order of ``quantities``."""
+    """Return the present values of a robot, in the order of ``quantities``, which are attributes of it."""
     return [float(getattr(robot, name)) for name in quantities]

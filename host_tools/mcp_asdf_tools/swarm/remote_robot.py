@@ -199,8 +199,10 @@ class Driver:
     def observe(self, observations: Mapping[int, Observation | None]) -> list[tuple[BusRobot, can.Message]]:
         """Let robots observe, by id, and return the frames that count as sent in this tick, with the sender.
 
-        These are the estimates of this tick, by rising id, after all other frames of the last tick: it is
-        unpredictable when those come. Raises as ``Lockstep``.
+        These are first all frames of the last tick but estimates and telemetry, since it is unpredictable
+        when such frames come, and then the estimates of this tick, by rising id. Raises UsageError if a robot
+        has the driver's id, LockstepError if a robot does not broadcast in time, and can.CanError if the bus
+        does not take the commands.
         """
         other_frames = self._frames_for_next_tick
         self._frames_for_next_tick = []
@@ -215,14 +217,16 @@ class Driver:
         return [(self.nodes[sender_of(frame)], frame) for frame in other_frames + estimate_frames]
 
     def _observe_at_once(self, observations: Mapping[int, Observation | None]) -> None:
-        """Command robots to observe, and wait for the estimates of those whose round is over.
+        """Command robots to observe, and wait for the estimates of those that broadcast in this tick.
 
-        Their halves in this process observe, too, and take x_hat from the estimates.
+        Their halves in this process observe, too, and take x_hat from the estimates. Raises UsageError if a
+        robot has the driver's id, LockstepError if one does not broadcast in time, and can.CanError if the
+        bus does not take the commands.
         """
         self._lockstep.observe(observations)
         broadcasting_robots = []
         for robot, z in observations.items():
-            # The half of the robot in this process counts its ticks, so it knows when its round is over.
+            # The half of the robot in this process counts its ticks, so it knows when a broadcast is due.
             is_broadcast_due = self.nodes[robot].observe(z)
             if is_broadcast_due:
                 broadcasting_robots.append(robot)

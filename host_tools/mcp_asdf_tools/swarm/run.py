@@ -61,8 +61,9 @@ def run_swarm(
 ) -> SwarmRun:
     """Run ``swarm`` for as many ticks as its settings have, and call every hook after each tick.
 
-    ``should_stop``, asked after each tick, KeyboardInterrupt and a failing bus end the run early. The results
-    are those of the ticks that were done.
+    The run ends early when ``should_stop``, which is called after each tick, returns true, on
+    KeyboardInterrupt, and when the bus or a remote robot fails: no exception leaves this function for these,
+    but the result says so. The results are those of the ticks that were done.
     """
     run = SwarmRun(swarm.settings, swarm.nodes)
     try:
@@ -91,7 +92,10 @@ class Baselines:
     """
 
     def __init__(self, settings: SwarmSettings) -> None:
-        """Create the baselines of a swarm with these settings. Raises as ``Swarm``."""
+        """Create the baselines of a swarm with these settings: one for each filter to compare, but its own.
+
+        Raises UsageError if the robots' firmware is not available here.
+        """
         self.swarms: dict[str, Swarm] = {}
         self.seconds = 0.0
         for swarm_filter in FILTERS.values():

@@ -46,7 +46,8 @@ class SwarmSettings(Population):
         """Return the settings that ``plain`` has written, faults included.
 
         The format of frames and the clock have their defaults: they do not matter to a run that is over.
-        Raises as ``WorldSettings.from_recording``.
+        Raises ParameterError for a value that a parameter cannot have, and for a parameter that an older
+        program had, that this one lacks, and that changed the run.
         """
         faults = recorded.get("faults", [])
         if not isinstance(faults, list):

@@ -169,7 +169,11 @@ class Swarm:
             driver.wait_until_up(timeout, check)
 
     def tick(self) -> None:
-        """Let all robots take one step together, if none is external. Raises as the two halves of a tick."""
+        """Let all robots take one step together: observe, send, receive and settle. None may be external.
+
+        Raises SwarmError if the bus loses a frame in lockstep, LockstepError if a remote robot does not
+        answer, and can.CanError if the bus does not take a frame. The swarm cannot go on after these.
+        """
         self.begin_tick()
         self.finish_tick()
 
@@ -186,7 +190,7 @@ class Swarm:
             self.clock.begin(self.ticks)
         observations = dict(zip(self._ids, self.world.step(), strict=True))
         self.faults.begin_tick(self.ticks, self._ids)
-        self._alive_nodes = [node for node in self._local_nodes if self._survives(node)]
+        self._alive_nodes = [node for node in self._local_nodes if self._crash_or_rejoin(node)]
 
         # Telemetry has the state before this tick, so that it is made before robots observe.
         reports = self._make_reports()
@@ -204,7 +208,9 @@ class Swarm:
     def finish_tick(self, external_frames: Sequence[can.Message] = ()) -> list[can.Message]:
         """Let all robots receive and settle, and return the frames that an external robot receives.
 
-        ``external_frames`` are those that it has sent. Raises as ``begin_tick``. O(robots**2).
+        The result is empty if no robot is external. ``external_frames`` are those that it has sent. Traffic
+        is counted. Raises SwarmError if the bus loses a frame in lockstep, LockstepError if a remote robot
+        does not answer, and can.CanError if the bus does not take a frame. O(robots**2).
         """
         if self._external_robot is not None:
             for index, frame in enumerate(external_frames):
@@ -223,8 +229,8 @@ class Swarm:
         self.traffic.missed = self._carrier.missed_count
         return [] if self._external_robot is None else deliveries.frames_for(self._external_robot)
 
-    def _survives(self, node: BusRobot) -> bool:
-        """Let a robot crash or rejoin as the faults require in this tick; returns whether it is alive.
+    def _crash_or_rejoin(self, node: BusRobot) -> bool:
+        """Let a robot crash or rejoin if the faults require it in this tick; returns whether it is alive now.
 
         A robot that stays as it was, alive or dead, is not changed.
         """
@@ -236,7 +242,10 @@ class Swarm:
         return node.is_alive
 
     def _make_reports(self) -> list[RobotFrame]:
-        """Return heartbeats of this tick, then telemetry of the state before it, and count both as sent."""
+        """Return heartbeats of this tick, then telemetry of the state before it, and count both as sent.
+
+        Heartbeats are due once a second of simulated time, telemetry every ``telemetry_period`` ticks.
+        """
         reports: list[RobotFrame] = []
         for node in self._alive_nodes:
             if node.is_heartbeat_due(self.settings.steps_per_second):
@@ -251,9 +260,9 @@ class Swarm:
         return reports
 
     def _observe_locally(self, observations: Mapping[int, Observation | None]) -> list[RobotFrame]:
-        """Let the robots in this process observe; return the broadcasts of those whose round is over.
+        """Let the robots in this process observe; return the estimates of those that broadcast in this tick.
 
-        The broadcasts are estimates, and count as sent.
+        The estimates count as sent.
         """
         estimates: list[RobotFrame] = []
         for node in self._alive_nodes:
@@ -266,7 +275,8 @@ class Swarm:
     def _observe_remotely(self, observations: Mapping[int, Observation | None]) -> list[RobotFrame]:
         """Command the remote robots to observe, and return what they send: estimates and heartbeats.
 
-        Both count as sent. Raises as ``Driver.observe``.
+        Both count as sent. Raises LockstepError if a robot does not broadcast in time, and can.CanError if
+        the bus does not take the commands.
         """
         robot_frames: list[RobotFrame] = []
         for driver in self._drivers:
@@ -324,11 +334,12 @@ class Swarm:
                 self._frames_of_tick.append(sent_frame.frame)
 
     def _current_neighbours(self) -> NDArray[np.bool_]:
-        """Return whether robot i receives from robot j at present, by id."""
+        """Return a matrix whose entry (i, j) is whether robot i receives from robot j at present, by ids."""
         neighbours = self.world.current_neighbours
-        if self._ids == list(range(len(self._ids))):
+        has_ids_from_zero = self._ids == list(range(len(self._ids)))
+        if has_ids_from_zero:
             return neighbours
-        # The world counts robots from 0: spread its matrix over the ids.
+        # The world counts robots from 0: move its rows and columns to the robots' ids.
         neighbours_by_id = np.zeros((MAX_ID + 1, MAX_ID + 1), np.bool_)
         neighbours_by_id[np.ix_(self._ids, self._ids)] = neighbours
         return neighbours_by_id

@@ -78,8 +78,9 @@ def check_q(q: int) -> int:
 def generate(omega: Decimal, q: int) -> Table:
     """Return the t-table for ``omega`` and for ``q`` neighbours with exact thresholds.
 
-    Every entry is the multiple of 2**-26 nearest to k_m. Takes about 0.1 s. Raises UsageError unless
-    ``parse_omega`` and ``check_q`` accept both.
+    Every entry is the multiple of 2**-26 nearest to k_m, the threshold for m messages. Takes about 0.1 s.
+    Raises UsageError unless omega is above 0 and at most 0.9, with at most 9 decimal places, and q is 2 to
+    127.
     """
     omega = parse_omega(str(omega))
     q = check_q(q)
@@ -96,7 +97,10 @@ def generate(omega: Decimal, q: int) -> Table:
 
 @lru_cache(maxsize=16)
 def true_thresholds(omega: Decimal) -> tuple[mpf, ...]:
-    """Return k_m for m = 2 .. 127, all that a round can hold, with a relative error below 10**-40."""
+    """Return the thresholds k_m for m = 2 .. 127 messages, all that a robot can receive in a round.
+
+    Their relative error is below 10**-40.
+    """
     with mp.workdps(_DECIMAL_DIGITS):
         # From many degrees of freedom to few the quantile grows, so each is a start below the next one.
         quantile = _normal_quantile(omega)
@@ -113,7 +117,7 @@ def _normal_quantile(omega: Decimal) -> mpf:
 
 
 def _threshold(quantile: mpf, m: int) -> mpf:
-    """Return k_m from the quantile of eq. 12 for m messages."""
+    """Return k_m, the threshold for m messages, from the quantile t in eq. 12, the hypothesis test."""
     return (quantile / mp.sqrt(m) + 1) ** 2 * m / (m - 1)
 
 

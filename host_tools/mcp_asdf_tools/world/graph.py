@@ -28,6 +28,8 @@ MAX_ROBOTS = 2**16
 """Largest number of robots without a bus: ids have 16 bits."""
 MAX_ON_BUS = MAX_ID + 1
 """Largest number of robots on a bus, and of those that can all receive from each other."""
+_MAX_NEIGHBOURS = MAX_ON_BUS - 1
+"""Largest number of robots that one can receive from: a round of the firmware holds a message of each."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +60,8 @@ class Graph:
     def check(self, robots: int) -> None:
         """Check that the graph is one of ``robots`` robots. O(links).
 
-        Raises UsageError unless all ids are among 0 .. robots - 1, and no robot has more neighbours than a
-        round of the firmware holds messages.
+        Raises UsageError unless all ids are among 0 .. robots - 1, and no robot receives from more than 127
+        others.
         """
         unknown_ids = {robot for link in self.links for robot in link if robot >= robots}
         if unknown_ids:
@@ -67,13 +69,13 @@ class Graph:
                 f"{self.source} names robot {min(unknown_ids)}, but the ids of {robots} robots are 0 to "
                 f"{robots - 1}; take more robots or remove the edge"
             )
-        # Only links to a robot count: a round holds what it receives, however many receive from it.
+        # The firmware limits from how many others a robot receives, but not how many receive from it.
         neighbour_counts = Counter(receiver for _, receiver in self.links)
         for receiver, count in sorted(neighbour_counts.items()):
-            if count > MAX_ID:
+            if count > _MAX_NEIGHBOURS:
                 raise UsageError(
                     f"in {self.source} robot {receiver} hears {count} others, but a round of the firmware "
-                    f"holds {MAX_ID}; remove edges"
+                    f"holds {_MAX_NEIGHBOURS}; remove edges"
                 )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, Self
 
 from mcp_asdf_tools.common import extensions
-from mcp_asdf_tools.common.errors import offer
+from mcp_asdf_tools.common.errors import did_you_mean
 from mcp_asdf_tools.common.parameters import (
     ParameterError,
     check_parameters,
@@ -118,7 +118,7 @@ class WorldSettings:
         """Bring each value to its type, then check it alone and with those that it must fit.
 
         An extension's object is replaced by a name for it, and a description of a graph by the Graph. Raises
-        ParameterError as the class.
+        ParameterError, naming the parameter, for a value that is wrong or has no effect.
         """
         # An object is replaced by a name for it first, so that all checks see names.
         for name in _EXTENSION_GROUPS:
@@ -147,14 +147,14 @@ class WorldSettings:
     def from_parameters(cls, parameters: Mapping[str, Any]) -> Self:
         """Make settings of values by name, such as those of a file that somebody has written.
 
-        A parameter that is not named has its default. Raises ParameterError as the class, and for a name that
-        is no parameter; the message then offers the nearest one that is, or else lists them all.
+        A parameter that is not named has its default. Raises ParameterError for a value that is wrong or has
+        no effect, and for a name that is no parameter: the message then names a similar one, or else all.
         """
         known_names = cls.__dataclass_fields__
         for name in parameters:
             if name not in known_names:
                 # Either text continues the message, and begins with a semicolon.
-                ending = offer(name, known_names) or f"; known are {', '.join(known_names)}"
+                ending = did_you_mean(name, known_names) or f"; known are {', '.join(known_names)}"
                 raise ParameterError(name, f"unknown key {name!r}{ending}")
         return cls(**parameters)
 
@@ -163,8 +163,9 @@ class WorldSettings:
         """Make settings of the parameters that a recording or a file of results states.
 
         A parameter that it lacks has its default: an older program wrote it. Other entries are left out.
-        Raises ParameterError as the class, for a parameter of an older program that had an effect, and for a
-        graph that is not a text of edges: what others have written must not make this program open a file.
+        Raises ParameterError for a value that is wrong or has no effect, for a parameter that only older
+        programs have and that changed the run, and for a graph that is not a text of edges: what others have
+        written must not make this program open a file.
         """
         for name, value_without_effect in FORMER_PARAMETERS.items():
             value = recorded.get(name, value_without_effect)
@@ -177,6 +178,7 @@ class WorldSettings:
             value = parameters.get(name, "")
             if not isinstance(value, str) or value == "":
                 continue
+            # The parameter ``sensor`` lists no choices: only installed sensors have names.
             known_names = parameters_of(cls)[name].choices or extensions.Names((), group)
             if value not in known_names:
                 # The extension that the recording was made with may not be installed here.
@@ -240,10 +242,10 @@ class WorldSettings:
         Without a drift there may be no rate of it, and a drift may not start below its lowest accuracy.
         """
         if self.sensor:
-            # No sensor model is built in under a name: without one, ``sensor`` is empty.
-            known_sensors = extensions.Names(built_in_names=(), group=extensions.SENSORS)
-            if self.sensor not in known_sensors:
-                choices = ", ".join(known_sensors) or "none is installed"
+            # Only extensions have names here. The built-in sensor model is taken if ``sensor`` is empty.
+            names_of_extensions = extensions.Names(built_in_names=(), group=extensions.SENSORS)
+            if self.sensor not in names_of_extensions:
+                choices = ", ".join(names_of_extensions) or "none is installed"
                 raise ParameterError("sensor", f"sensor is {self.sensor!r}; choose an extension: {choices}")
         if self.drift == "none" and self.drift_rate:
             message = f"drift_rate is {self.drift_rate} but drift is none; choose a drift"
@@ -314,7 +316,8 @@ def _check_arena(settings: WorldSettings) -> None:
     size_parameter = "width" if settings.width else "density"
     # Robots are placed at random so that none overlap, which fails if they cover too much of the floor.
     covered_area = settings.robots * math.pi * (_BODY_DIAMETER / 2) ** 2
-    if min(width, height) <= _BODY_DIAMETER or covered_area > _MAX_COVERED_SHARE * width * height:
+    has_room = min(width, height) > _BODY_DIAMETER and covered_area <= _MAX_COVERED_SHARE * width * height
+    if not has_room:
         message = (
             f"{settings.robots} robots of {_BODY_DIAMETER} m are too many for {size_text}; "
             "take a larger arena"

@@ -63,7 +63,10 @@ class CheckedTopology:
 
 
 def graph_topology(graph: Graph, robots: int) -> FixedTopology:
-    """Return the topology of ``robots`` robots with a graph's links. Raises UsageError as ``Graph.check``."""
+    """Return the topology of ``robots`` robots with a graph's links.
+
+    Raises UsageError if the graph names a robot with a higher id, or gives one more than 127 neighbours.
+    """
     graph.check(robots)
     neighbours = np.zeros((robots, robots), np.bool_)
     for sender, receiver in graph.links:

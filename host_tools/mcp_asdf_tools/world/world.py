@@ -129,9 +129,10 @@ class SteppedWorld:
         self._index_in_scene = -1  # of the present step, along the first axis of the scene's arrays
 
     def step(self) -> Sequence[Observation | None]:
-        """Take one step, and return each robot's observation by id, or None for every robot.
+        """Take one step, and return each robot's observation by id. O(N^2).
 
-        It is None for all of them in steps without an observation, as ``observation_period`` has it. O(N^2).
+        Robots observe in every step whose number is a multiple of ``observation_period``. In all others the
+        observation of every robot is None.
         """
         # There is no scene yet, or its last step has been taken.
         if self._scene is None or self._index_in_scene + 1 == len(self._scene.black):

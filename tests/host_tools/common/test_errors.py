@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mcp_asdf_tools.common.errors import UsageError, offer
+from mcp_asdf_tools.common.errors import UsageError, did_you_mean
 
 
 def test_white_space_in_a_message_becomes_single_spaces() -> None:
@@ -28,4 +28,4 @@ def test_the_middle_of_a_longer_message_is_left_out() -> None:
     ("word", "hint"), [("robot", "; did you mean robots?"), ("speeed", "; did you mean speed?"), ("xyz", "")]
 )
 def test_the_nearest_known_word_is_offered(word: str, hint: str) -> None:
-    assert offer(word, ["robots", "speed"]) == hint
+    assert did_you_mean(word, ["robots", "speed"]) == hint

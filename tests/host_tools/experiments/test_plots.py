@@ -12,7 +12,7 @@ from host_tools.experiments.drawn_figures import SHORT_EXPERIMENT, results_of
 from mcp_asdf_tools import library
 from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.common.errors import UsageError
-from mcp_asdf_tools.common.figures import number_in_words
+from mcp_asdf_tools.common.figures import format_for_legend
 from mcp_asdf_tools.experiments.result_files import write_tables
 from mcp_asdf_tools.experiments.result_tables import trials_to_table
 from mcp_asdf_tools.experiments.results import Trials
@@ -32,7 +32,7 @@ from support import slow
     ],
 )
 def test_labels_have_numbers_in_words(value: float | str, text: str) -> None:
-    assert number_in_words(value) == text
+    assert format_for_legend(value) == text
 
 
 @pytest.fixture(scope="module")

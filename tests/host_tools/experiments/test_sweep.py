@@ -363,7 +363,7 @@ def test_one_process_may_open_an_output_twice(output: Path) -> None:
     ],
 )
 def test_progress_is_a_rate_and_the_time_left(finished: int, total: int, seconds: float, text: str) -> None:
-    assert progress_bar.rate_in_words(finished, total, seconds) == text
+    assert progress_bar.format_rate(finished, total, seconds) == text
 
 
 def test_a_bar_shows_the_rate() -> None:

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from mcp_asdf_tools.common.errors import UsageError, offer
+from mcp_asdf_tools.common.errors import UsageError, did_you_mean
 from mcp_asdf_tools.common.figures import MEDIUM, SMALL, clean, ordered_colours
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.experiments.experiment import Experiment
@@ -190,7 +190,7 @@ def _check_axes(experiments: Sequence[Trials], x: str, hue: str, y: str | Measur
     for option, name in (("x", x), ("hue", hue), ("facet", facet)):
         is_left_out = name == "" and option != "x"
         if name not in parameter_names and not is_left_out:
-            fix = offer(name, parameter_names) or f"; choose a parameter: {', '.join(parameter_names)}"
+            fix = did_you_mean(name, parameter_names) or f"; choose a parameter: {', '.join(parameter_names)}"
             raise UsageError(f"{option} is {name!r}{fix}")
     if not callable(y) and y not in MEASURES:
         raise UsageError(f"y is {y!r}; choose one of {', '.join(MEASURES)}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mcp_asdf_tools.common.errors import UsageError, offer
+from mcp_asdf_tools.common.errors import UsageError, did_you_mean
 from mcp_asdf_tools.common.parameters import parameters_of
 from mcp_asdf_tools.robots.robot_setup import parse_ids
 from mcp_asdf_tools.swarm.fault_injection.fault import OPTION_OF_FIELD, Fault
@@ -30,7 +30,7 @@ def parse_fault(fault_text: str) -> Fault:
     name, equals_sign, rate = first_item.partition("=")
     if name not in _KINDS_BY_NAME:
         # Either text continues the message, and begins with a semicolon.
-        ending = offer(name, _KINDS_BY_NAME) or f"; choose one of {', '.join(_KINDS_BY_NAME)}"
+        ending = did_you_mean(name, _KINDS_BY_NAME) or f"; choose one of {', '.join(_KINDS_BY_NAME)}"
         raise UsageError(f"fault {fault_text!r}: no kind is called {name!r}{ending}")
     kind = _KINDS_BY_NAME[name]
 
@@ -41,7 +41,7 @@ def parse_fault(fault_text: str) -> Fault:
     for item in items:
         option, _, value = item.partition("=")
         if option not in options:
-            ending = offer(option, options) or f"; its options are {', '.join(options)}"
+            ending = did_you_mean(option, options) or f"; its options are {', '.join(options)}"
             raise UsageError(f"fault {fault_text!r}: {name} has no option {option!r}{ending}")
         field_name = _FIELD_OF_OPTION.get(option, option)
         if field_name in values:

@@ -105,7 +105,7 @@ def _frame_key(sent_frame: SentFrame) -> tuple[int, int, int, int]:
 
 @cache
 def hit_threshold(probability: float) -> int:
-    """Return the largest 64-bit word that is a hit, so that exactly this share of all words are hits.
+    """Return the largest 64-bit word that is a hit, so that this share of all 2**64 words are hits.
 
     For a probability of 0 that is -1, which is below every word.
     """
