@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         robot_setup = replace(robot_setup, allow=parse_ids(args.allow, "--allow"))
     if args.steps is not None and args.steps < 1:
         raise UsageError(f"steps is {args.steps}; it must be 1 or more")
-    steps_per_second = options.value_of(args, Population, "steps_per_second")
+    steps_per_second = options.typed_value_or_default(args, Population, "steps_per_second")
     parameters = {"steps_per_second": steps_per_second, "steps": args.steps}
     # No seed: the robot's observations come from the bus.
     events_header = EventsHeader([robot_setup], None, subjects.estimates, parameters)

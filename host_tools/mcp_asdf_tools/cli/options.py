@@ -115,7 +115,10 @@ def _add_option(group: argparse._ArgumentGroup, parameter: Parameter) -> None:
 
 
 def _keywords_of_value(parameter: Parameter) -> dict[str, Any]:
-    """Return what ``add_argument`` has to know about the values of a parameter: type, choices and metavar."""
+    """Return the keyword arguments of ``add_argument`` for the values of a parameter.
+
+    They are ``choices``, or ``type`` and ``metavar``, the word for a value in the help.
+    """
     if isinstance(parameter.choices, Names):
         return _keywords_of_names(parameter.choices)
     if parameter.choices:
@@ -129,7 +132,7 @@ def _keywords_of_value(parameter: Parameter) -> dict[str, Any]:
 
 
 def _keywords_of_names(names: Names) -> dict[str, Any]:
-    """Return what ``add_argument`` has to know about an option whose value is one of these names.
+    """Return the keyword arguments of ``add_argument`` for an option whose value is one of these names.
 
     The help shows the names that come with the project, such as ``{native,mirror,reference,...}``: the search
     for installed extensions would take longer than all else that it needs. Any of the names is accepted.
@@ -173,7 +176,7 @@ def settings_from(
     return settings
 
 
-def value_of(args: argparse.Namespace, settings_class: Any, parameter_name: str) -> Any:
+def typed_value_or_default(args: argparse.Namespace, settings_class: Any, parameter_name: str) -> Any:
     """Return the value of one parameter of a class of settings: what the user gave, or else the default.
 
     Raises UsageError, which names the option, for a value that the parameter alone cannot have.
@@ -282,7 +285,7 @@ def swarm_filter_of(args: argparse.Namespace) -> SwarmFilter:
     from mcp_asdf_tools.robots.population import Population
 
     # Population is the class of settings that declares the parameter, with its default.
-    return FILTERS[value_of(args, Population, "filter")]
+    return FILTERS[typed_value_or_default(args, Population, "filter")]
 
 
 # --- T-tables --------------------------------------------------------------------------------------------

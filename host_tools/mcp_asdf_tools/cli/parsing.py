@@ -15,7 +15,10 @@ def option_of(parameter_name: str) -> str:
 
 
 def describe_unknown_value(value: str, known_values: Iterable[str]) -> str:
-    """Return what is wrong with a value that is none of the known ones, and the nearest of them."""
+    """Return a text on a value that is none of the known ones, which lists these and offers a similar one.
+
+    It is such as ``'mirors' is none of native, mirror; did you mean mirror?``.
+    """
     known_values = list(known_values)
     return f"{value!r} is none of {', '.join(known_values)}{did_you_mean(value, known_values)}"
 
@@ -46,13 +49,16 @@ class Parser(argparse.ArgumentParser):
         return args
 
     def _refuse_unknown(self, unknown_arguments: Sequence[str]) -> NoReturn:
-        """Raise UsageError for the first option that there is not, or else for the first argument."""
+        """Raise UsageError for the first unknown option or, if there is none, the first unknown argument.
+
+        The message asks whether a known option with a similar name was meant.
+        """
         # An unknown option explains the arguments that follow it, so it is the one to report.
         unknown_options = [argument for argument in unknown_arguments if argument.startswith("-")]
         kind = "option" if unknown_options else "argument"
         first = unknown_options[0] if unknown_options else unknown_arguments[0]
         known_options = [option for action in self._actions for option in action.option_strings]
-        option_name, _, _ = first.partition("=")  # of --robots=3 only the name can be like another
+        option_name, _, _ = first.partition("=")  # --robot of --robot=3, which may be --robots misspelt
         self.error(f"no such {kind}: {first}{did_you_mean(option_name, known_options)}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

@@ -87,9 +87,10 @@ def _plot_keywords(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _check_kind_has(kind: str, keyword: str, option: str) -> None:
-    """Raise UsageError unless the function of this kind of picture takes ``keyword``, as ``option`` sets it.
+    """Raise UsageError if ``option`` would do nothing in a picture of this kind.
 
-    The message names the kinds that the option is for.
+    That is so if the function that draws the kind has no parameter ``keyword``, which the option sets. The
+    message names the kinds that the option is for.
     """
     from inspect import signature
 

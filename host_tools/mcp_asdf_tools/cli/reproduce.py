@@ -181,12 +181,11 @@ def open_stores(
     except ParameterError as error:
         raise UsageError(f"--{error.key}: {error}") from error
     make_folder(folder)
-    return {
-        (study_part, own_name): Store(
-            folder / f"{'_'.join(filter(None, (study_part.value, own_name)))}.parquet", experiments
-        )
-        for (study_part, own_name), experiments in experiments_by_key.items()
-    }
+    stores = {}
+    for (study_part, own_name), experiments in experiments_by_key.items():
+        file_name = f"{study_part.value}_{own_name}" if own_name else study_part.value
+        stores[study_part, own_name] = Store(folder / f"{file_name}.parquet", experiments)
+    return stores
 
 
 def _run_missing_trials(

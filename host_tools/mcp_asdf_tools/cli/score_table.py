@@ -12,14 +12,16 @@ from rich.table import Table
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.scores import Limits
 
-_MEDIAN_FORMATS = {"h_K": ".2f", "h_e": ".2f", "K": "g", "e": ".5f", "updates": "g"}
-"""Measures of which a table has the median, with its format."""
+_FORMAT_OF_MEASURE = {"h_K": ".2f", "h_e": ".2f", "K": "g", "e": ".5f", "updates": "g"}
+"""Measures of which a table has the median alone, with the format of that number."""
 
 
 def summarize(experiments: Iterable[Trials], limits: Limits) -> list[dict[str, Any]]:
-    """Return for each experiment a row of plain values: its parameters, and its measures' quartiles.
+    """Return for each experiment a row of plain values, for JSON and for ``print_scores``.
 
-    A measure, such as the score H, has an entry of its own: ``{"q25": ..., "median": ..., "q75": ...}``.
+    A row has the keys ``parameters``, ``filter`` (a description), ``trials`` (their number) and ``limits``
+    (of the scores), and the name of each measure, such as the score H, with its quartiles over the trials:
+    ``{"q25": ..., "median": ..., "q75": ...}``.
     """
     rows = []
     for trials in experiments:
@@ -45,17 +47,27 @@ def _quartiles(trials: Trials, limits: Limits) -> dict[str, dict[str, float]]:
 
 
 def print_scores(rows: Sequence[dict[str, Any]], title: str) -> None:
-    """Print a summary: a row for each experiment, a column for each parameter in which they differ."""
+    """Print the rows of ``summarize`` as a table, with a row for each experiment.
+
+    The columns are the parameters in which the experiments differ, the number of trials, the score H with its
+    quartiles over the trials, and the medians of h_K, h_e, K, e and the number of updates.
+    """
     # What all experiments have in common would only make the table wide.
+    parameters_by_row = [row["parameters"] for row in rows]
     varying_parameters = [
-        name for name in rows[0]["parameters"] if len({row["parameters"][name] for row in rows}) > 1
+        name
+        for name in parameters_by_row[0]
+        if len({parameters[name] for parameters in parameters_by_row}) > 1
     ]
     table = Table(title=title, title_justify="left", caption=_caption(rows), caption_justify="left")
-    for name in (*varying_parameters, "trials", "H", *_MEDIAN_FORMATS):
+    for name in (*varying_parameters, "trials", "H", *_FORMAT_OF_MEASURE):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         values = [str(row["parameters"][name]) for name in varying_parameters]
-        medians = [format(row[name]["median"], style) for name, style in _MEDIAN_FORMATS.items()]
+        medians = []
+        for name, number_format in _FORMAT_OF_MEASURE.items():
+            quartiles = row[name]
+            medians.append(format(quartiles["median"], number_format))
         table.add_row(*values, _describe_trial_count(row), _describe_score(row["H"]), *medians)
     # Lines longer than a terminal wrap; columns that shrink to fit would lose figures.
     width = Console(width=10_000).measure(table).maximum

@@ -31,7 +31,7 @@ class ParameterError(UsageError):
 
 
 @contextmanager
-def value_of(key: str) -> Iterator[None]:
+def naming_parameter(key: str) -> Iterator[None]:
     """Context manager that turns a UsageError into a ParameterError for the parameter named ``key``."""
     try:
         yield

@@ -118,17 +118,25 @@ def read_trials(files: Iterable[Path], sampling_interval: int) -> Iterator[Trial
 
 
 def _read_trial(path: Path, sampling_interval: int) -> Trials:
-    """Return the trial in a file. Raises UsageError as ``read_trials``."""
+    """Return the trial in a file, with values recorded every ``sampling_interval`` steps (0: never).
+
+    Raises UsageError, which names the file and what is wrong with it, if it is no trial, or one that the
+    paper's method cannot have made.
+    """
     file = _TrialFile(path, _read_json(path))
     experiment = _experiment_of(file)
     number = file.whole_number("trial_ind")
     if not 0 <= number < experiment.trials:
         raise file.error("trial_ind", f"it must be 0 to {experiment.trials - 1}, as num_trials says")
+    # Each series has the shape (N, steps + 1). ``Trials`` has the trial as its first axis, here of length 1:
+    # that is what [np.newaxis] adds.
     series = _read_series(file, experiment)
     convergence_steps, errors = convergence_and_errors(experiment, series["x"][np.newaxis], unit=1.0)
-    # Column 0 is the initial b_hat, and the others those after each filter step.
-    b_hat = series["b_hat"][:, :: experiment.filter_period]
-    is_same = (b_hat[:, 1:] == b_hat[:, :-1]) | np.isnan(b_hat[:, 1:])
+    b_hat_at_filter_steps = series["b_hat"][:, :: experiment.filter_period]
+    b_hat_before = b_hat_at_filter_steps[:, :-1]  # from the initial one on
+    b_hat_after = b_hat_at_filter_steps[:, 1:]
+    # NaN, where their programs have divided by 0, is no update.
+    is_update = (b_hat_after != b_hat_before) & ~np.isnan(b_hat_after)
     records = {}
     if sampling_interval:
         records = {name: series[name][:, ::sampling_interval].T[np.newaxis] for name in QUANTITIES}
@@ -137,9 +145,9 @@ def _read_trial(path: Path, sampling_interval: int) -> Trials:
         numbers=[number],
         convergence_steps=convergence_steps,
         errors=errors,
-        b_hat=b_hat[:, 1:].T[np.newaxis],
+        b_hat=b_hat_after.T[np.newaxis],
         tests=np.zeros((1, experiment.robots), np.int64),  # their files do not say
-        updates=(~is_same).sum(axis=1)[np.newaxis],
+        updates=is_update.sum(axis=1)[np.newaxis],
         records=records,
         sampling_interval=sampling_interval,
         source=SOURCE,
@@ -214,6 +222,7 @@ def _experiment_of(file: _TrialFile) -> Experiment:
     if has_moving_robots:
         parameters["topology"] = "dynamic"
         parameters["latency"] = 1
+        # Without rounding, 14.14 cm would be 0.14140000000000003 m or the like.
         parameters["speed"] = round(parameters["speed"] / _CM_PER_M, 9)
         parameters["density"] = round(parameters["density"], _DENSITY_DECIMALS)
     _check_sensors(file)

@@ -5,12 +5,12 @@ Words and letters are the paper's; ``trials`` runs experiments, ``experiment_fil
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, Literal
 
-from mcp_asdf_tools.common.parameters import ParameterError, parameter, value_of
+from mcp_asdf_tools.common.parameters import ParameterError, naming_parameter, parameter
 from mcp_asdf_tools.experiments.message_codes import EXACT, MessageCode, parse_message_bits
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.world.graph import MAX_ON_BUS
@@ -39,12 +39,15 @@ class Experiment(Population):
     )
 
     def __post_init__(self) -> None:
-        """Check the values. Raises ParameterError as the class."""
+        """Check the values, and bring ``message_bits`` to the one text that its code has.
+
+        Raises ParameterError, naming the field, for values that are wrong or do not fit together.
+        """
         super().__post_init__()
         if self.conventions == "authors" and self.firmware != "reference":
             message = f"firmware {self.firmware} has no conventions of the authors; choose firmware reference"
             raise ParameterError("conventions", message)
-        with value_of("message_bits"):
+        with naming_parameter("message_bits"):
             message_code = parse_message_bits(self.message_bits)
         # One text for each code, so that equal experiments compare equal: not "07+4" beside "7+4".
         object.__setattr__(self, "message_bits", EXACT if message_code is None else str(message_code))
@@ -88,8 +91,10 @@ class Experiment(Population):
 def grid(**parameters: Any) -> list[Experiment]:
     """Return experiments with all combinations of parameters.
 
-    A parameter may have a list of values. A list of tables, under any name, holds parameters that vary
-    together. Raises ParameterError as Experiment, and for lists that are empty or make too many experiments.
+    A parameter may have a list of values in place of one. Parameters that vary together stand in a list of
+    tables, such as ``sensors=[{"true_accuracy": 0.95, "flawed_accuracy": 0.55}, ...]``; its key, here
+    ``sensors``, may be any name. Raises ParameterError for values that are wrong or do not fit together, for
+    an empty list, and for more than MAX_EXPERIMENTS experiments.
     """
     return [Experiment.from_parameters(combination) for combination in combinations(parameters)]
 
@@ -97,8 +102,10 @@ def grid(**parameters: Any) -> list[Experiment]:
 def combinations(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield a dictionary for each combination of the values in lists, the last parameter varying fastest.
 
-    A list of tables, under a name of its own, is a choice among them, which vary slowest: the parameters of
-    the chosen table stand in its place. Raises ParameterError as ``grid``.
+    A list of tables, such as ``sensors=[{"true_accuracy": 0.95}, {"true_accuracy": 0.55}]``, holds parameters
+    that vary together. For each of its tables in turn all combinations of the other parameters are made, with
+    the parameters of the table in place of the list; the list's key may be any name. Raises ParameterError
+    for an empty list, and for lists that make more than MAX_EXPERIMENTS combinations.
     """
     table_lists = {key: value for key, value in parameters.items() if _is_list_of_tables(value)}
     plain_parameters = {key: value for key, value in parameters.items() if key not in table_lists}
@@ -112,6 +119,12 @@ def combinations(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             combined |= table
         # A table may have lists of values, or of tables, itself.
         yield from combinations(combined)
+
+
+def without_repetitions(experiments: Iterable[Experiment]) -> list[Experiment]:
+    """Return each of several experiments once, in the order in which they first come."""
+    # The keys of a dictionary keep their order, unlike the elements of a set.
+    return list(dict.fromkeys(experiments))
 
 
 def _is_list_of_tables(value: Any) -> bool:

@@ -15,8 +15,8 @@ from mcp_asdf_tools.robots.filters import FILTERS
 MAX_LABEL_LENGTH = 20
 """Characters of a value that fit into a legend: the edges of a graph do not."""
 
-CELL_PARAMETERS = ("fill_ratio", "true_accuracy", "flawed_accuracy", "flawed", "trials", "filter")
-"""Parameters that pictures show by their axes, titles and series, without the parameter's name."""
+ALWAYS_SHOWN_PARAMETERS = ("fill_ratio", "true_accuracy", "flawed_accuracy", "flawed", "trials", "filter")
+"""Parameters that pictures always show, by their axes, titles and series, without the parameter's name."""
 
 _FILTER_PARAMETERS = ("filter_period", "omega", "activation")
 _CAPTION_PARAMETERS = ("robots", "topology", "steps", "seed", "filter_period", "omega")
@@ -83,7 +83,10 @@ def name_series(experiment: Experiment, varying_names: Sequence[str]) -> str:
 
 
 def parameter_in_words(parameter_name: str) -> str:
-    """Return the name of a parameter as pictures show it, where the flawed robots are a share of all."""
+    """Return the name of a parameter as pictures show it, such as "filter period" for filter_period.
+
+    That of ``flawed`` is "share of flawed robots", as pictures show shares and not counts of them.
+    """
     return "share of flawed robots" if parameter_name == "flawed" else parameter_name.replace("_", " ")
 
 
@@ -120,6 +123,6 @@ def make_caption(experiments: Sequence[Trials], marks: str, limits: Limits) -> s
     k_limits = {k_max for k_max, _ in limits_by_experiment}
     e_limits = {e_max for _, e_max in limits_by_experiment}
     for symbol, values in (("K", k_limits), ("e", e_limits)):
-        values_in_words = " and ".join(format_for_legend(value) for value in sorted(values))
-        details.append(f"${symbol}_{{max}}$ = {values_in_words}")
+        limit_text = " and ".join(format_for_legend(value) for value in sorted(values))
+        details.append(f"${symbol}_{{max}}$ = {limit_text}")
     return f"{', '.join(details)}; {marks}."

@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import COLOURS, MEDIUM, WIDTH, add_caption, add_legend, empty_figure
 from mcp_asdf_tools.experiments.experiment import Experiment
-from mcp_asdf_tools.experiments.plot_labels import CELL_PARAMETERS, name_series, sort_key, varying_parameters
+from mcp_asdf_tools.experiments.plot_labels import (
+    ALWAYS_SHOWN_PARAMETERS,
+    name_series,
+    sort_key,
+    varying_parameters,
+)
 from mcp_asdf_tools.experiments.result_tables import experiments_in
 from mcp_asdf_tools.experiments.results import Trials, select_experiments
 from mcp_asdf_tools.robots.filters import FILTERS
@@ -150,9 +155,9 @@ def group_into_series(experiments: Sequence[Trials], series_name: SeriesName | N
 
     Both series and the experiments in them are in the order of FILTERS, and otherwise as they are passed. By
     default a series is named by its filter and by the parameters in which the experiments differ, but for
-    those that pictures show otherwise (CELL_PARAMETERS).
+    those that pictures show otherwise (ALWAYS_SHOWN_PARAMETERS).
     """
-    varying_names = varying_parameters(experiments, excluded=CELL_PARAMETERS)
+    varying_names = varying_parameters(experiments, excluded=ALWAYS_SHOWN_PARAMETERS)
     experiments_by_name: dict[str, list[Trials]] = {}
     # Sorting keeps the order of experiments that have the same filter.
     for trials in sorted(experiments, key=lambda trials: sort_key("filter", trials.experiment.filter)):

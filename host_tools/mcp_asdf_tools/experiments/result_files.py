@@ -113,7 +113,8 @@ def read_table(path: Path | str, columns: Sequence[str] | None = None) -> pa.Tab
 def stream_experiments(path: Path) -> Iterator[Trials]:
     """Yield the experiments of a file, or of all files in a folder, in the order of their first rows.
 
-    Only one experiment at a time is in memory. Raises UsageError as ``read_table``.
+    Only one experiment at a time is in memory. Raises UsageError if a file cannot be read or has anything but
+    results in one of READABLE_FORMATS.
     """
     row_groups = RowGroups()
     row_groups.add(path)
@@ -227,7 +228,7 @@ class RowGroups:
     def add(self, path: Path) -> None:
         """Append the rows of a file, or those of all Parquet files in a folder in the order of their names.
 
-        Raises UsageError as ``read_table``.
+        Raises UsageError if a file cannot be read or has anything but results in one of READABLE_FORMATS.
         """
         files_in_folder = sorted(path.glob("*.parquet"))
         # In a path that is itself a file, no files are found.
@@ -275,7 +276,7 @@ class RowGroups:
 # --- Checks ----------------------------------------------------------------------------------------------
 
 
-def _open_checked(path: Path) -> Any:
+def _open_checked(path: Path) -> pq.ParquetFile:
     """Open a file of results. Raises UsageError unless it is one in READABLE_FORMATS, and has rows."""
     with _name_file_in_errors(path):
         file = pq.ParquetFile(path)
@@ -326,10 +327,11 @@ def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> int:
     return format_number
 
 
-def _check_former_parameters(path: Path, file: Any, row_group_index: int) -> None:
-    """Raise UsageError if a row group has a parameter that does not exist any more, and that had an effect.
+def _check_former_parameters(path: Path, file: pq.ParquetFile, row_group_index: int) -> None:
+    """Raise UsageError if trials of a row group were run with a parameter of older programs, for its effect.
 
-    FORMER_PARAMETERS has the value of each such parameter that had no effect.
+    FORMER_PARAMETERS names these parameters, which this program does not have, and the value with which each
+    had no effect. ``file`` is the open file at ``path``.
     """
     for parameter_name, value_without_effect in FORMER_PARAMETERS.items():
         if parameter_name not in file.schema_arrow.names:

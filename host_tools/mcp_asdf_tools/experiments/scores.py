@@ -30,17 +30,19 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
     """Return K, the first step from which on the series stays within ``delta`` of its value there.
 
     K is the least with abs(x[K] - x[k]) < delta for all k >= K; the last step always is one. ``series`` is
-    the informed estimate of steps 0 .. T, in any unit that ``delta`` has too. NaN settles at the last step at
-    the earliest. O(T), with constant extra memory.
+    the informed estimate of steps 0 .. T, in any unit that ``delta`` has too. Up to a NaN no step is K, but
+    for the last one. O(T), with constant extra memory.
     """
     import numpy as np  # noqa: PLC0415 (it loads slowly, and limits are needed without it)
 
     # Two passes: over the extremes of chunks, to find the few chunks that can hold K, and over these.
     # Extremes to the end of the series, rather than pairs of values, make it O(T).
     chunk_starts = np.arange(0, len(series), _CHUNK)
+    chunk_minima = np.minimum.reduceat(series, chunk_starts)
+    chunk_maxima = np.maximum.reduceat(series, chunk_starts)
     # Entry i is the extreme of chunk i and all after it; the last entry is that of the last value.
-    lowest = np.append(_extreme_to_end(np.minimum, np.minimum.reduceat(series, chunk_starts)), series[-1])
-    highest = np.append(_extreme_to_end(np.maximum, np.maximum.reduceat(series, chunk_starts)), series[-1])
+    lowest = np.append(_extreme_to_end(np.minimum, chunk_minima), series[-1])
+    highest = np.append(_extreme_to_end(np.maximum, chunk_maxima), series[-1])
     # Where the values after a chunk are 2 delta apart, no step in the chunk can be near all of them.
     range_after_chunk = highest[1:] - lowest[1:]
     for index in np.flatnonzero(range_after_chunk < 2 * delta):
@@ -56,7 +58,10 @@ def convergence_step(series: NDArray[np.uint32] | NDArray[np.float64], delta: fl
 
 
 def _extreme_to_end(extreme: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
-    """Return for each value the extreme of it and all values after it."""
+    """Return for each value the extreme of it and all values after it.
+
+    ``extreme`` is np.minimum or np.maximum.
+    """
     extremes: NDArray[Any] = extreme.accumulate(values[::-1])[::-1]
     return extremes
 
@@ -81,7 +86,8 @@ class Limits:
 
     def of(self, experiment: Experiment) -> tuple[float, float]:
         """Return K_max and e_max for the trials of an experiment."""
-        return experiment.steps if self.k_max is None else self.k_max, self.e_max
+        k_max = experiment.steps if self.k_max is None else self.k_max
+        return k_max, self.e_max
 
 
 PAPERS = Limits()

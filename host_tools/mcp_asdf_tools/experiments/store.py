@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.files import check_target, remove_abandoned_drafts
 from mcp_asdf_tools.common.versions import software_versions
-from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.experiment import Experiment, without_repetitions
 from mcp_asdf_tools.experiments.output_lock import lock_file, unlock_file
 from mcp_asdf_tools.experiments.result_files import ROW_GROUP_BYTES, RowGroups, parts_folder, write_tables
 from mcp_asdf_tools.experiments.result_tables import (
@@ -76,7 +76,7 @@ class Store:
         """
         self.output = output
         self.parts = parts_folder(output)
-        self.experiments = list(dict.fromkeys(experiments))
+        self.experiments = without_repetitions(experiments)
         self.sampling_interval = sampling_interval
         self._rows_per_part = min([_MAX_ROWS, *map(self._rows_that_fit, self.experiments)])
         self._row_groups = RowGroups()

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.signals import ENDING_SIGNALS, stopping
-from mcp_asdf_tools.experiments.experiment import Experiment
+from mcp_asdf_tools.experiments.experiment import Experiment, without_repetitions
 from mcp_asdf_tools.experiments.results import Trials
 from mcp_asdf_tools.experiments.trials import Job
 
@@ -90,8 +90,7 @@ def run_in_memory(
     and ``report`` is called after each with the number of its trials. Nothing is written to disk. Raises
     UsageError if a job cannot be run or a worker process dies.
     """
-    # A dictionary keeps the order of its keys, which a set would not.
-    unique_experiments = list(dict.fromkeys(experiments))
+    unique_experiments = without_repetitions(experiments)
     # A generator: a job is made when a worker is free for it.
     jobs = (
         job

@@ -156,7 +156,8 @@ def stream_tidy_results(path: Path) -> Iterator[pa.Table]:
     """Yield the recorded values in a file of results, or all files in a folder, as tidy tables.
 
     They have the same columns, and are in the order of the files' rows. One row group at a time is in memory.
-    Raises UsageError as ``result_files.read_table``, and with the fix if nothing was recorded.
+    Raises UsageError if a file cannot be read or has anything but results, and, with the fix, if nothing was
+    recorded.
     """
     row_groups = RowGroups()
     row_groups.add(path)

@@ -74,22 +74,23 @@ def _concatenate(batches: Sequence[Trials]) -> Trials:
 def convergence_and_errors(
     experiment: Experiment, x_series: NDArray[Any], unit: float
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return K and e of each robot, shape (trials, N) each: its convergence step, and its error |x - f| then.
+    """Return each robot's convergence step K, and its error |x - f| in step K; two arrays, shape (trials, N).
 
-    ``x_series`` is x in units of ``unit``, shape (trials, N or 1, steps + 1): one series stands for all
-    robots of its trial.
+    ``x_series`` has the robots' estimates x in units of ``unit``, shape (trials, N, steps + 1). Where all
+    robots of a trial have the same x its shape is (trials, 1, steps + 1), and all get the same K and error.
     """
     delta = DELTA / unit  # in the unit of the series
-    steps = np.array(
-        [[convergence_step(series, delta) for series in trial_series] for trial_series in x_series]
-    )
-    # One index along the axis of steps for each trial and robot picks x at K.
-    step_axis = 2
-    x_at_convergence = np.take_along_axis(x_series, steps[..., np.newaxis], step_axis).squeeze(step_axis)
-    errors = abs(x_at_convergence.astype(np.float64) * unit - experiment.fill_ratio)
+    trial_count, series_count, _ = x_series.shape
+    convergence_steps = np.empty((trial_count, series_count), np.int64)
+    errors = np.empty((trial_count, series_count))
+    for trial_index, series_index in np.ndindex(trial_count, series_count):
+        series = x_series[trial_index, series_index]
+        step = convergence_step(series, delta)
+        convergence_steps[trial_index, series_index] = step
+        errors[trial_index, series_index] = abs(float(series[step]) * unit - experiment.fill_ratio)
     # Where one series stands for all robots, so do its K and its error.
-    shape = (len(x_series), experiment.robots)
-    return np.broadcast_to(steps, shape).astype(np.int64), np.broadcast_to(errors, shape).copy()
+    shape = (trial_count, experiment.robots)
+    return np.broadcast_to(convergence_steps, shape).copy(), np.broadcast_to(errors, shape).copy()
 
 
 # --- In the C engine -------------------------------------------------------------------------------------
@@ -347,7 +348,7 @@ class Job:
     def run(self) -> Trials:
         """Run the job and return its results.
 
-        Raises UsageError in a worker of another version of the program, and as ``run_trials``.
+        Raises UsageError in a worker of another version of the program, and if the firmware cannot be loaded.
         """
         # Another version may compute other results, or may not even know the experiment's parameters.
         worker_version = own_version()

@@ -17,7 +17,7 @@ from mcp_asdf.robot import (
     Filter,
 )
 from mcp_asdf.table import MIN_Q
-from mcp_asdf_tools.common.parameters import ParameterError, parameter, parameters_of, value_of
+from mcp_asdf_tools.common.parameters import ParameterError, naming_parameter, parameter, parameters_of
 from mcp_asdf_tools.robots.filters import FILTERS, Activation, SwarmFilter
 from mcp_asdf_tools.robots.firmwares import firmware_names
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
@@ -75,7 +75,7 @@ class Population(WorldSettings):
         # so that a plain assignment would be refused.
         super().__post_init__()
         object.__setattr__(self, "flawed", flawed_count(self.flawed, self.robots))
-        with value_of("omega"):
+        with naming_parameter("omega"):
             object.__setattr__(self, "omega", parse_omega(str(self.omega)))
         if self.filter_period % self.comms_period:
             raise ParameterError(

@@ -118,7 +118,8 @@ def _shipped_experiments(study_part: StudyPart) -> list[Experiment]:
 @cache
 def cells_of(study_part: StudyPart) -> tuple[Cell, ...]:
     """Return the normal cells of a part, in the order in which its file has their experiments."""
-    # The files have some experiments more than once, as they are grids: see Cell.normal.
+    # The files have some experiments more than once, as they are grids: see Cell.normal. The keys of a
+    # dictionary are each cell once, in order.
     cells = [cell_of(study_part, experiment) for experiment in _shipped_experiments(study_part)]
     return tuple(dict.fromkeys(cells))
 
@@ -144,15 +145,18 @@ def own_experiments_of(
     """Return the experiments that set a firmware or filter of the user's beside the paper's filter.
 
     They are those of a part in which robots filter, with the shortest period, and with this firmware. A
-    filter that is given takes the place of ASDF- and ASDF+. Raises ParameterError as ``experiment_of``.
+    filter that is given takes the place of ASDF- and ASDF+. Raises ParameterError for trials, steps or a seed
+    of ``study_size`` that are out of range.
     """
     cells = [
         cell if filter_name is None else replace(cell, filter=filter_name)
         for cell in cells_of(study_part)
         if cell.filter != "none" and cell.filter_period == FILTER_PERIODS[0]
     ]
-    # Cells with ASDF- and with ASDF+ are the same with another filter.
-    return [replace(experiment_of(cell, study_size), firmware=firmware) for cell in dict.fromkeys(cells)]
+    # Cells with ASDF- and with ASDF+ are the same with another filter. The keys of a dictionary are each cell
+    # once, in order.
+    different_cells = dict.fromkeys(cells)
+    return [replace(experiment_of(cell, study_size), firmware=firmware) for cell in different_cells]
 
 
 def experiment_of(cell: Cell, study_size: StudySize) -> Experiment:

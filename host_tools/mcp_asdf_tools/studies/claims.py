@@ -131,9 +131,11 @@ class Contrast:
         return cells
 
     def _references(self, cell: Cell) -> list[Cell] | list[None]:
-        """Return the cells with which a cell is compared, as ``than`` describes them.
+        """Return the cells with which a cell is compared: like it, but for what ``than`` changes.
 
-        Without ``than`` the cell is compared with the level, or its measure with 0: the list is then [None].
+        ``than`` has values of ``Cell``'s attributes, or is the name of such a table; "next lower P" is the
+        next smaller percentage of flawed robots. Without ``than`` the cell is compared with the level, or its
+        measure with 0: the list is then [None].
         """
         if self.than is None:
             return [None]

@@ -93,15 +93,17 @@ def _trials_of_users_filter(
 ) -> list[Trials]:
     """Return the trials of the user's firmware or filter that stand beside the paper's filter in a picture.
 
-    Another filter stands beside both ASDF- and ASDF+; a firmware stands beside the one that it ran with.
-    Where all robots are flawed, both are the same, as in ``_select_with_shortest_period``.
+    ``filter_name`` is the paper's filter, ASDF- or ASDF+. A filter of the user's stands beside either, a
+    firmware of the user's only beside the filter that it ran with. Where all robots are flawed, ASDF- is
+    ASDF+: trials with ASDF+ are then returned as ones with ASDF-, if that is asked for.
     """
     selected = []
     for trials in study_results.own_trials_of(study_part):
         own_filter = trials.experiment.filter
+        is_users_filter = own_filter not in (ASDF_MINUS, ASDF_PLUS)
         if filter_name == ASDF_MINUS and own_filter == ASDF_PLUS and _all_flawed(trials.experiment):
             selected.append(replace(trials, experiment=replace(trials.experiment, filter=ASDF_MINUS)))
-        elif own_filter in (filter_name, *(FILTERS.keys() - {ASDF_MINUS, ASDF_PLUS})):
+        elif is_users_filter or own_filter == filter_name:
             selected.append(trials)
     return selected
 

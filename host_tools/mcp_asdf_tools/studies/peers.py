@@ -82,13 +82,19 @@ class RememberingRobot(ReferenceRobot):
     _weighted_sum = 0.0
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        """Take a message as the reference does, and add it to the running means."""
+        """Receive a neighbour's estimate, and add it to the running means unless it has no confidence.
+
+        Returns OK, or REPEATED if there is one of this sender in the round already. Raises FirmwareError for
+        a sender or an x_hat that is impossible.
+        """
         status = super().receive(sender, x_hat, alpha)
         if status is Status.OK and alpha > 0:
             self._messages += 1
-            # Where the number of messages doubles, the gain halves, within its limits.
+            # The gain is 2^-3 up to 63 messages. From then on it halves whenever their number doubles, down
+            # to 2^-12.
             doublings = self._messages.bit_length() - 1
-            gain = 2.0 ** -min(max(doublings - 2, 3), 12)
+            halvings = min(max(doublings - 2, 3), 12)
+            gain = 2.0**-halvings
             # The sender's t is not in the message; robots of a swarm have observed equally often.
             weight = alpha / max(self.t, 1)
             self._weight += gain * (weight - self._weight)
@@ -129,13 +135,19 @@ class BayesCpfRobot(ReferenceRobot):
         self._x_since_update: list[float] = []
 
     def observe(self, z: Observation) -> Status:
-        """Count an observation as the reference does, and for the next measurement."""
+        """Count an observation in t and n, and also for the next measurement.
+
+        Returns OK, or ERR_OBSERVATION if ``z`` is neither WHITE nor BLACK.
+        """
         self._n_since_update += int(z)
         self._t_since_update += 1
         return super().observe(z)
 
     def settle(self) -> Status:
-        """Close the round as the reference does, and keep x for the next measurement."""
+        """Keep x for the next measurement, end the round, and run the filter if it is time for that.
+
+        Returns UPDATED if the filter has re-estimated b_hat, otherwise OK.
+        """
         self._x_since_update.append(self.x)
         return super().settle()
 
@@ -289,16 +301,21 @@ class MajorityRobot(ReferenceRobot):
         self._start_exploration()
 
     def observe(self, z: Observation) -> Status:
-        """Count an observation as the reference does, and for the opinion while the robot explores."""
+        """Count an observation in t and n, and also for the opinion while the robot explores.
+
+        Returns OK, or ERR_OBSERVATION if ``z`` is neither WHITE nor BLACK.
+        """
         if not self._is_disseminating:
             self._readings += 1
             self._readings_of_opinion += z == self._opinion
         return super().observe(z)
 
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
-        """Take a message as the reference does, and keep its opinion if this robot is about to decide.
+        """Receive a neighbour's message, and keep its opinion if this robot is about to decide.
 
         A message without confidence has no opinion. Of several messages of a sender the last one counts.
+        Returns OK, or REPEATED if there is one of this sender in the round already. Raises FirmwareError for
+        a sender or an x_hat that is impossible.
         """
         status = super().receive(sender, x_hat, alpha)
         is_listening = self._is_disseminating and self._rounds_left <= self.listening_time
@@ -307,7 +324,12 @@ class MajorityRobot(ReferenceRobot):
         return status
 
     def settle(self) -> Status:
-        """Close the round as the reference does, and begin the other task when the present one is over."""
+        """End the round, and change between exploring and broadcasting the opinion if it is time for that.
+
+        After a time of broadcasting the robot first adopts the opinion of the majority. Returns what the
+        inherited method does: UPDATED if b_hat, which this robot does not use, was re-estimated, otherwise
+        OK.
+        """
         status = super().settle()
         self._rounds_left -= 1
         if self._rounds_left <= 0:
@@ -385,7 +407,10 @@ class KnownAccuracyRobot(ReferenceRobot):
         self._true_accuracy = b_hat
 
     def observe(self, z: Observation) -> Status:
-        """Set b_hat, and count an observation as the reference does."""
+        """Set b_hat to the present accuracy, and count an observation with it in t and n.
+
+        Returns OK, or ERR_OBSERVATION if ``z`` is neither WHITE nor BLACK.
+        """
         # This b_hat already holds for the observation that is counted below.
         self._b_hat = min(self._accuracy_to_assume(), 1 - B_HAT_MARGIN)
         self._true_accuracy += DRIFT_RATE
@@ -414,6 +439,10 @@ class KnownMeanAccuracyRobot(KnownAccuracyRobot):
 # --- Hard worlds -----------------------------------------------------------------------------------------
 
 
+LOST_SHARE = 0.3
+"""Share of messages that the radio of a ``LossyRobot`` loses."""
+
+
 class LossyRobot(NativeRobot):
     """The firmware behind a radio that loses three messages in ten."""
 
@@ -424,8 +453,11 @@ class LossyRobot(NativeRobot):
         self._random = random.Random(robot_id)
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Take a message, or lose it as if it had never arrived."""
-        is_lost = self._random.random() < 0.3
+        """Receive a neighbour's estimate in the firmware's integers, or lose it as if it had never arrived.
+
+        Returns the firmware's status, and OK for a lost message.
+        """
+        is_lost = self._random.random() < LOST_SHARE
         return Status.OK if is_lost else super().receive_raw(sender, x_hat, alpha)
 
 

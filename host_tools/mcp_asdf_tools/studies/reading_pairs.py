@@ -104,7 +104,7 @@ class TwoReadingsRobot(ReferenceRobot):
         self._pairs, self._disagreements = 0, 0
 
     def observe(self, z: Observation) -> Status:
-        """Count the first reading of a tile as the reference does, and compare the second one with it.
+        """Count the first reading of a tile as an observation, in t and n, and compare the second with it.
 
         Returns OK; or ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE nor BLACK.
         """

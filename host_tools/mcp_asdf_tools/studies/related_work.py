@@ -80,16 +80,21 @@ def colour_rows() -> dict[str, list[Experiment]]:
 
 
 def _with_liars(firmwares: list[Any]) -> dict[str, Any]:
-    """Return parameters of swarms with liars and without flawed robots.
+    """Return parameters of swarms with five liars and without flawed robots.
 
-    They are those of the given firmwares, whose rules need no filter, and of the project's own with filters.
+    All robots of a swarm have one of the given firmwares, whose rules need no filter, or the project's own
+    firmware, without a filter and with the robust one.
     """
     own_robots = {"firmware": five_liars, "filter": ["none", "robust"]}
     return {"flawed": 0, "robots_and_filters": [own_robots, {"firmware": firmwares, "filter": "none"}]}
 
 
 def _with_flawed_robots(firmwares: list[Any]) -> dict[str, Any]:
-    """Return parameters of swarms of which 30 % are flawed, as ``_with_liars`` does."""
+    """Return parameters of swarms of which 30 % are flawed, and none lies.
+
+    All robots of a swarm have one of the given firmwares, whose rules need no filter, or the project's own
+    firmware, without a filter, with ASDF- and with the robust filter.
+    """
     own_robots = {"filter": ["none", "asdf-minus", "robust"]}
     return {"flawed": "30%", "robots_and_filters": [own_robots, {"firmware": firmwares, "filter": "none"}]}
 

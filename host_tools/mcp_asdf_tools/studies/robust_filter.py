@@ -232,7 +232,10 @@ def as_honest_robots_see_it(trials: Trials) -> Trials:
 
 
 def without_liars(rows: Rows) -> dict[str, list[Trials]]:
-    """Return the results of rows without the robots that lie, as ``as_honest_robots_see_it`` does."""
+    """Return the results of rows without the robots that lie: x and b_hat of the honest robots alone.
+
+    Where the floor changes in a trial, the experiments have the share of black floor at its end.
+    """
     return {label: [as_honest_robots_see_it(trials) for trials in row] for label, row in rows.items()}
 
 

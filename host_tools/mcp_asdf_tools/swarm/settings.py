@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Self, get_args
 
 from mcp_asdf_tools.bus.frames import TELEMETRY_FORMAT, FrameFormat
-from mcp_asdf_tools.common.parameters import ParameterError, parameter, value_of
+from mcp_asdf_tools.common.parameters import ParameterError, naming_parameter, parameter
 from mcp_asdf_tools.robots.clock import ClockKind
 from mcp_asdf_tools.robots.population import Population
 from mcp_asdf_tools.robots.robot_setup import RobotSetup, format_ids, parse_ids
@@ -52,7 +52,7 @@ class SwarmSettings(Population):
         faults = recorded.get("faults", [])
         if not isinstance(faults, list):
             raise ParameterError("faults", f"faults is {faults!r}; give several in a list")
-        with value_of("faults"):
+        with naming_parameter("faults"):
             return replace(super().from_recording(recorded), faults=tuple(map(str, faults)))
 
     def __post_init__(self) -> None:
@@ -64,7 +64,7 @@ class SwarmSettings(Population):
             raise ParameterError("clock", f"clock is {self.clock!r}; choose lockstep or real-time")
         if self.allow:
             # The same ids have the same text, in rising order, so that equal settings compare as equal.
-            with value_of("allow"):
+            with naming_parameter("allow"):
                 allowed_ids = parse_ids(self.allow, "allow")
             object.__setattr__(self, "allow", format_ids(allowed_ids))
         # The characters of a text would be taken for faults, one by one.

@@ -77,7 +77,9 @@ def one_line(run: SwarmRun) -> str:
 def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSettings) -> str:
     """Return in two sentences what difference filters made on the same seed.
 
-    A third sentence follows if the swarm is one that needs no filter.
+    The first has the mean error with each filter, the second what the flawed robots assumed of their sensors
+    at first, and assume now with each filter; without flawed robots there is none. A third sentence follows
+    if the swarm is one that needs no filter.
     """
     compared_filters = [item for item in FILTERS.values() if item.name in results_by_filter]
     errors = [
@@ -90,6 +92,7 @@ def comparison(results_by_filter: dict[str, dict[str, Any]], settings: SwarmSett
         for swarm_filter in compared_filters
         if swarm_filter.is_on
     }
+    # All swarms begin with the same robots: any of them shows what these assumed, and if there are any.
     first_change = next(iter(b_hat_changes.values()))
     if first_change is None:  # there are no flawed robots
         return sentences

@@ -59,7 +59,7 @@ def read_frame_history(
     fill_ratio: float | None = None,
     true_accuracy: float | None = None,
 ) -> FrameLogHistory:
-    """Return the history that the frames of ``log`` show, as ``BusRecorder`` records that of a live bus.
+    """Return the history that the frames of ``log`` show: the robots' values, ten times a second at most.
 
     Only frames of ``channel`` count; None takes those of all. ``fill_ratio`` and ``true_accuracy``, which no
     frame shows, are for the page; None if unknown. The log is read twice. Raises UsageError if it cannot be
@@ -90,7 +90,8 @@ def read_frame_history(
 def _measure_log(log: Path, frame_format: FrameFormat, channel: str | None) -> _LogExtent:
     """Read a log for its robots and its length, on which the spacing of the states depends.
 
-    Raises UsageError as ``read_frame_history`` does.
+    Raises UsageError if it cannot be read, has no values of a robot, or if its times span nothing or more
+    than a year.
     """
     robot_values = LatestRobotValues(frame_format, true_accuracy=None)
     start_time = math.inf

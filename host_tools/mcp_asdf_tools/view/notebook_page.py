@@ -40,7 +40,7 @@ class NotebookPage:
 
 @naming_extras()
 def show(results: Any, *, trial: int = 0, where: Mapping[str, Any] | None = None) -> NotebookPage:
-    """Return the page of one trial, as ``mcp-asdf view`` shows it.
+    """Return the page of one trial, the same that the command ``mcp-asdf view`` shows in a browser.
 
     ``results`` is an Experiment, whose trial is run for this, or a table of results. ``trial`` is the trial's
     number. ``where`` chooses one of several experiments of a table by its parameters. Raises UsageError if

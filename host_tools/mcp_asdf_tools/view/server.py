@@ -91,11 +91,13 @@ class _PageServer(ThreadingTCPServer):
         self._answering_threads: list[threading.Thread] = []
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Start a thread that answers a new connection."""
+        """Start a thread that answers a new connection, and keep it for ``join_threads``."""
         arguments = (request, client_address)
-        thread = threading.Thread(target=self.process_request_thread, args=arguments, daemon=True)
-        self._answering_threads = [*filter(threading.Thread.is_alive, self._answering_threads), thread]
-        thread.start()
+        new_thread = threading.Thread(target=self.process_request_thread, args=arguments, daemon=True)
+        # Threads that have ended are forgotten here, so that they do not fill the memory.
+        live_threads = [thread for thread in self._answering_threads if thread.is_alive()]
+        self._answering_threads = [*live_threads, new_thread]
+        new_thread.start()
 
     def join_threads(self) -> None:
         """Wait until all connections are answered, but for at most _SHUTDOWN_SECONDS.

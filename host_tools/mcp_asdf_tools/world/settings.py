@@ -12,9 +12,9 @@ from mcp_asdf_tools.common.errors import did_you_mean
 from mcp_asdf_tools.common.parameters import (
     ParameterError,
     check_parameters,
+    naming_parameter,
     parameter,
     parameters_of,
-    value_of,
 )
 from mcp_asdf_tools.world.graph import MAX_ON_BUS, MAX_ROBOTS, Graph, parse_edges, parse_graph
 
@@ -128,7 +128,7 @@ class WorldSettings:
         # A NumPy array cannot be compared with a text.
         is_empty_text = isinstance(self.graph, str) and self.graph == ""
         if not isinstance(self.graph, Graph) and not is_empty_text:
-            with value_of("graph"):
+            with naming_parameter("graph"):
                 self._replace_value("graph", parse_graph(self.graph))
         self._check_topology()
         self._check_sensor()
@@ -185,7 +185,7 @@ class WorldSettings:
                 parameters[name] = extensions.RecordedName(value)
         graph = parameters.get("graph", "")
         if graph != "":
-            with value_of("graph"):
+            with naming_parameter("graph"):
                 parameters["graph"] = parse_edges(graph)
         return cls(**parameters)
 
@@ -233,7 +233,7 @@ class WorldSettings:
             raise ParameterError("graph", f"graph is {str(self.graph)!r}: {fix}")
         if isinstance(self.graph, Graph):
             # An error of the check gets the parameter's name, which the check does not know.
-            with value_of("graph"):
+            with naming_parameter("graph"):
                 self.graph.check(self.robots)
 
     def _check_sensor(self) -> None:

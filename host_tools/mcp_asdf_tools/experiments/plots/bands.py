@@ -15,7 +15,7 @@ from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.figures import FLAWED, INK, OTHER, SMALL, clean
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.plot_labels import (
-    CELL_PARAMETERS,
+    ALWAYS_SHOWN_PARAMETERS,
     filter_name,
     flawed_share,
     has_effect,
@@ -49,8 +49,9 @@ def plot_bands(results: Results, *, where: Mapping[str, Any] | None = None) -> F
 
     b_hat is the accuracy that a robot assumes of its sensor; it is drawn after each filter step. Panels are
     in the order of their filters; a title ends with the share of healthy robots that their filter has harmed:
-    whose b_hat ends more than HARM_LIMIT from its first value. Raises UsageError as ``plot_boxes``,
-    and for trials that are too short for a filter step.
+    whose b_hat ends more than HARM_LIMIT from its first value. ``where`` chooses experiments by their
+    parameters. Raises UsageError if no experiment is left, if there are more panels than fit a picture, and
+    for trials that are too short for a filter step.
     """
     experiments = experiments_to_plot(results, where)
     if any(_filter_step_count(trials) == 0 for trials in experiments):
@@ -76,14 +77,14 @@ def _filter_step_count(trials: Trials) -> int:
 
 
 def _panel_titles(experiments: Sequence[Trials]) -> list[str]:
-    """Return the titles of experiments: what makes each differ from the others, and its f, b, b_hat and P.
+    """Return a title for each experiment: the parameters in which experiments differ, then f, b, b_hat and P.
 
     These letters are the paper's: f is the share of black tiles, b the true accuracy of a sensor, b_hat the
-    accuracy that flawed robots assume at first, and P the share of flawed robots. A first line names the
-    filter if the experiments have several.
+    accuracy that flawed robots assume at first, and P the share of flawed robots. If experiments have
+    different filters, a title begins with a line that names the filter.
     """
-    # f, b, b_hat, P and the filter are in every title, so they are not looked for among the differences.
-    varying_names = varying_parameters(experiments, excluded=CELL_PARAMETERS)
+    # What is in every title anyway does not have to be looked for among the differences.
+    varying_names = varying_parameters(experiments, excluded=ALWAYS_SHOWN_PARAMETERS)
     has_several_filters = len({trials.experiment.filter for trials in experiments}) > 1
     titles = []
     for trials in experiments:

@@ -41,7 +41,8 @@ def plot_scatter(
     h_e is the score for a small error, and h_K that for fast convergence; f is the share of black tiles, and
     P that of flawed robots. As in the paper's figure 4, there are rows for each series, too; swarms whose
     flawed robots assume a better accuracy than the true one, b, are blue, those who assume a worse one red;
-    each b has a marker. Raises UsageError as ``plot_boxes``.
+    each b has a marker. ``where`` chooses experiments by their parameters. Raises UsageError if no experiment
+    is left, or there are more panels or series than fit a picture.
     """
     experiments = experiments_to_plot(results, where)
     all_series = group_into_series(experiments)

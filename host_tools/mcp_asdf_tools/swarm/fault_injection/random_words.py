@@ -13,7 +13,7 @@ import struct
 from enum import IntEnum
 from fractions import Fraction
 from functools import cache
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
     RandomWords: TypeAlias = NDArray[np.uint64]
 
-_KEY = struct.Struct("<IIIBBBB")
-"""Layout of the 16 bytes that `FaultRandom._hash_bytes` hashes: the arguments that name a word, and a 0."""
+_KEY_LAYOUT = struct.Struct("<IIIBBBB")
+"""Layout of the 16 bytes that `FaultRandom._hash_bytes` hashes: the attributes of a `_WordKey`, and a 0."""
+_BYTES_IN_WORD = 8
 
 
 class _Purpose(IntEnum):
@@ -33,6 +34,26 @@ class _Purpose(IntEnum):
     NODE = 0
     FRAME = 2
     RECEIVERS = 3
+
+
+class _WordKey(NamedTuple):
+    """What random words are for; 0 stands for what they have not.
+
+    Attributes:
+        tick: Tick in which they are needed.
+        repetition: Number of earlier frames of the sender in this tick with the same identifier.
+        identifier: CAN identifier of the frame.
+        node: The node, or the sender of the frame.
+        copy_number: Which copy of a duplicated frame it is, below 256.
+        purpose: What the words decide.
+    """
+
+    tick: int
+    repetition: int
+    identifier: int
+    node: int
+    copy_number: int
+    purpose: _Purpose
 
 
 class FaultRandom:
@@ -64,12 +85,15 @@ class FaultRandom:
     def _words_for_node(self, node: int, tick: int, repetition: int) -> tuple[int, int]:
         """Return two words for a node in a tick; other repetitions have other words."""
         # 0 stands for the identifier and the copy number of a frame, as there is none.
-        hash_bytes = self._hash_bytes(2, tick, repetition, 0, node, 0, _Purpose.NODE)
-        return struct.unpack("<2Q", hash_bytes)
+        key = _WordKey(
+            tick=tick, repetition=repetition, identifier=0, node=node, copy_number=0, purpose=_Purpose.NODE
+        )
+        return struct.unpack("<2Q", self._hash_bytes(key, word_count=2))
 
     def word_for_frame(self, sent_frame: SentFrame) -> int:
         """Return a word for a frame, the same for all of its receivers."""
-        hash_bytes = self._hash_bytes(1, *_frame_key(sent_frame), 0, _Purpose.FRAME)
+        key = _key_of_frame(sent_frame, copy_number=0, purpose=_Purpose.FRAME)
+        hash_bytes = self._hash_bytes(key, word_count=1)
         return int.from_bytes(hash_bytes, "little")
 
     def words_for_receivers(
@@ -83,24 +107,29 @@ class FaultRandom:
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
         # The key has one byte for the copy number.
-        key = (*_frame_key(sent_frame), copy_number % 256, _Purpose.RECEIVERS)
-        hash_bytes = self._hash_bytes(receiver_count * words_per_receiver, *key)
+        key = _key_of_frame(sent_frame, copy_number=copy_number % 256, purpose=_Purpose.RECEIVERS)
+        hash_bytes = self._hash_bytes(key, word_count=receiver_count * words_per_receiver)
         return np.frombuffer(hash_bytes, "<u8").reshape(receiver_count, words_per_receiver)
 
-    def _hash_bytes(self, word_count: int, *key: int) -> bytes:
-        """Return the bytes of ``word_count`` words.
-
-        The key is the tick, the repetition, a CAN identifier, a node, a copy number and the purpose.
-        """
+    def _hash_bytes(self, key: _WordKey, word_count: int) -> bytes:
+        """Return the bytes of ``word_count`` words, which seed, fault and ``key`` decide."""
         # A copy, as the hash of seed and fault serves for every word.
         keyed_hash = self._seeded_hash.copy()
-        keyed_hash.update(_KEY.pack(*key, 0))
-        return keyed_hash.digest(8 * word_count)
+        spare_byte = 0
+        keyed_hash.update(_KEY_LAYOUT.pack(*key, spare_byte))
+        return keyed_hash.digest(_BYTES_IN_WORD * word_count)
 
 
-def _frame_key(sent_frame: SentFrame) -> tuple[int, int, int, int]:
-    """Return the numbers of a key that identify a sent frame."""
-    return sent_frame.tick, sent_frame.repetition, sent_frame.frame.arbitration_id, sent_frame.sender
+def _key_of_frame(sent_frame: SentFrame, copy_number: int, purpose: _Purpose) -> _WordKey:
+    """Return the key of words for a sent frame; a ``copy_number`` of 0 stands for the frame itself."""
+    return _WordKey(
+        tick=sent_frame.tick,
+        repetition=sent_frame.repetition,
+        identifier=sent_frame.frame.arbitration_id,
+        node=sent_frame.sender,
+        copy_number=copy_number,
+        purpose=purpose,
+    )
 
 
 @cache
