@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.extensions import check_for_workers
 from mcp_asdf_tools.common.extras import naming_extras
-from mcp_asdf_tools.experiments.experiment import Experiment, grid
+from mcp_asdf_tools.experiments.experiment import Experiment, grid, without_repetitions
 from mcp_asdf_tools.experiments.experiment_files import read_experiments
 from mcp_asdf_tools.experiments.plots import KINDS, load_plot
 from mcp_asdf_tools.experiments.scores import E_MAX, Limits
@@ -161,7 +161,7 @@ def _simulate_in_memory(experiments: list[Experiment], workers: int, record: int
     from mcp_asdf_tools.experiments.sweep import run_in_memory
 
     # Equal experiments are run once.
-    trial_count = sum(experiment.trials for experiment in dict.fromkeys(experiments))
+    trial_count = sum(experiment.trials for experiment in without_repetitions(experiments))
     with progress("trials", trial_count, quiet) as report:
         results = run_in_memory(experiments, record, workers, report)
     return pa.concat_tables([trials_to_table(trials) for trials in results]).combine_chunks()

@@ -47,9 +47,9 @@ def alpha_word_from_float32_bits(bits: int) -> int:
     mantissa * 2**shift * 2**-24. Parts smaller than 2**-24 are lost; numbers above the largest confidence,
     2**31 - 2**7, become that. Of the words with the same value the result is the one with the smallest shift.
     """
-    # The sign bit of a number >= 0 is 0: above the fraction there is only the biased exponent.
     mantissa = (bits & FRACTION_MASK) | IMPLICIT_BIT
-    shift = (bits >> FRACTION_BITS) - UNIT_EXPONENT
+    biased_exponent = bits >> FRACTION_BITS  # the only other bit above the fraction, the sign, is 0
+    shift = biased_exponent - UNIT_EXPONENT
     if shift > SHIFT_MAX:
         return ALPHA_MAX
     if shift < 0:

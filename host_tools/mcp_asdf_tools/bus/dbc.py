@@ -91,11 +91,10 @@ def _check_unique(nodes: Sequence[int]) -> None:
 
 def _identified_kinds(estimate_format: FrameFormat, node: int) -> list[tuple[FrameKind, int]]:
     """Return all kinds of frames, each with the 29-bit identifier that it has from a node."""
-    # Heartbeats have a fixed subject and priority, and so no FrameFormat: a frame has the identifier.
-    heartbeat = encode_heartbeat(Heartbeat(node, uptime=0, transfer_id=0))
+    any_heartbeat = encode_heartbeat(Heartbeat(node, uptime=0, transfer_id=0))
     return [
         (ESTIMATE, estimate_format.identifier(node)),
-        (HEARTBEAT, heartbeat.arbitration_id),
+        (HEARTBEAT, any_heartbeat.arbitration_id),  # heartbeats have one format, and no FrameFormat
         (TELEMETRY, TELEMETRY_FORMAT.identifier(node)),
         (COMMAND, COMMAND_FORMAT.identifier(node)),
     ]
@@ -158,9 +157,9 @@ def _value_descriptions(entry: _Entry) -> list[str]:
 
 def _float_types(entry: _Entry) -> list[str]:
     """Return the SIG_VALTYPE_ lines: the signals that are binary32 numbers."""
-    # The 1 is DBC's number for the type binary32.
+    binary32 = 1  # DBC's number for this type
     return [
-        f"SIG_VALTYPE_ {entry.identifier} {field.name} : 1;\n"
+        f"SIG_VALTYPE_ {entry.identifier} {field.name} : {binary32};\n"
         for field in entry.kind.fields
         if field.is_float
     ]

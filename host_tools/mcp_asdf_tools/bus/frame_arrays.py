@@ -81,7 +81,8 @@ def _alpha_words_from_float32_bits(bits: NDArray[np.int64]) -> NDArray[np.int64]
     words are those of ``alpha_word_from_float32_bits``, which converts a single number.
     """
     mantissas = (bits & FRACTION_MASK) | IMPLICIT_BIT
-    shifts = (bits >> FRACTION_BITS) - UNIT_EXPONENT
+    biased_exponents = bits >> FRACTION_BITS  # the only other bit above the fraction, the sign, is 0
+    shifts = biased_exponents - UNIT_EXPONENT
     # A word's shift cannot be negative, so the mantissa loses bits instead. After 24 bits nothing of it is
     # left, and NumPy shifts by no more than 63.
     lost_bits = np.clip(-shifts, 0, MANTISSA_BITS)

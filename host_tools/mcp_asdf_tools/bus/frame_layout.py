@@ -198,8 +198,9 @@ class FrameKind:
 
         Raises UsageError for a value that a decoder would refuse, so that no such frame is ever sent.
         """
-        # Every field has bits of its own, so that the order of these steps does not matter.
-        payload = TRANSFER_ID.insert(transfer_id) | START_END_TOGGLE.insert(START_END_TOGGLE.maximum)
+        single_frame = START_END_TOGGLE.maximum  # start, end and toggle are all 1: it is the only frame
+        payload = TRANSFER_ID.insert(transfer_id) | START_END_TOGGLE.insert(single_frame)
+        # Every field has bits of its own, so that none overwrites another.
         for field in self.fields:
             payload |= field.insert(values[field.name])
         return payload

@@ -160,6 +160,9 @@ class Command:
     transfer_id: int
 
 
+_MAX_ALPHA_WORD = 0xFFFF_FFFF
+"""Alpha in a robot's own form may be any 32 bits."""
+
 FrameContent = Estimate | Heartbeat | Telemetry | Rejection
 """What a frame on the bus holds, or the reason why it holds no message."""
 
@@ -169,8 +172,7 @@ def encode_estimate(estimate: Estimate, frame_format: FrameFormat, timestamp: fl
 
     Raises UsageError for a value outside the range that `Estimate` names.
     """
-    # An alpha word may be any 32 bits. `pack` checks the other values, and alpha only as binary32 bits.
-    check_range("alpha", estimate.alpha, 0, 0xFFFF_FFFF)
+    check_range("alpha", estimate.alpha, 0, _MAX_ALPHA_WORD)
     alpha_bits = float32_bits_from_alpha_word(estimate.alpha)
     payload = layout.ESTIMATE.pack(estimate.transfer_id, {"x_hat": estimate.x_hat, "alpha": alpha_bits})
     return make_frame(frame_format.identifier(estimate.sender), payload, timestamp)

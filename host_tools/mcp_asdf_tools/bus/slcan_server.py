@@ -19,6 +19,9 @@ from mcp_asdf_tools.common.errors import UsageError
 HOST = "127.0.0.1"
 """Only programs on this machine can connect, as the protocol asks nobody who they are."""
 
+MAX_PORT = 65535
+"""Largest number of a TCP port."""
+
 _OK, _ERROR = b"\r", b"\a"
 _MAX_LINE_BYTES = 32
 """No legal line is longer: that of a frame with 8 bytes and a 29-bit identifier has 26."""
@@ -106,8 +109,7 @@ class SlcanServer:
 
     def _handle_line(self, line: bytes) -> bytes:
         """Do what a line without its end asks for, and return the answer."""
-        # A slice, as an empty line has no first byte.
-        command = line[:1]
+        command = line[:1]  # empty for an empty line, which has no first byte
         if command in (b"O", b"L", b"C"):  # open, open to listen only, close
             self._is_channel_open = command != b"C"
             return _OK
@@ -149,8 +151,8 @@ class SlcanServer:
 
 def _listen_at(port: int) -> socket.socket:
     """Return a socket that listens at a port of this machine. Raises UsageError if that is impossible."""
-    if not 0 <= port <= 65535:
-        raise UsageError(f"slcan port is {port}; it must be 1 to 65535, or 0 for a free one")
+    if not 0 <= port <= MAX_PORT:
+        raise UsageError(f"slcan port is {port}; it must be 1 to {MAX_PORT}, or 0 for a free one")
     try:
         return socket.create_server((HOST, port))
     except OSError as error:

@@ -50,7 +50,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read the trials, write them to the file of results, and print their scores; return exit code 0."""
+    """Read the trials, write them to the file of results, and print their scores; return exit code 0.
+
+    Raises UsageError for options out of range, for a file that is no trial of the paper's method, and if the
+    results cannot be written.
+    """
     from mcp_asdf_tools.cli.score_table import print_scores, summarize
     from mcp_asdf_tools.common.files import check_target
     from mcp_asdf_tools.common.progress_bar import progress

@@ -48,7 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay one scenario, or run the whole check; return exit code 1 if a check failed."""
+    """Replay one scenario, or run the whole check; return exit code 1 if a check failed, otherwise 0.
+
+    Raises UsageError for options out of range, and for ones that do not go together. An interrupted check
+    returns INTERRUPTED.
+    """
     from mcp_asdf_tools.crosscheck.scenario import parse_scenario
 
     # The parser has no defaults for steps and seed, so that it shows here what the user has typed.

@@ -27,7 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the table, and print its path and number of rows; return exit code 0."""
+    """Write the table, and print its path and number of rows; return exit code 0.
+
+    Raises UsageError if the source has no values over time, or the table cannot be written or is the source.
+    """
     from mcp_asdf_tools.experiments.tidy_tables import check_tidy_path, write_tidy_tables
     from mcp_asdf_tools.library import stream_tidy_tables
 

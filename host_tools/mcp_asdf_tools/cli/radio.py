@@ -170,7 +170,11 @@ def _check_run_options(args: argparse.Namespace) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Verify the controller with --verify, or else emulate its neighbours; return the exit code."""
+    """Verify the controller with --verify, or else emulate its neighbours; return the exit code.
+
+    Raises UsageError for wrong options, for a bus on which no controller can be, and if the bus or the files
+    to be written cannot be opened.
+    """
     from rich.console import Console
 
     from mcp_asdf_tools.common.files import check_target

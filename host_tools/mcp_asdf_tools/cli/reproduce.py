@@ -191,10 +191,11 @@ def open_stores(
 def _run_missing_trials(
     stores: dict[StoreKey, Store], workers: int, args: argparse.Namespace
 ) -> tuple[dict[Cell, Trials], dict[StudyPart, list[Trials]]]:
-    """Run the trials that the stores lack, part by part, and return all trials by cell of the study.
+    """Run the trials that the stores lack, part by part, and return all trials that they have then.
 
-    Those of a firmware or filter of the user's are returned by part. Progress goes to standard error, unless
-    --json is given.
+    The first dictionary has those of the paper's study by cell, which is a kind of swarm; the second one
+    those of a firmware or filter of the user's by part of the study. Progress goes to standard error, unless
+    --json is given. Raises UsageError if trials cannot be run or written.
     """
     from mcp_asdf_tools.common.progress_bar import progress
     from mcp_asdf_tools.experiments.result_files import stream_experiments

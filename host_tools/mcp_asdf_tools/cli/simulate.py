@@ -39,7 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the experiment, write its results if ``--output`` names a file, and print its scores; return 0."""
+    """Run the experiment, write its results if ``--output`` names a file, and print its scores; return 0.
+
+    Raises UsageError for wrong options, for a file of several experiments, and if the results cannot be
+    written.
+    """
     from mcp_asdf_tools.cli.score_table import print_scores, summarize
     from mcp_asdf_tools.experiments.result_tables import experiments_in, read_metadata
     from mcp_asdf_tools.library import simulate

@@ -318,8 +318,9 @@ def run(args: argparse.Namespace) -> int:
 def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | None) -> _RunResult:
     """Run the swarm to its end or Ctrl-C, with its baselines beside it if --compare asks for them.
 
-    ``log_outputs`` and ``recorder``, if there is one, get what happens. Raises LockstepError if robots
-    elsewhere do not start, can.CanError if their bus fails before they have.
+    ``log_outputs`` and ``recorder``, if there is one, get what happens. Returns how the run has ended, with
+    the report that is also written as JSON. Raises LockstepError if robots elsewhere do not start,
+    can.CanError if their bus fails before they have.
     """
     from mcp_asdf_tools.robots.node import Subjects
     from mcp_asdf_tools.robots.processes import NodeProcesses
@@ -344,6 +345,8 @@ def _emulate(plan: _RunPlan, log_outputs: LogOutputs, recorder: SwarmRecorder | 
             # Baselines come first, since the live view shows their errors after the same tick.
             hooks = [hook for hook in (baselines, recorder, live_view) if hook is not None]
             outcome = run_swarm(swarm, hooks, should_stop)
+
+    # The robots' processes have ended by now, so that their reports are there.
     bus_choice = plan.choice
     report = outcome.report(
         {"interface": bus_choice.interface, "channel": bus_choice.channel, "slcan": slcan_port}
@@ -436,6 +439,7 @@ def _print_result(plan: _RunPlan, result: _RunResult) -> None:
     elif console.is_terminal:
         console.print(summary_table(rows))
     else:
+        # For programs that read the output: a line is the name of a row, a tab and its text.
         print("\n".join("\t".join(row) for row in rows))
     if not plan.args.quiet:
         warning = load_warning(result.outcome.results)

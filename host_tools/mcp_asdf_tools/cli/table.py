@@ -42,7 +42,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write a table, or check files; return exit code 1 if a file is not what the generator makes."""
+    """Write a table, or check files; return exit code 1 if a file is not what the generator makes, else 0.
+
+    Raises UsageError for wrong options, and for a file that cannot be read or written.
+    """
     from mcp_asdf_tools.tables.table_files import check_file
 
     if args.output is not None:

@@ -73,7 +73,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve the page of a recording or of a bus, or write it with --export; return the exit code."""
+    """Serve the page of a recording or of a bus, or write it with --export; return the exit code.
+
+    Raises UsageError for options that would do nothing, for a recording that cannot be shown, and if the page
+    cannot be written or served.
+    """
     from mcp_asdf_tools.common.files import check_target
 
     if args.file is None:
@@ -201,7 +205,11 @@ def _serve_recording(args: argparse.Namespace, history: History) -> int:
 
 
 def _serve_bus(args: argparse.Namespace) -> int:
-    """Serve the page of a bus that robots elsewhere are on until Ctrl-C; return the exit code."""
+    """Serve the page of a bus of real robots or of ones in other programs until Ctrl-C; return the exit code.
+
+    That is 0, or 1 if the bus failed. Raises UsageError if no bus is named, for options that are for
+    recordings, and if the bus cannot be opened or the page not served.
+    """
     from can import CanError
 
     from mcp_asdf_tools.bus.interfaces import DEFAULT_INTERFACE

@@ -24,6 +24,9 @@ _METADATA_BY_SUFFIX: dict[str, dict[str, None]] = {
 }
 """Suffixes of pictures, and the metadata with a date, which matplotlib leaves out if they are None."""
 
+_DOTS_PER_INCH = 150
+"""Resolution of a picture in PNG."""
+
 
 def check_plot_path(path: Path) -> Path:
     """Return the path of a picture unchanged. Raises UsageError if no picture can be written there."""
@@ -54,7 +57,12 @@ def image_of(figure: Figure, path: Path) -> bytes:
     image = io.BytesIO()
     suffix = _format_of(path)
     with rc_context({"svg.hashsalt": "mcp-asdf", "svg.fonttype": "path"}):
-        figure.savefig(image, format=suffix[1:], dpi=150, metadata=_METADATA_BY_SUFFIX[suffix])
+        figure.savefig(
+            image,
+            format=suffix.removeprefix("."),
+            dpi=_DOTS_PER_INCH,
+            metadata=_METADATA_BY_SUFFIX[suffix],
+        )
     return image.getvalue()
 
 

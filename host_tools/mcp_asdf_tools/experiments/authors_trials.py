@@ -338,8 +338,10 @@ def _check_numbers(series: dict[str, NDArray[np.float64]]) -> None:
     """
     n, t = series["n"], series["t"]
     steps = np.arange(len(t))
-    # Written so that NaN fails the comparison, as a count cannot be NaN.
-    is_wrong_by_name = {"n": ~((n >= 0) & (n <= t)), "t": ~((t >= 0) & (t <= steps))}
+    # Comparisons with NaN are false: a count of NaN is wrong, and any other value of NaN is not.
+    is_possible_n = (n >= 0) & (n <= t)
+    is_possible_t = (t >= 0) & (t <= steps)
+    is_wrong_by_name = {"n": ~is_possible_n, "t": ~is_possible_t}
     for name in _SHARES:
         is_wrong_by_name[name] = (series[name] < 0) | (series[name] > 1)
     for name in _CONFIDENCES:

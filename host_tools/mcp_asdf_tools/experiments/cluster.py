@@ -63,9 +63,9 @@ def _wait_for_a_worker(client: Any, address: str) -> None:
 def _connect_client(dask: Any, address: str) -> Any:
     """Return a Dask client that is connected, once the scheduler has answered a first message of ours.
 
-    A client exchanges messages too, but without a limit in time: it would wait forever for a server that is
-    silent. And one that fails is left to the garbage collector, which closes it in any thread; in the one
-    that the next client has just started, the two wait for each other. Raises UsageError if nobody answers.
+    No client is made before that, for two reasons. A client waits without a limit for a server that is
+    silent. And a client that has failed is closed by the garbage collector, in whatever thread that runs: in
+    the thread of the next client, both would wait for each other. Raises UsageError if nobody answers.
     """
     from distributed.comm import connect  # noqa: PLC0415
 

@@ -53,7 +53,7 @@ class Experiment(Population):
         object.__setattr__(self, "message_bits", EXACT if message_code is None else str(message_code))
         # In a larger swarm ids repeat: the engine in C keeps robots of one id apart, messages on a bus do
         # not.
-        slow_parameter = self.lacking_in_c if self.robots > MAX_ON_BUS else ""
+        slow_parameter = self.parameter_lacking_in_c if self.robots > MAX_ON_BUS else ""
         if slow_parameter:
             value = getattr(self, slow_parameter)
             reason = f"{slow_parameter} is {value}, which runs message by message, with ids of 7 bits"
@@ -66,7 +66,7 @@ class Experiment(Population):
         return parse_message_bits(self.message_bits)
 
     @property
-    def lacking_in_c(self) -> str:
+    def parameter_lacking_in_c(self) -> str:
         """The parameter whose value the engine in C lacks, so that trials run in Python, message by message.
 
         It is the name of a parameter, such as "firmware", or empty if the engine can run the experiment.

@@ -36,9 +36,9 @@ class MessageCode:
         return f"{self.x_hat_bits}+{self.alpha_bits}"
 
     def round_raw(self, x_hat: int, alpha: int) -> tuple[int, int]:
-        """Return x_hat and alpha as a receiver decodes them.
+        """Return x_hat and alpha rounded to the code's numbers of bits, as a receiver decodes them.
 
-        They are the firmware's integers: x_hat in units of 2**-23, alpha an alpha word.
+        They are the firmware's integers: x_hat in units of 2**-23, alpha as 32 bits of mantissa and shift.
         """
         x_hat_code = small_messages.encode_x_hat(x_hat, self.x_hat_bits)
         alpha_code = small_messages.encode_alpha(alpha, self.alpha_bits)

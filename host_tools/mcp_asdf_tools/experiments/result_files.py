@@ -249,16 +249,21 @@ class RowGroups:
         self.row_count += rows.row_count
 
     def take(self, rows: NDArray[np.int64], columns: Sequence[str] | None = None) -> pa.Table:
-        """Return rows by their numbers, in the order of ``rows``, with some columns or all."""
+        """Return the rows of these numbers, in the order of ``rows``, with some columns or all.
+
+        Each row group that has one of them is read once. Raises UsageError if a file cannot be read.
+        """
+        column_names = None if columns is None else tuple(columns)  # hashable, for the cache
         first_rows = [row_group.first_row for row_group in self._row_groups]
         # A row is in the last row group that begins at or before it.
         group_of_row = np.searchsorted(first_rows, rows, side="right") - 1
-        tables, positions = [], []  # of each row group: its rows that are requested, and where in ``rows``
+        # Of each row group: its rows that are requested, and their positions in ``rows``
+        tables = []
+        positions = []
         for group_index in np.unique(group_of_row):
             positions_of_group = np.flatnonzero(group_of_row == group_index)
             rows_in_group = rows[positions_of_group] - first_rows[group_index]
-            # Arguments of a cached function must be hashable, so the columns are a tuple.
-            table = self._read_cached(group_index, None if columns is None else tuple(columns))
+            table = self._read_cached(group_index, column_names)
             tables.append(table.take(rows_in_group))
             positions.append(positions_of_group)
         # The rows are now in the order of the row groups, and have to be in that of the request.

@@ -227,7 +227,12 @@ def read_metadata(table: pa.Table) -> dict[str, Any]:
 
 
 def trials_to_table(trials: Trials) -> pa.Table:
-    """Return trials as the rows of a table with the columns and metadata that this file's head lists."""
+    """Return trials as a table with a row for each of them.
+
+    The columns are the parameters of the experiment, the number of the trial, its scores, and lists of the
+    robots' values. The metadata have, as JSON, versions, units and meanings of the columns, and how often
+    values were recorded.
+    """
     trial_count = len(trials.numbers)
     columns: dict[str, Any] = {
         name: [value] * trial_count for name, value in trials.experiment.parameters().items()

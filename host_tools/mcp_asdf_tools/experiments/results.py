@@ -66,7 +66,7 @@ class Trials:
     source: str = ""
 
     def scores(self, limits: Limits = PAPERS) -> dict[str, NDArray[np.float64]]:
-        """Return the SCORES of each trial, by the score's name."""
+        """Return the scores H, h_K and h_e of each trial by the score's name, relative to ``limits``."""
         return score(self.convergence_steps, self.errors, *limits.of(self.experiment))
 
     def measures(self, limits: Limits = PAPERS) -> dict[str, NDArray[np.float64 | np.signedinteger]]:
@@ -185,7 +185,10 @@ _CSV_RESULTS = (*SCORES, "mean_K", "mean_e", "mean_b_hat", "tests", "updates", "
 
 
 def _csv_results(trials: Trials, limits: Limits) -> dict[str, NDArray[Any]]:
-    """Return the values of the columns _CSV_RESULTS, and of other measures, by name: one for each trial."""
+    """Return the results of trials for a CSV file, a value for each trial, by the name of the column.
+
+    Besides the columns of _CSV_RESULTS there are measures that the file does not have.
+    """
     k_max, e_max = limits.of(trials.experiment)
     trial_count = len(trials.numbers)
     robot_axis = 1

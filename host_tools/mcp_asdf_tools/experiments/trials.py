@@ -44,7 +44,7 @@ def run_trials(experiment: Experiment, first: int, trials: int, sampling_interva
     engine cannot run the experiment.
     """
     numbers = range(first, first + trials)
-    if experiment.lacking_in_c:
+    if experiment.parameter_lacking_in_c:
         return _concatenate([_run_by_message(experiment, number, sampling_interval) for number in numbers])
     if experiment.topology == "fully-connected":
         # Most of these swarms have the same x in all robots, so that a trial has a single series.
@@ -269,7 +269,10 @@ class MessageSwarm:
             yield step
 
     def _observations_and_pairs(self) -> Iterator[tuple[Sequence[Observation | None], Pairs]]:
-        """Yield for each step the observation of each robot, None where it makes none, and pairs in range."""
+        """Yield for each step each robot's observation, and the pairs of robots of which one hears the other.
+
+        An observation is None where the robot makes none. A pair is the ids of receiver and sender.
+        """
         steps = self._experiment.steps
         no_observations = [None] * len(self.robots)
         for first in range(0, steps, _STEPS_AT_ONCE):

@@ -297,8 +297,7 @@ class EventsReader:
                 continue
             if not _is_event(plain_event):
                 raise self.error_in_line(f"{plain_event!r} is no event")
-            is_estimate = isinstance(plain_event, list) and len(plain_event) == 3
-            if is_estimate:
+            if is_received_estimate(plain_event):
                 sender, _x_hat, _alpha = plain_event
                 self._last_estimates[sender] = plain_event
             events.append(plain_event)
@@ -415,8 +414,16 @@ def _open_text(path: Path) -> IO[str]:
     return path.open(encoding="ascii", errors="backslashreplace", newline="\n")
 
 
+def is_received_estimate(event: Event) -> bool:
+    """Return whether an event is a received estimate, which is a list of sender, x_hat and alpha."""
+    return isinstance(event, list) and len(event) == 3
+
+
 def _is_event(event: Any) -> bool:
-    """Return whether a JSON value is one of the events that the head of this file lists."""
+    """Return whether a JSON value is an event of a robot.
+
+    That is the number of an ``Action``, "silent", "restart", or a list of two or three integers of 32 bits.
+    """
     if isinstance(event, list):
         # An estimate is [sender, x_hat, alpha], a broadcast that a fault has changed [x_hat, alpha].
         has_possible_length = len(event) in (2, 3)

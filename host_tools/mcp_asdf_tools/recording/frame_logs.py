@@ -29,7 +29,7 @@ PART_SUFFIX = ".part"
 
 
 def check_log(path: Path | str) -> None:
-    """Raise UsageError if a log is missing, cannot be read or is empty; nothing is returned.
+    """Raise UsageError if a log is missing, cannot be read or is empty.
 
     If it is missing but ``NAME.log.part`` is there, a run was cut off, and the message says so.
     """
@@ -122,14 +122,14 @@ def read_log(
 
 
 def _read_frames(path: Path, summary: LogSummary) -> Iterator[can.Message]:
-    """Yield the frames of all channels in a log, whose format its suffix gives.
+    """Yield the frames of all channels in a log, whose suffix, as .log in run.log.part.gz, gives the format.
 
     In candump's format, ``.log``, lines that are no frames are skipped, and ``summary`` counts them. Raises
     UsageError if the log cannot be read, if its suffix is of no format, or if it is in another format than
     candump's and has a malformed frame.
     """
-    # A name may be run.log.part.gz: the format, then the mark of a run that was cut off, then compression.
     name = path.name.lower().removesuffix(".gz")
+    # Behind the format stands the mark of a run that was cut off.
     is_cut_off = name.endswith(PART_SUFFIX)
     format_suffix = Path(name.removesuffix(PART_SUFFIX)).suffix
     try:

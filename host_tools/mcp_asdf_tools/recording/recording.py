@@ -226,7 +226,8 @@ class Recording:
     def _fail(self, reason: str, data_on_disk: str) -> None:
         """End the recording and warn, unless it has ended before.
 
-        The warning is made of the reason, of ``data_on_disk`` and of the names of the parts.
+        The warning has the reason, ``data_on_disk``, which says what of the data is there, and the names of
+        the files that it is in. These are closed.
         """
         if self._is_over:
             return
@@ -234,8 +235,8 @@ class Recording:
         self.failure = reason
         parts = " and ".join(str(part) for part in self._part_by_path.values())
         self._warn(f"the log {self._path} is not complete: {reason}; {data_on_disk} in {parts}")
-        for file in self._files:
-            file.file.close()
+        for part_file in self._files:
+            part_file.file.close()
 
 
 def _part_of(path: Path) -> Path:

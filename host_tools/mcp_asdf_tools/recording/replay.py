@@ -25,6 +25,7 @@ from mcp_asdf_tools.recording.events import (
     EventsReader,
     InjectedFrame,
     RobotEvents,
+    is_received_estimate,
 )
 from mcp_asdf_tools.robots.bus_robot import BusRobot
 from mcp_asdf_tools.robots.robot_setup import RobotSetup
@@ -67,11 +68,10 @@ class RepeatedRobot:
 
         Raises ValueError for an event that cannot follow the one before it.
         """
-        # Estimates that were received one after the other are passed on together, which is much faster.
         estimates: list[Event] = []
         for event in events:
-            is_estimate = isinstance(event, list) and len(event) == 3
-            if is_estimate:
+            # Estimates that were received one after the other are passed on together, which is much faster.
+            if is_received_estimate(event):
                 estimates.append(event)
                 continue
             self._receive(estimates)
@@ -175,11 +175,15 @@ def rerun(events: EventsReader) -> Iterator[tuple[int, Robot]]:
     """
     robots = _start_robots(events)
     for entry in _apply_entries(events, robots):
-        if isinstance(entry, RobotEvents) and entry.events and entry.events[-1] == SETTLE:
+        if isinstance(entry, InjectedFrame):
+            continue
+        has_ended_tick = len(entry.events) > 0 and entry.events[-1] == SETTLE
+        if has_ended_tick:
             repeated_robot = robots[entry.robot_id]
             # Nothing compares the broadcasts here, so they must not fill the memory.
             repeated_robot.broadcasts.clear()
-            yield entry.robot_id, repeated_robot.robot.robot
+            bus_robot = repeated_robot.robot
+            yield entry.robot_id, bus_robot.robot
 
 
 def _start_robots(events: EventsReader) -> dict[int, RepeatedRobot]:

@@ -59,8 +59,8 @@ class Calibration:
 
         It is not 0 if the colours' accuracies differ, since the method has one accuracy for both.
 
-        With b + d on black and b - d on white, black is seen with probability f b + (1 - f)(1 - b) + d, from
-        which eq. 3 makes f + d / (2 b - 1).
+        With the accuracies b + d on black and b - d on white, a reading is black with the probability
+        f b + (1 - f)(1 - b) + d. From that the method's estimate of f (eq. 3) becomes f + d / (2 b - 1).
         """
         black, white = self.accuracy.values()
         # In the terms of the docstring the numerator is d, and the denominator 2 b - 1.

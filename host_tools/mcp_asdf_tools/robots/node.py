@@ -214,9 +214,9 @@ class RobotNode:
     def receive_frame(self, frame: can.Message) -> list[can.Message]:
         """Receive any frame that this node has not sent itself, and return the frames that answer it.
 
-        Only commands that the robot follows have answers, see ``observe`` and ``settle``. An estimate goes to
-        the robot, and also to the recorder if another node sent it under this robot's id. Any other frame is
-        counted as rejected.
+        Only commands that the robot follows have answers: one to observe may have a heartbeat and an
+        estimate, and one to settle has telemetry. An estimate goes to the robot, and also to the recorder if
+        another node sent it under this robot's id. Any other frame is counted as rejected.
         """
         content: Estimate | Command | Rejection = decode_estimate(frame, self.subjects.estimates)
         if content is Rejection.SUBJECT:  # a message, but no estimate

@@ -165,10 +165,10 @@ def _plain(value: Any) -> Any:
 def flawed_count(count_or_share: Any, robots: int) -> int:
     """Return the number of flawed robots that a count such as 6, or a share such as 0.3 or 30%, stands for.
 
-    A share of ``robots`` becomes the nearest count, halves up. Raises ParameterError if the value is neither
-    a count nor a share, or out of range.
+    Digits alone are a count: 1 is one robot, but 1.0 and 100% are all of them. A share of ``robots`` becomes
+    the nearest count, halves up. Raises ParameterError if the value is neither a count nor a share, or out of
+    range.
     """
-    # Digits alone are a count: 1 is one robot, and 1.0 or 100% are all of them.
     flawed_text = str(count_or_share)
     if flawed_text.isascii() and flawed_text.isdigit():
         count = int(flawed_text)

@@ -194,7 +194,7 @@ def _checksum_of(table: Table) -> int:
 
 
 def _table_from_plain(plain_table: Any, robot_id: Any) -> Table:
-    """Generate the t-table that ``_plain_table`` has described.
+    """Generate the t-table of which ``plain_table`` has omega, q and the checksum.
 
     Raises UsageError, naming the robot, if the generated table has another checksum than the one recorded in
     ``plain_table``: the robot would not be the same.

@@ -100,8 +100,8 @@ def resample_rank_correlation(first: Sample, second: Sample) -> Resampled:
 
     It is 0 where a sample does not vary.
     """
-    # Ranking all resamples at once would need several arrays of RESAMPLES x trials float64.
-    batches = np.array_split(resample_indices(len(first)), 50)
+    batch_count = 50  # to rank all resamples at once needs several arrays of RESAMPLES x trials float64
+    batches = np.array_split(resample_indices(len(first)), batch_count)
     resamples = np.concatenate([_spearman(first[indices], second[indices]) for indices in batches])
     # The sample itself is a single row.
     (value,) = _spearman(first[np.newaxis], second[np.newaxis])

@@ -117,7 +117,10 @@ def _shipped_experiments(study_part: StudyPart) -> list[Experiment]:
 
 @cache
 def cells_of(study_part: StudyPart) -> tuple[Cell, ...]:
-    """Return the normal cells of a part, in the order in which its file has their experiments."""
+    """Return the cells of a part of the study, its kinds of swarms, in the order of the part's file.
+
+    Of cells that are the same experiment there is one, that of ``Cell.normal``.
+    """
     # The files have some experiments more than once, as they are grids: see Cell.normal. The keys of a
     # dictionary are each cell once, in order.
     cells = [cell_of(study_part, experiment) for experiment in _shipped_experiments(study_part)]
@@ -125,7 +128,10 @@ def cells_of(study_part: StudyPart) -> tuple[Cell, ...]:
 
 
 def cell_of(study_part: StudyPart, experiment: Experiment) -> Cell:
-    """Return the normal cell to which an experiment of a part belongs."""
+    """Return the cell, the kind of swarm, to which an experiment of a part belongs.
+
+    Of cells that are the same experiment it is that of ``Cell.normal``.
+    """
     cell = Cell(
         study_part=study_part,
         fill_ratio=experiment.fill_ratio,

@@ -525,8 +525,12 @@ class ChangingFloor:
         self._settings, self._steps = settings, 0
 
     def advance(self, steps: int) -> Accuracies:
-        """Return the accuracies of the next steps on black and on white tiles."""
-        f, b = self._settings.fill_ratio, self._settings.true_accuracy
+        """Return the accuracies of the next steps on black and on white tiles.
+
+        On black tiles they stay as they are. Those on white tiles change in the middle of the trial, so that
+        as many readings are black as a floor with FLOOR_AFTER_CHANGE black would give.
+        """
+        f, b = self._settings.fill_ratio, self._settings.true_accuracy  # in the paper's letters
         black_readings_after = FLOOR_AFTER_CHANGE * b + (1 - FLOOR_AFTER_CHANGE) * (1 - b)
         # f b black readings come from black tiles; white tiles have to give the rest.
         white_accuracy_after = 1 - (black_readings_after - f * b) / (1 - f)

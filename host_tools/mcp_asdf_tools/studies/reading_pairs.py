@@ -119,8 +119,11 @@ class TwoReadingsRobot(ReferenceRobot):
         return Status.OK
 
     def _update_b_hat(self) -> Status:
-        """Run the robust filter, but take b_hat from the readings instead of from its test."""
-        # The robust filter has more to do than its test, and x needs that.
+        """Run the robust filter, as x needs it, but take b_hat from the readings instead of from its test.
+
+        Returns UPDATED if the readings disagree too often, or too rarely, for the b_hat at the start;
+        otherwise OK, and b_hat is what it was at the start.
+        """
         super()._update_b_hat()
         initial_b_hat = self._robust.initial_b_hat
         if disagreement_test_rejects(self._disagreements, self._pairs, initial_b_hat):

@@ -280,7 +280,7 @@ def mean_e_of_robots(trials: Trials) -> Sample:
 
 
 def make_tables(grid: Rows, beyond: Rows, peers: Rows, worlds: Rows) -> dict[str, str]:
-    """Return the four tables of the study in Markdown, by their names."""
+    """Return the four tables of the study in Markdown by name: "grid", "beyond", "peers" and "worlds"."""
     return {
         "grid": markdown_table(GRID_HEAD, grid, grid_text),
         "beyond": markdown_table(ERRORS_HEAD, beyond, errors_text),

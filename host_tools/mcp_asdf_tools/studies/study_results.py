@@ -77,13 +77,17 @@ class StudyResults:
         return ""
 
     def sample(self, cell: Cell, name: str) -> Sample:
-        """Return a value for each trial of a cell; ``name``, one of SAMPLES, says which value."""
+        """Return a value for each trial of a cell, which is one kind of swarm.
+
+        ``name`` says which value: a score, H, h_K or h_e, or "b_hat", the accuracy that robots which are not
+        flawed assume at the end, averaged over them. Raises KeyError if the cell has not been run.
+        """
         if name == "b_hat":
             return final_b_hat_of_healthy_robots(self._trials_by_cell[cell.normal])
         return self._scores[cell.normal][name]
 
     def measure(self, cell: Cell, name: str) -> Resampled:
-        """Return one of MEASURES of a cell, with its bootstrap resamples; repeated calls compute it once.
+        """Return a measure of a cell, one kind of swarm, with its bootstrap resamples. It is computed once.
 
         - a name of SAMPLES: the median over the trials
         - "spread of H": the interquartile range of H over the trials
@@ -98,7 +102,7 @@ class StudyResults:
         return self._measured[key]
 
     def _compute_measure(self, cell: Cell, name: str) -> Resampled:
-        """Compute one of MEASURES of a normal cell, with its bootstrap resamples: see ``measure``."""
+        """Compute the measure called ``name`` of a cell, one kind of swarm, with its bootstrap resamples."""
         match name:
             case "spread of H":
                 return resample_interquartile_range(self.sample(cell, "H"))
@@ -127,7 +131,10 @@ class StudyResults:
 
 
 def own_name_of(experiment: Experiment) -> str:
-    """Return the name of a firmware or filter that the paper does not have, or an empty one."""
+    """Return what of an experiment's firmware and filter the paper does not have, such as "beta".
+
+    That is "beta_robust" if it has neither of both, and empty if it has both.
+    """
     names = [] if experiment.firmware == PAPERS_FIRMWARE else [experiment.firmware]
     if experiment.filter not in PAPERS_FILTERS:
         names.append(experiment.filter)

@@ -140,10 +140,10 @@ class ExpectingConnection:
         count as received first. When the time is over, up to _MAX_READS_AFTER_DEADLINE frames that wait in
         the receive buffer are still read.
         """
-        # Indices in ``awaited`` of the frames that have not arrived, by what a bus preserves of them.
-        pending: defaultdict[tuple[int, bytes], deque[int]] = defaultdict(deque)
+        # Of the frames that have not arrived, by what a bus preserves of them
+        missing_indices: defaultdict[tuple[int, bytes], deque[int]] = defaultdict(deque)
         for index, sent_frame in enumerate(awaited):
-            pending[_identifier_and_data(sent_frame.frame)].append(index)
+            missing_indices[_identifier_and_data(sent_frame.frame)].append(index)
 
         received: dict[int, SentFrame] = {}
         deadline = time.monotonic() + seconds
@@ -157,7 +157,7 @@ class ExpectingConnection:
             if frame is None:
                 break
             # get() does not add an entry for a frame that nobody expects, of which there may be many.
-            indices = pending.get(_identifier_and_data(frame))
+            indices = missing_indices.get(_identifier_and_data(frame))
             if indices:
                 index = indices.popleft()
                 received[index] = replace(awaited[index], frame=frame)
@@ -231,7 +231,7 @@ class Carrier:
         self._delivery_queue = delivery_queue
         self._frame_format = frame_format
         self._clock = clock
-        self._on_unread_frame: FrameTaker = lambda frame: None
+        self._on_frame_without_bus: FrameTaker = lambda frame: None
         """Called with frames that are sent without a bus; those on a bus are reported when they are read."""
         self._has_bus_per_robot = False
         self._robot_connections: dict[int, ExpectingConnection] = {}
@@ -255,7 +255,7 @@ class Carrier:
         open_bus = wiring.open_bus
         if open_bus is None:
             if on_frame is not None:
-                self._on_unread_frame = on_frame
+                self._on_frame_without_bus = on_frame
             return
         self._has_bus_per_robot = not wiring.is_shared
         robot_ids = list(self._robots)
@@ -300,8 +300,7 @@ class Carrier:
         buffers overflow; ``deliver`` reads the others. Raises can.CanError if the bus does not take the
         frame, and SwarmError if it has lost one and no clock limits the wait for it.
         """
-        # This does nothing with a bus, where frames are reported when they are read back.
-        self._on_unread_frame(sent_frame.frame)
+        self._on_frame_without_bus(sent_frame.frame)  # with a bus nothing: the frame will be read from it
         robot_connection = self._robot_connections.get(sent_frame.sender)
         if robot_connection is not None:
             robot_connection.bus.send(sent_frame.frame, timeout=FRAME_TIMEOUT)
@@ -329,9 +328,9 @@ class Carrier:
 
     def _connection_to_read(self, sent_frame: SentFrame) -> ExpectingConnection | None:
         """Return where the carrier has to read a frame; None without a bus, or if it has read it already."""
-        # What a remote robot sent, its driver has read already from the connection of the carrier.
         is_sent_from_here = sent_frame.sender in self._robot_connections
         if not is_sent_from_here:
+            # What a remote robot sent, its driver has read already from the connection of the carrier.
             return None
         return self.bus_connections[sent_frame.sender]
 
@@ -394,15 +393,18 @@ class Carrier:
         self._count_other_frames(deliveries, np.flatnonzero(~decoded.is_estimate))
 
     def _count_other_frames(self, deliveries: Deliveries, indices: NDArray[np.intp]) -> None:
-        """Let each robot count its frames at ``indices``, those that hold no estimate."""
-        # Robots count frames by kind. Counting all frames of one kind at once is faster in a flood of them.
+        """Let each robot count those frames that hold no estimate, by their kind.
+
+        ``indices`` are their positions among the deliveries.
+        """
         content_by_kind: dict[Rejection | type, FrameContent] = {}
         indices_by_kind: defaultdict[Rejection | type, list[int]] = defaultdict(list)
         for index in indices.tolist():
             content = decode_frame(deliveries.received_frame(index), self._frame_format)
             kind = content if isinstance(content, Rejection) else type(content)
-            content_by_kind[kind] = content
+            content_by_kind[kind] = content  # the content of any frame counts for all of its kind
             indices_by_kind[kind].append(index)
+        # All frames of one kind are counted at once, which is faster in a flood of them.
         for kind, indices_of_kind in indices_by_kind.items():
             frame_counts = np.count_nonzero(deliveries.receivers[indices_of_kind], axis=0)  # by robot id
             for robot in self._robots.values():

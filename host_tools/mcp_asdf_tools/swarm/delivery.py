@@ -150,10 +150,10 @@ class DeliveryQueue:
 
 def _concatenate(all_deliveries: Sequence[Deliveries], robot_count: int) -> Deliveries:
     """Return several deliveries as one, in order, without their delays and copy numbers."""
-    # With the empty arrays at the front the result has its shape and type even if nothing is delivered.
+    sent_frames: list[SentFrame] = []
+    # With an empty array at the front the results have their shape and type even if nothing is delivered.
     no_receivers = np.zeros((0, robot_count), np.bool_)
     no_bit_flips = np.zeros(0, np.uint64)
-    sent_frames: list[SentFrame] = []
     receivers = [no_receivers]
     bit_flips = [no_bit_flips]
     for deliveries in all_deliveries:

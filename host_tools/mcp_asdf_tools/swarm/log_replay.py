@@ -21,8 +21,8 @@ def read_swarm_settings(log: Path, header: EventsHeader) -> SwarmSettings:
 
     Raises UsageError for the log of a node or a controller, and for settings that contradict its robots.
     """
-    # Every version of swarm has written this parameter, and no other command does.
-    if "flawed" not in header.parameters:
+    is_of_swarm = "flawed" in header.parameters  # all versions of swarm write it, and no other command does
+    if not is_of_swarm:
         raise UsageError(
             f"{log} is not the log of a swarm; give one of mcp-asdf swarm, or check it with mcp-asdf replay"
         )

@@ -140,7 +140,10 @@ class RemoteFirmware:
 
 
 def remote_robot(setup: RobotSetup, frames: FrameFormat, recorder: Recorder | None = None) -> BusRobot:
-    """Create the half in this process of a remote robot; ``recorder`` takes its events."""
+    """Create the counterpart in this process of a remote robot; ``recorder`` takes its events.
+
+    It counts the robot's ticks and frames, and knows of its firmware what a ``RemoteFirmware`` knows.
+    """
     return BusRobot(setup, frames, recorder, make_firmware=lambda: cast(Robot, RemoteFirmware(setup)))
 
 
@@ -219,14 +222,14 @@ class Driver:
     def _observe_at_once(self, observations: Mapping[int, Observation | None]) -> None:
         """Command robots to observe, and wait for the estimates of those that broadcast in this tick.
 
-        Their halves in this process observe, too, and take x_hat from the estimates. Raises UsageError if a
-        robot has the driver's id, LockstepError if one does not broadcast in time, and can.CanError if the
-        bus does not take the commands.
+        Their counterparts in this process observe, too, and take x_hat from the estimates. Raises UsageError
+        if a robot has the driver's id, LockstepError if one does not broadcast in time, and can.CanError if
+        the bus does not take the commands.
         """
         self._lockstep.observe(observations)
         broadcasting_robots = []
         for robot, z in observations.items():
-            # The half of the robot in this process counts its ticks, so it knows when a broadcast is due.
+            # The counterpart in this process counts the robot's ticks, so it knows when a broadcast is due.
             is_broadcast_due = self.nodes[robot].observe(z)
             if is_broadcast_due:
                 broadcasting_robots.append(robot)

@@ -179,9 +179,9 @@ def _b_hat_before_and_after(swarm: Swarm, robots: Sequence[int]) -> dict[str, An
 def _robot_results(swarm: Swarm, node: BusRobot) -> dict[str, Any]:
     """Return the results of one robot as plain values, for JSON.
 
-    ``delivered``, ``refused`` and ``rejected`` count received frames as ``Reception`` does; ``t`` is the
-    number of observations, ``x`` the estimate, ``b_hat`` the assumed accuracy. ``tests`` is None for a remote
-    robot.
+    ``delivered`` counts the estimates that its firmware got, ``refused`` those that it refused, ``rejected``
+    other frames by the reason why they are no estimates. ``t`` is the number of observations, ``x`` the
+    estimate, ``b_hat`` the assumed accuracy. ``tests`` is None for a remote robot.
     """
     reception = node.reception
     counters = node.counters

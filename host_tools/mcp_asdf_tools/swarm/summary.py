@@ -26,7 +26,6 @@ def summary(run: SwarmRun, bus: str, seconds: float) -> list[Row]:
     results = run.results
     frames = results["frames"]
     b_hat = results["b_hat"]
-    b = settings.true_accuracy
     # Remote robots do not report their tests.
     tests = "an unknown number of" if results["tests"] is None else results["tests"]
     return [
@@ -37,8 +36,8 @@ def summary(run: SwarmRun, bus: str, seconds: float) -> list[Row]:
             f"{results['mean_error']:.5f}, spread of x {results['spread_x']:.5f}, of x_hat "
             f"{results['spread_x_hat']:.5f}",
         ),
-        ("b_hat, flawed", _b_hat_change(b_hat["flawed"], b)),
-        ("b_hat, other", _b_hat_change(b_hat["other"], b)),
+        ("b_hat, flawed", _b_hat_change(b_hat["flawed"], settings.true_accuracy)),
+        ("b_hat, other", _b_hat_change(b_hat["other"], settings.true_accuracy)),
         ("filter", f"{settings.filter_description}; {tests} tests, {results['updates']} updates"),
         (
             "frames",
@@ -134,7 +133,10 @@ def _ending(run: SwarmRun) -> str:
 
 
 def _b_hat_change(change: dict[str, float] | None, true_accuracy: float) -> str:
-    """Return the text about b_hat of a group of robots at the start and the end; None is an empty group."""
+    """Return the text about b_hat, the assumed accuracy, of a group of robots at the start and at the end.
+
+    A ``change`` of None stands for a group without robots.
+    """
     if change is None:
         return "no such robots"
     return (

@@ -128,13 +128,17 @@ class Swarm:
         self._carrier.join(wiring, on_frame)
         self._drivers = self._create_drivers(wiring, on_frame)
 
-    def _create_robot(self, record: RobotSetup) -> BusRobot:
-        """Create a robot, or the half in this process of a remote one."""
-        recorders: Mapping[int, Recorder] = {}
+    def _create_robot(self, setup: RobotSetup) -> BusRobot:
+        """Create a robot that starts as ``setup`` says or, if it is remote, its counterpart in this process.
+
+        The counterpart counts the ticks and frames of a robot that runs in another program.
+        """
+        recorder: Recorder | None = None
         if self._events_writer is not None:
-            recorders = self._events_writer.recorders
-        create = remote_robot if record.id in self.remote_robots else BusRobot
-        return create(record, self.settings.frames, recorders.get(record.id))
+            recorder = self._events_writer.recorders.get(setup.id)
+        if setup.id in self.remote_robots:
+            return remote_robot(setup, self.settings.frames, recorder)
+        return BusRobot(setup, self.settings.frames, recorder)
 
     def _create_drivers(self, wiring: Wiring, on_frame: FrameTaker | None) -> list[Driver]:
         """Create the drivers of remote robots, one for each bus.
@@ -149,6 +153,7 @@ class Swarm:
         order_matters = self.settings.swarm_filter.order_matters
         drivers = []
         for nodes in nodes_by_bus:
+            # Any of the nodes gives the bus, as all of them are on it.
             bus = self._carrier.bus_connections[nodes[0].id].bus
             drivers.append(Driver(bus, nodes, self.settings.frames, on_frame, order_matters))
         return drivers
@@ -206,7 +211,7 @@ class Swarm:
         return observations
 
     def finish_tick(self, external_frames: Sequence[can.Message] = ()) -> list[can.Message]:
-        """Let all robots receive and settle, and return the frames that an external robot receives.
+        """Let all robots receive and end the tick, and return the frames that an external robot receives.
 
         The result is empty if no robot is external. ``external_frames`` are those that it has sent. Traffic
         is counted. Raises SwarmError if the bus loses a frame in lockstep, LockstepError if a remote robot

@@ -136,7 +136,7 @@ class History:
     def add_robot(self, robot_id: int) -> None:
         """Add a robot as the last column of every state, without values or links in those so far. O(states).
 
-        A new generation begins. Only for at most MAX_ON_BUS robots.
+        A new generation begins, so that readers take all states anew. Only for at most MAX_ON_BUS robots.
         """
         with self._lock:
             robot_ids = [*self.description.robots, robot_id]
@@ -145,7 +145,11 @@ class History:
             self.generation += 1
 
     def states_since(self, generation: int = -1, index: int = 0) -> HistoryUpdate:
-        """Return the states from ``index`` on, or all if ``generation`` is not the present one."""
+        """Return what a reader lacks that has the states before ``index`` of this ``generation``.
+
+        The update has the states from ``index`` on, or all if the generation is not the present one, with the
+        present generation and description.
+        """
         with self._lock:
             first_index = index if generation == self.generation else 0
             return HistoryUpdate(self.generation, self.description, self._states[first_index:])

@@ -139,9 +139,9 @@ def encode_states(states: Sequence[State], description: RunDescription) -> dict[
     """Return states as their "count" and their "data", compressed and in base64. O(states N^2).
 
     The data are, one after the other: the ticks (32 bits each); a series of each quantity, then of x and y of
-    the positions if robots move (16 bits a value, see ``_encode_series``); the links. For at most MAX_ON_BUS
-    robots the links have a bit for each pair of robots in each state; for more, the number of links in each
-    state (32 bits each), then receiver and sender of each link (16 bits each).
+    the positions if robots move (differences of 16 bits from state to state); the links. For at most
+    MAX_ON_BUS robots the links have a bit for each pair of robots in each state; for more, the number of
+    links in each state (32 bits each), then receiver and sender of each link (16 bits each).
     """
     ticks = np.array([state.tick for state in states], "<u4")
     sections = [ticks.tobytes()]

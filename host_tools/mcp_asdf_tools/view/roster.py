@@ -161,9 +161,12 @@ class Roster:
 
 
 def _report_row(robot_id: int, robot: RobotOnBus, now: float) -> dict[str, Any]:
-    """Return a robot's row of a report: "seen" is in seconds ago, "rate" per second, "loss" a share.
+    """Return a robot's row of a report as plain values.
 
-    Health and mode are None before the first heartbeat; x, b_hat and updates before the first telemetry.
+    "seen" says how many seconds ago its last frame came, "rate" how many estimates come in a second, and
+    "loss" which share of its frames was lost. "conflicts" and "jumps" count heartbeats of a second node with
+    this id, and estimates whose confidence jumped. Health and mode are None before the first heartbeat; x,
+    b_hat and updates before the first telemetry.
     """
     heartbeat, telemetry = robot.heartbeat, robot.telemetry
     return {

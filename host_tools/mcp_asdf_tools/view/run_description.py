@@ -76,7 +76,7 @@ def _compute_unfiltered_errors(settings: Population, trial: int) -> list[float]:
     parameters = {name: getattr(settings, name) for name in parameters_of(Population)}
     parameters["filter"] = "none"
     experiment = Experiment(**parameters, trials=trial + 1)
-    if experiment.lacking_in_c:
+    if experiment.parameter_lacking_in_c:
         return []
     sampling_interval = steps_between_states(settings.steps, settings.robots)
     trials = run_trials(experiment, first=trial, trials=1, sampling_interval=sampling_interval)

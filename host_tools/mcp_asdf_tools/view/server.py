@@ -14,7 +14,7 @@ from socketserver import ThreadingTCPServer
 from typing import Any
 from urllib.parse import urlsplit
 
-from mcp_asdf_tools.bus.slcan_server import HOST
+from mcp_asdf_tools.bus.slcan_server import HOST, MAX_PORT
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.view.history import History
 from mcp_asdf_tools.view.page import encode_description, encode_states, make_page
@@ -62,8 +62,8 @@ def _bind_server(history: History, port: int) -> _PageServer:
 
     Raises UsageError if the port is out of range or taken.
     """
-    if not 0 <= port <= 65535:
-        raise UsageError(f"--port is {port}; choose 1 to 65535, or 0 for any free one")
+    if not 0 <= port <= MAX_PORT:
+        raise UsageError(f"--port is {port}; choose 1 to {MAX_PORT}, or 0 for any free one")
     try:
         return _PageServer(history, port)
     except OSError as error:

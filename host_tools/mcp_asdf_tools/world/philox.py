@@ -77,7 +77,10 @@ class Stream(NamedTuple):
     robots: int
 
     def draw_words(self, steps: int, first_step: int = 0) -> NDArray[np.uint32]:
-        """Return the words of ``steps`` steps from ``first_step`` on, shape (steps, robots)."""
+        """Return the random words of 32 bits for ``steps`` steps from ``first_step`` on, one for each robot.
+
+        The shape is (steps, robots). A step's words do not depend on the steps that are drawn with it.
+        """
         # Whole blocks are drawn, and the words before the first step and after the last one left out.
         first_block = first_step // _WORDS_IN_BLOCK
         end_block = -(-(first_step + steps) // _WORDS_IN_BLOCK)  # rounded up
@@ -97,7 +100,11 @@ class Stream(NamedTuple):
         return words_by_step[skipped : skipped + steps].astype(np.uint32)
 
     def draw_uniforms(self, steps: int, first_step: int = 0) -> NDArray[np.float64]:
-        """Return what ``draw_words`` does as numbers in (0, 1): the middles of 2**32 equal intervals."""
+        """Return random numbers in (0, 1) for ``steps`` steps from ``first_step`` on, one for each robot.
+
+        The shape is (steps, robots). Each is the middle of one of 2**32 equal intervals, which a random word
+        chooses.
+        """
         random_words = self.draw_words(steps, first_step)
         # Half a unit keeps out 0 and 1, of which a logarithm or a quantile may be infinite.
         return (random_words.astype(np.float64) + 0.5) * 2.0**-32

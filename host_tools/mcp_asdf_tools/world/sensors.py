@@ -131,8 +131,8 @@ class CheckedSensors:
 def has_one_accuracy(settings: WorldSettings) -> bool:
     """Return whether the sensors name black and white equally well at any time.
 
-    The built-in ones do without a ``white_offset``; those of an extension if it promises so by an attribute,
-    see ``SensorModel``. Raises UsageError if the extension cannot be loaded.
+    The built-in ones do without a ``white_offset``; those of an extension do if it promises so by a true
+    attribute ``has_one_accuracy``. Raises UsageError if the extension cannot be loaded.
     """
     if not settings.sensor:
         return not settings.white_offset

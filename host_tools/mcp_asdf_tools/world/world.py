@@ -134,8 +134,8 @@ class SteppedWorld:
         Robots observe in every step whose number is a multiple of ``observation_period``. In all others the
         observation of every robot is None.
         """
-        # There is no scene yet, or its last step has been taken.
-        if self._scene is None or self._index_in_scene + 1 == len(self._scene.black):
+        is_last_step_taken = self._scene is not None and self._index_in_scene + 1 == len(self._scene.black)
+        if self._scene is None or is_last_step_taken:
             self._scene = self._world.advance(_STEPS_AT_ONCE)
             self._index_in_scene = -1
         self._index_in_scene += 1

@@ -31,7 +31,7 @@ def test_parameters_come_back() -> None:
     assert Experiment(**experiment.parameters()) == experiment
     whole, exact = Experiment(true_accuracy=1, fill_ratio=0), Experiment(true_accuracy=1.0, fill_ratio=0.0)
     assert repr(whole) == repr(exact)
-    assert Experiment(robots=MAX_ON_BUS, firmware="mirror").lacking_in_c == "firmware"
+    assert Experiment(robots=MAX_ON_BUS, firmware="mirror").parameter_lacking_in_c == "firmware"
     assert next(combinations({"seed": [7] * MAX_EXPERIMENTS})) == {"seed": 7}
 
 

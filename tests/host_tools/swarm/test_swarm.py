@@ -73,7 +73,7 @@ def test_a_swarm_on_a_bus_is_trial_0_to_the_bit(case: str, firmware: str) -> Non
     experiment = Experiment(**parameters, trials=1)
     run, _ = record(SwarmSettings(**parameters))
     assert states(run.nodes) == images_by_message(experiment, 0)
-    if not experiment.lacking_in_c:
+    if not experiment.parameter_lacking_in_c:
         assert states(run.nodes) == native.run(experiment, 0, 1).images()
 
 

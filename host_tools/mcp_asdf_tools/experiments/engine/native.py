@@ -138,9 +138,11 @@ class EngineTrials:
         Each array has the shape (trials, N); counts are modulo 65536.
         """
         counters = {}
+        trial_count = len(self.x)
         for name in COUNTERS:
+            # The robots of the first trial come first, then those of the second, and so on.
             values = [getattr(robot.counters, name) for robot in self.robots]
-            counters[name] = np.array(values).reshape(len(self.x), -1)
+            counters[name] = np.array(values).reshape(trial_count, -1)
         return counters
 
     def images(self) -> list[bytes]:
@@ -175,11 +177,11 @@ def run(
     Robots are recorded once per ``sampling_interval`` steps unless that is 0. ``lanes`` chooses the faster of
     two engines with equal results, which computes several trials side by side; by default it is chosen where
     it can run. Raises UsageError if the experiment has something that the engine lacks
-    (``Experiment.lacking_in_c``) or its robots find no room in an arena, and FirmwareError if the firmware
-    refuses its settings. O(trials steps robots), and four bytes for each estimate.
+    (``Experiment.parameter_lacking_in_c``) or its robots find no room in an arena, and FirmwareError if the
+    firmware refuses its settings. O(trials steps robots), and four bytes for each estimate.
     """
-    if experiment.lacking_in_c:
-        name = experiment.lacking_in_c
+    if experiment.parameter_lacking_in_c:
+        name = experiment.parameter_lacking_in_c
         raise UsageError(f"the engine in C lacks this {name}, {getattr(experiment, name)}; use run_trials")
     engine_trials = EngineTrials(experiment, first, trials, sampling_interval)
     # Lanes lack, for example, records and comms_period above 1.

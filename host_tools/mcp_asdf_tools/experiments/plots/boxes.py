@@ -34,6 +34,9 @@ _MARKS = (
 _SLOT_WIDTH = 0.86
 """Width that the boxes of a slot share, where slots are 1 apart."""
 
+_DRAWN_SHARE = 0.85
+"""Share of a box's width that it is drawn with, so that neighbouring boxes do not touch."""
+
 _GOLDEN_RATIO = 0.618
 """Multiples of it, less their integers, are spread evenly, however many they are."""
 
@@ -96,9 +99,9 @@ def _draw_box_panel(axes: Axes, series_of_panel: Sequence[Series], limits: Limit
         # From the middle of a slot, whose position is a whole number.
         offset = (series_index + 0.5) * box_width - _SLOT_WIDTH / 2
         for trials in series.experiments:
-            # Narrower than its place, so that neighbouring boxes do not touch.
             middle = slots.index(_slot_of(trials.experiment)) + offset
-            _draw_box(axes, trials.scores(limits)["H"], middle, 0.85 * box_width, series.colour)
+            drawn_width = _DRAWN_SHARE * box_width
+            _draw_box(axes, trials.scores(limits)["H"], middle, drawn_width, series.colour)
     # H is at most 100; above it is room for the outlines of boxes and points there.
     axes.set(ylim=(0, 103), xlim=(-0.5, len(slots) - 0.5))
     axes.set_xticks(range(len(slots)), [f"{offset:+.2g}\n{share:.0%}" for share, offset in slots])

@@ -16,7 +16,7 @@ from mcp_asdf_tools.bus.frame_layout import (
     Q23_ONE,
     TRANSFER_IDS,
 )
-from mcp_asdf_tools.bus.frames import Estimate, decode_estimate, encode_estimate, make_frame
+from mcp_asdf_tools.bus.frames import NODE_ID_MASK, Estimate, decode_estimate, encode_estimate, make_frame
 from mcp_asdf_tools.common.errors import UsageError
 from mcp_asdf_tools.common.parameters import parameter
 from mcp_asdf_tools.swarm.fault_injection.fault import MAX_TICK, Fault, FaultRun, Outage
@@ -44,7 +44,8 @@ class LinkFault(Fault, ABC):
     def on_delivery(self, deliveries: Deliveries, run: FaultRun) -> list[Deliveries]:
         """Return the deliveries that are spared, and what ``change`` makes of those that are hit.
 
-        Whether a frame is hit on its way to a receiver is drawn for each of them. The hits are counted.
+        Deliveries are frames on their way, with the robots that receive each of them. Whether a frame is hit
+        on its way to a receiver is drawn for each of them. The hits are counted.
         O(frames receivers).
         """
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
@@ -183,8 +184,9 @@ class OutageFault(Fault, ABC):
 
         Returns None, and counts nothing, for a node that is on the bus.
         """
-        # The memory of a node is the number of ticks that its outage went on at the last tick, that included.
-        ticks_left = max(run.memory.get(node, 0) - 1, 0)
+        # The memory of a node is how long its outage went on at the last tick, that tick included.
+        ticks_left_before = run.memory.get(node, 0)
+        ticks_left = max(ticks_left_before - 1, 0)
         # A node that is off the bus already is not hit again.
         if ticks_left == 0 and run.hits_node(node, tick):
             ticks_left = self.ticks
@@ -303,8 +305,8 @@ class Collide(Fault):
         if self.id is None or not run.hits_frame(sent_frame):
             return sent_frame
         frame = copy.copy(sent_frame.frame)
-        # The sender's id is in the lowest seven bits of the identifier.
-        frame.arbitration_id = (frame.arbitration_id & ~MAX_NODE_ID) | self.id
+        identifier_without_sender = frame.arbitration_id & ~NODE_ID_MASK
+        frame.arbitration_id = identifier_without_sender | self.id
         return replace(sent_frame, frame=frame)
 
 

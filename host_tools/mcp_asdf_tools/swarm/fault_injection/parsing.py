@@ -26,6 +26,7 @@ def parse_fault(fault_text: str) -> Fault:
     The first item is the kind and its rate (1 if left out); ``robots``, ``receivers`` and ``ids`` take ids
     and ranges of ids, separated by +. Raises UsageError that names the error and the fix.
     """
+    # The kind, and its rate if there is one
     first_item, *items = (item.strip() for item in fault_text.split(","))
     name, equals_sign, rate = first_item.partition("=")
     if name not in _KINDS_BY_NAME:
@@ -33,11 +34,12 @@ def parse_fault(fault_text: str) -> Fault:
         ending = did_you_mean(name, _KINDS_BY_NAME) or f"; choose one of {', '.join(_KINDS_BY_NAME)}"
         raise UsageError(f"fault {fault_text!r}: no kind is called {name!r}{ending}")
     kind = _KINDS_BY_NAME[name]
-
-    options = [*_COMMON_OPTIONS, *kind.own_options()]
     values: dict[str, Any] = {}
     if equals_sign:
         values["rate"] = _parse_option(fault_text, kind, "rate", rate)
+
+    # The options, such as ticks=3
+    options = [*_COMMON_OPTIONS, *kind.own_options()]
     for item in items:
         option, _, value = item.partition("=")
         if option not in options:
@@ -48,6 +50,7 @@ def parse_fault(fault_text: str) -> Fault:
             raise UsageError(f"fault {fault_text!r}: {option} is given twice; give it once")
         values[field_name] = _parse_option(fault_text, kind, option, value)
 
+    # The fault, whose options must go together
     fault = kind(**values)
     fault.check()
     if fault.stop is not None and fault.stop <= fault.start:

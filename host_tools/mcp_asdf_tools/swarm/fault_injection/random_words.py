@@ -83,8 +83,10 @@ class FaultRandom:
         return word
 
     def _words_for_node(self, node: int, tick: int, repetition: int) -> tuple[int, int]:
-        """Return two words for a node in a tick; other repetitions have other words."""
-        # 0 stands for the identifier and the copy number of a frame, as there is none.
+        """Return two words for a node in a tick; other repetitions have other words.
+
+        They are for no frame, so that identifier and copy number are 0.
+        """
         key = _WordKey(
             tick=tick, repetition=repetition, identifier=0, node=node, copy_number=0, purpose=_Purpose.NODE
         )
