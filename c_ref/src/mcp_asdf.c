@@ -266,14 +266,17 @@ HOT void add_estimate(mcp_asdf_t *robot, uint32_t x_hat, uint32_t alpha)
     ++open->count;
 }
 
-/* Returns the mean of x_hat weighted by alpha (eq. 5 and 7), from the sums of a round as mcp_asdf_closed_t
- * has them, with alpha > 0: as Q32, less than 8 units too small, so that 1.0 is 2^32 - 1 or little less. */
+/* Returns the mean of x_hat weighted by alpha, the sum of alpha x_hat divided by the sum of alpha (eq. 5 and
+ * 7 of the paper), as Q32: less than 8 units too small, so that 1.0 is 2^32 - 1 or little less. `alpha` > 0
+ * is the sum of alpha in units of 2^-24, and that of alpha x_hat in units of 2^-47 is 2^32 alpha_x_high +
+ * alpha_x_low. */
 HOT uint32_t round_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_high)
 {
     /* The sum of alpha x_hat in units of 2^-23 of a unit of alpha: 2^32 upper_sum + lower_sum. */
     const uint64_t upper_sum = alpha_x_high + high_word(alpha_x_low); /* < 2^53 + 2^30 */
     const uint32_t lower_sum = low_word(alpha_x_low);
-    /* Without its 23 bits behind the point, in whole units of alpha like the divisor: <= alpha < 2^62. */
+    /* Without its 23 bits behind the point, in whole units of alpha like the divisor: <= alpha < 2^62. The
+     * upper part goes 32 - 23 bits to the left, the lower word 23 to the right. */
     uint64_t dividend = (upper_sum << 9) | (lower_sum >> 23);
     if (high_word(alpha) == 0U) {
         /* In so small sums those 23 bits count. Dividend and alpha fit in a word, and are multiplied by 2^32
@@ -284,9 +287,10 @@ HOT uint32_t round_mean(uint64_t alpha, uint64_t alpha_x_low, uint64_t alpha_x_h
     return quotient(dividend, alpha);
 }
 
-/* Returns x (eq. 7) as Q23: the mean of x_hat over a closed round and the robot's own estimate, each weighted
- * by its alpha. It is the exact quotient of the sums, rounded down, or x_hat if all alphas are 0. `own_alpha`
- * is an alpha word, x_hat is Q23. */
+/* Returns the informed estimate x (eq. 7 of the paper) as Q23: the mean of x_hat over the messages of a
+ * closed round, of which `closed` has the sums, and the robot's own estimate, each weighted by its alpha. It
+ * is the exact quotient of the sums, rounded down, or x_hat if all alphas are 0. `own_alpha` is an alpha
+ * word, x_hat is Q23. */
 HOT uint32_t informed_estimate(const mcp_asdf_closed_t *closed, uint32_t x_hat, uint32_t own_alpha)
 {
     const word_pair_t wide_own_alpha = alpha_units(own_alpha);
@@ -432,15 +436,16 @@ ALWAYS_INLINE bool is_valid_table(const uint32_t *table) { return (void)table, t
 
 #endif
 
-/* Returns the informed estimate x as Q23: by the closed round and the robot's own estimate (eq. 7), or by the
- * robust filter. */
+/* Returns the informed estimate x as Q23: the mean over the last closed round and the robot's own estimate
+ * (eq. 7); or with the robust filter the centre of its votes, x_hat before the first. */
 uint32_t mcp_asdf_x(const mcp_asdf_t *robot)
 {
     return mcp_asdf_is_robust(robot->config) ? robust_estimate(robot, robot->x_hat)
                                              : combine_with_round(robot, robot->x_hat, robot->alpha);
 }
 
-/* Returns the social estimate x_bar as Q23: by the closed round alone (eq. 5), or by the robust filter. */
+/* Returns the social estimate x_bar as Q23: the mean over the last closed round alone (eq. 5), 1/2 if that is
+ * empty; or with the robust filter the centre of its votes, 1/2 before the first. */
 uint32_t mcp_asdf_x_bar(const mcp_asdf_t *robot)
 {
     return mcp_asdf_is_robust(robot->config) ? robust_estimate(robot, MCP_ASDF_HALF)
@@ -488,9 +493,9 @@ mcp_asdf_status_t mcp_asdf_receive(mcp_asdf_t *robot, uint8_t sender, uint32_t x
 
 /* ---- The filter: eq. 8 ---- */
 
-/* Returns the b_hat, as Q32, for which x_hat would be x_bar (eq. 8), for x_bar as Q32 and t > 0; or 0 if
- * x_bar carries no information, as it is near 1/2. It is (n / t + x_bar - 1) / (2 x_bar - 1), both sides
- * multiplied by t, and limited to the range of b_hat. */
+/* Returns the b_hat, as Q32, for which x_hat would be x_bar (eq. 8 of the paper), for x_bar as Q32 and t > 0;
+ * or 0 if x_bar carries no information: it is near 1/2, |2 x_bar - 1| below 2^-12. It is (n / t + x_bar - 1)
+ * / (2 x_bar - 1), both sides multiplied by t, and limited to the range of b_hat. */
 static uint32_t reestimate(const mcp_asdf_t *robot, uint32_t x_bar)
 {
     const uint32_t t = robot->t;

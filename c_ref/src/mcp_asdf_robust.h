@@ -187,8 +187,9 @@ static void end_batch(mcp_asdf_t *robot, uint32_t share)
     const uint32_t largest_ratio =
         times_half_word(REJECTED_SIGMAS_SQUARED, robust->dispersion); /* Q8: < 2^20 */
     /* The square that the largest ratio stands for: the product of ratio (Q8) and variance (Q32), a Q40, is
-     * formed from the two words of the variance and shifted to Q22. It is rounded down, and as a number at
-     * most 12 2^8 2^29: < 2^63. */
+     * formed from the two words of the variance and shifted to Q22, by 40 - 22 = 18 bits to the right: the
+     * upper word by 32 - 18 to the left, the lower one by 18 to the right. It is rounded down, and as a
+     * number at most 12 2^8 2^29: < 2^63. */
     const uint64_t limit = (multiply(largest_ratio, high_word(variance)) << 14) +
                            (multiply(largest_ratio, low_word(variance)) >> 18);
     /* Numbers of black observations, Q32: < 2^63 */

@@ -305,7 +305,8 @@ static void run_tick(run_t *run)
     }
 }
 
-/* Sleep until a packet arrives, a timer expires, or a signal comes. */
+/* Sleep until a packet arrives, a signal comes, or it is time for the next tick, for an attempt to open a
+ * closed bus again, or in lockstep before the first tick for the next heartbeat. */
 static void wait_for_event(run_t *run)
 {
     const bool is_bus_open = run->bus.fd >= 0, in_lockstep = run->options.node.lockstep;

@@ -211,8 +211,9 @@ static void receive_estimate(node_t *node, const mcp_asdf_estimate_t *estimate)
 }
 
 /* Whether a decoder refused a frame before it looked at the content: the frame is not of the decoder's kind.
- * A bus whose kernel filters frames does not deliver such frames. The decoder checks in the order of the
- * numbers, which fall, and the subject last of these. */
+ * A bus whose kernel filters frames does not deliver such frames. The errors of a decoder are negative
+ * numbers that fall in the order of its checks, and the check of the subject is the last before those of the
+ * content. */
 static bool is_other_kind(mcp_asdf_frame_status_t status) { return status >= MCP_ASDF_FRAME_ERR_SUBJECT; }
 
 /* Receive an estimate, carry out a command in lockstep, and count any other frame. */

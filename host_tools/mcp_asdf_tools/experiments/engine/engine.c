@@ -68,8 +68,9 @@ FOR_EACH_TARGET static void draw_words(lanes_t *rows, uint32_t count, uint64_t s
 }
 
 /* Returns the probability of black, in units of 2^-31, for a robot that observes black on a black floor with
- * the probability `black`: on a white floor that of a mistake, 1 - black. The floor is random, so that a
- * branch on it could not be predicted; the product is 0 on a black floor. */
+ * the probability `black`: on a white floor that of a mistake, 1 - black. `is_floor_white` is 1 or 0. The
+ * floor is random, so that a branch on it could not be predicted: instead 1 - 2 black is added to black, or
+ * on a black floor 0 times that. */
 static uint32_t probability_of_black(uint32_t black, uint32_t is_floor_white)
 {
     return black + is_floor_white * (MCP_ASDF_ENGINE_CERTAIN - 2 * black);
@@ -432,8 +433,8 @@ bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
 }
 
 /* Returns the number of trials that run side by side in lanes: LANES of fully connected swarms, whose robots
- * then receive a row at a time; some where moving swarms are small; otherwise 1, and a row has robots of one
- * trial. */
+ * then receive a row at a time; up to MAX_PARALLEL_ARENAS of moving swarms of at most 128 robots; otherwise,
+ * for larger ones and graphs, 1, and a row has robots of one trial. */
 static uint32_t count_parallel_trials(const mcp_asdf_experiment_t *experiment)
 {
     if (!trial_is_linked(experiment)) {
