@@ -76,4 +76,5 @@ def test_the_defaults_are_the_advice() -> None:
         ("OFF", "NULL, 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF"),
     ]
     default = m.Experiment()
+
     assert (default.filter_period, float(default.omega), default.memory) == (1000, 0.05, 2**31)

@@ -134,6 +134,7 @@ def test_help_states_the_default_that_an_option_has(name: str) -> None:
         if statement is not None and action.default is not None:
             stated_defaults[action.dest] = statement[1].replace("%(default)s", str(action.default))
             defaults[action.dest] = str(action.default)
+
     assert stated_defaults == defaults
 
 

@@ -87,6 +87,7 @@ def test_a_dead_robot_has_no_values(tmp_path: Path) -> None:
     log = write_log(tmp_path / "run.log", "--fault", "crash=1.0,from=20,to=21,robots=2,ticks=15")
     tidy = m.to_frame(log)
     rows_without_values = tidy.filter(pa.compute.is_null(tidy["x"]))
+
     assert rows_without_values["step"].to_pylist() == [*range(21, 36)]
     assert set(rows_without_values["robot"].to_pylist()) == {2}
     assert rows_without_values["b_hat"].null_count == 15
@@ -98,6 +99,7 @@ def test_a_log_that_was_cut_off_is_exported_as_far_as_it_goes(swarm_log: Path, t
     header_and_nine_steps = "".join(lines_of(events_path(swarm_log))[: 1 + 9 * 4])
     with gzip.open(events_path(log), "wt") as file:
         file.write(header_and_nine_steps + "[0,1,")
+
     assert m.to_frame(log)["step"].to_pylist()[-4:] == [9] * 4
 
 
@@ -111,6 +113,7 @@ def test_a_log_of_a_node_is_refused(swarm_log: Path, tmp_path: Path) -> None:
     header_of_node = json.loads(first_line) | {"parameters": {}}
     with gzip.open(tmp_path / "node.log.events", "wt") as file:
         file.write("".join([json.dumps(header_of_node) + "\n", *lines]))
+
     with pytest.raises(m.UsageError, match=r"node\.log is not the log of a swarm; give one of"):
         m.to_frame(tmp_path / "node.log")
 
@@ -151,6 +154,7 @@ def test_export_does_not_replace_what_it_exports(swarm_log: Path, tmp_path: Path
     log = tmp_path / "run.csv"
     log.write_bytes(b"frames")
     events_path(log).write_bytes(events_path(swarm_log).read_bytes())
+
     assert main(["export", str(log), str(log)]) == 2
     assert f"{log} is what is to be exported; choose another name" in capsys.readouterr().err
     assert log.read_bytes() == b"frames"

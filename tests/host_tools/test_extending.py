@@ -82,6 +82,7 @@ def test_a_name_that_two_packages_offer_is_refused(package: Path) -> None:
         "[mcp_asdf.firmwares]\nbeta = their_swarm:Robot\n"  # the page's package offers a firmware beta, too
     )
     message = "'beta' is offered by .*swarm .* and .*swarm .*; uninstall all but"
+
     with pytest.raises(UsageError, match=message):
         extensions.load(extensions.FIRMWARES, "beta")
 
@@ -116,6 +117,7 @@ def test_the_page_simulates_its_topology_and_sensor(package: Path) -> None:
     line = command_lines_of_page()[1]
     assert line.startswith("mcp-asdf simulate ")
     parameters = run_in_package(line, package)["parameters"]
+
     assert parameters["topology"] == "geometric"
     assert parameters["sensor"] == "wandering"
 
@@ -138,6 +140,7 @@ def test_the_page_sweeps_all_eight_combinations_of_its_extensions_with_workers(p
         for each in experiments
     }
     median_scores = {each["H"]["median"] for each in experiments}
+
     assert len(combinations) == 8
     assert len(median_scores) == 8, "each extension makes a difference"
 
@@ -161,6 +164,7 @@ def test_a_swarm_with_extensions_is_trial_0_to_the_bit() -> None:
             swarm.tick()
         robots = [cast(MirrorRobot, node.robot) for node in swarm.nodes]
     images = [robot.save() for robot in robots]
+
     assert images == images_by_message(Experiment(**parameters, trials=1), 0)
 
 
@@ -170,6 +174,7 @@ def test_the_page_s_sensors_do_random_walks() -> None:
     accuracy_on_black, _ = make_sensor_model(settings, 0).advance(400)
     changes = np.diff(accuracy_on_black, axis=0)  # by step and robot
     correlations = np.corrcoef(changes[:, 0], changes[:, 1])
+
     assert changes.std() == pytest.approx(0.001, rel=0.02)
     assert abs(correlations[0, 1]) < 0.2, "the walks of two robots have nothing to do with each other"
 
@@ -183,4 +188,5 @@ def test_the_page_s_sensors_are_the_same_however_many_steps_are_taken_at_once() 
     for steps in (1, 7, 92):
         accuracy_on_black, _ = sensors.advance(steps)
         accuracies_of_parts.append(accuracy_on_black)
+
     assert np.array_equal(np.concatenate(accuracies_of_parts), accuracies_at_once)

@@ -92,6 +92,7 @@ def test_scores_name_the_filter_of_each_experiment(
     for description in ("no filter: no robot", ASDF_MINUS, "ASDF+: all robots recalibrate"):
         assert description in text
     rows = json.loads(printed_by(f"score '{tmp_path}/grid.parquet' --json", capsys))["experiments"]
+
     assert [row["filter"].partition(":")[0] for row in rows] == ["no filter", "ASDF-", "ASDF+"]
 
 
@@ -125,6 +126,7 @@ def test_neighbours_of_a_controller_filter_with_asdf_plus_alone(option: str, nei
     parser = argparse.ArgumentParser()
     add_radio_arguments(parser)
     settings = settings_of(parser.parse_args(f"--id 3 --robots 4 {option}".split()))
+
     assert settings.controller.config.filter is Filter.ADAPTIVE
     assert {each.config.filter for each in settings.neighbours} == {neighbours}
 

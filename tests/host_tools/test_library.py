@@ -159,6 +159,7 @@ def test_others_on_a_swarm_s_channel_receive_frames_with_simulated_times() -> No
     with m.start_swarm(small_swarm(), "times") as swarm, can.Bus("times", "virtual") as bus:
         swarm.tick()
         frame = bus.recv(0)
+
     assert frame is not None
     assert frame.timestamp < 1, "the swarm's time begins at 0; the clock's is many years"
 
@@ -177,6 +178,7 @@ def test_emulate_reports_the_estimates_at_the_end_of_the_swarm() -> None:
         run_to_end(swarm)
         estimates = [node.robot.x for node in swarm.nodes]
     rows = m.emulate(settings).results["robots"]
+
     assert [row["x"] for row in rows] == estimates
 
 
@@ -325,6 +327,7 @@ def test_a_class_of_this_process_stands_for_an_extension(accuracy: float) -> Non
     firmware = robot_class_with_b_hat(accuracy)
     experiment = small_experiment(trials=1, activation="always", firmware=firmware)
     trials = simulate_one(experiment)
+
     assert trials.experiment == experiment
     assert trials.b_hat[0, -1].tolist() == [accuracy] * 4
 
@@ -340,6 +343,7 @@ def test_a_class_of_one_name_is_still_known_after_another_was_given() -> None:
     first, second = [
         small_experiment(trials=1, activation="always", firmware=firmware) for firmware in (low, high)
     ]
+
     assert simulate_one(second).b_hat[0, -1].tolist() == [0.9] * 4
     assert simulate_one(first).b_hat[0, -1].tolist() == [0.7] * 4
 
@@ -362,6 +366,7 @@ def test_two_classes_of_one_name_are_refused_in_one_table() -> None:
         small_experiment(firmware=robot_class_with_b_hat(0.9)),
     ]
     message = r"two objects are called .*RobotOfOneAccuracy; give them different names"
+
     with pytest.raises(UsageError, match=message):
         m.simulate(experiments)
 
@@ -500,6 +505,7 @@ def test_a_curve_is_of_the_chosen_experiments_and_drawn_into_the_caller_s_axes(g
         where={"filter": "none"},
         ax=figure.subplots(),
     )
+
     assert returned_figure is figure
     assert len(figure.axes[0].lines) == 1
 

@@ -49,6 +49,7 @@ def test_a_line_without_an_end_is_dropped() -> None:
         frames = [receive(bus)]
         while frames[-1].is_error_frame:
             frames.append(receive(bus))
+
     assert len(frames) > 1
     assert isinstance(decode_estimate(frames[-1], FrameFormat()), Estimate)
 
@@ -68,6 +69,7 @@ def test_the_socket_of_an_adapter_that_has_closed_is_closed() -> None:
             bus.recv(PATIENCE)
         connection = bus._socket
         bus.shutdown()
+
     assert connection is not None
     assert connection.fileno() == -1
 
@@ -141,6 +143,7 @@ def test_an_interface_that_always_fails_does_not_keep_the_processor_busy(
     connection = failing_connection(IndexError("always"))
     for _ in range(10):
         connection.recv(0)
+
     assert pauses == [0.001] * 9
 
 
@@ -157,6 +160,7 @@ def test_a_command_reports_in_json_that_its_bus_is_gone(
     with serial_adapter(DAMAGED_LINES, stays_open=False) as choice:
         assert main([*line.split(), "--json", *bus_arguments(choice, line)]) == 1
     failure = json.loads(capsys.readouterr().err)
+
     assert (failure["command"], failure["exit_code"]) == (f"mcp-asdf {line.split(maxsplit=1)[0]}", 1)
     assert "serial device" in failure["error"]
 
@@ -166,6 +170,7 @@ def test_a_verdict_names_a_bus_that_is_gone(capsys: pytest.CaptureFixture[str]) 
     with serial_adapter(DAMAGED_LINES, stays_open=False) as choice:
         assert main([*line.split(), *bus_arguments(choice, line)]) == 1
     verdict = json.loads(capsys.readouterr().out)["verdict"]
+
     assert "serial device" in verdict["disturbance"]
 
 
@@ -199,6 +204,7 @@ def test_real_time_neighbours_end_when_the_bus_is_gone() -> None:
     link = BusLink(failing_connection(OSError(errno.ENODEV, "No such device")), endures=True)
     run = RadioRun(Neighbourhood(surroundings(steps_per_second=1000)), link, ticks=20)
     run.run()
+
     assert run.outcome.has_failed
     assert run.outcome.ending == "the bus failed: [Errno 19] No such device"
     assert run.neighbours.tick == 0
@@ -210,6 +216,7 @@ def test_real_time_neighbours_that_end_on_a_bus_that_fails_have_failed() -> None
     bus.recv.return_value, bus.send.side_effect = None, can.CanOperationError("bus-off")
     run = RadioRun(Neighbourhood(surroundings(steps_per_second=1000)), BusLink(bus, endures=True), ticks=20)
     run.run()
+
     assert run.outcome.ending == "the bus failed: bus-off"
     assert run.neighbours.tick == 20
 
@@ -219,6 +226,7 @@ def test_an_error_of_the_driver_keeps_the_cause_that_the_driver_gave_it() -> Non
     error = can.CanOperationError("cannot receive")
     error.__cause__ = cause
     bus = failing_connection(error)
+
     with pytest.raises(can.CanOperationError) as caught:
         bus.recv(0.01)
     assert caught.value is error

@@ -133,6 +133,7 @@ def test_pycyphal_reads_our_frames(dsdl_types: dict[type, Any], message: Any) ->
     assert transfer.sender == message.sender
     assert transfer.transfer_id == message.transfer_id
     dsdl_object = pycyphal.dsdl.deserialize(dsdl_types[type(message)], transfer.payload)
+
     assert contents_of_dsdl_object(dsdl_object) == contents_in_dsdl(message)
 
 
@@ -252,6 +253,7 @@ def test_the_transfer_ids_of_pycyphal_wrap_as_ours_do(dsdl_types: dict[type, Any
         estimate = frames.decode_estimate(frame, DEFAULT)
         assert isinstance(estimate, Estimate)
         transfer_ids.append(estimate.transfer_id)
+
     assert transfer_ids == [*range(32), 0, 1, 2]
 
 
@@ -259,6 +261,7 @@ def test_we_decode_the_heartbeat_of_pycyphal(dsdl_types: dict[type, Any]) -> Non
     health, mode = dsdl_types[Health](2), dsdl_types[Mode](1)
     heartbeat = dsdl_types[Heartbeat](12345, health, mode, 77)
     frame = asyncio.run(frames_sent_by_pycyphal(7509, [heartbeat]))[0]
+
     assert frames.decode_heartbeat(frame) == Heartbeat(
         sender=42,
         uptime=12345,
@@ -278,6 +281,7 @@ def test_we_decode_the_telemetry_of_pycyphal(dsdl_types: dict[type, Any]) -> Non
 def test_we_decode_the_command_of_pycyphal(dsdl_types: dict[type, Any]) -> None:
     command = dsdl_types[Command](7, 255, 3)
     frame = asyncio.run(frames_sent_by_pycyphal(3002, [command]))[0]
+
     assert frames.decode_command(frame) == Command(
         sender=42, tick=7, target=EVERY_ROBOT, action=Action.SETTLE, transfer_id=0
     )

@@ -44,6 +44,7 @@ def test_an_integer_in_the_place_of_the_data_allocates_nothing() -> None:
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
+
     assert peak < 10_000
 
 
@@ -51,6 +52,7 @@ def test_a_datagram_of_more_than_400_bytes_is_refused() -> None:
     # A text of more than 31 bytes takes two bytes besides its own, where no name takes one.
     room = LONGEST_DATAGRAM - len(packed()) - 1
     longest, too_long = packed(channel="c" * room), packed(channel="c" * (room + 1))
+
     assert [len(longest), len(too_long)] == [400, 401]
     assert unpack_data_frame(longest) is not None
     assert unpack_data_frame(too_long) is None
@@ -71,6 +73,7 @@ def test_garbage_leaves_the_memory_flat() -> None:
     before = resident_bytes()
     for _ in range(30_000):
         unpack_data_frame(draw.choice(datagrams))
+
     assert resident_bytes() - before < 4_000_000
 
 

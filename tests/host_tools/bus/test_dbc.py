@@ -275,6 +275,7 @@ def test_dbc_per_node_decodes_a_node_s_estimates_without_a_mask(database_per_nod
     estimate = Estimate(node, x_hat=5, alpha=0x600, transfer_id=7)
     frame = encode_estimate(estimate, FrameFormat(subject=1234, priority=1))
     entry = database_per_node.get_message_by_frame_id(frame.arbitration_id)
+
     assert entry.name == f"Estimate_{node}"
     assert entry.senders == [f"Robot_{node}"]
     assert entry.decode(frame.data, decode_choices=False) == physical_values(estimate)

@@ -193,6 +193,7 @@ def test_the_specification_shows_frames_of_such_messages() -> None:
     telemetry = encode_telemetry(
         Telemetry(42, x=3 * 2**21, b_hat=0xF33333, updates=7, transfer_id=5), TELEMETRY_FORMAT
     )
+
     assert f"`{format_frame(estimate)}`; x = 0.75, b_hat = 0.95, 7 updates" in page
     assert f"transfer id 5: `{format_frame(telemetry)}`." in page
 
@@ -377,6 +378,7 @@ def test_c_and_python_decode_damaged_frames_alike(c_codec: CCodec) -> None:
             replay = f"check_same_verdict(c_codec, mutated(random.Random({seed!r})))"
             raise AssertionError(f"replay: {replay}") from error
     all_verdicts = {rejection.name for rejection in Rejection} | {kind.name for kind in KINDS.values()}
+
     assert set(verdicts) == all_verdicts, "the frames must reach every verdict"
 
 
@@ -482,6 +484,7 @@ def test_a_float_off_the_grid_is_rounded_down_and_a_large_one_saturates(bits: in
     value = Fraction(float(np.uint32(bits).view(np.float32)))
     rounded_down = (value // ALPHA_UNIT) * ALPHA_UNIT
     word = alpha_word_from_float32_bits(bits)
+
     assert value_of_word(word) == min(rounded_down, value_of_word(ALPHA_MAX))
     assert word == alpha_word_from_float(float(value))
 
@@ -541,4 +544,5 @@ def test_a_command_to_every_robot_is_for_any_target(c_codec: CCodec) -> None:
     command = decode_command(frame)
     assert isinstance(command, Command)
     sender, tick, target, action, transfer_id = 42, 7, 255, 3, 0
+
     assert c_codec.decode(Command, frame) == (sender, tick, target, action, transfer_id)

@@ -63,6 +63,7 @@ def test_a_burst_of_four_estimates_from_each_robot_waits_in_the_socket_of_a_mult
         for number in frame_numbers:
             sender.send(can.Message(arbitration_id=number))
         received = [receiver.recv(PATIENCE) for _ in frame_numbers]
+
     assert [frame.arbitration_id for frame in received if frame is not None] == frame_numbers
 
 
@@ -117,6 +118,7 @@ def test_equal_frames_of_several_senders_reach_all_others() -> None:
         received[receiver] += receive_all(connections[receiver])
     for connection in connections:
         connection.shutdown()
+
     assert [sorted(frames) for frames in received] == [sorted(frames) for frames in expected]
 
 
@@ -130,6 +132,7 @@ def socketcan_bus() -> Mock:
 def test_frames_of_other_programs_of_this_computer_are_marked_as_received() -> None:
     connection = Connection(socketcan_bus())
     frame = connection.recv(0)
+
     assert frame is not None
     assert frame.is_rx
     assert connection.recv(0) is None
@@ -297,6 +300,7 @@ def test_the_failure_to_open_a_bus_is_reported_with_its_fix(
 ) -> None:
     bus = bus_from_options(*options.split())
     monkeypatch.setattr(can, "Bus", Mock(side_effect=OSError(error_number, "no way")))
+
     with pytest.raises(UsageError) as failure:
         bus.open()
     assert str(failure.value) == f"cannot open the bus {bus}: [Errno {error_number}] no way; {fix}"
@@ -321,6 +325,7 @@ def test_python_can_s_files_variables_and_rc_and_then_options_decide_on_the_bus(
     monkeypatch.setenv("CAN_INTERFACE", "udp_multicast")
     monkeypatch.setattr(can, "rc", {"bustype": "pcan", "channel": "rc", "bitrate": 6})
     settings = {"channel": "mine", "bitrate": 6, "port": "9", "hop_limit": 0}
+
     assert bus_from_options("-c", "mine") == BusChoice("udp_multicast", settings)
 
 

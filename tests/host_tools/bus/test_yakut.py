@@ -51,6 +51,7 @@ def test_it_prints_what_the_robots_broadcast(tmp_path: Path) -> None:
             swarm.send_signal(signal.SIGINT)
             swarm.communicate()
     estimates = [json.loads(line)["3000"] for line in shown.splitlines()]
+
     assert {estimate["_meta_"]["source_node_id"] for estimate in estimates} == set(range(ROBOTS))
     assert {message_of(estimate) for estimate in estimates} <= logged(log)
 

@@ -28,6 +28,7 @@ def trials_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_folder_becomes_results_and_their_scores_are_printed(capsys: Capture) -> None:
     assert main(["convert", "data", "--output", "theirs.parquet"]) == 0
     output = capsys.readouterr().out
+
     assert "fully-connected" in output
     assert "2 of 3" in output
     assert "1 of 3" in output
@@ -43,6 +44,7 @@ def test_a_converted_folder_is_read_back_in_one_piece() -> None:
 def test_json_has_experiments_and_source(capsys: Capture) -> None:
     assert main(["convert", "data/flw2_t1.json", "--output", "theirs.parquet", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
+
     assert report["source"] == "NESTLab/sensor-degradation-filter"
     assert report["output"] == "theirs.parquet"
     assert [row["trials"] for row in report["experiments"]] == [1]
@@ -51,6 +53,7 @@ def test_json_has_experiments_and_source(capsys: Capture) -> None:
 def test_results_are_scored_like_others(capsys: Capture) -> None:
     main(["convert", "data", "--output", "theirs.parquet"])
     converted = capsys.readouterr().out
+
     assert main(["score", "theirs.parquet", "--csv", "theirs.csv"]) == 0
     assert capsys.readouterr().out == converted
     assert len(Path("theirs.csv").read_text(encoding="utf-8").splitlines()) == 1 + 3

@@ -57,6 +57,7 @@ def test_help_groups_commands_by_purpose(capsys: Capture) -> None:
 def test_no_arguments_at_all_print_the_overview_as_an_error(capsys: Capture) -> None:
     assert cli.main([]) == 2
     out, err = capsys.readouterr()
+
     assert out == ""
     assert err.startswith("usage: mcp-asdf ")
     assert "See a swarm calibrate itself:" in err
@@ -97,6 +98,7 @@ def test_bad_usage_is_reported_in_two_lines(line: str, message_end: str, capsys:
     assert cli.main(line.split()) == 2
     out, err = capsys.readouterr()
     first, second = err.splitlines()
+
     assert out == ""
     assert first.startswith(f"{program_of(line)}: error: ")
     assert first.endswith(message_end)
@@ -109,6 +111,7 @@ def test_bad_usage_is_the_same_message_in_one_line_of_json_if_asked_for(line: st
     message = capsys.readouterr().err.splitlines()[0].removeprefix(f"{program_of(line)}: error: ")
     assert cli.main([*line.split(), "--json"]) == 2
     out, err = capsys.readouterr()
+
     assert out == ""
     assert err.count("\n") == 1
     assert json.loads(err) == {"command": program_of(line), "error": message, "exit_code": 2}
@@ -158,6 +161,7 @@ def test_output_to_a_full_disk_is_an_error(
     with open("/dev/full", "w") as full, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", full)
         assert cli.main(line.split()) == 2
+
     assert capsys.readouterr().err.splitlines()[0] == f"{program}: error: {reason}"
 
 
@@ -169,6 +173,7 @@ def test_output_to_a_closed_pipe_ends_the_command_with_141(
     with open(write_end, "w") as stream, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", stream)
         assert cli.main(CHECK.split()) == 141
+
     assert capsys.readouterr().err == ""
 
 
@@ -222,6 +227,7 @@ def test_a_reader_that_leaves_ends_the_command_with_141(
     with open(write_end, "w") as stream, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", stream)
         assert cli.main(["table"]) == 141
+
     assert capsys.readouterr().err == ""
 
 
@@ -231,6 +237,7 @@ def test_a_closed_standard_output_is_the_null_device(line: str) -> None:
     result = subprocess.run(
         ["sh", "-c", f"{program} {line} >&-"], cwd=ROOT, capture_output=True, check=False, text=True
     )
+
     assert result.returncode == 0
     assert result.stderr == ""
 
@@ -245,6 +252,7 @@ def test_a_closed_or_full_standard_error_changes_no_exit_code(target: str) -> No
         check=False,
         text=True,
     )
+
     assert result.returncode == 2
     assert result.stdout == ""
 
@@ -272,6 +280,7 @@ def test_help_has_every_option_and_all_examples(name: str, capsys: Capture) -> N
     parser = cli._parser_for(name, cli._load(name))
     options = [action.option_strings[-1] for action in parser._actions if action.option_strings]
     shown_options = re.findall(r"^  (?:-\w.*?, )?(--[\w-]+)", text, re.MULTILINE)
+
     assert sorted(shown_options) == sorted(options)
     assert text.endswith(f"\n{parser.epilog}\n")
 
@@ -281,6 +290,7 @@ def test_help_begins_with_what_the_command_cannot_do_without(capsys: Capture) ->
     for name in ("table", "radio", "plot", "swarm"):
         cli.main([name, "--help"])
         usages.append(capsys.readouterr().out.splitlines()[0])
+
     assert usages == [
         "usage: mcp-asdf table (--output DIR | --check FILE [FILE ...]) [OPTION ...]",
         "usage: mcp-asdf radio --id ID [OPTION ...]",
@@ -314,6 +324,7 @@ def test_commands_for_robots_need_no_extras_and_neither_does_any_help(tmp_path: 
         *(f"{name} --help" for name in cli.COMMANDS),
     ]
     exit_codes, errors = run_without_extras(lines, tmp_path)
+
     assert exit_codes == [0] * len(lines), errors
 
 
@@ -361,6 +372,7 @@ def test_the_library_names_a_missing_extra_as_the_command_does(tmp_path: Path) -
         "        print(error)\n"
     )
     messages = python("-c", script, cwd=tmp_path).stdout.splitlines()
+
     assert len(messages) == len(calls)
     assert all(message.endswith(install_instruction("study")) for message in messages)
 
@@ -486,6 +498,7 @@ def test_a_run_ends_with_the_line_for_the_same_run(line: str, settled_options: s
         if output_line.startswith("again: ")
     ]
     same_run = with_settled_options(line, settled_options)
+
     assert lines_for_the_same_run == [f"again: mcp-asdf {shlex.join(same_run)}"]
 
 
@@ -524,6 +537,7 @@ def test_a_command_logs_nothing_unless_asked_to(capsys: Capture) -> None:
 def test_v_logs_versions_first_then_the_command_line_and_at_last_the_exit_code(capsys: Capture) -> None:
     assert cli.main([*QUIET_SWARM, "-v"]) == 0
     messages = messages_of(capsys.readouterr().err)
+
     assert messages[0].startswith("INFO mcp_asdf_tools.cli: mcp-asdf ")
     assert messages[1].startswith("INFO mcp_asdf_tools.cli: command line: mcp-asdf swarm --robots 3")
     assert messages[-1].startswith("INFO mcp_asdf_tools.cli: exit code 0 after ")
@@ -542,6 +556,7 @@ def test_v_logs_the_robots_that_are_up_and_the_files_that_are_written(
     log = tmp_path / "run.log"
     assert cli.main([*QUIET_SWARM, "--log", str(log), "-v"]) == 0
     messages = messages_of(capsys.readouterr().err)
+
     assert "INFO mcp_asdf_tools.cli.swarm: 3 robots are up, 0 of them elsewhere" in messages
     assert f"INFO mcp_asdf_tools.common.files: wrote {log}.json" in messages
 
@@ -561,6 +576,7 @@ def test_vv_logs_each_batch_of_trials(
     assert cli.main(["sweep", "grid.toml", "--workers", "1", "-vv"]) == 0
     logger = "mcp_asdf_tools.experiments.sweep"
     messages = [message for message in messages_of(capsys.readouterr().err) if logger in message]
+
     assert messages[0] == f"INFO {logger}: 4 trials to run on this process"
     assert len(messages) == 3
     assert messages[1].startswith(f"DEBUG {logger}: finished trials 0 to 1 of Experiment(robots=3, ")
@@ -588,6 +604,7 @@ def test_v_ends_with_its_command(capsys: Capture) -> None:
 def test_the_library_is_silent_where_logging_is_not_configured() -> None:
     code = "import mcp_asdf_tools as m; m.emulate(m.SwarmSettings(robots=3, steps=5, filter_period=1))"
     result = python("-c", code)
+
     assert result.returncode == 0
     assert result.stdout == ""
     assert result.stderr == ""

@@ -97,6 +97,7 @@ def test_a_signal_ends_a_process_whenever_it_comes(
     with start_command(line, tmp_path) as process:
         wait_until(process, lambda: handles_signal(process, number))
         errors = end_by_signal(process, number)
+
     assert process.returncode in {code_at_work, 128 + number}, errors
     assert "Traceback" not in errors
 
@@ -129,6 +130,7 @@ def test_a_swarm_that_a_signal_ends_leaves_a_whole_log_that_is_reproduced(
     assert not part.exists()
     assert cli.main(["replay", str(log), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
+
     assert report["incomplete"] is False
     assert report["verdict"]["reproduced"] > 0
     assert report["verdict"]["difference"] is None
@@ -142,6 +144,7 @@ def test_a_radio_that_a_signal_ends_leaves_a_whole_log(tmp_path: Path) -> None:
     with start_command(line, tmp_path) as process:
         wait_until(process, lambda: handles_signal(process, signal.SIGTERM) and has_frames(part))
         errors = end_by_signal(process, signal.SIGTERM)
+
     assert process.returncode == 0, errors
     assert has_frames(log)
     assert not part.exists()
@@ -160,6 +163,7 @@ def test_a_swarm_that_is_killed_leaves_a_part_of_its_log_that_is_reproduced(
     assert cli.main(["replay", str(part), "--json"]) == 0
     output, errors = capsys.readouterr()
     report = json.loads(output)
+
     assert report["incomplete"] is True
     assert "is incomplete: its run was cut off" in errors
     assert report["verdict"]["reproduced"] > 0

@@ -86,6 +86,7 @@ def test_view_exports_a_log_or_a_trial_as_one_page(
     page = tmp_path / "run.html"
     assert main(["view", *recording.split(), "--export", str(page), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
+
     assert report == {"export": str(page), "bytes": page.stat().st_size, "states": 61}
     assert f"5 robots, 2 flawed, {filter_term}" in page.read_text()
 
@@ -95,6 +96,7 @@ def test_view_of_a_log_without_events_shows_what_its_frames_say(tmp_path: Path, 
     shutil.copy("run.log", log)
     assert main(["view", str(log), "--export", str(tmp_path / "run.html"), "--json"]) == 0
     output, errors = capsys.readouterr()
+
     assert json.loads(output)["states"] == 61
     assert f"mcp-asdf view: there is no {log}.events, which swarm, radio and node write" in errors
     assert "no robot sent telemetry" in errors
@@ -150,6 +152,7 @@ def test_a_command_sleeps_until_it_is_asked_to_stop(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("time.sleep", naps.append)
     answers = iter([False, False, True])
     sleep_until(lambda: next(answers))
+
     assert naps == [0.2, 0.2]
 
 
@@ -170,6 +173,7 @@ def test_view_of_a_bus_prints_its_address_and_that_nobody_sent_telemetry(
     monkeypatch.setattr(view, "stopping", lambda: nullcontext(lambda: next(answers)))
     assert main([*WATCH_A_BUS, "--json"]) == 0
     output, errors = capsys.readouterr()
+
     assert json.loads(output)["url"].startswith("http://127.0.0.1:")
     assert "no robot sent telemetry" in errors
 
@@ -188,6 +192,7 @@ def test_swarm_does_not_keep_the_page_of_a_bus_that_fails(
     monkeypatch.setattr("mcp_asdf_tools.swarm.run.run_swarm", failure)
     waiting = Mock(side_effect=AssertionError("it waits for Ctrl-C"))
     monkeypatch.setattr("mcp_asdf_tools.cli.swarm.sleep_until", waiting)
+
     assert main(["swarm", "--robots", "4", "--steps", "20", "--view"]) == 1
     assert "mcp-asdf swarm: it is off" in capsys.readouterr().err
 
@@ -245,6 +250,7 @@ DIFFERENCES = "fill_ratio=0.55|0.95, filter=asdf-plus|none"
 def test_what_cannot_be_shown_is_refused_in_two_lines(line: str, reason: str, capsys: Capture) -> None:
     assert main(line.split()) == 2
     output, errors = capsys.readouterr()
+
     assert output == ""
     assert reason in errors
     assert errors.count("\n") == 2

@@ -77,6 +77,7 @@ def test_a_written_file_replaces_a_longer_one(data: str | bytes, content: bytes,
     path = tmp_path / "file"
     path.write_bytes(b"something much longer than what comes next")
     write_atomically(path, data)
+
     assert path.read_bytes() == content
     assert names_in(tmp_path) == ["file"]
 
@@ -85,6 +86,7 @@ def test_a_write_through_a_symbolic_link_replaces_the_file_behind_it(tmp_path: P
     (tmp_path / "folder").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "folder/file")
     write_atomically(tmp_path / "link", "new")
+
     assert (tmp_path / "link").is_symlink()
     assert (tmp_path / "folder/file").read_text() == "new"
 
@@ -98,6 +100,7 @@ def test_a_written_file_has_the_usual_permissions(tmp_path: Path) -> None:
 def test_an_error_while_a_draft_is_written_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_text("old")
+
     with pytest.raises(ZeroDivisionError), drafts_for([path]) as [draft]:
         draft.write_text("half")
         raise ZeroDivisionError
@@ -112,6 +115,7 @@ def test_two_programs_that_write_one_file_do_not_mix_their_data(tmp_path: Path) 
         with drafts_for([path]) as [second_draft]:
             second_draft.write_text("second")
         assert path.read_text() == "second"
+
     assert path.read_text() == "first"
 
 
@@ -131,6 +135,7 @@ def test_a_kill_leaves_the_old_file_and_a_draft_that_can_be_removed(tmp_path: Pa
     assert (tmp_path / "file").read_text() == "old"
     assert len(names_in(tmp_path)) == 2
     remove_abandoned_drafts(tmp_path)
+
     assert names_in(tmp_path) == ["file"]
 
 
@@ -265,6 +270,7 @@ def test_obsolete_files_are_removed_before_the_first_renaming(tmp_path: Path) ->
     with pytest.MonkeyPatch.context() as patch, pytest.raises(UsageError):
         SystemCalls(patch, failing_index=1, failure=DISK_IS_FULL)  # index 0 is the sync of the draft
         rename_drafts({tmp_path / "file": tmp_path / "draft"}, obsolete=[tmp_path / "obsolete"])
+
     assert names_in(tmp_path) == ["draft"]
 
 

@@ -60,6 +60,7 @@ def json_report(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str
 def test_the_report_has_all_results(capsys: pytest.CaptureFixture[str]) -> None:
     report = json_report(capsys, "--steps", "6000")
     errors, tests, robust = report.pop("errors"), report.pop("tests"), report.pop("robust")
+
     assert report.pop("scenarios") > 10
     assert report == {
         "ok": True,
@@ -82,6 +83,7 @@ def test_the_verdict_says_what_was_compared_and_how_to_repeat_it(capsys: pytest.
     assert (code, errors) == (0, "")
     memory, robust, calls, verdict, repeat = output.splitlines()[-5:]
     expected_memory = "memory: 12 + 4 q bytes for a table, 124 for a saved robot, 156 with the robust filter"
+
     assert memory == expected_memory
     assert re.fullmatch(r"the robust filter: (\d+ [a-z ]+(, |$))+", robust)
     assert re.fullmatch(r"calls made and compared: 2000 in \d+ scenarios, seed 4", calls)
@@ -92,6 +94,7 @@ def test_the_verdict_says_what_was_compared_and_how_to_repeat_it(capsys: pytest.
 def test_errors_and_instructions_are_shown_in_tables(capsys: pytest.CaptureFixture[str]) -> None:
     _, output, _ = main(capsys, "--steps", "2000", "--seed", "4")
     lines = output.splitlines()[:-5]
+
     assert (lines[0], lines[2]) == ("", "              region  samples    exact  float64")
     assert re.search(r"x_hat +0.999 to 1 +\d+ +[\d.e-]+ +[\d.e-]+\n", output)
     assert lines[-5:] == [
@@ -184,6 +187,7 @@ def test_a_replay_without_a_difference_says_so(capsys: pytest.CaptureFixture[str
     replay = f"{ROBOT},observe:1,settle,observe:9"
     assert main(capsys, "--replay", replay) == (0, expected, "")
     report = json_report(capsys, "--replay", replay)
+
     assert report == {"ok": True, "status": "OK", "calls": 3, "failure": None}
 
 
@@ -192,6 +196,7 @@ def test_a_replay_of_a_robot_that_both_refuse_makes_no_call(capsys: pytest.Captu
     expected = "native and mirror both refuse to make this robot (ERR_CONFIG); no call was made\n"
     assert main(capsys, "--replay", replay) == (0, expected, "")
     report = json_report(capsys, "--replay", replay)
+
     assert report == {"ok": True, "status": "ERR_CONFIG", "calls": 0, "failure": None}
 
 

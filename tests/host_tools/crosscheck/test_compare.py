@@ -78,6 +78,7 @@ def test_differences_name_fields_results_and_words_of_the_image() -> None:
     first, second = RobotUnderTest(MirrorRobot, setup), RobotUnderTest(MirrorRobot, setup)
     second.apply(Call("restore", (2, 5, 29, 1 << 16)))
     *lines, checksum_line = differences(first.last_result, second.last_result)
+
     assert lines == [
         "t: 0, 5",
         "updated: 0, 1",

@@ -87,6 +87,7 @@ def test_the_test_passes_the_inner_round_and_rejects_the_outer_one(
     robot = robot_with_test(own_x_hat, omega)
     rounds = draw_rounds_at_threshold(robot, m, Update.ABOVE, Random(seed))
     k = threshold_of(omega, m)
+
     assert len(rounds.inside) == len(rounds.outside) == m
     assert not is_rejected(x_hats_of(rounds.inside), own_x_hat, k)
     assert is_rejected(x_hats_of(rounds.outside), own_x_hat, k)
@@ -102,6 +103,7 @@ def test_rounds_at_the_threshold_show_a_threshold_that_is_wrong_by_a_millionth(
     rounds = draw_rounds_at_threshold(robot, m, Update.ABOVE, Random(seed))
     too_small_k = threshold_of(omega, m) * Fraction(999_999, 1_000_000)
     too_large_k = threshold_of(omega, m) * Fraction(1_000_001, 1_000_000)
+
     assert is_rejected(x_hats_of(rounds.inside), own_x_hat, too_small_k)
     assert not is_rejected(x_hats_of(rounds.outside), own_x_hat, too_large_k)
 
@@ -123,6 +125,7 @@ def test_most_rounds_at_the_threshold_are_decided_by_its_last_bits(omega: str) -
             decided_by_last_bits["inside"] += 1
         if not is_rejected(outside, own_x_hat, k + k / 2**24):
             decided_by_last_bits["outside"] += 1
+
     assert decided_by_last_bits["inside"] > 100
     assert decided_by_last_bits["outside"] > 100
 
@@ -133,6 +136,7 @@ def test_rounds_at_the_threshold_stay_between_0_and_1(own_x_hat: int, m: int, se
     assume(x_hats is not None)
     assert x_hats is not None
     inside, outside = x_hats
+
     assert 0 <= min(inside) <= max(inside) <= ONE
     assert 0 <= min(outside) <= max(outside) <= ONE
 
@@ -149,6 +153,7 @@ def test_fractions_around_a_value_are_the_nearest_on_either_side(
     # The nearest fractions with one denominator: floor(value * denominator) of its parts, and one more.
     fractions_below = [Fraction(floor(value * denominator), denominator) for denominator in denominators]
     fractions_above = [Fraction(floor(value * denominator) + 1, denominator) for denominator in denominators]
+
     assert fractions_around(value, max_denominator) == (max(fractions_below), min(fractions_above))
 
 
@@ -267,6 +272,7 @@ def test_a_round_for_an_update_leads_to_it_by_eq_8(
         Update.MAXIMUM: b_hat >= 1,
         Update.MINIMUM: b_hat <= 0,
     }
+
     assert is_update_reached[update]
 
 

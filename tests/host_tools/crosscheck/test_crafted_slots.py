@@ -84,6 +84,7 @@ def test_a_robot_keeps_its_b_hat_by_the_first_estimates_of_a_pair(count: int, wi
     robot = robot_that_observed(black=300, white=200)
     kept, _ = draw_pair(robot, count, width, seed)
     settled_robot = settle_with(robot, kept.estimates)
+
     assert settled_robot.counters.updates == 0
     assert not kept.is_rejected()
 
@@ -95,6 +96,7 @@ def test_a_robot_re_estimates_b_hat_by_the_second_estimates_of_a_pair(
     robot = robot_that_observed(black=300, white=200)
     _, rejected = draw_pair(robot, count, width, seed)
     settled_robot = settle_with(robot, rejected.estimates)
+
     assert settled_robot.counters.updates == 1
     assert rejected.is_rejected()
     assert not rejected.is_supported
@@ -129,6 +131,7 @@ def test_a_robot_re_estimates_b_hat_if_only_two_of_five_neighbours_agree_with_it
     assert slots is not None
     assert slots.estimates == (SUPPORTER, SUPPORTER, OPPONENT, OPPONENT, OPPONENT)
     settled_robot = settle_with(robot, slots.estimates)
+
     assert settled_robot.counters.updates == 1
 
 
@@ -140,6 +143,7 @@ def test_a_robot_keeps_b_hat_if_three_of_seven_neighbours_agree_with_it() -> Non
     assert slots.estimates == (SUPPORTER, SUPPORTER, SUPPORTER, OPPONENT, OPPONENT, OPPONENT, OPPONENT)
     assert slots.is_rejected()
     settled_robot = settle_with(robot, slots.estimates)
+
     assert settled_robot.counters.updates == 0
 
 
@@ -178,6 +182,7 @@ def test_the_filter_at_the_test_has_the_dispersion_of_the_robot_after_it() -> No
     filter_before_test = filter_at_test(robot.s)
     robot.settle()
     dispersion_of_independent_observations = 256  # 1 in units of 2**-8
+
     assert filter_before_test.dispersion == robot.s.robust.dispersion
     assert filter_before_test.dispersion > dispersion_of_independent_observations
 

@@ -89,6 +89,7 @@ def test_workloads_at_a_t_are_of_all_kinds_of_accuracies_and_counts() -> None:
     ]
     expected.insert(12, Workload(t=64, n=32, halves=True))
     expected.append(Workload(t=64, n=32, halves=True, robust=True))
+
     assert workloads_at("t", 64) == expected
 
 
@@ -120,6 +121,7 @@ def test_workloads_at_a_q_use_the_first_and_the_last_entries(q: int, m_values: l
 def test_a_workload_is_a_robot_in_the_last_round_before_its_filter_runs() -> None:
     robot = Workload(t=1000, n=400, m=3, q=30).make_robot(MirrorRobot)
     s = robot.s
+
     assert (robot.id, robot.config.filter_period, s.filter_left) == (127, 1, 1)
     assert (s.t, s.n, s.x_hat, s.alpha, s.accuracy.b_hat) == (999, 400, 2**23, 0x80000001, 3 << 30)
     assert (s.open.count, s.open.x) == (3, 3 * (2**23 // 3) + 3000)
@@ -199,6 +201,7 @@ def test_both_outcomes_of_the_test_and_an_update_are_counted(operations: Counts)
     assert settle[0] < settle[2] == settle[127]
     assert count_by_m["step"][127] > settle[127] + min(count_by_m["observe"].values())
     robust_settle = count_by_m["settle, robust"]
+
     assert robust_settle[4] < robust_settle[5] < robust_settle[32] == robust_settle[127]
 
 

@@ -88,6 +88,7 @@ def test_bounds_of_alpha_have_room_for_an_alpha_word(case: AccuracyCase) -> None
     too_small, too_large = alpha_error(case.n, 10**6, case.b)
     # A word has 24 bits of mantissa, or units of 2**-24, and what does not fit is cut off.
     smallest_in_word = exact * (1 - too_small) * (1 - Fraction(1, 2**23)) - Fraction(1, 2**24)
+
     assert alpha_bounds(case.n, 10**6, case.b) == (smallest_in_word, exact * (1 + too_large))
 
 
@@ -172,6 +173,7 @@ def test_an_update_without_cause_is_reported(mode: Filter, message_count: int) -
     audit = Audit()
     step = settle_with_messages(mode, message_count, audit)
     wrong = replace(step.after, outcome="UPDATED")
+
     assert audit.check_call(step.setup, step.call, step.before, wrong) == ["b_hat is re-estimated, wrongly"]
     assert audit.tests == 0
 
@@ -181,6 +183,7 @@ def test_a_missing_update_is_reported(mode: Filter, message_count: int, tests: i
     audit = Audit()
     step = settle_with_messages(mode, message_count, audit)
     wrong = replace(step.after, outcome="OK")
+
     assert audit.check_call(step.setup, step.call, step.before, wrong) == [
         "b_hat is not re-estimated, wrongly"
     ]
@@ -191,6 +194,7 @@ def test_an_update_before_the_filter_period_has_passed_is_reported() -> None:
     audit = Audit()
     step = settle_with_messages(Filter.ALWAYS, 1, audit)
     too_early = with_value(step.before, "filter_left", 2)
+
     assert audit.check_call(step.setup, step.call, too_early, step.after) == [
         "b_hat is re-estimated, wrongly"
     ]

@@ -31,6 +31,7 @@ def test_random_scenarios_show_a_fault_that_only_one_firmware_has(fault: str) ->
     failure = find_failure(NativeRobot, faulty_mirror)
     assert failure is not None
     failure_without_fault = compare_with_oracle(failure.scenario, NativeRobot, MirrorRobot)
+
     assert failure_without_fault is None, "something else than the fault was found"
 
 

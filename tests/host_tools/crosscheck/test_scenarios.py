@@ -26,6 +26,7 @@ def test_scenarios_bring_about_every_status() -> None:
         scenario = random_scenario(SEED, index)
         robot = RobotUnderTest(MirrorRobot, scenario.setup)
         outcomes |= {f"{call.name} {robot.apply(call).outcome}" for call in scenario.calls}
+
     assert outcomes == {
         *("observe OK", "observe ERR_OBSERVATION", "step OK", "step UPDATED", "step ERR_OBSERVATION"),
         *("receive OK", "receive REPEATED", "receive ERR_SENDER", "receive ERR_X_HAT"),
@@ -71,6 +72,7 @@ def test_robust_scenarios_restore_legal_and_illegal_images_and_update_b_hat() ->
         scenario = robust_scenario(SEED, index)
         robot = RobotUnderTest(MirrorRobot, scenario.setup)
         outcomes |= {f"{call.name} {robot.apply(call).outcome}" for call in scenario.calls}
+
     assert {"restore OK", "restore ERR_IMAGE", "settle UPDATED", "step UPDATED"} <= outcomes
 
 

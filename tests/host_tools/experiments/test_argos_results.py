@@ -53,6 +53,7 @@ def test_the_page_has_the_medians_of_the_results() -> None:
         for filter_name, errors in argos.read_results().items()
         for quantity, meaning in argos.QUANTITIES.items()
     ]
+
     assert [row[:3] for row in rows] == expected_rows
 
 
@@ -73,6 +74,7 @@ def test_a_table_of_estimates_is_summed_up_as_means_over_robots(tmp_path: Path) 
         "200,kiv0,0.55,0.95\n200,kiv1,0.75,0.75\n"
     )
     summary = argos.summarise(table)
+
     assert summary["error_in_second_half"] == pytest.approx((0.1 + 0.1 + 0.0 + 0.2) / 4)
     assert summary["error_at_end"] == pytest.approx(0.1)
     assert summary["b_hat_error_at_end"] == pytest.approx(0.1)
@@ -90,6 +92,7 @@ def test_a_trial_has_the_filters_and_the_seed_that_it_is_about(tmp_path: Path) -
     [experiment] = root.iterfind("framework/experiment")
     assert experiment.attrib["random_seed"] == "7"
     [loop_functions] = root.iterfind("loop_functions")
+
     assert loop_functions.attrib["results"] == str(tmp_path / "trial.csv")
 
 
@@ -101,4 +104,5 @@ def test_the_world_of_the_example_is_that_of_the_comparison() -> None:
     assert body is not None
     side = 2 * float(body.attrib["position"].split(",")[0]) - 0.1
     robot_count = sum(int(node.attrib["quantity"]) for node in root.iterfind("arena/distribute/entity"))
+
     assert robot_count * np.pi * 0.7**2 / side**2 == pytest.approx(1, abs=1e-4)

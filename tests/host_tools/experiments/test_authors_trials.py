@@ -103,6 +103,7 @@ def test_a_b_hat_that_became_nan_scores_as_in_results_of_the_reference(tmp_path:
     content = trial_content(FIXED, 0)
     content["data_str"][4][60] = "-1,30,60,nan,nan,0.5,1.0,nan,nan,nan,"
     trials = read_trial(write_trial(tmp_path / "trial.json", FIXED, 0, data_str=content["data_str"]))
+
     # The last of their robots is the second of ours.
     assert np.isnan(trials.errors[0]).tolist() == [False, True, False, False, False]
     assert np.isfinite(trials.scores()["H"]).all()
@@ -116,6 +117,7 @@ def test_all_json_files_of_a_folder_and_below_are_found(tmp_path: Path) -> None:
     for name in ("flw2/t1.json", "flw2/t0.json", "notes.txt"):
         (tmp_path / name).touch()
     files = find_trial_files([tmp_path, tmp_path / "flw2/t0.json"])
+
     assert [path.name for path in files] == ["t0.json", "t1.json"]
 
 
@@ -228,6 +230,7 @@ def test_a_step_that_no_robot_makes_is_refused_by_its_number(
     data_str = trial_content(FIXED, 0)["data_str"]
     data_str[3][7] = text
     path = write_trial(tmp_path / "trial.json", FIXED, 0, data_str=data_str)
+
     with pytest.raises(UsageError) as refusal:
         read_trial(path)
     assert str(refusal.value).startswith(f"{path}: data_str of robot 3: ")
@@ -246,6 +249,7 @@ def test_a_step_that_no_robot_makes_is_refused_by_its_number(
 def test_a_file_without_an_object_is_refused(content: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "trial.json"
     path.write_text(content, encoding="utf-8")
+
     with pytest.raises(UsageError) as refusal:
         read_trial(path)
     assert message in str(refusal.value)

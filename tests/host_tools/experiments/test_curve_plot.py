@@ -118,6 +118,7 @@ def test_a_panel_has_the_curves_of_its_experiments(
         if trials.experiment.robots == robots
     }
     expected = [[medians[name, 1], medians[name, 2]] for name in ("none", "robust")[:curves]]
+
     assert drawn == expected
 
 
@@ -154,6 +155,7 @@ def test_axes_of_the_user_get_a_legend_of_several_curves(swarms_of_four_sizes: l
     axes = Figure().subplots()
     plot_curve(swarms_of_four_sizes[:4], "flawed", hue="filter", ax=axes)
     legend = axes.get_legend()
+
     assert legend is not None
     assert [text.get_text() for text in legend.get_texts()] == ["filter none", "filter robust"]
     assert not legend.get_frame_on()
@@ -192,6 +194,7 @@ def test_long_values_stand_side_by_side_with_short_labels() -> None:
     (axes,) = plot_curve([results_of(experiment) for experiment in graphs], "graph").axes
     assert np.asarray(axes.lines[0].get_xdata()).tolist() == [0, 1, 2]
     labels = [label.get_text() for label in axes.get_xticklabels()]
+
     assert labels == ["0 1", "0 1; 0 2; 0 10; 0 11", "0 1; 0 2; 0 3; 1 2;  ..."]
 
 
@@ -222,4 +225,5 @@ def test_equal_shares_of_swarms_of_two_sizes_do_not_differ() -> None:
         for robots, flawed in ((4, 2), (8, 4))
     ]
     (axes,) = plot_curve(experiments, "robots").axes
+
     assert np.asarray(axes.lines[0].get_xdata()).tolist() == [4, 8]

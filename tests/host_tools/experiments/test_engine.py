@@ -378,6 +378,7 @@ def test_robots_round_what_they_send_and_not_their_own_estimates() -> None:
     experiment = replace(SHORT, message_bits="1+1", filter="none", steps=20)
     exact = run_trials(replace(experiment, message_bits="exact"), 0, 1, sampling_interval=1).records
     rounded = run_trials(experiment, 0, 1, sampling_interval=1).records
+
     assert np.array_equal(exact["x_hat"], rounded["x_hat"])
     assert np.array_equal(exact["alpha"], rounded["alpha"])
 
@@ -591,6 +592,7 @@ def test_robots_with_the_same_id_of_7_bits_are_different_neighbours_in_a_graph(f
     )
     robots = run_with_ids_that_differ(experiment)
     trials = run_trials(experiment, 0, 1, sampling_interval=60)
+
     assert trials.records["x"][0, -1].tolist() == [robot.x for robot in robots]
     assert trials.b_hat[0, -1].tolist() == [robot.b_hat for robot in robots]
 

@@ -30,6 +30,7 @@ def test_parameters_come_back() -> None:
     experiment = Experiment(omega=Decimal("0.15"), **changes)
     assert Experiment(**experiment.parameters()) == experiment
     whole, exact = Experiment(true_accuracy=1, fill_ratio=0), Experiment(true_accuracy=1.0, fill_ratio=0.0)
+
     assert repr(whole) == repr(exact)
     assert Experiment(robots=MAX_ON_BUS, firmware="mirror").parameter_lacking_in_c == "firmware"
     assert next(combinations({"seed": [7] * MAX_EXPERIMENTS})) == {"seed": 7}
@@ -62,6 +63,7 @@ def test_files_describe_grids_on_the_keys_above_them(tmp_path: Path) -> None:
     assert [(each.flawed, each.seed, each.steps) for each in found] == expected
     (tmp_path / "ring").write_text("0 1\n1 2\n2 0\n")
     (wired,) = experiments_of(tmp_path, 'topology = "graph"\ngraph = "ring"\nrobots = 3\n')
+
     assert wired.graph == Experiment(topology="graph", graph=str(tmp_path / "ring"), robots=3).graph
     assert found == grid(who=[{"flawed": 1, "seed": [5, 6]}, {"flawed": 2, "seed": 7}], seed=4, steps=[8, 9])
 
@@ -114,6 +116,7 @@ def test_the_page_translates_the_authors_template(tmp_path: Path) -> None:
     (table,) = re.findall(r"\| theirs, YAML .*\n((?:\|.*\n)+)", page.read_text(encoding="utf-8"))
     our_cells = [row.split("|")[3] for row in table.splitlines()]
     names = {name for cell in our_cells for name in re.findall(r"^ `(\w+)", cell)}
+
     assert len(names) > 15
     assert names <= set(parameters_of(Experiment))
 

@@ -59,4 +59,5 @@ def test_the_comparison_notices_another_experiment(change: dict[str, Any]) -> No
     )
     (cell,) = [cell for cell in CONNECTED if cell.experiment == wanted]
     other = replace(cell.experiment, **change)
+
     assert min(fidelity.p_values(fidelity.simulate(other, 64), cell.scores)) < 1e-4

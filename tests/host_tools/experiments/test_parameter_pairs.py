@@ -163,6 +163,7 @@ def test_boxes_are_of_one_experiment_each(name: str) -> None:
     places = [
         (axes, line.get_color(), np.mean(np.asarray(line.get_xdata())).round(2)) for axes, line in points
     ]
+
     assert places[0] != places[1]
 
 
@@ -173,6 +174,7 @@ def test_points_of_scores_differ_between_experiments(name: str) -> None:
     points = [(axes, line) for axes in figure.axes for line in axes.lines]
     assert [len(np.asarray(line.get_xdata())) for _, line in points] == [3, 3]
     first, second = [(axes, line.get_color(), line.get_marker()) for axes, line in points]
+
     assert first != second
 
 

@@ -103,6 +103,7 @@ def test_equal_results_give_equal_files(
     write_tables(results, [trials_to_table(unfiltered)])
     assert cli.main(["plot", str(results), str(picture)]) == 0
     first_bytes = picture.read_bytes()
+
     assert cli.main(["plot", str(results), str(picture)]) == 0
     assert picture.read_bytes() == first_bytes
     assert first_bytes.startswith(start)

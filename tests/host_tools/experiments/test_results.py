@@ -126,6 +126,7 @@ def test_experiments_read_one_by_one_may_be_spread_over_files(tmp_path: Path) ->
         table = trials_to_table(run_trials(experiment, number, 1))
         write_tables(tmp_path / f"{number}.parquet", [table])
     streamed = list(stream_experiments(tmp_path))
+
     assert [(trials.experiment, trials.numbers) for trials in streamed] == [(SHORT, [0, 2]), (OTHER, [1])]
 
 
@@ -138,6 +139,7 @@ def test_rows_are_collected_until_their_tables_have_enough_bytes() -> None:
 def test_any_reader_of_parquet_finds_parameters_and_results_of_a_trial(results_path: Path) -> None:
     row = pq.read_table(results_path).to_pylist()[1]
     trials = run_trials(SHORT, 0, 1)
+
     assert {name: row[name] for name in SHORT.parameters()} == SHORT.parameters()
     assert row["trial"] == 0
     assert (row["k"], row["e"]) == (trials.convergence_steps[0].tolist(), trials.errors[0].tolist())
@@ -151,6 +153,7 @@ def test_the_metadata_describe_every_column(results_path: Path) -> None:
     assert list(columns) == schema.names
     assert all(column["meaning"] for column in columns.values())
     units = [columns[name]["unit"] for name in ("k", "filter_period", "tile", "speed", "H", "fill_ratio")]
+
     assert units == ["step", "step", "m", "m/s", "point of 100", "1"]
 
 
@@ -219,6 +222,7 @@ def test_results_without_a_parameter_have_its_default(name: str, path: Path) -> 
     experiment = replace(SHORT, **values)
     pq.write_table(trials_to_table(run_trials(experiment, 0, 1)).drop_columns([name]), path)
     [trials] = stream_experiments(path)
+
     assert trials.experiment == experiments_in(read_table(path))[0].experiment
     assert trials.experiment.parameters()[name] == Experiment().parameters()[name]
 
@@ -253,6 +257,7 @@ def test_results_in_format_5_give_back_their_records_by_step_and_robot() -> None
 def test_results_in_format_5_are_read_as_a_table_of_the_present_format() -> None:
     table = read_table(FORMAT_5_FILE)
     new_table = trials_to_table(run_trials(SHORT, 0, 1, sampling_interval=10))
+
     assert table.schema.equals(new_table.schema)
     assert read_metadata(table)["format"] == FORMAT
     assert table["record_t"].to_pylist()[2] == [[0, 0], [10, 10], [20, 20]]
@@ -269,6 +274,7 @@ def test_a_flat_record_without_a_value_of_each_robot_at_each_step_is_refused(rob
     table = pq.read_table(FORMAT_5_FILE)
     robots_column = pa.array([robots] * len(table), pa.uint64())
     pq.write_table(table.set_column(table.column_names.index("robots"), "robots", robots_column), path)
+
     with pytest.raises(UsageError, match="column record_t has gaps, or not a value of each robot"):
         read_table(path)
 
@@ -373,6 +379,7 @@ def test_results_may_not_name_a_file_as_their_graph(path: Path, tmp_path: Path) 
     table = trials_to_table(run_trials(experiment, 0, 1))
     graphs = pa.array([str(tmp_path / "pipe")])
     pq.write_table(table.set_column(table.column_names.index("graph"), "graph", graphs), path)
+
     with pytest.raises(UsageError, match="has to hold the edges themselves"):
         list(stream_experiments(path))
 
@@ -392,6 +399,7 @@ def test_other_limits_change_nothing_but_the_scores(results_path: Path) -> None:
     table = read_table(results_path)
     scored_table = score_table(table, Limits(1000, 0.7))
     other_columns = [name for name in table.column_names if name not in SCORES]
+
     assert scored_table.schema.equals(table.schema, check_metadata=True)
     assert scored_table.select(other_columns).equals(table.select(other_columns))
 
@@ -420,6 +428,7 @@ def test_a_line_of_csv_has_scores_means_and_sums_of_its_trial(
 ) -> None:
     limits = Limits(300, 0.55)
     row, trials = csv_rows(experiments, limits, tmp_path)[1], experiments[0]
+
     assert [float(row[name]) for name in SCORES] == pytest.approx(
         [scores[1] for scores in trials.scores(limits).values()]
     )

@@ -127,6 +127,7 @@ def test_a_box_has_a_line_at_the_median(boxes: Figure, results: list[Trials]) ->
         set(np.asarray(line.get_ydata()).tolist()) for line in boxes.axes[0].lines if line.get_color() == INK
     ]
     medians = [{float(np.median(trials.scores(LIMITS)["H"]))} for trials in trials_by_position(results, 0.55)]
+
     assert sorted(map(sorted, heights)) == sorted(map(sorted, medians))
 
 
@@ -202,6 +203,7 @@ def test_points_are_the_two_scores_of_the_trials(
         and trials.experiment.flawed == flawed
     ]
     scores = [trials.scores(LIMITS) for trials in panel]
+
     assert drawn == [np.stack([score["h_K"], score["h_e"]], axis=1).tolist() for score in scores]
     assert len(drawn) == count
 
@@ -280,6 +282,7 @@ def test_a_filter_has_its_colour_once(results_by_filter: dict[str, Trials]) -> N
     robust = results_by_filter["robust"]
     figure = plot_boxes([with_parameters(robust, filter_period=50), *results_by_filter.values()])
     colours = [handle.get_color() for handle in figure.legends[0].get_lines()]
+
     assert legend_of(figure)[-2:] == ["robust, filter period 50", "robust, filter period 100"]
     assert colours == [GREY, COLOURS[0], COLOURS[1], GREEN, COLOURS[3]]
 

@@ -40,6 +40,7 @@ def test_scores_by_hand() -> None:
     convergence_steps = np.array([[0, 100, 200, 300]])  # quartiles between two values: 50 and 250
     errors = np.array([[0.1, 0.1, 0.1, 0.3]])  # 0.1 and 0.2
     result = score(convergence_steps, errors, 1000, 0.5)
+
     assert result["h_K"][0] == pytest.approx(85 * math.exp(-0.2))
     assert result["h_e"][0] == pytest.approx(70 * math.exp(-0.2))
     assert result["H"][0] == pytest.approx((result["h_K"][0] + result["h_e"][0]) / 2)

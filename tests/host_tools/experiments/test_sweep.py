@@ -148,6 +148,7 @@ def test_a_sweep_with_gaps_runs_the_trials_in_the_gaps(output: Path, jobs_run: l
     store.flush()
     jobs_run.clear()
     run_sweep(Store(output, [replace(GRID[0], trials=10)]), 1)
+
     assert [(job.first, job.count) for job in jobs_run] == [(0, 2), (5, 2), (8, 2)]
 
 
@@ -156,6 +157,7 @@ def test_a_finished_sweep_is_not_run_again(output: Path, jobs_run: list[Job]) ->
     table = read_table(output)
     jobs_run.clear()
     run_sweep(Store(output, GRID[:1]), 1)
+
     assert jobs_run == [] and read_table(output).equals(table)
 
 
@@ -164,6 +166,7 @@ def test_a_larger_sweep_runs_only_new_trials_and_experiments(output: Path, jobs_
     jobs_run.clear()
     larger = [replace(GRID[0], trials=15), replace(GRID[1], trials=33)]
     run_sweep(Store(output, larger), 1)
+
     assert [(job.first, job.count) for job in jobs_run] == [(10, 5), (0, 32), (32, 1)]
     assert [trials.experiment for trials in experiments_in(read_table(output))] == larger
 
@@ -183,6 +186,7 @@ def test_results_of_another_sweep_are_never_overwritten(
 ) -> None:
     run_sweep(Store(output, GRID[:2]), 1)
     before = output.read_bytes()
+
     with pytest.raises(UsageError, match="choose another name"):
         Store(output, experiments, sampling_interval)
     assert output.read_bytes() == before
@@ -202,6 +206,7 @@ def test_workers_of_another_thread_give_what_one_process_gives(output: Path, tmp
     with ThreadPoolExecutor(1) as thread:
         thread.submit(run_sweep, Store(output, GRID), workers=2, report=reported_trials.append).result()
     run_sweep(Store(tmp_path / "one.parquet", GRID), workers=1)
+
     assert read_table(output).equals(read_table(tmp_path / "one.parquet"))
     assert sum(reported_trials) == 40 * len(GRID)
 
@@ -257,6 +262,7 @@ def test_a_part_is_written_when_the_last_one_is_a_second_old(
     for trial, now in enumerate((100.9, 101.0, 101.9, 102.0)):  # noqa: B007 (the clock)
         store.add(Job(GRID[0], trial, 1).run())
         counts.append(row_counts(store.parts))
+
     assert counts == [[], [2], [2], [2, 2]]
 
 
@@ -270,6 +276,7 @@ def test_parts_of_a_long_sweep_are_a_hundredth_of_its_time_apart(
     for trial, now in enumerate((1000.0, 1009.0, 1011.0)):  # noqa: B007 (the clock)
         store.add(Job(GRID[0], trial, 1).run())
         counts.append(row_counts(store.parts))
+
     assert counts == [[1], [1], [1, 2]]
 
 
@@ -280,6 +287,7 @@ def test_a_part_is_written_when_there_are_rows_enough(output: Path, monkeypatch:
     store.add(Job(GRID[0], 0, 9).run())
     assert row_counts(store.parts) == []
     store.add(Job(GRID[0], 9, 1).run())
+
     assert row_counts(store.parts) == [10]
 
 
@@ -309,6 +317,7 @@ def test_the_rows_of_a_part_fit_the_size_of_their_lists(
     (row,) = trials_to_table(Job(GRID[0], 0, 1, 400).run()).to_pylist()
     value_count = sum(np.size(values) for values in row.values() if isinstance(values, list))
     monkeypatch.setattr(store_module, "ROW_GROUP_BYTES", 1000 * 8 * value_count)
+
     assert Store(output, GRID[:1], 400)._rows_per_part == 1000
     assert Store(output, [replace(GRID[0], steps=10**7)], 400)._rows_per_part == 1
 
@@ -342,6 +351,7 @@ def test_an_output_can_be_continued_when_the_other_process_has_ended(output: Pat
         os._exit(0)
     os.waitpid(child, 0)
     run_sweep(Store(output, GRID[:1]), 1)
+
     assert [path.name for path in output.parent.iterdir()] == ["grid.parquet"]
 
 
@@ -386,6 +396,7 @@ def test_progress_is_a_line_a_minute_where_there_is_no_terminal(
 ) -> None:
     monkeypatch.setenv("FORCE_COLOR", "")
     report_slow_progress(monkeypatch, quiet=False)
+
     assert capsys.readouterr().err.splitlines() == [
         "trials: 3 of 8, 0.05/s, 0:01:40 left",
         "trials: 6 of 8, 0.05/s, 0:00:40 left",
@@ -399,6 +410,7 @@ def test_progress_is_a_bar_in_a_terminal_and_is_erased_in_the_end(
     report_slow_progress(monkeypatch, quiet=False)
     errors = capsys.readouterr().err
     erase_line = "\x1b[2K"
+
     assert "6/8" in errors
     assert errors.endswith(erase_line)
 
@@ -471,6 +483,7 @@ def test_score_takes_other_limits(grid_file: Path, run_for_json: Callable[..., d
     results = grid_file.with_suffix(".parquet")
     scored = run_for_json("score", results, "--k-max", "300", "--e-max", "0.5")
     limits = [experiment["limits"] for experiment in scored["experiments"]]
+
     assert limits == [{"k_max": 300, "e_max": 0.5}] * 2
 
 
@@ -524,6 +537,7 @@ def test_simulate_takes_options_over_a_file(
     options = ["--robots", "6", "--flawed", "50%", "--trials", "4", "--omega", "0.1"]
     answer = run_for_json("simulate", one_experiment, *options)
     parameters = answer["parameters"]
+
     assert [parameters[name] for name in ("steps", "robots", "flawed", "omega")] == [100, 6, 3, 0.1]
     assert (answer["trials"], answer["limits"]) == (4, {"k_max": 100, "e_max": 0.45})
 
@@ -597,6 +611,7 @@ def test_a_thousand_robots_are_simulated_in_a_graph(
         "--filter-period",
         "20",
     )
+
     assert (answer["parameters"]["robots"], answer["trials"]) == (1000, 1)
 
 
@@ -685,6 +700,7 @@ def test_a_signal_keeps_what_is_finished(
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
     finished_trials = sum(len(read_table(path)) for path in parts.glob("*.parquet"))
+
     assert 0 < finished_trials == 400 - Store(tmp_path / "slow.parquet", [LONG_SWEEP]).missing_count
 
 
@@ -709,6 +725,7 @@ def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen
     wait_until(lambda: bool(workers_of(slow_sweep)))
     os.killpg(slow_sweep.pid, signal.SIGINT)
     _, errors = slow_sweep.communicate(timeout=PATIENCE)
+
     assert slow_sweep.returncode == 130
     assert "Traceback" not in errors
 

@@ -67,6 +67,7 @@ def test_parameters_that_vary_have_columns_behind_the_trial(trials: Trials) -> N
     other = replace(SHORT, filter="none", robots=2)
     other_trials = run_trials(other, 0, 1, sampling_interval=20)
     tidy = tidy_results(pa.concat_tables([trials_to_table(trials), trials_to_table(other_trials)]))
+
     assert tidy.column_names[:5] == ["trial", "robots", "filter", "step", "robot"]
     assert tidy.slice(17, 2).select(["robots", "filter"]).to_pylist() == [
         {"robots": 3, "filter": "asdf-plus"},
@@ -149,6 +150,7 @@ def test_csv_keeps_every_bit_of_the_values(tidy: pa.Table, tmp_path: Path) -> No
 def test_csv_has_a_header_and_numbers_for_truth_values(tidy: pa.Table, tmp_path: Path) -> None:
     write_tidy_tables(tmp_path / "robots.csv", [tidy.slice(0, 2)])
     header, flawed_row, healthy_row = (tmp_path / "robots.csv").read_text(encoding="utf-8").splitlines()
+
     assert header.startswith('"trial","step","robot","is_flawed","t",')
     assert flawed_row.startswith("0,0,0,1,0,0,0.5,")
     assert healthy_row.startswith("0,0,1,0,0,0,0.5,")
@@ -171,6 +173,7 @@ def test_a_table_cannot_have_another_suffix(tidy: pa.Table, tmp_path: Path) -> N
 def test_a_table_does_not_replace_results(tidy: pa.Table, tmp_path: Path) -> None:
     results = tmp_path / "run.parquet"
     results.write_bytes(FORMAT_5_FILE.read_bytes())
+
     with pytest.raises(UsageError, match=r"run\.parquet has results, which would be lost"):
         write_tidy_tables(results, [tidy])
     assert results.read_bytes() == FORMAT_5_FILE.read_bytes()
@@ -191,6 +194,7 @@ def test_a_full_disk_leaves_the_earlier_file_alone(
     path.write_bytes(b"earlier")
     with limited_file_size(max_bytes), pytest.raises(UsageError, match=f"cannot write {path}: .*make room"):
         write_tidy_tables(path, [tidy] * 50)
+
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
     assert path.read_bytes() == b"earlier"
 

@@ -115,6 +115,7 @@ def test_lines_are_medians_of_flawed_and_of_healthy_robots(five_bands: Figure, h
     flawed_line, healthy_line, _ = five_bands.axes[0].lines
     flawed_medians = np.median(half_flawed.b_hat[:, :, :2], axis=(0, 2))
     healthy_medians = np.median(half_flawed.b_hat[:, :, 2:], axis=(0, 2))
+
     assert (flawed_line.get_color(), healthy_line.get_color()) == (FLAWED, OTHER)
     assert np.asarray(flawed_line.get_xdata()).tolist() == [100, 200, 300]
     assert np.asarray(flawed_line.get_ydata()).tolist() == flawed_medians.tolist()
@@ -150,6 +151,7 @@ def test_robots_are_off_from_what_they_assumed_at_first(half_flawed: Trials) -> 
     b_hat = half_flawed.b_hat.copy()
     b_hat[:, -1, 2:] = 0.84
     figure = plot_bands([replace(half_flawed, experiment=experiment, b_hat=b_hat)])
+
     assert titles_of(figure)[0].endswith("off: 0% of healthy robots")
 
 
@@ -179,6 +181,7 @@ def test_bands_name_parameters_that_have_an_effect(half_flawed: Trials) -> None:
     other_period = results_of(replace(half_flawed.experiment, filter_period=150))
     titles = titles_of(plot_bands([unfiltered, half_flawed, other_period]))
     named = [title.split("\n")[1].split(",")[0] for title in titles]
+
     assert named == ["$f$ = 0.55", "filter period 100", "filter period 150"]
 
 
@@ -216,6 +219,7 @@ def test_series_show_the_records_of_every_robot(
     lines = panel_of(series, row, run).lines
     drawn = np.array([line.get_ydata() for line in lines[:4]])
     last_robot_first = recorded_runs[run].records[quantity][0].T[::-1]
+
     assert drawn.tolist() == last_robot_first.tolist()
     assert np.asarray(lines[0].get_xdata()).tolist() == [
         *(range(0, 293, 2) if run == 0 else range(0, 200, 30))
@@ -231,6 +235,7 @@ def test_flawed_robots_lie_on_top_of_healthy_ones(series: Figure) -> None:
 def test_series_show_the_true_value_with_its_letter(row: int, text: str, series: Figure) -> None:
     axes = panel_of(series, row, 1)
     true_value = float(text.split(" = ")[1])
+
     assert np.asarray(axes.lines[4].get_ydata()).tolist() == [true_value] * 2
     assert axes.texts[0].get_text().strip() == text
     assert axes.texts[0].get_position() == (1, true_value)
@@ -251,6 +256,7 @@ def test_series_have_room_for_all_but_the_first_moments(
     values = np.concatenate([first[first_moments:], second, [[truth] * 4]])
     margin = max(0.06 * np.ptp(values), 0.01)
     limits = pytest.approx((values.min() - margin, values.max() + margin))
+
     assert [panel_of(series, row, run).get_ylim() for run in (0, 1)] == [limits, limits]
 
 

@@ -167,6 +167,7 @@ def test_a_remote_frame_is_described_by_its_raw_data() -> None:
 def test_the_order_of_kinds_counts_once_telemetry_was_received() -> None:
     comparison = comparison_after_a_tick()
     found_difference = comparison.check([estimate(), heartbeat(1)], [heartbeat(1), estimate()])
+
     assert str(found_difference) == (
         "estimate, order: expected the heartbeat first, got it before the heartbeat"
     )
@@ -193,6 +194,7 @@ def test_an_advisory_health_is_a_difference_unless_it_is_allowed(is_advisory_all
     found_difference = comparison.check(
         received=[heartbeat(1, Health.ADVISORY)], expected=[heartbeat(1, Health.NOMINAL)]
     )
+
     assert (found_difference is None) == is_advisory_allowed
 
 
@@ -203,6 +205,7 @@ def test_health_caution_in_a_heartbeat_is_a_difference_even_if_advisory_is_allow
     found_difference = comparison.check(
         received=[heartbeat(1, Health.CAUTION)], expected=[heartbeat(1, Health.NOMINAL)]
     )
+
     assert found_difference is not None
     assert found_difference.field == "health"
 

@@ -98,6 +98,7 @@ def test_a_neighbour_that_rejoins_sends_heartbeats_as_a_robot_of_a_swarm_does(
             heartbeat = decode_heartbeat(frame)
             if isinstance(heartbeat, Heartbeat) and heartbeat.sender == 1:
                 heartbeats.append((tick, heartbeat.uptime))
+
     assert heartbeats == expected_heartbeats
 
 
@@ -142,6 +143,7 @@ def test_neighbours_go_on_when_the_bus_fails() -> None:
     run = RadioRun(Neighbourhood(settings), BusLink(bus, endures=True), ticks=20)
     run.run()
     figures = run.figures()
+
     assert (figures["steps"], figures["ending"]) == (20, "all ticks done")
     # Every other one of 4 estimates in each tick and 4 heartbeats
     assert figures["bus_failures"] == figures["frames_sent"] == 4 * 21 // 2
@@ -189,6 +191,7 @@ def test_neighbours_stop_when_asked_to(ticks: int | None, is_interrupted: bool) 
     link = BusLink(Wire(), lambda: run.neighbours.tick >= 3)
     run = RadioRun(Neighbourhood(surroundings(steps_per_second=1000)), link, ticks)
     run.run()
+
     assert run.neighbours.tick == 3
     assert (run.outcome.ending, run.outcome.is_interrupted) == ("stopped", is_interrupted)
     assert run.outcome.lateness is not None
@@ -211,6 +214,7 @@ def test_neighbours_in_real_time_send_frames_and_leave_a_report(
     report = json.loads(capsys.readouterr().out)
     assert json.loads(Path(f"{log_path}.json").read_text()) == report
     results = report["results"]
+
     assert (results["steps"], results["frames_sent"]) == (20, len(frames))
     assert len(frames) + results["faults"][0]["injected"] == 4 * (20 + 1)  # with a heartbeat each
     assert {frame.arbitration_id & 0x7F for frame in frames} == {0, 1, 2, 4}
@@ -240,6 +244,7 @@ def test_wrong_arguments_are_refused_before_the_first_tick(
     monkeypatch.setattr(RadioRun, "_take_tick", lambda self: pytest.fail("it ran"))
     monkeypatch.setattr(Bench, "settle", lambda self: pytest.fail("it ran"))
     monkeypatch.chdir(tmp_path)
+
     assert radio(arguments) == 2
     assert COMPLAINTS[arguments] in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

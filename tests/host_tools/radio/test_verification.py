@@ -240,6 +240,7 @@ def test_a_fault_of_the_settings_is_one_more_phase() -> None:
     phases = [*phases_named("alone"), *phases_named("liar")]
     settings = surroundings(faults="loss=0.7,receivers=3 liar,robots=1,x=0")
     verdict = verify(right_controller(), settings, phases)
+
     assert [(phase.name, phase.fault) for phase in verdict.phases] == [
         ("alone", None),
         ("liar", "liar=1,x=1,alpha=1e38,robots=0"),
@@ -252,6 +253,7 @@ def test_a_phase_with_a_fault_has_two_rounds_of_a_controller_that_broadcasts_rar
     config: dict[str, Any] = {"filter_period": 600, "comms_period": 40}
     settings = surroundings(right(**config), faults="loss=0.7,receivers=3")
     phases = verify(right_controller(**config), settings, phases_named("liar")).phases
+
     assert [phase.ticks for phase in phases] == [80, 80]
     assert all(phase.injected > 0 and phase.outcome == "passed" for phase in phases)
 
@@ -275,6 +277,7 @@ def test_a_controller_has_not_passed_if_something_was_not_exercised(
 def test_a_run_does_not_wait_for_a_filter_of_too_long_a_period() -> None:
     config: dict[str, Any] = {"filter_period": 20_001}
     verdict = verify(right_controller(**config), surroundings(right(**config)), PHASES[:1])
+
     assert verdict.phases[0].ticks < 1000
     assert can_wait_for_tests(right(filter_period=20_000))
     assert not can_wait_for_tests(right(filter_period=20_001))
@@ -284,6 +287,7 @@ def test_robust_tests_that_cannot_be_brought_about_are_listed(monkeypatch: pytes
     monkeypatch.setattr(robust_phases, "_MAX_BURSTS", 0)
     phases = phases_named("first estimates", "test of a wide spread", "many rejections")
     verdict = verify(right_controller(**VOTES), surroundings(right(**VOTES)), phases)
+
     assert verdict.difference is None
     assert verdict.not_exercised == [
         *["observations before a test of 5 estimates"] * 2,
@@ -297,6 +301,7 @@ def test_updates_that_cannot_be_brought_about_are_listed(monkeypatch: pytest.Mon
     monkeypatch.setattr(crafted_rounds, "_MAX_DRAWS_FOR_UPDATE", 0)
     verdict = verify(right_controller(), phases=phases_named("first black tiles", "re-estimates"))
     updates = (Update.ABOVE, Update.BELOW, Update.MAXIMUM, Update.MINIMUM, Update.KEPT)
+
     assert verdict.difference is None
     assert verdict.not_exercised == [f"a re-estimate: {update.value}" for update in updates]
 
@@ -373,6 +378,7 @@ def test_a_wrong_controller_of_the_default_configuration_fails_in_the_phase_of_i
     assert verdict.difference.startswith(f'phase "{WRONG[name].phase}'), verdict
     outcomes = [phase.outcome for phase in verdict.phases]
     failed_index = outcomes.index("failed")
+
     assert set(outcomes[:failed_index]) <= {"passed"}
     assert set(outcomes[failed_index + 1 :]) <= {"not run"}
 
@@ -579,6 +585,7 @@ def test_other_nodes_delay_the_verdict_by_a_tenth_of_a_second_at_most(
 def test_a_verification_may_be_stopped_between_two_ticks() -> None:
     controller, ticks = right_controller(), list[int]()
     verdict = verify(controller, progress=ticks.append, should_stop=lambda: len(ticks) == 75)
+
     assert (verdict.is_interrupted, verdict.has_passed, verdict.difference) == (True, False, None)
     assert [phase.ticks for phase in verdict.phases[:3]] == [20, 60, 0]
     assert [phase.outcome for phase in verdict.phases[:3]] == ["passed", "not run", "not run"]
@@ -608,6 +615,7 @@ def test_a_bus_that_fails_is_not_blamed_on_the_controller(monkeypatch: pytest.Mo
     wire = Wire(right_controller())
     monkeypatch.setattr(wire, "send", Mock(side_effect=can.CanOperationError("cable pulled")))
     headline = verify(wire).headline
+
     assert headline.startswith("DISTURBED, no verdict: 0 of")
     assert "cable pulled" in headline
 
@@ -621,6 +629,7 @@ def test_a_controller_that_does_not_start_fails_in_the_first_phase() -> None:
     silent_wire.nodes.append(right_controller())
     verdict = verify(silent_wire, phases=PHASES[:3], wait=0.05)
     expected = 'phase "nothing seen", tick 0: robot 3 did not send a heartbeat '
+
     assert str(verdict.difference).startswith(expected)
     assert [phase.outcome for phase in verdict.phases] == ["failed", "not run", "not run"]
 
@@ -692,6 +701,7 @@ def test_a_verification_leaves_a_report_and_a_log_to_replay(
 def test_details_are_a_table_and_lists() -> None:
     phases = [PhaseResult("alone", None, 72, 0, 144, "passed"), PhaseResult("loss", "loss=0.5,receivers=3")]
     verdict = ControllerVerdict(phases, not_exercised=["a", "b"], not_checked=["c"])
+
     assert details(verdict).split("\n") == [
         "| phase | ticks | injected | equal frames | outcome | fault |",
         "| ----- | ----- | -------- | ------------ | ------- | ----- |",
@@ -711,4 +721,5 @@ def test_a_wrong_controller_gives_an_exit_code_and_a_line(
     with node_in_a_thread(f"{controller} --b-hat 0.56"):
         assert radio(f"{controller} --b-hat {B_HAT} --verify --timeout 20") == 1
     line = f'FAILED: 0 of {phases} phases passed; first in phase "nothing seen" (no observation), tick 0'
+
     assert line in capsys.readouterr().out

@@ -111,4 +111,5 @@ def test_a_line_of_a_log_means_the_same_as_the_console_form_that_log2long_makes_
     log_frame, console_frame = parse_line(log_line), parse_line(result.stdout)
     assert log_frame is not None and console_frame is not None
     console_frame.bitrate_switch = log_frame.bitrate_switch  # which log2long leaves out
+
     assert console_frame.equals(log_frame, timestamp_delta=None)

@@ -77,6 +77,7 @@ def test_the_events_of_ticks_come_back(tmp_path: Path) -> None:
         recorder.record_settle()
         recorder.record_observation(Observation.WHITE)
         recorder.record_settle()
+
     assert read_entries(tmp_path / "x") == [
         RobotEvents(7, [1, [3, 2**23, 2**32 - 1], [127, 0, 0], 3]),
         RobotEvents(7, [0, 3]),
@@ -90,6 +91,7 @@ def test_the_events_of_faults_come_back(tmp_path: Path) -> None:
         recorder.record_false_values(5, 2**31)
         recorder.record_silence()
         recorder.record_restart()
+
     assert read_entries(tmp_path / "x") == [RobotEvents(7, [2, [5, 2**31], "silent", "restart"])]
 
 
@@ -107,6 +109,7 @@ def test_a_flood_of_estimates_is_written_in_several_lines(
     with events_file(tmp_path / "x", HEADER) as writer:
         for _ in range(6):
             writer.recorders[7].record_estimates([[3, 1, 2]] * 5)
+
     assert read_entries(tmp_path / "x") == [RobotEvents(7, [[3, 1, 2]] * 15)] * 2
 
 
@@ -119,6 +122,7 @@ def test_a_mask_of_version_3_stands_for_the_last_estimates_of_its_senders(tmp_pa
     """The mask "9" has the bits of robots 0 and 3."""
     lines = '[7,1,[3,9,8],[0,1,2],3]\n[0,1,"9",[3,5,5],3]\n'
     (tmp_path / "x").write_text(FIRST_LINE_OF_VERSION_3 + lines)
+
     assert read_entries(tmp_path / "x") == [
         RobotEvents(7, [1, [3, 9, 8], [0, 1, 2], 3]),
         RobotEvents(0, [1, [0, 1, 2], [3, 9, 8], [3, 5, 5], 3]),
@@ -144,6 +148,7 @@ def test_the_robust_filter_of_an_earlier_version_is_refused_with_the_robots(
     robots = [record(0), *(record(robot_id, filter=Filter.ROBUST) for robot_id in (3, 4, 7))]
     first_line = EventsHeader(robots, 5, FrameFormat()).to_line()
     (tmp_path / "x").write_text(first_line.replace('"version": 5', f'"version": {version}'))
+
     with pytest.raises(
         UsageError,
         match=r"x, line 1: robots 3-4\+7 have the robust filter of an earlier mcp-asdf, which cannot be "
@@ -173,6 +178,7 @@ def test_compressed_events_with_a_wrong_byte_are_refused(swarm_log: Path, tmp_pa
     data = bytearray(events_path(swarm_log).read_bytes())
     data[len(data) // 2] ^= 0xFF
     (tmp_path / "x").write_bytes(data)
+
     with pytest.raises(UsageError, match=r"x, line \d+: "):
         read_entries(tmp_path / "x")
 
@@ -201,6 +207,7 @@ def test_a_line_without_an_end_does_not_fill_the_memory(
     monkeypatch.setattr(events_module, "MAX_LINE_LENGTH", 2000)
     with gzip.open(tmp_path / "x", "wt") as file:
         file.write(f"{FIRST_LINE}[{10**6 * '0,'}")
+
     with pytest.raises(UsageError, match="line 2: not JSON of at most 2000 characters"):
         read_entries(tmp_path / "x")
 

@@ -35,6 +35,7 @@ def test_the_summary_counts_the_frames_of_each_channel(tmp_path: Path) -> None:
     summary = LogSummary()
     write_odd_log(tmp_path / "run.log")
     read_times(tmp_path / "run.log", summary)
+
     assert summary.channels == {"vcan0": 1, "vcan1": 1}
     assert summary.channel_names == "vcan0 and vcan1"
 
@@ -57,6 +58,7 @@ def test_a_log_without_frames_is_refused_with_its_first_line(tmp_path: Path) -> 
     log = tmp_path / "run.log"
     log.write_text("timestamp,arbitration_id\n1.0,0x123\n")
     message = "holds no frame: line 1, 'timestamp,arbitration_id', is none of candump's; does its suffix"
+
     with pytest.raises(UsageError, match=message):
         read_times(log)
 
@@ -76,6 +78,7 @@ def test_a_malformed_line_of_another_format_is_named(suffix: str, tmp_path: Path
     malformed_line = lines[-1].replace("123", "xyz")
     log.write_text("\n".join([*lines, malformed_line]))
     shown_line = " ".join(malformed_line.split())
+
     with pytest.raises(UsageError) as caught:
         read_times(log)
     assert f"is malformed in line {len(lines) + 1}, '{shown_line}'" in str(caught.value)
@@ -88,6 +91,7 @@ def test_a_log_in_mf4_names_the_package_that_reads_it(
     log = tmp_path / "run.mf4"
     log.write_bytes(b"MDF     4.10    ")
     message = r"run\.mf4 the package asammdf is needed, which is not installed; run: pip install asammdf"
+
     with pytest.raises(UsageError, match=message):
         read_times(log)
 

@@ -125,6 +125,7 @@ def test_a_log_has_its_name_and_all_frames_when_the_run_has_ended(tmp_path: Path
         for number in range(48):
             record_frame(number)
         assert names_in(tmp_path) == ["run.log.part"]
+
     assert names_in(tmp_path) == ["run.log"]
     assert frame_numbers(tmp_path / "run.log") == list(range(48))
 
@@ -149,6 +150,7 @@ def test_any_channel_can_be_read_back(channel: str | int | None, logged_channel:
     with Recording(tmp_path / "run.log", None, fail, channel="my bus") as (write_frame, _):
         assert write_frame is not None
         write_frame(frame)
+
     assert frame.channel == channel
     assert [frame.channel for frame in read_log(tmp_path / "run.log")] == [logged_channel]
 
@@ -205,6 +207,7 @@ def test_events_of_a_tick_that_has_not_ended_are_in_the_part(tmp_path: Path) -> 
 def test_a_recording_does_not_replace_the_part_of_another_run(name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text("of another run")
     message = f"{re.escape(name)} is there: another program writes it, or its run was cut off; rename"
+
     with pytest.raises(UsageError, match=message), recording_frames(tmp_path / "run.log", HEADER):
         pass
     assert (tmp_path / name).read_text() == "of another run"
@@ -227,6 +230,7 @@ def test_a_log_that_cannot_get_its_name_stays_a_part(tmp_path: Path) -> None:
     with recording_frames(tmp_path / "run.log", warn=warnings.append) as record_frame:
         record_frame(1)
         (tmp_path / "run.log").mkdir()
+
     assert len(warnings) == 1
     assert f"cannot write {tmp_path}/run.log: it is not a regular file" in warnings[0]
     assert frame_numbers(tmp_path / "run.log.part") == [1]
@@ -306,6 +310,7 @@ def test_files_get_their_names_when_the_disk_has_their_contents(
     with recording_frames(tmp_path / "run.log", HEADER) as record_frame:
         record_frame(1)
     names = [name for name, _, _ in system_calls.mock_calls]
+
     assert names == ["fsync", "fsync", "replace", "replace", "fsync"]
 
 
@@ -340,6 +345,7 @@ def test_a_log_without_events_removes_those_of_the_log_that_it_replaces(tmp_path
     assert names_in(tmp_path) == ["run.log", "run.log.events"]
     with recording_frames(tmp_path / "run.log", header=None) as record_frame:
         record_frame(2)
+
     assert names_in(tmp_path) == ["run.log"]
 
 
@@ -365,6 +371,7 @@ def test_a_full_disk_ends_the_recording_but_not_the_swarm(tmp_path: Path, capsys
     with limited_file_size(FULL_DISK_BYTES):
         assert main([*SWARM_ON_FULL_DISK, "--json", "--log", str(log)]) == 2
     captured = capsys.readouterr()
+
     assert captured.err == (
         f"mcp-asdf swarm: the log {log} is not complete: File too large; what followed is lost, what came "
         f"before is in {log}.part and {log}.events.part\n"
@@ -390,6 +397,7 @@ def test_the_part_file_of_a_log_that_a_full_disk_cut_off_can_be_replayed(
     verdict = json.loads(capsys.readouterr().out)["verdict"]
     assert verdict["difference"] is None
     frames_in_part = verdict["reproduced"] + verdict["beyond"]
+
     assert frames_in_part > FULL_DISK_BYTES // LOG_LINE_BYTES
 
 
@@ -470,5 +478,6 @@ def test_wireshark_shows_every_frame_as_a_transfer(tmp_path: Path, monkeypatch: 
     )
     # By subject: three robots, 50 steps with an estimate each, and a heartbeat every 10 steps.
     subjects = Counter(re.findall(r"Message: (\d+)", result.stdout))
+
     assert subjects == {"3000": 3 * 50, "7509": 3 * 5}
     assert "Heartbeat.1.0" in result.stdout

@@ -60,6 +60,7 @@ def test_a_log_is_reproduced_in_any_format(
             write_frame(frame)
     assert main(["replay", str(log), "--events", str(events_path(swarm_log)), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
+
     assert report["verdict"] == vars(ReplayVerdict(reproduced=BROADCASTS, other=HEARTBEATS))
     assert report["incomplete"] is False
 
@@ -86,6 +87,7 @@ def test_frames_that_a_log_lacks_are_no_difference(swarm_log: Path) -> None:
     draw = random.Random(8)
     frames = [frame for frame in read_log(swarm_log) if draw.random() < 0.3]
     verdict = replay(frames, swarm_log)
+
     assert verdict.difference is None
     assert verdict.reproduced + verdict.not_logged == BROADCASTS
     assert BROADCASTS / 5 < verdict.reproduced < BROADCASTS / 2
@@ -114,6 +116,7 @@ def test_the_effects_of_faults_are_no_difference(options: str, tmp_path: Path) -
     assert min(counts) > 0
     assert sum(counts) == len(frames)
     results = json.loads((tmp_path / "run.log.json").read_text())["results"]
+
     assert all(fault["injected"] > 0 for fault in results["faults"])
 
 
@@ -125,6 +128,7 @@ def test_the_events_of_many_robots_are_hardly_larger_than_the_log(
     """The ratios are those of docs/internals/emulation.md."""
     log = tmp_path / "run.log"
     settings = ["--robots", "100", "--steps", "12", *options.split()]
+
     assert main(["swarm", *settings, "--quiet", "--log", str(log)]) == 0
     assert ratio - 0.2 < events_path(log).stat().st_size / log.stat().st_size < ratio
     assert replay(list(read_log(log)), log).reproduced == 1200
@@ -192,6 +196,7 @@ def test_a_difference_is_described_with_both_values(tmp_path: Path) -> None:
     frame = log_of_one_broadcast(tmp_path / "x")
     frame.timestamp = 12.5
     verdict = replay([flip_bit(frame, LOWEST_BIT_OF_ALPHA)], tmp_path / "x")
+
     assert verdict.difference == (
         "frame 1 at 12.500000 s: robot 5 broadcast x_hat 0x800000 (1.0000000), alpha 0x3f100001 (0.5625001), "
         "transfer_id 0, but in tick 1 it makes x_hat 0x800000 (1.0000000), alpha 0x3f100000 (0.5625), "
@@ -202,6 +207,7 @@ def test_a_difference_is_described_with_both_values(tmp_path: Path) -> None:
 def test_a_broadcast_too_many_is_a_difference(tmp_path: Path) -> None:
     frame = log_of_one_broadcast(tmp_path / "x")
     verdict = replay([frame, frame], tmp_path / "x")
+
     assert verdict.reproduced == 1
     assert verdict.difference is not None
     assert verdict.difference.endswith(", but makes no more broadcasts")
@@ -243,6 +249,7 @@ def test_a_foreign_frame_may_come_before_the_robots_broadcast(tmp_path: Path) ->
 def test_a_foreign_frame_too_many_is_a_difference(tmp_path: Path) -> None:
     broadcast = log_with_foreign_frame(tmp_path / "x")
     verdict = replay([FOREIGN_FRAME, FOREIGN_FRAME, broadcast], tmp_path / "x")
+
     assert verdict.foreign == 1
     assert verdict.difference is not None
     assert verdict.difference.startswith("frame 2 at 0.000000 s: robot 5 broadcast x_hat 0x00004d")
@@ -259,6 +266,7 @@ def test_broadcasts_after_the_events_were_cut_off_are_no_difference(tmp_path: Pa
     events_path(tmp_path / "x").rename(events_path(tmp_path / "x.part"))
     later_frames = [encode_estimate(Estimate(5, 0, 0, number), FrameFormat()) for number in (1, 2, 3)]
     verdict = replay([broadcast, *later_frames], tmp_path / "x.part")
+
     assert verdict == ReplayVerdict(reproduced=1, beyond=3)
 
 
@@ -267,6 +275,7 @@ def test_an_event_of_a_broadcast_before_any_broadcast_is_refused(event: str, tmp
     log = tmp_path / "x"
     header = EventsHeader([record(5)], None, FrameFormat())
     events_path(log).write_text(f"{header.to_line()}[5,3]\n[5,3,{event}]")
+
     with pytest.raises(UsageError, match=r"x\.events, line 3: robot 5 has a broadcast .* before it made one"):
         replay([], log)
 
@@ -277,6 +286,7 @@ def test_an_event_of_a_broadcast_before_any_broadcast_is_refused(event: str, tmp
 def test_replay_prints_the_number_of_frames_of_each_kind(swarm_log: Path, capsys: Capture) -> None:
     assert main(["replay", str(swarm_log)]) == 0
     lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+
     assert lines == [
         " 160  broadcasts reproduced bit for bit",
         "   0  broadcasts that a fault had given other values",
@@ -310,6 +320,7 @@ def test_replay_names_the_buses_of_a_log_that_has_every_frame_twice(
     write_log_of_two_buses(swarm_log, log)
     assert main(["replay", str(log), "--events", str(events_path(swarm_log))]) == 1
     hint = f"{log} has frames of vcan0 and vcan1: if it has the same frames of each, choose one by --channel"
+
     assert f"mcp-asdf replay: {hint}\n" in capsys.readouterr().err
 
 
@@ -321,6 +332,7 @@ def test_replay_checks_one_bus_of_a_log(
     write_log_of_two_buses(swarm_log, log)
     assert main(["replay", str(log), "--events", events, "--channel", channel, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
+
     assert (report["channel"], report["channels"]) == (channel, {"vcan0": 176, "vcan1": 176})
     assert report["verdict"] == vars(ReplayVerdict(reproduced=BROADCASTS, other=HEARTBEATS))
 
@@ -338,6 +350,7 @@ def test_replay_counts_the_lines_that_are_no_frames(swarm_log: Path, tmp_path: P
     report = json.loads(captured.out)
     assert (report["skipped_lines"], report["verdict"]["reproduced"]) == (2, BROADCASTS)
     warning = "2 lines are no frames and were left out; the first is line 177, '# the end'"
+
     assert captured.err == f"mcp-asdf replay: of {log} {warning}\n"
 
 

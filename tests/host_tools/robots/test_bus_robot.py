@@ -63,6 +63,7 @@ def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
         robot.observe(None)
         robot.receive_all(estimates)
         robot.settle()
+
     assert robot.counters == Counters(
         accepted=65_002, repeated=65_533 + 2 * 299, rejected=1 + 998 * 300, tests=65_534, updates=65_535
     )
@@ -95,6 +96,7 @@ def test_one_estimate_has_the_effect_of_an_array_with_one(
     for robot in (one, array):
         robot.observe(Observation.BLACK)
         robot.settle()
+
     assert (one.reception, one.counters, one.robot.x) == (array.reception, array.counters, array.robot.x)
     assert lines_of_one == lines_of_array
 
@@ -106,6 +108,7 @@ def test_a_robot_that_has_crashed_receives_nothing() -> None:
         robot.receive_frames([encoded(content)])
         robot.count_foreign_frame(encoded(content))
     robot.receive(Estimate(6, 9, 0, 0))
+
     assert robot.reception == Reception()
 
 
@@ -146,6 +149,7 @@ def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:
     robot.observe(None)
     robot.receive_frames([])
     robot.settle()
+
     assert lines == ["[5,1,[6,9,0],[7,9,0],[8,9,0],[8,9,0],3]\n", '[5,"restart",2,3]\n']
 
 
@@ -154,6 +158,7 @@ def test_every_frame_without_an_estimate_is_counted_by_its_kind() -> None:
     for content in (Heartbeat(8, 1, 0), Telemetry(8, 9, 1 << 23, 1, 0), Estimate(6, 9, 0, 0), *Rejection):
         robot.count_content(content, 3)
     rejections = [reason for reason in Rejection if reason is not Rejection.ERROR_FRAME]
+
     assert robot.reception == Reception(
         heartbeats=3, telemetry=3, errors=3, rejected=Counter(dict.fromkeys(rejections, 3))
     )
@@ -164,6 +169,7 @@ def test_estimates_from_outside_the_swarm_are_counted_as_strays() -> None:
     for content in (Estimate(5, 9, 0, 0), Estimate(6, 9, 0, 0), Heartbeat(8, 1, 0)):
         robot.count_foreign_frame(encoded(content))
     conflicts = Counter({(Suspicion.CONFLICT, 5): 1})
+
     assert robot.reception == Reception(strays=2, heartbeats=1, events=conflicts)
 
 
@@ -279,6 +285,7 @@ def test_a_population_has_a_setup_of_each_robot(
 ) -> None:
     population = Population(**FOUR_ROBOTS, filter=filters, activation=activation)
     largest_b_hat = 1 - 2**-20
+
     assert [population.setup_of(robot) for robot in range(4)] == [
         RobotSetup(0, "native", 0.3, flawed_config, 2),
         RobotSetup(1, "native", 0.3, flawed_config, 2),

@@ -65,6 +65,7 @@ def test_no_threshold_recognises_the_worse_colour_better(
     best_accuracy = max(
         worse_accuracy(rows, threshold, black_is) for threshold, _ in rows for black_is in ("below", "above")
     )
+
     assert min(calibration.accuracy.values()) >= best_accuracy - 1e-12
 
 
@@ -79,6 +80,7 @@ def test_the_accuracies_are_those_of_readings_below_the_threshold(
     expected = {"black": black_below, "white": 1 - white_below}
     if black_centre == 700:
         expected = {"black": 1 - black_below, "white": white_below}
+
     assert calibration.black_is == ("below" if black_centre == 300 else "above")
     assert calibration.accuracy == pytest.approx(expected)
 
@@ -128,6 +130,7 @@ def test_the_bias_is_the_error_of_a_robot_with_such_a_sensor(unequal: Calibratio
     robot = record(1, "native", unequal.b_hat).make_robot()
     for number in range(1000):
         robot.observe(Observation(int(number < black_observations)))
+
     assert robot.x_hat == pytest.approx(0.4 + unequal.bias, abs=0.001)
 
 
@@ -196,6 +199,7 @@ def test_calibrate_ends_with_the_option_for_the_robot(readings_file: Path, capsy
     report = json.loads(capsys.readouterr().out)
     run_calibrate(readings_file)
     option = f"--b-hat {report['b_hat']:.4f} (+- {report['uncertainty']:.4f}, 95 %)"
+
     assert capsys.readouterr().out.endswith(f"{option}\n")
 
 
@@ -223,6 +227,7 @@ def test_lines_that_are_left_out_change_nothing_else(readings_file: Path, capsys
     readings_file.write_text(readings_file.read_text() + "-1,white\n-1,black\n" * 5)
     run_calibrate(readings_file)
     lines_after = capsys.readouterr().out.splitlines()
+
     assert [line for line in lines_after if not line.startswith("left out")] == lines_before
 
 
@@ -281,4 +286,5 @@ def test_standard_input_without_an_end_is_refused() -> None:
     result = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=60, check=False)
     assert result.returncode == 2
     message = "cannot read standard input: it has more than 16777216 bytes; give a shorter one"
+
     assert message in result.stderr

@@ -67,6 +67,7 @@ def test_figures_say_in_seconds_how_late_ticks_have_begun() -> None:
     clock = watch.clock()
     # These begin 0, 1, 0.5, 0 and 0 periods late, and only one of them by more than half of one.
     begin_ticks(watch, clock, [2, 0.5, 0.5, 0.5, 0])
+
     assert clock.figures() == {
         "mean_lateness": 0.3 * PERIOD,
         "max_lateness": PERIOD,
@@ -80,6 +81,7 @@ def test_the_drift_is_the_lateness_of_the_last_tick() -> None:
     clock = watch.clock()
     begin_ticks(watch, clock, [1.5, 1.5, 1.5, 1.5])
     figures = clock.figures()
+
     assert figures is not None
     assert figures["drift"] == 1.5 * PERIOD
 
@@ -89,6 +91,7 @@ def test_a_tick_does_not_begin_early_when_a_sleep_ends_early() -> None:
     clock = watch.clock()
     clock.begin(0)
     clock.begin(1)
+
     assert watch.now >= 1000 + PERIOD
 
 
@@ -98,4 +101,5 @@ def test_frames_are_waited_for_until_the_middle_of_the_period(now: float, second
     clock = watch.clock()
     clock.begin(0)
     watch.now = 1000 + now
+
     assert clock.seconds_left_to_receive(1) == seconds_left

@@ -157,6 +157,7 @@ def test_driven_robots_answer_as_robots_that_are_called(firmware: str) -> None:
             answer = answers[robot.id]
             assert (answer.x, answer.b_hat) == (int(robot.x * 2**23), int(robot.b_hat * 2**24))
             assert answer.updates == robot.counters.updates % 256
+
     assert sum(robot.counters.updates for robot in robots) > 0
 
 
@@ -167,6 +168,7 @@ def test_a_lost_command_is_sent_once_more_to_those_who_have_not_answered() -> No
     lockstep = Lockstep(wire, timeout=0.02)
     for _ in drive(lockstep, random.Random(5)):
         pass
+
     assert lockstep.repeated == len(LOST_COMMANDS)
     assert len(wire.sent) == 120 * 4 * 2 + len(LOST_COMMANDS)
     assert all(each_node.unsettled == each_node.disobeyed == 0 for each_node in nodes)
@@ -185,6 +187,7 @@ def test_the_driver_reports_all_frames_that_it_sends_and_receives() -> None:
     wire, frames = Wire(*make_four_nodes("native")), list[can.Message]()
     for _ in drive(Lockstep(wire, on_frame=frames.append), random.Random(5)):
         pass
+
     assert [frame for frame in frames if frame.is_rx] == wire.told
     assert [frame for frame in frames if not frame.is_rx] == wire.sent
 
@@ -240,6 +243,7 @@ def test_an_estimate_of_the_last_tick_does_not_count() -> None:
     step(lockstep, 1)
     step(lockstep, 1)  # in which the robot broadcasts
     lockstep.observe({1: Observation.WHITE})
+
     with pytest.raises(LockstepError, match="robot 1 did not broadcast"):
         lockstep.estimates({1})
 
@@ -251,6 +255,7 @@ def test_a_robot_that_has_run_before_may_be_driven() -> None:
         lockstep = Lockstep(Wire(robot), timeout=0.02)
         for _ in range(3):
             step(lockstep, 1)
+
     assert robot.ticks == 6
 
 
@@ -261,6 +266,7 @@ def test_a_robot_that_restarts_while_it_is_driven_ends_the_run() -> None:
     for _ in range(3):
         step(lockstep, 1)
     wire.nodes[0] = node(1)
+
     with pytest.raises(LockstepError, match=r"in tick 3 with transfer_id 0, not 3 .*restarted"):
         step(lockstep, 1)
 
@@ -337,6 +343,7 @@ def test_a_command_that_is_lost_twice_ends_the_run(action: str, message: str) ->
         for command in map(decode, wire.sent)
         if (command.tick, command.target) == (7, 2) and command.action.name.startswith(action)
     ]
+
     assert len(lost_commands) == 2
 
 
@@ -373,6 +380,7 @@ def test_a_robot_ends_a_tick_that_was_left_open_when_it_observes_again() -> None
     assert [decode(frame).tick for frame in wire.sent] == [0, 1, 8, 8]
     assert lockstep.tick == 9
     robot = wire.nodes[0]
+
     assert (robot.unsettled, robot.robot.t, robot.sent.estimates) == (2, 3, 1)
 
 
@@ -405,6 +413,7 @@ def test_the_command_of_a_process_has_all_settings_of_its_robot(setup: RobotSetu
     _, _, _, command, *options = processes_of_nodes._commands[setup.id]
     parsed = cli._parser_for(command, cli._load(command)).parse_args(options)
     parsed_setup = replace(robot_of(parsed), allow=parsed.allow and parse_ids(parsed.allow, "--allow"))
+
     assert (parsed_setup, subjects_of(parsed), parsed.steps_per_second) == (setup, SUBJECTS, 3)
     assert (parsed.until_eof, parsed.json, str(bus_of(parsed))) == (True, True, str(choice))
 
@@ -418,6 +427,7 @@ def test_a_process_that_ends_is_named_with_its_exit_code_and_its_error() -> None
         lockstep = Lockstep(bus, check=nodes.check)
         with pytest.raises(LockstepError, match=r"robot 3 ended with exit code 2: {.*memory is 63"):
             lockstep.wait_until_up({3}, PATIENCE)
+
     assert nodes.reports == {}
 
 
@@ -429,6 +439,7 @@ def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch, 
     nodes._commands = {3: ["sh", "-c", script]}
     with nodes:
         wait_until((tmp_path / "up").exists)
+
     assert nodes.reports == {3: {}}
 
 
@@ -460,4 +471,5 @@ def test_only_processes_on_socketcan_keep_to_one_processor(
     monkeypatch.setattr("os.sched_setaffinity", lambda process, processors: calls.append(processors))
     choices = {3: BusChoice(interface, {}), 4: BusChoice("udp_multicast", {})}
     NodeProcesses([record(3), record(4)], choices.__getitem__, Subjects(), 10)
+
     assert calls == processors

@@ -55,6 +55,7 @@ def test_filters_pass_the_frames_that_decoders_accept_and_no_others() -> None:
             is_accepted = any(isinstance(decode_estimate(frame, subject), Estimate) for subject in SUBJECTS)
             assert bus._matches_filters(frame) == is_accepted, "replay: random.Random(6)"
             passed += is_accepted
+
     assert passed > 1000
 
 
@@ -107,6 +108,7 @@ def test_frames_wait_for_room_in_a_full_queue(pauses: list[float]) -> None:
     frames, bus = [can.Message(arbitration_id=identifier) for identifier in range(50)], Mock()
     bus.send.side_effect = cycle(outcomes(FULL, FULL, 0))
     send_all(bus, frames, 10)
+
     # Each frame is tried three times, with a pause after the first and the second attempt.
     assert [sending.args[0] for sending in bus.send.call_args_list] == [
         frame for frame in frames for _ in range(3)
@@ -132,6 +134,7 @@ def test_a_link_that_endures_counts_what_could_not_be_sent() -> None:
     bus = Mock()
     bus.send.side_effect = outcomes(0, DOWN, DOWN, 0)
     link = BusLink(bus, endures=True)
+
     assert [link.send(FRAME) for _ in range(4)] == [True, False, False, True]
     assert link.failures == 2
 
@@ -140,6 +143,7 @@ def test_a_link_that_endures_pauses_when_it_cannot_receive(pauses: list[float]) 
     bus = Mock()
     bus.recv.side_effect = outcomes(DOWN)
     link = BusLink(bus, endures=True)
+
     assert link.receive(9) is None
     assert (link.failures, pauses) == (1, [0.1])
 
@@ -155,6 +159,7 @@ def test_a_link_does_not_receive_what_the_driver_marks_as_sent() -> None:
     sent_frame, received_frame = can.Message(is_rx=False), can.Message(is_rx=True)
     bus = Mock(recv=Mock(side_effect=[sent_frame, received_frame]))
     link = BusLink(bus)
+
     assert link.receive(0) is None
     assert link.receive(0) is received_frame
 
@@ -167,6 +172,7 @@ def test_a_link_logs_what_was_sent_and_received_and_the_time_of_sending() -> Non
     link.send(FRAME)
     link.send(FRAME)  # which fails
     link.receive(0)
+
     assert log == [FRAME, received_frame]
     assert abs(log[0].timestamp - time.time()) < PATIENCE
 
@@ -176,6 +182,7 @@ def test_a_late_node_catches_up_with_all_frames_that_wait() -> None:
     bus = Mock(recv=Mock(side_effect=[frame, frame, None, frame]))
     received: list[can.Message] = []
     BusLink(bus).catch_up(received.append)
+
     assert received == [frame, frame]
     assert bus.recv.call_args == call(0)
 
@@ -262,6 +269,7 @@ def test_a_driven_node_reports_the_frames_that_it_sent_and_received(
 def test_a_driven_node_reports_its_setup_and_why_it_ended(capsys: pytest.CaptureFixture[str]) -> None:
     run_robot_5()
     report = json.loads(capsys.readouterr().out)
+
     assert report["parameters"]["robot"] == record(5, "native", 0.7, comms_period=2).plain()
     assert (report["results"]["ending"], report["results"]["steps"]) == ("all ticks done", 40)
     assert report["results"]["robot"]["counters"]["rejected"] == 3
@@ -346,6 +354,7 @@ def test_a_node_warns_once_of_each_kind_of_suspicious_estimates_and_each_sender(
 ) -> None:
     _, errors = run_among_suspicious_neighbours(capsys)
     warnings = [line for line in errors.splitlines() if ": node " in line]
+
     assert sorted(warnings) == sorted(
         f"mcp-asdf node: node {sender}: {MEANINGS[Suspicion(kind)]}" for kind, sender in SUSPICIONS
     )
@@ -425,6 +434,7 @@ def test_a_wrong_option_of_a_node_is_reported_and_nothing_is_written(
     monkeypatch.chdir(tmp_path)
     assert main(["node", *shlex.split(arguments)]) == 2
     output = capsys.readouterr()
+
     assert MESSAGES_BY_WRONG_OPTIONS[arguments] in output.err
     assert output.out == ""
     assert not list(tmp_path.iterdir())

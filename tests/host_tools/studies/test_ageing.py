@@ -47,12 +47,14 @@ def test_the_study_has_30_long_trials_and_a_seed_of_its_own() -> None:
         (experiment.trials, experiment.steps, experiment.seed)
         for experiment in experiments_of(ageing.ageing_rows())
     }
+
     assert sizes == {(30, 40_000, 90125)}
 
 
 def test_robots_that_know_the_drift_have_four_trials_and_a_seed_of_their_own() -> None:
     experiments = experiments_of(ageing.peer_rows())
     sizes = {(experiment.trials, experiment.steps, experiment.seed) for experiment in experiments}
+
     assert sizes == {(4, 40_000, 90126)}
     assert {experiment.fill_ratio for experiment in experiments} == {0.75}
     assert {experiment.flawed for experiment in experiments} == {0}
@@ -71,6 +73,7 @@ def test_the_picture_has_a_panel_for_each_kind_of_ageing() -> None:
         for label, experiments in ageing.ageing_rows().items()
     }
     axes_of_panels = [axes for axes in ageing.draw_errors(rows).axes if axes.axison]
+
     assert [axes.get_title("left") for axes in axes_of_panels] == [
         "none ages",
         "all age alike",

@@ -43,6 +43,7 @@ def test_statistics_of_a_sample_and_of_its_resamples_are_those_of_numpy(
     resampled = resample(sample)
     assert resampled.value == pytest.approx(statistic(sample, axis=-1))
     expected = statistic(sample[resample_indices(trials)], axis=1)
+
     assert resampled.resamples == pytest.approx(expected, abs=1e-6)
 
 
@@ -83,6 +84,7 @@ def test_the_rank_correlation_is_that_of_scipy() -> None:
     x = normal_sample(1, 60)
     y = normal_sample(2, 60) - x
     value, low, high = resample_rank_correlation(x, y).interval(0.95)
+
     assert value == pytest.approx(spearmanr(x, y).statistic)
     assert -0.9 < low < value < high < -0.2
 
@@ -104,4 +106,5 @@ def test_intervals_of_95_percent_miss_the_truth_in_about_one_of_twenty_cases() -
         first, second = normal_sample(2 * seed), normal_sample(2 * seed + 1)
         _, low, high = (resample_median(first) - resample_median(second)).interval(0.95)
         misses += not low <= 0 <= high  # the true difference is 0
+
     assert 1 <= misses <= 6

@@ -118,6 +118,7 @@ def test_a_claim_compares_cells_of_the_study_once(
     assert cells <= STUDY_CELLS
     assert study_part in {cell.study_part for cell in cells}
     questions = {(plan.cell, plan.reference, plan.contrast.measure, plan.contrast.expected) for plan in plans}
+
     assert len(questions) == len(plans) > 0
 
 
@@ -140,6 +141,7 @@ def plan(**row: Any) -> list[PlannedComparison]:
 def test_lists_make_all_combinations_of_flawed_robots() -> None:
     plans = plan(flawed_percents=[10, 30], filters="asdf-plus", than="no filter")
     pairs = [(plan.cell, plan.reference) for plan in plans]
+
     assert pairs == [
         (
             Cell(StudyPart.DYNAMIC, 0.95, 0.55, b_hat, percent, "asdf-plus"),
@@ -159,6 +161,7 @@ def test_the_next_lower_p_is_that_of_the_study() -> None:
     percents = [
         (plan.cell.flawed_percent, plan.reference and plan.reference.flawed_percent) for plan in plans
     ]
+
     assert percents == [(10, 0), (30, 10), (50, 30), (100, 50)]
 
 
@@ -239,6 +242,7 @@ def test_robots_of_a_connected_swarm_are_compared_with_each_other(
     study_results = PlantedResults("70")
     monkeypatch.setattr(study_results, "trials_of", lambda study_part: [trials])
     decision = decide_one(study_results, claim_named(IDENTICAL_ROBOTS), StudyPart.FULLY_CONNECTED)
+
     assert decision.verdict is verdict
 
 

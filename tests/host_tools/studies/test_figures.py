@@ -106,6 +106,7 @@ def test_titles_have_the_numbers_of_the_papers_figures() -> None:
         name: re.findall(r"figure (\w+)\)$", picture.title)
         for name, picture in pictures_of(*StudyPart).items()
     }
+
     assert {name: number[0] for name, number in numbers.items() if number} == {
         "dynamic_asdf-minus": "3a",
         "dynamic_asdf-plus": "3b",
@@ -164,6 +165,7 @@ def test_single_trials_are_run_again_with_records(monkeypatch: pytest.MonkeyPatc
     recorded: list[Any] = []
     monkeypatch.setattr(series, "plot_runs", lambda runs, trial: recorded.extend(runs))
     pictures_of(StudyPart.FULLY_CONNECTED)
+
     assert [sorted(trials.records) for trials in recorded] == [sorted(recorded[0].records)] * 2
     assert [trials.numbers for trials in recorded] == [[0], [0]]
 

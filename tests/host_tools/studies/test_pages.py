@@ -48,6 +48,7 @@ def test_tables_and_picture_of_a_study_go_into_its_page(root: Path, monkeypatch:
     (root / "docs/internals/ageing.md").write_text(PAGE.replace("grid", "filters"))
     (root / "ageing.md").write_text("<!-- filters -->\n| moving | new |\n<!-- end -->")
     Image.new("RGB", (4, 4)).save(root / "ageing.png")
+
     assert put("ageing", root, monkeypatch) == 0
     assert "| moving | new |" in (root / "docs/internals/ageing.md").read_text()
     assert (root / "docs/images/ageing.webp").read_bytes()[8:12] == b"WEBP"

@@ -61,6 +61,7 @@ def test_each_liar_makes_a_swarm_without_a_filter_worse() -> None:
         error_of(firmware=firmware, filter="none", flawed=0)
         for firmware in ("native", peers.one_liar, peers.five_liars)
     )
+
     assert honest < one < five
 
 
@@ -133,6 +134,7 @@ def test_a_column_is_named_after_its_peer_or_filter(firmware: Any, filter_name: 
 def test_every_peer_has_a_column_of_its_own() -> None:
     rows = [*robust_filter.peer_rows().values(), *ageing.peer_rows().values()]
     experiments = [experiment for row in rows for experiment in row if experiment.firmware != "native"]
+
     assert {peers.column_label(experiment) for experiment in experiments} == {
         "no filter with memory",
         "ASDF- with memory",
@@ -162,6 +164,7 @@ def test_a_remembering_robot_averages_by_alpha_per_observation() -> None:
     robot.receive(2, 0.8, 4.0)  # weight 2
     weight = 0.5 + (2 - 0.5) / 8
     weighted_sum = 0.1 + (2 * 0.8 - 0.1) / 8
+
     assert robot.x == robot.x_bar == pytest.approx(weighted_sum / weight)
 
 
@@ -172,6 +175,7 @@ def test_messages_without_confidence_are_not_remembered() -> None:
         robot.receive(sender, 0.9, 0.0)
     robot.receive(63, 0.2, 8.0)
     gain_of_first_message = 1 / 8
+
     assert robot.x_bar == pytest.approx(0.2)
     assert robot._weight == gain_of_first_message * 8.0
 
@@ -180,6 +184,7 @@ def test_a_repeated_message_is_not_remembered() -> None:
     robot = peers.RememberingRobot(WITHOUT_FILTER, 0, 0.9)
     robot.receive(1, 0.2, 8.0)
     weight = robot._weight
+
     assert robot.receive(1, 0.9, 8.0) is Status.REPEATED
     assert robot._weight == weight
 
@@ -192,6 +197,7 @@ def test_the_gain_of_a_remembering_robot_falls_from_the_64th_message() -> None:
     weight = 1 - (7 / 8) ** 63
     assert robot._weight == pytest.approx(weight)
     robot.receive(63, 1.0, 1.0)
+
     assert robot._weight == pytest.approx(weight + (1 - weight) / 16)
 
 
@@ -230,6 +236,7 @@ def test_bayescpf_measures_only_what_came_since_the_last_update() -> None:
     robot.reestimate_b_hat()
     robot.observe(Observation.BLACK)
     robot.settle()
+
     assert (robot._n_since_update, robot._t_since_update, robot._x_since_update) == (0, 0, [])
 
 
@@ -279,6 +286,7 @@ def test_a_robot_may_know_its_accuracy_of_the_moment() -> None:
     for _ in range(3):
         robot.observe(Observation.BLACK)
         b_hats.append(robot.b_hat)
+
     assert b_hats == pytest.approx([0.9, 0.9 - 1e-5, 0.9 - 2e-5])
 
 
@@ -309,6 +317,7 @@ def test_the_sum_of_accuracies_is_halved_with_the_counts(monkeypatch: pytest.Mon
         robot.observe(Observation.BLACK)
     robot._true_accuracy = 0.6
     robot.observe(Observation.BLACK)
+
     assert robot.b_hat == pytest.approx((32 * 0.9 + 0.6) / 33)
 
 
@@ -339,6 +348,7 @@ def test_a_wmsr_robot_with_five_neighbours_is_left_with_its_own_estimate() -> No
     for sender in range(1, 6):
         robot.receive(sender, 0.1, 8.0)
     robot.settle()
+
     assert robot.x == robot.x_hat == 1.0
 
 
@@ -348,6 +358,7 @@ def test_a_wmsr_robot_keeps_one_of_six_estimates_on_one_side() -> None:
     for sender, x_hat in enumerate([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], start=1):
         robot.receive(sender, x_hat, 8.0)
     robot.settle()
+
     assert robot.x == pytest.approx((1.0 + 0.6) / 2)
 
 
@@ -369,6 +380,7 @@ def test_a_trimming_robot_counts_its_own_estimate_among_the_others() -> None:
     for sender, x_hat in enumerate([0.2, 0.4, 0.6], start=1):
         robot.receive(sender, x_hat, 8.0)
     robot.settle()
+
     assert robot.x_hat == 1.0
     assert robot.x == pytest.approx((0.4 + 0.6) / 2)
 
@@ -399,6 +411,7 @@ def test_a_voting_robot_adopts_the_opinion_of_the_majority(received: list[float]
     for sender, x_hat in enumerate(received, start=1):
         robot.receive(sender, x_hat, 1.0)
     robot.settle()
+
     assert robot.x == opinion
 
 
@@ -408,6 +421,7 @@ def test_a_voting_robot_listens_only_before_the_end_of_its_dissemination() -> No
     assert robot._opinion_by_sender == {}
     robot.settle()
     robot.receive(1, 1.0, 1.0)
+
     assert robot._opinion_by_sender == {1: Observation.BLACK}
 
 
@@ -416,6 +430,7 @@ def test_messages_without_confidence_are_no_votes() -> None:
     robot.receive(1, 1.0, 0.0)
     robot.receive(2, 1.0, 0.0)
     robot.settle()
+
     assert robot.x == 0.0
 
 
@@ -462,6 +477,7 @@ def test_wmsr_withstands_as_many_liars_as_it_knows_of() -> None:
         "flawed": 0,
         "steps": 2000,
     }
+
     assert error_of(firmware=peers.wmsr_robots_and_five_liars, filter="none", **liars) < 0.02
     assert error_of(firmware=peers.five_liars, filter="none", **liars) > 0.5
 
@@ -474,6 +490,7 @@ def test_a_lossy_radio_loses_three_messages_in_ten() -> None:
     for _ in range(1000):
         assert robot.receive_raw(1, 2**22, 2**31) >= Status.OK
         robot.settle()
+
     assert 660 < robot.counters.accepted < 740
 
 
@@ -506,5 +523,6 @@ def test_a_changing_floor_looks_as_if_0_95_were_black_from_the_middle_on() -> No
     black, white = (np.concatenate(parts) for parts in zip(floor.advance(30), floor.advance(70), strict=True))
     assert set(black.ravel()) == {0.9}
     black_readings = 0.55 * 0.9 + 0.45 * (1 - white.ravel())
+
     assert black_readings[:50] == pytest.approx(0.55 * 0.9 + 0.45 * 0.1)
     assert black_readings[50:] == pytest.approx(0.95 * 0.9 + 0.05 * 0.1)

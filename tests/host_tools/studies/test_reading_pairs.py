@@ -136,6 +136,7 @@ def test_b_hat_returns_when_the_disagreements_no_longer_contradict_it() -> None:
         robot.observe(Observation.BLACK)
         robot.observe(Observation.BLACK)
     robot.settle()
+
     assert robot.b_hat == 0.9
 
 
@@ -155,6 +156,7 @@ def test_x_is_that_of_the_robust_filter() -> None:
     for swarm_member in (robot, ordinary_robot):
         swarm_member.receive(1, 0.25, 8.0)
         swarm_member.settle()
+
     assert robot.x == ordinary_robot.x != robot.x_hat
 
 
@@ -164,5 +166,6 @@ def test_a_reading_that_is_no_colour_is_refused(readings_before: int) -> None:
     for _ in range(readings_before):
         robot.observe(Observation.BLACK)
     no_colour: Any = 2
+
     assert robot.observe(no_colour) is Status.ERR_OBSERVATION
     assert (robot.t, robot._pairs) == (readings_before, 0)

@@ -65,6 +65,7 @@ def test_the_early_error_is_that_of_the_first_quarter_without_step_0() -> None:
     trials.records["x"][:] = 0.9
     trials.records["x"][:, 1, :] = 0.6
     trials.records["x"][:, 2, :] = 0.8
+
     assert related_work.early_errors(trials) == pytest.approx([0.2, 0.2])
 
 
@@ -86,6 +87,7 @@ def test_the_picture_has_three_swarms_of_each_kind_and_a_line_for_each_rule() ->
     all_trials = [trials, *short_trials(filter="robust"), *short_trials(filter="none", firmware=rules)]
     rows = {label: all_trials for label in related_work.resilience_rows()}
     figure = related_work.draw_errors(rows)
+
     assert titles_of(figure) == [
         "fully connected, 5 liars, underconfident",
         "moving, 5 liars, underconfident",

@@ -131,6 +131,7 @@ def test_the_csv_has_a_line_for_every_comparison(written: WrittenReport) -> None
         rows = list(csv.DictReader(file))
     assert len(rows) == sum(len(decision.comparisons) for decision in written.decisions)
     row = next(row for row in rows if row["claim"] == "confidence_increases_with_b_hat")
+
     assert row == {
         "seed": "1",
         "claim": "confidence_increases_with_b_hat",
@@ -148,6 +149,7 @@ def test_the_csv_has_a_line_for_every_comparison(written: WrittenReport) -> None
 def test_claims_are_plain_values_for_programs(written: WrittenReport) -> None:
     values = report.decisions_as_json(written.decisions, PAPER_SIZE)
     value = next(value for value in values if value["claim"] == "confidence_increases_with_b_hat")
+
     assert value == {
         "claim": "confidence_increases_with_b_hat",
         "part": None,
@@ -162,6 +164,7 @@ def test_trials_that_are_too_few_get_no_verdict(tmp_path: Path) -> None:
     assert "Too short for verdicts" in short.page
     assert ": agree" not in short.markdown
     verdicts = {value["verdict"] for value in report.decisions_as_json(short.decisions, SHORT_SIZE)}
+
     assert verdicts == {None}
 
 

@@ -70,6 +70,7 @@ def test_an_interrupted_study_runs_the_trials_that_are_left(
     assert "24 of 40 trials left; the same command goes on" in capsys.readouterr().err
     started = record_jobs(monkeypatch)
     run_json(capsys, tmp_path)
+
     assert sum(job.count for job in started) == 24
 
 
@@ -82,6 +83,7 @@ def test_an_interrupted_study_ends_in_the_files_of_one_that_was_not(
         record_jobs(patch, max_jobs=8)
         assert run_plain(tmp_path / "resumed") == 130
     run_json(capsys, tmp_path / "resumed")
+
     assert contents_of(tmp_path / "resumed") == contents_of(tmp_path / "uninterrupted")
 
 
@@ -92,6 +94,7 @@ def test_the_report_of_a_finished_study_is_made_again(
     before = contents_of(tmp_path)
     (tmp_path / "report.html").unlink()
     record_jobs(monkeypatch, max_jobs=0)  # any job would be an interrupt
+
     assert run_plain(tmp_path) == 0
     assert contents_of(tmp_path) == before
     assert capsys.readouterr().err == "0 trials to run\n"
@@ -121,6 +124,7 @@ def test_results_of_another_seed_are_not_overwritten(
 ) -> None:
     run_json(capsys, tmp_path)
     before = contents_of(tmp_path)
+
     assert run_plain(tmp_path, "--seed", "2") == 2
     assert "choose another name" in capsys.readouterr().err
     assert contents_of(tmp_path) == before
@@ -243,4 +247,5 @@ def test_the_page_has_the_gain_of_asdf_plus_that_fewer_trials_give(
     assert gain
     (decision,) = [each for each in decisions_of_60_trials if each.claim.name == CHECKED_CLAIMS[0]]
     values = sorted(comparison.interval.value for comparison in decision.comparisons)
+
     assert values == pytest.approx([float(number) for number in gain.groups()], abs=4)

@@ -201,6 +201,7 @@ def test_the_page_has_about_what_ten_trials_of_another_seed_give(
     (experiment,) = m.grid(**MOVING, **FLAWS[flaw], filter=filter_name, steps=40_000, trials=10, seed=5)
     trials = run_trials(experiment, first=0, trials=10, sampling_interval=1000)
     error = float(np.median(study_program.late_errors(trials)))
+
     assert error == pytest.approx(float(row[1].split("|")[column]), rel=0.5)
 
 

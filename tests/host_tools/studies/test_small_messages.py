@@ -45,6 +45,7 @@ def test_more_bits_of_alpha_change_nothing_for_the_robust_filter() -> None:
     short = replace(experiment, steps=1500, trials=1)
     one_bit = run_trials(short, 0, 1)
     nine_bits = run_trials(replace(short, message_bits="7+9"), 0, 1)
+
     assert np.array_equal(one_bit.errors, nine_bits.errors)
 
 
@@ -99,6 +100,7 @@ def study_folder(few_resamples: None, tmp_path: Path, monkeypatch: pytest.Monkey
 def test_the_program_writes_a_table_for_each_filter_and_a_picture(study_folder: Path) -> None:
     text = (study_folder / "small_messages.md").read_text(encoding="utf-8")
     tables = dict(re.findall(r"<!-- (\w+) -->\n(\|.*?)\n<!-- end -->", text, re.DOTALL))
+
     assert list(tables) == ["exact", "asdf_minus", "robust"]
     assert [line.partition(" |")[0] for line in tables["robust"].splitlines()[2:]] == [
         "| x_hat 4",
@@ -123,6 +125,7 @@ def test_the_page_has_a_ratio_of_every_code(filter_name: str) -> None:
     text = (ROOT / "docs/internals/small_messages.md").read_text(encoding="utf-8")
     table = text.partition(f"<!-- {mark} -->\n")[2].partition("\n<!-- end -->")[0]
     rows = [[cell.strip(" *") for cell in line.split("|")[1:-1]] for line in table.splitlines()[2:]]
+
     assert [label for label, *_ in rows] == [f"x_hat {bits}" for bits in small_messages.X_HAT_BITS]
     assert all(len(ratios) == len(small_messages.ALPHA_BITS[filter_name]) for _, *ratios in rows)
     assert all(float(ratio) > 0.5 for _, *ratios in rows for ratio in ratios)

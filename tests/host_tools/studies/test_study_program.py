@@ -170,6 +170,7 @@ def test_a_table_has_labelled_rows_and_a_column_for_each_filter() -> None:
         "8 robots": short_trials(robots=8, filter="asdf-minus", fill_ratio=[0.5, 0.6]),
     }
     table = study_program.markdown_table("experiments", rows, lambda group: str(len(group)))
+
     assert table.splitlines() == [
         "| experiments | no filter | robust | ASDF- |",
         "|---|---|---|---|",
@@ -214,6 +215,7 @@ def test_results_are_returned_by_row_and_written_to_a_file(tmp_path: Path) -> No
     rows = {"three robots": m.grid(robots=3, **common), "four robots": m.grid(robots=4, **common)}
     results = study_program.run_rows("a", rows, arguments_for(tmp_path / "new folder"), record=50)
     experiments = {label: [trials.experiment for trials in row] for label, row in results.items()}
+
     assert experiments == rows
     assert results["four robots"][0].sampling_interval == 50
     assert (tmp_path / "new folder/a.parquet").exists()
@@ -265,6 +267,7 @@ def test_a_program_writes_its_tables_and_its_picture(
     }
     text = (tmp_path / f"{name}.md").read_text(encoding="utf-8")
     tables = re.findall(r"<!-- (\w+) -->\n(\|.*?)\n<!-- end -->", text, re.DOTALL)
+
     assert [mark for mark, _ in tables] == marks.get(name, [name])
     assert all(table.splitlines()[0].endswith("| no filter | robust |") for _, table in tables)
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
@@ -323,6 +326,7 @@ def test_the_page_of_ageing_fills_the_cells_of_which_there_are_experiments() -> 
         row: len({peers.column_label(experiment) for experiment in experiments})
         for row, experiments in ageing.peer_rows().items()
     }
+
     assert filled_cells and filled_cells == {row: columns[row] for row in filled_cells}  # it shows some rows
 
 
@@ -348,6 +352,7 @@ def test_the_quick_form_of_a_program_runs_all_its_experiments(
     monkeypatch.setattr("sys.argv", ["study", str(tmp_path), "--quick", "--workers", "2"])
     monkeypatch.setattr(swarm_sizes, "TIMED_ROBOT_STEPS", 1000)
     study.main()
+
     assert "nan" not in (tmp_path / f"{name}.md").read_text(encoding="utf-8")
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 

@@ -37,6 +37,7 @@ def test_density_and_world_are_the_same_at_every_size() -> None:
         (experiment.density, experiment.latency, experiment.steps, experiment.seed)
         for experiment in experiments
     }
+
     assert worlds == {(1, 1, 10_000, 65536)}
 
 
@@ -152,4 +153,5 @@ def test_the_picture_draws_medians_of_errors(rows_of_two_sizes: dict[str, list[T
             rows_of_two_sizes["9 robots, underconfident"],
         )
     ]
+
     assert error_axes.lines[0].get_ydata() == pytest.approx(unfiltered_medians)

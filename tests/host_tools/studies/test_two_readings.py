@@ -66,6 +66,7 @@ def test_the_study_has_six_trials_and_a_seed_of_its_own() -> None:
     sizes = {
         (experiment.trials, experiment.seed) for experiments in rows.values() for experiment in experiments
     }
+
     assert sizes == {(6, 4715)}
 
 
@@ -109,6 +110,7 @@ def test_the_picture_has_three_swarms_of_each_kind_and_a_line_for_each_column() 
     experiments = [*one_reading, *two_readings_of_tile]
     rows = {label: experiments for label in two_readings.two_readings_rows()}
     figure = two_readings.draw_errors(rows)
+
     assert titles_of(figure) == [
         "half flawed, underconfident",
         "all flawed, underconfident",

@@ -76,6 +76,7 @@ def test_the_log_has_every_frame_with_channel_and_time(tmp_path: Path) -> None:
     assert {frame.channel for frame in logged_frames} == {"mine"}
     start = logged_frames[0].timestamp
     logged_times = [round(frame.timestamp - start, 3) for frame in logged_frames]
+
     assert logged_times == [round(frame.timestamp, 3) for frame in sent_frames]
 
 
@@ -84,6 +85,7 @@ def test_the_same_command_writes_the_same_files(tmp_path: Path) -> None:
     for _ in range(2):
         assert run_swarm_command("--quiet", "--log", tmp_path / "run.log") == 0
         contents.append({path.name: path.read_bytes() for path in tmp_path.iterdir()})
+
     assert contents[0].keys() == {"run.log", "run.log.events", "run.log.json"}
     assert contents[0] == contents[1]
 
@@ -95,6 +97,7 @@ def test_a_piped_summary_has_a_name_and_a_tab_in_each_line(capsys: Capture) -> N
     assert run_swarm_command("--seed", "42") == 0
     *lines, _ = capsys.readouterr().out.splitlines()
     names = [line.split("\t")[0] for line in lines]
+
     assert names[-6:] == ["estimate", "b_hat, flawed", "b_hat, other", "filter", "frames", "bus load"]
     assert set(names[:-7]) <= {"step", "robot"}
 
@@ -147,6 +150,7 @@ def test_a_summary_has_faults_conflicts_the_clock_and_robots_in_trouble() -> Non
 def test_the_summary_in_one_line_says_that_the_run_was_interrupted() -> None:
     run, _ = record(small("corrupt=0.5,bits=5,receivers=0", "collide,robots=2,id=1", robots=3, flawed=0))
     run.interrupted = True
+
     assert (
         one_line(run) == "seed 11: 3 robots, ASDF+, 60 steps, mean error 0.04922, spread 0.05334; interrupted"
     )
@@ -168,6 +172,7 @@ def test_a_summary_is_a_table_with_bold_names() -> None:
     output = StringIO()
     console = Console(width=31, file=output, force_terminal=True, color_system="standard", _environ={})
     console.print(summary_table([("node-id conflict", "another node [b]")]))
+
     assert output.getvalue() == (
         "\x1b[1m \x1b[0m\x1b[1mnode-id conflict\x1b[0m\x1b[1m \x1b[0m another     \n"
         "\x1b[1m                  \x1b[0m node [b]    \n"
@@ -199,6 +204,7 @@ def test_the_port_of_the_slcan_adapter_is_printed_beside_the_json(capsys: Captur
     assert run_swarm_command("--slcan", "0", "--json") == 0
     output, errors = capsys.readouterr()
     port = json.loads(output)["bus"]["slcan"]
+
     assert port > 0
     assert errors == f"the bus is an slcan adapter, too: socket://127.0.0.1:{port}\n"
 
@@ -257,6 +263,7 @@ def test_swarm_refuses_wrong_options_and_writes_nothing(
     monkeypatch.chdir(tmp_path)
     assert run_swarm_command(*shlex.split(options)) == 2
     output, errors = capsys.readouterr()
+
     assert message in errors
     assert output == ""
     assert list(tmp_path.iterdir()) == []
@@ -269,6 +276,7 @@ def test_swarm_refuses_a_file_that_it_cannot_write_before_the_first_tick(
     monkeypatch.setattr(Swarm, "tick", lambda self: pytest.fail("the swarm took a step"))
     obstacle = tmp_path / name
     obstacle.mkdir()
+
     assert run_swarm_command("--log", tmp_path / "run.log") == 2
     assert f"cannot write {obstacle}: it is not a regular file" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [obstacle]
@@ -336,6 +344,7 @@ def test_results_that_cannot_be_written_cost_neither_the_summary_nor_the_log(
     monkeypatch.setattr(LiveView, "__call__", lambda self, swarm: obstacle.mkdir(exist_ok=True))
     assert run_swarm_command("--quiet", "--log", tmp_path / "run.log") == 2
     output, errors = capsys.readouterr()
+
     assert output.startswith("seed 1: 4 robots, ASDF-, 30 steps")
     assert f"cannot write {obstacle}" in errors
     assert {path.name for path in tmp_path.iterdir()} == {"run.log", "run.log.events", "run.log.json"}
@@ -369,6 +378,7 @@ def test_compared_results_are_those_of_the_same_swarm_with_each_filter_alone(
 def test_a_comparison_ends_with_the_error_and_b_hat_of_each_filter(capsys: Capture) -> None:
     assert main([*COMPARED, "--filter", "asdf-plus", "--compare", "--quiet"]) == 0
     last_line = capsys.readouterr().out.splitlines()[-1]
+
     assert last_line.startswith(
         "Mean error on the same seed: no filter 0.025, ASDF- 0.030, ASDF+ 0.046, robust 0.153. "
         "The flawed robots first assumed an accuracy of 0.55 (true: 0.95), now: "

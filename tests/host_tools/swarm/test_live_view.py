@@ -81,6 +81,7 @@ def test_a_pipe_gets_the_mean_error_twenty_times_in_a_run() -> None:
     for tick in range(20, 401, 20):  # 20, 40, ..., 400
         swarm_error = viewed_run.mean_errors[tick][0]
         expected_lines.append(f"step\t{tick}\tmean_error\t{swarm_error:.5f}")
+
     assert lines_that_begin_with("step", viewed_run.output) == expected_lines
 
 
@@ -93,6 +94,7 @@ def test_a_pipe_gets_no_mean_error_at_the_end_of_an_incomplete_twentieth() -> No
 def test_a_pipe_gets_the_mean_errors_of_baselines_behind_that_of_the_swarm() -> None:
     viewed_run = view_run(20, compare=True)
     swarm_error, error_without_filter, error_with_robust_filter = viewed_run.mean_errors[20]
+
     assert viewed_run.output.splitlines()[-1] == (
         f"step\t20\tmean_error\t{swarm_error:.5f}\tnone\t{error_without_filter:.5f}"
         f"\trobust\t{error_with_robust_filter:.5f}"
@@ -107,6 +109,7 @@ def test_a_pipe_gets_each_change_of_b_hat_that_is_more_than_a_correction() -> No
             before, after = viewed_run.b_hat[tick - 1][robot], viewed_run.b_hat[tick][robot]
             if abs(after - before) > 0.002:
                 expected_lines.append(f"robot\t{robot}\tstep\t{tick}\tb_hat\t{before:.4f}\t{after:.4f}")
+
     assert expected_lines, "some changes are large enough"
     assert lines_that_begin_with("robot", viewed_run.output) == expected_lines
 
@@ -139,6 +142,7 @@ def test_a_bar_has_the_present_mean_error_beside_it() -> None:
 def test_a_bar_has_the_mean_errors_of_baselines_beside_it() -> None:
     viewed_run = view_run(200, compare=True, width=200, **TERMINAL)
     swarm_error, error_without_filter, error_with_robust_filter = viewed_run.mean_errors[200]
+
     assert (
         f"mean error {swarm_error:.4f}, no filter {error_without_filter:.4f}, "
         f"robust {error_with_robust_filter:.4f}"
@@ -149,6 +153,7 @@ def test_a_narrow_terminal_gets_as_much_as_fits_and_the_error_of_the_swarm_first
     viewed_run = view_run(200, compare=True, width=60, **TERMINAL)
     drawn = pictures(viewed_run.output)
     swarm_error = viewed_run.mean_errors[200][0]
+
     assert all(cell_len(picture) <= 60 for picture in drawn)
     assert f"mean error {swarm_error:.4f}" in drawn[-1]
 
@@ -176,4 +181,5 @@ def test_baselines_measure_the_seconds_that_they_take_of_a_run(monkeypatch: pyte
     baselines = Baselines(settings)
     with Swarm(settings, Wiring()) as swarm:
         run_swarm(swarm, [baselines])
+
     assert baselines.seconds == 50

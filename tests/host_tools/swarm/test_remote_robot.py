@@ -134,6 +134,7 @@ def test_remote_robots_broadcast_the_same_estimates(lossless: Comparison) -> Non
         [frame for frame in frames if isinstance(decode_estimate(frame, FrameFormat()), Estimate)]
         for frames in (lossless.frames, lossless.local_frames)
     )
+
     # In a round another robot may be the first.
     assert sorted(content(remote_estimates)) == sorted(content(local_estimates))
 
@@ -172,6 +173,7 @@ def test_remote_robots_end_in_the_same_state_among_faults(
     comparison = compare_runs(settings, wiring)
     for robot, node in comparison.remote_nodes.items():
         assert states([node.bus_robot]) == states([comparison.local_run.nodes[robot]])
+
     assert [node.robot.x for node in comparison.run.nodes] == [
         node.robot.x for node in comparison.local_run.nodes
     ]
@@ -204,6 +206,7 @@ def swarm_with_a_silent_robot(
 def test_a_remote_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     with swarm_with_a_silent_robot(monkeypatch) as driven_swarm:
         run = run_swarm(driven_swarm)
+
     assert run.failure is not None
     assert "tick 2: robot 1 did not broadcast its estimate within" in run.failure
     assert run.results["steps"] == 1
@@ -214,6 +217,7 @@ def test_the_caller_is_asked_while_a_silent_robot_is_waited_for(monkeypatch: pyt
     with swarm_with_a_silent_robot(monkeypatch, check=lambda: calls.append(True)) as driven_swarm:
         calls.clear()
         run_swarm(driven_swarm)
+
     assert calls
 
 
@@ -264,5 +268,6 @@ def test_an_error_frame_is_counted_and_is_no_robot_s_frame() -> None:
     robot = remote_robot.remote_robot(robot_record(8), FrameFormat())
     driver = remote_robot.Driver(Mock(), [robot], FrameFormat())
     driver._handle_frame(can.Message(arbitration_id=8, is_error_frame=True))
+
     assert driver._frames_for_next_tick == []
     assert robot.reception.errors == 1

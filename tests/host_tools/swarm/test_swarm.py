@@ -176,6 +176,7 @@ def test_telemetry_is_the_state_of_the_robot_before_the_tick(firmware: str) -> N
 def test_telemetry_changes_nothing_for_the_robots(firmware: str) -> None:
     with_telemetry, _ = record(small(firmware=firmware, telemetry_period=7))
     without_telemetry, _ = record(small(firmware=firmware))
+
     assert [node.robot.x for node in with_telemetry.nodes] == [
         node.robot.x for node in without_telemetry.nodes
     ]
@@ -228,6 +229,7 @@ def test_a_bus_that_loses_frames_ends_the_run_with_their_names(
         run = run_swarm(swarm)
     frames = ", ".join(f"frame 106BB80{robot}" for robot in range(7))
     message = f"tick 3: the carrier did not hear {frames}, frame 106BB80{names} within 0.05 s on "
+
     assert run.failure is not None
     assert run.failure.startswith(message)
     assert (run.results["steps"], run.interrupted) == (2, False)
@@ -276,6 +278,7 @@ def test_frames_are_received_in_the_order_in_which_they_were_sent(pair: Pair) ->
     first, second = estimate(1, 0), estimate(2, 0)
     for sent_frame in (second, first):
         bus.send(sent_frame.frame)
+
     assert received(connection, [first, second]) == content([first.frame, second.frame])
 
 
@@ -284,6 +287,7 @@ def test_what_is_received_is_what_came_over_the_bus(pair: Pair) -> None:
     sent_frame = estimate(1, 0)
     bus.send(sent_frame.frame)
     (received_frame,) = connection.receive_expected([sent_frame], 0.01)
+
     assert received_frame.frame is not sent_frame.frame
     assert received_frame.frame.is_rx
 
@@ -295,6 +299,7 @@ def test_a_late_frame_is_received_with_the_next_ones_and_counted_once(pair: Pair
     assert received(connection, []) == []
     for sent_frame in (following, late):
         bus.send(sent_frame.frame)
+
     assert received(connection, [following]) == content([late.frame, following.frame])
     assert connection.missed_count == 1
     assert unexpected == []
@@ -306,6 +311,7 @@ def test_of_frames_that_are_alike_each_is_received_once(pair: Pair) -> None:
         bus.send(estimate(1, 0).frame)
     assert len(received(connection, [estimate(1, 0), estimate(1, 0)])) == 2
     connection.discard_echoes()
+
     assert content(unexpected) == content([estimate(1, 0).frame])
 
 
@@ -314,6 +320,7 @@ def test_a_frame_that_nobody_expects_is_reported(pair: Pair) -> None:
     bus.send(estimate(1, 0).frame)
     for _ in range(2):
         connection.discard_echoes()
+
     assert content(unexpected) == content([estimate(1, 0).frame])
 
 
@@ -345,6 +352,7 @@ def test_foreign_frames_are_recorded_among_those_of_the_swarm() -> None:
     _, frames = run_with_foreign_frames()
     _, frames_of_swarm = record(small())
     foreign = content(FOREIGN_FRAMES)
+
     assert [frame for frame in content(frames) if frame in foreign] == foreign
     assert [frame for frame in content(frames) if frame not in foreign] == content(frames_of_swarm)
     assert all(frame.is_rx for frame in frames)
@@ -374,6 +382,7 @@ def test_results_have_the_mean_estimate_its_error_and_its_spread(seed: int, is_l
     run, _ = record(small("loss=0.5", seed=seed))
     x = [Fraction(node.robot.x) for node in run.nodes]
     mean_error = sum(abs(estimate - Fraction(0.55)) for estimate in x) / 5
+
     assert (run.results["mean_x"] < 0.55) == is_low
     assert run.results["mean_x"] == pytest.approx(float(sum(x) / 5), abs=1e-15)
     assert run.results["mean_error"] == pytest.approx(float(mean_error), abs=1e-15)
@@ -395,6 +404,7 @@ def test_results_have_b_hat_of_flawed_and_of_other_robots(
     run, _ = record(small("loss=0.5"))
     b_hat = [node.robot.b_hat for node in run.nodes[robots]]
     result = run.results["b_hat"][group]
+
     assert result["before"] == pytest.approx(b_hat_at_start, abs=1e-6)
     assert result["after"] == pytest.approx(sum(b_hat) / len(b_hat), abs=1e-15)
     assert (result["after_min"], result["after_max"]) == (min(b_hat), max(b_hat))

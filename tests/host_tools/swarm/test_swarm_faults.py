@@ -83,6 +83,7 @@ def test_a_medium_carries_the_same_as_a_bus_that_all_share(
     events_on_one_bus, events = list[str](), list[str]()
     run_on_one_bus, frames_on_one_bus = record(settings, events=events_on_one_bus)
     run, frames = record(settings, MEDIA[medium], events=events)
+
     assert content(frames) == content(frames_on_one_bus)
     assert states(run.nodes) == states(run_on_one_bus.nodes)
     assert run.results == run_on_one_bus.results
@@ -110,6 +111,7 @@ def test_the_bus_of_a_robot_has_its_frames_and_those_that_reach_it() -> None:
         frames = list(iter(lambda: listener.recv(0), None))
     contents = [decode_estimate(frame, FrameFormat()) for frame in frames]
     senders = Counter(estimate.sender for estimate in contents if isinstance(estimate, Estimate))
+
     assert senders == {0: 5, 2: 5, 3: 5, 4: 5}
 
 
@@ -199,6 +201,7 @@ def test_a_replay_knows_the_broadcasts_that_a_fault_has_changed(
         verdict = verify(frames, reader)
     with EventsReader(path) as reader:
         injected = sum(isinstance(entry, InjectedFrame) for entry in reader.entries())
+
     assert (verdict.difference, verdict.not_logged) == (None, 0)
     assert Broadcasts(verdict.reproduced, verdict.falsified, verdict.foreign, injected) == expected
 
@@ -273,6 +276,7 @@ def test_a_robot_that_rejoins_new_numbers_its_estimates_anew(rejoin: str, number
         for estimate in contents
         if isinstance(estimate, Estimate) and estimate.sender == 0
     ]
+
     assert transfer_ids == [number % 32 for number in numbers]
 
 
@@ -294,6 +298,7 @@ def test_a_robot_that_rejoins_sends_heartbeats_in_its_own_seconds(
         for frame, heartbeat in heartbeats
         if isinstance(heartbeat, Heartbeat) and heartbeat.sender == 0
     ]
+
     assert found == expected
 
 
@@ -379,6 +384,7 @@ def test_the_table_of_threats_has_the_figures_of_these_runs(row: dict[str, str])
     written = {run: [row[name] for name in names] for run, names in columns.items() if row[names[0]]}
     assert len(written) == (3 if "sybil" in row["faults"] else 2)
     faults = row["faults"].split()
+
     assert written == {run: figures_of_run(faults, SETTINGS[run]) for run in written}
 
 

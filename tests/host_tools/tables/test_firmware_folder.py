@@ -87,6 +87,7 @@ def test_firmware_reports_files_and_array_in_json(tmp_path: Path, capsys: pytest
 def test_firmware_prints_a_line_for_each_filter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_folder(tmp_path / "mcp_asdf", "--neighbours", "30")
     printed = capsys.readouterr().out
+
     assert "static const mcp_asdf_config_t config = MCP_ASDF_CONFIG_ROBUST;" in printed
     assert "MCP_ASDF_CONFIG_ASDF(mcp_asdf_t_table_omega05_q30)" in printed
     assert "MCP_ASDF_CONFIG_OFF" in printed
@@ -139,6 +140,7 @@ def test_folders_of_two_versions_are_refused(tmp_path: Path) -> None:
     with pytest.raises(AssertionError) as error:
         configure(tmp_path, TWO_TABLES, folders=("one", "two"))
     message = " ".join(str(error.value).split())
+
     assert f"another version ({own_version()}) than this folder (9.8.7)" in message
 
 
@@ -169,6 +171,7 @@ def test_a_filter_that_is_switched_off_is_left_out_everywhere(
     missing_filter = "MCP_ASDF_OFF" if setting == "MCP_ASDF_WITH_ASDF" else "MCP_ASDF_ROBUST"
     (tmp_path / "robot.c").write_text(program.replace(config, f"{{0, 1, 64, {missing_filter}}}"))
     run("cmake", "--build", tmp_path / "build")
+
     assert subprocess.run([tmp_path / "build/robot"], check=False).returncode == 1
 
 
@@ -193,6 +196,7 @@ def test_cmake_can_be_asked_for_position_independent_code(tmp_path: Path) -> Non
     )
     entries = json.loads((tmp_path / "build/compile_commands.json").read_text())
     library_commands = [entry["command"] for entry in entries if "vendor/mcp_asdf" in entry["file"]]
+
     assert len(library_commands) == len(list((tmp_path / "vendor/mcp_asdf").glob("*.c")))
     assert all("-fPIC" in command for command in library_commands)
 
@@ -238,6 +242,7 @@ def test_zephyr_finds_build_commands_and_options_where_the_module_says(tmp_path:
     assert module["name"] == "mcp_asdf"
     assert (tmp_path / module["build"]["cmake"] / "CMakeLists.txt").is_file()
     options = kconfiglib.Kconfig(str(tmp_path / module["build"]["kconfig"]), warn_to_stderr=False)
+
     assert [symbol.name for symbol in options.unique_defined_syms] == ["MCP_ASDF"]
 
 
@@ -248,6 +253,7 @@ def test_platformio_reads_both_manifests_and_builds_for_any_framework(tmp_path: 
     for_platformio, for_arduino = map(json.loads, printed.splitlines())
     for manifest in (for_platformio, for_arduino):
         assert (manifest["name"], manifest["version"]) == ("mcp_asdf", own_version())
+
     assert for_platformio["frameworks"] == ["*"]
 
 
@@ -291,6 +297,7 @@ def test_another_table_takes_the_place_of_the_first(folder: Path) -> None:
 def test_a_changed_file_is_not_replaced(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     core = folder / "mcp_asdf.c"
     core.write_text("/* ours */")
+
     assert main(["firmware", str(folder)]) == 2
     assert f"{core} is not as mcp-asdf firmware wrote it; keep it elsewhere" in capsys.readouterr().err
     assert core.read_text() == "/* ours */"
@@ -304,6 +311,7 @@ def test_a_file_of_an_earlier_version_is_replaced(folder: Path) -> None:
     core.write_bytes(old_text)
     checksums.write_text(checksums.read_text().replace(new_checksum, old_checksum))
     write_folder(folder)
+
     assert core.read_bytes() == new_text
 
 
@@ -317,5 +325,6 @@ def test_force_replaces_changed_files_and_deletes_other_tables(folder: Path) -> 
     (folder / "mcp_asdf.c").write_text("/* ours */")
     (folder / "t_table_ours.c").write_text("/* ours */")
     write_folder(folder, "--force")
+
     assert tables_in(folder) == ["t_table_omega05_q127.c"]
     assert (folder / "mcp_asdf.c").read_bytes() == (ROOT / "c_ref/src/mcp_asdf.c").read_bytes()

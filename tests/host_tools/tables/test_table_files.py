@@ -75,6 +75,7 @@ def test_a_strict_compiler_makes_the_array_and_nothing_else_of_the_c_file(tmp_pa
     object_file = tmp_path / "table.o"
     run("gcc", "-std=c99", "-O1", *warnings, f"-I{ROOT}/c_ref/src", "-c", C_FILE, "-o", object_file)
     symbols = run("nm", "-S", object_file).split()
+
     assert symbols == ["0" * 16, f"{132:016x}", "R", "mcp_asdf_t_table_omega05_q30"]
 
 
@@ -92,6 +93,7 @@ def test_table_writes_the_shipped_files_again(tmp_path: Path) -> None:
 def test_table_prints_size_error_and_files(tmp_path: Path, capsys: Capture) -> None:
     run_table("--omega", "0.050", "--neighbours", 30, "--output", tmp_path)
     printed = capsys.readouterr().out
+
     assert printed.startswith("omega 0.05, q 30: 132 bytes (12 + 4 q)\nworst threshold error: ")
     assert " by rounding, 1.83% for 30 < m <= 127\n" in printed
     assert f"wrote {tmp_path / C_FILE.name}\n" in printed
@@ -166,6 +168,7 @@ def test_check_names_the_first_line_that_differs(tmp_path: Path, capsys: Capture
     path.write_text(JSON_FILE.read_text().replace(f" {TABLE.entries[17]},", " 7,"))
     assert run_table("--check", path) == 1
     problem = f"line 37: found '    7,', expected '    {TABLE.entries[17]},'"
+
     assert capsys.readouterr().out == f"{path}: omega 0.05, q 30: {problem}\n"
 
 
@@ -174,6 +177,7 @@ def test_check_reports_in_json(tmp_path: Path, capsys: Capture) -> None:
     path.write_text(JSON_FILE.read_text() + "\n")
     assert run_table("--check", C_FILE, path, "--json") == 1
     problem = "line 53: found '', expected None"
+
     assert json.loads(capsys.readouterr().out) == {
         "ok": False,
         "tables": [

@@ -84,6 +84,7 @@ def test_the_stated_error_is_the_worst_of_all_thresholds(omega: str, q: int) -> 
         multiple_of_table = math.sqrt(table.entry(m) / 2**FRACTION_BITS * (m - 1) / m)
         errors.append(abs(multiple_of_table / eq_12_multiple(float(omega), m) - 1))
     error_up_to_q, error_beyond_q = max(errors[: q - 1]), max(errors[q - 1 :], default=0.0)
+
     assert stated.rounding == pytest.approx(error_up_to_q, rel=0.02, abs=1e-14)
     assert error_beyond_q * (1 - 1e-9) <= stated.beyond_q <= error_beyond_q * 1.01
 

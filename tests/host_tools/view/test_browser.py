@@ -143,6 +143,7 @@ def test_the_figures_are_those_of_the_state_that_is_shown(
     mean_error = np.abs(x - SETTINGS.fill_ratio).mean()
     assert read_figure(browser, "mean-error") == pytest.approx(mean_error, abs=half_digit)
     wrong_count = np.count_nonzero(b_hat_errors > 0.1)
+
     assert browser.locator("#wrong").inner_text() == f"{wrong_count} of 8"
 
 
@@ -176,6 +177,7 @@ def test_a_page_explains_itself_and_leads_to_the_method(browser: Page, file: Pat
         "Watch them find out. The truth is 55\N{NO-BREAK SPACE}%. How it works: the paper"
     )
     paper = browser.locator("#about a").get_attribute("href")
+
     assert f"url: {paper}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
@@ -205,6 +207,7 @@ def test_the_page_has_the_colours_of_the_system(
     browser.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
     background = browser.evaluate("getComputedStyle(document.body).backgroundColor")
     red_channel = int(re.findall(r"\d+", background)[0])
+
     assert (red_channel < 128) == is_dark
 
 
@@ -222,6 +225,7 @@ def test_the_button_pauses_and_plays(browser: Page, file: Path) -> None:
     browser.locator("#play").click()
     assert not browser.evaluate("view.player.isPlaying")
     browser.locator("#play").click()
+
     assert browser.evaluate("view.player.isPlaying")
 
 
@@ -246,6 +250,7 @@ def test_the_arrow_keys_follow_one_robot_after_the_other(browser: Page, file: Pa
     for key in ("ArrowRight", "ArrowLeft", "ArrowLeft", "ArrowDown"):
         browser.keyboard.press(key)
         followed_robots.append(browser.evaluate("view.followedRobot"))
+
     assert followed_robots == [0, 7, 6, 7]
 
 
@@ -265,6 +270,7 @@ def test_keys_and_buttons_lead_from_event_to_event(browser: Page, file: Path) ->
         ticks.append(browser.evaluate("view.player.tick"))
     browser.locator("#later").click()
     ticks.append(browser.evaluate("view.player.tick"))
+
     assert ticks == [first, second, first, second]
 
 
@@ -273,6 +279,7 @@ def test_a_click_on_an_event_leads_to_its_time_and_robot(browser: Page, file: Pa
     browser.evaluate("view.player.seek(300)")
     until(browser, "document.querySelectorAll('#events button').length > 0")
     browser.locator("#events button").last.click()
+
     assert browser.evaluate("view.followedRobot !== null")
     assert browser.evaluate("view.player.tick") % SETTINGS.filter_period == 0
 
@@ -330,6 +337,7 @@ def test_events_are_marked_on_the_time_line(browser: Page, file_with_faults: Pat
     row = f"document.getElementById('marks').getContext('2d').getImageData(0, 0, {width}, 1).data"
     opacities = browser.evaluate(f"[...{row}].filter((_, index) => index % 4 === 3)")
     first_pixels = np.flatnonzero(opacities)[::2]  # each mark is two pixels wide
+
     assert first_pixels / (width - 2) == pytest.approx([0.1, 0.2, 0.4, 0.7, 0.9], abs=0.01)
 
 

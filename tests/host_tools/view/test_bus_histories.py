@@ -84,6 +84,7 @@ def test_robots_of_a_bus_are_in_the_order_of_their_first_values(bus: ScriptedBus
 def test_states_of_a_bus_have_what_its_robots_sent_before(bus: ScriptedBus) -> None:
     states = record(bus, 0.5).history.states_since().states
     x, x_hat, b_hat, b = np.stack([state.values for state in states], axis=1)
+
     assert [state.tick for state in states] == [0, 1, 2, 3]
     assert np.array_equal(x, [[0.5, NAN], [0.5, NAN], [0.5, NAN], [0.5, 0.25]], equal_nan=True)
     assert np.array_equal(x_hat, [[NAN, NAN], [NAN, NAN], [0.25, NAN], [0.25, NAN]], equal_nan=True)
@@ -108,6 +109,7 @@ def test_a_bus_has_a_report_on_its_robots(bus: ScriptedBus) -> None:
 def test_robots_that_fall_silent_lose_their_values(bus: ScriptedBus) -> None:
     history = record(bus, 4.5).history
     values = history.states_since().states[-1].values
+
     assert np.isnan(values[:3]).all()
     assert (values[3] == 0.9).all()
     assert history.report is not None

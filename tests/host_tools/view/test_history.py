@@ -39,6 +39,7 @@ def test_a_reader_of_another_generation_gets_all_states(history: History) -> Non
 def test_a_robot_that_joins_has_no_values_and_no_links_before(history: History) -> None:
     history.add_robot(7)
     last_state = history.states_since().states[-1]
+
     assert history.description.robots == [0, 1, 7]
     assert np.isnan(last_state.values[:, 2]).all()
     assert last_state.neighbours.tolist() == [[True, True, False], [True, True, False], [False] * 3]
@@ -56,6 +57,7 @@ def test_a_history_without_an_end_is_thinned_out(monkeypatch: pytest.MonkeyPatch
     for tick in range(1000):
         history.add(make_state(tick))
         largest_count = max(largest_count, len(history.states_since().states))
+
     assert largest_count == 100
     assert [state.tick for state in history.states_since().states] == list(range(0, 1000, 16))
     assert history.generation == 4, "its states were thinned out four times"

@@ -113,6 +113,7 @@ def test_links_of_more_than_128_robots_are_pairs() -> None:
     robots = list(range(129))
     states = [make_state(0, [0] * 129, [[0, 1], [128, 5]]), make_state(1, [0] * 129, [[7, 0]])]
     data = decode_data(encode_states(states, RunDescription("a run", robots)))
+
     assert np.frombuffer(data[-20:-12], "<u4").tolist() == [2, 1]
     assert np.frombuffer(data[-12:], "<u2").tolist() == [0, 1, 128, 5, 7, 0]
 

@@ -71,6 +71,7 @@ def test_each_kind_of_frame_has_transfer_ids_of_its_own(roster: RosterOfRobot3) 
     roster.receive_heartbeat(100, transfer_id=2)
     roster.receive_telemetry(now=0.0)
     roster.receive_estimate(10, now=0.0)
+
     assert roster.row(now=1.0)["loss"] == 0
 
 
@@ -152,6 +153,7 @@ def test_the_page_counts_the_jumps_that_a_node_counts(
         estimate = Estimate(3, 1 << 22, alpha << 8, tick % 32)
         roster.receive(FRAME, estimate, 0.0)
         listener.receive_frame(encode_estimate(estimate, FrameFormat()))
+
     assert listener.reception.events[Suspicion.JUMP, 3] == jumps
     assert roster.row(now=0.0)["jumps"] == jumps
 

@@ -141,6 +141,7 @@ def test_the_robots_of_the_dynamic_world_learn_and_recalibrate() -> None:
     x, _, b_hat, _ = np.stack(
         [state.values for state in states_of(record_swarm(**WORLDS["dynamic"]))], axis=1
     )
+
     assert np.ptp(x, axis=0).max() > 0.1
     assert np.ptp(b_hat, axis=0).max() > 0.1
 
@@ -174,6 +175,7 @@ def test_unfiltered_errors_are_those_of_the_same_run_without_a_filter() -> None:
     unfiltered = record_swarm(topology="dynamic", steps=60, filter="none")
     x = np.stack([state.values[0] for state in states_of(unfiltered)])
     expected = np.round(abs(x - 0.55).mean(axis=1), 5)
+
     assert description.unfiltered_errors[1:] == expected.tolist()
 
 
@@ -324,6 +326,7 @@ def test_a_trial_of_another_program_has_the_states_that_are_recorded(trials_of_t
     for index, name in enumerate(("x", "x_hat", "b_hat")):
         recorded_values = trials_of_the_authors.records[name][0]
         assert np.array_equal([state.values[index] for state in states], recorded_values)
+
     assert (states[0].values[3] == FIXED.true_accuracy).all()
 
 

@@ -137,6 +137,7 @@ def test_server_listens_on_one_address_alone(url: str) -> None:
 def test_answers_are_neither_cached_nor_embedded_by_other_sites(url: str, path: str) -> None:
     with connect(url, request_for(url, path)) as client:
         head = client.makefile().read().partition("\n\n")[0] + "\n"
+
     assert "Cache-Control: no-store\n" in head
     assert "Cross-Origin-Resource-Policy: same-origin\n" in head
     assert "X-Content-Type-Options: nosniff\n" in head
@@ -207,6 +208,7 @@ def test_two_pages_follow_one_run() -> None:
         with connect(url, request_for(url, "/events")) as second:
             history.has_ended = True
             texts = [client.makefile().read() for client in (first, second)]
+
     assert [text.count("event: block") for text in texts] == [1, 1]
 
 
@@ -226,6 +228,7 @@ def test_a_client_that_breaks_off_leaves_no_message(capfd: pytest.CaptureFixture
         client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         client.close()
         assert get(url)[0] == 200
+
     assert capfd.readouterr() == ("", "")
 
 

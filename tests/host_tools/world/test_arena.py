@@ -51,6 +51,7 @@ def test_robots_without_room_are_refused() -> None:
     # Settings would refuse so small a floor at once, so they are changed behind their back.
     object.__setattr__(settings, "width", 0.6)
     object.__setattr__(settings, "height", 0.6)
+
     with pytest.raises(UsageError, match=r"60 robots found no room in 0\.6 x 0\.6 m; take fewer or a larger"):
         Arena(settings)
 
@@ -194,6 +195,7 @@ def test_links_are_those_of_the_definition(settings: WorldSettings) -> None:
         expected = links_by_definition(motion.position[-1], settings)
         assert np.array_equal(motion.adjacency[-1], expected)
         link_count += int(expected.sum())
+
     assert link_count > 0
 
 
@@ -310,6 +312,7 @@ def test_wheels_follow_the_rules_with_their_two_thresholds() -> None:
         speed, spin = arena._arena.target_speed[0], arena._arena.target_spin[0]
         assert (speed, spin) == pytest.approx(rules.steer(ahead, left, 0.1414), abs=1e-12), (ahead, left)
         states_seen.add((rules.state, arena._arena.wheels[0]))
+
     assert states_seen == {("none", 0), ("soft", 1), ("hard", 2)}
 
 
@@ -349,6 +352,7 @@ def test_neighbouring_tiles_are_independent(fill_ratio: float) -> None:
     both_black_in_row = black[1:] & black[:-1]
     both_black_in_column = black[:, 1:] & black[:, :-1]
     both_black_in_diagonal = black[1:, 1:] & black[:-1, :-1]
+
     assert abs(both_black_in_row.mean() - fill_ratio**2) <= 5 * deviation
     assert abs(both_black_in_column.mean() - fill_ratio**2) <= 5 * deviation
     assert abs(both_black_in_diagonal.mean() - fill_ratio**2) <= 5 * deviation
@@ -387,6 +391,7 @@ def test_a_code_lies_with_its_first_row_in_the_north() -> None:
     x = (columns + 0.5) / 100 * 3 - 1.5
     y = 1 - (rows + 0.5) / 100 * 2
     middles = np.stack([x, y], axis=2)
+
     assert np.array_equal(colours(Arena(CODE_FLOOR), middles.reshape(-1, 2)), CODE.ravel())
 
 
@@ -491,4 +496,5 @@ def test_the_motion_has_the_statistics_of_the_reference() -> None:
         tolerance = 0.05 * abs(expected) + 3 * standard_error + half_of_last_digit(expected)
         if abs(values.mean() - expected) > tolerance:
             deviations.append(f"{name}: {values.mean():.4f} +- {standard_error:.4f}, not {expected}")
+
     assert deviations == []

@@ -111,6 +111,7 @@ def test_observations_follow_eq_1_draw_by_draw(white_offset: float, accuracy_on_
     draws_of_31_bits = Stream(OBSERVATION_STREAM, SEED, trial=0, robots=4).draw_words(200) >> 1
     limit = probability_of_black * 2**31
     expected = [[draw < limit for draw in draws_of_step] for draws_of_step in draws_of_31_bits.tolist()]
+
     assert world.advance(200).black.tolist() == expected
 
 
@@ -125,6 +126,7 @@ def test_robots_that_move_see_the_floor_through_their_sensors() -> None:
     is_black_floor = Arena(settings, 0).record(200).black.astype(bool)
     draws_of_31_bits = Stream(OBSERVATION_STREAM, SEED, trial=0, robots=4).draw_words(200) >> 1
     limits = np.where(is_black_floor, 0.75 * 2**31, (1 - 0.875) * 2**31)
+
     assert np.array_equal(World(settings).advance(200).black, draws_of_31_bits < limits)
 
 
@@ -163,6 +165,7 @@ def test_trials_seeds_and_robots_differ() -> None:
     for world in worlds:
         observations_by_robot = world.advance(200).black.T
         different_observations |= {observations.tobytes() for observations in observations_by_robot}
+
     assert len(different_observations) == 12
 
 
@@ -199,6 +202,7 @@ def test_steps_that_are_skipped_have_passed(changes: dict[str, Any]) -> None:
     world.skip(7)
     world.skip(130)
     last_63_steps = world.advance(63)
+
     assert np.array_equal(last_63_steps.black, scene.black[137:])
 
 
@@ -245,6 +249,7 @@ def test_a_stepped_world_without_motion_has_no_positions(topology: dict[str, str
     scene = make_world(**topology).advance(200)
     stepped_world = SteppedWorld(make_settings(**topology))
     stepped_world.step()
+
     assert scene.positions is None
     assert stepped_world.positions is None
 
@@ -440,6 +445,7 @@ def test_accuracies_of_an_extension_of_a_wrong_shape_are_refused(
     accuracies = np.full(shape, 0.5)
     answer = (VALID_ACCURACIES, accuracies) if is_on_white else (accuracies, VALID_ACCURACIES)
     sensors = CheckedSensors(extension_that_answers(answer), make_settings())
+
     with pytest.raises(UsageError, match=r"gives shape .*; return \(5 or 1, 4 or 1\)"):
         sensors.advance(5)
 
@@ -450,6 +456,7 @@ def test_accuracies_of_an_extension_outside_0_to_1_are_refused(accuracy: float, 
     accuracies = np.full((5, 4), accuracy)
     answer = (VALID_ACCURACIES, accuracies) if is_on_white else (accuracies, VALID_ACCURACIES)
     sensors = CheckedSensors(extension_that_answers(answer), make_settings())
+
     with pytest.raises(UsageError, match="outside 0 to 1; clip"):
         sensors.advance(5)
 
