@@ -28,7 +28,7 @@ FRAME = "186BB92A#0000603333F307E5"
         " \x1b[31m(1.5)  vcan0  186BB92A   [8]  00 00 60 33 33 F3 07 E5\x1b[0m",
     ],
 )
-def test_all_forms_of_a_line_give_the_same_frame(line: str) -> None:
+def test_all_forms_in_which_candump_prints_a_frame_give_the_same_frame(line: str) -> None:
     frame = parse_line(line)
     assert frame is not None
     assert (frame.timestamp, frame.channel, format_frame(frame)) == (1.5, "vcan0", FRAME)
@@ -55,7 +55,8 @@ def test_a_frame_that_this_computer_sent_is_marked_as_sent(line: str) -> None:
 
 
 @pytest.mark.parametrize("line", ["(1.5) can0 123##3AB", "(1.5)  can0  RX B E  123  [01]  AB"])
-def test_a_frame_of_can_fd_has_its_bit_rate_switch_and_error_state(line: str) -> None:
+def test_flags_of_a_can_fd_frame_are_read(line: str) -> None:
+    """The 3 behind ## (or B and E) stands for a switch of the bit rate, and an error state of the sender."""
     frame = parse_line(line)
     assert frame is not None
     assert frame.is_fd and frame.bitrate_switch and frame.error_state_indicator
@@ -104,7 +105,8 @@ def test_a_line_without_a_complete_and_possible_frame_gives_none(line: str) -> N
         "20000080#0000000000000000",
     ],
 )
-def test_a_line_of_a_log_means_the_same_as_the_console_form_that_log2long_makes_of_it(text: str) -> None:
+def test_a_line_of_a_log_is_read_as_the_same_frame_as_candumps_output_on_a_console(text: str) -> None:
+    """log2long, which comes with candump, writes a line of a log as the console shows it."""
     log2long = require("log2long", "can-utils")
     log_line = f"(2.500000) can0 {text}"
     result = subprocess.run([log2long], input=f"{log_line}\n", capture_output=True, text=True, check=True)

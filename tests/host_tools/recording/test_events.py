@@ -48,15 +48,17 @@ FIRST_LINE = HEADER.to_line()
     [("run.log", "run.log.events"), ("run.log.part", "run.log.events.part"), ("a/b", "a/b.events")],
 )
 def test_events_stand_beside_their_log(log: str, events: str) -> None:
+    """Events say what each robot of a recorded run met; they have a file beside that of the frames."""
     assert events_path(log) == Path(events)
 
 
-def test_a_file_of_events_is_no_log() -> None:
+def test_a_file_of_events_given_as_a_log_of_frames_is_refused() -> None:
     with pytest.raises(UsageError, match=r"run\.log\.events is what happened to the robots of a log; give"):
         events_path("run.log.events")
 
 
-def test_the_header_comes_back(tmp_path: Path) -> None:
+def test_the_header_of_an_events_file_is_read_as_it_was_written(tmp_path: Path) -> None:
+    """The header says how each robot was set up, so that replay can build it again."""
     with events_file(tmp_path / "x", HEADER):
         pass
     with EventsReader(tmp_path / "x") as reader:
@@ -64,12 +66,14 @@ def test_the_header_comes_back(tmp_path: Path) -> None:
 
 
 def test_a_header_with_a_number_that_json_lacks_is_refused() -> None:
+    """Other programs could not read the file."""
     header = EventsHeader([], None, FrameFormat(), {"fill_ratio": math.nan})
     with pytest.raises(ValueError, match="not JSON compliant"):
         header.to_line()
 
 
-def test_the_events_of_ticks_come_back(tmp_path: Path) -> None:
+def test_observations_and_received_estimates_are_read_as_they_were_recorded(tmp_path: Path) -> None:
+    """In a line 1 is black, 0 is white, 3 is the end of a tick, and a triple is sender, x_hat and alpha."""
     with events_file(tmp_path / "x", HEADER) as writer:
         recorder = writer.recorders[7]
         recorder.record_observation(Observation.BLACK)
@@ -84,7 +88,8 @@ def test_the_events_of_ticks_come_back(tmp_path: Path) -> None:
     ]
 
 
-def test_the_events_of_faults_come_back(tmp_path: Path) -> None:
+def test_injected_faults_are_read_as_they_were_recorded(tmp_path: Path) -> None:
+    """In a line 2 is a tick without an observation, and a pair the false x_hat and alpha that were sent."""
     with events_file(tmp_path / "x", HEADER) as writer:
         recorder = writer.recorders[7]
         recorder.record_observation(None)
@@ -95,7 +100,7 @@ def test_the_events_of_faults_come_back(tmp_path: Path) -> None:
     assert read_entries(tmp_path / "x") == [RobotEvents(7, [2, [5, 2**31], "silent", "restart"])]
 
 
-def test_injected_frames_come_back_as_candump_writes_them(tmp_path: Path) -> None:
+def test_frames_injected_by_a_fault_are_recorded_as_candump_writes_them(tmp_path: Path) -> None:
     with events_file(tmp_path / "x", HEADER) as writer:
         for frame in FRAMES.values():
             writer.record_injected_frame(frame)
@@ -105,12 +110,15 @@ def test_injected_frames_come_back_as_candump_writes_them(tmp_path: Path) -> Non
 def test_a_flood_of_estimates_is_written_in_several_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """So that memory does not grow. Five come at a time, and after more than ten the line is written."""
+    estimate = [3, 1, 2]
     monkeypatch.setattr(events_module, "_MAX_EVENTS_PER_LINE", 10)
     with events_file(tmp_path / "x", HEADER) as writer:
         for _ in range(6):
-            writer.recorders[7].record_estimates([[3, 1, 2]] * 5)
+            writer.recorders[7].record_estimates([estimate] * 5)
 
-    assert read_entries(tmp_path / "x") == [RobotEvents(7, [[3, 1, 2]] * 15)] * 2
+    line_of_15 = RobotEvents(7, [estimate] * 15)
+    assert read_entries(tmp_path / "x") == [line_of_15, line_of_15]
 
 
 # --- Earlier versions -----------------------------------------------------------------------------------
@@ -118,8 +126,8 @@ def test_a_flood_of_estimates_is_written_in_several_lines(
 FIRST_LINE_OF_VERSION_3 = FIRST_LINE.replace('"version": 5', '"version": 3')
 
 
-def test_a_mask_of_version_3_stands_for_the_last_estimates_of_its_senders(tmp_path: Path) -> None:
-    """The mask "9" has the bits of robots 0 and 3."""
+def test_a_mask_in_a_file_of_version_3_is_read_as_the_last_estimates_of_its_senders(tmp_path: Path) -> None:
+    """Such files do not repeat an estimate: the mask "9" (bits 0 and 3) stands for those of robots 0 and 3."""
     lines = '[7,1,[3,9,8],[0,1,2],3]\n[0,1,"9",[3,5,5],3]\n'
     (tmp_path / "x").write_text(FIRST_LINE_OF_VERSION_3 + lines)
 
@@ -129,7 +137,8 @@ def test_a_mask_of_version_3_stands_for_the_last_estimates_of_its_senders(tmp_pa
     ]
 
 
-def test_a_log_that_version_3_wrote_is_replayed() -> None:
+def test_a_log_that_an_earlier_program_wrote_is_still_replayed() -> None:
+    """Its events are in version 3 of the format. The counts are of frames by kind; none is a difference."""
     log = Path(__file__).parent / "version_3.log"
     with EventsReader(events_path(log)) as reader:
         verdict = verify(read_log(log), reader)
@@ -142,9 +151,8 @@ def test_events_of_version_4_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("version", [3, 4])
-def test_the_robust_filter_of_an_earlier_version_is_refused_with_the_robots(
-    version: int, tmp_path: Path
-) -> None:
+def test_robots_with_an_earlier_robust_filter_are_refused_by_their_ids(version: int, tmp_path: Path) -> None:
+    """That filter computed otherwise, so a replay would report differences that are none."""
     robots = [record(0), *(record(robot_id, filter=Filter.ROBUST) for robot_id in (3, 4, 7))]
     first_line = EventsHeader(robots, 5, FrameFormat()).to_line()
     (tmp_path / "x").write_text(first_line.replace('"version": 5', f'"version": {version}'))
@@ -157,9 +165,13 @@ def test_the_robust_filter_of_an_earlier_version_is_refused_with_the_robots(
         EventsReader(tmp_path / "x")
 
 
-def test_the_robust_filter_of_this_version_is_read(tmp_path: Path) -> None:
+def test_robots_with_the_present_robust_filter_are_read(tmp_path: Path) -> None:
+    """Only files of versions 3 and 4 are refused for it; the header here is of version 5, the present one."""
     robots = (record(0, filter=Filter.ROBUST),)
-    (tmp_path / "x").write_text(EventsHeader(robots, 5, FrameFormat()).to_line())
+    header = EventsHeader(robots, seed=5, frames=FrameFormat())
+    assert '"version": 5' in header.to_line()
+    (tmp_path / "x").write_text(header.to_line())
+
     with EventsReader(tmp_path / "x") as reader:
         assert reader.header.robots == robots
 
@@ -175,6 +187,7 @@ def test_compressed_events_that_were_cut_are_refused_with_the_line(swarm_log: Pa
 
 
 def test_compressed_events_with_a_wrong_byte_are_refused(swarm_log: Path, tmp_path: Path) -> None:
+    """The byte is in the middle of the file."""
     data = bytearray(events_path(swarm_log).read_bytes())
     data[len(data) // 2] ^= 0xFF
     (tmp_path / "x").write_bytes(data)
@@ -183,7 +196,8 @@ def test_compressed_events_with_a_wrong_byte_are_refused(swarm_log: Path, tmp_pa
         read_entries(tmp_path / "x")
 
 
-def test_a_part_of_compressed_events_is_read_up_to_any_cut(tmp_path: Path) -> None:
+def test_the_events_of_a_killed_run_are_read_up_to_where_they_were_cut(tmp_path: Path) -> None:
+    """A file whose name ends in ``.part`` is of a run that did not end; here its last 30 bytes are cut."""
     with events_file(tmp_path / "x.events", HEADER) as writer:
         for tick in range(5):
             writer.recorders[7].record_estimates([[3, tick, tick]])
@@ -196,7 +210,7 @@ def test_a_part_of_compressed_events_is_read_up_to_any_cut(tmp_path: Path) -> No
         assert entries == all_entries[: len(entries)], f"cut after {size} bytes"
 
 
-def test_a_complete_part_gives_all_entries(tmp_path: Path) -> None:
+def test_a_file_of_a_killed_run_that_happens_to_be_complete_gives_all_events(tmp_path: Path) -> None:
     (tmp_path / "x.part").write_text(f"{FIRST_LINE}[7,1,3]\n[0,1,3]\n")
     assert read_entries(tmp_path / "x.part") == [RobotEvents(7, [1, 3]), RobotEvents(0, [1, 3])]
 
@@ -204,6 +218,7 @@ def test_a_complete_part_gives_all_entries(tmp_path: Path) -> None:
 def test_a_line_without_an_end_does_not_fill_the_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A small compressed file can hold an endless line; at most MAX_LINE_LENGTH characters are read of it."""
     monkeypatch.setattr(events_module, "MAX_LINE_LENGTH", 2000)
     with gzip.open(tmp_path / "x", "wt") as file:
         file.write(f"{FIRST_LINE}[{10**6 * '0,'}")

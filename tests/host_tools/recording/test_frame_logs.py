@@ -84,7 +84,7 @@ def test_a_malformed_line_of_another_format_is_named(suffix: str, tmp_path: Path
     assert f"is malformed in line {len(lines) + 1}, '{shown_line}'" in str(caught.value)
 
 
-def test_a_log_in_mf4_names_the_package_that_reads_it(
+def test_a_log_in_mf4_is_refused_with_the_package_that_would_read_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(frame_logs, "find_spec", lambda _: None)
@@ -97,6 +97,7 @@ def test_a_log_in_mf4_names_the_package_that_reads_it(
 
 
 def test_a_line_of_a_million_characters_is_skipped(tmp_path: Path) -> None:
+    """No frame has such a line, and a log of garbage must not fill the memory."""
     log, summary = tmp_path / "run.log", LogSummary()
     log.write_text(f"(1.0) vcan0 123#{'0' * 1_000_000}\n(2.0) vcan0 123#00\n")
     assert read_times(log, summary) == [2.0]
@@ -114,14 +115,16 @@ def test_only_the_beginning_of_a_long_line_is_shown(tmp_path: Path) -> None:
     log, summary = tmp_path / "run.log", LogSummary()
     log.write_text(f"(1.0) vcan0 123#{'0' * 1_000_000}\n(2.0) vcan0 123#00\n")
     read_times(log, summary)
-    assert summary.first_skipped == f"line 1, '(1.0) vcan0 123#{'0' * 44}...'"
+    first_60_characters = f"(1.0) vcan0 123#{'0' * 44}"
+    assert summary.first_skipped == f"line 1, '{first_60_characters}...'"
 
 
 THREE_LINES = b"(1.0) vcan0 123#0011\n(2.0) vcan0 123#0022\n(3.0) vcan0 123#0033\n"
 FIRST_LINE_LENGTH = THREE_LINES.index(b"\n") + 1
 
 
-def test_a_part_is_read_up_to_its_last_complete_line(tmp_path: Path) -> None:
+def test_the_log_of_a_killed_run_is_read_up_to_its_last_complete_line(tmp_path: Path) -> None:
+    """Its name ends in ``.part``. It is cut after each of its bytes from the first complete line on."""
     part = tmp_path / "run.log.part"
     for size in range(FIRST_LINE_LENGTH, len(THREE_LINES) + 1):
         part.write_bytes(THREE_LINES[:size])
@@ -129,7 +132,8 @@ def test_a_part_is_read_up_to_its_last_complete_line(tmp_path: Path) -> None:
         assert read_times(part) == [1.0, 2.0, 3.0][:complete_lines], f"cut after {size} bytes"
 
 
-def test_a_part_without_a_complete_line_holds_no_frame(tmp_path: Path) -> None:
+def test_the_log_of_a_killed_run_without_a_complete_line_is_refused(tmp_path: Path) -> None:
+    """Its name ends in ``.part``, and it is cut after each byte of the first line."""
     part = tmp_path / "run.log.part"
     for size in range(1, FIRST_LINE_LENGTH):
         part.write_bytes(THREE_LINES[:size])

@@ -81,6 +81,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 
 
 def test_frames_are_on_disk_after_a_second(clock: SimpleNamespace, tmp_path: Path) -> None:
+    """So a power cut loses the last second. While the run goes on, the log's name ends in ``.part``."""
     part = tmp_path / "run.log.part"
     with recording_frames(tmp_path / "run.log") as record_frame:
         clock.now = 0.0
@@ -94,9 +95,10 @@ def test_frames_are_on_disk_after_a_second(clock: SimpleNamespace, tmp_path: Pat
         assert frame_numbers(part) == [0, 1, 2]
 
 
-def test_many_frames_do_not_wait_for_the_second(
+def test_more_than_twenty_frames_are_written_before_the_second_is_over(
     clock: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """So the memory of a busy run does not grow. The clock stands still; the real limit is larger than 20."""
     monkeypatch.setattr(recording_module, "_MAX_UNFLUSHED", 20)
     part = tmp_path / "run.log.part"
     with recording_frames(tmp_path / "run.log") as record_frame:
@@ -107,9 +109,10 @@ def test_many_frames_do_not_wait_for_the_second(
         assert frame_numbers(part) == list(range(20))
 
 
-def test_the_count_of_frames_begins_anew_after_each_flush(
+def test_frames_that_are_on_disk_do_not_count_among_those_that_wait(
     clock: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """More than 20 that wait are written: 0 to 19 when 20 comes, and 20 to 40 when 41 comes."""
     monkeypatch.setattr(recording_module, "_MAX_UNFLUSHED", 20)
     part = tmp_path / "run.log.part"
     with recording_frames(tmp_path / "run.log") as record_frame:
@@ -144,7 +147,10 @@ def test_a_log_has_its_name_and_all_frames_when_the_run_has_ended(tmp_path: Path
         (3, "can3"),
     ],
 )
-def test_any_channel_can_be_read_back(channel: str | int | None, logged_channel: str, tmp_path: Path) -> None:
+def test_the_name_of_any_bus_becomes_one_word_in_the_log(
+    channel: str | int | None, logged_channel: str, tmp_path: Path
+) -> None:
+    """Candump's lines are words: spaces become _, and a frame without a name has that of the recording."""
     frame = make_frame(1)
     frame.channel = channel
     with Recording(tmp_path / "run.log", None, fail, channel="my bus") as (write_frame, _):
@@ -155,7 +161,8 @@ def test_any_channel_can_be_read_back(channel: str | int | None, logged_channel:
     assert [frame.channel for frame in read_log(tmp_path / "run.log")] == [logged_channel]
 
 
-def test_no_recording_has_no_outputs() -> None:
+def test_a_run_without_a_log_has_nowhere_to_write_frames_and_events() -> None:
+    """A run that the user does not record uses it in place of a recording."""
     with NoRecording() as outputs:
         assert outputs == (None, None)
 
@@ -172,7 +179,7 @@ def record_and_fail(log: Path, header: EventsHeader | None = None) -> list[str]:
     return warnings
 
 
-def test_a_run_that_fails_leaves_parts(tmp_path: Path) -> None:
+def test_a_run_that_fails_leaves_what_it_recorded_in_part_files(tmp_path: Path) -> None:
     record_and_fail(tmp_path / "run.log", HEADER)
     assert names_in(tmp_path) == ["run.log.events.part", "run.log.part"]
     assert frame_numbers(tmp_path / "run.log.part") == [1]
@@ -193,7 +200,7 @@ def test_a_recording_warns_of_a_run_that_fails(tmp_path: Path) -> None:
     ]
 
 
-def test_events_of_a_tick_that_has_not_ended_are_in_the_part(tmp_path: Path) -> None:
+def test_a_run_that_fails_leaves_the_events_of_its_last_tick(tmp_path: Path) -> None:
     recording = Recording(tmp_path / "run.log", HEADER, lambda _: None)
     with pytest.raises(ZeroDivisionError), recording as (_, events):
         assert events is not None
@@ -204,7 +211,7 @@ def test_events_of_a_tick_that_has_not_ended_are_in_the_part(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", ["run.log.part", "run.log.events.part"])
-def test_a_recording_does_not_replace_the_part_of_another_run(name: str, tmp_path: Path) -> None:
+def test_a_recording_does_not_replace_the_part_file_of_another_run(name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text("of another run")
     message = f"{re.escape(name)} is there: another program writes it, or its run was cut off; rename"
 
@@ -225,7 +232,8 @@ def test_a_part_that_somebody_has_deleted_is_no_error_in_a_run_that_fails(tmp_pa
         raise ZeroDivisionError
 
 
-def test_a_log_that_cannot_get_its_name_stays_a_part(tmp_path: Path) -> None:
+def test_a_log_whose_name_is_taken_during_the_run_stays_under_its_part_name(tmp_path: Path) -> None:
+    """A folder has taken the name of the log while the run went on."""
     warnings: list[str] = []
     with recording_frames(tmp_path / "run.log", warn=warnings.append) as record_frame:
         record_frame(1)
@@ -284,6 +292,7 @@ def is_old(path: Path) -> bool:
 def test_a_killed_process_leaves_no_log_beside_the_events_of_another_run(
     folder_of_dead_process: Path,
 ) -> None:
+    """Replay would take such a pair for one run and report differences that are none."""
     log, events = folder_of_dead_process / "run.log", folder_of_dead_process / "run.log.events"
     assert not log.exists() or is_old(log) == is_old(events)
 
@@ -301,7 +310,7 @@ def test_a_killed_process_leaves_its_events_under_their_name_or_as_part(folder_o
         assert reader.header == HEADER
 
 
-def test_files_get_their_names_when_the_disk_has_their_contents(
+def test_files_get_their_names_only_when_their_contents_are_on_disk(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     system_calls = Mock(fsync=Mock(wraps=os.fsync), replace=Mock(wraps=os.replace))
@@ -309,6 +318,7 @@ def test_files_get_their_names_when_the_disk_has_their_contents(
     monkeypatch.setattr(os, "replace", system_calls.replace)
     with recording_frames(tmp_path / "run.log", HEADER) as record_frame:
         record_frame(1)
+    # Contents of log and events, their names, and the folder that holds the names.
     names = [name for name, _, _ in system_calls.mock_calls]
 
     assert names == ["fsync", "fsync", "replace", "replace", "fsync"]
@@ -339,7 +349,8 @@ def test_the_suffix_of_a_log_may_be_in_capitals(tmp_path: Path) -> None:
     assert names_in(tmp_path) == ["run.LOG", "run.LOG.events"]
 
 
-def test_a_log_without_events_removes_those_of_the_log_that_it_replaces(tmp_path: Path) -> None:
+def test_a_new_log_without_events_removes_the_events_of_the_old_one(tmp_path: Path) -> None:
+    """They would be taken for what happened in the new run."""
     with recording_frames(tmp_path / "run.log", HEADER) as record_frame:
         record_frame(1)
     assert names_in(tmp_path) == ["run.log", "run.log.events"]
@@ -353,6 +364,7 @@ def test_a_log_without_events_removes_those_of_the_log_that_it_replaces(tmp_path
 
 
 def test_a_full_disk_and_a_run_that_fails_give_one_warning(tmp_path: Path) -> None:
+    """That of the disk, on which no byte can be written."""
     with limited_file_size(0):
         warnings = record_and_fail(tmp_path / "run.log")
     assert len(warnings) == 1
@@ -367,6 +379,7 @@ LOG_LINE_BYTES = 80
 
 
 def test_a_full_disk_ends_the_recording_but_not_the_swarm(tmp_path: Path, capsys: Capture) -> None:
+    """The user gets the results of all 200 steps, an exit code, and a warning that names what is left."""
     log = tmp_path / "run.log"
     with limited_file_size(FULL_DISK_BYTES):
         assert main([*SWARM_ON_FULL_DISK, "--json", "--log", str(log)]) == 2

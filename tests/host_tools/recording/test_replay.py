@@ -8,6 +8,7 @@ import shlex
 from collections.abc import Sequence
 from copy import copy
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -31,7 +32,9 @@ pytestmark = pytest.mark.usefixtures("no_bus_is_left")
 
 Capture = pytest.CaptureFixture[str]
 BROADCASTS = 4 * 40
+"""Frames with an estimate in the log of the small swarm: one of each of 4 robots in each of 40 ticks."""
 HEARTBEATS = 16
+"""Its other frames: each robot sends a heartbeat in every tenth tick."""
 
 
 def record_swarm(log: Path, options: str) -> list[can.Message]:
@@ -46,43 +49,51 @@ def replay(frames: Sequence[can.Message], log: Path) -> ReplayVerdict:
         return verify(frames, reader)
 
 
+def all_reproduced() -> dict[str, Any]:
+    """Return the verdict on the small swarm, as a report has it: each broadcast was computed again."""
+    return vars(ReplayVerdict(reproduced=BROADCASTS, other=HEARTBEATS))
+
+
 # --- Logs that are reproduced -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".trc"])
-def test_a_log_is_reproduced_in_any_format(
+def test_replay_reproduces_a_log_in_any_format(
     suffix: str, swarm_log: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    """The log is converted as can_logconvert does it."""
+    """A log that can_logconvert has converted: replay computes all its broadcasts again, bit for bit."""
     log = tmp_path / f"run{suffix}"
     with can.LogReader(swarm_log) as frames, can.Logger(log) as write_frame:
         for frame in frames:
             write_frame(frame)
-    assert main(["replay", str(log), "--events", str(events_path(swarm_log)), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
 
-    assert report["verdict"] == vars(ReplayVerdict(reproduced=BROADCASTS, other=HEARTBEATS))
+    assert main(["replay", str(log), "--events", str(events_path(swarm_log)), "--json"]) == 0
+
+    report = json.loads(capsys.readouterr().out)
+    assert report["verdict"] == all_reproduced()
     assert report["incomplete"] is False
 
 
 @pytest.mark.parametrize(
     ("options", "broadcasts"),
     [
-        ("--firmware mirror", 160),
-        ("--firmware reference", 160),
-        ("--comms-period 5", 32),
-        ("--filter none --subject 9", 160),
-        ("--filter robust", 160),
-        ("--filter robust --firmware mirror --topology dynamic --density 2", 160),
+        ("--firmware mirror", BROADCASTS),
+        ("--firmware reference", BROADCASTS),
+        ("--comms-period 5", BROADCASTS // 5),
+        ("--filter none --subject 9", BROADCASTS),
+        ("--filter robust", BROADCASTS),
+        ("--filter robust --firmware mirror --topology dynamic --density 2", BROADCASTS),
     ],
 )
-def test_robots_of_any_kind_are_reproduced(options: str, broadcasts: int, tmp_path: Path) -> None:
+def test_replay_reproduces_robots_of_any_firmware_filter_and_period(
+    options: str, broadcasts: int, tmp_path: Path
+) -> None:
     frames = record_swarm(tmp_path / "run.log", options)
     verdict = replay(frames, tmp_path / "run.log")
     assert verdict == ReplayVerdict(reproduced=broadcasts, other=HEARTBEATS)
 
 
-def test_frames_that_a_log_lacks_are_no_difference(swarm_log: Path) -> None:
+def test_frames_that_a_log_lacks_are_counted_and_no_difference(swarm_log: Path) -> None:
     """Of all frames 30 % are left, drawn with a fixed seed."""
     draw = random.Random(8)
     frames = [frame for frame in read_log(swarm_log) if draw.random() < 0.3]
@@ -107,17 +118,18 @@ ALL_FAULTS = " ".join(
     "options",
     ["--seed 1", "--seed 4 --comms-period 5", "--topology dynamic --density 2 --channel 'bus{robot}'"],
 )
-def test_the_effects_of_faults_are_no_difference(options: str, tmp_path: Path) -> None:
-    """Faults send so many frames that some equal a broadcast which is still to come."""
+def test_what_injected_faults_did_is_not_reported_as_a_difference(options: str, tmp_path: Path) -> None:
+    """Faults of all kinds send so many frames that some equal a broadcast which is still to come."""
     frames = record_swarm(tmp_path / "run.log", f"--steps 120 {options} {ALL_FAULTS}")
+    results = json.loads((tmp_path / "run.log.json").read_text())["results"]
+    assert all(fault["injected"] > 0 for fault in results["faults"])
+
     verdict = replay(frames, tmp_path / "run.log")
+
     assert verdict.difference is None
     counts = (verdict.foreign, verdict.reproduced, verdict.falsified, verdict.other)
     assert min(counts) > 0
     assert sum(counts) == len(frames)
-    results = json.loads((tmp_path / "run.log.json").read_text())["results"]
-
-    assert all(fault["injected"] > 0 for fault in results["faults"])
 
 
 @pytest.mark.slow
@@ -128,15 +140,17 @@ def test_the_events_of_many_robots_are_hardly_larger_than_the_log(
     """The ratios are those of docs/internals/emulation.md."""
     log = tmp_path / "run.log"
     settings = ["--robots", "100", "--steps", "12", *options.split()]
-
     assert main(["swarm", *settings, "--quiet", "--log", str(log)]) == 0
+
     assert ratio - 0.2 < events_path(log).stat().st_size / log.stat().st_size < ratio
-    assert replay(list(read_log(log)), log).reproduced == 1200
+    assert replay(list(read_log(log)), log).reproduced == 100 * 12
 
 
 def test_rerun_yields_each_robot_at_the_end_of_each_of_its_ticks(swarm_log: Path) -> None:
+    """A robot observes once in each of the 40 ticks, so its number of observations, t, is that of ticks."""
     with EventsReader(events_path(swarm_log)) as reader:
         observation_counts = [(robot_id, robot.t) for robot_id, robot in rerun(reader)]
+
     assert observation_counts == [(robot_id, tick) for tick in range(1, 41) for robot_id in range(4)]
 
 
@@ -161,16 +175,24 @@ def flip_bit(frame: can.Message, bit: int) -> can.Message:
 
 
 LOWEST_BIT_OF_ALPHA = 24
-"""The firmware ignores it, but replay does not."""
+"""It comes behind the 24 bits of x_hat. The firmware ignores it, but replay does not."""
+BITS_OF_ESTIMATE = 55
+"""24 bits of x_hat, and the 31 of alpha below its sign."""
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_one_wrong_bit_of_an_estimate_is_found(seed: int, swarm_log: Path) -> None:
-    """The bit may make the frame one that is no estimate any more; then the log lacks a broadcast."""
+def test_replay_finds_one_wrong_bit_in_one_frame_of_a_log(seed: int, swarm_log: Path) -> None:
+    """The bit may make the frame one that is no estimate any more; then the log lacks a broadcast.
+
+    Frame and bit are drawn, but for seed 0: that flips the bit which the firmware ignores.
+    """
     draw, frames = random.Random(seed), list(read_log(swarm_log))
     index = draw.choice(indices_of_estimates(frames))
-    frames[index] = flip_bit(frames[index], draw.randrange(55) if seed else LOWEST_BIT_OF_ALPHA)
+    bit = draw.randrange(BITS_OF_ESTIMATE) if seed else LOWEST_BIT_OF_ALPHA
+    frames[index] = flip_bit(frames[index], bit)
+
     verdict = replay(frames, swarm_log)
+
     estimate = decode_estimate(frames[index], FrameFormat())
     if isinstance(estimate, Estimate):
         earlier_ids = [frame.arbitration_id for frame in frames[:index]]
@@ -204,7 +226,7 @@ def test_a_difference_is_described_with_both_values(tmp_path: Path) -> None:
     )
 
 
-def test_a_broadcast_too_many_is_a_difference(tmp_path: Path) -> None:
+def test_a_broadcast_that_is_twice_in_a_log_is_a_difference(tmp_path: Path) -> None:
     frame = log_of_one_broadcast(tmp_path / "x")
     verdict = replay([frame, frame], tmp_path / "x")
 
@@ -237,16 +259,19 @@ def log_with_foreign_frame(log: Path) -> can.Message:
 
 
 def test_a_foreign_frame_may_come_after_the_robots_broadcast(tmp_path: Path) -> None:
+    """Foreign is a frame that another node sent under the id of the robot; the order on a bus is open."""
     broadcast = log_with_foreign_frame(tmp_path / "x")
     assert replay([broadcast, FOREIGN_FRAME], tmp_path / "x") == ReplayVerdict(reproduced=1, foreign=1)
 
 
 def test_a_foreign_frame_may_come_before_the_robots_broadcast(tmp_path: Path) -> None:
+    """Foreign is a frame that another node sent under the id of the robot; the order on a bus is open."""
     broadcast = log_with_foreign_frame(tmp_path / "x")
     assert replay([FOREIGN_FRAME, broadcast], tmp_path / "x") == ReplayVerdict(reproduced=1, foreign=1)
 
 
-def test_a_foreign_frame_too_many_is_a_difference(tmp_path: Path) -> None:
+def test_a_foreign_frame_that_the_events_do_not_know_is_a_difference(tmp_path: Path) -> None:
+    """The events know of one frame that another node sent under the id of the robot; the log has two."""
     broadcast = log_with_foreign_frame(tmp_path / "x")
     verdict = replay([FOREIGN_FRAME, FOREIGN_FRAME, broadcast], tmp_path / "x")
 
@@ -262,6 +287,7 @@ def test_rerun_yields_no_robot_in_a_tick_that_has_not_ended(tmp_path: Path) -> N
 
 
 def test_broadcasts_after_the_events_were_cut_off_are_no_difference(tmp_path: Path) -> None:
+    """The name of the events ends in ``.part``: the run was killed. The log has three frames more."""
     broadcast = log_of_one_broadcast(tmp_path / "x")
     events_path(tmp_path / "x").rename(events_path(tmp_path / "x.part"))
     later_frames = [encode_estimate(Estimate(5, 0, 0, number), FrameFormat()) for number in (1, 2, 3)]
@@ -271,7 +297,10 @@ def test_broadcasts_after_the_events_were_cut_off_are_no_difference(tmp_path: Pa
 
 
 @pytest.mark.parametrize("event", ['"silent"', "[5,7]"])
-def test_an_event_of_a_broadcast_before_any_broadcast_is_refused(event: str, tmp_path: Path) -> None:
+def test_a_false_or_missing_broadcast_before_the_first_broadcast_is_refused(
+    event: str, tmp_path: Path
+) -> None:
+    """Such an event tells what became of a broadcast; the 3 in the lines is the end of a tick."""
     log = tmp_path / "x"
     header = EventsHeader([record(5)], None, FrameFormat())
     events_path(log).write_text(f"{header.to_line()}[5,3]\n[5,3,{event}]")
@@ -333,8 +362,10 @@ def test_replay_checks_one_bus_of_a_log(
     assert main(["replay", str(log), "--events", events, "--channel", channel, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
 
-    assert (report["channel"], report["channels"]) == (channel, {"vcan0": 176, "vcan1": 176})
-    assert report["verdict"] == vars(ReplayVerdict(reproduced=BROADCASTS, other=HEARTBEATS))
+    frames_of_each_bus = BROADCASTS + HEARTBEATS
+    assert report["channel"] == channel
+    assert report["channels"] == {"vcan0": frames_of_each_bus, "vcan1": frames_of_each_bus}
+    assert report["verdict"] == all_reproduced()
 
 
 def test_replay_refuses_a_bus_that_the_log_lacks(swarm_log: Path, capsys: Capture) -> None:
@@ -344,12 +375,15 @@ def test_replay_refuses_a_bus_that_the_log_lacks(swarm_log: Path, capsys: Captur
 
 def test_replay_counts_the_lines_that_are_no_frames(swarm_log: Path, tmp_path: Path, capsys: Capture) -> None:
     log, events = tmp_path / "odd.log", str(events_path(swarm_log))
-    log.write_text(f"\ufeff{swarm_log.read_text()}# the end\n(1.0) vcan0 186BB92A#0\n")
+    comment_and_half_a_byte = "# the end\n(1.0) vcan0 186BB92A#0\n"
+    log.write_text(f"\ufeff{swarm_log.read_text()}{comment_and_half_a_byte}")
     assert main(["replay", str(log), "--events", events, "--json"]) == 0
     captured = capsys.readouterr()
     report = json.loads(captured.out)
-    assert (report["skipped_lines"], report["verdict"]["reproduced"]) == (2, BROADCASTS)
-    warning = "2 lines are no frames and were left out; the first is line 177, '# the end'"
+    assert report["skipped_lines"] == 2
+    assert report["verdict"]["reproduced"] == BROADCASTS
+    first_line = BROADCASTS + HEARTBEATS + 1
+    warning = f"2 lines are no frames and were left out; the first is line {first_line}, '# the end'"
 
     assert captured.err == f"mcp-asdf replay: of {log} {warning}\n"
 
