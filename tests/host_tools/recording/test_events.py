@@ -127,7 +127,7 @@ FIRST_LINE_OF_VERSION_3 = FIRST_LINE.replace('"version": 5', '"version": 3')
 
 
 def test_a_mask_in_a_file_of_version_3_is_read_as_the_last_estimates_of_its_senders(tmp_path: Path) -> None:
-    """Such files do not repeat an estimate: the mask "9" (bits 0 and 3) stands for those of robots 0 and 3."""
+    """Such files do not repeat an estimate: the mask "9" (bits 0 and 3) means those of robots 0 and 3."""
     lines = '[7,1,[3,9,8],[0,1,2],3]\n[0,1,"9",[3,5,5],3]\n'
     (tmp_path / "x").write_text(FIRST_LINE_OF_VERSION_3 + lines)
 

@@ -46,14 +46,23 @@ def robot_with_counters(comms_period: int, **counters: int) -> BusRobot:
     return BusRobot(record(5, comms_period=comms_period), ESTIMATES, make_firmware=lambda: firmware)
 
 
-def test_a_broadcast_stays_due_until_a_tick_has_ended() -> None:
+def test_a_broadcast_stays_due_until_its_tick_has_ended() -> None:
+    """A robot that broadcasts in every third tick; ``observe`` returns whether a broadcast is due."""
     robot = robot_with_counters(comms_period=3)
-    assert [robot.observe(None) for _ in range(5)] == [False, False, True, True, True]
-    robot.settle()
-    assert [robot.observe(None) for _ in range(3)] == [False, False, True]
+
+    is_due = [robot.observe(None) for _ in range(5)]
+    robot.settle()  # ends the tick
+    is_due_later = [robot.observe(None) for _ in range(3)]
+
+    assert is_due == [False, False, True, True, True]
+    assert is_due_later == [False, False, True]
 
 
-def test_counters_go_on_where_those_of_the_firmware_wrap() -> None:
+def test_counts_in_reports_go_on_where_the_firmware_s_16_bits_end() -> None:
+    """In each of 300 ticks come 998 estimates under the robot's own id and one each of robots 6 and 7.
+
+    The firmware rejects the first, and takes the others: 2 in the first tick, and then as repeated ones.
+    """
     counters = Counters(accepted=65_000, repeated=65_533, rejected=1, tests=65_534, updates=65_535)
     robot = robot_with_counters(10**6, **vars(counters))
     # In a round of so many messages a counter of the firmware wraps several times.
@@ -76,16 +85,20 @@ def test_estimates_under_the_robot_s_own_id_are_refused_and_counted_as_conflicts
     assert robot.reception == Reception(delivered=3, refused=2, events=conflicts)
 
 
-def test_telemetry_has_the_update_counter_modulo_256() -> None:
+def test_telemetry_has_the_number_of_updates_modulo_256() -> None:
     robot = robot_with_counters(comms_period=1, updates=65_535)
-    assert robot.telemetry(0.0).data == encoded(Telemetry(5, 1 << 22, 3 << 22, 255, 0)).data
+
+    # x is 1/2 in units of 2**-23, and b_hat 3/4 in units of 2**-24.
+    expected = Telemetry(sender=5, x=1 << 22, b_hat=3 << 22, updates=65_535 % 256, transfer_id=0)
+    assert robot.telemetry(0.0).data == encoded(expected).data
 
 
 @pytest.mark.parametrize("firmware", ["native", "mirror", "reference"])
 @pytest.mark.parametrize("allow", [None, frozenset({6})])
-def test_one_estimate_has_the_effect_of_an_array_with_one(
+def test_an_estimate_has_the_same_effect_alone_as_in_an_array(
     firmware: str, allow: frozenset[int] | None
 ) -> None:
+    """Of senders 6, again 6, 5 (the robot's own id) and 7, of which ``allow`` may admit but one."""
     setup = replace(record(5, firmware), allow=allow)
     lines_of_one, lines_of_array = list[str](), list[str]()
     one = BusRobot(setup, ESTIMATES, EventRecorder(5, lines_of_one.append))
@@ -97,7 +110,9 @@ def test_one_estimate_has_the_effect_of_an_array_with_one(
         robot.observe(Observation.BLACK)
         robot.settle()
 
-    assert (one.reception, one.counters, one.robot.x) == (array.reception, array.counters, array.robot.x)
+    assert one.reception == array.reception
+    assert one.counters == array.counters
+    assert one.robot.x == array.robot.x
     assert lines_of_one == lines_of_array
 
 
@@ -137,6 +152,7 @@ def test_a_robot_that_rejoins_begins_anew_if_the_crash_lost_its_state() -> None:
 
 
 def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:
+    """1 is a black tile, 2 no observation, 3 the end of the tick; a triple is sender, x_hat and alpha."""
     lines: list[str] = []
     robot = BusRobot(record(5), ESTIMATES, EventRecorder(5, lines.append))
     estimates = [encoded(Estimate(sender, 9, 0, 0)) for sender in (6, 7, 8)]
@@ -153,7 +169,8 @@ def test_a_line_of_events_has_all_that_a_robot_did_in_a_tick() -> None:
     assert lines == ["[5,1,[6,9,0],[7,9,0],[8,9,0],[8,9,0],3]\n", '[5,"restart",2,3]\n']
 
 
-def test_every_frame_without_an_estimate_is_counted_by_its_kind() -> None:
+def test_frames_without_an_estimate_are_counted_by_their_kind() -> None:
+    """Each content comes three times; Rejection lists the reasons why a frame can be refused."""
     robot = BusRobot(record(5), ESTIMATES)
     for content in (Heartbeat(8, 1, 0), Telemetry(8, 9, 1 << 23, 1, 0), Estimate(6, 9, 0, 0), *Rejection):
         robot.count_content(content, 3)
@@ -165,6 +182,7 @@ def test_every_frame_without_an_estimate_is_counted_by_its_kind() -> None:
 
 
 def test_estimates_from_outside_the_swarm_are_counted_as_strays() -> None:
+    """Such frames come from other nodes on the bus; one of them has the id of the robot itself."""
     robot = BusRobot(record(5), ESTIMATES)
     for content in (Estimate(5, 9, 0, 0), Estimate(6, 9, 0, 0), Heartbeat(8, 1, 0)):
         robot.count_foreign_frame(encoded(content))
@@ -185,16 +203,18 @@ def test_estimates_from_outside_the_swarm_are_counted_as_strays() -> None:
         replace(record(5, table=None, filter=Filter.ALWAYS), allow=frozenset((0, 2, 3, 127))),
     ],
 )
-def test_a_robot_s_setup_is_the_same_after_json(setup: RobotSetup) -> None:
+def test_a_robot_s_setup_written_as_json_is_read_as_the_same_setup(setup: RobotSetup) -> None:
     assert RobotSetup.from_plain(json.loads(json.dumps(setup.plain()))) == setup
 
 
 def test_a_setup_in_json_has_the_allowed_ids_as_ranges() -> None:
+    """Robots whose estimates the robot takes: 0, 2 to 3, and 127."""
     setup = replace(record(5), allow=frozenset((0, 2, 3, 127)))
     assert setup.plain()["allow"] == "0+2-3+127"
 
 
 def test_a_table_that_was_not_made_here_cannot_be_put_into_json() -> None:
+    """JSON has only the numbers from which a table is computed, and this table follows from none."""
     table = Table(3, TABLE.entries)
     with pytest.raises(UsageError, match=r"omega is .*make one with mcp-asdf table"):
         record(5, table=table).plain()
@@ -280,9 +300,10 @@ ROBUST = Config(None, Filter.ROBUST, 2, 64)
         ("robust", "always", ROBUST, ROBUST),
     ],
 )
-def test_a_population_has_a_setup_of_each_robot(
+def test_a_swarm_s_filter_decides_on_the_filter_of_flawed_and_of_other_robots(
     filters: str, activation: Activation, flawed_config: Config, other_config: Config
 ) -> None:
+    """Robots 0 and 1 are flawed: they assume an accuracy of 0.3, the others nearly 1."""
     population = Population(**FOUR_ROBOTS, filter=filters, activation=activation)
     largest_b_hat = 1 - 2**-20
 
@@ -306,6 +327,7 @@ def test_a_population_has_a_setup_of_each_robot(
 def test_a_population_knows_which_parameters_its_filter_does_not_use(
     filters: str, activation: Activation, unused: set[str]
 ) -> None:
+    """So the commands can refuse an option that would do nothing."""
     population = Population(**FOUR_ROBOTS, filter=filters, activation=activation, drift="linear")
     assert set(population.unused_parameters()) == unused
 
@@ -331,7 +353,10 @@ def test_a_memory_that_is_no_multiple_of_4_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("robots", "neighbours"), [(1, 2), (3, 2), (4, 3), (128, 127), (129, 127)])
-def test_a_table_is_for_as_many_neighbours_as_a_round_can_have(robots: int, neighbours: int) -> None:
+def test_the_table_of_thresholds_is_for_as_many_neighbours_as_a_robot_can_hear(
+    robots: int, neighbours: int
+) -> None:
+    """At least 2, and at most 127: that many estimates the firmware takes between two broadcasts."""
     table = Population(robots=robots, topology="dynamic", filter="asdf-plus").config(0).table
     assert table is not None
     assert table.q == neighbours

@@ -60,6 +60,7 @@ SENSORS = [*product((300, 700), (60, 250), (round, float))]
 def test_no_threshold_recognises_the_worse_colour_better(
     black_centre: int, spread: int, rounding: Callable[[float], float]
 ) -> None:
+    """The threshold below which a tile is taken for black is compared with each of the readings as one."""
     rows = draw_readings(black_centre, 1000 - black_centre, spread, rounding)
     calibration = calibrate(rows)
     best_accuracy = max(
@@ -73,6 +74,7 @@ def test_no_threshold_recognises_the_worse_colour_better(
 def test_the_accuracies_are_those_of_readings_below_the_threshold(
     black_centre: int, spread: int, rounding: Callable[[float], float]
 ) -> None:
+    """A sensor may read low numbers over black tiles (300 here), or high ones (700)."""
     rows = draw_readings(black_centre, 1000 - black_centre, spread, rounding)
     calibration = calibrate(rows)
     black_below = np.mean(readings_over(rows, "black") < calibration.threshold)
@@ -94,6 +96,7 @@ def test_the_threshold_of_whole_readings_is_a_whole_number() -> None:
 
 
 def test_of_equal_thresholds_the_one_in_the_widest_gap_is_taken() -> None:
+    """With each, nine of ten readings over the worse colour are right. The widest gap is from 0 to 8."""
     rows = [(0.0, True)] * 9 + [(8.0, False), (9.0, True)] + [(11.0, False)] * 9
     assert calibrate(rows).threshold == 4
 
@@ -140,6 +143,7 @@ def test_a_bias_of_more_than_two_hundredths_gives_a_warning(unequal: Calibration
 
 
 def test_a_sensor_without_a_wrong_reading_is_not_taken_for_perfect() -> None:
+    """By the rule of succession, forty right readings over a colour make (40 + 1) / (40 + 2)."""
     calibration = calibrate([(7.0, True), (21.0, False)] * 40)
     assert calibration.b_hat == 41 / 42
     assert 0.02 < calibration.uncertainty < 0.04
@@ -188,13 +192,16 @@ def test_calibrate_prints_threshold_and_accuracy(readings_file: Path, capsys: Ca
     assert expected in capsys.readouterr().out
 
 
-def test_calibrate_reports_in_json(readings_file: Path, capsys: Capture) -> None:
+def test_calibrate_reports_threshold_and_accuracy_in_json(readings_file: Path, capsys: Capture) -> None:
     assert run_calibrate(readings_file, "--json") == 0
     report = json.loads(capsys.readouterr().out)
-    assert (report["threshold"], report["accuracy"]) == (500, {"black": 1.0, "white": 1.0})
+    assert report["threshold"] == 500
+    assert report["accuracy"] == {"black": 1.0, "white": 1.0}
 
 
-def test_calibrate_ends_with_the_option_for_the_robot(readings_file: Path, capsys: Capture) -> None:
+def test_calibrate_ends_with_the_option_that_tells_a_robot_its_accuracy(
+    readings_file: Path, capsys: Capture
+) -> None:
     run_calibrate(readings_file, "--json")
     report = json.loads(capsys.readouterr().out)
     run_calibrate(readings_file)

@@ -49,6 +49,7 @@ def test_ticks_that_are_done_in_time_begin_at_multiples_of_the_period() -> None:
 
 
 def test_ticks_after_a_long_one_begin_at_once_until_they_have_caught_up() -> None:
+    """Work of 2, 0.5, 0.5 and 0.5 periods: the ticks begin when the work is done, until one is in time."""
     watch = Watch()
     assert begin_ticks(watch, watch.clock(), [2, 0.5, 0.5, 0.5, 0]) == [0, 2, 2.5, 3, 4]
 
@@ -77,6 +78,7 @@ def test_figures_say_in_seconds_how_late_ticks_have_begun() -> None:
 
 
 def test_the_drift_is_the_lateness_of_the_last_tick() -> None:
+    """Four ticks that take 1.5 periods each: the last one, due after 3 periods, begins after 4.5."""
     watch = Watch()
     clock = watch.clock()
     begin_ticks(watch, clock, [1.5, 1.5, 1.5, 1.5])

@@ -33,7 +33,7 @@ def test_no_filter_leaves_flawed_robots_as_they_are() -> None:
     assert FILTERS["none"].firmware_filter_of(is_flawed=True, activation="always") is Filter.OFF
 
 
-def test_only_the_robust_filter_depends_on_the_order_of_messages() -> None:
+def test_only_the_robust_filter_is_marked_as_depending_on_the_order_of_messages() -> None:
     assert [name for name, swarm_filter in FILTERS.items() if swarm_filter.order_matters] == ["robust"]
 
 
@@ -59,7 +59,7 @@ def test_a_robot_alone_is_started_with_the_filter_of_all_robots(firmware_filter:
     assert filter_of_one_robot(firmware_filter).name == name
 
 
-def test_every_value_of_the_firmware_belongs_to_a_filter() -> None:
+def test_every_filter_of_the_firmware_has_a_name_on_the_command_line() -> None:
     assert {filter_of_one_robot(value).name for value in Filter} == {"none", "asdf-plus", "robust"}
 
 

@@ -145,8 +145,11 @@ def step_together(
 
 @pytest.mark.parametrize("firmware", ["native", "reference"])
 @still()
-def test_driven_robots_answer_as_robots_that_are_called(firmware: str) -> None:
-    """Also when commands are lost: those who have not answered get them again."""
+def test_robots_commanded_over_a_bus_compute_what_the_same_robots_do_when_called(firmware: str) -> None:
+    """Also when commands are lost: robots that have not answered get them again.
+
+    Frames have x_hat and x in units of 2**-23, b_hat in units of 2**-24, and the counter modulo 256.
+    """
     lockstep = Lockstep(LossyWire(*make_four_nodes(firmware), is_lost=is_lost_once), timeout=0.02)
     robots = [called_node.robot for called_node in make_four_nodes(firmware)]
     for observations, estimates, answers in drive(lockstep, random.Random(5)):
@@ -162,24 +165,28 @@ def test_driven_robots_answer_as_robots_that_are_called(firmware: str) -> None:
 
 
 @still()
-def test_a_lost_command_is_sent_once_more_to_those_who_have_not_answered() -> None:
+def test_a_lost_command_is_sent_once_more_to_the_robots_that_have_not_answered() -> None:
     nodes = make_four_nodes("native")
     wire = LossyWire(*nodes, is_lost=is_lost_once)
     lockstep = Lockstep(wire, timeout=0.02)
     for _ in drive(lockstep, random.Random(5)):
         pass
 
+    ticks, robots, commands_per_tick = 120, 4, 2  # to observe, and to settle
     assert lockstep.repeated == len(LOST_COMMANDS)
-    assert len(wire.sent) == 120 * 4 * 2 + len(LOST_COMMANDS)
+    assert len(wire.sent) == ticks * robots * commands_per_tick + len(LOST_COMMANDS)
     assert all(each_node.unsettled == each_node.disobeyed == 0 for each_node in nodes)
 
 
 @still()
 def test_commands_are_numbered_modulo_32() -> None:
+    """Each of 4 robots gets two commands in each of 120 ticks."""
     wire = Wire(*make_four_nodes("native"))
     for _ in drive(Lockstep(wire), random.Random(5)):
         pass
-    assert [decode(frame).transfer_id for frame in wire.sent] == [number % 32 for number in range(120 * 8)]
+
+    numbers = [decode(frame).transfer_id for frame in wire.sent]
+    assert numbers == [number % 32 for number in range(120 * 4 * 2)]
 
 
 @still()
@@ -188,6 +195,7 @@ def test_the_driver_reports_all_frames_that_it_sends_and_receives() -> None:
     for _ in drive(Lockstep(wire, on_frame=frames.append), random.Random(5)):
         pass
 
+    # A frame that was received is marked so.
     assert [frame for frame in frames if frame.is_rx] == wire.told
     assert [frame for frame in frames if not frame.is_rx] == wire.sent
 
@@ -206,7 +214,7 @@ def test_robots_that_send_no_heartbeat_are_named() -> None:
 
 
 @still()
-def test_an_error_names_at_most_eight_robots() -> None:
+def test_an_error_about_many_silent_robots_names_the_first_eight() -> None:
     with pytest.raises(LockstepError, match=r"robot 10, 11, 12, 13, 14, 15, 16, 17, ... did not send"):
         Lockstep(Wire()).wait_until_up(range(10, 20), 0.01)
 
@@ -225,20 +233,21 @@ def test_a_robot_that_does_not_broadcast_is_named() -> None:
 
 
 @still()
-def test_a_robot_that_does_not_settle_is_named() -> None:
+def test_a_robot_that_does_not_end_its_tick_is_named() -> None:
     with pytest.raises(LockstepError, match=r"robot 1 did not settle within 0.02 s"):
         lockstep_without_robot_1().settle(range(3))
 
 
 @still()
-def test_an_estimate_that_came_before_it_was_waited_for_counts() -> None:
+def test_an_estimate_that_has_come_while_another_robot_was_waited_for_is_not_lost() -> None:
     lockstep = lockstep_without_robot_1()
     assert set(lockstep.estimates({2})) == {2}
     assert set(lockstep.estimates({0})) == {0}
 
 
 @still()
-def test_an_estimate_of_the_last_tick_does_not_count() -> None:
+def test_an_estimate_of_the_last_tick_is_not_taken_for_one_of_this_tick() -> None:
+    """The driver must not take an old estimate for the answer to its present command."""
     lockstep = Lockstep(Wire(node(1, comms_period=2)), timeout=0.02)
     step(lockstep, 1)
     step(lockstep, 1)  # in which the robot broadcasts
@@ -249,9 +258,9 @@ def test_an_estimate_of_the_last_tick_does_not_count() -> None:
 
 
 @still()
-def test_a_robot_that_has_run_before_may_be_driven() -> None:
+def test_a_robot_can_be_driven_by_a_second_run_without_a_restart() -> None:
     robot = node(1)
-    for _ in range(2):
+    for _ in range(2):  # runs of three ticks each
         lockstep = Lockstep(Wire(robot), timeout=0.02)
         for _ in range(3):
             step(lockstep, 1)
@@ -265,7 +274,7 @@ def test_a_robot_that_restarts_while_it_is_driven_ends_the_run() -> None:
     lockstep = Lockstep(wire, timeout=0.02)
     for _ in range(3):
         step(lockstep, 1)
-    wire.nodes[0] = node(1)
+    wire.nodes[0] = node(1)  # a new one in its place
 
     with pytest.raises(LockstepError, match=r"in tick 3 with transfer_id 0, not 3 .*restarted"):
         step(lockstep, 1)
@@ -282,7 +291,7 @@ def stop_waiting() -> None:
 @pytest.mark.parametrize("kind_of_wire", [Wire, EndlessWire])
 @still()
 def test_the_caller_can_end_the_wait_for_heartbeats(kind_of_wire: type[Wire]) -> None:
-    """Also on a bus that is never quiet, as in the next test."""
+    """Both on a quiet bus and on one on which another node sends without end."""
     lockstep = Lockstep(kind_of_wire(node(1)), timeout=1e9, check=stop_waiting)
     with pytest.raises(StopWaitingError):
         lockstep.wait_until_up({3}, 1e9)
@@ -291,6 +300,7 @@ def test_the_caller_can_end_the_wait_for_heartbeats(kind_of_wire: type[Wire]) ->
 @pytest.mark.parametrize("kind_of_wire", [Wire, EndlessWire])
 @still()
 def test_the_caller_can_end_the_wait_for_answers(kind_of_wire: type[Wire]) -> None:
+    """Both on a quiet bus and on one on which another node sends without end."""
     lockstep = Lockstep(kind_of_wire(node(1)), timeout=1e9, check=stop_waiting)
     lockstep.observe(dict.fromkeys((1, 2), Observation.WHITE))
     with pytest.raises(StopWaitingError):
@@ -308,17 +318,27 @@ def test_a_wait_ends_after_twice_the_time_on_a_bus_that_is_never_quiet() -> None
 THREE_ROBOTS = (1, 2, 3)
 
 
-def wire_that_loses(action: str = "none", lost_telemetry: int = -1) -> LossyWire:
-    """Return a wire that loses all commands of tick 7 to robot 2 with this action, or an answer of all."""
+def is_command(command: Command, action: str, tick: int, robot: int) -> bool:
+    """Return whether a command is for a robot and a tick, and its action has a name that begins so."""
+    return command.tick == tick and command.target == robot and command.action.name.startswith(action)
+
+
+def wire_that_loses_commands(action: str, tick: int, robot: int) -> LossyWire:
+    """Return a wire to three robots that loses such a command each time it is sent."""
 
     def is_lost(command: Command, times_sent: int) -> bool:
-        return command.tick == 7 and command.target == 2 and command.action.name.startswith(action)
+        return is_command(command, action, tick, robot)
 
-    return LossyWire(*map(node, THREE_ROBOTS), is_lost=is_lost, lost_telemetry=lost_telemetry)
+    return LossyWire(*map(node, THREE_ROBOTS), is_lost=is_lost)
 
 
-def drive_10_ticks(wire: Wire, message: str) -> None:
-    """Drive three robots on a wire, and expect an error with this message."""
+def wire_that_loses_eighth_answers() -> LossyWire:
+    """Return a wire to three robots that loses the eighth telemetry of each, which ends tick 7."""
+    return LossyWire(*map(node, THREE_ROBOTS), is_lost=lambda command, times_sent: False, lost_telemetry=8)
+
+
+def drive_until_error(wire: Wire, message: str) -> None:
+    """Drive three robots on a wire for up to 10 ticks, and expect an error with this message."""
     lockstep = Lockstep(wire, timeout=0.02)
     with pytest.raises(LockstepError, match=message):
         for tick in range(10):
@@ -336,60 +356,76 @@ def drive_10_ticks(wire: Wire, message: str) -> None:
 )
 @still()
 def test_a_command_that_is_lost_twice_ends_the_run(action: str, message: str) -> None:
-    wire = wire_that_loses(action)
-    drive_10_ticks(wire, message)
-    lost_commands = [
-        command
-        for command in map(decode, wire.sent)
-        if (command.tick, command.target) == (7, 2) and command.action.name.startswith(action)
-    ]
+    """A command to robot 2 is lost each time: the driver sends it twice, and then names the robot."""
+    wire = wire_that_loses_commands(action, tick=7, robot=2)
 
+    drive_until_error(wire, message)
+
+    lost_commands = [
+        command for command in map(decode, wire.sent) if is_command(command, action, tick=7, robot=2)
+    ]
     assert len(lost_commands) == 2
 
 
 @still()
 def test_the_driver_waits_for_an_answer_instead_of_reading_again_and_again() -> None:
-    wire, start = wire_that_loses("SETTLE"), CLOCK.now
-    drive_10_ticks(wire, "robot 2 did not settle")
+    """The clock stands still but for waits, and the driver waits 0.02 s for an answer."""
+    wire, start = wire_that_loses_commands("SETTLE", tick=7, robot=2), CLOCK.now
+
+    drive_until_error(wire, "robot 2 did not settle")
+
     assert wire.read_count < 1000
     assert 0.02 <= CLOCK.now - start < 0.021
 
 
 @still()
 def test_an_answer_that_is_lost_ends_the_run() -> None:
-    drive_10_ticks(wire_that_loses(lost_telemetry=8), "robot 1, 2, 3 did not settle within")
+    """An answer is not sent again, so the driver cannot know what the robots computed."""
+    drive_until_error(wire_that_loses_eighth_answers(), "robot 1, 2, 3 did not settle within")
 
 
 @still()
 def test_a_repeated_command_does_not_make_a_robot_settle_twice() -> None:
-    wire = wire_that_loses(lost_telemetry=8)
-    drive_10_ticks(wire, "did not settle")
+    """A robot whose answer is lost gets the command to end its tick again, and does not obey."""
+    wire = wire_that_loses_eighth_answers()
+
+    drive_until_error(wire, "did not settle")
+
     for robot in wire.nodes:
-        assert (robot.ticks, robot.sent.telemetry, robot.disobeyed) == (8, 8, 1)
+        assert robot.ticks == 8
+        assert robot.sent.telemetry == 8
+        assert robot.disobeyed == 1
 
 
 @still()
 def test_a_robot_ends_a_tick_that_was_left_open_when_it_observes_again() -> None:
-    """As if every settle had been lost."""
+    """As if the command to end a tick had been lost: in tick 0, and then in tick 1, 7 ticks before the next.
+
+    The robot broadcasts an estimate in every second tick that it takes part in.
+    """
     wire = Wire(node(1, comms_period=2))
     lockstep = Lockstep(wire)
-    for distance in (1, 7):
+
+    for ticks_to_the_next in (1, 7):
         lockstep.observe({1: Observation.WHITE})
-        lockstep.leave_open(distance)
+        lockstep.leave_open(ticks_to_the_next)
     step(lockstep, 1)
-    assert [decode(frame).tick for frame in wire.sent] == [0, 1, 8, 8]
+
+    ticks_of_commands = [decode(frame).tick for frame in wire.sent]
+    assert ticks_of_commands == [0, 1, 8, 8]  # the last one is to end the tick
     assert lockstep.tick == 9
     robot = wire.nodes[0]
+    assert robot.unsettled == 2
+    assert robot.robot.t == 3  # observations
+    assert robot.sent.estimates == 1
 
-    assert (robot.unsettled, robot.robot.t, robot.sent.estimates) == (2, 3, 1)
 
-
-def test_the_id_of_the_simulator_is_no_robot_s() -> None:
+def test_a_robot_with_the_id_of_the_simulator_is_refused() -> None:
     with pytest.raises(UsageError, match="robot 126 has the id of the simulator"):
         Lockstep(Wire()).observe({126: Observation.WHITE})
 
 
-def test_kinds_of_messages_must_have_different_subjects() -> None:
+def test_two_kinds_of_messages_with_the_same_subject_number_are_refused() -> None:
     with pytest.raises(UsageError, match=r"subjects \[3001, 3001, 3002\]; choose three different"):
         Subjects(estimates=FrameFormat(3001))
 
@@ -407,18 +443,25 @@ SETUPS = (
 
 
 @pytest.mark.parametrize("setup", SETUPS)
-def test_the_command_of_a_process_has_all_settings_of_its_robot(setup: RobotSetup) -> None:
+def test_the_command_line_of_a_robot_s_process_has_all_settings_of_the_robot(setup: RobotSetup) -> None:
+    """The command that is started for it is parsed again, and gives the same robot on the same bus."""
     choice = BusChoice("udp_multicast", {"channel": "239.1.1.1"})
     processes_of_nodes = NodeProcesses([setup], lambda robot: choice, SUBJECTS, 3)
+    # python -m mcp_asdf_tools.cli.main node --id ...
     _, _, _, command, *options = processes_of_nodes._commands[setup.id]
     parsed = cli._parser_for(command, cli._load(command)).parse_args(options)
     parsed_setup = replace(robot_of(parsed), allow=parsed.allow and parse_ids(parsed.allow, "--allow"))
 
-    assert (parsed_setup, subjects_of(parsed), parsed.steps_per_second) == (setup, SUBJECTS, 3)
-    assert (parsed.until_eof, parsed.json, str(bus_of(parsed))) == (True, True, str(choice))
+    assert parsed_setup == setup
+    assert subjects_of(parsed) == SUBJECTS
+    assert parsed.steps_per_second == 3
+    assert str(bus_of(parsed)) == str(choice)
+    assert parsed.until_eof  # it ends with this process
+    assert parsed.json
 
 
-def test_a_process_that_ends_is_named_with_its_exit_code_and_its_error() -> None:
+def test_a_robot_s_process_that_ends_is_named_with_its_exit_code_and_its_error() -> None:
+    """It refuses a memory of 63 observations."""
     choice = multicast(2)
     with (
         choice.open() as bus,
@@ -431,10 +474,12 @@ def test_a_process_that_ends_is_named_with_its_exit_code_and_its_error() -> None
     assert nodes.reports == {}
 
 
-def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_robot_s_process_that_does_not_end_is_killed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(processes, "_EXIT_TIMEOUT", 0.1)
     nodes = NodeProcesses([record(3)], lambda robot: BusChoice("udp_multicast", {}), Subjects(), 10)
-    # It prints a report, and then ignores that it is asked to end.
+    # In place of the command of a robot: it prints a report, and then ignores that it is asked to end.
     script = f"trap '' TERM; echo '{{}}'; touch '{tmp_path}/up'; exec sleep 1000"
     nodes._commands = {3: ["sh", "-c", script]}
     with nodes:
@@ -444,28 +489,30 @@ def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch, 
 
 
 def processes_that_run(command: list[str]) -> NodeProcesses:
-    """Return the process of a robot 3 that runs another command."""
+    """Return the process of robot 3, which runs this command in place of the robot's own."""
     nodes = NodeProcesses([record(3)], lambda robot: BusChoice("udp_multicast", {}), Subjects(), 10)
     nodes._commands = {3: command}
     return nodes
 
 
-def test_the_report_of_a_process_that_has_ended_is_kept() -> None:
+def test_the_report_that_a_robot_s_process_prints_is_kept() -> None:
     with processes_that_run(["echo", '{"steps": 1}']) as nodes:
         nodes._processes[3].wait()
+
     assert nodes.reports == {3: {"steps": 1}}
 
 
-def test_ctrl_c_does_not_reach_the_processes() -> None:
+def test_ctrl_c_in_a_terminal_does_not_reach_the_robots_processes() -> None:
+    """It reaches all processes of a session, so they are in another one; this process ends them in order."""
     with processes_that_run(["sleep", "1000"]) as nodes:
         assert os.getsid(nodes._processes[3].pid) != os.getsid(0)
 
 
 @pytest.mark.parametrize(("interface", "processors"), [("socketcan", [{2}]), ("udp_multicast", [])])
-def test_only_processes_on_socketcan_keep_to_one_processor(
+def test_robots_processes_keep_to_one_processor_if_some_are_on_socketcan(
     interface: str, processors: list[set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of several it is the first; the other robot here is on no socketcan in any case."""
+    """It is the first of those that may be used. The second robot is on multicast in either case."""
     calls: list[set[int]] = []
     monkeypatch.setattr("os.sched_getaffinity", lambda process: {3, 2, 4})
     monkeypatch.setattr("os.sched_setaffinity", lambda process, processors: calls.append(processors))

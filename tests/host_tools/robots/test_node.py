@@ -36,13 +36,14 @@ WHITE, BLACK = Observation
 SUBJECTS = FrameFormat(3000), COMMAND_FORMAT
 
 
-def test_the_mask_of_filters_is_that_of_the_page_of_frames() -> None:
+def test_the_specification_states_the_mask_by_which_a_receiver_filters_frames() -> None:
     page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
     mask = filters_for(*SUBJECTS)[0]["can_mask"]
     assert f"mask `0x{mask:08X}`" in page
 
 
-def test_filters_pass_the_frames_that_decoders_accept_and_no_others() -> None:
+def test_a_robot_s_filters_pass_the_frames_that_it_can_decode_and_no_others() -> None:
+    """Of 20,000 identifiers half are drawn at random, and half are one bit away from that of an estimate."""
     draw = random.Random(6)
     passed = 0
     with can.Bus(interface="virtual", channel="filters", ignore_config=True) as bus:
@@ -56,7 +57,7 @@ def test_filters_pass_the_frames_that_decoders_accept_and_no_others() -> None:
             assert bus._matches_filters(frame) == is_accepted, "replay: random.Random(6)"
             passed += is_accepted
 
-    assert passed > 1000
+    assert passed > 1000, "too few of the drawn frames are ones that pass"
 
 
 def frames_of_200_ticks(subject: int) -> list[tuple[int, float]]:
@@ -104,16 +105,16 @@ def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return seconds
 
 
-def test_frames_wait_for_room_in_a_full_queue(pauses: list[float]) -> None:
+def test_a_frame_is_sent_again_until_the_bus_has_room_for_it(pauses: list[float]) -> None:
+    """The queue of the bus is full for two attempts at each frame."""
     frames, bus = [can.Message(arbitration_id=identifier) for identifier in range(50)], Mock()
     bus.send.side_effect = cycle(outcomes(FULL, FULL, 0))
     send_all(bus, frames, 10)
 
-    # Each frame is tried three times, with a pause after the first and the second attempt.
-    assert [sending.args[0] for sending in bus.send.call_args_list] == [
-        frame for frame in frames for _ in range(3)
-    ]
-    assert len(pauses) == 100
+    # Each of 50 frames is tried three times, with a pause after the first and the second attempt.
+    tried_frames = [sending.args[0] for sending in bus.send.call_args_list]
+    assert tried_frames == [frame for frame in frames for _ in range(3)]
+    assert len(pauses) == 50 * 2
 
 
 def test_frames_do_not_wait_for_a_bus_that_is_down(pauses: list[float]) -> None:
@@ -130,7 +131,7 @@ def test_frames_do_not_wait_longer_than_the_timeout(pauses: list[float]) -> None
         send_all(bus, [FRAME], 0)
 
 
-def test_a_link_that_endures_counts_what_could_not_be_sent() -> None:
+def test_a_link_that_survives_failures_counts_the_frames_that_it_could_not_send() -> None:
     bus = Mock()
     bus.send.side_effect = outcomes(0, DOWN, DOWN, 0)
     link = BusLink(bus, endures=True)
@@ -139,7 +140,8 @@ def test_a_link_that_endures_counts_what_could_not_be_sent() -> None:
     assert link.failures == 2
 
 
-def test_a_link_that_endures_pauses_when_it_cannot_receive(pauses: list[float]) -> None:
+def test_a_link_that_survives_failures_pauses_when_it_cannot_receive(pauses: list[float]) -> None:
+    """Or it would ask a bus that is down without end."""
     bus = Mock()
     bus.recv.side_effect = outcomes(DOWN)
     link = BusLink(bus, endures=True)
@@ -149,13 +151,15 @@ def test_a_link_that_endures_pauses_when_it_cannot_receive(pauses: list[float]) 
 
 
 def test_a_link_waits_at_most_a_tenth_of_a_second_for_a_frame() -> None:
+    """So a signal to end is noticed soon, also if the caller would wait for 9 s."""
     bus = Mock(recv=Mock(return_value=None))
     for seconds in (9, 0):
         BusLink(bus).receive(seconds)
     assert bus.recv.call_args_list == [call(0.1), call(0)]
 
 
-def test_a_link_does_not_receive_what_the_driver_marks_as_sent() -> None:
+def test_a_link_does_not_receive_its_own_frames() -> None:
+    """A driver that returns them marks them as sent."""
     sent_frame, received_frame = can.Message(is_rx=False), can.Message(is_rx=True)
     bus = Mock(recv=Mock(side_effect=[sent_frame, received_frame]))
     link = BusLink(bus)
@@ -240,7 +244,10 @@ def run_robot_5(*options: str) -> RobotNode:
     return model
 
 
-def test_a_driven_node_reports_the_state_of_its_model(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_robot_driven_by_commands_ends_in_the_state_of_its_model(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The model is the same robot in this process, computed in Python."""
     model = run_robot_5()
     reported_state = json.loads(capsys.readouterr().out)["results"]["robot"]["raw"]
     assert isinstance(model.robot, FixedPointRobot)
@@ -250,14 +257,16 @@ def test_a_driven_node_reports_the_state_of_its_model(capsys: pytest.CaptureFixt
 def test_a_driven_node_reports_the_frames_that_it_sent_and_received(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """In 40 ticks, and three estimates and three short frames of another node under its id."""
     run_robot_5()
+
     assert json.loads(capsys.readouterr().out)["results"]["frames"] == {
-        "estimates_sent": 20,
-        "heartbeats_sent": 4,
+        "estimates_sent": 40 // 2,
+        "heartbeats_sent": 40 // 10,
         "telemetry_sent": 40,
         "delivered": 3,
         "refused": 3,
-        "obeyed": 80,
+        "obeyed": 40 * 2,  # to observe, and to end the tick
         "disobeyed": 0,
         "unsettled": 0,
         "rejected": {"LENGTH": 3},
@@ -271,8 +280,10 @@ def test_a_driven_node_reports_its_setup_and_why_it_ended(capsys: pytest.Capture
     report = json.loads(capsys.readouterr().out)
 
     assert report["parameters"]["robot"] == record(5, "native", 0.7, comms_period=2).plain()
-    assert (report["results"]["ending"], report["results"]["steps"]) == ("all ticks done", 40)
-    assert report["results"]["robot"]["counters"]["rejected"] == 3
+    assert report["results"]["ending"] == "all ticks done"
+    assert report["results"]["steps"] == 40
+    estimates_under_its_own_id = 3
+    assert report["results"]["robot"]["counters"]["rejected"] == estimates_under_its_own_id
 
 
 def test_a_node_warns_once_of_another_with_its_id(capsys: pytest.CaptureFixture[str]) -> None:
@@ -344,6 +355,7 @@ def run_among_suspicious_neighbours(capsys: pytest.CaptureFixture[str]) -> tuple
 
 
 def test_a_node_counts_suspicious_estimates_by_kind_and_sender(capsys: pytest.CaptureFixture[str]) -> None:
+    """Suspicious are the robot's own id, ids that are not allowed, and a confidence alpha that jumps."""
     report, _ = run_among_suspicious_neighbours(capsys)
     events = report["results"]["frames"]["events"]
     assert {(event["event"], event["sender"]): event["estimates"] for event in events} == SUSPICIONS
@@ -361,14 +373,16 @@ def test_a_node_warns_once_of_each_kind_of_suspicious_estimates_and_each_sender(
 
 
 def test_a_node_drops_the_estimates_of_ids_that_are_not_allowed(capsys: pytest.CaptureFixture[str]) -> None:
-    """Those under its own id reach the firmware, which refuses them."""
+    """Those of its own id, one in each of 70 ticks, reach the firmware, which refuses them."""
     report, _ = run_among_suspicious_neighbours(capsys)
+
     estimates_of_allowed = sum(map(len, ALPHA_BITS_BY_SENDER.values()))
     assert report["results"]["frames"]["delivered"] == 70 + estimates_of_allowed
     assert report["results"]["robot"]["counters"]["accepted"] == estimates_of_allowed
 
 
 def test_a_node_reports_the_allowed_ids_as_ranges(capsys: pytest.CaptureFixture[str]) -> None:
+    """They were given as 6+7-9."""
     report, _ = run_among_suspicious_neighbours(capsys)
     assert report["parameters"]["robot"]["allow"] == "6-9"
 
