@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import signal
 from typing import Any, cast
 
 import pytest
@@ -17,7 +18,7 @@ from mcp_asdf_tools.cli import main as cli
 from mcp_asdf_tools.crosscheck import oracle
 from mcp_asdf_tools.crosscheck.compare import Firmware
 from mcp_asdf_tools.crosscheck.operation_count import AXES, Counts
-from mcp_asdf_tools.crosscheck.scenario import parse_scenario
+from mcp_asdf_tools.crosscheck.scenario import Scenario, parse_scenario
 
 COUNTS: Counts = {
     "x": {axis: {1: 58, 2: 58} for axis in AXES},
@@ -131,6 +132,7 @@ def test_a_claim_about_time_or_memory_that_does_not_hold_fails_the_check(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """In place of what is measured there are counts that grow with observations t, messages m or table q."""
     monkeypatch.setattr("mcp_asdf_tools.crosscheck.operation_count.count_operations", lambda: operations)
     monkeypatch.setattr("mcp_asdf_tools.crosscheck.operation_count.measure_storage", lambda: storage)
     code, output, _ = main(capsys, "--steps", "1", "--seed", "0", "--json")
@@ -154,32 +156,47 @@ def test_an_interrupted_check_reports_what_was_done(
 ) -> None:
     use_mirror(monkeypatch, InterruptedRobot)
     code, output, _ = main(capsys, "--steps", "100000")
-    assert code == 130
+    assert code == 128 + signal.SIGINT
     assert re.search(r"compared: \d{1,3} in \d+ scenarios, seed 1, interrupted\n", output)
 
 
 # --- A failure and its replay ----------------------------------------------------------------------------
 
 
+def failing_scenario(output: str) -> Scenario:
+    """Return the scenario that the last line of the command's output replays."""
+    *command, scenario = shlex.split(output.splitlines()[-1])
+    assert command == ["replay:", "mcp-asdf", "crosscheck", "--replay"]
+    return parse_scenario(scenario)
+
+
 def test_a_failure_is_shown_by_the_fewest_calls_and_a_line_that_replays_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """A robot that rounds wrongly is to be shown by three calls, of some of the 30,000 made."""
     use_mirror(monkeypatch, mirror_with(FAULTS["halving: ties to even"]))
-    code, output, _ = main(capsys, "--steps", "30000")
-    last_line = output.splitlines()[-1]
-    assert code == 1
-    assert last_line.startswith("replay: mcp-asdf crosscheck --replay ")
-    _, _, _, *replay = shlex.split(last_line)
-    assert [call.name for call in parse_scenario(replay[1]).calls] == ["restore", "observe", "observe"]
 
-    code, replay_output, _ = main(capsys, *replay)
+    code, output, _ = main(capsys, "--steps", "30000")
+
+    assert code == 1
+    assert [call.name for call in failing_scenario(output).calls] == ["restore", "observe", "observe"]
+
+
+def test_the_line_that_replays_a_failure_shows_the_failure_again(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    use_mirror(monkeypatch, mirror_with(FAULTS["halving: ties to even"]))
+    _, output, _ = main(capsys, "--steps", "30000")
+    scenario = failing_scenario(output)
+
+    code, replay_output, _ = main(capsys, "--replay", str(scenario))
+
     assert code == 1
     assert output.endswith(replay_output)
-
-    failure = json_report(capsys, *replay)["failure"]
-    assert failure["replay"] == replay[1]
-    assert failure["calls"] == [str(call) for call in parse_scenario(replay[1]).calls]
-    assert failure["problems"][0].startswith("n: ")
+    failure = json_report(capsys, "--replay", str(scenario))["failure"]
+    assert failure["replay"] == str(scenario)
+    assert failure["calls"] == [str(call) for call in scenario.calls]
+    assert failure["problems"][0].startswith("n: ")  # the number of black tiles
 
 
 def test_a_replay_without_a_difference_says_so(capsys: pytest.CaptureFixture[str]) -> None:
@@ -205,7 +222,9 @@ def test_a_replay_with_a_difference_counts_the_calls_up_to_it(
 ) -> None:
     use_mirror(monkeypatch, cast(Firmware, BrokenRobot))
     report = json_report(capsys, "--replay", f"{ROBOT},observe:1,settle,observe:9")
-    assert (report["ok"], report["status"], report["calls"]) == (False, "OK", 2)
+    assert not report["ok"]
+    assert report["status"] == "OK"
+    assert report["calls"] == 2  # the robot fails in the second, settle
 
 
 # --- Bad usage -------------------------------------------------------------------------------------------

@@ -24,11 +24,15 @@ from mcp_asdf_tools.crosscheck.scenario import Call, Scenario, parse_scenario
 
 
 # design: R12, R21, R24, R33
-def test_native_and_mirror_agree_and_keep_all_bounds() -> None:
+def test_the_c_and_the_python_robot_agree_in_every_bit_and_with_exact_arithmetic() -> None:
+    """NativeRobot calls the C; MirrorRobot computes the same in Python.
+
+    Scenarios are drawn with a fixed seed.
+    """
     assert find_failure(NativeRobot, MirrorRobot, max_calls=10_000) is None
 
 
-def test_native_and_mirror_agree_next_to_the_threshold_of_the_robust_filter() -> None:
+def test_the_c_and_the_python_robot_agree_next_to_the_threshold_of_the_robust_filter() -> None:
     for index in range(40):
         scenario = robust_scenario(23, index)
         assert compare_firmwares(scenario, MirrorRobot, NativeRobot) is None, str(scenario)
@@ -65,7 +69,7 @@ class RobotWithAWrongField(MirrorRobot):
         (NativeRobot, RobotThatRefusesEveryId, 0, "status: OK, ERR_ID"),
     ],
 )
-def test_a_difference_or_an_exception_ends_the_scenario(
+def test_a_difference_or_an_exception_is_reported_with_the_calls_up_to_it(
     first: Firmware, second: Firmware, call_count: int, problem: str
 ) -> None:
     scenario = parse_scenario(f"{ROBOT},observe:1,settle,settle")
@@ -73,9 +77,10 @@ def test_a_difference_or_an_exception_ends_the_scenario(
     assert compare_firmwares(scenario, first, second) == expected
 
 
-def test_differences_name_fields_results_and_words_of_the_image() -> None:
+def test_differences_name_fields_results_and_words_of_the_saved_robot() -> None:
     setup = parse_scenario(ROBOT).setup
     first, second = RobotUnderTest(MirrorRobot, setup), RobotUnderTest(MirrorRobot, setup)
+    # Restore the second robot with word 2 of its saved state, the count t, as 5, and bit 16 of word 29 set.
     second.apply(Call("restore", (2, 5, 29, 1 << 16)))
     *lines, checksum_line = differences(first.last_result, second.last_result)
 
@@ -94,7 +99,10 @@ def test_differences_name_fields_results_and_words_of_the_image() -> None:
 def test_shrinking_leaves_exactly_the_calls_and_words_that_the_failure_needs(
     extra_words: list[int], needed: set[int]
 ) -> None:
-    """The check fails once the calls of some numbers were made; two words of each are not needed."""
+    """So a report is short. The check fails once the calls of the ``needed`` numbers were made.
+
+    Each call writes its number into word 1, and other values into words 2 and 3, which are not needed.
+    """
     assume(max(needed) < len(extra_words))
     calls = tuple(Call("restore", (1, number, 2, word, 3, word)) for number, word in enumerate(extra_words))
 
@@ -122,13 +130,16 @@ def test_a_run_counts_the_calls_up_to_the_failure(failing_call: int) -> None:
 
     result = run_crosscheck(check_scenario, SEED, 5000, lambda calls: None)
     assert result.failure is not None
-    assert (result.calls, result.scenarios) == (sum(calls_made) + failing_call, len(calls_made) + 1)
+    assert result.calls == sum(calls_made) + failing_call
+    assert result.scenarios == len(calls_made) + 1
 
 
 def test_a_run_ends_after_exactly_the_calls_asked_for() -> None:
     reported_calls: list[int] = []
     result = run_crosscheck(lambda scenario: None, SEED, 1234, reported_calls.append)
-    assert (result.calls, result.failure, result.interrupted) == (1234, None, False)
+    assert result.calls == 1234
+    assert result.failure is None
+    assert not result.interrupted
     assert sum(reported_calls) == 1234
 
 

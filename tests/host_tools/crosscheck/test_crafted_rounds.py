@@ -81,9 +81,10 @@ def x_hats_of(estimates: Sequence[NeighbourEstimate]) -> list[int]:
 @for_every_omega
 @given(own_x_hat=x_hats_of_robots, m=sizes_of_rounds, seed=seeds)
 @settings(max_examples=15, deadline=None)
-def test_the_test_passes_the_inner_round_and_rejects_the_outer_one(
+def test_estimates_just_inside_the_filter_s_threshold_pass_and_those_just_outside_are_rejected(
     omega: str, own_x_hat: int, m: int, seed: int
 ) -> None:
+    """The cross-check sends messages so near the threshold that a robot with a wrong one shows."""
     robot = robot_with_test(own_x_hat, omega)
     rounds = draw_rounds_at_threshold(robot, m, Update.ABOVE, Random(seed))
     k = threshold_of(omega, m)
@@ -96,7 +97,7 @@ def test_the_test_passes_the_inner_round_and_rejects_the_outer_one(
 @for_every_omega
 @given(own_x_hat=x_hats_of_robots, m=sizes_of_rounds, seed=seeds)
 @settings(max_examples=5, deadline=None)
-def test_rounds_at_the_threshold_show_a_threshold_that_is_wrong_by_a_millionth(
+def test_estimates_at_the_threshold_show_a_threshold_that_is_wrong_by_a_millionth(
     omega: str, own_x_hat: int, m: int, seed: int
 ) -> None:
     robot = robot_with_test(own_x_hat, omega)
@@ -110,7 +111,7 @@ def test_rounds_at_the_threshold_show_a_threshold_that_is_wrong_by_a_millionth(
 
 # design: R24
 @for_every_omega
-def test_most_rounds_at_the_threshold_are_decided_by_its_last_bits(omega: str) -> None:
+def test_most_drawn_estimates_are_decided_by_the_last_bits_of_the_threshold(omega: str) -> None:
     """Of 200 drawn thresholds, more than 100 are decided differently if changed by a part in 2**24."""
     rng = Random(5)
     decided_by_last_bits: Counter[str] = Counter(inside=0, outside=0)
@@ -131,7 +132,7 @@ def test_most_rounds_at_the_threshold_are_decided_by_its_last_bits(omega: str) -
 
 
 @given(own_x_hat=x_hats_of_robots, m=st.integers(2, 127), seed=seeds)
-def test_rounds_at_the_threshold_stay_between_0_and_1(own_x_hat: int, m: int, seed: int) -> None:
+def test_drawn_estimates_are_fill_ratios_between_0_and_1(own_x_hat: int, m: int, seed: int) -> None:
     x_hats = draw_x_hats_at_threshold(own_x_hat, TABLE.entry(m), m, Random(seed), gap_share=1)
     assume(x_hats is not None)
     assert x_hats is not None
@@ -141,7 +142,7 @@ def test_rounds_at_the_threshold_stay_between_0_and_1(own_x_hat: int, m: int, se
     assert 0 <= min(outside) <= max(outside) <= ONE
 
 
-def test_there_are_no_rounds_at_the_threshold_for_a_gap_of_less_than_a_unit() -> None:
+def test_no_estimates_are_drawn_if_they_would_differ_by_less_than_a_unit() -> None:
     assert draw_x_hats_at_threshold(HALF, TABLE.entry(5), 5, Random(1), gap_share=2**-30) is None
 
 
@@ -157,7 +158,8 @@ def test_fractions_around_a_value_are_the_nearest_on_either_side(
     assert fractions_around(value, max_denominator) == (max(fractions_below), min(fractions_above))
 
 
-def test_a_round_at_the_threshold_with_any_update_serves_if_the_preferred_one_is_impossible() -> None:
+def test_estimates_that_lead_to_another_update_serve_if_the_preferred_one_is_impossible() -> None:
+    """Update.HALF, a new b_hat of 1/2, is preferred, which no three estimates at the threshold lead to."""
     robot = robot_with_test(ONE // 3)
     rounds = draw_rounds_at_threshold(robot, 3, Update.HALF, Random(1))
     assert robot.update_after(rounds.outside) not in (None, Update.HALF)
@@ -169,7 +171,7 @@ def test_a_round_at_the_threshold_with_any_update_serves_if_the_preferred_one_is
 @for_every_omega
 @given(own_x_hat=x_hats_of_robots)
 @settings(max_examples=25, deadline=None)
-def test_a_round_of_large_scatter_passes(omega: str, own_x_hat: int) -> None:
+def test_widely_scattered_estimates_pass_the_test(omega: str, own_x_hat: int) -> None:
     estimates = draw_round_of_large_scatter(robot_with_test(own_x_hat, omega), Random(1))
     assert not is_rejected(x_hats_of(estimates), own_x_hat, threshold_of(omega, LARGEST_ROUND))
 
@@ -177,8 +179,10 @@ def test_a_round_of_large_scatter_passes(omega: str, own_x_hat: int) -> None:
 @for_every_omega
 @given(own_x_hat=x_hats_of_robots)
 @settings(max_examples=25, deadline=None)
-def test_a_round_of_large_scatter_would_be_rejected_by_a_sum_of_56_bits(omega: str, own_x_hat: int) -> None:
-    """The test in whole numbers: it rejects if (sum - m x_hat)^2 is above k times the scatter."""
+def test_widely_scattered_estimates_would_be_rejected_by_firmware_with_a_sum_of_56_bits(
+    omega: str, own_x_hat: int
+) -> None:
+    """So they show such a mistake. The test rejects if (sum - m x_hat)^2 is above k times the scatter."""
     x_hats = x_hats_of(draw_round_of_large_scatter(robot_with_test(own_x_hat, omega), Random(1)))
     difference_squared = (sum(x_hats) - LARGEST_ROUND * own_x_hat) ** 2
     scatter_in_56_bits = scatter_of(x_hats) % 2**56
@@ -187,15 +191,15 @@ def test_a_round_of_large_scatter_would_be_rejected_by_a_sum_of_56_bits(omega: s
 
 @given(own_x_hat=x_hats_of_robots)
 @settings(deadline=None)
-def test_a_round_whose_mean_is_far_from_the_robot_s_x_hat_is_rejected(own_x_hat: int) -> None:
+def test_estimates_far_from_the_robot_s_own_are_rejected(own_x_hat: int) -> None:
     x_hats = x_hats_of(draw_round_of_distant_sum(robot_with_test(own_x_hat), Random(1)))
     assert is_rejected(x_hats, own_x_hat, threshold_of("0.05", LARGEST_ROUND))
 
 
 @given(own_x_hat=x_hats_of_robots)
 @settings(deadline=None)
-def test_the_squared_difference_of_such_a_round_is_0_in_54_bits(own_x_hat: int) -> None:
-    """So firmware that kept only 54 bits of the square would not reject the round."""
+def test_estimates_far_from_the_robot_s_own_would_pass_in_firmware_with_54_bits(own_x_hat: int) -> None:
+    """So they show such a mistake: the lowest 54 bits of the squared difference are 0, as if all agreed."""
     x_hats = x_hats_of(draw_round_of_distant_sum(robot_with_test(own_x_hat), Random(1)))
     difference = sum(x_hats) - LARGEST_ROUND * own_x_hat
     assert difference**2 % 2**54 == 0
@@ -224,6 +228,7 @@ def test_an_update_is_classified_by_its_distance_from_one_half(distance: int, up
 
 
 def test_an_update_without_a_new_b_hat_keeps_it() -> None:
+    """An update is what becomes of b_hat, the accuracy that a robot assumes of its sensor."""
     assert classify_update(None) is Update.KEPT
 
 
@@ -234,18 +239,19 @@ NEAR_A_QUARTER = [
 ]
 
 
-def test_a_round_that_the_test_does_not_reject_makes_no_update() -> None:
+def test_estimates_near_the_robot_s_own_do_not_change_its_assumed_accuracy() -> None:
+    """Three estimates of about 1/4 agree with the robot's own, 1/4, so the test does not reject."""
     robot = RobotState(t=100, n=60, x_hat=ONE // 4, table=TABLE)
     assert robot.update_after(NEAR_A_QUARTER) is None
 
 
-def test_a_single_estimate_makes_no_update_of_a_robot_with_a_test() -> None:
+def test_a_single_estimate_is_too_few_for_a_test() -> None:
     robot = RobotState(t=100, n=60, x_hat=ONE // 4, table=TABLE)
     assert robot.update_after(NEAR_A_QUARTER[:1]) is None
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_any_estimates_make_an_update_of_a_robot_without_a_test(count: int) -> None:
+def test_a_robot_without_a_test_changes_its_assumed_accuracy_by_any_estimates(count: int) -> None:
     robot = RobotState(t=100, n=60, x_hat=ONE // 4, table=None)
     assert robot.update_after(NEAR_A_QUARTER[:count]) is Update.BELOW
 
@@ -257,15 +263,19 @@ def test_any_estimates_make_an_update_of_a_robot_without_a_test(count: int) -> N
     seed=st.integers(0, 2**32),
 )
 @settings(deadline=None)
-def test_a_round_for_an_update_leads_to_it_by_eq_8(
+def test_estimates_drawn_for_a_new_b_hat_above_or_below_a_half_or_at_an_end_lead_to_it(
     black_share: float, x_hat: int, update: Update, seed: int
 ) -> None:
+    """The new accuracy b_hat follows from the paper's equation 8, computed exactly.
+
+    It explains the share n / t of black observations if the fill ratio is x_bar, the mean of the estimates.
+    """
     t = 997
     n = round(black_share * t)
     estimates = draw_round_for_update(RobotState(t, n, x_hat, TABLE), update, Random(seed))
     assert estimates is not None
     x_bar = exact_x_bar(estimates)
-    b_hat = (Fraction(n, t) + x_bar - 1) / (2 * x_bar - 1)  # eq. 8
+    b_hat = (Fraction(n, t) + x_bar - 1) / (2 * x_bar - 1)
     is_update_reached = {
         Update.ABOVE: Fraction(1, 2) < b_hat < 1,
         Update.BELOW: 0 < b_hat < Fraction(1, 2),
@@ -276,7 +286,8 @@ def test_a_round_for_an_update_leads_to_it_by_eq_8(
     assert is_update_reached[update]
 
 
-def test_a_round_that_keeps_b_hat_has_a_mean_of_one_half() -> None:
+def test_estimates_drawn_to_keep_b_hat_have_a_mean_of_one_half() -> None:
+    """Of a floor that is half black any sensor sees half black, so nothing follows for its accuracy."""
     robot = RobotState(t=997, n=600, x_hat=ONE // 4, table=TABLE)
     estimates = draw_round_for_update(robot, Update.KEPT, Random(1))
     assert estimates is not None

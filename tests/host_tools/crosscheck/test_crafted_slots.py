@@ -115,6 +115,7 @@ def test_there_is_no_pair_if_all_estimates_contradict_the_robot() -> None:
 
 
 def test_a_draw_does_not_change_the_robot() -> None:
+    """For which estimates are drawn; the cross-check goes on with it."""
     robot = robot_that_observed(black=300, white=200)
     state_before = robot.state()
     draw_pair(robot, count=5, width=4, seed=1)
@@ -188,12 +189,13 @@ def test_the_filter_at_the_test_has_the_dispersion_of_the_robot_after_it() -> No
 
 
 def test_asking_for_the_filter_at_the_test_does_not_end_the_robot_s_batch() -> None:
+    """A batch is the observations between two tests; its counts stand in the robot."""
     robot = robot_that_observed(black=50, white=50)
     filter_at_test(robot.s)
     assert robot.s.robust.batch_t == 0
 
 
-def test_a_test_decides_by_the_centre_and_the_spread_of_the_estimates() -> None:
+def test_another_test_gets_counts_centre_and_spread_of_the_estimates() -> None:
     slots = SlotsAtTest((16384,) * 3 + (32768,) * 2, RobustFilter(), t=500, n=300)
     arguments: list[tuple[int, ...]] = []
 

@@ -38,10 +38,13 @@ def test_instructions_of_a_loop_are_counted() -> None:
 
 
 def test_a_call_without_end_is_cut_short() -> None:
+    """After 20,000 instructions, more than any call of a robot may take."""
     assert count_instructions(partial(loop, 10**9)) == 20_001
 
 
-def test_a_debugger_is_back_after_counting() -> None:
+def test_counting_gives_a_debugger_its_place_back() -> None:
+    """Instructions are counted by a trace function, of which Python has one, and debuggers use it, too."""
+
     def debugger(frame: object, event: str, argument: object) -> None:
         return None
 
@@ -65,6 +68,7 @@ def collector_switched_back() -> Iterator[None]:
 def test_the_garbage_collector_is_off_while_counting_and_then_as_before(
     switch: Callable[[], None], is_on: bool
 ) -> None:
+    """Its instructions would be counted as the robot's."""
     was_on: list[bool] = []
     switch()
     count_instructions(lambda: was_on.append(gc.isenabled()))
@@ -80,6 +84,7 @@ def workloads_at(axis: str, value: int) -> list[Workload]:
 
 
 def test_workloads_at_a_t_are_of_all_kinds_of_accuracies_and_counts() -> None:
+    """A workload is a robot whose calls are counted, here after 64 observations, of which n are black."""
     least, half, usual, most = 2**12, 2**31, 4080218931, 2**32 - 2**12
     expected = [
         Workload(t=64, n=n, b_hat=b_hat, robust=robust)
@@ -119,12 +124,19 @@ def test_workloads_at_a_q_use_the_first_and_the_last_entries(q: int, m_values: l
 
 
 def test_a_workload_is_a_robot_in_the_last_round_before_its_filter_runs() -> None:
+    """So the next call is the most expensive one. A round is the time between two broadcasts."""
     robot = Workload(t=1000, n=400, m=3, q=30).make_robot(MirrorRobot)
     s = robot.s
 
-    assert (robot.id, robot.config.filter_period, s.filter_left) == (127, 1, 1)
-    assert (s.t, s.n, s.x_hat, s.alpha, s.accuracy.b_hat) == (999, 400, 2**23, 0x80000001, 3 << 30)
-    assert (s.open.count, s.open.x) == (3, 3 * (2**23 // 3) + 3000)
+    assert robot.id == 127
+    assert robot.config.filter_period == s.filter_left == 1
+    assert s.t == 1000 - 1
+    assert s.n == 400
+    assert s.x_hat == 2**23  # 1.0
+    assert s.alpha == 0x80000001  # 1.0, as a mantissa and a shift
+    assert s.accuracy.b_hat == 3 << 30  # 3/4 in units of 2**-32
+    assert s.open.count == 3
+    assert s.open.x == 3 * (2**23 // 3) + (0 + 1000 + 2000)
     assert s.closed.alpha == s.open.alpha > 0 and s.closed.alpha_x > 0
     assert robot.config.table is not None and robot.config.table.q == 30
 
@@ -167,13 +179,16 @@ def operations() -> Counts:
 
 # design: R34
 @pytest.mark.slow
-def test_no_call_of_the_mirror_grows(operations: Counts) -> None:
+def test_no_call_of_a_robot_takes_longer_with_more_observations_messages_or_neighbours(
+    operations: Counts,
+) -> None:
     assert find_growth(operations) == []
     assert operations.keys() == CALLS.keys() | {f"{name}, robust" for name in CALLS}
 
 
 @pytest.mark.slow
 def test_calls_are_counted_over_the_ranges_of_t_m_and_q(operations: Counts) -> None:
+    """Observations t, messages m of a tick, and entries q of the table, which the robust filter has not."""
     for name, count_by_axis in operations.items():
         assert {1, 2, 2**31 - 1, 2**31} <= count_by_axis["t"].keys()
         assert count_by_axis["m"].keys() == set(range(128))
@@ -196,6 +211,7 @@ def test_calls_take_few_instructions(operations: Counts, name: str, limit: int) 
 
 @pytest.mark.slow
 def test_both_outcomes_of_the_test_and_an_update_are_counted(operations: Counts) -> None:
+    """Once there are messages enough for a test, ``settle``, which makes it, takes longer, but no more."""
     count_by_m = {name: count_by_axis["m"] for name, count_by_axis in operations.items()}
     settle = count_by_m["settle"]
     assert settle[0] < settle[2] == settle[127]

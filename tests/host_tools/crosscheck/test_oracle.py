@@ -28,7 +28,8 @@ LIMIT = Fraction(INFORMATIVE_G)
 # --- Bounds ----------------------------------------------------------------------------------------------
 
 
-def test_alpha_is_the_fisher_information_of_the_observations() -> None:
+def test_the_exact_confidence_alpha_is_the_fisher_information_of_the_observations() -> None:
+    """t (2b - 1)^2 / (h (1 - h)), h = n/t = 1/2 the share of black: 2 / 4 / (1/4) = 2."""
     assert exact_alpha(n=1, t=2, b=Fraction(3, 4)) == 2
 
 
@@ -36,7 +37,7 @@ def test_the_firmware_s_largest_alpha_limits_the_exact_one() -> None:
     assert exact_alpha(n=2**11, t=2**31, b=1 - Fraction(1, 2**20)) == 2**31 - 2**7
 
 
-def test_x_hat_is_exact_without_information() -> None:
+def test_an_estimate_from_a_sensor_that_guesses_is_exactly_one_half() -> None:
     assert x_hat_bounds(3, 7, HALF) == (HALF, HALF)
 
 
@@ -69,6 +70,7 @@ ACCURACY_CASES = [
 
 @pytest.mark.parametrize("case", ACCURACY_CASES)
 def test_bounds_of_x_hat_are_those_of_the_design(case: AccuracyCase) -> None:
+    """x_hat is a robot's estimate of the fill ratio, which its integers must compute within these bounds."""
     lower, upper = x_hat_bounds(case.n, 10**6, case.b)
     lowest, highest = case.x_hat
     assert lower * 2**23 == lowest
@@ -77,6 +79,7 @@ def test_bounds_of_x_hat_are_those_of_the_design(case: AccuracyCase) -> None:
 
 @pytest.mark.parametrize("case", ACCURACY_CASES)
 def test_errors_of_alpha_are_those_of_the_design(case: AccuracyCase) -> None:
+    """alpha is a robot's confidence in its estimate."""
     too_small, too_large = alpha_error(case.n, 10**6, case.b)
     assert too_small * 2**28 == pytest.approx(case.too_small, abs=1e-3)
     assert too_large * 2**31 == pytest.approx(case.too_large, abs=1e-3)
@@ -170,6 +173,7 @@ def settle_with_messages(mode: Filter, message_count: int, audit: Audit) -> Chec
     ("mode", "message_count"), [(Filter.OFF, 2), (Filter.ALWAYS, 0), (Filter.ADAPTIVE, 1)]
 )
 def test_an_update_without_cause_is_reported(mode: Filter, message_count: int) -> None:
+    """The filter is off, has no message, or has too few for a test; the call says that b_hat has changed."""
     audit = Audit()
     step = settle_with_messages(mode, message_count, audit)
     wrong = replace(step.after, outcome="UPDATED")
@@ -180,6 +184,7 @@ def test_an_update_without_cause_is_reported(mode: Filter, message_count: int) -
 
 @pytest.mark.parametrize(("mode", "message_count", "tests"), [(Filter.ALWAYS, 1, 0), (Filter.ADAPTIVE, 2, 2)])
 def test_a_missing_update_is_reported(mode: Filter, message_count: int, tests: int) -> None:
+    """Messages contradict the robot, or it needs no test; the call says that b_hat has not changed."""
     audit = Audit()
     step = settle_with_messages(mode, message_count, audit)
     wrong = replace(step.after, outcome="OK")
@@ -191,6 +196,7 @@ def test_a_missing_update_is_reported(mode: Filter, message_count: int, tests: i
 
 
 def test_an_update_before_the_filter_period_has_passed_is_reported() -> None:
+    """There are two rounds left until the filter runs, in place of one."""
     audit = Audit()
     step = settle_with_messages(Filter.ALWAYS, 1, audit)
     too_early = with_value(step.before, "filter_left", 2)
@@ -211,6 +217,7 @@ def test_nothing_is_expected_of_a_call_with_an_error() -> None:
 
 
 def test_errors_keep_the_largest() -> None:
+    """The one against exact numbers and the one against floats, each without its sign."""
     errors = Errors()
     errors.add(Fraction(-3, 4), 0.25)
     errors.add(Fraction(1, 4), -0.5)
@@ -221,6 +228,7 @@ def test_errors_keep_the_largest() -> None:
     ("value", "region_index"), [(0, 0), (2**-12, 1), (-0.02, 2), (0.2, 3), (0.9, 4), (0.999, 5), (1, 5)]
 )
 def test_regions_cover_the_whole_range(value: float, region_index: int) -> None:
+    """Errors are reported by how large the value is, without its sign."""
     _, name = REGIONS[region_index]
     assert region_of(Fraction(value)) == name
 

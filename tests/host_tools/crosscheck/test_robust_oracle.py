@@ -34,7 +34,8 @@ INDEPENDENT = Fraction(1)
 @pytest.mark.parametrize(
     ("x_hat", "estimate"), [(0, 0), (63, 0), (64, 1), (191, 1), (192, 2), (ONE - 65, 65535), (ONE, 65535)]
 )
-def test_a_slot_holds_the_nearest_estimate_that_has_16_bits(x_hat: int, estimate: int) -> None:
+def test_a_robot_remembers_the_nearest_estimate_that_has_16_bits(x_hat: int, estimate: int) -> None:
+    """A neighbour sends x_hat in units of 2**-23, and 16 bits have units of 2**-16."""
     assert slot_estimate(Fraction(x_hat, ONE)) == Fraction(estimate, 2**16)
 
 
@@ -70,8 +71,13 @@ def test_changes_of_less_than_a_unit_are_rounded_away() -> None:
         (500, 1216),  # an outlier, which counts 12 * 2
     ],
 )
-def test_the_dispersion_has_one_right_value_or_two(batch_black_count: int, dispersion: int) -> None:
-    """The batch is of 500 observations, and half of all 1000 are black; units are 2**-8."""
+def test_the_running_dispersion_of_observations_has_one_right_value_or_two(
+    batch_black_count: int, dispersion: int
+) -> None:
+    """Dispersion is how much more observations vary than independent ones; it is 2 before this batch.
+
+    The batch is of 500 observations, and half of all 1000 are black; units are 2**-8.
+    """
     smallest, largest = dispersion_bounds(Observations(500, 1000, Fraction(2)), batch_black_count, 500)
     assert smallest * 256 <= dispersion <= largest * 256
     assert largest - smallest <= Fraction(1, 256)
@@ -98,7 +104,9 @@ def test_the_centre_of_estimates_falls_one_unit_short_of_a_whole_number() -> Non
 
 
 @pytest.mark.parametrize(("n", "outcome"), [(554_100, False), (554_154, None), (554_200, True)])
-def test_the_robust_test_is_left_undecided_next_to_equality(n: int, outcome: bool | None) -> None:
+def test_a_decision_of_the_robust_test_that_hangs_on_rounding_is_left_open(
+    n: int, outcome: bool | None
+) -> None:
     observations = Observations(n, 10**6, INDEPENDENT)
     assert robust_test_outcome(observations, Fraction(3, 4), HALF, Fraction(1, 32)) is outcome
 
@@ -206,6 +214,7 @@ def test_a_filter_without_an_observation_is_not_counted() -> None:
 
 
 def test_a_test_that_five_estimates_pass_is_counted() -> None:
+    """Each is 1/2, in units of 2**-23, and five are the fewest for a test."""
     messages = ",".join(f"receive:{sender}:4194304:2147483649" for sender in range(1, 6))
     events, tests = count_robust_events(f"{ROBOT},{messages},observe:1,settle")
     assert events == {"vote": 1, "accepted": 1}

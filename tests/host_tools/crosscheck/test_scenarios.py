@@ -19,7 +19,7 @@ from mcp_asdf_tools.crosscheck.robust_scenarios import robust_scenario
 from mcp_asdf_tools.crosscheck.scenario import Scenario, parse_scenario
 
 
-def test_scenarios_bring_about_every_status() -> None:
+def test_random_scenarios_bring_about_every_result_of_every_call() -> None:
     """What they reach beyond that, the planted faults show."""
     outcomes = set[str]()
     for index in range(100):
@@ -55,6 +55,7 @@ def audit_of_robust_scenarios() -> Audit:
 def test_robust_scenarios_bring_about_all_that_the_filter_does(
     audit_of_robust_scenarios: Audit, event: str
 ) -> None:
+    """In 150 scenarios each event, from a vote to a rejection of b_hat, happens more than thirty times."""
     assert audit_of_robust_scenarios.robust[event] > 30
 
 
@@ -91,6 +92,7 @@ def test_a_scenario_reads_back_from_its_line(scenarios: list[Scenario]) -> None:
 
 
 def test_a_line_needs_no_quotes_in_a_shell() -> None:
+    """The line of a scenario, which a report prints for a user to run again."""
     assert [shlex.quote(str(scenario)) for scenario in SCENARIOS] == list(map(str, SCENARIOS))
 
 
@@ -99,7 +101,7 @@ def test_robust_scenarios_are_of_robots_with_the_robust_filter() -> None:
 
 
 def test_the_scenarios_of_a_seed_stay_the_same() -> None:
-    """Golden vectors are made of them, too: if they change on purpose, write those anew as well."""
+    """The seed in a report repeats it later. If they change on purpose, write the golden vectors anew, too."""
     some_scenarios = [*SCENARIOS[::50], *ROBUST_SCENARIOS[::50]]
     assert_equals_golden_file("scenarios.txt", list(map(str, some_scenarios)))
 

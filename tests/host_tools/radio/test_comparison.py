@@ -78,6 +78,7 @@ def test_a_halved_x_hat_gets_the_factor_as_a_hint() -> None:
 
 
 def test_an_alpha_with_a_wrong_shift_gets_the_factor_as_a_hint() -> None:
+    """The confidence alpha is a mantissa and a shift; a shift by 3 more makes it 8 times as large."""
     received = estimate(alpha_word=ALPHA_WORD + 3)
     assert difference([received], [estimate()]).hint == "it is 8 times what it should be"
 
@@ -104,6 +105,7 @@ def test_an_alpha_with_another_mantissa_gets_no_hint(alpha_word: int) -> None:
 def test_only_normal_numbers_get_a_factor_as_a_hint(
     received_exponent: int, expected_exponent: int, hint: str
 ) -> None:
+    """The exponents of two float32 numbers, which 127 less is a power of two; the mantissa is the same."""
     received = estimate_with_alpha_bits((received_exponent << 23) | 0x345678)
     expected = estimate_with_alpha_bits((expected_exponent << 23) | 0x345678)
     assert difference([received], [expected]).hint == hint
@@ -165,6 +167,7 @@ def test_a_remote_frame_is_described_by_its_raw_data() -> None:
 
 
 def test_the_order_of_kinds_counts_once_telemetry_was_received() -> None:
+    """The expected order is heartbeat, estimate; the controller sends them the other way round."""
     comparison = comparison_after_a_tick()
     found_difference = comparison.check([estimate(), heartbeat(1)], [heartbeat(1), estimate()])
 
@@ -179,6 +182,7 @@ def test_the_order_of_kinds_does_not_count_before_telemetry_was_received() -> No
 
 
 def test_a_first_heartbeat_may_come_several_times_at_the_start() -> None:
+    """A controller that was reset sends it again."""
     assert new_comparison().check([heartbeat(), heartbeat(), telemetry()], [telemetry()]) is None
 
 

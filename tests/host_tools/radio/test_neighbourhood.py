@@ -114,6 +114,7 @@ def test_a_neighbour_that_rejoins_sends_heartbeats_as_a_robot_of_a_swarm_does(
 def test_neighbours_have_the_lowest_ids_but_the_controllers(
     controller: int, count: int, first: int, ids: tuple[int, ...]
 ) -> None:
+    """Emulated robots around a real controller have ids from ``first`` on, and not that of the controller."""
     assert choose_ids(controller, count, first) == ids
 
 
@@ -135,7 +136,7 @@ def test_too_few_ids_for_neighbours_are_refused(count: int, first: int, complain
 # --- Neighbours in real time ---
 
 
-def test_neighbours_go_on_when_the_bus_fails() -> None:
+def test_emulated_neighbours_go_on_when_the_bus_fails_and_count_what_was_lost() -> None:
     bus = Mock()
     bus.send.side_effect = cycle([can.CanOperationError("cable pulled"), None])
     bus.recv.return_value = None
@@ -144,9 +145,10 @@ def test_neighbours_go_on_when_the_bus_fails() -> None:
     run.run()
     figures = run.figures()
 
-    assert (figures["steps"], figures["ending"]) == (20, "all ticks done")
-    # Every other one of 4 estimates in each tick and 4 heartbeats
-    assert figures["bus_failures"] == figures["frames_sent"] == 4 * 21 // 2
+    assert figures["steps"] == 20
+    assert figures["ending"] == "all ticks done"
+    # Every other frame fails: 4 robots send an estimate in each of 20 ticks, and a heartbeat.
+    assert figures["bus_failures"] == figures["frames_sent"] == 4 * (20 + 1) // 2
     assert all(node.robot.t == 20 for node in run.neighbours.nodes.values())
 
 
@@ -166,15 +168,19 @@ def run_beside_others(request: pytest.FixtureRequest, monkeypatch: pytest.Monkey
     return run
 
 
-def test_received_estimates_are_counted_by_their_sender(run_beside_others: RadioRun) -> None:
+def test_estimates_are_counted_as_the_controllers_a_strangers_or_a_conflict(
+    run_beside_others: RadioRun,
+) -> None:
+    """Robot 1 is one of the emulated neighbours, so two estimates of another robot 1 are a conflict."""
     figures = run_beside_others.figures()
-    assert figures["estimates_heard"] == 1
-    assert figures["strangers"] == 3
+    assert figures["estimates_heard"] == 1  # of the controller, robot 3
+    assert figures["strangers"] == 3  # robots 5, 6 and 100
     assert figures["id_conflicts"] == {"1": 2}
     assert figures["bus_failures"] == 0
 
 
 def test_neighbours_receive_the_controllers_estimate_and_their_own(run_beside_others: RadioRun) -> None:
+    """Each of 4 neighbours takes an estimate of 3 others in each of 5 ticks, and one of the controller."""
     nodes = run_beside_others.neighbours.nodes.values()
     assert [node.counters.accepted for node in nodes] == [3 * 5 + 1] * 4
 
@@ -187,7 +193,7 @@ def test_the_figures_have_the_mean_and_the_range_of_x(run_beside_others: RadioRu
 
 @pytest.mark.parametrize(("ticks", "is_interrupted"), [(None, False), (1000, True)])
 def test_neighbours_stop_when_asked_to(ticks: int | None, is_interrupted: bool) -> None:
-    """With a number of ticks that is an interruption."""
+    """In tick 3. It is an interruption if more ticks were asked for, and else the end of an endless run."""
     link = BusLink(Wire(), lambda: run.neighbours.tick >= 3)
     run = RadioRun(Neighbourhood(surroundings(steps_per_second=1000)), link, ticks)
     run.run()

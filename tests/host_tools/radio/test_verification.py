@@ -140,38 +140,81 @@ def describe_frames(frames: Sequence[can.Message]) -> Iterator[str]:
     yield f"{len(frames)} frames; sum of all bytes {byte_sum}; times the place of their frame {sum_by_place}"
 
 
-@pytest.mark.parametrize("config", [{"memory": 64}, *slow([VOTES, {}])], ids=str)
-def test_a_right_controller_passes_every_phase(config: dict[str, Any]) -> None:
+@dataclass(frozen=True)
+class RunOfAllPhases:
+    """A verification of a right controller in all phases.
+
+    Attributes:
+        config: In what the configuration of the controller differs from the usual one.
+        controller: The controller.
+        run: The verification, and what was seen of it.
+    """
+
+    config: dict[str, Any]
+    controller: RobotNode
+    run: ObservedRun
+
+
+@pytest.fixture(scope="module", params=[{"memory": 64}, *slow([VOTES, {}])], ids=str)
+def run_of_all_phases(request: pytest.FixtureRequest) -> RunOfAllPhases:
+    config = request.param
     controller = right_controller(**config)
-    run = observe_run(Wire(controller), surroundings(right(**config)), PHASES)
-    verdict, bench = run.verification.verdict, run.verification.bench
+    return RunOfAllPhases(
+        config, controller, observe_run(Wire(controller), surroundings(right(**config)), PHASES)
+    )
+
+
+def test_a_right_controller_passes_every_phase(run_of_all_phases: RunOfAllPhases) -> None:
+    verdict = run_of_all_phases.run.verification.verdict
     assert verdict.has_passed, verdict.headline
     assert verdict.repeated == 0
 
-    # The phases that do not apply
-    assert {phase.name for phase in PHASES} - {phase.name for phase in verdict.phases} == {
-        *("no filter", "re-estimates without a test"),
-        "long run" if "memory" in config else "halvings",
-        *(ASDF_PHASES if "filter" in config else ROBUST_PHASES),
-    }
-    # The figures of phases
-    for result, phase in zip(verdict.phases, run.verification._phases, strict=True):
+
+def test_phases_that_do_not_apply_to_a_controller_are_left_out(run_of_all_phases: RunOfAllPhases) -> None:
+    """A phase is for the paper's filters or for the robust one, and for a short memory or for a long one."""
+    config, verdict = run_of_all_phases.config, run_of_all_phases.run.verification.verdict
+    expected = {"no filter", "re-estimates without a test"}
+    expected |= {"long run"} if "memory" in config else {"halvings"}
+    expected |= ASDF_PHASES if "filter" in config else ROBUST_PHASES
+
+    assert {phase.name for phase in PHASES} - {phase.name for phase in verdict.phases} == expected
+
+
+def test_each_phase_reports_its_ticks_equal_frames_and_injected_faults(
+    run_of_all_phases: RunOfAllPhases,
+) -> None:
+    verification = run_of_all_phases.run.verification
+    for result, phase in zip(verification.verdict.phases, verification._phases, strict=True):
         # An estimate in every tick, telemetry in those that are settled, and a heartbeat in every tenth.
         assert 0 < result.ticks < result.equal <= 2.1 * result.ticks + 1
         assert result.injected > 0 or not phase.fault
-        assert result.ticks == TICKS or phase.play is not None
-    assert run.ticks[-1] == controller.ticks == sum(result.ticks for result in verdict.phases)
-    assert bench.comparison.equal_frames == {
-        "estimate": run.ticks[-1],
-        "heartbeat": (run.ticks[-1] - 1) // 10,
+        is_among_neighbours = phase.play is None
+        assert result.ticks == TICKS or not is_among_neighbours
+
+
+def test_all_frames_of_a_right_controller_are_compared(run_of_all_phases: RunOfAllPhases) -> None:
+    """An estimate in each tick, a heartbeat in every tenth, and telemetry whenever a tick is done."""
+    run, controller = run_of_all_phases.run, run_of_all_phases.controller
+    last_tick = run.ticks[-1]
+
+    assert last_tick == controller.ticks == sum(result.ticks for result in run.verification.verdict.phases)
+    assert run.verification.bench.comparison.equal_frames == {
+        "estimate": last_tick,
+        "heartbeat": (last_tick - 1) // 10,
         "telemetry": len(run.ticks),
     }
-    # The model has done all that the controller has, and a lot
-    assert isinstance(controller.robot, FixedPointRobot)
-    assert controller.robot.state() == bench.firmware.state()
-    assert controller.robot.counters == bench.firmware.counters
-    assert bench.firmware.s.updates > 10
-    assert bench.firmware.s.t > 10_000 or "memory" in config
+
+
+def test_the_model_of_a_verification_ends_in_the_state_of_the_controller(
+    run_of_all_phases: RunOfAllPhases,
+) -> None:
+    """The model is a robot in Python that gets the same messages; both have re-estimated often by then."""
+    robot, model = run_of_all_phases.controller.robot, run_of_all_phases.run.verification.bench.firmware
+    assert isinstance(robot, FixedPointRobot)
+    assert robot.state() == model.state()
+    assert robot.counters == model.counters
+    assert model.s.updates > 10
+    assert model.s.t > 10_000 or "memory" in run_of_all_phases.config
 
 
 PERIODS = [
@@ -222,10 +265,10 @@ def test_a_right_controller_of_another_configuration_passes(config: dict[str, An
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_a_seed_repeats_the_same_frames_for_the_same_purposes(
+def test_the_same_seed_verifies_with_the_same_frames_again(
     name: str, config: dict[str, Any], phases: Sequence[Phase]
 ) -> None:
-    """So a report says what to run again."""
+    """So the seed in a report is enough to repeat a run."""
     wire = Wire(right_controller(**config))
     run = observe_run(wire, surroundings(right(**config)), phases)
     assert run.verification.verdict.difference is None
@@ -236,7 +279,7 @@ def test_a_seed_repeats_the_same_frames_for_the_same_purposes(
 # --- What is put to the test ---
 
 
-def test_a_fault_of_the_settings_is_one_more_phase() -> None:
+def test_each_fault_that_the_user_asks_for_is_one_more_phase() -> None:
     phases = [*phases_named("alone"), *phases_named("liar")]
     settings = surroundings(faults="loss=0.7,receivers=3 liar,robots=1,x=0")
     verdict = verify(right_controller(), settings, phases)
@@ -249,12 +292,13 @@ def test_a_fault_of_the_settings_is_one_more_phase() -> None:
     ]
 
 
-def test_a_phase_with_a_fault_has_two_rounds_of_a_controller_that_broadcasts_rarely() -> None:
+def test_a_phase_with_a_fault_is_long_enough_for_two_broadcasts_of_a_slow_controller() -> None:
+    """It broadcasts in every 40th tick. The phase has a fault of its own, and one that the user asks for."""
     config: dict[str, Any] = {"filter_period": 600, "comms_period": 40}
     settings = surroundings(right(**config), faults="loss=0.7,receivers=3")
     phases = verify(right_controller(**config), settings, phases_named("liar")).phases
 
-    assert [phase.ticks for phase in phases] == [80, 80]
+    assert [phase.ticks for phase in phases] == [2 * 40, 2 * 40]
     assert all(phase.injected > 0 and phase.outcome == "passed" for phase in phases)
 
 
@@ -265,7 +309,7 @@ def test_a_phase_with_a_fault_has_two_rounds_of_a_controller_that_broadcasts_rar
         ({"filter_period": 20_001}, "", "the filter: its period is too long for a run"),
     ],
 )
-def test_a_controller_has_not_passed_if_something_was_not_exercised(
+def test_a_controller_does_not_pass_if_something_was_never_put_to_the_test(
     config: dict[str, Any], faults: str, missing: str
 ) -> None:
     verdict = verify(right_controller(**config), surroundings(right(**config), faults=faults), PHASES[:2])
@@ -274,7 +318,8 @@ def test_a_controller_has_not_passed_if_something_was_not_exercised(
     assert verdict.headline.endswith(f", no difference, but never put to the test: {missing}")
 
 
-def test_a_run_does_not_wait_for_a_filter_of_too_long_a_period() -> None:
+def test_a_verification_does_not_wait_for_a_filter_that_runs_too_rarely() -> None:
+    """The filter runs in every 20,001st tick, and 20,000 are the most that a verification waits for."""
     config: dict[str, Any] = {"filter_period": 20_001}
     verdict = verify(right_controller(**config), surroundings(right(**config)), PHASES[:1])
 
@@ -283,8 +328,11 @@ def test_a_run_does_not_wait_for_a_filter_of_too_long_a_period() -> None:
     assert not can_wait_for_tests(right(filter_period=20_001))
 
 
-def test_robust_tests_that_cannot_be_brought_about_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(robust_phases, "_MAX_BURSTS", 0)
+def test_situations_of_the_robust_filter_that_no_observations_lead_to_are_listed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The user learns what the verdict does not cover."""
+    monkeypatch.setattr(robust_phases, "_MAX_BURSTS", 0)  # as if all attempts had been in vain
     phases = phases_named("first estimates", "test of a wide spread", "many rejections")
     verdict = verify(right_controller(**VOTES), surroundings(right(**VOTES)), phases)
 
@@ -297,13 +345,18 @@ def test_robust_tests_that_cannot_be_brought_about_are_listed(monkeypatch: pytes
     ]
 
 
-def test_updates_that_cannot_be_brought_about_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(crafted_rounds, "_MAX_DRAWS_FOR_UPDATE", 0)
-    verdict = verify(right_controller(), phases=phases_named("first black tiles", "re-estimates"))
-    updates = (Update.ABOVE, Update.BELOW, Update.MAXIMUM, Update.MINIMUM, Update.KEPT)
+def test_re_estimates_of_the_accuracy_that_no_messages_lead_to_are_listed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The user learns what the verdict does not cover: the five results that a re-estimate can have."""
+    phases = phases_named("first black tiles", "re-estimates")
+    monkeypatch.setattr(crafted_rounds, "_MAX_DRAWS_FOR_UPDATE", 0)  # as if all attempts had been in vain
 
+    verdict = verify(right_controller(), phases=phases)
+
+    results = (Update.ABOVE, Update.BELOW, Update.MAXIMUM, Update.MINIMUM, Update.KEPT)
+    assert verdict.not_exercised == [f"a re-estimate: {result.value}" for result in results]
     assert verdict.difference is None
-    assert verdict.not_exercised == [f"a re-estimate: {update.value}" for update in updates]
 
 
 OPEN_ABOUT_RE_ESTIMATES = [
@@ -346,6 +399,7 @@ ALWAYS_OPEN = [
     ],
 )
 def test_a_verdict_lists_what_was_not_checked(config: dict[str, Any], first_lines: list[str]) -> None:
+    """The beginnings of the lines: those of this configuration, and those that no verification checks."""
     verdict = verify(right_controller(**config), surroundings(right(**config)), PHASES[:1])
     lines = [line for line in verdict.not_checked if not line.startswith("whether it ")]
     for line, beginning in zip(lines, first_lines + ALWAYS_OPEN, strict=True):
@@ -412,7 +466,7 @@ MISTAKES_SHOWN_EARLY = [mistake for mistake in KNOWN_MISTAKES if mistake not in 
 @pytest.mark.parametrize(
     "mistake", [*MISTAKES_SHOWN_EARLY, *slow(MISTAKES_SHOWN_LATE)], ids=lambda mistake: mistake.name
 )
-def test_a_verdict_names_a_known_mistake(mistake: KnownMistake) -> None:
+def test_a_verdict_names_the_known_mistake_that_a_controller_makes(mistake: KnownMistake) -> None:
     filter_kind = next(iter(mistake.filters))
     config = QUICK | ({} if filter_kind is Filter.ADAPTIVE else {"filter": filter_kind, "table": None})
     setup = record(**{"robot": ID, "firmware": "mirror", **config})
@@ -464,7 +518,7 @@ LATE_DIFFERENCES = ["rejects its own estimate"]
 
 
 @pytest.mark.parametrize("name", [*sorted(DIFFERENCES.keys() - LATE_DIFFERENCES), *slow(LATE_DIFFERENCES)])
-def test_a_difference_says_what_was_expected_and_what_came(name: str) -> None:
+def test_a_difference_names_the_field_with_the_expected_and_the_received_value(name: str) -> None:
     difference = verify_wrong(WRONG[name]).difference
     assert difference is not None
     time_pattern = r'phase "[^"]+"( \(.*?\))?, tick \d+: '
@@ -491,6 +545,7 @@ def verify_beside(message: Any) -> ControllerVerdict:
     [Heartbeat(40, 7, 0), Telemetry(40, 7, 16, 0, 0), Command(40, 1000, 77, Action.SETTLE, 0)],
 )
 def test_a_controller_passes_beside_a_node_that_does_not_concern_it(message: Any) -> None:
+    """Node 40 answers each command with a heartbeat, telemetry, or a command to robot 77."""
     assert verify_beside(message).has_passed
 
 
@@ -503,6 +558,7 @@ def test_a_controller_passes_beside_a_node_that_does_not_concern_it(message: Any
     ],
 )
 def test_a_node_that_the_controller_acts_on_is_named_and_not_blamed_on_it(message: Any, kind: str) -> None:
+    """Node 40 sends estimates, or commands to this robot or to all (255)."""
     verdict = verify_beside(message)
     assert verdict.difference is None
     assert verdict.phases[0].outcome == "disturbed"
@@ -527,6 +583,7 @@ def with_health(severity: int, from_tick: int | None = None) -> Wrong:
 
 
 def test_a_controller_may_report_a_tick_left_open_as_advice() -> None:
+    """Its heartbeat may say advisory (1) when a command to end a tick did not come, as in some phases."""
     controller = with_health(severity=1).make(QUICK)
     assert verify(controller, phases=PHASES[1:7]).difference is None
     assert controller.unsettled > 0
@@ -534,7 +591,7 @@ def test_a_controller_may_report_a_tick_left_open_as_advice() -> None:
 
 @pytest.mark.parametrize("wrong", [with_health(severity=1, from_tick=30), with_health(severity=2)])
 def test_a_controller_may_report_nothing_else_in_its_health(wrong: Wrong) -> None:
-    """Neither advice before a tick was left open, nor caution."""
+    """Neither advisory (1) before a tick was left open, nor caution (2)."""
     verdict = verify(wrong.make(QUICK), phases=PHASES[1:7])
     assert "heartbeat, health: expected" in str(verdict.difference)
 
@@ -564,7 +621,7 @@ class WireWithLateFrame(Wire):
         return frame
 
 
-def test_a_frame_after_the_last_answer_is_compared() -> None:
+def test_a_frame_that_a_controller_sends_after_its_last_answer_is_found() -> None:
     wire = WireWithLateFrame(right_controller(), last_tick=72)
     verdict = verify(wire, phases=phases_named("alone"))
     assert "telemetry, extra: expected nothing" in str(verdict.difference)
@@ -573,28 +630,35 @@ def test_a_frame_after_the_last_answer_is_compared() -> None:
 def test_other_nodes_delay_the_verdict_by_a_tenth_of_a_second_at_most(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Node 40 sends heartbeats without end, so the bus is never quiet. Each takes 0.01 s."""
     monkeypatch.setattr(controller_link, "time", CLOCK)
     wire = EndlessWire()
     assert verify(wire, phases=[Phase("nothing", lambda bench: None)]).has_passed
-    assert 10 <= wire.frames <= 12  # each takes 0.01 s
+    assert 10 <= wire.frames <= 12
 
 
 # --- The run ---
 
 
 def test_a_verification_may_be_stopped_between_two_ticks() -> None:
+    """It is asked to stop when 75 ticks are done; five of the 80 until then were left open."""
     controller, ticks = right_controller(), list[int]()
+
     verdict = verify(controller, progress=ticks.append, should_stop=lambda: len(ticks) == 75)
 
-    assert (verdict.is_interrupted, verdict.has_passed, verdict.difference) == (True, False, None)
+    assert verdict.is_interrupted
+    assert not verdict.has_passed
+    assert verdict.difference is None
     assert [phase.ticks for phase in verdict.phases[:3]] == [20, 60, 0]
     assert [phase.outcome for phase in verdict.phases[:3]] == ["passed", "not run", "not run"]
-    assert (controller.ticks, controller.is_settled) == (80, True)
+    assert controller.ticks == 20 + 60
+    assert controller.is_settled
     assert verdict.headline.startswith("INTERRUPTED: 1 of")
 
 
 @pytest.mark.parametrize("wire_class", [Wire, EndlessWire])
 def test_a_verification_may_be_stopped_while_it_waits(wire_class: type[Wire]) -> None:
+    """For a controller that is not there, on a quiet bus or on one that is never quiet."""
     verdict = verify(wire_class(), wait=1e9, should_stop=lambda: True)
     assert (verdict.is_interrupted, verdict.difference) == (True, None)
 
@@ -625,6 +689,7 @@ def test_a_controller_that_starts_while_it_is_waited_for_passes() -> None:
 
 
 def test_a_controller_that_does_not_start_fails_in_the_first_phase() -> None:
+    """It is on the bus, but has sent no heartbeat."""
     silent_wire = Wire()
     silent_wire.nodes.append(right_controller())
     verdict = verify(silent_wire, phases=PHASES[:3], wait=0.05)
@@ -646,7 +711,8 @@ def test_a_wrong_first_heartbeat_is_compared_with_the_right_one() -> None:
 
 
 @pytest.mark.parametrize("first_heartbeats", [0, 1, 3])
-def test_a_controller_may_have_been_reset_several_times(first_heartbeats: int) -> None:
+def test_a_controller_passes_after_any_number_of_resets(first_heartbeats: int) -> None:
+    """After each it has sent its first heartbeat again, and these wait to be received."""
     wire = Wire(right_controller())
     wire._waiting.clear()
     wire._waiting.extend(wire.told * first_heartbeats)
@@ -698,7 +764,7 @@ def test_a_verification_leaves_a_report_and_a_log_to_replay(
     assert f"{ticks}  broadcasts reproduced" in capsys.readouterr().out
 
 
-def test_details_are_a_table_and_lists() -> None:
+def test_a_report_has_a_table_of_the_phases_and_lists_of_what_was_not_checked() -> None:
     phases = [PhaseResult("alone", None, 72, 0, 144, "passed"), PhaseResult("loss", "loss=0.5,receivers=3")]
     verdict = ControllerVerdict(phases, not_exercised=["a", "b"], not_checked=["c"])
 
@@ -714,9 +780,10 @@ def test_details_are_a_table_and_lists() -> None:
 @pytest.mark.parametrize(
     ("config", "phases"), [("--neighbours 20", 45), ("--activation always", 38), ("--filter none", 31)]
 )
-def test_a_wrong_controller_gives_an_exit_code_and_a_line(
+def test_radio_fails_on_a_wrong_controller_and_prints_the_first_difference(
     capsys: pytest.CaptureFixture[str], config: str, phases: int
 ) -> None:
+    """The controller assumes an accuracy of 0.56, and 0.55 is expected."""
     controller = f"--id {ID} --filter-period 10 {config}"
     with node_in_a_thread(f"{controller} --b-hat 0.56"):
         assert radio(f"{controller} --b-hat {B_HAT} --verify --timeout 20") == 1
