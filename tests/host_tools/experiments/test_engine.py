@@ -121,6 +121,8 @@ TRIALS_BEYOND_LANES = 17
 """One more than the 16 lanes, in which trials of robots that do not move are calculated."""
 MOVING_TRIALS = 10
 
+# Lanes are the engine's fast way: it computes many trials or robots at once, in vectors. Each test compares
+# their results with those of the firmware's own functions, called for one robot after the other.
 in_every_edge = pytest.mark.parametrize("changes", EDGES.values(), ids=EDGES)
 in_every_moving_edge = pytest.mark.parametrize(
     "changes", [*EDGES.values(), *MOVING_EDGES.values()], ids=[*EDGES, *MOVING_EDGES]
@@ -130,36 +132,44 @@ with_every_latency = pytest.mark.parametrize("latency", [0, 1])
 
 
 @in_every_edge
-def test_lanes_equal_the_firmware_at_edges(changes: dict[str, Any]) -> None:
+def test_many_trials_computed_at_once_equal_the_firmware_to_the_bit(changes: dict[str, Any]) -> None:
+    """For parameters at the ends of their ranges. The firmware is called for one robot after the other."""
     assert_equal_to_the_bit(replace(SHORT, **changes), first=4, trials=TRIALS_BEYOND_LANES)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("changes", LONG_EDGES.values(), ids=LONG_EDGES)
-def test_lanes_equal_the_firmware_at_edges_of_long_trials(changes: dict[str, Any]) -> None:
+def test_long_trials_computed_at_once_equal_the_firmware_to_the_bit(changes: dict[str, Any]) -> None:
     assert_equal_to_the_bit(replace(SHORT, **changes), first=4, trials=TRIALS_BEYOND_LANES)
 
 
 @with_every_latency
 @in_every_moving_edge
-def test_lanes_equal_the_firmware_at_edges_of_moving_robots(changes: dict[str, Any], latency: int) -> None:
+def test_moving_robots_computed_at_once_equal_the_firmware_to_the_bit(
+    changes: dict[str, Any], latency: int
+) -> None:
     experiment = replace(MOVING, **changes, latency=latency)
     assert_equal_to_the_bit(experiment, first=4, trials=MOVING_TRIALS)
 
 
 @in_every_edge
-def test_lanes_equal_the_firmware_with_the_robust_filter_at_edges(changes: dict[str, Any]) -> None:
+def test_trials_with_the_robust_filter_computed_at_once_equal_the_firmware_to_the_bit(
+    changes: dict[str, Any],
+) -> None:
     assert_equal_to_the_bit(replace(ROBUST, **changes), first=4, trials=TRIALS_BEYOND_LANES)
 
 
 @in_every_robust_edge
-def test_lanes_equal_the_firmware_at_edges_of_the_robust_filter(changes: dict[str, Any]) -> None:
+def test_extreme_swarms_with_the_robust_filter_computed_at_once_equal_the_firmware_to_the_bit(
+    changes: dict[str, Any],
+) -> None:
+    """Of one robot, of two, of forty, and of robots whose sensors age."""
     assert_equal_to_the_bit(replace(ROBUST, **changes), first=4, trials=TRIALS_BEYOND_LANES)
 
 
 @with_every_latency
 @in_every_moving_edge
-def test_lanes_equal_the_firmware_with_the_robust_filter_at_edges_of_moving_robots(
+def test_moving_robots_with_the_robust_filter_computed_at_once_equal_the_firmware_to_the_bit(
     changes: dict[str, Any], latency: int
 ) -> None:
     experiment = replace(ROBUST_MOVING, **changes, latency=latency)
@@ -168,9 +178,10 @@ def test_lanes_equal_the_firmware_with_the_robust_filter_at_edges_of_moving_robo
 
 @with_every_latency
 @in_every_robust_edge
-def test_lanes_equal_the_firmware_at_edges_of_the_robust_filter_in_moving_robots(
+def test_extreme_moving_swarms_with_the_robust_filter_equal_the_firmware_to_the_bit(
     changes: dict[str, Any], latency: int
 ) -> None:
+    """Of one robot, of two, of forty, and of robots whose sensors age; all are computed at once."""
     experiment = replace(ROBUST_MOVING, **changes, latency=latency)
     assert_equal_to_the_bit(experiment, first=4, trials=MOVING_TRIALS)
 
@@ -209,7 +220,7 @@ def random_experiments(seed: int, count: int) -> Iterator[Experiment]:
 
 
 @pytest.mark.parametrize("count", [30, *slow([120])])
-def test_lanes_equal_the_firmware_in_random_experiments(count: int) -> None:
+def test_random_experiments_computed_at_once_equal_the_firmware_to_the_bit(count: int) -> None:
     for experiment in random_experiments(20241, count):
         assert_equal_to_the_bit(experiment, first=0, trials=2 if experiment.is_dynamic else 18)
 
@@ -232,23 +243,23 @@ def has_lanes(experiment: Experiment, sampling_interval: int = 0) -> bool:
 
 
 @pytest.mark.parametrize("experiment", [SHORT, LATE, ROBUST, replace(ROBUST_MOVING, latency=1)])
-def test_lanes_are_used_for_results_alone(experiment: Experiment) -> None:
+def test_trials_are_computed_at_once_if_only_their_results_are_wanted(experiment: Experiment) -> None:
     assert has_lanes(experiment)
 
 
-def test_lanes_are_not_used_if_values_are_recorded() -> None:
+def test_trials_are_computed_one_by_one_if_values_are_recorded() -> None:
     assert not has_lanes(SHORT, sampling_interval=10)
 
 
-def test_lanes_are_not_used_if_robots_do_not_broadcast_in_every_step() -> None:
+def test_trials_are_computed_one_by_one_if_robots_do_not_broadcast_in_every_step() -> None:
     assert not has_lanes(replace(SHORT, comms_period=2))
 
 
-def test_lanes_are_not_used_if_messages_are_rounded() -> None:
+def test_trials_are_computed_one_by_one_if_messages_are_rounded() -> None:
     assert not has_lanes(replace(SHORT, message_bits="16+9"))
 
 
-def test_lanes_are_not_used_if_robots_have_different_filters() -> None:
+def test_trials_are_computed_one_by_one_if_robots_have_different_filters() -> None:
     assert not has_lanes(MIXED)
 
 
@@ -282,7 +293,7 @@ def processor_has(flag: str) -> bool:
 @pytest.mark.parametrize(
     ("architecture", "flag"), [("x86-64", "fpu"), ("x86-64-v3", "avx2"), ("x86-64-v4", "avx512vl")]
 )
-def test_lanes_of_every_vector_size_are_the_firmware_to_the_bit(
+def test_vectors_of_every_size_of_a_processor_equal_the_firmware_to_the_bit(
     architecture: str, flag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not processor_has(flag):
@@ -357,18 +368,22 @@ def test_robots_move_in_vectors_as_one_by_one(tmp_path: Path, monkeypatch: pytes
         replace(MIXED, message_bits="2+1"),
     ],
 )
-def test_engine_equals_the_mirror(experiment: Experiment) -> None:
+def test_the_fast_engine_in_c_computes_what_robots_in_python_do_message_by_message(
+    experiment: Experiment,
+) -> None:
     check_that_the_engine_is_the_mirror(experiment)
 
 
 @pytest.mark.parametrize("experiment", [SHORT, LATE, ROBUST_MOVING])
-def test_rounding_to_the_most_bits_changes_little(experiment: Experiment) -> None:
+def test_messages_of_the_most_bits_change_estimates_by_less_than_a_hundred_thousandth(
+    experiment: Experiment,
+) -> None:
     exact_x = run_trials(experiment, 0, 1, sampling_interval=10).records["x"]
     rounded_x = run_trials(replace(experiment, message_bits="23+25"), 0, 1, sampling_interval=10).records["x"]
     assert np.abs(exact_x - rounded_x).max() < 1e-5
 
 
-def test_rounding_to_few_bits_changes_estimates() -> None:
+def test_messages_of_three_bits_change_estimates_by_more_than_a_tenth() -> None:
     exact_x = run_trials(LATE, 0, 1, sampling_interval=10).records["x"]
     rounded_x = run_trials(replace(LATE, message_bits="2+1"), 0, 1, sampling_interval=10).records["x"]
     assert np.abs(exact_x - rounded_x).max() > 0.1
@@ -383,7 +398,8 @@ def test_robots_round_what_they_send_and_not_their_own_estimates() -> None:
     assert np.array_equal(exact["alpha"], rounded["alpha"])
 
 
-def test_a_robot_of_floats_receives_rounded_messages() -> None:
+def test_robots_that_calculate_in_floats_receive_rounded_messages() -> None:
+    """Of two robots each receives one estimate, x_bar, which a code of one bit rounds to 0 or 1."""
     two_robots = replace(SHORT, robots=2, flawed=0, filter="none", steps=20)
     experiment = replace(two_robots, message_bits="1+1", firmware="reference")
     x_bar = run_trials(experiment, 0, 1, sampling_interval=1).records["x_bar"]
@@ -423,20 +439,24 @@ def b_hat_by_the_authors(experiment: Experiment) -> Any:
 @pytest.mark.parametrize(
     "experiment", [SHORT, LATE, replace(SHORT, fill_ratio=0.95, filter="asdf-minus", comms_period=5)]
 )
-def test_the_conventions_of_the_authors_change_what_the_test_decides(experiment: Experiment) -> None:
+def test_the_conventions_of_the_paper_s_authors_change_when_robots_recalibrate(
+    experiment: Experiment,
+) -> None:
+    """Their programs take the threshold of the test for another number of messages."""
     assert not np.array_equal(b_hat_by_the_authors(experiment), reference_trial(experiment).b_hat)
 
 
-def test_the_conventions_of_the_authors_change_nothing_without_the_test() -> None:
+def test_the_conventions_of_the_paper_s_authors_change_nothing_without_the_test() -> None:
     experiment = replace(LATE, fill_ratio=0.95, true_accuracy=0.75, activation="always")
     assert np.array_equal(b_hat_by_the_authors(experiment), reference_trial(experiment).b_hat)
 
 
 @pytest.mark.parametrize(("first", "trials", "sampling_interval"), [(0, 1, 0), (7, 5, 3), (19, 1, 0)])
 @pytest.mark.parametrize("experiment", [SHORT, LATE], ids=["fully connected", "moving"])
-def test_a_trial_depends_neither_on_the_others_nor_on_records(
+def test_a_trial_is_the_same_alone_and_among_others_and_with_recorded_values(
     experiment: Experiment, first: int, trials: int, sampling_interval: int
 ) -> None:
+    """So a sweep may be cut into jobs of any size."""
     all_trials = native.run(experiment, 0, 20)
     some_trials = native.run(experiment, first, trials, sampling_interval)
     assert np.array_equal(some_trials.x, all_trials.x[first : first + trials])
@@ -470,7 +490,7 @@ class ExperimentWithIllegalBHat(Experiment):
 
 
 @pytest.mark.parametrize("lanes", [False, True])
-def test_the_engine_raises_the_error_of_the_firmware(lanes: bool) -> None:
+def test_an_accuracy_that_the_firmware_refuses_is_an_error_of_the_engine(lanes: bool) -> None:
     with pytest.raises(FirmwareError, match="ERR_B_HAT"):
         native.run(ExperimentWithIllegalBHat(steps=10), 0, 1, lanes=lanes)
 
@@ -504,7 +524,8 @@ with_liars = pytest.mark.parametrize("experiment", [SHORT_WITH_LIARS, ROBUST_MOV
 
 
 @with_liars
-def test_the_engine_s_liars_have_the_effect_of_those_on_a_bus(experiment: Experiment) -> None:
+def test_robots_that_lie_have_the_same_effect_in_the_engine_as_on_a_bus(experiment: Experiment) -> None:
+    """The last two broadcast that nothing is black, with an alpha of 10^6."""
     call = call_with_two_liars(experiment)
     assert call.execute(lanes=False) is Status.OK
     x_at_end = call.x[0, :, -1]  # of trial 0, by robot
@@ -512,7 +533,7 @@ def test_the_engine_s_liars_have_the_effect_of_those_on_a_bus(experiment: Experi
 
 
 @with_liars
-def test_lanes_are_not_used_if_robots_lie(experiment: Experiment) -> None:
+def test_trials_are_computed_one_by_one_if_robots_lie(experiment: Experiment) -> None:
     """A liar receives other estimates than the robots around it, as it knows the truth about itself."""
     assert not _engine.lib.mcp_asdf_engine_has_lanes(call_with_two_liars(experiment).experiment)
 
@@ -536,12 +557,12 @@ HUGE = replace(MANY, topology="graph", density=1.0, graph=LONG_GRAPH, robots=210
     ],
     ids=["many", "many, robust", "huge", "huge, robust"],
 )
-def test_lanes_of_many_robots_equal_the_firmware(experiment: Experiment) -> None:
+def test_hundreds_of_robots_computed_at_once_equal_the_firmware_to_the_bit(experiment: Experiment) -> None:
     assert_equal_to_the_bit(experiment, first=0, trials=1)
 
 
 @pytest.mark.parametrize("filter_name", ["robust", "asdf-plus"])
-def test_the_bits_of_127_robots_do_not_change(filter_name: Any) -> None:
+def test_the_results_of_127_robots_are_the_same_bits_in_every_version(filter_name: Any) -> None:
     experiment = replace(LATE, robots=127, flawed=38, density=1, steps=600, filter_period=100, seed=5)
     trials = native.run(replace(experiment, filter=filter_name), 0, 1)
     images = trials.images()

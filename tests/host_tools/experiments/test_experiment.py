@@ -6,7 +6,6 @@ import os
 import re
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -20,56 +19,88 @@ from support import ROOT, blocks
 # --- Values ----------------------------------------------------------------------------------------------
 
 
-def test_parameters_come_back() -> None:
-    changes: dict[str, Any] = {
-        "filter": "asdf-minus",
-        "drift": "linear",
-        "drift_rate": -1e-4,
-        "seed": 2**64 - 1,
-    }
-    experiment = Experiment(omega=Decimal("0.15"), **changes)
+def test_an_experiment_is_made_again_from_the_parameters_that_its_results_keep() -> None:
+    experiment = Experiment(
+        omega=Decimal("0.15"), filter="asdf-minus", drift="linear", drift_rate=-1e-4, seed=2**64 - 1
+    )
     assert Experiment(**experiment.parameters()) == experiment
-    whole, exact = Experiment(true_accuracy=1, fill_ratio=0), Experiment(true_accuracy=1.0, fill_ratio=0.0)
 
-    assert repr(whole) == repr(exact)
+
+def test_numbers_without_a_decimal_point_are_the_same_parameters() -> None:
+    assert repr(Experiment(true_accuracy=1, fill_ratio=0)) == repr(
+        Experiment(true_accuracy=1.0, fill_ratio=0.0)
+    )
+
+
+def test_a_firmware_in_python_is_named_as_what_the_engine_in_c_lacks() -> None:
+    """It runs the experiment message by message, which is limited to the ids of a bus."""
     assert Experiment(robots=MAX_ON_BUS, firmware="mirror").parameter_lacking_in_c == "firmware"
-    assert next(combinations({"seed": [7] * MAX_EXPERIMENTS})) == {"seed": 7}
+
+
+def test_the_largest_grid_of_experiments_is_accepted() -> None:
+    values = {"seed": [7] * MAX_EXPERIMENTS}
+    assert next(combinations(values)) == {"seed": 7}
 
 
 # --- TOML ------------------------------------------------------------------------------------------------
 
 
 def experiments_of(folder: Path, text: str) -> list[Experiment]:
+    """Write a text to a file, and return the experiments that it describes."""
     path = folder / "grid.toml"
     path.write_text(text, encoding="utf-8")
     return read_experiments(path)
 
 
-def test_files_describe_grids_on_the_keys_above_them(tmp_path: Path) -> None:
+def test_a_study_that_comes_with_the_program_is_read_by_its_name() -> None:
     assert read_experiments("physical") == read_experiments(STUDIES / "physical.toml")
-    found = experiments_of(tmp_path, 'steps = 1e3\nflawed = [1, 3]\nfilter = ["none", "asdf-plus"]\n')
-    assert [(each.flawed, each.filter) for each in found] == [
-        (flawed, mode) for flawed in (1, 3) for mode in ("none", "asdf-plus")
-    ]
-    assert {each.steps for each in found} == {1000}
-    text = 'trials = 2\nflawed = 1\n[[grid]]\nfill_ratio = 0.9\n[[grid]]\nflawed = "50%"\ntrials = 3\n'
-    found = experiments_of(tmp_path, text)
-    assert [(each.trials, each.flawed, each.fill_ratio) for each in found] == [(2, 1, 0.9), (3, 10, 0.55)]
-    text = (
-        "who = [{flawed = 1, seed = [5, 6]}, {flawed = 2, more = [{seed = 7}]}]\nseed = 4\nsteps = [8, 9]\n"
-    )
-    found = experiments_of(tmp_path, text)
-    expected = [(1, 5, 8), (1, 5, 9), (1, 6, 8), (1, 6, 9), (2, 7, 8), (2, 7, 9)]
-    assert [(each.flawed, each.seed, each.steps) for each in found] == expected
-    (tmp_path / "ring").write_text("0 1\n1 2\n2 0\n")
-    (wired,) = experiments_of(tmp_path, 'topology = "graph"\ngraph = "ring"\nrobots = 3\n')
 
-    assert wired.graph == Experiment(topology="graph", graph=str(tmp_path / "ring"), robots=3).graph
-    assert found == grid(who=[{"flawed": 1, "seed": [5, 6]}, {"flawed": 2, "seed": 7}], seed=4, steps=[8, 9])
+
+def test_lists_of_values_in_a_file_make_all_their_combinations(tmp_path: Path) -> None:
+    experiments = experiments_of(tmp_path, 'steps = 1e3\nflawed = [1, 3]\nfilter = ["none", "asdf-plus"]\n')
+
+    flawed_and_filters = [(experiment.flawed, experiment.filter) for experiment in experiments]
+    assert flawed_and_filters == [(1, "none"), (1, "asdf-plus"), (3, "none"), (3, "asdf-plus")]
+    assert {experiment.steps for experiment in experiments} == {1000}
+
+
+def test_each_grid_of_a_file_begins_with_the_keys_above_the_first(tmp_path: Path) -> None:
+    text = 'trials = 2\nflawed = 1\n[[grid]]\nfill_ratio = 0.9\n[[grid]]\nflawed = "50%"\ntrials = 3\n'
+    first, second = experiments_of(tmp_path, text)
+
+    assert (first.trials, first.flawed, first.fill_ratio) == (2, 1, 0.9)
+    assert (second.trials, second.flawed) == (3, 10)  # half of 20 robots
+    assert second.fill_ratio == Experiment().fill_ratio
+
+
+TABLES_IN_A_FILE = (
+    "who = [{flawed = 1, seed = [5, 6]}, {flawed = 2, more = [{seed = 7}]}]\nseed = 4\nsteps = [8, 9]\n"
+)
+
+
+def test_tables_in_a_file_have_values_that_belong_together(tmp_path: Path) -> None:
+    """One flawed robot with seeds 5 and 6, two with seed 7, and each with 8 and with 9 steps."""
+    experiments = experiments_of(tmp_path, TABLES_IN_A_FILE)
+
+    values = [(experiment.flawed, experiment.seed, experiment.steps) for experiment in experiments]
+    assert values == [(1, 5, 8), (1, 5, 9), (1, 6, 8), (1, 6, 9), (2, 7, 8), (2, 7, 9)]
+
+
+def test_the_library_makes_the_same_grid_as_a_file(tmp_path: Path) -> None:
+    experiments = grid(who=[{"flawed": 1, "seed": [5, 6]}, {"flawed": 2, "seed": 7}], seed=4, steps=[8, 9])
+    assert experiments == experiments_of(tmp_path, TABLES_IN_A_FILE)
+
+
+def test_a_graph_is_looked_for_in_the_folder_of_the_file_that_names_it(tmp_path: Path) -> None:
+    (tmp_path / "ring").write_text("0 1\n1 2\n2 0\n")
+    (experiment,) = experiments_of(tmp_path, 'topology = "graph"\ngraph = "ring"\nrobots = 3\n')
+
+    expected = Experiment(topology="graph", graph=str(tmp_path / "ring"), robots=3)
+    assert experiment.graph == expected.graph
 
 
 @pytest.mark.parametrize("graph", ["pipe", "/dev/zero", "absent", "a" * 300])
-def test_a_graph_of_a_file_of_experiments_is_a_regular_file(graph: str, tmp_path: Path) -> None:
+def test_a_graph_that_is_no_regular_file_is_refused_and_not_opened(graph: str, tmp_path: Path) -> None:
     """Reading a pipe that nobody writes would wait for ever."""
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(UsageError, match=r"line 2: graph is '.*', which is no regular file; give"):
@@ -98,22 +129,29 @@ def test_a_graph_of_a_file_of_experiments_is_a_regular_file(graph: str, tmp_path
         (f"seed = {list(range(400))}\nsteps = {list(range(1, 400))}\n", "line 2: steps makes 159600"),
     ],
 )
-def test_an_error_names_file_and_line(tmp_path: Path, text: str, words: str) -> None:
+def test_an_error_in_a_file_of_experiments_names_file_and_line(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(UsageError, match=words) as error:
         experiments_of(tmp_path, text)
     assert str(tmp_path / "grid.toml") in str(error.value)
 
 
+PAGE_OF_AUTHORS = ROOT / "docs/platforms/authors.md"
+"""The page on how to run the experiments of the paper's authors here."""
+
+
 def test_the_page_translates_the_authors_template(tmp_path: Path) -> None:
-    """Each parameter that its table of their keys names is one of ours, and its file is read."""
-    page = ROOT / "docs/platforms/authors.md"
-    (text,) = (block for block in blocks(page, "toml") if block.startswith("robots = 10"))
-    found = experiments_of(tmp_path, text)
-    assert [(each.robots, each.flawed, each.comms_period) for each in found] == [
-        (10, flawed, 10) for flawed in (1, 2, 3, 4)
-    ]
-    assert {(each.filter, str(each.omega), each.steps) for each in found} == {("asdf-minus", "0.1", 1000)}
-    (table,) = re.findall(r"\| theirs, YAML .*\n((?:\|.*\n)+)", page.read_text(encoding="utf-8"))
+    (text,) = (block for block in blocks(PAGE_OF_AUTHORS, "toml") if block.startswith("robots = 10"))
+    experiments = experiments_of(tmp_path, text)
+
+    values = [(experiment.robots, experiment.flawed, experiment.comms_period) for experiment in experiments]
+    assert values == [(10, flawed, 10) for flawed in (1, 2, 3, 4)]
+    for experiment in experiments:
+        assert (experiment.filter, str(experiment.omega), experiment.steps) == ("asdf-minus", "0.1", 1000)
+
+
+def test_the_page_translates_the_authors_keys_into_parameters_that_exist() -> None:
+    page = PAGE_OF_AUTHORS.read_text(encoding="utf-8")
+    (table,) = re.findall(r"\| theirs, YAML .*\n((?:\|.*\n)+)", page)
     our_cells = [row.split("|")[3] for row in table.splitlines()]
     names = {name for cell in our_cells for name in re.findall(r"^ `(\w+)", cell)}
 
@@ -139,6 +177,6 @@ def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
         ("studio", "no file studio; those that come with the program are .*physical"),
     ],
 )
-def test_other_files_are_refused(name: str, words: str) -> None:
+def test_a_file_of_another_kind_or_that_is_not_there_is_refused(name: str, words: str) -> None:
     with pytest.raises(UsageError, match=words):
         read_experiments(Path(name))

@@ -10,7 +10,7 @@ from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.message_codes import MessageCode, parse_message_bits
 
 
-def test_exact_messages_have_no_code() -> None:
+def test_exact_messages_are_not_rounded() -> None:
     assert parse_message_bits("exact") is None
 
 

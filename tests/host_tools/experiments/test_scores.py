@@ -22,8 +22,11 @@ def convergence_step_by_definition(series: NDArray[np.float64], delta: float) ->
 
 
 @given(st.lists(st.integers(97, 104), min_size=1, max_size=60), st.sampled_from([1, 3, 7, 4096]))
-def test_k_is_the_definition(values: list[int], chunk: int) -> None:
-    """On a grid where differences meet the threshold; of integers as of floats, whatever a chunk is."""
+def test_the_step_of_convergence_is_the_one_of_its_definition(values: list[int], chunk: int) -> None:
+    """The definition tries each step. Values are whole, so that differences meet the threshold, 3.
+
+    They may be integers or floats, and are searched in chunks of any size.
+    """
     expected = convergence_step_by_definition(np.array(values, float), 3.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scores, "_CHUNK", chunk)
@@ -32,13 +35,17 @@ def test_k_is_the_definition(values: list[int], chunk: int) -> None:
 
 
 @pytest.mark.parametrize("series", [[0.5, math.nan, 0.5], [0.5, 0.5, math.nan]])
-def test_what_is_no_number_settles_at_the_end(series: list[float]) -> None:
+def test_a_series_with_a_nan_converges_at_its_end(series: list[float]) -> None:
     assert convergence_step(np.array(series), 0.25) == 2
 
 
 def test_scores_by_hand() -> None:
-    convergence_steps = np.array([[0, 100, 200, 300]])  # quartiles between two values: 50 and 250
-    errors = np.array([[0.1, 0.1, 0.1, 0.3]])  # 0.1 and 0.2
+    """A score is 100 (1 - mean / limit), less by the factor exp(-(upper - lower quartile) / limit).
+
+    Means are 150 of 1000 and 0.15 of 0.5; quartiles lie between two values: 50 and 250, and 0.1 and 0.2.
+    """
+    convergence_steps = np.array([[0, 100, 200, 300]])
+    errors = np.array([[0.1, 0.1, 0.1, 0.3]])
     result = score(convergence_steps, errors, 1000, 0.5)
 
     assert result["h_K"][0] == pytest.approx(85 * math.exp(-0.2))
@@ -52,7 +59,7 @@ def test_quartiles_are_values_where_they_can_be() -> None:
     assert result["h_e"][0] == pytest.approx(60 * math.exp(-0.4))
 
 
-def test_no_number_counts_as_the_worst() -> None:
+def test_an_error_that_is_nan_counts_as_the_worst() -> None:
     assert score([[1, 1]], [[math.nan, math.nan]], 10, 0.5)["h_e"][0] == 0
 
 
