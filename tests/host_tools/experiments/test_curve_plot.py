@@ -74,11 +74,13 @@ def test_curves_without_panels_have_one_large_one(
 
 @pytest.mark.parametrize(("trials", "rank"), [(5, 1), (6, 1), (30, 10), (100, 40)])
 def test_intervals_of_medians_have_the_ranks_that_books_print(trials: int, rank: int) -> None:
+    """The interval reaches from the value of this rank to that of the same rank from above."""
     values = np.random.default_rng(trials).permutation(trials).astype(float)
     assert median_interval(values) == (np.median(values), rank - 1, trials - rank)
 
 
 def test_an_interval_of_equal_values_has_no_width() -> None:
+    """Of 30 values 28 are 5, so all ranks near the middle are."""
     assert median_interval(np.repeat([0.0, 5, 9], [1, 28, 1])) == (5, 5, 5)
 
 
@@ -208,12 +210,14 @@ def with_other_omega(trials: Trials) -> Trials:
 
 
 def test_a_parameter_without_effect_may_differ(results_by_filter: dict[str, Trials]) -> None:
+    """The swarm with the robust filter has another omega, which that filter does not use."""
     experiments = [results_by_filter["asdf-plus"], with_other_omega(results_by_filter["robust"])]
     (axes,) = visible_axes(plot_curve(experiments, "filter"))
     assert len(axes.lines) == 1
 
 
 def test_a_parameter_that_is_not_shown_may_not_differ(results_by_filter: dict[str, Trials]) -> None:
+    """Both filters use omega, so the curve would show the effect of two parameters as that of one."""
     experiments = [results_by_filter["asdf-minus"], with_other_omega(results_by_filter["asdf-plus"])]
     with pytest.raises(UsageError, match="the results differ in omega too"):
         plot_curve(experiments, "filter")

@@ -58,7 +58,8 @@ def jobs_run(monkeypatch: pytest.MonkeyPatch) -> list[Job]:
 # --- Jobs ------------------------------------------------------------------------------------------------
 
 
-def test_jobs_are_every_trial_once(output: Path) -> None:
+def test_every_trial_of_a_sweep_is_in_one_job(output: Path) -> None:
+    """A job is a number of trials that a worker process runs together."""
     jobs = list(jobs_of(Store(output, GRID, sampling_interval=7)))
     trials = [(job.experiment, job.first + index) for job in jobs for index in range(job.count)]
     assert trials == [(experiment, trial) for experiment in GRID for trial in range(40)]
@@ -69,9 +70,9 @@ def test_jobs_are_every_trial_once(output: Path) -> None:
     ("changes", "trials_of_jobs"),
     [
         ({}, [32, 8]),  # 40 trials of 8,000 steps
-        ({"firmware": "mirror", "trials": 2}, [1, 1]),
+        ({"firmware": "mirror", "trials": 2}, [1, 1]),  # slow, as it runs in Python
         ({"steps": 10**7, "trials": 2}, [1, 1]),
-        ({"steps": 300, "filter_period": 100, "trials": 1200}, [833, 367]),
+        ({"steps": 300, "filter_period": 100, "trials": 1200}, [833, 367]),  # 833 * 300 are 250,000 steps
         ({"steps": 2_500_000, "trials": 3}, [2, 1]),
     ],
 )
@@ -109,6 +110,7 @@ def interrupted_sweep(output: Path, jobs_run: list[Job]) -> Store:
 def test_the_parts_of_an_interrupted_sweep_can_be_scored(
     interrupted_sweep: Store, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """It had run 32 trials of the third experiment when Ctrl-C came."""
     assert cli.main(["score", str(interrupted_sweep.parts)]) == 0
     assert "32 of 40" in capsys.readouterr().out
 
@@ -124,7 +126,9 @@ def test_the_missing_output_of_an_interrupted_sweep_is_explained(
 def test_an_interrupted_sweep_runs_only_what_is_missing(
     interrupted_sweep: Store, jobs_run: list[Job]
 ) -> None:
+    """Of its last experiment 32 of 40 trials were run: those from 32 on are missing."""
     run_sweep(interrupted_sweep, 1)
+
     assert [(job.first, job.count) for job in jobs_run] == [(32, 8)]
     experiments = experiments_in(read_table(interrupted_sweep.output))
     for trials, experiment in zip(experiments, GRID[:3], strict=True):
@@ -135,6 +139,7 @@ def test_an_interrupted_sweep_runs_only_what_is_missing(
 def test_a_finished_sweep_leaves_its_output_alone_in_the_folder(
     interrupted_sweep: Store, tmp_path: Path
 ) -> None:
+    """Neither parts nor the draft of a file, which a killed process left there."""
     cut_off_draft = interrupted_sweep.parts / ".0123abcd.tmp"
     cut_off_draft.write_bytes(b"PAR1")
     run_sweep(interrupted_sweep, 1)
@@ -142,11 +147,13 @@ def test_a_finished_sweep_leaves_its_output_alone_in_the_folder(
 
 
 def test_a_sweep_with_gaps_runs_the_trials_in_the_gaps(output: Path, jobs_run: list[Job]) -> None:
+    """Trials 2 to 4 and 7 of 10 are there."""
     store = Store(output, GRID[:1])
-    for first, count in ((2, 3), (7, 1)):
-        store.add(Job(GRID[0], first, count).run())
+    store.add(Job(GRID[0], first=2, count=3).run())
+    store.add(Job(GRID[0], first=7, count=1).run())
     store.flush()
     jobs_run.clear()
+
     run_sweep(Store(output, [replace(GRID[0], trials=10)]), 1)
 
     assert [(job.first, job.count) for job in jobs_run] == [(0, 2), (5, 2), (8, 2)]
@@ -158,10 +165,12 @@ def test_a_finished_sweep_is_not_run_again(output: Path, jobs_run: list[Job]) ->
     jobs_run.clear()
     run_sweep(Store(output, GRID[:1]), 1)
 
-    assert jobs_run == [] and read_table(output).equals(table)
+    assert jobs_run == []
+    assert read_table(output).equals(table)
 
 
 def test_a_larger_sweep_runs_only_new_trials_and_experiments(output: Path, jobs_run: list[Job]) -> None:
+    """Ten trials of one experiment are there; then 15 are wanted, and 33 of another one."""
     run_sweep(Store(output, [replace(GRID[0], trials=10)]), 1)
     jobs_run.clear()
     larger = [replace(GRID[0], trials=15), replace(GRID[1], trials=33)]
@@ -201,7 +210,9 @@ def test_results_of_another_version_are_never_overwritten(
         Store(output, GRID[:2])
 
 
-def test_workers_of_another_thread_give_what_one_process_gives(output: Path, tmp_path: Path) -> None:
+def test_worker_processes_started_from_a_thread_give_the_results_of_one_process(
+    output: Path, tmp_path: Path
+) -> None:
     reported_trials: list[int] = []
     with ThreadPoolExecutor(1) as thread:
         thread.submit(run_sweep, Store(output, GRID), workers=2, report=reported_trials.append).result()
@@ -235,6 +246,7 @@ def test_a_worker_that_is_killed_ends_the_sweep_with_an_error(output: Path) -> N
 
 
 def row_counts(folder: Path) -> list[int]:
+    """Return the number of rows of each file of results in a folder."""
     return [pq.read_metadata(path).num_rows for path in sorted(folder.glob("*.parquet"))]
 
 
@@ -255,6 +267,7 @@ def test_a_short_sweep_is_written_once(output: Path, monkeypatch: pytest.MonkeyP
 def test_a_part_is_written_when_the_last_one_is_a_second_old(
     output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The clock begins at 100 s. A part is a file of the results so far, and its count that of its rows."""
     now = 100.0
     monkeypatch.setattr(store_module, "time", SimpleNamespace(monotonic=lambda: now))
     store = Store(output, GRID[:1])
@@ -269,6 +282,7 @@ def test_a_part_is_written_when_the_last_one_is_a_second_old(
 def test_parts_of_a_long_sweep_are_a_hundredth_of_its_time_apart(
     output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """After 1000 s that is 10 s, so that writing never takes long beside the work."""
     now = 0.0
     monkeypatch.setattr(store_module, "time", SimpleNamespace(monotonic=lambda: now))
     store = Store(output, GRID[:1])
@@ -280,7 +294,8 @@ def test_parts_of_a_long_sweep_are_a_hundredth_of_its_time_apart(
     assert counts == [[1], [1], [1, 2]]
 
 
-def test_a_part_is_written_when_there_are_rows_enough(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_part_is_written_when_ten_rows_wait(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The limit, which bounds the memory, is set to 10, and time to never."""
     monkeypatch.setattr(store_module, "_SECONDS_BETWEEN_PARTS", 1e9)
     monkeypatch.setattr(store_module, "_MAX_ROWS", 10)
     store = Store(output, GRID[:1])
@@ -311,9 +326,10 @@ def test_the_output_has_row_groups_in_the_order_of_the_experiments(
         assert (streamed.errors == at_once.errors).all()
 
 
-def test_the_rows_of_a_part_fit_the_size_of_their_lists(
+def test_a_part_has_fewer_rows_the_longer_their_lists_are(
     output: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The limit is set to the bytes of a thousand rows here: each value takes eight."""
     (row,) = trials_to_table(Job(GRID[0], 0, 1, 400).run()).to_pylist()
     value_count = sum(np.size(values) for values in row.values() if isinstance(values, list))
     monkeypatch.setattr(store_module, "ROW_GROUP_BYTES", 1000 * 8 * value_count)
@@ -355,7 +371,7 @@ def test_an_output_can_be_continued_when_the_other_process_has_ended(output: Pat
     assert [path.name for path in output.parent.iterdir()] == ["grid.parquet"]
 
 
-def test_one_process_may_open_an_output_twice(output: Path) -> None:
+def test_a_process_does_not_lock_itself_out_of_its_output(output: Path) -> None:
     Store(output, GRID).reserve()
     assert Store(output, GRID).missing_count == 40 * len(GRID)
 
@@ -453,7 +469,8 @@ def test_sweep_runs_a_file_into_results_beside_it(
     grid_file: Path, run_for_json: Callable[..., dict[str, Any]]
 ) -> None:
     answer = run_for_json("sweep", grid_file, "--workers", "1")
-    assert (answer["run"], answer["output"]) == (6, str(grid_file.with_suffix(".parquet")))
+    assert answer["run"] == 2 * 3  # trials
+    assert answer["output"] == str(grid_file.with_suffix(".parquet"))
 
 
 def test_sweep_of_finished_results_runs_nothing(
@@ -475,7 +492,8 @@ def test_score_writes_a_line_of_csv_for_each_trial(
     run_for_json("sweep", grid_file, "--workers", "1")
     csv_file = grid_file.with_suffix(".csv")
     run_for_json("score", grid_file.with_suffix(".parquet"), "--csv", csv_file)
-    assert len(csv_file.read_text().splitlines()) == 1 + 6
+    header, trials = 1, 6
+    assert len(csv_file.read_text().splitlines()) == header + trials
 
 
 def test_score_takes_other_limits(grid_file: Path, run_for_json: Callable[..., dict[str, Any]]) -> None:
@@ -674,6 +692,7 @@ def slow_sweep(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 def workers_of(process: subprocess.Popen[str]) -> list[str]:
+    """Return the ids of the worker processes of a sweep."""
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     if not children.exists():
         pytest.skip("the kernel does not list the children of a process")
@@ -681,6 +700,7 @@ def workers_of(process: subprocess.Popen[str]) -> list[str]:
 
 
 def is_worker(process: str) -> bool:
+    """Return whether a process, given by its id, is a worker that has not ended."""
     try:
         return b"spawn_main" in Path(f"/proc/{process}/cmdline").read_bytes()
     except OSError:  # it has ended
@@ -699,9 +719,11 @@ def test_a_signal_keeps_what_is_finished(
     assert slow_sweep.returncode == 128 + number
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
-    finished_trials = sum(len(read_table(path)) for path in parts.glob("*.parquet"))
 
-    assert 0 < finished_trials == 400 - Store(tmp_path / "slow.parquet", [LONG_SWEEP]).missing_count
+    finished_trials = sum(len(read_table(path)) for path in parts.glob("*.parquet"))
+    missing_trials = Store(tmp_path / "slow.parquet", [LONG_SWEEP]).missing_count
+    assert finished_trials > 0
+    assert finished_trials + missing_trials == LONG_SWEEP.trials
 
 
 def test_ctrl_c_while_a_part_is_written_loses_nothing(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -722,11 +744,12 @@ def test_ctrl_c_while_a_part_is_written_loses_nothing(output: Path, monkeypatch:
 
 @pytest.mark.slow
 def test_ctrl_c_does_not_disturb_workers_that_start(slow_sweep: subprocess.Popen[str]) -> None:
+    """Ctrl-C in a terminal reaches all processes of a group, also those that are still importing."""
     wait_until(lambda: bool(workers_of(slow_sweep)))
     os.killpg(slow_sweep.pid, signal.SIGINT)
     _, errors = slow_sweep.communicate(timeout=PATIENCE)
 
-    assert slow_sweep.returncode == 130
+    assert slow_sweep.returncode == 128 + signal.SIGINT
     assert "Traceback" not in errors
 
 

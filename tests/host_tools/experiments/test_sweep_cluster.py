@@ -61,30 +61,49 @@ def store(tmp_path: Path) -> Store:
     return Store(tmp_path / "x.parquet", [SLOW])
 
 
-def test_the_cluster_runs_what_is_missing_and_keeps_it_when_lost(
+def run_sweep_command(trials: int, output: Path, *options: str) -> None:
+    """Run ``mcp-asdf sweep`` on a file of one experiment with so many trials."""
+    path = output.with_suffix(".toml")
+    path.write_text(f"robots = 4\nsteps = 300\nfilter_period = 100\ntrials = {trials}\n")
+    assert cli.main(["sweep", str(path), "--output", str(output), *options]) == 0
+
+
+@pytest.mark.usefixtures("store")
+def test_a_cluster_goes_on_with_a_sweep_and_gives_the_same_bits_as_this_computer(tmp_path: Path) -> None:
+    here, there = tmp_path / "here.parquet", tmp_path / "there.parquet"
+    with cluster_of(1, tmp_path) as (address, _):
+        run_sweep_command(20, there, "--workers", "1")
+        run_sweep_command(50, there, "--scheduler", address)
+    run_sweep_command(50, here, "--workers", "1")
+
+    assert read_table(there).equals(read_table(here))
+
+
+def test_a_cluster_with_another_version_is_refused(
     tmp_path: Path, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def sweep(count: int, output: Path, *arguments: str) -> None:
-        path = tmp_path / "grid.toml"
-        path.write_text(f"robots = 4\nsteps = 300\nfilter_period = 100\ntrials = {count}\n")
-        assert cli.main(["sweep", str(path), "--output", str(output), *arguments]) == 0
+    """This program takes itself for version 9.9.9, which the workers are not."""
+    with cluster_of(1, tmp_path) as (address, _):
+        monkeypatch.setattr(versions, "metadata", SimpleNamespace(version=lambda name: "9.9.9"))
+        assert next(jobs_of(store)).run().experiment == SLOW
 
-    here, there = tmp_path / "here.parquet", tmp_path / "there.parquet"
-    with cluster_of(1, tmp_path) as (address, end):
-        sweep(20, there, "--workers", "1")
-        sweep(50, there, "--scheduler", address)
-        sweep(50, here, "--workers", "1")
-        assert read_table(there).equals(read_table(here))
-        with monkeypatch.context() as patch:
-            patch.setattr(versions, "metadata", SimpleNamespace(version=lambda name: "9.9.9"))
-            assert next(jobs_of(store)).run().experiment == SLOW
-            with pytest.raises(UsageError, match="install the same on all"):
-                run_sweep(store, 1, scheduler=address)
-        long = replace(SLOW, trials=500)
-        long_sweep = Store(tmp_path / "long.parquet", [long])
-        with pytest.raises(UsageError, match="what was finished is kept"):
-            run_sweep(long_sweep, 1, report=lambda _: end.close(), scheduler=address)
-    assert 0 < Store(long_sweep.output, [long]).missing_count == long_sweep.missing_count < long.trials
+        with pytest.raises(UsageError, match="install the same on all"):
+            run_sweep(store, 1, scheduler=address)
+
+
+def test_what_a_cluster_has_finished_is_kept_when_it_is_lost(tmp_path: Path, store: Store) -> None:
+    """The cluster ends when the first trials have come back."""
+    long = replace(SLOW, trials=500)
+    long_sweep = Store(tmp_path / "long.parquet", [long])
+    with (
+        cluster_of(1, tmp_path) as (address, end),
+        pytest.raises(UsageError, match="what was finished is kept"),
+    ):
+        run_sweep(long_sweep, 1, report=lambda _: end.close(), scheduler=address)
+
+    missing_count = Store(long_sweep.output, [long]).missing_count
+    assert 0 < missing_count < long.trials
+    assert missing_count == long_sweep.missing_count
 
 
 @pytest.mark.parametrize("error", [OSError("Timed out trying to connect"), TimeoutError("no answer")])
@@ -104,13 +123,17 @@ def test_a_scheduler_that_does_not_answer_any_more_is_a_lost_cluster(
     "address",
     ["tcp://127.0.0.1:1", "nonsense://x", "", "127.0.0.1:b", "tls://127.0.0.1:1", "inproc://x"],
 )
-def test_no_scheduler_is_told(address: str, store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_address_without_a_scheduler_is_refused(
+    address: str, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(cluster_module, "_TIMEOUT", 1)
     with pytest.raises(UsageError, match="no Dask scheduler at"):
         run_sweep(store, 1, scheduler=address)
 
 
-def test_no_workers_are_told(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_without_workers_is_refused_with_the_command_that_starts_some(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(cluster_module, "_TIMEOUT", 1)
     with cluster_of(0, tmp_path) as (address, _):
         words = f"at {address} has no workers; start some: dask worker {address}"

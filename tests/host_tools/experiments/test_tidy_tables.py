@@ -40,6 +40,7 @@ def tidy(trials: Trials) -> pa.Table:
 
 
 def test_a_table_of_one_experiment_has_no_parameters(tidy: pa.Table) -> None:
+    """They would be the same in all rows."""
     assert tidy.column_names == ["trial", "step", "robot", "is_flawed", *QUANTITIES]
 
 
@@ -87,10 +88,14 @@ def test_results_without_records_are_refused_with_the_option_that_records() -> N
         tidy_results(table)
 
 
-def test_results_in_format_5_have_tidy_tables() -> None:
+def test_results_of_an_earlier_version_become_tidy_tables() -> None:
+    """Two trials of 3 robots and two of 2, recorded after 0, 10 and 20 observations of each robot."""
     tidy = pa.concat_tables(stream_tidy_results(FORMAT_5_FILE))
-    assert tidy["robots"].to_pylist() == [3] * 18 + [2] * 12
-    assert tidy["t"].to_pylist()[18:24] == [0, 0, 10, 10, 20, 20]
+
+    rows_of_3_robots, rows_of_2_robots = 2 * 3 * 3, 2 * 3 * 2
+    assert tidy["robots"].to_pylist() == [3] * rows_of_3_robots + [2] * rows_of_2_robots
+    first_trial_of_2_robots = tidy.slice(rows_of_3_robots, 6)
+    assert first_trial_of_2_robots["t"].to_pylist() == [0, 0, 10, 10, 20, 20]
 
 
 # --- Streams ---------------------------------------------------------------------------------------------
@@ -114,9 +119,13 @@ def test_files_of_a_folder_have_columns_for_parameters_that_differ_between_them(
     assert set(second_table["seed"].to_pylist()) == {2}
 
 
-def test_a_row_group_is_read_when_its_rows_are_needed(
+def test_files_of_results_are_read_one_by_one_as_their_rows_are_needed(
     folder_of_two: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """So results may be larger than the memory.
+
+    The first table is asked for, and the second file is not read.
+    """
     complete_reads = []
     read = RowGroup.read
 
@@ -157,7 +166,8 @@ def test_csv_has_a_header_and_numbers_for_truth_values(tidy: pa.Table, tmp_path:
 
 
 def test_the_number_of_rows_written_is_returned(tidy: pa.Table, tmp_path: Path) -> None:
-    assert write_tidy_tables(tmp_path / "robots.csv", [tidy, tidy]) == 36
+    assert len(tidy) == 2 * 3 * 3  # trials, steps and robots
+    assert write_tidy_tables(tmp_path / "robots.csv", [tidy, tidy]) == 2 * len(tidy)
 
 
 def test_many_small_tables_become_one_row_group(tidy: pa.Table, tmp_path: Path) -> None:
@@ -165,12 +175,12 @@ def test_many_small_tables_become_one_row_group(tidy: pa.Table, tmp_path: Path) 
     assert pq.ParquetFile(tmp_path / "robots.parquet").num_row_groups == 1
 
 
-def test_a_table_cannot_have_another_suffix(tidy: pa.Table, tmp_path: Path) -> None:
+def test_a_table_is_exported_to_csv_or_parquet_and_nothing_else(tidy: pa.Table, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"cannot export to robots\.xlsx: .* \.csv or \.parquet"):
         write_tidy_tables(tmp_path / "robots.xlsx", [tidy])
 
 
-def test_a_table_does_not_replace_results(tidy: pa.Table, tmp_path: Path) -> None:
+def test_an_exported_table_does_not_replace_a_file_of_results(tidy: pa.Table, tmp_path: Path) -> None:
     results = tmp_path / "run.parquet"
     results.write_bytes(FORMAT_5_FILE.read_bytes())
 

@@ -56,6 +56,7 @@ def errors_over_time(recorded_swarms: dict[str, list[Trials]]) -> Figure:
 
 
 def test_errors_of_experiments_with_one_name_share_a_line(recorded_swarms: dict[str, list[Trials]]) -> None:
+    """There are two filters for each of two fill ratios, and ``series_name`` names the fill ratio alone."""
     panels = {"both": [*recorded_swarms["none"], *recorded_swarms["robust"]]}
     figure = plot_errors_over_time(panels, series_name=lambda experiment: f"f = {experiment.fill_ratio}")
     assert len(figure.axes[0].lines) == 2
@@ -146,7 +147,10 @@ def test_titles_of_bands_have_the_cell_and_the_share_that_ends_off(
     assert title == f"{cell} more than 0.05 off: {share:.0%} of healthy robots"
 
 
-def test_robots_are_off_from_what_they_assumed_at_first(half_flawed: Trials) -> None:
+def test_healthy_robots_count_as_harmed_by_how_far_they_are_from_what_they_assumed_at_first(
+    half_flawed: Trials,
+) -> None:
+    """Healthy robots assume 0.8 at first, and 0.84 in the end, which is not the true 0.95."""
     experiment = replace(half_flawed.experiment, unflawed_accuracy=0.8)
     b_hat = half_flawed.b_hat.copy()
     b_hat[:, -1, 2:] = 0.84
@@ -185,7 +189,8 @@ def test_bands_name_parameters_that_have_an_effect(half_flawed: Trials) -> None:
     assert named == ["$f$ = 0.55", "filter period 100", "filter period 150"]
 
 
-def test_bands_need_a_filter_step(half_flawed: Trials) -> None:
+def test_bands_of_trials_in_which_no_filter_has_run_are_refused(half_flawed: Trials) -> None:
+    """Bands are drawn where robots run their filter; with a period of 1000 none does in 300 steps."""
     without_filter_step = results_of(replace(SHORT_EXPERIMENT, filter_period=1000))
     with pytest.raises(UsageError, match="these trials have no filter step"):
         plot_bands([half_flawed, without_filter_step])
@@ -227,6 +232,10 @@ def test_series_show_the_records_of_every_robot(
 
 
 def test_flawed_robots_lie_on_top_of_healthy_ones(series: Figure) -> None:
+    """In each panel: three healthy robots, one flawed one, and the true value.
+
+    What is drawn later lies on top.
+    """
     for axes in series.axes:
         assert [line.get_color() for line in axes.lines] == [OTHER] * 3 + [FLAWED, INK]
 
@@ -251,6 +260,7 @@ def test_series_have_the_time_axis_of_the_longest_run(series: Figure) -> None:
 def test_series_have_room_for_all_but_the_first_moments(
     row: int, quantity: str, truth: float, series: Figure, recorded_runs: list[Trials]
 ) -> None:
+    """An axis holds all values and the true one, with a margin; the first moments may be far outside."""
     first_moments = 2  # a fiftieth of the first run's 147 samples; the second run has too few
     first, second = (trials.records[quantity][0] for trials in recorded_runs)
     values = np.concatenate([first[first_moments:], second, [[truth] * 4]])

@@ -110,6 +110,7 @@ int main(void)
 
 @pytest.mark.slow
 def test_two_folders_of_one_project_share_the_library(tmp_path: Path) -> None:
+    """Each folder has the library and a table; built twice, its functions would clash."""
     write_folder(tmp_path / "one", "--omega", "0.1", "--neighbours", "30")
     write_folder(tmp_path / "two")
     write_folder(tmp_path / "three")  # the table of the second one again
@@ -126,6 +127,7 @@ def test_two_folders_of_one_project_share_the_library(tmp_path: Path) -> None:
     ],
 )
 def test_a_folder_and_the_package_share_the_library(folders: tuple[str, ...], tmp_path: Path) -> None:
+    """A project has the firmware as a CMake package and as a folder; built twice, functions would clash."""
     (tmp_path / "core").symlink_to(ROOT / "c_ref")
     write_folder(tmp_path / "vendor/mcp_asdf", "--omega", "0.1", "--neighbours", "30")
     build(tmp_path, PROGRAM, folders=folders)
@@ -235,14 +237,18 @@ def test_the_commands_for_zephyr_build_a_robot(tmp_path: Path) -> None:
     run(tmp_path / "build/robot")
 
 
-def test_zephyr_finds_build_commands_and_options_where_the_module_says(tmp_path: Path) -> None:
-    kconfiglib = pytest.importorskip("kconfiglib", reason="kconfiglib is not installed: make setup")
+def test_zephyr_finds_the_build_commands_that_module_yml_names(tmp_path: Path) -> None:
     write_folder(tmp_path)
     module = yaml.safe_load((tmp_path / "zephyr/module.yml").read_text(encoding="utf-8"))
     assert module["name"] == "mcp_asdf"
     assert (tmp_path / module["build"]["cmake"] / "CMakeLists.txt").is_file()
-    options = kconfiglib.Kconfig(str(tmp_path / module["build"]["kconfig"]), warn_to_stderr=False)
 
+
+def test_zephyr_finds_the_option_of_the_library_in_the_file_that_module_yml_names(tmp_path: Path) -> None:
+    kconfiglib = pytest.importorskip("kconfiglib", reason="kconfiglib is not installed: make setup")
+    write_folder(tmp_path)
+    module = yaml.safe_load((tmp_path / "zephyr/module.yml").read_text(encoding="utf-8"))
+    options = kconfiglib.Kconfig(str(tmp_path / module["build"]["kconfig"]), warn_to_stderr=False)
     assert [symbol.name for symbol in options.unique_defined_syms] == ["MCP_ASDF"]
 
 
@@ -322,6 +328,7 @@ def test_a_table_of_somebody_else_is_not_deleted(folder: Path) -> None:
 
 
 def test_force_replaces_changed_files_and_deletes_other_tables(folder: Path) -> None:
+    """Without --force the command keeps what it has not written itself."""
     (folder / "mcp_asdf.c").write_text("/* ours */")
     (folder / "t_table_ours.c").write_text("/* ours */")
     write_folder(folder, "--force")

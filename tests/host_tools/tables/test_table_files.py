@@ -76,7 +76,9 @@ def test_a_strict_compiler_makes_the_array_and_nothing_else_of_the_c_file(tmp_pa
     run("gcc", "-std=c99", "-O1", *warnings, f"-I{ROOT}/c_ref/src", "-c", C_FILE, "-o", object_file)
     symbols = run("nm", "-S", object_file).split()
 
-    assert symbols == ["0" * 16, f"{132:016x}", "R", "mcp_asdf_t_table_omega05_q30"]
+    # Address, size, section (read-only data) and name
+    size = 12 + 4 * 30
+    assert symbols == [f"{0:016x}", f"{size:016x}", "R", "mcp_asdf_t_table_omega05_q30"]
 
 
 # --- Writing ------------------------------------------------------------------------------------------
@@ -165,10 +167,12 @@ def test_check_accepts_line_ends_of_other_systems(tmp_path: Path) -> None:
 
 def test_check_names_the_first_line_that_differs(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / JSON_FILE.name
-    path.write_text(JSON_FILE.read_text().replace(f" {TABLE.entries[17]},", " 7,"))
-    assert run_table("--check", path) == 1
-    problem = f"line 37: found '    7,', expected '    {TABLE.entries[17]},'"
+    changed_entry = TABLE.entries[17]  # which is in line 37
+    path.write_text(JSON_FILE.read_text().replace(f" {changed_entry},", " 7,"))
 
+    assert run_table("--check", path) == 1
+
+    problem = f"line 37: found '    7,', expected '    {changed_entry},'"
     assert capsys.readouterr().out == f"{path}: omega 0.05, q 30: {problem}\n"
 
 
@@ -176,7 +180,7 @@ def test_check_reports_in_json(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / JSON_FILE.name
     path.write_text(JSON_FILE.read_text() + "\n")
     assert run_table("--check", C_FILE, path, "--json") == 1
-    problem = "line 53: found '', expected None"
+    problem = "line 53: found '', expected None"  # the file ends with line 52
 
     assert json.loads(capsys.readouterr().out) == {
         "ok": False,

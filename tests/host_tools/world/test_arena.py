@@ -85,11 +85,11 @@ def test_a_seed_gives_the_same_bits_everywhere(settings: WorldSettings, name: st
     assert_equals_golden_file(f"motion_{name}.txt", list(describe_motion(motion)))
 
 
-def test_trials_differ() -> None:
+def test_robots_of_another_trial_start_elsewhere() -> None:
     assert not np.array_equal(Arena(CROWD, 7).positions, Arena(CROWD, 8).positions)
 
 
-def test_time_may_pass_in_any_portions() -> None:
+def test_robots_move_the_same_way_however_many_ticks_are_taken_at_once() -> None:
     motion = Arena(CROWD, 7).record(500)
     arena = Arena(CROWD, 7)
     for ticks in (0, 1, 2, 97):  # 100 together
@@ -99,7 +99,7 @@ def test_time_may_pass_in_any_portions() -> None:
         assert np.array_equal(getattr(last_400_ticks, name), values[100:]), name
 
 
-def test_the_positions_are_those_after_the_last_tick() -> None:
+def test_the_present_positions_are_those_after_the_last_tick() -> None:
     arena = Arena(CROWD, 7)
     assert np.array_equal(arena.record(50).position[-1], arena.positions)
 
@@ -140,7 +140,7 @@ def test_no_body_is_faster_than_its_wheels(run: tuple[WorldSettings, Motion]) ->
     assert distances_in_tick.max() <= settings.speed * TICK * (1 + 1e-9)
 
 
-def test_headings_keep_their_length(run: tuple[WorldSettings, Motion]) -> None:
+def test_directions_of_robots_stay_vectors_of_length_one(run: tuple[WorldSettings, Motion]) -> None:
     _, motion = run
     lengths = np.linalg.norm(motion.heading, axis=2)
     assert np.abs(lengths - 1).max() < 1e-9
@@ -183,7 +183,9 @@ def links_by_definition(position: NDArray[np.float64], settings: WorldSettings) 
 @pytest.mark.parametrize(
     "settings", [PAPER, CROWD, moving(128, 6.0, 5.0, speed=0.4), moving(40, 2.0, 2.0, radio_range=0.17)]
 )
-def test_links_are_those_of_the_definition(settings: WorldSettings) -> None:
+def test_robots_hear_each_other_if_they_are_in_range_and_no_third_stands_between(
+    settings: WorldSettings,
+) -> None:
     """In 14 ticks one after the other, and then in 10 that are far apart.
 
     The arena searches for pairs that may be linked every 13 ticks, so this is before and after searches.
@@ -199,7 +201,7 @@ def test_links_are_those_of_the_definition(settings: WorldSettings) -> None:
     assert link_count > 0
 
 
-def test_bodies_cut_links_in_a_crowd() -> None:
+def test_robots_in_between_cut_more_than_a_fifth_of_the_links_in_a_crowd() -> None:
     motion = Arena(CROWD, 11).record(200)
     is_in_range = distances(motion.position[-1]) < CROWD.radio_range
     links = motion.adjacency[-1].sum()
@@ -228,7 +230,10 @@ def random_large_arena(density: float, seed: int) -> Arena:
 
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("density", [0.02, 0.3, 1.0, 4.0, 10.0])
-def test_the_grid_of_many_robots_finds_the_pairs_of_all_compared(density: float, seed: int) -> None:
+def test_a_search_in_a_grid_finds_the_same_pairs_of_robots_as_comparing_all(
+    density: float, seed: int
+) -> None:
+    """With more than 128 robots the arena compares those of neighbouring squares only."""
     arena = random_large_arena(density, seed)
     for _ in range(2):
         candidates = arena._arena.candidates[0 : arena._arena.candidate_count]
@@ -237,7 +242,7 @@ def test_the_grid_of_many_robots_finds_the_pairs_of_all_compared(density: float,
 
 
 @pytest.mark.parametrize("density", [0.3, 4.0])
-def test_links_of_many_robots_are_those_of_the_definition(density: float) -> None:
+def test_hundreds_of_robots_hear_each_other_by_the_same_rule(density: float) -> None:
     arena = random_large_arena(density, seed=0)
     motion = arena.record(27)
     assert np.array_equal(motion.adjacency[-1], links_by_definition(motion.position[-1], arena.settings))
@@ -245,6 +250,7 @@ def test_links_of_many_robots_are_those_of_the_definition(density: float) -> Non
 
 @pytest.mark.parametrize(("size", "allocated"), [(1, 8), (8, 8), (9, 16)])
 def test_memory_is_allocated_in_doubles(size: int, allocated: int) -> None:
+    """A number of 8 bytes, so that what C puts there is aligned."""
     assert allocate_memory(size).nbytes == allocated
 
 
@@ -256,6 +262,7 @@ def bytes_per_robot(robots: int) -> float:
 
 
 def test_memory_grows_linearly_with_the_robots() -> None:
+    """And not with their pairs: ten times as many robots would need a hundred times as much."""
     assert 1000 < bytes_per_robot(10_000) < 2000
     assert bytes_per_robot(1000) == pytest.approx(bytes_per_robot(10_000), rel=0.01)
 
@@ -299,7 +306,7 @@ class Wheels:
         return "none"
 
 
-def test_wheels_follow_the_rules_with_their_two_thresholds() -> None:
+def test_robots_turn_away_from_obstacles_as_the_authors_controller_does() -> None:
     """Obstacles are in directions that wander by 25 degrees, now and then on the opposite side."""
     arena, rules = Arena(moving(1, 5, 5), 0), Wheels()
     rng = np.random.default_rng(6)
@@ -346,7 +353,7 @@ def test_a_share_of_the_tiles_as_large_as_the_fill_ratio_is_black(fill_ratio: fl
 
 
 @pytest.mark.parametrize("fill_ratio", [0.05, 0.55, 0.95])
-def test_neighbouring_tiles_are_independent(fill_ratio: float) -> None:
+def test_the_colour_of_a_tile_does_not_depend_on_its_neighbours(fill_ratio: float) -> None:
     black = tile_colours(fill_ratio)
     deviation = math.sqrt(fill_ratio * (1 - fill_ratio) / black.size)
     both_black_in_row = black[1:] & black[:-1]
@@ -482,7 +489,7 @@ def half_of_last_digit(value: float) -> float:
 
 
 @pytest.mark.slow
-def test_the_motion_has_the_statistics_of_the_reference() -> None:
+def test_robots_move_and_meet_as_often_as_in_the_authors_simulation() -> None:
     """Within 5 %, and what the sampling error of short trials and the reference's last digit add to it."""
     path = Path(__file__).parents[2] / "data/motion_statistics.json"
     reference = json.loads(path.read_text(encoding="utf-8"))["statistics"]

@@ -112,7 +112,7 @@ def test_any_graph_is_the_same_when_it_is_written_and_parsed_again(links: frozen
         ("0 > 1\n0 1", "line 2: that robot 1 hears 0 is in line 1 already"),
     ],
 )
-def test_errors_name_the_line(text: str, complaint: str, tmp_path: Path) -> None:
+def test_an_error_in_a_file_of_edges_names_its_line(text: str, complaint: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError) as caught:
         parse_file(text, tmp_path)
     assert complaint in str(caught.value)
@@ -137,6 +137,7 @@ def graph_with_neighbours(count: int) -> Graph:
 
 
 def test_a_robot_may_have_as_many_neighbours_as_a_round_holds() -> None:
+    """The firmware takes at most 127 estimates between two broadcasts."""
     graph_with_neighbours(127).check(128)
 
 

@@ -70,15 +70,15 @@ def philox_words(counter: tuple[int, int, int, int], key: tuple[int, int]) -> li
         ),
     ],
 )
-def test_draws_are_those_of_philox_4x32_10(
+def test_random_numbers_are_those_of_the_generator_philox_4x32_10(
     counter: tuple[int, int, int, int], key: tuple[int, int], words: list[int]
 ) -> None:
     """The known answers are those of its authors (Random123)."""
     assert philox_words(counter, key) == words
 
 
-def test_the_counter_of_a_draw_is_step_robot_trial_and_stream() -> None:
-    """One counter gives the words of four steps, of which it has the number of the first divided by 4."""
+def test_a_random_number_depends_on_step_robot_trial_and_purpose_alone() -> None:
+    """The generator turns a counter (step // 4, robot, trial, purpose) into the numbers of four steps."""
     low_word, high_word = KEY
     stream = Stream(1, seed=(high_word << 32) | low_word, trial=7, robots=3)
     words_of_robot_2 = stream.draw_words(4)[:, 2]
@@ -86,7 +86,7 @@ def test_the_counter_of_a_draw_is_step_robot_trial_and_stream() -> None:
 
 
 @pytest.mark.parametrize("first_step", [0, 1, 3, 4, 6])
-def test_draws_do_not_depend_on_where_one_begins(first_step: int) -> None:
+def test_random_numbers_of_a_step_do_not_depend_on_the_first_step_asked_for(first_step: int) -> None:
     stream = Stream(OBSERVATION_STREAM, SEED, trial=0, robots=3)
     words_of_20_steps = stream.draw_words(20)
     words_of_9_steps = stream.draw_words(9, first_step)
@@ -94,6 +94,7 @@ def test_draws_do_not_depend_on_where_one_begins(first_step: int) -> None:
 
 
 def test_uniform_draws_are_the_middles_of_equal_intervals() -> None:
+    """So none of the 2**32 numbers is 0 or 1."""
     stream = Stream(SENSOR_STREAM, SEED, trial=0, robots=3)
     assert np.array_equal(stream.draw_uniforms(5) * 2.0**32, stream.draw_words(5) + 0.5)
 
@@ -104,7 +105,9 @@ def test_uniform_draws_are_the_middles_of_equal_intervals() -> None:
 @pytest.mark.parametrize(
     ("white_offset", "accuracy_on_white"), [(0.0, Fraction(7, 10)), (-0.125, Fraction(23, 40))]
 )
-def test_observations_follow_eq_1_draw_by_draw(white_offset: float, accuracy_on_white: Fraction) -> None:
+def test_each_random_number_becomes_black_with_the_probability_of_the_paper_s_equation_1(
+    white_offset: float, accuracy_on_white: Fraction
+) -> None:
     """A robot observes black on black tiles, 2/5 of the floor, and by mistake on white ones, 3/5."""
     world = make_world(fill_ratio=0.4, true_accuracy=0.7, white_offset=white_offset)
     probability_of_black = Fraction(2, 5) * Fraction(7, 10) + Fraction(3, 5) * (1 - accuracy_on_white)
@@ -115,12 +118,12 @@ def test_observations_follow_eq_1_draw_by_draw(white_offset: float, accuracy_on_
     assert world.advance(200).black.tolist() == expected
 
 
-def test_the_accuracy_of_a_scene_is_the_mean_of_both_colours() -> None:
+def test_the_reported_accuracy_is_the_mean_of_those_on_black_and_on_white() -> None:
     world = make_world(true_accuracy=0.7, white_offset=-0.125)
     assert world.advance(200).accuracy == pytest.approx((0.7 + 0.575) / 2)
 
 
-def test_robots_that_move_see_the_floor_through_their_sensors() -> None:
+def test_moving_robots_observe_the_colour_under_them_with_the_accuracy_of_their_sensor() -> None:
     """Black is observed with probability b, and white taken for black with 1 - w."""
     settings = make_settings(topology="dynamic", fill_ratio=0.4, true_accuracy=0.75, white_offset=0.125)
     is_black_floor = Arena(settings, 0).record(200).black.astype(bool)
@@ -154,7 +157,7 @@ def test_a_draw_one_unit_below_the_probability_is_below_it(topology: str) -> Non
     assert world.advance(20).black.all()
 
 
-def test_trials_seeds_and_robots_differ() -> None:
+def test_robots_of_other_trials_and_seeds_observe_differently() -> None:
     """Twelve robots, four in each of three worlds, observe differently."""
     worlds = [
         World(make_settings(seed=SEED), trial=0),
@@ -186,7 +189,7 @@ def test_robots_observe_in_every_observation_period(changes: dict[str, Any]) -> 
 
 
 @in_each_world
-def test_how_many_steps_are_taken_at_once_changes_nothing(changes: dict[str, Any]) -> None:
+def test_a_world_is_the_same_however_many_steps_are_taken_at_once(changes: dict[str, Any]) -> None:
     scene = make_world(**changes).advance(200)
     world = make_world(**changes)
     parts = [world.advance(steps) for steps in (7, 1, 130, 62)]  # 200 together
@@ -218,14 +221,18 @@ def observations_in(scene: Scene) -> list[list[Observation | None]]:
 
 
 @in_each_world
-def test_a_stepped_world_observes_what_a_scene_says(changes: dict[str, Any]) -> None:
+def test_a_world_taken_step_by_step_has_the_observations_of_all_steps_at_once(
+    changes: dict[str, Any],
+) -> None:
     scene = make_world(**changes).advance(200)
     stepped_world = SteppedWorld(make_settings(**changes))
     assert [list(stepped_world.step()) for _ in range(200)] == observations_in(scene)
 
 
 @in_each_world
-def test_a_stepped_world_shows_the_present_step_of_a_scene(changes: dict[str, Any]) -> None:
+def test_a_world_taken_step_by_step_has_the_neighbours_and_accuracies_of_all_steps_at_once(
+    changes: dict[str, Any],
+) -> None:
     scene = make_world(**changes).advance(200)
     stepped_world = SteppedWorld(make_settings(**changes))
     for step in range(200):
@@ -234,7 +241,7 @@ def test_a_stepped_world_shows_the_present_step_of_a_scene(changes: dict[str, An
         assert np.array_equal(stepped_world.accuracy, scene.accuracy[step])
 
 
-def test_a_stepped_world_shows_the_present_positions_of_robots_that_move() -> None:
+def test_a_world_taken_step_by_step_has_the_positions_of_all_steps_at_once() -> None:
     scene = make_world(topology="dynamic").advance(200)
     stepped_world = SteppedWorld(make_settings(topology="dynamic"))
     assert scene.positions is not None
@@ -245,7 +252,7 @@ def test_a_stepped_world_shows_the_present_positions_of_robots_that_move() -> No
 
 
 @pytest.mark.parametrize("topology", [{}, {"topology": "graph", "graph": "0 1; 1 > 2"}])
-def test_a_stepped_world_without_motion_has_no_positions(topology: dict[str, str]) -> None:
+def test_robots_that_do_not_move_have_no_positions(topology: dict[str, str]) -> None:
     scene = make_world(**topology).advance(200)
     stepped_world = SteppedWorld(make_settings(**topology))
     stepped_world.step()
@@ -364,54 +371,75 @@ def test_a_recording_with_a_former_kind_of_drift_is_refused() -> None:
 # --- Moving worlds ---------------------------------------------------------------------------------------
 
 
-def test_the_density_makes_the_square() -> None:
+def test_the_density_of_robots_makes_the_floor_a_square() -> None:
+    """Density is the number of robots times the area of a radio's range, 0.7 m, by the area of the floor."""
     paper = WorldSettings(topology="dynamic", robots=20)
-    assert paper.sides == pytest.approx((5.5486, 5.5486), abs=1e-4)
+    side = math.sqrt(20 * math.pi * 0.7**2 / paper.density)
+    assert side == pytest.approx(5.5486, abs=1e-4)
+    assert paper.sides == pytest.approx((side, side))
+
+
+def test_a_width_and_a_height_make_the_floor_a_rectangle() -> None:
+    paper = WorldSettings(topology="dynamic", robots=20)
     assert replace(paper, density=1.0, width=3.0, height=2.0).sides == (3.0, 2.0)
 
 
-def test_every_setting_reaches_the_arena() -> None:
-    members = {"robots": 2, "width": 2.0, "height": 1.5, "speed": 0.1, "tile": 0.02, "fill_ratio": 0.4}
-    settings = make_settings(**members, topology="dynamic", radio_range=0.5, steps_per_second=20)
-    config, _ = make_config(settings, 0, _arena.ffi)
-    assert config == {**members, "range": 0.5, "tick": 1 / 20, "seed": arena_seed(SEED, 0)}
+def test_every_setting_of_moving_robots_reaches_their_simulation_in_c() -> None:
+    """Most have the same name there; a tick is the seconds of a step, and the seed is one of the trial."""
+    same_in_c = {"robots": 2, "width": 2.0, "height": 1.5, "speed": 0.1, "tile": 0.02, "fill_ratio": 0.4}
+    settings = make_settings(**same_in_c, topology="dynamic", radio_range=0.5, steps_per_second=20)
+
+    members_in_c, _ = make_config(settings, trial=0, ffi=_arena.ffi)
+
+    assert members_in_c == {**same_in_c, "range": 0.5, "tick": 1 / 20, "seed": arena_seed(SEED, trial=0)}
 
 
 LEAST_FILL_RATIO_OF_CODES = 3 * 33e-4 + 2 * 42e-4
 """What three finder patterns and two timing lines have of black, in a code of 10^4 modules."""
+FINDER_PATTERN_SIDE = 7
+BLACK_IN_FINDER_PATTERN = 24 + 9
+"""Black modules of a finder pattern: those of its frame, and a square of 3 x 3 in its middle."""
 FILL_RATIOS_OF_CODES = [0.448, 0.1, 0.5, 0.5001, 0.8, LEAST_FILL_RATIO_OF_CODES]
 
 
 @pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
-def test_a_code_has_exactly_its_share_of_black(fill_ratio: float) -> None:
+def test_a_floor_like_a_qr_code_has_exactly_the_chosen_share_of_black(fill_ratio: float) -> None:
     code = make_floor_code(fill_ratio)
     assert code.shape == (100, 100)
     assert code.sum() == round(fill_ratio * 100 * 100)
 
 
 @pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
-def test_the_middle_of_a_code_is_white_for_a_logo(fill_ratio: float) -> None:
-    assert not make_floor_code(fill_ratio)[34:66, 34:66].any()
+def test_the_middle_of_a_floor_like_a_qr_code_is_white_for_a_logo(fill_ratio: float) -> None:
+    middle = slice(34, 66)  # of 100 modules
+    assert not make_floor_code(fill_ratio)[middle, middle].any()
 
 
 @pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
-def test_a_code_has_finder_patterns_in_three_corners(fill_ratio: float) -> None:
-    """Each is a square of 7 x 7 with 24 black modules in its frame and 9 in its middle."""
+def test_a_floor_like_a_qr_code_has_finder_patterns_in_three_corners(fill_ratio: float) -> None:
+    """A finder pattern is the square of 7 x 7 modules by which a reader of QR codes finds the corner."""
     code = make_floor_code(fill_ratio)
-    assert code[:7, :7].sum() == 33
-    assert code[:7, -7:].sum() == 33
-    assert code[-7:, :7].sum() == 33
+    first, last = slice(0, FINDER_PATTERN_SIDE), slice(-FINDER_PATTERN_SIDE, None)
+    assert code[first, first].sum() == BLACK_IN_FINDER_PATTERN
+    assert code[first, last].sum() == BLACK_IN_FINDER_PATTERN
+    assert code[last, first].sum() == BLACK_IN_FINDER_PATTERN
 
 
 @pytest.mark.parametrize("fill_ratio", FILL_RATIOS_OF_CODES)
-def test_a_code_has_timing_lines_of_black_and_white_in_turn(fill_ratio: float) -> None:
+def test_a_floor_like_a_qr_code_has_two_lines_of_black_and_white_in_turn(fill_ratio: float) -> None:
+    """A row and a column by which readers of QR codes count modules, from one finder pattern to another."""
     code = make_floor_code(fill_ratio)
-    black_and_white = [True, False] * 42
-    assert code[6, 8:92].tolist() == black_and_white
-    assert code[8:92, 6].tolist() == black_and_white
+    line = FINDER_PATTERN_SIDE - 1  # the last row and column of the first pattern
+    margin = FINDER_PATTERN_SIDE + 1  # a pattern and a white module beside it
+    between_patterns = slice(margin, 100 - margin)
+
+    black_and_white = [True, False] * ((100 - 2 * margin) // 2)
+    assert code[line, between_patterns].tolist() == black_and_white
+    assert code[between_patterns, line].tolist() == black_and_white
 
 
-def test_the_code_is_always_the_same() -> None:
+def test_a_floor_like_a_qr_code_is_always_the_same() -> None:
+    """So results on it can be repeated. Each character is a module: # is black."""
     rows = ["".join("#" if is_black else "." for is_black in row) for row in make_floor_code(0.448)]
     assert_equals_golden_file("floor_code.txt", rows)
 
@@ -431,6 +459,7 @@ VALID_ACCURACIES = np.full((1, 1), 0.5)
 def test_accuracies_of_an_extension_may_be_alike_for_all_steps_or_robots(
     accuracies: NDArray[np.float64],
 ) -> None:
+    """An extension of the user's may return one row or column in place of 5 steps and 4 robots."""
     sensors = CheckedSensors(extension_that_answers((VALID_ACCURACIES, accuracies)), make_settings())
     on_black, on_white = sensors.advance(5)
     assert on_black is VALID_ACCURACIES
@@ -472,6 +501,8 @@ def test_an_installed_sensor_takes_the_place_of_the_built_in_one() -> None:
 
 
 def test_a_sensor_that_breaks_its_promise_of_one_accuracy_is_refused() -> None:
+    """It says that it has one accuracy for both colours, by which the fast engine goes, and returns two."""
+
     class Sensors:
         has_one_accuracy = True
 
@@ -535,9 +566,13 @@ def test_a_drift_may_start_at_the_lowest_accuracy() -> None:
 
 def test_sensors_may_drift_in_flawed_robots_alone() -> None:
     settings = Population(robots=4, flawed=1, drift_of="flawed", drift="linear", drift_rate=-1e-3, steps=100)
-    assert true_accuracies(settings)[99].tolist() == pytest.approx([0.95 - 0.099, 0.95, 0.95, 0.95])
+    accuracy_after_99_steps = 0.95 - 99 * 1e-3
+    assert true_accuracies(settings)[99].tolist() == pytest.approx(
+        [accuracy_after_99_steps, 0.95, 0.95, 0.95]
+    )
 
 
 def test_sensors_drift_in_all_robots_by_default() -> None:
     settings = Population(robots=4, flawed=1, drift="linear", drift_rate=-1e-3, steps=100)
-    assert true_accuracies(settings)[99].tolist() == pytest.approx([0.95 - 0.099])
+    accuracy_after_99_steps = 0.95 - 99 * 1e-3
+    assert true_accuracies(settings)[99].tolist() == pytest.approx([accuracy_after_99_steps])
