@@ -101,7 +101,10 @@ def test_robust_scenarios_are_of_robots_with_the_robust_filter() -> None:
 
 
 def test_the_scenarios_of_a_seed_stay_the_same() -> None:
-    """The seed in a report repeats it later. If they change on purpose, write the golden vectors anew, too."""
+    """The seed in a report repeats it later.
+
+    If they change on purpose, write the golden vectors anew, too.
+    """
     some_scenarios = [*SCENARIOS[::50], *ROBUST_SCENARIOS[::50]]
     assert_equals_golden_file("scenarios.txt", list(map(str, some_scenarios)))
 
