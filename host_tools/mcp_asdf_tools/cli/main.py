@@ -82,7 +82,10 @@ class Command(Protocol):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the program on ``argv`` (default: the process's own arguments); returns the exit code."""
+    """Run the program on ``argv`` (default: the process's own arguments); returns the exit code.
+
+    Wrong usage and failures that the user can mend are printed, and raise nothing.
+    """
     arguments = sys.argv[1:] if argv is None else list(argv)
     command_name = arguments[0] if arguments and arguments[0] in COMMANDS else None
     command_title = PROGRAM if command_name is None else f"{PROGRAM} {command_name}"

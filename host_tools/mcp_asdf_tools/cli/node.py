@@ -106,7 +106,11 @@ def run(args: argparse.Namespace) -> int:
 def _run_on_bus(
     args: argparse.Namespace, node: RobotNode, bus_choice: BusChoice, log: FrameTaker | None
 ) -> RunOutcome:
-    """Join the bus and run the node until its steps are done, it is stopped or the bus fails."""
+    """Join the bus and run the node until its steps are done, it is stopped or the bus fails.
+
+    The result says how it has ended. Raises UsageError if the bus cannot be opened, or if standard input is
+    to end the run and there is none.
+    """
     from rich.console import Console
 
     from mcp_asdf_tools.robots.node import BusLink, filters_for, run_node

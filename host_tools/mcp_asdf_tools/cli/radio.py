@@ -198,7 +198,10 @@ def run(args: argparse.Namespace) -> int:
 def _verify(
     args: argparse.Namespace, settings: RadioSettings, bus_choice: BusChoice, console: Console
 ) -> int:
-    """Take the controller through all phases, print the verdict and write the report; return an exit code."""
+    """Take the controller through all phases, print the verdict and write the report; return an exit code.
+
+    That is 0 if it has passed, 1 if not, INTERRUPTED if a signal came, and 2 if the log is not complete.
+    """
     from mcp_asdf_tools.common.files import write_atomically
     from mcp_asdf_tools.radio.controller_link import BenchOptions
     from mcp_asdf_tools.radio.verification import Verification, details, markdown
@@ -239,7 +242,11 @@ def _verify(
 def _emulate_neighbours(
     args: argparse.Namespace, settings: RadioSettings, bus_choice: BusChoice, console: Console
 ) -> int:
-    """Run the neighbours until --steps are done or Ctrl-C, print and write results; return the exit code."""
+    """Run the neighbours until --steps are done or Ctrl-C, print and write results; return the exit code.
+
+    That is 0, 1 if the bus failed, INTERRUPTED if a signal came before the end, and 2 if the log is not
+    complete.
+    """
     from mcp_asdf_tools.common.files import results_beside, write_atomically
     from mcp_asdf_tools.radio.neighbourhood import Neighbourhood
     from mcp_asdf_tools.radio.real_time import RadioRun
@@ -311,7 +318,7 @@ def _print_report(args: argparse.Namespace, report_text: str, report: dict[str, 
 
 
 def _format_results(results: dict[str, Any], filter_description: str) -> str:
-    """Format the results of a run in real time, as ``RadioRun.figures`` returns them, for a terminal.
+    """Format the results of a run in real time for a terminal.
 
     There is a line each on the run, the filter, the frames and the neighbours, then one for each injected
     fault and for each id that another node also uses.

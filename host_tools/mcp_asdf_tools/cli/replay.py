@@ -125,7 +125,7 @@ def _report(
     verdict: ReplayVerdict,
     filter_description: str,
 ) -> dict[str, object]:
-    """Return the result as plain values for JSON."""
+    """Return the result as plain values for JSON: the files, the frames by channel, and the verdict."""
     from mcp_asdf_tools.recording.frame_logs import PART_SUFFIX
 
     return {

@@ -93,7 +93,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the trials that are missing, decide the claims and write the report; return exit code 0."""
+    """Run the trials that are missing, decide the claims and write the report; return exit code 0.
+
+    Raises UsageError for wrong options, and if trials cannot be run or files not be written.
+    """
     from mcp_asdf_tools.studies import report
     from mcp_asdf_tools.studies.claims import decide
     from mcp_asdf_tools.studies.study_results import StudyResults

@@ -197,7 +197,10 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, bus_choice: Bus
 
 
 def _parse_device(device: str) -> tuple[int, BusChoice]:
-    """Return robot id and bus of a text such as ``3=slcan:socket://127.0.0.1:20001``. Raises UsageError."""
+    """Return robot id and bus of a text such as ``3=slcan:socket://127.0.0.1:20001``.
+
+    Raises UsageError for a text of another form, or with an interface that python-can does not have.
+    """
     import can
 
     from mcp_asdf_tools.bus.interfaces import BusChoice
@@ -284,7 +287,10 @@ class _RunResult:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the swarm, write its log and results, and print a summary; return the exit code."""
+    """Run the swarm, write its log and results, and print a summary; return the exit code.
+
+    Raises UsageError for wrong options, and if a bus or file cannot be opened.
+    """
     from can import CanError
 
     from mcp_asdf_tools.common.files import results_beside, write_atomically

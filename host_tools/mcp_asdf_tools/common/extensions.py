@@ -91,7 +91,10 @@ def name_object(value: Any) -> Any:
 
 
 def check_for_workers(name: str) -> None:
-    """Raise UsageError if a name is that of an object which worker processes cannot import."""
+    """Raise UsageError if a name is that of an object which worker processes cannot import.
+
+    Names of built-in or installed things are fine.
+    """
     if not isinstance(name, ObjectName):
         return
     import pickle  # noqa: PLC0415 (only several workers need it)

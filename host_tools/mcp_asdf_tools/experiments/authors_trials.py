@@ -296,7 +296,7 @@ def _filter_parameters(file: _TrialFile) -> dict[str, Any]:
 
 
 def _read_series(file: _TrialFile, experiment: Experiment) -> dict[str, NDArray[np.float64]]:
-    """Return the QUANTITIES of all robots by name, shape (N, steps + 1) each, flawed robots first.
+    """Return the recorded values of all robots by name, shape (N, steps + 1) each, flawed robots first.
 
     Raises UsageError if robots or steps are missing, or a number is none that a robot can have.
     """

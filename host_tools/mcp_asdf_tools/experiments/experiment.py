@@ -134,7 +134,10 @@ def _is_list_of_tables(value: Any) -> bool:
 
 
 def _combine_values(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield all combinations of parameters of which some have lists of values."""
+    """Yield all combinations of parameters of which some have lists of values.
+
+    Raises ParameterError for an empty list, and for lists that make more than MAX_EXPERIMENTS combinations.
+    """
     value_lists = [value if isinstance(value, list | tuple) else [value] for value in parameters.values()]
     # The number is checked before any combination is made, list by list, so that the error names the first
     # list that makes too many. An empty list would make none.

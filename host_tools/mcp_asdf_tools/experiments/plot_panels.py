@@ -189,7 +189,7 @@ def sorted_attributes(experiments: Sequence[Trials], name: str) -> list[float]:
 
 
 def accuracy_offset(experiment: Experiment) -> float:
-    """Return how much better than b the accuracy is that flawed robots assume; 0 if there are none."""
+    """Return how much better than the true accuracy b is what flawed robots assume; 0 if there are none."""
     if not experiment.flawed:
         return 0.0
     # Rounding makes differences equal that differ by the error of floats alone, such as 0.9 - 0.8 and 0.1.

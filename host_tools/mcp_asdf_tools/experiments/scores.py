@@ -99,7 +99,7 @@ SCORES = ("H", "h_K", "h_e")
 def score(
     convergence_steps: ArrayLike, errors: ArrayLike, k_max: float, e_max: float
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the SCORES of trials by name, shape (trials,), from K and e of every robot.
+    """Return the scores H, h_K and h_e of trials by name, shape (trials,), from K and e of every robot.
 
     ``convergence_steps`` and ``errors`` have the shape (trials, robots). With means over the robots,
 

@@ -112,7 +112,10 @@ class Store:
     # --- Existing results --------------------------------------------------------------------------------
 
     def _find_existing_trials(self) -> None:
-        """Set the row of each trial that is in the files. Raises UsageError if they have other results."""
+        """Find out which trials have results in the files, and in which rows.
+
+        Raises UsageError if the files have results of other experiments, recordings or versions.
+        """
         for row_group in self._row_groups:
             table = row_group.read(INDEX_COLUMNS)
             trial_numbers = table["trial"].to_numpy()

@@ -425,7 +425,8 @@ class RoundingPort:
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
         """Hand a neighbour's estimate to the robot, and return its status: OK, or why it was refused.
 
-        ``x_hat`` is in units of 2**-23, ``alpha`` an alpha word. An invalid estimate raises no exception.
+        ``x_hat`` is in units of 2**-23, ``alpha`` in the firmware's form, a mantissa and a shift in 32 bits.
+        An invalid estimate raises no exception.
         """
         # Invalid estimates are usual on a bus: as with ``FixedPointRobot`` they are no exceptions here.
         try:

@@ -78,7 +78,7 @@ class SwarmFilter:
 
     @property
     def active_firmware_filters(self) -> set[Filter]:
-        """Firmware filters, one for each activation, that robots which re-estimate b_hat may have."""
+        """What the firmware of a robot that re-estimates b_hat may be set to, a value for each activation."""
         values = {self.firmware_filter}
         if self.firmware_filter_without_test is not None:
             values.add(self.firmware_filter_without_test)
@@ -176,7 +176,7 @@ FILTERS: dict[str, SwarmFilter] = {
 
 
 def filter_of_one_robot(firmware_filter: Filter) -> SwarmFilter:
-    """Return the filter that gives every robot of a swarm this firmware filter.
+    """Return the filter of a swarm that sets the firmware of every robot to this value.
 
     Raises ValueError if there is none.
     """
@@ -189,7 +189,7 @@ def filter_of_one_robot(firmware_filter: Filter) -> SwarmFilter:
 
 
 def describe_filters(firmware_filters: Iterable[Filter]) -> str:
-    """Describe for reports, in ASCII, which robots recalibrate and how, by the firmware filter of each.
+    """Describe for reports, in ASCII, which robots recalibrate and how, by what their firmware is set to.
 
     A single robot has "ASDF", since only a swarm can have ASDF- or ASDF+.
     """
@@ -206,9 +206,9 @@ def describe_filters(firmware_filters: Iterable[Filter]) -> str:
 
 
 def _could_set(swarm_filter: SwarmFilter, values: Collection[Filter]) -> bool:
-    """Return whether the robots of a swarm with this filter may have exactly these firmware filters.
+    """Return whether a swarm with this filter may have robots whose firmware is set to exactly these values.
 
-    ``values`` are the firmware filters of all its robots, each once.
+    ``values`` has what the firmware of any robot is set to, each value once.
     """
     active_values = set(values) - {Filter.OFF}
     if not swarm_filter.is_on:

@@ -238,8 +238,10 @@ class RobotNode:
         The keys are
 
         - ``estimates_sent``, ``heartbeats_sent`` and ``telemetry_sent``;
-        - ``delivered``, ``refused`` and ``id_conflicts``, as in `Reception`;
-        - ``obeyed``, ``disobeyed`` and ``unsettled``, as in this class;
+        - ``delivered``, ``refused`` and ``id_conflicts``: estimates that the firmware got, those of them that
+          it refused, and those that came under the robot's own id;
+        - ``obeyed`` and ``disobeyed``: commands that were followed, and ones that were not;
+        - ``unsettled``: ticks that ended without a command to settle;
         - ``rejected``: the numbers of rejected frames, by reason;
         - ``events``: one dictionary per kind of suspicious estimate and sender, with the keys ``event`` (the
           kind), ``sender`` and ``estimates`` (how many came).

@@ -42,9 +42,9 @@ class AgeingSensors(ABC):
         self._next_step = 0
 
     def advance(self, steps: int) -> Accuracies:
-        """Return the accuracies in the next steps."""
-        # Changes count from the start, so that a limit that was reached does not shift what follows.
+        """Return the accuracies in the next steps, which are the same on black and on white tiles."""
         unlimited = self._settings.true_accuracy + self._changes(steps)
+        # Changes count from the start, so that a limit that was reached does not shift what follows.
         self._next_step += steps
         accuracies = np.clip(unlimited, self._settings.lowest_accuracy, 1.0)
         return accuracies, accuracies
@@ -91,7 +91,10 @@ class WanderingSensors(AgeingSensors):
         self._last_sums = np.zeros(settings.robots)
 
     def _changes(self, steps: int) -> NDArray[np.float64]:
-        """Return the sums of all random changes so far, times the diffusion."""
+        """Return the sums of all random changes so far, for the next steps, shape (steps, N).
+
+        A change has the standard deviation DIFFUSION.
+        """
         normal_draws = self._normal_draws(steps, self._next_step)
         if self._next_step == 0:
             normal_draws[0] = 0.0  # the first step has the true accuracy

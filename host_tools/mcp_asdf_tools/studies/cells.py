@@ -68,7 +68,11 @@ class Cell:
 
     @property
     def normal(self) -> Cell:
-        """The cell that stands for all cells that are the same experiment as this one."""
+        """The cell that stands for all cells that are the same experiment as this one.
+
+        Without flawed robots it does not matter what these would assume; where all are flawed, ASDF- is
+        ASDF+; and without a filter there is no filter period.
+        """
         filter_name, flawed_accuracy, filter_period = self.filter, self.flawed_accuracy, self.filter_period
         if self.flawed_percent == 0:
             # No robot starts with this value, so any one stands for all.

@@ -89,7 +89,10 @@ class Contrast:
     level: str | float | None = None
 
     def plan(self, study_part: StudyPart) -> list[PlannedComparison]:
-        """List the comparisons of the contrast's cells in a part of the study, each pair of cells once."""
+        """List the comparisons of the contrast's cells in a part of the study, each pair of cells once.
+
+        A cell is a kind of swarm, which is compared with another cell or with a level.
+        """
         # A dictionary drops repeated pairs, and keeps the order of the rest.
         plan_by_cells: dict[tuple[Cell, Cell | None], PlannedComparison] = {}
         for cell in self._cells(study_part):

@@ -156,7 +156,10 @@ class BayesCpfRobot(ReferenceRobot):
         return self._config.filter != Filter.OFF and self._t_since_update > 0
 
     def reestimate_b_hat(self) -> float | None:
-        """Return b_hat after a step of the Kalman filter; None if the count is too small to measure."""
+        """Return b_hat after a step of the Kalman filter; None if there are too few readings to measure by.
+
+        All that was counted since the last step is used up by this one.
+        """
         n, t = self._n_since_update, self._t_since_update
         # The oldest of the informed estimates weighs most, the newest has the weight 1.
         weights = range(len(self._x_since_update), 0, -1)

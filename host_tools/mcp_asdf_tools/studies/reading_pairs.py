@@ -45,7 +45,10 @@ class IndependentReadings:
         self._next_step = 0
 
     def advance(self, steps: int) -> Accuracies:
-        """Return accuracies of 0 and 1 for the next steps, by which each sensor gives the drawn reading."""
+        """Return accuracies of 0 and 1 for the next steps, by which each sensor gives the drawn reading.
+
+        Those on black come first, then those on white; the shape of each is (steps, robots).
+        """
         first_tile, steps_to_skip = divmod(self._next_step, READINGS_OF_TILE)
         self._next_step += steps
         # The last tile may have only its first reading in these steps.

@@ -96,7 +96,10 @@ def grid_rows() -> dict[str, list[Experiment]]:
 
 
 def beyond_rows() -> dict[str, list[Experiment]]:
-    """Return experiments beyond the paper's grid, whose labels name what is not as in its moving swarms."""
+    """Return experiments with swarms, worlds and sensors that the paper's grid does not have.
+
+    Their labels name what is not as in the paper's moving swarms.
+    """
     flawed: dict[str, Any] = {"flawed": "30%", "sensors": BOTH_FLAWS, "filter": ALL_FILTERS}
     healthy: dict[str, Any] = {"flawed": "0%", "fill_ratio": 0.75, "filter": FILTERS_OF_HEALTHY_SWARMS}
     worse_on_white: dict[str, Any] = {"sensors": [FLAWS["underconfident"]], "white_offset": -0.1}
@@ -216,10 +219,10 @@ def world_rows() -> dict[str, list[Experiment]]:
 
 
 def as_honest_robots_see_it(trials: Trials) -> Trials:
-    """Return trials with x and b_hat of the robots that do not lie alone, and with the floor's last f.
+    """Return trials without the values of the robots that lie, and with the share of black floor at the end.
 
-    x is the only record. The liars are the last robots of a swarm. f, the share of black floor, is
-    FLOOR_AFTER_CHANGE where the floor changes in the middle of a trial.
+    Only x and b_hat are left, of the honest robots, since the liars are the last robots of a swarm. Where the
+    floor changes in the middle of a trial, the share at the end is FLOOR_AFTER_CHANGE.
     """
     experiment = trials.experiment
     honest_robots = experiment.robots - LIARS.get(firmware_name(experiment), 0)

@@ -134,7 +134,8 @@ def late_estimates(trials: Trials) -> NDArray[np.float64]:
 def harmed_percents(trials: Trials) -> Sample:
     """Return for each trial the percentage of the healthy robots that the filter has harmed, shape (trials,).
 
-    ``Trials.find_harmed_robots`` says which these are. The percentages are NaN if all robots are flawed.
+    A robot is harmed if its b_hat ends far from where it began. The percentages are NaN if all robots are
+    flawed.
     """
     is_harmed = trials.find_harmed_robots()  # shape (trials, healthy robots), empty if none is healthy
     if not is_harmed.size:

@@ -361,9 +361,9 @@ class Carrier:
     def _pass_over_bus(self, robot: int, frames: Sequence[can.Message], tick: int) -> Sequence[can.Message]:
         """Write ``frames`` on the bus of a robot, and return those that it reads there.
 
-        Late ones are missing, and follow in a later call. A remote robot reads for itself: for its local half
-        all of ``frames`` are returned. Raises can.CanError if the bus does not take a frame, and SwarmError
-        if it loses one and no clock limits the wait for it.
+        Late ones are missing, and follow in a later call. A remote robot reads for itself: for its
+        counterpart in this process all of ``frames`` are returned. Raises can.CanError if the bus does not
+        take a frame, and SwarmError if it loses one and no clock limits the wait for it.
         """
         carrier_connection = self.bus_connections[robot]
         for frame in frames:

@@ -117,7 +117,11 @@ class Baselines:
 
 
 def results_of(swarm: Swarm) -> dict[str, Any]:
-    """Return the results of a swarm's ticks so far as plain values, for JSON."""
+    """Return the results of a swarm's ticks so far as plain values, for JSON.
+
+    They are the robots' estimates and errors, b_hat before and after, the numbers of tests, updates and
+    frames, the hits of faults, the load of a real bus, how late the clock was, and results of each robot.
+    """
     settings = swarm.settings
     nodes = swarm.nodes
     traffic = swarm.traffic

@@ -42,7 +42,10 @@ def table_name(omega: Decimal, q: int) -> str:
 
 
 def describe_table(omega: Decimal, q: int) -> dict[str, Any]:
-    """Return what the JSON file of a table holds: its properties, its checksums and its entries."""
+    """Return what the JSON file of a table holds: its properties, its checksums and its entries.
+
+    Raises UsageError for an omega or a q that no table has.
+    """
     table = generate(omega, q)
     table_words = table.words()
     error = worst_threshold_error(omega, table)
@@ -121,7 +124,7 @@ def format_c_source(omega: Decimal, q: int) -> str:
 
 
 def _format_initializers(table: Table) -> str:
-    """Return the lines of the C array: one word a line, with its meaning as a comment."""
+    """Return the lines of a table's array in C: one word of 32 bits a line, with its meaning as a comment."""
     *exact_thresholds, common_threshold = [entry / 2**FRACTION_BITS for entry in table.entries]
     # The words in their order: two of a header, k_m for m = 2 .. q, one for all m above q, and the checksum.
     comments = ["magic, q", "omega * 2^32"]

@@ -117,7 +117,7 @@ class History:
         """Append a state, if its tick is a multiple of the present spacing; drop it otherwise.
 
         With more than MAX_STATES the spacing doubles, states between are removed, and a new generation
-        begins.
+        begins, so that readers take all states anew.
         """
         if state.tick % self._ticks_between_states != 0:
             return

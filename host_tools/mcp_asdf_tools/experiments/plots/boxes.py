@@ -50,9 +50,9 @@ def plot_boxes(
 ) -> Figure:
     """Plot boxes of the score H by the share of flawed robots and their accuracy, a panel for each f and b.
 
-    They are as in the paper's figures 3 and 5, with a colour for each series of ``group_into_series``. A
-    point for each trial shows what a box hides: cells whose trials fall into two groups. f is the share of
-    black tiles, b the true accuracy of a sensor.
+    They are as in the paper's figures 3 and 5. Experiments have a colour by their filter and other parameters
+    in which they differ, or by the name that ``series_name`` returns. A point for each trial shows what a box
+    hides: that trials fall into two groups. f is the share of black tiles, b the true accuracy of a sensor.
 
     Scores are relative to ``limits``, by default the paper's. As in all pictures, ``where`` chooses
     experiments by their parameters, and the figure's method ``savefig`` writes a file. Raises UsageError if

@@ -301,7 +301,7 @@ class Collide(Fault):
             raise UsageError(f"fault {self.name} needs the id to send under, such as id=3")
 
     def on_send(self, sent_frame: SentFrame, run: FaultRun) -> SentFrame:
-        """Return the frame with the other node's id in its identifier, if it is hit."""
+        """Return the frame under the node id ``id`` if the fault hits it, otherwise as it is."""
         if self.id is None or not run.hits_frame(sent_frame):
             return sent_frame
         frame = copy.copy(sent_frame.frame)
