@@ -357,10 +357,10 @@ class Multicast(Connection):
         self._group.send(datagram, timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """Return the next frame, of another node or an own one if those are returned, and if it is filtered.
+        """Return the next frame, and whether it has passed the filters, which are applied to it if not.
 
-        The second value is true if the frame passes every filter, and false if it has not been filtered yet.
-        The frame is None after ``timeout`` seconds, and earlier after an own frame that is not returned.
+        Frames that were sent here are returned only if the connection returns them. The frame is None after
+        ``timeout`` seconds, and earlier after one that was sent here and is not returned.
         """
         while (received := self._group.recv(timeout)) is not None:
             datagram, _sender_address, timestamp = received

@@ -25,6 +25,8 @@ MAX_PORT = 65535
 _OK, _ERROR = b"\r", b"\a"
 _MAX_LINE_BYTES = 32
 """No legal line is longer: that of a frame with 8 bytes and a 29-bit identifier has 26."""
+_MAX_BYTES_AT_ONCE = 4096
+"""Bytes of lines that are read from a client at once."""
 _SEND_TIMEOUT = 1.0
 """Longest time to wait for room on the bus, in seconds."""
 _SEND_BUFFER_BYTES = 1 << 16
@@ -205,7 +207,7 @@ def _read_lines(client: socket.socket) -> Iterator[bytes]:
     A line that grows beyond all bounds is dropped and yields ``b"?"``, which is no command.
     """
     unfinished_line = b""
-    while received := client.recv(4096):
+    while received := client.recv(_MAX_BYTES_AT_ONCE):
         # What follows the last end of a line is the beginning of the next one.
         *lines, unfinished_line = (unfinished_line + received).split(b"\r")
         yield from lines

@@ -37,7 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the DBC file, or print its text without ``--output``; return exit code 0."""
+    """Write the DBC file, or print its text without ``--output``; return exit code 0.
+
+    Raises UsageError for nodes or a format that are impossible, and if the file cannot be written.
+    """
     from mcp_asdf_tools.common.files import write_atomically
 
     dbc_content = dbc_text(options.estimate_format_of(args), args.per_node)

@@ -177,7 +177,8 @@ def open_stores(
             (study_part, ""): [experiment_of(cell, study_size) for cell in cells_of(study_part)]
             for study_part in parts
         }
-        if (own_firmware, own_filter) != (PAPERS_FIRMWARE, None):
+        has_users_choice = own_firmware != PAPERS_FIRMWARE or own_filter is not None
+        if has_users_choice:
             for study_part in parts:
                 experiments = own_experiments_of(study_part, study_size, own_firmware, own_filter)
                 experiments_by_key[study_part, own_name_of(experiments[0])] = experiments

@@ -109,6 +109,7 @@ def read_trials(files: Iterable[Path], sampling_interval: int) -> Iterator[Trial
     for path in files:
         trials = _read_trial(path, sampling_interval)
         [number] = trials.numbers
+        # The first file of a trial stays in the dictionary, and is returned for each later one.
         earlier_path = file_of_trial.setdefault((trials.experiment, number), path)
         if earlier_path != path:
             raise UsageError(

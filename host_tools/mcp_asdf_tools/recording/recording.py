@@ -195,11 +195,13 @@ class Recording:
     def _flush_if_due(self) -> None:
         """Count an entry that is about to be recorded, and flush those before it if it is time.
 
-        Then events that led to a frame are on disk no later than the frame.
+        It is time after _FLUSH_PERIOD seconds, or _MAX_UNFLUSHED entries if these come earlier. So events
+        that led to a frame are on disk no later than the frame.
         """
         self._is_empty = False
         self._unflushed_count += 1
-        if self._unflushed_count > _MAX_UNFLUSHED or time.monotonic() >= self._flush_time:
+        is_due = self._unflushed_count > _MAX_UNFLUSHED or time.monotonic() >= self._flush_time
+        if is_due:
             self._unflushed_count = 0
             self._flush_time = time.monotonic() + _FLUSH_PERIOD
             self._attempt(self._flush_files)

@@ -119,7 +119,10 @@ class Population(WorldSettings):
         return bool(robot < self.flawed)
 
     def b_hat(self, robot: int) -> float:
-        """Return the accuracy that a robot assumes at the start, in the firmware's [2**-20, 1 - 2**-20]."""
+        """Return the accuracy that a robot assumes at the start, limited to 2**-20 and 1 - 2**-20.
+
+        These are the firmware's limits.
+        """
         if self.is_flawed(robot):
             accuracy = self.flawed_accuracy
         else:

@@ -73,9 +73,9 @@ PEERS_BY_KIND: dict[str, list[dict[str, Any]]] = {
 
 
 def ageing_rows() -> dict[str, list[Experiment]]:
-    """Return the experiments of all kinds of ageing and both memories, with three f and all filters.
+    """Return the experiments of all kinds of ageing, each with the longest and with a short memory.
 
-    f is the share of black floor.
+    Each row has three shares of black floor, and all filters that make a difference.
     """
     return {
         kind + memory_label: m.grid(
@@ -94,7 +94,10 @@ def ageing_rows() -> dict[str, list[Experiment]]:
 
 
 def peer_rows() -> dict[str, list[Experiment]]:
-    """Return the experiments of two kinds of ageing and both memories, with robots that know how they age."""
+    """Return experiments with robots that know how their sensors age, of two kinds of ageing.
+
+    Each is there with the longest and with a short memory.
+    """
     return {
         kind + memory_label: m.grid(
             # The peers' tables have a firmware and a filter of their own, which replace the ones here.

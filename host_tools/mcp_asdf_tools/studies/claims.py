@@ -146,8 +146,11 @@ class Contrast:
             # Which P that is depends on the cell, so no table of changes can describe it.
             percent_index = FLAWED_PERCENTS.index(cell.flawed_percent)
             return [replace(cell, flawed_percent=FLAWED_PERCENTS[percent_index - 1])]
-        named_changes = _FILE["than"]
-        changes = dict(named_changes[self.than] if isinstance(self.than, str) else self.than)
+        if isinstance(self.than, str):
+            named_changes = _FILE["than"]
+            changes = dict(named_changes[self.than])
+        else:
+            changes = dict(self.than)
         if "study_part" in changes:
             changes["study_part"] = StudyPart(changes["study_part"])
         # A list among the values stands for several reference cells.

@@ -89,7 +89,7 @@ class StudyResults:
     def measure(self, cell: Cell, name: str) -> Resampled:
         """Return a measure of a cell, one kind of swarm, with its bootstrap resamples. It is computed once.
 
-        - a name of SAMPLES: the median over the trials
+        - a score, "H", "h_K" or "h_e", or "b_hat": the median over the trials
         - "spread of H": the interquartile range of H over the trials
         - "best H of 30": the H that the best of 30 trials reaches or misses equally often
         - "loss of H": the median H of the same swarm without flawed robots, less that of this one

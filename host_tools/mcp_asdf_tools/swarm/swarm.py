@@ -311,7 +311,11 @@ class Swarm:
     def _record_changes(
         self, events_writer: EventsWriter, robot: int, frame: can.Message, sent_frame: SentFrame | None
     ) -> None:
-        """Record how ``sent_frame``, None if nothing was sent, differs from the robot's own ``frame``."""
+        """Record how ``sent_frame``, None if nothing was sent, differs from the robot's own ``frame``.
+
+        An event of the robot says that its estimate was falsified, or that it was not sent. A frame that was
+        sent under another id is recorded as injected.
+        """
         if sent_frame is not None and sent_frame.is_under_own_id:
             if sent_frame.is_falsified:
                 estimate = decode_estimate(sent_frame.frame, self.settings.frames)
@@ -326,7 +330,10 @@ class Swarm:
             events_writer.recorders[robot].record_silence()
 
     def _send_extra_frames(self, *, before_others: bool) -> None:
-        """Send the frames that faulty robots send besides their own, before or after those of all robots."""
+        """Send the frames that faulty robots send besides their own, before or after those of all robots.
+
+        They are recorded as frames that a fault has injected, and count as frames of this tick.
+        """
         for node in self.nodes:
             for frame in self.faults.extra_frames(node.id, self._now, before_others=before_others):
                 # Other faults change these frames, too.

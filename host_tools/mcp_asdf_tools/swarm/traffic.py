@@ -56,7 +56,7 @@ class Traffic:
     def figures(self) -> dict[str, Any]:
         """Return the counts as plain values, for JSON.
 
-        Keys are the counts of this class, and sums over all robots of those of ``Reception``.
+        Keys are the counts of this class, and counts of what all robots together received, by kind of frame.
         ``id_conflicts`` has the count of each robot whose id another node used, by id; ``rejected`` a count
         for each reason.
         """

@@ -81,10 +81,10 @@ def recorded_trial_history(trials: Trials, trial: int) -> History:
     stride = math.ceil(spacing / trials.sampling_interval)
     states = [
         State(
-            sample * trials.sampling_interval,
-            np.vstack([estimates[sample], true_accuracies]),
-            unknown_neighbours,
-            None,
+            tick=sample * trials.sampling_interval,
+            values=np.vstack([estimates[sample], true_accuracies]),
+            neighbours=unknown_neighbours,
+            positions=None,
         )
         for sample in range(0, len(estimates), stride)
     ]

@@ -184,8 +184,7 @@ class OutageFault(Fault, ABC):
 
         Returns None, and counts nothing, for a node that is on the bus.
         """
-        # The memory of a node is how long its outage went on at the last tick, that tick included.
-        ticks_left_before = run.memory.get(node, 0)
+        ticks_left_before = run.memory.get(node, 0)  # of an outage at the last tick, that tick included
         ticks_left = max(ticks_left_before - 1, 0)
         # A node that is off the bus already is not hit again.
         if ticks_left == 0 and run.hits_node(node, tick):
@@ -236,9 +235,10 @@ class Freeze(Fault):
     summary = "a broadcast repeats the estimate of the robot's last regular one"
 
     def on_send(self, sent_frame: SentFrame, run: FaultRun) -> SentFrame:
-        """Return the frame with the values of the robot's last estimate that was not frozen, if it is hit.
+        """Return the frame with the values of the robot's last estimate that was not frozen, if it is frozen.
 
-        Its transfer_id stays. Frames that are no estimate are not changed, nor is a robot's first estimate.
+        That is so if the fault hits it. Its transfer_id stays. Frames that are no estimate are not changed,
+        nor is a robot's first estimate.
         """
         estimate = decode_estimate(sent_frame.frame, run.frame_format)
         if not isinstance(estimate, Estimate):
@@ -269,7 +269,7 @@ class Liar(Fault):
     alpha: float = parameter("confidence that is claimed", 0, float32_value(MAX_FLOAT32_BITS), default=1e6)
 
     def on_send(self, sent_frame: SentFrame, run: FaultRun) -> SentFrame:
-        """Return the frame with ``x`` and ``alpha`` in place of the robot's own estimate, if it is hit.
+        """Return the frame with ``x`` and ``alpha`` in place of the robot's estimate, if the fault hits it.
 
         Frames that are no estimate are not changed.
         """
