@@ -39,7 +39,7 @@ _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
 _FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\s](?:[^$\n]*[^$\s])?)\$", re.DOTALL)
 _FILE = re.compile(r"<!-- file: (\S+) -->")
 _INLINE_CODE = re.compile(r"(?<=<code>)[^<\n]+(?=</code>)")
-_WORD = re.compile(r"(?<![^ ])(?=[^ ]*[-.])[^ ]{2,26}(?![^ ])")
+_WORD = re.compile(r"(?<![^ ])[^ ]{2,26}(?![^ ])")
 _BLOCK = re.compile(r'<div class="highlight">(.*?)</div>', re.DOTALL)
 _POWER = re.compile(r"(?<=[\w)])\*\*(-?\w+|\([^)]*\))")
 
@@ -108,7 +108,8 @@ def on_page_content(content: str, page: Any, **_: Any) -> str:
 
 def _wrapped(block: re.Match[str]) -> str:
     """Commands and output may break their lines, except columns, tables and what is indented."""
-    if re.search("   |[|\u2503]", block[1]):
+    without_comments = re.sub(' +(?=<span class="c1">)', "", block[1])
+    if re.search(r"   |^(?:<[^<>]+>)*\||\u2503", without_comments, re.MULTILINE):
         return block[0]
     return block[0].replace('class="', 'class="wrapped ', 1)
 
@@ -135,7 +136,7 @@ def _command(name: str) -> str:
         actions = [action for action in group._group_actions if action.help is not argparse.SUPPRESS]
         if actions:
             rows = "\n".join(_option(parser, action) for action in actions)
-            parts.append(f"\n**{group.title}**\n\n| option | meaning |\n|---|---|\n{rows}\n")
+            parts.append(f"\n**{_escaped(group.title)}**\n\n| option | meaning |\n|---|---|\n{rows}\n")
     return "".join(parts) + f"\n```text\n{parser.epilog}\n```\n"
 
 
@@ -143,7 +144,12 @@ def _option(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
     formatter = parser._get_formatter()
     words = _cell(formatter._format_action_invocation(action))
     meaning = formatter._expand_help(action) if action.help else ""
-    return f"| `{words}` | {html.escape(_cell(meaning), quote=False)} |"
+    return f"| `{words}` | {_escaped(_cell(meaning))} |"
+
+
+def _escaped(text: str | None) -> str:
+    """Keep Markdown from reading a text."""
+    return html.escape(text or "", quote=False).replace("*", r"\*")
 
 
 def _cell(text: str) -> str:

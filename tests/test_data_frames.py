@@ -80,7 +80,7 @@ def test_a_program_of_the_page_prints_what_the_page_shows(example: Example, tabl
 @pytest.mark.slow
 def test_the_commands_for_a_sweep_end_with_what_the_page_shows(tables: Path) -> None:
     shown_for_sweep, *_ = blocks(PAGE, "text")
-    assert (tables / "printed.txt").read_text().endswith(shown_for_sweep)
+    assert (tables / "printed.txt").read_text().endswith(shown_for_sweep.removeprefix("...\n"))
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from support import FENCED, PATH, ROOT, run
+from support import FENCED, PATH, ROOT, block_with, run
 
 TUTORIAL, GUIDE, REPRODUCE = (
     ROOT / f"docs/{name}.md" for name in ("experiment_tutorial", "experiments", "reproduce")
@@ -140,6 +140,8 @@ def test_the_quick_study_prints_what_the_page_shows(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_robust_filter_is_drawn_into_figure_5(tmp_path: Path) -> None:
     [command] = [line for line in commands(REPRODUCE) if "--filter robust" in line]
-    run(*shlex.split(command), *SHORT, cwd=tmp_path, **ENVIRONMENT)
+    printed = run(*shlex.split(command), *SHORT, cwd=tmp_path, **ENVIRONMENT)
+    shown = block_with(REPRODUCE, "--filter robust", "text").removesuffix("\n...\n")
+    assert_shown(printed, f"{shown} {' '.join(SHORT)}\n")
     names = {path.name for path in (tmp_path / "mine/figures").iterdir()}
     assert {"topologies_asdf-minus.png", "dynamic_scatter_robust.png"} <= names

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -103,6 +104,14 @@ def run_in_package(command_line: str, package: Path) -> Any:
     """Run a command of the page where it finds the page's package, and return the JSON that it prints."""
     output = run(*command_line.split(), "--json", cwd=package, PYTHONPATH=str(package))
     return json.loads(output)
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_page_print_what_it_shows(package: Path) -> None:
+    [commands], [shown] = blocks(PAGE, "sh"), blocks(PAGE, "text")
+    printed = run("sh", "-ec", commands, cwd=package, PYTHONPATH=str(package))
+    pattern = re.escape(shown).replace(re.escape("..."), ".*?")
+    assert re.fullmatch(pattern, printed, re.DOTALL), printed
 
 
 @pytest.mark.slow

@@ -49,7 +49,7 @@ _TYPES = {"trial": pa.int64(), "step": pa.int64(), "robot": pa.int32(), "is_flaw
 """Types of the columns that are neither parameters nor QUANTITIES, which are doubles."""
 
 _UNITS_AND_MEANINGS = {
-    "trial": ("1", "number of the trial, from 0; 0 for a swarm's log"),
+    "trial": ("1", "number of the trial; the first is 0, as in a swarm's log"),
     "step": ("step", "steps so far; values at 0 are those before the first observation"),
     "robot": ("1", "id of the robot, from 0"),
     "is_flawed": ("1", "whether the robot assumed a wrong accuracy at step 0"),
