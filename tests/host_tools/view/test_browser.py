@@ -295,6 +295,13 @@ def test_an_address_leads_to_its_step_and_robot(browser: Page, file: Path) -> No
     open_file(browser, file, "#step=120&robot=5")
     until(browser, "view.player.tick === 120 && view.followedRobot === 5")
     assert not browser.evaluate("view.player.isPlaying")
+    until(browser, "document.getElementById('time').value === '120'")
+    until(browser, "view.charts.drawnStateCount === view.history.stateCount")
+    lines_are_right = """view.charts.views.every(({ plot }) => {
+        const { m41 } = new DOMMatrix(getComputedStyle(plot.over.querySelector(".now")).transform);
+        return Math.abs(m41 - plot.valToPos(120, "x")) < 1;
+    })"""
+    until(browser, lines_are_right)
 
 
 # --- Faults and deaths --------------------------------------------------------------------------------

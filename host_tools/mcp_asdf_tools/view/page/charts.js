@@ -214,6 +214,7 @@ export class Charts {
     this.views = []; // of each chart: the chart, uPlot's plot, and the elements that change
     this.followedRobot = null;
     this.drawnStateCount = 0;
+    this.presentTick = 0;
     new ResizeObserver(() => this.#fitToParent()).observe(parent);
   }
 
@@ -253,9 +254,8 @@ export class Charts {
     const options = this.#plotOptions(chart, isLast);
     const emptyData = [[0], ...options.series.slice(1).map(() => [null])];
     const plot = new uPlot(options, emptyData, box);
-    const presentLine = createElement("div", "", "now");
-    plot.over.append(presentLine);
-    return { chart, plot, presentLine, truth };
+    plot.over.append(createElement("div", "", "now"));
+    return { chart, plot, truth };
   }
 
   /** Returns uPlot's options of a chart; only the last one has the labels of the time axis. */
@@ -271,6 +271,7 @@ export class Charts {
       padding: [22, 26, 0, 0],
       legend: { show: false },
       cursor: { show: false },
+      hooks: { draw: [(drawn) => this.#placePresentLine(drawn)] },
       scales: { x: { time: false }, y: { range: (plot) => computeLimits(plot.data ?? []) } },
       axes: [
         { ...axis, size: isLast ? 26 : 6, values: isLast ? undefined : () => [] },
@@ -332,8 +333,13 @@ export class Charts {
 
   /** Moves the line that marks the present to a tick. */
   markPresent(tick) {
-    for (const { plot, presentLine } of this.views) {
-      presentLine.style.transform = `translateX(${plot.valToPos(tick, "x")}px)`;
-    }
+    this.presentTick = tick;
+    for (const { plot } of this.views) this.#placePresentLine(plot);
+  }
+
+  /** Moves the line of one chart, also when its scale has changed. */
+  #placePresentLine(plot) {
+    const line = plot.over.querySelector(".now");
+    if (line !== null) line.style.transform = `translateX(${plot.valToPos(this.presentTick, "x")}px)`;
   }
 }

@@ -212,8 +212,8 @@ export class View {
 
   #showTime(tick) {
     const { player, history } = this;
+    findElement("time").max = this.totalSteps; // first, since the browser limits the value to it
     findElement("time").value = tick;
-    findElement("time").max = this.totalSteps;
     const seconds = (tick / history.description.steps_per_second).toFixed(1);
     writeText(findElement("clock"), `step ${Math.floor(tick)} of ${this.totalSteps}, ${seconds} s`);
     writeText(findElement("play"), player.isMoving ? "❚❚ pause" : "▶ play");
