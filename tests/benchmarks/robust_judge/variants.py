@@ -36,7 +36,6 @@ _HEARD_LATELY = (
 )
 
 VARIANTS: dict[str, tuple[Change, ...]] = {
-    "as it is": (),
     "16 slots": (Change("mcp_asdf.h", "MCP_ASDF_SLOTS 32U", "MCP_ASDF_SLOTS 16U"),),
     "tests from three estimates": (
         Change("mcp_asdf.h", "MCP_ASDF_TESTED_ESTIMATES_MIN 5U", "MCP_ASDF_TESTED_ESTIMATES_MIN 3U"),
