@@ -39,6 +39,11 @@ X_HAT_BITS = (4, 5, 6, 7, 8, 16)
 ALPHA_BITS = {"asdf-minus": (1, 2, 3, 4, 9), "robust": (1,)}
 """Bits of alpha by the filter. The robust filter only asks whether alpha is above 0, which one bit says."""
 
+CLOSE_CODES = (MessageCode(7, 4), MessageCode(8, 4))
+CLOSE_FILTER = "asdf-minus"
+CLOSE_TRIALS = 600
+"""Codes about which 30 trials leave open whether they suffice: the filter and the trials that decide it."""
+
 _WORLDS: dict[str, dict[str, Any]] = {
     "moving": {**MOVING, "robots": 20},
     "fully connected": {"robots": 10},
@@ -75,8 +80,13 @@ def row_label(message_bits: str, swarm: str) -> str:
     return f"{message_bits}, {swarm}"
 
 
-def experiments_of(filter_name: str) -> dict[str, list[Experiment]]:
-    """Return the experiments of a filter by ``row_label``, with each code and with exact messages."""
+def experiments_of(
+    filter_name: str, codes: Sequence[MessageCode] | None = None, trials: int = 30
+) -> dict[str, list[Experiment]]:
+    """Return the experiments of a filter by ``row_label``, with each code and with exact messages.
+
+    Without ``codes`` they are those of ``codes_of``.
+    """
     return {
         row_label(message_bits, swarm): m.grid(
             **{**parameters, "fill_ratio": FILL_RATIOS},
@@ -84,10 +94,10 @@ def experiments_of(filter_name: str) -> dict[str, list[Experiment]]:
             message_bits=message_bits,
             flawed="30%",
             steps=10_000,
-            trials=30,
+            trials=trials,
             seed=4716,  # which no tuning has seen
         )
-        for message_bits in (EXACT, *map(str, codes_of(filter_name)))
+        for message_bits in (EXACT, *map(str, codes or codes_of(filter_name)))
         for swarm, parameters in SWARMS.items()
     }
 
@@ -152,6 +162,15 @@ def exact_table(rows_by_filter: Mapping[str, Rows]) -> str:
     return markdown_table("error with exact messages", exact_rows, plain_error_text)
 
 
+def interval_table(ratios: RatiosByCode) -> str:
+    """Return a table in Markdown of ratios and the ends of their intervals, with a row for each code."""
+    lines = ["| bits of x_hat | bits of alpha | ratio | at least | at most |", "|---" * 5 + "|"]
+    for code, ratio in ratios.items():
+        numbers = f"{ratio.value:.2f} | {ratio.low:.2f} | {ratio.high:.2f}"
+        lines.append(f"| {code.x_hat_bits} | {code.alpha_bits} | {numbers} |")
+    return "\n".join(lines)
+
+
 def draw_ratios(ratios_by_filter: Mapping[str, RatiosByCode]) -> Figure:
     """Draw the ratios of errors over the bits of x_hat.
 
@@ -185,6 +204,9 @@ def main() -> None:
     tables = {"exact": exact_table(rows_by_filter)}
     for filter_name, ratios in ratios_by_filter.items():
         tables[filter_name.replace("-", "_")] = ratio_table(ratios)
+    close_experiments = experiments_of(CLOSE_FILTER, CLOSE_CODES, CLOSE_TRIALS)
+    close_rows = run_rows("small_messages_close", close_experiments, arguments, record=250)
+    tables["close"] = interval_table(worst_ratios(close_rows, CLOSE_CODES))
     write_tables(arguments.folder / "small_messages.md", "How few bits suffice", tables)
     save_figure(draw_ratios(ratios_by_filter), arguments.folder / "small_messages.png")
 

@@ -82,6 +82,18 @@ def test_a_ratio_is_in_bold_type_if_all_of_its_interval_is_tolerable(ratio: Inte
     assert small_messages.ratio_text(ratio) == text
 
 
+def test_codes_about_which_few_trials_decide_nothing_have_many() -> None:
+    experiments = small_messages.experiments_of("asdf-minus", small_messages.CLOSE_CODES, trials=600)
+    all_experiments = [experiment for row in experiments.values() for experiment in row]
+    assert {experiment.message_bits for experiment in all_experiments} == {"exact", "7+4", "8+4"}
+    assert {experiment.trials for experiment in all_experiments} == {600}
+
+
+def test_a_table_has_the_ends_of_an_interval_beside_its_ratio() -> None:
+    table = small_messages.interval_table({MessageCode(7, 4): Interval(1.107, 1.0685, 1.155)})
+    assert table.splitlines()[2:] == ["| 7 | 4 | 1.11 | 1.07 | 1.16 |"]
+
+
 # --- The program -----------------------------------------------------------------------------------------
 
 
@@ -91,6 +103,7 @@ def study_folder(few_resamples: None, tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(small_messages, "X_HAT_BITS", (4, 16))
     monkeypatch.setattr(small_messages, "ALPHA_BITS", {"asdf-minus": (4, 9), "robust": (1,)})
     monkeypatch.setattr(small_messages, "FILL_RATIOS", [0.55])
+    monkeypatch.setattr(small_messages, "CLOSE_CODES", (MessageCode(7, 4),))
     monkeypatch.setattr(study_program, "QUICK_STEPS", 1000)
     monkeypatch.setattr("sys.argv", ["study", str(tmp_path), "--quick"])
     small_messages.main()
@@ -101,7 +114,7 @@ def test_the_program_writes_a_table_for_each_filter_and_a_picture(study_folder: 
     text = (study_folder / "small_messages.md").read_text(encoding="utf-8")
     tables = dict(re.findall(r"<!-- (\w+) -->\n(\|.*?)\n<!-- end -->", text, re.DOTALL))
 
-    assert list(tables) == ["exact", "asdf_minus", "robust"]
+    assert list(tables) == ["exact", "asdf_minus", "robust", "close"]
     assert [line.partition(" |")[0] for line in tables["robust"].splitlines()[2:]] == [
         "| x_hat 4",
         "| x_hat 16",
@@ -111,7 +124,11 @@ def test_the_program_writes_a_table_for_each_filter_and_a_picture(study_folder: 
 
 def test_the_program_keeps_the_results_of_each_filter(study_folder: Path) -> None:
     files = sorted(study_folder.glob("*.parquet"))
-    assert [path.stem for path in files] == ["small_messages_asdf-minus", "small_messages_robust"]
+    assert [path.stem for path in files] == [
+        "small_messages_asdf-minus",
+        "small_messages_close",
+        "small_messages_robust",
+    ]
     (first, *_) = m.experiments_in(m.read_table(files[0]))
     assert (first.sampling_interval, first.experiment.filter) == (250, "asdf-minus")
 
