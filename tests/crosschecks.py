@@ -87,7 +87,7 @@ def with_value(result: CallResult, name: str, value: int) -> CallResult:
 FAULTS = {
     "estimate: what says nothing": "INFORMATIVE_G = 1 << {20 => 21}",
     "estimate: c t": "errors = multiply_high({accuracy.c => (accuracy.c ^ 1)}, total)",
-    "estimate: mirror image": "return {ONE => (ONE ^ 1)} - x_hat if is_mirrored",
+    "estimate: mirror image": "x_hat = {ONE => (ONE ^ 1)} - x_hat_of_rarer if is_mirrored",
     "alpha_word: cap": "if exponent > {SHIFT_MAX => SHIFT_MAX ^ 1}:",
     "mean": "// (closed.alpha + own_alpha{ =>  | 1})",
     "test": "{table.entry(m) => (table.entry(m) ^ 1)} * scaled_variance",
@@ -98,7 +98,7 @@ FAULTS = {
     "slot: ids modulo 32": "slot = {sender % SLOTS => min(sender, SLOTS - 1)}",
     "slot: rounding": "return min({(x_hat + 64) => x_hat} >> 7, SLOT_ESTIMATE_MAX)",
     "slot: 1.0 wraps": "return {min((x_hat + 64) >> 7, SLOT_ESTIMATE_MAX) => (x_hat + 64) >> 7 & 0xFFFF}",
-    "slot: without confidence": "elif {alpha >> 8 => alpha}:  # an estimate",
+    "slot: without confidence": "elif {has_confidence => alpha}:",
     "vote: gain": "VOTES_OF_MAX_GAIN = {32 => 16}",
     "vote: smallest gain": "VOTES_MAX = 1 << {9 => 10}",
     "vote: clamp": "step = {min(distance, robust.spread) => distance} >> gain_shift",

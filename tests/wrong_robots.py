@@ -411,7 +411,7 @@ WRONG: dict[str, Wrong] = {
     ),
     "divides by 2 b - 1 = 0": with_firmware("no information", "return {HALF => ONE}, 0"),
     "keeps x_bar in silence": with_firmware("nothing seen", "{ => if s.open.count: }s.closed = Closed(s."),
-    "a bitmap of 32 senders": with_firmware("few observations", "word_index = {sender >> 5 => 0}"),
+    "a bitmap of 32 senders": with_firmware("few observations", "return {word_index => 0}, 1 << bit"),
     "does not hear robot 127": with_firmware("every sender", "0 <= sender {<= => <} MAX_ID"),
     "at most 100 messages": with_firmware(
         "growing rounds", "status != Status.OK{ =>  or s.open.count > 99}:"
@@ -425,7 +425,7 @@ WRONG: dict[str, Wrong] = {
     ),
     "loses low bits of alpha": with_firmware("nothing seen", "units = alpha_units(alpha){ =>  >> 8 << 8}"),
     "takes alpha = 0 for a little": with_firmware("nothing seen", "s.open, x_hat, alpha{ =>  or 0x100})"),
-    "colours exchanged": with_firmware("alone", "colour = {index(z) => 1 - index(z)}"),
+    "colours exchanged": with_firmware("alone", "colour = {operator.index(z) => 1 - operator.index(z)}"),
     "rounds x_hat up": with_firmware(
         "first black tiles", "s.updated = 0{ => ; s.x_hat += 0 < s.x_hat < HALF}"
     ),
@@ -437,10 +437,11 @@ WRONG: dict[str, Wrong] = {
     "broadcasts x": with_firmware("nothing seen", "return {self.s.x_hat => self.x_raw}\n"),
     # Ends of ranges
     "x_hat at least 0.01": with_firmware(
-        "alone", "is_mirrored else {x_hat => max(x_hat, ONE // 100)}, alpha"
+        "alone", "is_mirrored else {x_hat_of_rarer => max(x_hat_of_rarer, ONE // 100)}\n"
     ),
     "x_hat wrong below 0.2": with_firmware(
-        "first black tiles", "mirrored else {x_hat => x_hat ^ (0 < x_hat < ONE // 5)}, alpha"
+        "first black tiles",
+        "mirrored else {x_hat_of_rarer => x_hat_of_rarer ^ (0 < x_hat_of_rarer < ONE // 5)}\n",
     ),
     "alpha wrong without a black tile": with_firmware(
         "alone", "from_mantissa({mantissa => mantissa ^ (n == 0)}, exp"
@@ -452,7 +453,7 @@ WRONG: dict[str, Wrong] = {
         "all white", "at_end(accuracy, {t => t ^ (t > 100)}, rare_count)"
     ),
     "alpha of one significant bit below 1/2": with_firmware(
-        "no information", "{(mantissa >> -exponent) => 1} << 8"
+        "no information", "{(mantissa >> -exponent) => 1} << MANTISSA_POSITION"
     ),
     "knows nothing below 2^-10": with_firmware("no information", "INFORMATIVE_G = 1 << {20 => 22}"),
     "senders stay heard after an update": with_firmware(
@@ -519,7 +520,7 @@ WRONG: dict[str, Wrong] = {
         for most in (200, 256, 500)
     },
     # The robust filter: slots
-    "keeps estimates of alpha = 0": with_robust_firmware("first estimates", "elif {alpha >> 8 => True}:"),
+    "keeps estimates of alpha = 0": with_robust_firmware("first estimates", "elif {has_confidence => True}:"),
     "keeps later estimates of a sender in a round": with_robust_firmware(
         "a crowded tick",
         "            { => keep_estimate(s.robust, s.estimates, sender, x_hat); }return Status.REPEATED",

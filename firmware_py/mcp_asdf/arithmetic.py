@@ -11,7 +11,10 @@ Q32_ONE = 1 << 32
 
 
 def leading_zeros(value: int) -> int:
-    """Return by how many bits a word can be shifted up until its highest bit is set; 31 for 0, as for 1."""
+    """Return by how many bits a word of 32 bits can be shifted up until its highest bit is set.
+
+    The result is 31 for 0, as for 1.
+    """
     return 32 - max(value.bit_length(), 1)
 
 
@@ -32,15 +35,17 @@ def q32_quotient(numerator: int, denominator: int) -> int:
     """Return numerator / denominator in units of 2**-32, or a little less, with the bits that the C computes.
 
     In C this is ``quotient``. It divides by the upper 32 bits of the denominator, rounded up to an even
-    number so that the quotient is never too large, and takes the bits in the same places of the numerator.
+    number so that the quotient is never too large, and drops as many lower bits of the numerator as of the
+    denominator.
     """
-    shift = denominator.bit_length() - 32
+    shift = denominator.bit_length() - 32  # number of lower bits that are dropped
     if shift < 0:
         # A short denominator is made longer, so that the shift is not negative.
         numerator <<= 32
         denominator <<= 32
         shift += 32
     upper_numerator = numerator >> shift
-    # The divisor is halved, so 31 bits more in the dividend make the quotient's unit 2**-32.
+    # Half of the divisor, rounded up: one bit more is dropped, and 1 is added.
     half_of_upper_denominator = (denominator >> (shift + 1)) + 1
+    # The quotient by one half is twice as large, so 31 bits more in the dividend make its unit 2**-32.
     return (upper_numerator << 31) // half_of_upper_denominator

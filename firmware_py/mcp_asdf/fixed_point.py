@@ -15,12 +15,12 @@ A *round* is what a robot receives from one ``settle`` to the next; ``mcp_asdf.r
 from __future__ import annotations
 
 import math
+import operator
 from abc import abstractmethod
-from operator import index
 from typing import TYPE_CHECKING
 
 from mcp_asdf.robot import (
-    MAX_ID,
+    MAX_ROUND_SIZE,
     FixedPointRobot,
     Status,
     Sums,
@@ -47,10 +47,12 @@ B_HAT_MAX = (1 << 32) - (1 << 12)
 UNITS_PER_ALPHA = 1 << 24
 """alpha = 1.0 in the units of 2**-24 in which confidences are summed up."""
 MANTISSA_BITS = 24
+MANTISSA_POSITION = 8
+"""Bit of an alpha word at which its mantissa begins."""
 MANTISSA_MAX = 0xFFFFFF
 SHIFT_MAX = 31
 """Largest shift of an alpha word, which is also the mask of the shift's bits."""
-ALPHA_MAX = (MANTISSA_MAX << 8) | SHIFT_MAX
+ALPHA_MAX = (MANTISSA_MAX << MANTISSA_POSITION) | SHIFT_MAX
 """The alpha word of the largest confidence, 2**31 - 2**7."""
 LARGEST_ALPHA_UNITS = MANTISSA_MAX << SHIFT_MAX
 """The largest confidence in units of 2**-24: a number of 55 bits."""
@@ -75,40 +77,42 @@ def x_hat_to_raw(x_hat: float) -> int:
 
 
 def alpha_units(word: int) -> int:
-    """Convert an alpha word, a mantissa of 24 bits above a shift of 5, to units of 2**-24.
+    """Convert an alpha word, the firmware's 32 bits of a confidence, to units of 2**-24.
 
-    The result is mantissa * 2**shift, which is below 2**55.
+    The result is mantissa * 2**shift, with the mantissa from bits 8 to 31 and the shift from bits 0 to 4. It
+    is below 2**55.
     """
-    mantissa = word >> 8
+    mantissa = word >> MANTISSA_POSITION
     shift = word & SHIFT_MAX
     return mantissa << shift
 
 
 def alpha_from_word(word: int) -> float:
-    """Convert an alpha word, the firmware's 32 bits of a confidence, to a float, which is exact."""
+    """Convert an alpha word, the firmware's 32 bits of a confidence, to that confidence as a float. Exact."""
     return alpha_units(word) / UNITS_PER_ALPHA
 
 
 def alpha_word_from_units(units: int) -> int:
-    """Convert a confidence in units of 2**-24 to an alpha word, rounded down to one that it can hold.
+    """Convert a confidence in units of 2**-24 to an alpha word, rounded down to a confidence that fits.
 
-    An alpha word is a mantissa of 24 bits above a shift of 5. Of the words with the same value the result is
-    the one with the smallest shift. It is ALPHA_MAX for a confidence above that of ALPHA_MAX.
+    An alpha word has a mantissa in bits 8 to 31 and a shift in bits 0 to 4, and stands for mantissa *
+    2**shift units. Where several words stand for the same confidence, the result is the one with the smallest
+    shift. It is ALPHA_MAX for all confidences above the largest that a word can stand for.
     """
-    # The shift drops the bits of a long number that the mantissa cannot hold.
+    # A number of more than 24 bits loses its lowest bits, so that the others fit the mantissa.
     shift = max(units.bit_length() - MANTISSA_BITS, 0)
     if shift > SHIFT_MAX:
         return ALPHA_MAX
     mantissa = units >> shift
-    return (mantissa << 8) | shift
+    return (mantissa << MANTISSA_POSITION) | shift
 
 
 def alpha_word_from_float(alpha: float) -> int:
-    """Convert a confidence to an alpha word, rounded down to the next confidence that such a word can hold.
+    """Convert a confidence to an alpha word, the firmware's 32 bits for it, rounded down.
 
-    An alpha word is a mantissa of 24 bits above a shift of 5; it stands for mantissa * 2**shift * 2**-24. A
-    confidence above 2**31 - 2**7 becomes ALPHA_MAX, which stands for that number. Raises ValueError for an
-    ``alpha`` that is no confidence: a negative number, -0.0, infinity or NaN.
+    The word has a mantissa in bits 8 to 31 and a shift in bits 0 to 4, and stands for mantissa * 2**shift *
+    2**-24. A confidence above 2**31 - 2**7 becomes ALPHA_MAX, which stands for that number. Raises ValueError
+    for an ``alpha`` that is no confidence: a negative number, -0.0, infinity or NaN.
     """
     check_alpha(alpha)
     # A huge float would overflow below. The limit is above 2**31 - 2**7, so it does not change the result.
@@ -118,10 +122,11 @@ def alpha_word_from_float(alpha: float) -> int:
 
 
 def add_estimate(sums: Sums, x_hat: int, alpha: int) -> None:
-    """Add a received estimate to a round's sums of alpha, alpha x_hat, x_hat and x_hat**2, and count it.
+    """Add a received estimate to the sums of a round, which change, and count it there.
 
-    ``x_hat`` is in units of 2**-23; ``alpha``, its confidence, is an alpha word: a mantissa of 24 bits above
-    a shift of 5. An estimate without confidence, alpha = 0, changes nothing and is not counted.
+    ``x_hat`` is the estimated share of black tiles in units of 2**-23. ``alpha`` is its confidence as an
+    alpha word: a mantissa in bits 8 to 31 and a shift in bits 0 to 4. An estimate without confidence, whose
+    mantissa is 0, changes nothing and is not counted.
     """
     units = alpha_units(alpha)
     if units == 0:
@@ -139,54 +144,64 @@ def add_estimate(sums: Sums, x_hat: int, alpha: int) -> None:
 
 
 def is_valid_mean(alpha: int, alpha_x_low: int, alpha_x_high: int) -> bool:
-    """Return whether the sums of alpha and of alpha x_hat keep the bounds of a round of up to 127 estimates.
+    """Return whether a round of up to 127 estimates can have these sums, from which its mean is computed.
 
-    ``alpha`` is the sum of the confidences in units of 2**-24. ``alpha_x_low`` and ``alpha_x_high`` are the
-    two halves of the other sum, as in `Sums`: x_hat, in units of 2**-23, times alpha mod 2**32, and times
-    alpha div 2**32. None of the three is negative. The bounds are
+    ``alpha`` is the sum of the confidences alpha, in units of 2**-24. The sum of alpha x_hat, the numerator
+    of the mean, comes in two numbers, as one would be too long for the C: ``alpha_x_low`` is the sum of
+    (lower 32 bits of alpha) * x_hat, and ``alpha_x_high`` that of (the bits of alpha above) * x_hat, with
+    x_hat in units of 2**-23. No sum may be negative. The bounds are
 
-    - ``alpha``: 127 times the largest confidence that an alpha word can hold;
-    - ``alpha_x_low``: less than 2**62;
-    - the mean of x_hat, which is the sum of alpha x_hat divided by ``alpha``: 1. If ``alpha`` is 0, the sum
-      of alpha x_hat must be 0, too.
+    - ``alpha`` is at most 127 times the largest confidence that a robot can send;
+    - ``alpha_x_low`` is less than 2**62;
+    - the mean of x_hat, which is the sum of alpha x_hat divided by ``alpha``, is at most 1. If ``alpha`` is
+      0, the sum of alpha x_hat must be 0, too.
     """
-    # 2**-24 for alpha times 2**-23 for x_hat: the unit is 2**-47.
+    is_alpha_possible = alpha <= MAX_ROUND_SIZE * LARGEST_ALPHA_UNITS
+    # Lower 32 bits times an x_hat of up to 2**23 are below 2**55, and 127 of these products are below 2**62.
+    is_lower_sum_possible = alpha_x_low < 1 << 62
+    # This bounds ``alpha_x_high``, too. x_hat has the unit 2**-23, in which 1 is ONE.
     alpha_x = (alpha_x_high << 32) + alpha_x_low
-    largest_sum = MAX_ID * LARGEST_ALPHA_UNITS
-    # A term of alpha_x_low is below 2**32 * 2**23 = 2**55, and 127 of them are below 2**62. The upper half
-    # needs no bound of its own: the mean is at most 1, so alpha_x is at most alpha * ONE, which is bounded.
-    return alpha <= largest_sum and alpha_x_low < 1 << 62 and alpha_x <= alpha * ONE
+    is_mean_possible = alpha_x <= alpha * ONE
+    return is_alpha_possible and is_lower_sum_possible and is_mean_possible
 
 
 def are_valid_sums(sums: Sums) -> bool:
-    """Return whether the sums of an open round keep all bounds that received estimates give them.
+    """Return whether the sums of a round keep all bounds that the estimates of a round give them.
 
-    With m = ``sums.count`` estimates, each with x_hat in [0, 1] and alpha > 0, the bounds are
+    With m = ``sums.count`` estimates, each with x_hat in [0, 1] and a confidence alpha > 0, the bounds are
 
     - m is at most 127;
     - the sum of x_hat is at most m, and the sum of x_hat**2 at most the sum of x_hat;
     - the variance of x_hat is not negative;
-    - the sum of alpha is from m times the smallest to m times the largest confidence of an alpha word;
-    - either half of the sum of alpha x_hat is at most the sum of x_hat times the largest such half of alpha;
+    - the sum of alpha is at least m times the smallest confidence above 0, and at most m times the largest;
+    - the sum of (lower 32 bits of alpha) * x_hat is at most the sum of x_hat times the largest number of 32
+      bits, and that of (the bits of alpha above) * x_hat likewise, times the largest number of these bits;
     - the sums of alpha and alpha x_hat pass `is_valid_mean`.
 
-    None of the sums is negative, since the words that hold them have no sign. Sums that keep the bounds need
-    not be those of a round.
+    No sum may be negative. Sums that keep the bounds need not be those of a round.
     """
     m, sum_x, sum_x_squared = sums.count, sums.x, sums.x_squared
+    is_count_possible = m <= MAX_ROUND_SIZE
+    is_sum_x_possible = sum_x <= m * ONE
+    # No x_hat is above 1, so none is below its square. ONE brings sum_x to the squares' unit of 2**-46.
+    are_squares_possible = sum_x_squared <= sum_x * ONE
+    # No sample has a negative variance (Cauchy and Schwarz).
+    is_variance_possible = m * sum_x_squared >= sum_x * sum_x
+    # The smallest confidence above 0 is one unit.
+    is_alpha_possible = m <= sums.alpha <= m * LARGEST_ALPHA_UNITS
+    # Either sum of products is largest if every x_hat has the largest factor.
+    largest_low_factor = MAX_WORD
+    largest_high_factor = LARGEST_ALPHA_UNITS >> 32
+    are_products_possible = (
+        sums.alpha_x_low <= sum_x * largest_low_factor and sums.alpha_x_high <= sum_x * largest_high_factor
+    )
     return (
-        m <= MAX_ID
-        # No x_hat is above 1, so none is below its square. ONE brings sum_x to the squares' unit of 2**-46.
-        and sum_x <= m * ONE
-        and sum_x_squared <= sum_x * ONE
-        # No sample has a negative variance (Cauchy and Schwarz).
-        and m * sum_x_squared >= sum_x * sum_x
-        # Messages have an alpha of at least one unit.
-        and m <= sums.alpha <= m * LARGEST_ALPHA_UNITS
-        # Each x_hat has a factor, one half of its alpha. With the largest possible factor for all of them,
-        # which is a full word for the lower half, the sum of the products is sum_x times that factor.
-        and sums.alpha_x_low <= sum_x * MAX_WORD
-        and sums.alpha_x_high <= sum_x * (LARGEST_ALPHA_UNITS >> 32)
+        is_count_possible
+        and is_sum_x_possible
+        and are_squares_possible
+        and is_variance_possible
+        and is_alpha_possible
+        and are_products_possible
         and is_valid_mean(sums.alpha, sums.alpha_x_low, sums.alpha_x_high)
     )
 
@@ -200,29 +215,42 @@ class FixedPointView(FixedPointRobot):
 
     @abstractmethod
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Do what ``receive_raw`` does, for arguments of Python's own ``int`` and an alpha of 32 bits."""
+        """Do what ``receive_raw`` does, after its checks: add an estimate to the open round.
+
+        The arguments are Python's own ``int``, and ``alpha`` has 32 bits. Returns OK, REPEATED, ERR_SENDER or
+        ERR_X_HAT.
+        """
 
     def _receive_all(self, messages: NDArray[np.uint32]) -> int:
-        """Do what ``receive_all`` does, for an array whose type and shape have been checked."""
-        return sum(self._receive(*message) is Status.OK for message in messages.tolist())
+        """Receive messages whose array was checked, and return how many of them were accepted.
+
+        A row of the array is a message, with the columns sender, x_hat and alpha.
+        """
+        accepted_count = 0
+        for sender, x_hat, alpha in messages.tolist():
+            if self._receive(sender, x_hat, alpha) is Status.OK:
+                accepted_count += 1
+        return accepted_count
 
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
         """Add a neighbour's estimate to the open round: what was received since the last ``settle``.
 
-        ``x_hat`` is in units of 2**-23; ``alpha`` is an alpha word: a mantissa of 24 bits above a shift of 5.
-        Returns OK if the estimate was accepted; REPEATED if the round already has one of this sender; and
-        ERR_SENDER or ERR_X_HAT, which counts as rejected, if that is out of range. Raises ValueError, and
-        changes nothing, for an ``alpha`` that has not 32 bits.
+        ``x_hat`` is in units of 2**-23. ``alpha`` is an alpha word: 32 bits, with a mantissa in bits 8 to 31
+        and a shift in bits 0 to 4. Returns OK if the estimate was accepted, and REPEATED, which ignores it,
+        if the round already has one of this sender. Returns ERR_SENDER or ERR_X_HAT, and counts the message
+        as rejected, if ``sender`` or ``x_hat`` is out of range. Raises ValueError, and changes nothing, for
+        an ``alpha`` that does not fit 32 bits.
         """
         if not 0 <= alpha <= MAX_WORD:
             raise ValueError(f"alpha is {alpha}; the firmware's word has 32 bits")
         # Integers of NumPy would overflow in the sums, so they become Python's.
-        return self._receive(index(sender), index(x_hat), index(alpha))
+        return self._receive(operator.index(sender), operator.index(x_hat), operator.index(alpha))
 
     def receive_all(self, messages: NDArray[np.uint32]) -> int:
-        """Receive messages in order, as ``receive_raw`` does, and return how many of them were accepted.
+        """Add messages to the open round, in order, and return how many of them were accepted.
 
-        A row of the array is a message, with the columns sender, x_hat and alpha. Raises ValueError, and
+        A row of the array is a message, with the columns sender, x_hat and alpha as ``receive_raw`` takes
+        them. Messages that it would not accept are ignored or rejected likewise. Raises ValueError, and
         changes nothing, for an array that is not C-contiguous, of uint32 and of shape (messages, 3).
         """
         if messages.dtype != "uint32" or messages.shape[1:] != (3,) or not messages.flags.c_contiguous:
@@ -235,10 +263,11 @@ class FixedPointView(FixedPointRobot):
     def receive(self, sender: int, x_hat: float, alpha: float) -> Status:
         """Add a neighbour's estimate to the open round: what was received since the last ``settle``.
 
-        The firmware's numbers are coarser than floats, so x_hat and alpha are rounded down. Returns OK; or
-        REPEATED, and ignores the estimate, if the round already has one of this sender. Raises FirmwareError,
-        and counts the message as rejected, if ``sender`` (ERR_SENDER) or ``x_hat`` (ERR_X_HAT) is out of
-        range. Raises ValueError, and changes nothing, for an ``alpha`` that is no confidence.
+        The firmware's numbers are coarser than floats, so x_hat and alpha are rounded down. Returns OK if the
+        estimate was accepted, and REPEATED, which ignores it, if the round already has one of this sender.
+        Raises FirmwareError, and counts the message as rejected, if ``sender`` is not in 0 .. 127 or is the
+        robot's own id (ERR_SENDER), or if ``x_hat`` is not in [0, 1] (ERR_X_HAT). Raises ValueError, and
+        changes nothing, for an ``alpha`` that is no confidence: negative (also -0.0), infinite or NaN.
         """
         status = self.receive_raw(sender, x_hat_to_raw(x_hat), alpha_word_from_float(alpha))
         if status in (Status.ERR_SENDER, Status.ERR_X_HAT):

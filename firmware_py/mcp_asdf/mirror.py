@@ -16,9 +16,9 @@ filter, which is not the paper's, and ``mcp_asdf.arithmetic`` the products and q
 
 from __future__ import annotations
 
+import operator
 import struct
 from dataclasses import dataclass, field, fields
-from operator import index
 
 from mcp_asdf.arithmetic import (
     Q32_HALF,
@@ -33,11 +33,14 @@ from mcp_asdf.fixed_point import (
     B_HAT_MAX,
     B_HAT_MIN,
     HALF,
+    MANTISSA_BITS,
+    MANTISSA_POSITION,
     ONE,
     SHIFT_MAX,
     FixedPointView,
     add_estimate,
     alpha_units,
+    alpha_word_from_units,
     are_valid_sums,
     b_hat_to_raw,
     is_valid_mean,
@@ -85,8 +88,13 @@ from mcp_asdf.table import FRACTION_BITS, MAX_WORD, Table, checksum
 INFORMATIVE_G = 1 << 20
 """2**-12 in units of 2**-32: smallest |2 p - 1| of an accuracy or an estimate p that carries information."""
 
+C_WITHOUT_INFORMATION = MAX_WORD
+"""Value of c, the probability of an error, if b_hat carries no information. Otherwise c is at most 1/2."""
+
 COUNTER_MASK = 0xFFFF
 """Counters of events have 16 bits."""
+
+WORD_BITS = 32
 
 
 @dataclass(frozen=True)
@@ -100,7 +108,7 @@ class Accuracy:
 
     Attributes:
         b_hat: Accuracy that the robot assumes of its sensor, in units of 2**-32.
-        c: Probability of an error, in units of 2**-32; MAX_WORD if b_hat carries no information.
+        c: Probability of an error, in units of 2**-32; C_WITHOUT_INFORMATION if b_hat carries none.
         common: Weight of an observation of the more frequent colour in alpha, (g / (1 - c))**2, in units of
             2**-30. For this and for ``rare``, g is shifted until its highest bit is set.
         rare: Weight of an observation of the rarer colour, (g / c)**2, in units of 2**-30; c is shifted
@@ -119,8 +127,10 @@ class Accuracy:
 
 def square_of_ratio(g: int, p: int) -> int:
     """Return (g / p)**2 in units of 2**-30, for g and p in [2**31, 2**32)."""
-    ratio = divide_24(g >> 1, p >> 1) << 7  # units of 2**-31
-    return multiply_high(ratio, ratio)  # 2**-62 becomes 2**-30
+    # divide_24 takes numbers of 31 bits. Halving both leaves their ratio as it is.
+    ratio_24 = divide_24(g >> 1, p >> 1)  # units of 2**-24
+    ratio = ratio_24 << 7  # units of 2**-31
+    return multiply_high(ratio, ratio)  # the square's unit is 2**-62, and that of its upper word 2**-30
 
 
 def accuracy_of(b_hat: int) -> Accuracy:
@@ -133,11 +143,13 @@ def accuracy_of(b_hat: int) -> Accuracy:
     # Shifted, so that the quotients keep 24 bits also where g or c is small. 1 - c is at least 1/2 anyway.
     g_shift = leading_zeros(g)
     c_shift = leading_zeros(c)
+    shifted_g = g << g_shift
+    is_informative = g >= INFORMATIVE_G
     return Accuracy(
         b_hat=b_hat,
-        c=MAX_WORD if g < INFORMATIVE_G else c,
-        common=square_of_ratio(g << g_shift, Q32_ONE - c),
-        rare=square_of_ratio(g << g_shift, c << c_shift),
+        c=c if is_informative else C_WITHOUT_INFORMATION,
+        common=square_of_ratio(shifted_g, Q32_ONE - c),
+        rare=square_of_ratio(shifted_g, c << c_shift),
         g_shift=g_shift,
         rare_shift=2 * c_shift,
     )
@@ -149,15 +161,16 @@ def accuracy_of(b_hat: int) -> Accuracy:
 def alpha_word_from_mantissa(mantissa: int, exponent: int) -> int:
     """Convert a confidence, mantissa * 2**exponent units of 2**-24, to an alpha word, rounded down.
 
-    An alpha word has a mantissa in bits 8 to 31 above a shift in bits 0 to 4. ``mantissa`` has 24 bits, of
-    which the highest is set. The result is ALPHA_MAX for a confidence that no alpha word can hold.
+    An alpha word has a mantissa in bits 8 to 31 and a shift, the exponent, in bits 0 to 4. ``mantissa`` has
+    24 bits, of which the highest is set. The result is ALPHA_MAX for a confidence that is too large for an
+    alpha word.
     """
     if exponent > SHIFT_MAX:
         return ALPHA_MAX
     if exponent < 0:
-        # The shift cannot be negative, so it is 0, and the mantissa loses the bits below a unit.
-        return (mantissa >> -exponent) << 8
-    return (mantissa << 8) | exponent
+        # A shift cannot be negative, so it is 0, and the mantissa loses the bits below a unit.
+        return (mantissa >> -exponent) << MANTISSA_POSITION
+    return (mantissa << MANTISSA_POSITION) | exponent
 
 
 def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int, int]:
@@ -168,19 +181,20 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
         alpha = rare_count (g / c)**2 + (t - rare_count) (g / (1 - c))**2
 
     where ``rare_count`` of t > 0 observations are of the rarer colour, c is the probability of an error and
-    g = 1 - 2 c. The result stands for mantissa * 2**exponent units of 2**-24, with a mantissa of 24 bits.
+    g = 1 - 2 c. ``accuracy`` has both squares of ratios. The result stands for mantissa * 2**exponent units
+    of 2**-24, with a mantissa of 24 bits.
     """
-    weight = (t - rare_count) * accuracy.common  # of the more frequent colour
-    # The weight has the unit 2**(exponent - 24): weights of observations have 30 fraction bits, and were
-    # formed with g 2**g_shift in place of g.
+    # alpha is weight * 2**exponent in units of 2**-24. The squares of ratios are in units of 2**-30; g was
+    # shifted up by g_shift, so that they are 2**(2 g_shift) times too large.
+    weight = (t - rare_count) * accuracy.common  # second term of the sum
     exponent = 24 - 30 - 2 * accuracy.g_shift
     if rare_count != 0:
-        # ``rare`` was formed with c 2**c_shift, so it is too small by 2**rare_shift. The other term is made
-        # as small, and the exponent makes up for both.
+        # c was shifted up, too, so that ``rare`` is 2**rare_shift times too small. Before the terms are added
+        # the second one is made as small, and the exponent makes up for both.
         weight = rare_count * accuracy.rare + (weight >> accuracy.rare_shift)
         exponent += accuracy.rare_shift
     # The upper 24 bits become the mantissa.
-    excess_bits = weight.bit_length() - 24
+    excess_bits = weight.bit_length() - MANTISSA_BITS
     return weight >> excess_bits, exponent + excess_bits
 
 
@@ -191,36 +205,43 @@ def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, sh
 
         alpha = d t**3 / (n (t - n)) = (g t)**2 t / (n (t - n))
 
-    Here ``total`` is t 2**shift, ``rarer`` is n 2**shift, and ``scale`` is g total 2**g_shift: all three have
-    been shifted up to keep their upper bits. The result stands for mantissa * 2**exponent units of 2**-24,
-    with a mantissa of 24 bits.
+    Here ``total`` is t 2**shift, ``rarer`` is n 2**shift, and ``scale`` is g total 2**g_shift: the caller has
+    shifted all three up, so that products keep their upper bits. The result stands for mantissa * 2**exponent
+    units of 2**-24, with a mantissa of 24 bits.
     """
-    numerator = multiply_high(multiply_high(scale, scale), total)  # (g t)**2 t without its lower 64 bits
+    # (g t)**2 t: each product of two words loses its lower 32 bits, 64 in all.
+    numerator = multiply_high(multiply_high(scale, scale), total)
     denominator = rarer * (total - rarer)  # n (t - n), a number of up to 64 bits
-    # Either is shifted up to its full length, 32 and 64 bits, and divided by its upper 31 bits.
+    # The numerator is shifted up to 32 bits and the denominator to 64. The upper 31 bits of each are divided.
     numerator_shift = leading_zeros(numerator)
     denominator_shift = 64 - denominator.bit_length()
     upper_numerator = (numerator << numerator_shift) >> 1
     upper_denominator = (denominator << denominator_shift) >> 33
-    mantissa = divide_24(upper_numerator, upper_denominator)  # has 24 or 25 bits
-    # All shifts are undone. The numerator had lost 64 bits, and then the denominator lost 32 more than it
-    # (33 and 1). The quotient has 24 fraction bits, as has alpha.
-    exponent = 64 - 32 + denominator_shift - numerator_shift - 2 * accuracy.g_shift - shift
-    excess_bits = mantissa >> 24  # 1 for a quotient of 25 bits, and 0 for one of 24
-    return mantissa >> excess_bits, exponent + excess_bits
+    quotient = divide_24(upper_numerator, upper_denominator)  # in units of 2**-24, as alpha; 24 or 25 bits
+    # The exponent undoes all shifts. Bits lost by the numerator, 64 and 1, make the quotient too small, and
+    # those lost by the denominator, 33, too large. Of the factors 2**shift, three above the fraction and two
+    # below, one is left.
+    lost_bits = 64 + 1 - 33
+    exponent = lost_bits + denominator_shift - numerator_shift - 2 * accuracy.g_shift - shift
+    # The mantissa has 24 bits, so a quotient of 25 loses the lowest one.
+    excess_bits = quotient >> MANTISSA_BITS
+    return quotient >> excess_bits, exponent + excess_bits
 
 
 def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
     """Return x_hat (eq. 3) and its confidence as an alpha word (eq. 4) after n black of t > 0 observations.
 
-    x_hat, the estimated share of black tiles, is in units of 2**-23. It is 1/2, with the alpha word 0, if
-    |2 b_hat - 1| < 2**-12: then the assumed accuracy carries no information. Otherwise it is
+    ``accuracy`` has b_hat, the accuracy that the robot assumes of its sensor. x_hat, the estimated share of
+    black tiles, is in units of 2**-23. It is
 
         x_hat = (n / t + b_hat - 1) / (2 b_hat - 1)     clamped to 0 .. 1
 
-    White and black are mirror images, and so are b_hat and 1 - b_hat. So the share of the rarer colour is
-    estimated, for an accuracy 1 - c above 1/2, and mirrored where that is not the robot's case. With that
-    accuracy, and p for the observed share of the rarer colour, eq. 3 is (p - c) / g with g = 1 - 2 c.
+    but 1/2, with the alpha word 0, if |2 b_hat - 1| < 2**-12: then b_hat carries no information.
+
+    The rarer of the colours that were observed is treated as if it were black, and the sensor as if it were
+    right more often than not: with accuracy 1 - c, where c is the smaller of b_hat and 1 - b_hat. With p for
+    the rarer colour's share of the observations and g = 1 - 2 c, eq. 3 is (p - c) / g. At the end 1 - x_hat
+    takes the place of x_hat where colour or sensor were not so.
     """
     rare_count = min(n, t - n)
     # Both counts are shifted by as many bits, so that t has 32 bits and products keep their upper bits.
@@ -229,35 +250,39 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
     rarer = rare_count << shift  # p total
     # On a floor without the rarer colour so many observations would show it, by errors of the sensor.
     errors = multiply_high(accuracy.c, total)  # c total
-    x_hat = 0
     if rarer <= errors:
-        if accuracy.c == MAX_WORD:  # b_hat carries no information
+        if accuracy.c == C_WITHOUT_INFORMATION:
             return HALF, 0
+        # The rarer colour has not come more often than errors explain.
+        x_hat_of_rarer = 0
         mantissa, exponent = confidence_at_end(accuracy, t, rare_count)
     else:
         # (p - c) / g with both sides multiplied by ``total``, and shifted so that the divisor has 32 bits.
-        scale = (total - 2 * errors) << accuracy.g_shift  # g total
-        excess = (rarer - errors) << accuracy.g_shift  # (p - c) total
-        x_hat = divide_24(excess, scale >> 1) >> 2  # from units of 2**-25, for half of the divisor, to 2**-23
-        mantissa, exponent = confidence_inside(accuracy, total, rarer, scale, shift)
+        divisor = (total - 2 * errors) << accuracy.g_shift  # g total
+        dividend = (rarer - errors) << accuracy.g_shift  # (p - c) total
+        # Divided by half of the divisor, in units of 2**-24, the quotient is x_hat in units of 2**-25.
+        quotient = divide_24(dividend, divisor >> 1)
+        x_hat_of_rarer = quotient >> 2
+        mantissa, exponent = confidence_inside(accuracy, total, rarer, divisor, shift)
     # Black is the other colour if white is the rarer one, and once more if the sensor takes black for white.
     is_white_rarer = n >= t - n
     is_mirrored = is_white_rarer == (accuracy.b_hat >= Q32_HALF)
-    return ONE - x_hat if is_mirrored else x_hat, alpha_word_from_mantissa(mantissa, exponent)
+    x_hat = ONE - x_hat_of_rarer if is_mirrored else x_hat_of_rarer
+    return x_hat, alpha_word_from_mantissa(mantissa, exponent)
 
 
 # ---- The round: eq. 5 to 7, and 12 ----
 
 
 def informed_estimate(closed: Closed, x_hat: int, alpha: int) -> int:
-    """Return x (eq. 7): the mean of the closed round's x_hat and an own one, weighted by their confidence.
+    """Return x (eq. 7): the mean of the received x_hat and an own one, weighted by their confidence.
 
-    With sums over the messages j of the closed round it is
+    ``closed`` has the sums over the messages j that the robot received in its last closed round. x is
 
         x = (alpha x_hat + sum alpha_j x_hat_j) / (alpha + sum alpha_j)
 
     ``x_hat`` and the result are in units of 2**-23, and ``alpha``, its confidence, is an alpha word. The
-    result is ``x_hat`` if nobody has confidence. For an own alpha of 0 it is x_bar (eq. 5).
+    result is ``x_hat`` if all confidences are 0. For an own alpha of 0 it is x_bar (eq. 5).
     """
     own_alpha = alpha_units(alpha)  # units of 2**-24, as the sum of alpha
     if closed.alpha + own_alpha == 0:
@@ -276,7 +301,8 @@ def asdf_test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
 
         (sum_x - m x_hat)**2 > k_m (m sum_x_squared - sum_x**2)
 
-    where the sums are those of the open round and k_m = (t / sqrt(m) + 1)**2 m / (m - 1) is in the table.
+    where the sums are those of the open round, which are over its m estimates. The table has the threshold
+    k_m = (t / sqrt(m) + 1)**2 m / (m - 1). ``x_hat`` is in units of 2**-23.
     """
     m = open_round.count
     sum_x = open_round.x  # units of 2**-23, as x_hat
@@ -291,23 +317,24 @@ def asdf_test_rejects(table: Table, open_round: Sums, x_hat: int) -> bool:
 
 
 def round_mean(closed: Closed) -> int:
-    """Return x_bar, the weighted mean of a closed round's x_hat, in units of 2**-32, for eq. 8.
+    """Return x_bar, the mean of the x_hat that a robot received in a round, in units of 2**-32, for eq. 8.
 
-    It is sum alpha_j x_hat_j / sum alpha_j (eq. 5). The sum of alpha, the divisor, must not be 0.
+    It is weighted by their confidences: sum alpha_j x_hat_j / sum alpha_j (eq. 5). The sum of alpha, the
+    divisor, must not be 0.
     """
-    # alpha x_hat is in units of 2**-47, and alpha in units of 2**-24: ONE, 2**23, makes them alike.
+    # alpha x_hat is in units of 2**-47, and alpha in units of 2**-24. Times ONE, 2**23, it has them, too.
     return q32_quotient(closed.alpha_x, closed.alpha * ONE)
 
 
 def reestimate(t: int, n: int, x_bar: int) -> int | None:
-    """Return the accuracy b_hat for which the robot's x_hat would be x_bar, its neighbours' (eq. 8).
+    """Return the accuracy b_hat with which the robot would have estimated x_bar, its neighbours' mean: eq. 8.
 
     ``n`` of ``t`` > 0 observations were black. ``x_bar`` and the result are in units of 2**-32. The result is
 
         b_hat = (n / t + x_bar - 1) / (2 x_bar - 1)     clamped to B_HAT_MIN .. B_HAT_MAX
 
-    Returns None, so that b_hat stays, if |2 x_bar - 1| is below 2**-12, to within two units: x_bar carries no
-    information then.
+    It is None, so that b_hat stays, if |2 x_bar - 1| is below 2**-12: then x_bar carries no information. For
+    an x_bar below 1/2 that limit is two units of 2**-32 higher, by rounding.
     """
     if x_bar < Q32_HALF:
         # Black and white are exchanged, which leaves the accuracy as it is but makes the divisor positive.
@@ -316,7 +343,7 @@ def reestimate(t: int, n: int, x_bar: int) -> int | None:
     two_x_bar_minus_one = 2 * x_bar - Q32_ONE
     if two_x_bar_minus_one < INFORMATIVE_G:
         return None
-    # Both sides of the fraction are multiplied by t, and in units of 2**-32.
+    # Numerator and denominator of the fraction are multiplied by t, and in units of 2**-32.
     numerator = n * Q32_ONE - t * (Q32_ONE - x_bar)
     denominator = t * two_x_bar_minus_one
     b_hat = q32_quotient(numerator, denominator)  # may be below 0 or above 1
@@ -327,23 +354,31 @@ def reestimate(t: int, n: int, x_bar: int) -> int | None:
 
 
 def is_valid_estimate(s: State) -> bool:
-    """Return whether x_hat and alpha can follow from t, n and b_hat in ``s``, the state of a robot.
+    """Return whether a robot whose state is ``s`` can have this x_hat, and this alpha, its confidence.
 
-    If b_hat has not been updated since the last observation, which ``s.updated`` = 0 says, x_hat and alpha
-    must be exactly those that `estimate` returns; before the first observation 1/2 and 0. If it has,
-    ``s.updated`` is 1, and x_hat and alpha follow from the b_hat before, which is not kept. Then there must
-    be an observation, x_hat at most 1, and alpha a word of the form that robots compute.
+    They were computed at the last observation, from the counts t and n and from b_hat, the assumed accuracy.
+    If b_hat has not changed since (``s.updated`` is 0), both must be exactly what `estimate` returns, or 1/2
+    and 0 before the first observation. If it has (``s.updated`` is 1), the b_hat from which they were
+    computed is lost. Then there must be an observation, x_hat must be at most 1, and alpha must be a word in
+    the form in which robots compute it.
     """
     if s.updated:
-        # x_hat and alpha are older than b_hat, so only their form can be checked.
-        # A robot computes alpha words with the smallest shift: either it is 0, or the mantissa, in the bits
-        # above, has its highest bit set. Bits 5 to 7 are 0.
-        has_smallest_shift = s.alpha >> 31 == 1 or s.alpha & SHIFT_MAX == 0
-        is_canonical = s.alpha & 0xE0 == 0 and has_smallest_shift
-        return s.updated == 1 and s.t > 0 and s.x_hat <= ONE and is_canonical
+        # Of all words for the same confidence a robot computes the one with the smallest shift.
+        is_word_of_robot = s.alpha == alpha_word_from_units(alpha_units(s.alpha))
+        return s.updated == 1 and s.t > 0 and s.x_hat <= ONE and is_word_of_robot
     # Before the first observation x_hat is 1/2, and has no confidence.
     expected = estimate(s.t, s.n, s.accuracy) if s.t else (HALF, 0)
     return (s.x_hat, s.alpha) == expected
+
+
+def bit_of_sender(sender: int) -> tuple[int, int]:
+    """Return where the set of a round's senders, ``State.heard``, has its bit for this id.
+
+    The result is the index of a word, of which each has 32 ids, and a mask with that bit alone. For example,
+    sender 37 is bit 5 of word 1.
+    """
+    word_index, bit_index = divmod(sender, WORD_BITS)
+    return word_index, 1 << bit_index
 
 
 def check_config(config: Config) -> None:
@@ -383,7 +418,7 @@ class State:
     Attributes:
         id: The robot's own id.
         accuracy: The assumed accuracy b_hat, with values that depend on it.
-        filter_left: Rounds until the filter runs next.
+        filter_left: Rounds until the filter runs next, from 1: at 1 it runs at the end of this round.
         t: Number of observations.
         n: Number of black observations.
         x_hat: Local estimate in units of 2**-23.
@@ -439,7 +474,12 @@ class MirrorRobot(FixedPointView):
         check_id_and_b_hat(robot_id, b_hat)
         self.config = config
         raw_b_hat = b_hat_to_raw(b_hat)
-        self.s = State(index(robot_id), accuracy_of(raw_b_hat), index(config.filter_period))
+        # operator.index makes numbers of NumPy, which would overflow, Python's own.
+        self.s = State(
+            id=operator.index(robot_id),
+            accuracy=accuracy_of(raw_b_hat),
+            filter_left=operator.index(config.filter_period),
+        )
         # The robust filter's test is always about the initial b_hat.
         if config.filter == Filter.ROBUST:
             self.s.robust.initial_b_hat = raw_b_hat
@@ -456,7 +496,7 @@ class MirrorRobot(FixedPointView):
         and changes nothing, if ``z`` is neither WHITE nor BLACK.
         """
         s = self.s
-        colour = index(z)
+        colour = operator.index(z)  # as Python's own int: 0 is white, and 1 black
         if colour not in (0, 1):
             return Status.ERR_OBSERVATION
         s.t += 1
@@ -474,32 +514,32 @@ class MirrorRobot(FixedPointView):
         return Status.OK
 
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Add a neighbour's estimate to the open round or, with the robust filter, keep it in its slot.
+        """Add a neighbour's estimate to the open round or, with the robust filter, keep it as its latest one.
 
-        ``x_hat`` is in units of 2**-23, and ``alpha`` a word of 32 bits: a mantissa of 24 above a shift of 5,
-        together worth mantissa * 2**shift units of 2**-24. Returns OK if the estimate was accepted;
-        REPEATED, which ignores it, if the round already has one of this sender; ERR_SENDER if ``sender`` is
-        not in 0 .. 127 or is the robot's own id; and ERR_X_HAT if ``x_hat`` is not in [0, 1]. The counters
-        ``accepted``, ``repeated`` and ``rejected`` say how often each has happened. An estimate with alpha =
-        0 is accepted, but enters no sum and no slot.
+        ``x_hat`` is in units of 2**-23, and ``alpha`` a word of 32 bits: a mantissa (bits 8 to 31) and a
+        shift (bits 0 to 4), which stand for mantissa * 2**shift units of 2**-24. Returns OK if the estimate
+        was accepted; REPEATED, which ignores it, if the round already has one of this sender; ERR_SENDER if
+        ``sender`` is not in 0 .. 127 or is the robot's own id; and ERR_X_HAT if ``x_hat`` is not in [0, 1].
+        The counters ``accepted``, ``repeated`` and ``rejected`` say how often each has happened. An estimate
+        with alpha = 0 is accepted, but neither added to a sum nor kept.
         """
         s = self.s
         status = self._check_message(sender, x_hat)
         if status != Status.OK:
             s.rejected = (s.rejected + 1) & COUNTER_MASK
             return status
-        # Four words hold a bit for each of 128 senders.
-        word_index = sender >> 5
-        sender_bit = 1 << (sender & 31)
+        word_index, sender_bit = bit_of_sender(sender)
         # Clocks of robots are not aligned, so a sender may broadcast twice in a round of this robot.
-        if s.heard[word_index] & sender_bit:
+        has_sent_before = s.heard[word_index] & sender_bit != 0
+        if has_sent_before:
             s.repeated = (s.repeated + 1) & COUNTER_MASK
             return Status.REPEATED
         s.heard[word_index] |= sender_bit
         s.accepted = (s.accepted + 1) & COUNTER_MASK
+        has_confidence = alpha_units(alpha) > 0
         if not self.is_robust:
             add_estimate(s.open, x_hat, alpha)
-        elif alpha >> 8:  # an estimate without confidence, whose mantissa is 0, is not kept
+        elif has_confidence:
             keep_estimate(s.robust, s.estimates, sender, x_hat)
         return Status.OK
 
@@ -514,11 +554,12 @@ class MirrorRobot(FixedPointView):
         return Status.OK if 0 <= x_hat <= ONE else Status.ERR_X_HAT
 
     def settle(self) -> Status:
-        """Close the open round, and run the filter if ``filter_period`` rounds have passed.
+        """End the open round, and run the filter if ``filter_period`` rounds have passed.
 
-        x_bar, beta and x are about the closed round from now on, and the new open round is empty. With the
-        robust filter one of the estimates that the robot keeps, or its own, counts as a vote. Returns UPDATED
-        if the filter has re-estimated b_hat, the assumed accuracy, and OK otherwise.
+        The ended round becomes the closed one, about which x_bar, beta and x are from now on, and an empty
+        round opens. With the robust filter one of the estimates that the robot keeps, or its own, becomes a
+        vote instead, which moves the robot's answer x. Returns UPDATED if the filter has re-estimated b_hat,
+        the assumed accuracy, and OK otherwise.
         """
         s = self.s
         is_updated = False
@@ -528,8 +569,9 @@ class MirrorRobot(FixedPointView):
             s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
         s.filter_left -= 1
         if s.filter_left == 0:
-            s.filter_left = index(self.config.filter_period)
-            # While the round is open: the test needs sums that a closed one does not keep.
+            s.filter_left = operator.index(self.config.filter_period)
+            # Before ``s.open`` is cleared: its sums of x_hat and x_hat**2, which ``s.closed`` does not have,
+            # are what the paper's test is computed from.
             is_updated = self._update_b_hat()
         s.open = Sums()
         s.heard = [0, 0, 0, 0]
@@ -538,7 +580,8 @@ class MirrorRobot(FixedPointView):
     def step(self, z: Observation) -> Status:
         """Observe ``z``, then settle.
 
-        Returns UPDATED or OK, as ``settle`` does; or ERR_OBSERVATION, without settling, for an invalid ``z``.
+        Returns UPDATED if the filter has run and re-estimated b_hat, and OK otherwise; or ERR_OBSERVATION,
+        without settling, for an invalid ``z``.
         """
         status = self.observe(z)
         if status == Status.OK:
@@ -557,16 +600,16 @@ class MirrorRobot(FixedPointView):
         new_b_hat = self._run_robust_filter() if self.is_robust else self._run_asdf_filter()
         if new_b_hat is None:
             return False
-        s.accuracy = accuracy_of(new_b_hat)
+        s.accuracy = accuracy_of(new_b_hat)  # b_hat, with the values that are computed from it in advance
         s.updates = (s.updates + 1) & COUNTER_MASK
         s.updated = 1
         return True
 
     def _run_asdf_filter(self) -> int | None:
-        """Run the paper's filter on the open round, and return the new b_hat, or None if b_hat stays.
+        """Run the paper's filter at the end of a round: return the new b_hat, or None if b_hat stays.
 
-        The new b_hat, in units of 2**-32, is the accuracy for which x_hat would be x_bar (eq. 8). The cases
-        are, by the filter of the configuration:
+        The new b_hat, in units of 2**-32, is the accuracy with which the robot would have estimated x_bar,
+        the mean estimate of its neighbours (eq. 8). The cases are, by the filter of the configuration:
 
         - OFF: None.
         - ALWAYS: a new b_hat if the round has a message with confidence, and None if not.
@@ -576,6 +619,8 @@ class MirrorRobot(FixedPointView):
         In place of a new b_hat the result is None, too, if x_bar is so near 1/2 that it carries no
         information (see `reestimate`).
         """
+        # ``s.open`` and ``s.closed`` have sums of the same round here, which is ending. The test needs sums
+        # of x_hat that only the first has, and x_bar follows from those that both have.
         s, config = self.s, self.config
         # The variance in eq. 12 takes two estimates, a re-estimate without a test takes one.
         messages_needed = 2 if config.filter == Filter.ADAPTIVE else 1
@@ -589,15 +634,16 @@ class MirrorRobot(FixedPointView):
         return reestimate(s.t, s.n, round_mean(s.closed))
 
     def _run_robust_filter(self) -> int | None:
-        """Test the initial b_hat against the received estimates: return the new b_hat, or None to keep it.
+        """Test the initial b_hat against the estimates that the robot keeps, one of each neighbour.
 
-        Before that, the dispersion of the robot's own observations takes in those since the last run. The
-        result is in units of 2**-32. The first of these cases that applies decides:
+        Returns the new b_hat in units of 2**-32, or None if b_hat stays. First the observations since the
+        last run enter the dispersion, which says how much more the robot's observations vary than independent
+        ones. Then the first of these cases that applies decides:
 
-        - Fewer than five slots have an estimate: None, without a test. Of five, two can be outvoted.
+        - The robot keeps fewer than five estimates: None, without a test. Of five, two can be outvoted.
         - The test, which is counted, rejects the initial b_hat, and at most two fifths of the estimates
-          support this robot: the accuracy for which the robot's x_hat would be the centre of the estimates
-          (eq. 8), or None if that carries no information (see `reestimate`).
+          support this robot: the accuracy with which the robot would have estimated their centre (eq. 8), or
+          None if the centre carries no information (see `reestimate`).
         - Otherwise: the initial b_hat, or None if that is the present b_hat.
         """
         s, robust = self.s, self.s.robust
@@ -618,7 +664,8 @@ class MirrorRobot(FixedPointView):
     def _rejects_initial_b_hat(self, centre: int, spread: int) -> bool:
         """Return whether the robot's observations contradict its initial b_hat, by the robust filter's test.
 
-        ``centre`` and ``spread`` are those of the estimates that it keeps, in units of 2**-24.
+        ``centre`` and ``spread`` are those of the estimates that it keeps, in units of 2**-24. Subclasses may
+        have another test.
         """
         return robust_test_rejects(self.s.robust, self.s.t, self.s.n, centre, spread)
 
@@ -649,7 +696,7 @@ class MirrorRobot(FixedPointView):
 
     @property
     def alpha_raw(self) -> int:
-        """Local confidence as an alpha word: a mantissa of 24 bits above a shift of 5 bits."""
+        """Local confidence as an alpha word: a mantissa (bits 8 to 31) and a shift (bits 0 to 4)."""
         return self.s.alpha
 
     @property
@@ -668,14 +715,16 @@ class MirrorRobot(FixedPointView):
         return self._social_or_informed_estimate(self.s.x_hat, self.s.alpha)
 
     def _social_or_informed_estimate(self, x_hat: int, alpha: int) -> int:
-        """Return the weighted mean of the last closed round and an own estimate, in units of 2**-23.
+        """Return the weighted mean of the last closed round's x_hat and ``x_hat``, in units of 2**-23.
 
-        It is the social estimate for an own alpha of 0, and the informed estimate for the robot's own alpha.
-        With the robust filter it is the centre of the votes, or ``x_hat`` before the first.
+        ``alpha``, an alpha word, is the weight of ``x_hat``. The result is the social estimate if it is 0,
+        and the informed estimate if both are the robot's own. With the robust filter it is the centre of the
+        votes, or ``x_hat`` before the first.
         """
-        if self.is_robust:
-            return q23_from_q30(self.s.robust.centre) if self.s.robust.votes else x_hat
-        return informed_estimate(self.s.closed, x_hat, alpha)
+        if not self.is_robust:
+            return informed_estimate(self.s.closed, x_hat, alpha)
+        has_votes = self.s.robust.votes > 0
+        return q23_from_q30(self.s.robust.centre) if has_votes else x_hat
 
     @property
     def counters(self) -> Counters:
@@ -684,7 +733,10 @@ class MirrorRobot(FixedPointView):
         return Counters(s.accepted, s.repeated, s.rejected, s.tests, s.updates)
 
     def state(self) -> dict[str, int]:
-        """Return every member of the state by name; nested ones as ``open_alpha``, ``heard_0``."""
+        """Return all numbers of the state by name, to compare two firmwares.
+
+        Members of a nested object are named as in ``open_alpha``, and elements of a list as in ``heard_0``.
+        """
         values: dict[str, int] = {}
         for member in fields(State):
             value = getattr(self.s, member.name)
@@ -692,8 +744,8 @@ class MirrorRobot(FixedPointView):
                 for inner_member in fields(value):
                     values[f"{member.name}_{inner_member.name}"] = getattr(value, inner_member.name)
             elif isinstance(value, list):
-                for index_in_list, number in enumerate(value):
-                    values[f"{member.name}_{index_in_list}"] = number
+                for element_index, number in enumerate(value):
+                    values[f"{member.name}_{element_index}"] = number
             else:
                 values[member.name] = value
         return values
@@ -704,6 +756,8 @@ class MirrorRobot(FixedPointView):
         False means that the state, or the image from which it was restored, was damaged.
         """
         s, config = self.s, self.config
+        if s.id > MAX_ID:
+            return False  # no robot has this id, and the set of senders has no bit for it
         if self.is_robust:
             is_filter_state_valid = (
                 are_valid_slots(s.robust, s.estimates)
@@ -718,15 +772,16 @@ class MirrorRobot(FixedPointView):
                 and s.robust == RobustFilter()
             )
         sender_count = sum(word.bit_count() for word in s.heard)
+        own_word_index, own_bit = bit_of_sender(s.id)
+        has_heard_itself = s.heard[own_word_index] & own_bit != 0
         return (
-            s.id <= MAX_ID
-            and s.n <= s.t < config.memory
+            s.n <= s.t < config.memory
             and B_HAT_MIN <= s.accuracy.b_hat <= B_HAT_MAX
             and s.accuracy == accuracy_of(s.accuracy.b_hat)
             and is_valid_estimate(s)
             and is_filter_state_valid
             and s.open.count <= sender_count  # senders without confidence are in no sum
-            and (s.heard[s.id >> 5] >> (s.id & 31)) & 1 == 0  # a robot does not receive from itself
+            and not has_heard_itself
             and 1 <= s.filter_left <= config.filter_period
         )
 
@@ -734,8 +789,8 @@ class MirrorRobot(FixedPointView):
         """Return the state as ``mcp_asdf_save`` writes it: little-endian words, the last a checksum.
 
         Word 0 marks the version. Words 1 to 6 are about the robot's own estimate and filter. Then come the
-        rounds, in 16 words, or what the robust filter remembers, in 24; four words with the senders of the
-        open round; and three with counters and the id.
+        sums of the rounds, in 16 words, or what the robust filter remembers, in 24; four words with the
+        senders of the open round; and three with counters, the flag ``updated`` and the id.
         """
         s = self.s
         words = [first_image_word(self.config.filter), s.accuracy.b_hat, s.t, s.n]
@@ -756,16 +811,18 @@ class MirrorRobot(FixedPointView):
         damaged, of another version or impossible with ``config`` (ERR_IMAGE). Raises TypeError for an
         ``image`` that is not bytes-like.
         """
-        image_bytes = bytes(memoryview(image))  # memoryview refuses a number, of which bytes makes zeros
+        # memoryview raises TypeError for a number, from which bytes alone would make zeros.
+        image_bytes = bytes(memoryview(image))
         check_config(config)
         error = find_image_error(image_bytes, config.filter)
         if error is not None:
             raise FirmwareError(Status.ERR_IMAGE, error)
         words = _image_struct(config).unpack(image_bytes)
-        b_hat = words[1]  # checked first, as the state has values that are computed from it
+        # b_hat comes before the other checks, because values of the state are computed from it.
+        _, b_hat, *_ = words
         if not B_HAT_MIN <= b_hat <= B_HAT_MAX:
             raise FirmwareError(Status.ERR_IMAGE, f"b_hat = {b_hat} is out of range")
-        # Without __init__, which needs an id and a b_hat that are valid.
+        # Without __init__, which would make a new robot, and needs an id and a b_hat that are valid.
         robot = cls.__new__(cls)
         robot.config = config
         robot.s = _decode_state(config, words)
@@ -795,11 +852,11 @@ def _halves_of_word(word: int) -> tuple[int, int]:
 def _encode_rounds(s: State) -> list[int]:
     """Return the sums of the closed and of the open round in ``s``, a robot's state, as 16 words.
 
-    Three sums of the closed and four of the open round have 64 bits and take
-    two words each, the lower one first; then come the open round's sum of x_hat and its number of messages.
+    Three sums of the closed and four of the open round have 64 bits and take two words each, the lower one
+    first; then come the open round's sum of x_hat and its number of messages.
     """
-    # A closed round does not keep x_squared: only the test needs it, which runs before the
-    # sums of the open round are cleared.
+    # A closed round does not keep x_squared: only the test needs it, which runs before the sums of the open
+    # round are cleared.
     closed_sums = [s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high]
     open_sums = [s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high, s.open.x_squared]
     words = []
@@ -827,17 +884,16 @@ def _decode_state(config: Config, words: tuple[int, ...]) -> State:
 
     ``config.filter`` says whether they have the sums of the rounds or what the robust filter remembers.
     """
-    # In the order of `MirrorRobot.save`. What the filter keeps, in the middle, differs in length; the last
-    # eight words are four of senders, three of short numbers, and the checksum.
+    # In the order of `MirrorRobot.save`. What the filter keeps, in the middle, differs in length.
     _, b_hat, t, n, x_hat, alpha, filter_left = words[:7]
     filter_words = words[7:-8]
     sender_words = words[-8:-4]
-    # Two numbers of 16 bits share a word, or one of them and two of 8 bits.
-    accepted, repeated = _halves_of_word(words[-4])
-    rejected, tests = _halves_of_word(words[-3])
-    updates, updated_and_id = _halves_of_word(words[-2])
+    accepted_and_repeated, rejected_and_tests, updates_and_rest, _ = words[-4:]  # the last is the checksum
+    accepted, repeated = _halves_of_word(accepted_and_repeated)
+    rejected, tests = _halves_of_word(rejected_and_tests)
+    updates, updated_and_id = _halves_of_word(updates_and_rest)
     state = State(
-        id=updated_and_id >> 8,
+        id=updated_and_id >> 8,  # the upper 8 bits of this half
         accuracy=accuracy_of(b_hat),
         t=t,
         n=n,
@@ -850,7 +906,7 @@ def _decode_state(config: Config, words: tuple[int, ...]) -> State:
         rejected=rejected,
         tests=tests,
         updates=updates,
-        updated=updated_and_id & 0xFF,
+        updated=updated_and_id & 0xFF,  # the lower 8 bits
     )
     if config.filter == Filter.ROBUST:
         state.robust, state.estimates = _decode_robust_filter(filter_words)

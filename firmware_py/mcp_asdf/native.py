@@ -6,10 +6,10 @@ from C: ``lib.mcp_asdf_receive(robot.pointer, ...)``.
 
 from __future__ import annotations
 
+import operator
 import struct
 from collections.abc import Iterable
 from dataclasses import fields
-from operator import index
 from typing import TYPE_CHECKING, Any
 
 from mcp_asdf._native import ffi, lib
@@ -79,17 +79,22 @@ class NativeRobot(FixedPointView):
         damaged, of another version or impossible with ``config`` (ERR_IMAGE). Raises TypeError for an
         ``image`` that is not bytes-like.
         """
+        # Without __init__, which would initialise the robot as a new one.
         robot = cls.__new__(cls)
         robot._allocate(config)
+        # memoryview raises TypeError for a number, from which bytes alone would make zeros.
         image_bytes = bytes(memoryview(image))
-        # The C reads as many bytes as its filter needs. It refuses zeros, which stand in for an image of
-        # another size.
+        # The C reads as many bytes as an image with this filter has, whatever it is given. Zeros, which it
+        # refuses, take the place of an image of another size.
         size = image_size(config.filter)
-        c_image = image_bytes if len(image_bytes) == size else bytes(size)
+        has_right_size = len(image_bytes) == size
+        c_image = image_bytes if has_right_size else bytes(size)
         status = lib.mcp_asdf_restore(robot.pointer, robot._c_config.pointer, c_image)
         if status == Status.ERR_IMAGE:
-            error = find_image_error(image_bytes, config.filter)
-            raise FirmwareError(Status.ERR_IMAGE, error or IMPOSSIBLE_STATE)
+            # The C does not say what is wrong. If the outer form is right, it is the state that is
+            # impossible.
+            form_error = find_image_error(image_bytes, config.filter)
+            raise FirmwareError(Status.ERR_IMAGE, form_error or IMPOSSIBLE_STATE)
         _raise_for_error(status, config=config)
         return robot
 
@@ -110,24 +115,27 @@ class NativeRobot(FixedPointView):
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
         """Add a neighbour's estimate to the open round or, with the robust filter, to its received estimates.
 
-        ``x_hat`` is in units of 2**-23, and ``alpha`` a word of 32 bits: a mantissa of 24 above a shift of 5.
-        Returns OK if the estimate was accepted; REPEATED, which ignores it, if the round already has one of
-        this sender; ERR_SENDER if ``sender`` is not in 0 .. 127 or is the robot's own id; and ERR_X_HAT if
-        ``x_hat`` is not in [0, 1]. The counters ``accepted``, ``repeated`` and ``rejected`` say how often
-        each has happened.
+        ``x_hat`` is in units of 2**-23, and ``alpha`` a word of 32 bits: a mantissa (bits 8 to 31) and a
+        shift (bits 0 to 4). Returns OK if the estimate was accepted; REPEATED, which ignores it, if the round
+        already has one of this sender; ERR_SENDER if ``sender`` is not in 0 .. 127 or is the robot's own id;
+        and ERR_X_HAT if ``x_hat`` is not in [0, 1]. The counters ``accepted``, ``repeated`` and ``rejected``
+        say how often each has happened.
         """
         try:
             return _STATUS_BY_VALUE[lib.mcp_asdf_receive(self.pointer, sender, x_hat, alpha)]
         except OverflowError:
-            # A sender that fits no byte, or an x_hat that fits no word, is out of its range. The largest
-            # number of the type is so, too: the C rejects that one in its place, and counts the message.
-            # The alpha fits: ``receive_raw`` has checked it.
+            # The sender does not fit a byte, or x_hat does not fit 32 bits, so it is out of its range. The C
+            # gets the largest number of its type instead, which is out of range, too, so that it rejects and
+            # counts the message. The alpha fits: ``receive_raw`` has checked it.
             c_sender = _fit_to_c_type(sender, _MAX_BYTE)
             c_x_hat = _fit_to_c_type(x_hat, MAX_WORD)
             return _STATUS_BY_VALUE[lib.mcp_asdf_receive(self.pointer, c_sender, c_x_hat, alpha)]
 
     def _receive_all(self, messages: NDArray[np.uint32]) -> int:
-        """Do what ``receive_all`` does, for an array whose type and shape have been checked."""
+        """Receive messages whose array was checked, and return how many of them were accepted.
+
+        A row of the array is a message, with the columns sender, x_hat and alpha.
+        """
         c_messages = ffi.from_buffer("uint32_t[]", messages)
         return int(lib.mcp_asdf_receive_all(self.pointer, c_messages, len(messages)))
 
@@ -141,7 +149,8 @@ class NativeRobot(FixedPointView):
     def step(self, z: Observation) -> Status:
         """Observe ``z``, then settle.
 
-        Returns UPDATED or OK, as ``settle`` does; or ERR_OBSERVATION, without settling, for an invalid ``z``.
+        Returns UPDATED if the filter has run and re-estimated b_hat, and OK otherwise; or ERR_OBSERVATION,
+        without settling, for an invalid ``z``.
         """
         return _STATUS_BY_VALUE[lib.mcp_asdf_step(self.pointer, _fit_to_c_type(z, MAX_WORD))]
 
@@ -172,7 +181,7 @@ class NativeRobot(FixedPointView):
 
     @property
     def alpha_raw(self) -> int:
-        """Local confidence as an alpha word: a mantissa of 24 bits above a shift of 5 bits."""
+        """Local confidence as an alpha word: a mantissa (bits 8 to 31) and a shift (bits 0 to 4)."""
         return int(lib.mcp_asdf_alpha(self.pointer))
 
     @property
@@ -233,7 +242,8 @@ class _CConfig:
     """
 
     def __init__(self, config: Config) -> None:
-        # Kept, as the struct's pointer does not keep the array alive. Only the adaptive filter reads it.
+        # An attribute keeps the array of the table alive; the pointer in the C struct does not. The other
+        # filters read no table.
         self._table = ffi.NULL
         if config.filter == Filter.ADAPTIVE and config.table is not None:
             self._table = _allocate_table(config.table)
@@ -245,32 +255,35 @@ class _CConfig:
 
 
 def _allocate_table(table: Table) -> Any:
-    """Return the words of a table of thresholds as a C array, or NULL if one of them has not 32 bits.
+    """Return the words of a table of thresholds as a C array, or NULL if one of them does not fit 32 bits.
 
-    The array is as long as the longest table: the q of a damaged one may claim that many words, and the C
-    reads them to check the table.
+    The array has the length of the longest table, with zeros behind the words. The C reads as many words as
+    the table's q says, and in a damaged table q may be larger than the number of its words.
     """
     words = table.words()
     padding = [0] * (EXTRA_WORDS + MAX_Q - len(words))
     try:
         return ffi.new("uint32_t[]", [*words, *padding])
-    except OverflowError:
+    except OverflowError:  # a word does not fit
         return ffi.NULL
 
 
 def _fit_to_c_type(value: int, maximum: int, substitute: int | None = None) -> int:
-    """Return ``value`` if it is in 0 .. ``maximum``, else a number that the C refuses.
+    """Return ``value`` as Python's ``int`` if it is in 0 .. ``maximum``, else a number that the C refuses.
 
-    That number is ``substitute``, or ``maximum`` if there is none.
+    That number is ``substitute`` or, for None, ``maximum``.
     """
-    number = index(value)
+    number = operator.index(value)
     if 0 <= number <= maximum:
         return number
     return maximum if substitute is None else substitute
 
 
 def _raise_for_error(status: int, **settings: object) -> None:
-    """Raise FirmwareError unless ``status`` is OK; its message names the wrong one of ``settings``."""
+    """Raise FirmwareError unless ``status``, a result of the C, is OK.
+
+    The error's text has the wrong one of ``settings``, which are the arguments of the call by name.
+    """
     if status != Status.OK:
         error = _STATUS_BY_VALUE[status]
         raise FirmwareError(error, _ERROR_MESSAGES[error].format(**settings))

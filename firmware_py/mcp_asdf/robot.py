@@ -39,7 +39,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MAX_ID = 127
-"""Largest robot id. A robot hears at most 127 others, so a round has at most 127 messages."""
+"""Largest robot id."""
+MAX_ROUND_SIZE = MAX_ID
+"""Largest number of messages in a round: one of each robot but the one that receives them."""
 
 DEFAULT_FILTER_PERIOD = 1000
 """Rounds from one run of the filter to the next."""
@@ -207,14 +209,15 @@ class Robot(Protocol):
     def settle(self) -> Status:
         """Close the open round, and run the filter if ``filter_period`` rounds have passed. O(1).
 
-        With the robust filter one of the estimates that it keeps, or the robot's own, counts as a vote.
-        Returns UPDATED if the filter has re-estimated b_hat, and OK otherwise.
+        With the robust filter one of the estimates that it keeps, or the robot's own, becomes a vote, which
+        moves the robot's answer. Returns UPDATED if the filter has re-estimated b_hat, and OK otherwise.
         """
 
     def step(self, z: Observation) -> Status:
         """Observe ``z``, then settle.
 
-        Returns the status of ``settle``, or the error of ``observe`` without settling.
+        Returns UPDATED if the filter has run and re-estimated b_hat, and OK otherwise; or ERR_OBSERVATION,
+        without settling, for an invalid ``z``.
         """
 
     @property
@@ -274,12 +277,14 @@ class FixedPointRobot(Robot, Protocol):
     def receive_raw(self, sender: int, x_hat: int, alpha: int) -> Status:
         """Add a neighbour's estimate to the open round; x_hat in units of 2**-23, alpha as an alpha word.
 
-        An alpha word is 32 bits: a mantissa of 24 bits above a shift of 5 (see ``mcp_asdf.fixed_point``).
-        Returns OK if the estimate was accepted, and REPEATED if the round already has one of this sender.
+        An alpha word is 32 bits, a mantissa (bits 8 to 31) and a shift (bits 0 to 4), and stands for mantissa
+        * 2**shift * 2**-24. Returns OK if the estimate was accepted, and REPEATED, which ignores it, if the
+        round already has one of this sender.
 
         This is for programs that read a bus. They meet invalid messages all the time, so these are no
         exceptions here: where ``receive`` raises FirmwareError this returns ERR_SENDER or ERR_X_HAT, which
-        the caller may count. Raises ValueError, and changes nothing, for an ``alpha`` that has not 32 bits.
+        the caller may count. Raises ValueError, and changes nothing, for an ``alpha`` that does not fit 32
+        bits.
         """
 
     def receive_all(self, messages: NDArray[np.uint32]) -> int:
@@ -298,8 +303,8 @@ class FixedPointRobot(Robot, Protocol):
         """Make a robot from an image of ``save``, whichever firmware saved it. O(q), to check the table.
 
         ``image`` may also be a bytearray or a memoryview; anything else raises TypeError. Raises
-        FirmwareError with ERR_CONFIG or ERR_TABLE as constructors do, and with ERR_IMAGE for an image that
-        is damaged, of another version or impossible with ``config``.
+        FirmwareError for settings (ERR_CONFIG) or a table (ERR_TABLE) that the firmware would refuse, and for
+        an image that is damaged, of another version or impossible with ``config`` (ERR_IMAGE).
         """
 
     def state(self) -> dict[str, int]:
@@ -321,7 +326,7 @@ class FixedPointRobot(Robot, Protocol):
 
     @property
     def alpha_raw(self) -> int:
-        """Local confidence as an alpha word: a mantissa of 24 bits above a shift of 5 bits."""
+        """Local confidence as an alpha word: a mantissa (bits 8 to 31) and a shift (bits 0 to 4)."""
 
     @property
     def x_bar_raw(self) -> int:
@@ -357,9 +362,10 @@ def check_settings(config: Config) -> None:
 
 
 def check_table(table: Table | None) -> Table:
-    """Return the table of thresholds, or raise FirmwareError (ERR_TABLE) if the firmware would refuse it.
+    """Return the table of the test's thresholds if the firmware would accept it.
 
-    It refuses None, and a table whose words are not a t-table (see ``Table.from_words``).
+    Raises FirmwareError (ERR_TABLE) if it would not: for None, and for a table with a q, omega or threshold
+    that no t-table has (see ``Table.from_words``).
     """
     if table is None:
         raise FirmwareError(
