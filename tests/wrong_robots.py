@@ -544,15 +544,16 @@ WRONG: dict[str, Wrong] = {
     ),
     # The robust filter: votes
     "its own estimate does not vote": with_robust_firmware(
-        "first estimates", "return {SLOTS if has_confidence else => } lowest_bit(filled_slots)"
+        "first estimates", "return {OWN_ESTIMATE if has_confidence else => } lowest_bit(filled_slots)"
     ),
     "votes without confidence of its own": with_robust_firmware(
-        "no confidence of its own", "return {SLOTS if has_confidence else lowest_bit(filled_slots) => SLOTS}"
+        "no confidence of its own",
+        "return {OWN_ESTIMATE if has_confidence else lowest_bit(filled_slots) => OWN_ESTIMATE}",
     ),
     "takes every message for a vote": with_robust_firmware(
         "first estimates", "robust.filled_slots |= 1 << slot{ => ; count_vote(robust, x_hat)}"
     ),
-    "the turn stays": with_robust_firmware("first estimates", "robust.turn = slot + {1 => 0}\n"),
+    "the turn stays": with_robust_firmware("first estimates", "robust.turn = voter + {1 => 0}\n"),
     "the turn does not go back to 0": with_robust_firmware("first estimates", "robust.turn = {0 => 1}\n"),
     "no vote in the round of a test": with_robust_firmware(
         "first estimates", "            { => if s.filter_left > 1: }take_vote(s.robust, s.estimates"
@@ -599,7 +600,7 @@ WRONG: dict[str, Wrong] = {
     ),
     "dispersion of about 4 batches": with_robust_firmware("first estimates", "DISPERSION_SHIFT = {3 => 2}"),
     "one batch of all observations": with_robust_firmware(
-        "first estimates", "    {begin_batch(robust, t, n) => pass}\n\n    # Shares"
+        "first estimates", "    {begin_batch(robust, t, n) => pass}\n\n    # Units"
     ),
     "the batch goes on at a halving": with_firmware(
         "test of a wide spread",
@@ -626,10 +627,10 @@ WRONG: dict[str, Wrong] = {
     "rejects at 3 sigma": with_robust_firmware("first estimates", "SIGMAS_SQUARED = {12 => 9}"),
     "forgets the spread in its test": with_robust_firmware("first estimates", "{g_spread**2 => 0}"),
     "spread without a floor in the test": with_robust_firmware(
-        "first estimates", "smallest, largest = {SPREAD_MIN >> 6 => 0}"
+        "first estimates", "smallest, largest = {q24_from_q30(SPREAD_MIN) => 0}"
     ),
     "spread without a ceiling in the test": with_firmware(
-        "estimates far apart", "{SPREAD_MAX >> 6 => 1 << 24}", config=VOTES | {"b_hat": B_HAT}
+        "estimates far apart", "{q24_from_q30(SPREAD_MAX) => 1 << 24}", config=VOTES | {"b_hat": B_HAT}
     ),
     "variance of the prediction alone": with_robust_firmware(
         "first estimates", "variance = max({multiply_high(share, Q32_ONE - share) => 0},"

@@ -42,23 +42,28 @@ def first_image_word(filter_number: int) -> int:
 
 
 def find_image_error(image: bytes, filter_number: int) -> str | None:
-    """Return why no robot with this filter, a number of `Filter`, can have saved an image, or None.
+    """Return what is wrong with the outer form of a robot's image, or None if it is right.
 
-    Only the outer form is checked: first word, version, length and checksum. The result is a text for an
-    error message, which says what to do where something can be done.
+    The image must be that of a robot with this filter, a number of `Filter`. Its first word, version, length
+    and checksum are checked, and not what it holds. The result is a text for an error message, which says
+    what to do where something can be done.
     """
     first_word = int.from_bytes(image[:4], "little")
-    if first_word & 0xFFFFFF00 != IMAGE_MAGIC or len(image) % 4 != 0:
+    has_magic = first_word & 0xFFFFFF00 == IMAGE_MAGIC  # in the upper three bytes
+    is_whole_words = len(image) % 4 == 0
+    if not has_magic or not is_whole_words:
         return "these bytes are no image of a robot, or a damaged one"
-    # The length comes later: it differs between versions and filters.
-    version = first_word & (ROBUST_IMAGE - 1)
+    # The number of words comes later: it differs between versions and filters.
+    version = first_word & (ROBUST_IMAGE - 1)  # the bits below that of the robust filter
     if version != IMAGE_VERSION:
         return f"the image is of version {version}, and this firmware reads version {IMAGE_VERSION}"
     if first_word != first_image_word(filter_number):
         is_robust = first_word & ROBUST_IMAGE != 0
         other_filter = "the robust filter" if is_robust else "a filter other than the robust one"
         return f"the image is that of a robot with {other_filter}; restore it with that"
-    *words, checksum_of_words = [word for (word,) in struct.iter_unpack("<I", image)]
-    if len(words) + 1 != image_word_count(filter_number) or checksum(words) != checksum_of_words:
+    words = [word for (word,) in struct.iter_unpack("<I", image)]
+    *checked_words, stated_checksum = words
+    has_right_length = len(words) == image_word_count(filter_number)
+    if not has_right_length or checksum(checked_words) != stated_checksum:
         return "the image is damaged"
     return None

@@ -16,11 +16,11 @@ function names, NaN among them, raise ValueError.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from operator import index
 from statistics import mean, stdev
 from typing import Any, Generic, NamedTuple, TypeVar, cast
 
@@ -185,9 +185,9 @@ def informed_estimate(own_estimate: Estimate[Number], estimates: Sequence[Estima
     The result is the robot's x_hat if all confidences are 0. Raises ValueError for an estimate that is out of
     range. O(m).
     """
-    # The own estimate is a term like the others, so robots that all hear each other get the same bits.
-    all_estimates = [own_estimate]
-    all_estimates += estimates
+    # The own estimate is a term like the others, so robots that all receive from each other get the same
+    # bits.
+    all_estimates = [own_estimate, *estimates]
     return _weighted_mean(all_estimates, default=own_estimate.x_hat)
 
 
@@ -195,9 +195,9 @@ def informed_estimate(own_estimate: Estimate[Number], estimates: Sequence[Estima
 
 
 def assumed_accuracy_update(n: int, t: int, x_bar: Number, conventions: Conventions = PAPER) -> Number | None:
-    """Return the accuracy b_hat for which a robot's own estimate would be ``x_bar``, its neighbours' (eq. 8).
+    """Return the accuracy b_hat with which a robot would have estimated ``x_bar``, as its neighbours did.
 
-    ``x_bar`` is in [0, 1], and ``n`` of ``t`` observations were black. The result is
+    ``x_bar`` is in [0, 1], and ``n`` of ``t`` observations were black. The result is (eq. 8)
 
         b_hat = (n / t + x_bar - 1) / (2 x_bar - 1)     clamped to [0, 1]
 
@@ -231,7 +231,9 @@ def t_score(m: int, omega: float, conventions: Conventions = PAPER) -> float:
 
     if not (m >= 2 and 0 < omega < 1):
         raise ValueError(f"m is {m} and omega {omega}; there is a t-score for m >= 2 and 0 < omega < 1")
-    return float(stdtrit(m - conventions.lost_degrees, (1 + omega) / 2))
+    # Below the t-score lies what is not above it: 1 - (1 - omega) / 2.
+    probability_below = (1 + omega) / 2
+    return float(stdtrit(m - conventions.lost_degrees, probability_below))
 
 
 def asdf_test_rejects(
@@ -316,7 +318,10 @@ def _quotient_in_unit_interval(numerator: Number, denominator: Number) -> Number
 
 
 def _sum(terms: Sequence[Number]) -> Number:
-    """Return the sum of fractions exactly, or of floats correctly rounded: 0.0 if there are none."""
+    """Return the exact sum if there is a fraction among the terms, else the correctly rounded one of floats.
+
+    It is 0.0 if there are no terms.
+    """
     is_exact = any(isinstance(term, Fraction) for term in terms)
     return cast(Number, sum(terms) if is_exact else math.fsum(terms))
 
@@ -331,8 +336,7 @@ def _weighted_mean(estimates: Sequence[Estimate[Number]], default: float | Fract
     # `_sum`, because the result of sum() for floats depends on the order of the estimates.
     total_weight = _sum([alpha for _, alpha in estimates])
     if total_weight == 0:
-        # For the type checker alone: ``default`` is returned as it is.
-        return cast(Number, default)
+        return cast(Number, default)  # ``cast`` only calms the type checker, and changes nothing
     return _sum([alpha * x_hat for x_hat, alpha in estimates]) / total_weight
 
 
@@ -367,7 +371,7 @@ class ReferenceRobot:
             t_score(2, self._omega, conventions)
         check_id_and_b_hat(robot_id, b_hat)
         self._config = config
-        self._id = index(robot_id)
+        self._id = operator.index(robot_id)  # as Python's own int
         self._conventions = conventions
         self._t = 0
         self._n = 0
@@ -388,7 +392,7 @@ class ReferenceRobot:
 
         Returns OK; or ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE nor BLACK.
         """
-        if index(z) not in (Observation.WHITE, Observation.BLACK):
+        if operator.index(z) not in (Observation.WHITE, Observation.BLACK):
             return Status.ERR_OBSERVATION
         self._t += 1
         if z == Observation.BLACK:
@@ -412,10 +416,10 @@ class ReferenceRobot:
         this sender. Raises FirmwareError, and counts the message as rejected, if ``sender`` is not in
         0 .. 127 or is the robot's own id (ERR_SENDER), or if ``x_hat`` is not in [0, 1] (ERR_X_HAT). Raises
         ValueError, and changes nothing, for an ``alpha`` that is no confidence: negative (also -0.0),
-        infinite or NaN. An estimate with alpha = 0 is accepted, but has no weight. With the robust filter the
-        others take the place of earlier ones of the same sender.
+        infinite or NaN. An estimate with alpha = 0 is accepted, but has no weight. With the robust filter any
+        other is also kept, as the latest one of its sender.
         """
-        sender = index(sender)
+        sender = operator.index(sender)  # as Python's own int
         check_alpha(alpha)  # first, since a wrong alpha is the caller's mistake and not counted
         status = self._check_message(sender, x_hat)
         if status != Status.OK:
@@ -443,21 +447,22 @@ class ReferenceRobot:
         return Status.OK
 
     def settle(self) -> Status:
-        """Close the open round, and run the filter if ``filter_period`` rounds have passed. O(m).
+        """End the open round, and run the filter if ``filter_period`` rounds have passed. O(m).
 
-        The closed round is that of x_bar, beta and x from now on; the new open round is empty. With the
-        robust filter one of the estimates that the robot keeps, or its own, counts as a vote. Returns UPDATED
-        if the filter has re-estimated b_hat, the assumed accuracy, and OK otherwise.
+        The ended round becomes the closed one, about which x_bar, beta and x are from now on, and an empty
+        round opens. With the robust filter one of the estimates that the robot keeps, or its own, becomes a
+        vote instead, which moves the robot's answer x. Returns UPDATED if the filter has re-estimated b_hat,
+        the assumed accuracy, and OK otherwise.
         """
         if self._is_robust:
             self._robust.take_vote(self._own_estimate.x_hat, has_confidence=self._own_estimate.alpha > 0)
         else:
-            # The filter, which runs below, and the social estimate are about the round that is closed now.
+            # Estimates without confidence have no weight in the means, and no part in the test.
             estimates = self._open_round.values()
             self._closed_round = [estimate for estimate in estimates if estimate.alpha > 0]
         self._open_round = {}
         self._filter_left -= 1
-        if self._filter_left:
+        if self._filter_left > 0:
             return Status.OK
         self._filter_left = self._config.filter_period
         return self._update_b_hat()
@@ -491,26 +496,26 @@ class ReferenceRobot:
         return Status.UPDATED
 
     def reestimate_b_hat(self) -> float | None:
-        """Return the next assumed accuracy b_hat (eq. 8), or None to keep the present one.
+        """Return the next b_hat, the assumed accuracy of the sensor (eq. 8), or None to keep the present one.
 
-        It is the b_hat for which this robot's own estimate would be x_bar, the estimate of its neighbours. It
-        is None before the first observation, and if x_bar carries no information: |2 x_bar - 1| < 2**-12 (but
-        see ``Conventions.guarded``). This changes nothing. The filter calls it when its test rejects, or
-        always if it has none; the robust filter does not. Subclasses may override it for a filter of their
-        own.
+        It is the accuracy with which this robot would have estimated x_bar, as its neighbours did. It is None
+        before the first observation, and if x_bar carries no information: |2 x_bar - 1| < 2**-12 (but see
+        ``Conventions.guarded``). The robot does not change. The filter calls this when its test rejects
+        x_hat, or in each of its runs if it has no test; the robust filter does not call it. Subclasses may
+        override it for a filter of their own.
         """
         return assumed_accuracy_update(self._n, self._t, self.x_bar, self._conventions)
 
     def _is_update_needed(self) -> bool:
-        """Return whether the paper's filter is to re-estimate b_hat from the round that was closed last.
+        """Return whether the paper's filter is to re-estimate b_hat from the round that has just ended.
 
-        b_hat is the assumed accuracy. Of the round's messages only those with alpha > 0 count. The result is,
+        b_hat is the assumed accuracy. Only messages with a confidence above 0 are considered. The result is,
         by the filter of the configuration:
 
         - OFF: False.
         - ALWAYS: whether the round has a message.
-        - ADAPTIVE: False if it has fewer than two. Otherwise the hypothesis test (eq. 12), which is counted,
-          runs: whether it rejects x_hat.
+        - ADAPTIVE: False if it has fewer than two messages. Otherwise the hypothesis test (eq. 12) runs and
+          is counted, and the result is whether it rejects x_hat.
         """
         if self._config.filter == Filter.OFF:
             return False
@@ -524,27 +529,31 @@ class ReferenceRobot:
         return asdf_test_rejects(self._own_estimate.x_hat, neighbours, self._omega, self._conventions)
 
     def _run_robust_filter(self) -> float | None:
-        """Test the initial b_hat against the received estimates: return the new b_hat, or None to keep it.
+        """Test the initial b_hat against the estimates that the robot keeps, one of each neighbour.
 
-        Before that, the batch of observations since the last run ends. The first of these cases that applies
-        decides:
+        Returns the new b_hat, or None if b_hat stays. First the observations since the last run enter the
+        dispersion, which says how much more the robot's observations vary than independent ones. Then the
+        first of these cases that applies decides:
 
         - The robot keeps fewer than five estimates: None, without a test. Of five, two can be outvoted.
         - The test, which is counted, rejects the initial b_hat, and at most two fifths of the estimates
-          support this robot: the accuracy for which its x_hat would be the centre of the estimates (eq. 8),
-          or None if that carries no information.
+          support this robot: the accuracy with which the robot would have estimated their centre (eq. 8), or
+          None if the centre carries no information.
         - Otherwise: the initial b_hat, or None if that is the present b_hat.
         """
         robust = self._robust
         robust.end_batch(self._n, self._t)
         if len(robust.estimates) < TESTED_ESTIMATES_MIN:
             return None
+        # The test and the question who supports the robot are one call: it returns the centre of the
+        # estimates if the test rejects without enough support, and None otherwise.
         self._count("tests")
-        centre = robust.find_contradiction(self._n, self._t)
-        if centre is not None:
-            return assumed_accuracy_update(self._n, self._t, centre, self._conventions)
+        contradicted_centre = robust.find_contradiction(self._n, self._t)
+        if contradicted_centre is not None:
+            return assumed_accuracy_update(self._n, self._t, contradicted_centre, self._conventions)
         # An earlier test may have replaced the initial b_hat, and then it comes back.
-        return None if self._b_hat == robust.initial_b_hat else robust.initial_b_hat
+        is_initial = self._b_hat == robust.initial_b_hat
+        return None if is_initial else robust.initial_b_hat
 
     @property
     def _is_robust(self) -> bool:

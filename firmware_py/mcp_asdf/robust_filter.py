@@ -24,7 +24,9 @@ from mcp_asdf.table import MAX_WORD
 
 # Constants by the names that they have in C; docs/internals/robust.md has the reasons.
 SLOTS = 32
-"""Number of slots for estimates of senders. In place of a slot it stands for the robot's own estimate."""
+"""Number of slots for estimates of senders."""
+OWN_ESTIMATE = SLOTS
+"""Stands for the robot's own estimate where otherwise a slot is named. It comes after the last slot."""
 SLOT_ESTIMATE_MAX = (1 << 16) - 1
 """Largest estimate in a slot, which has 16 bits; it stands for 1.0, too."""
 TESTED_ESTIMATES_MIN = 5
@@ -64,7 +66,8 @@ class RobustFilter:
         votes: Number of votes, up to VOTES_MAX.
         dispersion: Variance of n from batch to batch, as a multiple of that of independent observations, in
             units of 2**-8.
-        turn: Slot that votes next. If it is empty, the next filled one votes; SLOTS is the robot's own turn.
+        turn: Slot whose estimate is the next vote, or that of the next filled slot if it is empty;
+            OWN_ESTIMATE after the last slot.
     """
 
     centre: int = CENTRE_START
@@ -100,6 +103,11 @@ def q23_from_q16(estimate: int) -> int:
     return estimate << 7
 
 
+def q24_from_q30(spread: int) -> int:
+    """Convert a limit of the spread from units of 2**-30, those of the votes, to units of 2**-24. Exact."""
+    return spread >> 6
+
+
 def q24_from_q16(estimate: int) -> int:
     """Convert a slot's estimate from units of 2**-16 to units of 2**-24, those of the test. Exact."""
     return estimate << 8
@@ -131,14 +139,15 @@ def slot_estimate(x_hat: int) -> int:
 
     Halves are rounded up. 1.0, for which a slot has one bit too few, becomes SLOT_ESTIMATE_MAX.
     """
+    # 2**7 units of x_hat are one unit of a slot, and 64 of them, which are half a unit, round to nearest.
     return min((x_hat + 64) >> 7, SLOT_ESTIMATE_MAX)
 
 
 def keep_estimate(robust: RobustFilter, estimates: list[int], sender: int, x_hat: int) -> None:
-    """Put a neighbour's x_hat, in units of 2**-23, into the slot of its sender, in place of an earlier one.
+    """Keep a neighbour's x_hat, in units of 2**-23, in the slot of its sender, in place of what was there.
 
-    Both ``robust`` and ``estimates``, the robot's slots, change. Senders whose ids are equal modulo 32 share
-    a slot.
+    ``estimates``, the list of the robot's 32 slots, changes, and ``robust``, which says which of them are
+    filled. Senders whose ids are equal modulo 32 share a slot.
     """
     slot = sender % SLOTS
     estimates[slot] = slot_estimate(x_hat)
@@ -150,38 +159,43 @@ def keep_estimate(robust: RobustFilter, estimates: list[int], sender: int, x_hat
 
 def lowest_bit(mask: int) -> int:
     """Return the index of the lowest bit of a mask that is set. At least one must be."""
+    # -mask has the same lowest bit set, and is opposite to the mask in all bits above it.
     lowest_bit_alone = mask & -mask
     return lowest_bit_alone.bit_length() - 1
 
 
 def next_slot(filled_slots: int, turn: int, has_confidence: bool) -> int:
-    """Return the slot that votes next, or SLOTS for the robot's own estimate.
+    """Return the slot whose estimate is the next vote, or OWN_ESTIMATE if the robot's own estimate is.
 
-    Slots vote in ascending order, from ``turn`` on. After the last filled one the robot's own estimate votes
-    if it has confidence; then the first filled one again. At least one of the ``filled_slots`` must be set.
+    That is the first filled slot from ``turn`` on. If there is none, it is the robot's own estimate, which
+    must have confidence for that; and if it has none, the first of all filled slots. ``filled_slots`` is a
+    mask of 32 bits, one for each slot, of which at least one must be set.
     """
-    remaining_slots = (filled_slots >> turn) << turn  # those from ``turn`` on
+    remaining_slots = (filled_slots >> turn) << turn  # clears the bits of the slots before ``turn``
     if remaining_slots:
         return lowest_bit(remaining_slots)
-    return SLOTS if has_confidence else lowest_bit(filled_slots)
+    return OWN_ESTIMATE if has_confidence else lowest_bit(filled_slots)
 
 
 def take_vote(robust: RobustFilter, estimates: Sequence[int], x_hat: int, alpha: int) -> None:
-    """Count the estimate whose turn it is as a vote, and pass the turn on; nothing if all slots are empty.
+    """Choose the next vote among the estimates that a robot keeps and its own, and count it.
 
-    ``estimates`` are the robot's slots. ``x_hat``, in units of 2**-23, and ``alpha``, an alpha word, are the
-    robot's own estimate.
+    The robot keeps estimates of its neighbours in 32 slots, whose contents are ``estimates``. Filled slots
+    vote one after the other, and after the last of them the robot's own estimate: ``x_hat`` in units of
+    2**-23, if ``alpha``, its confidence, is not 0. ``robust``, the filter's memory, changes: the vote moves
+    the centre and the spread of all votes, and the turn goes to the next slot. Nothing happens while all
+    slots are empty.
     """
     if robust.filled_slots == 0:
         return
     has_confidence = alpha_units(alpha) > 0
-    slot = next_slot(robust.filled_slots, robust.turn, has_confidence)
-    if slot == SLOTS:
+    voter = next_slot(robust.filled_slots, robust.turn, has_confidence)
+    if voter == OWN_ESTIMATE:
         count_vote(robust, x_hat)
         robust.turn = 0
     else:
-        count_vote(robust, q23_from_q16(estimates[slot]))
-        robust.turn = slot + 1
+        count_vote(robust, q23_from_q16(estimates[voter]))
+        robust.turn = voter + 1
 
 
 def count_vote(robust: RobustFilter, x_hat: int) -> None:
@@ -190,10 +204,11 @@ def count_vote(robust: RobustFilter, x_hat: int) -> None:
     The centre moves towards the vote by gain * min(distance, spread), where distance is that of the vote from
     the centre. The spread grows by gain / 2 of itself if the distance is above it, and shrinks by as much
     otherwise; it stays within SPREAD_MIN .. SPREAD_MAX. The gain is 1/8 up to 63 votes, 1/16 up to 127, and
-    so on to 1/128 from 512 votes on.
+    so on to 1/128 from 512 votes on. ``robust``, the filter's memory, changes.
     """
     robust.votes = min(robust.votes + 1, VOTES_MAX)
-    # The gain is 2**-gain_shift: 32 votes have 6 bits, and shift by 3.
+    # The gain is 2**-gain_shift. It halves at each power of two: 32 votes, a number of 6 bits, shift by 3,
+    # and 64 votes, a number of 7 bits, by 4.
     gain_shift = max(robust.votes, VOTES_OF_MAX_GAIN).bit_length() - 3
 
     position = q30_from_q23(x_hat)
@@ -213,7 +228,10 @@ def count_vote(robust: RobustFilter, x_hat: int) -> None:
 
 
 def begin_batch(robust: RobustFilter, t: int, n: int) -> None:
-    """Begin a new batch of observations, after ``t`` observations of which ``n`` were black."""
+    """Begin a new batch of observations, after ``t`` observations of which ``n`` were black.
+
+    A batch is what a robot observes from one run of its filter to the next. ``robust`` keeps both counts.
+    """
     robust.batch_t = t
     robust.batch_n = n
 
@@ -222,30 +240,31 @@ def end_batch(robust: RobustFilter, t: int, n: int) -> None:
     """Update the dispersion by the batch of observations that ends now, and begin the next batch.
 
     ``t`` is the number of all observations so far, ``n`` that of black ones, and share = n / t. Of the
-    batch's observations, count in number, count share are expected to be black. The deviation is how far the
-    number of those that were black is from this. For independent observations its square is on average the
-    variance, count share (1 - share). If a robot takes several from one tile they are not independent, and
-    the square is larger: the dispersion says how many times. This is the phi of overdispersed binomial
+    batch's observations, count in number, count * share are expected to be black. The deviation is how far
+    the number of black ones is from that. For independent observations its square is on average the variance,
+    count * share * (1 - share). If a robot observes the same tile several times they are not independent,
+    and the square is larger: the dispersion says how many times. This is the phi of overdispersed binomial
     models.
 
-    The dispersion is a moving average of deviation**2 / variance, in which a batch has a weight of 1/8. A
-    batch whose ratio is above 12 times the dispersion enters with 12 times the dispersion instead: it is an
-    outlier, as after a change of the floor.
+    The dispersion is a moving average of the ratio deviation**2 / variance, in which a batch has a weight of
+    1/8. A batch whose ratio is above 12 times the dispersion enters with 12 times the dispersion instead: it
+    is an outlier, as after a change of the floor.
 
-    A batch without observations leaves the dispersion as it is, and so does any while none was black.
+    Without observations in the batch, or while no observation at all was black, the dispersion stays as it
+    is.
     """
     count = t - robust.batch_t
     black_count = n - robust.batch_n
     begin_batch(robust, t, n)
 
-    # Shares, numbers of black observations and their variance are in units of 2**-32, ratios in units of
-    # 2**-8 as the dispersion, and squares in units of 2**-22, so that they fit 64 bits in the C.
+    # Units: share, expected number and variance have 2**-32; ratios have 2**-8, as the dispersion; squares of
+    # deviations have 2**-22, so that they fit 64 bits in the C.
     share = q32_quotient(n, t)
     variance = count * multiply_high(share, Q32_ONE - share)
     largest_ratio = REJECTED_SIGMAS_SQUARED * robust.dispersion
     largest_square = q22_from_q40(largest_ratio * variance)  # 2**-8 times 2**-32 is 2**-40
     if largest_square == 0:
-        return  # there is nothing to divide by
+        return  # no variance, so that the ratio is not defined
     expected_black_count = count * share
     deviation = q11_from_q32(abs(black_count * Q32_ONE - expected_black_count))
     square = min(deviation * deviation, largest_square)
@@ -272,27 +291,28 @@ def sorted_estimates(robust: RobustFilter, estimates: Sequence[int]) -> list[int
 def median_of(sorted_values: Sequence[int]) -> int:
     """Return the median of sorted values: of an even number, the mean of the middle two, rounded down."""
     count = len(sorted_values)
-    # These are one and the same where their number is odd.
-    lower_middle, upper_middle = sorted_values[(count - 1) // 2], sorted_values[count // 2]
+    # For an odd number of values both are the same one.
+    lower_middle = sorted_values[(count - 1) // 2]
+    upper_middle = sorted_values[count // 2]
     return (lower_middle + upper_middle) // 2
 
 
 def spread_of(estimates: Sequence[int], median: int) -> int:
-    """Return the median distance of estimates from their median, within the limits of a spread.
+    """Return the median distance of estimates from their median, limited to SPREAD_MIN .. SPREAD_MAX.
 
     All are in units of 2**-24.
     """
     distances = sorted(abs(estimate - median) for estimate in estimates)
-    # The limits are in units of 2**-30, those of the votes.
-    smallest, largest = SPREAD_MIN >> 6, SPREAD_MAX >> 6
+    smallest, largest = q24_from_q30(SPREAD_MIN), q24_from_q30(SPREAD_MAX)
     return min(max(median_of(distances), smallest), largest)
 
 
 def huber_centre(estimates: Sequence[int], median: int, spread: int) -> int:
-    """Return the Huber centre of estimates, approached from their median. All are in units of 2**-24.
+    """Return the Huber centre of estimates, after three steps of Newton's method from their median.
 
     It is the point where the distances of the estimates above and below balance, if none counts with more
-    than ``spread``: a mean of the estimates near to it, which those far away move by a limited amount.
+    than ``spread``: a mean of the estimates near to it, which those far away move by a limited amount. All
+    are in units of 2**-24. A fourth step would hardly ever move the result.
     """
     centre = median
     for _ in range(HUBER_STEPS):
@@ -308,17 +328,20 @@ def centre_and_spread_of(sorted_values: Sequence[int]) -> tuple[int, int]:
 
 
 def centre_after_huber_step(estimates: Sequence[int], centre: int, spread: int) -> int:
-    """Return the centre after one step of Newton's method towards the Huber centre of some estimates.
+    """Return ``centre`` after one step of Newton's method towards the Huber centre of some estimates.
 
-    The estimates, the centre and the ``spread``, beyond which a distance counts no more, are in units of
-    2**-24. The centre stays within the range of an estimate.
+    That is the point at which the balance is 0: the sum of the estimates' differences from it, each limited
+    to -spread .. spread. A step adds the balance divided by the number of estimates whose difference is not
+    limited. All are in units of 2**-24. The result is within 0 and the largest estimate that a slot holds.
     """
     differences = [estimate - centre for estimate in estimates]
     balance = sum(max(-spread, min(spread, difference)) for difference in differences)
     # The balance falls by 1 for each of these where the centre moves up by 1: it is the derivative.
     inside_count = sum(abs(difference) <= spread for difference in differences)
-    divisor = max(inside_count, 1) << 24  # in the unit of the balance, so that a step is 1.0 at most
-    step = q32_quotient(min(abs(balance), divisor), divisor) >> 8  # from units of 2**-32 to 2**-24
+    divisor = max(inside_count, 1) << 24  # in units of 2**-24, as the balance
+    # Limited, so that the quotient fits a word of the C: a step is 1.0 at most.
+    limited_balance = min(abs(balance), divisor)
+    step = q32_quotient(limited_balance, divisor) >> 8  # from units of 2**-32 to 2**-24
     if balance < 0:
         return max(centre - step, 0)
     return min(centre + step, q24_from_q16(SLOT_ESTIMATE_MAX))
@@ -337,41 +360,42 @@ def probability_of_black(b_hat: int, fill_ratio: int) -> int:
 
 
 def robust_test_rejects(robust: RobustFilter, t: int, n: int, centre: int, spread: int) -> bool:
-    """Return whether n black of t > 0 observations contradict the initial b_hat.
+    """Return whether n black of t > 0 observations contradict the initial b_hat, by the robust filter's test.
 
-    ``centre`` is taken for the share of black tiles; it and ``spread`` are those of the estimates that the
-    robot keeps, in units of 2**-24. With p, the probability of observing black by the initial b_hat and the
-    centre, the test rejects for
+    b_hat is the accuracy that the robot assumes of its sensor. ``centre`` and ``spread`` are those of the
+    estimates that the robot keeps, in units of 2**-24; the centre is taken for the share of black tiles. With
+    p, the probability of observing black by the initial b_hat and the centre, the test rejects for
 
-        (n / t - p)**2 > 12 (dispersion v / t + (g spread)**2)
+        (n / t - p)**2 > 12 (dispersion * v / t + (g * spread)**2)
 
-    Here dispersion v / t is the variance of n / t, and g spread, with g = |2 b_hat - 1|, the uncertainty of
-    p, which changes by g where the centre changes by 1.
+    Here dispersion * v / t is the variance of n / t, where v = p (1 - p) is that of one observation. And
+    g * spread, with g = |2 b_hat - 1|, is the uncertainty of p, which changes by g where the centre changes
+    by 1.
     """
     # Shares are in units of 2**-32, squares in units of 2**-64.
     b_hat = robust.initial_b_hat
     share = q32_quotient(n, t)
     p = probability_of_black(b_hat, q32_from_q24(centre))
-    # The larger of two estimates of v: either is 0 if its share is 0 or 1.
+    # v may be estimated from n / t as well as from p. The larger is taken, as either is 0 at a share of 0 or
+    # 1.
     variance = max(multiply_high(share, Q32_ONE - share), multiply_high(p, Q32_ONE - p))
 
     g = abs(2 * b_hat - Q32_ONE)
     g_spread = multiply_high(g, q32_from_q24(spread))
     excess = (share - p) ** 2 - REJECTED_SIGMAS_SQUARED * g_spread**2
-    # Both sides are multiplied by t, so that v needs no division: t excess > 12 dispersion v. Both become
-    # numbers in units of 2**-32: the left one is in units of 2**-64, and the right one in units of 2**-40,
-    # as the dispersion is in units of 2**-8.
-    scaled_excess = (t * excess) >> 32
+    # Both sides are multiplied by t, so that v needs no division: t * excess > 12 * dispersion * v.
+    scaled_excess = (t * excess) >> 32  # from units of 2**-64 to 2**-32
+    # The dispersion has the unit 2**-8 and v 2**-32, so that their product has 2**-40 before the shift.
     limit = (REJECTED_SIGMAS_SQUARED * robust.dispersion * variance) >> 8
     return scaled_excess > limit
 
 
 def is_supported(robust: RobustFilter, t: int, n: int, estimates: Sequence[int], centre: int) -> bool:
-    """Return whether more than two of five estimates support a robot whose n of t observations were black.
+    """Return whether more than 2/5 of the estimates support a robot whose n of t observations were black.
 
     An estimate supports the robot if the share of black that it predicts, with the initial b_hat, is nearer
-    to the robot's own share, n / t, than to the share that the ``centre`` of all estimates predicts. So many
-    robots are a party and not outliers: which side is right cannot be known. Estimates and centre are in
+    to the robot's own share, n / t, than to the share that the ``centre`` of all estimates predicts. More
+    than 2/5 are a party and not outliers: which side is right cannot be known. Estimates and centre are in
     units of 2**-24.
     """
     share = q32_quotient(n, t)
@@ -388,15 +412,15 @@ def is_supported(robust: RobustFilter, t: int, n: int, estimates: Sequence[int],
 
 
 def are_valid_slots(robust: RobustFilter, estimates: Sequence[int]) -> bool:
-    """Return whether all slots that are not filled have the estimate 0."""
+    """Return whether every slot that is not filled has the estimate 0, as in a new robot."""
     return all(robust.is_filled(slot) or estimates[slot] == 0 for slot in range(SLOTS))
 
 
 def are_valid_votes(robust: RobustFilter) -> bool:
-    """Return whether votes can have led to the centre, the spread, the number of votes and the turn.
+    """Return whether a robot can have this number of votes with this centre, spread and turn.
 
-    Without votes the other three must be as in a new robot. With votes at least one slot is filled, all are
-    within their limits, and the turn is 0 or that after a filled slot.
+    Without votes centre, spread and turn must be as in a new robot. With votes all of them must be within
+    their limits, at least one slot must be filled, and the turn must be 0 or that after a filled slot.
     """
     if robust.votes == 0:
         return (robust.centre, robust.spread, robust.turn) == (CENTRE_START, SPREAD_MAX, 0)
@@ -411,16 +435,19 @@ def are_valid_votes(robust: RobustFilter) -> bool:
 
 
 def is_valid_batch(robust: RobustFilter, t: int, n: int) -> bool:
-    """Return whether the present batch of observations is possible after ``t`` of which ``n`` were black.
+    """Return whether the beginning of the present batch of observations, and the dispersion, are possible.
 
-    When it began there were no more observations of either colour than there are now. Before the first batch
-    has ended, which ``batch_t`` = 0 says, the dispersion is that of a new robot.
+    ``t`` is the number of observations now, and ``n`` that of black ones. When the batch began there were no
+    more of either colour than there are now. Before the first batch has ended, which ``batch_t`` = 0 says,
+    the dispersion is that of a new robot.
     """
     is_first_batch = robust.batch_t == 0
+    white_count = t - n
+    white_count_at_begin = robust.batch_t - robust.batch_n
     return (
         robust.batch_n <= robust.batch_t
         and robust.batch_n <= n
-        and robust.batch_t - robust.batch_n <= t - n
+        and white_count_at_begin <= white_count
         and robust.dispersion >= DISPERSION_MIN
         and (not is_first_batch or robust.dispersion == DISPERSION_MIN)
     )
@@ -429,8 +456,8 @@ def is_valid_batch(robust: RobustFilter, t: int, n: int) -> bool:
 def is_valid_initial_b_hat(robust: RobustFilter, b_hat: int) -> bool:
     """Return whether the initial b_hat is in its range and can have become ``b_hat``, the present one.
 
-    Both are in units of 2**-32. Until a test was possible, which takes five estimates and a batch that has
-    ended, they are equal.
+    Both are in units of 2**-32. They are equal until a test was possible, which takes five estimates, and
+    observations before it.
     """
     has_enough_estimates = robust.filled_slots.bit_count() >= TESTED_ESTIMATES_MIN
     is_test_possible = has_enough_estimates and robust.batch_t > 0

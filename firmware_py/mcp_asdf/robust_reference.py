@@ -76,7 +76,8 @@ def votes_after(votes: Votes[Number], x_hat: Number) -> Votes[Number]:
     This is Robbins and Monro's stochastic approximation of Huber's M-estimate.
     """
     count = min(votes.count + 1, VOTES_MAX)
-    # The gain is a power of two, so that the firmware shifts: 32 votes have 6 bits, and give 2**-3.
+    # The gain is a power of two, so that the firmware shifts. 32 votes, a number of 6 bits, give 2**-3, and
+    # 64 votes, a number of 7 bits, give 2**-4.
     inverse_gain = 1 << (max(count, VOTES_OF_MAX_GAIN).bit_length() - 3)
 
     difference = x_hat - votes.centre
@@ -92,7 +93,7 @@ def votes_after(votes: Votes[Number], x_hat: Number) -> Votes[Number]:
 
 
 def limit_spread(spread: Number) -> Number:
-    """Return the spread, or the limit that it exceeds."""
+    """Return the spread, or the nearer limit of SPREAD_MIN .. SPREAD_MAX if it is outside."""
     number = type(spread)
     return max(number(SPREAD_MIN), min(spread, number(SPREAD_MAX)))
 
@@ -125,12 +126,16 @@ class Observations(Generic[Number]):
 def dispersion_after_batch(
     observations: Observations[Number], batch_black_count: int, batch_count: int
 ) -> Number:
-    """Return the dispersion after one more batch of observations, which are among all ``observations``. O(1).
+    """Return the dispersion after one more batch of observations. O(1).
 
-    ``batch_black_count`` of the batch's ``batch_count`` observations were black. The square of their
-    deviation, as a multiple of its expectation for independent observations, enters a moving average with a
-    weight of 1/8; but at most 12 times that average does, as more is an outlier. A batch without
-    observations, or where all observations are of one colour, leaves the dispersion as it is.
+    A batch is what a robot observes from one run of its filter to the next: here ``batch_count``
+    observations, ``batch_black_count`` of them black. ``observations`` are all of the robot's, these
+    included, with the dispersion before the batch.
+
+    The deviation is how far the number of black ones is from the expected one. Its square, as a multiple of
+    what it is on average for independent observations, enters a moving average with a weight of 1/8; but at
+    most 12 times that average does, as more is an outlier. If the batch has no observations, or all
+    observations of the robot are of one colour, the dispersion stays as it is.
     """
     number = type(observations.dispersion)
     dispersion, share = observations.dispersion, observations.share
@@ -148,18 +153,18 @@ def dispersion_after_batch(
 
 
 def spread_around(estimates: Sequence[Number], middle: Number) -> Number:
-    """Return the median distance of estimates from their middle, within the limits of a spread."""
+    """Return the median distance of estimates from their middle, limited to SPREAD_MIN .. SPREAD_MAX."""
     distances = [abs(estimate - middle) for estimate in estimates]
     median_distance: Number = median(distances)
     return limit_spread(median_distance)
 
 
 def huber_centre(estimates: Sequence[Number], middle: Number, spread: Number) -> Number:
-    """Return the Huber centre of estimates in [0, 1], after three steps of Newton's method from their middle.
+    """Return the Huber centre of m estimates in [0, 1]. O(m).
 
     It is the point where the distances of the estimates above and below balance, if none counts with more
-    than ``spread``: a mean of the estimates near to it, which those far away move by a limited amount.
-    O(m).
+    than ``spread``: a mean of the estimates near to it, which those far away move by a limited amount. It is
+    computed by three steps of Newton's method from ``middle``, their median.
     """
     number = type(middle)
     centre = middle
@@ -195,8 +200,10 @@ def robust_test_sides(
 ) -> tuple[Number, Number]:
     """Return both sides of the robust filter's test, which rejects ``b`` if the first is the larger. O(1).
 
-    The sides are (n/t - p)**2 and 12 (dispersion v/t + (2 b - 1)**2 spread**2). There p is the probability of
-    black by the accuracy ``b`` and the ``centre``, and v the larger of p (1 - p) and n/t (1 - n/t).
+    ``b`` is the accuracy that the robot assumed at its start. ``centre`` and ``spread`` are those of its
+    neighbours' estimates. With n of t observations black, the sides are (n/t - p)**2 and 12 (dispersion v/t +
+    (2 b - 1)**2 spread**2). There p is the probability of black by ``b`` and the centre, and v the larger of
+    p (1 - p) and n/t (1 - n/t).
     """
     share = observations.share
     p = probability_of_black(b, centre)
@@ -211,10 +218,10 @@ def robust_test_sides(
 def is_supported(
     observations: Observations[Number], b: Number, estimates: Sequence[Number], centre: Number
 ) -> bool:
-    """Return whether more than two of five estimates support a robot with these observations. O(m).
+    """Return whether more than 2/5 of m estimates support a robot with these observations. O(m).
 
     An estimate supports the robot if the share of black that it predicts is nearer to the robot's own share,
-    n/t, than to the share that the ``centre`` of all estimates predicts. So many robots are a party and not
+    n/t, than to the share that the ``centre`` of all estimates predicts. More than 2/5 are a party and not
     outliers: who is right cannot be known. ``b`` is the accuracy that the robot assumed at its start.
     """
     p_of_centre = probability_of_black(b, centre)
@@ -233,7 +240,7 @@ class RobustReference:
     Attributes:
         initial_b_hat: The accuracy that the robot assumed at its start.
         estimates: The latest estimate of each sender, by slot.
-        turn: Slot that votes next. If it is empty, the next one that has an estimate votes.
+        turn: Slot whose estimate is the next vote. If it has none, it is that of the next slot with one.
         votes: Summary of the votes.
         dispersion: Dispersion of the robot's own observations.
         batch_t: Number of its observations when the present batch of them began.
@@ -249,21 +256,25 @@ class RobustReference:
     batch_n: int = 0
 
     def keep_estimate(self, sender: int, x_hat: float) -> None:
-        """Put a neighbour's x_hat into the slot of its sender, in place of an earlier one."""
+        """Put a neighbour's x_hat into the slot of its sender, in place of what was there."""
         self.estimates[sender % SLOTS] = x_hat
 
     def take_vote(self, own_x_hat: float, has_confidence: bool) -> None:
-        """Count the estimate whose turn it is as a vote; nothing if there are none.
+        """Choose the next vote among the estimates in the slots and the robot's own, and count it.
 
-        Slots vote in ascending order. After the last one the robot's own x_hat votes if it has confidence.
+        The estimates in the slots vote in the order of the slots. After the last one the robot's own x_hat
+        votes, if it has confidence; then the first slot again. The vote moves the centre and the spread of
+        ``votes``, and ``turn`` goes on. Nothing happens while no slot has an estimate.
         """
         if not self.estimates:
             return
         remaining_slots = [slot for slot in self.estimates if slot >= self.turn]
-        if not remaining_slots and has_confidence:
+        is_own_turn = not remaining_slots and has_confidence
+        if is_own_turn:
             self.votes = votes_after(self.votes, own_x_hat)
             self.turn = 0
             return
+        # Without own confidence the turn goes from the last slot to the first one at once.
         slot = min(remaining_slots or self.estimates)
         self.votes = votes_after(self.votes, self.estimates[slot])
         self.turn = slot + 1
@@ -282,14 +293,14 @@ class RobustReference:
         self.begin_batch(n, t)
 
     def find_contradiction(self, n: int, t: int) -> float | None:
-        """Return the Huber centre of the estimates if n black of t observations contradict it, else None.
+        """Return the Huber centre of the estimates if the robot's observations contradict it, else None.
 
-        They contradict it if both hold:
+        ``n`` of ``t`` observations were black. They contradict the centre if both hold:
 
         - They are too unlikely for a sensor of the initial b_hat where the centre is the share of black
           tiles: of the sides of ``robust_test_sides``, the first is the larger.
-        - At most two fifths of the estimates are nearer to these observations than to the centre, as
-          ``is_supported`` counts them.
+        - At most two fifths of the estimates support the robot, as ``is_supported`` counts them: they predict
+          a share of black that is nearer to the robot's than to that which the centre predicts.
 
         There must be an estimate. O(m) for m estimates.
         """

@@ -17,10 +17,12 @@ X_HAT_BITS, ALPHA_BITS = 16, 9
 MAX_X_HAT_BITS, MAX_ALPHA_BITS = 23, 25
 """The most bits for which different codes stand for different numbers of the firmware."""
 
+# A long code of a confidence has MAX_ALPHA_BITS = 25 bits: an exponent of 5 above a fraction of 20.
 _EXPONENT_BITS = 5
 _EXPONENTS = 1 << _EXPONENT_BITS
 _LINEAR_UNITS = 1 << 20
-"""Confidences below this, which is 2**-4, have the exponent 0 and a fraction in equal steps."""
+"""Number of fractions, and confidence below which the exponent is 0 and the fraction the confidence itself,
+in units of 2**-24."""
 
 
 def encode_x_hat(x_hat: int, bits: int) -> int:
@@ -33,7 +35,7 @@ def encode_x_hat(x_hat: int, bits: int) -> int:
 
 
 def decode_x_hat(code: int, bits: int) -> int:
-    """Return the x_hat, in units of 2**-23, nearest to what a code of ``bits`` bits stands for."""
+    """Return the x_hat nearest to code / largest code of ``bits`` bits, in units of 2**-23."""
     largest_code = (1 << bits) - 1
     # Doubled, so that 1/2 can be added for rounding: there are no ties, as the divisor is odd.
     return (2 * code * ONE + largest_code) // (2 * largest_code)
@@ -42,32 +44,43 @@ def decode_x_hat(code: int, bits: int) -> int:
 def encode_alpha(alpha: int, bits: int) -> int:
     """Return an alpha word, any 32 bits, as a code of ``bits`` bits, 1 .. MAX_ALPHA_BITS, rounded down.
 
-    Code 0 is no confidence; every other confidence has at least code 1, and at most the largest one.
+    The code is a small floating-point number: an exponent of 5 bits above a fraction, or only the upper bits
+    of the exponent. Code 0 is no confidence; every other confidence has at least code 1, and at most the
+    largest one.
     """
     units = alpha_units(alpha)
     # The exponent is 0 below 2**20 units, and then one more with each doubling.
     exponent = max(units.bit_length() - _LINEAR_UNITS.bit_length() + 1, 0)
     if exponent >= _EXPONENTS:
         return (1 << bits) - 1
-    # Behind the binary point is the fraction; in normal numbers the 1 before it adds 1 to the exponent.
-    linear_exponent = max(exponent - 1, 0)
-    long_code = linear_exponent * _LINEAR_UNITS + (units >> linear_exponent)
-    # The long code's fraction has 20 bits, of which a code has fewer, or not even all of the exponent.
+    # From exponent 1 on the shifted units have 21 bits, of which the highest, 2**20, is always set and not
+    # stored. It is left in the sum, where it adds 1 to the exponent.
+    exponent_before_carry = max(exponent - 1, 0)
+    long_code = exponent_before_carry * _LINEAR_UNITS + (units >> exponent_before_carry)
+    # A shorter code loses the lowest bits.
     code = long_code >> (MAX_ALPHA_BITS - bits)
     return max(code, 1) if units else 0
 
 
 def decode_alpha(code: int, bits: int) -> int:
-    """Return the alpha word, with the smallest shift, that a code of ``bits`` bits stands for."""
-    long_code = code << (MAX_ALPHA_BITS - bits)
+    """Return the alpha word, with the smallest shift, that a code of ``bits`` bits stands for.
+
+    The code is an exponent of 5 bits above a fraction, or only the upper bits of the exponent.
+    """
+    long_code = code << (MAX_ALPHA_BITS - bits)  # the bits that a short code lacks are 0
     exponent, fraction = divmod(long_code, _LINEAR_UNITS)
     if exponent == 0:
         return alpha_word_from_units(fraction)
-    return alpha_word_from_units((_LINEAR_UNITS + fraction) << (exponent - 1))
+    significand = _LINEAR_UNITS + fraction  # with the highest bit, which is not stored
+    return alpha_word_from_units(significand << (exponent - 1))
 
 
 def encode_message(sender: int, x_hat: int, alpha: int) -> bytes:
-    """Return the 4 bytes of a message. Raises ValueError for a sender above 127 or an x_hat above 2**23."""
+    """Return a robot's broadcast as a message of 4 bytes.
+
+    ``x_hat`` is in units of 2**-23, and ``alpha``, its confidence, an alpha word. Raises ValueError for a
+    sender above 127 or an x_hat above 2**23.
+    """
     if not 0 <= sender <= MAX_ID:
         raise ValueError(f"sender is {sender}; give an id from 0 to {MAX_ID}")
     if not 0 <= x_hat <= ONE:
@@ -80,10 +93,12 @@ def encode_message(sender: int, x_hat: int, alpha: int) -> bytes:
 def decode_message(message: bytes) -> tuple[int, int, int]:
     """Return sender, x_hat and alpha of a message, which may be any 4 bytes.
 
-    Raises ValueError for another number of bytes.
+    x_hat is in units of 2**-23, and alpha, its confidence, an alpha word. Raises ValueError for another
+    number of bytes.
     """
     if len(message) != MESSAGE_BYTES:
         raise ValueError(f"the message has {len(message)} bytes; a small message has {MESSAGE_BYTES}")
-    codes, alpha_code = divmod(int.from_bytes(message, "little"), 1 << ALPHA_BITS)
-    sender, x_hat_code = divmod(codes, 1 << X_HAT_BITS)
+    # From the lowest bits up: the code of alpha, that of x_hat, and the sender.
+    sender_and_x_hat, alpha_code = divmod(int.from_bytes(message, "little"), 1 << ALPHA_BITS)
+    sender, x_hat_code = divmod(sender_and_x_hat, 1 << X_HAT_BITS)
     return sender, decode_x_hat(x_hat_code, X_HAT_BITS), decode_alpha(alpha_code, ALPHA_BITS)

@@ -46,7 +46,7 @@ class TableError(ValueError):
 
 @dataclass(frozen=True)
 class Table:
-    """A t-table: the thresholds of the hypothesis test (eq. 12) for one omega.
+    """A t-table: the thresholds of the hypothesis test (eq. 12) for one omega, its type II error probability.
 
     Attributes:
         omega_word: Type II error probability omega in units of 2**-32, 1 .. MAX_OMEGA_WORD.
@@ -82,7 +82,8 @@ class Table:
     def from_words(cls, words: Sequence[int]) -> Table:
         """Make a table from its words. O(q).
 
-        Raises TableError, which names the wrong word, if the firmware would refuse the table.
+        These are 32-bit words: "MCT" and q, omega, the q thresholds, and a checksum. Raises TableError, which
+        names the wrong word, if the firmware would refuse the table.
         """
         # Before anything is computed from them: the words may come from a damaged file.
         for index, word in enumerate(words):
@@ -91,7 +92,7 @@ class Table:
         if len(words) < EXTRA_WORDS + MIN_Q:
             raise TableError(f"a table has at least {EXTRA_WORDS + MIN_Q} words, not {len(words)}")
         magic_and_q, omega_word, *entries, stated_checksum = words
-        q = magic_and_q & 0xFF
+        q = magic_and_q & 0xFF  # the lowest byte; the others are the magic
         # Format and q are checked before the checksum, so that the message names what is wrong.
         if magic_and_q - q != MAGIC:
             raise TableError(f"word 0 is {magic_and_q:#010x}, a table starts with {MAGIC:#010x} plus q")
