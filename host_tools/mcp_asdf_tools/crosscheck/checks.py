@@ -12,13 +12,13 @@ from mcp_asdf_tools.crosscheck.compare import State
 
 
 def check_exact(state: State, expected: State) -> list[str]:
-    """Return a line for each value of ``expected`` that the state does not have."""
+    """Return a line for each field of ``expected`` that has another value in ``state``."""
     wrong_values = {name: value for name, value in expected.items() if state[name] != value}
     return [f"{name} is {state[name]}, exactly {value}" for name, value in wrong_values.items()]
 
 
 def check_bounds(name: str, value: Fraction, bounds: Bounds) -> list[str]:
-    """Return a line if the value is out of bounds."""
+    """Return a line, with ``name``, if the value is out of bounds, and an empty list if not."""
     lower, upper = bounds
     if lower <= value <= upper:
         return []
@@ -26,7 +26,10 @@ def check_bounds(name: str, value: Fraction, bounds: Bounds) -> list[str]:
 
 
 def is_filter_run(old_state: State, new_state: State) -> bool:
-    """Return whether a filter, if the robot has one, had to run in a round between these two states."""
+    """Return whether the end of a round, which led from one state to the other, had to run a filter.
+
+    It is for the caller to know whether the robot has a filter.
+    """
     is_filter_round = old_state["filter_left"] == 1  # the last round of a filter period
     return is_filter_round and new_state["t"] > 0
 
@@ -34,7 +37,8 @@ def is_filter_run(old_state: State, new_state: State) -> bool:
 def check_update(is_updated: bool, expected: bool | None) -> list[str]:
     """Return a line if b_hat was re-estimated although it must not be, or the other way round.
 
-    With ``expected`` None both are right, as where rounding decides.
+    The result is an empty list if it is right, and for an ``expected`` of None in any case: there rounding
+    decides whether b_hat is re-estimated.
     """
     if expected is None or is_updated == expected:
         return []

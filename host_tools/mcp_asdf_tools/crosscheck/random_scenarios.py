@@ -14,7 +14,7 @@ from random import Random
 
 from mcp_asdf.fixed_point import B_HAT_MAX, B_HAT_MIN, HALF, LARGEST_ALPHA_UNITS, ONE
 from mcp_asdf.mirror import INFORMATIVE_G, accuracy_of, estimate
-from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, Filter, Sums
+from mcp_asdf.robot import DEFAULT_MEMORY, MAX_ID, MAX_ROUND_SIZE, Filter, Sums
 from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_ONE, NeighbourEstimate, draw_x_hats_at_threshold
 from mcp_asdf_tools.crosscheck.image_words import (
     ALPHA_WORD,
@@ -51,7 +51,11 @@ TABLES = (TableChoice("0.05", 30), TableChoice("0.05", 127), TableChoice("0.9", 
 """The tables that scenarios use."""
 
 _X_BAR_INFORMATIVE_DISTANCE = INFORMATIVE_G >> 10
-"""Distance of x_bar from 1/2 from which on it carries information, in units of 2**-23."""
+"""Distance of x_bar from 1/2 from which on it carries information, in units of 2**-23.
+
+It is half of the smallest informative |2 x_bar - 1|, which is in units of 2**-32: 1 bit and 9 bits."""
+_ALPHA_UNIT = 1 << 8
+"""Alpha word of the smallest confidence, with a mantissa of 1; times k it is that of k units of 2**-24."""
 
 
 def random_scenario(seed: int, index: int) -> Scenario:
@@ -125,18 +129,24 @@ class ScenarioWriter:
         self._calls.append(Call(name, numbers))
 
     def _add_restore(self, words: dict[int, int]) -> None:
-        """Save the robot, replace words of the image, given by index, and restore it."""
-        self._add_call("restore", *(number for index_and_word in words.items() for number in index_and_word))
+        """Append a call that saves the robot, replaces words of its image, and restores it from that.
+
+        ``words`` are the new words by their index in the image. The firmware must refuse some images.
+        """
+        numbers: list[int] = []
+        for index, word in words.items():
+            numbers += [index, word]
+        self._add_call("restore", *numbers)
 
     def _add_receive(self) -> None:
-        """Receive a message of any sender, x_hat and alpha; some are illegal."""
+        """Append a message of any sender, x_hat and alpha; some are illegal."""
         self._add_call("receive", self._draw_sender(), self._draw_x_hat(), draw_alpha(self._rng))
 
     def _add_tick(self) -> None:
-        """Receive up to ten messages, observe and end the round in any order that a caller's timers may have.
+        """Append up to ten messages, and then observations and ends of rounds in one of five orders.
 
-        So some rounds have no observation, some observations no end of their round, and some rounds two
-        observations.
+        A caller may observe and end rounds by timers of its own. So there may be an observation and the end
+        of the round, only one of these, or two observations.
         """
         rng = self._rng
         for _ in range(rng.choice([0, 0, 1, 2, 3, 10])):
@@ -149,7 +159,10 @@ class ScenarioWriter:
                 self._add_call(name, self._draw_observation())
 
     def _add_observation_in_any_state(self) -> None:
-        """Observe with any t, n and b_hat, often with a share of black where eq. 3 changes its case."""
+        """Restore the robot with any t, n and b_hat, and observe once.
+
+        Often the share of black, n / t, is one where x_hat just reaches 0 or 1, and eq. 3 changes its case.
+        """
         rng, setup = self._rng, self._setup
         if rng.random() < 0.5:
             self._b_hat = draw_b_hat(rng)
@@ -174,16 +187,18 @@ class ScenarioWriter:
         self._add_call(rng.choice(["step", "observe"]), rng.randrange(2))
 
     def _draw_filter_words(self, t: int, n: int) -> dict[int, int]:
-        """Draw the words of the filter that an image with these counts needs; none with the paper's filters.
+        """Return no words, since an image with counts t and n needs no others with the paper's filters.
 
-        The b_hat of such an image is ``self._b_hat``.
+        The robust filter does need some, by their index; its subclass draws them. The b_hat of the image is
+        ``self._b_hat``.
         """
         return {}
 
     def _add_restore_of_changed_image(self) -> None:
-        """Restore the robot from an image with changes that make it just legal, or just not.
+        """Restore the robot from an image with one kind of change that makes it just legal, or just not.
 
-        A message follows, so that a wrong decision shows in the robot's state.
+        A message follows. Whether it changes the robot as it must shows if an image was wrongly refused or
+        accepted.
         """
         rng = self._rng
         counter = rng.choice([0, MAX_16_BITS - 1, MAX_16_BITS])
@@ -237,9 +252,12 @@ class ScenarioWriter:
         self._add_call("receive", self._draw_sender(), self._draw_x_hat(), rng.choice([0, alpha]))
 
     def _draw_filter_words_at_limits(self) -> dict[int, int]:
-        """Draw words of a closed round whose sums of alpha and of alpha x_hat are about at their limits."""
+        """Draw words of an image, by index, that bring two sums of the closed round about to their limits.
+
+        These are the sum of alpha, and ``alpha_x_low``: the sum of the lower 32 bits of alpha times x_hat.
+        """
         # 127 messages of the largest confidence, or one unit less or more
-        largest_beta = MAX_ID * LARGEST_ALPHA_UNITS
+        largest_beta = MAX_ROUND_SIZE * LARGEST_ALPHA_UNITS
         beta_words = split_in_words(largest_beta + self._rng.randint(-1, 1))
         # The sum alpha_x_low has 62 bits, so its upper word has 30.
         alpha_x_low_upper_word = self._rng.choice([0, (1 << 30) - 1, 1 << 30, MAX_32_BITS])
@@ -250,7 +268,10 @@ class ScenarioWriter:
         }
 
     def _draw_filter_left(self) -> dict[int, int]:
-        """Draw the number of rounds until the filter runs: 1 to its period are legal, 0 and one more not."""
+        """Draw the word of the rounds until the filter runs next: from 1 to its period, or just beyond.
+
+        Zero, and one more than the period, are not legal.
+        """
         period = self._setup.filter_period
         one_beyond = (period + 1) & MAX_32_BITS
         return {FILTER_LEFT_WORD: self._rng.choice([0, 1, 1, period, one_beyond])}
@@ -275,7 +296,7 @@ class ScenarioWriter:
         return repeated_tests_updates, accepted_rejected
 
     def _add_restore_at_limits(self) -> None:
-        """Restore a round, open or closed, whose sums are at their limits, or one of them beyond."""
+        """Restore the robot with the sums of a round at their limits, or one of them just beyond."""
         rng = self._rng
         sums = draw_extreme_sums(rng)
         if rng.random() < 0.7:
@@ -292,43 +313,69 @@ class ScenarioWriter:
             self._add_restore(pack_open_round_from_all(sums, self._setup.robot_id))
 
     def _add_test_at_threshold(self) -> None:
-        """Run the hypothesis test on a round at its threshold; a tick if the robot has no test."""
-        rng, table_choice = self._rng, self._setup.table
-        if table_choice is None or self._setup.filter != Filter.ADAPTIVE:
+        """Add the calls of a hypothesis test that the received estimates just pass, or just do not.
+
+        The robot is restored with an x_hat, receives estimates, and ends the round at whose end its filter
+        tests that x_hat against them. Sometimes all of them equal it. A robot without a test gets other calls
+        instead: messages, an observation and the end of a round.
+        """
+        table_choice = self._setup.table
+        has_test = self._setup.filter == Filter.ADAPTIVE
+        if table_choice is None or not has_test:
             self._add_tick()
             return
-        # The smallest rounds, the last one with its own entry of the table and the first one without, and the
-        # largest: there an index of the table that is off by one shows.
-        special_m = rng.choice([2, 3, table_choice.q, table_choice.q + 1, MAX_ID])
-        m = min(rng.choice([special_m, special_m, rng.randint(2, MAX_ID)]), MAX_ID)
-        table_entry = table_choice.build().entry(m)
-        # Not all draws leave room for a round at the threshold.
-        own_x_hat, x_hats_of_rounds = 0, None
-        while x_hats_of_rounds is None:
+        m = self._draw_round_size(table_choice.q)
+        threshold = table_choice.build().entry(m)
+        own_x_hat, passed_x_hats, rejected_x_hats = self._draw_x_hats_around_threshold(m, threshold)
+        # Where all x_hat are equal, both sides of eq. 12 are 0. The test must not reject at equality, either.
+        equal_x_hats = [own_x_hat] * m
+        # Equal ones are drawn once in seven cases.
+        x_hats = self._rng.choice([passed_x_hats, rejected_x_hats] * 3 + [equal_x_hats])
+        estimates = [NeighbourEstimate(x_hat, draw_usual_alpha(self._rng)) for x_hat in x_hats]
+        self._add_filter_run(own_x_hat, estimates)
+
+    def _draw_round_size(self, q: int) -> int:
+        """Draw a number of estimates, from 2 to 127, for a test whose table has a threshold for each up to q.
+
+        Two of three are those at which an index of the table that is off by one shows: the smallest numbers,
+        the last one with a threshold of its own and the first one without, and the largest.
+        """
+        rng = self._rng
+        at_edge = rng.choice([2, 3, q, q + 1, MAX_ROUND_SIZE])
+        anywhere = rng.randint(2, MAX_ROUND_SIZE)
+        return min(rng.choice([at_edge, at_edge, anywhere]), MAX_ROUND_SIZE)
+
+    def _draw_x_hats_around_threshold(self, m: int, threshold: int) -> tuple[int, list[int], list[int]]:
+        """Draw an x_hat of the robot, and two lists of ``m`` neighbours' x_hat, for a test of the first.
+
+        The test just does not reject the robot's x_hat by the first list, and just does by the second.
+        ``threshold`` is k_m, the test's threshold for m estimates. All x_hat are in units of 2**-23.
+        """
+        rng = self._rng
+        # Not all draws leave room for two such lists in 0 .. 1.
+        while True:
             own_x_hat = rng.choice([0, HALF, ONE, rng.randint(0, ONE), rng.randint(0, ONE)])
-            # Wide rounds have sums with most bits, narrow ones a variance of few units.
+            # Far apart, x_hat have sums with most bits; close together, a variance of few units.
             any_share = rng.random()
             narrowing_bits = rng.choice([0, 0, 0, rng.randrange(20)])
             gap_share = any_share / (1 << narrowing_bits)
-            x_hats_of_rounds = draw_x_hats_at_threshold(own_x_hat, table_entry, m, rng, gap_share)
-        inside, outside = x_hats_of_rounds
-        # Where all x_hat are equal, both sides of eq. 12 are 0. The test must not reject at equality, either.
-        all_equal = [own_x_hat] * m
-        x_hats = rng.choice([inside, outside, inside, outside, inside, outside, all_equal])
-        estimates = [NeighbourEstimate(x_hat, draw_usual_alpha(rng)) for x_hat in x_hats]
-        self._add_filter_run(own_x_hat, estimates)
+            x_hats_of_rounds = draw_x_hats_at_threshold(own_x_hat, threshold, m, rng, gap_share)
+            if x_hats_of_rounds is not None:
+                passed_x_hats, rejected_x_hats = x_hats_of_rounds
+                return own_x_hat, passed_x_hats, rejected_x_hats
 
     def _add_filter_near_one_half(self) -> None:
-        """Run the filter on an x_bar that is just informative, just not informative, or almost 1/2.
+        """Run the filter on estimates whose mean is just informative, just not informative, or almost 1/2.
 
-        The last one is off by a few units of 2**-32, which rounding makes 1/2 to the bit.
+        The mean, x_bar, is informative if it is so far from 1/2 that b_hat can be re-estimated from it. The
+        last one is off by a few units of 2**-32, which rounding makes 1/2 to the bit.
         """
         rng = self._rng
         if rng.random() < 0.3:
             # 255 units of confidence at 1/2, and up to 4 units one step of 2**-23 beside it
             beside_half = HALF + rng.choice([-1, 1])
-            light_estimate = NeighbourEstimate(beside_half, rng.randint(0, 4) << 8)
-            estimates = [NeighbourEstimate(HALF, 0xFF << 8), light_estimate]
+            light_estimate = NeighbourEstimate(beside_half, rng.randint(0, 4) * _ALPHA_UNIT)
+            estimates = [NeighbourEstimate(HALF, 255 * _ALPHA_UNIT), light_estimate]
         else:
             distance = _X_BAR_INFORMATIVE_DISTANCE + rng.randint(-1, 1)
             x_hat = HALF + rng.choice([-distance, distance])
@@ -339,7 +386,10 @@ class ScenarioWriter:
         self._add_filter_run(rng.choice([0, ONE]), estimates)
 
     def _add_filter_run(self, own_x_hat: int, estimates: list[NeighbourEstimate]) -> None:
-        """Restore a robot with this x_hat, and end a round of these estimates in which its filter runs."""
+        """Restore the robot with this x_hat, receive these estimates, and run its filter.
+
+        The estimates come from different robots, in random order.
+        """
         rng, setup = self._rng, self._setup
         t = max(draw_t(rng, setup.memory), 1)  # without an observation the filter does not run
         words = {
@@ -362,7 +412,7 @@ class ScenarioWriter:
     # --- Values ---
 
     def _counter_of_tests_before_wrap(self) -> dict[int, int]:
-        """Return the word in which the counter of tests has its largest value, so that a test makes it 0."""
+        """Return the word, by index, in which the counter of tests is at its maximum: a test makes it 0."""
         return {self._layout.rejected_and_tests_word: pack_pair(0, MAX_16_BITS)}
 
     def _pack_updates(self, updated: int = 0, updates: int = 0) -> int:
@@ -384,9 +434,10 @@ class ScenarioWriter:
         return rng.choice([one_of_ten, any_id, self._setup.robot_id, MAX_ID, MAX_ID + 1, 255])
 
     def _draw_x_hat(self) -> int:
-        """Draw an x_hat in units of 2**-23: in half of the cases near that of the scenario, else any.
+        """Draw an x_hat in units of 2**-23: in half of the cases near one x_hat of the scenario, else any.
 
-        So tests find agreement and difference. Some of the others are at edges, or too large.
+        So the filter meets neighbours that agree and others that do not. Some of these others are at the ends
+        of the range, or too large.
         """
         rng = self._rng
         side = rng.randint(-1, 1)

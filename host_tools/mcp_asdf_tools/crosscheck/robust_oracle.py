@@ -28,6 +28,16 @@ from mcp_asdf_tools.crosscheck.robust_bounds import (
 )
 from mcp_asdf_tools.crosscheck.scenario import Call
 
+# The state holds fractions as integers, in units of 1 / ... of these numbers.
+_ESTIMATE_UNITS = 2**16
+"""Units of 1.0 in the estimates of the slots."""
+_VOTE_UNITS = 2**30
+"""Units of 1.0 in the centre and the spread of the votes."""
+_DISPERSION_UNITS = 2**8
+"""Units of 1.0 in the dispersion."""
+_B_HAT_UNITS = 2**32
+"""Units of 1.0 in b_hat."""
+
 
 class Decision(Enum):
     """What a run of the robust filter must decide; the value names it in a report."""
@@ -60,28 +70,31 @@ class FilterRun:
 def check_memory(call: Call, before: CallResult, after: CallResult, events: Counter[str]) -> list[str]:
     """Check what a call has done to the memory of the robust filter, and return a line for each problem.
 
-    The memory consists of slots, votes, and the batch of observations with their dispersion; what a call must
-    not change there must be as before. Each vote is counted in ``events``.
+    The memory consists of the estimates in the slots, the summary of the votes, and the batch of observations
+    with their dispersion; what a call must not change there must be as before. Each vote is counted in
+    ``events``.
     """
     old_state, new_state = before.state, after.state
     if call.name in ("restore", "damage"):
-        return []  # The memory comes from an image, and the firmwares compare it.
+        # The memory comes from an image. Here nothing is known of it; `compare_firmwares` compares it.
+        return []
     expected = _memory_of(old_state)
     is_error = after.outcome.startswith("ERR")
     problems: list[str] = []
     if call.name == "receive":
         sender, x_hat, alpha = call.numbers
-        has_confidence = alpha >> 8 > 0
-        if after.outcome == "OK" and has_confidence:
+        if after.outcome == "OK" and _has_confidence(alpha):
             expected |= _slot_after(old_state, sender, x_hat)
     if call.name in ("observe", "step") and not is_error:
-        is_halved = new_state["t"] != old_state["t"] + 1
-        if is_halved:
+        is_memory_halved = new_state["t"] != old_state["t"] + 1
+        if is_memory_halved:
+            # The old counts cannot be compared with the halved ones, so a new batch begins.
             expected |= {"robust_batch_t": new_state["t"], "robust_batch_n": new_state["n"]}
     if call.name in ("settle", "step") and not is_error:
         expected |= _votes_after_round(old_state, new_state, events)
         if is_filter_run(old_state, new_state):
             problems += _check_dispersion(expected, new_state)
+            # The run ends the batch. The dispersion has been checked, and has no single right value.
             expected |= {
                 "robust_batch_t": new_state["t"],
                 "robust_batch_n": new_state["n"],
@@ -91,85 +104,106 @@ def check_memory(call: Call, before: CallResult, after: CallResult, events: Coun
 
 
 def _memory_of(state: State) -> State:
-    """Return the fields of the state that belong to the robust filter."""
+    """Return the fields of the state that belong to the robust filter, by name."""
     return {name: value for name, value in state.items() if name.startswith(("robust_", "estimates_"))}
 
 
+def _has_confidence(alpha: int) -> bool:
+    """Return whether an alpha word, the firmware's 32 bits of a confidence, stands for more than 0."""
+    mantissa = alpha >> 8  # bits 8 to 31
+    return mantissa > 0
+
+
 def _slot_after(old_state: State, sender: int, x_hat: int) -> State:
-    """Return the fields that change when the estimate of a sender is put into its slot."""
+    """Return the new values of the fields that change when a sender's estimate is put into its slot.
+
+    ``x_hat`` is in units of 2**-23.
+    """
     slot = sender % SLOTS
     estimate = slot_estimate(Fraction(x_hat, ONE))
     return {
-        f"estimates_{slot}": int(estimate * 2**16),
-        "robust_filled_slots": old_state["robust_filled_slots"] | 1 << slot,
+        f"estimates_{slot}": int(estimate * _ESTIMATE_UNITS),
+        "robust_filled_slots": old_state["robust_filled_slots"] | (1 << slot),
     }
 
 
 def _filled_slots(state: State) -> list[int]:
     """Return the slots that have an estimate, in ascending order."""
-    return [slot for slot in range(SLOTS) if state["robust_filled_slots"] >> slot & 1]
+    filled_slots = state["robust_filled_slots"]  # a mask with a bit for each slot
+    return [slot for slot in range(SLOTS) if filled_slots & (1 << slot)]
 
 
 def _estimate_of_slot(state: State, slot: int) -> Fraction:
-    """Return the estimate in a slot."""
-    return Fraction(state[f"estimates_{slot}"], 2**16)
+    """Return the estimate in a slot, in [0, 1)."""
+    return Fraction(state[f"estimates_{slot}"], _ESTIMATE_UNITS)
 
 
 def _votes_after_round(old_state: State, new_state: State, events: Counter[str]) -> State:
-    """Return the fields that one vote changes at the end of a round; none if all slots are empty.
+    """Return the new values of the fields that the vote at the end of a round changes, by name.
 
-    The robot's own estimate is that of the new state: an observation before the end of the round counts.
+    One of the estimates in the slots is the vote, in turn, and after the last of them the robot's own
+    estimate if it has confidence. That is the one of the new state, as a ``step`` observes before it ends the
+    round. If all slots are empty there is no vote, and the result is empty. The vote is counted in
+    ``events``.
     """
     slots = _filled_slots(old_state)
     if not slots:
         return {}
     remaining_slots = [slot for slot in slots if slot >= old_state["robust_turn"]]
-    has_confidence = new_state["alpha"] >> 8 > 0
-    if not remaining_slots and has_confidence:
+    is_own_turn = not remaining_slots and _has_confidence(new_state["alpha"])
+    if is_own_turn:
         events["own vote"] += 1
-        x_hat, turn = Fraction(new_state["x_hat"], ONE), 0
+        x_hat = Fraction(new_state["x_hat"], ONE)
+        next_turn = 0
     else:
         events["vote"] += 1
         slot = (remaining_slots or slots)[0]
-        x_hat, turn = _estimate_of_slot(old_state, slot), slot + 1
-    votes = rounded_votes_after(
-        Votes(
-            centre=Fraction(old_state["robust_centre"], 2**30),
-            spread=Fraction(old_state["robust_spread"], 2**30),
-            count=old_state["robust_votes"],
-        ),
-        x_hat,
+        x_hat = _estimate_of_slot(old_state, slot)
+        next_turn = slot + 1
+    old_votes = Votes(
+        centre=Fraction(old_state["robust_centre"], _VOTE_UNITS),
+        spread=Fraction(old_state["robust_spread"], _VOTE_UNITS),
+        count=old_state["robust_votes"],
     )
+    votes = rounded_votes_after(old_votes, x_hat)
     return {
-        "robust_centre": int(votes.centre * 2**30),
-        "robust_spread": int(votes.spread * 2**30),
+        "robust_centre": int(votes.centre * _VOTE_UNITS),
+        "robust_spread": int(votes.spread * _VOTE_UNITS),
         "robust_votes": votes.count,
-        "robust_turn": turn,
+        "robust_turn": next_turn,
     }
 
 
-def _check_dispersion(memory: State, new_state: State) -> list[str]:
-    """Check the dispersion after a run of the filter, from the memory before it."""
+def _check_dispersion(old_memory: State, new_state: State) -> list[str]:
+    """Return a line if the dispersion of a robot's observations is wrong after a run of its filter.
+
+    The dispersion says how much more the observations vary from batch to batch than independent ones. A run
+    of the filter ends a batch: the observations since the run before. ``old_memory`` are the fields of the
+    robust filter as they were before this run, and ``new_state`` is the state after it.
+    """
     n, t = new_state["n"], new_state["t"]
-    old_dispersion = Fraction(memory["robust_dispersion"], 2**8)
-    batch_black_count = n - memory["robust_batch_n"]
-    batch_count = t - memory["robust_batch_t"]
+    old_dispersion = Fraction(old_memory["robust_dispersion"], _DISPERSION_UNITS)
+    new_dispersion = Fraction(new_state["robust_dispersion"], _DISPERSION_UNITS)
+    batch_black_count = n - old_memory["robust_batch_n"]
+    batch_count = t - old_memory["robust_batch_t"]
     bounds = dispersion_bounds(Observations(n, t, old_dispersion), batch_black_count, batch_count)
-    return check_bounds("dispersion", Fraction(new_state["robust_dispersion"], 2**8), bounds)
+    return check_bounds("dispersion", new_dispersion, bounds)
 
 
 def expected_filter_run(state: State) -> FilterRun:
-    """Return what the filter must have decided if it has run, and led to this state.
+    """Return what a run of the filter that has led to this state must have decided.
 
-    Besides b_hat a run changes only the batch and the dispersion, before it decides.
+    All that it decides by is still in the state: besides b_hat a run changes only the batch of observations
+    and the dispersion, and both before it decides.
     """
     estimates = [_estimate_of_slot(state, slot) for slot in _filled_slots(state)]
     if len(estimates) < TESTED_ESTIMATES_MIN:
         return FilterRun(Decision.TOO_FEW, None)
     centre, spread = rounded_centre_and_spread(estimates)
-    initial_b_hat = Fraction(state["robust_initial_b_hat"], 2**32)
-    dispersion = Fraction(state["robust_dispersion"], 2**8)
+    initial_b_hat = Fraction(state["robust_initial_b_hat"], _B_HAT_UNITS)
+    dispersion = Fraction(state["robust_dispersion"], _DISPERSION_UNITS)
     observations = Observations(state["n"], state["t"], dispersion)
+    # Either is None if rounding may decide.
     is_rejected = robust_test_outcome(observations, initial_b_hat, centre, spread)
     is_supported = support_outcome(observations, initial_b_hat, estimates, centre)
     if is_rejected is False:
