@@ -187,7 +187,8 @@ def informed_estimate(own_estimate: Estimate[Number], estimates: Sequence[Estima
     """
     # The own estimate is a term like the others, so robots that all receive from each other get the same
     # bits.
-    all_estimates: list[Estimate[Number]] = [own_estimate, *estimates]
+    all_estimates = [own_estimate]
+    all_estimates += estimates
     return _weighted_mean(all_estimates, default=own_estimate.x_hat)
 
 
