@@ -106,7 +106,10 @@ def is_update_expected(x_bar: Fraction) -> bool | None:
     |2 x_bar - 1| = 2**-12.
     """
     is_above_half = x_bar >= HALF
-    answers = {is_informative(bound) and (bound >= HALF) == is_above_half for bound in x_bar_bounds(x_bar)}
+    answers = set()
+    for bound in x_bar_bounds(x_bar):
+        is_on_same_side = (bound >= HALF) == is_above_half
+        answers.add(is_informative(bound) and is_on_same_side)
     return answers.pop() if len(answers) == 1 else None
 
 

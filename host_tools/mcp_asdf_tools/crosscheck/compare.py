@@ -65,7 +65,7 @@ class RobotUnderTest:
         self.last_result = self._run(lambda: self._make_robot(setup))
 
     def apply(self, call: Call) -> CallResult:
-        """Make a call, and return its result."""
+        """Make a call on the robot, and return its result, which is also kept as ``last_result``."""
         self.last_result = self._run(lambda: self._make_call(call))
         return self.last_result
 
@@ -73,8 +73,8 @@ class RobotUnderTest:
         """Run an action that returns an outcome, such as "OK", and return this with the robot after it.
 
         A FirmwareError is the firmware's way to refuse an action: its status is the outcome, and the robot's
-        state and image follow as usual. Any other exception, which no firmware may raise, is an outcome, too,
-        but with an empty state and image: one firmware may have a bug that raises it, or both.
+        state and image follow as usual. Any other exception is a bug of the firmware. It is not raised here:
+        its text is the outcome, and the state and the image are empty.
         """
         try:
             outcome = _outcome_of(action)
@@ -167,9 +167,10 @@ CheckScenario = Callable[[Scenario], Failure | None]
 def compare_firmwares(
     scenario: Scenario, first: Firmware, second: Firmware, check_call: CheckCall | None = None
 ) -> Failure | None:
-    """Run a scenario on both firmwares up to the first call in which something is wrong.
+    """Run a scenario on both firmwares, and return the first failure, or None if nothing is wrong.
 
-    That is a difference between them or, if they agree, a problem that ``check_call`` reports.
+    A failure is a difference between them or, if they agree, a problem that ``check_call`` reports. It ends
+    the scenario at its call.
     """
     first_robot = RobotUnderTest(first, scenario.setup)
     second_robot = RobotUnderTest(second, scenario.setup)
@@ -256,8 +257,9 @@ def run_crosscheck(
 
 
 def _generate_scenario(seed: int, index: int) -> Scenario:
-    """Return the scenario of this index; every fourth is of a robot with the robust filter."""
-    # Three scenarios of the paper's filters and one of the robust one; each kind is numbered by itself.
+    """Return the scenario of a seed and an index; every fourth is of a robot with the robust filter."""
+    # Groups of three scenarios of the paper's filters and one of the robust one. Each kind counts by itself:
+    # group 0 has the scenarios 0, 1 and 2 of the paper's filters, and 0 of the robust one.
     group, index_in_group = divmod(index, 4)
     if index_in_group == 3:
         return robust_scenario(seed, group)
@@ -265,12 +267,13 @@ def _generate_scenario(seed: int, index: int) -> Scenario:
 
 
 def shrink(failure: Failure, check_scenario: CheckScenario) -> Failure:
-    """Return a failure of as few calls as possible, by leaving out calls without which the check still fails.
+    """Return the failure of a shorter scenario, by leaving out calls without which the check still fails.
 
-    The result is minimal: without any one of its calls, or any one word that a restore replaces, the check
-    passes. For a scenario of a hundred calls this takes a few hundred runs of the check.
+    ``failure`` is one that the check has found. Nothing is left to leave out of the result: without any one
+    of its calls, or any one word that a restore replaces, the check passes. For a scenario of a hundred calls
+    this takes a few hundred runs of the check.
     """
-    # Long runs of calls first, since most calls are not needed.
+    # Long runs of calls are left out first, since most calls are not needed.
     run_length = len(failure.scenario.calls)
     while run_length:
         shorter_failure = _find_first_failure(
@@ -293,9 +296,9 @@ def _find_first_failure(scenarios: Iterable[Scenario], check_scenario: CheckScen
 
 
 def _shorter_scenarios(scenario: Scenario, run_length: int) -> Iterator[Scenario]:
-    """Yield the scenario without each of its runs of ``run_length`` calls.
+    """Yield shorter versions of a scenario, each without one run of ``run_length`` calls in a row.
 
-    If that is one call, yield it also without each of the words that a restore replaces.
+    If ``run_length`` is 1, yield also versions in which a restore replaces one word less.
     """
     calls = scenario.calls
     for start in range(0, len(calls), run_length):

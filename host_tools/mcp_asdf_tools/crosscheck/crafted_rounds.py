@@ -4,7 +4,7 @@ There are two users. The cross-check makes calls with these estimates, of the C 
 The verification of a controller sends them as frames, to the controller and to its model.
 
 x_hat is in units of 2**-23. alpha, the confidence of an estimate, is an alpha word, as the firmware keeps it:
-a mantissa of 24 bits above a shift of 5.
+32 bits, with a mantissa in bits 8 to 31 and a shift in bits 0 to 4.
 """
 
 from __future__ import annotations
@@ -79,7 +79,11 @@ class RobotState:
     table: Table | None
 
     def update_after(self, estimates: Sequence[NeighbourEstimate]) -> Update | None:
-        """Return what becomes of b_hat at the end of a round of these estimates; None if the test passes."""
+        """Return what becomes of b_hat at the end of a round of these estimates; None if the test passes.
+
+        The test passes if it does not reject the robot's x_hat by these estimates. Then b_hat is not
+        re-estimated. A robot without a table has no test, and re-estimates b_hat in any case.
+        """
         sums = Sums()
         for estimate in estimates:
             add_estimate(sums, estimate.x_hat, estimate.alpha)
@@ -122,7 +126,10 @@ sums as robots have them, and sums above 2**45.
 
 
 def draw_normal_alpha(rng: Random, min_shift: int = 1, max_shift: int = 17) -> int:
-    """Draw an alpha word whose mantissa has all of its 24 bits, by default from 1 to 2**17."""
+    """Draw an alpha word, a confidence, whose mantissa has all of its 24 bits and so no leading zeros.
+
+    It stands for a confidence from 2**(min_shift - 1) to 2**max_shift: by default from 1 to 2**17.
+    """
     mantissa = rng.randrange(1 << 23, 1 << 24)
     shift = rng.randint(min_shift, max_shift)
     return (mantissa << 8) | shift
@@ -136,8 +143,10 @@ def draw_alphas_of_one_scale(rng: Random, count: int, scale: tuple[int, int] | N
     min_bits, max_bits = rng.choice(ALPHA_SCALES) if scale is None else scale
     alphas = []
     for _ in range(count):
-        leading_one = 1 << (rng.randint(min_bits, max_bits) - 1)
-        alphas.append(alpha_word_from_units(leading_one + rng.randrange(leading_one)))
+        bit_count = rng.randint(min_bits, max_bits)
+        leading_one = 1 << (bit_count - 1)
+        units = leading_one + rng.randrange(leading_one)
+        alphas.append(alpha_word_from_units(units))
     return alphas
 
 
@@ -161,19 +170,28 @@ One unit of 2**-23 then moves it so little that a threshold that is wrong by a m
 
 @dataclass(frozen=True)
 class RoundsAtThreshold:
-    """Two rounds that differ by so little that only the first one passes the test."""
+    """Two rounds that differ by so little that only the first one passes a robot's test.
+
+    Attributes:
+        inside: Estimates of the round that passes.
+        outside: Estimates of the round that is rejected.
+        update: What becomes of b_hat after that one.
+    """
 
     inside: list[NeighbourEstimate]
     outside: list[NeighbourEstimate]
+    update: Update
 
 
 def draw_rounds_at_threshold(
     robot: RobotState, m: int, preferred_update: Update, rng: Random
 ) -> RoundsAtThreshold:
-    """Draw two rounds of ``m`` estimates as close to the threshold as x_hat in units of 2**-23 can be.
+    """Draw two rounds of ``m`` estimates, of which the robot's test just rejects the second alone.
 
-    Rounds about which a test in float64 errs are preferred, and among them those whose outer round leads to
-    ``preferred_update``. That round leads to some update in any case. The robot must have a table.
+    They are as close to the test's threshold as x_hat in units of 2**-23 can be. Many pairs are drawn. Best
+    are those about which two tests in float64 err, then those about which one does. Among equally good ones
+    that is preferred whose second round leads to ``preferred_update``; it leads to some update in any case.
+    The robot must have a table.
     """
     assert robot.table is not None
     is_large = m >= _MANY_ESTIMATES
@@ -183,24 +201,14 @@ def draw_rounds_at_threshold(
     best_rounds: RoundsAtThreshold | None = None
     best_misled_tests, has_preferred_update = -1, False
     for draw_index in range(max_draws):
-        gap_share = rng.uniform(min_gap_share, 1)
-        x_hats = draw_x_hats_at_threshold(robot.x_hat, robot.table.entry(m), m, rng, gap_share)
-        if x_hats is None:
+        rounds = _draw_useful_rounds(robot, m, min_gap_share, rng)
+        if rounds is None:
             continue
-        inside_x_hats, outside_x_hats = x_hats
-        if max(inside_x_hats) - min(inside_x_hats) < _MIN_RANGE:
-            continue
-        alphas = draw_alphas_of_one_scale(rng, m)
-        inside = list(map(NeighbourEstimate, inside_x_hats, alphas))
-        outside = list(map(NeighbourEstimate, outside_x_hats, alphas))
-        update = robot.update_after(outside)
-        if update is Update.KEPT:
-            continue  # would not show that the test has rejected
-        misled_tests = _count_misled_float_tests(robot, inside_x_hats, outside_x_hats)
-        is_preferred = update is preferred_update
-        # The number of tests that err counts first, and the update among rounds with the same number.
+        misled_tests = _count_misled_float_tests(robot, rounds)
+        is_preferred = rounds.update is preferred_update
+        # The number of tests that err is compared first, and the update if that number is equal.
         if (misled_tests, is_preferred) > (best_misled_tests, has_preferred_update):
-            best_rounds = RoundsAtThreshold(inside, outside)
+            best_rounds = rounds
             best_misled_tests, has_preferred_update = misled_tests, is_preferred
         # Both tests in float64 err; no round can be better.
         is_best_possible = best_misled_tests == 2 and has_preferred_update
@@ -211,18 +219,45 @@ def draw_rounds_at_threshold(
     return best_rounds
 
 
+def _draw_useful_rounds(
+    robot: RobotState, m: int, min_gap_share: float, rng: Random
+) -> RoundsAtThreshold | None:
+    """Draw two rounds on both sides of the threshold of a robot's test; None if they would show too little.
+
+    They must have x_hat so far apart that a threshold that is wrong by a millionth shows, and the second one,
+    which the test rejects, must change b_hat. ``min_gap_share`` is the smallest distance between its two
+    groups of x_hat, as a share of the largest possible one.
+    """
+    assert robot.table is not None
+    gap_share = rng.uniform(min_gap_share, 1)
+    x_hats = draw_x_hats_at_threshold(robot.x_hat, robot.table.entry(m), m, rng, gap_share)
+    if x_hats is None:
+        return None
+    inside_x_hats, outside_x_hats = x_hats
+    if max(inside_x_hats) - min(inside_x_hats) < _MIN_RANGE:
+        return None
+    alphas = draw_alphas_of_one_scale(rng, m)
+    inside = list(map(NeighbourEstimate, inside_x_hats, alphas))
+    outside = list(map(NeighbourEstimate, outside_x_hats, alphas))
+    update = robot.update_after(outside)
+    assert update is not None  # as the test rejects
+    # A b_hat that is kept would not show that the test has rejected.
+    return None if update is Update.KEPT else RoundsAtThreshold(inside, outside, update)
+
+
 def draw_x_hats_at_threshold(
     own_x_hat: int, table_entry: int, m: int, rng: Random, gap_share: float
 ) -> tuple[list[int], list[int]] | None:
     """Draw x_hat of two rounds of ``m`` estimates, of which the test (eq. 12) just rejects the second alone.
 
-    Some of the estimates, the near ones, lie at a signed distance u from the robot's own x_hat, and the far
-    ones at u + gap. Then the test rejects where
+    Each round has two groups of equal x_hat: the near ones lie at a signed distance u from the robot's own
+    x_hat, and the far ones at u + gap. Then the test rejects where
 
         (m u + far_count gap) / gap > sqrt(k_m near_count far_count),
 
-    so that u / gap has a threshold, too. The best fractions below and above that threshold are taken. Moving
-    estimates of one group apart in pairs then changes their scatter, not their sum, in still finer steps.
+    so that u / gap has a threshold, too. The largest fraction below that threshold and the smallest above it
+    are taken for the two rounds. Then equal x_hat are moved apart in pairs, which changes the scatter of a
+    round but not its sum, and so brings it still closer to the threshold.
 
     Args:
         own_x_hat: x_hat of the robot that receives the rounds.
@@ -237,14 +272,19 @@ def draw_x_hats_at_threshold(
     near_count = rng.randrange(1, m)
     far_count = m - near_count
     direction = rng.choice([-1, 1])
+
+    # The threshold of u / gap. Entries of the table have FRACTION_BITS fraction bits, and the root
+    # _ROOT_BITS.
     root = isqrt(table_entry * near_count * far_count << (2 * _ROOT_BITS - FRACTION_BITS))
     threshold = (Fraction(root, 1 << _ROOT_BITS) - far_count) / m
+
+    # The largest gap for which both groups are between 0 and 1. At the threshold the far group is threshold +
+    # 1 gaps ahead of the own x_hat; the near group is threshold gaps ahead or, if that is negative, behind.
     room_above, room_below = ONE - own_x_hat, own_x_hat
     if direction > 0:
         room_ahead, room_behind = room_above, room_below
     else:
         room_ahead, room_behind = room_below, room_above
-    # The far group is at about (threshold + 1) gaps, the near one behind the own x_hat if threshold < 0.
     largest_gap = room_ahead / (threshold + 1)
     if threshold < 0:
         largest_gap = min(largest_gap, room_behind / -threshold)
@@ -253,7 +293,7 @@ def draw_x_hats_at_threshold(
         return None
 
     def place_groups(ratio: Fraction) -> list[int]:
-        """Return x_hat of both groups, with this ratio of u to the gap, which is as large as there is room.
+        """Return x_hat of both groups for a ratio of u to the gap, with the largest gap up to ``max_gap``.
 
         Pairs of equal x_hat come first: those of the near group, then those of the far one. At the end there
         is one x_hat of each group that has an odd size.
@@ -270,12 +310,13 @@ def draw_x_hats_at_threshold(
     below, above = fractions_around(threshold, max_gap)
     inside, outside = place_groups(below), place_groups(above)
     pair_count = near_count // 2 + far_count // 2
-    if pair_count:
-        # Eq. 12 in integers: it rejects while entry * scatter < difference**2 * 2**FRACTION_BITS.
+    if pair_count > 0:
+        # Eq. 12 in integers: it rejects while entry * scatter < difference**2 * 2**FRACTION_BITS. Both rounds
+        # are made of the rejected one, with a scatter just above and just below that limit.
         difference = sum(outside) - m * own_x_hat
-        largest_rejected = ((difference * difference << FRACTION_BITS) - 1) // table_entry
-        inside = _raise_scatter(outside, pair_count, largest_rejected + 1, is_at_least=True)
-        outside = _raise_scatter(outside, pair_count, largest_rejected, is_at_least=False)
+        largest_rejected_scatter = ((difference * difference << FRACTION_BITS) - 1) // table_entry
+        inside = _raise_scatter(outside, pair_count, largest_rejected_scatter + 1, is_at_least=True)
+        outside = _raise_scatter(outside, pair_count, largest_rejected_scatter, is_at_least=False)
     has_room = all(0 <= x_hat <= ONE for x_hat in (*inside, *outside))
     return (inside, outside) if has_room else None
 
@@ -301,16 +342,19 @@ def fractions_around(value: Fraction, max_denominator: int) -> tuple[Fraction, F
 
 def scatter_of(x_hats: Sequence[int]) -> int:
     """Return m Sum x^2 - (Sum x)^2, which is m (m - 1) times the variance of m x_hat."""
+    m = len(x_hats)
     total = sum(x_hats)
-    return len(x_hats) * sum(x * x for x in x_hats) - total * total
+    sum_of_squares = sum(x * x for x in x_hats)
+    return m * sum_of_squares - total * total
 
 
 def _raise_scatter(x_hats: Sequence[int], pair_count: int, target: int, is_at_least: bool) -> list[int]:
-    """Move x_hat apart in pairs, so that their sum stays, until their scatter reaches a target.
+    """Return a copy of ``x_hats``, some moved apart in pairs, so that their scatter reaches a target.
 
-    The scatter, which must not be above ``target`` before, ends there or slightly above with ``is_at_least``,
-    else there or slightly below. The two values of each of the first ``pair_count`` pairs must be equal. Each
-    pair takes nearly all of what the pairs before it have left.
+    Their sum stays. The scatter, as `scatter_of` computes it, must not be above ``target`` before. It ends
+    there or slightly above with ``is_at_least``, else there or slightly below. The first ``pair_count`` pairs
+    are moved, of which both values must be equal. Each pair takes nearly all of what the pairs before it have
+    left.
     """
     m = len(x_hats)
     changed = list(x_hats)
@@ -327,19 +371,20 @@ def _raise_scatter(x_hats: Sequence[int], pair_count: int, target: int, is_at_le
     return changed
 
 
-def _count_misled_float_tests(robot: RobotState, inside: list[int], outside: list[int]) -> int:
-    """Return how many of two tests in float64 err about one of two rounds, given by their x_hat: 0, 1 or 2.
+def _count_misled_float_tests(robot: RobotState, rounds: RoundsAtThreshold) -> int:
+    """Return how many of two tests in float64 decide wrongly about one of these rounds: 0, 1 or 2.
 
-    The right test passes the round ``inside`` and rejects the round ``outside``. One of the two computes all
-    of eq. 12 in float64, the other its right side alone.
+    The right test passes the round ``inside`` and rejects the round ``outside``. One of the two tests
+    computes all of eq. 12 in float64, the other its right side alone.
     """
     assert robot.table is not None
+    inside_x_hats = [x_hat for x_hat, _ in rounds.inside]
+    outside_x_hats = [x_hat for x_hat, _ in rounds.outside]
     misled_tests = 0
     for rejects in (_rejects_in_float64, _rejects_with_limit_in_float64):
-        is_right = not rejects(robot.table, robot.x_hat, inside) and rejects(
-            robot.table, robot.x_hat, outside
-        )
-        if not is_right:
+        is_inside_rejected = rejects(robot.table, robot.x_hat, inside_x_hats)
+        is_outside_rejected = rejects(robot.table, robot.x_hat, outside_x_hats)
+        if is_inside_rejected or not is_outside_rejected:
             misled_tests += 1
     return misled_tests
 
@@ -351,7 +396,7 @@ def _rejects_in_float64(table: Table, own_x_hat: int, x_hats: list[int]) -> bool
 
 
 def _rejects_with_limit_in_float64(table: Table, own_x_hat: int, x_hats: list[int]) -> bool:
-    """Return the same, but with the left side of eq. 12 in integers, and only its right side in float64."""
+    """Return whether eq. 12 rejects, with its left side in integers, and its right side in float64."""
     difference = sum(x_hats) - len(x_hats) * own_x_hat
     return difference * difference > int(_limit_in_float64(table, x_hats))
 
@@ -388,7 +433,7 @@ def draw_estimate(rng: Random, max_shift: int = 17) -> NeighbourEstimate:
 def draw_round_for_update(
     robot: RobotState, update: Update, rng: Random, m: int = 5
 ) -> list[NeighbourEstimate] | None:
-    """Draw ``m`` estimates after which the robot makes this update; for KEPT two.
+    """Draw ``m`` estimates that bring about this update of the robot's b_hat; two for KEPT, which keeps it.
 
     Returns None if none of many draws has this effect.
     """
@@ -430,25 +475,26 @@ _LARGE_ROUND = 126
 
 
 def draw_round_of_large_scatter(robot: RobotState, rng: Random) -> list[NeighbourEstimate]:
-    """Draw a round of 0 and 1 whose scatter, m Sum x^2 - (Sum x)^2, is above 2**56.
+    """Draw a round of 0 and 1 whose scatter, m Sum x^2 - (Sum x)^2, needs more than 56 bits.
 
-    The test passes it, but rejects it if the bits from 2**56 on are left out. The robot must have a table.
+    The robot's test passes it, and would reject it if a controller left out the bits from 2**56 on. The robot
+    must have a table.
     """
     assert robot.table is not None
     m = _LARGE_ROUND
     threshold = robot.table.entry(m) / 2**FRACTION_BITS
     best_count, best_margin = 0, 0.0
     for count_of_ones in range(1, m):
-        # Both are in units of ONE**2, that is 2**46. The bits of the scatter from 2**56 on are those from
-        # 2**10 on in these units.
+        # In units of ONE**2, that is 2**46, the scatter of 0 and 1 is this product. Its bits from 2**56 on
+        # are those from 2**10 on in these units.
         scatter = count_of_ones * (m - count_of_ones)
         scatter_without_bits = max(scatter % (1 << 10), 1)
         difference_squared = max((count_of_ones - m * robot.x_hat / ONE) ** 2, 1)
-        # Both tests must be clear: the test rejects if the squared difference is above threshold * scatter.
-        margin = min(
-            threshold * scatter / difference_squared,
-            difference_squared / (threshold * scatter_without_bits),
-        )
+        # The test rejects if the squared difference is above threshold * scatter. The right one must clearly
+        # pass, and the one without these bits clearly reject.
+        margin_of_passing = threshold * scatter / difference_squared
+        margin_of_rejecting = difference_squared / (threshold * scatter_without_bits)
+        margin = min(margin_of_passing, margin_of_rejecting)
         if margin > best_margin:
             best_count, best_margin = count_of_ones, margin
     x_hats = [ONE] * best_count + [0] * (m - best_count)
@@ -456,9 +502,10 @@ def draw_round_of_large_scatter(robot: RobotState, rng: Random) -> list[Neighbou
 
 
 def draw_round_of_distant_sum(robot: RobotState, rng: Random) -> list[NeighbourEstimate]:
-    """Draw a round that the test rejects, unless it leaves out the square's bits from 2**54 on.
+    """Draw a round that the robot's test rejects, but not if a controller cuts a square to 54 bits.
 
-    |Sum x - m x_hat| is a multiple of 2**27, so that its square is 0 without these bits.
+    It is the square of Sum x - m x_hat in eq. 12. That difference is a multiple of 2**27 here, so that its
+    square is 0 without the bits from 2**54 on.
     """
     m, unit = _LARGE_ROUND, 1 << 27
     own_sum = m * robot.x_hat

@@ -33,7 +33,9 @@ SLOT_ONE = SLOT_ESTIMATE_MAX + 1
 """1.0 in the unit of slots, which no estimate reaches."""
 SLOT_HALF = SLOT_ONE // 2
 SLOT_INFORMATIVE_DISTANCE = INFORMATIVE_G >> 17
-"""Distance from 1/2 from which on an estimate is enough for a re-estimate of b_hat (eq. 8): 2**-13."""
+"""Distance from 1/2 from which on an estimate is enough to re-estimate b_hat (eq. 8), in units of 2**-16.
+
+It is 2**-13: half of INFORMATIVE_G, which is 2**-12 in units of 2**-32. The shift is by 1 and 16 bits."""
 
 
 @dataclass(frozen=True)
@@ -71,22 +73,27 @@ class SlotsAtTest:
 
 
 def centre_and_spread(estimates: Sequence[int]) -> tuple[int, int]:
-    """Return the centre and the spread of estimates in slots. Both are in units of 2**-24, as the test's."""
+    """Return the centre and the spread of estimates, which are in units of 2**-16, in units of 2**-24."""
     return centre_and_spread_of(sorted(q24_from_q16(estimate) for estimate in estimates))
 
 
 def filter_at_test(state: State) -> RobustFilter:
-    """Return what a robot in this state would remember at a test that comes before another observation."""
+    """Return the robust filter's memory as it would be at a test that comes before the next observation.
+
+    The test would first end the batch of observations, which changes the dispersion. ``state``, the robot's,
+    stays as it is.
+    """
     robust = copy(state.robust)
     end_batch(robust, state.t, state.n)
     return robust
 
 
 def estimate_that_predicts(robust: RobustFilter, share: float) -> int:
-    """Return the estimate by which a robot of this initial b_hat should observe ``share`` black tiles.
+    """Return the fill ratio at which a robot of this initial b_hat should observe a ``share`` of black.
 
-    Of a share that no estimate predicts, the result is the nearest end of the range. An initial b_hat of
-    exactly 1/2 predicts 1/2 whatever the estimate is; then the result is 1/2.
+    The result is in units of 2**-16, as an estimate in a slot. If no estimate predicts the share, it is 0 or
+    the largest one, whichever predicts a nearer one. With an initial b_hat of exactly 1/2 every estimate
+    predicts a share of 1/2; then the result is 1/2.
     """
     b_hat = robust.initial_b_hat / 2**32
     if b_hat == 0.5:
@@ -96,7 +103,7 @@ def estimate_that_predicts(robust: RobustFilter, share: float) -> int:
 
 
 def opposite_end(estimate: int) -> int:
-    """Return the end of the range on the other side of 1/2, and for 1/2 itself the upper end."""
+    """Return 0 for an estimate above 1/2, and the largest estimate for any other. Units are 2**-16."""
     return 0 if estimate > SLOT_HALF else SLOT_ESTIMATE_MAX
 
 
@@ -111,7 +118,7 @@ def draw_slots_at_threshold(
     Args:
         robot: The robot, after its last observation before the test.
         count: Number of estimates.
-        width: How far the estimates are from their middle, at most.
+        width: How far the estimates are from their middle, at most, in units of 2**-16.
         rng: Source of the estimates.
 
     Returns:
@@ -120,35 +127,41 @@ def draw_slots_at_threshold(
     """
     state = robot.s
     robust = filter_at_test(state)
-    middle = estimate_that_predicts(robust, state.n / state.t)
-    drawn = [middle + rng.randint(-width, width) for _ in range(count)]
+    # Estimates that agree with the observations, which are then moved away from them in one direction.
+    agreeing_estimate = estimate_that_predicts(robust, state.n / state.t)
+    start_estimates = [agreeing_estimate + rng.randint(-width, width) for _ in range(count)]
     direction = rng.choice((-1, 1))
 
     def slots_after(steps: int) -> SlotsAtTest:
-        """Return the drawn estimates after so many steps: each moves the next one by a unit."""
-        rounds, rest = divmod(steps, count)
-        moved = [estimate + direction * (rounds + (index < rest)) for index, estimate in enumerate(drawn)]
-        return SlotsAtTest(tuple(map(_limit_estimate, moved)), robust, state.t, state.n)
+        """Return the estimates after so many steps; each step moves one of them by a unit, in turn."""
+        steps_of_each, remaining_steps = divmod(steps, count)
+        estimates = []
+        for index, estimate in enumerate(start_estimates):
+            own_steps = steps_of_each + 1 if index < remaining_steps else steps_of_each
+            estimates.append(_limit_estimate(estimate + direction * own_steps))
+        return SlotsAtTest(tuple(estimates), robust, state.t, state.n)
 
-    near, far = 0, count * SLOT_ONE
-    if slots_after(near).is_rejected() or not slots_after(far).is_rejected():
+    # After the most steps all estimates are at the end of the range.
+    accepted_steps, rejected_steps = 0, count * SLOT_ONE
+    if slots_after(accepted_steps).is_rejected() or not slots_after(rejected_steps).is_rejected():
         return None
-    while far - near > 1:
-        middle_steps = (near + far) // 2
+    # Bisection: the test does not reject after the smaller number of steps, and does after the larger.
+    while rejected_steps - accepted_steps > 1:
+        middle_steps = (accepted_steps + rejected_steps) // 2
         if slots_after(middle_steps).is_rejected():
-            far = middle_steps
+            rejected_steps = middle_steps
         else:
-            near = middle_steps
-    rejected = slots_after(far)
-    return None if rejected.is_supported else (slots_after(near), rejected)
+            accepted_steps = middle_steps
+    accepted, rejected = slots_after(accepted_steps), slots_after(rejected_steps)
+    return None if rejected.is_supported else (accepted, rejected)
 
 
 def slots_with_supporters(robot: MirrorRobot, count: int, supporter_count: int) -> SlotsAtTest | None:
-    """Return estimates by which a robot's test rejects, although some of them support the robot.
+    """Return ``count`` estimates by which a robot's test rejects, although some of them support the robot.
 
-    Of ``count`` estimates ``supporter_count`` predict the share of black that the robot has observed. The
-    others agree on the estimate that contradicts it most. Returns None if the test does not reject by these
-    estimates, or if estimates count as supporters that should not, or the other way round.
+    ``supporter_count`` of them predict the share of black that the robot has observed. The others agree on
+    the estimate that contradicts it most. Returns None if the test does not reject by these estimates, or if
+    the firmware would count others as supporters, too, or not all of these.
     """
     state = robot.s
     robust = filter_at_test(state)
@@ -162,5 +175,5 @@ def slots_with_supporters(robot: MirrorRobot, count: int, supporter_count: int) 
 
 
 def _limit_estimate(estimate: int) -> int:
-    """Return the nearest estimate that a slot can have."""
+    """Return the estimate, or the nearer end of the range that a slot can have."""
     return min(max(estimate, 0), SLOT_ESTIMATE_MAX)

@@ -76,17 +76,17 @@ class ImageLayout:
 
 
 def layout_of(filter_number: int) -> ImageLayout:
-    """Return the layout of an image of a robot with this filter."""
+    """Return where the last words are in an image of a robot with this filter, a number of `Filter`."""
     return ImageLayout(image_word_count(filter_number))
 
 
 def pack_pair(low_half: int, high_half: int) -> int:
-    """Return a word of two numbers of 16 bits."""
+    """Return a word with one number of 16 bits in its lower half and another in its upper half."""
     return low_half | (high_half << 16)
 
 
 def pack_updates_and_id(robot_id: int, updated: int = 0, updates: int = 0) -> int:
-    """Return the last word of an image but the checksum.
+    """Return the word before the checksum of an image: counter, flag and id, from the lowest bit up.
 
     Args:
         robot_id: Id of the robot, 8 bits.

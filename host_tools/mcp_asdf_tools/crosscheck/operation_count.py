@@ -64,6 +64,7 @@ def count_instructions(action: Callable[[], object]) -> int:
     count = 0
 
     def trace(frame: FrameType, event: str, _: object) -> Callable[..., Any]:
+        """Count an instruction; Python calls this for each one, and at the beginning of each function."""
         nonlocal count
         frame.f_trace_opcodes = True  # asks for an event at every instruction of this function
         if event == "opcode":
@@ -115,7 +116,7 @@ class Workload:
     robust: bool = False
 
     def make_robot(self, firmware: type[MirrorRobot]) -> MirrorRobot:
-        """Make the robot."""
+        """Make a robot of this firmware in the described state, before its next observation."""
         memory = self.t if self.halves else DEFAULT_MEMORY
         mode = Filter.ROBUST if self.robust else Filter.ADAPTIVE
         config = Config(_table(self.q), mode, filter_period=1, memory=memory)
@@ -124,9 +125,11 @@ class Workload:
         s.t = self.t - 1
         s.n = min(self.n, self.t - 1)
         for sender in range(self.m):
-            robot.receive_raw(sender, self._smallest_x_hat + 1000 * sender, self.alpha ^ (sender << 8))
+            alpha = self.alpha ^ (sender << 8)  # differs in the lower bits of the mantissa
+            robot.receive_raw(sender, self._smallest_x_hat + 1000 * sender, alpha)
         has_estimates = s.open.count > 0
-        s.x_hat = s.open.x // s.open.count if self.agrees and has_estimates else ONE
+        mean_x_hat = s.open.x // s.open.count if has_estimates else ONE
+        s.x_hat = mean_x_hat if self.agrees else ONE
         s.alpha = self.alpha
         s.closed = Closed(s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high)
         if self.robust and self.m > 0:
@@ -156,8 +159,8 @@ def _workloads_along_t() -> Iterator[Workload]:
     powers_of_two = [1 << exponent for exponent in range(32)]
     t_values = sorted({t for power in powers_of_two for t in (power - 1, power) if t > 0})
     for t, robust in product(t_values, (False, True)):
-        # Both limits, no information, and 0.95
-        for b_hat in (B_HAT_MIN, 1 << 31, 4080218931, B_HAT_MAX):
+        # Both limits, 1/2, which carries no information, and 0.95
+        for b_hat in (B_HAT_MIN, 1 << 31, round(0.95 * 2**32), B_HAT_MAX):
             for n in sorted({0, 2 * t // 5, t}):
                 yield Workload(t=t, n=n, b_hat=b_hat, robust=robust)
         is_legal_memory = t >= MIN_MEMORY and t % 4 == 0
@@ -186,16 +189,19 @@ def _workloads_along_q() -> Iterator[Workload]:
 
 @cache
 def _table(q: int) -> Table:
-    """Return a table with q entries, which are right for the paper's omega but for the last one.
+    """Return a table with q entries, to count what their number changes.
 
-    Only their number matters here.
+    It is the beginning of a larger table, so that its last entry is not that of a right one.
     """
     largest_table = generate(parse_omega("0.05"), MAX_Q)
     return replace(largest_table, entries=largest_table.entries[:q])
 
 
 def count_operations(firmware: type[MirrorRobot] = MirrorRobot, axes: Collection[str] = AXES) -> Counts:
-    """Count the instructions of every call along some of AXES. Takes a few seconds for all of them."""
+    """Count the instructions of every call of a robot while t, m or q grows, whichever ``axes`` name.
+
+    Returns the largest number by call, axis and value on the axis. It takes a few seconds for all axes.
+    """
     counts: Counts = {
         name + suffix: {axis: {} for axis in axes} for suffix in ("", ", robust") for name in CALLS
     }

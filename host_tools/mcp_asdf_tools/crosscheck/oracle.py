@@ -90,8 +90,9 @@ class Audit:
     def check_call(self, setup: Setup, call: Call, before: CallResult, after: CallResult) -> list[str]:
         """Check a call by the states before and after it, and return a line for each problem.
 
-        After every call the invariants, x_bar and x are checked, and the memory of the robust filter; after
-        an observation x_hat and alpha; and after the end of a round the filter.
+        After every call the invariants, x_bar and x are checked, and what the robust filter remembers; after
+        an observation x_hat and alpha; and after the end of a round what the filter has done to b_hat. Errors
+        of results, and events of the robust filter, are added to the attributes.
         """
         old_state, new_state = before.state, after.state
         is_robust = setup.filter == Filter.ROBUST
@@ -108,7 +109,10 @@ class Audit:
         return problems
 
     def _check_estimate(self, raw_b_hat: int, state: State) -> list[str]:
-        """Check x_hat and alpha, which were computed with this b_hat, and collect their errors."""
+        """Collect the errors of x_hat and alpha after an observation, and return a line for each wrong one.
+
+        ``raw_b_hat`` is the accuracy with which they were computed, in units of 2**-32.
+        """
         n, t = state["n"], state["t"]
         b_hat = Fraction(raw_b_hat, 2**32)
         x_hat = Fraction(state["x_hat"], ONE)
@@ -128,7 +132,11 @@ class Audit:
     def _check_asdf_filter(
         self, setup: Setup, old_state: State, new_state: State, is_updated: bool
     ) -> list[str]:
-        """Check whether the paper's filter had to re-estimate b_hat (eq. 12), and the result (eq. 8)."""
+        """Return a line for each problem of the paper's filter at the end of a round.
+
+        It must have re-estimated b_hat if its test (eq. 12) rejects, and not otherwise, and the result must
+        be right (eq. 8).
+        """
         m = old_state["open_count"]
         is_adaptive = setup.filter == Filter.ADAPTIVE
         is_run = setup.filter != Filter.OFF and is_filter_run(old_state, new_state)
@@ -142,9 +150,11 @@ class Audit:
             # Eq. 12 squared and multiplied out, which whole numbers decide exactly. Equality is no rejection.
             difference_squared = (old_state["open_x"] - m * new_state["x_hat"]) ** 2
             scaled_variance = m * old_state["open_x_squared"] - old_state["open_x"] ** 2
-            # Entries of the table have FRACTION_BITS bits after the point.
-            scaled_difference_squared = difference_squared << FRACTION_BITS
-            if scaled_difference_squared <= setup.table.build().entry(m) * scaled_variance:
+            # The table has the threshold with FRACTION_BITS bits after the point, so the other side gets
+            # them.
+            threshold = setup.table.build().entry(m)
+            is_rejected = difference_squared << FRACTION_BITS > threshold * scaled_variance
+            if not is_rejected:
                 return check_update(is_updated, expected=False)
         x_bar = Fraction(_closed_alpha_x(new_state), new_state["closed_alpha"] * ONE)
         return self._check_b_hat(new_state, x_bar, is_updated)
@@ -152,7 +162,11 @@ class Audit:
     def _check_robust_filter(
         self, _: Setup, old_state: State, new_state: State, is_updated: bool
     ) -> list[str]:
-        """Check whether the robust filter had to change b_hat, and the result, after the end of a round."""
+        """Return a line for each problem of the robust filter at the end of a round.
+
+        It must have changed b_hat if, and only if, what it decides in this state takes that; and the result
+        must be right. ``Audit.robust`` counts what was decided. The setup is not needed.
+        """
         if not is_filter_run(old_state, new_state):
             return _check_no_test(old_state, new_state, is_updated)
         run = expected_filter_run(new_state)
@@ -174,7 +188,11 @@ class Audit:
         return problems + check_update(is_updated, expected=is_return)
 
     def _check_b_hat(self, state: State, x_bar: Fraction, is_updated: bool) -> list[str]:
-        """Check b_hat after the filter had to re-estimate it from this exact x_bar, and collect its error."""
+        """Return a line if b_hat is wrong after the filter had to re-estimate it from this exact x_bar.
+
+        The filter must also have kept b_hat where x_bar carries no information. The error of b_hat is
+        collected.
+        """
         is_expected = is_update_expected(x_bar)
         if not is_updated or is_expected is False:
             return check_update(is_updated, is_expected)
@@ -207,14 +225,14 @@ class Audit:
 
 
 def region_of(value: Fraction) -> str:
-    """Return the name of the region of |value|."""
+    """Return the name of the region, one of REGIONS, in which the absolute value is."""
     return next(name for end, name in REGIONS if abs(value) < end)
 
 
 def _alpha_units(word: int) -> int:
-    """Return the value of an alpha word in units of 2**-24: mantissa * 2**shift."""
-    mantissa = word >> 8
-    shift = word % 32  # the lowest five bits
+    """Return the confidence for which an alpha word stands, in units of 2**-24: mantissa * 2**shift."""
+    mantissa = word >> 8  # bits 8 to 31
+    shift = word % 32  # bits 0 to 4
     return mantissa << shift
 
 
@@ -224,20 +242,20 @@ def _closed_alpha_x(state: State) -> int:
 
 
 def _check_no_test(old_state: State, new_state: State, is_updated: bool) -> list[str]:
-    """Check that there was neither a test nor an update of b_hat."""
+    """Return a line for each sign of a test or of an update of b_hat, where there must be neither."""
     problems = check_exact(new_state, {"b_hat()": old_state["b_hat()"], "tests": old_state["tests"]})
     return problems + check_update(is_updated, expected=False)
 
 
 def _check_means(state: State, is_robust: bool) -> list[str]:
-    """Check x_bar and x, which are quotients of whole numbers, rounded down.
+    """Return a line for each of x_bar and x that is wrong. Both are quotients of whole numbers, rounded down.
 
     x_bar is the mean of the neighbours' x_hat, weighted by their alpha, and x that mean with the robot's own
     x_hat among them. With the robust filter both are the centre of the votes, and beta must be 0. Without any
-    message x_bar is 1/2 and x is the robot's own x_hat.
+    message, or vote, x_bar is 1/2 and x is the robot's own x_hat.
     """
     if is_robust:
-        centre = state["robust_centre"] * ONE // 2**30
+        centre = state["robust_centre"] * ONE // 2**30  # from units of 2**-30 to 2**-23
         has_votes = state["robust_votes"] > 0
         x = centre if has_votes else state["x_hat"]
         x_bar = centre if has_votes else HALF

@@ -72,11 +72,12 @@ def rounded_votes_after(votes: Votes[Fraction], x_hat: Fraction) -> Votes[Fracti
 def dispersion_bounds(
     observations: Observations[Fraction], batch_black_count: int, batch_count: int
 ) -> Bounds:
-    """Return the bounds of the dispersion after a batch, which is a multiple of 2**-8.
+    """Return the bounds of the dispersion after a batch of observations: multiples of 2**-8.
 
-    ``observations`` are all observations, with the dispersion before the batch, of which
-    ``batch_black_count`` of ``batch_count`` belong to it. The bounds are wide where the variance of n/t is of
-    the size of its rounding error, as next to 0.
+    The dispersion says how much more a robot's observations vary from batch to batch than independent ones.
+    The batch has ``batch_count`` observations, ``batch_black_count`` of them black. ``observations`` are all
+    of the robot's, these included, with the dispersion before the batch. The bounds are wide where the
+    variance of n/t is of the size of its rounding error, as next to 0.
     """
     old, share = observations.dispersion, observations.share
     if batch_count == 0 or share == 0:
@@ -88,7 +89,8 @@ def dispersion_bounds(
     smallest_deviation, largest_deviation = _deviation_bounds(share_bounds, batch_black_count, batch_count)
     smallest_limit = round_down(largest_ratio * smallest_variance, Q22)
     if smallest_limit <= 0:
-        # The firmware may find no variance, and keep the dispersion, or nearly none, and take any ratio.
+        # By rounding the firmware may find a variance of 0, and keep the dispersion. Or it finds one that is
+        # near to 0, so that the ratio of the deviation to it may have any size up to its limit.
         return _average_bounds(old, Fraction(0), largest_ratio)
     # The firmware divides the square of the deviation by the largest one, and multiplies the largest ratio by
     # this quotient, which may be too small as well.
@@ -100,9 +102,10 @@ def dispersion_bounds(
 
 
 def _variance_bounds(share_bounds: Bounds, batch_count: int) -> Bounds:
-    """Return the bounds of the variance of so many independent observations.
+    """Return the bounds of the variance of the number of black ones among independent observations.
 
-    That of one observation is rounded down to 2**-32. It is largest where half of the observations are black.
+    There are ``batch_count`` of them. The firmware computes the variance from a share of black within
+    ``share_bounds``, and rounds that of one observation down to 2**-32. It is largest for a share of 1/2.
     """
     variances = [share * (1 - share) for share in share_bounds]
     smallest_share, largest_share = share_bounds
@@ -111,9 +114,10 @@ def _variance_bounds(share_bounds: Bounds, batch_count: int) -> Bounds:
 
 
 def _deviation_bounds(share_bounds: Bounds, batch_black_count: int, batch_count: int) -> Bounds:
-    """Return the bounds of how far the number of black observations is from the expected one.
+    """Return the bounds of how far the number of black observations in a batch is from the expected one.
 
-    The firmware rounds it down to 2**-11.
+    The firmware expects the batch's count times a share of black within ``share_bounds``, and rounds the
+    distance down to 2**-11.
     """
     deviations = [batch_black_count - batch_count * share for share in share_bounds]
     distances = [abs(deviation) for deviation in deviations]
@@ -123,9 +127,10 @@ def _deviation_bounds(share_bounds: Bounds, batch_black_count: int, batch_count:
 
 
 def _average_bounds(old: Fraction, smallest_ratio: Fraction, largest_ratio: Fraction) -> Bounds:
-    """Return the bounds of the dispersion after a batch whose ratio is within these bounds.
+    """Return the bounds of the dispersion after a batch whose ratio is between these two.
 
-    Both the ratio and the average are rounded down to 2**-8, and the average has limits.
+    The dispersion is a moving average of ratios, in which ``old`` has a weight of 7/8. The firmware rounds
+    ratio and average down to 2**-8, and limits the average.
     """
     weight = 2**DISPERSION_SHIFT
     averages = [
@@ -182,9 +187,10 @@ def support_outcome(
     """Return whether more than two of five estimates support the robot, or None if rounding may decide."""
     p_of_centre = probability_of_black(b, centre)
     p_of_estimates = [probability_of_black(b, estimate) for estimate in estimates]
-    # By how much each estimate is nearer to the robot's share than to the prediction by the centre
+    # By how much each estimate is nearer to the robot's share than to the prediction by the centre.
     leads = [abs(p - p_of_centre) - abs(p - observations.share) for p in p_of_estimates]
     certain_supporters = sum(lead > SUPPORT_MARGIN for lead in leads)
     possible_supporters = sum(lead > -SUPPORT_MARGIN for lead in leads)
-    answers = {5 * supporters > 2 * len(leads) for supporters in (certain_supporters, possible_supporters)}
-    return answers.pop() if len(answers) == 1 else None
+    is_certainly_supported = 5 * certain_supporters > 2 * len(leads)
+    is_possibly_supported = 5 * possible_supporters > 2 * len(leads)
+    return is_certainly_supported if is_certainly_supported == is_possibly_supported else None

@@ -29,6 +29,7 @@ from mcp_asdf.robust_filter import (
     RobustFilter,
     probability_of_black,
     q23_from_q16,
+    q23_from_q30,
     q24_from_q16,
     q30_from_q23,
     q32_from_q24,
@@ -112,7 +113,10 @@ class DrawnRobot:
         return self.robust.filled_slots.bit_count() >= TESTED_ESTIMATES_MIN and self.robust.batch_t > 0
 
     def fill_slots(self, estimates: tuple[int, ...], rng: Random) -> None:
-        """Put so many estimates, in any order, into slots drawn from all 32; the other slots become empty."""
+        """Put these estimates into slots drawn at random, and empty all other slots.
+
+        The turn to vote becomes one that is possible with these slots.
+        """
         slots = rng.sample(range(SLOTS), len(estimates))
         self.estimates = [0] * SLOTS
         self.robust.filled_slots = 0
@@ -124,7 +128,10 @@ class DrawnRobot:
 
 
 def robust_scenario(seed: int, index: int) -> Scenario:
-    """Return a scenario of a robot with the robust filter, as ``random_scenario`` does for the paper's."""
+    """Return a scenario of a robot with the robust filter, of up to a few hundred calls.
+
+    Each pair of ``seed`` and ``index`` gives another one, always the same.
+    """
     rng = Random(f"{seed}/robust/{index}")
     setup = replace(draw_setup(rng), table=None, filter=int(Filter.ROBUST))
     return RobustScenarioWriter(rng, setup).write()
@@ -136,12 +143,16 @@ class RobustScenarioWriter(ScenarioWriter):
     # --- Calls ---
 
     def _add_restore_at_limits(self) -> None:
-        """Restore a robot of whose robust filter one member is at a limit or beyond."""
+        """Restore a robot whose filter remembers one value at its limit or just beyond, and settle."""
         self._add_restore(self._draw_filter_words_at_limits())
         self._add_call("settle")
 
     def _add_test_at_threshold(self) -> None:
-        """Run the filter on estimates of which one decides what it does, or on any that are skewed."""
+        """Run the filter on estimates with which the smallest mistake in its test or centre shows.
+
+        With some of them a unit of one estimate decides whether the test rejects, or one estimate whether the
+        robot is supported. With others their centre is far from their median, or reached slowly.
+        """
         rng = self._rng
         count = rng.choice([5, 5, 6, 31, 32, rng.randint(TESTED_ESTIMATES_MIN, SLOTS)])
         draw_estimates = rng.choice(
@@ -155,7 +166,7 @@ class RobustScenarioWriter(ScenarioWriter):
                 self._draw_slowly_centred_estimates,
             ]
         )
-        # Not for every robot there are such estimates.
+        # Not for every robot there are such estimates. If none is drawn, no calls are added.
         for _ in range(_MAX_DRAWS):
             robot = self._draw_robot()
             estimates = draw_estimates(robot, count)
@@ -165,7 +176,10 @@ class RobustScenarioWriter(ScenarioWriter):
                 return
 
     def _add_filter_near_one_half(self) -> None:
-        """Run the filter with a centre of estimates that is just informative, just not, or about 1/2."""
+        """Run the filter with a centre of estimates just far enough from 1/2 for a re-estimate, or just not.
+
+        In half of the cases the centre is about 1/2 itself.
+        """
         rng = self._rng
         robot = self._draw_robot()
         distance = rng.choice([0, SLOT_INFORMATIVE_DISTANCE]) + rng.randint(-1, 1)
@@ -218,14 +232,21 @@ class RobustScenarioWriter(ScenarioWriter):
         }
 
     def _draw_filter_words(self, t: int, n: int) -> dict[int, int]:
-        """Draw the words of the filter's memory after these observations, for the b_hat ``self._b_hat``."""
+        """Draw the words of the robust filter's memory, by index, after t observations of which n were black.
+
+        The present b_hat is ``self._b_hat``. The initial one differs from it at most where a test may have
+        changed b_hat.
+        """
         robot = self._draw_robot_after(t, n, initial_b_hat=self._b_hat)
         if robot.is_test_possible:
             robot.robust.initial_b_hat = self._rng.choice([self._b_hat, draw_b_hat(self._rng)])
         return pack_robust_filter(robot.robust, robot.estimates)
 
     def _draw_filter_words_at_limits(self) -> dict[int, int]:
-        """Draw an image of which one member of the filter's memory is at a limit, or a unit beside it."""
+        """Draw words of an image in which one value that the filter remembers is at or next to a limit.
+
+        The image is that of a robot that is drawn, too. It may be one that the firmware must refuse.
+        """
         rng = self._rng
         robot = self._draw_robot()
         robust = robot.robust
@@ -236,7 +257,9 @@ class RobustScenarioWriter(ScenarioWriter):
             "centre": (0, _CENTRE_ONE, CENTRE_START),
             "spread": (SPREAD_MIN, SPREAD_MAX),
             "initial_b_hat": (B_HAT_MIN, B_HAT_MAX, robot.b_hat),
+            # The same slots, and without the first of them: the lowest bit is cleared.
             "filled_slots": (robust.filled_slots, robust.filled_slots & (robust.filled_slots - 1)),
+            # No more observations of either colour at the beginning of the batch than now.
             "batch_t": (0, robust.batch_n, robust.batch_n + white_count),
             "batch_n": (0, robot.n, robust.batch_t, max(robust.batch_t - white_count, 0)),
             "votes": (0, VOTES_MAX),
@@ -246,8 +269,8 @@ class RobustScenarioWriter(ScenarioWriter):
         member = rng.choice([field.name for field in fields(RobustFilter)])
         # One unit more or less may be beyond the limit, and must be refused then.
         value = clamp(rng.choice(limits[member]) + rng.choice([-1, 0, 0, 1]), 0, MAX_32_BITS)
-        is_short = member in ("votes", "dispersion")
-        setattr(robust, member, min(value, MAX_16_BITS) if is_short else value)
+        has_16_bits = member in ("votes", "dispersion")
+        setattr(robust, member, min(value, MAX_16_BITS) if has_16_bits else value)
         if rng.random() < 0.1:
             # The estimate of an empty slot must be 0.
             robot.estimates[rng.randrange(SLOTS)] = rng.choice([0, 1, SLOT_ESTIMATE_MAX])
@@ -256,7 +279,7 @@ class RobustScenarioWriter(ScenarioWriter):
     # --- Values ---
 
     def _draw_robot(self) -> DrawnRobot:
-        """Draw a robot of which the filter has any memory, and b_hat is the initial one."""
+        """Draw a robot with any counts, any initial b_hat, which is also the present one, and any memory."""
         rng = self._rng
         t = max(draw_t(rng, self._setup.memory), 1)
         initial_b_hat = draw_b_hat(rng)
@@ -264,7 +287,10 @@ class RobustScenarioWriter(ScenarioWriter):
         return self._draw_robot_after(t, n, initial_b_hat)
 
     def _draw_robot_after(self, t: int, n: int, initial_b_hat: int) -> DrawnRobot:
-        """Draw a robot with these counts and this b_hat, of which the filter has any memory."""
+        """Draw a robot with these counts and this b_hat, and with anything possible in its filter's memory.
+
+        ``n`` of its ``t`` observations were black. The initial b_hat is also the present one.
+        """
         rng = self._rng
         robust = RobustFilter(initial_b_hat=initial_b_hat)
         robust.filled_slots = self._draw_filled_slots()
@@ -280,21 +306,26 @@ class RobustScenarioWriter(ScenarioWriter):
         return DrawnRobot(t, n, initial_b_hat, robust, self._draw_estimates(robust))
 
     def _draw_filled_slots(self) -> int:
-        """Draw the mask of the filled slots: none, one, just enough for a test, any number, or all."""
+        """Draw the mask of the filled slots, with a bit for each: none, one, about five, any number, or all.
+
+        Five are just enough for a test.
+        """
         rng = self._rng
         count = rng.choice([0, 1, 4, 5, 5, 6, rng.randint(0, SLOTS), SLOTS - 1, SLOTS])
         slots = rng.sample(range(SLOTS), count)
-        # The ends of the mask, which a shift by 32 or a search from bit 1 on would miss.
+        # A single slot is often at an end of the mask, which a shift by 32 or a search from bit 1 on would
+        # miss. It is drawn in any case, as golden vectors are made of this sequence of draws.
         single_slot = rng.choice([[0], [SLOTS - 1], slots])
         if count == 1:
             slots = single_slot
         return sum(1 << slot for slot in slots)
 
     def _draw_batch(self, robust: RobustFilter, t: int, n: int) -> None:
-        """Draw a batch that ends after these observations, and the dispersion before it, and set both.
+        """Draw the dispersion of a robot's observations, and the batch that its next run of the filter ends.
 
-        The number of black observations in the batch is the expected one, one next to the distance at which
-        a batch is an outlier, or the smallest or largest possible one.
+        ``n`` of all its ``t`` observations were black. The batch is the last ones, of which as many are black
+        as expected, or as few or as many as possible, or so many that the batch just is, or just is not, an
+        outlier. ``robust`` gets the dispersion, and the counts with which the batch began.
         """
         rng = self._rng
         if t == 0:
@@ -310,9 +341,10 @@ class RobustScenarioWriter(ScenarioWriter):
         count = rng.choice([0, 1, min(draw_number_of_any_size(rng, 1, 31), t), rng.randint(0, t), t])
         smallest_black_count, largest_black_count = max(count - (t - n), 0), min(count, n)
         expected_black_count = count * n // t
-        # The dispersion has 8 fraction bits.
-        variance_limit = REJECTED_SIGMAS_SQUARED * robust.dispersion * count * n * (t - n) // (t * t) >> 8
-        deviation = rng.choice([0, draw_number_of_any_size(rng, 0, 8), isqrt(variance_limit)])
+        # A batch is an outlier if the square of its deviation is more than 12 times the dispersion times the
+        # variance, which is count * n / t * (1 - n / t). The dispersion has 8 fraction bits.
+        square_limit = REJECTED_SIGMAS_SQUARED * robust.dispersion * count * n * (t - n) // (t * t) >> 8
+        deviation = rng.choice([0, draw_number_of_any_size(rng, 0, 8), isqrt(square_limit)])
         black_count = rng.choice(
             [
                 expected_black_count + rng.choice([-1, 1]) * deviation + rng.randint(-1, 1),
@@ -327,9 +359,9 @@ class RobustScenarioWriter(ScenarioWriter):
             robust.batch_n, robust.dispersion = 0, DISPERSION_MIN
 
     def _draw_centre(self) -> int:
-        """Draw a centre of the votes in units of 2**-30: near the messages, anywhere, or at 0 or 1.
+        """Draw a centre of the votes in units of 2**-30: near the x_hat of messages, anywhere, or 0 or 1.
 
-        Half of them are multiples of 2**-16, as the estimates in slots are, so that a vote can lie on them.
+        Half of them are multiples of 2**-16, as the estimates in slots are, so that a vote can equal them.
         """
         rng = self._rng
         near_messages = q30_from_q23(self._common_x_hat) + rng.randint(-(1 << 20), 1 << 20)
@@ -338,9 +370,9 @@ class RobustScenarioWriter(ScenarioWriter):
         return rng.choice([centre, centre // _SLOT_UNIT * _SLOT_UNIT])
 
     def _draw_spread(self) -> int:
-        """Draw a spread of the votes in units of 2**-30: often next to a power of two, or one of 2**-16.
+        """Draw a spread of the votes in units of 2**-30, often next to a power of two or a multiple of 2**-16.
 
-        It shrinks by a shift, which rounds in another way where it has one bit less.
+        The firmware shifts the spread to change it, and rounds otherwise where it has one bit less.
         """
         rng = self._rng
         power_of_two = 1 << rng.randrange(18, 29)  # from SPREAD_MIN to SPREAD_MAX
@@ -365,7 +397,7 @@ class RobustScenarioWriter(ScenarioWriter):
         """Draw an x_hat of the robot itself, half of them at the distance of the spread from the centre."""
         rng = self._rng
         position = robust.centre + rng.choice([-1, 0, 1]) * robust.spread
-        at_spread = clamp((position >> 7) + rng.randint(-1, 1), 0, ONE)
+        at_spread = clamp(q23_from_q30(position) + rng.randint(-1, 1), 0, ONE)
         return rng.choice([at_spread, min(self._draw_x_hat(), ONE)])
 
     def _draw_sender(self) -> int:
@@ -377,22 +409,23 @@ class RobustScenarioWriter(ScenarioWriter):
     # --- Estimates for a test ---
 
     def _mirror_of(self, robot: DrawnRobot) -> MirrorRobot:
-        """Return a mirror with what the test of this robot takes: t, n, and the filter's memory."""
+        """Return a mirror with what the filter's test of the drawn robot needs: t, n, and the memory."""
         mirror = MirrorRobot(self._setup.config(), self._setup.robot_id, robot.b_hat / Q32_ONE)
         mirror.s.t, mirror.s.n, mirror.s.robust = robot.t, robot.n, robot.robust
         return mirror
 
     def _draw_estimates_at_threshold(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
-        """Draw estimates that the test just rejects, or just does not; None if it has no threshold."""
+        """Draw estimates by which the robot's test just rejects, or just does not; None if there are none."""
         width = draw_number_of_any_size(self._rng, 1, 15)
         both_sides = draw_slots_at_threshold(self._mirror_of(robot), count, width, self._rng)
         return None if both_sides is None else self._rng.choice(both_sides).estimates
 
     def _draw_parties(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
-        """Draw estimates that the test rejects, of which about two in five support the robot.
+        """Draw estimates by which the robot's test rejects, though about two in five support the robot.
 
-        The others agree on an estimate that contradicts its observations. None if that is not possible.
-        There are at least 11 estimates, so that the others are more than a half.
+        The others agree on an estimate that contradicts its observations. There are at least 11 estimates,
+        also for a smaller ``count``, so that these others are more than a half. The result is None if the
+        test does not reject by such estimates.
         """
         count = max(count, 11)
         supporter_count = 2 * count // 5 + self._rng.randint(0, 1)
@@ -400,19 +433,22 @@ class RobustScenarioWriter(ScenarioWriter):
         return None if slots is None else slots.estimates
 
     def _draw_parties_with_tie(self, robot: DrawnRobot, count: int) -> tuple[int, ...] | None:
-        """Draw two parties, of which two in five estimates support the robot, and an estimate between them.
+        """Draw estimates of which two in five support the robot, and one more almost does.
 
-        The robot's initial b_hat becomes such that the prediction by this estimate is exactly as far from the
-        robot's observed share of black as from the prediction by the centre of all: it does not support the
-        robot, but almost. There are at least 12 estimates, so that the other party is more than a half. The
-        result is None if there is no such b_hat.
+        The others agree on another estimate. Each estimate predicts a share of black observations by the
+        initial b_hat, and supports the robot if it predicts its observed share better than the share that the
+        centre of all estimates predicts. Here b_hat is chosen so that the one estimate is exactly as far from
+        both: that must not count as support. The robot gets this initial b_hat. There are at least 12
+        estimates, also for a smaller ``count``, so that the others are more than a half. The result is None
+        if there is no such b_hat.
         """
         rng = self._rng
         count = max(count, 12)
         supporter_count = 2 * count // 5
         supporter, tied, other = rng.sample(range(SLOT_ONE), 3)
-        estimates = (supporter,) * supporter_count + (tied,) + (other,) * (count - supporter_count - 1)
-        centre, _ = centre_and_spread(estimates)
+        other_count = count - supporter_count - 1
+        estimates = (supporter,) * supporter_count + (tied,) + (other,) * other_count
+        centre, _ = centre_and_spread(estimates)  # in units of 2**-24
         # Seen from the tied estimate, this point lies opposite to the centre, and as far away. The b_hat
         # sought is that by which the point predicts the robot's own share of black.
         opposite_point = 2 * q24_from_q16(tied) - centre
@@ -432,9 +468,9 @@ class RobustScenarioWriter(ScenarioWriter):
         return None
 
     def _draw_skewed_estimates(self, robot: DrawnRobot, count: int) -> tuple[int, ...]:
-        """Draw estimates on one side of a point, at small distances as often as at large ones.
+        """Draw estimates on one side of a point, at small distances from it as often as at large ones.
 
-        Their median is far from their centre.
+        So their Huber centre is far from their median, from which its computation starts.
         """
         rng = self._rng
         start = rng.choice([rng.randint(0, SLOT_ESTIMATE_MAX), 0, SLOT_ESTIMATE_MAX])
@@ -444,7 +480,10 @@ class RobustScenarioWriter(ScenarioWriter):
         return tuple(clamp(start + direction * distance, 0, SLOT_ESTIMATE_MAX) for distance in distances)
 
     def _draw_slowly_centred_estimates(self, robot: DrawnRobot, count: int) -> tuple[int, ...]:
-        """Draw 32 estimates for whose centre three steps are too few, anywhere and in either direction."""
+        """Draw 32 estimates whose Huber centre three steps do not reach, so that a fourth would show.
+
+        There are 32 for any ``count``.
+        """
         rng = self._rng
         scale = rng.choice([-1, 1]) << rng.randrange(4)
         start = rng.randint(0, SLOT_ESTIMATE_MAX)

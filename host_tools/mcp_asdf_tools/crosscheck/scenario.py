@@ -80,13 +80,13 @@ class TableChoice:
         return f"table:{self.omega}:{self.q}"
 
     def build(self) -> Table:
-        """Return the table, which is generated at the first call for an omega and q."""
+        """Return the table of thresholds; it is generated only once for an omega and q."""
         return _generate_table(self.omega, self.q)
 
 
 @lru_cache(maxsize=64)
 def _generate_table(omega: str, q: int) -> Table:
-    """Return the table of an omega and q."""
+    """Return the table of thresholds for an omega, as text, and q."""
     return generate(parse_omega(omega), q)
 
 
@@ -136,7 +136,7 @@ class Scenario:
 
 
 def _group_in_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Return an even number of numbers in pairs of neighbours."""
+    """Return numbers in pairs: the first with the second, and so on. Raises ValueError for an odd number."""
     return list(zip(numbers[::2], numbers[1::2], strict=True))
 
 
@@ -144,7 +144,10 @@ def _group_in_pairs(numbers: tuple[int, ...]) -> list[tuple[int, int]]:
 
 
 def parse_scenario(line: str) -> Scenario:
-    """Read a scenario's line. Raises UsageError naming the item that is wrong."""
+    """Read a scenario from its line of text, such as ``robot:2:1:64:0:2147483648,observe:1,settle``.
+
+    Raises UsageError, which names the wrong item.
+    """
     items = line.strip().split(",")
     # The first item may be a table, the next one must be the robot, and all others are calls.
     table = None
@@ -177,19 +180,14 @@ def _parse_table(item: str) -> TableChoice:
 def _parse_call(item: str, image_words: int) -> Call:
     """Read the item of a call, such as ``observe:1``: a name, and numbers after colons.
 
-    An image of the robot has ``image_words`` words, and a call must not name one beyond. The names are
-    observe, step, settle, receive, damage and restore; `Call` lists their numbers. Raises UsageError for
-    another name, the wrong number of numbers, or a number that is none or is out of range.
+    An image of the robot has ``image_words`` words of 4 bytes, and a call must not name one beyond. The names
+    are observe, step, settle, receive, damage and restore; `Call` lists their numbers. Raises UsageError for
+    another name, too few or too many numbers, a number that is out of range, or a text that is no number.
     """
     name, *texts = item.split(":")
-    # restore takes any number of pairs, each an index into the image and the word to write there.
     if name == "restore":
         numbers = tuple(_parse_integer(text, item) for text in texts)
-        # Word 0 marks the version, and the last word is the checksum: these two are not replaced.
-        are_pairs_legal = len(numbers) % 2 == 0 and all(
-            1 <= index < image_words - 1 and word <= _MAX_32 for index, word in _group_in_pairs(numbers)
-        )
-        if not are_pairs_legal:
+        if not _are_replacements_legal(numbers, image_words):
             raise UsageError(f"{item} needs pairs of an index, 1 to {image_words - 2}, and a 32-bit word")
         return Call(name, numbers)
     # "robot" is the item that makes the robot, and no call.
@@ -197,13 +195,29 @@ def _parse_call(item: str, image_words: int) -> Call:
     if name not in call_names:
         raise UsageError(f"{item!r} is no call; there are {', '.join(call_names)}")
     numbers = _parse_numbers(item)
-    if name == "damage" and numbers[0] >= 4 * image_words:
-        raise UsageError(f"{item}: {numbers[0]} is too large; the limit there is {4 * image_words - 1}")
+    image_bytes = 4 * image_words
+    if name == "damage" and numbers[0] >= image_bytes:
+        raise UsageError(f"{item}: {numbers[0]} is too large; the limit there is {image_bytes - 1}")
     return Call(name, numbers)
 
 
+def _are_replacements_legal(numbers: tuple[int, ...], image_words: int) -> bool:
+    """Return whether numbers of a ``restore`` are pairs of an index into an image and a word of 32 bits.
+
+    There may be any number of pairs. Word 0 of the image marks the version, and the last of the
+    ``image_words`` words is the checksum: these two must not be replaced.
+    """
+    if len(numbers) % 2 != 0:
+        return False
+    last_index = image_words - 2
+    return all(1 <= index <= last_index and word <= _MAX_32 for index, word in _group_in_pairs(numbers))
+
+
 def _parse_numbers(item: str) -> tuple[int, ...]:
-    """Read an item's numbers. Raises UsageError if there are not as many as it takes, or one is too large."""
+    """Read the numbers of an item, such as ``receive:3:4194304:257``, whose name must be known.
+
+    Raises UsageError if there are not as many as the name takes, if one is too large, or if one is none.
+    """
     name, *texts = item.split(":")
     numbers = tuple(_parse_integer(text, item) for text in texts)
     max_numbers = _MAX_NUMBERS[name]
@@ -216,7 +230,10 @@ def _parse_numbers(item: str) -> tuple[int, ...]:
 
 
 def _parse_integer(text: str, item: str) -> int:
-    """Read a whole number of an item. Raises UsageError for anything but up to 20 decimal digits."""
+    """Read a whole number, ``text``, of an ``item``, which the error names.
+
+    Raises UsageError for anything but up to 20 decimal digits.
+    """
     is_number = text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS
     if not is_number:
         raise UsageError(f"{item}: {text!r} is no whole number of decimal digits")
@@ -227,7 +244,7 @@ def _parse_integer(text: str, item: str) -> int:
 
 
 def unpack_image(image: bytes) -> list[int]:
-    """Return a saved robot as words. There are as many as its filter needs, and the last is a checksum."""
+    """Return the image of a saved robot as words of 32 bits. The last one is a checksum."""
     return [word for (word,) in struct.iter_unpack("<I", image)]
 
 
@@ -250,9 +267,10 @@ def edited_image(image: bytes, call: Call) -> bytes:
 
 
 def perform(robot: FixedPointRobot, call: Call) -> Status:
-    """Make a call of ``robot`` that is no ``restore`` or ``damage``, and return its status.
+    """Make a call on ``robot``, and return the status with which it answers.
 
-    Numbers are passed on as they are, also those that the firmware must refuse, as its status then shows.
+    The call must not be ``restore`` or ``damage``, which make another robot. Its numbers are passed on as
+    they are, also those that the firmware must refuse: the status then says so.
     """
     numbers = call.numbers
     if call.name == "receive":
