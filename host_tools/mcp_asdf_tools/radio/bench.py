@@ -59,20 +59,22 @@ class Bench(ControllerLink):
     def draw_observation(self) -> Observation:
         """Draw a colour such that the share of black ones stays near 3/5, but not exactly.
 
-        Above 1/2, b_hat can be re-estimated on both sides of 1/2.
+        With a share above 1/2, b_hat can be re-estimated on both sides of 1/2.
         """
         state = self.firmware.s
         is_black_share_low = 5 * state.n < 3 * state.t
-        is_black = is_black_share_low if self.rng.random() < 0.8 else not is_black_share_low
+        # In one of five cases the colour moves the share away from 3/5.
+        is_usual = self.rng.random() < 0.8
+        is_black = is_black_share_low if is_usual else not is_black_share_low
         return Observation(is_black)
 
     def encode_estimates(
         self, estimates: dict[int, NeighbourEstimate] | Iterable[tuple[int, NeighbourEstimate]]
     ) -> list[can.Message]:
-        """Return frames of estimates, given by sender, in order.
+        """Return a frame for each of these estimates, in order.
 
-        Every sender numbers its frames by a transfer_id that goes on from one call to the next. Pairs of
-        sender and estimate may name a sender several times.
+        They are given by sender or as pairs of sender and estimate; pairs may name a sender several times.
+        Every sender numbers its frames by a transfer_id that goes on from one call to the next.
         """
         pairs = estimates.items() if isinstance(estimates, dict) else estimates
         return [self._encode_estimate(sender, x_hat, alpha) for sender, (x_hat, alpha) in pairs]
@@ -143,7 +145,9 @@ class Bench(ControllerLink):
 
     def skip_to_round(self) -> None:
         """Let ticks pass until a round begins; none if one begins now."""
-        self.skip_ticks(-self.model.ticks % self.setup.comms_period)
+        # A round begins at every multiple of the period.
+        missing_ticks = -self.model.ticks % self.setup.comms_period
+        self.skip_ticks(missing_ticks)
 
     def skip_to_test_round(
         self, observe: Callable[[], Observation | None] = lambda: None, rounds_before: int = 0
@@ -152,16 +156,19 @@ class Bench(ControllerLink):
 
         Stops ``rounds_before`` rounds earlier. ``observe`` returns the observation of each tick.
         """
+        # The filter tests at every multiple of its period in ticks. The round of the test begins one round
+        # before that.
         period = self.setup.filter_period
         tick_in_period = period - (1 + rounds_before) * self.setup.comms_period
-        self.skip_ticks((tick_in_period - self.model.ticks) % period, observe)
+        missing_ticks = (tick_in_period - self.model.ticks) % period
+        self.skip_ticks(missing_ticks, observe)
 
     def begin_activity_without_test(self, activity: str, rounds: int = 1) -> None:
         """Wait until the controller's filter has no test in the next ``rounds`` rounds, and set ``activity``.
 
-        That is what the phase does from now on, for the report of a difference. To wait is to play rounds
-        without messages. No round is played if the next rounds have no test anyway, if the filter is off, or
-        if it tests in every round, which cannot be avoided.
+        ``activity`` says what the phase does from now on, and is part of the report of a difference. While
+        the wait lasts, rounds without messages are played. There is no wait if the next rounds have no test
+        anyway, if the filter is off, or if it tests in every round, which cannot be avoided.
         """
         if self.config.filter is not Filter.OFF and self.config.filter_period > 1:
             # From the furthest round to the next one: a round that is played brings the test one closer.

@@ -171,14 +171,17 @@ class Comparison:
         )
 
     def _is_health_allowed(self, heartbeats: Sequence[can.Message]) -> bool:
-        """Return whether "advisory" is allowed and none of these heartbeats reports anything worse."""
+        """Return whether the controller may report the health of these heartbeats though its model does not.
+
+        It may report "advisory" if ``is_advisory_allowed``, and nothing worse.
+        """
         worst_health = max(_HEALTH.extract(payload_of(frame)) for frame in heartbeats)
         return self.is_advisory_allowed and worst_health <= Health.ADVISORY.value
 
     def _compare_order(
         self, received: Sequence[can.Message], expected: Sequence[can.Message]
     ) -> Difference | None:
-        """Return the first frame whose kind is not the expected one; None if there is none.
+        """Return a difference if the controller's frames of different kinds came in another order; else None.
 
         Both sides must have been found equal kind by kind, and so have as many frames.
         """
@@ -209,8 +212,10 @@ def _first_difference(
     """Return what differs first between two lists of frames of one kind; None if they are equal.
 
     The result is a ``Difference.field``: "missing" if the received frames end first, "twice" if more frames
-    are received than expected and two in a row have the same data, "extra" if no two have.
+    are received than expected and two in a row have the same data, "extra" if no two have. Otherwise it names
+    what is wrong with a frame, or the first data field in which it is wrong.
     """
+    # The shorter list is filled up with None.
     for received_frame, expected_frame in zip_longest(received, expected):
         if received_frame is None:
             return "missing"
@@ -236,12 +241,16 @@ def _format_error(frame: can.Message) -> str | None:
         return "frame"
     if len(frame.data) != FRAME_BYTES:
         return "length"
-    is_single_frame = START_END_TOGGLE.is_legal(START_END_TOGGLE.extract(payload_of(frame)))
+    tail_bits = START_END_TOGGLE.extract(payload_of(frame))
+    is_single_frame = START_END_TOGGLE.is_legal(tail_bits)
     return None if is_single_frame else "tail"
 
 
 def _first_different_field(kind: str, received: can.Message, expected: can.Message) -> str | None:
-    """Return "priority", "identifier" or the first data field in which two frames differ; None if none."""
+    """Return in what two frames of one kind differ first; None if they are equal.
+
+    That is "priority", "identifier" (in other bits than those of the priority) or the name of a data field.
+    """
     different_identifier_bits = received.arbitration_id ^ expected.arbitration_id
     if different_identifier_bits & _PRIORITY_BITS:
         return "priority"
@@ -266,9 +275,10 @@ _MIN_DIGITS_FOR_HINT = 1 << 14
 def _hint(
     kind: str, field_name: str, received: Sequence[can.Message], expected: Sequence[can.Message]
 ) -> str:
-    """Return a guess at how the first wrong value of a field came about; "" without a good guess.
+    """Return a guess at how the first wrong value of a data field came about; "" without a good guess.
 
-    There is none for short fields, and none for a difference that is not in a data field.
+    ``field_name`` is where the two lists differ. There is no guess for fields of less than 24 bits, nor for a
+    difference that is not in a data field.
     """
     for field in FIELDS_BY_KIND[kind]:
         if field.name == field_name and field.bit_count >= _MIN_BITS_FOR_HINT:
@@ -282,7 +292,7 @@ def _hint(
 
 
 def _hint_for_value(field: Field, received: int, expected: int) -> str:
-    """Return whether a wrong value has its bytes reversed or is off by a power of two; "" if neither."""
+    """Return in words if a wrong value has its bytes reversed or is off by a power of two; "" if not."""
     byte_count = field.bit_count // 8
     if received.to_bytes(byte_count, "little") == expected.to_bytes(byte_count, "big"):
         return f"its {byte_count} bytes are in reverse order"
@@ -302,12 +312,15 @@ def _significant_digits(field: Field, value: int) -> int:
     and normal.
     """
     if field.is_float:
-        is_positive_and_normal = 0 < value >> 23 < 0xFF
-        # Normal numbers have a leading 1 that is not stored.
+        # Sign and exponent are in bits 23 to 31. The exponent is 0 for subnormal numbers and 0xFF for
+        # infinity and NaN, and the sign would be 0x100.
+        sign_and_exponent = value >> 23
+        is_positive_and_normal = 0 < sign_and_exponent < 0xFF
+        # Normal numbers have a leading 1, bit 23, that is not stored.
         return (value & 0x7F_FFFF) | 0x80_0000 if is_positive_and_normal else 0
     if value == 0:
         return 0
-    largest_power_of_two = value & -value
+    largest_power_of_two = value & -value  # the lowest bit that is set
     return value // largest_power_of_two
 
 
@@ -341,7 +354,7 @@ def _describe_frame(kind: str, frame: can.Message) -> str:
 
 
 def _describe_value(field: Field, value: int) -> str:
-    """Return a field's value as text: plain, or in hexadecimal and as the number that it encodes."""
+    """Return a field's value as text: a fraction or float in hexadecimal and as a number, others plain."""
     if field.is_float:
         return f"{value:#010x} ({float32_value(value):g})"
     if field.unit != 1:

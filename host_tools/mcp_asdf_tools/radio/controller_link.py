@@ -152,7 +152,11 @@ class ControllerLink:
             self.lockstep.estimates({self.setup.id})
 
     def _command_observation(self, z: Observation | None) -> bool:
-        """Command an observation, or none, and return whether the controller must broadcast in this tick."""
+        """Command an observation, or none, and return whether the controller must broadcast in this tick.
+
+        It must if its model does. Then what the models with a known mistake broadcast is kept, too, to be
+        compared when the tick ends.
+        """
         broadcasts_before = self.model.sent.estimates
         self.lockstep.observe({self.setup.id: z})  # the model gets the command, too, by _take_frame
         is_broadcast_due = self.model.sent.estimates != broadcasts_before
@@ -161,13 +165,19 @@ class ControllerLink:
         return is_broadcast_due
 
     def send(self, frames: Sequence[can.Message]) -> None:
-        """Send frames to the controller and to the model, in order."""
+        """Send frames to the controller and to the model, in order.
+
+        Raises ``can.CanError`` if the bus takes no frame for 2 seconds, or fails.
+        """
         send_all(self.options.bus, frames, _SEND_TIMEOUT)
         for frame in frames:
             self._take_frame(frame)
 
     def settle(self) -> None:
-        """End the tick and compare all frames of both. Raises ControllerDiffers and LockstepError."""
+        """Command the end of the tick, and compare all frames of controller and model since the last time.
+
+        Raises LockstepError if the controller does not answer, and ControllerDiffers if its frames differ.
+        """
         self.lockstep.settle({self.setup.id})
         self.compare()
         self.options.progress(self.ticks)
@@ -182,16 +192,16 @@ class ControllerLink:
         self.comparison.is_advisory_allowed = True
 
     def _check_stop(self) -> None:
-        """Raise KeyboardInterrupt if asked to stop, but not within a tick."""
+        """Raise KeyboardInterrupt if the caller wants the verification to stop, but not within a tick."""
         if self.model.is_settled and self.options.should_stop():
             raise KeyboardInterrupt
 
     # --- Comparison ---
 
     def compare(self) -> None:
-        """Compare all frames since the last comparison. Raises ControllerDiffers.
+        """Compare all frames since the last comparison, and raise ControllerDiffers if they are not equal.
 
-        If they are equal, the known mistakes that would have shown in them are left out from now on.
+        If they are, the models with a mistake that would have shown in them are dropped.
         """
         telemetry_fields = self._last_telemetry_fields()
         difference = self.take_difference()

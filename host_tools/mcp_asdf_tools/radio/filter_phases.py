@@ -56,13 +56,17 @@ _ROUND_SIZE = 5
 
 
 def re_estimate_to_half(bench: Bench) -> None:
-    """Re-estimate b_hat as 1/2, and then as almost 1/2, where the robot knows nothing, or hardly anything."""
+    """Bring b_hat to 1/2, and then to almost 1/2, by re-estimates, and let the controller observe with it.
+
+    With a b_hat of 1/2 its observations carry no information, and next to 1/2 hardly any.
+    """
     state = bench.firmware.s
     for update in _NEAR_HALF:
         bench.activity = "many observations, half of them black"
-        # Black tiles more than white ones.
+        # Black tiles more than white ones: none for 1/2, and few for almost 1/2.
         excess = 0 if update is Update.HALF else state.t // 4096 + 1
         observe_until_excess(bench, excess)
+        # The divisor of eq. 8, t (2 x_bar - 1), is below 1 for an x_bar about 2**-13 above 1/2.
         if update is Update.HALF and state.t < 1 << 12:
             bench.skip_to_test_round()
             bench.activity = "a mean so close to 1/2 that the divisor of eq. 8 is below 1"
@@ -75,34 +79,37 @@ def re_estimate_to_half(bench: Bench) -> None:
 
 
 def observe_until_excess(bench: Bench, excess: int) -> None:
-    """Observe until the robot has seen so many black tiles more than white ones."""
+    """Observe until the robot has observed ``excess`` more black tiles than white ones."""
     state = bench.firmware.s
 
     def present_excess() -> int:
         return 2 * state.n - state.t
 
     while present_excess() != excess:
-        # Half as many as the excess of either colour, so that the wanted one is not passed by much.
-        bench.skip_ticks(max(abs(present_excess()) // 2, 1), lambda: Observation(present_excess() < excess))
+        # Half as many ticks as the excess of either colour, so that ``excess`` is not passed by much.
+        ticks = max(abs(present_excess()) // 2, 1)
+        bench.skip_ticks(ticks, lambda: Observation(present_excess() < excess))
 
 
 def re_estimate_without_black(bench: Bench) -> None:
-    """Re-estimate b_hat before the first black tile, from five estimates near 1/4."""
+    """Let the controller re-estimate b_hat before its first black tile, from five estimates near 1/4."""
     bench.activity = "white tiles, and then none until the test"
     # So few that t is still small in the next phases.
     bench.skip_ticks(_WHITE_TILES, lambda: Observation.WHITE)
     bench.skip_to_test_round()
     bench.activity = "a re-estimate without a black tile"
     alphas = draw_alphas_of_one_scale(bench.rng, _ROUND_SIZE)
-    _play_test_round(
-        bench, [NeighbourEstimate(HALF // 2 + index, alpha) for index, alpha in enumerate(alphas)]
-    )
+    quarter = HALF // 2
+    estimates = [NeighbourEstimate(quarter + index, alpha) for index, alpha in enumerate(alphas)]
+    _play_test_round(bench, estimates)
 
 
 def re_estimate_from_ends(bench: Bench) -> None:
-    """Re-estimate from an x_bar of 0 and of 1, after which one colour leaves the range that b_hat allows.
+    """Let the controller re-estimate b_hat from neighbours that all estimate 0, and then 1, or the reverse.
 
-    After each re-estimate the robot observes three white tiles and three black ones, twice.
+    The first of them is the end farther from its own estimate. After each re-estimate it observes three white
+    tiles and three black ones, twice: with one of these colours its x_hat would leave the range 0 .. 1, and
+    must be limited.
     """
     for end in (0, ONE) if bench.firmware.s.x_hat > HALF else (ONE, 0):
         _observe_until_test(bench)
@@ -115,7 +122,7 @@ def re_estimate_from_ends(bench: Bench) -> None:
 
 
 def test_large_sums(bench: Bench) -> None:
-    """Let the filter test rounds in which the squares of eq. 12 have most bits."""
+    """Let the filter test rounds with the longest numbers in eq. 12, for which it may have too few bits."""
     _observe_until_test(bench)
     bench.activity = "a spread of 2^57"
     _play_test_round(bench, draw_round_of_large_scatter(bench.robot_state, bench.rng))
@@ -147,7 +154,10 @@ def test_own_estimate(bench: Bench) -> None:
 
 
 def re_estimate_without_test(bench: Bench) -> None:
-    """Play rounds from which only a robot without a test re-estimates: one estimate, and its own x_hat."""
+    """Let a controller without a test re-estimate from rounds that a test would not reject.
+
+    These are a round of a single estimate, and one in which all estimates equal its own.
+    """
     _observe_until_test(bench)
     bench.activity = "a re-estimate from a single message"
     bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng, m=1))
@@ -157,13 +167,17 @@ def re_estimate_without_test(bench: Bench) -> None:
 
 
 def _draw_own_estimates(bench: Bench) -> list[NeighbourEstimate]:
-    """Draw five estimates whose x_hat is the controller's."""
+    """Draw five estimates whose x_hat is the controller's own, with confidences of one size."""
     alphas = draw_alphas_of_one_scale(bench.rng, _ROUND_SIZE)
     return [NeighbourEstimate(bench.robot_state.x_hat, alpha) for alpha in alphas]
 
 
 def re_estimate_early(bench: Bench) -> None:
-    """Re-estimate b_hat after few observations, whose share of black tiles leaves b_hat off its limits."""
+    """Let the controller re-estimate b_hat after 250, 350 and 480 observations, above 1/2 and below 1/2.
+
+    About 3/5 of them are black, so that b_hat can be off its limits. Numbers that earlier phases have passed,
+    and re-estimates for which no estimates are drawn, are left out.
+    """
     state = bench.firmware.s
     for t in _EARLY_COUNTS:
         if state.t > t:
@@ -185,7 +199,10 @@ def count_updates_to_check(setup: RobotSetup) -> int:
 
 
 def re_estimate_often(bench: Bench) -> None:
-    """Re-estimate until a counter of too few bits shows, and from confidences of every scale."""
+    """Let the controller re-estimate b_hat so often that a counter of too few bits shows.
+
+    The estimates have confidences of every size, one size a round.
+    """
     missing_updates = count_updates_to_check(bench.setup) - bench.firmware.s.updates
     for index in range(max(missing_updates, len(ALPHA_SCALES))):
         bench.skip_to_test_round(bench.draw_observation)
@@ -218,10 +235,14 @@ def play_rounds_without_test(bench: Bench) -> None:
 
 
 def re_estimate_to_each_kind(bench: Bench) -> None:
-    """Re-estimate with every kind of update but those for which as many tiles must be black as white."""
+    """Let the controller re-estimate b_hat to each kind of value but 1/2 and almost 1/2.
+
+    For those two as many tiles must be black as white; here more are black.
+    """
     state = bench.firmware.s
     bench.activity = "more black tiles, for a b_hat that is off 1/2"
-    while 20 * state.n < 11 * state.t:  # until the share of black ones, n / t, is 11/20
+    # Until the share of black ones, n / t, is 11/20.
+    while 20 * state.n < 11 * state.t:
         bench.skip_ticks(BURST, lambda: Observation.BLACK)
     for update in Update:
         if update not in _NEAR_HALF:
@@ -261,7 +282,7 @@ def halve_memory(bench: Bench) -> None:
 
 
 def observe_long(bench: Bench) -> None:
-    """Make so many observations that a memory that is too short shows."""
+    """Let the controller make 20,000 observations in all, so that a memory that is too short shows."""
     bench.activity = _MANY_OBSERVATIONS
     bench.skip_ticks(max(LONG_RUN - bench.firmware.s.t, BURST), bench.draw_observation)
 
@@ -280,7 +301,10 @@ def _observe_until_test(bench: Bench, rounds_before: int = 0) -> None:
 
 
 def _play_test_round(bench: Bench, estimates: Sequence[NeighbourEstimate]) -> None:
-    """Play the round of the test, and then another of the same senders, who must be counted again."""
+    """Play the round of the test with these estimates, and then a round of any estimates of the same senders.
+
+    They must be counted in that round again.
+    """
     senders = bench.rng.sample(bench.other_ids, len(estimates))
     bench.play_round(*estimates, senders=senders)
     bench.begin_activity_without_test(f"{bench.activity}; then others of the same senders")
@@ -288,10 +312,10 @@ def _play_test_round(bench: Bench, estimates: Sequence[NeighbourEstimate]) -> No
 
 
 def _play_update(bench: Bench, update: Update) -> None:
-    """Play a round from which the robot makes this update.
+    """Play a round after which b_hat is re-estimated to a value of this kind.
 
-    Where it cannot yet, a few other updates come first. If it still cannot then, this is noted as a case that
-    was not exercised.
+    Where no estimates lead to it yet, up to four other re-estimates come first. If none do then, either, this
+    is noted as a case that was not exercised.
     """
     for _ in range(_MAX_ROUNDS_BEFORE_UPDATE):
         if update in _NEAR_HALF:

@@ -62,17 +62,28 @@ class FloatTest:
 
     def _round(self, value: float) -> float:
         """Return ``value`` rounded to the significant bits."""
-        mantissa, exponent = frexp(value)
-        return ldexp(round(ldexp(mantissa, self.significant_bits)), exponent - self.significant_bits)
+        mantissa, exponent = frexp(value)  # value = mantissa * 2**exponent, with a mantissa below 1
+        digits = round(ldexp(mantissa, self.significant_bits))
+        return ldexp(digits, exponent - self.significant_bits)
 
 
 def _cut_fraction(value: float, bits: int | None) -> float:
-    """Return ``value`` rounded down to so many bits after the point; unchanged for None."""
-    return value if bits is None else ldexp(int(ldexp(value, bits)), -bits)
+    """Return ``value``, which is not negative, rounded down to ``bits`` bits after the point.
+
+    It is returned unchanged if ``bits`` is None.
+    """
+    if bits is None:
+        return value
+    units = int(ldexp(value, bits))
+    return ldexp(units, -bits)
 
 
 def test_with_t_of_14_bits(robust: RobustFilter, t: int, n: int, centre: int, spread: int) -> bool:
-    """Return what the firmware's test decides if it keeps 14 bits of t; False if none of these is set."""
+    """Return whether the robust filter's test rejects if it keeps only the lowest 14 bits of t.
+
+    The result is False if these are 0, which a test cannot divide by. ``centre`` and ``spread`` are in units
+    of 2**-24.
+    """
     short_t = t % (1 << 14)
     return short_t != 0 and robust_test_rejects(robust, short_t, n, centre, spread)
 
@@ -87,7 +98,7 @@ class RobotWithOtherTest(MirrorRobot):
     robust_test: RobustTest = staticmethod(robust_test_rejects)
 
     def _rejects_initial_b_hat(self, centre: int, spread: int) -> bool:
-        """Return whether the other test rejects the initial b_hat."""
+        """Return whether ``robust_test``, in place of the firmware's test, rejects the initial b_hat."""
         return self.robust_test(self.s.robust, self.s.t, self.s.n, centre, spread)
 
 
@@ -95,7 +106,10 @@ class RobotThatTestsInFloat64(MirrorRobot):
     """The firmware's model with the paper's test in float64."""
 
     def _run_asdf_filter(self) -> int | None:
-        """Return the new b_hat, in units of 2**-32, if the test in float64 rejects; else None."""
+        """Return the new b_hat, in units of 2**-32, if the test in float64 rejects x_hat, or None.
+
+        It is None, too, if the round has fewer than two messages, or if their mean carries no information.
+        """
         table, sums = self.config.table, self.s.open
         # The variance of a single estimate is not defined, so that the test needs two.
         if table is None or sums.count < 2 or not rejects_in_float64(table, sums, self.s.x_hat):
@@ -104,7 +118,10 @@ class RobotThatTestsInFloat64(MirrorRobot):
 
 
 def rejects_in_float64(table: Table, sums: Sums, x_hat: int) -> bool:
-    """Return whether eq. 12 rejects, computed in float64 from the exact sums."""
+    """Return whether the paper's test rejects x_hat (eq. 12), computed in float64 from the exact sums.
+
+    ``sums`` are those of the round, and ``x_hat`` is in units of 2**-23.
+    """
     m = sums.count
     difference = float(sums.x - m * x_hat)
     scatter = float(m * sums.x_squared - sums.x * sums.x)
@@ -113,7 +130,7 @@ def rejects_in_float64(table: Table, sums: Sums, x_hat: int) -> bool:
 
 
 def copy_as(model_class: type[MirrorRobot], robot: MirrorRobot, config: Config | None = None) -> MirrorRobot:
-    """Return a robot of this class with a copy of another one's state, and its configuration by default."""
+    """Return a robot of this class with a copy of the state of ``robot``, and by default its settings."""
     model = model_class.__new__(model_class)
     model.config = robot.config if config is None else config
     model.s = deepcopy(robot.s)
@@ -203,7 +220,10 @@ class MistakenModels:
     def beside(
         cls, right_model: MirrorRobot, setup: RobotSetup, mistakes: Iterable[KnownMistake] = KNOWN_MISTAKES
     ) -> MistakenModels:
-        """Return models of the mistakes that a controller of this setup can have, in the right state."""
+        """Return a model for each of the mistakes that a controller of this setup can have.
+
+        All are in the state of ``right_model``.
+        """
         return cls(
             {
                 mistake.name: mistake.make_model(right_model)
@@ -214,7 +234,7 @@ class MistakenModels:
 
     @property
     def robust_tests(self) -> list[RobustTest]:
-        """Tests of the models whose robust filter tests otherwise."""
+        """The wrong tests of those models that differ from the right one in the robust filter's test."""
         return [model.robust_test for model in self.models.values() if isinstance(model, RobotWithOtherTest)]
 
     def keep_broadcasts(self, right_model: MirrorRobot) -> None:
@@ -244,13 +264,13 @@ class MistakenModels:
 
 
 def telemetry_of(robot: MirrorRobot) -> TelemetryFields:
-    """Return the fields of a robot's telemetry."""
-    b_hat_in_24_bits = robot.b_hat_raw >> 8  # from units of 2**-32
+    """Return the fields that a robot would send in telemetry now."""
+    b_hat_in_24_bits = robot.b_hat_raw >> 8  # from units of 2**-32 to 2**-24
     return TelemetryFields(robot.x_raw, b_hat_in_24_bits, robot.counters.updates % 256)
 
 
 def _broadcast_of(robot: MirrorRobot) -> tuple[int, float]:
-    """Return x_hat and alpha of a robot's estimate."""
+    """Return what a robot would broadcast now: x_hat in units of 2**-23, and its confidence alpha."""
     return robot.x_hat_raw, alpha_from_word(robot.alpha_raw)
 
 
@@ -260,19 +280,19 @@ class RightModel(MirrorRobot):
     mistaken_models: MistakenModels
 
     def observe(self, z: Observation) -> Status:
-        """Observe, as every model with a mistake does."""
+        """Observe ``z``, also with every model that has a mistake; return the right model's status."""
         for model in self.mistaken_models.models.values():
             model.observe(z)
         return super().observe(z)
 
     def _receive(self, sender: int, x_hat: int, alpha: int) -> Status:
-        """Receive an estimate, as every model with a mistake does."""
+        """Receive an estimate, also with every model that has a mistake; return the right model's status."""
         for model in self.mistaken_models.models.values():
             model.receive_raw(sender, x_hat, alpha)
         return super()._receive(sender, x_hat, alpha)
 
     def settle(self) -> Status:
-        """End the round, as every model with a mistake does."""
+        """End the round, also of every model that has a mistake; return the right model's status."""
         for model in self.mistaken_models.models.values():
             model.settle()
         return super().settle()

@@ -80,7 +80,7 @@ class Neighbourhood:
 
     @property
     def tick(self) -> int:
-        """Number of the tick that has begun or, between ticks, of the next."""
+        """Number of the tick that has begun or, between ticks, of the next one; the first is 0."""
         return self._swarm.ticks
 
     def begin(self) -> Observation | None:

@@ -49,6 +49,13 @@ _STRAY_REPEATS = 3
 _SPARE_BYTE_OF_COMMAND = 6
 """Index of the byte of a command's data that has no meaning."""
 _ROUND_SIZES = (2, 3, 5, 10, 30, 33, 64, 126)
+"""Numbers of estimates in rounds, up to all other robots."""
+_SMALLEST_B_HAT, _HALF_B_HAT = 1 << 4, 1 << 23
+"""Smallest b_hat, 2**-20, and 1/2, in the units of telemetry, 2**-24."""
+_ALPHA_BYTES = slice(3, 7)
+"""Bytes of an estimate's data that hold alpha as a binary32 number."""
+_TAIL_BYTE = 7
+"""Index of the last byte of a frame's data, in which Cyphal marks the beginning and the end of a transfer."""
 _CROWDED_REPEATS = 4
 """Messages of each sender but the last one in the tick with most messages."""
 CROWDED_MESSAGES = _CROWDED_REPEATS * (MAX_ID - 1) + 1
@@ -61,7 +68,10 @@ ChangeFrame = Callable[[can.Message, Random], None]
 
 
 def _write_number(first_byte: int, length: int, minimum: int, maximum: int) -> ChangeFrame:
-    """Return a change that puts any number of this range in some bytes of a frame, the lowest byte first."""
+    """Return a change that draws a number of this range and writes it into some bytes of a frame's data.
+
+    These are ``length`` bytes from ``first_byte`` on, the lowest one first.
+    """
 
     def change(frame: can.Message, rng: Random) -> None:
         number = rng.randint(minimum, maximum)
@@ -71,10 +81,10 @@ def _write_number(first_byte: int, length: int, minimum: int, maximum: int) -> C
 
 
 def _clear_tail_bit(bit: int) -> ChangeFrame:
-    """Return a change that clears a bit of the last byte, the tail byte of the transfer."""
+    """Return a change that clears a bit of the tail byte, the last one, which every frame of Cyphal has."""
 
     def change(frame: can.Message, rng: Random) -> None:
-        frame.data[7] &= ~(1 << bit)
+        frame.data[_TAIL_BYTE] &= ~(1 << bit)
 
     return change
 
@@ -89,7 +99,7 @@ def _flip_identifier_bit(bit: int) -> ChangeFrame:
 
 
 def _cut_to_length(minimum: int, maximum: int) -> ChangeFrame:
-    """Return a change that leaves only the first bytes, as many as this range allows."""
+    """Return a change that draws a length of this range, and cuts a frame's data to so many bytes."""
 
     def change(frame: can.Message, rng: Random) -> None:
         frame.dlc = rng.randint(minimum, maximum)
@@ -101,7 +111,7 @@ def _cut_to_length(minimum: int, maximum: int) -> ChangeFrame:
 def _use_short_identifier(frame: can.Message, rng: Random) -> None:
     """Give a frame an identifier of 11 bits."""
     frame.is_extended_id = False
-    frame.arbitration_id &= 0x7FF
+    frame.arbitration_id &= 0x7FF  # the lowest 11 bits
 
 
 def _make_remote(frame: can.Message, rng: Random) -> None:
@@ -110,12 +120,13 @@ def _make_remote(frame: can.Message, rng: Random) -> None:
     frame.data = bytearray()
 
 
+# x_hat is in the first 3 bytes of an estimate, in units of 2**-23, and alpha in the next 4, as binary32.
 MALFORMED: dict[str, ChangeFrame] = {
     "an 11-bit identifier": _use_short_identifier,
     "a remote frame": _make_remote,
     "7 bytes": _cut_to_length(7, 7),
     "fewer than 7 bytes": _cut_to_length(0, 6),
-    "no single-frame tail byte": _write_number(7, 1, 0, 0xDF),
+    "no single-frame tail byte": _write_number(_TAIL_BYTE, 1, 0, 0xDF),
     "a tail byte without the start bit": _clear_tail_bit(7),
     "a tail byte without the end bit": _clear_tail_bit(6),
     "a tail byte without the toggle bit": _clear_tail_bit(5),
@@ -230,7 +241,11 @@ STRAY_COMMANDS = {
 
 
 def receive_before_observing(bench: Bench) -> None:
-    """Send estimates to a robot that has observed nothing: x is their mean alone, and a test comes early."""
+    """Send estimates to a controller that has observed nothing, and let its filter test before it has.
+
+    Its answer x is then the mean of what it receives alone, and the test must change nothing. The bench
+    compares its frames with those of the model. The test is left out if its round is too far away.
+    """
     bench.activity = "no observation"
     bench.play_tick(None)
     # With the robust filter these estimates would be its first votes, which a phase of its own sends.
@@ -248,7 +263,10 @@ def receive_before_observing(bench: Bench) -> None:
 
 
 def observe_alone(bench: Bench) -> None:
-    """Let the controller see white tiles alone, without estimates: x_hat is 0, or 1 for b_hat below 1/2."""
+    """Let the controller observe white tiles alone, and send it no estimates.
+
+    So its x_hat is 0, or 1 for a b_hat below 1/2. In each ninth tick it has no observation.
+    """
     for tick in range(_ALONE_TICKS):
         z = None if tick % 9 == 8 else Observation.WHITE
         bench.activity = "no observation" if z is None else "white tiles"
@@ -256,9 +274,9 @@ def observe_alone(bench: Bench) -> None:
 
 
 def observe_first_black(bench: Bench) -> None:
-    """Observe black whenever x_hat is that of white tiles alone, else mostly white.
+    """Let the controller observe its first black tiles, so few that x_hat stays near the end of its range.
 
-    So x_hat is small, or limited to the end of its range.
+    It observes black whenever its x_hat is that of white tiles alone, and otherwise mostly white.
     """
     bench.activity = "the first black tiles"
     x_hat_of_white = bench.firmware.s.x_hat
@@ -298,31 +316,33 @@ def send_stray_commands(bench: Bench) -> None:
         for name, stray in STRAY_COMMANDS.items():
             bench.begin_activity_without_test(name)
             bench.observe(bench.draw_observation())
-            usual = bench.make_command(stray.action)
-            other_robot = _draw_other_robot(bench)
-            target_by_name = {"robot": usual.target, "other": other_robot, "all": EVERY_ROBOT}
-            tick_by_name = {
-                "open": usual.tick,
-                "later": usual.tick + 1 + bench.rng.randrange(1000),
-                "last": usual.tick - 1,
-            }
-            stray_command = replace(
-                usual,
-                sender=other_robot,
-                tick=tick_by_name[stray.tick] % 2**32,
-                target=target_by_name[stray.target],
-            )
-            bench.send([_encode(bench, stray_command)])
+            bench.send([_encode(bench, _make_stray_command(bench, stray))])
             _send_any_estimates(bench, bench.other_ids[:2])
             bench.settle()
 
 
-def send_unusual_commands(bench: Bench) -> None:
-    """Send commands for every robot, of another node, with a spare byte, or with ignored identifier bits.
+def _make_stray_command(bench: Bench, stray: StrayCommand) -> Command:
+    """Return the described command, sent by a robot that is drawn, in the tick that is open on the bench."""
+    usual = bench.make_command(stray.action)
+    other_robot = _draw_other_robot(bench)
+    target_by_name = {"robot": usual.target, "other": other_robot, "all": EVERY_ROBOT}
+    tick_by_name = {
+        "open": usual.tick,
+        "later": usual.tick + 1 + bench.rng.randrange(1000),
+        "last": usual.tick - 1,
+    }
+    # Numbers of ticks have 32 bits, and 0 follows the largest.
+    tick = tick_by_name[stray.tick] % 2**32
+    return replace(usual, sender=other_robot, tick=tick, target=target_by_name[stray.target])
 
-    Then send some whose number of the tick jumps up or down. The controller must obey all of them. The usual
-    command of the same tick follows each, which changes nothing unless the first was not obeyed: then the
-    controller misses an observation, or has a round too many messages.
+
+def send_unusual_commands(bench: Bench) -> None:
+    """Send commands that are unusual, one kind after the other, but that the controller must obey.
+
+    They are for every robot, of another node, with a spare byte that is not 0, or with identifier bits that
+    must be ignored; and at the end the number of the tick jumps up or down. After each of the first kinds
+    the usual command of the same tick follows. A controller that has obeyed the unusual one ignores that as a
+    repetition. One that has not misses an observation, or counts a message in the wrong round.
     """
     for name, variant in UNUSUAL_COMMANDS.items():
         # Of two rounds, because the last message comes after the settle and is one of the next round.
@@ -336,7 +356,8 @@ def send_unusual_commands(bench: Bench) -> None:
         bench.send([_encode_variant(bench, settle, variant, other_robot)])
         _send_any_estimates(bench, bench.other_ids[2:3])
         bench.settle()
-    # Numbers of ticks may jump, in both directions.
+    # Numbers of ticks may jump, in both directions, by powers of two: a controller may keep too few bits.
+    # Down it is 1 less than such a power, as the next tick would be 1 higher.
     for bit in (8, 16, 24, 31):
         for direction, distance in (("higher", 1 << bit), ("lower", 1 - (1 << bit))):
             bench.begin_activity_without_test(
@@ -357,52 +378,72 @@ def receive_unusual_identifiers(bench: Bench) -> None:
 
 
 def wait_for_heartbeats(bench: Bench) -> None:
-    """Skip ticks until the controller must have sent two heartbeats, if they come at all often."""
+    """Skip ticks, at most 10,000, until the controller must have sent two heartbeats, one each second."""
     bench.activity = "commands in a row"
     ticks = 2 * bench.settings.swarm.steps_per_second + 1
     bench.skip_ticks(min(ticks, _MAX_SKIPPED_TICKS))
 
 
 def receive_malformed(bench: Bench) -> None:
-    """Send frames that are no estimates, each kind by itself, before an estimate of the same sender.
+    """Play rounds in which a frame that is no estimate comes before an estimate of the same sender.
 
-    Each kind is sent twice, with other random content.
+    The controller must ignore the first frame, and count the second one. If it counts the first, it takes the
+    second for a repetition, and its broadcasts differ from the model's. Each kind of such frames is sent
+    twice, with other random content, and then telemetry and heartbeats of other robots.
     """
     for _ in range(2):
         for name, change_frame in MALFORMED.items():
             bench.begin_activity_without_test(name)
-            senders = bench.rng.sample(bench.other_ids, 2)
-            malformed_frames = _encode_any_estimates(bench, senders[:1])
-            change_frame(malformed_frames[0], bench.rng)
-            bench.play_round_of_frames(malformed_frames + _encode_any_estimates(bench, senders))
-    _receive_other_kinds(bench)
+            sender, other_sender = bench.rng.sample(bench.other_ids, 2)
+            [malformed_frame] = _encode_any_estimates(bench, [sender])
+            change_frame(malformed_frame, bench.rng)
+            valid_frames = _encode_any_estimates(bench, [sender, other_sender])
+            bench.play_round_of_frames([malformed_frame, *valid_frames])
+    _send_telemetry_and_heartbeats(bench)
 
 
-def _receive_other_kinds(bench: Bench) -> None:
-    """Send telemetry and heartbeats of other robots, which are no estimates either."""
+def _send_telemetry_and_heartbeats(bench: Bench) -> None:
+    """Play three rounds in which another robot sends telemetry and a heartbeat, and then an estimate.
+
+    The controller must count the estimate alone: robots send the other two for those who watch the swarm.
+    """
     subjects, rng = bench.settings.subjects, bench.rng
     for sender in rng.sample(bench.other_ids, 3):
+        # The name is for the report of a difference. The round is one in which the filter does not test.
         bench.begin_activity_without_test("telemetry and a heartbeat of another robot")
-        x, b_hat = rng.randint(0, Q23_ONE), rng.randint(16, 1 << 23)
-        telemetry = Telemetry(sender, x, b_hat, updates=rng.randrange(256), transfer_id=0)
+        telemetry = Telemetry(
+            sender,
+            x=rng.randint(0, Q23_ONE),
+            b_hat=rng.randint(_SMALLEST_B_HAT, _HALF_B_HAT),
+            updates=rng.randrange(256),
+            transfer_id=0,
+        )
         heartbeat = Heartbeat(sender, uptime=rng.randrange(1 << 32), transfer_id=0)
-        frames = [encode_telemetry(telemetry, subjects.telemetry), encode_heartbeat(heartbeat)]
-        bench.play_round_of_frames(frames + _encode_any_estimates(bench, [sender]))
+        frames = [
+            encode_telemetry(telemetry, subjects.telemetry),
+            encode_heartbeat(heartbeat),
+            *_encode_any_estimates(bench, [sender]),
+        ]
+        bench.play_round_of_frames(frames)
 
 
 def receive_from_every_sender(bench: Bench) -> None:
-    """Play a round of one estimate for every id."""
+    """Play a round for every other id, in which the controller receives one estimate of this sender."""
     for sender in bench.other_ids:
         bench.begin_activity_without_test(f"one message, of robot {sender}")
         bench.play_round(draw_estimate(bench.rng), senders=[sender])
 
 
 def receive_from_alike_ids(bench: Bench) -> None:
-    """Play rounds of two senders whose ids differ in one bit."""
+    """Play rounds of two senders whose ids differ in one bit: two rounds for each of the 7 bits.
+
+    A controller that leaves out this bit takes the second estimate for a repetition of the first.
+    """
     other_ids = set(bench.other_ids)
     for bit_index in range(MAX_ID.bit_length()):
         bit = 1 << bit_index
-        pairs = [(robot, robot | bit) for robot in other_ids if not robot & bit and robot | bit in other_ids]
+        ids_without_bit = [robot for robot in other_ids if robot & bit == 0]
+        pairs = [(robot, robot | bit) for robot in ids_without_bit if robot | bit in other_ids]
         for pair in bench.rng.sample(pairs, 2):
             bench.begin_activity_without_test(f"messages of the robots {pair[0]} and {pair[1]}")
             bench.play_round(*(draw_estimate(bench.rng) for _ in pair), senders=pair)
@@ -426,19 +467,21 @@ def receive_crowded_tick(bench: Bench) -> None:
 
 
 def receive_extremes(bench: Bench) -> None:
-    """Send estimates at the ends of their ranges, and confidences that no robot of ours sends."""
+    """Play rounds of estimates at the ends of their ranges, and of confidences that robots never send.
+
+    The latter are legal numbers of 32 bits that the firmware cannot hold exactly, and must round or limit.
+    """
     for name, estimates in EXTREME_ROUNDS.items():
         bench.begin_activity_without_test(name)
         bench.play_round(*estimates)
     for name, alpha_bits in FOREIGN_ALPHAS.items():
         bench.begin_activity_without_test(name)
-        frames = bench.encode_estimates(
-            {
-                robot: NeighbourEstimate(draw_estimate(bench.rng).x_hat, ALPHA_LEAST)
-                for robot in bench.other_ids[:2]
-            }
-        )
-        frames[0].data[3:7] = alpha_bits.to_bytes(4, "little")
+        estimate_by_sender = {
+            sender: NeighbourEstimate(draw_estimate(bench.rng).x_hat, ALPHA_LEAST)
+            for sender in bench.other_ids[:2]
+        }
+        frames = bench.encode_estimates(estimate_by_sender)
+        frames[0].data[_ALPHA_BYTES] = alpha_bits.to_bytes(4, "little")
         bench.play_round_of_frames(frames)
 
 
@@ -489,7 +532,7 @@ def receive_between_ticks(bench: Bench) -> None:
 
 
 def _encode_any_estimates(bench: Bench, senders: list[int]) -> list[can.Message]:
-    """Draw an estimate for each of these senders, some of which may be equal, and return their frames."""
+    """Draw an estimate for each of these senders, and return the frames. A sender may be named repeatedly."""
     return bench.encode_estimates([(sender, draw_estimate(bench.rng)) for sender in senders])
 
 

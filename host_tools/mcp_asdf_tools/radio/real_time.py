@@ -25,7 +25,7 @@ class RadioRun:
         sent_count: Frames sent to the controller.
         estimate_count: Estimates received from the controller.
         foreign_count: Estimates of nodes that are neither the controller nor emulated.
-        error_frame_count: Error frames, and what could not be decoded.
+        error_frame_count: Number of error frames.
         id_conflicts: Number of estimates that other nodes sent under ids of emulated robots, by id.
         on_tick: Called after each tick.
     """
@@ -46,10 +46,10 @@ class RadioRun:
         """Estimates of the controller that its neighbours receive in the next tick."""
 
     def run(self) -> None:
-        """Run until all ticks are done, the link asks to stop, or the bus is gone; sets ``outcome``.
+        """Run until all ticks are done, the link asks to stop, or the bus has failed; then set ``outcome``.
 
-        Neighbours receive the controller's frames, and it receives theirs, at the beginning of ticks. The
-        bus may fail in between: the run has failed only if the last attempt to use the bus did.
+        At the beginning of each tick the neighbours receive the controller's frames, and it receives theirs.
+        The bus may fail for a time in between: the run has failed only if the last attempt to use it did.
         """
         settings = self.neighbours.settings
         clock = RealTimeClock(settings.swarm.steps_per_second, sleep=self._receive_while_waiting)
@@ -96,10 +96,15 @@ class RadioRun:
         }
 
     def _take_tick(self) -> None:
-        """Let the neighbours take a tick, and send the controller what it receives of them."""
+        """Let the neighbours take a tick, and send the controller what it receives of them.
+
+        In a tick they observe once, receive the estimates that the controller has sent since the last tick,
+        and end it.
+        """
         self.neighbours.begin()
         for frame in self.neighbours.finish(self._controller_frames):
-            self.sent_count += self.link.send(frame)
+            is_sent = self.link.send(frame)
+            self.sent_count += is_sent
         self._controller_frames = []
 
     def _receive_while_waiting(self, seconds: float) -> None:
@@ -109,10 +114,14 @@ class RadioRun:
             self._handle_frame(frame)
 
     def _handle_frame(self, frame: can.Message) -> None:
-        """Keep an estimate of the controller for its neighbours, and count other nodes' frames."""
+        """Keep an estimate of the controller for its neighbours; count others' estimates and error frames.
+
+        Other frames, such as heartbeats, are ignored.
+        """
         estimate = decode_estimate(frame, self.neighbours.settings.subjects.estimates)
         if not isinstance(estimate, Estimate):
-            self.error_frame_count += frame.is_error_frame
+            if frame.is_error_frame:
+                self.error_frame_count += 1
         elif estimate.sender == self.neighbours.settings.controller.id:
             self.estimate_count += 1
             self._controller_frames.append(frame)

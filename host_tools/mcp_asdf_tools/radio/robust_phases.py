@@ -20,7 +20,13 @@ from collections.abc import Callable, Sequence
 
 from mcp_asdf.fixed_point import ALPHA_MAX, HALF, ONE
 from mcp_asdf.robot import Observation
-from mcp_asdf.robust_filter import SLOT_ESTIMATE_MAX, SLOTS, VOTES_MAX, q23_from_q16
+from mcp_asdf.robust_filter import (
+    REJECTED_SIGMAS_SQUARED,
+    SLOT_ESTIMATE_MAX,
+    SLOTS,
+    VOTES_MAX,
+    q23_from_q16,
+)
 from mcp_asdf_tools.crosscheck.crafted_rounds import ALPHA_LEAST, NeighbourEstimate, draw_normal_alpha
 from mcp_asdf_tools.crosscheck.crafted_slots import (
     SLOT_HALF,
@@ -42,7 +48,7 @@ _FILLING_ORDER = (*_FIRST_SLOTS, *(slot for slot in range(SLOTS) if slot not in 
 """All slots in the order in which estimates are sent to them."""
 
 _X_HAT_PER_SLOT_UNIT = q23_from_q16(1)
-"""Units of x_hat in one unit of a slot's estimate."""
+"""Units of x_hat, 2**-23, in one unit of a slot's estimate, 2**-16."""
 
 NARROW_WIDTH, WIDE_WIDTH = 4, 1 << 13
 """How far estimates are from their middle: so little that their spread is the smallest one, or much."""
@@ -69,7 +75,9 @@ _ROUNDS_TO_SMALLEST_SPREAD = 2500
 def receive_first_estimates(bench: Bench) -> None:
     """Send the controller its first estimates, and play its first votes and tests.
 
-    These are tests with four estimates, too few for the filter, and with five and more.
+    A vote is an estimate that moves the robot's answer x, in a round of its own. A test asks whether the
+    robot's observations contradict the estimates that it keeps. There are tests with four estimates, which
+    are too few for the filter, and with five and more.
     """
     bench.activity = "observations, of which the initial b_hat explains the share"
     _observe_until_black_share(bench, _predict_black_share(bench, _FILL_RATIO))
@@ -138,10 +146,11 @@ def vote_with_every_slot(bench: Bench) -> None:
 
 
 def vote_without_own_confidence(bench: Bench) -> None:
-    """Bring b_hat to exactly 1/2, with which the robot has no confidence, and let the slots vote without it.
+    """Bring b_hat to exactly 1/2, with which the robot's own estimate has no confidence, and let rounds vote.
 
-    That takes a re-estimate when half of the observations are black. Nothing is played if a run is too short
-    for it. If it does not come about, this is noted as not exercised.
+    In these rounds its own estimate must not vote, but only those in the slots. b_hat becomes 1/2 by a
+    re-estimate when half of the observations are black. Nothing is played if a run is too short for that. If
+    it does not come about, this is noted as not exercised.
     """
     if not _can_contradict_extreme_estimate(bench):
         return
@@ -174,7 +183,10 @@ def vote_until_spread_is_smallest(bench: Bench) -> None:
 
 
 def vote_often(bench: Bench) -> None:
-    """Let twice as many rounds vote as the filter counts, half of the slots for 0 and half for almost 1."""
+    """Let rounds vote twice as often as the filter counts votes, with estimates of 0 and of almost 1.
+
+    So a controller shows that counts further, and moves its answer less with each vote.
+    """
     bench.activity = "many votes"
     _set_slots(bench, [0, 0, SLOT_ESTIMATE_MAX, SLOT_ESTIMATE_MAX] * (SLOTS // 4))
     _let_rounds_vote(bench, 2 * VOTES_MAX + SLOTS)
@@ -292,7 +304,7 @@ def re_estimate_often(bench: Bench) -> None:
 
 
 def _ids_of_slot(bench: Bench, slot: int) -> list[int]:
-    """Return the ids whose estimates the controller keeps in this slot, without its own id."""
+    """Return the ids, without the controller's own, whose estimates it keeps in this one of its 32 slots."""
     return [robot for robot in bench.other_ids if robot % SLOTS == slot]
 
 
@@ -302,9 +314,10 @@ def _draw_sender(bench: Bench, slot: int) -> int:
 
 
 def _set_slots(bench: Bench, estimates: Sequence[int]) -> None:
-    """Play a round of messages that sets as many slots as there are estimates to these values.
+    """Play a round of messages after which the controller keeps these estimates, in units of 2**-16.
 
-    The slots are the first ones of ``_FILLING_ORDER``; the others keep what they have.
+    There is one message for each estimate. Their senders are chosen so that the controller keeps them in the
+    first slots of ``_FILLING_ORDER``; the other slots keep what they have.
     """
     messages = [
         NeighbourEstimate(_draw_x_hat(bench, estimate), draw_normal_alpha(bench.rng))
@@ -315,19 +328,26 @@ def _set_slots(bench: Bench, estimates: Sequence[int]) -> None:
 
 
 def _draw_x_hat(bench: Bench, estimate: int) -> int:
-    """Draw one of the x_hat, in units of 2**-23, that a slot keeps as this estimate."""
-    exact = estimate * _X_HAT_PER_SLOT_UNIT
-    smallest = max(exact - _X_HAT_PER_SLOT_UNIT // 2, 0)
-    # A slot cannot have 1.0, so that it keeps all that is above its largest estimate as that estimate.
-    largest = ONE if estimate == SLOT_ESTIMATE_MAX else exact + _X_HAT_PER_SLOT_UNIT // 2 - 1
-    return bench.rng.randint(smallest, largest)
+    """Draw an x_hat, in units of 2**-23, that a controller rounds to ``estimate`` when it keeps it.
+
+    It keeps estimates in units of 2**-16, which are 128 times as large, and rounds to nearest, halves up. So
+    128 x_hat become the same estimate.
+    """
+    exact_x_hat = estimate * _X_HAT_PER_SLOT_UNIT
+    half_unit = _X_HAT_PER_SLOT_UNIT // 2
+    smallest_x_hat = max(exact_x_hat - half_unit, 0)
+    largest_x_hat = exact_x_hat + half_unit - 1  # one more, which is a half, would be rounded up
+    if estimate == SLOT_ESTIMATE_MAX:
+        # There is no larger estimate, also not for 1.0, so all x_hat above it become this one.
+        largest_x_hat = ONE
+    return bench.rng.randint(smallest_x_hat, largest_x_hat)
 
 
 # --- Rounds ---
 
 
 def _let_rounds_vote(bench: Bench, rounds: int) -> None:
-    """Let so many rounds pass without messages. In each of them a slot or the robot itself votes."""
+    """Let so many rounds pass without messages. In each of them an estimate, kept or its own, is a vote."""
     bench.skip_to_round()
     bench.skip_ticks(rounds * bench.setup.comms_period)
 
@@ -355,6 +375,7 @@ def _play_test_with_estimates(bench: Bench, estimates: Sequence[int]) -> None:
 def _observe_in_order(bench: Bench, observations: Sequence[Observation]) -> None:
     """Let the controller make these observations, one a tick."""
     remaining_observations = iter(observations)
+    # The bench asks for the observation of each tick when it comes to it.
     bench.skip_ticks(len(observations), lambda: next(remaining_observations))
 
 
@@ -368,7 +389,8 @@ def _observe_until_black_share(
 ) -> bool:
     """Observe until the share of black observations is near ``black_share`` and ``is_enough`` returns True.
 
-    Returns False if that has not come about after ``_MAX_OBSERVATIONS_FOR_SHARE``.
+    The share is near if it is off by less than 0.01, of more than 64 observations. Returns whether that has
+    come about within 4096 observations.
     """
     state = bench.firmware.s
 
@@ -377,7 +399,8 @@ def _observe_until_black_share(
         return Observation(is_share_too_low)
 
     for _ in range(_MAX_OBSERVATIONS_FOR_SHARE // BURST):
-        is_near = state.t > 4 * BURST and abs(state.n - black_share * state.t) < 0.01 * state.t
+        has_observed_enough = state.t > 4 * BURST
+        is_near = has_observed_enough and abs(state.n - black_share * state.t) < 0.01 * state.t
         if is_near and is_enough():
             return True
         bench.skip_ticks(BURST, choose_colour)
@@ -385,9 +408,9 @@ def _observe_until_black_share(
 
 
 def _observe_equal_colours_until_rejection(bench: Bench, estimate: int) -> bool:
-    """Observe black and white by turns until a test would reject with ``estimate`` in all slots.
+    """Observe black and white by turns until a test would reject if all kept estimates were ``estimate``.
 
-    Returns False if it would not after many observations.
+    Returns whether that has come about within many observations.
     """
     for _ in range(_MAX_PAIRS_OF_COLOURS):
         if _would_reject(bench, estimate):
@@ -398,10 +421,10 @@ def _observe_equal_colours_until_rejection(bench: Bench, estimate: int) -> bool:
 
 
 def _observe_until_rejection(bench: Bench, estimate: int | None = None) -> bool:
-    """Observe the more frequent colour until a test would reject with ``estimate`` in all slots.
+    """Observe the more frequent colour until a test would reject if all kept estimates were ``estimate``.
 
-    By default, that is the estimate that contradicts the observations most. If the test would not reject
-    after many observations, the present activity is noted as not exercised, and the result is False.
+    By default, that is the estimate that contradicts the observations most. Returns whether that has come
+    about. If it has not after many observations, the present activity is noted as not exercised.
     """
     for _ in range(_MAX_BURSTS):
         tested_estimate = _most_contradicting_estimate(bench) if estimate is None else estimate
@@ -462,15 +485,16 @@ def _can_estimates_decide_test(bench: Bench) -> bool:
 
 
 def _can_contradict_extreme_estimate(bench: Bench) -> bool:
-    """Return whether a run has enough observations to contradict an estimate of 0 or 1.
+    """Return whether a run has enough observations for a test that rejects with estimates of 0 or 1.
 
-    Their share of black must be one that the initial b_hat predicts from some fill ratio. Then the test needs
-    12 / g**2 observations to reject, and more if they depend on each other.
+    The share of black is taken to be one that the initial b_hat predicts from some fill ratio. Then the test
+    needs 12 / g**2 observations, with g = |2 b_hat - 1|, and more if they depend on each other.
     """
     g = _initial_information(bench)
     # A full memory is halved, so that a test is sure to have only half of it.
     possible_observations = min(bench.config.memory // 2, _MAX_BURSTS * BURST)
-    return possible_observations * g**2 >= 2 * 12  # twice as many, as they may depend on each other
+    # Twice as many as independent observations would take.
+    return possible_observations * g**2 >= 2 * REJECTED_SIGMAS_SQUARED
 
 
 def _predict_black_share(bench: Bench, fill_ratio: float) -> float:
@@ -480,20 +504,23 @@ def _predict_black_share(bench: Bench, fill_ratio: float) -> float:
 
 
 def _most_contradicting_estimate(bench: Bench) -> int:
-    """Return the estimate, 0 or almost 1, that contradicts the robot's observations most."""
+    """Return the estimate, 0 or the largest of a slot, that contradicts the robot's observations most."""
     state = bench.firmware.s
     agreeing_estimate = estimate_that_predicts(state.robust, state.n / state.t)
     return opposite_end(agreeing_estimate)
 
 
 def _slots_at_test(bench: Bench, estimates: tuple[int, ...]) -> SlotsAtTest:
-    """Return these estimates with what the next test needs beside them, if no observation comes before."""
+    """Return the next test with these estimates in the slots, as it would be without a further observation.
+
+    The result has the estimates, and what else the test takes from the controller's model.
+    """
     state = bench.firmware.s
     return SlotsAtTest(estimates, filter_at_test(state), state.t, state.n)
 
 
 def _would_reject(bench: Bench, estimate: int) -> bool:
-    """Return whether a test before the next observation rejects, if all slots have this estimate."""
+    """Return whether a test before the next observation would reject if all 32 slots had this estimate."""
     return _slots_at_test(bench, (estimate,) * SLOTS).is_rejected()
 
 
@@ -532,10 +559,12 @@ def _play_test_at_threshold(bench: Bench, count: int, width: int, is_rejection: 
 def _choose_slots_at_threshold(
     bench: Bench, count: int, width: int, is_rejection: bool
 ) -> SlotsAtTest | None:
-    """Return estimates with which the next test just rejects, or just does not, if ``is_rejection`` is False.
+    """Return ``count`` estimates with which the next test just rejects, or just does not.
 
-    They are drawn until some show a known mistake that no frame has shown yet. If none of many draws does,
-    the first estimates at the threshold are returned, and None if no draw reaches the threshold.
+    Which of both, ``is_rejection`` says. They differ by up to ``width`` from their middle, in units of
+    2**-16. They are drawn until some show a known mistake in the arithmetic of the test that no frame has
+    shown yet. If none of many draws does, the first estimates at the threshold are returned, and None if no
+    draw reaches the threshold.
     """
     wrong_tests = bench.mistaken_models.robust_tests
     draw_count = _MAX_DRAWS if wrong_tests else 1
@@ -554,7 +583,10 @@ def _choose_slots_at_threshold(
 
 
 def _shows_wrong_test(slots: SlotsAtTest, wrong_tests: Sequence[RobustTest]) -> bool:
-    """Return whether one of these wrong tests decides otherwise than the firmware's, and with an effect."""
+    """Return whether a controller with one of these wrong tests would show it by these estimates.
+
+    It would if that test decides otherwise than the firmware's, and if the decision has an effect.
+    """
     if slots.is_supported:
         # b_hat goes back to the initial one, whatever the test decides.
         return False

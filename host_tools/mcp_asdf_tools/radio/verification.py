@@ -164,7 +164,7 @@ def not_checked(setup: RobotSetup) -> list[str]:
     has_robust_filter = config.filter is Filter.ROBUST
     has_asdf_filter = has_filter and not has_robust_filter
     sizes = ", ".join(map(str, UPDATES_BY_CRAFTED_SIZE))
-    # Each phrase stands beside the condition under which it applies to this controller.
+    # Each phrase stands behind the condition under which it applies to this controller.
     limits = (
         (config.filter is Filter.ADAPTIVE, f"thresholds of rounds of other sizes than {sizes}"),
         (not has_filter, "the test and re-estimates: it does not filter"),
@@ -207,7 +207,7 @@ class Verification:
     def __init__(
         self, settings: RadioSettings, options: BenchOptions, phases: Sequence[Phase] = PHASES
     ) -> None:
-        """Plan the phases and start the model. Raises as ``plan_phases``."""
+        """Plan the phases and start the model. Raises UsageError if the controller broadcasts too rarely."""
         # Two rounds give every fault a broadcast to affect, also in a phase of few ticks.
         self._phase_ticks = max(options.ticks, 2 * settings.controller.comms_period)
         self._phases, faults = plan_phases(settings, phases, self._phase_ticks)
@@ -275,7 +275,7 @@ class Verification:
         result.outcome = NOT_EXERCISED if has_idle_fault else PASSED
 
     def _totals(self) -> _Totals:
-        """Return the figures of all phases together so far."""
+        """Return the ticks, injected faults and equal frames of all phases together so far."""
         bench = self.bench
         injected = sum(figures["injected"] for figures in bench.neighbours.faults.figures())
         return _Totals(bench.ticks, injected, bench.comparison.equal_frames.total())
