@@ -103,8 +103,9 @@ def split_in_words(number: int) -> list[int]:
 
 
 def pack_robust_filter(robust: RobustFilter, estimates: Sequence[int]) -> dict[int, int]:
-    """Return what the robust filter remembers, and the estimates of its 32 slots, as words 7 to 30.
+    """Return the words, by index, of an image whose robust filter remembers this: words 7 to 30.
 
+    ``estimates`` are those of all 32 slots, in units of 2**-16.
     Members may be out of their ranges, as far as their bits of the image allow: votes, dispersion and
     estimates have 16 bits each, the others 32.
     """
@@ -123,7 +124,10 @@ def pack_robust_filter(robust: RobustFilter, estimates: Sequence[int]) -> dict[i
 
 
 def pack_closed_round(sums: Sums) -> dict[int, int]:
-    """Return sums as those of the closed round, words 7 to 12. It keeps no squares, x and count."""
+    """Return the words, by index, of an image whose closed round has these sums: words 7 to 12.
+
+    The sums of x_hat and of its square, and the count, are left out, as a closed round does not keep them.
+    """
     words = [
         *split_in_words(sums.alpha),
         *split_in_words(sums.alpha_x_low),
@@ -133,7 +137,10 @@ def pack_closed_round(sums: Sums) -> dict[int, int]:
 
 
 def pack_open_round_from_all(sums: Sums, robot_id: int) -> dict[int, int]:
-    """Return sums as those of the open round, words 13 to 26, in which all robots but ``robot_id`` sent."""
+    """Return the words, by index, of an image whose open round has these sums: words 13 to 26.
+
+    The senders of the round are all ids but ``robot_id``, that of the robot itself.
+    """
     words = [
         *split_in_words(sums.alpha),
         *split_in_words(sums.alpha_x_low),

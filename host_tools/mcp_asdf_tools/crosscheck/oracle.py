@@ -141,8 +141,8 @@ class Audit:
         is_adaptive = setup.filter == Filter.ADAPTIVE
         is_run = setup.filter != Filter.OFF and is_filter_run(old_state, new_state)
         # The test needs a variance, and so two messages.
-        has_enough_messages = m >= (2 if is_adaptive else 1)
-        if not is_run or not has_enough_messages:
+        messages_needed = 2 if is_adaptive else 1
+        if not is_run or m < messages_needed:
             return check_update(is_updated, expected=False)
         if is_adaptive:
             assert setup.table is not None
@@ -150,10 +150,10 @@ class Audit:
             # Eq. 12 squared and multiplied out, which whole numbers decide exactly. Equality is no rejection.
             difference_squared = (old_state["open_x"] - m * new_state["x_hat"]) ** 2
             scaled_variance = m * old_state["open_x_squared"] - old_state["open_x"] ** 2
-            # The table has the threshold with FRACTION_BITS bits after the point, so the other side gets
-            # them.
+            # The threshold has FRACTION_BITS bits after the point, so the other side gets as many.
             threshold = setup.table.build().entry(m)
-            is_rejected = difference_squared << FRACTION_BITS > threshold * scaled_variance
+            scaled_difference_squared = difference_squared << FRACTION_BITS
+            is_rejected = scaled_difference_squared > threshold * scaled_variance
             if not is_rejected:
                 return check_update(is_updated, expected=False)
         x_bar = Fraction(_closed_alpha_x(new_state), new_state["closed_alpha"] * ONE)

@@ -19,6 +19,7 @@ from mcp_asdf.fixed_point import (
     HALF,
     LARGEST_ALPHA_UNITS,
     MANTISSA_BITS,
+    MANTISSA_POSITION,
     ONE,
     SHIFT_MAX,
 )
@@ -80,9 +81,10 @@ def draw_alpha(rng: Random) -> int:
     with_ignored_bits = usual | (IGNORED_ALPHA_BITS & rng.randint(0, MAX_32_BITS))
     # Shows one that relies on the mantissa's highest bit wherever there is a shift.
     mantissa_of_any_size = draw_number_of_any_size(rng, min_bits=1, max_bits=MANTISSA_BITS)
-    with_short_mantissa = (mantissa_of_any_size << 8) | rng.randrange(SHIFT_MAX + 1)
+    any_shift = rng.randrange(SHIFT_MAX + 1)
+    with_short_mantissa = (mantissa_of_any_size << MANTISSA_POSITION) | any_shift
     # Shows one that asks whether the word is 0, not whether the mantissa is.
-    without_confidence = rng.randrange(1 << 8)
+    without_confidence = rng.randrange(1 << MANTISSA_POSITION)  # only bits below the mantissa
     unusual = rng.choice([special, any_word, with_ignored_bits, with_short_mantissa, without_confidence])
 
     return rng.choice([usual, usual, usual, unusual])
@@ -95,12 +97,16 @@ def draw_usual_alpha(rng: Random) -> int:
     """
     if rng.random() < 0.2:
         bits = rng.randrange(1, MANTISSA_BITS)
-        return rng.randrange(1, 1 << bits) << 8
+        short_mantissa = rng.randrange(1, 1 << bits)
+        return short_mantissa << MANTISSA_POSITION  # with a shift of 0
     return draw_normal_alpha(rng, min_shift=0, max_shift=SHIFT_MAX)
 
 
 def draw_b_hat(rng: Random) -> int:
-    """Draw b_hat in units of 2**-32: anywhere, at any distance from 1/2, or at any distance from an end."""
+    """Draw b_hat in units of 2**-32, an accuracy within the firmware's limits.
+
+    It is anywhere between them, at a distance of any size from 1/2, or at a distance of any size from an end.
+    """
     # Near 1/2: at 1/2 itself, where b_hat is just informative, and at any distance, so that 1 / (2 b_hat - 1)
     # has any size. One unit more or less shows a limit that is off by one.
     distance = rng.choice([0, draw_number_of_any_size(rng, 1, 31), B_HAT_INFORMATIVE_DISTANCE])

@@ -33,7 +33,11 @@ class CrosscheckReport:
 
     @property
     def problems(self) -> list[str]:
-        """A line for each claim about time or memory that does not hold."""
+        """A line for each claim about time or memory that does not hold.
+
+        The claims are that no call takes longer with more observations, messages or entries of the table;
+        that a table takes 12 + 4 q bytes; and that all robots with one kind of filter take as many bytes.
+        """
         table_problems = [
             f"a table with q = {q} takes {size} bytes"
             for q, size in self.storage["tables"].items()

@@ -370,9 +370,10 @@ class RobustScenarioWriter(ScenarioWriter):
         return rng.choice([centre, centre // _SLOT_UNIT * _SLOT_UNIT])
 
     def _draw_spread(self) -> int:
-        """Draw a spread of the votes in units of 2**-30, often next to a power of two or a multiple of 2**-16.
+        """Draw a spread of the votes in units of 2**-30, often next to a power of two.
 
-        The firmware shifts the spread to change it, and rounds otherwise where it has one bit less.
+        The firmware shifts the spread to change it, and rounds otherwise where it has one bit less. Slots
+        have multiples of 2**-16.
         """
         rng = self._rng
         power_of_two = 1 << rng.randrange(18, 29)  # from SPREAD_MIN to SPREAD_MAX

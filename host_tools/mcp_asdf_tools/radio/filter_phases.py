@@ -132,16 +132,22 @@ def test_large_sums(bench: Bench) -> None:
 
 
 def threshold_phase(m: int) -> Callable[[Bench], None]:
-    """Return a phase of rounds of ``m`` estimates just inside and just outside k_m, the threshold for m."""
+    """Return a phase that plays the test's round with ``m`` estimates twice: just passed, and just rejected.
+
+    The estimates are drawn so that both are as near as possible to k_m, the threshold of the test for m.
+    """
 
     def play(bench: Bench) -> None:
         update = UPDATES_BY_CRAFTED_SIZE[m]
         _observe_until_test(bench)
         bench.activity = f"{m} messages just inside the threshold"
-        _play_test_round(bench, draw_rounds_at_threshold(bench.robot_state, m, update, bench.rng).inside)
+        rounds = draw_rounds_at_threshold(bench.robot_state, m, update, bench.rng)
+        _play_test_round(bench, rounds.inside)
+        # These observations have changed the robot's state, so new rounds are drawn for it.
         _observe_until_test(bench)
         bench.activity = f"{m} messages just outside the threshold"
-        _play_test_round(bench, draw_rounds_at_threshold(bench.robot_state, m, update, bench.rng).outside)
+        rounds = draw_rounds_at_threshold(bench.robot_state, m, update, bench.rng)
+        _play_test_round(bench, rounds.outside)
 
     return play
 

@@ -256,7 +256,10 @@ class Verification:
         bench.compare_late_frames()
 
     def _run_phase(self, phase: Phase, result: PhaseResult) -> None:
-        """Run a phase and fill in its result; its figures also if an error ends it, which is passed on."""
+        """Run a phase and fill in its result.
+
+        If an error ends the phase, its figures are filled in, too, and the error is raised.
+        """
         bench = self.bench
         bench.activity = phase.fault or phase.name
         before = self._totals()
