@@ -118,6 +118,7 @@ PASSING: list[Exception] = [
 
 @pytest.mark.parametrize("error", PASSING, ids=str)
 def test_a_failure_that_may_pass_is_no_bus_that_is_gone(error: Exception) -> None:
+    """So a program that runs for long goes on and tries again."""
     with pytest.raises(can.CanError) as raised:
         failing_connection(error).recv(0)
     assert not isinstance(raised.value, BusGoneError)
@@ -138,6 +139,7 @@ def test_a_decoding_error_is_undecodable_input_only_while_the_connection_is_open
 def test_an_interface_that_always_fails_does_not_keep_the_processor_busy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """It fails ten times, and the connection pauses between them."""
     pauses: list[float] = []
     monkeypatch.setattr("mcp_asdf_tools.bus.interfaces.time.sleep", pauses.append)
     connection = failing_connection(IndexError("always"))
@@ -161,7 +163,9 @@ def test_a_command_reports_in_json_that_its_bus_is_gone(
         assert main([*line.split(), "--json", *bus_arguments(choice, line)]) == 1
     failure = json.loads(capsys.readouterr().err)
 
-    assert (failure["command"], failure["exit_code"]) == (f"mcp-asdf {line.split(maxsplit=1)[0]}", 1)
+    command = line.split(maxsplit=1)[0]
+    assert failure["command"] == f"mcp-asdf {command}"
+    assert failure["exit_code"] == 1
     assert "serial device" in failure["error"]
 
 

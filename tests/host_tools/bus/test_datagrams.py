@@ -35,7 +35,8 @@ def test_only_classic_data_frames_are_unpacked(kind: str) -> None:
     assert unpack_data_frame(pack_message(frame)) is None
 
 
-def test_an_integer_in_the_place_of_the_data_allocates_nothing() -> None:
+def test_a_datagram_with_a_number_as_its_data_does_not_fill_the_memory() -> None:
+    """Python makes a buffer of as many zeros of a number, so these 159 bytes could fill a memory."""
     datagram = packed(data=2**30)
     assert len(datagram) == 159
     tracemalloc.start()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import random
 import re
-from collections import Counter
 from copy import copy
 from dataclasses import astuple, fields, replace
 from enum import Enum
@@ -267,13 +266,13 @@ def test_decoding_returns_what_was_encoded(message: Any) -> None:
 
 @fixed_examples
 @given(any_message_of_robots())
-def test_decode_frame_takes_all_that_robots_send(message: Any) -> None:
+def test_any_frame_that_robots_send_is_decoded_as_what_it_is(message: Any) -> None:
     assert decode_frame(encoded(message), DEFAULT) == as_decoded(message)
 
 
 @fixed_examples
 @given(any_command())
-def test_decode_frame_rejects_commands_by_their_subject(command: Command) -> None:
+def test_a_command_is_not_taken_for_a_frame_of_a_robot(command: Command) -> None:
     assert decode_frame(encoded(command), DEFAULT) is Rejection.SUBJECT
 
 
@@ -368,18 +367,21 @@ def check_same_verdict(c_codec: CCodec, frame: can.Message) -> list[str]:
     return verdicts
 
 
-def test_c_and_python_decode_damaged_frames_alike(c_codec: CCodec) -> None:
-    verdicts: Counter[str] = Counter()
+def test_c_and_python_take_or_refuse_damaged_frames_alike_for_every_reason(c_codec: CCodec) -> None:
+    """Up to three changes of a frame lead to every reason to refuse it, and to every kind of message."""
+    verdicts: set[str] = set()
     for number in range(draws(20_000)):
         seed = f"{SEED}.{number}"
+        damaged_frame = mutated(random.Random(seed))
         try:
-            verdicts.update(check_same_verdict(c_codec, mutated(random.Random(seed))))
+            verdicts.update(check_same_verdict(c_codec, damaged_frame))
         except AssertionError as error:
             replay = f"check_same_verdict(c_codec, mutated(random.Random({seed!r})))"
             raise AssertionError(f"replay: {replay}") from error
-    all_verdicts = {rejection.name for rejection in Rejection} | {kind.name for kind in KINDS.values()}
 
-    assert set(verdicts) == all_verdicts, "the frames must reach every verdict"
+    reasons = {rejection.name for rejection in Rejection}
+    kinds = {kind.name for kind in KINDS.values()}
+    assert verdicts == reasons | kinds, "the frames must reach every verdict"
 
 
 def flipped(frame: can.Message, bit_flips: int) -> can.Message:
@@ -420,12 +422,12 @@ def check_decoded_like_single_frames(frames: list[can.Message], bit_flips: list[
 
 
 @pytest.mark.parametrize("x_hat", [2**23, 2**23 + 1])
-def test_many_frames_at_the_limits_are_decoded_as_one_by_one(x_hat: int) -> None:
+def test_estimates_with_the_largest_values_are_decoded_the_same_in_an_array_and_alone(x_hat: int) -> None:
     frames = [estimate_frame(x_hat, alpha_bits) for alpha_bits in LIMITS_OF_ALPHA]
     check_decoded_like_single_frames(frames, bit_flips=[0] * len(frames))
 
 
-def test_many_damaged_frames_are_decoded_as_one_by_one() -> None:
+def test_damaged_frames_are_decoded_the_same_in_an_array_and_alone() -> None:
     rng = random.Random(SEED)
     frames = [mutated(rng) for _ in range(draws(4000))]
     bit_flips = []
@@ -436,12 +438,12 @@ def test_many_damaged_frames_are_decoded_as_one_by_one() -> None:
 
 
 @pytest.mark.parametrize("alpha_bits", LIMITS_OF_ALPHA)
-def test_a_frame_at_the_limits_is_decoded_alike_whichever_bit_is_flipped(alpha_bits: int) -> None:
+def test_an_estimate_with_any_bit_flipped_is_decoded_the_same_in_an_array_and_alone(alpha_bits: int) -> None:
     frames = [estimate_frame(2**23, alpha_bits)] * 64
     check_decoded_like_single_frames(frames, bit_flips=[1 << bit for bit in range(64)])
 
 
-def test_no_frames_are_decoded_to_no_estimates() -> None:
+def test_an_empty_array_of_frames_is_decoded_to_an_empty_array() -> None:
     decoded = decode_estimates([], DEFAULT, np.zeros(0, np.uint64))
     assert decoded.rows.shape == (0, 3)
     assert decoded.is_estimate.shape == (0,)
@@ -458,13 +460,14 @@ def value_of_word(word: int) -> Fraction:
 
 @settings(fixed_examples, max_examples=draws(1000))
 @given(st.integers(0, 2**32 - 1) | st.integers(0, 2**24 - 1).map(lambda mantissa: mantissa << 8))
-def test_every_alpha_word_is_sent_exactly(word: int) -> None:
+def test_any_confidence_of_a_robot_is_sent_without_rounding(word: int) -> None:
+    """A robot has alpha as a word of mantissa and shift, and a frame has it as a float of 32 bits."""
     bits = float32_bits_from_alpha_word(word)
     assert Fraction(float32_value(bits)) == value_of_word(word)
     assert Fraction(alpha_from_word(word)) == value_of_word(word)
 
 
-def test_the_frame_holds_the_float_of_its_alpha_word() -> None:
+def test_a_frame_holds_a_confidence_of_1_as_a_float() -> None:
     frame = encode_estimate(Estimate(42, 2**22, ALPHA_ONE, 0), DEFAULT)
     assert alpha_float32_bits(frame) == 0x3F800000, "1.0 in binary32"
 
@@ -480,7 +483,8 @@ def test_the_frame_holds_the_float_of_its_alpha_word() -> None:
 @example(float32_bits(2.0**31))
 @example(float32_bits(2.0**31) - 1)
 @example(float32_bits(2.0**-24))
-def test_a_float_off_the_grid_is_rounded_down_and_a_large_one_saturates(bits: int) -> None:
+def test_a_received_confidence_is_rounded_down_to_one_that_a_robot_can_have(bits: int) -> None:
+    """Another program may send any float; a robot has multiples of 2**-24 up to a largest one."""
     value = Fraction(float(np.uint32(bits).view(np.float32)))
     rounded_down = (value // ALPHA_UNIT) * ALPHA_UNIT
     word = alpha_word_from_float32_bits(bits)
@@ -491,8 +495,8 @@ def test_a_float_off_the_grid_is_rounded_down_and_a_large_one_saturates(bits: in
 
 @fixed_examples
 @given(st.integers(0, MAX_FLOAT32_BITS))
-def test_a_decoded_alpha_word_has_the_firmware_s_form(bits: int) -> None:
-    """Its spare bits are 0, and its shift is the smallest, so that equal numbers are equal words."""
+def test_equal_confidences_are_decoded_to_equal_words(bits: int) -> None:
+    """A word is mantissa and shift; its spare bits are 0, and its shift is the smallest that is possible."""
     word = alpha_word_from_float32_bits(bits)
     spare_bits, shift, top_bit_of_mantissa = word & 0xE0, word & 0x1F, word >> 31
     assert spare_bits == 0
@@ -513,7 +517,7 @@ def test_a_float_beyond_binary32_is_an_error() -> None:
 # One numbering in Python and in C
 
 
-def test_rejections_have_the_codes_of_the_c(c_codec: CCodec) -> None:
+def test_reasons_to_refuse_a_frame_have_the_same_numbers_in_c_and_python(c_codec: CCodec) -> None:
     without_rejection = {"OK", "ERR_NODE", "ERR_FORMAT", "ERR_HEALTH"}  # Python raises UsageError for these
     c_codes = {name: code for name, code in c_codec.statuses.items() if name not in without_rejection}
     assert c_codes == {f"ERR_{rejection.name}": rejection.value for rejection in Rejection}
@@ -523,7 +527,7 @@ def test_rejections_have_the_codes_of_the_c(c_codec: CCodec) -> None:
     ("c_enum", "prefix", "python_enum"),
     [("health", "HEALTH_", Health), ("mode", "MODE_", Mode), ("action", "", Action)],
 )
-def test_enumerations_have_the_numbers_of_the_c(
+def test_health_mode_and_action_have_the_same_numbers_in_c_and_python(
     c_codec: CCodec, c_enum: str, prefix: str, python_enum: type[Enum]
 ) -> None:
     c_numbers = c_codec.ffi.typeof(f"mcp_asdf_{c_enum}_t").relements
@@ -534,15 +538,17 @@ def test_enumerations_have_the_numbers_of_the_c(
     ("macro", "frame_format"),
     [("ESTIMATE", DEFAULT), ("TELEMETRY", TELEMETRY_FORMAT), ("COMMAND", COMMAND_FORMAT)],
 )
-def test_default_formats_are_those_of_the_c(macro: str, frame_format: FrameFormat) -> None:
+def test_c_and_python_send_by_default_with_the_same_subjects_and_priorities(
+    macro: str, frame_format: FrameFormat
+) -> None:
     macros = dict(re.findall(r"^#define MCP_ASDF_(\w+) (.*?)\s*(?:/\*.*)?$", C_HEADER, re.MULTILINE))
     assert macros[f"FORMAT_{macro}"] == f"{{{frame_format.subject}, {frame_format.priority}}}"
 
 
-def test_a_command_to_every_robot_is_for_any_target(c_codec: CCodec) -> None:
+def test_a_command_to_every_robot_is_decoded_by_c_with_the_target_255(c_codec: CCodec) -> None:
     frame = encoded(Command(42, 7, EVERY_ROBOT, Action.SETTLE, 0))
     command = decode_command(frame)
     assert isinstance(command, Command)
-    sender, tick, target, action, transfer_id = 42, 7, 255, 3, 0
 
+    sender, tick, target, action, transfer_id = 42, 7, 255, 3, 0
     assert c_codec.decode(Command, frame) == (sender, tick, target, action, transfer_id)

@@ -138,7 +138,7 @@ def test_frames_of_other_programs_of_this_computer_are_marked_as_received() -> N
     assert connection.recv(0) is None
 
 
-def test_filters_are_those_of_the_kernel_where_it_has_some() -> None:
+def test_filters_of_a_socketcan_bus_are_given_to_the_kernel() -> None:
     bus = socketcan_bus()
     Connection(bus).set_filters(filters_for(FrameFormat()))
     bus.set_filters.assert_called_with(filters_for(FrameFormat()))
@@ -240,7 +240,7 @@ def test_a_bus_with_a_place_for_the_id_has_a_channel_for_each_robot() -> None:
     assert bus_of_all.has_channels
 
 
-def test_the_bus_of_one_robot_is_not_divided_further() -> None:
+def test_the_bus_of_one_robot_has_no_further_buses_for_other_robots() -> None:
     """Its channel has no place for an id any more, so ``of_robot`` returns the bus itself."""
     bus_of_robot_7 = bus_from_options(*A_GROUP_FOR_EACH_ROBOT).of_robot(7)
     assert not bus_of_robot_7.has_channels
@@ -316,7 +316,7 @@ def test_an_interface_that_python_can_does_not_have_is_refused_with_those_that_i
         BusChoice("gremlin", {}).open()
 
 
-def test_python_can_s_files_variables_and_rc_and_then_options_decide_on_the_bus(
+def test_a_bus_is_chosen_by_options_before_rc_before_variables_before_files(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Each of them decides on what none of the later ones states."""
@@ -352,14 +352,18 @@ def test_a_bus_has_the_name_that_its_driver_gives_or_that_of_its_channel_or_inte
     assert BusChoice("kvaser", settings).open().channel_info == name
 
 
-@pytest.mark.parametrize(
-    ("returns_own", "further_settings"), [(False, {}), (True, {"receive_own_messages": True})]
-)
-def test_a_driver_is_asked_for_own_frames_only_where_they_are_wanted(
-    returns_own: bool, further_settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("returns_own", [False, True])
+def test_a_driver_returns_the_frames_that_a_connection_sends_only_where_they_are_wanted(
+    returns_own: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """python-can's setting for that, which is off by default, is receive_own_messages."""
     open_bus = Mock(return_value=Mock(channel_info="Leaf"))
     monkeypatch.setattr(can, "Bus", open_bus)
+
     BusChoice("kvaser", {"channel": 3}).open(returns_own)
-    # Kvaser's driver can tell own frames only with a single handle.
-    open_bus.assert_called_with(interface="kvaser", single_handle=True, channel=3, **further_settings)
+
+    expected_settings: dict[str, Any] = {"interface": "kvaser", "channel": 3}
+    expected_settings["single_handle"] = True  # Kvaser's driver cannot tell own frames from others without
+    if returns_own:
+        expected_settings["receive_own_messages"] = True
+    open_bus.assert_called_with(**expected_settings)

@@ -26,7 +26,8 @@ MOST_STUFFED_BITS = "00000" + "11110000" * 20
 
 
 @pytest.mark.parametrize("length", range(9))
-def test_a_frame_with_29_bits_is_at_most_as_long_as_the_most_stuffed_one(length: int) -> None:
+def test_the_worst_length_of_a_frame_with_a_29_bit_identifier_has_the_most_stuffed_bits(length: int) -> None:
+    """Behind five bits alike CAN sends one of the other value, so the length depends on the data."""
     # The start, the identifier with its flags, the length, the data and the checksum.
     stuffable_bits = 1 + 32 + 6 + 8 * length + 15
     frame = can.Message(arbitration_id=1, data=bytes(length))
@@ -34,7 +35,8 @@ def test_a_frame_with_29_bits_is_at_most_as_long_as_the_most_stuffed_one(length:
 
 
 @pytest.mark.parametrize("length", range(9))
-def test_a_frame_with_11_bits_is_at_most_as_long_as_the_most_stuffed_one(length: int) -> None:
+def test_the_worst_length_of_a_frame_with_an_11_bit_identifier_has_the_most_stuffed_bits(length: int) -> None:
+    """Behind five bits alike CAN sends one of the other value, so the length depends on the data."""
     stuffable_bits = 1 + 12 + 6 + 8 * length + 15
     frame = can.Message(arbitration_id=1, is_extended_id=False, data=bytes(length))
     assert worst_case_bits(frame) == len(stuff(MOST_STUFFED_BITS[:stuffable_bits])) + UNSTUFFED_BITS
@@ -46,7 +48,8 @@ def test_a_frame_of_a_robot_takes_160_bits_at_most() -> None:
 
 def test_an_error_frame_is_two_flags_a_delimiter_and_the_gap() -> None:
     error_frame = can.Message(is_error_frame=True, dlc=8, data=bytes(8))
-    assert worst_case_bits(error_frame) == 12 + 8 + 3
+    flags, delimiter, gap = 12, 8, 3
+    assert worst_case_bits(error_frame) == flags + delimiter + gap
 
 
 def test_the_load_of_a_bus_is_the_share_of_its_time_that_the_bits_take() -> None:

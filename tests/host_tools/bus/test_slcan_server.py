@@ -86,6 +86,7 @@ def test_the_bus_receives_a_frame_of_python_can_s_client(frame: can.Message, cli
     "frame", [can.Message(arbitration_id=1, is_fd=True, data=bytes(12)), can.Message(is_error_frame=True)]
 )
 def test_frames_that_slcan_does_not_have_stay_on_the_bus(frame: can.Message, client: can.BusABC) -> None:
+    """The next frame is the first that the client receives."""
     with join() as bus:
         bus.send(frame)
         bus.send(FRAMES[0])
@@ -164,6 +165,7 @@ def test_a_slow_program_loses_whole_frames_and_the_bus_goes_on(server: SlcanServ
 @example(b"t 120")
 @example(b"t1231 7 ")
 def test_any_line_is_a_frame_or_none(line: bytes) -> None:
+    """A line that is read as a frame is what the server would write for it; all others are refused."""
     frame = parse_frame(line)
     if frame is not None:
         assert format_frame_line(frame)[:-1] == line[:1] + line[1:].upper()

@@ -25,7 +25,7 @@ PAGE = (ROOT / "docs/platforms/can_tools.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
-def test_it_prints_what_the_robots_broadcast(tmp_path: Path) -> None:
+def test_yakut_prints_what_the_robots_of_a_running_swarm_broadcast(tmp_path: Path) -> None:
     """Every estimate that it shows is in the swarm's own log, member by member."""
     require("yakut")
     write_regulated_types(tmp_path)

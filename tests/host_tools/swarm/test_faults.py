@@ -147,7 +147,7 @@ def any_fault(draw: st.DrawFn, max_robot: int = 127, last_tick: int = 2**32 - 1)
 
 @settings(max_examples=draws(200), derandomize=True, database=None)
 @given(any_fault())
-def test_the_text_of_a_fault_reads_back(fault: Fault) -> None:
+def test_the_text_of_any_fault_is_read_as_the_same_fault(fault: Fault) -> None:
     assert parse_fault(str(fault)) == fault
 
 
@@ -396,10 +396,13 @@ def random_neighbours(random: np.random.Generator) -> NDArray[np.bool_]:
 @given(st.lists(any_fault(ROBOTS - 1, TICKS), max_size=6), st.integers(0, 2**128 - 1), st.booleans())
 @example([parse_fault(text) for text in ALL_KINDS], 7, False)
 @example([parse_fault("duplicate=0.9,from=3,to=4,robots=0,receivers=1")] * 9, 7, False)
-def test_faults_send_and_deliver_what_the_reference_does(
+def test_faults_disturb_frames_as_a_plain_program_of_the_same_rules_does(
     all_faults: list[Fault], seed: int, has_latency: bool
 ) -> None:
-    """All frames sent, all that each robot receives in each tick, in order, and all counts of hits."""
+    """Compared are all frames sent, all that each robot receives in each tick, in order, and counts of hits.
+
+    The plain program, Reference, takes one frame, node and receiver at a time.
+    """
     replay = f"{[str(fault) for fault in all_faults]}, seed {seed}, latency {has_latency}"
     random = np.random.default_rng(seed % 2**32)
     faults, reference = Faults(all_faults, seed, FORMAT), Reference(all_faults, seed)
@@ -490,20 +493,20 @@ def send_estimate(texts: Sequence[str], x_hat: int = 5) -> SentFrame | None:
     return faults.on_send(encode_estimate(Estimate(3, x_hat, 0, 0), FORMAT), 3)
 
 
-def test_a_lie_is_reported() -> None:
+def test_a_false_estimate_is_marked_as_falsified() -> None:
     sent_frame = send_estimate(["liar"])
     assert sent_frame is not None
     assert sent_frame.is_falsified
     assert sent_frame.is_under_own_id
 
 
-def test_a_lie_that_is_the_truth_is_not_reported() -> None:
+def test_a_lie_that_happens_to_be_the_truth_is_not_marked_as_falsified() -> None:
     sent_frame = send_estimate(["liar,x=0,alpha=0"], x_hat=0)
     assert sent_frame is not None
     assert not sent_frame.is_falsified
 
 
-def test_a_frame_under_another_id_is_reported() -> None:
+def test_a_frame_under_the_id_of_another_robot_is_marked_as_such() -> None:
     sent_frame = send_estimate(["collide,id=2"])
     assert sent_frame is not None
     assert not sent_frame.is_under_own_id
@@ -513,7 +516,7 @@ def test_a_node_that_is_off_the_bus_sends_nothing() -> None:
     assert send_estimate(["busoff"]) is None
 
 
-def test_a_bus_that_is_off_does_not_stop_its_robot() -> None:
+def test_a_robot_whose_bus_is_off_goes_on_observing() -> None:
     faults = Faults([BusOff()], seed=1, frame_format=FORMAT)
     faults.begin_tick(0, [3])
     assert faults.is_off_bus(3)
@@ -524,7 +527,7 @@ def test_a_bus_that_is_off_does_not_stop_its_robot() -> None:
 
 
 @pytest.mark.parametrize(("width", "count"), [(5, 1), (5, 2), (6, 3), (5, 4), (4, 4), (3, 5), (0, 2)])
-def test_all_choices_of_bits_are_equally_likely(width: int, count: int) -> None:
+def test_each_choice_of_bits_to_flip_is_equally_likely(width: int, count: int) -> None:
     """With one case for each remainder that the words may have, each choice comes up equally often."""
     # The k-th last word counts modulo width - k + 1, the number of bits from which it chooses.
     numbers_of_remainders = [max(width - turns_left + 1, 1) for turns_left in range(count, 0, -1)]

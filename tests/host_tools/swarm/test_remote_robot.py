@@ -124,7 +124,7 @@ def lossless(request: pytest.FixtureRequest) -> Comparison:
     return compare_runs(small(robots=4, comms_period=comms_period, filter=swarm_filter), wiring)
 
 
-def test_remote_robots_end_in_the_same_state_to_the_bit(lossless: Comparison) -> None:
+def test_robots_in_other_programs_end_in_the_same_bits_as_robots_in_this_one(lossless: Comparison) -> None:
     for robot, node in lossless.remote_nodes.items():
         assert states([node.bus_robot]) == states([lossless.local_run.nodes[robot]])
 
@@ -145,10 +145,11 @@ def test_the_frames_of_remote_robots_are_counted_alike(lossless: Comparison, cou
 
 
 def test_the_tests_of_remote_robots_are_not_known(lossless: Comparison) -> None:
+    """How often a filter made its test stands in no frame, so it cannot be reported of robots elsewhere."""
     assert lossless.run.results["tests"] is None
 
 
-def test_the_known_state_of_a_remote_robot_is_that_of_its_telemetry(lossless: Comparison) -> None:
+def test_what_is_known_of_a_robot_in_another_program_comes_from_its_telemetry(lossless: Comparison) -> None:
     for robot in lossless.remote_nodes:
         known_robot = lossless.run.nodes[robot].robot
         local_robot = lossless.local_run.nodes[robot].robot
@@ -185,7 +186,8 @@ def test_the_local_estimate_of_a_remote_robot_is_known_from_its_broadcasts() -> 
     assert comparison.run.nodes[1].robot.x_hat == comparison.local_run.nodes[1].robot.x_hat
 
 
-def test_126_robots_leave_an_id_for_their_driver() -> None:
+def test_126_robots_with_one_in_another_program_are_accepted() -> None:
+    """They have ids 0 to 125, which leaves 126 for the program that drives them."""
     remote_robot.check_remote(small(robots=126), bus_for_each(1))
 
 
@@ -212,7 +214,8 @@ def test_a_remote_robot_that_falls_silent_ends_the_run(monkeypatch: pytest.Monke
     assert run.results["steps"] == 1
 
 
-def test_the_caller_is_asked_while_a_silent_robot_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wait_for_a_silent_robot_can_be_ended_by_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its function ``check`` is called meanwhile, and may raise an error."""
     calls: list[bool] = []
     with swarm_with_a_silent_robot(monkeypatch, check=lambda: calls.append(True)) as driven_swarm:
         calls.clear()

@@ -76,7 +76,7 @@ def hit_counts(run: SwarmRun) -> list[int]:
     ],
     ids=["lossless", "mix", "moving"],
 )
-def test_a_medium_carries_the_same_as_a_bus_that_all_share(
+def test_swarms_without_a_bus_or_with_several_run_as_on_one_that_all_share(
     medium: str, faults: tuple[str, ...], world: dict[str, Any]
 ) -> None:
     settings = small(*faults, **world)
@@ -92,14 +92,14 @@ def test_a_medium_carries_the_same_as_a_bus_that_all_share(
 
 
 @pytest.mark.parametrize("medium", ["no bus", "a bus for each"])
-def test_frames_have_the_time_of_their_tick(medium: str) -> None:
+def test_frames_have_the_same_times_on_several_buses_as_on_one(medium: str) -> None:
     """Multicast groups keep no time stamps of the sender."""
     _, frames_on_one_bus = record(small())
     _, frames = record(small(), MEDIA[medium])
     assert [frame.timestamp for frame in frames] == [frame.timestamp for frame in frames_on_one_bus]
 
 
-def test_frames_without_a_bus_have_the_channel_that_logs_are_to_have() -> None:
+def test_frames_of_a_swarm_without_a_bus_have_a_channel_for_the_log() -> None:
     _, frames = record(small(), Wiring(channel="none"))
     assert {frame.channel for frame in frames} == {"none"}
 
@@ -115,8 +115,8 @@ def test_the_bus_of_a_robot_has_its_frames_and_those_that_reach_it() -> None:
     assert senders == {0: 5, 2: 5, 3: 5, 4: 5}
 
 
-SENT = 66
-"""Frames of a robot in 60 ticks: an estimate in each, a heartbeat in each second."""
+SENT = 60 + 6
+"""Frames of a robot in 60 ticks: an estimate in each, a heartbeat in each of 6 seconds."""
 NOTHING_WRONG: dict[str, Any] = {"refused": 0, "strays": 0, "rejected": {}, "id_conflicts": {}}
 
 
@@ -142,9 +142,10 @@ NOTHING_WRONG: dict[str, Any] = {"refused": 0, "strays": 0, "rejected": {}, "id_
         ("collide,robots=3,id=2", SENT, {"id_conflicts": {"2": 60}, "refused": 240}),
     ],
 )
-def test_a_fault_has_hit_so_many_frames_with_this_effect(
+def test_a_fault_hits_as_many_frames_as_its_options_say_with_its_effect(
     fault: str, hits: int, expected_counts: dict[str, Any]
 ) -> None:
+    """Five robots run for 60 ticks, and each frame has four receivers, which together are 20 paths."""
     run, frames = record(small(fault))
     assert hit_counts(run) == [hits]
     assert {name: frame_counts(run)[name] for name in expected_counts} == expected_counts
@@ -157,7 +158,7 @@ def test_robots_whose_frames_are_all_lost_know_their_own_estimates_alone() -> No
 
 
 class Broadcasts(NamedTuple):
-    """Broadcasts that a replay knows.
+    """Numbers of broadcasts that a replay knows; a run without faults has 5 robots * 60 ticks = 300.
 
     Attributes:
         reproduced: Those of robots, as they were sent.
@@ -191,7 +192,7 @@ class Broadcasts(NamedTuple):
         ("collide,robots=3,id=2", Broadcasts(240, foreign=60, injected=SENT)),
     ],
 )
-def test_a_replay_knows_the_broadcasts_that_a_fault_has_changed(
+def test_replay_tells_which_broadcasts_a_fault_has_changed(
     fault: str, expected: Broadcasts, tmp_path: Path
 ) -> None:
     path, events = tmp_path / "run.events", list[str]()
@@ -220,13 +221,15 @@ def test_estimates_under_ids_that_are_not_allowed_change_nothing(medium: str) ->
 @without_and_with_buses
 def test_estimates_under_ids_that_are_not_allowed_are_counted_as_unknown(medium: str) -> None:
     run, _ = record(small("sybil,robots=1,ids=5-9+127", allow="0-4"), MEDIA[medium])
-    assert frame_counts(run)["unknown"] == 60 * 6 * 4
+    ticks, made_up_ids, receivers = 60, 6, 4
+    assert frame_counts(run)["unknown"] == ticks * made_up_ids * receivers
 
 
 @without_and_with_buses
 def test_estimates_under_the_id_of_a_robot_that_is_allowed_are_conflicts(medium: str) -> None:
     run, _ = record(small("sybil,robots=1,ids=0", allow="0-4"), MEDIA[medium])
-    assert (frame_counts(run)["unknown"], frame_counts(run)["id_conflicts"]) == (0, {"0": 60})
+    assert frame_counts(run)["unknown"] == 0
+    assert frame_counts(run)["id_conflicts"] == {"0": 60}  # one in each tick
 
 
 @without_and_with_buses
@@ -244,7 +247,8 @@ def b_hat_around_the_crash(rejoin: str) -> tuple[float, float]:
     """Return the assumed accuracy of that robot before and after its crash; it began with 0.55."""
     b_hat_by_tick: list[float] = []
     record(crash_in_two_ticks(rejoin), hooks=[lambda swarm: b_hat_by_tick.append(swarm.nodes[0].robot.b_hat)])
-    return b_hat_by_tick[44], b_hat_by_tick[47]
+    last_tick_before, first_tick_after = 44, 47
+    return b_hat_by_tick[last_tick_before], b_hat_by_tick[first_tick_after]
 
 
 def test_a_robot_that_rejoins_new_begins_with_the_accuracy_of_its_start() -> None:
@@ -260,7 +264,10 @@ def test_a_robot_that_rejoins_restored_has_the_accuracy_that_it_had() -> None:
 
 
 @pytest.mark.parametrize(("rejoin", "observations"), [("new", 60 - 47), ("restored", 60 - 2)])
-def test_a_robot_that_rejoins_new_has_forgotten_its_observations(rejoin: str, observations: int) -> None:
+def test_a_robot_that_rejoins_has_its_observations_only_if_it_is_restored(
+    rejoin: str, observations: int
+) -> None:
+    """It is dead in ticks 45 and 46 of 60, and makes an observation in each of the others."""
     run, _ = record(crash_in_two_ticks(rejoin))
     assert run.nodes[0].robot.t == observations
 
@@ -268,7 +275,9 @@ def test_a_robot_that_rejoins_new_has_forgotten_its_observations(rejoin: str, ob
 @pytest.mark.parametrize(
     ("rejoin", "numbers"), [("new", [*range(45), *range(13)]), ("restored", [*range(58)])]
 )
-def test_a_robot_that_rejoins_new_numbers_its_estimates_anew(rejoin: str, numbers: list[int]) -> None:
+def test_a_robot_that_rejoins_numbers_its_estimates_anew_unless_it_is_restored(
+    rejoin: str, numbers: list[int]
+) -> None:
     _, frames = record(crash_in_two_ticks(rejoin))
     contents = [decode_estimate(frame, FrameFormat()) for frame in frames]
     transfer_ids = [
@@ -323,7 +332,8 @@ def test_frames_that_come_too_late_in_real_time_are_counted(run_with_a_late_tick
 def test_frames_that_come_too_late_in_real_time_are_received_in_the_next_tick(
     run_with_a_late_tick: SwarmRun,
 ) -> None:
-    assert frame_counts(run_with_a_late_tick)["delivered"] == 60 * 3 * 2
+    ticks, robots, receivers = 60, 3, 2
+    assert frame_counts(run_with_a_late_tick)["delivered"] == ticks * robots * receivers
     # Of two messages of a neighbour in one round the second is a repetition.
     assert frame_counts(run_with_a_late_tick)["refused"] == 3 * 2
 
@@ -334,11 +344,12 @@ def test_a_run_in_real_time_reports_how_late_ticks_have_begun(run_with_a_late_ti
 
 
 @pytest.mark.parametrize("medium", ["one bus", "a group for each", *slow(["one group"])])
-def test_no_frame_of_a_flood_is_lost(medium: str) -> None:
+def test_no_frame_is_lost_when_a_robot_floods_the_bus(medium: str) -> None:
     """There are more frames than a socket holds, so that they have to be read while they are sent."""
     run, frames = record(small("babble,frames=900,robots=0,from=1,to=2", steps=3), MEDIA[medium])
-    assert len(frames) == (3 + 1) * 5 + 900
-    assert frame_counts(run)["arrived"] == 4 * len(frames)
+    estimates_and_heartbeats = (3 + 1) * 5
+    assert len(frames) == estimates_and_heartbeats + 900
+    assert frame_counts(run)["arrived"] == 4 * len(frames)  # receivers
 
 
 # The figures of docs/internals/threats.csv, and the table of docs/threats.md
@@ -374,7 +385,8 @@ def figures_of_run(faults: list[str], settings: dict[str, Any]) -> list[str]:
 
 
 def test_the_table_of_threats_begins_with_a_swarm_without_faults() -> None:
-    assert (len(ATTACKS), len(RUNS)) == (27, 20)
+    assert len(ATTACKS) == 27
+    assert len(RUNS) == 20
     assert RUNS[0] == ATTACKS[0] and RUNS[0]["faults"] == ""
 
 
