@@ -33,7 +33,7 @@ SOME: list[tuple[str, dict[str, Any]]] = [
 
 
 def row_end(trials: list[dict[str, Any]]) -> str:
-    """Median score, median error, and the error that one trial in ten exceeds."""
+    """Return median score, median error, and the error that one trial in ten exceeds, as a row has them."""
     errors = [np.mean(trial["e"]) for trial in trials]
     score = np.median([trial["H"] for trial in trials])
     return f"{score:.0f},{np.median(errors):.3f},{np.quantile(errors, 0.9):.3f}"
@@ -41,7 +41,9 @@ def row_end(trials: list[dict[str, Any]]) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("case", "given"), SOME)
-def test_some_figures_are_those_of_the_sweeps(case: str, given: dict[str, Any]) -> None:
+def test_published_figures_of_the_advice_are_what_the_experiments_give(
+    case: str, given: dict[str, Any]
+) -> None:
     published = FIGURES.read_text(encoding="utf-8").splitlines()
     for filter_name in ("none", "asdf-minus", "robust"):
         trials = m.simulate(m.grid(**given, filter=filter_name)).to_pylist()
@@ -58,7 +60,12 @@ def published_error(topology: str, flawed: str, share: str, filter_name: str) ->
 def test_the_table_of_the_figures_has_the_errors_of_the_file() -> None:
     page = FIGURES.with_suffix(".md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\w+) \| (\d+) % \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", page, re.MULTILINE)
-    assert len(rows) == 6
+    assert [(flawed, share) for flawed, share, *_ in rows] == [
+        ("underconfident", "30"),
+        ("underconfident", "50"),
+        ("overconfident", "30"),
+        ("overconfident", "50"),
+    ]
     for flawed, share, *errors in rows:
         filters = ("none", "asdf-minus", "robust")
         assert errors == [
@@ -66,8 +73,15 @@ def test_the_table_of_the_figures_has_the_errors_of_the_file() -> None:
         ]
 
 
-def test_the_defaults_are_the_advice() -> None:
-    """The tools have them, and so have all configurations of robots in C."""
+def test_the_defaults_of_the_tools_are_those_that_the_page_advises() -> None:
+    default = m.Experiment()
+    assert default.filter_period == 1000
+    assert float(default.omega) == 0.05
+    assert default.memory == 2**31
+
+
+def test_the_defaults_of_robots_in_c_are_those_that_the_page_advises() -> None:
+    """A table (or none), a filter period of 1000, the largest memory, and the filter."""
     header = (ROOT / "c_ref/src/mcp_asdf.h").read_text(encoding="utf-8")
     configurations = re.findall(r"#define MCP_ASDF_CONFIG_(\w+)\S* \{(.*)\}", header)
     assert configurations == [
@@ -75,6 +89,3 @@ def test_the_defaults_are_the_advice() -> None:
         ("ASDF", "(t_table), 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_ADAPTIVE"),
         ("OFF", "NULL, 1000, MCP_ASDF_MEMORY_MAX, MCP_ASDF_OFF"),
     ]
-    default = m.Experiment()
-
-    assert (default.filter_period, float(default.omega), default.memory) == (1000, 0.05, 2**31)

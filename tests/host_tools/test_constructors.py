@@ -40,15 +40,35 @@ def attempt(kind: Any, name: str, value: Any) -> None:
         assert made in declared.choices
 
 
-@pytest.mark.parametrize(("kind", "name"), PLACES, ids=lambda each: getattr(each, "__name__", each))
-def test_a_wrong_value_is_coerced_or_refused(kind: Any, name: str) -> None:
-    """A range includes its ends and nothing beyond."""
+for_every_parameter = pytest.mark.parametrize(
+    ("kind", "name"), PLACES, ids=lambda each: getattr(each, "__name__", each)
+)
+
+
+@for_every_parameter
+def test_a_wrong_value_of_a_parameter_is_converted_or_refused_with_a_fix(kind: Any, name: str) -> None:
+    """Values of many types and forms, most of which no user would give on purpose."""
     for value in WRONG:
         attempt(kind, name, value)
-    declared = parameters_of(kind)[name]
-    if declared.kind in (int, float):
-        for value in (declared.minimum, declared.maximum):
-            assert declared.convert(value) == value
-        for value in (declared.minimum - 1, 2 * declared.maximum + 1):
-            with pytest.raises(UsageError, match=f"{name} is .*; it must be .* to "):
-                declared.convert(value)
+
+
+for_every_number = pytest.mark.parametrize(
+    ("kind", "name"),
+    [(kind, name) for kind, name in PLACES if parameters_of(kind)[name].kind in (int, float)],
+    ids=lambda each: getattr(each, "__name__", each),
+)
+
+
+@for_every_number
+def test_the_ends_of_a_parameter_s_range_are_accepted(kind: Any, name: str) -> None:
+    parameter = parameters_of(kind)[name]
+    for value in (parameter.minimum, parameter.maximum):
+        assert parameter.convert(value) == value
+
+
+@for_every_number
+def test_numbers_beyond_a_parameter_s_range_are_refused_with_the_range(kind: Any, name: str) -> None:
+    parameter = parameters_of(kind)[name]
+    for value in (parameter.minimum - 1, 2 * parameter.maximum + 1):
+        with pytest.raises(UsageError, match=f"{name} is .*; it must be .* to "):
+            parameter.convert(value)

@@ -68,8 +68,11 @@ def test_a_table_in_memory_gives_the_same_as_its_file(results: Path) -> None:
 
 def test_some_rows_of_results_give_a_table_of_these_trials() -> None:
     table = m.simulate(m.Experiment(**PARAMETERS, trials=3), record=30)
-    tidy = m.to_frame(table.slice(1, 1))
-    assert tidy["trial"].to_pylist() == [1] * 12
+    second_row = table.slice(1, 1)  # trial 1 of four robots, recorded at the steps 0, 30 and 60
+
+    tidy = m.to_frame(second_row)
+
+    assert tidy["trial"].to_pylist() == [1] * (3 * 4)
     assert tidy["step"].to_pylist() == [0] * 4 + [30] * 4 + [60] * 4
 
 
@@ -78,7 +81,8 @@ def test_a_log_that_is_replayed_in_pieces_gives_the_same_table(
 ) -> None:
     table_at_once = m.to_frame(swarm_log)
     monkeypatch.setattr(library, "_ROWS_AT_ONCE", 7)
-    assert len(list(library.stream_tidy_tables(swarm_log))) == 61
+    states = 1 + 60  # at the start, and after each step; each has rows of four robots
+    assert len(list(library.stream_tidy_tables(swarm_log))) == states
     assert m.to_frame(swarm_log).equals(table_at_once)
 
 

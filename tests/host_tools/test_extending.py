@@ -158,7 +158,7 @@ def test_the_page_sweeps_all_eight_combinations_of_its_extensions_with_workers(p
 
 
 @pytest.mark.usefixtures("installed")
-def test_a_swarm_with_extensions_is_trial_0_to_the_bit() -> None:
+def test_a_swarm_with_extensions_ends_in_the_same_bits_as_the_same_simulated_experiment() -> None:
     parameters: dict[str, Any] = {
         "robots": 6,
         "steps": 300,
@@ -178,7 +178,7 @@ def test_a_swarm_with_extensions_is_trial_0_to_the_bit() -> None:
 
 
 @pytest.mark.usefixtures("installed")
-def test_the_page_s_sensors_do_random_walks() -> None:
+def test_accuracies_of_the_page_s_sensors_change_by_random_steps_of_a_thousandth() -> None:
     settings = WorldSettings(robots=100, true_accuracy=0.75, seed=3, sensor="wandering")
     accuracy_on_black, _ = make_sensor_model(settings, 0).advance(400)
     changes = np.diff(accuracy_on_black, axis=0)  # by step and robot

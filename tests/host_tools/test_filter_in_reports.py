@@ -35,7 +35,7 @@ def printed_by(command: str, capsys: pytest.CaptureFixture[str]) -> str:
 
 
 @pytest.mark.parametrize("kind", [m.Experiment, m.SwarmSettings])
-def test_by_default_only_the_flawed_robots_filter(kind: type[m.Experiment | m.SwarmSettings]) -> None:
+def test_by_default_only_the_flawed_robots_recalibrate(kind: type[m.Experiment | m.SwarmSettings]) -> None:
     settings = kind(robots=4, flawed=1)
     assert [settings.config(robot).filter for robot in range(4)] == [Filter.ADAPTIVE, *[Filter.OFF] * 3]
 

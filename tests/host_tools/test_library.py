@@ -258,14 +258,14 @@ in_either_order = pytest.mark.parametrize("firmware", [make_mirror_for_even_ids,
 
 
 @in_either_order
-def test_a_simulated_swarm_may_mix_robots_with_and_without_raw_values(firmware: Any) -> None:
+def test_a_simulated_swarm_may_mix_robots_of_integers_and_of_floats(firmware: Any) -> None:
     mixed = simulate_one(small_experiment(trials=1, firmware=firmware))
     native = simulate_one(small_experiment(trials=1))
     assert np.allclose(mixed.b_hat, native.b_hat, atol=MAX_ERROR_OF_FIRMWARE)
 
 
 @in_either_order
-def test_an_emulated_swarm_may_mix_robots_with_and_without_raw_values(firmware: Any) -> None:
+def test_a_swarm_on_a_bus_may_mix_robots_of_integers_and_of_floats(firmware: Any) -> None:
     mixed = m.emulate(small_swarm(firmware=firmware)).results["mean_error"]
     native = m.emulate(small_swarm()).results["mean_error"]
     assert mixed == pytest.approx(native, abs=MAX_ERROR_OF_FIRMWARE)
@@ -323,7 +323,8 @@ def robot_class_with_b_hat(accuracy: float) -> Any:
 
 
 @pytest.mark.parametrize("accuracy", [0.7, 0.9])
-def test_a_class_of_this_process_stands_for_an_extension(accuracy: float) -> None:
+def test_a_class_of_the_user_s_can_be_the_firmware_of_an_experiment(accuracy: float) -> None:
+    """A user may give a class of their own as the firmware; here it assumes one accuracy once it filters."""
     firmware = robot_class_with_b_hat(accuracy)
     experiment = small_experiment(trials=1, activation="always", firmware=firmware)
     trials = simulate_one(experiment)
@@ -332,13 +333,13 @@ def test_a_class_of_this_process_stands_for_an_extension(accuracy: float) -> Non
     assert trials.b_hat[0, -1].tolist() == [accuracy] * 4
 
 
-def test_experiments_with_two_classes_of_one_name_differ() -> None:
+def test_experiments_with_different_firmware_classes_of_one_name_are_different() -> None:
     low, high = robot_class_with_b_hat(0.7), robot_class_with_b_hat(0.9)
     assert small_experiment(firmware=low) != small_experiment(firmware=high)
     assert small_experiment(firmware=low) == small_experiment(firmware=low)
 
 
-def test_a_class_of_one_name_is_still_known_after_another_was_given() -> None:
+def test_an_experiment_runs_its_own_firmware_class_after_another_of_the_same_name_was_given() -> None:
     low, high = robot_class_with_b_hat(0.7), robot_class_with_b_hat(0.9)
     first, second = [
         small_experiment(trials=1, activation="always", firmware=firmware) for firmware in (low, high)
@@ -354,7 +355,7 @@ def make_sensors_that_see_black(settings: object, trial: int) -> Any:
     return SimpleNamespace(advance=lambda steps: (accuracy_on_black, accuracy_on_white))
 
 
-def test_a_function_of_this_process_stands_for_a_sensor() -> None:
+def test_a_function_of_the_user_s_can_make_the_sensors_of_an_experiment() -> None:
     experiment = small_experiment(trials=3, sensor=make_sensors_that_see_black)
     assert experiment.sensor.endswith("make_sensors_that_see_black")
     assert len(m.simulate(experiment)) == 3

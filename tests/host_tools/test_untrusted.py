@@ -231,7 +231,7 @@ def test_results_with_a_column_whose_name_is_no_text_are_refused(tmp_path: Path)
     assert message.startswith(f"cannot read {tmp_path / 'run.parquet'}: ")
 
 
-def test_results_with_our_metadata_in_one_schema_only_are_read(tmp_path: Path) -> None:
+def test_results_whose_metadata_stand_only_in_the_schema_of_arrow_are_read(tmp_path: Path) -> None:
     data = valid_results().replace(b"mcp-asdf", b"mcp-asdg")
     assert try_to_read(PARSERS["results"], tmp_path / "run.parquet", data) == ""
 
@@ -280,7 +280,10 @@ def test_a_file_with_100001_grids_is_refused(tmp_path: Path) -> None:
     assert "more than 100000 experiments" in message
 
 
-def test_the_experiments_of_all_grids_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_whose_grids_together_make_too_many_experiments_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two grids of three seeds each, where five experiments are allowed."""
     monkeypatch.setattr(experiment_files, "MAX_EXPERIMENTS", 5)
     (tmp_path / "grid.toml").write_text("seed = [1, 2, 3]\n[[grid]]\n[[grid]]\nrobots = 5\n")
     with pytest.raises(UsageError, match=r"grid.toml makes more than 5 experiments; give fewer"):

@@ -25,7 +25,7 @@ def trials_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_folder_becomes_results_and_their_scores_are_printed(capsys: Capture) -> None:
+def test_convert_prints_the_scores_of_a_folder_of_the_authors_trials(capsys: Capture) -> None:
     assert main(["convert", "data", "--output", "theirs.parquet"]) == 0
     output = capsys.readouterr().out
 
@@ -41,7 +41,7 @@ def test_a_converted_folder_is_read_back_in_one_piece() -> None:
     assert (metadata.num_rows, metadata.num_row_groups) == (3, 1)
 
 
-def test_json_has_experiments_and_source(capsys: Capture) -> None:
+def test_convert_reports_experiments_and_where_they_come_from_in_json(capsys: Capture) -> None:
     assert main(["convert", "data/flw2_t1.json", "--output", "theirs.parquet", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
 
@@ -50,7 +50,7 @@ def test_json_has_experiments_and_source(capsys: Capture) -> None:
     assert [row["trials"] for row in report["experiments"]] == [1]
 
 
-def test_results_are_scored_like_others(capsys: Capture) -> None:
+def test_converted_results_are_scored_like_others(capsys: Capture) -> None:
     main(["convert", "data", "--output", "theirs.parquet"])
     converted = capsys.readouterr().out
 
@@ -60,26 +60,26 @@ def test_results_are_scored_like_others(capsys: Capture) -> None:
 
 
 @pytest.mark.parametrize("kind", ["boxes", "bands", "series"])
-def test_results_are_drawn_like_others(kind: str) -> None:
+def test_converted_results_are_drawn_like_others(kind: str) -> None:
     main(["convert", "data/flw2_t0.json", "--output", "theirs.parquet"])
     assert main(["plot", "theirs.parquet", "picture.png", "--kind", kind]) == 0
     assert Path("picture.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_trial_is_shown_like_others() -> None:
+def test_a_converted_trial_is_shown_like_others() -> None:
     main(["convert", "data", "--output", "theirs.parquet"])
     view = ["view", "theirs.parquet", "--where", "topology=dynamic", "--trial", "2"]
     assert main([*view, "--export", "page.html"]) == 0
     assert "trial 2 of NESTLab/sensor-degradation-filter" in Path("page.html").read_text(encoding="utf-8")
 
 
-def test_without_records_a_trial_is_not_shown(capsys: Capture) -> None:
+def test_a_converted_trial_without_recorded_values_cannot_be_shown(capsys: Capture) -> None:
     main(["convert", "data/moving.json", "--output", "theirs.parquet", "--record", "0"])
     assert main(["view", "theirs.parquet", "--trial", "2", "--export", "page.html"]) == 2
     assert "nothing is recorded" in capsys.readouterr().err
 
 
-def test_after_a_damaged_file_nothing_is_written(trials_folder: Path, capsys: Capture) -> None:
+def test_convert_writes_nothing_if_one_of_the_files_is_damaged(trials_folder: Path, capsys: Capture) -> None:
     (trials_folder / "data/zzz.json").write_text("{", encoding="utf-8")
     assert main(["convert", "data", "--output", "theirs.parquet"]) == 2
     assert "data/zzz.json" in capsys.readouterr().err

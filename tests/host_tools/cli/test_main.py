@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
@@ -24,6 +25,8 @@ from support import HIDING, ROOT, slow
 
 Capture = pytest.CaptureFixture[str]
 CHECK = "table --check tables/t_table_omega05_q30.c"
+EXIT_CODE_OF_BROKEN_PIPE = 128 + signal.SIGPIPE
+"""What a shell reports of a program whose reader, such as ``head``, has left."""
 
 
 def python(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
@@ -123,7 +126,7 @@ def test_bad_usage_is_the_same_message_in_one_line_of_json_if_asked_for(line: st
         (UsageError("the value is 7; give 6"), 2, "error: the value is 7; give 6\n"),
         (FileNotFoundError(2, "No such file", "x"), 2, "error: cannot use x: No such file; give another\n"),
         (ImportError("no", name="pyarrow.lib"), 2, "error: this needs pyarrow, which is not installed;"),
-        (KeyboardInterrupt(), 130, "interrupted\n"),
+        (KeyboardInterrupt(), 128 + signal.SIGINT, "interrupted\n"),
     ],
 )
 def test_an_error_of_a_command_becomes_an_exit_code_and_a_message(
@@ -165,24 +168,24 @@ def test_output_to_a_full_disk_is_an_error(
     assert capsys.readouterr().err.splitlines()[0] == f"{program}: error: {reason}"
 
 
-def test_output_to_a_closed_pipe_ends_the_command_with_141(
+def test_a_command_whose_output_nobody_reads_any_more_ends_as_if_by_sigpipe(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     read_end, write_end = os.pipe()
     os.close(read_end)
     with open(write_end, "w") as stream, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", stream)
-        assert cli.main(CHECK.split()) == 141
+        assert cli.main(CHECK.split()) == EXIT_CODE_OF_BROKEN_PIPE
 
     assert capsys.readouterr().err == ""
 
 
-def test_an_error_without_a_standard_error_has_its_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_usage_error_has_its_exit_code_without_a_standard_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", None)
     assert cli.main(["tabel"]) == 2
 
 
-def test_an_error_that_standard_error_cannot_take_has_its_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_usage_error_has_its_exit_code_if_standard_error_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
     with open("/dev/full", "w") as full, monkeypatch.context() as patch:
         patch.setattr(sys, "stderr", full)
         assert cli.main(["tabel"]) == 2
@@ -218,7 +221,7 @@ def write_a_line() -> int:
 
 
 @pytest.mark.parametrize("work", [print_a_table, write_a_line])
-def test_a_reader_that_leaves_ends_the_command_with_141(
+def test_a_reader_that_leaves_ends_the_command_however_it_prints(
     work: Callable[[], int], monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     read_end, write_end = os.pipe()
@@ -226,13 +229,14 @@ def test_a_reader_that_leaves_ends_the_command_with_141(
     fake_command(monkeypatch, work)
     with open(write_end, "w") as stream, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", stream)
-        assert cli.main(["table"]) == 141
+        assert cli.main(["table"]) == EXIT_CODE_OF_BROKEN_PIPE
 
     assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("line", ["dbc", "--help", CHECK, "swarm --robots 3 --steps 5"])
-def test_a_closed_standard_output_is_the_null_device(line: str) -> None:
+def test_a_command_succeeds_without_a_standard_output(line: str) -> None:
+    """The shell closes it (>&-); the command goes on as if its output were thrown away."""
     program = shlex.join([sys.executable, "-m", "mcp_asdf_tools.cli.main"])
     result = subprocess.run(
         ["sh", "-c", f"{program} {line} >&-"], cwd=ROOT, capture_output=True, check=False, text=True
@@ -243,7 +247,8 @@ def test_a_closed_standard_output_is_the_null_device(line: str) -> None:
 
 
 @pytest.mark.parametrize("target", ["&-", "/dev/full"])
-def test_a_closed_or_full_standard_error_changes_no_exit_code(target: str) -> None:
+def test_a_usage_error_has_its_exit_code_even_if_it_cannot_be_printed(target: str) -> None:
+    """The shell closes standard error (2>&-), or sends it to a full disk."""
     program = shlex.join([sys.executable, "-m", "mcp_asdf_tools.cli.main"])
     result = subprocess.run(
         ["sh", "-c", f"{program} tabel 2>{target}"],
@@ -310,7 +315,7 @@ def test_help_shows_the_firmwares_of_the_project_and_that_there_may_be_more(caps
     assert "--firmware {native,mirror,reference,...}" in capsys.readouterr().out
 
 
-def test_commands_for_robots_need_no_extras_and_neither_does_any_help(tmp_path: Path) -> None:
+def test_commands_for_robots_and_all_helps_need_no_libraries_of_the_studies(tmp_path: Path) -> None:
     lines = [
         "swarm --robots 4 --steps 30 --filter-period 10 --quiet --log run.log",
         "swarm --robots 4 --steps 5 --topology dynamic --quiet",
@@ -341,10 +346,11 @@ LINES_AND_MISSING_MODULES = [
 
 
 @pytest.mark.slow
-def test_a_missing_extra_is_named_before_anything_is_begun(tmp_path: Path) -> None:
+def test_a_command_that_lacks_a_library_names_it_before_it_writes_anything(tmp_path: Path) -> None:
     lines = [line for line, _ in LINES_AND_MISSING_MODULES]
     exit_codes, errors = run_without_extras(lines, tmp_path)
-    assert exit_codes == [2] * len(lines)
+    exit_code_of_usage_error = 2
+    assert exit_codes == [exit_code_of_usage_error] * len(lines)
     assert list(tmp_path.iterdir()) == []
     messages = errors[::2]  # each error has two lines, and the second one names --help
     for message, (_, module) in zip(messages, LINES_AND_MISSING_MODULES, strict=True):
@@ -354,7 +360,7 @@ def test_a_missing_extra_is_named_before_anything_is_begun(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_the_library_names_a_missing_extra_as_the_command_does(tmp_path: Path) -> None:
+def test_a_function_that_lacks_a_library_names_it_as_the_command_does(tmp_path: Path) -> None:
     calls = (
         "m.simulate(m.Experiment(steps=1000, trials=1))",
         "m.plot_boxes([])",
@@ -504,7 +510,9 @@ def test_a_run_ends_with_the_line_for_the_same_run(line: str, settled_options: s
 
 @pytest.mark.usefixtures("experiment_files")
 @pytest.mark.parametrize(("line", "settled_options"), REPEATABLE)
-def test_the_line_for_the_same_run_leads_to_itself(line: str, settled_options: str, capsys: Capture) -> None:
+def test_the_printed_line_for_the_same_run_prints_itself_again(
+    line: str, settled_options: str, capsys: Capture
+) -> None:
     same_run = with_settled_options(line, settled_options)
     assert cli.main(same_run) == 0
     assert f"again: mcp-asdf {shlex.join(same_run)}\n" in capsys.readouterr().out
@@ -571,15 +579,22 @@ def test_vv_logs_all_options_too(capsys: Capture) -> None:
 def test_vv_logs_each_batch_of_trials(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
+    """Two experiments of two trials each; trials as short as these make one batch for each experiment."""
     monkeypatch.chdir(tmp_path)
-    Path("grid.toml").write_text(f'{EXPERIMENT}[[grid]]\nfilter = ["none", "asdf-plus"]\n')
+    Path("grid.toml").write_text(
+        'robots = 3\nsteps = 20\nfilter_period = 10\ntrials = 2\n[[grid]]\nfilter = ["none", "asdf-plus"]\n'
+    )
     assert cli.main(["sweep", "grid.toml", "--workers", "1", "-vv"]) == 0
+
     logger = "mcp_asdf_tools.experiments.sweep"
     messages = [message for message in messages_of(capsys.readouterr().err) if logger in message]
-
-    assert messages[0] == f"INFO {logger}: 4 trials to run on this process"
-    assert len(messages) == 3
-    assert messages[1].startswith(f"DEBUG {logger}: finished trials 0 to 1 of Experiment(robots=3, ")
+    first_message, *messages_of_batches = messages
+    assert first_message == f"INFO {logger}: 4 trials to run on this process"
+    assert len(messages_of_batches) == 2
+    batch_of_first_experiment = messages_of_batches[0]
+    assert batch_of_first_experiment.startswith(
+        f"DEBUG {logger}: finished trials 0 to 1 of Experiment(robots=3, "
+    )
 
 
 def test_vv_logs_where_an_error_was_raised(capsys: Capture) -> None:
@@ -589,12 +604,13 @@ def test_vv_logs_where_an_error_was_raised(capsys: Capture) -> None:
     assert err.splitlines()[-1] == "See 'mcp-asdf table --help'."
 
 
-def test_v_leaves_the_json_of_a_result_alone(capsys: Capture) -> None:
+def test_logging_does_not_disturb_the_json_of_a_result(capsys: Capture) -> None:
     assert cli.main(["table", "--check", "tables/t_table_omega05_q30.c", "-v", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["ok"] is True
 
 
-def test_v_ends_with_its_command(capsys: Capture) -> None:
+def test_logging_is_off_again_in_the_next_command(capsys: Capture) -> None:
+    """Both commands run in this process."""
     assert cli.main([*QUIET_SWARM, "-v"]) == 0
     capsys.readouterr()
     assert cli.main(QUIET_SWARM) == 0

@@ -98,7 +98,7 @@ def test_a_signal_ends_a_process_whenever_it_comes(
         wait_until(process, lambda: handles_signal(process, number))
         errors = end_by_signal(process, number)
 
-    assert process.returncode in {code_at_work, 128 + number}, errors
+    assert process.returncode in {code_at_work, exit_code_of(number)}, errors
     assert "Traceback" not in errors
 
 
@@ -117,7 +117,7 @@ def has_frames(log: Path) -> bool:
     [("--robots 4", signal.SIGTERM), *slow([("--robots 2 --processes", signal.SIGHUP)])],
 )
 @interruptible()
-def test_a_swarm_that_a_signal_ends_leaves_a_whole_log_that_is_reproduced(
+def test_a_swarm_that_a_signal_ends_leaves_a_complete_log_that_can_be_replayed(
     options: str, number: signal.Signals, tmp_path: Path, capsys: Capture
 ) -> None:
     bus = shlex.join(multicast(31).arguments()) if "--processes" in options else ""
@@ -125,7 +125,7 @@ def test_a_swarm_that_a_signal_ends_leaves_a_whole_log_that_is_reproduced(
     with start_command(f"{LONG_SWARM} {options} {bus}", tmp_path) as process:
         wait_until(process, lambda: handles_signal(process, number) and has_frames(part))
         errors = end_by_signal(process, number)
-    assert process.returncode == 128 + number, errors
+    assert process.returncode == exit_code_of(number), errors
     assert "Traceback" not in errors
     assert not part.exists()
     assert cli.main(["replay", str(log), "--json"]) == 0
@@ -138,7 +138,7 @@ def test_a_swarm_that_a_signal_ends_leaves_a_whole_log_that_is_reproduced(
 
 @pytest.mark.slow
 @interruptible()
-def test_a_radio_that_a_signal_ends_leaves_a_whole_log(tmp_path: Path) -> None:
+def test_emulated_neighbours_that_a_signal_ends_leave_a_complete_log(tmp_path: Path) -> None:
     log, part = tmp_path / "run.log", tmp_path / "run.log.part"
     line = "radio --id 3 --robots 4 --interface virtual --log run.log"
     with start_command(line, tmp_path) as process:
@@ -152,7 +152,7 @@ def test_a_radio_that_a_signal_ends_leaves_a_whole_log(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @interruptible()
-def test_a_swarm_that_is_killed_leaves_a_part_of_its_log_that_is_reproduced(
+def test_a_swarm_that_is_killed_leaves_a_part_of_its_log_that_can_be_replayed(
     tmp_path: Path, capsys: Capture
 ) -> None:
     part = tmp_path / "run.log.part"
@@ -172,7 +172,12 @@ def test_a_swarm_that_is_killed_leaves_a_part_of_its_log_that_is_reproduced(
 
 # --- In this process -------------------------------------------------------------------------------------
 
-EXIT_CODES = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def exit_code_of(number: signal.Signals) -> int:
+    """Return the exit code that a shell reports of a process that a signal has ended."""
+    return 128 + number
 
 
 def wait_for_signal(number: signal.Signals) -> int:
@@ -182,18 +187,20 @@ def wait_for_signal(number: signal.Signals) -> int:
     return 0
 
 
-@pytest.mark.parametrize(("number", "exit_code"), EXIT_CODES.items())
+@pytest.mark.parametrize("number", ENDING_SIGNALS)
 @interruptible()
 def test_a_signal_that_asks_to_end_interrupts_a_command_as_ctrl_c_does(
-    number: signal.Signals, exit_code: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     fake_command(monkeypatch, lambda: wait_for_signal(number))
-    assert cli.main(["table"]) == exit_code
+    assert cli.main(["table"]) == exit_code_of(number)
     assert capsys.readouterr().err == "mcp-asdf table: interrupted\n"
 
 
 @interruptible()
-def test_a_second_signal_does_not_disturb_the_saving(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_signal_does_not_interrupt_a_command_that_saves_its_results(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     saved: list[str] = []
 
     def work() -> int:
@@ -205,20 +212,20 @@ def test_a_second_signal_does_not_disturb_the_saving(monkeypatch: pytest.MonkeyP
             saved.append("all")
 
     fake_command(monkeypatch, work)
-    assert cli.main(["table"]) == 143
+    assert cli.main(["table"]) == exit_code_of(signal.SIGTERM)
     assert saved == ["all"]
 
 
 @interruptible()
 def test_a_command_leaves_the_handlers_of_signals_as_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
-    handlers = [signal.getsignal(number) for number in EXIT_CODES]
+    handlers = [signal.getsignal(number) for number in ENDING_SIGNALS]
     fake_command(monkeypatch, lambda: wait_for_signal(signal.SIGTERM))
     cli.main(["table"])
-    assert [signal.getsignal(number) for number in EXIT_CODES] == handlers
+    assert [signal.getsignal(number) for number in ENDING_SIGNALS] == handlers
 
 
 @interruptible()
-def test_a_command_that_ends_by_itself_has_the_signal_in_its_exit_code(
+def test_a_command_that_notices_a_signal_and_ends_by_itself_has_it_in_its_exit_code(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def work() -> int:
@@ -229,11 +236,13 @@ def test_a_command_that_ends_by_itself_has_the_signal_in_its_exit_code(
         return INTERRUPTED
 
     fake_command(monkeypatch, work)
-    assert cli.main(["table"]) == 143
+    assert cli.main(["table"]) == exit_code_of(signal.SIGTERM)
 
 
 @interruptible()
 def test_ctrl_c_interrupts_a_command_that_does_not_end_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has been asked twice by SIGTERM, which it only notices."""
+
     def work() -> int:
         with stopping():
             signal.raise_signal(signal.SIGTERM)
@@ -243,7 +252,7 @@ def test_ctrl_c_interrupts_a_command_that_does_not_end_by_itself(monkeypatch: py
         return INTERRUPTED
 
     fake_command(monkeypatch, work)
-    assert cli.main(["table"]) == 143
+    assert cli.main(["table"]) == exit_code_of(signal.SIGTERM)
 
 
 def test_a_signal_that_the_program_was_started_to_ignore_stays_ignored(
@@ -281,7 +290,7 @@ def finished_imports(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def test_ctrl_c_during_the_import_of_a_command_waits_for_its_end(
     finished_imports: list[str], capsys: Capture
 ) -> None:
-    assert cli.main(["swarm"]) == 130
+    assert cli.main(["swarm"]) == exit_code_of(signal.SIGINT)
     assert capsys.readouterr() == ("", "mcp-asdf swarm: interrupted\n")
     assert finished_imports == ["mcp_asdf_tools.cli.swarm"]
 
@@ -294,5 +303,5 @@ def test_ctrl_c_during_the_import_of_a_library_waits_for_its_end_and_runs_nothin
         pytest.fail("the command ran")
 
     fake_command(monkeypatch, work, libraries=("numpy",))
-    assert cli.main(["table"]) == 130
+    assert cli.main(["table"]) == exit_code_of(signal.SIGINT)
     assert finished_imports == ["numpy"]

@@ -153,7 +153,8 @@ def test_a_command_sleeps_until_it_is_asked_to_stop(monkeypatch: pytest.MonkeyPa
     answers = iter([False, False, True])
     sleep_until(lambda: next(answers))
 
-    assert naps == [0.2, 0.2]
+    between_questions = 0.2  # seconds
+    assert naps == [between_questions, between_questions]
 
 
 WATCH_A_BUS = ["view", "--interface", "udp_multicast", "--channel", "239.74.163.77"]

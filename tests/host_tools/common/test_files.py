@@ -256,9 +256,11 @@ def test_a_folder_that_cannot_be_synced_is_no_error(tmp_path: Path) -> None:
     assert contents_of(tmp_path) == {"a": "new", "b": "new"}
 
 
-def test_files_get_their_names_when_the_disk_has_their_contents(tmp_path: Path) -> None:
+def test_output_files_get_their_names_only_when_their_contents_are_on_disk(tmp_path: Path) -> None:
     """So whenever the power fails, a name stands for the old content or for all of the new one."""
-    first_sync, second_sync, *renamings, folder_sync = replace_old_files(tmp_path).calls[6:]
+    calls = replace_old_files(tmp_path).calls
+    calls_after_writing = calls[len([*WRITE_ONE, *WRITE_ONE]) :]
+    first_sync, second_sync, *renamings, folder_sync = calls_after_writing
     (_, first_draft), (_, second_draft) = first_sync, second_sync
     assert renamings == [("replace", first_draft), ("replace", second_draft)]
     assert folder_sync == ("fsync", tmp_path.name)
@@ -274,7 +276,7 @@ def test_obsolete_files_are_removed_before_the_first_renaming(tmp_path: Path) ->
     assert names_in(tmp_path) == ["draft"]
 
 
-def test_an_obsolete_file_may_be_missing(tmp_path: Path) -> None:
+def test_a_file_that_is_to_be_removed_may_be_missing(tmp_path: Path) -> None:
     (tmp_path / "draft").write_text("new")
     rename_drafts({tmp_path / "file": tmp_path / "draft"}, obsolete=[tmp_path / "obsolete"])
     assert contents_of(tmp_path) == {"file": "new"}

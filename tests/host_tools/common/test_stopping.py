@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -30,8 +31,10 @@ HANG_UP = "import os, signal; os.kill(os.getpid(), signal.SIGHUP); [None for _ i
 
 @pytest.mark.parametrize("work", [HANG_UP, f"exec({HANG_UP!r})"], ids=["plain", "within exec"])
 @interruptible()
-def test_a_module_ends_with_the_exit_code_of_the_signal(work: str, tmp_path: Path) -> None:
+def test_a_program_that_a_signal_interrupts_anywhere_ends_with_the_exit_code_of_the_signal(
+    work: str, tmp_path: Path
+) -> None:
     """Within exec() come interruptions of modules that are imported and have dataclasses."""
     (tmp_path / "program.py").write_text(PROGRAM.format(work=work))
     result = subprocess.run([sys.executable, "-m", "program"], cwd=tmp_path, check=False)
-    assert result.returncode == 129
+    assert result.returncode == 128 + signal.SIGHUP

@@ -56,7 +56,7 @@ def test_accuracies_stay_above_the_lowest_one() -> None:
 
 
 @pytest.mark.parametrize("kind", [SuddenlyWorseSensors, UnequallyAgeingSensors, WanderingSensors])
-def test_how_many_steps_are_taken_at_once_changes_nothing(kind: type[AgeingSensors]) -> None:
+def test_accuracies_are_the_same_however_many_steps_are_taken_at_once(kind: type[AgeingSensors]) -> None:
     sensors = kind(WorldSettings(**SETTINGS), 0)
     parts = [sensors.advance(steps)[0] for steps in (1, 7, 130, 62)]
     assert np.array_equal(np.concatenate(parts), accuracies_of(kind, 200))

@@ -67,7 +67,7 @@ def claim_named(name: str) -> Claim:
     ],
 )
 @pytest.mark.parametrize(("index", "verdict"), [(0, Verdict.AGREE), (1, Verdict.DISAGREE)])
-def test_a_claim_follows_the_results(
+def test_a_claim_of_the_paper_agrees_or_disagrees_as_planted_results_do(
     claim: Claim, study_part: StudyPart, index: int, verdict: Verdict
 ) -> None:
     study_results = PlantedResults(PLANTED[claim.name][index], parts_needed(claim, study_part))
@@ -85,7 +85,7 @@ def test_the_paper_has_97_claims_about_110_parts() -> None:
     assert sum(len(claim.parts) for claim in CLAIMS) == 110
 
 
-def test_questions_are_answered_by_claims() -> None:
+def test_each_question_of_a_user_is_about_a_claim_that_exists() -> None:
     assert set(QUESTIONS) <= {claim.name for claim in CLAIMS}
 
 
@@ -111,7 +111,7 @@ PLANS = [
 
 
 @pytest.mark.parametrize(("plans", "study_part"), PLANS)
-def test_a_claim_compares_cells_of_the_study_once(
+def test_a_claim_compares_experiments_that_the_study_runs_and_each_pair_once(
     plans: list[PlannedComparison], study_part: StudyPart
 ) -> None:
     cells = {plan.cell for plan in plans} | {plan.reference for plan in plans if plan.reference}
@@ -123,11 +123,22 @@ def test_a_claim_compares_cells_of_the_study_once(
 
 
 @pytest.mark.parametrize(("plans", "study_part"), PLANS)
-def test_names_in_the_file_are_known(plans: list[PlannedComparison], study_part: StudyPart) -> None:
+def test_comparisons_in_claims_toml_are_of_measures_and_expectations_that_exist(
+    plans: list[PlannedComparison], study_part: StudyPart
+) -> None:
+    """A misspelt word of the file would be a comparison that nobody makes."""
+    known_expectations = {expectation.value for expectation in Expectation}
     for plan in plans:
         assert plan.contrast.measure in MEASURES
+        assert plan.contrast.expected in known_expectations
+
+
+@pytest.mark.parametrize(("plans", "study_part"), PLANS)
+def test_differences_that_count_in_claims_toml_are_above_0(
+    plans: list[PlannedComparison], study_part: StudyPart
+) -> None:
+    for plan in plans:
         assert plan.contrast.size_in_points > 0
-        assert Expectation(plan.contrast.expected)
 
 
 # --- Contrasts -------------------------------------------------------------------------------------------
@@ -138,7 +149,7 @@ def plan(**row: Any) -> list[PlannedComparison]:
     return Contrast(**{"expected": "above", "panels": "over_clear", **row}).plan(StudyPart.DYNAMIC)
 
 
-def test_lists_make_all_combinations_of_flawed_robots() -> None:
+def test_lists_in_a_comparison_make_all_their_combinations() -> None:
     plans = plan(flawed_percents=[10, 30], filters="asdf-plus", than="no filter")
     pairs = [(plan.cell, plan.reference) for plan in plans]
 
@@ -152,11 +163,12 @@ def test_lists_make_all_combinations_of_flawed_robots() -> None:
     ]
 
 
-def test_cells_that_are_the_same_experiment_are_compared_once() -> None:
+def test_two_names_of_the_same_experiment_are_compared_once() -> None:
+    """Without flawed robots their accuracies of 0.75 and 0.95 make no difference."""
     assert len(plan(flawed_percents=0, filters="asdf-plus", than="no filter")) == 1
 
 
-def test_the_next_lower_p_is_that_of_the_study() -> None:
+def test_the_next_lower_share_of_flawed_robots_is_the_next_that_the_study_runs() -> None:
     plans = plan(flawed_percents=[10, 30, 50, 100], flawed_accuracies=0.95, than="next lower P")
     percents = [
         (plan.cell.flawed_percent, plan.reference and plan.reference.flawed_percent) for plan in plans
@@ -223,7 +235,11 @@ def test_intervals_allow_for_the_number_of_comparisons() -> None:
     study_results = PlantedResults("(70, 8)")
     decision = decide_one(study_results, claim_named("flawed_robots_harm"), StudyPart.DYNAMIC)
     first_plan = claim_named("flawed_robots_harm").plan(StudyPart.DYNAMIC)[0]
-    assert decision.comparisons[0].interval == first_plan.compare(study_results, 1 - 0.05 / 24).interval
+    error_probability = 0.05 / 24  # of each of 24 comparisons, so that it is 0.05 for all together
+    assert len(decision.comparisons) == 24
+    assert (
+        decision.comparisons[0].interval == first_plan.compare(study_results, 1 - error_probability).interval
+    )
 
 
 def test_a_claim_is_left_out_where_a_part_that_it_needs_has_not_been_run() -> None:

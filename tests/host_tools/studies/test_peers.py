@@ -72,7 +72,8 @@ def test_the_robust_filter_withstands_two_liars() -> None:
 
 
 @pytest.mark.slow
-def test_a_changing_floor_ends_with_the_other_fill_ratio() -> None:
+def test_a_swarm_on_a_floor_that_changes_ends_with_the_new_share_of_black() -> None:
+    """From the middle of the trial on it is 0.95 and no longer 0.55."""
     world = {"sensor": peers.ChangingFloor, "filter": "none", "flawed": 0, "memory": 1024}
     assert error_of(0.95, **world) < 0.1 < error_of(0.55, **world)
 
@@ -95,13 +96,18 @@ def fast_drift(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", ["reference", peers.KnownAccuracyRobot])
-def test_a_robot_that_knows_its_sensor_now_is_wrong(firmware: Any, fast_drift: None) -> None:
+def test_a_robot_that_knows_only_its_sensor_s_present_accuracy_is_wrong(
+    firmware: Any, fast_drift: None
+) -> None:
+    """The sensor loses accuracy, and most of the counted observations are from when it was better."""
     assert ageing_error_of(firmware=firmware, drift_rate=10 * DRIFT_RATE) > 0.06
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("memory", [2**31, 1024])
-def test_a_robot_that_knows_the_accuracy_of_what_it_counts_is_right(memory: int, fast_drift: None) -> None:
+def test_a_robot_that_knows_the_mean_accuracy_of_its_observations_is_right(
+    memory: int, fast_drift: None
+) -> None:
     firmware = peers.KnownMeanAccuracyRobot
     assert ageing_error_of(firmware=firmware, memory=memory, drift_rate=10 * DRIFT_RATE) < 0.03
 
@@ -156,19 +162,22 @@ def test_a_remembering_robot_starts_with_its_own_estimate() -> None:
     assert (robot.x, robot.x_bar) == (robot.x_hat, 0.5)
 
 
-def test_a_remembering_robot_averages_by_alpha_per_observation() -> None:
+def test_a_robot_with_a_memory_averages_messages_by_their_confidence_per_observation() -> None:
     robot = peers.RememberingRobot(WITHOUT_FILTER, 0, 0.9)
     robot.observe(Observation.BLACK)
     robot.observe(Observation.WHITE)
-    robot.receive(1, 0.2, 8.0)  # weight 4, and so is the running mean of weights 4/8
+    robot.receive(1, 0.2, 8.0)  # alpha 8 by two observations: weight 4
     robot.receive(2, 0.8, 4.0)  # weight 2
-    weight = 0.5 + (2 - 0.5) / 8
-    weighted_sum = 0.1 + (2 * 0.8 - 0.1) / 8
+    gain = 1 / 8  # of each of the first messages in the running means, which begin at 0
+    weight = gain * 4
+    weighted_sum = gain * 4 * 0.2
+    weight += gain * (2 - weight)
+    weighted_sum += gain * (2 * 0.8 - weighted_sum)
 
     assert robot.x == robot.x_bar == pytest.approx(weighted_sum / weight)
 
 
-def test_messages_without_confidence_are_not_remembered() -> None:
+def test_a_robot_with_a_memory_ignores_messages_without_confidence() -> None:
     robot = peers.RememberingRobot(WITHOUT_FILTER, 127, 0.9)
     robot.observe(Observation.BLACK)
     for sender in range(63):
@@ -180,7 +189,7 @@ def test_messages_without_confidence_are_not_remembered() -> None:
     assert robot._weight == gain_of_first_message * 8.0
 
 
-def test_a_repeated_message_is_not_remembered() -> None:
+def test_a_robot_with_a_memory_ignores_a_repeated_message() -> None:
     robot = peers.RememberingRobot(WITHOUT_FILTER, 0, 0.9)
     robot.receive(1, 0.2, 8.0)
     weight = robot._weight
@@ -194,7 +203,7 @@ def test_the_gain_of_a_remembering_robot_falls_from_the_64th_message() -> None:
     robot.observe(Observation.BLACK)
     for sender in range(63):
         robot.receive(sender, 1.0, 1.0)
-    weight = 1 - (7 / 8) ** 63
+    weight = 1 - (7 / 8) ** 63  # a running mean of 63 ones, each with a gain of 1/8
     assert robot._weight == pytest.approx(weight)
     robot.receive(63, 1.0, 1.0)
 
@@ -264,7 +273,7 @@ def test_bayescpf_cuts_its_estimate_as_a_truncated_normal_distribution(mean: flo
     assert robot._truncated_mean() == pytest.approx(expected)
 
 
-def test_an_estimate_far_outside_stays_where_it_is() -> None:
+def test_bayescpf_does_not_cut_an_estimate_far_outside_the_possible_range() -> None:
     robot = bayescpf_robot()
     robot._mean, robot._variance = 3.0, 1e-4
     assert robot._truncated_mean() == 3.0
@@ -425,7 +434,7 @@ def test_a_voting_robot_listens_only_before_the_end_of_its_dissemination() -> No
     assert robot._opinion_by_sender == {1: Observation.BLACK}
 
 
-def test_messages_without_confidence_are_no_votes() -> None:
+def test_a_voting_robot_ignores_messages_without_confidence() -> None:
     robot = disseminating_robot(0, rounds_left=1)
     robot.receive(1, 1.0, 0.0)
     robot.receive(2, 1.0, 0.0)

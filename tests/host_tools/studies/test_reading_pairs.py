@@ -147,7 +147,7 @@ def test_settle_reports_an_update_where_b_hat_is_rejected(b_hat: float, status: 
     assert robot.settle() is status
 
 
-def test_x_is_that_of_the_robust_filter() -> None:
+def test_a_robot_with_two_readings_combines_estimates_as_the_robust_filter_does() -> None:
     robot = TwoReadingsRobot(ROBUST, 0, 0.9)
     ordinary_robot = ReferenceRobot(ROBUST, 0, 0.9)
     robot.observe(Observation.BLACK)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,15 @@ from support import ROOT
 from trials import record_jobs
 
 SHORT_STUDY = ("--part", "physical", "--trials", "2", "--steps", "4000", "--workers", "1")
-TRIALS = 40  # 20 experiments of the physical part
+TRIALS = 20 * 2
+"""Two trials of each of 20 experiments of the physical part; a job is those of one experiment."""
+
+
+def interrupt_study_after_eight_jobs(folder: Path) -> None:
+    """Run the study until Ctrl-C comes when 16 of its 40 trials are done."""
+    with pytest.MonkeyPatch.context() as patch:
+        record_jobs(patch, max_jobs=8)  # the next job is interrupted
+        assert run_plain(folder) == 128 + signal.SIGINT
 
 
 @pytest.fixture(autouse=True)
@@ -64,24 +73,22 @@ def test_short_trials_get_no_verdict(tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_an_interrupted_study_runs_the_trials_that_are_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with monkeypatch.context() as patch:
-        record_jobs(patch, max_jobs=8)  # Ctrl-C after eight jobs of two trials
-        assert run_plain(tmp_path) == 130
+    interrupt_study_after_eight_jobs(tmp_path)
     assert "24 of 40 trials left; the same command goes on" in capsys.readouterr().err
-    started = record_jobs(monkeypatch)
+
+    jobs = record_jobs(monkeypatch)
     run_json(capsys, tmp_path)
 
-    assert sum(job.count for job in started) == 24
+    assert sum(job.count for job in jobs) == 24
 
 
 @pytest.mark.slow
 def test_an_interrupted_study_ends_in_the_files_of_one_that_was_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run_json(capsys, tmp_path / "uninterrupted")
-    with monkeypatch.context() as patch:
-        record_jobs(patch, max_jobs=8)
-        assert run_plain(tmp_path / "resumed") == 130
+
+    interrupt_study_after_eight_jobs(tmp_path / "resumed")
     run_json(capsys, tmp_path / "resumed")
 
     assert contents_of(tmp_path / "resumed") == contents_of(tmp_path / "uninterrupted")
@@ -131,42 +138,71 @@ def test_results_of_another_seed_are_not_overwritten(
 
 
 @pytest.mark.parametrize(("firmware", "filter_name"), [("mirror", None), ("native", "robust")])
-def test_a_firmware_or_filter_of_the_users_has_the_swarms_of_the_papers_filter(
+def test_a_firmware_or_filter_of_the_users_is_run_in_the_swarms_of_the_papers_filters(
     firmware: str, filter_name: str | None
 ) -> None:
     """Where ASDF- and ASDF+ are two swarms, a filter in their place is one."""
-    own = own_experiments_of(StudyPart.DYNAMIC, StudySize(2, 4000), firmware, filter_name)
-    assert len(set(own)) == len(own) == (60 if filter_name is None else 36)
-    assert {(each.firmware, each.filter_period, each.trials, each.steps) for each in own} == {
-        (firmware, 1000, 2, 4000)
-    }
-    assert {each.filter for each in own} == ({filter_name} if filter_name else {"asdf-minus", "asdf-plus"})
+    study_size = StudySize(trials=2, steps=4000)
+    experiments = own_experiments_of(StudyPart.DYNAMIC, study_size, firmware, filter_name)
+
+    assert len(set(experiments)) == len(experiments) == (60 if filter_name is None else 36)
+    for experiment in experiments:
+        assert experiment.firmware == firmware
+        assert experiment.filter_period == 1000
+        assert (experiment.trials, experiment.steps) == (2, 4000)
+    filters = {experiment.filter for experiment in experiments}
+    assert filters == ({filter_name} if filter_name else {"asdf-minus", "asdf-plus"})
 
 
 @pytest.mark.slow
-def test_a_filter_of_the_users_is_run_beside_the_study(
+def test_a_filter_of_the_users_adds_results_and_changes_no_claim(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    claims = run_json(capsys, tmp_path)["claims"]
+    files_before = contents_of(tmp_path)
+
+    claims_with_filter = run_json(capsys, tmp_path, "--filter", "robust")["claims"]
+
+    assert claims_with_filter == claims
+    files = contents_of(tmp_path)
+    assert files.keys() - files_before.keys() == {"physical_robust.parquet"}
+    assert files["physical.parquet"] == files_before["physical.parquet"]
+
+
+@pytest.mark.slow
+def test_the_report_says_that_no_claim_is_about_a_filter_of_the_users(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_json(capsys, tmp_path)
+    report_before = (tmp_path / "report.md").read_text(encoding="utf-8")
+    run_json(capsys, tmp_path, "--filter", "robust")
+    report_with_filter = (tmp_path / "report.md").read_text(encoding="utf-8")
+
+    sentence = "The figures also show robust, with a filter period of 1000 steps. No claim is about it."
+    assert sentence in report_with_filter
+    assert sentence not in report_before
+
+
+@pytest.mark.slow
+def test_the_report_gets_the_trials_with_a_filter_of_the_users(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shown: list[StudyResults] = []
-    render = report.render_markdown
+    reported: list[StudyResults] = []
+    render_markdown = report.render_markdown
 
-    def note_results(study_results: StudyResults, *others: Any) -> str:
-        shown.append(study_results)
-        return render(study_results, *others)
+    def record_results(study_results: StudyResults, *others: Any) -> str:
+        reported.append(study_results)
+        return render_markdown(study_results, *others)
 
-    monkeypatch.setattr(report, "render_markdown", note_results)
-    claims = run_json(capsys, tmp_path)["claims"]
-    before = contents_of(tmp_path)
-    assert run_json(capsys, tmp_path, "--filter", "robust")["claims"] == claims
-    after = contents_of(tmp_path)
-    assert after.keys() - before.keys() == {"physical_robust.parquet"}
-    assert after["physical.parquet"] == before["physical.parquet"]
-    assert shown[0].own_name == "" and shown[1].own_name == "robust"
-    own = [trials.experiment for trials in shown[1].own_trials_of(StudyPart.PHYSICAL)]
-    assert own == own_experiments_of(StudyPart.PHYSICAL, StudySize(2, 4000), "native", "robust")
-    sentence = "The figures also show robust, with a filter period of 1000 steps. No claim is about it."
-    assert sentence in after["report.md"].decode()
-    assert sentence not in before["report.md"].decode()
+    monkeypatch.setattr(report, "render_markdown", record_results)
+    run_json(capsys, tmp_path)
+    run_json(capsys, tmp_path, "--filter", "robust")
+
+    without_filter, with_filter = reported
+    assert without_filter.own_name == ""
+    assert with_filter.own_name == "robust"
+    experiments = [trials.experiment for trials in with_filter.own_trials_of(StudyPart.PHYSICAL)]
+    assert experiments == own_experiments_of(StudyPart.PHYSICAL, StudySize(2, 4000), "native", "robust")
 
 
 @pytest.mark.parametrize(

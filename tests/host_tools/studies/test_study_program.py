@@ -103,7 +103,7 @@ def test_medians_are_averaged_over_experiments() -> None:
     assert 50 < low < 54 < high < 58
 
 
-def test_rare_events_are_averaged_by_means() -> None:
+def test_measures_that_are_rarely_above_0_are_averaged_by_means() -> None:
     experiments: Any = [[1] + [0] * 19, [0] * 20]
     interval = study_program.mean_over_experiments(measured_numbers, experiments, resample_mean)
     # The one is drawn up to three times in the resamples within the interval.
@@ -222,7 +222,7 @@ def test_results_are_returned_by_row_and_written_to_a_file(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_peers_run_in_several_processes(tmp_path: Path) -> None:
+def test_robots_of_a_study_run_the_same_in_several_processes(tmp_path: Path) -> None:
     rows = {"peers": m.grid(robots=3, flawed=1, steps=1000, firmware=peers.RememberingRobot)}
     (parallel,) = study_program.run_rows("a", rows, arguments_for(tmp_path, quick=True, workers=2))["peers"]
     (alone,) = study_program.run_rows("b", rows, arguments_for(tmp_path, quick=True))["peers"]

@@ -60,13 +60,14 @@ def test_a_measure_is_computed_once(trials: dict[Cell, Trials]) -> None:
     assert results.measure(FLAWED_CELL, "H") is results.measure(FLAWED_CELL, "H")
 
 
-def test_a_cell_is_found_by_any_of_its_names(trials: dict[Cell, Trials]) -> None:
+def test_results_of_an_experiment_are_found_by_any_of_its_names(trials: dict[Cell, Trials]) -> None:
+    """Without flawed robots, what these would assume makes no difference."""
     other_name = replace(FLAWLESS_CELL, flawed_accuracy=0.75)
     results = StudyResults(trials)
     assert results.sample(other_name, "H").tolist() == results.sample(FLAWLESS_CELL, "H").tolist()
 
 
-def test_a_cell_that_was_not_run_is_a_key_error(trials: dict[Cell, Trials]) -> None:
+def test_results_of_an_experiment_that_was_not_run_are_a_key_error(trials: dict[Cell, Trials]) -> None:
     with pytest.raises(KeyError):
         StudyResults(trials).measure(replace(FLAWED_CELL, flawed_percent=50), "H")
 

@@ -51,14 +51,16 @@ def comparison(interval: Interval, expectation: Expectation, is_strong: bool = F
 
 
 @pytest.mark.parametrize(("interval", "expectation", "holds"), CASES)
-def test_a_comparison_holds_by_its_interval(
+def test_a_comparison_holds_if_its_whole_interval_is_on_the_expected_side(
     interval: Interval, expectation: Expectation, holds: bool | None
 ) -> None:
     assert comparison(interval, expectation).holds is holds
 
 
 @pytest.mark.parametrize(("interval", "expectation", "holds"), CASES)
-def test_no_side_is_preferred(interval: Interval, expectation: Expectation, holds: bool | None) -> None:
+def test_a_difference_in_the_other_direction_gets_the_same_answer(
+    interval: Interval, expectation: Expectation, holds: bool | None
+) -> None:
     assert comparison(-interval, MIRRORED[expectation]).holds is holds
 
 

@@ -92,7 +92,8 @@ def test_states_of_a_bus_have_what_its_robots_sent_before(bus: ScriptedBus) -> N
     assert np.array_equal(b, [[0.9, NAN], [0.9, NAN], [0.9, NAN], [0.9, 0.9]], equal_nan=True)
 
 
-def test_each_robot_of_a_bus_begins_a_generation(bus: ScriptedBus) -> None:
+def test_each_robot_that_joins_a_bus_makes_open_pages_load_all_states_again(bus: ScriptedBus) -> None:
+    """A page that has followed the bus loads all states again when the generation changes."""
     assert record(bus, 0.5).history.generation == 2
 
 
@@ -140,7 +141,9 @@ def frame_history(tmp_path: Path) -> FrameLogHistory:
 
 def test_the_description_of_a_log_has_its_name_and_robots(frame_history: FrameLogHistory) -> None:
     description = frame_history.history.description
-    assert (description.title, description.robots, description.fill_ratio) == ("real.log", [7, 3], 0.4)
+    assert description.title == "real.log"
+    assert description.robots == [7, 3]
+    assert description.fill_ratio == 0.4
 
 
 def test_a_log_has_ten_states_a_second(frame_history: FrameLogHistory) -> None:
@@ -171,7 +174,9 @@ def test_a_log_has_a_report_and_has_ended(frame_history: FrameLogHistory) -> Non
     assert frame_history.history.has_ended
 
 
-def test_a_log_says_what_a_user_should_know(frame_history: FrameLogHistory) -> None:
+def test_a_log_without_events_tells_of_telemetry_and_of_lines_that_were_left_out(
+    frame_history: FrameLogHistory,
+) -> None:
     assert frame_history.has_telemetry
     assert frame_history.summary.skipped_lines == 1
 

@@ -32,7 +32,8 @@ def test_a_reader_of_all_states_gets_none(history: History) -> None:
     assert history.states_since(generation=0, index=3).states == []
 
 
-def test_a_reader_of_another_generation_gets_all_states(history: History) -> None:
+def test_a_reader_that_missed_the_joining_of_a_robot_gets_all_states(history: History) -> None:
+    """It names another generation, a number that goes up when a robot joins or states are thinned out."""
     assert len(history.states_since(generation=7, index=3).states) == 3
 
 
@@ -45,12 +46,13 @@ def test_a_robot_that_joins_has_no_values_and_no_links_before(history: History) 
     assert last_state.neighbours.tolist() == [[True, True, False], [True, True, False], [False] * 3]
 
 
-def test_a_robot_that_joins_begins_a_generation(history: History) -> None:
+def test_a_robot_that_joins_begins_a_new_generation_of_states(history: History) -> None:
     history.add_robot(7)
     assert history.states_since(generation=0, index=3).generation == 1
 
 
-def test_a_history_without_an_end_is_thinned_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_without_an_end_keeps_at_most_a_hundred_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every second one is left out whenever there are more; the real limit is larger."""
     monkeypatch.setattr(history_module, "MAX_STATES", 100)
     history = History(RunDescription("endless", [0, 1]))
     largest_count = 0

@@ -68,17 +68,20 @@ def test_each_row_of_the_floor_begins_at_a_byte() -> None:
     assert decompress(encoded["bits"]) == bytes([0b10000000, 0b10000000, 0b01000000, 0])
 
 
-def test_a_block_begins_with_its_ticks() -> None:
+def test_the_data_of_states_begin_with_their_ticks() -> None:
     block = encode_states([make_state(5, [0]), make_state(300, [0])], RunDescription("a run", [0]))
     assert block["count"] == 2
-    assert decode_data(block)[:8] == bytes([5, 0, 0, 0, 44, 1, 0, 0])
+    two_ticks = decode_data(block)[: 2 * 4]  # four bytes each, the lowest first
+    assert two_ticks == bytes([5, 0, 0, 0]) + bytes([300 - 256, 1, 0, 0])
 
 
 def test_values_are_differences_along_each_robots_series() -> None:
-    """Robot 0 has x = 0.5, 1, 1 and robot 1 has 0, 0, 0.25, where 1 is 65534."""
+    """They compress better. Robot 0 has x = 0.5, 1, 1 and robot 1 has 0, 0, 0.25, where 1 is 65534."""
     states = [make_state(0, [0.5, 0]), make_state(1, [1, 0]), make_state(2, [1, 0.25])]
     data = decode_data(encode_states(states, RunDescription("a run", [0, 1])))
-    series_of_x = np.frombuffer(data, "<u2", count=6, offset=12)
+
+    bytes_of_ticks = 3 * 4
+    series_of_x = np.frombuffer(data, "<u2", count=3 * 2, offset=bytes_of_ticks)
     assert series_of_x.tolist() == [32767, 32767, 0, 0, 0, 16384]
 
 

@@ -61,6 +61,7 @@ def roster() -> RosterOfRobot3:
 def test_loss_is_counted_by_gaps_of_transfer_ids_modulo_32(
     roster: RosterOfRobot3, transfer_ids: list[int], loss: float
 ) -> None:
+    """A robot numbers its frames from 0 to 31 and then from 0 again; loss is the share of missing numbers."""
     for transfer_id in transfer_ids:
         roster.receive_estimate(transfer_id, now=0.0)
     assert roster.row(now=1.0)["loss"] == loss
@@ -112,11 +113,12 @@ def test_the_rate_of_a_robot_that_has_just_begun_is_over_one_second(roster: Rost
 def test_a_rate_is_over_the_time_since_the_first_frame(roster: RosterOfRobot3) -> None:
     for tick in range(21):
         roster.receive_estimate(tick, now=50 + tick / 10)
-    assert roster.row(now=52.0)["rate"] == 10.5
+    assert roster.row(now=52.0)["rate"] == 21 / 2.0
 
 
 def test_a_rate_is_over_5_s_at_most(regular_roster: RosterOfRobot3) -> None:
     assert regular_roster.row(now=59.9)["rate"] == 10.0
+    # Of the last 5 s before 62.9 s the robot has sent for 2 s: 20 or 21 frames.
     assert regular_roster.row(now=62.9)["rate"] == pytest.approx(4.0, abs=0.21)
     assert regular_roster.row(now=70.0)["rate"] == 0
 
@@ -148,6 +150,7 @@ def test_a_row_says_how_long_ago_a_robot_was_seen(regular_roster: RosterOfRobot3
 def test_the_page_counts_the_jumps_that_a_node_counts(
     roster: RosterOfRobot3, alphas: list[int], jumps: int
 ) -> None:
+    """A jump is a confidence alpha that is suddenly twice as large, from the 33rd estimate of a sender on."""
     listener = node(5)
     for tick, alpha in enumerate(alphas):
         estimate = Estimate(3, 1 << 22, alpha << 8, tick % 32)
@@ -170,7 +173,9 @@ def test_health_and_mode_are_those_of_the_last_heartbeat(roster: RosterOfRobot3)
 def test_values_are_those_of_the_last_telemetry(roster: RosterOfRobot3) -> None:
     roster.receive_telemetry(now=0.0)
     row = roster.row(now=0.0)
-    assert (row["x"], row["b_hat"], row["updates"]) == (0.25, 0.75, 7)
+    assert row["x"] == 0.25
+    assert row["b_hat"] == 0.75
+    assert row["updates"] == 7
 
 
 @pytest.mark.parametrize("name", ["health", "mode", "x", "b_hat", "updates"])

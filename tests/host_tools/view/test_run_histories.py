@@ -102,19 +102,19 @@ def recordings(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
 # --- Equal states -------------------------------------------------------------------------------------
 
 
-def test_a_log_has_the_states_that_the_swarm_had(recordings: Recordings) -> None:
+def test_a_log_is_shown_with_the_same_states_as_the_running_swarm(recordings: Recordings) -> None:
     logged = states_of(recompute_swarm_history(recordings.log))
     assert [state.tick for state in logged] == [*range(111)]
     check_equal_states(states_of(recordings.live), logged[1:])
 
 
-def test_a_trial_has_the_states_that_the_swarm_had(recordings: Recordings) -> None:
+def test_a_simulated_trial_is_shown_with_the_same_states_as_the_running_swarm(recordings: Recordings) -> None:
     trial_states = states_of(recompute_trial_history(recordings.trials, trial=0))
     assert [state.tick for state in trial_states] == [*range(111)]
     check_equal_states(states_of(recordings.live), trial_states[1:])
 
 
-def test_log_and_trial_have_the_description_of_the_swarm(recordings: Recordings) -> None:
+def test_log_and_trial_are_described_on_the_page_as_the_running_swarm_is(recordings: Recordings) -> None:
     live = encode_description(recordings.live.description)
     logged = encode_description(recompute_swarm_history(recordings.log).description)
     trial = encode_description(recompute_trial_history(recordings.trials, trial=0).description)
@@ -130,13 +130,14 @@ def test_a_recording_has_ended_and_a_running_swarm_has_not(recordings: Recording
 def test_a_long_recording_has_every_fourth_state(
     recordings: Recordings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """So its page stays small: of 111 states at most 28 are kept here."""
     every_state = states_of(recompute_swarm_history(recordings.log))
     monkeypatch.setattr(history_module, "MAX_STATES", 28)
     check_equal_states(states_of(recompute_swarm_history(recordings.log)), every_state[::4])
     check_equal_states(states_of(recompute_trial_history(recordings.trials, trial=0)), every_state[::4])
 
 
-def test_the_robots_of_the_dynamic_world_learn_and_recalibrate() -> None:
+def test_estimates_and_accuracies_of_the_compared_swarm_change_by_more_than_a_tenth() -> None:
     """Without changes in x and b_hat, equal states would be no evidence."""
     x, _, b_hat, _ = np.stack(
         [state.values for state in states_of(record_swarm(**WORLDS["dynamic"]))], axis=1
@@ -170,7 +171,8 @@ def test_the_title_of_a_later_trial_has_its_number() -> None:
     assert history.description.title.endswith(", seed 3, trial 1")
 
 
-def test_unfiltered_errors_are_those_of_the_same_run_without_a_filter() -> None:
+def test_the_chart_shows_the_errors_of_the_same_run_without_a_filter() -> None:
+    """The chart shows them beside the errors of the run, whose fill ratio is 0.55."""
     description = record_swarm(topology="dynamic", steps=60).description
     unfiltered = record_swarm(topology="dynamic", steps=60, filter="none")
     x = np.stack([state.values[0] for state in states_of(unfiltered)])
@@ -179,7 +181,9 @@ def test_unfiltered_errors_are_those_of_the_same_run_without_a_filter() -> None:
     assert description.unfiltered_errors[1:] == expected.tolist()
 
 
-def test_unfiltered_errors_have_a_limited_number_of_points(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_line_of_errors_without_a_filter_has_a_limited_number_of_points(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(run_description, "_MAX_ERROR_POINTS", 4)
     assert len(record_swarm(steps=60).description.unfiltered_errors) == 4
 
@@ -189,12 +193,14 @@ def test_unfiltered_errors_have_a_limited_number_of_points(monkeypatch: pytest.M
     [{"filter": "none"}, {"faults": ("loss=0.1",)}, {"allow": "0-6"}, {"latency": 1}],
     ids=["no filter", "faults", "allow", "latency"],
 )
-def test_runs_without_a_fair_comparison_have_no_unfiltered_errors(parameters: dict[str, Any]) -> None:
+def test_the_chart_shows_no_errors_without_a_filter_where_they_would_be_no_fair_comparison(
+    parameters: dict[str, Any],
+) -> None:
     settings = SwarmSettings(**PARAMETERS | parameters)
     assert len(SwarmRecorder(settings).history.description.unfiltered_errors) == 0
 
 
-def test_a_swarm_of_a_billion_steps_has_no_unfiltered_errors() -> None:
+def test_a_swarm_of_a_billion_steps_is_not_run_a_second_time_for_its_chart() -> None:
     recorder = SwarmRecorder(SwarmSettings(steps=10**9))
     assert len(recorder.history.description.unfiltered_errors) == 0
 
@@ -263,8 +269,8 @@ def test_the_description_names_faults_with_their_time(crash_histories: tuple[His
 # --- A swarm as it goes -------------------------------------------------------------------------------
 
 
-def test_a_recorder_slows_a_swarm_to_its_pace(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At 100 steps a second, a slow step of 50 ms is not made up for."""
+def test_a_swarm_that_is_viewed_is_slowed_to_its_pace(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 100 steps a second each step has 10 ms. A slow step of 50 ms is not made up for."""
     now = [50.0]
     slept = list[float]()
 
