@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from typing import Any
 
@@ -48,29 +47,6 @@ def test_published_figures_of_the_advice_are_what_the_experiments_give(
     for filter_name in ("none", "asdf-minus", "robust"):
         trials = m.simulate(m.grid(**given, filter=filter_name)).to_pylist()
         assert f"{case},{filter_name},{row_end(trials)}" in published
-
-
-def published_error(topology: str, flawed: str, share: str, filter_name: str) -> str:
-    """Return the median error of a case that changes no parameter."""
-    rows = csv.reader(FIGURES.read_text(encoding="utf-8").splitlines())
-    [error] = [row[6] for row in rows if row[:5] == [topology, flawed, share, "", filter_name]]
-    return error
-
-
-def test_the_table_of_the_figures_has_the_errors_of_the_file() -> None:
-    page = FIGURES.with_suffix(".md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| (\w+) \| (\d+) % \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", page, re.MULTILINE)
-    assert [(flawed, share) for flawed, share, *_ in rows] == [
-        ("underconfident", "30"),
-        ("underconfident", "50"),
-        ("overconfident", "30"),
-        ("overconfident", "50"),
-    ]
-    for flawed, share, *errors in rows:
-        filters = ("none", "asdf-minus", "robust")
-        assert errors == [
-            published_error("dynamic", flawed, f"{share}%", filter_name) for filter_name in filters
-        ]
 
 
 def test_the_defaults_of_the_tools_are_those_that_the_page_advises() -> None:
