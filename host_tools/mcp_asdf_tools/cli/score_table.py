@@ -15,6 +15,9 @@ from mcp_asdf_tools.experiments.scores import Limits
 _FORMAT_OF_MEASURE = {"h_K": ".2f", "h_e": ".2f", "K": "g", "e": ".5f", "updates": "g"}
 """Measures of which a table has the median alone, with the format of that number."""
 
+_WIDER_THAN_ANY_TABLE = 10_000
+"""Characters."""
+
 
 def summarize(experiments: Iterable[Trials], limits: Limits) -> list[dict[str, Any]]:
     """Return for each experiment a row of plain values, for JSON and for ``print_scores``.
@@ -69,8 +72,8 @@ def print_scores(rows: Sequence[dict[str, Any]], title: str) -> None:
             quartiles = row[name]
             medians.append(format(quartiles["median"], number_format))
         table.add_row(*values, _describe_trial_count(row), _describe_score(row["H"]), *medians)
-    # Lines longer than a terminal wrap; columns that shrink to fit would lose figures.
-    width = Console(width=10_000).measure(table).maximum
+    # As wide as the table is: lines longer than a terminal wrap, but columns that shrink would lose figures.
+    width = Console(width=_WIDER_THAN_ANY_TABLE).measure(table).maximum
     Console(width=width).print(table)
 
 

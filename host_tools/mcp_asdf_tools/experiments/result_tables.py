@@ -179,8 +179,10 @@ def _nest_flat_record(table: pa.Table, column: str) -> pa.ChunkedArray:
         robots = np.clip(robots, 0, np.iinfo(np.int32).max).astype(np.int64)
         step_counts = value_counts // np.maximum(robots, 1)
         has_gaps = flat_records.null_count > 0
-        if has_gaps or not np.array_equal(step_counts * robots, value_counts):
+        has_value_of_each_robot = np.array_equal(step_counts * robots, value_counts)  # without a remainder
+        if has_gaps or not has_value_of_each_robot:
             raise _damage_error(f"column {column} has gaps, or not a value of each robot at each step")
+        # The values become lists by robot for each step, and these become a list for each trial.
         robots_by_step = np.repeat(robots, step_counts)
         values_of_robots = _group_in_lists(flat_records.flatten(), robots_by_step, _VALUES_OF_ROBOTS)
         nested_chunks.append(_group_in_lists(values_of_robots, step_counts, _RECORD_OF_TRIAL))

@@ -55,9 +55,11 @@ def plot_scatter(
     # An entry of the legend for each b and offset of b_hat that occurs.
     handles: dict[tuple[float, float], Line2D] = {}
     for (row, column), axes in np.ndenumerate(grid):
-        (series, f), share = rows[row], shares[column]
+        series, f = rows[row]
+        share = shares[column]
         for trials in _select_panel(series, f, share).experiments:
-            b, offset = trials.experiment.true_accuracy, accuracy_offset(trials.experiment)
+            b = trials.experiment.true_accuracy
+            offset = accuracy_offset(trials.experiment)  # of the flawed robots' b_hat from b
             colour = _colour_of_offset(offset)
             # With more than five b, markers are used again.
             marker = _MARKERS[accuracies.index(b) % len(_MARKERS)]
