@@ -43,10 +43,11 @@ BELOW_0 = -1e-9
 ABOVE_1 = math.nextafter(1, 2)
 
 
-def visible_state(robot: Robot) -> tuple[object, ...]:
+def visible_state(robot: Robot) -> dict[str, object]:
     """Return all that a robot shows of itself but the counter of rejected messages."""
-    values = (robot.t, robot.n, robot.b_hat, robot.x_hat, robot.alpha, robot.x_bar, robot.beta, robot.x)
-    return (*values, replace(robot.counters, rejected=0))
+    names = ("t", "n", "b_hat", "x_hat", "alpha", "x_bar", "beta", "x")
+    values: dict[str, object] = {name: getattr(robot, name) for name in names}
+    return {**values, "counters": replace(robot.counters, rejected=0)}
 
 
 # --- Messages --------------------------------------------------------------------------------------------
@@ -56,10 +57,12 @@ def check_rejection(firmware: Firmware, sender: int, x_hat: float, status: Statu
     """Check that a robot rejects and counts a message, with this error, and that nothing else changes."""
     robot = make_robot(firmware)
     observe_tiles(robot, black=2, white=1)
-    robot.receive(1, 0.25, 4.0)
+    robot.receive(sender=1, x_hat=0.25, alpha=4.0)
     state_before = visible_state(robot)
+
     with pytest.raises(FirmwareError, match=re.escape(message)) as error:
-        robot.receive(sender, x_hat, 1.0)
+        robot.receive(sender, x_hat, alpha=1.0)
+
     assert error.value.status == status
     assert visible_state(robot) == state_before
     assert robot.counters.rejected == 1
@@ -75,7 +78,7 @@ def test_a_message_of_an_invalid_sender_is_rejected(firmware: Firmware, sender: 
 @for_every_firmware
 @pytest.mark.parametrize("sender", [0, 127])
 def test_the_smallest_and_the_largest_id_may_send(firmware: Firmware, sender: int) -> None:
-    assert make_robot(firmware).receive(sender, 0.5, 1.0) == Status.OK
+    assert make_robot(firmware).receive(sender=sender, x_hat=0.5, alpha=1.0) == Status.OK
 
 
 # design: R5
@@ -96,14 +99,18 @@ def test_the_sender_of_a_message_is_checked_first(firmware: Firmware) -> None:
 def test_an_alpha_that_is_no_confidence_raises_and_changes_nothing(
     firmware: Firmware, alpha: float, sender: int, x_hat: float
 ) -> None:
-    """Frames with such an alpha do not reach a robot; a program that passes one has a fault."""
+    """Whether or not sender and x_hat are valid: no bus brings it, so it is the fault of a program."""
     robot = make_robot(firmware)
     observe_tiles(robot, black=2, white=1)
     state_before, counters_before = visible_state(robot), robot.counters
+
     with pytest.raises(ValueError, match="alpha is"):
         robot.receive(sender, x_hat, alpha)
-    assert (visible_state(robot), robot.counters) == (state_before, counters_before)
-    assert robot.receive(1, 0.5, 1.0) == Status.OK, "the sender has not been heard"
+
+    assert visible_state(robot) == state_before
+    assert robot.counters == counters_before
+    # REPEATED would show that sender 1 had been received.
+    assert robot.receive(sender=1, x_hat=0.5, alpha=1.0) == Status.OK
 
 
 @for_fixed_point_firmwares
@@ -111,9 +118,13 @@ def test_an_alpha_that_is_no_confidence_raises_and_changes_nothing(
 def test_a_raw_message_of_a_sender_that_no_c_type_holds_is_rejected(
     firmware: FixedPointFirmware, sender: int
 ) -> None:
-    robot = firmware(PLAIN, OWN_ID, 0.75)
+    """A conversion to C's byte would make 256 + 4 a valid id."""
+    robot = firmware(PLAIN, OWN_ID, b_hat=0.75)
     state_before = robot.state()
-    assert robot.receive_raw(sender, 0, 0) == Status.ERR_SENDER
+
+    status = robot.receive_raw(sender, x_hat=0, alpha=0)
+
+    assert status == Status.ERR_SENDER
     assert robot.state() == {**state_before, "rejected": 1}
 
 
@@ -122,9 +133,13 @@ def test_a_raw_message_of_a_sender_that_no_c_type_holds_is_rejected(
 def test_a_raw_message_with_an_x_hat_that_no_c_type_holds_is_rejected(
     firmware: FixedPointFirmware, x_hat: int
 ) -> None:
-    robot = firmware(PLAIN, OWN_ID, 0.75)
+    """A conversion to C's 32 bits would make 2**32 + 5 a valid estimate."""
+    robot = firmware(PLAIN, OWN_ID, b_hat=0.75)
     state_before = robot.state()
-    assert robot.receive_raw(4, x_hat, 0) == Status.ERR_X_HAT
+
+    status = robot.receive_raw(4, x_hat, alpha=0)
+
+    assert status == Status.ERR_X_HAT
     assert robot.state() == {**state_before, "rejected": 1}
 
 
@@ -142,19 +157,35 @@ MESSAGES = [(1, HALF, 0x80000001), (1, ONE, 0x80000003), (OWN_ID, 0, 0x80000001)
 
 @for_fixed_point_firmwares
 def test_messages_in_an_array_are_received_in_order(firmware: FixedPointFirmware) -> None:
-    robot, other_robot = firmware(PLAIN, OWN_ID, 0.7), firmware(PLAIN, OWN_ID, 0.7)
-    assert robot.receive_all(np.array(MESSAGES, np.uint32)) == 2
+    """As one by one: the robots are equal in the end, and count alike."""
+    robot, other_robot = (firmware(PLAIN, OWN_ID, b_hat=0.7) for _ in range(2))
+
+    accepted = robot.receive_all(np.array(MESSAGES, np.uint32))
     receive_raw_messages(other_robot, MESSAGES)
+
+    assert accepted == 2
     assert robot.save() == other_robot.save()
     assert robot.counters == Counters(accepted=2, repeated=1, rejected=2)
 
 
 @for_fixed_point_firmwares
-def test_an_array_of_another_type_shape_or_order_is_refused(firmware: FixedPointFirmware) -> None:
-    robot, array = firmware(PLAIN, OWN_ID, 0.7), np.array(MESSAGES, np.uint32)
-    for wrong in (array.astype("int64"), array[:, :2].copy(), array[::2, ::-1], array[:, 0].copy()):
-        with pytest.raises(ValueError, match="give a C-contiguous one"):
-            robot.receive_all(wrong)
+@pytest.mark.parametrize(
+    "array",
+    [
+        pytest.param(np.array(MESSAGES, np.int64), id="another type"),
+        pytest.param(np.array(MESSAGES, np.uint32)[:, :2].copy(), id="two columns"),
+        pytest.param(np.array(MESSAGES, np.uint32)[:, 0].copy(), id="one dimension"),
+        pytest.param(np.array(MESSAGES, np.uint32)[::2, ::-1], id="another order in memory"),
+    ],
+)
+def test_an_array_of_another_type_shape_or_order_is_refused(
+    firmware: FixedPointFirmware, array: np.ndarray[Any, Any]
+) -> None:
+    robot = firmware(PLAIN, OWN_ID, b_hat=0.7)
+
+    with pytest.raises(ValueError, match="give a C-contiguous one"):
+        robot.receive_all(array)
+
     assert robot.counters == Counters()
 
 
@@ -164,14 +195,32 @@ def test_an_array_of_another_type_shape_or_order_is_refused(firmware: FixedPoint
 # design: R1, R11
 @for_every_firmware
 @pytest.mark.parametrize("z", [-1, 2, 2**32 + 1, 2**64])
-def test_an_invalid_observation_changes_nothing_and_keeps_the_round_open(firmware: Firmware, z: Any) -> None:
+@pytest.mark.parametrize("method", ["step", "observe"])
+def test_an_observation_that_is_neither_black_nor_white_changes_nothing(
+    firmware: Firmware, method: str, z: Any
+) -> None:
     robot = make_robot(firmware, ADAPTIVE)
-    robot.receive(1, 0.25, 1.0)
+    robot.receive(sender=1, x_hat=0.25, alpha=1.0)
     robot.observe(Observation.BLACK)
     state_before = visible_state(robot)
-    assert robot.step(z) == robot.observe(z) == Status.ERR_OBSERVATION
+
+    status = getattr(robot, method)(z)
+
+    assert status == Status.ERR_OBSERVATION
     assert visible_state(robot) == state_before
-    robot.settle()
+
+
+# design: R1, R11
+@for_every_firmware
+def test_a_step_with_an_invalid_observation_does_not_end_the_round(firmware: Firmware) -> None:
+    """Ended twice, the round would lose its message, and the robot its confidence in others, beta."""
+    robot = make_robot(firmware, ADAPTIVE)
+    robot.receive(sender=1, x_hat=0.25, alpha=1.0)
+    neither_black_nor_white: Any = 2
+
+    robot.step(neither_black_nor_white)
+    robot.settle()  # ends the round
+
     assert robot.beta == 1.0
 
 
@@ -197,23 +246,33 @@ def restore_status(firmware: FixedPointFirmware, config: Config, image: bytes) -
 
 
 @for_fixed_point_firmwares
-def test_an_image_may_be_any_bytes_like_object(firmware: FixedPointFirmware) -> None:
+def test_a_robot_is_restored_from_any_bytes_like_object(firmware: FixedPointFirmware) -> None:
     image = saved_image(firmware)
     assert len(image) == IMAGE_SIZE
-    assert firmware.restore(FITTING, memoryview(image)).save() == image  # type: ignore[arg-type]
+
+    robot = firmware.restore(FITTING, memoryview(image))  # type: ignore[arg-type]
+
+    assert robot.save() == image
+
+
+@for_fixed_point_firmwares
+def test_restoring_a_robot_from_a_number_raises(firmware: FixedPointFirmware) -> None:
+    """Python itself would make so many zeros of it."""
     with pytest.raises(TypeError):
         firmware.restore(FITTING, IMAGE_SIZE)  # type: ignore[arg-type]
 
 
 # design: R31
 @for_fixed_point_firmwares
-def test_bytes_that_are_no_image_are_refused(firmware: FixedPointFirmware) -> None:
+def test_no_robot_is_restored_from_bytes_that_no_robot_saved(firmware: FixedPointFirmware) -> None:
     """Damaged images of all kinds are tried by the cross-check, and by tests/third."""
     image = saved_image(firmware)
-    wrong_images = [*(image[:size] for size in (0, 4, 120, 123)), image + b"\0", image * 8]
-    wrong_images += [bytes(IMAGE_SIZE), image[::-1]]
-    statuses = {restore_status(firmware, FITTING, wrong) for wrong in wrong_images}
-    assert statuses == {Status.ERR_IMAGE}
+    too_short = [image[:size] for size in (0, 4, 120, 123)]
+    too_long = [image + b"\0", image * 8]
+    of_the_right_size = [bytes(IMAGE_SIZE), image[::-1]]
+
+    for wrong_image in [*too_short, *too_long, *of_the_right_size]:
+        assert restore_status(firmware, FITTING, wrong_image) == Status.ERR_IMAGE, wrong_image.hex()
 
 
 # design: R31
@@ -269,10 +328,23 @@ def test_an_image_of_another_filter_is_refused_by_name(
 
 
 @for_fixed_point_firmwares
-def test_an_error_says_whether_an_image_is_damaged_or_impossible(firmware: FixedPointFirmware) -> None:
-    image = saved_image(firmware)
+def test_the_error_for_a_saved_robot_with_a_wrong_bit_says_that_it_is_damaged(
+    firmware: FixedPointFirmware,
+) -> None:
+    image = bytearray(saved_image(firmware))
+    image[-1] ^= 1
+
     with pytest.raises(FirmwareError, match="the image is damaged"):
-        firmware.restore(FITTING, image[:-1] + bytes([image[-1] ^ 1]))
+        firmware.restore(FITTING, bytes(image))
+
+
+@for_fixed_point_firmwares
+def test_the_error_for_a_saved_robot_of_other_settings_says_that_it_does_not_fit(
+    firmware: FixedPointFirmware,
+) -> None:
+    """Eight rounds are left until its filter runs, so the filter's period is no shorter."""
+    image = saved_image(firmware)
+
     with pytest.raises(FirmwareError, match="does not fit the configuration"):
         firmware.restore(replace(FITTING, filter_period=7), image)
 
@@ -287,23 +359,30 @@ def state_or_error(firmware: FixedPointFirmware, config: Config, image: bytes) -
 
 # design: R30
 @pytest.mark.parametrize("mode", [Filter.OFF, Filter.ROBUST])
-def test_mirror_and_c_agree_on_images_with_another_word(mode: Filter) -> None:
-    """Each word takes values at the ends of ranges and beside its own; the checksum is made right."""
-    config, outcomes = Config(filter=mode, filter_period=4), set[object]()
-    robot = MirrorRobot(config, OWN_ID, 0.7)
+def test_the_c_and_the_python_robot_refuse_the_same_changed_images(mode: Filter) -> None:
+    """And of those that they accept they restore the same robot.
+
+    Each word of a saved robot takes values at the ends of ranges and beside its own; the checksum fits.
+    """
+    config = Config(filter=mode, filter_period=4)
+    robot = MirrorRobot(config, OWN_ID, b_hat=0.7)
     for tick in range(9):
         receive_estimates(robot, 0.4, 0.5, 0.6, 0.4, 0.5, 0.6)
         robot.step(Observation(tick % 3 == 1))
     robot.receive_raw(1, 1, ALPHA_MAX)
     image = robot.save()
-    for word_index, word in enumerate(unpack_image(image)[:-1]):
+    *words, _checksum = unpack_image(image)
+
+    outcomes = set[str]()
+    for word_index, word in enumerate(words):
         ends = (0, 1, 2**12, 2**18, 2**23, 2**28, 2**30, 2**31, 2**32, word, word ^ 1 << 16, word ^ 1 << 24)
-        for value in ((end + offset) % 2**32 for end in ends for offset in (-1, 0, 1)):
-            edited = edited_image(image, Call("restore", (word_index, value)))
-            outcome = state_or_error(MirrorRobot, config, edited)
-            assert outcome == state_or_error(NativeRobot, config, edited), (word_index, value)
+        for end, offset in itertools.product(ends, (-1, 0, 1)):
+            value = (end + offset) % 2**32
+            changed_image = edited_image(image, Call("restore", (word_index, value)))
+            outcome = state_or_error(MirrorRobot, config, changed_image)
+            assert outcome == state_or_error(NativeRobot, config, changed_image), (word_index, value)
             outcomes.add(str(outcome))
-    assert len(outcomes) > 100
+    assert len(outcomes) > 100, "robots and errors of many kinds"
 
 
 # --- Settings --------------------------------------------------------------------------------------------
@@ -360,16 +439,20 @@ def init_status(firmware: Firmware, **settings: Any) -> Status:
 def test_settings_are_valid_up_to_the_ends_of_their_ranges(
     firmware: Firmware, name: str, status: Status, invalid: Sequence[Any], valid: Sequence[Any]
 ) -> None:
-    assert [value for value in invalid if init_status(firmware, **{name: value}) != status] == []
-    assert [value for value in valid if init_status(firmware, **{name: value}) != Status.OK] == []
+    for value in invalid:
+        assert init_status(firmware, **{name: value}) == status, value
+    for value in valid:
+        assert init_status(firmware, **{name: value}) == Status.OK, value
 
 
 # design: R14
 @for_every_firmware
 def test_of_several_wrong_settings_the_first_is_reported(firmware: Firmware) -> None:
-    """Config, table, id, b_hat, in this order."""
-    assert init_status(firmware, memory=1, table=None, robot_id=200, b_hat=0.0) == Status.ERR_CONFIG
-    assert init_status(firmware, table=None, robot_id=200, b_hat=0.0) == Status.ERR_TABLE
+    """The order is: config, table, id, b_hat."""
+    wrong_table_id_and_b_hat = {"table": None, "robot_id": 200, "b_hat": 0.0}
+
+    assert init_status(firmware, memory=1, **wrong_table_id_and_b_hat) == Status.ERR_CONFIG
+    assert init_status(firmware, **wrong_table_id_and_b_hat) == Status.ERR_TABLE
     assert init_status(firmware, robot_id=200, b_hat=0.0) == Status.ERR_ID
 
 
@@ -384,12 +467,14 @@ def test_only_the_hypothesis_test_needs_a_table(firmware: Firmware, mode: Filter
 
 
 # design: R28
-def test_each_flipped_bit_of_a_table_is_found() -> None:
+def test_a_table_with_any_flipped_bit_is_refused() -> None:
     words = VALID_TABLE.words()
     for word_index, bit in itertools.product(range(len(words)), range(32)):
-        damaged = (*words[:word_index], words[word_index] ^ 1 << bit, *words[word_index + 1 :])
+        damaged_words = list(words)
+        damaged_words[word_index] ^= 1 << bit
+
         with pytest.raises(TableError):
-            Table.from_words(damaged)
+            Table.from_words(tuple(damaged_words))
 
 
 # design: R28

@@ -64,9 +64,12 @@ def test_the_default_config_is_that_of_the_header() -> None:
 @pytest.mark.parametrize(
     "name", ["VOTES_OF_MAX_GAIN", "HUBER_STEPS", "REJECTED_SIGMAS_SQUARED", "DISPERSION_SHIFT"]
 )
-def test_the_robust_filter_has_the_same_constants_in_c_and_mirror(name: str) -> None:
+def test_the_robust_filter_has_the_same_constants_in_c_and_python(name: str) -> None:
+    """Those of a header that users do not include."""
     source = (ROOT / "c_ref/src/mcp_asdf_robust.h").read_text(encoding="utf-8")
+
     match = re.search(rf"^#define {name} (?:UINT32_C\()?(\d+)U?\)?$", source, re.MULTILINE)
+
     assert match is not None
     assert int(match[1]) == getattr(robust_filter, name)
 
@@ -105,22 +108,35 @@ def overwrite_freed_memory() -> None:
     _ = [ffi.new("uint32_t[]", [0xAAAAAAAA] * 40) for _ in range(1000)]
 
 
-def test_the_c_config_lives_as_long_as_its_robot() -> None:
-    native = NativeRobot(Config(replace(TABLE), filter_period=7), OWN_ID, 0.8)
-    config_reference = weakref.ref(native._c_config)
+def test_the_settings_of_a_c_robot_are_not_freed_while_it_lives() -> None:
+    """The C robot has a pointer to them, which Python's garbage collector does not see."""
+    robot = NativeRobot(Config(replace(TABLE), filter_period=7), OWN_ID, 0.8)
+
     overwrite_freed_memory()
-    assert native.pointer.config.filter_period == 7
-    assert list(native._c_config._table)[: EXTRA_WORDS + TABLE.q] == list(TABLE.words())
-    del native
+
+    assert robot.pointer.config.filter_period == 7
+    words_in_c = list(robot._c_config._table)
+    assert words_in_c[: len(TABLE.words())] == list(TABLE.words())
+
+
+def test_the_settings_of_a_c_robot_are_freed_with_it() -> None:
+    robot = NativeRobot(Config(replace(TABLE), filter_period=7), OWN_ID, 0.8)
+    settings_in_c = weakref.ref(robot._c_config)
+
+    del robot
     gc.collect()
-    assert config_reference() is None
+
+    assert settings_in_c() is None
 
 
-def test_a_table_in_c_has_zeros_up_to_the_longest_table() -> None:
-    """A damaged q may claim as many words, and the C reads them."""
-    native = NativeRobot(Config(TABLE), OWN_ID, 0.8)
-    words = native._c_config._table
-    assert native.pointer.config.table == words and len(words) == EXTRA_WORDS + MAX_Q
+def test_behind_a_table_in_c_are_zeros_up_to_the_longest_table() -> None:
+    """If the table's length is damaged, the C may read as many words as the longest table has."""
+    robot = NativeRobot(Config(TABLE), OWN_ID, 0.8)
+
+    words = robot._c_config._table
+
+    assert robot.pointer.config.table == words
+    assert len(words) == EXTRA_WORDS + MAX_Q
     assert list(words) == [*TABLE.words(), *[0] * (MAX_Q - TABLE.q)]
 
 

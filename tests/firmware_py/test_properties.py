@@ -82,21 +82,28 @@ unit_counts = st.integers(0, 2**26) | st.builds(
 
 @given(units=unit_counts)
 @example(units=2**54)
-def test_units_become_the_largest_alpha_word_not_above_them(units: int) -> None:
+def test_a_confidence_becomes_the_largest_alpha_word_not_above_it(units: int) -> None:
+    """An alpha word is a confidence in 32 bits: a mantissa of 24 bits and a shift. Units are 2**-24."""
     word = alpha_word_from_units(units)
+
     mantissa, shift = word >> 8, word & 0xFF
-    if units >= 2**55 - 2**31:
+    largest_units = 2**55 - 2**31
+    if units >= largest_units:
         assert word == ALPHA_MAX
     else:
-        assert alpha_units(word) == mantissa << shift <= units < (mantissa + 1) << shift
+        assert alpha_units(word) == mantissa << shift
+        assert mantissa << shift <= units < (mantissa + 1) << shift
 
 
 @given(units=unit_counts)
 @example(units=2**54)
-def test_an_alpha_word_has_the_smallest_shift(units: int) -> None:
+def test_a_confidence_keeps_as_many_bits_as_fit_into_an_alpha_word(units: int) -> None:
+    """The mantissa has 24 bits, and is shifted only if it has its highest bit."""
     word = alpha_word_from_units(units)
+
     mantissa, shift = word >> 8, word & 0xFF
-    assert mantissa < 2**24 and shift <= 31
+    assert mantissa < 2**24
+    assert shift <= 31
     assert shift == 0 or mantissa >= 2**23
 
 
@@ -116,15 +123,18 @@ def test_a_float_is_rounded_down_to_the_unit(alpha: float) -> None:
 def test_the_order_of_messages_changes_no_bit(
     firmware: FixedPointFirmware, messages: list[RawMessage], seed: int
 ) -> None:
-    """I12"""
-    robot, other_robot = firmware(PLAIN, OWN_ID, 0.75), firmware(PLAIN, OWN_ID, 0.75)
+    """Property I12: neither before nor after the end of the round."""
+    robot, other_robot = (firmware(PLAIN, OWN_ID, b_hat=0.75) for _ in range(2))
     receive_raw_messages(robot, messages)
     receive_raw_messages(other_robot, random.Random(seed).sample(messages, len(messages)))
     assert robot.state() == other_robot.state()
-    robot.step(Observation.BLACK)
+
+    robot.step(Observation.BLACK)  # ends the round
     other_robot.step(Observation.BLACK)
+
     assert robot.state() == other_robot.state()
-    assert (robot.x_raw, robot.x_bar_raw) == (other_robot.x_raw, other_robot.x_bar_raw)
+    assert robot.x_raw == other_robot.x_raw
+    assert robot.x_bar_raw == other_robot.x_bar_raw
 
 
 # design: R35
@@ -134,10 +144,12 @@ def test_the_order_of_messages_changes_no_bit(
 def test_the_order_of_messages_changes_no_bit_of_the_robust_filter(
     firmware: FixedPointFirmware, messages: list[RawMessage], seed: int
 ) -> None:
-    """I12, for senders whose ids differ modulo 32."""
-    robot, other_robot = firmware(ROBUST, OWN_ID, 0.75), firmware(ROBUST, OWN_ID, 0.75)
+    """Property I12, for senders whose ids differ modulo 32: equal ones share a place in its memory."""
+    robot, other_robot = (firmware(ROBUST, OWN_ID, b_hat=0.75) for _ in range(2))
+
     receive_raw_messages(robot, messages)
     receive_raw_messages(other_robot, random.Random(seed).sample(messages, len(messages)))
+
     assert robot.state() == other_robot.state()
 
 
@@ -148,26 +160,37 @@ def test_the_order_of_messages_changes_no_bit_of_the_robust_filter(
 @for_fixed_point_firmwares
 @thorough
 @given(vote=slot_estimates, centre=centres, spread=spreads, votes=st.integers(1, 512))
-def test_a_vote_moves_the_centre_towards_it_and_never_beyond(
+def test_a_neighbour_s_vote_moves_a_robot_towards_it_and_never_beyond(
     firmware: FixedPointFirmware, vote: int, centre: int, spread: int, votes: int
 ) -> None:
-    """I25"""
+    """Property I25: the centre of the votes moves by an eighth of their spread at most.
+
+    A vote is in units of 2**-16, centre and spread in units of 2**-30; ``votes`` is how many there were.
+    """
     robot = restore_robust_robot(firmware, estimates=[vote], centre=centre, spread=spread, votes=votes)
-    robot.settle()
-    new_centre, position = robot.state()["robust_centre"], vote << 14
-    assert min(centre, position) <= new_centre <= max(centre, position)
+
+    robot.settle()  # the neighbour votes
+
+    new_centre = robot.state()["robust_centre"]
+    vote_in_units_of_centre = vote << (30 - 16)
+    assert min(centre, vote_in_units_of_centre) <= new_centre <= max(centre, vote_in_units_of_centre)
     assert abs(new_centre - centre) <= spread / 8
 
 
 @for_fixed_point_firmwares
 @thorough
 @given(vote=slot_estimates, centre=centres, spread=spreads, votes=st.integers(1, 512))
-def test_a_vote_changes_the_spread_by_at_most_a_sixteenth(
+def test_a_neighbour_s_vote_changes_the_spread_by_at_most_a_sixteenth(
     firmware: FixedPointFirmware, vote: int, centre: int, spread: int, votes: int
 ) -> None:
-    """I25"""
+    """Property I25: and the spread of the votes stays between 2**-12 and 1/4.
+
+    A vote is in units of 2**-16, centre and spread in units of 2**-30; ``votes`` is how many there were.
+    """
     robot = restore_robust_robot(firmware, estimates=[vote], centre=centre, spread=spread, votes=votes)
-    robot.settle()
+
+    robot.settle()  # the neighbour votes
+
     new_spread = robot.state()["robust_spread"]
     assert 2**18 <= new_spread <= 2**28
     assert abs(new_spread - spread) <= spread / 16
@@ -176,19 +199,27 @@ def test_a_vote_changes_the_spread_by_at_most_a_sixteenth(
 @for_fixed_point_firmwares
 @thorough
 @given(slots=st.sets(st.integers(0, 31), min_size=1), turn=st.integers(0, 32), has_confidence=st.booleans())
-def test_all_slots_and_the_own_estimate_vote_equally_often(
+def test_all_neighbours_and_the_robot_itself_vote_equally_often(
     firmware: FixedPointFirmware, slots: set[int], turn: int, has_confidence: bool
 ) -> None:
-    """I25: in so many rounds each votes once, wherever the turn is. The turn is after the one that voted."""
-    filled_slots = sum(1 << slot for slot in slots | {(turn - 1) % 32})
-    t = 1 if has_confidence else 0
-    robot = restore_robust_robot(firmware, t=t, filled_slots=filled_slots, turn=turn, votes=1)
+    """Property I25: in as many rounds as there are voters each votes once, whoever begins.
+
+    A neighbour has one of 32 slots; a robot has confidence, and votes, if it has observed a tile. After the
+    vote of slot i the turn is i + 1, and after the robot's own vote it is 0.
+    """
+    slots = slots | {(turn - 1) % 32}  # the one that voted last
+    filled_slots = sum(1 << slot for slot in slots)
+    observations = 1 if has_confidence else 0
+    robot = restore_robust_robot(firmware, t=observations, filled_slots=filled_slots, turn=turn, votes=1)
+
     turns = []
-    for _ in range(filled_slots.bit_count() + t):
-        robot.settle()
+    for _ in range(len(slots) + observations):
+        robot.settle()  # one of them votes
         turns.append(robot.state()["robust_turn"])
-    expected_turns = [slot + 1 for slot in range(32) if filled_slots >> slot & 1]
-    assert sorted(turns) == [0] * t + expected_turns
+
+    turns_after_slots = [slot + 1 for slot in sorted(slots)]
+    turn_after_own_vote = [0] if has_confidence else []
+    assert sorted(turns) == turn_after_own_vote + turns_after_slots
 
 
 # --- Calls -----------------------------------------------------------------------------------------------
@@ -209,12 +240,14 @@ def make_calls(robot: FixedPoint, calls: list[tuple[int, ...]]) -> None:
 @pytest.mark.parametrize("mode", [Filter.ROBUST, *slow([Filter.ALWAYS])])
 @thorough
 @given(calls=call_lists)
-def test_every_sequence_of_calls_keeps_the_invariants(
+def test_no_sequence_of_calls_makes_a_robot_take_itself_for_damaged(
     firmware: FixedPointFirmware, mode: Filter, calls: list[tuple[int, ...]]
 ) -> None:
-    """I11"""
-    robot = firmware(Config(filter=mode, filter_period=1, memory=64), OWN_ID, 0.75)
+    """Property I11: ``holds_invariants`` says whether calls alone could have led to the robot's memory."""
+    robot = firmware(Config(filter=mode, filter_period=1, memory=64), OWN_ID, b_hat=0.75)
+
     make_calls(robot, calls)
+
     assert robot.holds_invariants()
 
 
@@ -225,25 +258,31 @@ def test_every_sequence_of_calls_keeps_the_invariants(
 def test_a_restored_robot_is_the_saved_one(
     firmware: FixedPointFirmware, mode: Filter, calls: list[tuple[int, ...]]
 ) -> None:
-    """I17"""
+    """Property I17, after every sequence of calls."""
     config = Config(filter=mode, filter_period=1, memory=64)
-    robot = firmware(config, OWN_ID, 0.75)
+    robot = firmware(config, OWN_ID, b_hat=0.75)
     make_calls(robot, calls)
-    assert firmware.restore(config, robot.save()).state() == robot.state()
+
+    restored_robot = firmware.restore(config, robot.save())
+
+    assert restored_robot.state() == robot.state()
 
 
 @pytest.mark.parametrize("mode", [Filter.ROBUST, *slow([Filter.ALWAYS])])
 @thorough
 @given(calls=call_lists)
-def test_mirror_and_c_are_equal_after_every_sequence_of_calls(
+def test_the_python_and_the_c_robot_are_equal_after_every_sequence_of_calls(
     mode: Filter, calls: list[tuple[int, ...]]
 ) -> None:
-    """I23"""
+    """Property I23, in every number that they remember."""
     config = Config(filter=mode, filter_period=1, memory=64)
-    mirror, native = MirrorRobot(config, OWN_ID, 0.75), NativeRobot(config, OWN_ID, 0.75)
-    make_calls(mirror, calls)
-    make_calls(native, calls)
-    assert mirror.state() == native.state()
+    python_robot = MirrorRobot(config, OWN_ID, b_hat=0.75)
+    c_robot = NativeRobot(config, OWN_ID, b_hat=0.75)
+
+    make_calls(python_robot, calls)
+    make_calls(c_robot, calls)
+
+    assert python_robot.state() == c_robot.state()
 
 
 # --- Symmetries ------------------------------------------------------------------------------------------
@@ -262,13 +301,22 @@ def estimate_after_observation(
 @for_fixed_point_firmwares
 @thorough
 @given(t=observation_counts, share=st.integers(0, 2**32), b_hat=b_hats, z=colours)
-def test_colours_and_senses_of_the_sensor_are_mirror_images(
+def test_black_and_white_are_treated_alike(
     firmware: FixedPointFirmware, t: int, share: int, b_hat: int, z: Observation
 ) -> None:
-    """I15, I16: exchange the colours, the sense of the sensor, or both, at every t."""
+    """Properties I15 and I16: with the colours exchanged the robot estimates the share of the other colour.
+
+    So it does with a sensor that shows the other colour, and with both exchanged it estimates the same. b_hat
+    is in units of 2**-32, and ``share`` the share of black observations in the same units.
+    """
     n = t * share >> 32
     x_hat, alpha = estimate_after_observation(firmware, t, n, b_hat, z)
-    other_z, other_b_hat = Observation(1 - z), 2**32 - b_hat
-    assert estimate_after_observation(firmware, t, t - n, b_hat, other_z) == (ONE - x_hat, alpha)
-    assert estimate_after_observation(firmware, t, t - n, other_b_hat, other_z) == (x_hat, alpha)
-    assert estimate_after_observation(firmware, t, n, other_b_hat, z) == (ONE - x_hat, alpha)
+
+    other_n, other_z, other_b_hat = t - n, Observation(1 - z), 2**32 - b_hat
+    with_other_colours = estimate_after_observation(firmware, t, other_n, b_hat, other_z)
+    with_other_sensor = estimate_after_observation(firmware, t, n, other_b_hat, z)
+    with_both = estimate_after_observation(firmware, t, other_n, other_b_hat, other_z)
+
+    assert with_other_colours == (ONE - x_hat, alpha)
+    assert with_other_sensor == (ONE - x_hat, alpha)
+    assert with_both == (x_hat, alpha)

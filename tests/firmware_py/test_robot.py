@@ -34,63 +34,118 @@ def test_a_robot_implements_the_interfaces(firmware: Firmware) -> None:
 
 # design: R2, R18
 @for_every_firmware
-def test_a_robot_knows_nothing_before_it_observes_and_receives(firmware: Firmware) -> None:
-    robot = make_robot(firmware, b_hat=0.75)
-    for _ in range(2):
-        assert (robot.id, robot.t, robot.n, robot.b_hat, robot.counters) == (OWN_ID, 0, 0, 0.75, Counters())
-        assert (robot.x_hat, robot.alpha, robot.x_bar, robot.beta, robot.x) == (0.5, 0.0, 0.5, 0.0, 0.5)
+@pytest.mark.parametrize("empty_rounds", [0, 1])
+def test_a_robot_that_has_observed_and_received_nothing_guesses_a_half(
+    firmware: Firmware, empty_rounds: int
+) -> None:
+    """It has no confidence in its own estimate, alpha, nor in its neighbours', beta."""
+    robot = make_robot(firmware)
+    for _ in range(empty_rounds):
         assert robot.settle() == Status.OK
+
+    assert (robot.x_hat, robot.alpha) == (0.5, 0.0)
+    assert (robot.x_bar, robot.beta) == (0.5, 0.0)
+    assert robot.x == 0.5
+
+
+# design: R2, R18
+@for_every_firmware
+def test_a_new_robot_has_its_id_its_accuracy_and_counts_of_zero(firmware: Firmware) -> None:
+    robot = make_robot(firmware, b_hat=0.75, robot_id=OWN_ID)
+
+    assert robot.settle() == Status.OK
+
+    assert robot.id == OWN_ID
+    assert robot.b_hat == 0.75
+    assert (robot.t, robot.n) == (0, 0)
+    assert robot.counters == Counters()
 
 
 @for_every_firmware
-def test_repr_shows_the_state(firmware: Firmware) -> None:
+def test_repr_shows_what_a_robot_has_counted_and_what_it_estimates(firmware: Firmware) -> None:
+    """By its sensor, which is right in 3 of 4 cases, 3 black of 4 tiles mean that all are black."""
     robot = make_robot(firmware, b_hat=0.75)
+
     observe_tiles(robot, black=3, white=1)
+
     expected = f"<{firmware.__name__} {OWN_ID}: t=4 n=3 b_hat=0.75 x_hat=1 alpha=5.33333 x=1>"
     assert repr(robot) == expected
 
 
 # design: R6
 @for_every_firmware
-def test_messages_count_once_the_round_is_closed(firmware: Firmware) -> None:
+def test_messages_count_only_when_the_round_ends(firmware: Firmware) -> None:
+    """Otherwise what robots believe would depend on the order in which messages come.
+
+    x_bar is the mean of the neighbours' estimates, and beta the sum of their confidences.
+    """
     robot = make_robot(firmware)
-    robot.receive(1, 0.25, 2.0)
-    robot.receive(2, 0.75, 2.0)
-    assert (robot.x_bar, robot.beta) == (0.5, 0.0)
-    robot.step(BLACK)
-    assert (robot.x_bar, robot.beta) == (0.5, 4.0)
+    robot.receive(sender=1, x_hat=0.25, alpha=2.0)
+    robot.receive(sender=2, x_hat=0.75, alpha=2.0)
+    assert robot.beta == 0.0
+
+    robot.step(BLACK)  # ends the round
+
+    assert robot.x_bar == (0.25 + 0.75) / 2
+    assert robot.beta == 2.0 + 2.0
 
 
 # design: R8
 @for_every_firmware
-def test_the_first_message_of_a_sender_counts_in_each_round(firmware: Firmware) -> None:
+def test_a_second_message_of_a_sender_in_a_round_is_ignored(firmware: Firmware) -> None:
+    """x_bar and beta are the estimate and the confidence of the neighbours that were received."""
     robot = make_robot(firmware)
-    assert robot.receive(1, 0.25, 2.0) == Status.OK
-    assert robot.receive(1, 0.75, 9.0) == Status.REPEATED
-    robot.step(BLACK)
+    assert robot.receive(sender=1, x_hat=0.25, alpha=2.0) == Status.OK
+
+    assert robot.receive(sender=1, x_hat=0.75, alpha=9.0) == Status.REPEATED
+    robot.step(BLACK)  # ends the round
+
     assert (robot.x_bar, robot.beta) == (0.25, 2.0)
-    assert robot.receive(1, 0.75, 9.0) == Status.OK, "a new round"
+    assert robot.counters == Counters(accepted=1, repeated=1)
+
+
+# design: R8
+@for_every_firmware
+def test_a_sender_is_received_again_in_the_next_round(firmware: Firmware) -> None:
+    """x_bar and beta are the estimate and the confidence of the neighbours that were received."""
+    robot = make_robot(firmware)
+    robot.receive(sender=1, x_hat=0.25, alpha=2.0)
+    robot.step(BLACK)  # ends the round
+
+    assert robot.receive(sender=1, x_hat=0.75, alpha=9.0) == Status.OK
     robot.step(BLACK)
+
     assert (robot.x_bar, robot.beta) == (0.75, 9.0)
-    assert robot.counters == Counters(accepted=2, repeated=1)
+    assert robot.counters == Counters(accepted=2)
 
 
 # design: R15
 @for_every_firmware
-def test_after_a_round_without_messages_the_social_estimate_is_gone(firmware: Firmware) -> None:
+def test_a_robot_that_hears_nobody_believes_its_own_estimate_again(firmware: Firmware) -> None:
+    """What it heard in the round before counts no longer: those neighbours may be far away by now.
+
+    x_bar and beta are estimate and confidence of the neighbours; without any they are 0.5 and 0.
+    """
     robot = make_robot(firmware)
-    robot.receive(1, 0.75, 9.0)
-    robot.step(BLACK)
-    robot.step(BLACK)
-    assert (robot.x_bar, robot.beta, robot.x) == (0.5, 0.0, robot.x_hat)
+    robot.receive(sender=1, x_hat=0.75, alpha=9.0)
+    robot.step(BLACK)  # ends the round of the message
+    assert robot.x != robot.x_hat
+
+    robot.step(BLACK)  # ends a round without messages
+
+    assert robot.x == robot.x_hat
+    assert (robot.x_bar, robot.beta) == (0.5, 0.0)
 
 
 # design: R13
 @for_every_firmware
-def test_counters_wrap(firmware: Firmware) -> None:
+def test_a_counter_begins_at_0_again_after_65535(firmware: Firmware) -> None:
+    """It has 16 bits. A message with the robot's own id is rejected, and counted."""
     robot = make_robot(firmware)
+
     for _ in range(65536 + 3):
         assert status_of_receive(robot, OWN_ID, 0.5, 1.0) == Status.ERR_SENDER
+
     assert robot.counters == Counters(rejected=3)
 
 
@@ -102,42 +157,48 @@ def test_counters_wrap(firmware: Firmware) -> None:
         (Filter.ADAPTIVE, (), 0, 0),
         (Filter.ADAPTIVE, (0.9,), 0, 0),
         (Filter.ADAPTIVE, (0.9, 0.9), 1, 1),
-        (Filter.ADAPTIVE, (1.0, 1.0, 1.0), 1, 0),  # S = 0, equal to the own estimate
-        (Filter.ADAPTIVE, (0.5, 0.5), 1, 0),  # rejected, but x_bar = 1/2
+        (Filter.ADAPTIVE, (1.0, 1.0, 1.0), 1, 0),  # all agree with the robot's own estimate
+        (Filter.ADAPTIVE, (0.5, 0.5), 1, 0),  # contradict it, but 1/2 says nothing about its accuracy
         (Filter.ALWAYS, (), 0, 0),
         (Filter.ALWAYS, (0.9,), 0, 1),
-        (Filter.ALWAYS, (0.25, 0.7502), 0, 0),  # x_bar is too near to 1/2 to be informative
+        (Filter.ALWAYS, (0.25, 0.7502), 0, 0),  # their mean is too near to 1/2 to say anything
         (Filter.ALWAYS, (0.25, 0.7503), 0, 1),
         (Filter.ALWAYS, (1.0, 1.0, 1.0), 0, 1),
         (Filter.OFF, (0.1, 0.1, 0.1), 0, 0),
     ],
 )
-def test_the_filter_updates_after_enough_informative_messages(
+def test_a_robot_re_estimates_its_accuracy_after_enough_informative_messages(
     firmware: Firmware, mode: Filter, neighbours: tuple[float, ...], tests: int, updates: int
 ) -> None:
-    robot = make_robot(firmware, replace(ADAPTIVE, filter=mode))
-    observe_tiles(robot, black=4, white=0)  # x_hat = 1
+    """Its own estimate is 1. ``tests`` and ``updates`` say how often it tests and changes its accuracy."""
+    robot = make_robot(firmware, replace(ADAPTIVE, filter=mode), b_hat=0.75)
+    observe_tiles(robot, black=4, white=0)
     receive_estimates(robot, *neighbours)
-    assert robot.settle() == (Status.UPDATED if updates else Status.OK)
+
+    status = robot.settle()  # ends the round, in which the filter runs
+
+    assert status == (Status.UPDATED if updates else Status.OK)
     assert (robot.b_hat != 0.75) == bool(updates)
     assert robot.counters == Counters(accepted=len(neighbours), tests=tests, updates=updates)
 
 
 @for_every_firmware
 @pytest.mark.parametrize("config", [ADAPTIVE, ALWAYS])
-def test_before_the_first_observation_there_is_neither_test_nor_update(
-    firmware: Firmware, config: Config
-) -> None:
+def test_a_robot_that_has_observed_nothing_keeps_its_accuracy(firmware: Firmware, config: Config) -> None:
+    """There is nothing that its neighbours could contradict, so it neither tests nor updates."""
     robot = make_robot(firmware, config)
     receive_estimates(robot, 0.9, 0.9)
-    assert robot.settle() == Status.OK
-    assert robot.counters == Counters(accepted=2)
+
+    status = robot.settle()  # ends the round, in which the filter runs
+
+    assert status == Status.OK
+    assert robot.counters == Counters(accepted=2, tests=0, updates=0)
 
 
 # design: R22
 @for_every_firmware
-def test_a_fully_connected_swarm_agrees_to_the_bit(firmware: Firmware) -> None:
-    """I14, whatever the order of messages; sums of float64 are correctly rounded."""
+def test_robots_that_all_hear_each_other_believe_the_same_to_the_last_bit(firmware: Firmware) -> None:
+    """In whatever order each of them hears the others."""
     rng = random.Random(0)
     config = replace(ALWAYS, filter_period=3)
     swarm = [make_robot(firmware, config, rng.uniform(0.6, 0.99), robot_id) for robot_id in range(10)]
@@ -147,8 +208,11 @@ def test_a_fully_connected_swarm_agrees_to_the_bit(firmware: Firmware) -> None:
         messages = [(robot.id, robot.x_hat, robot.alpha) for robot in swarm]
         for robot in swarm:
             messages_of_others = [message for message in messages if message[0] != robot.id]
-            for message in rng.sample(messages_of_others, len(messages_of_others)):
-                assert robot.receive(*message) == Status.OK
+            rng.shuffle(messages_of_others)
+            for sender, x_hat, alpha in messages_of_others:
+                assert robot.receive(sender, x_hat, alpha) == Status.OK
+
         for robot in swarm:
-            robot.settle()
+            robot.settle()  # ends the round
+
         assert len({robot.x for robot in swarm}) == 1

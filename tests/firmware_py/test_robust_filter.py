@@ -37,7 +37,8 @@ from robots import (
     restore_robust_robot,
 )
 
-WITHOUT_TEST = replace(ROBUST, filter_period=1000)
+ONLY_VOTES = replace(ROBUST, filter_period=1000)
+"""Parameters of a robot whose rounds have votes, but no test of its accuracy in these short tests."""
 
 LARGEST_ESTIMATE = (1 << 24) - (1 << 8)
 """The largest estimate of a slot in units of 2**-24."""
@@ -45,7 +46,7 @@ INDEPENDENT = 256
 """The dispersion of independent observations: 1 in units of 2**-8."""
 
 
-def robust_members(robot: FixedPoint) -> dict[str, int]:
+def filter_memory(robot: FixedPoint) -> dict[str, int]:
     """Return what the robust filter of a robot remembers, by name, without the estimates in its slots."""
     return {
         name.removeprefix("robust_"): value
@@ -69,44 +70,56 @@ def filled_slots(robot: FixedPoint) -> dict[int, int]:
 def test_an_estimate_is_kept_in_the_slot_of_its_sender_modulo_32(
     firmware: FixedPointFirmware, sender: int, slot: int
 ) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
-    robot.receive(sender, 0.25, 1.0)
-    assert filled_slots(robot) == {slot: 0x4000}
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+
+    robot.receive(sender, x_hat=0.25, alpha=1.0)
+
+    assert filled_slots(robot) == {slot: round(0.25 * 2**16)}
 
 
 # design: R35
 @for_fixed_point_firmwares
 def test_senders_with_ids_equal_modulo_32_share_a_slot(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
-    robot.receive(1, 0.25, 1.0)
-    robot.receive(33, 0.5, 1.0)
-    assert filled_slots(robot) == {1: 0x8000}
+    """Of two such neighbours the robot remembers the one that was received last."""
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+
+    robot.receive(sender=1, x_hat=0.25, alpha=1.0)
+    robot.receive(sender=1 + 32, x_hat=0.5, alpha=1.0)
+
+    assert filled_slots(robot) == {1: round(0.5 * 2**16)}
 
 
 @for_fixed_point_firmwares
-def test_the_estimate_of_a_later_round_replaces_an_earlier_one(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
-    robot.receive(1, 0.25, 1.0)
-    robot.settle()
-    robot.receive(1, 0.5, 1.0)
-    assert filled_slots(robot) == {1: 0x8000}
+def test_a_neighbour_s_newer_estimate_replaces_its_older_one(firmware: FixedPointFirmware) -> None:
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot.receive(sender=1, x_hat=0.25, alpha=1.0)
+    robot.settle()  # ends the round: after it a sender may be received again
+
+    robot.receive(sender=1, x_hat=0.5, alpha=1.0)
+
+    assert filled_slots(robot) == {1: round(0.5 * 2**16)}
 
 
 @for_fixed_point_firmwares
-def test_a_repeated_message_does_not_replace_the_estimate(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
-    robot.receive(1, 0.25, 1.0)
-    assert robot.receive(1, 0.5, 1.0) == Status.REPEATED
-    assert filled_slots(robot) == {1: 0x4000}
+def test_a_second_message_of_a_neighbour_in_the_same_round_is_ignored(firmware: FixedPointFirmware) -> None:
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot.receive(sender=1, x_hat=0.25, alpha=1.0)
+
+    status = robot.receive(sender=1, x_hat=0.5, alpha=1.0)
+
+    assert status == Status.REPEATED
+    assert filled_slots(robot) == {1: round(0.25 * 2**16)}
 
 
 @for_fixed_point_firmwares
-def test_a_round_without_messages_keeps_the_estimates(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
-    robot.receive(1, 0.25, 1.0)
-    robot.settle()
-    robot.settle()
-    assert filled_slots(robot) == {1: 0x4000}
+def test_a_robot_remembers_its_neighbours_while_it_hears_nobody(firmware: FixedPointFirmware) -> None:
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    robot.receive(sender=1, x_hat=0.25, alpha=1.0)
+    robot.settle()  # ends the round of the message
+
+    robot.settle()  # ends a round without messages
+
+    assert filled_slots(robot) == {1: round(0.25 * 2**16)}
 
 
 @for_fixed_point_firmwares
@@ -117,40 +130,52 @@ def test_a_round_without_messages_keeps_the_estimates(firmware: FixedPointFirmwa
 def test_an_estimate_is_rounded_to_the_nearest_that_a_slot_can_hold(
     firmware: FixedPointFirmware, x_hat: int, slot_estimate: int
 ) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     robot.receive_raw(1, x_hat, ALPHA_ONE)
     assert filled_slots(robot) == {1: slot_estimate}
 
 
 @for_fixed_point_firmwares
-@pytest.mark.parametrize("alpha", [0, 0x1F, 0xFF])
-def test_a_message_without_confidence_is_accepted_but_not_kept(
-    firmware: FixedPointFirmware, alpha: int
+@pytest.mark.parametrize("alpha_word", [0, 0x1F, 0xFF])
+def test_a_neighbour_without_confidence_is_accepted_but_not_remembered(
+    firmware: FixedPointFirmware, alpha_word: int
 ) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
-    assert robot.receive_raw(1, HALF, alpha) == Status.OK
+    """The robot counts its message, and its estimate, which is worth nothing, has no vote."""
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+
+    assert robot.receive_raw(1, HALF, alpha_word) == Status.OK
+
     assert filled_slots(robot) == {}
     assert robot.counters == Counters(accepted=1)
 
 
 @for_fixed_point_firmwares
-def test_a_robot_with_the_robust_filter_has_no_sums_of_rounds(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+def test_the_robust_filter_does_not_sum_the_estimates_of_a_round(firmware: FixedPointFirmware) -> None:
+    """Sums are for the paper's filter; a sum gives a single liar too much weight."""
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     receive_estimates(robot, 0.25, 0.5)
-    robot.settle()
+    robot.settle()  # ends a round with two messages
     receive_estimates(robot, 0.25, 0.5)
-    sums = [value for name, value in robot.state().items() if name.startswith(("open_", "closed_"))]
-    assert sums == [0] * 9
+
+    sums = {name: value for name, value in robot.state().items() if name.startswith(("open_", "closed_"))}
+
+    assert len(sums) == 9
+    assert set(sums.values()) == {0}
     assert robot.beta == 0
 
 
 @for_fixed_point_firmwares
-def test_a_robot_with_another_filter_keeps_no_estimates(firmware: FixedPointFirmware) -> None:
-    robot = firmware(Config(filter=Filter.OFF), OWN_ID, 0.95)
+def test_without_the_robust_filter_no_estimates_of_neighbours_are_remembered(
+    firmware: FixedPointFirmware,
+) -> None:
+    robot = firmware(Config(filter=Filter.OFF), OWN_ID, b_hat=0.95)
+
     receive_estimates(robot, 0.25, 0.5)
     robot.settle()
+
+    remembered = {value for name, value in robot.state().items() if name.startswith("estimates_")}
+    assert remembered == {0}
     assert filled_slots(robot) == {}
-    assert {value for name, value in robot.state().items() if name.startswith("estimates_")} == {0}
 
 
 # --- Votes -----------------------------------------------------------------------------------------------
@@ -158,11 +183,15 @@ def test_a_robot_with_another_filter_keeps_no_estimates(firmware: FixedPointFirm
 
 # design: R36
 @for_fixed_point_firmwares
-def test_before_the_first_vote_x_is_the_own_estimate(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+def test_before_the_first_vote_a_robot_believes_its_own_estimate(firmware: FixedPointFirmware) -> None:
+    """Votes are counted when a round ends: a message that has just come has not voted."""
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=9, white=1)
+
     receive_estimates(robot, 0.25)
-    assert (robot.x, robot.x_bar) == (robot.x_hat, 0.5)
+
+    assert robot.x == robot.x_hat
+    assert robot.x_bar == 0.5, "what others estimate is unknown"
 
 
 # design: R36
@@ -173,160 +202,220 @@ def test_x_and_x_bar_are_the_centre_of_the_votes(firmware: FixedPointFirmware) -
 
 
 @for_fixed_point_firmwares
-def test_a_round_has_one_vote_however_many_estimates_there_are(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+def test_a_round_has_one_vote_however_many_neighbours_were_received(firmware: FixedPointFirmware) -> None:
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     receive_estimates(robot, 0.25, 0.5, 0.75)
-    robot.settle()
-    assert robust_members(robot)["votes"] == 1
+
+    robot.settle()  # ends the round
+
+    assert filter_memory(robot)["votes"] == 1
 
 
 @for_fixed_point_firmwares
 def test_without_estimates_of_others_there_is_no_vote(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     robot.step(Observation.BLACK)
-    assert robust_members(robot)["votes"] == 0
+    assert filter_memory(robot)["votes"] == 0
 
 
 def turns_of_rounds(robot: FixedPoint, rounds: int) -> list[int]:
-    """Return the turn after each of so many rounds."""
+    """Let so many rounds end, in each of which one slot or the robot votes, and return whose turn is next.
+
+    After the vote of slot i it is the turn of slot i + 1, and after the robot's own vote that of slot 0.
+    """
     turns = []
     for _ in range(rounds):
         robot.settle()
-        turns.append(robust_members(robot)["turn"])
+        turns.append(filter_memory(robot)["turn"])
     return turns
 
 
-@for_fixed_point_firmwares
-def test_slots_vote_in_ascending_order_and_the_own_estimate_after_them(firmware: FixedPointFirmware) -> None:
-    robot = firmware(WITHOUT_TEST, OWN_ID, 0.95)
-    robot.observe(Observation.BLACK)
-    for sender in (9, 6, 39):  # slots 9, 6 and 7
-        robot.receive(sender, 0.5, 1.0)
-    assert turns_of_rounds(robot, 6) == [7, 8, 10, 0, 7, 8]
+def voters_of_rounds(robot: FixedPoint, rounds: int) -> list[int | str]:
+    """Let so many rounds end, and return who voted in each: the number of a slot, or "own estimate"."""
+    return ["own estimate" if turn == 0 else turn - 1 for turn in turns_of_rounds(robot, rounds)]
 
 
 @for_fixed_point_firmwares
-def test_the_own_estimate_without_confidence_is_passed_over(firmware: FixedPointFirmware) -> None:
-    robot = firmware(WITHOUT_TEST, OWN_ID, 0.95)
-    for sender in (6, 31):
-        robot.receive(sender, 0.5, 1.0)
-    assert turns_of_rounds(robot, 4) == [7, 32, 7, 32]
-
-
-@for_fixed_point_firmwares
-@pytest.mark.parametrize(("alpha", "turn"), [(0, 1), (ALPHA_MIN, 0)])
-def test_the_smallest_confidence_is_enough_for_the_own_estimate_to_vote(
-    firmware: FixedPointFirmware, alpha: int, turn: int
+def test_neighbours_vote_in_ascending_order_and_the_robot_itself_after_them(
+    firmware: FixedPointFirmware,
 ) -> None:
-    """The slot has voted, so it is the robot's own turn. After its vote the turn is 0.
+    """One of them votes in each round. Neighbour 39 has slot 39 - 32 = 7."""
+    robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
+    robot.observe(Observation.BLACK)
+    for sender in (9, 6, 39):
+        robot.receive(sender, x_hat=0.5, alpha=1.0)
 
-    Any alpha is possible in a robot whose b_hat has just been re-estimated (word 37 of the image).
+    assert voters_of_rounds(robot, 6) == [6, 7, 9, "own estimate", 6, 7]
+
+
+@for_fixed_point_firmwares
+def test_a_robot_that_has_observed_nothing_does_not_vote(firmware: FixedPointFirmware) -> None:
+    robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
+    for sender in (6, 31):
+        robot.receive(sender, x_hat=0.5, alpha=1.0)
+
+    assert voters_of_rounds(robot, 4) == [6, 31, 6, 31]
+
+
+@for_fixed_point_firmwares
+@pytest.mark.parametrize(("alpha", "voter"), [(0, 0), (ALPHA_MIN, "own estimate")])
+def test_the_smallest_confidence_is_enough_for_a_robot_to_vote(
+    firmware: FixedPointFirmware, alpha: int, voter: int | str
+) -> None:
+    """Slot 0 has voted, so it is the robot's own turn; without confidence slot 0 votes again.
+
+    The confidence is written into a saved robot. That its b_hat was re-estimated just now is written, too:
+    otherwise the confidence would have to follow from its observations, and the robot could not be restored.
     """
     image = restore_robust_robot(firmware, t=1, estimates=[0], turn=1, votes=1).save()
-    words = (5, alpha, 37, OWN_ID << 24 | 1 << 16)
-    robot = firmware.restore(ROBUST, edited_image(image, Call("restore", words)))
-    robot.settle()
-    assert robust_members(robot)["turn"] == turn
+    alpha_word, id_word, is_updated = 5, 37, 1 << 16
+    changes = (alpha_word, alpha, id_word, OWN_ID << 24 | is_updated)
+    robot = firmware.restore(ROBUST, edited_image(image, Call("restore", changes)))
+
+    assert voters_of_rounds(robot, 1) == [voter]
 
 
 @for_fixed_point_firmwares
-def test_after_slot_31_it_is_the_turn_of_the_own_estimate(firmware: FixedPointFirmware) -> None:
-    robot = firmware(WITHOUT_TEST, OWN_ID, 0.95)
+def test_after_the_last_of_32_slots_it_is_the_robot_s_own_turn(firmware: FixedPointFirmware) -> None:
+    robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
     robot.observe(Observation.BLACK)
-    robot.receive(31, 0.5, 1.0)
-    assert turns_of_rounds(robot, 3) == [32, 0, 32]
+    robot.receive(sender=31, x_hat=0.5, alpha=1.0)
+
+    assert voters_of_rounds(robot, 3) == [31, "own estimate", 31]
 
 
 @for_fixed_point_firmwares
-def test_a_slot_that_is_filled_ahead_of_the_turn_votes_next(firmware: FixedPointFirmware) -> None:
-    robot = firmware(WITHOUT_TEST, OWN_ID, 0.95)
-    for sender in (6, 9):
-        robot.receive(sender, 0.5, 1.0)
-    robot.settle()
-    robot.receive(7, 0.5, 1.0)
-    assert turns_of_rounds(robot, 3) == [8, 10, 7]
+def test_a_new_neighbour_votes_as_soon_as_its_slot_is_reached(firmware: FixedPointFirmware) -> None:
+    """It need not wait until all that were there before it have voted."""
+    robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
+    robot.receive(sender=6, x_hat=0.5, alpha=1.0)
+    robot.receive(sender=9, x_hat=0.5, alpha=1.0)
+    robot.settle()  # slot 6 votes
+
+    robot.receive(sender=7, x_hat=0.5, alpha=1.0)
+
+    assert voters_of_rounds(robot, 3) == [7, 9, 6]
 
 
 @for_fixed_point_firmwares
-def test_the_vote_of_the_own_estimate_moves_x_towards_x_hat(firmware: FixedPointFirmware) -> None:
-    robot = firmware(WITHOUT_TEST, OWN_ID, 0.95)
-    observe_tiles(robot, black=9, white=0)  # x_hat = 1
+def test_a_robot_s_own_vote_moves_what_it_believes_towards_what_it_has_seen(
+    firmware: FixedPointFirmware,
+) -> None:
+    robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
+    observe_tiles(robot, black=9, white=0)  # the robot's own estimate is 1
     receive_estimates(robot, 0.5)
-    robot.settle()
+    robot.settle()  # the neighbour votes
     assert robot.x == 0.5
-    robot.settle()
-    # An eighth of the spread, which the first vote has narrowed from 1/4 to 15/64.
-    assert robot.x == 0.5 + 15 / 512
+
+    robot.settle()  # the robot votes
+
+    # The vote counts an eighth of the spread, which the neighbour's has narrowed from 1/4 by a sixteenth.
+    spread = 1 / 4 * (1 - 1 / 16)
+    assert robot.x == 0.5 + spread / 8
 
 
 @for_fixed_point_firmwares
-@pytest.mark.parametrize(
-    ("vote", "x"),
-    [(1.0, 0.53125), (0.75, 0.53125), (0.625, 0.515625), (0.5, 0.5), (0.375, 0.484375), (0.0, 0.46875)],
-)
-def test_the_first_vote_moves_x_by_an_eighth_of_its_distance_up_to_the_spread(
-    firmware: FixedPointFirmware, vote: float, x: float
+@pytest.mark.parametrize("vote", [1.0, 0.75, 0.625, 0.5, 0.375, 0.0])
+def test_a_vote_far_away_moves_what_the_robot_believes_no_further_than_one_at_a_limit(
+    firmware: FixedPointFirmware, vote: float
 ) -> None:
-    """The spread is 1/4 before the first vote."""
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+    """A vote counts an eighth of its distance, and at most an eighth of the spread, which is 1/4 at first.
+
+    A neighbour that lies as much as it can moves a robot no more than one that is off by a quarter.
+    """
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     receive_estimates(robot, vote)
-    robot.settle()
-    assert robot.x == x
+
+    robot.settle()  # the neighbour votes
+
+    limited_distance = min(max(vote - 0.5, -1 / 4), 1 / 4)
+    assert robot.x == 0.5 + limited_distance / 8
 
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
-    ("votes", "step"),
+    ("votes", "gain"),
     [
-        *((0, 2**25), (62, 2**25), (63, 2**24), (126, 2**24), (127, 2**23)),
-        *((255, 2**22), (510, 2**22), (511, 2**21), (512, 2**21)),
+        *((0, 1 / 8), (62, 1 / 8), (63, 1 / 16), (126, 1 / 16), (127, 1 / 32)),
+        *((255, 1 / 64), (510, 1 / 64), (511, 1 / 128), (512, 1 / 128)),
     ],
 )
-def test_the_gain_falls_with_the_votes_from_an_eighth_to_one_in_128(
-    firmware: FixedPointFirmware, votes: int, step: int
+def test_the_more_votes_there_were_the_less_one_more_counts(
+    firmware: FixedPointFirmware, votes: int, gain: float
 ) -> None:
-    """The spread is 2**28."""
+    """From an eighth of the spread, 2**28, at first, to 1/128 of it. The centre of the votes starts at 2**29.
+
+    Both are in units of 2**-30.
+    """
     robot = restore_robust_robot(firmware, estimates=[0], votes=votes)
-    robot.settle()
-    assert robust_members(robot)["centre"] == 2**29 - step
+
+    robot.settle()  # a neighbour whose estimate is 0 votes
+
+    assert filter_memory(robot)["centre"] == 2**29 - 2**28 * gain
 
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
-    ("spread", "slot_estimate", "new_spread"),
+    ("slot_estimate", "sixteenths"),
     [
-        (1 << 26, 0x8000 + (1 << 12), (1 << 26) - (1 << 22)),  # at the distance of the spread: narrower
-        (1 << 26, 0x8000 + (1 << 12) + 1, (1 << 26) + (1 << 22)),
-        (1 << 26, 0x8000 - (1 << 12) - 1, (1 << 26) + (1 << 22)),
-        (1 << 18, 0x8000, 1 << 18),
-        (1 << 28, 0, 1 << 28),
+        (0x8000 + (1 << 12), 15),  # the distance is the spread
+        (0x8000 + (1 << 12) + 1, 17),
+        (0x8000 - (1 << 12) - 1, 17),
     ],
 )
-def test_a_vote_outside_widens_the_spread_and_one_inside_narrows_it_within_limits(
-    firmware: FixedPointFirmware, spread: int, slot_estimate: int, new_spread: int
+def test_a_vote_outside_the_spread_widens_it_by_a_sixteenth_and_one_inside_narrows_it(
+    firmware: FixedPointFirmware, slot_estimate: int, sixteenths: int
 ) -> None:
+    """The spread is 1/16 around 1/2, in units of 2**-30; estimates of neighbours are in units of 2**-16."""
+    spread = 2**30 // 16
     robot = restore_robust_robot(firmware, estimates=[slot_estimate], votes=1, spread=spread)
-    robot.settle()
-    assert robust_members(robot)["spread"] == new_spread
+
+    robot.settle()  # the neighbour votes
+
+    assert filter_memory(robot)["spread"] == spread * sixteenths // 16
+
+
+@for_fixed_point_firmwares
+@pytest.mark.parametrize(
+    ("limit", "slot_estimate"),
+    [
+        pytest.param(2**18, 0x8000, id="narrowed by a vote in the middle"),
+        pytest.param(2**28, 0, id="widened by a vote at the end"),
+    ],
+)
+def test_no_vote_brings_the_spread_beyond_its_limits(
+    firmware: FixedPointFirmware, limit: int, slot_estimate: int
+) -> None:
+    """They are 2**-12 and 1/4, in units of 2**-30."""
+    robot = restore_robust_robot(firmware, estimates=[slot_estimate], votes=1, spread=limit)
+
+    robot.settle()  # the neighbour votes
+
+    assert filter_memory(robot)["spread"] == limit
 
 
 @for_fixed_point_firmwares
 def test_no_more_than_512_votes_are_counted(firmware: FixedPointFirmware) -> None:
+    """So that the last votes always count something, and a changed floor is noticed."""
     robot = restore_robust_robot(firmware, estimates=[0x8000], votes=511)
+
+    robot.settle()  # vote 512
     robot.settle()
-    robot.settle()
-    assert robust_members(robot)["votes"] == 512
+
+    assert filter_memory(robot)["votes"] == 512
 
 
 @for_fixed_point_firmwares
-def test_a_robot_that_is_received_more_often_has_no_more_votes(firmware: FixedPointFirmware) -> None:
-    """Robot 6 is received in every round, and robots 7 and 8 once."""
-    robot = firmware(WITHOUT_TEST, OWN_ID, 0.95)
-    robot.receive(7, 0.25, 1.0)
-    robot.receive(8, 0.25, 1.0)
+def test_a_neighbour_that_sends_more_often_has_no_more_influence(firmware: FixedPointFirmware) -> None:
+    """Robot 6 sends in every round that three quarters are black; robots 7 and 8 sent a quarter once."""
+    robot = firmware(ONLY_VOTES, OWN_ID, b_hat=0.95)
+    robot.receive(sender=7, x_hat=0.25, alpha=1.0)
+    robot.receive(sender=8, x_hat=0.25, alpha=1.0)
+
     for _ in range(3000):
-        robot.receive(6, 0.75, 1.0)
+        robot.receive(sender=6, x_hat=0.75, alpha=1.0)
         robot.settle()
+
     assert robot.x == pytest.approx(0.25, abs=0.01)
 
 
@@ -335,21 +424,26 @@ def test_a_robot_that_is_received_more_often_has_no_more_votes(firmware: FixedPo
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(("estimate_count", "tests"), [(4, 0), (5, 1)])
-def test_a_robot_tests_itself_against_five_estimates_or_more(
+def test_a_robot_tests_itself_only_against_five_neighbours_or_more(
     firmware: FixedPointFirmware, estimate_count: int, tests: int
 ) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=9, white=1)
     receive_estimates(robot, *[0.25] * estimate_count)
-    robot.settle()
+
+    robot.settle()  # ends the round, in which the filter runs
+
     assert robot.counters.tests == tests
 
 
 @for_fixed_point_firmwares
-def test_before_the_first_observation_a_robust_robot_does_not_test(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+def test_a_robot_that_has_observed_nothing_does_not_test_itself(firmware: FixedPointFirmware) -> None:
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     receive_estimates(robot, *[0.25] * 5)
-    assert robot.settle() == Status.OK
+
+    status = robot.settle()  # ends the round, in which the filter runs
+
+    assert status == Status.OK
     assert robot.counters.tests == 0
 
 
@@ -367,105 +461,153 @@ def test_a_robot_whose_observations_contradict_the_others_estimates_its_accuracy
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=545, white=455)
     receive_estimates(robot, *[fill_ratio_of_others] * 5)
-    assert robot.settle() == Status.UPDATED
+
+    status = robot.settle()  # ends the round, in which the filter runs
+
+    assert status == Status.UPDATED
     assert robot.b_hat == pytest.approx(0.55, abs=1e-4)
     assert robot.counters.tests == 1
     assert robot.counters.updates == 1
 
 
 @for_fixed_point_firmwares
-def test_a_robot_that_agrees_with_the_others_keeps_b_hat(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+def test_a_robot_that_agrees_with_the_others_trusts_its_sensor(
+    firmware: FixedPointFirmware,
+) -> None:
+    """It sees 0.905 of the tiles black: what a sensor that is right in 0.95 sees where 0.95 are black."""
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=905, white=95)
     receive_estimates(robot, *[0.95] * 5)
-    assert robot.settle() == Status.OK
-    assert (robot.b_hat_raw, robot.counters.tests) == (ROBUST_B_HAT, 1)
+
+    status = robot.settle()  # ends the round, in which the filter runs
+
+    assert status == Status.OK
+    assert robot.counters.tests == 1
+    assert robot.b_hat_raw == ROBUST_B_HAT
 
 
 # design: R37
 @for_fixed_point_firmwares
-def test_the_initial_b_hat_comes_back_when_the_others_no_longer_contradict_it(
+def test_a_robot_that_was_misled_trusts_its_sensor_again_when_the_others_agree_with_it(
     firmware: FixedPointFirmware,
 ) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+    """It sees 0.905 of the tiles black: what a sensor that is right in 0.95 sees where 0.95 are black."""
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=905, white=95)
     receive_estimates(robot, *[0.25] * 5)
     assert robot.settle() == Status.UPDATED
+
     receive_estimates(robot, *[0.95] * 5)
     assert robot.settle() == Status.UPDATED
-    assert (robot.b_hat_raw, robot.counters.updates) == (ROBUST_B_HAT, 2)
+
+    assert robot.b_hat_raw == ROBUST_B_HAT
+    assert robot.counters.updates == 2
 
 
 @for_fixed_point_firmwares
-def test_the_test_is_about_the_initial_b_hat_and_not_the_present_one(firmware: FixedPointFirmware) -> None:
-    """With the re-estimated b_hat the robot agrees with the others; it is rejected again nevertheless."""
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+def test_a_robot_tests_the_accuracy_that_it_had_at_the_start(firmware: FixedPointFirmware) -> None:
+    """With its new accuracy it agrees with the others, which must not bring the old one back."""
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=545, white=455)
     receive_estimates(robot, *[0.95] * 5)
-    robot.settle()
-    re_estimated = robot.b_hat
-    assert robot.settle() == Status.UPDATED
-    assert robot.b_hat == re_estimated != 0.95
+    robot.settle()  # the filter runs, and finds another accuracy
+    new_accuracy = robot.b_hat
+    assert new_accuracy != 0.95
+
+    status = robot.settle()  # the filter runs again, and nothing has changed
+
+    assert status == Status.UPDATED
+    assert robot.b_hat == new_accuracy
 
 
 # design: R25
 @for_fixed_point_firmwares
-def test_a_centre_of_a_half_leaves_b_hat_as_it_is(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+def test_others_that_estimate_a_half_say_nothing_about_a_robot_s_accuracy(
+    firmware: FixedPointFirmware,
+) -> None:
+    """Where half of the tiles are black, every sensor, good or bad, sees half of them black."""
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=100, white=0)
     receive_estimates(robot, *[0.5] * 5)
-    assert robot.settle() == Status.OK
-    assert (robot.b_hat_raw, robot.counters.tests) == (ROBUST_B_HAT, 1)
+
+    status = robot.settle()  # ends the round, in which the filter runs
+
+    assert status == Status.OK
+    assert robot.counters.tests == 1
+    assert robot.b_hat_raw == ROBUST_B_HAT
 
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(
     ("supporters", "opponents", "status"), [(2, 3, Status.UPDATED), (3, 4, Status.OK), (3, 5, Status.UPDATED)]
 )
-def test_a_robot_that_more_than_two_fifths_support_keeps_b_hat(
+def test_a_robot_that_more_than_two_fifths_support_keeps_its_accuracy(
     firmware: FixedPointFirmware, supporters: int, opponents: int, status: Status
 ) -> None:
-    """545 of 1000 black: 0.55 of the tiles by the own b_hat, so those who send 0.55 support the robot."""
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+    """It sees 0.545 black and infers that 0.55 of the tiles are, so those who send 0.55 support it.
+
+    The status is UPDATED where the robot changes its accuracy, and OK where it does not.
+    """
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=545, white=455)
     receive_estimates(robot, *[0.55] * supporters, *[0.95] * opponents)
+
     assert robot.settle() == status
 
 
 @for_fixed_point_firmwares
-def test_a_liar_of_five_does_not_move_the_centre_by_much(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
-    observe_tiles(robot, black=905, white=95)  # as 0.95 of the tiles are black
-    receive_estimates(robot, 0.94, 0.95, 0.95, 0.96, 0.0)
-    assert robot.settle() == Status.OK
+def test_one_liar_among_five_neighbours_does_not_make_a_robot_doubt_its_sensor(
+    firmware: FixedPointFirmware,
+) -> None:
+    """It sees 0.905 of the tiles black: what a sensor that is right in 0.95 sees where 0.95 are black."""
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    observe_tiles(robot, black=905, white=95)
+    lie = 0.0
+    receive_estimates(robot, 0.94, 0.95, 0.95, 0.96, lie)
+
+    status = robot.settle()  # ends the round, in which the filter runs
+
+    assert status == Status.OK
     assert robot.counters.tests == 1
 
 
 # design: R37
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(("t", "status"), [(3_804_264, Status.OK), (3_804_263, Status.UPDATED)])
-def test_a_robot_keeps_b_hat_where_both_sides_of_its_test_are_equal(
+def test_a_robot_keeps_its_accuracy_at_the_very_limit_of_its_test(
     firmware: FixedPointFirmware, t: int, status: Status
 ) -> None:
-    """Such counts are rare, so they were searched for: both sides are 43681824."""
+    """After one observation less it would change it. The test compares a deviation with a limit.
+
+    Counts for which both are equal are rare, so they were searched for: both sides are 43681824.
+    """
     largest_b_hat = 2**32 - 2**12
-    counts = {"t": t, "n": 3227, "batch_t": t, "batch_n": 3227}
     robot = restore_robust_robot(
-        firmware, **counts, b_hat=largest_b_hat, initial_b_hat=largest_b_hat, estimates=[0] * 5
+        firmware,
+        t=t,
+        n=3227,
+        batch_t=t,
+        batch_n=3227,
+        b_hat=largest_b_hat,
+        initial_b_hat=largest_b_hat,
+        estimates=[0] * 5,
     )
+
     assert robot.settle() == status
 
 
 @for_fixed_point_firmwares
 @pytest.mark.parametrize(("filter_period", "tests"), [(1, 3), (2, 1), (3, 1), (4, 0)])
-def test_the_robust_filter_runs_every_filter_period(
+def test_a_robot_tests_itself_once_in_each_filter_period(
     firmware: FixedPointFirmware, filter_period: int, tests: int
 ) -> None:
-    robot = firmware(replace(ROBUST, filter_period=filter_period), OWN_ID, 0.95)
+    robot = firmware(replace(ROBUST, filter_period=filter_period), OWN_ID, b_hat=0.95)
     observe_tiles(robot, black=9, white=1)
     receive_estimates(robot, *[0.9] * 5)
+
     for _ in range(3):
-        robot.settle()
+        robot.settle()  # ends a round
+
     assert robot.counters.tests == tests
 
 
@@ -511,11 +653,15 @@ def test_the_centre_of_estimates_within_the_spread_is_their_mean() -> None:
 @pytest.mark.parametrize(
     ("estimate_of_all", "centre"), [(LARGEST_ESTIMATE, LARGEST_ESTIMATE - 5000), (0, 5000)]
 )
-def test_a_step_of_the_centre_does_not_leave_the_range_of_an_estimate(
+def test_the_centre_of_neighbours_at_an_end_of_the_range_stays_within_it(
     estimate_of_all: int, centre: int
 ) -> None:
-    """No estimate is within the spread, so the step is five spreads, which is too far."""
-    new_centre = centre_after_huber_step([estimate_of_all] * 5, centre, spread=1 << 12)
+    """No estimate is within the spread, so the centre would move by five spreads, which is too far."""
+    spread = 2**12
+    assert 5 * spread > 5000, "beyond the range"
+
+    new_centre = centre_after_huber_step([estimate_of_all] * 5, centre, spread)
+
     assert new_centre == estimate_of_all
 
 
@@ -523,50 +669,66 @@ def test_a_step_of_the_centre_does_not_leave_the_range_of_an_estimate(
 
 
 def dispersion_after_batch(robot: FixedPoint, black: int, white: int) -> int:
-    """Let a robot observe a batch and run its filter, and return the dispersion, in units of 2**-8."""
+    """Let a robot observe a batch and run its filter, and return the dispersion, in units of 2**-8.
+
+    The dispersion says how much more batches of observations vary than independent ones would.
+    """
     observe_tiles(robot, black, white)
     robot.settle()
-    return robust_members(robot)["dispersion"]
+    return filter_memory(robot)["dispersion"]
 
 
 @for_fixed_point_firmwares
 def test_batches_with_equal_shares_of_black_keep_the_dispersion_at_1(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     assert [dispersion_after_batch(robot, black=60, white=40) for _ in range(3)] == [INDEPENDENT] * 3
 
 
 @for_fixed_point_firmwares
-def test_the_ratio_of_a_batch_counts_an_eighth_in_the_dispersion(firmware: FixedPointFirmware) -> None:
-    """The second batch has 30 black of 100 where n / t is 0.4: 10 too few, which is 100 / 24 variances.
-
-    (7 + 100 / 24) / 8 = 1.3958, and 256 times this is 357.3.
-    """
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+def test_a_batch_that_is_off_raises_the_dispersion_by_an_eighth_of_its_ratio(
+    firmware: FixedPointFirmware,
+) -> None:
+    """Of 200 tiles so far 80 are black, 0.4, so of the second batch 40 should be, with a variance of 24."""
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     dispersion_after_batch(robot, black=50, white=50)
-    assert dispersion_after_batch(robot, black=30, white=70) == 357
+
+    dispersion = dispersion_after_batch(robot, black=30, white=70)
+
+    ratio = (40 - 30) ** 2 / 24
+    assert dispersion == int((7 * 1 + ratio) / 8 * 256)
 
 
 @for_fixed_point_firmwares
-def test_an_outlier_counts_as_12_times_the_dispersion(firmware: FixedPointFirmware) -> None:
-    """A white batch after a black one: 100 variances. (7 + 12) / 8 = 2.375, less a unit by rounding."""
-    robot = firmware(ROBUST, OWN_ID, 0.95)
+def test_a_batch_that_is_far_off_counts_as_12_times_the_dispersion(firmware: FixedPointFirmware) -> None:
+    """A white batch follows a black one: that is 100 times the variance of independent tiles."""
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     dispersion_after_batch(robot, black=100, white=0)
-    assert dispersion_after_batch(robot, black=0, white=100) == 2.375 * 256 - 1
+
+    dispersion = dispersion_after_batch(robot, black=0, white=100)
+
+    a_rounding = 1
+    assert dispersion == (7 * 1 + 12) / 8 * 256 - a_rounding
 
 
 @for_fixed_point_firmwares
-def test_the_dispersion_falls_back_where_batches_are_alike(firmware: FixedPointFirmware) -> None:
+def test_the_dispersion_falls_by_an_eighth_with_each_batch_that_is_as_expected(
+    firmware: FixedPointFirmware,
+) -> None:
     robot = restore_robust_robot(firmware, t=100, n=50, batch_t=100, batch_n=50, dispersion=1000)
+
     dispersions = [dispersion_after_batch(robot, black=50, white=50) for _ in range(3)]
+
     assert dispersions == [1000 * 7 // 8, 875 * 7 // 8, 765 * 7 // 8]
 
 
 @for_fixed_point_firmwares
-def test_the_dispersion_is_limited_to_16_bits(firmware: FixedPointFirmware) -> None:
+def test_the_dispersion_does_not_overflow_its_16_bits(firmware: FixedPointFirmware) -> None:
+    """5000 white tiles after a million, of which all but one were black, would raise it."""
     robot = restore_robust_robot(
-        firmware, t=10**6, n=999_999, batch_t=999_900, batch_n=999_900, dispersion=65535
+        firmware, t=10**6, n=10**6 - 1, batch_t=999_900, batch_n=999_900, dispersion=2**16 - 1
     )
-    assert dispersion_after_batch(robot, black=0, white=5000) == 65535
+
+    assert dispersion_after_batch(robot, black=0, white=5000) == 2**16 - 1
 
 
 @for_fixed_point_firmwares
@@ -582,29 +744,50 @@ def test_white_observations_alone_do_not_change_the_dispersion(firmware: FixedPo
 
 
 @for_fixed_point_firmwares
-def test_a_run_of_the_filter_begins_a_new_batch_whatever_it_decides(firmware: FixedPointFirmware) -> None:
-    robot = firmware(ROBUST, OWN_ID, 0.95)
-    dispersion_after_batch(robot, black=3, white=4)
-    members = robust_members(robot)
-    assert (members["batch_t"], members["batch_n"]) == (7, 3)
+def test_a_run_of_the_filter_begins_a_new_batch_of_observations(firmware: FixedPointFirmware) -> None:
+    """Also one that decides nothing, since there are no neighbours. A batch begins with the counts so far."""
+    robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
+    observe_tiles(robot, black=3, white=4)
+
+    robot.settle()  # the filter runs
+
+    memory = filter_memory(robot)
+    assert memory["batch_t"] == 3 + 4
+    assert memory["batch_n"] == 3
 
 
 @for_fixed_point_firmwares
-def test_halving_the_counts_begins_a_new_batch(firmware: FixedPointFirmware) -> None:
-    robot = firmware(replace(WITHOUT_TEST, memory=64), OWN_ID, 0.95)
+def test_a_new_batch_begins_where_the_robot_halves_its_counts(firmware: FixedPointFirmware) -> None:
+    """It does so after as many observations as its memory holds, to forget old ones."""
+    robot = firmware(replace(ONLY_VOTES, memory=64), OWN_ID, b_hat=0.95)
+
     observe_tiles(robot, black=40, white=24)
-    members = robust_members(robot)
-    assert (robot.t, members["batch_t"], members["batch_n"]) == (32, 32, 20)
+
+    memory = filter_memory(robot)
+    assert robot.t == memory["batch_t"] == 64 // 2
+    assert memory["batch_n"] == 40 // 2
 
 
 @for_fixed_point_firmwares
-@pytest.mark.parametrize(("dispersion", "status"), [(256, Status.UPDATED), (2560, Status.OK)])
-def test_a_robot_with_a_large_dispersion_allows_for_a_large_deviation(
+@pytest.mark.parametrize(("dispersion", "status"), [(1, Status.UPDATED), (10, Status.OK)])
+def test_a_robot_whose_observations_vary_more_than_chance_forgives_a_larger_deviation(
     firmware: FixedPointFirmware, dispersion: int, status: Status
 ) -> None:
-    """850 of 1000 black instead of 905 are 4.9 standard deviations of independent observations too few."""
-    counts = {"t": 1000, "n": 850, "batch_t": 1000, "batch_n": 850}
-    robot = restore_robust_robot(firmware, **counts, estimates=[62259] * 5, dispersion=dispersion)
+    """850 of 1000 tiles black instead of 905 are 4.9 standard deviations of independent tiles too few.
+
+    The status is UPDATED where the robot changes its accuracy, and OK where it does not.
+    """
+    neighbours = [int(0.95 * 2**16)] * 5
+    robot = restore_robust_robot(
+        firmware,
+        t=1000,
+        n=850,
+        batch_t=1000,
+        batch_n=850,
+        estimates=neighbours,
+        dispersion=dispersion * INDEPENDENT,
+    )
+
     assert robot.settle() == status
 
 
@@ -620,8 +803,13 @@ def test_an_image_has_39_words_with_the_robust_filter_and_31_with_another(
 
 
 # design: R29
-def test_the_words_of_an_image_are_in_the_order_of_the_page() -> None:
+def test_a_saved_robot_has_the_memory_of_its_filter_in_the_documented_order() -> None:
+    """docs/design.md lists the 39 words of 32 bits; in another order saved robots could not be restored.
+
+    Words 7 to 14 are the filter's, and words 15 to 30 the estimates of the neighbours, two in each word.
+    """
     robot = MirrorRobot(ROBUST, OWN_ID, 0.95)
+    # No robot that calls lead to has a different value in each field.
     robot.s.robust = RobustFilter(
         centre=7,
         spread=2**20,
@@ -634,16 +822,22 @@ def test_the_words_of_an_image_are_in_the_order_of_the_page() -> None:
         turn=2,
     )
     robot.s.estimates[:3] = [0x1111, 0x2222, 0x3333]
+
     words = struct.unpack("<39I", robot.save())
-    assert words[0] == 0x4D435383
-    assert words[7:15] == (7, 2**20, 11, 0b111, 5, 3, 9 | 300 << 16, 2)
-    assert words[15:31] == (0x22221111, 0x00003333, *[0] * 14)
+
+    magic, *_ = words
+    filter_words, estimate_words = words[7:15], words[15:31]
+    votes, dispersion = 9, 300
+    assert magic == 0x4D435383, '"MCS" and, as there is a robust filter, 128 + version 3'
+    assert filter_words == (7, 2**20, 11, 0b111, 5, 3, dispersion << 16 | votes, 2)
+    assert estimate_words == (0x2222_1111, 0x0000_3333, *[0] * 14)
 
 
 def status_of_restore(firmware: FixedPointFirmware, members: dict[str, Any]) -> Status:
-    """Return the status of restoring a robot, after 4 black of 10 observations, with these members.
+    """Save a robot, after 4 black of 10 observations, with these members of its filter, and restore it.
 
-    ``b_hat`` is the present one, in units of 2**-32; by default it is the initial one, 0.95.
+    Returns OK, or the error. ``b_hat`` is the present one, in units of 2**-32; by default it is the initial
+    one, 0.95.
     """
     default_members: dict[str, Any] = {"t": 10, "n": 4, "votes": 1, "estimates": [0]}
     try:

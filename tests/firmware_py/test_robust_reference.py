@@ -58,24 +58,31 @@ def test_the_spread_of_votes_stays_within_its_limits(spread: float, x_hat: float
 
 
 def test_votes_in_float64_are_right_to_the_last_bits() -> None:
+    """The same function computes them in exact fractions."""
     rng = random.Random(23)
     for _ in range(500):
         count = rng.randrange(513)
         centre, spread = rng.random(), 2 ** rng.uniform(-12, -2)
-        x_hat = rng.choice([0.0, 1.0, centre, rng.random()])
-        votes = votes_after(Votes(centre, spread, count), x_hat)
-        exact = votes_after(Votes(Fraction(centre), Fraction(spread), count), Fraction(x_hat))
-        assert abs(Fraction(votes.centre) - exact.centre) <= ULP
-        assert abs(Fraction(votes.spread) - exact.spread) <= ULP
+        vote = rng.choice([0.0, 1.0, centre, rng.random()])
+
+        votes = votes_after(Votes(centre, spread, count), vote)
+        exact = votes_after(Votes(Fraction(centre), Fraction(spread), count), Fraction(vote))
+
+        assert abs(Fraction(votes.centre) - exact.centre) <= ULP, (centre, spread, count, vote)
+        assert abs(Fraction(votes.spread) - exact.spread) <= ULP, (centre, spread, count, vote)
 
 
-def test_slots_vote_in_turn_and_then_the_robot_itself() -> None:
+def test_neighbours_vote_in_the_order_of_their_slots_and_the_robot_itself_after_them() -> None:
+    """After the vote of slot i the turn is i + 1, and after the robot's own vote it is 0."""
     robust = RobustReference(0.75, estimates={9: 1.0, 2: 0.0})
+
     turns = []
     for _ in range(4):
         robust.take_vote(own_x_hat=0.5, has_confidence=True)
         turns.append(robust.turn)
-    assert turns == [3, 10, 0, 3]
+
+    after_slot_2, after_slot_9, after_the_robot = 3, 10, 0
+    assert turns == [after_slot_2, after_slot_9, after_the_robot, after_slot_2]
 
 
 def test_the_robot_s_own_estimate_is_a_vote_like_the_others() -> None:
@@ -104,8 +111,10 @@ def test_nobody_votes_before_the_first_message() -> None:
 
 def test_senders_with_ids_equal_modulo_32_share_a_slot() -> None:
     robust = RobustReference(0.75)
+
     robust.keep_estimate(1, 0.25)
-    robust.keep_estimate(33, 0.75)
+    robust.keep_estimate(1 + 32, 0.75)
+
     assert robust.estimates == {1: 0.75}
 
 
@@ -138,11 +147,16 @@ def test_a_batch_without_deviation_leaves_the_dispersion(n: int, batch_count: in
     assert dispersion_after_batch(Observations(n, 1000, 3.0), 0, batch_count) == 3
 
 
-def test_a_batch_ends_with_the_observations_since_it_began() -> None:
-    """Of 100 observations 60 are black, and of all 1000 half: two standard deviations of 5 more."""
+def test_the_dispersion_is_computed_from_the_observations_since_the_last_batch() -> None:
+    """Of 100 observations 60 are black, and of all 1000 half: two standard deviations of 5 more.
+
+    Their square, 4 variances, counts an eighth, and the dispersion so far, 2, seven eighths.
+    """
     robust = RobustReference(0.75, dispersion=2.0, batch_t=900, batch_n=440)
+
     robust.end_batch(n=500, t=1000)
-    assert robust.dispersion == 7 / 8 * 2 + 4 / 8
+
+    assert robust.dispersion == 7 / 8 * 2 + 1 / 8 * 4
     assert (robust.batch_t, robust.batch_n) == (1000, 500)
 
 
@@ -183,12 +197,16 @@ def test_the_centre_of_estimates_stays_between_0_and_1(estimate: float) -> None:
 
 
 def test_the_centre_of_estimates_in_float64_is_right_to_the_last_bits() -> None:
+    """The same function computes it in exact fractions."""
     rng = random.Random(23)
     for _ in range(100):
         estimates = [rng.random() for _ in range(rng.randrange(5, 33))]
         spread = spread_around(estimates, 0.5)
+
+        centre = huber_centre(estimates, 0.5, spread)
         exact = huber_centre(list(map(Fraction, estimates)), Fraction(1, 2), Fraction(spread))
-        assert abs(Fraction(huber_centre(estimates, 0.5, spread)) - exact) <= 16 * ULP
+
+        assert abs(Fraction(centre) - exact) <= 16 * ULP, estimates
 
 
 # --- The test --------------------------------------------------------------------------------------------
@@ -210,8 +228,12 @@ def test_the_larger_variance_counts(n: int, centre: float, v: float) -> None:
 
 
 def test_observations_at_the_limit_of_the_test_contradict_nothing() -> None:
-    """With b = 1/2 both sides are 1/4, and no estimate supports the robot."""
+    """Only beyond it a robot whose tiles were all black looks for an accuracy that explains them.
+
+    With an accuracy of 1/2 the squared deviation is 1/4 for every t, and the limit 12 / (4 t).
+    """
     robust = RobustReference(0.5, estimates=dict.fromkeys(range(5), 0.5))
+
     assert robust.find_contradiction(n=12, t=12) is None
     assert robust.find_contradiction(n=13, t=13) == 0.5
 
@@ -221,23 +243,29 @@ def test_the_spread_widens_the_limit_of_the_test() -> None:
     assert sides == (0.0, 12 * (0.25 / 1024 + (0.5 / 32) ** 2))
 
 
-def test_the_robust_test_decides_as_exact_fractions_next_to_its_threshold() -> None:
+def test_the_robust_test_in_float64_decides_as_in_exact_fractions() -> None:
+    """For observations next to its limit, but none nearer to it than 2**-13: there roundings matter."""
     rng = random.Random(23)
     decisions = []
     for _ in range(500):
         centre, spread, b = rng.random(), 2 ** rng.uniform(-12, -2), rng.uniform(0.01, 0.99)
         dispersion, t = rng.uniform(1, 256), 10**6
-        p = b * centre + (1 - b) * (1 - centre)
+        p = b * centre + (1 - b) * (1 - centre)  # the share of black to be expected
         threshold = math.sqrt(12 * (dispersion * p * (1 - p) / t + (2 * b - 1) ** 2 * spread**2))
         difference = rng.choice([-1, 1]) * rng.uniform(0.99, 1.01) * threshold
         n = min(max(round(t * (p + difference)), 0), t)
+
         square, limit = robust_test_sides(Observations(n, t, dispersion), b, centre, spread)
-        exact_observations = Observations(n, t, Fraction(dispersion))
-        exact_square, exact_limit = robust_test_sides(exact_observations, *map(Fraction, (b, centre, spread)))
+        exact_square, exact_limit = robust_test_sides(
+            Observations(n, t, Fraction(dispersion)), Fraction(b), Fraction(centre), Fraction(spread)
+        )
+
         if abs(exact_square / exact_limit - 1) > 2**-13:
-            decisions.append(square > limit)
-            assert decisions[-1] == (exact_square > exact_limit)
-    assert min(decisions.count(True), decisions.count(False)) > 100
+            rejects = square > limit
+            assert rejects == (exact_square > exact_limit), (n, t, dispersion, b, centre, spread)
+            decisions.append(rejects)
+    assert decisions.count(True) > 100
+    assert decisions.count(False) > 100
 
 
 @pytest.mark.parametrize(
@@ -263,54 +291,82 @@ def make_robust_robot(memory: int = 1000) -> ReferenceRobot:
     return ReferenceRobot(Config(filter=Filter.ROBUST, filter_period=1, memory=memory), OWN_ID, 0.75)
 
 
-def test_five_estimates_are_needed_for_a_test() -> None:
+@pytest.mark.parametrize(("neighbours", "tests"), [(4, 0), (5, 1)])
+def test_a_robot_tests_itself_only_against_five_neighbours_or_more(neighbours: int, tests: int) -> None:
     robot = make_robust_robot()
     observe_tiles(robot, black=50, white=50)
-    receive_estimates(robot, 0.0, 0.0, 0.0, 0.0)
-    robot.settle()
-    assert robot.counters.tests == 0
-    receive_estimates(robot, 0.0, 0.0, 0.0, 0.0, 0.0)
-    robot.settle()
-    assert robot.counters.tests == 1
+    receive_estimates(robot, *[0.0] * neighbours)
+
+    robot.settle()  # ends the round, in which the filter runs
+
+    assert robot.counters.tests == tests
 
 
 def test_a_robot_whose_observations_contradict_its_neighbours_takes_its_accuracy_from_them() -> None:
-    """With b = 1/2 it would observe half of the tiles black on a white floor."""
+    """It sees half of the tiles black where all others see none, as a sensor that is right in 1/2 does."""
     robot = make_robust_robot()
     observe_tiles(robot, black=200, white=200)
     receive_estimates(robot, 0.0, 0.0, 0.0, 0.0, 0.0)
-    assert robot.settle() == Status.UPDATED
+
+    status = robot.settle()  # ends the round, in which the filter runs
+
+    assert status == Status.UPDATED
     assert robot.b_hat == 0.5
 
 
 def test_a_robot_that_was_misled_returns_to_its_initial_accuracy() -> None:
+    """Which is 3/4. First all others find the floor white, then half black, as the robot does."""
     robot = make_robust_robot()
     observe_tiles(robot, black=200, white=200)
     receive_estimates(robot, 0.0, 0.0, 0.0, 0.0, 0.0)
     robot.settle()
+    assert robot.b_hat != 0.75
+
     receive_estimates(robot, 0.5, 0.5, 0.5, 0.5, 0.5)
-    assert robot.settle() == Status.UPDATED
+    status = robot.settle()
+
+    assert status == Status.UPDATED
     assert robot.b_hat == 0.75
 
 
-def test_two_parties_keep_their_accuracy() -> None:
+def test_a_robot_that_a_party_of_its_neighbours_supports_keeps_its_accuracy() -> None:
+    """It sees half of the tiles black, as three of seven others do; four others say that none is."""
     robot = make_robust_robot()
     observe_tiles(robot, black=200, white=200)
     receive_estimates(robot, 0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.5)
-    assert robot.settle() == Status.OK
-    assert (robot.b_hat, robot.counters.tests) == (0.75, 1)
+
+    status = robot.settle()  # ends the round, in which the filter runs
+
+    assert status == Status.OK
+    assert robot.counters.tests == 1
+    assert robot.b_hat == 0.75
 
 
-def test_a_batch_begins_anew_where_the_memory_halves_the_counts() -> None:
+def test_a_new_batch_begins_where_the_robot_halves_its_counts() -> None:
+    """It does so after as many observations as its memory holds, to forget old ones."""
     robot = make_robust_robot(memory=64)
+
     observe_tiles(robot, black=40, white=24)
-    assert (robot._robust.batch_t, robot._robust.batch_n) == (robot.t, robot.n) == (32, 20)
+
+    assert robot._robust.batch_t == robot.t == 64 // 2
+    assert robot._robust.batch_n == robot.n == 40 // 2
 
 
-def test_x_is_the_centre_of_the_votes_and_before_the_first_one_x_hat() -> None:
+def test_before_the_first_vote_a_robot_believes_its_own_estimate() -> None:
+    robot = make_robust_robot()
+
+    robot.observe(Observation.BLACK)
+
+    assert robot.x == robot.x_hat == 1.0
+    assert robot.x_bar == 0.5
+
+
+def test_from_the_first_vote_on_a_robot_believes_the_centre_of_the_votes() -> None:
+    """A vote of 0 moves it from 1/2 by an eighth of the spread, which is 1/4."""
     robot = make_robust_robot()
     robot.observe(Observation.BLACK)
-    assert (robot.x, robot.x_bar) == (1.0, 0.5)
     receive_estimates(robot, 0.0)
-    robot.settle()
+
+    robot.settle()  # the neighbour votes
+
     assert robot.x == robot.x_bar == 0.5 - 0.25 / 8

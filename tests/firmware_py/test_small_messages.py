@@ -41,7 +41,10 @@ def test_encoding_what_was_decoded_gives_the_same_bytes() -> None:
     source = random.Random(1)
     for _ in range(20_000):
         message = source.randbytes(4)
-        assert encode_message(*decode_message(message)) == message, message.hex()
+
+        sender, x_hat, alpha = decode_message(message)
+
+        assert encode_message(sender, x_hat, alpha) == message, message.hex()
 
 
 @pytest.mark.parametrize("sender", [-1, 128])
@@ -81,12 +84,13 @@ def test_exchanged_colours_have_the_opposite_code(x_hat: int) -> None:
     assert encode_x_hat(ONE - x_hat, 16) == 0xFFFF - encode_x_hat(x_hat, 16)
 
 
-def test_16_bits_of_x_hat_are_wrong_by_half_a_step_at_most() -> None:
+def test_an_estimate_in_16_bits_is_wrong_by_half_a_step_at_most() -> None:
     half_step = ONE / 0xFFFF / 2
-    x_hats = random.Random(2).sample(range(ONE + 1), 20_000)
-    errors = [abs(decode_x_hat(encode_x_hat(x_hat, 16), 16) - x_hat) for x_hat in x_hats]
-    # Decoding rounds to whole units, by half a unit at most.
-    assert max(errors) <= half_step + 0.5
+    rounding_to_whole_units = 0.5
+    for x_hat in random.Random(2).sample(range(ONE + 1), 20_000):
+        decoded = decode_x_hat(encode_x_hat(x_hat, 16), 16)
+
+        assert abs(decoded - x_hat) <= half_step + rounding_to_whole_units, x_hat
 
 
 # --- Codes of alpha --------------------------------------------------------------------------------------
@@ -116,12 +120,14 @@ def test_the_largest_confidence_has_the_largest_code(bits: int) -> None:
     assert encode_alpha(ALPHA_MAX, bits) == (1 << bits) - 1
 
 
-def test_alpha_is_rounded_down_by_less_than_a_sixteenth() -> None:
+def test_a_confidence_in_9_bits_is_rounded_down_by_less_than_a_seventeenth() -> None:
     source = random.Random(3)
     for _ in range(20_000):
         alpha = alpha_word_from_float(2 ** source.uniform(-4, 26.9))
-        decoded = alpha_units(decode_alpha(encode_alpha(alpha, 9), 9))
-        assert 16 / 17 * alpha_units(alpha) < decoded <= alpha_units(alpha)
+
+        decoded = decode_alpha(encode_alpha(alpha, 9), 9)
+
+        assert 16 / 17 * alpha_units(alpha) < alpha_units(decoded) <= alpha_units(alpha), hex(alpha)
 
 
 # --- The codec in C --------------------------------------------------------------------------------------
@@ -150,7 +156,9 @@ def c_code_function(c_library: Any, name: str) -> Any:
     ],
 )
 def test_c_and_python_decode_alike(c_library: Any, c_name: str, python_name: str, max_bits: int) -> None:
-    c_function, python_function = c_code_function(c_library, c_name), getattr(small_messages, python_name)
+    """Every code of up to 9 bits, and 1000 of each other length."""
+    c_function = c_code_function(c_library, c_name)
+    python_function = getattr(small_messages, python_name)
     source = random.Random(4)
     for bits in range(1, max_bits + 1):
         codes = range(1 << bits) if bits <= 9 else [source.getrandbits(bits) for _ in range(1000)]
@@ -159,21 +167,25 @@ def test_c_and_python_decode_alike(c_library: Any, c_name: str, python_name: str
 
 
 def test_c_and_python_encode_x_hat_alike(c_library: Any) -> None:
+    """The ends and the middle of the range, and 1000 others, in codes of every length."""
     c_function = c_code_function(c_library, "x_hat_to_code")
     source = random.Random(5)
     for bits in range(1, MAX_X_HAT_BITS + 1):
-        for x_hat in (0, 1, HALF - 1, HALF, HALF + 1, ONE, *(source.randint(0, ONE) for _ in range(1000))):
+        x_hats = [0, 1, HALF - 1, HALF, HALF + 1, ONE, *(source.randint(0, ONE) for _ in range(1000))]
+        for x_hat in x_hats:
             assert c_function(x_hat, bits) == encode_x_hat(x_hat, bits), (x_hat, bits)
 
 
 def test_c_and_python_encode_alpha_alike(c_library: Any) -> None:
+    """A confidence is a word of 32 bits: a mantissa, here of any length, above 8 bits of shift."""
     c_function = c_code_function(c_library, "alpha_to_code")
     source = random.Random(6)
     for bits in range(1, MAX_ALPHA_BITS + 1):
         for _ in range(2000):
-            # Mantissas of all lengths: many words are not as the firmware forms its own.
-            mantissa, low_bits = source.getrandbits(source.randint(0, 24)), source.getrandbits(8)
-            alpha = (mantissa << 8) | low_bits
+            mantissa = source.getrandbits(source.randint(0, 24))
+            shift = source.getrandbits(8)
+            alpha = mantissa << 8 | shift
+
             assert c_function(alpha, bits) == encode_alpha(alpha, bits), (alpha, bits)
 
 
