@@ -1,4 +1,4 @@
-"""The Arduino sketch of c_ref/examples: it builds for an Uno, and does what the mirror does, to the bit."""
+"""The Arduino sketch of c_ref/examples: it builds for an Uno, and computes what the robot in Python does."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def robot(built_sketch: Path, packets: list[bytes]) -> Board:
     return board
 
 
-def new_mirror() -> MirrorRobot:
+def same_robot_in_python() -> MirrorRobot:
     """Return the robot that the sketch makes: the paper's filter, a sensor that is right 95 times in 100."""
     table = generate(Decimal("0.05"), 30)
     return MirrorRobot(Config(table=table), ROBOT_ID, 0.95)
@@ -117,12 +117,14 @@ def test_the_table_of_the_sketch_is_the_shipped_one() -> None:
 def test_the_sketch_builds_without_a_warning(built_sketch: Path) -> None:
     """Debian's Arduino core, which is not ours, has some."""
     output = (built_sketch / "output.txt").read_text(encoding="utf-8")
-    warnings = [line for line in output.splitlines() if "warning:" in line or "error:" in line]
-    assert [line for line in warnings if "/usr/share/arduino/" not in line] == []
-    assert "Sketch uses" in output
+
+    complaints = [line for line in output.splitlines() if "warning:" in line or "error:" in line]
+
+    assert [line for line in complaints if "/usr/share/arduino/" not in line] == []
+    assert "Sketch uses" in output, "the line with which a build ends"
 
 
-def test_the_sketch_of_the_page_builds_with_the_folder_that_the_command_writes(tmp_path: Path) -> None:
+def test_the_sketch_of_docs_porting_builds_with_the_library_that_the_command_writes(tmp_path: Path) -> None:
     require("arduino-builder", "arduino-builder arduino-core-avr")
     require("avr-gcc", "gcc-avr avr-libc")
     assert main(["firmware", str(tmp_path / "libraries/mcp_asdf"), "--neighbours", "30"]) == 0
@@ -130,41 +132,63 @@ def test_the_sketch_of_the_page_builds_with_the_folder_that_the_command_writes(t
     sketch = tmp_path / "sketch/sketch.ino"
     sketch.write_text(block_with(PAGE, "sketch.ino", "cpp"))
     (tmp_path / "sketch/robot.c").write_text(block_with(PAGE, "/* robot.c */", "c"))
+
     build_with_libraries(sketch, tmp_path)
-    assert "Sketch uses" in (tmp_path / "output.txt").read_text(encoding="utf-8")
+
+    output = (tmp_path / "output.txt").read_text(encoding="utf-8")
+    assert "Sketch uses" in output, "the line with which a build ends"
 
 
-def test_the_robot_broadcasts_what_the_mirror_does(robot: Board, packets: list[bytes]) -> None:
-    mirror = new_mirror()
-    expected = []
-    for transfer_id, tile in enumerate([1, 1, 0, 1, 0]):
+def test_the_arduino_broadcasts_the_same_bytes_as_the_robot_in_python(
+    robot: Board, packets: list[bytes]
+) -> None:
+    """On five tiles, of which 1 is black. Packets are numbered, and have the robot's estimate in integers."""
+    robot_in_python = same_robot_in_python()
+    expected_packets = []
+    for packet_number, tile in enumerate([1, 1, 0, 1, 0]):
         run_tick(robot, tile)
-        mirror.observe(Observation(tile))
-        estimate = Estimate(ROBOT_ID, mirror.x_hat_raw, mirror.alpha_raw, transfer_id)
-        expected.append(packet_of(frames.encode_estimate(estimate, FORMAT)))
-    assert packets == expected
+
+        robot_in_python.observe(Observation(tile))
+        x_hat, alpha = robot_in_python.x_hat_raw, robot_in_python.alpha_raw
+        estimate = Estimate(ROBOT_ID, x_hat, alpha, packet_number)
+        expected_packets.append(packet_of(frames.encode_estimate(estimate, FORMAT)))
+
+    assert packets == expected_packets
 
 
-WHITE_ESTIMATE = packet_of(frames.encode_estimate(Estimate(9, 0, alpha_word_from_float(1e6), 0), FORMAT))
+BLACK_TILE = 1
+PACKET_OF_CERTAIN_NEIGHBOUR = packet_of(
+    frames.encode_estimate(Estimate(9, 0, alpha_word_from_float(1e6), 0), FORMAT)
+)
 """The packet of a robot that is certain that all tiles are white."""
 
 
-def test_the_led_shows_what_the_robot_and_its_neighbour_know(robot: Board) -> None:
-    run_tick(robot, 1)
+def test_the_led_is_lit_while_the_robot_finds_the_floor_black(robot: Board) -> None:
+    run_tick(robot, BLACK_TILE)
     assert is_led_lit(robot), "the robot itself has seen one tile, which was black"
-    send_to(robot, WHITE_ESTIMATE)
-    run_tick(robot, 1)
-    assert not is_led_lit(robot)
+
+    send_to(robot, PACKET_OF_CERTAIN_NEIGHBOUR)
+    run_tick(robot, BLACK_TILE)
+
+    assert not is_led_lit(robot), "its neighbour is certain that all tiles are white"
 
 
 def test_the_robot_ignores_a_packet_with_a_wrong_checksum(robot: Board) -> None:
-    damaged_packet = WHITE_ESTIMATE[:-1] + bytes([WHITE_ESTIMATE[-1] ^ 1])
-    send_to(robot, damaged_packet)
-    run_tick(robot, 1)
+    """Otherwise the LED would go out, as its neighbour is certain that all tiles are white."""
+    damaged_packet = bytearray(PACKET_OF_CERTAIN_NEIGHBOUR)
+    damaged_packet[-1] ^= 1
+
+    send_to(robot, bytes(damaged_packet))
+    run_tick(robot, BLACK_TILE)
+
     assert is_led_lit(robot)
 
 
 def test_the_robot_finds_the_packet_after_noise(robot: Board) -> None:
-    send_to(robot, b"\x00\xff" + WHITE_ESTIMATE)
-    run_tick(robot, 1)
+    """The LED goes out, as its neighbour is certain that all tiles are white."""
+    noise = b"\x00\xff"
+
+    send_to(robot, noise + PACKET_OF_CERTAIN_NEIGHBOUR)
+    run_tick(robot, BLACK_TILE)
+
     assert not is_led_lit(robot)

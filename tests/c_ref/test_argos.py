@@ -1,4 +1,4 @@
-"""The example for ARGoS3: it compiles, its robots compute the mirror's bits, and check_log.py notices if not.
+"""The example for ARGoS3: it compiles, and its robots compute what those in Python do, or check_log.py tells.
 
 ARGoS itself is not installed here. The folder argos3 beside this file has stand-ins for those of its types
 that the example uses, and a small simulator around them.
@@ -6,6 +6,7 @@ that the example uses, and a small simulator around them.
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import re
 import shutil
@@ -55,7 +56,6 @@ WARNINGS = (
     "-Werror",
 )
 TICKS = 300
-FIRST_RECEIVE = re.compile(r"^receive,(\d+),", re.MULTILINE)
 
 
 # --- Building --------------------------------------------------------------------------------------------
@@ -103,11 +103,15 @@ def test_the_build_file_names_all_sources_of_the_example() -> None:
 
 
 def test_the_build_file_says_how_to_get_the_firmware(tmp_path: Path) -> None:
+    """CMake breaks its lines anywhere."""
     shutil.copy(EXAMPLE / "CMakeLists.txt", tmp_path)
     command = [require("cmake"), "-S", str(tmp_path), "-B", str(tmp_path / "build")]
+
     result = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    message = " ".join(result.stderr.split())
     assert result.returncode == 1
-    assert "run mcp-asdf firmware vendor/mcp_asdf --neighbours 30 here" in " ".join(result.stderr.split())
+    assert "run mcp-asdf firmware vendor/mcp_asdf --neighbours 30 here" in message
 
 
 # --- Running ---------------------------------------------------------------------------------------------
@@ -196,33 +200,51 @@ def check_logs(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def updates_in(line: str) -> int:
-    """Return the number of updates that a line of check_log.py's output has."""
-    [count] = re.findall(r"(\d+) updates", line)
-    return int(count)
+@dataclass(frozen=True)
+class CheckedLog:
+    """What check_log.py says of a log."""
+
+    ticks: int
+    updates: int
 
 
-def test_robots_compute_the_bits_of_the_mirror(run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path) -> None:
-    assert run_swarm(swarm).returncode == 0
-    result = check_logs(tmp_path / "logs")
-    assert result.returncode == 0
-    lines = result.stdout.splitlines()
-    assert len(lines) == 20
-    assert all(f": {TICKS} ticks, " in line for line in lines)
-    assert sum(updates_in(line) for line in lines) > 10
+def checked_logs(folder: Path) -> list[CheckedLog]:
+    """Return what check_log.py says of the logs in a folder, all of which it has to pass."""
+    result = check_logs(folder)
+    assert result.returncode == 0, result.stdout
+    numbers = re.findall(r"^.*: (\d+) ticks, .* (\d+) updates .*$", result.stdout, re.MULTILINE)
+    return [CheckedLog(int(ticks), int(updates)) for ticks, updates in numbers]
 
 
-def test_robots_with_the_robust_filter_compute_the_bits_of_the_mirror(
+def test_the_robots_of_a_swarm_compute_the_same_bits_as_robots_in_python(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
-    swarm.set_parameter("filter", "robust")
+    """check_log.py repeats the logs of all 20 in Python; in some of them the filter changes the accuracy."""
     assert run_swarm(swarm).returncode == 0
+
+    logs = checked_logs(tmp_path / "logs")
+
+    assert [log.ticks for log in logs] == [TICKS] * 20
+    assert sum(log.updates for log in logs) > 10
+
+
+def test_robots_with_the_robust_filter_compute_the_same_bits_as_robots_in_python(
+    run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
+) -> None:
+    """check_log.py repeats their logs in Python."""
+    swarm.set_parameter("filter", "robust")
+
+    assert run_swarm(swarm).returncode == 0
+
     assert check_logs(tmp_path / "logs").returncode == 0
 
 
-def test_a_second_run_after_a_reset_begins_anew(run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path) -> None:
-    result = run_swarm(swarm, options="reset")
-    assert result.returncode == 0
+def test_after_a_reset_the_log_has_the_second_run_alone(
+    run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
+) -> None:
+    """A log begins with a line ``start``, and each tick ends with a line ``settle``."""
+    assert run_swarm(swarm, options="reset").returncode == 0
+
     log = (tmp_path / "logs/kiv0.csv").read_text(encoding="utf-8")
     assert log.count("start,") == 1
     assert log.count("settle,") == TICKS
@@ -232,49 +254,74 @@ def test_a_second_run_after_a_reset_begins_anew(run_swarm: RunSwarm, swarm: Swar
 def test_what_robots_send_before_their_first_broadcast_is_refused(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
-    """ARGoS delivers zeros then, which must not become an estimate of robot 0."""
+    """ARGoS delivers zeros then, which must not become robot 0. A tick ends with the line ``settle``."""
     assert run_swarm(swarm).returncode == 0
+
     log = (tmp_path / "logs/kiv3.csv").read_text(encoding="utf-8")
     first_tick, later_ticks = log.split("settle,", maxsplit=1)
-    assert not FIRST_RECEIVE.search(first_tick)
-    assert FIRST_RECEIVE.search(later_ticks)
+    assert "receive," not in first_tick
+    assert "receive," in later_ticks
 
 
 def test_robots_receive_the_estimates_of_the_tick_before(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
+    """A log has ``settle,x,x_hat,...`` at the end of a tick, and ``receive,sender,x_hat,...`` for a message."""
     assert run_swarm(swarm, ticks=2).returncode == 0
+
     x_hat_after_first_tick = {}
     for path in (tmp_path / "logs").glob("*.csv"):
         first_settle = path.read_text(encoding="utf-8").split("settle,")[1]
-        x_hat_after_first_tick[path.stem] = first_settle.split(",")[1]
-    received = re.findall(r"receive,(\d+),(\d+),", (tmp_path / "logs/kiv3.csv").read_text(encoding="utf-8"))
-    assert received
+        _x, x_hat, *_ = first_settle.split(",")
+        x_hat_after_first_tick[path.stem] = x_hat
+    log = (tmp_path / "logs/kiv3.csv").read_text(encoding="utf-8")
+    received = re.findall(r"receive,(\d+),(\d+),", log)
+    assert len(received) > 0
     for sender, x_hat in received:
         assert x_hat == x_hat_after_first_tick[f"kiv{sender}"]
 
 
-def test_the_table_of_results_has_the_state_of_each_robot(
+def read_results(folder: Path) -> list[dict[str, str]]:
+    """Return the rows of the table of results that a run has written, by column."""
+    with (folder / "results.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_the_table_of_results_has_a_row_for_each_robot_after_each_100_ticks(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
+    assert run_swarm(swarm, ticks=300).returncode == 0
+
+    rows = read_results(tmp_path)
+
+    columns = ["tick", "robot", "x", "x_hat", "b_hat", "accepted", "refused", "tests", "updates"]
+    assert list(rows[0]) == columns
+    expected = [(str(tick), f"kiv{number}") for tick in (100, 200, 300) for number in range(20)]
+    assert [(row["tick"], row["robot"]) for row in rows] == expected
+
+
+def test_the_table_of_results_has_the_last_estimate_and_accuracy_of_a_robot(
+    run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
+) -> None:
+    """Its log has them as integers, in lines ``settle,x,x_hat,alpha,b_hat,status``."""
     assert run_swarm(swarm).returncode == 0
-    rows = [line.split(",") for line in (tmp_path / "results.csv").read_text(encoding="utf-8").splitlines()]
-    assert rows[0] == ["tick", "robot", "x", "x_hat", "b_hat", "accepted", "refused", "tests", "updates"]
-    assert [(row[0], row[1]) for row in rows[1:]] == [
-        (str(tick), f"kiv{number}") for tick in (100, 200, 300) for number in range(20)
-    ]
-    last_x, _, _, last_b_hat, _ = (
-        (tmp_path / "logs/kiv19.csv").read_text(encoding="utf-8").split("settle,")[-1].split(",")
-    )
-    assert rows[-1][2] == f"{int(last_x) / 2**23:.9g}"
-    assert rows[-1][4] == f"{int(last_b_hat) / 2**32:.9g}"
+
+    last_row = read_results(tmp_path)[-1]
+
+    log = (tmp_path / "logs/kiv19.csv").read_text(encoding="utf-8")
+    x, _x_hat, _alpha, b_hat, _status = log.split("settle,")[-1].split(",")
+    assert last_row["robot"] == "kiv19"
+    assert last_row["x"] == f"{int(x) / 2**23:.9g}"
+    assert last_row["b_hat"] == f"{int(b_hat) / 2**32:.9g}"
 
 
-def test_the_run_ends_with_the_mean_errors(run_swarm: RunSwarm, swarm: Swarm) -> None:
+def test_the_run_ends_with_the_mean_error_of_the_robots_accuracies(run_swarm: RunSwarm, swarm: Swarm) -> None:
     swarm.set_parameter("filter", "off")
+
     result = run_swarm(swarm)
+
     # Six of twenty robots are wrong by 0.4, and stay so without a filter.
-    assert result.stdout.endswith("mean |b_hat - b| at the end 0.12\n")
+    assert result.stdout.endswith(f"mean |b_hat - b| at the end {6 * 0.4 / 20:.2f}\n")
 
 
 @pytest.mark.parametrize(
@@ -292,7 +339,9 @@ def test_a_parameter_that_robots_cannot_have_is_refused_by_its_name(
     name: str, value: str, message: str, run_swarm: RunSwarm, swarm: Swarm
 ) -> None:
     swarm.set_parameter(name, value)
+
     result = run_swarm(swarm)
+
     assert result.returncode == 1
     assert result.stderr.startswith(f"cannot start the MCP-ASDF firmware of robot kiv0: {message}")
 
@@ -327,9 +376,12 @@ def test_a_floor_has_the_fill_ratio(built_folder: Path, tmp_path: Path) -> None:
 
 def test_floors_of_two_seeds_have_no_row_or_column_in_common(built_folder: Path, tmp_path: Path) -> None:
     first, second = (floor_of(seed, built_folder, tmp_path) for seed in (1, 2))
-    for floors in ((first, second), (first.T, second.T)):
-        lines_by_floor = [{line.tobytes() for line in floor} for floor in floors]
-        assert not lines_by_floor[0] & lines_by_floor[1]
+
+    rows_in_common = {row.tobytes() for row in first} & {row.tobytes() for row in second}
+    columns_in_common = {column.tobytes() for column in first.T} & {column.tobytes() for column in second.T}
+
+    assert rows_in_common == set()
+    assert columns_in_common == set()
 
 
 # --- check_log.py ----------------------------------------------------------------------------------------
@@ -370,29 +422,36 @@ def verdict_on(check_log: ModuleType, text: str, folder: Path) -> int:
     return exit_code
 
 
-def test_a_log_with_the_bits_of_the_mirror_passes(
+def test_a_log_that_python_repeats_to_the_bit_passes(
     check_log: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert verdict_on(check_log, LOG, tmp_path) == 0
     assert ": 1 ticks, 0 messages, 0 updates of b_hat: all bits are equal\n" in capsys.readouterr().out
 
 
-def test_a_changed_bit_is_a_difference(
+def test_a_log_with_a_changed_bit_is_told_by_line_and_tick(
     check_log: ModuleType, short_log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    start, rest = short_log.split("settle,", maxsplit=1)
-    x = int(rest.split(",")[0])
-    changed = f"{start}settle,{x ^ 1},{rest.split(',', maxsplit=1)[1]}"
-    assert verdict_on(check_log, changed, tmp_path) == 1
-    assert f"line 3 in tick 1 differs: settle gave {x ^ 1}," in capsys.readouterr().out
+    """The first tick ends in line 3, ``settle,x,...``."""
+    before, rest = short_log.split("settle,", maxsplit=1)
+    x, others = rest.split(",", maxsplit=1)
+    wrong_x = int(x) ^ 1
+
+    exit_code = verdict_on(check_log, f"{before}settle,{wrong_x},{others}", tmp_path)
+
+    assert exit_code == 1
+    assert f"line 3 in tick 1 differs: settle gave {wrong_x}," in capsys.readouterr().out
 
 
-def test_a_message_that_was_left_out_is_a_difference(
+def test_a_log_that_lacks_the_received_messages_differs(
     check_log: ModuleType, short_log: str, tmp_path: Path
 ) -> None:
     without_messages = re.sub(r"receive,.*\n", "", short_log)
     assert without_messages != short_log
-    assert verdict_on(check_log, without_messages, tmp_path) == 1
+
+    exit_code = verdict_on(check_log, without_messages, tmp_path)
+
+    assert exit_code == 1
 
 
 @pytest.mark.parametrize(

@@ -64,10 +64,13 @@ def test_no_function_of_the_header_is_inline_but_by_the_macro() -> None:
 def test_a_library_without_a_filter_lacks_the_symbol_of_that_filter_alone(
     filter_name: str, function: str, tmp_path: Path
 ) -> None:
+    """The functions that the header defines inline become symbols in mcp_asdf_accessors.c."""
     strict = ("-std=c99", "-Wall", "-Wextra", "-Wmissing-prototypes", "-Werror")
-    source, accessors = CORE.with_name("mcp_asdf_accessors.c"), tmp_path / "accessors.o"
-    run("gcc", *strict, f"-DMCP_ASDF_WITH_{filter_name}=0", "-c", source, "-o", accessors)
-    assert symbols_in(accessors) == inline_functions() - {function}
+    source, compiled = CORE.with_name("mcp_asdf_accessors.c"), tmp_path / "accessors.o"
+
+    run("gcc", *strict, f"-DMCP_ASDF_WITH_{filter_name}=0", "-c", source, "-o", compiled)
+
+    assert symbols_in(compiled) == inline_functions() - {function}
 
 
 # --- Generators of bindings ------------------------------------------------------------------------------
@@ -84,41 +87,47 @@ def syntax_tree(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_a_generator_of_bindings_finds_no_inline_function(syntax_tree: str) -> None:
-    """It would leave them out."""
-    functions = [
-        line for line in syntax_tree.splitlines() if re.search(r"FunctionDecl .* mcp_asdf_\w+ ", line)
-    ]
+    """It would leave them out, and users of other languages would miss them."""
+    functions = re.findall(r"FunctionDecl .* mcp_asdf_\w+ .*", syntax_tree)
+
     assert len(functions) > len(inline_functions())
-    assert not any(line.endswith((" inline", " static")) for line in functions)
+    for function in functions:
+        assert not function.endswith((" inline", " static"))
 
 
 def test_a_generator_of_bindings_finds_no_type_without_a_name(syntax_tree: str) -> None:
     """It would fail."""
-    types = re.findall(r"FieldDecl .* \w+ '([^']*)'", syntax_tree)
-    assert types
-    assert not any("unnamed" in name or "anonymous" in name for name in types)
+    types_of_members = re.findall(r"FieldDecl .* \w+ '([^']*)'", syntax_tree)
+
+    assert len(types_of_members) > 0
+    for type_name in types_of_members:
+        assert "unnamed" not in type_name
+        assert "anonymous" not in type_name
 
 
-def test_bindgen_finds_every_symbol_of_the_header(library: Path) -> None:
-    """It makes functions for Rust, whose names it takes from the header."""
+def test_rust_s_bindgen_finds_only_functions_that_the_library_has(library: Path) -> None:
+    """And all inline ones. Without rustfmt there is a space before the bracket."""
     require("bindgen", "bindgen")
     folder = library.parents[2]
+
     run("sh", "-exc", block_with(PAGE, "bindgen", "sh"), cwd=folder)
+
     bindings = (folder / "build/mcp_asdf.rs").read_text(encoding="utf-8")
-    # Without rustfmt there is a space before the bracket.
     functions = set(re.findall(r"pub fn (mcp_asdf_\w+) ?\(", bindings))
     assert inline_functions() < functions
     assert functions <= symbols_in(library, "--dynamic", "--defined-only")
 
 
 def test_rust_agrees_with_bindgen_on_the_layout_of_a_robot(library: Path) -> None:
-    """The bindings have tests of their own, which compare sizes and offsets with those that clang finds."""
+    """bindgen writes tests into its bindings, which compare sizes and offsets with those that clang finds."""
     require("bindgen", "bindgen")
     require("rustc", "rustc")
     folder = library.parents[2]
     run("sh", "-exc", block_with(PAGE, "bindgen", "sh"), cwd=folder)
+
     flags = ("--edition", "2021", "--test", "--allow", "warnings")
     run("rustc", *flags, "-o", "build/layout", "build/mcp_asdf.rs", cwd=folder)
+
     assert "test result: ok" in run(folder / "build/layout", cwd=folder)
 
 
@@ -135,8 +144,8 @@ def is_black_at(tick: int) -> bool:
     return tick % 4 != 0
 
 
-def step_mirror(config: Config) -> MirrorRobot:
-    """Return the mirror of a robot after all ticks, in each of which three neighbours broadcast."""
+def step_in_python(config: Config) -> MirrorRobot:
+    """Return a robot in Python after all ticks, in each of which three neighbours broadcast."""
     mirror = MirrorRobot(config, ROBOT_ID, INITIAL_B_HAT)
     for tick in range(TICKS):
         for sender in range(3):
@@ -160,16 +169,18 @@ PAPERS = Config(table=generate(Decimal("0.05"), 4), filter_period=100)
 
 
 @pytest.mark.parametrize("config", [ROBUST, PAPERS], ids=["robust", "the paper's"])
-def test_a_robot_that_ctypes_steps_has_the_bits_of_the_mirror(library: Path, config: Config) -> None:
+def test_a_robot_that_ctypes_steps_has_the_bits_of_the_robot_in_python(library: Path, config: Config) -> None:
+    """With each filter, after ticks with messages of three neighbours."""
     robot = step_by_ctypes(library, config)
-    mirror = step_mirror(config)
+    robot_in_python = step_in_python(config)
+
     assert robot.read("id") == ROBOT_ID
     assert robot.read("t_count") == TICKS
-    assert robot.read("x_hat") == mirror.x_hat_raw
-    assert robot.read("alpha") == mirror.alpha_raw
-    assert robot.read("b_hat") == mirror.b_hat_raw
-    assert robot.read("x") == mirror.x_raw
-    assert robot.read("beta", ctypes.c_uint64) == mirror.beta_raw
+    assert robot.read("x_hat") == robot_in_python.x_hat_raw
+    assert robot.read("alpha") == robot_in_python.alpha_raw
+    assert robot.read("b_hat") == robot_in_python.b_hat_raw
+    assert robot.read("x") == robot_in_python.x_raw
+    assert robot.read("beta", ctypes.c_uint64) == robot_in_python.beta_raw
 
 
 def test_the_paper_s_filter_runs_where_ctypes_passes_the_table(library: Path) -> None:
@@ -186,11 +197,18 @@ def test_the_rust_program_reserves_a_robot_s_memory() -> None:
     assert f"const ROBOT_SIZE: usize = {robot_size()};" in RUST_PROGRAM.read_text(encoding="utf-8")
 
 
-def test_a_robot_that_rust_steps_has_the_bits_of_the_mirror(library: Path) -> None:
+@pytest.fixture
+def output_of_rust(library: Path) -> str:
+    """What the Rust program prints that the page's commands build and run."""
     require("rustc", "rustc")
-    folder = library.parents[2]
     commands = block_with(PAGE, "rustc", "sh").replace("rustc ", "rustc -D warnings ")
-    mirror = step_mirror(ROBUST)
-    printed = run("sh", "-exc", commands, cwd=folder)
-    assert printed == f"x_hat {mirror.x_hat_raw} x {mirror.x_raw} b_hat {mirror.b_hat_raw}\n"
-    assert printed == block_with(PAGE, "x_hat 8388608", "text")
+    return run("sh", "-exc", commands, cwd=library.parents[2])
+
+
+def test_a_robot_that_rust_steps_has_the_bits_of_the_robot_in_python(output_of_rust: str) -> None:
+    robot = step_in_python(ROBUST)
+    assert output_of_rust == f"x_hat {robot.x_hat_raw} x {robot.x_raw} b_hat {robot.b_hat_raw}\n"
+
+
+def test_the_rust_program_prints_what_the_page_shows(output_of_rust: str) -> None:
+    assert output_of_rust == block_with(PAGE, "x_hat 8388608", "text")

@@ -91,16 +91,18 @@ def compile_copied_core(project: Path) -> None:
         run(require("gcc", "gcc"), "-std=c99", *STRICT, "-c", path.name, cwd=project)
 
 
-def test_a_c_program_links_copied_files(project: Path) -> None:
+def test_a_c_program_builds_with_copied_files(project: Path) -> None:
     compile_copied_core(project)
     run(require("clang", "clang"), *STRICT, "main.c", *project.glob("*.o"), "-o", "program", cwd=project)
     run(project / "program")
 
 
-def test_a_cpp_program_links_copied_files(project: Path) -> None:
+def test_a_cpp_program_builds_with_copied_files(project: Path) -> None:
     compile_copied_core(project)
     (project / "main.c").rename(project / "main.cpp")
+
     run(require("g++", "g++"), *STRICT, "main.cpp", *project.glob("*.o"), "-o", "program", cwd=project)
+
     run(project / "program")
 
 
@@ -176,14 +178,23 @@ def test_library_headers_and_descriptions_are_installed_and_nothing_else(tmp_pat
 
 
 @pytest.mark.slow
-def test_pkg_config_describes_the_installed_library(project: Path) -> None:
-    [description] = install_library(project / "library").rglob("mcp_asdf.pc")
-    folder = str(description.parent)
+def test_pkg_config_has_the_version_of_the_installed_library(tmp_path: Path) -> None:
+    [description] = install_library(tmp_path).rglob("mcp_asdf.pc")
     pkg_config = require("pkg-config", "pkgconf")
-    version = run(pkg_config, "mcp_asdf", "--modversion", PKG_CONFIG_PATH=folder).strip()
-    assert version == version_of_header()
-    flags = shlex.split(run(pkg_config, "mcp_asdf", "--cflags", "--libs", PKG_CONFIG_PATH=folder))
-    run("cc", *STRICT, "main.c", TABLE.name, *flags, "-o", "program", cwd=project)
+
+    version = run(pkg_config, "mcp_asdf", "--modversion", PKG_CONFIG_PATH=str(description.parent))
+
+    assert version.strip() == version_of_header()
+
+
+@pytest.mark.slow
+def test_a_program_builds_with_the_flags_of_pkg_config(project: Path) -> None:
+    [description] = install_library(project / "library").rglob("mcp_asdf.pc")
+    pkg_config = require("pkg-config", "pkgconf")
+
+    flags = run(pkg_config, "mcp_asdf", "--cflags", "--libs", PKG_CONFIG_PATH=str(description.parent))
+
+    run("cc", *STRICT, "main.c", TABLE.name, *shlex.split(flags), "-o", "program", cwd=project)
     run(project / "program")
 
 
@@ -193,10 +204,12 @@ def test_meson_finds_the_installed_library(project: Path) -> None:
     require("meson")
     require("ninja")
     [description] = install_library(project / "library").rglob("mcp_asdf.pc")
-    [commands] = blocks(ROOT / "docs/platforms/elsewhere.md", "meson")
-    (project / "meson.build").write_text(commands)
+    [page_s_lines] = blocks(ROOT / "docs/platforms/elsewhere.md", "meson")
+    (project / "meson.build").write_text(page_s_lines)
+
     run("meson", "setup", "--werror", "build", cwd=project, PKG_CONFIG_PATH=str(description.parent))
     run("meson", "compile", "-C", "build", cwd=project)
+
     run(project / "build/robot")
 
 
@@ -208,11 +221,14 @@ def test_a_library_without_the_robust_filter_hides_it_from_the_program(project: 
 
 @pytest.mark.slow
 def test_an_installed_library_without_the_papers_filter_hides_it_from_the_program(project: Path) -> None:
+    """The program does not compile if the header still offers that filter."""
     (project / "main.c").write_text(ROBUST_PROGRAM + fail_to_compile_with("MCP_ASDF_WITH_ASDF"))
+
     prefix = install_library(project / "library", "-DMCP_ASDF_WITH_ASDF=OFF")
+
+    run(build_with_cmake(project, "find_package(mcp_asdf REQUIRED)", f"-DCMAKE_PREFIX_PATH={prefix}"))
     [description] = prefix.rglob("mcp_asdf.pc")
     assert "-DMCP_ASDF_WITH_ASDF=0" in description.read_text(encoding="utf-8")
-    run(build_with_cmake(project, "find_package(mcp_asdf REQUIRED)", f"-DCMAKE_PREFIX_PATH={prefix}"))
 
 
 # --- Manifests -------------------------------------------------------------------------------------------
@@ -273,20 +289,25 @@ def files_in(archive: Path) -> set[str]:
         return {member.name.removeprefix("./") for member in tar if member.isfile()}
 
 
-def test_platformio_packs_the_folder(tmp_path: Path) -> None:
+def test_platformio_packs_sources_example_manifests_and_licence(tmp_path: Path) -> None:
+    """And a note of its own, .piopm."""
     pytest.importorskip("platformio", reason="platformio is not installed: make setup")
     archive = tmp_path / "packed.tar.gz"
+
     run(sys.executable, "-c", PLATFORMIO, PACKAGE, archive, PLATFORMIO_CORE_DIR=str(tmp_path / "home"))
-    sketch = {f"examples/MinimalRobot/{name}" for name in ("MinimalRobot.ino", "t_table_omega05_q30.c")}
-    expected = FILES | sketch | {"library.json", "library.properties", "README.md", "LICENSE"}
-    assert files_in(archive) - {".piopm"} == expected
+
+    example = {"examples/MinimalRobot/MinimalRobot.ino", "examples/MinimalRobot/t_table_omega05_q30.c"}
+    others = {"library.json", "library.properties", "README.md", "LICENSE"}
+    assert files_in(archive) - {".piopm"} == FILES | example | others
 
 
 @pytest.mark.slow
-def test_esp_idf_packs_the_folder(tmp_path: Path) -> None:
+def test_esp_idf_packs_sources_build_file_manifest_and_licence(tmp_path: Path) -> None:
     compote = require("compote")
     run(compote, "manifest", "lint", PACKAGE / "idf_component.yml")
+
     run(compote, "component", "pack", "--name", "mcp_asdf", "--dest-dir", tmp_path, cwd=PACKAGE)
+
     files = files_in(tmp_path / f"mcp_asdf_{version_of_header()}.tgz")
     assert files == FILES | {"CMakeLists.txt", "idf_component.yml", "README.md", "LICENSE"}
 
@@ -311,20 +332,26 @@ def zephyr_module() -> dict[str, Any]:
         ("CONFIG_MCP_ASDF=y\nCONFIG_MCP_ASDF_IMAGE=n", ("mcp_asdf", "mcp_asdf_frame", "mcp_asdf_small")),
     ],
 )
-def test_zephyr_has_the_optional_parts_with_the_core_unless_they_are_left_out(
+def test_zephyr_has_the_optional_parts_with_the_firmware_unless_they_are_left_out(
     settings: str, parts: tuple[str, ...], tmp_path: Path
 ) -> None:
+    """``settings`` is what a user writes into prj.conf; each part has an option of its name, y or n."""
     kconfiglib = pytest.importorskip("kconfiglib", reason="kconfiglib is not installed: make setup")
     (tmp_path / "prj.conf").write_text(settings)
     kconfig = kconfiglib.Kconfig(str(PACKAGE / zephyr_module()["kconfig"]), warn_to_stderr=False)
+
     kconfig.load_config(str(tmp_path / "prj.conf"))
+
     assert kconfig.warnings == []
     options = {symbol.name: symbol.str_value for symbol in kconfig.unique_defined_syms}
-    assert options == {name.upper(): "y" if name in parts else "n" for name in PARTS}
+    assert options == {part.upper(): "y" if part in parts else "n" for part in PARTS}
 
 
 def test_zephyr_builds_the_parts_that_its_options_choose() -> None:
+    """The firmware always, once it is chosen, and each other part if its option is y."""
     commands = (PACKAGE / zephyr_module()["cmake"] / "CMakeLists.txt").read_text(encoding="utf-8")
+
     assert "zephyr_library_sources(../src/mcp_asdf.c ../src/mcp_asdf_accessors.c)" in commands
-    for name in ("mcp_asdf_image", "mcp_asdf_frame", "mcp_asdf_small"):
-        assert f"zephyr_library_sources_ifdef(CONFIG_{name.upper()} ../src/{name}.c)" in commands
+    for part in ("mcp_asdf_image", "mcp_asdf_frame", "mcp_asdf_small"):
+        option = f"CONFIG_{part.upper()}"
+        assert f"zephyr_library_sources_ifdef({option} ../src/{part}.c)" in commands

@@ -50,18 +50,18 @@ QUICK_PRESETS = ("gcc",)
 @pytest.mark.parametrize(
     "preset", [*QUICK_PRESETS, *slow(name for name in PRESETS if name not in QUICK_PRESETS)]
 )
-def test_c_tests_pass(preset: str) -> None:
-    """Each preset has the choices of another target.
+def test_the_c_tests_pass_with_the_settings_of_a_preset(preset: str) -> None:
+    """Without optimisation, for the arithmetic of one target, and with fewer calls, as it has to be quick.
 
-    For ``make verify`` are compiling with optimisation, comparing millions of calls with the independent
-    implementation, and builds that leave a filter out.
+    The next test leaves nothing out.
     """
     skip_without_tools(preset)
     folder = ROOT / "build/quick" / preset
     report = ROOT / f"build/reports/ctest-{preset}.xml"
-    choices = TESTED_CHOICES[PRESETS.index(preset)]
-    less_work = [f"-DTEST_VARIANTS={choices}", "-DTEST_WITHOUT=", "-DTEST_CALLS=200000"]
+    arithmetic_of_a_target = TESTED_CHOICES[PRESETS.index(preset)]  # of another one for each preset
+    less_work = [f"-DTEST_VARIANTS={arithmetic_of_a_target}", "-DTEST_WITHOUT=", "-DTEST_CALLS=200000"]
     debug = ["-DCMAKE_BUILD_TYPE=Debug", "-DCMAKE_C_FLAGS_DEBUG=-O0 -g1"]
+
     run(require("cmake"), "--preset", preset, "-B", folder, *less_work, *debug)
     run("cmake", "--build", folder)
     run("ctest", "--preset", preset, "--test-dir", folder, "--output-junit", report)
@@ -69,28 +69,32 @@ def test_c_tests_pass(preset: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
-def test_c_tests_pass_for_every_choice(preset: str) -> None:
+def test_all_c_tests_pass_for_the_arithmetic_of_every_target(preset: str) -> None:
     skip_without_tools(preset)
     run(require("cmake"), "--workflow", "--preset", preset)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
-def test_a_preset_works_in_a_folder_with_a_space(preset: str, tmp_path: Path) -> None:
+def test_a_preset_builds_in_a_clone_whose_folder_has_a_space(preset: str, tmp_path: Path) -> None:
     """CMake compiles small programs with the preset's flags before it writes the build's rules."""
     skip_without_tools(preset)
-    source = tmp_path / "a clone"
+    clone = tmp_path / "a clone"
     for name in ("c_ref", "tables", "tests/c_ref", "tests/third", "host_tools/mcp_asdf_tools/experiments"):
-        shutil.copytree(ROOT / name, source / name)
+        shutil.copytree(ROOT / name, clone / name)
     for name in ("CMakeLists.txt", "CMakePresets.json"):
-        shutil.copy(ROOT / name, source / name)
-    run(require("cmake"), "--preset", preset, cwd=source)
-    run("cmake", "--build", "--preset", preset, "--target", "test_frame", cwd=source)
+        shutil.copy(ROOT / name, clone / name)
+
+    run(require("cmake"), "--preset", preset, cwd=clone)
+    run("cmake", "--build", "--preset", preset, "--target", "test_frame", cwd=clone)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["gcc -O2 -c", "clang -O2 -fsyntax-only"])
-def test_every_combination_of_choices_compiles_without_a_warning(command: str, tmp_path: Path) -> None:
+def test_the_firmware_compiles_without_a_warning_for_any_target_s_choices(
+    command: str, tmp_path: Path
+) -> None:
+    """A target chooses how it divides, multiplies and shifts, by macros; these are all combinations."""
     compiler, *flags = command.split()
     require(compiler, compiler)
     for values in product(*CHOICES.values()):

@@ -1,4 +1,4 @@
-"""Robots with the radios of c_ref/examples do what the mirror does; stubs stand for the boards' libraries."""
+"""Robots with the radios of c_ref/examples; stubs stand for the libraries of their boards."""
 
 from __future__ import annotations
 
@@ -53,6 +53,10 @@ class RadioRobot:
             self.library.air_deliver(message, len(message))
         self.library.radio_receive(self.robot.memory)
 
+    def beta(self) -> int:
+        """Return the sum of the confidences of those that the robot received in the last round."""
+        return self.robot.read("beta", ctypes.c_uint64)
+
 
 @pytest.fixture(scope="module")
 def libraries(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
@@ -81,24 +85,35 @@ def message_of(estimate: Estimate) -> bytes:
     return bytes([estimate.sender, *frames.encode_estimate(estimate, FrameFormat()).data])
 
 
-def test_the_robot_broadcasts_what_the_mirror_knows(radio_robot: RadioRobot) -> None:
-    mirror = MirrorRobot(CONFIG, ROBOT_ID, 0.95)
-    for transfer_id, is_black in enumerate([True, False, True]):
+def test_the_robot_broadcasts_the_same_bytes_as_the_robot_in_python(radio_robot: RadioRobot) -> None:
+    """After each of three tiles. Messages are numbered."""
+    robot_in_python = MirrorRobot(CONFIG, ROBOT_ID, 0.95)
+    for message_number, is_black in enumerate([True, False, True]):
         radio_robot.robot.step(is_black)
-        mirror.step(Observation(is_black))
-        estimate = Estimate(ROBOT_ID, mirror.x_hat_raw, mirror.alpha_raw, transfer_id)
-        assert radio_robot.broadcast() == message_of(estimate)
+        message = radio_robot.broadcast()
+
+        robot_in_python.step(Observation(is_black))
+        x_hat, alpha = robot_in_python.x_hat_raw, robot_in_python.alpha_raw
+        assert message == message_of(Estimate(ROBOT_ID, x_hat, alpha, message_number))
 
 
-def test_the_robot_receives_the_messages_of_others(radio_robot: RadioRobot) -> None:
-    mirror = MirrorRobot(CONFIG, ROBOT_ID, 0.95)
-    radio_robot.receive(message_of(Estimate(1, 2**21, ALPHA, 0)), message_of(Estimate(2, 2**22, ALPHA, 5)))
-    mirror.receive_raw(1, 2**21, ALPHA)
-    mirror.receive_raw(2, 2**22, ALPHA)
+def test_the_robot_receives_the_messages_of_two_others(radio_robot: RadioRobot) -> None:
+    """They change what it believes, x, and its confidence in others, beta, as in the robot in Python."""
+    quarter, half = 2**21, 2**22
+    robot_in_python = MirrorRobot(CONFIG, ROBOT_ID, 0.95)
+    robot_in_python.receive_raw(1, quarter, ALPHA)
+    robot_in_python.receive_raw(2, half, ALPHA)
+    robot_in_python.step(Observation.BLACK)
+
+    radio_robot.receive(
+        message_of(Estimate(sender=1, x_hat=quarter, alpha=ALPHA, transfer_id=0)),
+        message_of(Estimate(sender=2, x_hat=half, alpha=ALPHA, transfer_id=5)),
+    )
     radio_robot.robot.step(True)
-    mirror.step(Observation.BLACK)
-    assert radio_robot.robot.read("x") == mirror.x_raw
-    assert radio_robot.robot.read("beta", ctypes.c_uint64) == mirror.beta_raw > 0
+
+    assert radio_robot.robot.read("x") == robot_in_python.x_raw
+    assert robot_in_python.beta_raw > 0
+    assert radio_robot.beta() == robot_in_python.beta_raw
 
 
 @pytest.mark.parametrize(
@@ -115,19 +130,25 @@ def test_the_robot_receives_the_messages_of_others(radio_robot: RadioRobot) -> N
 def test_the_robot_ignores_what_is_no_message_of_another(radio_robot: RadioRobot, message: bytes) -> None:
     radio_robot.receive(message)
     radio_robot.robot.step(True)
-    assert radio_robot.robot.read("beta", ctypes.c_uint64) == 0
+    assert radio_robot.beta() == 0
 
 
 def test_the_robot_loses_only_messages_that_find_the_queue_full(radio_robot: RadioRobot) -> None:
+    """Five come too many. beta is the sum of the senders' confidences, each of them 100 units of 2**24."""
     senders = range(10, 10 + QUEUE_LENGTH + 5)
+
     radio_robot.receive(*[message_of(Estimate(sender, 2**22, ALPHA, 0)) for sender in senders])
     radio_robot.robot.step(True)
-    assert radio_robot.robot.read("beta", ctypes.c_uint64) == QUEUE_LENGTH * 100 * 2**24
+
+    assert radio_robot.beta() == QUEUE_LENGTH * 100 * 2**24
 
 
 @pytest.mark.parametrize("radio_robot", ["crazyflie"], indirect=True)
 def test_a_crazyflie_ignores_messages_to_another_port(radio_robot: RadioRobot) -> None:
-    ctypes.c_uint8.in_dll(radio_robot.library, "air_port").value = 3
+    another_port = 3
+    ctypes.c_uint8.in_dll(radio_robot.library, "air_port").value = another_port
+
     radio_robot.receive(message_of(Estimate(1, 2**22, ALPHA, 0)))
     radio_robot.robot.step(True)
-    assert radio_robot.robot.read("beta", ctypes.c_uint64) == 0
+
+    assert radio_robot.beta() == 0

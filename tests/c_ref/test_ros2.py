@@ -70,36 +70,49 @@ def end_round(node: Any) -> None:
 # --- The node --------------------------------------------------------------------------------------------
 
 
-def test_two_nodes_have_the_bits_of_their_mirrors() -> None:
+def test_two_nodes_compute_the_same_bits_as_two_robots_in_python() -> None:
+    """In three rounds, in which each receives the other's estimate when its round ends.
+
+    Node 2 hears node 1 in the same round, and node 1 hears node 2 in the next one.
+    """
     node_1, node_2 = start_node(1, initial_b_hat=0.9), start_node(2, initial_b_hat=0.9)
-    mirror_1, mirror_2 = (MirrorRobot(Config(filter=Filter.OFF), robot_id, 0.9) for robot_id in (1, 2))
+    robot_1, robot_2 = (MirrorRobot(Config(filter=Filter.OFF), robot_id, 0.9) for robot_id in (1, 2))
     for is_black_1, is_black_2 in [(True, False), (True, True), (False, True)]:
         environment.publish("/robot_1/black", Bool(is_black_1))
         environment.publish("/robot_2/black", Bool(is_black_2))
-        mirror_1.observe(Observation(is_black_1))
-        mirror_2.observe(Observation(is_black_2))
+        robot_1.observe(Observation(is_black_1))
+        robot_2.observe(Observation(is_black_2))
+
         end_round(node_1)
-        mirror_2.receive_raw(1, mirror_1.x_hat_raw, mirror_1.alpha_raw)
-        mirror_1.settle()
+        robot_2.receive_raw(1, robot_1.x_hat_raw, robot_1.alpha_raw)
+        robot_1.settle()
+
         end_round(node_2)
-        mirror_1.receive_raw(2, mirror_2.x_hat_raw, mirror_2.alpha_raw)
-        mirror_2.settle()
-    assert node_1.robot.state() == mirror_1.state()
-    assert node_2.robot.state() == mirror_2.state()
+        robot_1.receive_raw(2, robot_2.x_hat_raw, robot_2.alpha_raw)
+        robot_2.settle()
+
+    assert node_1.robot.state() == robot_1.state()
+    assert node_2.robot.state() == robot_2.state()
     assert node_1.robot.counters.accepted == 3
 
 
 def test_a_node_publishes_its_state_after_each_round() -> None:
+    """After one black tile it estimates that all are black."""
     node = start_node(3)
     environment.publish("/robot_3/black", Bool(True))
+
     end_round(node)
+
     [state] = environment.published["/robot_3/state"]
     assert state == State(x=1.0, x_hat=1.0, b_hat=node.robot.b_hat, observations=1)
 
 
 def test_a_node_ignores_its_own_estimates() -> None:
+    """It subscribes to the topic to which it publishes, and the firmware would reject a message of itself."""
     node = start_node(3)
+
     end_round(node)
+
     assert len(environment.published["/estimates"]) == 1
     assert node.robot.counters.rejected == 0
 
@@ -109,9 +122,12 @@ def test_a_node_ignores_its_own_estimates() -> None:
 )
 def test_a_node_rejects_impossible_estimates_and_goes_on(estimate: Estimate) -> None:
     node = start_node(3)
+
     environment.publish("/estimates", estimate)
     end_round(node)
-    assert environment.published["/robot_3/state"][-1].rejected == 1
+
+    [state] = environment.published["/robot_3/state"]
+    assert state.rejected == 1
 
 
 def test_a_node_closes_a_round_in_each_broadcast_period() -> None:
@@ -119,14 +135,19 @@ def test_a_node_closes_a_round_in_each_broadcast_period() -> None:
     assert period == 0.5
 
 
-def test_the_adaptive_filter_of_a_node_re_estimates_b_hat() -> None:
+def test_a_node_with_the_paper_s_filter_re_estimates_its_accuracy() -> None:
+    """It has seen 20 black tiles, and two others are certain that three quarters of them are."""
     node = start_node(3, filter="adaptive", filter_period=1, initial_b_hat=0.55, omega=0.1, neighbours=2)
     for _ in range(20):
         environment.publish("/robot_3/black", Bool(True))
+    three_quarters = 3 * 2**23 // 4
     for sender in (1, 2):
-        environment.publish("/estimates", Estimate(sender, 2**22 + 2**21, ALPHA))
+        environment.publish("/estimates", Estimate(sender, three_quarters, ALPHA))
+
     end_round(node)
-    assert environment.published["/robot_3/state"][-1].updates == 1
+
+    [state] = environment.published["/robot_3/state"]
+    assert state.updates == 1
 
 
 def test_ros_reads_the_name_of_each_filter_as_it_stands() -> None:
@@ -152,7 +173,10 @@ def test_a_node_does_not_start_with_a_wrong_parameter(
     parameters: dict[str, Any], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     environment.parameters = parameters
-    assert ROBOT_NODE.main() == 1
+
+    exit_code = ROBOT_NODE.main()
+
+    assert exit_code == 1
     assert message in capsys.readouterr().err
     assert rclpy.spun_nodes == []
 
@@ -162,11 +186,13 @@ def test_a_node_runs_until_ctrl_c() -> None:
     assert len(rclpy.spun_nodes) == 1
 
 
-def test_the_page_has_the_parameters_with_their_defaults() -> None:
+def test_the_docs_list_the_parameters_of_a_node_with_their_defaults() -> None:
     page = (ROOT / "docs/platforms/elsewhere.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+)` \| `?([\w.]+)`? \|", page, re.MULTILINE)
+
+    parameters_and_defaults = re.findall(r"^\| `(\w+)` \| `?([\w.]+)`? \|", page, re.MULTILINE)
+
     defaults = start_node(0).defaults
-    assert dict(rows) == {name: str(value) for name, value in defaults.items()}
+    assert dict(parameters_and_defaults) == {name: str(value) for name, value in defaults.items()}
 
 
 # --- The package -----------------------------------------------------------------------------------------
@@ -175,25 +201,32 @@ PYTHON_TYPES = {"uint8": "int", "uint16": "int", "uint32": "int", "float64": "fl
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.glob("msg/*.msg")), ids=lambda path: path.name)
-def test_the_messages_of_the_stub_are_those_of_the_package(path: Path) -> None:
+def test_the_messages_of_these_tests_have_the_fields_of_those_in_ros(path: Path) -> None:
+    """A file of ROS has a line such as ``uint8 sender`` for each field; here are dataclasses instead."""
     lines = re.findall(r"^(\w+) (\w+) ", path.read_text(encoding="utf-8"), re.MULTILINE)
+    fields_in_ros = [(name, PYTHON_TYPES[ros_type]) for ros_type, name in lines]
+
     message_type = getattr(mcp_asdf_ros.msg, path.stem)
-    assert [(field.name, field.type) for field in fields(message_type)] == [
-        (name, PYTHON_TYPES[ros_type]) for ros_type, name in lines
-    ]
+
+    assert [(field.name, field.type) for field in fields(message_type)] == fields_in_ros
 
 
-def test_the_package_has_the_version_of_the_header_and_the_licence() -> None:
+def test_the_package_has_the_version_and_the_licence_of_the_firmware() -> None:
     manifest = ElementTree.parse(PACKAGE / "package.xml").getroot()
+
     assert manifest.findtext("name") == "mcp_asdf_ros"
     assert manifest.findtext("version") == version_of_header()
     assert manifest.findtext("license") == "MIT"
 
 
-def test_cmake_installs_the_messages_and_the_program() -> None:
+def test_cmake_generates_the_messages() -> None:
     commands = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
     messages = " ".join(f"msg/{path.name}" for path in sorted(PACKAGE.glob("msg/*.msg")))
     assert f"rosidl_generate_interfaces(${{PROJECT_NAME}} {messages})" in commands
+
+
+def test_cmake_installs_the_node_as_a_program() -> None:
+    commands = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
     assert "scripts/robot_node.py DESTINATION lib/${PROJECT_NAME} RENAME robot_node)" in commands
 
 
@@ -210,10 +243,13 @@ def launch(**arguments: str) -> list[Any]:
 
 
 def test_the_launch_file_starts_a_node_for_each_robot() -> None:
-    nodes = launch(robots="3", filter="adaptive")
-    assert [node.namespace for node in nodes] == ["robot_0", "robot_1", "robot_2"]
-    assert [node.parameters for node in nodes] == [[{"id": i, "filter": "adaptive"}] for i in range(3)]
-    assert {(node.package, node.executable) for node in nodes} == {("mcp_asdf_ros", "robot_node")}
+    """Each in a namespace of its own, with its id and the filter that is given to all."""
+    node_0, node_1, node_2 = launch(robots="3", filter="adaptive")
+
+    for robot_id, node in enumerate((node_0, node_1, node_2)):
+        assert (node.package, node.executable) == ("mcp_asdf_ros", "robot_node")
+        assert node.namespace == f"robot_{robot_id}"
+        assert node.parameters == [{"id": robot_id, "filter": "adaptive"}]
 
 
 @pytest.mark.parametrize("robots", ["0", "129", "-1", "many", "2.0", ""])
