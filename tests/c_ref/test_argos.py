@@ -266,7 +266,7 @@ def test_what_robots_send_before_their_first_broadcast_is_refused(
 def test_robots_receive_the_estimates_of_the_tick_before(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
-    """A log has ``settle,x,x_hat,...`` at the end of a tick, and ``receive,sender,x_hat,...`` for a message."""
+    """At the end of a tick a log has ``settle,x,x_hat,...``; a message is ``receive,sender,x_hat,...``."""
     assert run_swarm(swarm, ticks=2).returncode == 0
 
     x_hat_after_first_tick = {}

@@ -94,8 +94,8 @@ CHOICES = {
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One cell of the matrix.
+class ImageBuild:
+    """A way to build the image that plays the recorded calls on a target.
 
     Attributes:
         target: Where the image runs.
@@ -142,33 +142,33 @@ class Cell:
             yield "MCP_ASDF_AVR=atmega1284p"  # 32 KB hold the core and the vectors at -Os alone
 
 
-def quick_cell(target: Target) -> Cell:
+def quick_build(target: Target) -> ImageBuild:
     """What ``make test`` plays of a target."""
     if target == WASM:
-        return Cell(target, "clang")
-    return Cell(target, level="-Os" if target.name in ("avr", "cortex-m0") else "-O2")
+        return ImageBuild(target, "clang")
+    return ImageBuild(target, level="-Os" if target.name in ("avr", "cortex-m0") else "-O2")
 
 
-def slow_cells() -> Iterator[Cell]:
+def slow_builds() -> Iterator[ImageBuild]:
     """What ``make verify`` adds: every level, by one of the compilers at least, and every choice of the
     arithmetic, on either order of bytes. Clang 14 runs out of registers on an AVR."""
-    yield from (Cell(WASM, "clang", level) for level in ("-O0", "-Os", "-O3"))
+    yield from (ImageBuild(WASM, "clang", level) for level in ("-O0", "-Os", "-O3"))
     for target in TARGETS:
         if target == WASM:
             continue
-        yield from (Cell(target, "gcc", level) for level in ("-O0", "-O3"))
+        yield from (ImageBuild(target, "gcc", level) for level in ("-O0", "-O3"))
         if target != AVR:
-            yield from (Cell(target, "clang", level) for level in ("-Os", "-O2 LTO"))
+            yield from (ImageBuild(target, "clang", level) for level in ("-Os", "-O2 LTO"))
     for target, choice in product((BIG_ENDIAN, HOST), CHOICES):
         if choice != "own":
-            yield Cell(target, "gcc" if target == HOST else "clang", "-O2", choice)
+            yield ImageBuild(target, "gcc" if target == HOST else "clang", "-O2", choice)
 
 
-def play(cell: Cell, folder: Path, *files: Path) -> str:
-    """Build the cell's image in ``folder`` and let its emulator play these files; returns what it printed."""
+def play(build: ImageBuild, folder: Path, *files: Path) -> str:
+    """Build the image in ``folder`` and let its emulator play these files; returns what it printed."""
     vectors = f"GOLDEN_VECTORS={';'.join(map(str, files))}"
-    settings = (f"-D{setting}" for setting in (vectors, *cell.settings()))
-    run("cmake", "--preset", cell.target.name, "-B", folder, *settings, cwd=HERE)
+    settings = (f"-D{setting}" for setting in (vectors, *build.settings()))
+    run("cmake", "--preset", build.target.name, "-B", folder, *settings, cwd=HERE)
     run("cmake", "--build", folder)
     command = ["ctest", "--test-dir", str(folder), "--verbose"]
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)

@@ -1,4 +1,4 @@
-"""A robot's firmware image on a serial line: every byte it says is its model's, whatever it is told."""
+"""A robot's firmware on an emulated board with a serial line answers what its model in Python does."""
 
 from __future__ import annotations
 
@@ -162,6 +162,45 @@ def any_line(draw: random.Random) -> bytes:
     return line if draw.random() < 0.7 else draw.choice((line[:-1] + line, cut, spoilt, garbage))
 
 
+def draw_conversation(draw: random.Random) -> list[bytes]:
+    """Return what a host says, piece by piece: commands of eleven ticks, before and after it opens the bus.
+
+    Then noise and further requests; for a while only the ends of ticks get lost, or only lines were.
+    """
+    ticks = [
+        format_frame_line(command_frame(tick, IMAGE_ID, action, Subjects()))
+        for tick in range(11)
+        for action in (Action.OBSERVE_BLACK, Action.SETTLE)
+    ]
+    without_ends_of_ticks = ticks[::2]
+    noise = [b"".join(any_line(draw) for _ in range(draw.choice((1, 10, 30)))) for _ in range(100)]
+    before_opening, opening = ticks[0], b"S8\rO\r"
+    pieces = [
+        before_opening,
+        opening,
+        *ticks,
+        *without_ends_of_ticks,
+        b"?\rC\r",
+        noise[0],
+        b"O\r",
+        *ticks,
+        *noise,
+    ]
+    # Not later, since one of them opens the bus anew, and counters, which are looked at in the end, begin at 0.
+    for place in range(60, 120, 2):
+        pieces.insert(place, draw.choice(REQUESTS))
+    return pieces
+
+
+def command_of_image(target: str, image: Path) -> list[str]:
+    """Return the command that runs an image, on its emulated board or here; it ends soon, whatever happens."""
+    time_limit = ["timeout", str(PATIENCE / 4)]
+    if target not in QEMU:
+        return [*time_limit, str(image)]
+    with_serial_line = ["-display", "none", "-monitor", "none", "-serial", "stdio"]
+    return [*time_limit, *QEMU[target].split(), *with_serial_line, "-kernel", str(image)]
+
+
 @pytest.mark.parametrize(
     ("target", "number", "filters"),
     [
@@ -170,38 +209,34 @@ def any_line(draw: random.Random) -> bytes:
         *slow([("rv32imc", 3, Filter.ADAPTIVE), ("cortex-m4", 5, Filter.ADAPTIVE)]),
     ],
 )
-def test_whatever_comes_in_the_robot_says_what_its_model_says(
+def test_whatever_comes_in_the_robot_answers_what_its_model_in_python_answers(
     target: str, number: int, filters: Filter, image_of: Builder
 ) -> None:
-    """Before a host opens the bus and after; for a while only settles get lost, or only lines were."""
-    image, draw, told = image_of(target, filters), random.Random(SEED + number), Model(filters)
-    alone = ["-display", "none", "-monitor", "none", "-serial", "stdio", "-kernel"]
-    command = ["timeout", str(PATIENCE / 4), *(QEMU[target].split() + alone if target in QEMU else [])]
-    command.append(str(image))
-    ticks = [
-        format_frame_line(command_frame(tick, IMAGE_ID, action, Subjects()))
-        for tick in range(11)
-        for action in (Action.OBSERVE_BLACK, Action.SETTLE)
-    ]
-    noise = [b"".join(any_line(draw) for _ in range(draw.choice((1, 10, 30)))) for _ in range(100)]
-    pieces = [ticks[0], b"S8\rO\r", *ticks, *ticks[::2], b"?\rC\r", noise[0], b"O\r", *ticks, *noise]
-    for at in range(60, 120, 2):  # no opening in the end, which is looked at
-        pieces.insert(at, draw.choice(REQUESTS))
+    """Byte by byte, on a serial line. ``number`` makes another conversation of each case."""
+    image, model = image_of(target, filters), Model(filters)
+    seed = SEED + number
+    pieces = draw_conversation(random.Random(seed))
     pipes: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-    with subprocess.Popen(command, **pipes) as robot, ExitStack() as end:
+
+    with subprocess.Popen(command_of_image(target, image), **pipes) as robot, ExitStack() as end:
         end.callback(robot.terminate)
         assert robot.stdin and robot.stdout
         # Before it has started, what it is sent may be lost.
         assert robot.stdout.read(len(GREETING)) == GREETING
-        for at, piece in enumerate(pieces):
+        for place, piece in enumerate(pieces):
             robot.stdin.write(piece)
             robot.stdin.flush()
-            expected = told.take(piece)
-            assert robot.stdout.read(len(expected)) == expected, f"random.Random({SEED + number}), piece {at}"
-        if target not in QEMU:
-            assert (robot.communicate(), robot.returncode) == ((b"", b""), 0)
-    node = told.node
-    assert min(told.dropped, node.unsettled, node.obeyed) > 30 and node.robot.counters.tests > 0
+            expected = model.take(piece)
+            assert robot.stdout.read(len(expected)) == expected, f"random.Random({seed}), piece {place}"
+        if target == "host":
+            nothing_more = (b"", b"")
+            assert robot.communicate() == nothing_more
+            assert robot.returncode == 0
+
+    assert model.dropped > 30, "lines that are neither a frame nor a command"
+    assert model.node.unsettled > 30, "ticks whose end was lost"
+    assert model.node.obeyed > 30
+    assert model.node.robot.counters.tests > 0
 
 
 @pytest.mark.parametrize(
@@ -224,51 +259,92 @@ def prepared(target: str, folder: Path) -> str:
         return str(free.getsockname()[1])
 
 
+def replace_each(text: str, replacements: dict[str, str]) -> str:
+    """Replace texts by others. Fails if one of them is not there."""
+    for old, new in replacements.items():
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("target", ["cortex-m3", "cortex-m4", "rv32imc"])
-def test_the_commands_of_the_page_work(target: str, tmp_path: Path) -> None:
-    """On each board every broadcast is the mirror's, with a filter that is due. The verdict takes minutes;
-    it is left out. The image needs a few kilobytes and nothing that is not its own."""
+def test_the_commands_of_docs_radio_run_a_swarm_with_an_emulated_board(target: str, tmp_path: Path) -> None:
+    """All 600 broadcasts, of ten robots in 60 ticks, are those of the robots in Python.
+
+    The commands are those of the page but for the board, the port, and a filter that runs soon. The verdict
+    takes minutes, so it is left out.
+    """
     port = prepared(target, tmp_path)
-    changes = {"20001": port, "cortex-m3": target, "qemu-system-arm -M mps2-an385": QEMU[target]}
-    changes |= {
-        " --steps 50": " --steps 60 --filter-period 20",
-        "build/loop -D": "build/loop -DROBOT_FILTER_PERIOD=20 -D",
-    }
-    (block,) = (each for each in blocks(PAGE, "sh") if "build/loop" in each)
-    for right, other in changes.items():
-        assert right in block
-        block = block.replace(right, other)
-    *commands, end = [command for command in block.splitlines() if "--verify" not in command]
+    [block] = [block for block in blocks(PAGE, "sh") if "build/loop" in block]
+    block = replace_each(
+        block,
+        {
+            "20001": port,
+            "cortex-m3": target,
+            "qemu-system-arm -M mps2-an385": QEMU[target],
+            " --steps 50": " --steps 60 --filter-period 20",
+            "build/loop -D": "build/loop -DROBOT_FILTER_PERIOD=20 -D",
+        },
+    )
+    *commands, stop_the_board = [command for command in block.splitlines() if "--verify" not in command]
+
     try:
-        shown = [run("sh", "-c", command, cwd=tmp_path) for command in commands]
+        outputs = [run("sh", "-c", command, cwd=tmp_path) for command in commands]
     finally:
-        run("sh", "-c", end, cwd=tmp_path)
-    assert re.search(r"\b600 +broadcasts reproduced bit for bit", shown[-1])
-    image = tmp_path / "build/loop/slcan_robot"
-    flash, variables = Image(TARGETS[-1], image).sizes()
-    assert flash < 8 * 1024 and variables < 1024
+        run("sh", "-c", stop_the_board, cwd=tmp_path)
+
+    assert re.search(r"\b600 +broadcasts reproduced bit for bit", outputs[-1])
+    bytes_of_flash, bytes_of_variables = Image(TARGETS[-1], tmp_path / "build/loop/slcan_robot").sizes()
+    assert bytes_of_flash < 8 * 1024
+    assert bytes_of_variables < 1024
+
+
+def read_workflow(**replacements: str) -> Any:
+    """Return the jobs of the workflow that the page proposes, with texts in it replaced."""
+    [text] = blocks(PAGE, "yaml")
+    return yaml.safe_load(replace_each(text, replacements))["jobs"]
+
+
+def step_named(name: str, steps: list[dict[str, str]]) -> str:
+    """Return the commands of a step of a workflow."""
+    [commands] = [step["run"] for step in steps if step.get("name") == name]
+    return commands
 
 
 @pytest.mark.slow
-def test_the_workflow_of_the_page_judges_an_image(tmp_path: Path) -> None:
-    """Its steps as they stand, but for what root installs. The image is configured otherwise than they
-    say, so the verdict comes soon: exit code 1, a report, and a log that can be replayed."""
+def test_the_workflow_of_docs_radio_fails_on_a_wrong_image_and_leaves_a_report(tmp_path: Path) -> None:
+    """Its steps as they stand, but for what root installs.
+
+    The image has another accuracy than the verdict is told, so that fails soon: with a report, and with a log
+    that can be replayed.
+    """
     port = prepared("cortex-m3", tmp_path)
-    (text,) = blocks(PAGE, "yaml")
-    workflow = yaml.safe_load(text.replace("20001", port).replace("-B build ", "-B build -DROBOT_B_HAT=0.6 "))
-    steps = workflow["jobs"]["emulated"]["steps"]
-    upload = steps.pop()
-    build, verify = (
-        next(step["run"] for step in steps if step.get("name") == name) for name in ("build", "verify")
-    )
-    run("sh", "-exc", build, cwd=tmp_path)
+    wrong_accuracy = "-B build -DROBOT_B_HAT=0.6 "
+    steps = read_workflow(**{"20001": port, "-B build ": wrong_accuracy})["emulated"]["steps"]
+    run("sh", "-exc", step_named("build", steps), cwd=tmp_path)
+
     try:
         with pytest.raises(AssertionError, match=r"FAILED: 0 of \d+ phases passed"):
-            run("sh", "-exc", verify, cwd=tmp_path)
+            run("sh", "-exc", step_named("verify", steps), cwd=tmp_path)
     finally:
         run("sh", "-c", "kill $(cat qemu.pid)", cwd=tmp_path)
-    assert upload["if"] == "always()" and upload["with"]["path"] == "verdict.*"
-    assert "expected" in (tmp_path / "verdict.md").read_text() and (tmp_path / "verdict.log.events").exists()
-    board = workflow["jobs"]["board"]["steps"][1]["run"].splitlines()[-1]
-    cli._parser_for("radio", cli._load("radio")).parse_args(shlex.split(board)[2:])
+
+    assert "expected" in (tmp_path / "verdict.md").read_text()
+    assert (tmp_path / "verdict.log.events").exists()
+
+
+def test_the_workflow_of_docs_radio_uploads_the_report_also_of_a_failure() -> None:
+    *_, upload = read_workflow()["emulated"]["steps"]
+    assert upload["if"] == "always()"
+    assert upload["with"]["path"] == "verdict.*"
+
+
+def test_the_workflow_of_docs_radio_has_a_command_for_a_real_board_that_is_understood() -> None:
+    """The last line of its second step is a ``mcp-asdf radio`` command."""
+    _, second_step, *_ = read_workflow()["board"]["steps"]
+    command = second_step["run"].splitlines()[-1]
+    _program, _radio, *options = shlex.split(command)
+
+    # The private functions make the parser of a command's options, as the program does.
+    cli._parser_for("radio", cli._load("radio")).parse_args(options)

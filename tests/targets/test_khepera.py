@@ -7,6 +7,7 @@ import configparser
 import json
 import random
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import pytest
 
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, decode_estimate
 from multicast import multicast
-from support import PATIENCE, ROOT, blocks, require, run
+from support import PATIENCE, ROOT, blocks, made_once, require, run
 from targets.c_node import CORTEX_A8
 
 PAGE = ROOT / "docs/platforms/khepera.md"
@@ -46,78 +47,137 @@ static int kh4_proximity_ir(char *bytes, FILE *ground)
 """
 
 
-def put_down(folder: Path, centre: int, readings: int) -> list[int]:
-    """Let the next run of the sensor be over a floor of that brightness; returns its readings."""
-    draw = random.Random(centre)
-    pairs = [(round(draw.gauss(centre, 120)), draw.randrange(-9, 10)) for _ in range(readings)]
+def put_on_floor(folder: Path, brightness: int, readings: int) -> list[int]:
+    """Let the next run of the sensor be over a floor of this brightness, and return its readings.
+
+    The file "ground" has what the two sensors of the robot read, whose mean is a reading.
+    """
+    draw = random.Random(brightness)
+    pairs = [(round(draw.gauss(brightness, 120)), draw.randrange(-9, 10)) for _ in range(readings)]
     pairs = [(max(left, 20), max(left, 20) + 2 * more) for left, more in pairs]
     (folder / "ground").write_text("".join(f"{left} {right}\n" for left, right in pairs), encoding="ascii")
     return [(left + right) // 2 for left, right in pairs]
 
 
-@pytest.mark.slow
-def test_the_page_makes_a_robot(tmp_path: Path) -> None:
-    choice, commands = multicast(93), blocks(PAGE, "sh")
+BUILD_NODE, BUILD_SENSOR, CALIBRATE, *_ = blocks(PAGE, "sh")
+"""The page's commands."""
+[CALIBRATION_OUTPUT] = blocks(PAGE, "text")
+
+
+def build_programs(folder: Path) -> None:
+    """Build node and sensor with the page's commands, but with Debian's compiler and the library above.
+
+    Their names stand for scripts that run them in an emulator.
+    """
+    for name in ("c_ref", "tables"):
+        (folder / name).symlink_to(ROOT / name)
+    run("sh", "-exc", BUILD_NODE, cwd=folder)
+    (folder / "khepera").mkdir()
+    (folder / "khepera/khepera.h").write_text(LIBRARY, encoding="ascii")
+    (folder / "tile_sensor.c").write_text(blocks(PAGE, "c")[0], encoding="utf-8")
+    replacements = {
+        "arm-angstrom-linux-gnueabi-gcc": "arm-linux-gnueabihf-gcc -Wall -Wextra",
+        "-L $LIBPATH -lkhepera": "-static",
+        "$INCPATH": ".",
+    }
+    build_sensor = BUILD_SENSOR
+    for old, new in replacements.items():
+        build_sensor = build_sensor.replace(old, new)
+    run("sh", "-exc", build_sensor, cwd=folder)
+    for program in (folder / "build/khepera/mcp_asdf_node", folder / "tile_sensor"):
+        emulated = program.rename(f"{program}.arm")
+        script = folder / program.name
+        script.write_text(f'#!/bin/sh\nexec qemu-arm -cpu cortex-a8 {emulated} "$@"\n')
+        script.chmod(0o755)
+
+
+@pytest.fixture
+def robot(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with both programs, as the page's commands leave it."""
     require(*CORTEX_A8.compiler)
     require("qemu-arm", "qemu-user")
-    for name in ("c_ref", "tables"):
-        (tmp_path / name).symlink_to(ROOT / name)
-    run("sh", "-exc", commands[0], cwd=tmp_path)
-    node = tmp_path / "build/khepera/mcp_asdf_node"
-    notes = run("arm-linux-gnueabihf-readelf", "-ndA", node)
-    assert "VFP registers" in notes
-    assert "There is no dynamic section" in notes
-    (kernel,) = re.findall(r"OS: Linux, ABI: (\S+)", notes)
-    assert f"Linux {kernel} or later" in PAGE.read_text(encoding="utf-8")
+    built = made_once(tmp_path_factory, "khepera", build_programs)
+    return Path(shutil.copytree(built, tmp_path / "robot", symlinks=True))
 
-    (tmp_path / "khepera").mkdir()
-    (tmp_path / "khepera/khepera.h").write_text(LIBRARY, encoding="ascii")
-    (tmp_path / "tile_sensor.c").write_text(blocks(PAGE, "c")[0], encoding="utf-8")
-    build = commands[1].replace("arm-angstrom-linux-gnueabi-gcc", "arm-linux-gnueabihf-gcc -Wall -Wextra")
-    run(
-        "sh", "-exc", build.replace("-L $LIBPATH -lkhepera", "-static").replace("$INCPATH", "."), cwd=tmp_path
-    )
-    for program in (node, tmp_path / "tile_sensor"):
-        emulated = program.rename(f"{program}.arm")
-        (tmp_path / program.name).write_text(f'#!/bin/sh\nexec qemu-arm -cpu cortex-a8 {emulated} "$@"\n')
-        (tmp_path / program.name).chmod(0o755)
 
-    over_black, over_white, *rest = commands[2].splitlines(keepends=True)
-    for command, centre in ((over_black, 300), (over_white, 700)):
-        readings = put_down(tmp_path, centre, 600)
-        run("sh", "-exc", command, cwd=tmp_path)
-        said = tmp_path / command.split()[-1]
-        assert [int(line) for line in said.read_text(encoding="ascii").split()] == readings
-    (told,) = blocks(PAGE, "text")
-    assert run("sh", "-exc", "".join(rest), cwd=tmp_path) == told
-
+def service_command() -> str:
+    """Return the command by which the page's service starts the robot."""
     service = configparser.ConfigParser(interpolation=None)
     service.read_string(blocks(PAGE, "ini")[0])
-    line = service["Service"]["ExecStart"]
-    threshold = int(re.findall(r"tile_sensor (\d+) ", line)[0])
-    assert f"threshold {threshold}:" in told
-    assert re.findall("--b-hat [0-9.]+", line) == re.findall("--b-hat [0-9.]+", told)
-    group = f"udp:{choice.settings['channel']}:{choice.settings['port']}"
-    line = line.replace("udp:239.74.163.2:43113", group).replace("--network wlan0", "--hop-limit 0")
-    readings = put_down(tmp_path, 500, 200)
+    return service["Service"]["ExecStart"]
+
+
+@pytest.mark.slow
+def test_the_node_for_a_khepera_runs_on_its_linux_whatever_libraries_are_there(robot: Path) -> None:
+    """It has no dynamic section, uses float registers, and needs no later kernel than the page names."""
+    notes = run("arm-linux-gnueabihf-readelf", "-ndA", robot / "build/khepera/mcp_asdf_node.arm")
+
+    assert "There is no dynamic section" in notes
+    assert "VFP registers" in notes
+    [kernel] = re.findall(r"OS: Linux, ABI: (\S+)", notes)
+    assert f"Linux {kernel} or later" in PAGE.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_the_calibration_of_a_khepera_prints_what_the_page_shows(robot: Path) -> None:
+    """From readings over a black and over a white floor, which the sensor writes to files."""
+    over_black, over_white, *calibrate = CALIBRATE.splitlines(keepends=True)
+    for command, brightness in ((over_black, 300), (over_white, 700)):
+        readings = put_on_floor(robot, brightness, 600)
+        run("sh", "-exc", command, cwd=robot)
+        *_, file_name = command.split()
+        written = (robot / file_name).read_text(encoding="ascii").split()
+        assert [int(line) for line in written] == readings
+
+    assert run("sh", "-exc", "".join(calibrate), cwd=robot) == CALIBRATION_OUTPUT
+
+
+def test_the_service_of_a_khepera_has_the_threshold_and_the_accuracy_of_the_calibration() -> None:
+    [threshold] = re.findall(r"tile_sensor (\d+) ", service_command())
+    assert f"threshold {threshold}:" in CALIBRATION_OUTPUT
+    accuracies = re.findall("--b-hat [0-9.]+", service_command())
+    assert accuracies == re.findall("--b-hat [0-9.]+", CALIBRATION_OUTPUT)
+
+
+@pytest.mark.slow
+def test_a_khepera_that_runs_as_its_service_says_observes_and_broadcasts(robot: Path) -> None:
+    """200 tiles of a grey floor, of which those below the threshold are black. Its bus is one of this test."""
+    choice = multicast(93)
+    readings = put_on_floor(robot, 500, 200)
+    command = service_command()
+    [threshold] = re.findall(r"tile_sensor (\d+) ", command)
+    replacements = {
+        "udp:239.74.163.2:43113": f"udp:{choice.settings['channel']}:{choice.settings['port']}",
+        "--network wlan0": "--hop-limit 0",
+        "--observations": "--steps-per-second 100 --observations",
+    }
+    for old, new in replacements.items():
+        command = command.replace(old, new)
+
     with choice.open() as bus:
-        command = line.replace("--observations", "--steps-per-second 100 --observations")
         done = subprocess.run(
-            command, shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE, check=True
+            command, shell=True, cwd=robot, capture_output=True, text=True, timeout=PATIENCE, check=True
         )
-        heard = [decode_estimate(frame, FrameFormat()) for frame in iter(lambda: bus.recv(1), None)]
-    figures = json.loads(done.stdout)
-    assert (figures["ended"], figures["t"]) == ("observations", 200)
-    assert figures["n"] == sum(reading < threshold for reading in readings)
-    estimates = [each for each in heard if isinstance(each, Estimate)]
-    assert [each.sender for each in estimates] == [7] * figures["estimates"]
-    assert (estimates[-1].x_hat, (tmp_path / "robot.state").exists()) == (figures["x_hat"], True)
+        contents = [decode_estimate(frame, FrameFormat()) for frame in iter(lambda: bus.recv(1), None)]
+
+    summary = json.loads(done.stdout)
+    assert summary["ended"] == "observations"
+    assert summary["t"] == 200
+    assert summary["n"] == sum(reading < int(threshold) for reading in readings)
+    estimates = [content for content in contents if isinstance(content, Estimate)]
+    assert [estimate.sender for estimate in estimates] == [7] * summary["estimates"]
+    assert estimates[-1].x_hat == summary["x_hat"]
+    assert (robot / "robot.state").exists()
 
 
-def test_a_dynamic_link_would_want_the_glibc_that_the_page_names(tmp_path: Path) -> None:
+def test_a_dynamic_link_would_want_the_c_library_that_the_page_names(tmp_path: Path) -> None:
+    """Which a Khepera's Linux does not have, so its node is linked statically."""
     require(*CORTEX_A8.compiler)
     (tmp_path / "main.c").write_text("int main(void) { return 0; }\n", encoding="ascii")
+
     run("arm-linux-gnueabihf-gcc", tmp_path / "main.c", "-o", tmp_path / "main")
+
     symbols = run("arm-linux-gnueabihf-objdump", "-T", tmp_path / "main")
-    assert max(re.findall(r"GLIBC_2\.(\d+)", symbols), key=int) == "34"
+    minor_versions = re.findall(r"GLIBC_2\.(\d+)", symbols)
+    assert max(minor_versions, key=int) == "34"
     assert "GLIBC_2.34" in PAGE.read_text(encoding="utf-8")
