@@ -19,15 +19,24 @@ def test_all_are_known() -> None:
     assert scripts == {"argos", "engine", "fidelity", "pages", "shared_bus"}
 
 
-def test_the_engine_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_benchmark_of_the_engine_prints_a_table_of_rates_for_each_world(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Five tables, each with a title and four rows; two have one row more, and two three rows more."""
     monkeypatch.setattr(engine, "REPEATS", 1)
     for name in ("FULL", "MOVING"):
         monkeypatch.setattr(engine, name, replace(getattr(engine, name), steps=1000))
+
     engine.main()
-    out = capsys.readouterr().out
-    assert out.count("robot-steps/s") == 5 and out.count("\n") == 5 + 5 * 4 + 2 + 2 * 3
-    assert all(float(line.split()[-1]) > 0 for line in out.splitlines() if "/s" not in line)
-    assert engine.SIMULATOR in out
+
+    lines = capsys.readouterr().out.splitlines()
+    titles = [line for line in lines if "robot-steps/s" in line]
+    assert len(titles) == 5
+    assert len(lines) == 5 + 5 * 4 + 2 * 1 + 2 * 3
+    assert any(engine.SIMULATOR in line for line in lines)
+    for line in lines:
+        if "/s" not in line:
+            assert float(line.split()[-1]) > 0, line
 
 
 def test_one_connection_for_a_swarm_is_compared_with_one_for_each(capsys: pytest.CaptureFixture[str]) -> None:
@@ -37,12 +46,16 @@ def test_one_connection_for_a_swarm_is_compared_with_one_for_each(capsys: pytest
     assert capsys.readouterr().out.count(" times\n") == 2
 
 
-def test_distributions_are_compared(
+def test_the_benchmark_of_fidelity_compares_distributions(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    parts = {part: (path, 4) for part, (path, _) in fidelity.PARTS.items()}
-    some = {path: fidelity.read_cells(path)[:1] for path, _ in parts.values()}
+    """With one case of each of the two parts of the study, and four trials."""
+    cases = {path: fidelity.read_cells(path)[:1] for path, _trials in fidelity.PARTS.values()}
+    parts = {part: (path, 4) for part, (path, _trials) in fidelity.PARTS.items()}
     monkeypatch.setattr(fidelity, "PARTS", parts)
-    monkeypatch.setattr(fidelity, "read_cells", lambda path: some[path])
-    assert fidelity.main() == 0
+    monkeypatch.setattr(fidelity, "read_cells", lambda path: cases[path])
+
+    exit_code = fidelity.main()
+
+    assert exit_code == 0
     assert capsys.readouterr().out.count("by Holm's correction over 3 tests") == 2

@@ -22,7 +22,10 @@ def test_bounds_are_read_from_the_comments_beside_loops(tmp_path: Path) -> None:
         "    }\n"
         "}\n"
     )
-    assert bounds_in([source]) == {"sort.c:1": Bound(32, None), "sort.c:2": Bound(31, 496)}
+
+    bounds_by_line = bounds_in([source])
+
+    assert bounds_by_line == {"sort.c:1": Bound(32, None), "sort.c:2": Bound(31, 496)}
 
 
 def test_without_a_loop_the_longer_branch_counts() -> None:
@@ -55,8 +58,12 @@ def test_an_inner_loop_whose_turns_are_counted_in_all_adds_these_once() -> None:
 
 
 def test_a_loop_with_two_entries_is_bounded_by_turns_that_come_to_both() -> None:
+    """The bound is less tight there. Instruction 0 jumps to either of the loop's instructions 1 and 2."""
     graph = {0: [1, 2], 1: [2, 3], 2: [1], 3: []}
-    cost = cost_of(graph, {1: "a.c:7", 2: "a.c:7"}, {"a.c:7": Bound(10, None)})
+    ten_turns = {"a.c:7": Bound(10, None)}
+
+    cost = cost_of(graph, {1: "a.c:7", 2: "a.c:7"}, ten_turns)
+
     longest_walk = 1 + 10 * 2 + 1 + 1
     assert longest_walk <= cost <= 2 * longest_walk
 

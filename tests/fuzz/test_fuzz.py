@@ -20,16 +20,21 @@ SLOW_HARNESSES = [name for name in HARNESSES if name not in QUICK_HARNESSES]
 
 @pytest.mark.parametrize(("flags", "more"), [(CHECKED, 0), *slow([(FAST, MORE)])], ids=["kept", "more"])
 @pytest.mark.parametrize("name", [*QUICK_HARNESSES, *slow(SLOW_HARNESSES)])
-def test_inputs_find_nothing(
+def test_no_input_makes_a_port_crash_or_break_a_promise(
     name: str, flags: tuple[str, ...], more: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """The kept ones and an empty one, or so many with them; libFuzzer prints the seed, and now and then runs
-    one again."""
+    """The inputs that fuzzing kept and an empty one, and ``more`` that libFuzzer derives from them.
+
+    It prints its seed, and "Done 123 runs" in the end; now and then it runs one again.
+    """
     inputs = HARNESSES[name].unpack(tmp_path / "inputs")
-    kept = len(list(inputs.iterdir()))
+    kept_count = len(list(inputs.iterdir()))
+
     HARNESSES[name].run(inputs, flags, f"-runs={more}")
-    done = re.search(r"^Done (\d+) runs", capfd.readouterr().err, re.MULTILINE)
-    assert done and int(done[1]) > max(more - 1, kept)
+
+    last_line = re.search(r"^Done (\d+) runs", capfd.readouterr().err, re.MULTILINE)
+    assert last_line is not None
+    assert int(last_line[1]) > max(more - 1, kept_count)
 
 
 def test_the_page_lists_the_harnesses() -> None:
@@ -38,13 +43,14 @@ def test_the_page_lists_the_harnesses() -> None:
     assert f"tries {MORE:,} more of each" in page
 
 
-def test_a_mistake_is_found(tmp_path: Path) -> None:
-    """A radio that sends a wrong identifier."""
+def test_fuzzing_finds_a_radio_that_sends_a_wrong_identifier(tmp_path: Path) -> None:
+    """With the kept inputs alone. The mistake is planted into a copy."""
     right, wrong = "frame->id >> (8 * i)", "frame->id >> (7 * i)"
     text = (PORTS / "packet_radio.c").read_text(encoding="utf-8")
     assert text.count(right) == 1
     (tmp_path / "packet_radio.c").write_text(text.replace(right, wrong))
     harness = replace(HARNESSES["radio"], sources=(tmp_path / "packet_radio.c",))
     inputs = harness.unpack(tmp_path / "inputs")
+
     with pytest.raises(subprocess.CalledProcessError):
         harness.run(inputs, CHECKED, "-runs=0")

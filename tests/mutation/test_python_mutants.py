@@ -23,30 +23,40 @@ TOOLS = "host_tools/mcp_asdf_tools"
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("paths", "sample", "most"), [(FIRMWARE, 24, 0), ([TOOLS], 40, 7)], ids=["firmware", "tools"]
+    ("paths", "sample", "most_survivors"), [(FIRMWARE, 24, 0), ([TOOLS], 40, 7)], ids=["firmware", "tools"]
 )
-def test_some_mistakes_are_noticed(paths: list[str], sample: int, most: int) -> None:
-    """In a program of its own: this one has imported tests, which hold on to the code without mistakes."""
-    command = [*paths, "--sample", str(sample), "--seed", str(random.randrange(1 << 32))]
-    clean = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+def test_small_mistakes_in_the_python_are_noticed_by_its_tests(
+    paths: list[str], sample: int, most_survivors: int
+) -> None:
+    """So many are drawn, and the command that repeats them is printed. Mistakes that no test notices survive.
+
+    They are tried by a program of its own: this one has imported the tests with code without mistakes.
+    """
+    seed = random.randrange(1 << 32)
+    options = [*paths, "--sample", str(sample), "--seed", str(seed)]
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+
     done = subprocess.run(
-        [sys.executable, "-m", "mutation", *command],
+        [sys.executable, "-m", "mutation", *options],
         cwd=ROOT,
-        env={**clean, "PYTHONPATH": "tests"},
+        env={**environment, "PYTHONPATH": "tests"},
         capture_output=True,
         text=True,
         check=False,
     )
-    print(f"python -m mutation {' '.join(command)}\n{done.stdout}{done.stderr}")
-    found = re.search(r"^(\d+) mutants, (\d+) survive$", done.stdout, re.MULTILINE)
-    assert found
-    assert int(found[1]) > 0.9 * sample
-    assert int(found[2]) <= most
+
+    print(f"python -m mutation {' '.join(options)}\n{done.stdout}{done.stderr}")
+    last_line = re.search(r"^(\d+) mutants, (\d+) survive$", done.stdout, re.MULTILINE)
+    assert last_line is not None
+    mutants_tried, survivors = map(int, last_line.groups())
+    assert mutants_tried > 0.9 * sample
+    assert survivors <= most_survivors
 
 
 @pytest.mark.slow
-def test_each_equivalent_mutant_is_a_mutant() -> None:
-    names = {each.name for path in (*FIRMWARE, TOOLS) for each in mutants(Path(path))}
+def test_each_change_that_is_listed_as_harmless_is_one_that_is_tried() -> None:
+    """A list that is about code of the past would hide mistakes of the future."""
+    names = {mutant.name for path in (*FIRMWARE, TOOLS) for mutant in mutants(Path(path))}
     assert set(equivalents("python")) <= names
 
 
@@ -68,8 +78,14 @@ survivors([mutants_by_name[function + change] for change in changes], [tests])
 
 @pytest.mark.slow
 def test_a_harmless_change_survives_and_a_mistake_does_not() -> None:
-    """From the largest confidence on, any has the same word."""
+    """If all survived, or none, the harness above would not try anything.
+
+    The change is to the largest confidence, from which on any has the same word.
+    """
     output = run(sys.executable, "-c", PROGRAM, PYTHONPATH="tests")
-    (line,) = output.splitlines()
-    assert line.endswith("[limited_alpha = min(alpha, 2.0 ** 31) => limited_alpha = min(alpha, 2.0 ** 32)]")
-    assert line.startswith("survives: firmware_py/mcp_asdf/fixed_point.py#")
+
+    [survivor] = output.splitlines()
+    assert survivor.startswith("survives: firmware_py/mcp_asdf/fixed_point.py#")
+    assert survivor.endswith(
+        "[limited_alpha = min(alpha, 2.0 ** 31) => limited_alpha = min(alpha, 2.0 ** 32)]"
+    )

@@ -116,32 +116,57 @@ CASES = [
     *(case for case in BROKEN if case[0] in QUICK_FUNCTIONS),
     *slow(case for case in BROKEN if case[0] not in QUICK_FUNCTIONS),
 ]
+CLAIMS_OF_NUMBERS = (
+    *robust.OF_THE_CODE,
+    *calls.OF_THE_CODE,
+    *accuracy.OF_THE_CODE,
+    *sums.OF_THE_CODE,
+)
+
+
+def write_broken_sources(folder: Path, function: str, right: str, wrong: str) -> None:
+    """Write the firmware's sources into a folder, with a text in them replaced by a wrong one.
+
+    In the two C files it is replaced from the function's definition on, or everywhere if it stands before.
+    """
+    is_found = False
+    for path in (*ARITHMETIC, CORE, IMAGE, SOURCES / "mcp_asdf_robust.h"):
+        text = path.read_text(encoding="utf-8")
+        is_found |= right in text
+        before, rest = "", text
+        if path in (CORE, IMAGE):
+            start = max(text.find(f" {function}("), 0)
+            if right in text[start:]:
+                before, rest = text[:start], text[start:]
+        (folder / path.name).write_text(before + rest.replace(right, wrong), encoding="utf-8")
+    assert is_found, right
+
+
+def file_of(function: str, variant: Variant) -> Path:
+    """Return the file to parse for the contract of a function."""
+    if function in arithmetic.contracts(variant):
+        return HEADER
+    return IMAGE if function in images.CONTRACTS else CORE
 
 
 @pytest.mark.parametrize(("name", "digits", "right", "wrong"), CASES)
-def test_broken_code_has_no_proof(name: str, digits: str, right: str, wrong: str, tmp_path: Path) -> None:
-    variant, found = Variant(digits), 0
-    for path in (*ARITHMETIC, CORE, IMAGE, SOURCES / "mcp_asdf_robust.h"):
-        text = path.read_text(encoding="utf-8")
-        place = max(text.find(f" {name}("), 0) if path in (CORE, IMAGE) else 0
-        place = place if right in text[place:] else 0
-        found += right in text
-        text = text[:place] + text[place:].replace(right, wrong)
-        (tmp_path / path.name).write_text(text, encoding="utf-8")
-    assert found
-    main = HEADER if name in arithmetic.contracts(variant) else IMAGE if name in images.CONTRACTS else CORE
-    code = Program(tmp_path / main.name, variant)
+def test_a_firmware_with_a_planted_mistake_has_no_proof(
+    name: str, digits: str, right: str, wrong: str, tmp_path: Path
+) -> None:
+    """``name`` is the function whose contract it breaks, or "" where it breaks a claim about its numbers.
+
+    ``digits`` choose how the firmware divides, multiplies and shifts.
+    """
+    write_broken_sources(tmp_path, name, right, wrong)
+    variant = Variant(digits)
+    code = Program(tmp_path / file_of(name, variant).name, variant)
+
     with pytest.raises(UnprovenError):
         if name:
             prove_lemma(code, name, {**calls.contracts(variant), **images.CONTRACTS}, set())
-        of_the_code = (
-            *robust.OF_THE_CODE,
-            *calls.OF_THE_CODE,
-            *accuracy.OF_THE_CODE,
-            *sums.OF_THE_CODE,
-        )
-        for claims in () if name else of_the_code:
-            prove_all(claims(code))
+        else:
+            for claims in CLAIMS_OF_NUMBERS:
+                prove_all(claims(code))
 
 
 # --- Contracts that promise nothing -----------------------------------------------------------------------

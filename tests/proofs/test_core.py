@@ -101,11 +101,12 @@ def prove_ends(code: Program, name: str, loop: Any) -> None:
 # design: R34
 @pytest.mark.parametrize("variant", [CORTEX_M4, *slow(VARIANTS[1:])], ids=str)
 @pytest.mark.parametrize("path", FIRMWARE, ids=lambda path: path.name)
-def test_every_loop_ends(path: Path, variant: Variant) -> None:
-    """The variables beside the counter may hold anything, in each turn anew."""
+def test_every_loop_of_the_firmware_ends(path: Path, variant: Variant) -> None:
+    """So no call hangs. The variables beside a loop's counter may hold anything, in each turn anew."""
     code = program(variant, path)
     for name in code.defined_in(path):
-        for loop in (*nodes(code.functions[name], c_ast.For), *nodes(code.functions[name], c_ast.While)):
+        function = code.functions[name]
+        for loop in (*nodes(function, c_ast.For), *nodes(function, c_ast.While)):
             prove_ends(code, name, loop)
 
 
@@ -113,18 +114,33 @@ def test_every_loop_ends(path: Path, variant: Variant) -> None:
 @pytest.mark.parametrize("variant", [CORTEX_M4, *slow(VARIANTS[1:])], ids=str)
 @pytest.mark.parametrize("path", FIRMWARE, ids=lambda path: path.name)
 def test_no_function_calls_itself(path: Path, variant: Variant) -> None:
+    """Nor does one through others: so the stack that the firmware needs has a limit."""
     code = program(variant, path)
     callees_by_function = {name: code.callees(name) for name in code.functions}
-    # A sorter raises CycleError if a function reaches itself through its callees.
-    assert list(TopologicalSorter(callees_by_function).static_order())
+
+    # Raises CycleError if a function reaches itself through its callees.
+    functions_in_order = list(TopologicalSorter(callees_by_function).static_order())
+
+    assert len(functions_in_order) > 0
 
 
-def test_a_table_that_is_read_has_at_most_129_words() -> None:
-    """As is_valid_table() refuses any other head before its loop."""
-    head, magic = z3.BitVec("head", 32), 0x4D435400
-    accepted = z3.And(z3.UGE(head, magic + 2), z3.ULE(head, magic + 127))
-    prove(z3.ULE(z3.Extract(7, 0, head + 2), 129), accepted, about="q + 2")
+def test_a_table_whose_length_is_accepted_has_at_most_129_words() -> None:
+    """The first word of a table is a constant plus its number of thresholds, q, and two more words follow.
+
+    The loop that reads it goes to the lowest byte of that word plus 2.
+    """
+    head, table_magic = z3.BitVec("head", 32), 0x4D435400
+    accepted = z3.And(z3.UGE(head, table_magic + 2), z3.ULE(head, table_magic + 127))
+    lowest_byte = z3.Extract(7, 0, head + 2)
+
+    prove(z3.ULE(lowest_byte, 129), accepted, about="q + 2")
+
+
+def test_the_length_of_a_table_is_checked_before_it_is_read() -> None:
     text = CORE.read_text(encoding="utf-8")
+
     refusal = text.index("if (head < TABLE_MAGIC + 2U || head > TABLE_MAGIC + MCP_ASDF_MAX_ID) {")
-    assert refusal < text.index("for (uint8_t i = 0; i < hash_index; ++i)")
-    assert "const uint8_t hash_index = (uint8_t)(head + 2U);" in text[:refusal]
+    length = text.index("const uint8_t hash_index = (uint8_t)(head + 2U);")
+    loop = text.index("for (uint8_t i = 0; i < hash_index; ++i)")
+
+    assert length < refusal < loop

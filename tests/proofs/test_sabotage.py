@@ -103,22 +103,36 @@ def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_a_wrong_premise_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """That of quotient() about ratio() stands in one place, where ratio() is proved to keep it."""
-    right, code = arithmetic.is_ratio, program(HERE[0])
+def test_a_premise_of_a_caller_that_a_function_does_not_keep_is_noticed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """quotient() relies on what ratio() promises: with a false promise it has a proof, and ratio() has none.
+
+    The promise stands in one place, ``is_ratio``, so neither can rely on another one.
+    """
+    is_ratio, code = arithmetic.is_ratio, program(HERE[0])
     monkeypatch.setattr(prover, "EFFORTS", (8 * 10**6,))
-    monkeypatch.setattr(arithmetic, "is_ratio", lambda *of: z3.And(right(*of), 2**32 * of[0] == of[2]))
-    of_variant = arithmetic.contracts(HERE[0])
-    prover.prove_lemma(code, "quotient", of_variant, set())
-    with pytest.raises(UnprovenError, match="broken by"):
-        prover.prove_lemma(code, "ratio", {**of_variant, "ratio": replace(RATIO, steps=())}, set())
-
-
-def test_side_effects_are_of_the_path() -> None:
-    exact = Contract(
-        lambda found, value: found == z3.If(large(value), 1, z3.If(z3.ULT(value, 3), 2, z3.BitVecVal(0, 32)))
+    monkeypatch.setattr(
+        arithmetic,
+        "is_ratio",
+        lambda *numbers: z3.And(is_ratio(*numbers), 2**32 * numbers[0] == numbers[2]),
     )
-    of_calls("counted", {"counted": exact})()
+    contracts = arithmetic.contracts(HERE[0])
+
+    prover.prove_lemma(code, "quotient", contracts, set())
+    with pytest.raises(UnprovenError, match="broken by"):
+        prover.prove_lemma(code, "ratio", {**contracts, "ratio": replace(RATIO, steps=())}, set())
+
+
+def test_a_side_effect_counts_on_the_path_of_the_code_that_has_it() -> None:
+    """counted() of few_calls.c returns 1 for numbers above 7, 2 for those below 3, and 0 for others."""
+    zero = z3.BitVecVal(0, 32)
+    contract = Contract(
+        lambda result, value: result == z3.If(large(value), 1, z3.If(z3.ULT(value, 3), 2, zero))
+    )
+    prove_counted = of_calls("counted", {"counted": contract})
+
+    prove_counted()
 
 
 @pytest.mark.parametrize("name", FALSEHOODS)
@@ -177,11 +191,16 @@ SABOTAGES: tuple[tuple[str, Any, str, Any], ...] = (
 """What passes; and what is replaced in which module or class, and by what."""
 
 
-@pytest.mark.parametrize(("passes", "where", "what", "by"), SABOTAGES)
-def test_sabotage_is_noticed(
-    passes: str, where: Any, what: str, by: Any, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("falsehood", "where", "name", "replacement"), SABOTAGES)
+def test_a_prover_without_one_of_its_checks_proves_a_falsehood(
+    falsehood: str, where: Any, name: str, replacement: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(where, what, by)
-    if what == "__eq__":
-        monkeypatch.setattr(where, "__hash__", lambda _: 0)
-    FALSEHOODS[passes]()
+    """So each check is needed, and ``test_falsehood_has_no_proof`` fails when it is lost.
+
+    ``replacement`` takes the place of the check, which has a name in a module or class.
+    """
+    monkeypatch.setattr(where, name, replacement)
+    if name == "__eq__":
+        monkeypatch.setattr(where, "__hash__", lambda _: 0)  # so that sets ask __eq__
+
+    FALSEHOODS[falsehood]()

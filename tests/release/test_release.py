@@ -11,6 +11,7 @@ import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -34,13 +35,20 @@ def test_each_dependency_has_a_lower_bound() -> None:
     assert [each for each in requirements() if not BOUNDED.fullmatch(each)] == []
 
 
-def build(source: Path, out: Path) -> dict[str, str]:
-    """SHA-256 of each file that is built from a copy of the source in this folder, by its path: the library,
-    the wheel and what is in it."""
+def copy_listed_files(folder: Path) -> None:
+    """Copy all files that git lists to a folder, with the time of now."""
     for name in filter(None, run("git", "ls-files", "-z", "-co", "--exclude-standard").split("\0")):
         if (ROOT / name).is_file():
-            (source / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(ROOT / name, source / name)  # with the time of now
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, folder / name)
+
+
+def build(source: Path, out: Path) -> dict[str, str]:
+    """Build library and wheel from a copy of the source in a folder.
+
+    Returns the SHA-256 of each file that is built, by its path, and of those in the wheel.
+    """
+    copy_listed_files(source)
     given = {"SOURCE_DATE_EPOCH": "1700000000", "CFLAGS": f"-g -ffile-prefix-map='{source}'=."}
     flags = ("-DCMAKE_BUILD_TYPE=RelWithDebInfo", "-DCMAKE_INSTALL_PREFIX=/usr")
     run("cmake", "-S", source / "c_ref", "-B", source / "build", *flags, cwd=source, **given)
@@ -49,67 +57,123 @@ def build(source: Path, out: Path) -> dict[str, str]:
     options = ("--quiet", "--no-build-isolation", "--no-deps", "--no-index", "--wheel-dir", out)
     where = f"--config-settings=build-dir={source / 'build wheel'}"
     run(sys.executable, "-m", "pip", "wheel", *options, where, source, cwd=source, **given)
-    (made,) = out.glob("*.whl")
-    zipfile.ZipFile(made).extractall(out / "contents")
+    [wheel] = out.glob("*.whl")
+    zipfile.ZipFile(wheel).extractall(out / "contents")
     paths = sorted(path for path in out.rglob("*") if path.is_file())
     return {str(path.relative_to(out)): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
 
 @pytest.mark.slow
-def test_two_builds_give_the_same_bytes(tmp_path: Path) -> None:
+def test_two_builds_in_different_folders_give_the_same_bytes(tmp_path: Path) -> None:
+    """So that anybody can check that a published file comes from this source."""
     require("cmake")
-    folders = ("first", "another folder/with a longer name")
-    first, second = (build(tmp_path / name, tmp_path / f"made {len(name)}") for name in folders)
+
+    first = build(tmp_path / "first", tmp_path / "built first")
+    second = build(tmp_path / "another folder/with a longer name", tmp_path / "built second")
+
     assert {Path(name).suffix for name in first} > {".a", ".whl", ".so"}
     assert first == second
 
 
-def test_reference_data_are_those_that_the_page_names() -> None:
-    """An oracle that changes in silence is none."""
+def test_the_authors_data_are_those_whose_hashes_their_page_lists() -> None:
+    """If the numbers that the tests compare with changed in silence, the tests would prove nothing."""
     folder = ROOT / "tests/data"
-    own = {"README.md", "study_verdicts.csv"}
-    files = [path for path in folder.rglob("*") if path.is_file() and path.name not in own]
-    found = {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    own_files = {"README.md", "study_verdicts.csv"}
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name not in own_files]
+    hashes = {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
     page = (folder / "README.md").read_text(encoding="utf-8")
-    assert dict(re.findall(r"^\| `([^`]+)` \| `([0-9a-f]{64})` \|$", page, re.MULTILINE)) == found
+    listed_hashes = dict(re.findall(r"^\| `([^`]+)` \| `([0-9a-f]{64})` \|$", page, re.MULTILINE))
+
+    assert listed_hashes == hashes
+
+
+@pytest.fixture(scope="module")
+def bill_of_materials() -> dict[str, Any]:
+    """What release/sbom.py writes for a release: the components that come with the project."""
+    pytest.importorskip("cyclonedx.schema", reason="cyclonedx-bom is not installed")
+    return bill()
 
 
 @pytest.mark.slow
-def test_the_bill_names_each_dependency() -> None:
-    found = bill()
-    validator = pytest.importorskip("cyclonedx.validation.json", reason="cyclonedx-bom is not installed")
+def test_the_bill_of_materials_is_a_valid_one(bill_of_materials: dict[str, Any]) -> None:
+    validator = pytest.importorskip("cyclonedx.validation.json")
     schema = pytest.importorskip("cyclonedx.schema").SchemaVersion.V1_6
-    assert validator.JsonStrictValidator(schema).validate_str(json.dumps(found)) is None
-    names = {each["name"] for each in found["components"]}
-    builders = {"scikit-build-core", "cffi", "hatch-fancy-pypi-readme"}
-    stated = {match[1].lower() for each in requirements() if (match := BOUNDED.fullmatch(each))}
-    assert {*stated - builders, "uplot"} <= names
-    assert names.isdisjoint({"pytest", "mypy", "ruff", "mkdocs", "cyclonedx-bom"}), "tests' own tools"
-    assert [each["name"] for each in found["components"] if not each["licenses"]] == []
-    hashes = [
-        each.get("properties", [{}])[0].get("value") or each["hashes"][0]["content"]
-        for each in found["components"]
-    ]
-    assert len(set(hashes)) == len(hashes) and all(re.fullmatch("[0-9a-f]{64}", each) for each in hashes)
-    assert found["metadata"]["component"]["version"] == version_of_header()
+
+    error = validator.JsonStrictValidator(schema).validate_str(json.dumps(bill_of_materials))
+
+    assert error is None
 
 
 @pytest.mark.slow
-def test_the_evidence_is_one_archive(tmp_path: Path) -> None:
-    script, archive = ROOT / "tests/release/evidence.sh", tmp_path / "evidence.tar.gz"
+def test_the_bill_of_materials_names_each_dependency_and_no_tool_of_the_tests(
+    bill_of_materials: dict[str, Any],
+) -> None:
+    """Nor what is needed to build alone; uplot is a script in the page of ``mcp-asdf view``."""
+    names = {component["name"] for component in bill_of_materials["components"]}
+    builders = {"scikit-build-core", "cffi", "hatch-fancy-pypi-readme"}
+    bounded = [BOUNDED.fullmatch(requirement) for requirement in requirements()]
+    dependencies = {match[1].lower() for match in bounded if match is not None}
+
+    assert dependencies - builders | {"uplot"} <= names
+    assert names.isdisjoint({"pytest", "mypy", "ruff", "mkdocs", "cyclonedx-bom"})
+
+
+@pytest.mark.slow
+def test_each_component_of_the_bill_of_materials_has_a_licence_and_a_hash_of_its_own(
+    bill_of_materials: dict[str, Any],
+) -> None:
+    """The hash is of the file, or of all installed files, and is then a property."""
+    components = bill_of_materials["components"]
+    hashes = [
+        component.get("properties", [{}])[0].get("value") or component["hashes"][0]["content"]
+        for component in components
+    ]
+
+    assert [component["name"] for component in components if not component["licenses"]] == []
+    assert all(re.fullmatch("[0-9a-f]{64}", digest) for digest in hashes)
+    assert len(set(hashes)) == len(hashes)
+
+
+@pytest.mark.slow
+def test_the_bill_of_materials_has_the_version_of_the_header(bill_of_materials: dict[str, Any]) -> None:
+    assert bill_of_materials["metadata"]["component"]["version"] == version_of_header()
+
+
+EVIDENCE = ROOT / "tests/release/evidence.sh"
+"""Script that packs reports of the tests, and what they were run with, into an archive."""
+
+
+@pytest.mark.slow
+def test_without_reports_there_is_no_archive_of_evidence(tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match=r"no reports in .*; run make test and make verify first"):
-        run(script, tmp_path, archive)
-    (tmp_path / "pytest.xml").write_text("<testsuites/>")
-    digest = run(script, tmp_path, archive, sys.executable).split()[0]
-    assert digest == hashlib.sha256(archive.read_bytes()).hexdigest()
-    files = dict[str, str]()
+        run(EVIDENCE, tmp_path, tmp_path / "evidence.tar.gz")
+
+
+def files_in(archive: Path) -> dict[str, str]:
+    """Return the texts of the files in an archive, by their names without folders."""
+    texts = {}
     with tarfile.open(archive) as opened:
         for member in opened:
-            if content := opened.extractfile(member):  # None for a folder
-                files[Path(member.name).name] = content.read().decode("utf-8")
-    table = hashlib.sha256(TABLE.read_bytes()).hexdigest()
-    assert f"{table}  {TABLE.relative_to(ROOT)}\n" in files["SHA256SUMS"]
+            content = opened.extractfile(member)
+            if content is not None:  # None for a folder
+                texts[Path(member.name).name] = content.read().decode("utf-8")
+    return texts
+
+
+@pytest.mark.slow
+def test_the_archive_of_evidence_says_what_was_tested_and_with_which_tools(tmp_path: Path) -> None:
+    """The script prints the archive's hash."""
+    archive = tmp_path / "evidence.tar.gz"
+    (tmp_path / "pytest.xml").write_text("<testsuites/>")
+
+    digest, *_ = run(EVIDENCE, tmp_path, archive, sys.executable).split()
+
+    assert digest == hashlib.sha256(archive.read_bytes()).hexdigest()
+    files = files_in(archive)
+    hash_of_table = hashlib.sha256(TABLE.read_bytes()).hexdigest()
+    assert f"{hash_of_table}  {TABLE.relative_to(ROOT)}\n" in files["SHA256SUMS"]
     assert re.search(r"^gcc: gcc .*\d+\.\d+", files["tools.txt"], re.MULTILINE)
     assert f"pytest=={pytest.__version__}" in files["packages.txt"]
-    assert re.match("[0-9a-f]{40} 20", files["commit.txt"])
+    assert re.match("[0-9a-f]{40} 20", files["commit.txt"]), "hash and date"
     assert json.loads(files["sbom.json"])["bomFormat"] == "CycloneDX"

@@ -186,14 +186,14 @@ def draw_conversation(draw: random.Random) -> list[bytes]:
         *ticks,
         *noise,
     ]
-    # Not later, since one of them opens the bus anew, and counters, which are looked at in the end, begin at 0.
+    # Not later, since one of them opens the bus anew, and the counters that are read in the end are then 0.
     for place in range(60, 120, 2):
         pieces.insert(place, draw.choice(REQUESTS))
     return pieces
 
 
 def command_of_image(target: str, image: Path) -> list[str]:
-    """Return the command that runs an image, on its emulated board or here; it ends soon, whatever happens."""
+    """Return the command that runs an image, on its emulated board or here, for a limited time."""
     time_limit = ["timeout", str(PATIENCE / 4)]
     if target not in QEMU:
         return [*time_limit, str(image)]

@@ -141,7 +141,7 @@ def test_the_service_of_a_khepera_has_the_threshold_and_the_accuracy_of_the_cali
 
 @pytest.mark.slow
 def test_a_khepera_that_runs_as_its_service_says_observes_and_broadcasts(robot: Path) -> None:
-    """200 tiles of a grey floor, of which those below the threshold are black. Its bus is one of this test."""
+    """200 tiles of a grey floor, those below the threshold black. The bus is one of this test."""
     choice = multicast(93)
     readings = put_on_floor(robot, 500, 200)
     command = service_command()
