@@ -19,7 +19,11 @@ from support import DRAWS_ALL
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-LONGEST_TESTS = ("test_python_mutants", "test_types_are_right", "test_the_c_tests_pass_with_the_settings")
+LONGEST_TESTS = (
+    "test_python_mutants",
+    "test_mypy_finds_no_wrong_type",
+    "test_the_c_tests_pass_with_the_settings",
+)
 """Tests that begin first, so that no worker waits for one of them at the end."""
 
 TIMEOUT, SLOW_TIMEOUT = 300, 1200

@@ -56,7 +56,7 @@ def count(folder: Path, *options: str) -> Count:
     return Count(status, output.getvalue().splitlines())
 
 
-def test_reports_of_all_tests_pass_the_strict_count(folder: Path) -> None:
+def test_reports_of_all_listed_tests_pass(folder: Path) -> None:
     write_report(folder, "tests.bus.test_dbc", 100)
     write_report(folder, "tests.proofs.test_sums", 50)
     assert count(folder, "--strict") == Count(0, ["150 passed, 0 failed, 0 skipped"])
@@ -64,22 +64,25 @@ def test_reports_of_all_tests_pass_the_strict_count(folder: Path) -> None:
 
 @pytest.mark.parametrize("outcome", [FAILURE, ERROR])
 def test_a_failure_and_an_error_of_a_fixture_count_as_failed(folder: Path, outcome: str) -> None:
+    """pytest reports an error where what a test needs could not be made."""
     write_report(folder, "tests.bus.test_dbc", 101, outcome)
     write_report(folder, "tests.proofs.test_sums", 50)
     assert count(folder, "--strict") == Count(1, ["strict: 1 failed", "150 passed, 1 failed, 0 skipped"])
 
 
-def test_a_skip_that_a_complete_setup_would_not_have_fails(folder: Path) -> None:
+def test_a_skip_for_a_tool_that_is_not_installed_fails(folder: Path) -> None:
+    """The set-up of continuous integration has to be complete."""
     write_report(folder, "tests.bus.test_dbc", 100)
     write_report(folder, "tests.proofs.test_sums", 50, SKIPPED_FOR_A_TOOL)
-    assert count(folder, "--strict") == Count(
-        1,
-        [
-            "skipped: frama-c is not installed: make setup",
-            "strict: 1 were skipped that a complete set-up runs",
-            "149 passed, 0 failed, 1 skipped",
-        ],
-    )
+
+    result = count(folder, "--strict")
+
+    assert result.status == 1
+    assert result.lines == [
+        "skipped: frama-c is not installed: make setup",
+        "strict: 1 were skipped that a complete set-up runs",
+        "149 passed, 0 failed, 1 skipped",
+    ]
 
 
 def test_a_skip_for_the_machine_is_only_named(folder: Path) -> None:
@@ -95,41 +98,54 @@ def test_without_strict_a_skip_is_only_named(folder: Path) -> None:
     )
 
 
-@pytest.mark.parametrize(("passed", "status"), [(98, 0), (97, 1)])
-def test_a_loss_of_more_than_two_percent_of_a_folder_fails(folder: Path, passed: int, status: int) -> None:
-    """However many tests other folders have gained."""
+@pytest.mark.parametrize(("passed", "exit_code"), [(98, 0), (97, 1)])
+def test_a_loss_of_more_than_two_percent_of_a_folder_s_tests_fails(
+    folder: Path, passed: int, exit_code: int
+) -> None:
+    """However many tests other folders have gained. By the list tests/bus has 100, and tests/proofs 50."""
     write_report(folder, "tests.bus.test_dbc", passed)
     write_report(folder, "tests.proofs.test_sums", 60)
-    assert count(folder, "--strict").status == status
+    assert count(folder, "--strict").status == exit_code
 
 
 def test_the_folder_that_lost_tests_is_named_with_the_command_that_accepts_it(folder: Path) -> None:
+    """By the list tests/proofs has 50, and there is no report of them."""
     write_report(folder, "tests.bus.test_dbc", 100)
-    assert count(folder, "--strict").lines[0] == (
+
+    first_line, *_ = count(folder, "--strict").lines
+
+    assert first_line == (
         "strict: tests/proofs: 0 tests of 50; if they were removed on purpose, "
         "run .venv/bin/python .ci/count.py --renew"
     )
 
 
 def test_a_test_of_two_reports_counts_once(folder: Path) -> None:
-    """``make verify`` runs the random tests of ``make test`` again."""
+    """``make verify`` runs the random tests of ``make test`` again. By the list tests/proofs has 50."""
     write_report(folder, "tests.bus.test_dbc", 100)
     write_report(folder, "tests.proofs.test_sums", 25)
     shutil.copy(folder / "reports/tests.proofs.test_sums.xml", folder / "reports/verify.xml")
-    assert count(folder, "--strict").lines[0].startswith("strict: tests/proofs: 25 tests of 50")
+
+    first_line, *_ = count(folder, "--strict").lines
+
+    assert first_line.startswith("strict: tests/proofs: 25 tests of 50")
 
 
-def test_a_list_that_misses_a_tenth_of_the_tests_is_too_old(folder: Path) -> None:
-    write_report(folder, "tests.bus.test_dbc", 120)
+def test_a_list_with_20_tests_fewer_than_170_has_to_be_renewed(folder: Path) -> None:
+    """A tenth may be missing from it, here 17: otherwise many tests could vanish again unnoticed."""
+    write_report(folder, "tests.bus.test_dbc", 100 + 20)
     write_report(folder, "tests.proofs.test_sums", 50)
-    assert count(folder, "--strict").lines[0] == (
-        "strict: 170 tests, 150 listed; run .venv/bin/python .ci/count.py --renew"
-    )
+
+    first_line, *_ = count(folder, "--strict").lines
+
+    assert first_line == "strict: 170 tests, 150 listed; run .venv/bin/python .ci/count.py --renew"
 
 
 def test_the_list_names_every_folder_that_has_tests() -> None:
+    """Otherwise all tests of a folder could vanish unnoticed."""
     listed_counts = json.loads((ROOT / ".ci/test_counts.json").read_text(encoding="utf-8"))
-    folders = {str(path.parent.relative_to(ROOT)) for path in matching_files(ROOT / "tests", "**/test_*.py")}
+    test_files = matching_files(ROOT / "tests", "**/test_*.py")
+    folders = {str(path.parent.relative_to(ROOT)) for path in test_files}
     assert set(listed_counts) == folders, "run .venv/bin/python .ci/count.py --renew"
 
 

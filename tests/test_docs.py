@@ -10,7 +10,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -60,7 +60,7 @@ NOT_RUN = {
     r"^mcp_asdf_node --interface udp": "wants a robot; tests/targets/test_multicast.py",
     "build/loop": "wants an emulated board; tests/targets/test_firmware_in_the_loop.py",
     "udp_multicast": "wants two terminals; test_remote_robot.py and test_verification.py in tests/host_tools",
-    r"robot\.c|\./robot": "test_the_c_program_of_the_readme_runs",
+    r"robot\.c|\./robot": "the tests of the README's program below",
     "golden_vectors": "writes the project's own files; tests/targets/test_targets.py",
     "can_logconvert|tshark": "tests/host_tools/recording/test_recording.py",
     r"--slcan|:2000\d": "waits for a program; tests/host_tools/bus/test_yakut.py and tests/targets have some",
@@ -151,22 +151,30 @@ def is_run(page: Path, command: str) -> bool:
     return page.name not in RUN_ELSEWHERE and not any(re.search(part, command) for part in NOT_RUN)
 
 
-def test_every_page_is_in_the_navigation_or_in_a_folder_of_further_pages() -> None:
+def test_every_page_of_the_docs_is_in_the_navigation() -> None:
+    """But those in folders, to which other pages lead, and the README, which is the first of PAGES."""
     navigation = (ROOT / ".ci/mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
-    names = re.findall(r"[\w/]+\.md$", navigation, re.MULTILINE)
-    assert sorted(names) == sorted(page.name for page in PAGES[1:] if page.parent == ROOT / "docs")
+    names_in_navigation = re.findall(r"[\w/]+\.md$", navigation, re.MULTILINE)
+
+    pages = [page.name for page in PAGES if page.parent == ROOT / "docs"]
+
+    assert sorted(names_in_navigation) == sorted(pages)
 
 
-def test_the_pages_have_commands_and_programs() -> None:
-    """A test of each of them is no test where none is found."""
+def test_the_pages_have_commands_and_programs_that_tests_run() -> None:
+    """A test of each of them is no test where none is found. So many are there today."""
     commands = [(page, command) for page in PAGES for command in all_commands(page)]
-    commands_that_are_run = [
+    commands_run_here = [command for page, command in commands if is_run(page, command)]
+    commands_of_experiments = [
         command
         for page, command in commands
-        if is_run(page, command) or RUN_ELSEWHERE.get(page.name) == "tests/test_experiment_pages.py"
+        if RUN_ELSEWHERE.get(page.name) == "tests/test_experiment_pages.py"
     ]
     programs = [code for page in PAGES for code in blocks(page, "python")]
-    assert len(commands) >= 130 and len(commands_that_are_run) >= 45 and len(programs) >= 12
+
+    assert len(commands) >= 130
+    assert len(commands_run_here) + len(commands_of_experiments) >= 45
+    assert len(programs) >= 12
 
 
 @pytest.fixture(scope="module")
@@ -178,19 +186,28 @@ def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def printed_as_shown(page: Path, script: list[str], printed: str) -> bool:
+    """Return whether commands print what the page shows below them, where dots stand for anything."""
+    shown_texts = [text for code, text in outputs_of(page).items() if commands_in(code) == script]
+    shown = shown_texts[0] if shown_texts else ""
+    pattern = re.escape(shown).replace(re.escape("..."), ".*?")
+    without_trailing_spaces = re.sub(" +$", "", printed, flags=re.MULTILINE)
+    return re.search(pattern, without_trailing_spaces, re.DOTALL) is not None
+
+
 @pytest.mark.parametrize("page", CASES)
-def test_commands_of_the_page_work(page: Path, workplace: Path) -> None:
-    """Each block of commands runs in a shell of its own, and prints the lines that the page shows."""
+def test_the_commands_of_a_page_work_and_print_what_it_shows(page: Path, workplace: Path) -> None:
+    """Each block of commands runs in a shell of its own. Commands that other tests run are left out."""
     for script in scripts(page):
         lines = [command for command in script if is_run(page, command)]
         for tool, packages in NEEDED.items():
             if any(tool in line for line in lines):
                 require(*packages)
+
         printed = run("sh", "-exc", "\n".join(lines), cwd=workplace, MPLBACKEND="Agg")
+
         if page.name in PAGES_WITH_CHECKED_OUTPUT and lines == script:
-            shown = next((text for code, text in outputs_of(page).items() if commands_in(code) == script), "")
-            pattern = re.escape(shown).replace(re.escape("..."), ".*?")  # dots stand for what is left out
-            assert re.search(pattern, re.sub(" +$", "", printed, flags=re.MULTILINE), re.DOTALL)
+            assert printed_as_shown(page, script, printed), printed
 
 
 @pytest.mark.parametrize(
@@ -206,29 +223,41 @@ def test_commands_of_the_page_work(page: Path, workplace: Path) -> None:
         }
     ),
 )
-def test_what_is_not_run_is_parsed(command: str) -> None:
-    _, name, *words = shlex.split(command)
-    cli._parser_for(name, cli._load(name)).parse_args(words)
+def test_a_command_of_the_docs_that_no_test_runs_has_options_that_are_there(command: str) -> None:
+    _program, name, *options = shlex.split(command)
+    # The private functions make the parser of a command's options, as the program does.
+    cli._parser_for(name, cli._load(name)).parse_args(options)
 
 
-def test_the_c_node_understands_the_commands(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Each gets as far as the interface, the sensor or the file, which are not there by that name."""
+@pytest.mark.parametrize(
+    "command",
+    sorted(
+        {
+            command.split("| ")[-1]
+            for page in PAGES
+            for command in all_commands(page)
+            if re.search("(^|[|] )mcp_asdf_node ", command)
+        }
+    ),
+)
+def test_the_c_node_understands_the_commands_of_the_docs(
+    command: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """It gets as far as the CAN interface, the sensor or the file, of which none is there by that name."""
+    with_names_that_are_not_there = re.sub(r"v?can0", "none0", command).replace("/sys/", "/none/")
+    program, *options = with_names_that_are_not_there.split()
+    assert program == "mcp_asdf_node"
     node = node_command(SANITIZED_BUILD, tmp_path_factory)
-    shown = [command for page in PAGES for command in all_commands(page)]
-    for command in [each for each in shown if re.search("(^|[|] )mcp_asdf_node ", each)]:
-        words = re.sub(r"v?can0", "none0", command.split("| ")[-1]).replace("/sys/", "/none/").split()
-        assert words[0] == "mcp_asdf_node"
-        done = subprocess.run(
-            [*node, *words[1:]],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 2
-        assert re.match(
-            r"mcp_asdf_node: (there is no CAN interface none0|cannot open (/none/|\w+\.txt))", done.stderr
-        )
+
+    done = subprocess.run(
+        [*node, *options], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+    )
+
+    wrong_usage = 2
+    assert done.returncode == wrong_usage
+    assert re.match(
+        r"mcp_asdf_node: (there is no CAN interface none0|cannot open (/none/|\w+\.txt))", done.stderr
+    )
 
 
 @pytest.mark.parametrize(
@@ -251,57 +280,107 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def text_of(page: Path) -> str:
+    """Return the text of a page in HTML, without its tags."""
+    return html.unescape(re.sub(r"<[^>]+>", "", page.read_text(encoding="utf-8")))
+
+
 @pytest.mark.slow
-def test_the_documentation_is_built(site: Path) -> None:
-    """Every name that the pages of the Python API ask for is there, and links and anchors lead somewhere."""
-    texts = {path.stem: path.read_text(encoding="utf-8") for path in sorted(site.rglob("*.html"))}
-    commands, headers, method = (
-        html.unescape(re.sub(r"<[^>]+>", "", texts[page])) for page in ("cli", "headers", "method")
+def test_the_built_docs_list_every_command(site: Path) -> None:
+    """The page is made from the commands' own help."""
+    page = text_of(site / "cli.html")
+    for name in cli.COMMANDS:
+        assert f"mcp-asdf {name}" in page
+
+
+@pytest.mark.slow
+def test_the_built_docs_list_the_functions_of_the_c_headers(site: Path) -> None:
+    assert "mcp_asdf_settle(mcp_asdf_t *robot)" in text_of(site / "headers.html")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("page", "content"),
+    [
+        pytest.param("elsewhere", "radiolinkSendP2PPacketBroadcast", id="a file that the page names"),
+        pytest.param("world", "mcp_asdf_tools.world.settings.WorldSettings", id="the Python API"),
+        pytest.param("advice", f"mcp-asdf {version_of_header()}</title>", id="the version in the title"),
+    ],
+)
+def test_the_built_docs_have_what_comes_from_other_files(page: str, content: str, site: Path) -> None:
+    [path] = site.rglob(f"{page}.html")
+    assert content in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_the_built_docs_have_formulas_that_a_browser_shows(site: Path) -> None:
+    """As MathML; dollars would be left of formulas that are not converted."""
+    assert "$" not in text_of(site / "method.html")
+
+
+@pytest.mark.slow
+def test_the_built_docs_have_the_playground(site: Path) -> None:
+    assert (site / "play.html").stat().st_size > 100_000, "bytes, with its program"
+
+
+@pytest.mark.slow
+def test_a_page_of_the_built_docs_leads_to_the_one_before_and_the_next(site: Path) -> None:
+    page = (site / "advice.html").read_text(encoding="utf-8")
+    assert "md-footer__link--prev" in page
+    assert "md-footer__link--next" in page
+
+
+@pytest.mark.slow
+def test_the_built_docs_load_nothing_from_elsewhere_and_have_no_diagram_as_text(site: Path) -> None:
+    for path in sorted(site.rglob("*.html")):
+        page = path.read_text(encoding="utf-8")
+        assert not re.search(r'<script[^>]*src="https?:', page), path
+        assert not re.search("flowchart|sequenceDiagram|<pre class=.mermaid", page), path
+
+
+@pytest.mark.slow
+def test_no_page_of_the_built_docs_is_wider_than_a_phone(site: Path, chromium: Browser) -> None:
+    """Nor a table in it, nor a cell: one would have to scroll sideways."""
+    phone_width = 390
+    widths = (
+        "[document.documentElement, ...document.querySelectorAll('.md-typeset table:not([class]), "
+        ".md-typeset table:not([class]) td')].map((element) => element.scrollWidth)"
     )
-    assert all(f"mcp-asdf {name}" in commands for name in cli.COMMANDS)
-    assert "mcp_asdf_settle(mcp_asdf_t *robot)" in headers
-    assert "$" not in method, "formulas are MathML"
-    assert "radiolinkSendP2PPacketBroadcast" in texts["elsewhere"], "the page shows the files that it names"
-    assert (site / "play.html").stat().st_size > 100_000
-    assert "mcp_asdf_tools.world.settings.WorldSettings" in texts["world"]
-    advice = texts["advice"]
-    assert f"mcp-asdf {version_of_header()}</title>" in advice
-    assert "md-footer__link--prev" in advice and "md-footer__link--next" in advice
-    for name, text in texts.items():
-        assert not re.search(r'<script[^>]*src="https?:', text), f"{name} loads something from elsewhere"
-        assert not re.search("flowchart|sequenceDiagram|<pre class=.mermaid", text), name
+    pages = set(site.rglob("*.html")) - {site / "play.html", site / "404.html"}
+    with new_page(chromium, width=phone_width) as browser:
+        for path in sorted(pages):
+            browser.goto(path.as_uri(), wait_until="domcontentloaded")
+            assert max(browser.evaluate(widths)) <= phone_width, path.stem
 
 
 @pytest.mark.slow
-def test_no_page_is_wider_than_a_phone(site: Path, chromium: Browser) -> None:
-    """Each row of a table stands by itself there, and each cell names its column."""
+def test_each_cell_of_a_table_names_its_column_on_a_phone(site: Path, chromium: Browser) -> None:
+    """There each row of a table stands by itself."""
     with new_page(chromium, width=390) as browser:
-        for path in sorted(set(site.rglob("*.html")) - {site / "play.html", site / "404.html"}):
-            browser.goto(path.as_uri(), wait_until="domcontentloaded")
-            wide = browser.evaluate(
-                "[document.documentElement, ...document.querySelectorAll('.md-typeset table:not([class]), "
-                ".md-typeset table:not([class]) td')].map((each) => each.scrollWidth).filter((w) => w > 390)"
-            )
-            assert wide == [], path.stem
         browser.goto((site / "advice.html").as_uri())
-        label = "getComputedStyle(document.querySelectorAll('td')[1], '::before').content"
-        assert "if yes" in browser.evaluate(label)
+        label_of_second_cell = "getComputedStyle(document.querySelectorAll('td')[1], '::before').content"
+        assert "if yes" in browser.evaluate(label_of_second_cell)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("page", "words", "found"), [("index", "liars", "threats"), ("api/world", "figure", "reproduce")]
 )
-def test_the_search_works_in_files_and_ranks_guides_first(
+def test_the_search_of_the_built_docs_works_without_a_server_and_shows_guides_first(
     page: str, words: str, found: str, site: Path, chromium: Browser
 ) -> None:
+    """Before pages of the Python API. ``words`` are searched on a page, and have to lead to another one."""
     links = "[...document.querySelectorAll('.md-search-result__link')].map((link) => link.href)"
     with new_page(chromium) as browser:
         browser.goto((site / f"{page}.html").as_uri())
+        # The search begins when a key is pressed.
         browser.locator(".md-search__input").fill(words[:-1])
         browser.locator(".md-search__input").press_sequentially(words[-1])
         until(browser, f"{links}.some((address) => address.includes('/{found}.html'))")
-        assert not any("/api/" in address for address in browser.evaluate(links)[:3])
+
+        first_addresses = browser.evaluate(links)[:3]
+
+    assert not any("/api/" in address for address in first_addresses)
 
 
 def test_links_of_the_readme_lead_somewhere() -> None:
@@ -310,25 +389,41 @@ def test_links_of_the_readme_lead_somewhere() -> None:
         assert (ROOT / name).exists(), name
 
 
-@pytest.mark.parametrize("source", ["copied", "written"])
-def test_the_c_program_of_the_readme_runs(source: str, tmp_path: Path) -> None:
-    """In an empty folder, by the commands that the README prints, and with files copied by hand."""
-    readme, flags = ROOT / "README.md", "-pedantic-errors -Wall -Wextra -Werror"
-    (code,) = blocks(readme, "c")
-    (tmp_path / "robot.c").write_text(code)
-    write, build, start = block_with(readme, "robot.c", "sh").splitlines()
-    if source == "copied":
-        shutil.copytree(ROOT / "c_ref/src", tmp_path / "vendor/mcp_asdf")
-        shutil.copy(TABLE, tmp_path / "vendor/mcp_asdf")
-        write, build = ":", build.replace("-std=c99", f"-std=c99 {flags}")
-    printed = run("sh", "-ec", f"{write} >/dev/null\n{build}\n{start}", cwd=tmp_path)
-    assert printed == block_with(readme, "share of black 0.685", "text")
-    x = (2 / 3 + 0.95 - 1) / (2 * 0.95 - 1)
-    assert f"{x:.3f}" in printed
+README = ROOT / "README.md"
+README_OUTPUT = block_with(README, "share of black 0.685", "text")
+
+
+def test_the_commands_of_the_readme_build_and_run_its_c_program_in_an_empty_folder(tmp_path: Path) -> None:
+    [program] = blocks(README, "c")
+    (tmp_path / "robot.c").write_text(program)
+    get_firmware, build, start = block_with(README, "robot.c", "sh").splitlines()
+
+    printed = run("sh", "-ec", f"{get_firmware} >/dev/null\n{build}\n{start}", cwd=tmp_path)
+
+    assert printed == README_OUTPUT
+
+
+def test_the_c_program_of_the_readme_builds_with_firmware_that_was_copied_by_hand(tmp_path: Path) -> None:
+    """Without a warning."""
+    [program] = blocks(README, "c")
+    (tmp_path / "robot.c").write_text(program)
+    shutil.copytree(ROOT / "c_ref/src", tmp_path / "vendor/mcp_asdf")
+    shutil.copy(TABLE, tmp_path / "vendor/mcp_asdf")
+    _get_firmware, build, start = block_with(README, "robot.c", "sh").splitlines()
+    assert "-std=c99" in build
+    build = build.replace("-std=c99", "-std=c99 -pedantic-errors -Wall -Wextra -Werror")
+
+    assert run("sh", "-ec", f"{build}\n{start}", cwd=tmp_path) == README_OUTPUT
+
+
+def test_the_output_in_the_readme_is_what_the_paper_s_equation_gives() -> None:
+    """Two of three tiles were black, and the sensor is right in 0.95."""
+    share_of_black = (2 / 3 + 0.95 - 1) / (2 * 0.95 - 1)
+    assert f"{share_of_black:.3f}" in README_OUTPUT
 
 
 @pytest.mark.parametrize("page", CASES[1:])
-def test_python_programs_of_the_page_run(page: Path, tmp_path: Path) -> None:
+def test_the_python_programs_of_a_page_run(page: Path, tmp_path: Path) -> None:
     """One after the other in one process, which loads libraries once, but each in a module of its own."""
     programs = [] if page.name in PROGRAMS_RUN_ELSEWHERE else blocks(page, "python")
     script = f'for code in {programs!r}: exec(compile(code, "example", "exec"), {{"__name__": "__main__"}})'
@@ -336,16 +431,26 @@ def test_python_programs_of_the_page_run(page: Path, tmp_path: Path) -> None:
         run(sys.executable, "-c", script, cwd=tmp_path)
 
 
+def code_cells_of_notebook() -> list[dict[str, Any]]:
+    """Return the cells of the docs' notebook that have code, each with its outputs."""
+    notebook = json.loads((ROOT / "docs/notebook.ipynb").read_text(encoding="utf-8"))
+    return [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+
+
 @pytest.mark.slow
 def test_the_notebook_prints_what_it_shows(tmp_path: Path) -> None:
-    """Its pictures are there, too."""
-    notebook = json.loads((ROOT / "docs/notebook.ipynb").read_text(encoding="utf-8"))
-    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    outputs = [output for cell in cells for output in cell["outputs"]]
-    shown = "".join("".join(output["text"]) for output in outputs if output["output_type"] == "stream")
-    assert (
-        run(sys.executable, "-c", "\n".join("".join(cell["source"]) for cell in cells), cwd=tmp_path) == shown
-    )
+    shown, program = "", ""
+    for cell in code_cells_of_notebook():
+        program += "".join(cell["source"]) + "\n"
+        for output in cell["outputs"]:
+            if output["output_type"] == "stream":
+                shown += "".join(output["text"])
+
+    assert run(sys.executable, "-c", program, cwd=tmp_path) == shown
+
+
+def test_the_notebook_has_a_picture() -> None:
+    outputs = [output for cell in code_cells_of_notebook() for output in cell["outputs"]]
     assert any("image/png" in output.get("data", {}) for output in outputs)
 
 
@@ -355,31 +460,52 @@ def test_the_example_of_the_python_api_prints_what_it_shows() -> None:
     assert run(sys.executable, "-c", code) == block_with(page, "tick 1000", "text")
 
 
-def test_the_readme_and_the_advice_say_how_much_it_helps_as_the_page_does() -> None:
-    """The page's figures are those of its program; the others round them no further."""
-    experiments = ROOT / "docs/experiments.md"
-    readme, advice, page = (
-        " ".join(path.read_text(encoding="utf-8").split())
-        for path in (ROOT / "README.md", ROOT / "docs/advice.md", experiments)
-    )
-    assert "trials=200" in page
-    for text, folder in ((readme, "docs/"), (advice, "")):
-        assert f"]({folder}experiments.md#how-much-it-helps)" in text
-    lines = block_with(experiments, "6 flawed, none:", "text").splitlines()
-    figures = [[float(number) for number in re.findall(r"\d+\.\d*", line)] for line in lines]
-    none, minus, robust, _, half_minus, _ = figures
-    error = "the error is {:.3f} without a filter, {:.3f} with ASDF-, and {:.3f} with the robust filter"
-    assert error.format(none[1], minus[1], robust[1]) in readme
-    assert f"it makes the error at the end {half_minus[4]} times smaller" in advice
-    (harmed,) = re.findall(r"larger in (\d+)%", lines[-1])
-    assert f"of 200 worlds like it, the error is larger than without a filter in {harmed} %" in readme
-    assert f"The robust filter makes it larger in [{harmed} % of these worlds]" in advice
+def words_of(page: str) -> str:
+    """Return a page as one line, however its own lines are broken."""
+    return " ".join((ROOT / page).read_text(encoding="utf-8").split())
 
 
-def test_all_state_the_same_time_for_the_tests() -> None:
-    """The README, the guide for contributors and the help of make."""
-    texts = (
-        (ROOT / name).read_text(encoding="utf-8")
-        for name in ("README.md", ".github/CONTRIBUTING.md", "Makefile")
-    )
-    assert [re.findall(r"(\d+) minutes once set up", text) for text in texts] == [["2"]] * 3
+def figures_of_how_much_it_helps() -> list[list[float]]:
+    """Return the numbers in each line of what a program of docs/experiments.md prints; a test compares that.
+
+    The lines are about: no filter, ASDF-, the robust filter; a line more for each, with half of them flawed.
+    """
+    lines = block_with(ROOT / "docs/experiments.md", "6 flawed, none:", "text").splitlines()
+    return [[float(number) for number in re.findall(r"\d+\.\d*", line)] for line in lines]
+
+
+def test_the_readme_states_the_errors_that_a_program_of_the_docs_prints() -> None:
+    (_, none, *_), (_, minus, *_), (_, robust, *_), *_ = figures_of_how_much_it_helps()
+    assert (
+        f"the error is {none:.3f} without a filter, {minus:.3f} with ASDF-, and {robust:.3f} with the robust "
+        "filter"
+    ) in words_of("README.md")
+
+
+def test_the_advice_states_how_many_times_smaller_the_error_is_as_a_program_of_the_docs_prints_it() -> None:
+    """With ASDF-, where half of the robots are flawed."""
+    *_, half_minus, _half_robust = figures_of_how_much_it_helps()
+    assert f"it makes the error at the end {half_minus[4]} times smaller" in words_of("docs/advice.md")
+
+
+def test_the_readme_and_the_advice_state_how_often_the_robust_filter_harms() -> None:
+    """As the last line that a program of docs/experiments.md prints; it runs 200 trials."""
+    assert "trials=200" in words_of("docs/experiments.md")
+    *_, last_line = block_with(ROOT / "docs/experiments.md", "6 flawed, none:", "text").splitlines()
+    [harmed] = re.findall(r"larger in (\d+)%", last_line)
+
+    in_readme = f"of 200 worlds like it, the error is larger than without a filter in {harmed} %"
+    assert in_readme in words_of("README.md")
+    in_advice = f"The robust filter makes it larger in [{harmed} % of these worlds]"
+    assert in_advice in words_of("docs/advice.md")
+
+
+def test_the_readme_and_the_advice_lead_to_the_page_with_their_figures() -> None:
+    assert "](docs/experiments.md#how-much-it-helps)" in words_of("README.md")
+    assert "](experiments.md#how-much-it-helps)" in words_of("docs/advice.md")
+
+
+@pytest.mark.parametrize("page", ["README.md", ".github/CONTRIBUTING.md", "Makefile"])
+def test_all_state_the_same_time_for_the_tests(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert re.findall(r"(\d+) minutes once set up", text) == ["2"]

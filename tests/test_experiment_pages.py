@@ -9,11 +9,12 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from support import FENCED, PATH, ROOT, block_with, run
+from support import FENCED, PATH, ROOT, block_with, names_in, run
 
 TUTORIAL, GUIDE, REPRODUCE = (
     ROOT / f"docs/{name}.md" for name in ("experiment_tutorial", "experiments", "reproduce")
@@ -65,25 +66,33 @@ def assert_shown(printed: str, shown: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_tutorial_prints_what_it_shows(tmp_path: Path) -> None:
-    assert follow(TUTORIAL, tmp_path) == 3
-    assert {"one_trial.png", "comparison.png", "question.png"} <= {path.name for path in tmp_path.iterdir()}
+def test_the_tutorial_of_an_experiment_prints_what_it_shows_and_draws_its_pictures(tmp_path: Path) -> None:
+    outputs_compared = follow(TUTORIAL, tmp_path)
+
+    assert outputs_compared == 3
+    assert {"one_trial.png", "comparison.png", "question.png"} <= set(names_in(tmp_path))
 
 
 @pytest.mark.slow
-def test_the_guide_prints_what_it_shows_with_a_filter_of_the_readers(tmp_path: Path) -> None:
+def test_the_guide_of_experiments_prints_what_it_shows_with_a_filter_of_the_reader_s(tmp_path: Path) -> None:
+    """And draws the reader's filter, beta, beside the paper's; the second command below uses it, too.
+
+    Without trials to spare that gets no farther, but it has understood the page's options.
+    """
     pytest.importorskip("hatchling", reason="hatchling is not installed: make setup")
-    assert follow(GUIDE, tmp_path) == 6
-    assert (tmp_path / "beside.png").exists(), "the reader's filter beside the paper's"
-    figures = {path.name for path in (tmp_path / "mine/figures").iterdir()}
-    assert figures == {"physical_asdf-plus.png", "physical_scatter.png", "physical_scatter_beta.png"}
-    # Without trials to spare the command gets no farther, but it has understood the page's options.
+
+    outputs_compared = follow(GUIDE, tmp_path)
+
+    assert outputs_compared == 6
+    assert (tmp_path / "beside.png").exists()
+    figures = {"physical_asdf-plus.png", "physical_scatter.png", "physical_scatter_beta.png"}
+    assert set(names_in(tmp_path / "mine/figures")) == figures
+
     [command] = [line for line in commands(REPRODUCE) if "beta" in line]
-    environment = {"PATH": PATH, **ENVIRONMENT}
     done = subprocess.run(
         [*shlex.split(command), "--trials", "1"],
         cwd=tmp_path,
-        env=environment,
+        env={"PATH": PATH, **ENVIRONMENT},
         capture_output=True,
         text=True,
         check=False,
@@ -103,45 +112,67 @@ def commands(page: Path) -> list[str]:
     ]
 
 
-def pictures_and_commands() -> dict[str, tuple[str, list[str]]]:
-    """Return the command and the pictures of each row of the page's table, by the paper's figures."""
-    rows = re.findall(r"^\| ([^|]+) \| `([^`]+)` \| ([^|]+) \|", REPRODUCE.read_text("utf-8"), re.MULTILINE)
-    return {figures: (command, re.findall(r"`([^`]+)`", pictures)) for figures, command, pictures in rows}
+@dataclass(frozen=True)
+class PaperFigures:
+    """A row of the page's table: a command, and the pictures that it makes like figures of the paper."""
+
+    command: str
+    pictures: set[str]
 
 
-def test_the_table_has_a_row_for_each_figure_of_the_paper() -> None:
-    rows = pictures_and_commands()
-    assert set(rows) == {"3", "4", "5", "6", "8", "all"}
-    assert {command.split()[1] for command, _ in rows.values()} == {"reproduce"}
+def paper_figures() -> dict[str, PaperFigures]:
+    """Return the rows of the page's table, by the number of the paper's figure or "all"."""
+    page = REPRODUCE.read_text("utf-8")
+    rows = re.findall(r"^\| ([^|]+) \| `([^`]+)` \| ([^|]+) \|", page, re.MULTILINE)
+    return {
+        figures: PaperFigures(command, set(re.findall(r"`([^`]+)`", pictures)))
+        for figures, command, pictures in rows
+    }
+
+
+def test_the_table_of_commands_has_a_row_for_each_figure_of_the_paper() -> None:
+    assert set(paper_figures()) == {"3", "4", "5", "6", "8", "all"}
+
+
+def test_the_table_of_commands_for_figures_has_only_commands_that_reproduce() -> None:
+    for row in paper_figures().values():
+        assert row.command.startswith("mcp-asdf reproduce")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("figures", ["5", "8"])
-def test_a_command_of_the_table_makes_the_pictures_of_the_paper(figures: str, tmp_path: Path) -> None:
-    """The parts of figure 5 are those of figures 3, 4 and 6, too."""
-    command, pictures = pictures_and_commands()[figures]
+@pytest.mark.parametrize("figures", [("3", "4", "5", "6"), ("8",)])
+def test_a_command_of_the_table_makes_the_pictures_of_the_paper(
+    figures: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Of all that come from the same trials: the command for figure 5 also makes those of 3, 4 and 6."""
+    rows = paper_figures()
+    command = rows["5" if "5" in figures else "8"].command
+
     run(*shlex.split(command), *SHORT, cwd=tmp_path, **ENVIRONMENT)
-    folder = tmp_path / "reproduction/figures"
-    expected = set(pictures)
-    if figures == "5":
-        for others in ("3", "4", "6"):
-            expected |= set(pictures_and_commands()[others][1])
-    assert expected <= {path.name for path in folder.iterdir()}
+
+    pictures = set[str]().union(*(rows[figure].pictures for figure in figures))
+    assert pictures <= set(names_in(tmp_path / "reproduction/figures"))
 
 
 @pytest.mark.slow
 def test_the_quick_study_prints_what_the_page_shows(tmp_path: Path) -> None:
-    [(command, shown)] = re.findall(
-        r"^```sh\n(.*)\n```\n\n```text\n(.*?)^```$", REPRODUCE.read_text("utf-8"), re.MULTILINE | re.DOTALL
-    )[:1]
-    assert_shown(run(*shlex.split(command), cwd=tmp_path, **ENVIRONMENT), shown)
+    """The command and its output are the first blocks of their kind on the page."""
+    page = REPRODUCE.read_text("utf-8")
+    pairs = re.findall(r"^```sh\n(.*)\n```\n\n```text\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    command, shown = pairs[0]
+
+    printed = run(*shlex.split(command), cwd=tmp_path, **ENVIRONMENT)
+
+    assert_shown(printed, shown)
 
 
 @pytest.mark.slow
 def test_the_robust_filter_is_drawn_into_figure_5(tmp_path: Path) -> None:
     [command] = [line for line in commands(REPRODUCE) if "--filter robust" in line]
+
     printed = run(*shlex.split(command), *SHORT, cwd=tmp_path, **ENVIRONMENT)
+
     shown = block_with(REPRODUCE, "--filter robust", "text").removesuffix("\n...\n")
     assert_shown(printed, f"{shown} {' '.join(SHORT)}\n")
-    names = {path.name for path in (tmp_path / "mine/figures").iterdir()}
-    assert {"topologies_asdf-minus.png", "dynamic_scatter_robust.png"} <= names
+    pictures = {"topologies_asdf-minus.png", "dynamic_scatter_robust.png"}
+    assert pictures <= set(names_in(tmp_path / "mine/figures"))

@@ -15,7 +15,7 @@ import pytest
 
 import test_tutorials
 from mcp_asdf_tools.common.extras import install_instruction
-from support import HIDING, ROOT, block_with, blocks, require, run
+from support import HIDING, ROOT, block_with, blocks, names_in, require, run
 
 README = ROOT / "README.md"
 EXPERIMENT_TUTORIAL, INSTALLING = ROOT / "docs/experiment_tutorial.md", ROOT / "docs/installing.md"
@@ -79,13 +79,21 @@ def test_the_first_command_of_the_page_runs(newcomer: Newcomer) -> None:
 
 
 @pytest.mark.slow
-def test_the_first_programs_print_what_the_pages_show(newcomer: Newcomer) -> None:
+def test_the_c_program_of_the_readme_prints_what_it_shows_in_a_new_environment(newcomer: Newcomer) -> None:
     (newcomer.folder / "robot.c").write_text(blocks(README, "c")[0])
+
     printed = newcomer.enter(block_with(README, "robot.c", "sh"))
+
     assert printed.endswith(block_with(README, "share of black 0.685", "text"))
-    api = ROOT / "docs/api.md"
-    printed = newcomer.run_python(block_with(api, "random.seed", "python"))
-    assert printed == block_with(api, "tick 1000", "text")
+
+
+@pytest.mark.slow
+def test_the_first_program_of_the_python_api_prints_what_it_shows_in_a_new_environment(
+    newcomer: Newcomer,
+) -> None:
+    page = ROOT / "docs/api.md"
+    printed = newcomer.run_python(block_with(page, "random.seed", "python"))
+    assert printed == block_with(page, "tick 1000", "text")
 
 
 @pytest.mark.slow
@@ -96,22 +104,46 @@ def test_the_robot_of_the_tutorial_needs_no_extra(
     assert test_tutorials.build_first_robot(newcomer.folder).endswith("share of black 1.000\n")
 
 
+@pytest.fixture
+def experiment_programs(newcomer: Newcomer) -> list[str]:
+    """The programs of the experiment's tutorial, which are in the newcomer's folder as files, too."""
+    programs = blocks(EXPERIMENT_TUTORIAL, "python")
+    for program in programs:
+        name = program.split("\n", 1)[0].removeprefix("# ")
+        (newcomer.folder / name).write_text(program)
+    return programs
+
+
+def extra_of_experiment_tutorial() -> str:
+    """Return the extra that the page says one needs."""
+    page = EXPERIMENT_TUTORIAL.read_text(encoding="utf-8")
+    [extra] = re.findall(r"with the extra `(\w+)`", page)
+    return str(extra)
+
+
 @pytest.mark.slow
+def test_the_experiment_of_the_tutorial_says_which_extra_it_lacks(
+    newcomer: Newcomer, experiment_programs: list[str]
+) -> None:
+    printed = newcomer.run_python(experiment_programs[0], "2>&1 || echo exit code $?")
+
+    *_, message, exit_code = printed.splitlines()
+    assert message.endswith(install_instruction(extra_of_experiment_tutorial())), "as the page says"
+    assert exit_code == "exit code 1"
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("experiment_programs")
 def test_the_experiment_of_the_tutorial_runs_with_the_extra_that_it_names(
     newcomer: Newcomer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    programs = blocks(EXPERIMENT_TUTORIAL, "python")
-    for program in programs:
-        (newcomer.folder / program.split("\n", 1)[0].removeprefix("# ")).write_text(program)
-    [extra] = re.findall(r"with the extra `(\w+)`", EXPERIMENT_TUTORIAL.read_text(encoding="utf-8"))
-    printed = newcomer.run_python(programs[0], "2>&1 || echo exit code $?").splitlines()
-    assert printed[-1] == "exit code 1"
-    assert printed[-2].endswith(install_instruction(extra)), "as the page says"
+    """So does ``mcp-asdf view`` with its results."""
+    monkeypatch.setenv("EXTRAS", extra_of_experiment_tutorial())
 
-    monkeypatch.setenv("EXTRAS", extra)
     newcomer.enter(*blocks(EXPERIMENT_TUTORIAL, "sh"))
     newcomer.enter(
         "mcp-asdf view question.parquet --where density=0.5 --where filter=none --export page.html"
     )
+
     pictures_and_page = {"one_trial.png", "comparison.png", "question.png", "page.html"}
-    assert pictures_and_page <= {path.name for path in newcomer.folder.iterdir()}
+    assert pictures_and_page <= set(names_in(newcomer.folder))

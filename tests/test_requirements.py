@@ -46,35 +46,49 @@ def proofs_that_are_run() -> set[str]:
     return places
 
 
-def test_every_proof_that_is_named_is_run() -> None:
-    _, trace = read_project()
-    named_proofs = {place for places in trace.values() for place in places if place.startswith("proofs/")}
+def test_every_proof_that_is_named_beside_a_statement_is_run() -> None:
+    """By the tests that prove all claims and contracts, or by one of its own."""
+    _, tests_by_statement = read_project()
+    named = {place for places in tests_by_statement.values() for place in places}
+    named_proofs = {place for place in named if place.startswith("proofs/")}
     assert len(named_proofs) > 20
+
     tests = {place for place in named_proofs if ": test_" in place}
-    proved_by_tests_of_their_own = {"proofs/calls.py: of_a_message", "proofs/images.py: of_the_way_back"}
-    assert named_proofs - proofs_that_are_run() - tests == proved_by_tests_of_their_own
+    run_by_themselves = {"proofs/calls.py: of_a_message", "proofs/images.py: of_the_way_back"}
+
+    assert named_proofs - proofs_that_are_run() - tests == run_by_themselves
 
 
 # --- How statements and tests are found ------------------------------------------------------------------
 
 PAGE = "## 1. Calls\n\nIt counts.<sup>R1</sup> It\nstops.<sup>R2</sup>\n\n1. It halves.<sup>R3</sup>\n"
 STATEMENTS = {"R1": "It counts.", "R2": "It stops.", "R3": "It halves."}
-TRACE = {"R1": ["a.py: test_it"], "R4": ["a.py: test_it"], "R2": ["a.py: no test"]}
 
 
 def test_a_statement_begins_after_a_paragraph_an_item_or_a_number() -> None:
     assert find_statements(PAGE) == STATEMENTS
 
 
-def test_a_test_shows_the_statements_of_the_comment_above_it(tmp_path: Path) -> None:
+def test_a_test_belongs_to_the_statements_whose_numbers_stand_in_the_comment_above_it(tmp_path: Path) -> None:
+    """Statements have numbers, R1 and so on. A comment without a test below it is in the result, too."""
     comment = "# " + "design:"  # in one piece, it would be a comment of this file
-    path = tmp_path / "a.py"
-    path.write_text(f"{comment} R1, R4\n@mark\ndef test_it() -> None:\n    pass\n\n\n{comment} R2\nA = 1\n")
-    assert trace_files([path], folder=tmp_path) == TRACE
+    (tmp_path / "a.py").write_text(
+        f"{comment} R1, R4\n@mark\ndef test_it() -> None:\n    pass\n\n\n{comment} R2\nA = 1\n"
+    )
+
+    tests_by_statement = trace_files([tmp_path / "a.py"], folder=tmp_path)
+
+    assert tests_by_statement == {
+        "R1": ["a.py: test_it"],
+        "R4": ["a.py: test_it"],
+        "R2": ["a.py: no test"],
+    }
 
 
 def test_statements_without_tests_and_tests_without_statements_are_problems() -> None:
-    assert find_problems(STATEMENTS, TRACE) == [
+    tests_by_statement = {"R1": ["a.py: test_it"], "R4": ["a.py: test_it"], "R2": ["a.py: no test"]}
+
+    assert find_problems(STATEMENTS, tests_by_statement) == [
         "R3 has no test: It halves.",
         "a.py: no test",
         "a.py: test_it names R4, which is none",

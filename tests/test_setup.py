@@ -7,6 +7,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -42,18 +43,24 @@ def program(path: Path, text: str) -> None:
     path.chmod(0o755)
 
 
-def history(clone: Path, purpose: str, status: int = 0) -> list[str]:
-    """Run the set-up; returns what it says and which programs it calls, in order."""
+FAILURE = 1
+
+
+def history(clone: Path, purpose: str, exit_code: int = 0) -> list[str]:
+    """Run the set-up, which has to end with this exit code.
+
+    Returns the lines that it prints and those of the programs that it calls, which write down their words.
+    """
     calls = clone / "calls"
     calls.unlink(missing_ok=True)
     path = f"{clone / 'bin'}:/usr/bin:/bin"
-    set_up = f'.ci/setup {purpose} >>"$CALLS" 2>&1 || [ $? = {status} ]'
+    set_up = f'.ci/setup {purpose} >>"$CALLS" 2>&1 || [ $? = {exit_code} ]'
     run("sh", "-c", set_up, cwd=clone, PATH=path, CALLS=str(calls))
     return calls.read_text().splitlines()
 
 
 def set_up(clone: Path, purpose: str) -> list[list[str]]:
-    """Run the set-up; returns the calls of Python that make environments and install packages."""
+    """Run the set-up, and return the words of Python's calls that make environments and install packages."""
     words = [shlex.split(line) for line in history(clone, purpose) if not line.startswith("setup: ")]
     return [call for call in words if "-m" in call and "--version" not in call]
 
@@ -61,49 +68,92 @@ def set_up(clone: Path, purpose: str) -> list[list[str]]:
 def test_an_environment_that_lacks_pip_is_made_again(clone: Path) -> None:
     """Ctrl-C while the environment is made leaves one whose Python is there and whose pip is not."""
     program(clone / ".venv/bin/python", WITHOUT_PIP)
-    made, *installed = set_up(clone, "run")
-    assert made[1:] == ["-m", "venv", "--clear", ".venv"]
-    assert all("install" in call for call in installed) and len(installed) == 2
+
+    making, *installations = set_up(clone, "run")
+
+    _python, *words = making
+    assert words == ["-m", "venv", "--clear", ".venv"]
+    assert len(installations) == 2
+    assert all("install" in call for call in installations)
     assert (clone / ".venv/ready-to-run").exists()
-    assert set_up(clone, "run") == installed, "what has pip is kept"
+
+
+def test_an_environment_that_has_pip_is_kept(clone: Path) -> None:
+    """Only packages are installed into it again."""
+    making, *installations = set_up(clone, "run")
+    assert "venv" in making
+
+    assert set_up(clone, "run") == installations
 
 
 @pytest.mark.slow
-def test_without_root_it_names_what_is_missing_and_goes_on(clone: Path) -> None:
+def test_a_set_up_without_root_names_the_packages_that_are_missing_and_goes_on(clone: Path) -> None:
+    """It does not call apt-get, which would ask for a password. avr-gcc, which fails here, is missing."""
     program(clone / "bin/avr-gcc", "#!/bin/sh\nexit 1\n")
     program(clone / "bin/apt-get", '#!/bin/sh\necho "apt-get $*" >>"$CALLS"\n')
-    done = history(clone, "test")
-    told = next(line for line in done if line.startswith("setup: "))
-    assert "apt-get install" in told and "gcc-avr avr-libc" in told
-    assert not any(line.startswith("apt-get") for line in done)
+
+    lines = history(clone, "test")
+
+    message = next(line for line in lines if line.startswith("setup: "))
+    assert "apt-get install" in message
+    assert "gcc-avr avr-libc" in message
+    assert not any(line.startswith("apt-get") for line in lines)
     assert (clone / ".venv/ready-to-test").exists()
 
 
 @pytest.mark.slow
-def test_without_the_index_of_packages_it_says_so_in_one_line(clone: Path) -> None:
-    """pip's own message where nothing answers."""
+def test_a_set_up_without_a_network_says_so_in_one_line(clone: Path) -> None:
+    """Nothing answers pip, whose own message, many lines, is not shown."""
     nowhere = "-qq --isolated --retries 1 --index-url http://127.0.0.1:1/simple mcp-asdf-of-nowhere"
-    asks = f'[ "$5" != install ] || exec {shlex.quote(sys.executable)} -m pip download {nowhere}\n'
-    program(clone / ".venv/bin/python", f"#!/bin/sh\n{asks}")
-    said = history(clone, "run", status=1)
-    assert said[-1].startswith("setup: no connection to the index of Python packages; connect to the network")
-    assert "installing the Python packages" in said[-2], "and nothing of pip's"
+    pip_without_network = (
+        f'[ "$5" != install ] || exec {shlex.quote(sys.executable)} -m pip download {nowhere}\n'
+    )
+    program(clone / ".venv/bin/python", f"#!/bin/sh\n{pip_without_network}")
+
+    *_, line_before, last_line = history(clone, "run", exit_code=FAILURE)
+
+    assert last_line.startswith(
+        "setup: no connection to the index of Python packages; connect to the network"
+    )
+    assert "installing the Python packages" in line_before
     assert not (clone / ".venv/ready-to-run").exists()
 
 
+def without_quiet_options(call: list[str]) -> list[str]:
+    """Return a call of pip without what says how much it prints, and Python by its name alone."""
+    python, *words = call
+    return [
+        Path(python).name,
+        *(word for word in words if word not in ("-qq", "--disable-pip-version-check")),
+    ]
+
+
 @pytest.mark.slow
-def test_the_set_up_by_hand_is_the_same(clone: Path) -> None:
-    """The page's commands are what made the environment of these tests; only how much pip says may differ."""
-    (block,) = (block for block in blocks(PAGE, "sh") if "venv" in block)
-    shown = [shlex.split(line) for line in block.splitlines()]
-    quiet = {"-qq", "--disable-pip-version-check"}
-    done = [[word for word in call if word not in quiet] for call in set_up(clone, "test")]
-    assert [call[1:] for call in shown] == [call[1:] for call in done]
-    assert [Path(call[0]).name for call in shown] == [Path(call[0]).name for call in done]
+def test_the_set_up_by_hand_that_contributing_shows_calls_the_same_programs(clone: Path) -> None:
+    """The page's commands are those that the script runs, also for the environment of these tests."""
+    [block] = [block for block in blocks(PAGE, "sh") if "venv" in block]
+    calls_by_hand = [shlex.split(line) for line in block.splitlines()]
+
+    calls_of_script = set_up(clone, "test")
+
+    assert [without_quiet_options(call) for call in calls_of_script] == [
+        [Path(python).name, *words] for python, *words in calls_by_hand
+    ]
 
 
-def make_newest(folder: Path, available: str) -> tuple[int, list[str]]:
-    """Run ``.ci/newest`` with a stand-in for uv that has one Python; returns exit code and output."""
+@dataclass(frozen=True)
+class Newest:
+    """How ``.ci/newest`` ended, which takes the newest Python that can be had: exit code and output."""
+
+    exit_code: int
+    lines: list[str]
+
+
+def make_newest(folder: Path, available: str) -> Newest:
+    """Run ``.ci/newest`` for a project that supports Python 3.9 to 3.11, where uv has one version alone.
+
+    A stand-in takes the place of uv.
+    """
     (folder / ".ci").mkdir()
     shutil.copy(ROOT / ".ci/newest", folder / ".ci/newest")
     (folder / "pyproject.toml").write_text(
@@ -117,15 +167,18 @@ def make_newest(folder: Path, available: str) -> tuple[int, list[str]]:
         text=True,
         check=False,
     )
-    return done.returncode, done.stdout.splitlines()
+    return Newest(done.returncode, done.stdout.splitlines())
 
 
 def test_the_newest_python_that_can_be_had_is_taken_and_others_are_named(tmp_path: Path) -> None:
-    status, lines = make_newest(tmp_path, available="3.10")
-    assert status == 0
-    assert lines == ["newest: Python 3.11 cannot be had here", "newest: Python 3.10"]
+    newest = make_newest(tmp_path, available="3.10")
+
+    assert newest.exit_code == 0
+    assert newest.lines == ["newest: Python 3.11 cannot be had here", "newest: Python 3.10"]
 
 
-def test_without_any_python_the_run_with_the_newest_fails(tmp_path: Path) -> None:
-    status, lines = make_newest(tmp_path, available="2.7")
-    assert status == 1 and len(lines) == 3
+def test_where_no_supported_python_can_be_had_the_run_with_the_newest_fails(tmp_path: Path) -> None:
+    newest = make_newest(tmp_path, available="2.7")
+
+    assert newest.exit_code == 1
+    assert len(newest.lines) == 3, "one for each that cannot be had"

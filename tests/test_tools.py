@@ -158,8 +158,8 @@ def test_python_is_formatted() -> None:
     run(require("ruff"), "format", "--diff")
 
 
-def test_types_are_right() -> None:
-    """The project's, and those of the programs on its pages, as their readers' mypy sees them."""
+def test_mypy_finds_no_wrong_type_in_the_project_and_in_the_programs_of_its_pages() -> None:
+    """Readers who check types find nothing wrong in them either."""
     folder = ROOT / "build/programs"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -167,20 +167,18 @@ def test_types_are_right() -> None:
         for number, code in enumerate(blocks(page, "python")):
             (folder / f"{page.stem}_{number}.py").write_text(code, encoding="utf-8")
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]
+
     run(require("mypy"), *settings["files"], folder)
 
 
-def test_the_page_is_formatted_and_biome_finds_nothing() -> None:
-    run(
-        require("biome"),
-        "check",
-        "--config-path=.ci",
-        "--error-on-warnings",
+def test_biome_finds_nothing_in_the_javascript_and_it_is_formatted() -> None:
+    folders = [
         "host_tools/mcp_asdf_tools/view/page",
         "docs/playground",
         "docs/javascripts",
         "tests/host_tools/view/scripts",
-    )
+    ]
+    run(require("biome"), "check", "--config-path=.ci", "--error-on-warnings", *folders)
 
 
 def test_c_is_formatted() -> None:

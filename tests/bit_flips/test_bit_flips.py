@@ -64,7 +64,7 @@ def test_no_flip_keeps_x_wrong_in_silence(filter_kind: Filter) -> None:
 
 
 def check_that_every_flip_is_found_in_time(counts_by_member: dict[str, Member], prefix: str) -> None:
-    """Check it of the members of a robot's memory whose names begin so: before x is wrong, that is."""
+    """Check members of a robot's memory whose names begin so: found before x is off by more than 1 %."""
     members = {name: member for name, member in counts_by_member.items() if name.startswith(prefix)}
     assert len(members) > 0
     for name, member in members.items():

@@ -40,13 +40,15 @@ def listed_texts() -> dict[str, str]:
     texts = dict[str, str]()
     for name in run("git", "ls-files", "-z", "--", ":!tests").split("\0"):
         path = ROOT / name
-        if path.is_file() and b"\0" not in (content := path.read_bytes()):
-            texts[name] = content.decode("utf-8")
+        if path.is_file():
+            content = path.read_bytes()
+            if b"\0" not in content:
+                texts[name] = content.decode("utf-8")
     return texts
 
 
-def test_only_these_pages_have_the_command_that_installs() -> None:
-    """Messages take it from ``common/extras.py``; other pages lead to docs/installing.md."""
+def test_only_two_pages_have_the_command_that_installs_the_project() -> None:
+    """So it is changed in one place. Messages take it from a function, and other pages lead to these."""
     names = {name for name, text in listed_texts().items() if INSTALLS_PROJECT.search(text)}
     assert names - set(OTHER_MENTIONS) == PAGES_THAT_INSTALL
 
@@ -64,11 +66,17 @@ def test_each_form_of_the_command_is_recognised(text: str) -> None:
     assert INSTALLS_PROJECT.search(text)
 
 
-def test_the_table_of_extras_has_the_commands_of_the_messages() -> None:
-    shown = re.findall(r"^\| `(pip install [^`]+)` \|", INSTALLING.read_text(encoding="utf-8"), re.MULTILINE)
+def test_the_table_of_extras_has_the_commands_that_messages_give() -> None:
+    page = INSTALLING.read_text(encoding="utf-8")
     extras = PYPROJECT["project"]["optional-dependencies"]
-    assert shown == [install_command(), *(install_command(extra) for extra in extras)]
-    assert set(EXTRAS.values()) <= set(extras)
+
+    commands_in_table = re.findall(r"^\| `(pip install [^`]+)` \|", page, re.MULTILINE)
+
+    assert commands_in_table == [install_command(), *(install_command(extra) for extra in extras)]
+
+
+def test_messages_name_only_extras_that_there_are() -> None:
+    assert set(EXTRAS.values()) <= set(PYPROJECT["project"]["optional-dependencies"])
 
 
 def test_the_workflow_for_users_installs_as_the_messages_say() -> None:
@@ -95,9 +103,12 @@ def workflow_files() -> list[Path]:
 def test_workflows_pin_actions_and_containers_by_hash() -> None:
     """A tag can be moved to other code, a hash cannot. The tag stands beside it, for people."""
     pins = {path.name: pins_in(path) for path in workflow_files()}
-    assert len(pins["tests.yml"]) == 3 and len(pins["radio.md"]) == 4
-    unpinned = [(name, pin) for name in pins for pin in pins[name] if not PINNED_BY_HASH.fullmatch(pin)]
-    assert unpinned == []
+
+    assert len(pins["tests.yml"]) == 3, "all that are in it"
+    assert len(pins["radio.md"]) == 4
+    for name, pins_of_file in pins.items():
+        for pin in pins_of_file:
+            assert PINNED_BY_HASH.fullmatch(pin), f"{name}: {pin}"
 
 
 @pytest.mark.parametrize(
@@ -115,11 +126,14 @@ def test_what_is_pinned_by_a_tag_or_half_a_hash_is_refused(pin: str) -> None:
         ("distributed", lambda: connect_cluster("tcp://head:8786").__enter__(), "cluster"),
     ],
 )
-def test_what_cannot_be_loaded_says_how_to_install_it(
+def test_the_error_for_a_module_that_is_not_installed_says_how_to_install_it(
     module: str, call: Callable[[], object], extra: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """``call`` needs the module, which comes with an extra, or with the project itself if that is ""."""
     monkeypatch.setitem(sys.modules, module, None)  # importing it fails from here on
-    monkeypatch.delattr("mcp_asdf_tools.experiments.engine.native", raising=False)
+    monkeypatch.delattr("mcp_asdf_tools.experiments.engine.native", raising=False)  # what was imported before
+
     with pytest.raises(UsageError) as refusal:
         call()
+
     assert str(refusal.value).endswith(install_instruction(extra))

@@ -96,25 +96,30 @@ def package_files_in(wheel: Path) -> set[str]:
 
 
 def test_a_wheel_without_compiled_modules_has_every_file_that_git_lists(tmp_path: Path) -> None:
-    """To build it takes half a second, so that a file that a wheel would lack is missed in ``make test``."""
+    """A file that is missing would be missing for users. It takes half a second, so make test notices it."""
     code = """
 import sys
 from scikit_build_core.build import build_wheel
 build_wheel(sys.argv[1], {"wheel.cmake": "false"})
 """
+
     run(sys.executable, "-c", code, tmp_path)
-    (wheel,) = tmp_path.glob("*.whl")
+
+    [wheel] = tmp_path.glob("*.whl")
     assert package_files_in(wheel) == listed_package_files()
 
 
 @pytest.mark.slow
 def test_the_wheel_has_every_file_that_git_lists_of_the_packages(wheel: Path) -> None:
+    """And three compiled modules, and the firmware in C, which "mcp-asdf firmware" copies into projects."""
     files = package_files_in(wheel)
-    extensions = {name for name in files if name.endswith(".so")}
-    core = {"LICENSE", *(path.name for path in CORE.parent.iterdir())}
-    # The core is there as C, too, since "mcp-asdf firmware" copies it into projects.
-    assert files - extensions == listed_package_files() | {f"mcp_asdf/core/{name}" for name in core}
-    assert {name.partition(".")[0] for name in extensions} == {
+    compiled_modules = {name for name in files if name.endswith(".so")}
+    firmware = {
+        f"mcp_asdf/core/{name}" for name in ("LICENSE", *(path.name for path in CORE.parent.iterdir()))
+    }
+
+    assert files - compiled_modules == listed_package_files() | firmware
+    assert {name.partition(".")[0] for name in compiled_modules} == {
         "mcp_asdf/_native",
         "mcp_asdf_tools/experiments/_engine",
         "mcp_asdf_tools/world/_arena",
@@ -152,28 +157,39 @@ def test_every_package_that_is_imported_is_a_stated_dependency() -> None:
     """Otherwise only users would miss it, since the environment of the tests has many packages more."""
     third_party_modules = imported_modules() - sys.stdlib_module_names - {"mcp_asdf", "mcp_asdf_tools"}
     assert {"can", "numpy", "scipy", "serial"} <= third_party_modules
+
     dependencies = stated_dependencies()
     packages_by_module = metadata.packages_distributions()
-    undeclared_modules = [
-        module
-        for module in third_party_modules
-        if dependencies.isdisjoint(map(canonicalize_name, packages_by_module.get(module, [])))
-    ]
-    assert undeclared_modules == []
+
+    for module in third_party_modules:
+        packages = {canonicalize_name(package) for package in packages_by_module.get(module, [])}
+        assert packages & dependencies, f"no stated dependency has the module {module}"
+
+
+def test_the_commands_that_are_run_from_the_wheel_are_all() -> None:
+    program_lines = [line.split() for line in COMMANDS.splitlines()]
+    commands = {words[1] for words in program_lines}
+    assert commands - {"--version"} == set(cli.COMMANDS)
 
 
 @pytest.mark.slow
 def test_every_command_runs_from_the_wheel(environment: Path, tmp_path: Path) -> None:
-    lines = COMMANDS.splitlines()
-    assert {line.split()[1] for line in lines[1:]} == set(cli.COMMANDS)
+    """With the files that two of them need; then files that are no Python are there, too."""
     (tmp_path / "readings.csv").write_text("100,black\n800,white\n" * 10)
     write_trial(tmp_path / "authors_trial.json", FIXED, 0)
-    for line in lines:
+
+    for line in COMMANDS.splitlines():
         program, *words = shlex.split(line)
         run(environment / "bin" / program, *words, cwd=tmp_path, MPLBACKEND="Agg")
+
+
+@pytest.mark.slow
+def test_the_packages_are_imported_from_the_wheel_in_these_tests(environment: Path, tmp_path: Path) -> None:
+    """And not from the source, which would be complete in any case."""
     code = "import mcp_asdf, mcp_asdf_tools; print(mcp_asdf.__file__, mcp_asdf_tools.__file__, sep='\\n')"
-    imported = run(environment / "bin/python", "-c", code, cwd=tmp_path).splitlines()
-    assert all(Path(path).is_relative_to(environment) for path in imported)
+
+    for path in run(environment / "bin/python", "-c", code, cwd=tmp_path).splitlines():
+        assert Path(path).is_relative_to(environment)
 
 
 @pytest.mark.slow
@@ -185,13 +201,16 @@ def test_the_wheel_passes_the_commands_that_test_a_release(environment: Path, tm
 
 @pytest.mark.slow
 def test_the_source_archive_has_every_file_that_git_lists(tmp_path: Path) -> None:
-    """It is what pip builds from where there is no wheel, so it shows in a second what a wheel would lack."""
+    """pip builds from it where there is no wheel. It has one file more, which describes it."""
     code = "import sys; from scikit_build_core.build import build_sdist; build_sdist(sys.argv[1])"
+
     run(sys.executable, "-c", code, tmp_path)
-    (archive,) = tmp_path.glob("*.tar.gz")
+
+    [archive] = tmp_path.glob("*.tar.gz")
     with tarfile.open(archive) as opened:
-        names = {re.sub("^[^/]+/", "", member.name) for member in opened if member.isfile()}
-    assert names - {"PKG-INFO"} == listed_files()
+        paths = [member.name for member in opened if member.isfile()]
+    paths_without_first_folder = {path.partition("/")[2] for path in paths}
+    assert paths_without_first_folder - {"PKG-INFO"} == listed_files()
 
 
 def build_and_check(folder: Path, option: str = "") -> list[str]:
