@@ -70,7 +70,7 @@ def test_the_first_robot_of_the_tutorial_is_built_and_runs(tmp_path: Path) -> No
 
 @pytest.mark.slow
 def test_the_second_robot_of_the_tutorial_learns_its_accuracy_from_the_swarm(tmp_path: Path) -> None:
-    """It prints both now and then: nine of ten tiles are black, and its sensor is right in 95 of 100 cases."""
+    """It prints both now and then: nine of ten tiles are black, and its sensor is right in 95 % of cases."""
     require("bash")
     build_first_robot(tmp_path)
     write_file(blocks(PAGE, "c")[1], tmp_path)
