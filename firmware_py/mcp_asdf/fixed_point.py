@@ -99,10 +99,11 @@ def alpha_word_from_units(units: int) -> int:
     2**shift units. Where several words stand for the same confidence, the result is the one with the smallest
     shift. It is ALPHA_MAX for all confidences above the largest that a word can stand for.
     """
-    # A number of more than 24 bits loses its lowest bits, so that the others fit the mantissa.
-    shift = max(units.bit_length() - MANTISSA_BITS, 0)
+    bits_too_many = units.bit_length() - MANTISSA_BITS
+    shift = max(bits_too_many, 0)
     if shift > SHIFT_MAX:
         return ALPHA_MAX
+    # The lowest bits are lost, so that the others fit the mantissa.
     mantissa = units >> shift
     return (mantissa << MANTISSA_POSITION) | shift
 

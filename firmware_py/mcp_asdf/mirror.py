@@ -127,8 +127,8 @@ class Accuracy:
 
 def square_of_ratio(g: int, p: int) -> int:
     """Return (g / p)**2 in units of 2**-30, for g and p in [2**31, 2**32)."""
-    # divide_24 takes numbers of 31 bits. Halving both leaves their ratio as it is.
-    ratio_24 = divide_24(g >> 1, p >> 1)  # units of 2**-24
+    half_of_g, half_of_p = g >> 1, p >> 1  # divide_24 takes numbers of 31 bits; the ratio stays
+    ratio_24 = divide_24(half_of_g, half_of_p)  # units of 2**-24
     ratio = ratio_24 << 7  # units of 2**-31
     return multiply_high(ratio, ratio)  # the square's unit is 2**-62, and that of its upper word 2**-30
 
@@ -184,9 +184,9 @@ def confidence_at_end(accuracy: Accuracy, t: int, rare_count: int) -> tuple[int,
     g = 1 - 2 c. ``accuracy`` has both squares of ratios. The result stands for mantissa * 2**exponent units
     of 2**-24, with a mantissa of 24 bits.
     """
+    weight = (t - rare_count) * accuracy.common  # second term of the sum
     # alpha is weight * 2**exponent in units of 2**-24. The squares of ratios are in units of 2**-30; g was
     # shifted up by g_shift, so that they are 2**(2 g_shift) times too large.
-    weight = (t - rare_count) * accuracy.common  # second term of the sum
     exponent = 24 - 30 - 2 * accuracy.g_shift
     if rare_count != 0:
         # c was shifted up, too, so that ``rare`` is 2**rare_shift times too small. Before the terms are added
@@ -209,8 +209,8 @@ def confidence_inside(accuracy: Accuracy, total: int, rarer: int, scale: int, sh
     shifted all three up, so that products keep their upper bits. The result stands for mantissa * 2**exponent
     units of 2**-24, with a mantissa of 24 bits.
     """
-    # (g t)**2 t: each product of two words loses its lower 32 bits, 64 in all.
-    numerator = multiply_high(multiply_high(scale, scale), total)
+    square = multiply_high(scale, scale)  # (g t)**2 without its lower 32 bits
+    numerator = multiply_high(square, total)  # (g t)**2 t without its lower 64 bits
     denominator = rarer * (total - rarer)  # n (t - n), a number of up to 64 bits
     # The numerator is shifted up to 32 bits and the denominator to 64. The upper 31 bits of each are divided.
     numerator_shift = leading_zeros(numerator)
@@ -320,9 +320,9 @@ def round_mean(closed: Closed) -> int:
     """Return x_bar, the mean of the x_hat that a robot received in a round, in units of 2**-32, for eq. 8.
 
     It is weighted by their confidences: sum alpha_j x_hat_j / sum alpha_j (eq. 5). The sum of alpha, the
-    divisor, must not be 0.
+    divisor, must not be 0. It is in units of 2**-24, and times ONE, which is 2**23, in units of 2**-47, as
+    the sum of alpha x_hat.
     """
-    # alpha x_hat is in units of 2**-47, and alpha in units of 2**-24. Times ONE, 2**23, it has them, too.
     return q32_quotient(closed.alpha_x, closed.alpha * ONE)
 
 
@@ -365,7 +365,8 @@ def is_valid_estimate(s: State) -> bool:
     if s.updated:
         # Of all words for the same confidence a robot computes the one with the smallest shift.
         is_word_of_robot = s.alpha == alpha_word_from_units(alpha_units(s.alpha))
-        return s.updated == 1 and s.t > 0 and s.x_hat <= ONE and is_word_of_robot
+        is_legal_flag = s.updated == 1  # a damaged image may have another number
+        return is_legal_flag and s.t > 0 and s.x_hat <= ONE and is_word_of_robot
     # Before the first observation x_hat is 1/2, and has no confidence.
     expected = estimate(s.t, s.n, s.accuracy) if s.t else (HALF, 0)
     return (s.x_hat, s.alpha) == expected
@@ -619,9 +620,9 @@ class MirrorRobot(FixedPointView):
         In place of a new b_hat the result is None, too, if x_bar is so near 1/2 that it carries no
         information (see `reestimate`).
         """
+        s, config = self.s, self.config
         # ``s.open`` and ``s.closed`` have sums of the same round here, which is ending. The test needs sums
         # of x_hat that only the first has, and x_bar follows from those that both have.
-        s, config = self.s, self.config
         # The variance in eq. 12 takes two estimates, a re-estimate without a test takes one.
         messages_needed = 2 if config.filter == Filter.ADAPTIVE else 1
         if config.filter == Filter.OFF or s.open.count < messages_needed:
@@ -811,8 +812,8 @@ class MirrorRobot(FixedPointView):
         damaged, of another version or impossible with ``config`` (ERR_IMAGE). Raises TypeError for an
         ``image`` that is not bytes-like.
         """
-        # memoryview raises TypeError for a number, from which bytes alone would make zeros.
-        image_bytes = bytes(memoryview(image))
+        readable_image = memoryview(image)  # raises TypeError for a number, of which bytes would make zeros
+        image_bytes = bytes(readable_image)
         check_config(config)
         error = find_image_error(image_bytes, config.filter)
         if error is not None:
@@ -853,10 +854,9 @@ def _encode_rounds(s: State) -> list[int]:
     """Return the sums of the closed and of the open round in ``s``, a robot's state, as 16 words.
 
     Three sums of the closed and four of the open round have 64 bits and take two words each, the lower one
-    first; then come the open round's sum of x_hat and its number of messages.
+    first; then come the open round's sum of x_hat and its number of messages. A closed round has no sum of
+    x_hat**2: only the test needs it, which runs before the sums of the open round are cleared.
     """
-    # A closed round does not keep x_squared: only the test needs it, which runs before the sums of the open
-    # round are cleared.
     closed_sums = [s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high]
     open_sums = [s.open.alpha, s.open.alpha_x_low, s.open.alpha_x_high, s.open.x_squared]
     words = []
@@ -880,12 +880,13 @@ def _encode_robust_filter(s: State) -> list[int]:
 
 
 def _decode_state(config: Config, words: tuple[int, ...]) -> State:
-    """Return the state that the words of an image hold. It is not checked whether it is possible.
+    """Return the state that the words of an image, as `MirrorRobot.save` writes them, hold.
 
-    ``config.filter`` says whether they have the sums of the rounds or what the robust filter remembers.
+    ``config.filter`` says whether they have the sums of the rounds or what the robust filter remembers. It is
+    not checked whether a robot can have this state.
     """
-    # In the order of `MirrorRobot.save`. What the filter keeps, in the middle, differs in length.
     _, b_hat, t, n, x_hat, alpha, filter_left = words[:7]
+    # What a filter keeps differs in length, so the words behind it are counted from the end.
     filter_words = words[7:-8]
     sender_words = words[-8:-4]
     accepted_and_repeated, rejected_and_tests, updates_and_rest, _ = words[-4:]  # the last is the checksum

@@ -79,8 +79,7 @@ class NativeRobot(FixedPointView):
         damaged, of another version or impossible with ``config`` (ERR_IMAGE). Raises TypeError for an
         ``image`` that is not bytes-like.
         """
-        # Without __init__, which would initialise the robot as a new one.
-        robot = cls.__new__(cls)
+        robot = cls.__new__(cls)  # without __init__, which would initialise it as a new robot
         robot._allocate(config)
         # memoryview raises TypeError for a number, from which bytes alone would make zeros.
         image_bytes = bytes(memoryview(image))

@@ -185,9 +185,9 @@ def informed_estimate(own_estimate: Estimate[Number], estimates: Sequence[Estima
     The result is the robot's x_hat if all confidences are 0. Raises ValueError for an estimate that is out of
     range. O(m).
     """
+    all_estimates = [own_estimate]
     # The own estimate is a term like the others, so robots that all receive from each other get the same
     # bits.
-    all_estimates = [own_estimate]
     all_estimates += estimates
     return _weighted_mean(all_estimates, default=own_estimate.x_hat)
 

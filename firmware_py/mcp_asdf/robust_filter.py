@@ -137,9 +137,9 @@ def q22_from_q40(square: int) -> int:
 def slot_estimate(x_hat: int) -> int:
     """Convert an x_hat in units of 2**-23 to an estimate in a slot, in units of 2**-16 and to nearest.
 
-    Halves are rounded up. 1.0, for which a slot has one bit too few, becomes SLOT_ESTIMATE_MAX.
+    One unit of a slot is 2**7 units of x_hat, so half a unit is 64. Halves are rounded up. 1.0, for which a
+    slot has one bit too few, becomes SLOT_ESTIMATE_MAX.
     """
-    # 2**7 units of x_hat are one unit of a slot, and 64 of them, which are half a unit, round to nearest.
     return min((x_hat + 64) >> 7, SLOT_ESTIMATE_MAX)
 
 
@@ -159,8 +159,7 @@ def keep_estimate(robust: RobustFilter, estimates: list[int], sender: int, x_hat
 
 def lowest_bit(mask: int) -> int:
     """Return the index of the lowest bit of a mask that is set. At least one must be."""
-    # -mask has the same lowest bit set, and is opposite to the mask in all bits above it.
-    lowest_bit_alone = mask & -mask
+    lowest_bit_alone = mask & -mask  # -mask is opposite to the mask in all bits above the lowest one
     return lowest_bit_alone.bit_length() - 1
 
 
@@ -372,10 +371,10 @@ def robust_test_rejects(robust: RobustFilter, t: int, n: int, centre: int, sprea
     g * spread, with g = |2 b_hat - 1|, is the uncertainty of p, which changes by g where the centre changes
     by 1.
     """
-    # Shares are in units of 2**-32, squares in units of 2**-64.
     b_hat = robust.initial_b_hat
     share = q32_quotient(n, t)
     p = probability_of_black(b_hat, q32_from_q24(centre))
+    # Shares and variances are in units of 2**-32, squares in units of 2**-64.
     # v may be estimated from n / t as well as from p. The larger is taken, as either is 0 at a share of 0 or
     # 1.
     variance = max(multiply_high(share, Q32_ONE - share), multiply_high(p, Q32_ONE - p))
@@ -402,9 +401,10 @@ def is_supported(robust: RobustFilter, t: int, n: int, estimates: Sequence[int],
     p_of_centre = probability_of_black(robust.initial_b_hat, q32_from_q24(centre))
     supporter_count = 0
     for estimate in estimates:
-        p = probability_of_black(robust.initial_b_hat, q32_from_q24(estimate))
+        p = probability_of_black(robust.initial_b_hat, q32_from_q24(estimate))  # what it predicts
         if abs(p - share) < abs(p - p_of_centre):
             supporter_count += 1
+    # supporter_count / len(estimates) > 2 / 5, without a division
     return 5 * supporter_count > 2 * len(estimates)
 
 

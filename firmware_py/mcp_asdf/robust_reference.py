@@ -274,7 +274,7 @@ class RobustReference:
             self.votes = votes_after(self.votes, own_x_hat)
             self.turn = 0
             return
-        # Without own confidence the turn goes from the last slot to the first one at once.
+        # Without confidence of its own the first slot with an estimate follows the last one at once.
         slot = min(remaining_slots or self.estimates)
         self.votes = votes_after(self.votes, self.estimates[slot])
         self.turn = slot + 1

@@ -69,9 +69,8 @@ class Table:
 
     def entry(self, m: int) -> int:
         """Return the threshold k for ``m`` >= 2 messages, in units of 2**-26. O(1)."""
-        # The first entry is for m = 2, and the last, that of q + 1, for every m > q.
-        m_of_entry = min(m, self.q + 1)
-        return self.entries[m_of_entry - 2]
+        m_of_entry = min(m, self.q + 1)  # the last entry is for every m > q
+        return self.entries[m_of_entry - 2]  # the first entry is for m = 2
 
     def words(self) -> tuple[int, ...]:
         """Return the table as the 32-bit words that the firmware reads, the last one a checksum. O(q)."""

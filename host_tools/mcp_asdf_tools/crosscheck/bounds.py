@@ -36,11 +36,15 @@ def exact_alpha(n: int, t: int, b: Fraction) -> Fraction:
 
 
 def x_hat_bounds(n: int, t: int, b: Fraction) -> Bounds:
-    """Return the bounds of x_hat for t > 0, which are multiples of 2**-23.
+    """Return the bounds of x_hat for t > 0 observations, n of them black, which are multiples of 2**-23.
 
-    Whether p > c is decided exactly. T = 2**s t in [2**31, 2**32) and K = 2**s k are whole numbers; c T loses
-    e < 1. So x = (K - c T + e) / (g T + 2 e), rounded down, where eq. 3 has (K - c T) / (g T): the quotient
-    is (1 - 2 x) e / (g T + 2 e) < (1 - 2 x) r 2**-31 too near to 1/2, and never beyond it.
+    The rarer colour has k = min(n, t - n) observations, and so the share p = k / t. With c = min(b, 1 - b),
+    g = 1 - 2 c and r = 1 / g its x_hat is x = (p - c) / g (eq. 3), or 0 if p <= c.
+
+    The firmware decides exactly whether p > c. It computes with the whole numbers T = 2**s t in [2**31,
+    2**32) and K = 2**s k, and rounds c T down, which loses e < 1. So it has (K - c T + e) / (g T + 2 e),
+    rounded down, in place of (K - c T) / (g T). That is (1 - 2 x) e / (g T + 2 e) < (1 - 2 x) r 2**-31 too
+    near to 1/2, and never beyond it.
     """
     if not is_informative(b):
         return HALF, HALF
@@ -56,6 +60,8 @@ def x_hat_bounds(n: int, t: int, b: Fraction) -> Bounds:
 
 def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:
     """Return by how much alpha may be too small and too large, relatively, before it becomes an alpha word.
+
+    The symbols are those of `x_hat_bounds`.
 
     At an end of the scale (p <= c) k (g / c)**2 + (t - k) (g / (1 - c))**2 is computed with both ratios
     rounded down to 24 bits or more, and squares to 2**-28 of themselves; the second term loses 2**-28 of the

@@ -183,7 +183,8 @@ def compare_firmwares(
     for call_count, call in enumerate(scenario.calls, start=1):
         before = first_robot.last_result
         after = first_robot.apply(call)
-        problems = list(differences(after, second_robot.apply(call)))
+        second_result = second_robot.apply(call)
+        problems = list(differences(after, second_result))
         if check_call is not None and not problems:
             problems = check_call(scenario.setup, call, before, after)
         if problems:
@@ -257,9 +258,11 @@ def run_crosscheck(
 
 
 def _generate_scenario(seed: int, index: int) -> Scenario:
-    """Return the scenario of a seed and an index; every fourth is of a robot with the robust filter."""
-    # Groups of three scenarios of the paper's filters and one of the robust one. Each kind counts by itself:
-    # group 0 has the scenarios 0, 1 and 2 of the paper's filters, and 0 of the robust one.
+    """Return the scenario of a seed and an index; every fourth is of a robot with the robust filter.
+
+    Each kind of scenario is numbered by itself: indexes 0 to 3 are the scenarios 0, 1 and 2 of robots with
+    the paper's filters, and scenario 0 of those with the robust filter.
+    """
     group, index_in_group = divmod(index, 4)
     if index_in_group == 3:
         return robust_scenario(seed, group)
@@ -273,9 +276,9 @@ def shrink(failure: Failure, check_scenario: CheckScenario) -> Failure:
     of its calls, or any one word that a restore replaces, the check passes. For a scenario of a hundred calls
     this takes a few hundred runs of the check.
     """
-    # Long runs of calls are left out first, since most calls are not needed.
     run_length = len(failure.scenario.calls)
-    while run_length:
+    # Long runs of calls are left out first, since most calls are not needed; then runs of half the length.
+    while run_length > 0:
         shorter_failure = _find_first_failure(
             _shorter_scenarios(failure.scenario, run_length), check_scenario
         )

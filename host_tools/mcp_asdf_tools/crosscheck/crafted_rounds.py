@@ -298,8 +298,7 @@ def draw_x_hats_at_threshold(
         Pairs of equal x_hat come first: those of the near group, then those of the far one. At the end there
         is one x_hat of each group that has an odd size.
         """
-        # The gap must be a multiple of the denominator, so that u is a whole number.
-        factor = max_gap // ratio.denominator
+        factor = max_gap // ratio.denominator  # a gap that is a multiple of it makes u a whole number
         near = own_x_hat + direction * factor * ratio.numerator
         far = near + direction * factor * ratio.denominator
         near_in_pairs, far_in_pairs = near_count // 2 * 2, far_count // 2 * 2
@@ -363,11 +362,12 @@ def _raise_scatter(x_hats: Sequence[int], pair_count: int, target: int, is_at_le
         # Two equal values that are moved by ``move`` each add 2 m move**2 to the scatter.
         move = isqrt(missing // (2 * m))
         is_last_pair = pair_index == pair_count - 1
-        if is_at_least and is_last_pair and 2 * m * move * move < missing:
+        is_below_target = 2 * m * move**2 < missing
+        if is_at_least and is_last_pair and is_below_target:
             move += 1
         changed[2 * pair_index] -= move
         changed[2 * pair_index + 1] += move
-        missing -= 2 * m * move * move
+        missing -= 2 * m * move**2
     return changed
 
 

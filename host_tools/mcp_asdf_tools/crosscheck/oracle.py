@@ -260,8 +260,8 @@ def _check_means(state: State, is_robust: bool) -> list[str]:
         x = centre if has_votes else state["x_hat"]
         x_bar = centre if has_votes else HALF
         return check_exact(state, {"x()": x, "x_bar()": x_bar, "beta()": 0})
-    beta, alpha_x = state["closed_alpha"], _closed_alpha_x(state)
-    alpha, x_hat = _alpha_units(state["alpha"]), state["x_hat"]
-    x = (alpha * x_hat + alpha_x) // (alpha + beta) if alpha + beta else x_hat
-    x_bar = alpha_x // beta if beta else HALF
+    beta, alpha_x = state["closed_alpha"], _closed_alpha_x(state)  # sums over the messages
+    alpha, x_hat = _alpha_units(state["alpha"]), state["x_hat"]  # of the robot itself
+    x = (alpha * x_hat + alpha_x) // (alpha + beta) if alpha + beta > 0 else x_hat
+    x_bar = alpha_x // beta if beta > 0 else HALF
     return check_exact(state, {"x()": x, "x_bar()": x_bar})

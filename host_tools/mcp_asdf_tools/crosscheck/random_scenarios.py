@@ -256,8 +256,8 @@ class ScenarioWriter:
 
         These are the sum of alpha, and ``alpha_x_low``: the sum of the lower 32 bits of alpha times x_hat.
         """
-        # 127 messages of the largest confidence, or one unit less or more
         largest_beta = MAX_ROUND_SIZE * LARGEST_ALPHA_UNITS
+        # At the limit, or one unit below or above it
         beta_words = split_in_words(largest_beta + self._rng.randint(-1, 1))
         # The sum alpha_x_low has 62 bits, so its upper word has 30.
         alpha_x_low_upper_word = self._rng.choice([0, (1 << 30) - 1, 1 << 30, MAX_32_BITS])

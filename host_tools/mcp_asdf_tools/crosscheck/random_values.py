@@ -145,7 +145,8 @@ def draw_n(rng: Random, t: int, b_hat: int) -> int:
     Two of five draws are one of the last two: there eq. 3 changes its case, as x_hat reaches 0 or 1. The
     number next to each of these, above or below, is as frequent.
     """
-    corner = t * rng.choice([b_hat, Q32_ONE - b_hat]) >> 32
+    corner_share = rng.choice([b_hat, Q32_ONE - b_hat])  # units of 2**-32
+    corner = (t * corner_share) >> 32
     any_number = rng.randint(0, t)
     none_or_all = rng.choice([0, t])
     n = rng.choice([any_number, none_or_all, t // 2, corner, corner])

@@ -113,7 +113,7 @@ class Bench(ControllerLink):
             burst = min(ticks, BURST)
             for _ in range(burst - 1):
                 self._command_observation(observe())
-                self.leave_open()
+                self.leave_open()  # without a settle, so that the next observation ends the tick
             self.play_tick(observe())
             ticks -= burst
 
@@ -144,8 +144,7 @@ class Bench(ControllerLink):
         self.play_tick(None, frames[half:])
 
     def skip_to_round(self) -> None:
-        """Let ticks pass until a round begins; none if one begins now."""
-        # A round begins at every multiple of the period.
+        """Let ticks pass until a round begins, as at every multiple of its length; none if one begins now."""
         missing_ticks = -self.model.ticks % self.setup.comms_period
         self.skip_ticks(missing_ticks)
 
@@ -156,9 +155,9 @@ class Bench(ControllerLink):
 
         Stops ``rounds_before`` rounds earlier. ``observe`` returns the observation of each tick.
         """
+        period = self.setup.filter_period
         # The filter tests at every multiple of its period in ticks. The round of the test begins one round
         # before that.
-        period = self.setup.filter_period
         tick_in_period = period - (1 + rounds_before) * self.setup.comms_period
         missing_ticks = (tick_in_period - self.model.ticks) % period
         self.skip_ticks(missing_ticks, observe)

@@ -70,7 +70,8 @@ def re_estimate_to_half(bench: Bench) -> None:
         if update is Update.HALF and state.t < 1 << 12:
             bench.skip_to_test_round()
             bench.activity = "a mean so close to 1/2 that the divisor of eq. 8 is below 1"
-            x_hats = [HALF + (1 << 10) + offset for offset in (1, 2, 3)]
+            distance = 1 << 10  # 2**-13 in units of 2**-23
+            x_hats = [HALF + distance + offset for offset in (1, 2, 3)]
             _play_test_round(bench, [NeighbourEstimate(x_hat, ALPHA_ONE) for x_hat in x_hats])
         _play_update(bench, update)
         bench.activity = "observations of a robot that knows hardly anything"

@@ -65,6 +65,8 @@ _MAX_OBSERVATIONS_FOR_SHARE = 4096
 """Number of observations after which a share of black ones that has not come about is given up."""
 _MAX_PAIRS_OF_COLOURS = 4096
 """Number of pairs, of a black and a white observation, after which a rejection is no longer waited for."""
+_BEYOND_SMALLEST_SPREAD = 40
+"""Distance in units of 2**-16 that is above the smallest spread of votes, 2**-12, which is 16 units."""
 _ROUNDS_TO_SMALLEST_SPREAD = 2500
 """Rounds of votes that agree after which the spread would be below its lower limit, if it had none."""
 
@@ -99,9 +101,11 @@ def receive_first_estimates(bench: Bench) -> None:
 
 
 def _play_first_votes(bench: Bench) -> None:
-    """Fill a slot for the first time, overwrite it from another id, and then fill a few more.
+    """Send the controller its first estimate, one of another robot that replaces it, and then a few more.
 
-    After each of these steps some rounds pass, in which the slots vote.
+    The controller keeps the latest estimate of each id modulo 32. After each of these steps some rounds pass
+    without messages, in each of which one of the kept estimates, or its own, is a vote: it moves the
+    controller's answer x, which the bench compares with that of the model.
     """
     bench.activity = "confidences of 0 before the first estimate"
     estimates_without_confidence = [NeighbourEstimate(x_hat, alpha=0) for x_hat in (ONE, ONE, 0)]
@@ -121,7 +125,12 @@ def _play_first_votes(bench: Bench) -> None:
 
 
 def vote_with_every_slot(bench: Bench) -> None:
-    """Fill all slots, and let each of them and the robot itself vote, while some estimates are replaced."""
+    """Let the controller keep as many estimates as it can, and pass rounds in which each of them is a vote.
+
+    These are 32 estimates, one in each slot. A vote moves the controller's answer x, and after all 32 its own
+    estimate is one. Then some estimates are replaced, and at the end all of them, by estimates that show how
+    a slot rounds.
+    """
     bench.activity = "estimates of the extremes in all slots"
     _set_slots(bench, [0, SLOT_ESTIMATE_MAX] * (SLOTS // 2))
     _let_rounds_vote(bench, SLOTS + 3)
@@ -170,14 +179,18 @@ def vote_without_own_confidence(bench: Bench) -> None:
 
 
 def vote_until_spread_is_smallest(bench: Bench) -> None:
-    """Let all votes agree until their spread is at its lower limit, and then let them disagree."""
+    """Let all votes agree until their spread is at its lower limit, and then let them disagree.
+
+    A vote is an estimate that moves the controller's answer x at the end of a round. The spread limits by how
+    much: with the smallest one, votes that disagree still move it.
+    """
     bench.activity = "votes that agree"
     own_estimate = min(bench.firmware.s.x_hat // _X_HAT_PER_SLOT_UNIT, SLOT_ESTIMATE_MAX)
     _set_slots(bench, [own_estimate] * SLOTS)
     _let_rounds_vote(bench, _ROUNDS_TO_SMALLEST_SPREAD)
     bench.activity = "votes on both sides of a centre with the least spread"
-    below = max(own_estimate - 40, 0)
-    above = min(own_estimate + 40, SLOT_ESTIMATE_MAX)
+    below = max(own_estimate - _BEYOND_SMALLEST_SPREAD, 0)
+    above = min(own_estimate + _BEYOND_SMALLEST_SPREAD, SLOT_ESTIMATE_MAX)
     _set_slots(bench, [below, above] * (SLOTS // 2))
     _let_rounds_vote(bench, SLOTS)
 
@@ -222,9 +235,9 @@ def test_estimates_far_apart(bench: Bench) -> None:
     b_hat is far from 1/2 there are no such observations, and with a short memory too few. If it is next to
     1/2, estimates cannot decide the test. In these three cases no test is played.
     """
+    g = _initial_information(bench)
     # Many observations are rejected if their share of black deviates from the prediction by more than
     # sqrt(12) g spread: 0.87 g with a spread of 1/4, and 1.3 g with one of 3/8.
-    g = _initial_information(bench)
     black_share = _predict_black_share(bench, fill_ratio=3 / 8) + 1.1 * g
     if not _can_estimates_decide_test(bench) or black_share >= 1:
         return
@@ -269,10 +282,10 @@ def re_estimate_near_half(bench: Bench) -> None:
     or too close to it the robot keeps its b_hat. In each test all slots have the same estimate. If no
     observations make a test reject, this is noted as not exercised, and the tests after it are left out.
     """
+    nearest_above = SLOT_INFORMATIVE_DISTANCE
     # Below 1/2 the firmware exchanges the colours, and computes 1 - x as 2**32 - 1 - X from an X in units of
     # 2**-32. That is one unit too small, and brings an estimate at the exact limit too close to 1/2. The
     # nearest that is far enough is one unit of a slot below.
-    nearest_above = SLOT_INFORMATIVE_DISTANCE
     nearest_below = -SLOT_INFORMATIVE_DISTANCE - 1
     for offset in (nearest_above, nearest_above - 1, nearest_below + 1, nearest_below, 0):
         bench.activity = f"observations that contradict estimates {offset:+} units from 1/2"
