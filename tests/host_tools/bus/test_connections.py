@@ -215,9 +215,10 @@ def test_real_time_neighbours_end_when_the_bus_is_gone() -> None:
 
 
 def test_real_time_neighbours_that_end_on_a_bus_that_fails_have_failed() -> None:
-    """A bus that works again in between has not."""
+    """The emulated neighbours of a controller take all 20 ticks, but the bus fails in each of them."""
     bus: Any = Mock()
-    bus.recv.return_value, bus.send.side_effect = None, can.CanOperationError("bus-off")
+    bus.recv.return_value = None
+    bus.send.side_effect = can.CanOperationError("bus-off")
     run = RadioRun(Neighbourhood(surroundings(steps_per_second=1000)), BusLink(bus, endures=True), ticks=20)
     run.run()
 

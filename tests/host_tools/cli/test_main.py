@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import NamedTuple
 from unittest.mock import Mock
 
 import pytest
@@ -111,7 +112,9 @@ def test_bad_usage_is_reported_in_two_lines(line: str, message_end: str, capsys:
 @pytest.mark.parametrize("line", [line for line, _ in SLIPS])
 def test_bad_usage_is_the_same_message_in_one_line_of_json_if_asked_for(line: str, capsys: Capture) -> None:
     cli.main(line.split())
-    message = capsys.readouterr().err.splitlines()[0].removeprefix(f"{program_of(line)}: error: ")
+    first_line = capsys.readouterr().err.splitlines()[0]
+    message = first_line.removeprefix(f"{program_of(line)}: error: ")
+
     assert cli.main([*line.split(), "--json"]) == 2
     out, err = capsys.readouterr()
 
@@ -432,18 +435,37 @@ def test_every_command_has_examples_that_it_accepts(name: str) -> None:
 def test_examples_print_what_the_help_shows(
     name: str, capsys: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Lines further to the right below an example are of its output. Node and radio want a second program."""
+    """Not those of node and radio, which want a second program."""
     monkeypatch.chdir(tmp_path)
-    numbers = range(1, 21)
-    readings = "".join(f"{200 + 7 * i},black\n{400 + 13 * i},white\n" for i in numbers)
-    (tmp_path / "readings.csv").write_text(readings)
-    help_text = cli._load(name).EPILOG
-    examples = re.findall(r"^  mcp-asdf (.*)\n((?:      .*\n)*)", help_text, re.MULTILINE)
-    last = max((i for i, (_, shown) in enumerate(examples) if shown), default=-1)
-    for line, shown in examples[: last + 1]:  # the first ones may make the files that the next one reads
-        assert cli.main(shlex.split(line, comments=True)) == 0
-        printed = [printed_line.strip() for printed_line in capsys.readouterr().out.splitlines()]
-        assert [line.strip() for line in shown.splitlines() if line.strip() not in printed] == []
+    write_readings(tmp_path / "readings.csv")  # which an example reads
+
+    examples = examples_with_output(name)
+    # The last ones may show nothing; the first ones may make the files that a later one reads.
+    while examples and not examples[-1].shown_lines:
+        examples.pop()
+    for example in examples:
+        assert cli.main(shlex.split(example.command, comments=True)) == 0
+        printed_lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+        assert set(example.shown_lines) <= set(printed_lines), example.command
+
+
+def write_readings(path: Path) -> None:
+    """Write readings of a sensor over 20 black and 20 white tiles."""
+    lines = [f"{200 + 7 * number},black\n{400 + 13 * number},white\n" for number in range(1, 21)]
+    path.write_text("".join(lines))
+
+
+class Example(NamedTuple):
+    """An example below a help: the command without "mcp-asdf", and the lines shown of its output."""
+
+    command: str
+    shown_lines: list[str]
+
+
+def examples_with_output(name: str) -> list[Example]:
+    """Return the examples below a command's help; what they print stands further to the right below them."""
+    matches = re.findall(r"^  mcp-asdf (.*)\n((?:      .*\n)*)", cli._load(name).EPILOG, re.MULTILINE)
+    return [Example(command, [line.strip() for line in output.splitlines()]) for command, output in matches]
 
 
 def examples_of(name: str) -> list[tuple[str, list[str]]]:

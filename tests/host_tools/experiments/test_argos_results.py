@@ -66,6 +66,10 @@ def test_the_page_has_the_table_of_the_comparison() -> None:
 
 
 def test_a_table_of_estimates_is_summed_up_as_means_over_robots(tmp_path: Path) -> None:
+    """The fill ratio is 0.55, and b_hat should be 0.95.
+
+    The rows of ticks 150 and 200 are of the second half of 200 ticks.
+    """
     table = tmp_path / "results.csv"
     table.write_text(
         "tick,robot,x,b_hat\n"

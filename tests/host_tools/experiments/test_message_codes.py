@@ -39,11 +39,13 @@ def test_messages_are_exact_by_default() -> None:
 
 
 def test_numbers_between_two_codes_are_rounded() -> None:
+    """x_hat of two bits is the nearest of 0, 1/3, 2/3 and 1; alpha of four bits is cut to 1/2, 2, 8 ..."""
     code = MessageCode(x_hat_bits=2, alpha_bits=4)
-    assert code.round_raw(int(0.4 * ONE), alpha_word_from_float(7.9)) == (
-        round(ONE / 3),
-        alpha_word_from_float(2.0),
-    )
+
+    x_hat, alpha = code.round_raw(int(0.4 * ONE), alpha_word_from_float(7.9))
+
+    assert x_hat == round(ONE / 3)
+    assert alpha == alpha_word_from_float(2.0)
 
 
 def test_floats_are_rounded_likewise() -> None:

@@ -58,9 +58,11 @@ def test_the_first_robots_are_the_flawed_ones(tidy: pa.Table) -> None:
 def test_a_row_has_the_recorded_values_of_its_trial_step_and_robot(
     name: str, tidy: pa.Table, trials: Trials
 ) -> None:
+    """Rows are ordered by trial, then by the three recorded steps, then by the three robots."""
     assert tidy[name].type == pa.float64()
     trial, sample, robot = 1, 2, 1
-    row_index = trial * 9 + sample * 3 + robot
+    row_index = trial * 3 * 3 + sample * 3 + robot
+
     assert tidy[name][row_index].as_py() == trials.records[name][trial, sample, robot]
 
 

@@ -113,6 +113,7 @@ def five_bands(half_flawed: Trials) -> Figure:
 
 
 def test_lines_are_medians_of_flawed_and_of_healthy_robots(five_bands: Figure, half_flawed: Trials) -> None:
+    """Of four robots the first two are flawed; b_hat is by trial, filter step and robot."""
     flawed_line, healthy_line, _ = five_bands.axes[0].lines
     flawed_medians = np.median(half_flawed.b_hat[:, :, :2], axis=(0, 2))
     healthy_medians = np.median(half_flawed.b_hat[:, :, 2:], axis=(0, 2))
@@ -138,13 +139,16 @@ def test_bands_hold_the_middle_90_percent_of_all_robots(
     assert band_edges(flawed_band, step) == pytest.approx(percentiles)
 
 
-def test_titles_of_bands_have_the_cell_and_the_share_that_ends_off(
+def test_titles_of_bands_have_parameters_and_the_share_of_healthy_robots_that_end_wrong(
     five_bands: Figure, half_flawed: Trials
 ) -> None:
-    share = np.mean(abs(half_flawed.b_hat[:, -1, 2:] - 0.95) > 0.05)
-    cell = r"$f$ = 0.55, $b$ = 0.95, $\hat{b}$ = 0.55, $P$ = 50%"
+    """Robots 2 and 3 of four are healthy, with a true accuracy of 0.95; b_hat is by trial, step and robot."""
+    b_hat_at_end = half_flawed.b_hat[:, -1, 2:]
+    share = np.mean(abs(b_hat_at_end - 0.95) > 0.05)
+    parameters = r"$f$ = 0.55, $b$ = 0.95, $\hat{b}$ = 0.55, $P$ = 50%"
+
     title = titles_of(five_bands)[0].replace("\n", " ")
-    assert title == f"{cell} more than 0.05 off: {share:.0%} of healthy robots"
+    assert title == f"{parameters} more than 0.05 off: {share:.0%} of healthy robots"
 
 
 def test_healthy_robots_count_as_harmed_by_how_far_they_are_from_what_they_assumed_at_first(

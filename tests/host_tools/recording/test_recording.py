@@ -201,13 +201,16 @@ def test_a_recording_warns_of_a_run_that_fails(tmp_path: Path) -> None:
 
 
 def test_a_run_that_fails_leaves_the_events_of_its_last_tick(tmp_path: Path) -> None:
-    recording = Recording(tmp_path / "run.log", HEADER, lambda _: None)
+    """Robot 5 observes black, and the run fails before the tick is over."""
+    recording = Recording(tmp_path / "run.log", HEADER, lambda warning: None)
     with pytest.raises(ZeroDivisionError), recording as (_, events):
         assert events is not None
         events.recorders[5].record_observation(Observation.BLACK)
         raise ZeroDivisionError
+
+    black = 1
     with EventsReader(tmp_path / "run.log.events.part") as reader:
-        assert list(reader.entries()) == [RobotEvents(5, [1])]
+        assert list(reader.entries()) == [RobotEvents(5, [black])]
 
 
 @pytest.mark.parametrize("name", ["run.log.part", "run.log.events.part"])

@@ -169,12 +169,16 @@ def test_a_link_does_not_receive_its_own_frames() -> None:
 
 
 def test_a_link_logs_what_was_sent_and_received_and_the_time_of_sending() -> None:
+    """Of two attempts to send the second fails, so it is not in the log."""
     log: list[can.Message] = []
-    bus, received_frame = Mock(), can.Message(is_rx=True)
-    bus.send.side_effect, bus.recv.return_value = outcomes(0, DOWN), received_frame
+    received_frame = can.Message(is_rx=True)
+    bus = Mock()
+    bus.send.side_effect = outcomes(0, DOWN)
+    bus.recv.return_value = received_frame
     link = BusLink(bus, endures=True, log=log.append)
+
     link.send(FRAME)
-    link.send(FRAME)  # which fails
+    link.send(FRAME)
     link.receive(0)
 
     assert log == [FRAME, received_frame]

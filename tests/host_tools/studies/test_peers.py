@@ -300,8 +300,9 @@ def test_a_robot_may_know_its_accuracy_of_the_moment() -> None:
 
 
 def test_a_robot_with_a_perfect_sensor_assumes_a_little_less() -> None:
+    """The firmware accepts no accuracy of 1, but at most 1 less a margin."""
     robot = peers.KnownAccuracyRobot(WITHOUT_FILTER, 0, 1 - B_HAT_MARGIN)
-    robot._true_accuracy = 1.0
+    robot._true_accuracy = 1.0  # which robots of this class know
     robot.observe(Observation.BLACK)
     assert robot.b_hat == 1 - B_HAT_MARGIN
 

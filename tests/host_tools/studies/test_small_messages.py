@@ -21,6 +21,7 @@ from support import ROOT
 
 
 def test_every_swarm_has_experiments_with_each_code_and_with_exact_messages() -> None:
+    """A code such as 7+4 has 7 bits of x_hat, one of six choices, and 4 of alpha, one of five."""
     experiments = small_messages.experiments_of("asdf-minus")
     assert len(experiments) == len(SWARMS) * (6 * 5 + 1)
     assert {experiment.message_bits for experiment in experiments["7+4, moving, overconfident"]} == {"7+4"}
@@ -41,6 +42,7 @@ def test_the_robust_filter_is_run_with_one_bit_of_alpha() -> None:
 
 
 def test_more_bits_of_alpha_change_nothing_for_the_robust_filter() -> None:
+    """It asks only whether a sender has any confidence alpha; 7+1 has one bit of it, and 7+9 nine."""
     experiment = small_messages.experiments_of("robust")["7+1, moving, overconfident"][0]
     short = replace(experiment, steps=1500, trials=1)
     one_bit = run_trials(short, 0, 1)

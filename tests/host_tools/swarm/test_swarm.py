@@ -164,21 +164,25 @@ def test_each_robot_sends_telemetry_in_every_telemetry_period() -> None:
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
 def test_telemetry_is_the_state_of_the_robot_before_the_tick(firmware: str) -> None:
-    states_by_tick: list[list[tuple[int, ...]]] = []
+    """Frames have x in units of 2**-23 and b_hat in units of 2**-24."""
+    states_by_tick: list[list[tuple[int, int, int]]] = []
 
     def record_states(swarm: Swarm) -> None:
         robots = [node.robot for node in swarm.nodes]
         states_by_tick.append(
-            [(int(robot.x * Q23_ONE), int(robot.b_hat * 2**24), robot.counters.updates) for robot in robots]
+            [(int(robot.x * 2**23), int(robot.b_hat * 2**24), robot.counters.updates) for robot in robots]
         )
 
     settings = small(firmware=firmware, telemetry_period=7)
     with Swarm(settings, Wiring()) as new_swarm:
-        record_states(new_swarm)
-    _, frames = record(settings, hooks=[record_states])
+        record_states(new_swarm)  # before tick 0
+    _, frames = record(settings, hooks=[record_states])  # after each tick
+
     for tick, telemetry in telemetry_in(frames):
-        expected = states_by_tick[tick][telemetry.sender]
-        assert (telemetry.x, telemetry.b_hat, telemetry.updates) == expected
+        x, b_hat, updates = states_by_tick[tick][telemetry.sender]
+        assert telemetry.x == x
+        assert telemetry.b_hat == b_hat
+        assert telemetry.updates == updates
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)

@@ -117,8 +117,13 @@ def test_links_of_more_than_128_robots_are_pairs() -> None:
     states = [make_state(0, [0] * 129, [[0, 1], [128, 5]]), make_state(1, [0] * 129, [[7, 0]])]
     data = decode_data(encode_states(states, RunDescription("a run", robots)))
 
-    assert np.frombuffer(data[-20:-12], "<u4").tolist() == [2, 1]
-    assert np.frombuffer(data[-12:], "<u2").tolist() == [0, 1, 128, 5, 7, 0]
+    # At the end stand the number of links of each state, of 4 bytes, and then all ids, of 2 bytes each.
+    bytes_of_ids = 2 * 6
+    bytes_of_counts = 4 * 2
+    counts = np.frombuffer(data[-bytes_of_counts - bytes_of_ids : -bytes_of_ids], "<u4")
+    ids = np.frombuffer(data[-bytes_of_ids:], "<u2")
+    assert counts.tolist() == [2, 1]
+    assert ids.tolist() == [0, 1, 128, 5, 7, 0]
 
 
 # --- The page -----------------------------------------------------------------------------------------

@@ -213,11 +213,13 @@ def test_two_pages_follow_one_run() -> None:
 
 
 def test_server_ends_the_stream_of_a_page_that_was_closed() -> None:
+    """Or it would have one thread more for each page that was ever open."""
     threads_before = threading.active_count()
     with serve_page(History(DESCRIPTION)) as url:
         with connect(url, request_for(url, "/events")) as client:
             read_to(client, "\n\n")
-            assert threading.active_count() == threads_before + 2
+            assert threading.active_count() == threads_before + 2  # the server's own, and that of the stream
+
         wait_until(lambda: threading.active_count() == threads_before + 1)
 
 
