@@ -33,7 +33,7 @@ ALPHA_ONE = 0x80000001
 """The alpha word of 1.0: a mantissa of 2^23 and a shift by 1, in units of 2^-24."""
 ALPHA_MIN, ALPHA_MAX = 0x00000100, 0xFFFFFF1F
 """The alpha words of one unit of 2^-24, and of 2^31 - 2^7."""
-PLAIN = Config(filter=Filter.OFF)
+NO_FILTER = Config(filter=Filter.OFF)
 """Parameters of a robot without a filter, which needs no table."""
 
 ROBUST = Config(filter=Filter.ROBUST, filter_period=1)
@@ -53,13 +53,13 @@ WORD_INDEX = {"b_hat": 1, "t": 2, "n": 3, "filter_left": 6}
 
 
 def make_robot(
-    firmware: Firmware, config: Config = PLAIN, b_hat: float = 0.75, robot_id: int = OWN_ID
+    firmware: Firmware, config: Config = NO_FILTER, b_hat: float = 0.75, robot_id: int = OWN_ID
 ) -> Robot:
     """Make a robot that has not observed or received anything."""
     return firmware(config, robot_id, b_hat)
 
 
-def restore_robot(firmware: FixedPointFirmware, config: Config = PLAIN, **fields: int) -> FixedPoint:
+def restore_robot(firmware: FixedPointFirmware, config: Config = NO_FILTER, **fields: int) -> FixedPoint:
     """Make a robot with these fields, by restoring the image of a new one with other words.
 
     If it has observations, it is one whose b_hat has just been re-estimated: x_hat and alpha need not follow

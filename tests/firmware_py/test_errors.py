@@ -21,9 +21,9 @@ from robots import (
     ALPHA_MAX,
     HALF,
     IMAGE_SIZE,
+    NO_FILTER,
     ONE,
     OWN_ID,
-    PLAIN,
     TABLE,
     Firmware,
     FixedPointFirmware,
@@ -119,7 +119,7 @@ def test_a_raw_message_of_a_sender_that_no_c_type_holds_is_rejected(
     firmware: FixedPointFirmware, sender: int
 ) -> None:
     """A conversion to C's byte would make 256 + 4 a valid id."""
-    robot = firmware(PLAIN, OWN_ID, b_hat=0.75)
+    robot = firmware(NO_FILTER, OWN_ID, b_hat=0.75)
     state_before = robot.state()
 
     status = robot.receive_raw(sender, x_hat=0, alpha=0)
@@ -134,7 +134,7 @@ def test_a_raw_message_with_an_x_hat_that_no_c_type_holds_is_rejected(
     firmware: FixedPointFirmware, x_hat: int
 ) -> None:
     """A conversion to C's 32 bits would make 2**32 + 5 a valid estimate."""
-    robot = firmware(PLAIN, OWN_ID, b_hat=0.75)
+    robot = firmware(NO_FILTER, OWN_ID, b_hat=0.75)
     state_before = robot.state()
 
     status = robot.receive_raw(4, x_hat, alpha=0)
@@ -146,7 +146,7 @@ def test_a_raw_message_with_an_x_hat_that_no_c_type_holds_is_rejected(
 @for_fixed_point_firmwares
 @pytest.mark.parametrize("alpha", [-1, 2**32])
 def test_a_raw_alpha_that_has_not_32_bits_raises(firmware: FixedPointFirmware, alpha: int) -> None:
-    robot = firmware(PLAIN, OWN_ID, 0.75)
+    robot = firmware(NO_FILTER, OWN_ID, 0.75)
     with pytest.raises(ValueError, match=f"alpha is {alpha}; the firmware's word has 32 bits"):
         robot.receive_raw(4, 0, alpha)
 
@@ -158,7 +158,7 @@ MESSAGES = [(1, HALF, 0x80000001), (1, ONE, 0x80000003), (OWN_ID, 0, 0x80000001)
 @for_fixed_point_firmwares
 def test_messages_in_an_array_are_received_in_order(firmware: FixedPointFirmware) -> None:
     """As one by one: the robots are equal in the end, and count alike."""
-    robot, other_robot = (firmware(PLAIN, OWN_ID, b_hat=0.7) for _ in range(2))
+    robot, other_robot = (firmware(NO_FILTER, OWN_ID, b_hat=0.7) for _ in range(2))
 
     accepted = robot.receive_all(np.array(MESSAGES, np.uint32))
     receive_raw_messages(other_robot, MESSAGES)
@@ -181,7 +181,7 @@ def test_messages_in_an_array_are_received_in_order(firmware: FixedPointFirmware
 def test_an_array_of_another_type_shape_or_order_is_refused(
     firmware: FixedPointFirmware, array: np.ndarray[Any, Any]
 ) -> None:
-    robot = firmware(PLAIN, OWN_ID, b_hat=0.7)
+    robot = firmware(NO_FILTER, OWN_ID, b_hat=0.7)
 
     with pytest.raises(ValueError, match="give a C-contiguous one"):
         robot.receive_all(array)
@@ -227,13 +227,13 @@ def test_a_step_with_an_invalid_observation_does_not_end_the_round(firmware: Fir
 # --- Images ----------------------------------------------------------------------------------------------
 
 
-FITTING = replace(PLAIN, filter_period=9, memory=84)
+FITTING = replace(NO_FILTER, filter_period=9, memory=84)
 """A config that fits `saved_image`."""
 
 
 def saved_image(firmware: FixedPointFirmware) -> bytes:
     """Return the image of a robot with 80 observations and 8 rounds left to the filter."""
-    return restore_robot(firmware, replace(PLAIN, filter_period=8), t=80, filter_left=8).save()
+    return restore_robot(firmware, replace(NO_FILTER, filter_period=8), t=80, filter_left=8).save()
 
 
 def restore_status(firmware: FixedPointFirmware, config: Config, image: bytes) -> Status:
@@ -281,10 +281,10 @@ def test_no_robot_is_restored_from_bytes_that_no_robot_saved(firmware: FixedPoin
     ("config", "status"),
     [
         (FITTING, Status.OK),
-        (replace(PLAIN, filter_period=8, memory=80), Status.ERR_IMAGE),
-        (replace(PLAIN, filter_period=7), Status.ERR_IMAGE),
+        (replace(NO_FILTER, filter_period=8, memory=80), Status.ERR_IMAGE),
+        (replace(NO_FILTER, filter_period=7), Status.ERR_IMAGE),
         (Config(filter=Filter.ROBUST), Status.ERR_IMAGE),
-        (replace(PLAIN, memory=1), Status.ERR_CONFIG),
+        (replace(NO_FILTER, memory=1), Status.ERR_CONFIG),
         (Config(table=None), Status.ERR_TABLE),
     ],
 )

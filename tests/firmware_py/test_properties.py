@@ -21,9 +21,9 @@ from robots import (
     ALPHA_MIN,
     ALPHA_ONE,
     HALF,
+    NO_FILTER,
     ONE,
     OWN_ID,
-    PLAIN,
     ROBUST,
     FixedPoint,
     FixedPointFirmware,
@@ -124,7 +124,7 @@ def test_the_order_of_messages_changes_no_bit(
     firmware: FixedPointFirmware, messages: list[RawMessage], seed: int
 ) -> None:
     """Property I12: neither before nor after the end of the round."""
-    robot, other_robot = (firmware(PLAIN, OWN_ID, b_hat=0.75) for _ in range(2))
+    robot, other_robot = (firmware(NO_FILTER, OWN_ID, b_hat=0.75) for _ in range(2))
     receive_raw_messages(robot, messages)
     receive_raw_messages(other_robot, random.Random(seed).sample(messages, len(messages)))
     assert robot.state() == other_robot.state()

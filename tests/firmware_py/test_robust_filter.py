@@ -688,26 +688,33 @@ def test_batches_with_equal_shares_of_black_keep_the_dispersion_at_1(firmware: F
 def test_a_batch_that_is_off_raises_the_dispersion_by_an_eighth_of_its_ratio(
     firmware: FixedPointFirmware,
 ) -> None:
-    """Of 200 tiles so far 80 are black, 0.4, so of the second batch 40 should be, with a variance of 24."""
+    """The dispersion says how much more batches vary than independent tiles would; it is 1 at first.
+
+    Of 200 tiles so far 80 are black, so of the second batch's 100 it should be 40, with a variance of 24.
+    """
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     dispersion_after_batch(robot, black=50, white=50)
 
     dispersion = dispersion_after_batch(robot, black=30, white=70)
 
     ratio = (40 - 30) ** 2 / 24
-    assert dispersion == int((7 * 1 + ratio) / 8 * 256)
+    units = 256
+    assert dispersion == int((7 * 1 + ratio) / 8 * units)
 
 
 @for_fixed_point_firmwares
 def test_a_batch_that_is_far_off_counts_as_12_times_the_dispersion(firmware: FixedPointFirmware) -> None:
-    """A white batch follows a black one: that is 100 times the variance of independent tiles."""
+    """The dispersion says how much more batches vary than independent tiles would; it is 1 at first.
+
+    Here a white batch follows a black one: that is 100 times the variance of independent tiles.
+    """
     robot = firmware(ROBUST, OWN_ID, b_hat=0.95)
     dispersion_after_batch(robot, black=100, white=0)
 
     dispersion = dispersion_after_batch(robot, black=0, white=100)
 
-    a_rounding = 1
-    assert dispersion == (7 * 1 + 12) / 8 * 256 - a_rounding
+    units, a_rounding = 256, 1
+    assert dispersion == (7 * 1 + 12) / 8 * units - a_rounding
 
 
 @for_fixed_point_firmwares
@@ -723,7 +730,10 @@ def test_the_dispersion_falls_by_an_eighth_with_each_batch_that_is_as_expected(
 
 @for_fixed_point_firmwares
 def test_the_dispersion_does_not_overflow_its_16_bits(firmware: FixedPointFirmware) -> None:
-    """5000 white tiles after a million, of which all but one were black, would raise it."""
+    """It says how much more batches of tiles vary than independent ones would, in units of 2**-8.
+
+    5000 white tiles after a million, of which all but one were black, would raise it.
+    """
     robot = restore_robust_robot(
         firmware, t=10**6, n=10**6 - 1, batch_t=999_900, batch_n=999_900, dispersion=2**16 - 1
     )

@@ -148,9 +148,10 @@ def test_a_batch_without_deviation_leaves_the_dispersion(n: int, batch_count: in
 
 
 def test_the_dispersion_is_computed_from_the_observations_since_the_last_batch() -> None:
-    """Of 100 observations 60 are black, and of all 1000 half: two standard deviations of 5 more.
+    """It says how much more batches of tiles vary than independent ones would.
 
-    Their square, 4 variances, counts an eighth, and the dispersion so far, 2, seven eighths.
+    Of the last 100 tiles 60 are black, and of all 1000 half: two standard deviations of 5 more. Their square,
+    4 variances, counts an eighth, and the dispersion so far, 2, seven eighths.
     """
     robust = RobustReference(0.75, dispersion=2.0, batch_t=900, batch_n=440)
 

@@ -559,6 +559,7 @@ def test_a_node_whose_frames_nobody_takes_loses_them_but_no_tick(
 def test_a_signal_ends_the_node_with_its_summary(
     start_node: StartNode, bus: UnixBus, number: signal.Signals
 ) -> None:
+    """Ctrl-C, a service that is stopped, or a terminal that is closed, after one tick."""
     node = start_node("--lockstep")
     run_lockstep(bus, [ID], ticks=1, seed=1)
 
