@@ -99,7 +99,9 @@ GONE: list[Exception] = [
 
 
 @pytest.mark.parametrize("error", GONE, ids=str)
-def test_a_bus_is_gone_where_its_device_or_its_driver_is(error: Exception) -> None:
+def test_a_bus_whose_device_was_unplugged_or_whose_driver_crashed_is_reported_as_gone(
+    error: Exception,
+) -> None:
     connection = failing_connection(error)
     with pytest.raises(BusGoneError):
         connection.recv(0)

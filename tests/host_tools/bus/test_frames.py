@@ -186,7 +186,8 @@ def test_the_documented_estimate_has_the_documented_identifier_and_bytes() -> No
     assert frame.data.hex() == "0000400000803fe0"
 
 
-def test_the_specification_shows_frames_of_such_messages() -> None:
+def test_the_example_frames_of_the_specification_are_what_robots_send() -> None:
+    """x is in units of 2**-23, and b_hat in units of 2**-24."""
     page = (ROOT / "docs/design.md").read_text(encoding="utf-8")
     estimate = encode_estimate(Estimate(42, 2**22, ALPHA_ONE, transfer_id=0), DEFAULT)
     telemetry = encode_telemetry(

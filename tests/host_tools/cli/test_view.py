@@ -189,6 +189,7 @@ def test_view_reports_a_bus_that_fails(monkeypatch: pytest.MonkeyPatch, capsys: 
 def test_swarm_does_not_keep_the_page_of_a_bus_that_fails(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
+    """After a run that succeeds it serves the page until Ctrl-C; here it must end, and with an error."""
     failure = Mock(side_effect=can.CanOperationError("it is off"))
     monkeypatch.setattr("mcp_asdf_tools.swarm.run.run_swarm", failure)
     waiting = Mock(side_effect=AssertionError("it waits for Ctrl-C"))

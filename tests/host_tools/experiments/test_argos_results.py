@@ -24,7 +24,8 @@ def shown_table() -> str:
     return text.split("<!-- argos -->\n")[1].split("\n<!-- end -->")[0]
 
 
-def test_all_seeds_of_each_filter_are_there() -> None:
+def test_results_of_argos_are_of_40_seeds_for_each_filter() -> None:
+    """Three figures of each seed are kept, for the comparison with ``simulate``."""
     results = argos.read_results()
     assert set(results) >= set(FILTERS_WITH_TABLE)
     for errors in results.values():

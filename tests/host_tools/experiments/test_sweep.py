@@ -250,7 +250,8 @@ def row_counts(folder: Path) -> list[int]:
     return [pq.read_metadata(path).num_rows for path in sorted(folder.glob("*.parquet"))]
 
 
-def test_a_short_sweep_is_written_once(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_short_sweep_writes_its_output_and_no_parts(output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parts keep what is finished of a long one; none is due here before the end."""
     written: list[str] = []
     write_tables = result_files.write_tables
 

@@ -64,13 +64,17 @@ def test_a_clock_has_no_figures_before_the_first_tick() -> None:
 
 
 def test_figures_say_in_seconds_how_late_ticks_have_begun() -> None:
+    """Five ticks, whose work takes so many periods, begin 0, 1, 0.5, 0 and 0 periods late.
+
+    Only one of them is late by more than half of a period.
+    """
     watch = Watch()
     clock = watch.clock()
-    # These begin 0, 1, 0.5, 0 and 0 periods late, and only one of them by more than half of one.
+
     begin_ticks(watch, clock, [2, 0.5, 0.5, 0.5, 0])
 
     assert clock.figures() == {
-        "mean_lateness": 0.3 * PERIOD,
+        "mean_lateness": (1 + 0.5) / 5 * PERIOD,
         "max_lateness": PERIOD,
         "late_ticks": 1,
         "drift": 0,

@@ -186,6 +186,7 @@ def test_a_link_logs_what_was_sent_and_received_and_the_time_of_sending() -> Non
 
 
 def test_a_late_node_catches_up_with_all_frames_that_wait() -> None:
+    """Two frames wait; then there is none, and it does not wait for the next."""
     frame = can.Message(is_rx=True)
     bus = Mock(recv=Mock(side_effect=[frame, frame, None, frame]))
     received: list[can.Message] = []

@@ -77,7 +77,8 @@ def test_the_mean_of_statistics_is_taken_resample_by_resample() -> None:
     first = Resampled(1, np.array([0, 2], np.float32))
     second = Resampled(3, np.array([2, 4], np.float32))
     mean = mean_of_resampled([first, second])
-    assert (mean.value, mean.resamples.tolist()) == (2, [1, 3])
+    assert mean.value == (1 + 3) / 2
+    assert mean.resamples.tolist() == [(0 + 2) / 2, (2 + 4) / 2]
 
 
 def test_the_rank_correlation_is_that_of_scipy() -> None:

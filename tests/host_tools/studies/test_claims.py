@@ -70,6 +70,7 @@ def claim_named(name: str) -> Claim:
 def test_a_claim_of_the_paper_agrees_or_disagrees_as_planted_results_do(
     claim: Claim, study_part: StudyPart, index: int, verdict: Verdict
 ) -> None:
+    """PLANTED has two expressions for each claim: results that agree with it, and results that do not."""
     study_results = PlantedResults(PLANTED[claim.name][index], parts_needed(claim, study_part))
     decision = decide_one(study_results, claim, study_part)
     shown = [f"{each.label}: {each.interval} {each.holds}" for each in decision.comparisons]

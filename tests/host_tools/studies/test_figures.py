@@ -161,13 +161,15 @@ def test_asdf_minus_is_also_shown_where_it_is_another_filter(name: str) -> None:
     assert {("asdf-minus", 0), ("asdf-minus", 100)} <= drawn.filters_and_percents
 
 
-def test_single_trials_are_run_again_with_records(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_trials_drawn_over_time_are_run_again_with_recorded_values(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The results of a study have no values over time. Trial 0 is drawn without a filter, and with ASDF+."""
     recorded: list[Any] = []
     monkeypatch.setattr(series, "plot_runs", lambda runs, trial: recorded.extend(runs))
     pictures_of(StudyPart.FULLY_CONNECTED)
 
-    assert [sorted(trials.records) for trials in recorded] == [sorted(recorded[0].records)] * 2
-    assert [trials.numbers for trials in recorded] == [[0], [0]]
+    without_filter, with_filter = recorded
+    assert sorted(without_filter.records) == sorted(with_filter.records)
+    assert without_filter.numbers == with_filter.numbers == [0]
 
 
 def test_the_title_has_the_filters_typeset_name() -> None:

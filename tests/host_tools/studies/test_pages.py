@@ -98,6 +98,7 @@ def test_the_overview_of_the_study_goes_into_its_page(
 
 
 def test_the_verdicts_of_the_study_are_recorded(study_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tool counts how many comparisons of each claim hold, and keeps that for a test of the page."""
     put("study", study_folder, monkeypatch)
     assert (study_folder / "tests/data/study_verdicts.csv").read_text().splitlines() == [
         "claim,part,verdict,holds,of",

@@ -259,6 +259,7 @@ def test_bayescpf_does_not_measure_few_observations() -> None:
 def test_bayescpf_updates_at_every_filter_step_unless_the_filter_is_off(
     filter_choice: Filter, updates: int
 ) -> None:
+    """The robot filters in every hundredth step, and takes a hundred."""
     robot = peers.BayesCpfRobot(Config(filter=filter_choice, filter_period=100), 0, 0.8)
     for _ in range(100):
         robot.step(Observation.BLACK)
@@ -436,6 +437,7 @@ def test_a_voting_robot_listens_only_before_the_end_of_its_dissemination() -> No
 
 
 def test_a_voting_robot_ignores_messages_without_confidence() -> None:
+    """Two neighbours broadcast black (1.0) with a confidence of 0; the robot stays with white (0.0)."""
     robot = disseminating_robot(0, rounds_left=1)
     robot.receive(1, 1.0, 0.0)
     robot.receive(2, 1.0, 0.0)

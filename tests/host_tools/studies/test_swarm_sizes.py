@@ -95,6 +95,7 @@ def test_the_cost_of_a_step_leaves_out_the_start_of_a_trial(
 def test_small_swarms_are_measured_for_more_steps(
     robots: int, steps: list[int], rows_of_two_sizes: dict[str, list[Trials]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A trial and one of twice as many steps are measured, the longer the fewer robots there are."""
     measured_steps: list[int] = []
 
     def record_steps(experiment: Experiment) -> float:

@@ -54,11 +54,16 @@ def test_a_row_has_the_flawed_robots_and_repetitions_that_it_says(
 
 
 def test_all_robots_get_10_000_tiles_and_broadcast_once_for_each() -> None:
-    two = experiment_of("none flawed, overconfident", "two readings")
-    one = experiment_of("none flawed, overconfident", "robust")
-    assert (two.observation_period, one.observation_period) == (1, 2)
-    for experiment in (two, one):
-        assert (experiment.steps, experiment.comms_period, experiment.filter_period) == (20_000, 2, 2000)
+    """A tile takes two steps: of two readings, or of one and a pause."""
+    two_readings_robot = experiment_of("none flawed, overconfident", "two readings")
+    usual_robot = experiment_of("none flawed, overconfident", "robust")
+
+    assert two_readings_robot.observation_period == 1
+    assert usual_robot.observation_period == 2
+    for experiment in (two_readings_robot, usual_robot):
+        assert experiment.steps == 2 * 10_000
+        assert experiment.comms_period == 2
+        assert experiment.filter_period == 2 * 1000
 
 
 def test_the_study_has_six_trials_and_a_seed_of_its_own() -> None:

@@ -130,12 +130,14 @@ def test_robots_in_other_programs_end_in_the_same_bits_as_robots_in_this_one(los
 
 
 def test_remote_robots_broadcast_the_same_estimates(lossless: Comparison) -> None:
-    remote_estimates, local_estimates = (
-        [frame for frame in frames if isinstance(decode_estimate(frame, FrameFormat()), Estimate)]
-        for frames in (lossless.frames, lossless.local_frames)
-    )
+    """In another order within a tick, as another robot may be the first."""
 
-    # In a round another robot may be the first.
+    def estimates_among(frames: list[can.Message]) -> list[can.Message]:
+        return [frame for frame in frames if isinstance(decode_estimate(frame, FrameFormat()), Estimate)]
+
+    remote_estimates = estimates_among(lossless.frames)
+    local_estimates = estimates_among(lossless.local_frames)
+
     assert sorted(content(remote_estimates)) == sorted(content(local_estimates))
 
 

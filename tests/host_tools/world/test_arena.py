@@ -392,11 +392,12 @@ def test_a_picture_of_the_floor_has_its_first_row_in_the_north() -> None:
     assert np.array_equal(Arena(CODE_FLOOR).pixels(columns, rows), CODE)
 
 
-def test_a_code_lies_with_its_first_row_in_the_north() -> None:
+def test_a_floor_like_a_qr_code_lies_with_its_first_row_in_the_north() -> None:
     """The floor is 3 m wide and 2 m high with its origin in the middle; the code has 100 x 100 modules."""
+    width, height = 3, 2
     rows, columns = np.indices(CODE.shape)
-    x = (columns + 0.5) / 100 * 3 - 1.5
-    y = 1 - (rows + 0.5) / 100 * 2
+    x = (columns + 0.5) / 100 * width - width / 2  # of the middle of each module
+    y = height / 2 - (rows + 0.5) / 100 * height
     middles = np.stack([x, y], axis=2)
 
     assert np.array_equal(colours(Arena(CODE_FLOOR), middles.reshape(-1, 2)), CODE.ravel())
