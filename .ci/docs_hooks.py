@@ -39,8 +39,11 @@ _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
 _FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\s](?:[^$\n]*[^$\s])?)\$", re.DOTALL)
 _FILE = re.compile(r"<!-- file: (\S+) -->")
 _INLINE_CODE = re.compile(r"(?<=<code>)[^<\n]+(?=</code>)")
-_WORD = re.compile(r"(?<![^ ])[^ ]{2,26}(?![^ ])")
-_BLOCK = re.compile(r'<div class="highlight">(.*?)</div>', re.DOTALL)
+_WORD = re.compile(r"[^ ]{2,}")
+_LONGEST_UNBROKEN_WORD = 26
+_BLOCK = re.compile(r'<div class="highlight"><pre><span></span><code>(.*?)</code></pre></div>', re.DOTALL)
+_TABLE = re.compile(r"^(?:<[^<>]+>)*\||[\u2502\u2503]", re.MULTILINE)
+_TAG = re.compile(r"<[^<>]+>")
 _POWER = re.compile(r"(?<=[\w)])\*\*(-?\w+|\([^)]*\))")
 
 _PICTURE = re.compile(r"^!\[([^\]]*)\]\(images/view\.webp\)$", re.MULTILINE)
@@ -98,7 +101,7 @@ def on_post_build(config: Any, **_: Any) -> None:
 def on_page_content(content: str, page: Any, **_: Any) -> str:
     """Name the columns in every cell, put the formulas in, and mark where lines may break."""
     content = re.sub(r"<table>.*?</table>", _labelled, content, flags=re.DOTALL)
-    content = _INLINE_CODE.sub(lambda code: _WORD.sub(r'<span class="word">\g<0></span>', code[0]), content)
+    content = _INLINE_CODE.sub(lambda code: _WORD.sub(_breakable, code[0]), content)
     content = _BLOCK.sub(_wrapped, content)
     content = re.sub(r"\(?formula\d+formula[),.;:]*", r'<span class="formula">\g<0></span>', content)
     for number, formula in enumerate(page.formulas):
@@ -106,12 +109,25 @@ def on_page_content(content: str, page: Any, **_: Any) -> str:
     return content
 
 
+def _breakable(word: re.Match[str]) -> str:
+    """A short word in code stays in one piece, and a long one may break behind its separators."""
+    if len(word[0]) <= _LONGEST_UNBROKEN_WORD:
+        return f'<span class="word">{word[0]}</span>'
+    return re.sub(r"(?<=\w)([_/:,])(?=\w)", r"\1<wbr>", word[0])
+
+
 def _wrapped(block: re.Match[str]) -> str:
-    """Commands and output may break their lines, except columns, tables and what is indented."""
-    without_comments = re.sub(' +(?=<span class="c1">)', "", block[1])
-    if re.search(r"   |^(?:<[^<>]+>)*\||\u2503", without_comments, re.MULTILINE):
+    """Lines of code may break, except in tables; what follows a break is indented further than the line."""
+    if _TABLE.search(block[1]):
         return block[0]
-    return block[0].replace('class="', 'class="wrapped ', 1)
+    lines = "\n".join(map(_hanging, block[1].removesuffix("\n").split("\n")))
+    return f'<div class="wrapped highlight"><pre><span></span><code>{lines}</code></pre></div>'
+
+
+def _hanging(line: str) -> str:
+    text = _TAG.sub("", line)
+    indent = len(text) - len(text.lstrip(" "))
+    return f'<span class="line" style="--indent: {indent}">{line}</span>'
 
 
 def _keep(found: re.Match[str], formulas: list[str]) -> str:
