@@ -41,6 +41,9 @@ _FILE = re.compile(r"<!-- file: (\S+) -->")
 _INLINE_CODE = re.compile(r"(?<=<code>)[^<\n]+(?=</code>)")
 _WORD = re.compile(r"[^ ]{2,}")
 _LONGEST_UNBROKEN_WORD = 26
+_SEPARATOR = re.compile(r"(?<=\w[_/:,])(?=\w)")
+_OPTION = re.compile(r"(?<![\w&-])--?\w[\w-]{0,24}(?![\w-])")
+_NUMBER = re.compile(r"[\d.,]+")
 _BLOCK = re.compile(r'<div class="highlight"><pre><span></span><code>(.*?)</code></pre></div>', re.DOTALL)
 _TABLE = re.compile(r"^(?:<[^<>]+>)*\||[\u2502\u2503]", re.MULTILINE)
 _TAG = re.compile(r"<[^<>]+>")
@@ -111,9 +114,16 @@ def on_page_content(content: str, page: Any, **_: Any) -> str:
 
 def _breakable(word: re.Match[str]) -> str:
     """A short word in code stays in one piece, and a long one may break behind its separators."""
-    if len(word[0]) <= _LONGEST_UNBROKEN_WORD:
-        return f'<span class="word">{word[0]}</span>'
-    return re.sub(r"(?<=\w)([_/:,])(?=\w)", r"\1<wbr>", word[0])
+    pieces = [word[0]]
+    if len(word[0]) > _LONGEST_UNBROKEN_WORD:
+        pieces = _SEPARATOR.split(word[0])
+    return "<wbr>".join(
+        _unbroken(piece) if len(piece) <= _LONGEST_UNBROKEN_WORD else piece for piece in pieces
+    )
+
+
+def _unbroken(text: str) -> str:
+    return f'<span class="word">{text}</span>'
 
 
 def _wrapped(block: re.Match[str]) -> str:
@@ -127,7 +137,8 @@ def _wrapped(block: re.Match[str]) -> str:
 def _hanging(line: str) -> str:
     text = _TAG.sub("", line)
     indent = len(text) - len(text.lstrip(" "))
-    return f'<span class="line" style="--indent: {indent}">{line}</span>'
+    unbroken = _OPTION.sub(lambda option: _unbroken(option[0]), line)
+    return f'<span class="line" style="--indent: {indent}">{unbroken}</span>'
 
 
 def _keep(found: re.Match[str], formulas: list[str]) -> str:
@@ -212,9 +223,20 @@ def _labelled(table: re.Match[str]) -> str:
 
     def row(found: re.Match[str]) -> str:
         cells = iter(titles)
-        return re.sub(r"<td", lambda _: f'<td data-label="{next(cells)}"', found[0])
+        labelled = re.sub(r"<td", lambda _: f'<td data-label="{next(cells)}"', found[0])
+        return re.sub(r"<td(.*?)>(.*?)</td>", _first_cell, labelled, count=1, flags=re.DOTALL)
 
     return re.sub(r"<tr>.*?</tr>", row, table[0], flags=re.DOTALL)
+
+
+def _first_cell(cell: re.Match[str]) -> str:
+    """The name of a row stays on one line if it is short, and a number needs the name of its column."""
+    text = html.unescape(_TAG.sub("", cell[2]))
+    if _NUMBER.fullmatch(text):
+        return f'<td class="number"{cell[1]}>{cell[2]}</td>'
+    if len(text) <= _LONGEST_UNBROKEN_WORD:
+        return f'<td class="short"{cell[1]}>{cell[2]}</td>'
+    return cell[0]
 
 
 class Docstrings(griffe.Extension):
