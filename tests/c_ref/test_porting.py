@@ -26,7 +26,7 @@ from mcp_asdf_tools.bus import frames
 from mcp_asdf_tools.bus.frames import Estimate, FrameFormat, Heartbeat, Telemetry
 from packets import frame_of_packet, packet_of
 from simulated_avr import Board, require_simavr
-from support import CORE, ROOT, TABLE, block_with, require, run
+from support import CORE, ROOT, TABLE, block_with, require, run, slow
 
 PAGE = ROOT / "docs/porting.md"
 KILOBOT_PAGE = ROOT / "docs/platforms/kilobot.md"
@@ -272,7 +272,7 @@ def test_each_part_of_the_firmware_takes_the_flash_that_the_page_states(compiled
 @pytest.mark.parametrize(
     ("name", "flag"),
     [
-        ("paper's filter", "-DMCP_ASDF_WITH_ROBUST=0"),
+        *slow([("paper's filter", "-DMCP_ASDF_WITH_ROBUST=0")]),
         ("robust filter", "-DMCP_ASDF_WITH_ASDF=0"),
     ],
 )

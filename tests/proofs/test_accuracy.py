@@ -27,7 +27,8 @@ FORMED = {
 """Functions that claims are about, and those that they call, of which nothing is known."""
 
 
-@pytest.mark.parametrize("variants", [VARIANTS[:1], *slow([(VARIANTS,)])], ids=["one", "all"])
+@pytest.mark.slow
+@pytest.mark.parametrize("variants", [VARIANTS[:1], VARIANTS], ids=["one", "all"])
 def test_the_c_computes_the_numbers_that_the_proofs_of_its_errors_are_about(
     variants: tuple[Variant, ...],
 ) -> None:

@@ -32,7 +32,8 @@ FIRMWARE = (CORE, SOURCES / "mcp_asdf_image.c", SOURCES / "mcp_asdf_frame.c", SO
 
 
 LEMMAS = [*formulas.CONTRACTS, *robust.CONTRACTS, *calls.CONTRACTS, *images.CONTRACTS]
-LONG = ("take_vote", "mcp_asdf_receive")
+LONG = ("take_vote", "asdf_test_rejects", "mcp_asdf_receive", "mcp_asdf_save", "mcp_asdf_restore")
+"""Functions whose proofs take so long that only the slow tests have them."""
 CORTEX_M4 = VARIANTS[0]
 
 

@@ -22,7 +22,7 @@ from mcp_asdf_tools.bus.datagrams import unpack_data_frame
 from mcp_asdf_tools.bus.frame_layout import Action
 from mcp_asdf_tools.cli.main import main
 from multicast import multicast
-from support import PATIENCE, require, run, slow
+from support import PATIENCE, require, run
 from targets.c_node import (
     CORTEX_A8,
     PLAIN_BUILD,
@@ -81,8 +81,9 @@ def datagrams_on_wifi(
     return arrivals
 
 
-@pytest.mark.parametrize("address", [IPV4, *slow([IPV6])])
-@pytest.mark.parametrize("kind", [SANITIZED_BUILD, *slow([CORTEX_A8])], ids=lambda kind: kind.name)
+@pytest.mark.slow
+@pytest.mark.parametrize("address", [IPV4, IPV6])
+@pytest.mark.parametrize("kind", [SANITIZED_BUILD, CORTEX_A8], ids=lambda kind: kind.name)
 def test_c_and_python_node_answer_the_datagrams_of_a_bad_network_alike(
     kind: NodeBuild, address: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -701,8 +701,12 @@ def refusal_of_file(file: Path, reason: str) -> str:
     ("failing_call", "reason"),
     [
         ("openat:error=EACCES", "Permission denied"),
-        ("read:error=EIO", "Input/output error"),
-        ("read:error=EIO:when=2", "Input/output error"),
+        *slow(
+            [
+                ("read:error=EIO", "Input/output error"),
+                ("read:error=EIO:when=2", "Input/output error"),
+            ]
+        ),
     ],
 )
 def test_a_state_that_cannot_be_read_is_refused_and_kept(

@@ -10,6 +10,7 @@ import pytest
 
 from authors_files import FIXED, MOVING, write_trial
 from mcp_asdf_tools.cli.main import main
+from support import slow
 
 Capture = pytest.CaptureFixture[str]
 
@@ -59,7 +60,7 @@ def test_converted_results_are_scored_like_others(capsys: Capture) -> None:
     assert len(Path("theirs.csv").read_text(encoding="utf-8").splitlines()) == 1 + 3
 
 
-@pytest.mark.parametrize("kind", ["boxes", "bands", "series"])
+@pytest.mark.parametrize("kind", ["boxes", *slow(["bands", "series"])])
 def test_converted_results_are_drawn_like_others(kind: str) -> None:
     main(["convert", "data/flw2_t0.json", "--output", "theirs.parquet"])
     assert main(["plot", "theirs.parquet", "picture.png", "--kind", kind]) == 0

@@ -31,6 +31,7 @@ from mcp_asdf_tools.view.swarm_log_history import recompute_swarm_history
 from mcp_asdf_tools.view.swarm_recorder import SwarmRecorder
 from mcp_asdf_tools.view.trial_history import recompute_trial_history, recorded_trial_history
 from mcp_asdf_tools.world.arena import Arena
+from support import slow
 
 PARAMETERS: dict[str, Any] = {
     "robots": 7,
@@ -92,7 +93,11 @@ class Recordings(NamedTuple):
     trials: Trials
 
 
-@pytest.fixture(scope="module", params=WORLDS)
+QUICK_WORLDS = ("dynamic", "robust")
+SLOW_WORLDS = [name for name in WORLDS if name not in QUICK_WORLDS]
+
+
+@pytest.fixture(scope="module", params=[*QUICK_WORLDS, *slow(SLOW_WORLDS)])
 def recordings(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recordings:
     world = WORLDS[request.param]
     log = write_log(tmp_path_factory.mktemp("log") / "run.log", **world)
