@@ -43,6 +43,8 @@ _WORD = re.compile(r"[^ ]{2,}")
 _LONGEST_UNBROKEN_WORD = 26
 _SEPARATOR = re.compile(r"(?<=\w[_/:,])(?=\w)")
 _OPTION = re.compile(r"(?<![\w&-])--?\w[\w-]{0,24}(?![\w-])")
+_OPENING = re.compile(r'<span class="[op]">[.(\[]+</span>')
+_INDENT = re.compile(r"^((?:<[^<>]+>)*)( +)")
 _NUMBER = re.compile(r"[\d.,]+")
 _BLOCK = re.compile(r'<div class="highlight"><pre><span></span><code>(.*?)</code></pre></div>', re.DOTALL)
 _TABLE = re.compile(r"^(?:<[^<>]+>)*\||[\u2502\u2503]", re.MULTILINE)
@@ -129,7 +131,7 @@ def _unbroken(text: str) -> str:
 def _wrapped(block: re.Match[str]) -> str:
     """Lines of code may break, except in tables; what follows a break is indented further than the line."""
     if _TABLE.search(block[1]):
-        return block[0]
+        return block[0].replace('class="', 'class="columns ', 1)
     lines = "\n".join(map(_hanging, block[1].removesuffix("\n").split("\n")))
     return f'<div class="wrapped highlight"><pre><span></span><code>{lines}</code></pre></div>'
 
@@ -137,8 +139,10 @@ def _wrapped(block: re.Match[str]) -> str:
 def _hanging(line: str) -> str:
     text = _TAG.sub("", line)
     indent = len(text) - len(text.lstrip(" "))
-    unbroken = _OPTION.sub(lambda option: _unbroken(option[0]), line)
-    return f'<span class="line" style="--indent: {indent}">{unbroken}</span>'
+    line = _OPTION.sub(lambda option: _unbroken(option[0]), line)
+    line = _OPENING.sub(r"\g<0><wbr>", line)
+    line = _INDENT.sub(r'\1<span class="indent">\2</span>', line)
+    return f'<span class="line" style="--indent: {indent}">{line}</span>'
 
 
 def _keep(found: re.Match[str], formulas: list[str]) -> str:
