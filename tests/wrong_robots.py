@@ -387,17 +387,17 @@ WRONG: dict[str, Wrong] = {
     "rejects its own estimate": with_firmware(
         "own estimate", "return {diff => difference == 0 or diff}erence *"
     ),
-    "tests its informed estimate": with_firmware("all white", "s.open, {s.x_hat => self.x_raw})"),
+    "tests its informed estimate": with_firmware("all white", "ending_round, {s.x_hat => self.x_raw})"),
     "tests one message": with_firmware(
         "rounds without a test",
         "= {2 => 1} if config.filter ==",
         "if {not => s.open.count > 1 and not} asdf_test_rejects",
     ),
     "never updates": with_firmware(
-        "all white", "return {reestimate(s.t, s.n, round_mean(s.closed)) => None}"
+        "all white", "return {reestimate(s.t, s.n, round_mean(sums_for_x_bar)) => None}"
     ),
     "x_bar not weighted in eq. 8": with_firmware(
-        "few observations", "s.n, round_mean({s.closed => Closed(s.open.count << 24, s.open.x << 24)}))"
+        "few observations", "s.n, round_mean({sums_for_x_bar => Closed(s.open.count << 24, s.open.x << 24)}))"
     ),
     "eq. 8 in float32": with_firmware("few observations", "min(max({b_hat => b_hat >> 10 << 10}, B_HAT_MIN)"),
     "b_hat clamped elsewhere": with_firmware(

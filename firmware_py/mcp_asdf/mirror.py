@@ -134,24 +134,29 @@ def square_of_ratio(g: int, p: int) -> int:
 
 
 def accuracy_of(b_hat: int) -> Accuracy:
-    """Return an assumed accuracy, in units of 2**-32, with the values that depend on it.
+    """Return an assumed accuracy, in units of 2**-32, with c and the weights that observations have for it.
 
-    In C this is ``set_b_hat``.
+    c = min(b_hat, 1 - b_hat) is the probability of an error, or C_WITHOUT_INFORMATION if g = 1 - 2 c is below
+    2**-12. In alpha, the confidence, an observation of the more frequent colour has the weight
+    (g / (1 - c))**2, and one of the rarer colour (g / c)**2. Both are computed from numbers that are shifted
+    up until their highest bit is set, and the result says by how many bits. In C this is ``set_b_hat``.
     """
     c = min(b_hat, Q32_ONE - b_hat)  # a sensor that is mostly wrong tells as much as its opposite
-    g = Q32_ONE - 2 * c  # |2 b_hat - 1| in units of 2**-32, as c
-    # Shifted, so that the quotients keep 24 bits also where g or c is small. 1 - c is at least 1/2 anyway.
+    g = Q32_ONE - 2 * c  # in units of 2**-32, as c
+    is_informative = g >= INFORMATIVE_G
+    # Shifted numbers give quotients of 24 bits also where g or c is small.
     g_shift = leading_zeros(g)
     c_shift = leading_zeros(c)
     shifted_g = g << g_shift
-    is_informative = g >= INFORMATIVE_G
+    shifted_c = c << c_shift
+    one_minus_c = Q32_ONE - c  # at least 1/2: its highest bit is set without a shift
     return Accuracy(
         b_hat=b_hat,
         c=c if is_informative else C_WITHOUT_INFORMATION,
-        common=square_of_ratio(shifted_g, Q32_ONE - c),
-        rare=square_of_ratio(shifted_g, c << c_shift),
+        common=square_of_ratio(shifted_g, one_minus_c),
+        rare=square_of_ratio(shifted_g, shifted_c),
         g_shift=g_shift,
-        rare_shift=2 * c_shift,
+        rare_shift=2 * c_shift,  # c is squared, and so is the factor 2**c_shift
     )
 
 
@@ -236,14 +241,34 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
 
         x_hat = (n / t + b_hat - 1) / (2 b_hat - 1)     clamped to 0 .. 1
 
-    but 1/2, with the alpha word 0, if |2 b_hat - 1| < 2**-12: then b_hat carries no information.
-
-    The rarer of the colours that were observed is treated as if it were black, and the sensor as if it were
-    right more often than not: with accuracy 1 - c, where c is the smaller of b_hat and 1 - b_hat. With p for
-    the rarer colour's share of the observations and g = 1 - 2 c, eq. 3 is (p - c) / g. At the end 1 - x_hat
-    takes the place of x_hat where colour or sensor were not so.
+    but 1/2, with no confidence, if |2 b_hat - 1| < 2**-12: then b_hat carries no information. An alpha word
+    has a mantissa in bits 8 to 31 and a shift in bits 0 to 4; the word 0 is no confidence.
     """
+    if accuracy.c == C_WITHOUT_INFORMATION:
+        return HALF, 0
     rare_count = min(n, t - n)
+    x_hat_of_rarer, mantissa, exponent = estimate_of_rarer_colour(t, rare_count, accuracy)
+    # x_hat is the share of black. Two things make it the share of the other colour, and both together do not:
+    # white is the rarer colour, or the sensor takes most black tiles for white ones and the reverse.
+    is_white_rarer = n >= t - n
+    is_mostly_wrong = accuracy.b_hat < Q32_HALF
+    is_mirrored = is_white_rarer != is_mostly_wrong
+    x_hat = ONE - x_hat_of_rarer if is_mirrored else x_hat_of_rarer
+    return x_hat, alpha_word_from_mantissa(mantissa, exponent)
+
+
+def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tuple[int, int, int]:
+    """Return the estimated share of the colour that was observed less often, and its confidence.
+
+    ``rare_count`` of ``t`` > 0 observations are of this colour, a share p of at most 1/2. The sensor is taken
+    for one that is right more often than not. It errs with the probability c that ``accuracy`` has, below
+    1/2; with g = 1 - 2 c the estimate is
+
+        (p - c) / g     or 0 if p <= c
+
+    The result is the estimate in units of 2**-23, and the mantissa, a number of 24 bits, and the exponent of
+    the confidence, which is mantissa * 2**exponent units of 2**-24.
+    """
     # Both counts are shifted by as many bits, so that t has 32 bits and products keep their upper bits.
     shift = leading_zeros(t)
     total = t << shift
@@ -251,24 +276,16 @@ def estimate(t: int, n: int, accuracy: Accuracy) -> tuple[int, int]:
     # On a floor without the rarer colour so many observations would show it, by errors of the sensor.
     errors = multiply_high(accuracy.c, total)  # c total
     if rarer <= errors:
-        if accuracy.c == C_WITHOUT_INFORMATION:
-            return HALF, 0
         # The rarer colour has not come more often than errors explain.
-        x_hat_of_rarer = 0
-        mantissa, exponent = confidence_at_end(accuracy, t, rare_count)
-    else:
-        # (p - c) / g with both sides multiplied by ``total``, and shifted so that the divisor has 32 bits.
-        divisor = (total - 2 * errors) << accuracy.g_shift  # g total
-        dividend = (rarer - errors) << accuracy.g_shift  # (p - c) total
-        # Divided by half of the divisor, in units of 2**-24, the quotient is x_hat in units of 2**-25.
-        quotient = divide_24(dividend, divisor >> 1)
-        x_hat_of_rarer = quotient >> 2
-        mantissa, exponent = confidence_inside(accuracy, total, rarer, divisor, shift)
-    # Black is the other colour if white is the rarer one, and once more if the sensor takes black for white.
-    is_white_rarer = n >= t - n
-    is_mirrored = is_white_rarer == (accuracy.b_hat >= Q32_HALF)
-    x_hat = ONE - x_hat_of_rarer if is_mirrored else x_hat_of_rarer
-    return x_hat, alpha_word_from_mantissa(mantissa, exponent)
+        return 0, *confidence_at_end(accuracy, t, rare_count)
+    # Dividend and divisor of (p - c) / g are multiplied by ``total``, and shifted as far as the divisor's
+    # highest bit allows: it has 32 bits then.
+    dividend = (rarer - errors) << accuracy.g_shift  # (p - c) total
+    divisor = (total - 2 * errors) << accuracy.g_shift  # g total
+    # divide_24 takes numbers of 31 bits. By half of the divisor the quotient is twice the estimate.
+    doubled_estimate = divide_24(dividend, divisor >> 1)  # units of 2**-24
+    x_hat_of_rarer = doubled_estimate >> 2  # one bit halves it, and one changes the unit to 2**-23
+    return x_hat_of_rarer, *confidence_inside(accuracy, total, rarer, divisor, shift)
 
 
 # ---- The round: eq. 5 to 7, and 12 ----
@@ -370,6 +387,50 @@ def is_valid_estimate(s: State) -> bool:
     # Before the first observation x_hat is 1/2, and has no confidence.
     expected = estimate(s.t, s.n, s.accuracy) if s.t else (HALF, 0)
     return (s.x_hat, s.alpha) == expected
+
+
+def is_valid_accuracy(accuracy: Accuracy) -> bool:
+    """Return whether b_hat is in its range, and whether the values that are kept with it follow from it."""
+    is_in_range = B_HAT_MIN <= accuracy.b_hat <= B_HAT_MAX
+    return is_in_range and accuracy == accuracy_of(accuracy.b_hat)
+
+
+def are_valid_robust_members(s: State) -> bool:
+    """Return whether what the robust filter remembers of ``s``, a robot's state, is possible.
+
+    That is its slots and votes, its present batch of observations and its initial b_hat.
+    """
+    return (
+        are_valid_slots(s.robust, s.estimates)
+        and are_valid_votes(s.robust)
+        and is_valid_batch(s.robust, s.t, s.n)
+        and is_valid_initial_b_hat(s.robust, s.accuracy.b_hat)
+    )
+
+
+def are_valid_rounds(s: State) -> bool:
+    """Return whether a robot without the robust filter can have the sums of rounds that ``s`` has.
+
+    These are the sums of the last closed round and of the open one. What only the robust filter changes must
+    be as in a new robot.
+    """
+    return (
+        is_valid_mean(s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high)
+        and are_valid_sums(s.open)
+        and s.robust == RobustFilter()
+    )
+
+
+def are_valid_senders(s: State) -> bool:
+    """Return whether the senders of the open round in ``s`` are possible: enough of them, and not the robot.
+
+    Each estimate in the sums of the open round has a sender. Those of estimates without confidence, which are
+    in no sum, come on top. The robot's own id must be valid.
+    """
+    sender_count = sum(word.bit_count() for word in s.heard)
+    own_word_index, own_bit = bit_of_sender(s.id)
+    has_heard_itself = s.heard[own_word_index] & own_bit != 0
+    return s.open.count <= sender_count and not has_heard_itself
 
 
 def bit_of_sender(sender: int) -> tuple[int, int]:
@@ -621,18 +682,19 @@ class MirrorRobot(FixedPointView):
         information (see `reestimate`).
         """
         s, config = self.s, self.config
-        # ``s.open`` and ``s.closed`` have sums of the same round here, which is ending. The test needs sums
-        # of x_hat that only the first has, and x_bar follows from those that both have.
+        # The round that is ending is in the state twice: ``s.open`` still has all of its sums, those of the
+        # test among them, and ``s.closed`` has the copy of some that stays, from which x_bar is computed.
+        ending_round, sums_for_x_bar = s.open, s.closed
         # The variance in eq. 12 takes two estimates, a re-estimate without a test takes one.
         messages_needed = 2 if config.filter == Filter.ADAPTIVE else 1
-        if config.filter == Filter.OFF or s.open.count < messages_needed:
+        if config.filter == Filter.OFF or ending_round.count < messages_needed:
             return None
         if config.filter == Filter.ADAPTIVE:
             s.tests = (s.tests + 1) & COUNTER_MASK
             assert config.table is not None
-            if not asdf_test_rejects(config.table, s.open, s.x_hat):
+            if not asdf_test_rejects(config.table, ending_round, s.x_hat):
                 return None
-        return reestimate(s.t, s.n, round_mean(s.closed))
+        return reestimate(s.t, s.n, round_mean(sums_for_x_bar))
 
     def _run_robust_filter(self) -> int | None:
         """Test the initial b_hat against the estimates that the robot keeps, one of each neighbour.
@@ -752,37 +814,25 @@ class MirrorRobot(FixedPointView):
         return values
 
     def holds_invariants(self) -> bool:
-        """Return whether calls alone could have led to this state (``docs/internals/properties.md``).
+        """Return whether calls alone could have led to this state, as far as can be checked in constant time.
 
-        False means that the state, or the image from which it was restored, was damaged.
+        False means that the state, or the image from which it was restored, was damaged. True means:
+
+        - The id is one that a robot can have, and the filter's next run is at most a filter period away.
+        - The counts of observations are below the memory, and not more are black than there are.
+        - b_hat is in its range, and x_hat and alpha can follow from it and the counts.
+        - What the filter remembers, and the senders of the open round, are possible.
         """
         s, config = self.s, self.config
         if s.id > MAX_ID:
-            return False  # no robot has this id, and the set of senders has no bit for it
-        if self.is_robust:
-            is_filter_state_valid = (
-                are_valid_slots(s.robust, s.estimates)
-                and are_valid_votes(s.robust)
-                and is_valid_batch(s.robust, s.t, s.n)
-                and is_valid_initial_b_hat(s.robust, s.accuracy.b_hat)
-            )
-        else:
-            is_filter_state_valid = (
-                is_valid_mean(s.closed.alpha, s.closed.alpha_x_low, s.closed.alpha_x_high)
-                and are_valid_sums(s.open)
-                and s.robust == RobustFilter()
-            )
-        sender_count = sum(word.bit_count() for word in s.heard)
-        own_word_index, own_bit = bit_of_sender(s.id)
-        has_heard_itself = s.heard[own_word_index] & own_bit != 0
+            return False  # nor has the set of senders, which is checked below, a bit for this id
+        are_counts_valid = s.n <= s.t < config.memory  # at the memory both would have been halved
         return (
-            s.n <= s.t < config.memory
-            and B_HAT_MIN <= s.accuracy.b_hat <= B_HAT_MAX
-            and s.accuracy == accuracy_of(s.accuracy.b_hat)
+            are_counts_valid
+            and is_valid_accuracy(s.accuracy)
             and is_valid_estimate(s)
-            and is_filter_state_valid
-            and s.open.count <= sender_count  # senders without confidence are in no sum
-            and not has_heard_itself
+            and (are_valid_robust_members(s) if self.is_robust else are_valid_rounds(s))
+            and are_valid_senders(s)
             and 1 <= s.filter_left <= config.filter_period
         )
 

@@ -17,12 +17,11 @@ X_HAT_BITS, ALPHA_BITS = 16, 9
 MAX_X_HAT_BITS, MAX_ALPHA_BITS = 23, 25
 """The most bits for which different codes stand for different numbers of the firmware."""
 
-# A long code of a confidence has MAX_ALPHA_BITS = 25 bits: an exponent of 5 above a fraction of 20.
-_EXPONENT_BITS = 5
-_EXPONENTS = 1 << _EXPONENT_BITS
-_LINEAR_UNITS = 1 << 20
-"""Number of fractions, and confidence below which the exponent is 0 and the fraction the confidence itself,
-in units of 2**-24."""
+# The longest code of a confidence has MAX_ALPHA_BITS = 25 bits: an exponent of 5 above a fraction of 20.
+_EXPONENT_MAX = 31
+_FRACTION_BITS = 20
+_FRACTIONS = 1 << _FRACTION_BITS
+"""Number of fractions. A confidence of fewer units of 2**-24 has exponent 0, and is itself the fraction."""
 
 
 def encode_x_hat(x_hat: int, bits: int) -> int:
@@ -44,34 +43,48 @@ def decode_x_hat(code: int, bits: int) -> int:
 def encode_alpha(alpha: int, bits: int) -> int:
     """Return an alpha word, any 32 bits, as a code of ``bits`` bits, 1 .. MAX_ALPHA_BITS, rounded down.
 
-    The code is a small floating-point number: an exponent of 5 bits above a fraction, or only the upper bits
-    of the exponent. Code 0 is no confidence; every other confidence has at least code 1, and at most the
-    largest one.
+    An alpha word has a mantissa in bits 8 to 31 and a shift in bits 0 to 4, and stands for a confidence of
+    mantissa * 2**shift units of 2**-24. The code is a small floating-point number, too: an exponent of 5 bits
+    above a fraction, or only the upper bits of the exponent. Code 0 is no confidence; every other confidence
+    has at least code 1, and at most the largest one.
     """
     units = alpha_units(alpha)
-    # The exponent is 0 below 2**20 units, and then one more with each doubling.
-    exponent = max(units.bit_length() - _LINEAR_UNITS.bit_length() + 1, 0)
-    if exponent >= _EXPONENTS:
-        return (1 << bits) - 1
-    # From exponent 1 on the shifted units have 21 bits, of which the highest, 2**20, is always set and not
-    # stored. It is left in the sum, where it adds 1 to the exponent.
-    exponent_before_carry = max(exponent - 1, 0)
-    long_code = exponent_before_carry * _LINEAR_UNITS + (units >> exponent_before_carry)
-    # A shorter code loses the lowest bits.
-    code = long_code >> (MAX_ALPHA_BITS - bits)
-    return max(code, 1) if units else 0
+    if units == 0:
+        return 0
+    # A shorter code has only the upper bits of the long one.
+    code = _long_code(units) >> (MAX_ALPHA_BITS - bits)
+    return max(code, 1)
+
+
+def _long_code(units: int) -> int:
+    """Return a confidence in units of 2**-24 as a code of 25 bits: exponent * 2**20 + fraction, rounded down.
+
+    Below 2**20 units the exponent is 0, and the fraction is the number of units. From there on the exponent
+    is 1 and grows by 1 with each doubling, and the fraction is the 20 bits that follow the highest one. A
+    confidence whose exponent would be above 31 has the largest code.
+    """
+    exponent = max(units.bit_length() - _FRACTION_BITS, 0)
+    if exponent == 0:
+        return units
+    if exponent > _EXPONENT_MAX:
+        return (1 << MAX_ALPHA_BITS) - 1
+    significand = units >> (exponent - 1)  # 21 bits
+    fraction = significand - _FRACTIONS  # without the highest bit, which is always set and not stored
+    return exponent * _FRACTIONS + fraction
 
 
 def decode_alpha(code: int, bits: int) -> int:
     """Return the alpha word, with the smallest shift, that a code of ``bits`` bits stands for.
 
-    The code is an exponent of 5 bits above a fraction, or only the upper bits of the exponent.
+    The code is an exponent of 5 bits above a fraction, or only the upper bits of the exponent. An alpha word
+    has a mantissa in bits 8 to 31 and a shift in bits 0 to 4, and stands for a confidence of
+    mantissa * 2**shift units of 2**-24.
     """
     long_code = code << (MAX_ALPHA_BITS - bits)  # the bits that a short code lacks are 0
-    exponent, fraction = divmod(long_code, _LINEAR_UNITS)
+    exponent, fraction = divmod(long_code, _FRACTIONS)
     if exponent == 0:
         return alpha_word_from_units(fraction)
-    significand = _LINEAR_UNITS + fraction  # with the highest bit, which is not stored
+    significand = _FRACTIONS + fraction  # with the highest bit, which is not stored
     return alpha_word_from_units(significand << (exponent - 1))
 
 
