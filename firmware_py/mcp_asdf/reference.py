@@ -108,8 +108,10 @@ def local_estimate(n: int, t: int, b: Number, conventions: Conventions = PAPER) 
 
         x_hat = (n / t + b - 1) / (2 b - 1)     clamped to [0, 1]
 
-    It is 1/2 before the first observation, and for a ``b`` so near 1/2 that the sensor carries no information
-    (but see ``Conventions.guarded``). Raises ValueError for counts or a ``b`` out of range. O(1).
+    It is 1/2 before the first observation, and for a ``b`` so near 1/2 that the sensor carries no
+    information. If the conventions do not guard against such a ``b`` (``Conventions.guarded``), it is 1/2
+    only where the fraction is 0/0, and 0 or 1 where only its denominator is 0. Raises ValueError for counts
+    or a ``b`` out of range. O(1).
     """
     _check_counts(n, t)
     _check_is_in_unit_interval(b, "b")
@@ -129,6 +131,9 @@ def local_confidence(n: int, t: int, b: Number, conventions: Conventions = PAPER
                 d ((t - n) / (1 - b)**2 + n / b**2)     if x_hat is 1
                 d t**3 / (n (t - n))                    otherwise
 
+    The paper prints the first case as d (t b**2 - (2 b - 1) (t - n)) / (b**2 (b - 1)**2), which is the same.
+    The second one is the first with the colours exchanged.
+
     It is 0 before the first observation, and ``conventions.zero_confidence`` for a ``b`` so near 1/2 that the
     sensor carries no information. Raises ZeroDivisionError where alpha is infinite: for a perfect sensor,
     ``b`` 0 or 1, after observations of one colour only.
@@ -140,16 +145,15 @@ def local_confidence(n: int, t: int, b: Number, conventions: Conventions = PAPER
     if _carries_no_information(b, conventions):
         return number(conventions.zero_confidence)
     d = (2 * b - 1) ** 2  # the paper's name
-    # The paper prints the first case as d (t b^2 - (2 b - 1)(t - n)) / (b^2 (b - 1)^2). The bracket is
-    # n b^2 + (t - n) (1 - b)^2, a sum in which nothing cancels. The second case is the first with the colours
-    # exchanged.
+    # The first two cases are sums: unlike in the paper's form, nothing is subtracted that could cancel.
     if x_hat == 0:
         alpha = d * (n / (1 - b) ** 2 + (t - n) / b**2)
     elif x_hat == 1:
         alpha = d * ((t - n) / (1 - b) ** 2 + n / b**2)
     else:
         alpha = d * t**3 / (n * (t - n))
-    if alpha == 0:  # as d is, for a ``b`` of 1/2 under conventions that do not guard against it
+    # Conventions that do not guard against a ``b`` of 1/2 get here with one, and d and alpha are 0 then.
+    if alpha == 0:
         return number(conventions.zero_confidence)
     return alpha
 
@@ -202,9 +206,10 @@ def assumed_accuracy_update(n: int, t: int, x_bar: Number, conventions: Conventi
 
         b_hat = (n / t + x_bar - 1) / (2 x_bar - 1)     clamped to [0, 1]
 
-    and kept off 0 and 1 as ``conventions`` says. Returns None, so that b_hat stays, before the first
-    observation and if ``x_bar`` is so near 1/2 that it carries no information. Raises ValueError for counts
-    or an ``x_bar`` out of range. O(1).
+    but ``conventions.clamp_to`` where it would be at most ``conventions.clamp_at``, and 1 - ``clamp_to``
+    where it would be at least 1 - ``clamp_at``: at 0 or 1 the next alpha could be infinite. Returns None, so
+    that b_hat stays, before the first observation and if ``x_bar`` is so near 1/2 that it carries no
+    information. Raises ValueError for counts or an ``x_bar`` out of range. O(1).
     """
     _check_counts(n, t)
     _check_is_in_unit_interval(x_bar, "x_bar")
@@ -213,7 +218,6 @@ def assumed_accuracy_update(n: int, t: int, x_bar: Number, conventions: Conventi
     number = _number_type(x_bar)
     observed_share = number(n) / t
     b_hat = _quotient_in_unit_interval(numerator=observed_share + x_bar - 1, denominator=2 * x_bar - 1)
-    # At 0 or 1 the next alpha could be infinite.
     if b_hat <= conventions.clamp_at:
         return number(conventions.clamp_to)
     if b_hat >= 1 - conventions.clamp_at:

@@ -179,11 +179,11 @@ def next_slot(filled_slots: int, turn: int, has_confidence: bool) -> int:
 def take_vote(robust: RobustFilter, estimates: Sequence[int], x_hat: int, alpha: int) -> None:
     """Choose the next vote among the estimates that a robot keeps and its own, and count it.
 
-    The robot keeps estimates of its neighbours in 32 slots, whose contents are ``estimates``. Filled slots
-    vote one after the other, and after the last of them the robot's own estimate: ``x_hat`` in units of
-    2**-23, if ``alpha``, its confidence, is not 0. ``robust``, the filter's memory, changes: the vote moves
-    the centre and the spread of all votes, and the turn goes to the next slot. Nothing happens while all
-    slots are empty.
+    The robot keeps estimates of its neighbours in 32 slots, whose contents are ``estimates``, in units of
+    2**-16. Filled slots vote one after the other, and after the last of them the robot's own estimate:
+    ``x_hat`` in units of 2**-23, if ``alpha``, its confidence, is not 0. ``robust``, the filter's memory,
+    changes: the vote moves the centre and the spread of all votes, and the turn goes to the next slot.
+    Nothing happens while all slots are empty.
     """
     if robust.filled_slots == 0:
         return

@@ -418,7 +418,11 @@ def estimate_format_of(args: argparse.Namespace) -> FrameFormat:
 
 
 def add_subject_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the formats of estimates, telemetry and commands, which ``subjects_of`` reads."""
+    """Add the options that say by which CAN frames robots send estimates, telemetry and commands.
+
+    These are --telemetry-subject and --command-subject, and the options of ``add_estimate_format`` for
+    estimates. ``subjects_of`` reads them all.
+    """
     from mcp_asdf_tools.bus.frames import COMMAND_FORMAT, TELEMETRY_FORMAT
 
     group = parser.add_argument_group("frames")

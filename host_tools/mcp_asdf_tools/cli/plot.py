@@ -63,10 +63,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _plot_keywords(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the keyword arguments, by the options that the user typed, for the function of the picture.
+    """Return the keyword arguments for the function that draws the picture: the options that the user typed.
 
-    Raises UsageError for the first option that would do nothing in a picture of this kind, and for limits
-    out of range.
+    Raises UsageError for the first option that the function has no parameter for, for limits of scores if
+    what the picture shows is no score, and for limits out of range.
     """
     from mcp_asdf_tools.experiments.scores import SCORES
 
@@ -78,7 +78,8 @@ def _plot_keywords(args: argparse.Namespace) -> dict[str, Any]:
             keywords[option_name] = value
     for option in options.typed_limit_options(args):
         _check_kind_has(args.kind, "limits", option)
-        # Scores are relative to the limits k_max and e_max; K and e, which y may be, too, are not.
+        # Only scores are relative to the limits. Besides the scores y may be K or e, which are steps and
+        # errors.
         y = keywords.get("y", "H")  # without --y a curve shows H
         if y not in SCORES:
             raise UsageError(f"{option} would do nothing: it is for scores, and y is none; leave it out")

@@ -32,7 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the trials that the output file lacks, complete it, and print its scores; return exit code 0."""
+    """Run the trials that the output file lacks, complete it, and print its scores; return exit code 0.
+
+    With --json the scores are printed as JSON, with the number of trials that were run. Otherwise a table is
+    printed, and the command that makes the same run again. If the run is cut off, a message says how many
+    trials are missing.
+    """
     from mcp_asdf_tools.cli.score_table import print_scores, summarize
     from mcp_asdf_tools.common.progress_bar import progress
     from mcp_asdf_tools.experiments.result_files import read_table, stream_experiments
@@ -63,5 +68,5 @@ def run(args: argparse.Namespace) -> int:
     if len(seeds) == 1:
         print_again(args, seed=seeds.pop())
     else:
-        print_again(args)  # the file has several seeds, and an option would replace them all
+        print_again(args)  # without a seed: the file names several, and --seed would replace them all
     return 0

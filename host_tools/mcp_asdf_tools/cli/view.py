@@ -205,10 +205,11 @@ def _serve_recording(args: argparse.Namespace, history: History) -> int:
 
 
 def _serve_bus(args: argparse.Namespace) -> int:
-    """Serve the page of a bus of real robots or of ones in other programs until Ctrl-C; return the exit code.
+    """Serve a page that shows what happens on a bus, until Ctrl-C, and return the exit code.
 
-    That is 0, or 1 if the bus failed. Raises UsageError if no bus is named, for options that are for
-    recordings, and if the bus cannot be opened or the page not served.
+    The robots on the bus are real ones, or run in other programs. The exit code is 0, or 1 if the bus failed.
+    Raises UsageError if no bus is named, for options that are for recordings, and if the bus cannot be opened
+    or the page not served.
     """
     from can import CanError
 
@@ -222,7 +223,8 @@ def _serve_bus(args: argparse.Namespace) -> int:
             "there is no recording and no bus; give a file (mcp-asdf view run.log) or the bus of real robots "
             "(--interface socketcan --channel can0); mcp-asdf swarm --view shows an emulated swarm"
         )
-    # Trial 0, the default, cannot be told from a typed 0, which does no harm.
+    # An option that was not typed is None, empty or, for the trial, 0. A typed trial 0 passes, too, which
+    # does no harm.
     for option in ("export", "where", "trial"):
         if getattr(args, option):
             raise UsageError(f"--{option} is for recordings, and there is none; leave it out")

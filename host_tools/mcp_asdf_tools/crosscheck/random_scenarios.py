@@ -313,19 +313,20 @@ class ScenarioWriter:
             self._add_restore(pack_open_round_from_all(sums, self._setup.robot_id))
 
     def _add_test_at_threshold(self) -> None:
-        """Add the calls of a hypothesis test that the received estimates just pass, or just do not.
+        """Append to the scenario a hypothesis test that the robot's x_hat just passes, or just does not.
 
-        The robot is restored with an x_hat, receives estimates, and ends the round at whose end its filter
-        tests that x_hat against them. Sometimes all of them equal it. A robot without a test gets other calls
-        instead: messages, an observation and the end of a round.
+        The robot is restored with this x_hat, receives estimates, and ends the round at whose end its filter
+        tests the x_hat against them. Sometimes all of them equal it. A robot whose filter has no test gets
+        other calls: messages, an observation and the end of a round.
         """
         table_choice = self._setup.table
-        has_test = self._setup.filter == Filter.ADAPTIVE
+        has_test = self._setup.filter == Filter.ADAPTIVE and table_choice is not None
         if table_choice is None or not has_test:
             self._add_tick()
             return
         m = self._draw_round_size(table_choice.q)
-        threshold = table_choice.build().entry(m)
+        thresholds = table_choice.build()
+        threshold = thresholds.entry(m)  # that of the test against m estimates
         own_x_hat, passed_x_hats, rejected_x_hats = self._draw_x_hats_around_threshold(m, threshold)
         # Where all x_hat are equal, both sides of eq. 12 are 0. The test must not reject at equality, either.
         equal_x_hats = [own_x_hat] * m
@@ -398,9 +399,12 @@ class ScenarioWriter:
             X_HAT_WORD: own_x_hat,
             ALPHA_WORD: ALPHA_ONE,
         }
-        words |= rng.choice([{}, {}, self._counter_of_tests_before_wrap()])
+        is_counter_at_maximum = rng.choice([False, False, True])  # then the test makes it 0
+        if is_counter_at_maximum:
+            words |= self._counter_of_tests_before_wrap()
         # As if b_hat had just changed: otherwise x_hat and alpha would have to follow from t, n and b_hat.
-        words |= {self._layout.updates_and_id_word: self._pack_updates(updated=1), FILTER_LEFT_WORD: 1}
+        words[self._layout.updates_and_id_word] = self._pack_updates(updated=1)
+        words[FILTER_LEFT_WORD] = 1  # rounds until the filter runs: at the end of this one
         self._add_call("settle")
         self._add_restore(words)
         other_ids = [sender for sender in range(MAX_ID + 1) if sender != setup.robot_id]

@@ -53,9 +53,10 @@ def round_towards_0(value: Fraction, unit: Fraction) -> Fraction:
 
 
 def rounded_votes_after(votes: Votes[Fraction], x_hat: Fraction) -> Votes[Fraction]:
-    """Return the summary of the votes that the firmware must have after one more vote.
+    """Return the summary of the votes that the firmware must have after one more vote, ``x_hat``.
 
-    Centre and spread were multiples of 2**-30, and their changes are rounded towards 0 to such multiples.
+    A vote moves centre and spread as `votes_after` says. Before it both were multiples of 2**-30, and their
+    changes are rounded towards 0 to such multiples.
     """
     exact = votes_after(votes, x_hat)
     # The firmware shifts distances, which are not negative, and applies the sign afterwards.
@@ -127,10 +128,12 @@ def _deviation_bounds(share_bounds: Bounds, batch_black_count: int, batch_count:
 
 
 def _average_bounds(old: Fraction, smallest_ratio: Fraction, largest_ratio: Fraction) -> Bounds:
-    """Return the bounds of the dispersion after a batch whose ratio is between these two.
+    """Return the bounds of the dispersion after a batch of observations whose ratio is between these two.
 
-    The dispersion is a moving average of ratios, in which ``old`` has a weight of 7/8. The firmware rounds
-    ratio and average down to 2**-8, and limits the average.
+    A batch's ratio is the square of the deviation of its number of black observations, divided by the
+    variance of independent ones. The dispersion is a moving average of ratios, in which ``old``, the
+    dispersion before the batch, has a weight of 7/8. The firmware rounds ratio and average down to multiples
+    of 2**-8, and limits the average to DISPERSION_MIN .. DISPERSION_MAX.
     """
     weight = 2**DISPERSION_SHIFT
     averages = [

@@ -194,20 +194,24 @@ class RobustScenarioWriter(ScenarioWriter):
         self._add_filter_run_of(robot)
 
     def _add_filter_run_of(self, robot: DrawnRobot) -> None:
-        """Restore this robot, and run its filter.
+        """Append calls that restore this robot from an image, and end a round at whose end its filter runs.
 
-        In one of five cases the robot receives a message before, which may change a slot.
+        In one of five cases the robot receives a message before the round ends, whose estimate may replace
+        one of those that it keeps and tests itself against. The present b_hat of ``robot`` is drawn here.
         """
         rng = self._rng
-        # If the test passes, a b_hat that is not the initial one must return to it.
-        may_differ = robot.is_test_possible and rng.random() < 0.5
-        robot.b_hat = draw_b_hat(rng) if may_differ else robot.robust.initial_b_hat
-        words = self._draw_image_words(robot) | {FILTER_LEFT_WORD: 1}
-        words |= rng.choice([{}, {}, self._counter_of_tests_before_wrap()])
+        # An earlier test may have changed b_hat. If the next one passes, the initial b_hat must come back.
+        is_b_hat_changed = robot.is_test_possible and rng.random() < 0.5
+        robot.b_hat = draw_b_hat(rng) if is_b_hat_changed else robot.robust.initial_b_hat
+        words = self._draw_image_words(robot)
+        words[FILTER_LEFT_WORD] = 1  # rounds until the filter runs: at the end of this one
+        is_counter_at_maximum = rng.choice([False, False, True])  # then the test makes it 0
+        if is_counter_at_maximum:
+            words |= self._counter_of_tests_before_wrap()
         self._add_restore(words)
         if rng.random() < 0.2:
             self._add_receive()
-        self._add_call("settle")
+        self._add_call("settle")  # ends the round
 
     # --- Images ---
 
@@ -287,9 +291,11 @@ class RobustScenarioWriter(ScenarioWriter):
         return self._draw_robot_after(t, n, initial_b_hat)
 
     def _draw_robot_after(self, t: int, n: int, initial_b_hat: int) -> DrawnRobot:
-        """Draw a robot with these counts and this b_hat, and with anything possible in its filter's memory.
+        """Draw a robot with these counts and this b_hat, whose filter remembers anything that it may.
 
-        ``n`` of its ``t`` observations were black. The initial b_hat is also the present one.
+        ``n`` of its ``t`` observations were black. The initial b_hat is also the present one. Drawn are which
+        slots for neighbours' estimates are filled, and with what; the number of votes so far, and where there
+        are any, their centre, their spread and whose turn to vote is next; and the batch of observations.
         """
         rng = self._rng
         robust = RobustFilter(initial_b_hat=initial_b_hat)
@@ -299,10 +305,12 @@ class RobustScenarioWriter(ScenarioWriter):
         if robust.votes:
             robust.centre = self._draw_centre()
             robust.spread = self._draw_spread()
-            # The turn is 0, or that after a filled slot.
+            # The next turn is that of slot 0, or of the slot that follows a filled one, often the last.
             slots = [slot for slot in range(SLOTS) if robust.is_filled(slot)]
-            robust.turn = rng.choice([0, rng.choice(slots) + 1, slots[-1] + 1])
-        self._draw_batch(robust, t, n)
+            turn_after_any = rng.choice(slots) + 1
+            turn_after_last = slots[-1] + 1
+            robust.turn = rng.choice([0, turn_after_any, turn_after_last])
+        self._fill_in_batch(robust, t, n)
         return DrawnRobot(t, n, initial_b_hat, robust, self._draw_estimates(robust))
 
     def _draw_filled_slots(self) -> int:
@@ -320,7 +328,7 @@ class RobustScenarioWriter(ScenarioWriter):
             slots = single_slot
         return sum(1 << slot for slot in slots)
 
-    def _draw_batch(self, robust: RobustFilter, t: int, n: int) -> None:
+    def _fill_in_batch(self, robust: RobustFilter, t: int, n: int) -> None:
         """Draw the dispersion of a robot's observations, and the batch that its next run of the filter ends.
 
         ``n`` of all its ``t`` observations were black. The batch is the last ones, of which as many are black
@@ -338,12 +346,16 @@ class RobustScenarioWriter(ScenarioWriter):
                 DISPERSION_MAX - rng.randrange(2),
             ]
         )
+        white_count = t - n
         count = rng.choice([0, 1, min(draw_number_of_any_size(rng, 1, 31), t), rng.randint(0, t), t])
-        smallest_black_count, largest_black_count = max(count - (t - n), 0), min(count, n)
+        smallest_black_count = max(count - white_count, 0)
+        largest_black_count = min(count, n)
         expected_black_count = count * n // t
         # A batch is an outlier if the square of its deviation is more than 12 times the dispersion times the
-        # variance, which is count * n / t * (1 - n / t). The dispersion has 8 fraction bits.
-        square_limit = REJECTED_SIGMAS_SQUARED * robust.dispersion * count * n * (t - n) // (t * t) >> 8
+        # variance, which is count * n / t * (1 - n / t).
+        variance_times_t_squared = count * n * white_count
+        scaled_limit = REJECTED_SIGMAS_SQUARED * robust.dispersion * variance_times_t_squared // (t * t)
+        square_limit = scaled_limit >> 8  # the dispersion is in units of 2**-8
         deviation = rng.choice([0, draw_number_of_any_size(rng, 0, 8), isqrt(square_limit)])
         black_count = rng.choice(
             [

@@ -239,9 +239,11 @@ def _experiment_of(file: _TrialFile) -> Experiment:
 
 
 def _has_moving_robots(file: _TrialFile) -> bool:
-    """Return whether a file is of ARGoS, and not of a fixed network.
+    """Return whether a file is of robots that move, which the authors simulated with ARGoS.
 
-    Raises UsageError for a kind of simulation that has no equivalent here.
+    False stands for a network of robots that stay where they are. Raises UsageError for any other kind of
+    simulation, for moving robots with a queue of observations, and for a network in which not all robots are
+    neighbours: none of these has an equivalent here.
     """
     simulation = file.content.get("sim_type")
     if simulation == "dynamic_topo_static_deg_1d":
@@ -299,7 +301,9 @@ def _filter_parameters(file: _TrialFile) -> dict[str, Any]:
 def _read_series(file: _TrialFile, experiment: Experiment) -> dict[str, NDArray[np.float64]]:
     """Return the recorded values of all robots by name, shape (N, steps + 1) each, flawed robots first.
 
-    Raises UsageError if robots or steps are missing, or a number is none that a robot can have.
+    The names are those of _COLUMNS, such as "x" and "b_hat", in the order in which a file has the values of a
+    robot and step. Raises UsageError if robots or steps are missing, or a number is none that a robot can
+    have.
     """
     texts_by_robot = file.content.get("data_str")
     if not isinstance(texts_by_robot, list) or len(texts_by_robot) != experiment.robots:
@@ -310,7 +314,8 @@ def _read_series(file: _TrialFile, experiment: Experiment) -> dict[str, NDArray[
             numbers_by_robot.append(_parse_texts(texts, experiment.steps))
         except ValueError as error:
             raise UsageError(f"{file.path}: data_str of robot {index}: {error}") from error
-    # Theirs are the last robots.
+    # In the authors' files the flawed robots are the last ones. Rolled on by their number, they are the
+    # first.
     flawed_robots_first = np.roll(np.stack(numbers_by_robot), experiment.flawed, axis=0)
     return {name: flawed_robots_first[:, :, column] for column, name in enumerate(_COLUMNS)}
 

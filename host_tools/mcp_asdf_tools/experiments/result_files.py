@@ -333,10 +333,10 @@ def _check_metadata(path: Path, file_metadata: dict[bytes, bytes]) -> int:
 
 
 def _check_former_parameters(path: Path, file: pq.ParquetFile, row_group_index: int) -> None:
-    """Raise UsageError if trials of a row group were run with a parameter of older programs, for its effect.
+    """Raise UsageError if a parameter that only earlier versions had changed trials of a row group.
 
-    FORMER_PARAMETERS names these parameters, which this program does not have, and the value with which each
-    had no effect. ``file`` is the open file at ``path``.
+    FORMER_PARAMETERS names these parameters, and the value with which each had no effect. Trials that have
+    another value cannot be repeated by this version. ``file`` is the open file at ``path``.
     """
     for parameter_name, value_without_effect in FORMER_PARAMETERS.items():
         if parameter_name not in file.schema_arrow.names:

@@ -93,7 +93,10 @@ def observe_until_excess(bench: Bench, excess: int) -> None:
 
 
 def re_estimate_without_black(bench: Bench) -> None:
-    """Let the controller re-estimate b_hat before its first black tile, from five estimates near 1/4."""
+    """Let the controller re-estimate b_hat before its first black tile, from five estimates near 1/4.
+
+    ``bench`` links the controller with a model of it, and compares both after each tick.
+    """
     bench.activity = "white tiles, and then none until the test"
     # So few that t is still small in the next phases.
     bench.skip_ticks(_WHITE_TILES, lambda: Observation.WHITE)
@@ -110,10 +113,10 @@ def re_estimate_from_ends(bench: Bench) -> None:
 
     The first of them is the end farther from its own estimate. After each re-estimate it observes three white
     tiles and three black ones, twice: with one of these colours its x_hat would leave the range 0 .. 1, and
-    must be limited.
+    must be limited. ``bench`` links it with a model of it, and compares both after each tick.
     """
     for end in (0, ONE) if bench.firmware.s.x_hat > HALF else (ONE, 0):
-        _observe_until_test(bench)
+        _observe_until_filter_runs(bench)
         bench.activity = f"estimates of {end // ONE}"
         alphas = draw_alphas_of_one_scale(bench.rng, _ROUND_SIZE)
         _play_test_round(bench, [NeighbourEstimate(end, alpha) for alpha in alphas])
@@ -123,11 +126,15 @@ def re_estimate_from_ends(bench: Bench) -> None:
 
 
 def test_large_sums(bench: Bench) -> None:
-    """Let the filter test rounds with the longest numbers in eq. 12, for which it may have too few bits."""
-    _observe_until_test(bench)
+    """Let the controller's filter test rounds with the longest numbers in eq. 12, that of the test.
+
+    The controller may have too few bits for them. ``bench`` links it with a model of it, and compares both
+    after each tick.
+    """
+    _observe_until_filter_runs(bench)
     bench.activity = "a spread of 2^57"
     _play_test_round(bench, draw_round_of_large_scatter(bench.robot_state, bench.rng))
-    _observe_until_test(bench)
+    _observe_until_filter_runs(bench)
     bench.activity = "a distance of the sum above 2^27"
     _play_test_round(bench, draw_round_of_distant_sum(bench.robot_state, bench.rng))
 
@@ -140,12 +147,12 @@ def threshold_phase(m: int) -> Callable[[Bench], None]:
 
     def play(bench: Bench) -> None:
         update = UPDATES_BY_CRAFTED_SIZE[m]
-        _observe_until_test(bench)
+        _observe_until_filter_runs(bench)
         bench.activity = f"{m} messages just inside the threshold"
         rounds = draw_rounds_at_threshold(bench.robot_state, m, update, bench.rng)
         _play_test_round(bench, rounds.inside)
         # These observations have changed the robot's state, so new rounds are drawn for it.
-        _observe_until_test(bench)
+        _observe_until_filter_runs(bench)
         bench.activity = f"{m} messages just outside the threshold"
         rounds = draw_rounds_at_threshold(bench.robot_state, m, update, bench.rng)
         _play_test_round(bench, rounds.outside)
@@ -154,23 +161,30 @@ def threshold_phase(m: int) -> Callable[[Bench], None]:
 
 
 def test_own_estimate(bench: Bench) -> None:
-    """Let the filter test estimates that all equal the robot's own, which it must not reject."""
-    _observe_until_test(bench)
+    """Let the controller's filter test estimates that all equal the controller's own, and so must pass.
+
+    ``bench`` links the controller with a model of it, and compares both after each tick.
+    """
+    _observe_until_filter_runs(bench)
     bench.activity = "messages equal to its own estimate"
     _play_test_round(bench, _draw_own_estimates(bench))
 
 
 def re_estimate_without_test(bench: Bench) -> None:
-    """Let a controller without a test re-estimate from rounds that a test would not reject.
+    """Play two rounds from which the controller must re-estimate b_hat, though a test would not reject them.
 
-    These are a round of a single estimate, and one in which all estimates equal its own.
+    The controller's filter must be one that re-estimates without a test. In the first round the controller
+    receives a single estimate, where a test needs two; in the second one all estimates equal its own, so that
+    a test would pass. ``bench`` links the controller with a model of it, and compares both after each tick.
     """
-    _observe_until_test(bench)
+    _observe_until_filter_runs(bench)
     bench.activity = "a re-estimate from a single message"
-    bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng, m=1))
-    _observe_until_test(bench)
+    single_estimate = draw_distant_estimates(bench.robot_state, bench.rng, m=1)
+    bench.play_round(*single_estimate)
+    _observe_until_filter_runs(bench)
     bench.activity = "a re-estimate from messages equal to its own estimate"
-    bench.play_round(*_draw_own_estimates(bench))
+    own_estimates = _draw_own_estimates(bench)
+    bench.play_round(*own_estimates)
 
 
 def _draw_own_estimates(bench: Bench) -> list[NeighbourEstimate]:
@@ -183,7 +197,8 @@ def re_estimate_early(bench: Bench) -> None:
     """Let the controller re-estimate b_hat after 250, 350 and 480 observations, above 1/2 and below 1/2.
 
     About 3/5 of them are black, so that b_hat can be off its limits. Numbers that earlier phases have passed,
-    and re-estimates for which no estimates are drawn, are left out.
+    and re-estimates for which no estimates are drawn, are left out. ``bench`` links the controller with a
+    model of it, and compares both after each tick.
     """
     state = bench.firmware.s
     for t in _EARLY_COUNTS:
@@ -208,7 +223,8 @@ def count_updates_to_check(setup: RobotSetup) -> int:
 def re_estimate_often(bench: Bench) -> None:
     """Let the controller re-estimate b_hat so often that a counter of too few bits shows.
 
-    The estimates have confidences of every size, one size a round.
+    The estimates have confidences of every size, one size a round. ``bench`` links the controller with a
+    model of it, and compares both after each tick.
     """
     missing_updates = count_updates_to_check(bench.setup) - bench.firmware.s.updates
     for index in range(max(missing_updates, len(ALPHA_SCALES))):
@@ -227,7 +243,7 @@ def play_rounds_without_test(bench: Bench) -> None:
     A test would reject all these estimates, so that one that is run in the wrong round, or with too few
     messages, shows.
     """
-    _observe_until_test(bench, rounds_before=1)
+    _observe_until_filter_runs(bench, rounds_before=1)
     bench.activity = "a round before that of the test"
     bench.play_round(*draw_distant_estimates(bench.robot_state, bench.rng))
     bench.activity = "too few messages with a confidence above 0 for a test"
@@ -244,7 +260,8 @@ def play_rounds_without_test(bench: Bench) -> None:
 def re_estimate_to_each_kind(bench: Bench) -> None:
     """Let the controller re-estimate b_hat to each kind of value but 1/2 and almost 1/2.
 
-    For those two as many tiles must be black as white; here more are black.
+    For those two as many tiles must be black as white; here more are black. ``bench`` links the controller
+    with a model of it, and compares both after each tick.
     """
     state = bench.firmware.s
     bench.activity = "more black tiles, for a b_hat that is off 1/2"
@@ -297,10 +314,11 @@ def observe_long(bench: Bench) -> None:
 # --- Steps ---
 
 
-def _observe_until_test(bench: Bench, rounds_before: int = 0) -> None:
-    """Observe until the round of the next test begins, or some rounds before, but at least once.
+def _observe_until_filter_runs(bench: Bench, rounds_before: int = 0) -> None:
+    """Let the controller observe until the round begins at whose end its filter runs next, but at least once.
 
-    So x_hat shows a b_hat that the last round has changed.
+    ``rounds_before`` says how many rounds earlier to stop. With one observation x_hat shows a b_hat that the
+    last round has changed.
     """
     bench.activity = _MANY_OBSERVATIONS
     bench.play_tick(bench.draw_observation())
@@ -328,7 +346,7 @@ def _play_update(bench: Bench, update: Update) -> None:
         if update in _NEAR_HALF:
             bench.skip_to_test_round()  # observations would change the share of black tiles
         else:
-            _observe_until_test(bench)
+            _observe_until_filter_runs(bench)
         estimates = draw_round_for_update(bench.robot_state, update, bench.rng)
         bench.activity = f"a round for a re-estimate: {update.value}"
         if estimates is not None:

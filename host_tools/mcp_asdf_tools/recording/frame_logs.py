@@ -76,6 +76,7 @@ class LogSummary:
         """A sentence on how many lines were skipped, and which is the first; None if none was."""
         if self.first_skipped is None:
             return None
+        # ``first_skipped`` is a text such as: line 3, 'words'
         if self.skipped_lines == 1:
             return f"{self.first_skipped}, is no frame and was left out"
         return (

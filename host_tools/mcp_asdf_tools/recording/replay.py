@@ -63,8 +63,13 @@ class RepeatedRobot:
         self.robot = BusRobot(setup, FrameFormat())
         self.broadcasts: deque[Broadcast] = deque()
 
+    @property
+    def algorithm(self) -> Robot:
+        """The robot without its interface to a bus."""
+        return self.robot.robot
+
     def apply_events(self, events: Iterable[Event]) -> None:
-        """Repeat events in their order, and append the broadcasts that follow from them. O(events).
+        """Repeat events in their order, and append to ``broadcasts`` those that follow from them. O(events).
 
         Raises ValueError for an event that cannot follow the one before it.
         """
@@ -100,7 +105,10 @@ class RepeatedRobot:
             self._observe_and_broadcast(Action(event).observation)
 
     def _observe_and_broadcast(self, observation: Observation | None) -> None:
-        """Begin a tick with an observation, or with none, and append the broadcast if the robot makes one."""
+        """Begin a tick with an observation, or with none.
+
+        If the robot broadcasts in this tick, its broadcast is appended to ``broadcasts``.
+        """
         makes_broadcast = self.robot.observe(observation)
         if makes_broadcast:
             estimate = self.robot.next_estimate()
@@ -177,13 +185,13 @@ def rerun(events: EventsReader) -> Iterator[tuple[int, Robot]]:
     for entry in _apply_entries(events, robots):
         if isinstance(entry, InjectedFrame):
             continue
+        # SETTLE is the last event of each tick.
         has_ended_tick = len(entry.events) > 0 and entry.events[-1] == SETTLE
         if has_ended_tick:
             repeated_robot = robots[entry.robot_id]
             # Nothing compares the broadcasts here, so they must not fill the memory.
             repeated_robot.broadcasts.clear()
-            bus_robot = repeated_robot.robot
-            yield entry.robot_id, bus_robot.robot
+            yield entry.robot_id, repeated_robot.algorithm
 
 
 def _start_robots(events: EventsReader) -> dict[int, RepeatedRobot]:

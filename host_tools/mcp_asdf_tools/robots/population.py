@@ -134,14 +134,14 @@ class Population(WorldSettings):
         """Return the settings of a robot's firmware.
 
         A robot with the adaptive filter has a t-table, the thresholds of its test, with exact entries for up
-        to N - 1 neighbours, 127 at most; others have none.
+        to N - 1 neighbours, but for MIN_Q (2) at least and 127 at most; others have none.
         """
         from mcp_asdf_tools.tables.thresholds import generate  # noqa: PLC0415 (mpmath loads slowly)
 
         firmware_filter = self.swarm_filter.firmware_filter_of(self.is_flawed(robot), self.activation)
         table = None
         if firmware_filter is Filter.ADAPTIVE:
-            # An entry for every number of neighbours that a robot may have, within the limits of a table.
+            # A table has entries for 2 to q neighbours, of which MIN_Q is the smallest q.
             neighbours = min(max(MIN_Q, self.robots - 1), MAX_ID)
             table = generate(self.omega, neighbours)
         # The firmware counts rounds, of comms_period steps each, where the paper's tau counts steps.

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from mcp_asdf_tools.common.errors import UsageError
 
 _IS_BLACK = {"black": True, "1": True, "white": False, "0": False}
-_COLOUR_NAMES = ("colour", "color")
+_COLUMN_NAMES_OF_COLOUR = ("colour", "color")
 _NO_ANSWER = -1.0
 """Reading that ``tile_sensor`` of docs/platforms/khepera.md prints if the sensor did not answer."""
 _SEPARATORS = ";\t,"
@@ -116,17 +116,17 @@ class _Columns:
 
 
 def _columns_of_header(fields: Sequence[str], position: str) -> _Columns | None:
-    """Return the columns that a header names, or None if the line is a reading and not a header.
+    """Return the columns that the first line names if it is a header, or None if it is a reading.
 
-    A line without digits and colours is a header. Raises UsageError, which begins with ``position``, if it
-    lacks one of the two columns.
+    A header has the names "reading" and "colour" (or "color") among its fields. Any other line with a digit,
+    or with a colour such as "black", is a reading. Raises UsageError, which begins with ``position``, for a
+    line that is neither: a header that lacks one of the two names.
     """
-    colour_indices = [index for index, name in enumerate(fields) if name in _COLOUR_NAMES]
+    colour_indices = [index for index, name in enumerate(fields) if name in _COLUMN_NAMES_OF_COLOUR]
     if "reading" in fields and colour_indices:
         return _Columns(fields.index("reading"), colour_indices[0], count=len(fields), has_header=True)
-    # A reading has digits, and a colour is a known word: a line with neither can only be a header.
-    has_digit = any(character.isdigit() for name in fields for character in name)
-    has_colour = any(name in _IS_BLACK for name in fields)
+    has_digit = any(character.isdigit() for text in fields for character in text)
+    has_colour = any(text in _IS_BLACK for text in fields)
     if has_digit or has_colour:
         return None
     raise UsageError(f"{position} is a header without the columns reading and colour; rename them so")

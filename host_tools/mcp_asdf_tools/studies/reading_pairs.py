@@ -109,7 +109,9 @@ class TwoReadingsRobot(ReferenceRobot):
     def observe(self, z: Observation) -> Status:
         """Count the first reading of a tile as an observation, in t and n, and compare the second with it.
 
-        Returns OK; or ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE nor BLACK.
+        Every other call is the first reading of a tile, and the call after it the second one. A second one
+        counts a pair, and also a disagreement if its colour is not that of the first. Returns OK; or
+        ERR_OBSERVATION, and changes nothing, if ``z`` is neither WHITE nor BLACK.
         """
         if z not in (Observation.WHITE, Observation.BLACK):
             return Status.ERR_OBSERVATION

@@ -106,17 +106,18 @@ def size_text(experiments: Sequence[Trials]) -> str:
 def draw_sizes(rows: Rows) -> Figure:
     """Draw H, late error and processor time over the number of robots, a curve for each filter.
 
-    The first row of panels has the underconfident swarms, the second one the overconfident ones. The three
-    measures are the score H from 0 to 100, the error in the last quarter of a trial, and the nanoseconds of a
-    robot's step, which are measured while this function runs.
+    ``rows`` has the results of the trials, as lists by a row's label. The first row of panels has the swarms
+    with underconfident robots, the second one those with overconfident ones. The columns have the score H
+    from 0 to 100, the error in the last quarter of a trial, and the nanoseconds of a robot's step, which are
+    measured while this function runs.
     """
     experiments = [trials for experiments_of_row in rows.values() for trials in experiments_of_row]
     figure = empty_figure(WIDTH, 4.8)
     rows_of_axes = figure.subplots(nrows=len(FLAWS), ncols=3)
     measures: tuple[str | Measure, ...] = ("H", late_errors, step_cost)
-    for (flaw, sensors), axes_of_row in zip(FLAWS.items(), rows_of_axes, strict=True):
+    for (flaw, sensor_parameters), axes_of_row in zip(FLAWS.items(), rows_of_axes, strict=True):
         for axes, measure in zip(axes_of_row, measures, strict=True):
-            m.plot_curve(experiments, "robots", measure, hue="filter", where=sensors, ax=axes)
+            m.plot_curve(experiments, "robots", measure, hue="filter", where=sensor_parameters, ax=axes)
             # Sizes go from 20 to 10,000 robots.
             axes.set(xscale="log", title=flaw)
         score_axes, error_axes, cost_axes = axes_of_row

@@ -298,7 +298,7 @@ class Carrier:
 
         Each time that _BATCH_SIZE frames are on the buses, the carrier reads them back, before receive
         buffers overflow; ``deliver`` reads the others. Raises can.CanError if the bus does not take the
-        frame, and SwarmError if it has lost one and no clock limits the wait for it.
+        frame, and SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
         """
         self._on_frame_without_bus(sent_frame.frame)  # with a bus nothing: the frame will be read from it
         robot_connection = self._robot_connections.get(sent_frame.sender)
@@ -314,8 +314,8 @@ class Carrier:
     def _read_back(self, tick: int) -> None:
         """Read the frames that are on the buses, and keep them in the order in which they were sent.
 
-        Frames that are late are left out, and follow in a later call. Raises SwarmError if a bus has lost one
-        and no clock limits the wait for it.
+        The attribute ``_read_frames`` gets them. Frames that are late are left out, and follow in a later
+        call. Raises SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
         """
         unread_frames = self._unread_frames
         self._unread_frames = []
@@ -341,29 +341,39 @@ class Carrier:
     def deliver(self, tick: int) -> Deliveries:
         """Let each robot receive its frames of this tick, after all have been sent; returns the deliveries.
 
-        Raises SwarmError if a bus loses a frame, and no clock limits the wait.
+        Which frames these are decides the delivery queue. A robot with a bus of its own receives them there,
+        other robots get them inside this process. Raises can.CanError if a bus does not take a frame, and
+        SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
         """
+        # ``send`` has read back some of the frames of this tick already, and this reads the others.
         self._read_back(tick)
-        sent_frames = self._read_frames
+        frames_of_tick = self._read_frames
         self._read_frames = []
-        deliveries = self._delivery_queue.deliver(tick, sent_frames)
+        deliveries = self._delivery_queue.deliver(tick, frames_of_tick)
         if self._has_bus_per_robot:
-            for robot_id, robot in self._robots.items():
-                # In batches, so that the frames for one robot fit into the receive buffer of its connection.
-                frames = deliveries.frames_for(robot_id)
-                for start in range(0, len(frames), _BATCH_SIZE):
-                    batch = frames[start : start + _BATCH_SIZE]
-                    robot.receive_frames(self._pass_over_bus(robot_id, batch, tick))
+            self._deliver_over_buses(deliveries, tick)
         else:
             self._deliver_in_process(deliveries)
         return deliveries
+
+    def _deliver_over_buses(self, deliveries: Deliveries, tick: int) -> None:
+        """Pass to each robot the frames that it receives in this tick, over a bus of its own.
+
+        Raises can.CanError and SwarmError as ``deliver`` says.
+        """
+        for robot_id, robot in self._robots.items():
+            frames = deliveries.frames_for(robot_id)
+            # In batches, so that the frames for one robot fit into the receive buffer of its connection.
+            for start in range(0, len(frames), _BATCH_SIZE):
+                batch = frames[start : start + _BATCH_SIZE]
+                robot.receive_frames(self._pass_over_bus(robot_id, batch, tick))
 
     def _pass_over_bus(self, robot: int, frames: Sequence[can.Message], tick: int) -> Sequence[can.Message]:
         """Write ``frames`` on the bus of a robot, and return those that it reads there.
 
         Late ones are missing, and follow in a later call. A remote robot reads for itself: for its
         counterpart in this process all of ``frames`` are returned. Raises can.CanError if the bus does not
-        take a frame, and SwarmError if it loses one and no clock limits the wait for it.
+        take a frame, and SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
         """
         carrier_connection = self.bus_connections[robot]
         for frame in frames:

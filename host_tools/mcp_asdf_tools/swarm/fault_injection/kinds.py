@@ -24,8 +24,10 @@ from mcp_asdf_tools.swarm.fault_injection.random_words import choose_bits, hit_t
 
 if TYPE_CHECKING:
     import can
+    import numpy as np
+    from numpy.typing import NDArray
 
-    from mcp_asdf_tools.swarm.delivery import Deliveries, SentFrame
+    from mcp_asdf_tools.swarm.delivery import Deliveries, ReceiverMask, SentFrame
     from mcp_asdf_tools.swarm.fault_injection.random_words import RandomWords
 
 # --- Links: a frame on its way to one receiver ---
@@ -45,12 +47,11 @@ class LinkFault(Fault, ABC):
         """Return the deliveries that are spared, and what ``change`` makes of those that are hit.
 
         Deliveries are frames on their way, with the robots that receive each of them. Whether a frame is hit
-        on its way to a receiver is drawn for each of them. The hits are counted.
-        O(frames receivers).
+        on its way to a receiver is drawn for each of them. Of the random words that are drawn for both, the
+        first one decides this, and ``change`` gets the others. The hits are counted. O(frames receivers).
         """
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
-        # The first word for a frame and a receiver decides on the hit; ``change`` gets the others.
         is_active = run.active_frames(deliveries.sent_frames)
         random_words = run.words_for_deliveries(deliveries, is_active, 1 + self.extra_words)
         # The axes are frames, receivers and words.
@@ -79,9 +80,12 @@ class LinkFault(Fault, ABC):
 
     @abstractmethod
     def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
-        """Return what becomes of deliveries that are hit.
+        """Return the deliveries that take the place of ``hit``, those that the fault hits.
 
-        ``extra_words`` has shape (frames, receivers, self.extra_words).
+        Args:
+            hit: The frames on their way, each with the receivers for which it is hit.
+            extra_words: Random words for the change, shape (frames, receivers, self.extra_words).
+            run: The state of the fault in this run.
         """
 
 
@@ -143,26 +147,35 @@ class Corrupt(LinkFault):
         return self.bits
 
     def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
-        """Return the deliveries with bits flipped, one entry for each frame and receiver.
+        """Return the deliveries in ``hit`` with bits of their data flipped, other ones for each receiver.
 
-        Each of the ``extra_words`` chooses one bit.
+        Therefore the result has an entry for each frame and receiver. ``extra_words``, shape (frames,
+        receivers, bits), are random, and each chooses one bit. ``run`` is not needed.
         """
         import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
 
-        # Entry i of the result is the frame of index frame_indices[i] for the receiver receivers[i] alone.
-        frame_indices, receivers = hit.receivers.nonzero()
-        entry_count = len(frame_indices)
-        receiver_count = hit.receivers.shape[1]
-        single_receivers = np.zeros((entry_count, receiver_count), np.bool_)
-        single_receivers[np.arange(entry_count), receivers] = True
-
-        sent_frames = [hit.sent_frames[index] for index in frame_indices.tolist()]
+        # Both have an element for each entry: the index of its frame in ``hit``, and its receiver.
+        frame_of_entry, receiver_of_entry = hit.receivers.nonzero()
+        sent_frames = [hit.sent_frames[index] for index in frame_of_entry.tolist()]
         byte_counts = [min(len(sent_frame.frame.data), FRAME_BYTES) for sent_frame in sent_frames]
         bit_counts = 8 * np.array(byte_counts, np.int64)
-        new_flips = choose_bits(bit_counts, extra_words[frame_indices, receivers])
+        words_of_entry = extra_words[frame_of_entry, receiver_of_entry]  # shape (entries, bits)
+        new_flips = choose_bits(bit_counts, words_of_entry)
         # A bit that an earlier fault has flipped is flipped back.
-        bit_flips = hit.bit_flips[frame_indices] ^ new_flips
+        bit_flips = hit.bit_flips[frame_of_entry] ^ new_flips
+        receiver_count = hit.receivers.shape[1]
+        single_receivers = _mask_of_single_receivers(receiver_of_entry, receiver_count)
         return [replace(hit, sent_frames=sent_frames, receivers=single_receivers, bit_flips=bit_flips)]
+
+
+def _mask_of_single_receivers(receiver_of_entry: NDArray[np.intp], receiver_count: int) -> ReceiverMask:
+    """Return for each entry a row in which only its receiver is true, shape (entries, receivers)."""
+    import numpy as np  # noqa: PLC0415 (it loads slowly, and the help of faults needs none of it)
+
+    entry_count = len(receiver_of_entry)
+    mask = np.zeros((entry_count, receiver_count), np.bool_)
+    mask[np.arange(entry_count), receiver_of_entry] = True
+    return mask
 
 
 # --- Outages: a node that is off the bus for some ticks ---
