@@ -85,14 +85,15 @@ def test_a_skip_for_a_tool_that_is_not_installed_fails(folder: Path) -> None:
     ]
 
 
-def test_a_skip_for_the_machine_is_only_named(folder: Path) -> None:
+def test_a_skip_for_the_machine_is_no_failure(folder: Path) -> None:
+    """One of 50 tests needs a processor that this machine does not have; that is no fault of the set-up."""
     write_report(folder, "tests.bus.test_dbc", 100)
     write_report(folder, "tests.proofs.test_sums", 50, SKIPPED_FOR_THE_MACHINE)
     assert count(folder, "--strict").status == 0
 
 
 def test_without_the_option_strict_a_skip_is_only_named(folder: Path) -> None:
-    """The only test of the report is skipped."""
+    """The only test of the report is skipped as a tool is missing, which would fail with ``--strict``."""
     write_report(folder, "tests.bus.test_dbc", 1, SKIPPED_FOR_A_TOOL)
 
     result = count(folder)
@@ -108,14 +109,14 @@ def test_without_the_option_strict_a_skip_is_only_named(folder: Path) -> None:
 def test_a_loss_of_more_than_two_percent_of_a_folder_s_tests_fails(
     folder: Path, passed: int, exit_code: int
 ) -> None:
-    """However many tests other folders have gained. By the list tests/bus has 100, and tests/proofs 50."""
+    """The list expects 100 tests of tests/bus. Others, in tests/proofs, do not make up for a loss."""
     write_report(folder, "tests.bus.test_dbc", passed)
     write_report(folder, "tests.proofs.test_sums", 60)
     assert count(folder, "--strict").status == exit_code
 
 
 def test_the_folder_that_lost_tests_is_named_with_the_command_that_accepts_it(folder: Path) -> None:
-    """By the list tests/proofs has 50, and there is no report of them."""
+    """The fixture's list expects 50 tests of tests/proofs, and there is no report of them."""
     write_report(folder, "tests.bus.test_dbc", 100)
 
     first_line, *_ = count(folder, "--strict").lines
@@ -126,11 +127,16 @@ def test_the_folder_that_lost_tests_is_named_with_the_command_that_accepts_it(fo
     )
 
 
-def test_a_test_of_two_reports_counts_once(folder: Path) -> None:
-    """``make verify`` runs the random tests of ``make test`` again. By the list tests/proofs has 50."""
+def test_a_test_that_is_in_two_reports_is_counted_once(folder: Path) -> None:
+    """``make verify`` runs random tests of ``make test`` again, so they are in the reports of both.
+
+    Here 25 tests of tests/proofs are in two reports. They are not taken for the 50 that the fixture's list
+    expects.
+    """
     write_report(folder, "tests.bus.test_dbc", 100)
     write_report(folder, "tests.proofs.test_sums", 25)
-    shutil.copy(folder / "reports/tests.proofs.test_sums.xml", folder / "reports/verify.xml")
+    reports = folder / "reports"
+    shutil.copy(reports / "tests.proofs.test_sums.xml", reports / "verify.xml")
 
     first_line, *_ = count(folder, "--strict").lines
 
@@ -138,7 +144,10 @@ def test_a_test_of_two_reports_counts_once(folder: Path) -> None:
 
 
 def test_a_list_with_20_tests_fewer_than_170_has_to_be_renewed(folder: Path) -> None:
-    """A tenth may be missing from it, here 17: otherwise many tests could vanish again unnoticed."""
+    """A tenth of the tests that ran may be missing from the list, here 17 of 170; the list has 150.
+
+    With an older list many tests could vanish again unnoticed.
+    """
     write_report(folder, "tests.bus.test_dbc", 100 + 20)
     write_report(folder, "tests.proofs.test_sums", 50)
 

@@ -231,12 +231,17 @@ def test_the_robots_of_a_swarm_compute_the_same_bits_as_robots_in_python(
 def test_robots_with_the_robust_filter_compute_the_same_bits_as_robots_in_python(
     run_swarm: RunSwarm, swarm: Swarm, tmp_path: Path
 ) -> None:
-    """check_log.py repeats their logs in Python."""
+    """A run writes a log of each robot into the folder ``logs``, with all that it received and computed.
+
+    check_log.py computes each log again in Python, and fails if a bit differs.
+    """
     swarm.set_parameter("filter", "robust")
+    ended_swarm = run_swarm(swarm)
+    assert ended_swarm.returncode == 0
 
-    assert run_swarm(swarm).returncode == 0
+    ended_check = check_logs(tmp_path / "logs")
 
-    assert check_logs(tmp_path / "logs").returncode == 0
+    assert ended_check.returncode == 0
 
 
 def test_after_a_reset_the_log_has_the_second_run_alone(
@@ -370,8 +375,10 @@ def floor_of(
 
 
 def test_a_floor_has_the_fill_ratio(built_folder: Path, tmp_path: Path) -> None:
-    # Five standard deviations of the share of 10,000 tiles.
-    assert floor_of(1, built_folder, tmp_path).mean() == pytest.approx(0.55, abs=0.025)
+    """swarm.argos asks for a floor of which a share of 0.55 is black."""
+    share_of_black = floor_of(1, built_folder, tmp_path).mean()
+    five_standard_deviations = 0.025  # of the share of 10,000 tiles that are drawn
+    assert share_of_black == pytest.approx(0.55, abs=five_standard_deviations)
 
 
 def test_floors_of_two_seeds_have_no_row_or_column_in_common(built_folder: Path, tmp_path: Path) -> None:

@@ -210,12 +210,18 @@ def test_a_robot_s_confidence_is_equation_4_as_the_paper_prints_it(
 def test_a_robot_whose_neighbours_agree_with_it_computes_the_accuracy_that_it_has(
     n_and_t: tuple[int, int], b: Fraction
 ) -> None:
-    """The update is the inverse of its estimate from n black of t observations, but at ends and middle."""
-    n, t = n_and_t
-    estimate_of_all = local_estimate(n, t, b)
+    """A robot computes an estimate from its accuracy b, and in an update an accuracy from an estimate.
 
-    if 0 < estimate_of_all < 1 and is_informative(estimate_of_all):
-        assert assumed_accuracy_update(n, t, estimate_of_all) == b
+    Both take n black of t observations. So an update by the robot's own estimate gives b again. There are two
+    exceptions: an estimate that was cut off at 0 or 1, and one next to 1/2, which says nothing about sensors.
+    """
+    n, t = n_and_t
+    own_estimate = local_estimate(n, t, b)
+    neighbours_estimate = own_estimate
+
+    is_cut_off = own_estimate <= 0 or own_estimate >= 1
+    if not is_cut_off and is_informative(neighbours_estimate):
+        assert assumed_accuracy_update(n, t, neighbours_estimate) == b
 
 
 HALF, THREE_QUARTERS = Fraction(1, 2), Fraction(3, 4)

@@ -294,6 +294,10 @@ def make_robust_robot(memory: int = 1000) -> ReferenceRobot:
 
 @pytest.mark.parametrize(("neighbours", "tests"), [(4, 0), (5, 1)])
 def test_a_robot_tests_itself_only_against_five_neighbours_or_more(neighbours: int, tests: int) -> None:
+    """In a test a robot compares what it has observed with its neighbours' estimates.
+
+    ``tests`` is the number of tests in one round, in which each neighbour says that no tile is black.
+    """
     robot = make_robust_robot()
     observe_tiles(robot, black=50, white=50)
     receive_estimates(robot, *[0.0] * neighbours)

@@ -74,6 +74,7 @@ def test_both_ends_of_x_hat_have_codes_of_their_own(bits: int) -> None:
 
 
 def test_x_hat_is_rounded_to_the_nearest_of_four_numbers() -> None:
+    """In 2 bits these are 0, 1/3, 2/3 and 1, so the boundaries between them are 1/6, 1/2 and 5/6."""
     boundaries = [ONE // 6, HALF - 1, ONE - ONE // 6 - 1]
     assert [encode_x_hat(x_hat, 2) for x_hat in boundaries] == [0, 1, 2]
     assert [encode_x_hat(x_hat + 1, 2) for x_hat in boundaries] == [1, 2, 3]
@@ -85,6 +86,7 @@ def test_exchanged_colours_have_the_opposite_code(x_hat: int) -> None:
 
 
 def test_an_estimate_in_16_bits_is_wrong_by_half_a_step_at_most() -> None:
+    """A step is the difference of two neighbouring codes, in the units of x_hat, of which ONE is 1.0."""
     half_step = ONE / 0xFFFF / 2
     rounding_to_whole_units = 0.5
     for x_hat in random.Random(2).sample(range(ONE + 1), 20_000):
@@ -105,14 +107,17 @@ def test_codes_of_9_bits_stand_for_these_confidences(code: int, alpha: float) ->
 
 
 def test_codes_of_4_bits_are_powers_of_four() -> None:
+    """Code 0 is no confidence, code 1 is 1/8, and each further code stands for four times the last one."""
     confidences = [alpha_from_word(decode_alpha(code, 4)) for code in range(16)]
     assert confidences == [0.0, *(4.0**power / 8 for power in range(15))]
 
 
 @pytest.mark.parametrize("bits", range(1, MAX_ALPHA_BITS + 1))
-def test_no_confidence_becomes_none(bits: int) -> None:
+def test_only_a_confidence_of_0_has_the_code_0(bits: int) -> None:
+    """The smallest other confidence has a mantissa of 1, which stands above 8 bits of shift."""
     smallest_word = 1 << 8
-    assert (encode_alpha(smallest_word, bits), encode_alpha(0, bits)) == (1, 0)
+    assert encode_alpha(0, bits) == 0
+    assert encode_alpha(smallest_word, bits) == 1
 
 
 @pytest.mark.parametrize("bits", range(1, MAX_ALPHA_BITS + 1))
@@ -120,14 +125,20 @@ def test_the_largest_confidence_has_the_largest_code(bits: int) -> None:
     assert encode_alpha(ALPHA_MAX, bits) == (1 << bits) - 1
 
 
-def test_a_confidence_in_9_bits_is_rounded_down_by_less_than_a_seventeenth() -> None:
+def test_a_confidence_in_9_bits_is_rounded_down_by_less_than_a_seventeenth_of_itself() -> None:
+    """Codes stand for 16 to 31 times a power of two. The longest way to the next code is from 16 to 17.
+
+    That holds for confidences from 2**-4, the code 16, to the largest code, 31 * 2**22, which is 2**26.95.
+    """
     source = random.Random(3)
     for _ in range(20_000):
-        alpha = alpha_word_from_float(2 ** source.uniform(-4, 26.9))
+        confidence = 2 ** source.uniform(-4, 26.9)
+        word = alpha_word_from_float(confidence)  # as the firmware has it
 
-        decoded = decode_alpha(encode_alpha(alpha, 9), 9)
+        decoded_word = decode_alpha(encode_alpha(word, bits=9), bits=9)
 
-        assert 16 / 17 * alpha_units(alpha) < alpha_units(decoded) <= alpha_units(alpha), hex(alpha)
+        exact, decoded = alpha_units(word), alpha_units(decoded_word)
+        assert 16 / 17 * exact < decoded <= exact, hex(word)
 
 
 # --- The codec in C --------------------------------------------------------------------------------------

@@ -144,17 +144,24 @@ def test_the_page_sweeps_all_eight_combinations_of_its_extensions_with_workers(p
     assert line.startswith("mcp-asdf sweep ")
     assert "--workers 2" in line
     experiments = run_in_package(line, package)["experiments"]
+    extension_points = ("firmware", "topology", "sensor")
     combinations = {
-        (each["parameters"]["firmware"], each["parameters"]["topology"], each["parameters"]["sensor"])
-        for each in experiments
+        tuple(experiment["parameters"][point] for point in extension_points) for experiment in experiments
     }
-    median_scores = {each["H"]["median"] for each in experiments}
+    median_scores = {experiment["H"]["median"] for experiment in experiments}
 
     assert len(combinations) == 8
     assert len(median_scores) == 8, "each extension makes a difference"
 
 
 # --- In this process -------------------------------------------------------------------------------------
+
+
+def changes_of_wandering_accuracies(robots: int, steps: int) -> Any:
+    """Return how much accuracies on black tiles change: an array of shape (steps - 1, robots)."""
+    settings = WorldSettings(robots=robots, true_accuracy=0.75, seed=3, sensor="wandering")
+    accuracy_on_black, _accuracy_on_white = make_sensor_model(settings, 0).advance(steps)
+    return np.diff(accuracy_on_black, axis=0)
 
 
 @pytest.mark.usefixtures("installed")
@@ -178,20 +185,31 @@ def test_a_swarm_with_extensions_ends_in_the_same_bits_as_the_same_simulated_exp
 
 
 @pytest.mark.usefixtures("installed")
-def test_accuracies_of_the_page_s_sensors_change_by_random_steps_of_a_thousandth() -> None:
-    settings = WorldSettings(robots=100, true_accuracy=0.75, seed=3, sensor="wandering")
-    accuracy_on_black, _ = make_sensor_model(settings, 0).advance(400)
-    changes = np.diff(accuracy_on_black, axis=0)  # by step and robot
-    correlations = np.corrcoef(changes[:, 0], changes[:, 1])
+def test_accuracies_of_the_page_s_sensors_walk_at_random_in_steps_of_a_thousandth() -> None:
+    """The page docs/platforms/extending.md shows how to write sensors, which it calls "wandering".
 
-    assert changes.std() == pytest.approx(0.001, rel=0.02)
-    assert abs(correlations[0, 1]) < 0.2, "the walks of two robots have nothing to do with each other"
+    In each step every accuracy changes by a random number with a standard deviation of 0.001.
+    """
+    changes_by_step_and_robot = changes_of_wandering_accuracies(robots=100, steps=400)
+    assert changes_by_step_and_robot.std() == pytest.approx(0.001, rel=0.02)
+
+
+@pytest.mark.usefixtures("installed")
+def test_accuracies_of_the_page_s_sensors_walk_independently_of_each_other() -> None:
+    """The steps of two robots are not correlated."""
+    changes_by_step_and_robot = changes_of_wandering_accuracies(robots=100, steps=400)
+    first_robot, second_robot = changes_by_step_and_robot[:, 0], changes_by_step_and_robot[:, 1]
+    matrix = np.corrcoef(first_robot, second_robot)
+    correlation = matrix[0, 1]
+
+    assert abs(correlation) < 0.2
 
 
 @pytest.mark.usefixtures("installed")
 def test_the_page_s_sensors_are_the_same_however_many_steps_are_taken_at_once() -> None:
+    """100 steps at once, and 1, 7 and 92 steps of sensors with the same seed."""
     settings = WorldSettings(robots=6, seed=3, sensor="wandering")
-    accuracies_at_once, _ = make_sensor_model(settings, 0).advance(100)
+    accuracies_at_once, _accuracies_on_white = make_sensor_model(settings, 0).advance(100)
     sensors = make_sensor_model(settings, 0)
     accuracies_of_parts = []
     for steps in (1, 7, 92):

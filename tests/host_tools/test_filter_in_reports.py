@@ -120,15 +120,22 @@ def test_neighbours_in_real_time_name_the_filter(output: str, capsys: pytest.Cap
 
 
 @pytest.mark.parametrize(
-    ("option", "neighbours"), [("", Filter.OFF), ("--filter asdf-plus", Filter.ADAPTIVE)]
+    ("option", "filter_of_neighbours"), [("", Filter.OFF), ("--filter asdf-plus", Filter.ADAPTIVE)]
 )
-def test_neighbours_of_a_controller_filter_with_asdf_plus_alone(option: str, neighbours: Filter) -> None:
+def test_the_neighbours_that_radio_emulates_filter_only_if_asdf_plus_is_chosen(
+    option: str, filter_of_neighbours: Filter
+) -> None:
+    """``mcp-asdf radio`` emulates the neighbours of one controller, a real robot.
+
+    The controller runs the paper's filter, Filter.ADAPTIVE, in any case. With ASDF-, which is the default, it
+    is the only one; with ASDF+ all robots do.
+    """
     parser = argparse.ArgumentParser()
     add_radio_arguments(parser)
     settings = settings_of(parser.parse_args(f"--id 3 --robots 4 {option}".split()))
 
     assert settings.controller.config.filter is Filter.ADAPTIVE
-    assert {each.config.filter for each in settings.neighbours} == {neighbours}
+    assert {neighbour.config.filter for neighbour in settings.neighbours} == {filter_of_neighbours}
 
 
 def test_a_picture_of_curves_names_the_filter() -> None:

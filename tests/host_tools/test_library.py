@@ -131,7 +131,7 @@ def test_results_that_were_read_can_be_plotted(results_file: Path) -> None:
 def test_simulate_takes_finished_trials_from_the_file(
     expected_table: Any, results_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Without jobs no trial can be run, so all that is returned must come from the file.
+    """Without jobs no trial can be run, so all that is returned must come from the file."""
     monkeypatch.setattr("mcp_asdf_tools.experiments.sweep.jobs_of", lambda store: iter([]))
     assert m.simulate(small_experiment(), str(results_file)).equals(expected_table)
 
@@ -155,13 +155,14 @@ def images_of_robots(swarm: Swarm) -> list[bytes]:
     return [cast(Any, node.robot).save() for node in swarm.nodes]
 
 
-def test_others_on_a_swarm_s_channel_receive_frames_with_simulated_times() -> None:
-    with m.start_swarm(small_swarm(), "times") as swarm, can.Bus("times", "virtual") as bus:
+def test_a_program_that_listens_on_a_swarm_s_channel_gets_frames_with_simulated_times() -> None:
+    """The time of a simulated swarm begins at 0. The clock's time, in seconds since 1970, is much later."""
+    with m.start_swarm(small_swarm(), "times") as swarm, can.Bus("times", "virtual") as listener:
         swarm.tick()
-        frame = bus.recv(0)
+        frame = listener.recv(timeout=0)
 
     assert frame is not None
-    assert frame.timestamp < 1, "the swarm's time begins at 0; the clock's is many years"
+    assert frame.timestamp < 1
 
 
 def test_a_swarm_on_a_channel_ends_in_the_same_bits_as_one_without() -> None:
@@ -313,7 +314,10 @@ class DataSheetRobot(ReferenceRobot):
 
 
 def robot_class_with_b_hat(accuracy: float) -> Any:
-    """Return a class of robots that assume this accuracy once they filter; all such classes have one name."""
+    """Return a class of robots that assume this accuracy once they filter.
+
+    All such classes are called RobotOfOneAccuracy, and none can be imported, as they are made in a function.
+    """
 
     class RobotOfOneAccuracy(ReferenceRobot):
         def reestimate_b_hat(self) -> float | None:
@@ -334,6 +338,7 @@ def test_a_class_of_the_user_s_can_be_the_firmware_of_an_experiment(accuracy: fl
 
 
 def test_experiments_with_different_firmware_classes_of_one_name_are_different() -> None:
+    """Both classes are called RobotOfOneAccuracy."""
     low, high = robot_class_with_b_hat(0.7), robot_class_with_b_hat(0.9)
     assert small_experiment(firmware=low) != small_experiment(firmware=high)
     assert small_experiment(firmware=low) == small_experiment(firmware=low)
@@ -362,6 +367,7 @@ def test_a_function_of_the_user_s_can_make_the_sensors_of_an_experiment() -> Non
 
 
 def test_two_classes_of_one_name_are_refused_in_one_table() -> None:
+    """A table has only the name of an experiment's firmware, so it could not tell the two apart."""
     experiments = [
         small_experiment(firmware=robot_class_with_b_hat(0.7)),
         small_experiment(firmware=robot_class_with_b_hat(0.9)),
@@ -372,7 +378,8 @@ def test_two_classes_of_one_name_are_refused_in_one_table() -> None:
         m.simulate(experiments)
 
 
-def test_a_class_that_workers_cannot_import_is_refused() -> None:
+def test_a_firmware_class_that_workers_cannot_import_is_refused() -> None:
+    """A class inside a function is no attribute of its module, so other processes cannot find it there."""
     experiment = small_experiment(firmware=robot_class_with_b_hat(0.7))
     message = r"RobotOfOneAccuracy cannot be sent to worker processes: .*take one worker"
     with pytest.raises(UsageError, match=message):
@@ -380,6 +387,8 @@ def test_a_class_that_workers_cannot_import_is_refused() -> None:
 
 
 def test_a_class_of_a_notebook_is_refused_for_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Worker processes would have to import it, and a notebook is no module that can be imported."""
+
     class ClassOfNotebook(ReferenceRobot):
         pass
 
@@ -395,6 +404,7 @@ def test_a_class_of_a_notebook_is_refused_for_workers(monkeypatch: pytest.Monkey
 
 @pytest.mark.slow
 def test_a_class_of_a_module_is_sent_to_workers() -> None:
+    """Two worker processes run its trials, with the results that this process computes alone."""
     experiment = small_experiment(firmware=ReferenceRobot)
     assert m.simulate(experiment, workers=2).equals(m.simulate(experiment))
 

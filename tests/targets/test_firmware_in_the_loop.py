@@ -250,13 +250,19 @@ def test_the_compiler_refuses_a_setting(name: str, value: int) -> None:
 # ---- In a swarm ----
 
 
-def prepared(target: str, folder: Path) -> str:
-    """Put the sources for a target into a folder; returns a free port."""
+def copy_sources(target: str, folder: Path) -> None:
+    """Copy the firmware's sources into a folder; skip the test if they cannot be compiled for the target."""
     require_target(target)
     for name in ("c_ref", "tables"):
         shutil.copytree(ROOT / name, folder / name)
-    with closing(create_server(("127.0.0.1", 0))) as free:
-        return str(free.getsockname()[1])
+
+
+def find_free_port() -> str:
+    """Return the number of a TCP port of this computer on which no program listens."""
+    any_port = 0
+    with closing(create_server(("127.0.0.1", any_port))) as server:
+        _, port = server.getsockname()
+    return str(port)
 
 
 def replace_each(text: str, replacements: dict[str, str]) -> str:
@@ -275,12 +281,12 @@ def test_the_commands_of_docs_radio_run_a_swarm_with_an_emulated_board(target: s
     The commands are those of the page but for the board, the port, and a filter that runs soon. The verdict
     takes minutes, so it is left out.
     """
-    port = prepared(target, tmp_path)
+    copy_sources(target, tmp_path)
     [block] = [block for block in blocks(PAGE, "sh") if "build/loop" in block]
     block = replace_each(
         block,
         {
-            "20001": port,
+            "20001": find_free_port(),
             "cortex-m3": target,
             "qemu-system-arm -M mps2-an385": QEMU[target],
             " --steps 50": " --steps 60 --filter-period 20",
@@ -300,48 +306,54 @@ def test_the_commands_of_docs_radio_run_a_swarm_with_an_emulated_board(target: s
     assert bytes_of_variables < 1024
 
 
-def read_workflow(**replacements: str) -> Any:
-    """Return the jobs of the workflow that the page proposes, with texts in it replaced."""
+def read_workflow(replacements: dict[str, str] | None = None) -> Any:
+    """Return the jobs of the GitHub workflow that docs/radio.md proposes, by their names.
+
+    ``replacements`` are texts to put in place of others before the workflow is parsed.
+    """
     [text] = blocks(PAGE, "yaml")
-    return yaml.safe_load(replace_each(text, replacements))["jobs"]
+    return yaml.safe_load(replace_each(text, replacements or {}))["jobs"]
 
 
 def step_named(name: str, steps: list[dict[str, str]]) -> str:
-    """Return the commands of a step of a workflow."""
+    """Return the shell commands of the step that has this name in a job of a workflow."""
     [commands] = [step["run"] for step in steps if step.get("name") == name]
     return commands
 
 
 @pytest.mark.slow
 def test_the_workflow_of_docs_radio_fails_on_a_wrong_image_and_leaves_a_report(tmp_path: Path) -> None:
-    """Its steps as they stand, but for what root installs.
+    """Its job "emulated" builds the firmware, starts it on an emulated board, and verifies what it sends.
 
-    The image has another accuracy than the verdict is told, so that fails soon: with a report, and with a log
-    that can be replayed.
+    Here the firmware is built for a sensor with an accuracy of 0.6, and is verified as one with 0.55. So the
+    verification fails soon, and leaves a report, and a log that can be replayed. All other commands are the
+    page's, but for the port; the step that installs tools, as root, is left out.
     """
-    port = prepared("cortex-m3", tmp_path)
-    wrong_accuracy = "-B build -DROBOT_B_HAT=0.6 "
-    steps = read_workflow(**{"20001": port, "-B build ": wrong_accuracy})["emulated"]["steps"]
+    copy_sources("cortex-m3", tmp_path)
+    replacements = {"20001": find_free_port(), "-B build ": "-B build -DROBOT_B_HAT=0.6 "}
+    steps = read_workflow(replacements)["emulated"]["steps"]
     run("sh", "-exc", step_named("build", steps), cwd=tmp_path)
 
     try:
         with pytest.raises(AssertionError, match=r"FAILED: 0 of \d+ phases passed"):
             run("sh", "-exc", step_named("verify", steps), cwd=tmp_path)
     finally:
-        run("sh", "-c", "kill $(cat qemu.pid)", cwd=tmp_path)
+        stop_the_board = "kill $(cat qemu.pid)"
+        run("sh", "-c", stop_the_board, cwd=tmp_path)
 
     assert "expected" in (tmp_path / "verdict.md").read_text()
     assert (tmp_path / "verdict.log.events").exists()
 
 
 def test_the_workflow_of_docs_radio_uploads_the_report_also_of_a_failure() -> None:
+    """The last step of its job "emulated" uploads it, whether the steps before have failed or not."""
     *_, upload = read_workflow()["emulated"]["steps"]
     assert upload["if"] == "always()"
     assert upload["with"]["path"] == "verdict.*"
 
 
 def test_the_workflow_of_docs_radio_has_a_command_for_a_real_board_that_is_understood() -> None:
-    """The last line of its second step is a ``mcp-asdf radio`` command."""
+    """The last line of the second step of its job "board" is a ``mcp-asdf radio`` command."""
     _, second_step, *_ = read_workflow()["board"]["steps"]
     command = second_step["run"].splitlines()[-1]
     _program, _radio, *options = shlex.split(command)

@@ -495,40 +495,70 @@ def test_the_clock_keeps_its_rate_and_leaves_out_what_it_missed(
 # ---- Faults around it ----
 
 
+@dataclass(frozen=True)
+class ErrorFrame:
+    """An error frame, with which the CAN controller of the node's computer reports how its bus is.
+
+    Attributes:
+        kind: One of the constants CAN_ERR_...
+        node_health: The health that the node's heartbeat has from this frame on.
+        controller_state: State of the controller, in error frames of the kind CAN_ERR_CRTL.
+    """
+
+    kind: int
+    node_health: Health
+    controller_state: int = 0
+
+    def to_message(self) -> can.Message:
+        """Return the frame as Linux delivers it: the second of its eight bytes is the controller's state."""
+        data = bytes([0, self.controller_state, 0, 0, 0, 0, 0, 0])
+        return can.Message(arbitration_id=self.kind, is_error_frame=True, data=data)
+
+
+PROTOCOL_ERROR = ErrorFrame(CAN_ERR_PROT, Health.NOMINAL)
+"""A frame was garbled, which alone is no reason to worry."""
+BUS_OFF = ErrorFrame(CAN_ERR_BUSOFF, Health.WARNING)
+"""The controller has left the bus after many errors."""
 ERROR_FRAMES = (
-    (CAN_ERR_PROT, 0, Health.NOMINAL),
-    (CAN_ERR_CRTL, ERROR_WARNING, Health.ADVISORY),
-    (CAN_ERR_CRTL, ERROR_PASSIVE, Health.CAUTION),
-    (CAN_ERR_CRTL, ERROR_ACTIVE, Health.NOMINAL),
-    (CAN_ERR_BUSOFF, 0, Health.WARNING),
-    (CAN_ERR_PROT, 0, Health.WARNING),
-    (CAN_ERR_RESTARTED, 0, Health.NOMINAL),
+    PROTOCOL_ERROR,
+    ErrorFrame(CAN_ERR_CRTL, Health.ADVISORY, ERROR_WARNING),
+    ErrorFrame(CAN_ERR_CRTL, Health.CAUTION, ERROR_PASSIVE),
+    ErrorFrame(CAN_ERR_CRTL, Health.NOMINAL, ERROR_ACTIVE),
+    BUS_OFF,
+    ErrorFrame(CAN_ERR_PROT, Health.WARNING),  # the controller is still off the bus
+    ErrorFrame(CAN_ERR_RESTARTED, Health.NOMINAL),
 )
-"""Error frames one after the other: kind, state of the controller, and the node's health from then on."""
+"""Error frames of a bus that gets worse, better, and worse again, and is restarted in the end."""
+
+
+def play_tick(lockstep: Lockstep) -> None:
+    """Let the node observe a black tile, broadcast its estimate, and end the tick."""
+    lockstep.observe({ID: Observation.BLACK})
+    lockstep.estimates([ID])
+    lockstep.settle([ID])
 
 
 def test_the_node_s_heartbeat_says_how_the_bus_is(start_node: StartNode, bus: UnixBus) -> None:
-    """Error frames tell it. A tick takes a second, so it has a heartbeat in each.
+    """The node has a health, from nominal to warning, which follows from the error frames that it receives.
 
-    Its first heartbeat comes before any error frame, so the first of these is sent in two ticks.
+    A tick takes a second here, so each has a heartbeat. That of the first tick comes before any error frame.
     """
-    error_frames = (ERROR_FRAMES[0], *ERROR_FRAMES)
-    node = start_node("--lockstep", "--steps-per-second", 1, "--steps", len(error_frames))
+    error_frame_by_tick = [PROTOCOL_ERROR, *ERROR_FRAMES]
+    tick_count = len(error_frame_by_tick)
+    node = start_node("--lockstep", "--steps-per-second", 1, "--steps", tick_count)
     lockstep = Lockstep(bus, timeout=PATIENCE)
     lockstep.wait_until_up([ID], PATIENCE)
-    for kind, controller_state, _ in error_frames:
-        data = bytes([0, controller_state, 0, 0, 0, 0, 0, 0])
-        bus.send(can.Message(arbitration_id=kind, is_error_frame=True, data=data))
-        lockstep.observe({ID: Observation.BLACK})
-        lockstep.estimates([ID])
-        lockstep.settle([ID])
 
+    for error_frame in error_frame_by_tick:
+        bus.send(error_frame.to_message())
+        play_tick(lockstep)
     summary = node.summary()
 
-    _first, *heartbeats = heartbeats_in(bus.received_frames)
-    assert [heartbeat.health for heartbeat in heartbeats] == [health for _, _, health in ERROR_FRAMES]
-    assert summary["error_frames"] == len(error_frames)
-    assert summary["bus_off"] == 1
+    _first_heartbeat, *heartbeats = heartbeats_in(bus.received_frames)
+    expected_health = [error_frame.node_health for error_frame in ERROR_FRAMES]
+    assert [heartbeat.health for heartbeat in heartbeats] == expected_health
+    assert summary["error_frames"] == tick_count
+    assert summary["bus_off"] == ERROR_FRAMES.count(BUS_OFF) == 1
     assert summary["ended"] == "ticks"
 
 

@@ -50,9 +50,13 @@ def test_a_datagram_with_a_number_as_its_data_does_not_fill_the_memory() -> None
 
 
 def test_a_datagram_of_more_than_400_bytes_is_refused() -> None:
-    # A text of more than 31 bytes takes two bytes besides its own, where no name takes one.
-    room = LONGEST_DATAGRAM - len(packed()) - 1
-    longest, too_long = packed(channel="c" * room), packed(channel="c" * (room + 1))
+    """The name of a channel fills the datagrams up to 400 and 401 bytes.
+
+    A name of more than 31 bytes takes two bytes besides its own; the field without a name takes one.
+    """
+    further_bytes_of_a_name = 2 - 1
+    longest_name = LONGEST_DATAGRAM - len(packed()) - further_bytes_of_a_name
+    longest, too_long = packed(channel="c" * longest_name), packed(channel="c" * (longest_name + 1))
 
     assert [len(longest), len(too_long)] == [400, 401]
     assert unpack_data_frame(longest) is not None

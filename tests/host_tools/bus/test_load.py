@@ -27,8 +27,10 @@ MOST_STUFFED_BITS = "00000" + "11110000" * 20
 
 @pytest.mark.parametrize("length", range(9))
 def test_the_worst_length_of_a_frame_with_a_29_bit_identifier_has_the_most_stuffed_bits(length: int) -> None:
-    """Behind five bits alike CAN sends one of the other value, so the length depends on the data."""
-    # The start, the identifier with its flags, the length, the data and the checksum.
+    """Behind five bits alike CAN sends one of the other value, so the length depends on the data.
+
+    It does so in the start, the identifier with its flags, the length, the data and the checksum.
+    """
     stuffable_bits = 1 + 32 + 6 + 8 * length + 15
     frame = can.Message(arbitration_id=1, data=bytes(length))
     assert worst_case_bits(frame) == len(stuff(MOST_STUFFED_BITS[:stuffable_bits])) + UNSTUFFED_BITS
@@ -36,7 +38,10 @@ def test_the_worst_length_of_a_frame_with_a_29_bit_identifier_has_the_most_stuff
 
 @pytest.mark.parametrize("length", range(9))
 def test_the_worst_length_of_a_frame_with_an_11_bit_identifier_has_the_most_stuffed_bits(length: int) -> None:
-    """Behind five bits alike CAN sends one of the other value, so the length depends on the data."""
+    """Behind five bits alike CAN sends one of the other value, so the length depends on the data.
+
+    It does so in the start, the identifier with its flags, the length, the data and the checksum.
+    """
     stuffable_bits = 1 + 12 + 6 + 8 * length + 15
     frame = can.Message(arbitration_id=1, is_extended_id=False, data=bytes(length))
     assert worst_case_bits(frame) == len(stuff(MOST_STUFFED_BITS[:stuffable_bits])) + UNSTUFFED_BITS

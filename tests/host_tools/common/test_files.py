@@ -333,7 +333,7 @@ def test_a_path_below_a_file_is_refused_by_its_name(tmp_path: Path) -> None:
 def test_an_output_file_needs_a_folder_that_may_be_written_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Tests may run as root, for whom every folder may be written to.
+    """``os.access`` is replaced, since tests may run as root, who may write to every folder."""
     needed_permissions = os.W_OK | os.X_OK
     monkeypatch.setattr(os, "access", lambda path, mode: path != tmp_path or mode != needed_permissions)
     with pytest.raises(UsageError, match="you may not write to its folder; choose another"):

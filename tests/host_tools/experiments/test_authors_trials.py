@@ -21,11 +21,16 @@ from mcp_asdf_tools.experiments.trials import run_trials
 
 KINDS = pytest.mark.parametrize("experiment", [FIXED, MOVING], ids=["fixed", "moving"])
 DECIMALS = 6
-"""Decimal places in the files."""
+"""Decimal places in the authors' files."""
+ROUNDING = 10**-DECIMALS
+"""Largest difference of a number in such a file from the one that was computed."""
 
 
 def read_trial(path: Path, sampling_interval: int = 0) -> Trials:
-    """Return the trial in a file."""
+    """Return the trial in a file of the authors' format.
+
+    With a ``sampling_interval`` it has records: the robots' quantities after each so many steps.
+    """
     [trials] = read_trials([path], sampling_interval)
     return trials
 
@@ -35,6 +40,7 @@ def read_trial(path: Path, sampling_interval: int = 0) -> Trials:
 
 @KINDS
 def test_a_trial_has_its_experiment_number_and_source(experiment: Experiment, tmp_path: Path) -> None:
+    """The source says that the trial was not run by these tools."""
     trials = read_trial(write_trial(tmp_path / "trial.json", experiment, number=2))
     assert trials.experiment == experiment
     assert trials.numbers == [2]
@@ -42,37 +48,55 @@ def test_a_trial_has_its_experiment_number_and_source(experiment: Experiment, tm
 
 
 @KINDS
-def test_a_trial_has_the_convergence_and_errors_of_the_same_run_here(
+def test_a_trial_from_a_file_has_the_convergence_and_errors_that_were_written(
     experiment: Experiment, tmp_path: Path
 ) -> None:
-    trials = read_trial(write_trial(tmp_path / "trial.json", experiment, number=1))
-    own_trials = run_trials(experiment, first=1, trials=1)
-    assert np.array_equal(trials.convergence_steps, own_trials.convergence_steps)
-    assert trials.errors == pytest.approx(own_trials.errors, abs=10**-DECIMALS)
+    """``write_trial`` runs trial 1 as ``run_trials`` does, and writes it as the authors' programs would."""
+    path = write_trial(tmp_path / "trial.json", experiment, number=1)
+    trials = read_trial(path)
+    expected_trials = run_trials(experiment, first=1, trials=1)
+
+    assert np.array_equal(trials.convergence_steps, expected_trials.convergence_steps)
+    assert trials.errors == pytest.approx(expected_trials.errors, abs=ROUNDING)
 
 
 @KINDS
-def test_a_trial_has_the_accuracies_of_the_same_run_here(experiment: Experiment, tmp_path: Path) -> None:
-    trials = read_trial(write_trial(tmp_path / "trial.json", experiment, number=1))
-    own_trials = run_trials(experiment, first=1, trials=1)
-    assert trials.b_hat == pytest.approx(own_trials.b_hat, abs=10**-DECIMALS)
+def test_a_trial_from_a_file_has_the_accuracies_that_were_written(
+    experiment: Experiment, tmp_path: Path
+) -> None:
+    """``write_trial`` runs trial 1 as ``run_trials`` does, and writes it as the authors' programs would."""
+    path = write_trial(tmp_path / "trial.json", experiment, number=1)
+    trials = read_trial(path)
+    expected_trials = run_trials(experiment, first=1, trials=1)
+
+    assert trials.b_hat == pytest.approx(expected_trials.b_hat, abs=ROUNDING)
 
 
 def test_updates_are_the_filter_steps_that_changed_b_hat(tmp_path: Path) -> None:
+    """The authors' files have b_hat in each step, but not how often the filter has updated it."""
     trials = read_trial(write_trial(tmp_path / "trial.json", FIXED, number=1))
-    own_trials = run_trials(FIXED, first=1, trials=1)
-    assert np.array_equal(trials.updates, own_trials.updates)
-    assert own_trials.updates.sum() > 0
+    expected_trials = run_trials(FIXED, first=1, trials=1)
+
+    assert np.array_equal(trials.updates, expected_trials.updates)
+    assert expected_trials.updates.sum() > 0
 
 
 @KINDS
-def test_a_trial_has_the_records_of_the_same_run_here(experiment: Experiment, tmp_path: Path) -> None:
-    trials = read_trial(write_trial(tmp_path / "trial.json", experiment, number=1), sampling_interval=25)
-    own_trials = run_trials(experiment, first=1, trials=1, sampling_interval=25)
+def test_a_trial_from_a_file_has_records_of_every_25th_step_if_asked_for(
+    experiment: Experiment, tmp_path: Path
+) -> None:
+    """Records are the robots' quantities in these steps: those of the run that was written to the file.
+
+    ``write_trial`` runs trial 1 as ``run_trials`` does, and writes it as the authors' programs would.
+    """
+    path = write_trial(tmp_path / "trial.json", experiment, number=1)
+    trials = read_trial(path, sampling_interval=25)
+    expected_trials = run_trials(experiment, first=1, trials=1, sampling_interval=25)
+
     assert trials.sampling_interval == 25
     assert list(trials.records) == list(QUANTITIES)
     for name in QUANTITIES:
-        assert trials.records[name] == pytest.approx(own_trials.records[name], abs=10**-DECIMALS), name
+        assert trials.records[name] == pytest.approx(expected_trials.records[name], abs=ROUNDING), name
 
 
 def test_without_recording_there_are_no_records(tmp_path: Path) -> None:

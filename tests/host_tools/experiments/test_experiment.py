@@ -92,11 +92,16 @@ def test_the_library_makes_the_same_grid_as_a_file(tmp_path: Path) -> None:
 
 
 def test_a_graph_is_looked_for_in_the_folder_of_the_file_that_names_it(tmp_path: Path) -> None:
-    (tmp_path / "ring").write_text("0 1\n1 2\n2 0\n")
+    """A graph is a file that says which robots are neighbours. Here it stands beside that of the experiment.
+
+    An experiment keeps the edges of its graph, so it is compared with one that got the file's whole path.
+    """
+    edges_of_a_triangle = "0 1\n1 2\n2 0\n"
+    (tmp_path / "ring").write_text(edges_of_a_triangle)
     (experiment,) = experiments_of(tmp_path, 'topology = "graph"\ngraph = "ring"\nrobots = 3\n')
 
-    expected = Experiment(topology="graph", graph=str(tmp_path / "ring"), robots=3)
-    assert experiment.graph == expected.graph
+    experiment_of_path = Experiment(topology="graph", graph=str(tmp_path / "ring"), robots=3)
+    assert experiment.graph == experiment_of_path.graph
 
 
 @pytest.mark.parametrize("graph", ["pipe", "/dev/zero", "absent", "a" * 300])

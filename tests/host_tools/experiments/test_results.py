@@ -168,7 +168,11 @@ def test_the_metadata_describe_every_column(results_path: Path) -> None:
     assert columns["filter_period"]["unit"] == "step"
 
 
-def test_the_metadata_name_format_versions_and_sampling_interval(results_path: Path) -> None:
+def test_a_file_s_metadata_say_how_its_results_were_made(results_path: Path) -> None:
+    """The version of the file format, those of the software, and how often values were recorded, in steps.
+
+    delta is how much an estimate that counts as converged may still change.
+    """
     assert read_metadata(read_table(results_path)) == {
         "format": FORMAT,
         "versions": software_versions(),

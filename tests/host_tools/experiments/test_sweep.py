@@ -362,14 +362,21 @@ def test_a_second_process_on_one_output_is_refused(output: Path, other_process: 
 
 
 def test_an_output_can_be_continued_when_the_other_process_has_ended(output: Path) -> None:
+    """A process that works on an output locks it, and leaves a folder of parts if it ends too early.
+
+    The lock ends with the process. The next sweep finishes the output, and removes the folder.
+    """
     child = os.fork()
     if child == 0:
         Store(output, GRID).reserve()
         os._exit(0)
     os.waitpid(child, 0)
-    run_sweep(Store(output, GRID[:1]), 1)
 
-    assert [path.name for path in output.parent.iterdir()] == ["grid.parquet"]
+    one_experiment = GRID[:1]
+    run_sweep(Store(output, one_experiment), workers=1)
+
+    files_that_are_left = [path.name for path in output.parent.iterdir()]
+    assert files_that_are_left == ["grid.parquet"]
 
 
 def test_a_process_does_not_lock_itself_out_of_its_output(output: Path) -> None:

@@ -214,7 +214,10 @@ def test_a_run_that_fails_leaves_the_events_of_its_last_tick(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", ["run.log.part", "run.log.events.part"])
-def test_a_recording_does_not_replace_the_part_file_of_another_run(name: str, tmp_path: Path) -> None:
+def test_a_recording_is_refused_while_there_is_the_part_file_of_another_run(
+    name: str, tmp_path: Path
+) -> None:
+    """A run writes to files whose names end in .part until it is complete. The other run's stays as it is."""
     (tmp_path / name).write_text("of another run")
     message = f"{re.escape(name)} is there: another program writes it, or its run was cut off; rename"
 

@@ -10,7 +10,9 @@ from mcp_asdf_tools.robots.clock import RealTimeClock
 
 STEPS_PER_SECOND = 8
 PERIOD = 0.125
-"""Seconds from one tick to the next."""
+"""Seconds from one tick to the next: 1 / STEPS_PER_SECOND."""
+START = 1000.0
+"""Time at which a watch starts, in seconds."""
 
 
 @dataclass
@@ -18,11 +20,11 @@ class Watch:
     """Time that passes only when somebody sleeps, or a test sets it.
 
     Attributes:
-        now: Seconds, from 1000 on.
+        now: The time in seconds, from START on.
         missing_sleep: Seconds by which a sleep ends too early, unless it is short itself.
     """
 
-    now: float = 1000.0
+    now: float = START
     missing_sleep: float = 0.0
 
     def sleep(self, seconds: float) -> None:
@@ -38,7 +40,7 @@ def begin_ticks(watch: Watch, clock: RealTimeClock, periods_of_work: list[float]
     beginnings = []
     for tick, periods in enumerate(periods_of_work, start=5):
         clock.begin(tick)
-        beginnings.append((watch.now - 1000) / PERIOD)
+        beginnings.append((watch.now - START) / PERIOD)
         watch.now += periods * PERIOD
     return beginnings
 
@@ -98,14 +100,19 @@ def test_a_tick_does_not_begin_early_when_a_sleep_ends_early() -> None:
     clock.begin(0)
     clock.begin(1)
 
-    assert watch.now >= 1000 + PERIOD
+    assert watch.now >= START + PERIOD
 
 
-@pytest.mark.parametrize(("now", "seconds_left"), [(0.125, 0.0625), (0.15625, 0.03125), (9, 0)])
-def test_frames_are_waited_for_until_the_middle_of_the_period(now: float, seconds_left: float) -> None:
+@pytest.mark.parametrize(
+    ("periods_since_tick_0", "periods_left"), [(1, 0.5), (1.25, 0.25), (1.5, 0), (1.75, 0), (72, 0)]
+)
+def test_a_tick_s_frames_are_waited_for_in_the_first_half_of_its_period(
+    periods_since_tick_0: float, periods_left: float
+) -> None:
+    """Tick 1 begins one period after tick 0. Half a period later no time is left for its frames."""
     watch = Watch()
     clock = watch.clock()
-    clock.begin(0)
-    watch.now = 1000 + now
+    clock.begin(tick=0)
+    watch.now += periods_since_tick_0 * PERIOD
 
-    assert clock.seconds_left_to_receive(1) == seconds_left
+    assert clock.seconds_left_to_receive(tick=1) == periods_left * PERIOD

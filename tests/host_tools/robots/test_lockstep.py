@@ -508,15 +508,36 @@ def test_ctrl_c_in_a_terminal_does_not_reach_the_robots_processes() -> None:
         assert os.getsid(nodes._processes[3].pid) != os.getsid(0)
 
 
-@pytest.mark.parametrize(("interface", "processors"), [("socketcan", [{2}]), ("udp_multicast", [])])
-def test_robots_processes_keep_to_one_processor_if_some_are_on_socketcan(
-    interface: str, processors: list[set[int]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It is the first of those that may be used. The second robot is on multicast in either case."""
-    calls: list[set[int]] = []
-    monkeypatch.setattr("os.sched_getaffinity", lambda process: {3, 2, 4})
-    monkeypatch.setattr("os.sched_setaffinity", lambda process, processors: calls.append(processors))
-    choices = {3: BusChoice(interface, {}), 4: BusChoice("udp_multicast", {})}
-    NodeProcesses([record(3), record(4)], choices.__getitem__, Subjects(), 10)
+@pytest.fixture
+def processor_restrictions(monkeypatch: pytest.MonkeyPatch) -> list[set[int]]:
+    """The sets of processors (CPUs) to which this process restricts itself, of 3, 2 and 4 that it may use.
 
-    assert calls == processors
+    Processes that it starts are restricted alike. Nothing is restricted in fact.
+    """
+    restrictions: list[set[int]] = []
+    monkeypatch.setattr("os.sched_getaffinity", lambda process: {3, 2, 4})
+    monkeypatch.setattr("os.sched_setaffinity", lambda process, processors: restrictions.append(processors))
+    return restrictions
+
+
+def make_processes_of_two_robots(first_interface: str, second_interface: str) -> NodeProcesses:
+    """Return processes of two robots, which are on buses of these kinds; they are not started."""
+    bus_by_robot = {10: BusChoice(first_interface, {}), 11: BusChoice(second_interface, {})}
+    return NodeProcesses(
+        [record(10), record(11)], lambda robot: bus_by_robot[robot], Subjects(), steps_per_second=10
+    )
+
+
+def test_robots_processes_run_on_the_first_processor_alone_if_a_robot_is_on_socketcan(
+    processor_restrictions: list[set[int]],
+) -> None:
+    """SocketCAN keeps the order of frames only if all processes are on one processor (CPU)."""
+    make_processes_of_two_robots("socketcan", "udp_multicast")
+    assert processor_restrictions == [{2}]
+
+
+def test_robots_processes_run_on_any_processor_if_no_robot_is_on_socketcan(
+    processor_restrictions: list[set[int]],
+) -> None:
+    make_processes_of_two_robots("udp_multicast", "udp_multicast")
+    assert processor_restrictions == []

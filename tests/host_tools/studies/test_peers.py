@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,7 @@ import mcp_asdf_tools as m
 from mcp_asdf import Config, Filter, Status
 from mcp_asdf.fixed_point import ALPHA_MAX
 from mcp_asdf.native import NativeRobot
+from mcp_asdf.reference import ReferenceRobot
 from mcp_asdf.robot import B_HAT_MARGIN, Observation
 from mcp_asdf_tools.experiments.experiment import Experiment
 from mcp_asdf_tools.experiments.trials import run_trials
@@ -291,7 +293,8 @@ def test_bayescpf_for_wandering_sensors_is_less_certain_of_its_estimate() -> Non
 
 
 def test_a_robot_may_know_its_accuracy_of_the_moment() -> None:
-    robot = peers.KnownAccuracyRobot(WITHOUT_FILTER, 0, 0.9)
+    """By the drift that the study assumes, accuracies fall by 1e-5 with each observation."""
+    robot = peers.KnownAccuracyRobot(WITHOUT_FILTER, robot_id=0, b_hat=0.9)
     b_hats = []
     for _ in range(3):
         robot.observe(Observation.BLACK)
@@ -315,18 +318,32 @@ def drift_of_a_tenth(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_robot_may_know_the_mean_accuracy_of_what_it_counts(drift_of_a_tenth: None) -> None:
-    robot = peers.KnownMeanAccuracyRobot(WITHOUT_FILTER, 0, 0.9)
+    """Its accuracy is 0.9 in the first observation, 0.8 in the second and 0.7 in the third."""
+    robot = peers.KnownMeanAccuracyRobot(WITHOUT_FILTER, robot_id=0, b_hat=0.9)
     for _ in range(3):
         robot.observe(Observation.BLACK)
     assert robot.b_hat == pytest.approx((0.9 + 0.8 + 0.7) / 3)
 
 
-def test_the_sum_of_accuracies_is_halved_with_the_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def accuracy_without_drift(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the accuracy stay as it is from one observation to the next."""
     monkeypatch.setattr(peers, "DRIFT_RATE", 0.0)
-    robot = peers.KnownMeanAccuracyRobot(replace(WITHOUT_FILTER, memory=64), 0, 0.9)
+
+
+def test_a_robot_that_halves_its_counts_at_the_end_of_its_memory_halves_its_sum_of_accuracies_too(
+    accuracy_without_drift: None,
+) -> None:
+    """The robot assumes the mean accuracy over its observations: the sum of accuracies by their number.
+
+    With a memory of 64 it halves both after 64 observations. So 64 observations with an accuracy of 0.9
+    count as 32, and then comes one with an accuracy of 0.6.
+    """
+    robot = peers.KnownMeanAccuracyRobot(replace(WITHOUT_FILTER, memory=64), robot_id=0, b_hat=0.9)
     for _ in range(64):
         robot.observe(Observation.BLACK)
-    robot._true_accuracy = 0.6
+
+    robot._true_accuracy = 0.6  # which robots of this class know
     robot.observe(Observation.BLACK)
 
     assert robot.b_hat == pytest.approx((32 * 0.9 + 0.6) / 33)
@@ -353,22 +370,38 @@ def test_wmsr_removes_the_most_extreme_estimates_on_both_sides_of_the_own_one(
     assert peers.wmsr_mean(0.5, received, tolerated_liars) == pytest.approx(mean)
 
 
-def test_a_wmsr_robot_with_five_neighbours_is_left_with_its_own_estimate() -> None:
-    robot = peers.WmsrRobot(WITHOUT_FILTER, 0, 0.9)
-    robot.observe(Observation.BLACK)
-    for sender in range(1, 6):
-        robot.receive(sender, 0.1, 8.0)
+def receive_from_neighbours(robot: ReferenceRobot, x_hats: Sequence[float]) -> None:
+    """Let a robot receive an estimate from each of its neighbours, all equally confident, in one round."""
+    for sender, x_hat in enumerate(x_hats, start=1):
+        robot.receive(sender, x_hat, alpha=8.0)
     robot.settle()
 
-    assert robot.x == robot.x_hat == 1.0
+
+def make_wmsr_robot_that_has_seen_black() -> peers.WmsrRobot:
+    """Make a robot whose own estimate of the share of black tiles is 1, after one tile."""
+    robot = peers.WmsrRobot(WITHOUT_FILTER, robot_id=0, b_hat=0.9)
+    robot.observe(Observation.BLACK)
+    return robot
+
+
+def test_a_wmsr_robot_with_five_neighbours_is_left_with_its_own_estimate() -> None:
+    """W-MSR removes the five lowest estimates below the robot's own one, as five neighbours may be liars.
+
+    So of five estimates below its own one, 1.0, none is left, and the mean x is its own estimate.
+    """
+    robot = make_wmsr_robot_that_has_seen_black()
+
+    receive_from_neighbours(robot, [0.1, 0.1, 0.1, 0.1, 0.1])
+
+    assert robot.x_hat == 1.0
+    assert robot.x == 1.0
 
 
 def test_a_wmsr_robot_keeps_one_of_six_estimates_on_one_side() -> None:
-    robot = peers.WmsrRobot(WITHOUT_FILTER, 0, 0.9)
-    robot.observe(Observation.BLACK)
-    for sender, x_hat in enumerate([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], start=1):
-        robot.receive(sender, x_hat, 8.0)
-    robot.settle()
+    """It removes the five lowest, and takes the mean of the sixth, 0.6, and of its own estimate, 1.0."""
+    robot = make_wmsr_robot_that_has_seen_black()
+
+    receive_from_neighbours(robot, [0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
 
     assert robot.x == pytest.approx((1.0 + 0.6) / 2)
 
@@ -386,18 +419,18 @@ def test_a_trimmed_mean_leaves_out_a_quarter_at_either_end(estimates: list[float
 
 
 def test_a_trimming_robot_counts_its_own_estimate_among_the_others() -> None:
-    robot = peers.TrimmedMeanRobot(WITHOUT_FILTER, 0, 0.9)
+    """Of 0.2, 0.4, 0.6 and its own, 1.0, it leaves out a quarter at either end: 0.2 and 1.0."""
+    robot = peers.TrimmedMeanRobot(WITHOUT_FILTER, robot_id=0, b_hat=0.9)
     robot.observe(Observation.BLACK)
-    for sender, x_hat in enumerate([0.2, 0.4, 0.6], start=1):
-        robot.receive(sender, x_hat, 8.0)
-    robot.settle()
+
+    receive_from_neighbours(robot, [0.2, 0.4, 0.6])
 
     assert robot.x_hat == 1.0
     assert robot.x == pytest.approx((0.4 + 0.6) / 2)
 
 
-def disseminating_robot(robot_id: int, rounds_left: int) -> peers.MajorityRobot:
-    """Make a robot that broadcasts its opinion for some more rounds: black if the id is odd."""
+def make_broadcasting_voter(robot_id: int, rounds_left: int) -> peers.MajorityRobot:
+    """Make a robot that broadcasts its opinion for some more rounds: black if the id is odd, else white."""
     robot = peers.MajorityRobot(WITHOUT_FILTER, robot_id, 0.9)
     robot._is_disseminating = True
     robot._rounds_left = rounds_left
@@ -413,34 +446,38 @@ def test_a_voting_robot_is_silent_while_it_explores() -> None:
     robot = peers.MajorityRobot(WITHOUT_FILTER, 0, 0.9)
     robot.observe(Observation.BLACK)
     assert robot.alpha == 0.0
-    assert disseminating_robot(0, rounds_left=5).alpha == 1.0
+    assert make_broadcasting_voter(robot_id=0, rounds_left=5).alpha == 1.0
 
 
 @pytest.mark.parametrize(("received", "opinion"), [([1.0, 1.0], 1.0), ([1.0], 0.0), ([1.0, 0.0], 0.0)])
 def test_a_voting_robot_adopts_the_opinion_of_the_majority(received: list[float], opinion: float) -> None:
-    robot = disseminating_robot(0, rounds_left=1)
-    for sender, x_hat in enumerate(received, start=1):
-        robot.receive(sender, x_hat, 1.0)
-    robot.settle()
+    """Opinions are 1.0 for black and 0.0 for white. The robot's own one is white, and counts too.
+
+    So a single neighbour for black makes a tie, in which the robot keeps its opinion.
+    """
+    robot = make_broadcasting_voter(robot_id=0, rounds_left=1)
+
+    receive_from_neighbours(robot, received)
 
     assert robot.x == opinion
 
 
-def test_a_voting_robot_listens_only_before_the_end_of_its_dissemination() -> None:
-    robot = disseminating_robot(0, rounds_left=31)
-    robot.receive(1, 1.0, 1.0)
+def test_a_voting_robot_listens_only_in_the_last_30_rounds_in_which_it_broadcasts() -> None:
+    robot = make_broadcasting_voter(robot_id=0, rounds_left=31)
+    robot.receive(1, x_hat=1.0, alpha=1.0)
     assert robot._opinion_by_sender == {}
-    robot.settle()
-    robot.receive(1, 1.0, 1.0)
+
+    robot.settle()  # ends a round, so 30 are left
+    robot.receive(1, x_hat=1.0, alpha=1.0)
 
     assert robot._opinion_by_sender == {1: Observation.BLACK}
 
 
 def test_a_voting_robot_ignores_messages_without_confidence() -> None:
     """Two neighbours broadcast black (1.0) with a confidence of 0; the robot stays with white (0.0)."""
-    robot = disseminating_robot(0, rounds_left=1)
-    robot.receive(1, 1.0, 0.0)
-    robot.receive(2, 1.0, 0.0)
+    robot = make_broadcasting_voter(robot_id=0, rounds_left=1)
+    robot.receive(1, x_hat=1.0, alpha=0.0)
+    robot.receive(2, x_hat=1.0, alpha=0.0)
     robot.settle()
 
     assert robot.x == 0.0

@@ -83,7 +83,11 @@ def test_trials_have_different_readings() -> None:
 def test_counts_beyond_sqrt_12_standard_deviations_are_rejected(
     disagreements: int, is_rejected: bool
 ) -> None:
-    # At b_hat = 0.95, 95 of 1000 pairs are expected to disagree, give or take sqrt(12 x 85.975) = 32.1.
+    """With an accuracy of 0.95, 95 of 1000 pairs of readings should disagree: 2 x 0.95 x 0.05 of them.
+
+    The variance of that number is 1000 x 0.095 x 0.905 = 85.975, so the test allows sqrt(12 x 85.975) = 32.1
+    more or fewer.
+    """
     assert disagreement_test_rejects(disagreements, pairs=1000, b_hat=0.95) is is_rejected
 
 

@@ -528,8 +528,11 @@ def test_a_robot_whose_bus_is_off_goes_on_observing() -> None:
 
 @pytest.mark.parametrize(("width", "count"), [(5, 1), (5, 2), (6, 3), (5, 4), (4, 4), (3, 5), (0, 2)])
 def test_each_choice_of_bits_to_flip_is_equally_likely(width: int, count: int) -> None:
-    """With one case for each remainder that the words may have, each choice comes up equally often."""
-    # The k-th last word counts modulo width - k + 1, the number of bits from which it chooses.
+    """``choose_bits`` takes ``count`` random words, whose remainders choose as many of ``width`` bits.
+
+    The k-th last word counts modulo width - k + 1, the number of bits from which it chooses. With one case
+    for each remainder that the words may have, each choice comes up equally often.
+    """
     numbers_of_remainders = [max(width - turns_left + 1, 1) for turns_left in range(count, 0, -1)]
     all_remainders = itertools.product(*(range(number) for number in numbers_of_remainders))
     words = np.array(list(all_remainders), np.uint64)

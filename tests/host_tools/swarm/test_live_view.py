@@ -116,8 +116,10 @@ def test_a_pipe_gets_each_change_of_b_hat_that_is_more_than_a_correction() -> No
 
 
 def pictures(output: str) -> list[str]:
-    """Return the pictures of the bar that were drawn one over the other, first to last."""
-    # Between two pictures the cursor goes back, by escape sequences of the terminal or carriage returns.
+    """Return the pictures of the bar that were drawn one over the other, first to last.
+
+    Between two pictures the cursor goes back, by escape sequences of the terminal or carriage returns.
+    """
     separated = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\n", output).replace("\r", "\n")
     return [line for line in separated.splitlines() if line.strip()]
 

@@ -129,16 +129,17 @@ def test_robots_in_other_programs_end_in_the_same_bits_as_robots_in_this_one(los
         assert states([node.bus_robot]) == states([lossless.local_run.nodes[robot]])
 
 
-def test_remote_robots_broadcast_the_same_estimates(lossless: Comparison) -> None:
-    """In another order within a tick, as another robot may be the first."""
+def estimates_among(frames: list[can.Message]) -> list[can.Message]:
+    """Return the frames that carry estimates, in their order."""
+    return [frame for frame in frames if isinstance(decode_estimate(frame, FrameFormat()), Estimate)]
 
-    def estimates_among(frames: list[can.Message]) -> list[can.Message]:
-        return [frame for frame in frames if isinstance(decode_estimate(frame, FrameFormat()), Estimate)]
 
-    remote_estimates = estimates_among(lossless.frames)
-    local_estimates = estimates_among(lossless.local_frames)
+def test_remote_robots_broadcast_the_same_estimates_as_robots_in_this_process(lossless: Comparison) -> None:
+    """Only their order may differ, as any robot may be the first in a tick; so both are sorted."""
+    estimates_with_remote_robots = estimates_among(lossless.frames)
+    estimates_of_local_robots = estimates_among(lossless.local_frames)
 
-    assert sorted(content(remote_estimates)) == sorted(content(local_estimates))
+    assert sorted(content(estimates_with_remote_robots)) == sorted(content(estimates_of_local_robots))
 
 
 @pytest.mark.parametrize("count", ["sent", "heartbeats_sent", "delivered"])
