@@ -49,6 +49,7 @@ _NUMBER = re.compile(r"[\d.,]+")
 _BLOCK = re.compile(r'<div class="highlight"><pre><span></span><code>(.*?)</code></pre></div>', re.DOTALL)
 _TABLE = re.compile(r"^(?:<[^<>]+>)*\||[\u2502\u2503]", re.MULTILINE)
 _TAG = re.compile(r"<[^<>]+>")
+_OPTIMISATION = re.compile(r"(?<= )-O[0-3s]\b(?=[^<>]*<)")
 _POWER = re.compile(r"(?<=[\w)])\*\*(-?\w+|\([^)]*\))")
 
 _PICTURE = re.compile(r"^!\[([^\]]*)\]\(images/view\.webp\)$", re.MULTILINE)
@@ -108,6 +109,7 @@ def on_page_content(content: str, page: Any, **_: Any) -> str:
     content = re.sub(r"<table>.*?</table>", _labelled, content, flags=re.DOTALL)
     content = _INLINE_CODE.sub(lambda code: _WORD.sub(_breakable, code[0]), content)
     content = _BLOCK.sub(_wrapped, content)
+    content = _OPTIMISATION.sub(r'<span class="option">\g<0></span>', content)
     content = re.sub(r"\(?formula\d+formula[),.;:]*", r'<span class="formula">\g<0></span>', content)
     for number, formula in enumerate(page.formulas):
         content = content.replace(f"formula{number}formula", formula)
