@@ -41,9 +41,11 @@ _FILE = re.compile(r"<!-- file: (\S+) -->")
 _INLINE_CODE = re.compile(r"(?<=<code>)[^<\n]+(?=</code>)")
 _WORD = re.compile(r"[^ ]{2,}")
 _LONGEST_UNBROKEN_WORD = 26
+_LINES_OF_A_LISTING = 50
 _SEPARATOR = re.compile(r"(?<=\w[_/:,])(?=\w)")
 _OPTION = re.compile(r"(?<![\w&-])--?\w[\w-]{0,24}(?![\w-])")
 _OPENING = re.compile(r'<span class="[op]">[.(\[]+</span>')
+_LAST_COLUMN = re.compile(r"(?<= {3})[^ <][^<]{0,25}$")
 _INDENT = re.compile(r"^((?:<[^<>]+>)*)( +)")
 _NUMBER = re.compile(r"[\d.,]+")
 _BLOCK = re.compile(r'<div class="highlight"><pre><span></span><code>(.*?)</code></pre></div>', re.DOTALL)
@@ -134,14 +136,17 @@ def _wrapped(block: re.Match[str]) -> str:
     """Lines of code may break, except in tables; what follows a break is indented further than the line."""
     if _TABLE.search(block[1]):
         return block[0].replace('class="', 'class="columns ', 1)
-    lines = "\n".join(map(_hanging, block[1].removesuffix("\n").split("\n")))
-    return f'<div class="wrapped highlight"><pre><span></span><code>{lines}</code></pre></div>'
+    lines = block[1].removesuffix("\n").split("\n")
+    kind = "listing wrapped" if len(lines) > _LINES_OF_A_LISTING else "wrapped"
+    code = "\n".join(map(_hanging, lines))
+    return f'<div class="{kind} highlight"><pre><span></span><code>{code}</code></pre></div>'
 
 
 def _hanging(line: str) -> str:
     text = _TAG.sub("", line)
     indent = len(text) - len(text.lstrip(" "))
     line = _OPTION.sub(lambda option: _unbroken(option[0]), line)
+    line = _LAST_COLUMN.sub(lambda column: _unbroken(column[0]), line)
     line = _OPENING.sub(r"\g<0><wbr>", line)
     line = _INDENT.sub(r'\1<span class="indent">\2</span>', line)
     return f'<span class="line" style="--indent: {indent}">{line}</span>'
@@ -232,7 +237,8 @@ def _labelled(table: re.Match[str]) -> str:
         labelled = re.sub(r"<td", lambda _: f'<td data-label="{next(cells)}"', found[0])
         return re.sub(r"<td(.*?)>(.*?)</td>", _first_cell, labelled, count=1, flags=re.DOTALL)
 
-    return re.sub(r"<tr>.*?</tr>", row, table[0], flags=re.DOTALL)
+    without_blanks = re.sub(r"<td>\s+</td>", "<td></td>", table[0])
+    return re.sub(r"<tr[ >].*?</tr>", row, without_blanks, flags=re.DOTALL)
 
 
 def _first_cell(cell: re.Match[str]) -> str:
