@@ -92,19 +92,45 @@ HOT uint32_t alpha_word_from_mantissa(uint32_t mantissa, uint32_t exponent)
     return exponent <= ALPHA_SHIFT_MAX ? (mantissa << 8) | exponent : ALPHA_MAX;
 }
 
+/* Returns `sum`, which is above 0, as a confidence: the 24 bits from its highest bit down are the mantissa,
+ * and bits below these are lost. `exponent` is the exponent of a sum whose highest bit is bit 63, and the
+ * result has one less for every bit by which the sum has to be shifted left to be such a sum. */
+ALWAYS_INLINE confidence_t confidence_of_sum(uint64_t sum, uint32_t exponent)
+{
+    /* By a whole word first, where the upper one is 0. */
+    if (high_word(sum) == 0U) {
+        sum = join(low_word(sum), 0);
+        exponent -= 32U;
+    }
+    const uint32_t sum_shift = leading_zeros(high_word(sum));
+    const uint32_t highest_bits = upper(sum, sum_shift); /* the upper word of the sum shifted by sum_shift */
+    const confidence_t confidence = {highest_bits >> 8, exponent - sum_shift}; /* 32 bits to 24 */
+    return confidence;
+}
+
 /* Returns alpha where x_hat is 0 or 1 (eq. 4 of the paper, first two cases), that is
  *
  *     rare_observations (g / c)^2 + (t - rare_observations) (g / (1 - c))^2
  *
  * after t observations, rare_observations of them of the rarer colour, with the probability c that the sensor
- * is wrong and g = 1 - 2c. The squares are accuracy->rare and accuracy->common. They were formed from a g
- * that was shifted left by `g_shift`, at most 31, and the exponent of the result takes this back. */
+ * is wrong and g = 1 - 2c. The squares are the weights that set_b_hat() has computed, as integers:
+ *
+ *     accuracy->common   (g / (1 - c))^2 in units of 2^(-30 - 2 g_shift)
+ *     accuracy->rare     (g / c)^2 in units of 2^(-30 - 2 g_shift + rare_shift)
+ *
+ * with accuracy->rare_shift, and g_shift at most 31. */
 ALWAYS_INLINE confidence_t confidence_at_end(uint32_t t, uint32_t rare_observations, uint32_t g_shift,
                                              const mcp_asdf_accuracy_t *accuracy)
 {
     uint64_t sum = multiply(t - rare_observations, accuracy->common); /* < 2^63 */
-    /* So far a unit of the sum is 2^(-30 - 2 g_shift), that of the common colour's weight. The mantissa will
-     * be the upper 24 bits of the sum, so its last bit is worth 2^40 of that; alpha counts units of 2^-24. */
+    /* The exponent of a sum whose highest bit is bit 63, by what a unit of its mantissa is worth:
+     *
+     *     BITS_BELOW_MANTISSA     the mantissa leaves out 40 bits of the 64
+     *     -WEIGHT_FRACTION_BITS   units of the weights, and so of the sum: 2^-30,
+     *     -2 g_shift              and 2^(-2 g_shift)
+     *     ALPHA_FRACTION_BITS     as alpha counts units of 2^-24
+     *
+     * It may be negative, in two's complement. */
     uint32_t exponent = BITS_BELOW_MANTISSA - WEIGHT_FRACTION_BITS + ALPHA_FRACTION_BITS - 2U * g_shift;
     if (rare_observations != 0U) {
         /* The rare colour's weight has units 2^rare_shift times as large: the sum changes to these. */
@@ -112,14 +138,7 @@ ALWAYS_INLINE confidence_t confidence_at_end(uint32_t t, uint32_t rare_observati
               shift_right_64(sum, accuracy->rare_shift); /* < 2^64 */
         exponent += accuracy->rare_shift;
     }
-    /* The sum is shifted until its highest bit is set, first by a whole word where the upper one is 0. */
-    if (high_word(sum) == 0U) {
-        sum = join(low_word(sum), 0);
-        exponent -= 32U;
-    }
-    const uint32_t sum_shift = leading_zeros(high_word(sum));
-    const confidence_t alpha = {upper(sum, sum_shift) >> 8, exponent - sum_shift};
-    return alpha;
+    return confidence_of_sum(sum, exponent);
 }
 
 /* Returns alpha where x_hat is between 0 and 1 (eq. 4 of the paper, last case), that is

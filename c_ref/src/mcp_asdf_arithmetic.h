@@ -16,6 +16,24 @@
 /* value modulo 2^32. Lemma low_word. */
 ALWAYS_INLINE uint32_t low_word(uint64_t value) { return (uint32_t)value; }
 
+/* Returns the lowest `count` bits of a word as the highest bits of another one, whose other bits are 0; count
+ * in [0, 31]. Lemma lowest_bits_to_top.
+ *
+ * That is value << (32 - count), but for a count of 0 this would be a shift by 32, which C leaves undefined.
+ * So the word is shifted by 1 and then by 31 - count. count ^ 31 is 31 - count: in a number of 5 bits both
+ * turn each 0 into a 1 and each 1 into a 0. */
+ALWAYS_INLINE uint32_t lowest_bits_to_top(uint32_t value, uint32_t count)
+{
+    return shift_left(value << 1, count ^ 31U);
+}
+
+/* Returns the highest `count` bits of a word as the lowest bits of another one, whose other bits are 0; count
+ * in [0, 31]. That is value >> (32 - count), in two shifts as above. Lemma highest_bits_to_bottom. */
+ALWAYS_INLINE uint32_t highest_bits_to_bottom(uint32_t value, uint32_t count)
+{
+    return shift_right(value >> 1, count ^ 31U);
+}
+
 /* Returns floor(value / 2^count), count in [0, 63]; of other counts the lower 6 bits. Lemma
  * shift_right_64. */
 ALWAYS_INLINE uint64_t shift_right_64(uint64_t value, uint32_t count)
@@ -24,15 +42,11 @@ ALWAYS_INLINE uint64_t shift_right_64(uint64_t value, uint32_t count)
         value = high_word(value);
     }
     count &= 31U;
-    /* What is left is a shift by count in [0, 31] over the border of the two words:
+    /* What is left is a shift by 0 to 31, by which bits of the upper word cross into the lower one:
      *
      *     value                 high        |              low
-     *     result        0 | high >> count   |   crossing | low >> count
-     *
-     * The lowest `count` bits of the upper word cross into the top of the lower one: high << (32 - count). A
-     * count of 0 would make that a shift by 32, which C leaves undefined. So it is done in two shifts, by 1
-     * and by 31 - count, which is count ^ 31 for numbers of 5 bits. */
-    const uint32_t high = high_word(value), crossing = shift_left(high << 1, count ^ 31U);
+     *     result        0 | high >> count   |   crossing | low >> count */
+    const uint32_t high = high_word(value), crossing = lowest_bits_to_top(high, count);
     return join(shift_right(high, count), shift_right(low_word(value), count) | crossing);
 }
 
@@ -55,9 +69,8 @@ ALWAYS_INLINE word_pair_t shift_left_wide(uint32_t value, uint32_t count)
 /* Returns the upper word of value 2^count modulo 2^64, count in [0, 31]. Lemma upper. */
 ALWAYS_INLINE uint32_t upper(uint64_t value, uint32_t count)
 {
-    /* The highest `count` bits of the lower word cross into the bottom of the upper one: low >> (32 - count),
-     * in shifts by 1 and by 31 - count (which is count ^ 31), as no shift may be 32. */
-    return shift_left(high_word(value), count) | shift_right(low_word(value) >> 1, count ^ 31U);
+    /* The highest `count` bits of the lower word cross into the bottom of the upper one. */
+    return shift_left(high_word(value), count) | highest_bits_to_bottom(low_word(value), count);
 }
 
 /* ---- Sums and quotients -------------------------------------------------------------------------------- */

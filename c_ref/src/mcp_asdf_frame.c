@@ -181,8 +181,9 @@ static uint32_t alpha_word_from_binary32(uint32_t binary32)
 
 /* ---- Estimate --------------------------------------------------------------------------------------- */
 
-/* Write an estimate to a frame, its alpha word as a binary32 number. Returns OK; or the first of ERR_NODE,
- * ERR_FORMAT and ERR_X_HAT (above 1.0) that applies, and leaves *frame as it was. */
+/* Write an estimate to a frame: x_hat as Q23, and alpha, an alpha word in the message (mantissa in bits 8 to
+ * 31, times 2 to the power of bits 0 to 4, in units of 2^-24), as a binary32 number. Returns OK; or the first
+ * of ERR_NODE, ERR_FORMAT and ERR_X_HAT (above 1.0) that applies, and leaves *frame as it was. */
 mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,
                                                  const mcp_asdf_frame_format_t *format,
                                                  const mcp_asdf_estimate_t *message)
@@ -201,8 +202,10 @@ mcp_asdf_frame_status_t mcp_asdf_encode_estimate(mcp_asdf_frame_t *frame,
     return MCP_ASDF_FRAME_OK;
 }
 
-/* Read an estimate from a frame of `subject`: sender, transfer id, x_hat as Q23 and alpha as an alpha word.
- * Returns OK, or the first reason to refuse the frame and leaves *message as it was. */
+/* Read an estimate from a frame of `subject` into *message: sender, transfer id, x_hat as Q23, and alpha,
+ * which is a binary32 number in the frame and becomes an alpha word in the message (mantissa in bits 8 to 31,
+ * times 2 to the power of bits 0 to 4, in units of 2^-24; rounded down). Returns OK, or the first reason to
+ * refuse the frame and leaves *message as it was. */
 mcp_asdf_frame_status_t mcp_asdf_decode_estimate(mcp_asdf_estimate_t *message, uint16_t subject,
                                                  const mcp_asdf_frame_t *frame)
 {

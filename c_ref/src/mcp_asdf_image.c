@@ -200,15 +200,23 @@ static bool are_valid_votes(const mcp_asdf_robust_t *robust)
             (robust->turn <= MCP_ASDF_SLOTS && is_filled(robust, (uint8_t)(robust->turn - 1U))));
 }
 
-/* Whether calls of the firmware can have led to the present batch of observations: it began with no more of
- * either colour than there are now. Before the first run of the filter and the first halving it has all
- * observations, and then nothing can have changed the dispersion, nor b_hat. */
+/* Returns how many of t observations were white, if n of them were black. */
+static uint32_t white_observations(uint32_t t, uint32_t n) { return t - n; }
+
+/* Whether calls of the firmware can have led to what the robust filter keeps of batches. A batch are the
+ * observations since the filter last ran or t was last halved, whichever was later; batch_t and batch_n are
+ * the counts of all and of black observations when it began, and t and n those of now.
+ *
+ * Within a batch no count ever falls, neither that of black observations nor that of white ones (t - n). The
+ * first batch begins at t = 0. In it the dispersion and b_hat are those of a new robot: the dispersion
+ * changes when a batch ends, and b_hat in a test, which ends one, too. */
 static bool is_valid_batch(const mcp_asdf_t *robot)
 {
     const mcp_asdf_robust_t *const robust = &robot->robust;
     const bool is_first_batch = robust->batch_t == 0U;
-    return robust->batch_n <= robust->batch_t && robust->batch_n <= robot->n &&
-           robust->batch_t - robust->batch_n <= robot->t - robot->n &&
+    return robust->batch_n <= robust->batch_t && /* of which they are a part */
+           robust->batch_n <= robot->n &&        /* the black observations, then and now */
+           white_observations(robust->batch_t, robust->batch_n) <= white_observations(robot->t, robot->n) &&
            robust->dispersion >= MCP_ASDF_DISPERSION_MIN &&
            (!is_first_batch || (robust->dispersion == MCP_ASDF_DISPERSION_MIN &&
                                 robust->initial_b_hat == robot->accuracy.b_hat));

@@ -62,6 +62,8 @@ SHIFTED: dict[str, Callable[..., Any]] = {
     "shift_right_by": lambda value, count: z3.LShR(value, widen(count, 32)),
     "shift_left": lambda value, count: value << count,
     "shift_right": z3.LShR,
+    "lowest_bits_to_top": lambda value, count: value << (32 - count),
+    "highest_bits_to_bottom": lambda value, count: z3.LShR(value, 32 - count),
     "upper": lambda value, count: _word(63, value << widen(count)),
 }
 """What shifts by a count of 0 to 31 give."""

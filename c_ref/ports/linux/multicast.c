@@ -268,7 +268,7 @@ static bool skip(reader_t *reader, uint64_t size)
     return true;
 }
 
-/* Read one byte into *byte. Returns false if there is none. */
+/* Read one byte into *byte. Returns false, and leaves *byte as it was, if there is none. */
 static bool read_byte(reader_t *reader, uint8_t *byte)
 {
     const uint8_t *const start = reader->next;
@@ -279,7 +279,8 @@ static bool read_byte(reader_t *reader, uint8_t *byte)
     return true;
 }
 
-/* Skip a text, without its terminating zero. Returns false if something else is there. */
+/* Skip a text, without its terminating zero. Returns false if something else is there; the reader may then
+ * have moved on. */
 static bool skip_text(reader_t *reader, const char *text)
 {
     const uint8_t *const start = reader->next;
@@ -287,7 +288,8 @@ static bool skip_text(reader_t *reader, const char *text)
 }
 
 /* Read an unsigned number of up to 32 bits, in any of the forms that msgpack has for it. Returns false if
- * something else is there. */
+ * something else is there or the datagram ends before; *number and the reader's position are then of no use.
+ */
 static bool read_number(reader_t *reader, uint32_t *number)
 {
     uint8_t first_byte, next_byte;
@@ -302,7 +304,7 @@ static bool read_number(reader_t *reader, uint32_t *number)
         return false;
     }
     *number = 0;
-    /* The three first bytes from MSGPACK_UINT8 to MSGPACK_UINT32 announce 1, 2 and 4 bytes. */
+    /* The three first bytes from MSGPACK_UINT8 to MSGPACK_UINT32 announce a number of 1, 2 or 4 bytes. */
     const int byte_count = 1 << (first_byte - MSGPACK_UINT8);
     for (int i = 0; i < byte_count; ++i) {
         if (!read_byte(reader, &next_byte)) {
@@ -314,7 +316,7 @@ static bool read_number(reader_t *reader, uint32_t *number)
 }
 
 /* Skip a time or the name of a channel: nil, a number or a text, in any of msgpack's forms of up to 255
- * characters. Returns false if something else is there. */
+ * characters. Returns false if something else is there; the reader's position is then of no use. */
 static bool skip_value(reader_t *reader)
 {
     if (reader->bytes_left == 0) {
@@ -341,7 +343,8 @@ static bool skip_value(reader_t *reader)
 }
 
 /* Read the bytes at the end of a datagram's data field: their number, which must be `data_length`, then the
- * bytes, which are copied to `data`. Returns false if something else is there. */
+ * bytes, which are copied to `data`. Returns false, and leaves `data` as it was, if something else is there;
+ * the reader's position is then of no use. */
 static bool read_data(reader_t *reader, uint8_t data[CAN_MAX_DLEN], uint32_t data_length)
 {
     uint8_t first_byte, byte_count;

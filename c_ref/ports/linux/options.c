@@ -139,26 +139,31 @@ static const char *parse_id(const char *text, unsigned long *id)
     return *text >= '0' && *text <= '9' && *id <= MCP_ASDF_MAX_ID ? end : NULL;
 }
 
-/* Set the bits of all ids but those in a list of ids and ranges, such as 0-19+30. Ends the program if the
- * list is malformed. */
+/* Set in a set of ids (bit id % 8 of byte id / 8) the bits of all ids but those in `list`, which has ids and
+ * ranges with a plus between them, such as 0-19+30. Ends the program if the list is malformed. */
 static void parse_allowed_senders(uint8_t ignored_senders[], const char *list)
 {
     const char *position = list;
+    bool has_more;
     memset(ignored_senders, 0xFF, (MCP_ASDF_MAX_ID + 1) / 8); /* all, until they are allowed */
     do { /* one id or range of the list, then the plus or the end behind it */
-        unsigned long id = 0, last_id = 0;
-        position = parse_id(position, &id);
-        last_id = id;
+        unsigned long first_id = 0, last_id = 0;
+        position = parse_id(position, &first_id);
+        last_id = first_id; /* an id alone is a range of one */
         if (position != NULL && *position == '-') {
             position = parse_id(position + 1, &last_id);
         }
-        if (position == NULL || last_id < id || (*position != '+' && *position != '\0')) {
-            fail(ALLOW, list, "give ids, 0 to 127, such as 0-19+30");
+        const bool is_malformed =
+            position == NULL || last_id < first_id || (*position != '+' && *position != '\0');
+        if (is_malformed) {
+            fail(ALLOW, list, "give ids, 0 to 127, such as 0-19+30"); /* ends the program */
         }
-        for (; id <= last_id; ++id) {
+        for (unsigned long id = first_id; id <= last_id; ++id) {
             ignored_senders[id / 8] &= (uint8_t)~(1U << (id % 8));
         }
-    } while (*position++ == '+');
+        has_more = *position == '+';
+        ++position; /* behind the plus */
+    } while (has_more);
 }
 
 /* Convert an accuracy such as 0.95 to units of 2^-32. Ends the program if it is no number or out of range. */

@@ -86,11 +86,14 @@ void node_start(node_t *node)
 
 /* ---- Ticks ------------------------------------------------------------------------------------------ */
 
-/* End the open tick. If it is a broadcast tick, also close the firmware's round, and begin to count down to
- * the next broadcast. */
+/* End the open tick: `is_settled` then says that no tick is open. If the tick is a broadcast tick, which is
+ * one in which ticks_until_broadcast has come to 0, mcp_asdf_settle() also ends the firmware's round, in
+ * which the robot has received estimates since the last broadcast tick, and forms its informed estimate of
+ * them; and the count down to the next broadcast begins. */
 static void end_tick(node_t *node)
 {
-    if (node->ticks_until_broadcast == 0) {
+    const bool is_broadcast_tick = node->ticks_until_broadcast == 0;
+    if (is_broadcast_tick) {
         (void)mcp_asdf_settle(&node->robot);
         node->ticks_until_broadcast = node->settings->comms_period;
     }

@@ -55,8 +55,9 @@ static bool send_to_serial(void *context, const mcp_asdf_frame_t *frame)
 
 static const node_output_t output = {.send = send_to_serial, .context = &serial};
 
-/* Pass a frame to the node. Its next heartbeat then says whether the serial line has lost anything, or a tick
- * was left without a settle. */
+/* Set the node's health, which its next heartbeat carries, and pass a frame to the node. The health is
+ * nominal if up to now no line was lost, in either direction of the serial line, and every tick had a settle
+ * command; else it is advisory. */
 static void handle_frame(const mcp_asdf_frame_t *frame)
 {
     const bool is_nominal =

@@ -13,8 +13,10 @@
 #include "philox.h"
 #include "trial.h"
 
-/* Moving swarms side by side, of up to MCP_ASDF_ENGINE_MAX_CONNECTED robots. */
+/* Moving swarms run side by side, up to so many of them, if each has at most so many robots. Larger ones fill
+ * rows of lanes by themselves. */
 #define MAX_PARALLEL_ARENAS 8
+#define MAX_ROBOTS_OF_PARALLEL_ARENA 128
 
 /* Trials under way.
  *   steps_in_lanes     whether steps are taken in lanes where that is possible
@@ -432,27 +434,36 @@ bool mcp_asdf_engine_has_lanes(const mcp_asdf_experiment_t *experiment)
     return true;
 }
 
-/* Returns the number of trials that run side by side in lanes: LANES of fully connected swarms, whose robots
- * then receive a row at a time; up to MAX_PARALLEL_ARENAS of moving swarms of at most 128 robots; otherwise,
- * for larger ones and graphs, 1, and a row has robots of one trial. */
+/* Returns dividend / divisor, rounded up, for a divisor above 0. */
+static uint32_t divide_rounding_up(uint32_t dividend, uint32_t divisor)
+{
+    return (dividend + divisor - 1) / divisor;
+}
+
+/* Returns the number of trials that run side by side in lanes, by the kind of the experiment:
+ *
+ *     fully connected swarms (no arenas, no graph)   LANES: a row then has the same robot of LANES trials
+ *     moving swarms (arenas) of up to 128 robots     up to 8, and not more than there are trials. The trials
+ *                                                    are divided into as few runs as possible, of about the
+ *                                                    same size: 9 trials run as 5 and 4
+ *     larger moving swarms, graphs; no trials        1: a row has robots of one trial */
 static uint32_t count_parallel_trials(const mcp_asdf_experiment_t *experiment)
 {
-    if (!trial_is_linked(experiment)) {
+    if (!trial_is_linked(experiment)) { /* fully connected */
         return LANES;
     }
-    if (experiment->arenas == NULL || experiment->robots > MCP_ASDF_ENGINE_MAX_CONNECTED ||
-        experiment->trials == 0) {
+    const bool is_graph = experiment->arenas == NULL;
+    if (is_graph || experiment->robots > MAX_ROBOTS_OF_PARALLEL_ARENA || experiment->trials == 0) {
         return 1;
     }
-    /* The trials are divided into as few runs as possible, of about the same size. */
-    const uint32_t runs = (experiment->trials + MAX_PARALLEL_ARENAS - 1) / MAX_PARALLEL_ARENAS;
-    return (experiment->trials + runs - 1) / runs;
+    const uint32_t runs = divide_rounding_up(experiment->trials, MAX_PARALLEL_ARENAS);
+    return divide_rounding_up(experiment->trials, runs);
 }
 
 /* Returns the number of rows that have a lane for each robot of so many trials side by side. */
 static uint32_t count_rows(const mcp_asdf_experiment_t *experiment, uint32_t parallel_trials)
 {
-    return (experiment->robots * parallel_trials + LANES - 1) / LANES;
+    return divide_rounding_up(experiment->robots * parallel_trials, LANES);
 }
 
 /* Returns the bytes that a run needs at most: lanes, arenas, and some to align the lanes. */

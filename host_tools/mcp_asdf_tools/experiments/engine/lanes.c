@@ -25,8 +25,13 @@ ALWAYS_INLINE void form_message_sums(lanes_t *row, size_t l)
     row->message_sums.alpha_x_high[l] = multiply(wide_alpha.high, row->x_hat[l]);
 }
 
-/* Copy n, the local estimate, the accuracy and what the robust filter keeps from the robot into lane l, and
- * form the sums of its message. t is the same in all lanes, and is not kept there. */
+/* Copy from a robot into lane l all that steps in lanes need of it:
+ *   n, x_hat, alpha            black observations, and the local estimate with its confidence
+ *   b_hat .. rare_shift        the accuracy: b_hat and what follows from it
+ *   centre .. turn             what the robust filter remembers of votes; with other filters of no use
+ *   estimates                  those that the robust filter keeps, copied only if the robot has this filter
+ * and set message_sums to the sums of a round in which the robot's message is the only one. t, the number of
+ * observations, is the same in all lanes and not kept there. */
 void lanes_load_robot(lanes_t *row, uint32_t l, const mcp_asdf_t *robot)
 {
     row->n[l] = robot->n;
@@ -43,7 +48,8 @@ void lanes_load_robot(lanes_t *row, uint32_t l, const mcp_asdf_t *robot)
     row->filled_slots[l] = robot->robust.filled_slots;
     row->votes[l] = robot->robust.votes;
     row->turn[l] = robot->robust.turn;
-    if (mcp_asdf_is_robust(robot->config)) { /* with other filters a robot has sums there */
+    /* Robots with other filters have no estimates: in the union `received` they have the sums of rounds. */
+    if (mcp_asdf_is_robust(robot->config)) {
         for (uint32_t slot = 0; slot < MCP_ASDF_SLOTS; ++slot) {
             row->estimates[slot][l] = robot->received.estimates[slot];
         }
@@ -170,8 +176,10 @@ FOR_EACH_TARGET void lanes_settle_votes(lanes_t *rows, uint32_t count, uint32_t 
     }
 }
 
-/* Copy what votes and messages have changed in the robust filter of lane l into the robot. Does nothing if
- * the robot has another filter. */
+/* Copy from lane l into a robot what steps in lanes have changed in its robust filter: by votes the centre,
+ * the spread, the number of votes and the turn (the slot from which on the next one votes), and by received
+ * messages the estimates in the slots and which of these are filled. Does nothing if the robot has another
+ * filter. */
 void lanes_store_filter(const lanes_t *row, uint32_t l, mcp_asdf_t *robot)
 {
     if (!mcp_asdf_is_robust(robot->config)) {
@@ -182,6 +190,7 @@ void lanes_store_filter(const lanes_t *row, uint32_t l, mcp_asdf_t *robot)
     robot->robust.filled_slots = row->filled_slots[l];
     robot->robust.votes = (uint16_t)row->votes[l];
     robot->robust.turn = (uint8_t)row->turn[l];
+    /* The estimates are in the union `received`, as robots with other filters have sums in their place. */
     for (uint32_t slot = 0; slot < MCP_ASDF_SLOTS; ++slot) {
         robot->received.estimates[slot] = row->estimates[slot][l];
     }

@@ -172,7 +172,9 @@ void trial_tick(const mcp_asdf_experiment_t *experiment, const trial_t *trial, c
     }
 }
 
-/* Returns the values of a robot that the outcome keeps. */
+/* Returns the values of a robot that the outcome keeps at the sampling interval: its own estimate x_hat and
+ * alpha, the neighbours' x_bar and beta, the informed estimate x, the numbers t and n of all and of black
+ * observations, and the assumed accuracy b_hat. */
 static mcp_asdf_record_t record_of_robot(const mcp_asdf_t *robot)
 {
     return (mcp_asdf_record_t){.beta = mcp_asdf_beta(robot),

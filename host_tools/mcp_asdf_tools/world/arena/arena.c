@@ -209,14 +209,15 @@ size_t mcp_asdf_arena_bytes(const mcp_asdf_arena_config_t *config)
 
 /* ---- The start ----------------------------------------------------------------------------------------- */
 
-/* Update what the robots of `count` arenas know where they are now: their links, their wheels, which turn
- * away from obstacles, and the colour of the floor. */
+/* Update, in each of `count` arenas, what depends on the present positions of the robots: the links, that is
+ * which robots receive from each other; the wheels, which turn a robot away from obstacles that it senses;
+ * and the colour of the floor under each robot. */
 static void sense_surroundings(mcp_asdf_arena_t *arenas, uint32_t count)
 {
     for (uint32_t a = 0; a < count; ++a) {
         arena_find_links(&arenas[a]);
     }
-    arena_set_wheels(arenas, count);
+    arena_set_wheels(arenas, count); /* of all arenas at once, as batches of robots may be of several */
     for (uint32_t a = 0; a < count; ++a) {
         read_floor(&arenas[a]);
     }

@@ -160,21 +160,34 @@ typedef struct {
     double distance[BATCH * SENSORS + 1];
 } steered_t;
 
-/* Follow the rays of the n-th robot of a batch up to walls and bodies, and append those that meet something
- * within reach to the batch's hits. Clears the robot's obstacle vector. */
+/* Append to the batch's hits the rays of its n-th robot that meet something within reach. free_distance[k] is
+ * how far the ray of the robot's sensor k reaches. A ray is written behind the hits in any case, and becomes
+ * one of them only if it meets something; else the next ray overwrites it. This needs no branch, which could
+ * not be predicted. */
+IN_LOOPS void append_hits(steered_t *batch, uint32_t n, const double *free_distance)
+{
+    for (uint32_t k = 0; k < SENSORS; ++k) {
+        batch->ray[batch->hit_count] = n * SENSORS + k;
+        batch->distance[batch->hit_count] = free_distance[k];
+        const bool is_hit = free_distance[k] <= SENSOR_REACH;
+        batch->hit_count += is_hit ? 1 : 0;
+    }
+}
+
+/* Find which rays of the n-th robot of a batch meet a wall or another body within reach, and append them to
+ * the batch's hits. arena->free_distance has how far the rays reach up to other bodies, which
+ * shorten_rays_at_bodies() has stored there; here it is shortened further where a wall is nearer. Sets the
+ * robot's obstacle vector, (batch->ahead[n], batch->left[n]), to 0: its rays are added up later. */
 IN_LOOPS void cast_rays(steered_t *batch, uint32_t n)
 {
     const mcp_asdf_arena_t *const arena = batch->arena[n];
     const uint32_t i = batch->robot[n];
     double *const free_distance = arena->free_distance + (size_t)i * SENSORS;
+    /* The walls in the east and the west, then those in the north and the south, for which ray_component()
+     * takes the heading (cx, cy) as (cy, -cx). */
     shorten_rays_at_walls(free_distance, arena->cx[i], arena->cy[i], arena->config.width / 2, arena->x[i]);
     shorten_rays_at_walls(free_distance, arena->cy[i], -arena->cx[i], arena->config.height / 2, arena->y[i]);
-    for (uint32_t k = 0; k < SENSORS; ++k) {
-        /* Written always, and overwritten unless the ray meets something. */
-        batch->ray[batch->hit_count] = n * SENSORS + k;
-        batch->distance[batch->hit_count] = free_distance[k];
-        batch->hit_count += free_distance[k] <= SENSOR_REACH;
-    }
+    append_hits(batch, n, free_distance);
     batch->ahead[n] = batch->left[n] = 0;
 }
 
