@@ -4,18 +4,16 @@ That is enough to run every robot again. The events of ``run.log`` are in ``run.
 compressed by gzip, with one JSON value a line. The first line describes the run (`EventsHeader`): only its
 robots have to be there, everything else has a default. Every other line is either
 
-- ``[robot id, event, ...]``: the next events of one robot, in order. An event is
+- ``[robot id, event, ...]``: the next events of one robot, in order. An event is one of
 
-  ====================== ===============================================================================
-  0, 1, 2                a tick began, in which the robot observed white, black, nothing
-  3                      the tick ended (these four are the values of ``frame_layout.Action``)
-  [sender, x_hat, alpha] the robot received an estimate, which its firmware may have refused; integers as
-                         in ``mcp_asdf_tools.bus.frames.Estimate``
-  [x_hat, alpha]         a fault changed the robot's last broadcast to these values; alpha as the 32 bits of
-                         the IEEE number in the frame
-  "silent"               a fault kept the robot's last broadcast from the bus
-  "restart"              the robot started again in the state of the header
-  ====================== ===============================================================================
+    - ``0``, ``1``, ``2``: a tick began, in which the robot observed white, black, nothing
+    - ``3``: the tick ended (these four are the values of ``frame_layout.Action``)
+    - ``[sender, x_hat, alpha]``: the robot received an estimate, which its firmware may have refused;
+      integers as in ``mcp_asdf_tools.bus.frames.Estimate``
+    - ``[x_hat, alpha]``: a fault changed the robot's last broadcast to these values; alpha as the 32 bits of
+      the IEEE number in the frame
+    - ``"silent"``: a fault kept the robot's last broadcast from the bus
+    - ``"restart"``: the robot started again in the state of the header
 
 - ``"186BB92A#0000603333F307E5"``: a frame on the bus that no robot sent, but a fault; as candump writes it.
 
@@ -56,7 +54,7 @@ _FIRST_VERSION_OF_ROBUST_FILTER = 5
 message was a vote, so such a robot would not repeat its run."""
 
 Event = int | str | list[int]
-"""One event of a robot as the file has it; the table above lists the forms."""
+"""One event of a robot as the file has it; the list above has the forms."""
 SETTLE = Action.SETTLE.value
 """Event: the tick ended."""
 SILENT = "silent"
