@@ -269,8 +269,8 @@ def estimate_of_rarer_colour(t: int, rare_count: int, accuracy: Accuracy) -> tup
     The result is the estimate in units of 2**-23, and the mantissa, a number of 24 bits, and the exponent of
     the confidence, which is mantissa * 2**exponent units of 2**-24.
     """
-    # Both counts are shifted by as many bits, so that t has 32 bits and products keep their upper bits.
     shift = leading_zeros(t)
+    # Both counts are shifted by as many bits, so that t has 32 bits and products keep their upper bits.
     total = t << shift
     rarer = rare_count << shift  # p total
     # On a floor without the rarer colour so many observations would show it, by errors of the sensor.

@@ -82,9 +82,9 @@ class Table:
         """Make a table from its words. O(q).
 
         These are 32-bit words: "MCT" and q, omega, the q thresholds, and a checksum. Raises TableError, which
-        names the wrong word, if the firmware would refuse the table.
+        names the wrong word, if the firmware would refuse the table. All words are checked before
+        anything is computed from them, as they may come from a damaged file.
         """
-        # Before anything is computed from them: the words may come from a damaged file.
         for index, word in enumerate(words):
             if not 0 <= word <= MAX_WORD:
                 raise TableError(f"word {index} is {word}, which is no 32-bit word")

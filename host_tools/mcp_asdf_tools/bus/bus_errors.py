@@ -68,8 +68,10 @@ def _system_error_among(causes: Iterable[BaseException]) -> OSError | None:
 
 
 def _may_pass(error: OSError) -> bool:
-    """Return whether the bus may work again after ``error``."""
-    # pyserial's errors have no number; of them, only that of a full output buffer passes.
+    """Return whether the bus may work again after ``error``.
+
+    Of pyserial's errors, which have no number, only that of a full output buffer passes.
+    """
     is_timeout = isinstance(error, TimeoutError | serial.SerialTimeoutException)
     return is_timeout or error.errno in _PASSING_FAILURES
 

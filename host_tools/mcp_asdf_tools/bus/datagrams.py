@@ -37,9 +37,9 @@ _FLOAT_SIZES = {0xCA: 4, 0xCB: 8}
 def unpack_data_frame(datagram: bytes) -> can.Message | None:
     """Return the classic data frame in ``datagram``, without its time and channel; None if it holds none.
 
-    Error frames, remote frames and CAN FD frames are none, either. O(1).
+    Error frames, remote frames and CAN FD frames are none, either. O(1). Any program in the network can send
+    a datagram, so one that no frame needs is refused before a byte is read.
     """
-    # Any program in the network can send one: what no frame needs is refused before a byte is read.
     if len(datagram) > LONGEST_DATAGRAM:
         return None
     try:
@@ -52,9 +52,9 @@ def _read_data_frame(reader: _Reader) -> can.Message:
     """Read the fields in python-can's order, and return the frame that they describe.
 
     Raises _MalformedError if a field is not as it should be, if the frame is no classic data frame, or if
-    bytes are left behind the last field.
+    bytes are left behind the last field. The time and the channel are those of the sender and mean nothing
+    here, so any scalars will do.
     """
-    # The time and the channel are those of the sender and mean nothing here: any scalars will do.
     reader.skip_exactly(_MAP_OF_11 + _packed_name("timestamp"))
     reader.skip_scalar()
     reader.skip_exactly(_packed_name("arbitration_id"))

@@ -87,8 +87,10 @@ class Action(Enum):
 
     @classmethod
     def to_observe(cls, observation: Observation | None) -> Action:
-        """Return the action that begins a tick with an observation, or without one if that is None."""
-        # The actions to observe white and black have the values of Observation.
+        """Return the action that begins a tick with an observation, or without one if that is None.
+
+        The actions to observe white and black have the values of Observation.
+        """
         return cls.OBSERVE_NONE if observation is None else cls(int(observation))
 
     @property

@@ -341,8 +341,8 @@ def _decode_fields(frame: can.Message, subject: int, kind: layout.FrameKind) -> 
 
 def _payload_of_subject(frame: can.Message, subject: int) -> int | Rejection:
     """Return the data of a single-frame message of this subject, or the reason why the frame is none."""
-    # The usual frame passes one test; which of several reasons refuses another one is decided apart.
     is_special = frame.is_error_frame or frame.is_remote_frame or frame.is_fd or not frame.is_extended_id
+    # The usual frame passes one test; which of several reasons refuses another one is decided apart.
     if is_special or frame.arbitration_id & _BITS_THAT_MUST_BE_ZERO:
         return _rejection_of_special_frame(frame)
     # Priority and sender may be any, and two more bits are ignored, as Cyphal asks.

@@ -400,9 +400,9 @@ def choose_bus(typed_settings: Mapping[str, Any]) -> BusChoice:
 
     ``typed_settings`` are the arguments of ``can.Bus`` that the user has typed, such as interface and
     channel. Where they leave it open, python-can's files, variables and ``can.rc`` decide. Raises UsageError
-    if these cannot be read.
+    if these cannot be read. What the user has typed overrides python-can's settings, and those the defaults
+    of this program.
     """
-    # What the user has typed overrides python-can's settings, and those the defaults of this program.
     settings = _load_python_can_settings() | dict(typed_settings)
     # "bustype" is the old name, which python-can's files may still have.
     old_interface = settings.pop("bustype", None)

@@ -186,8 +186,10 @@ def _load(command_name: str) -> Command:
 
 
 def _import_all(module_names: Iterable[str]) -> list[ModuleType]:
-    """Import modules, and return them. Raises KeyboardInterrupt afterwards if a signal came meanwhile."""
-    # Inside the import of a library an interruption may be turned into any other error.
+    """Import modules, and return them. Raises KeyboardInterrupt afterwards if a signal came meanwhile.
+
+    Inside the import of a library an interruption may be turned into any other error.
+    """
     with stopping() as was_interrupted:
         modules = [import_module(name) for name in module_names]
     if was_interrupted():

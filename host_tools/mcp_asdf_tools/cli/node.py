@@ -142,8 +142,10 @@ def _suspicion_printer(node: RobotNode, console: Console) -> Callable[[], None]:
     reported: set[tuple[Suspicion, int]] = set()
 
     def print_new_suspicions() -> None:
-        """Print those that have come since the last call."""
-        # The node counts events by kind and sender; only pairs that are new are printed.
+        """Print those that have come since the last call.
+
+        The node counts events by kind and sender; only pairs that are new are printed.
+        """
         for kind, sender in node.reception.events.keys() - reported:
             reported.add((kind, sender))
             console.print(f"mcp-asdf node: node {sender}: {MEANINGS[kind]}", soft_wrap=True)

@@ -358,8 +358,10 @@ def add_bus_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _check_interface(interface_name: str) -> str:
-    """Return the name of an interface. Raises ArgumentTypeError, with the nearest, if python-can has none."""
-    # These names are not an option's ``choices``, since the help would load python-can for them.
+    """Return the name of an interface. Raises ArgumentTypeError, with the nearest, if python-can has none.
+
+    The interfaces' names are not an option's ``choices``, since the help would load python-can for them.
+    """
     import can
 
     if interface_name not in can.VALID_INTERFACES:

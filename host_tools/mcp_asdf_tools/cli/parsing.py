@@ -51,9 +51,9 @@ class Parser(argparse.ArgumentParser):
     def _refuse_unknown(self, unknown_arguments: Sequence[str]) -> NoReturn:
         """Raise UsageError for the first unknown option or, if there is none, the first unknown argument.
 
-        The message asks whether a known option with a similar name was meant.
+        The message asks whether a known option with a similar name was meant. An unknown option explains the
+        arguments that follow it, so it is the one to report.
         """
-        # An unknown option explains the arguments that follow it, so it is the one to report.
         unknown_options = [argument for argument in unknown_arguments if argument.startswith("-")]
         kind = "option" if unknown_options else "argument"
         first = unknown_options[0] if unknown_options else unknown_arguments[0]
@@ -87,9 +87,9 @@ class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
         """Add the usage line of a parser, in which all options that may be left out are one [OPTION ...].
 
         Of ``actions``, argparse's declarations of arguments, the line shows positional arguments, required
-        options, and the options of which a mutually exclusive group in ``groups`` requires one.
+        options, and the options of which a mutually exclusive group in ``groups`` requires one. Of a required
+        group one option is needed, although argparse marks none of them as required.
         """
-        # Of a required group one option is needed, although argparse marks none of them as required.
         alternatives = [action for group in groups if group.required for action in group._group_actions]
         shown_actions = []
         for action in actions:

@@ -320,10 +320,10 @@ def _print_report(args: argparse.Namespace, report_text: str, report: dict[str, 
 def _format_results(results: dict[str, Any], filter_description: str) -> str:
     """Format the results of a run in real time for a terminal.
 
-    ``results`` is what ``RadioRun.figures`` returns. There is a line each on the run, the filter, the
-    frames and the neighbours, then one for each injected fault and for each id that another node also uses.
+    ``results`` is what ``RadioRun.figures`` returns. There is a line each on the run, the filter, the frames
+    and the neighbours, then one for each injected fault and for each id that another node also uses. In these
+    texts "it" is the controller, and strangers are nodes that are neither the controller nor emulated.
     """
-    # In these texts "it" is the controller. Strangers are nodes that are neither the controller nor emulated.
     lines = [
         f"run         {results['steps']} steps; {results['ending']}",
         f"filter      {filter_description}",

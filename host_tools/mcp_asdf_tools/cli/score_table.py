@@ -55,8 +55,8 @@ def print_scores(rows: Sequence[dict[str, Any]], title: str) -> None:
     The columns are the parameters in which the experiments differ, the number of trials, the score H with its
     quartiles over the trials, and the medians of h_K, h_e, K, e and the number of updates.
     """
-    # What all experiments have in common would only make the table wide.
     parameters_by_row = [row["parameters"] for row in rows]
+    # What all experiments have in common would only make the table wide.
     varying_parameters = [
         name
         for name in parameters_by_row[0]

@@ -177,8 +177,10 @@ def wiring_of(args: argparse.Namespace, settings: SwarmSettings, bus_choice: Bus
     remote_robots = frozenset(range(settings.robots) if args.processes else devices)
 
     def open_bus(robot: int) -> can.BusABC:
-        """Open a connection to the bus of a robot: its device's, its own, or that of all."""
-        # Robots here that share one bus share this connection, so it has to return what they send.
+        """Open a connection to the bus of a robot: its device's, its own, or that of all.
+
+        Robots here that share one bus share this connection, so it has to return what they send.
+        """
         returns_own = not bus_choice.has_channels and not remote_robots
         return devices.get(robot, bus_choice.of_robot(robot)).open(returns_own)
 

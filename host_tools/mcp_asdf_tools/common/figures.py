@@ -125,8 +125,10 @@ _MAX_LEGEND_COLUMNS = 6
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Add a legend above the panels, in as many columns as the figure's width has room for, at most six."""
-    # The width of a legend is only known when it has been added, so the largest number is tried first.
+    """Add a legend above the panels, in as many columns as the figure's width has room for, at most six.
+
+    The width of a legend is only known when it has been added, so the largest number is tried first.
+    """
     for column_count in range(min(len(handles), _MAX_LEGEND_COLUMNS), 0, -1):
         legend = figure.legend(
             handles=handles, loc="outside upper center", ncols=column_count, frameon=False, fontsize=SMALL
@@ -143,9 +145,8 @@ _LETTERS_PER_INCH = 15.5
 def add_caption(figure: Figure, x_label: str, caption: str) -> None:
     """Add a caption below the panels, in lines that fit, and above it the label of their common x axis.
 
-    ``x_label`` may be empty.
+    ``x_label`` may be empty. With no-break spaces, a symbol and its value stay on one line.
     """
-    # With these spaces, a symbol and its value stay on one line.
     text = caption.replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}")
     lines = textwrap.wrap(text, round(_LETTERS_PER_INCH * figure.get_figwidth()))
     if x_label:

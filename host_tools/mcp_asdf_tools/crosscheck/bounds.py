@@ -44,18 +44,23 @@ def x_hat_bounds(n: int, t: int, b: Fraction) -> Bounds:
     The firmware decides exactly whether p > c. It computes with the whole numbers T = 2**s t in [2**31,
     2**32) and K = 2**s k, and rounds c T down, which loses e < 1. So it has (K - c T + e) / (g T + 2 e),
     rounded down, in place of (K - c T) / (g T). That is (1 - 2 x) e / (g T + 2 e) < (1 - 2 x) r 2**-31 too
-    near to 1/2, and never beyond it.
+    near to 1/2, and never beyond it. Where x is 0, so is the firmware's.
+
+    Both bounds are 1/2 if ``b`` carries no information.
     """
     if not is_informative(b):
         return HALF, HALF
     exact = local_estimate(n, t, b)
     exact_of_rarer = min(exact, 1 - exact)
     r = 1 / abs(2 * b - 1)
-    # At the end of the scale, where p <= c, x_hat is 0 exactly.
-    largest_error = (1 - 2 * exact_of_rarer) * r * Q31 if exact_of_rarer else Fraction(0)
+    # By this much the firmware's may be nearer to 1/2, which is too large: it is never too small.
+    largest_error = (1 - 2 * exact_of_rarer) * r * Q31 if exact_of_rarer > 0 else Fraction(0)
     lower = round_down(exact_of_rarer, Q23)
     upper = round_down(exact_of_rarer + largest_error, Q23)
-    return (lower, upper) if exact == exact_of_rarer else (1 - upper, 1 - lower)
+    if exact == exact_of_rarer:
+        return lower, upper
+    # The rarer colour is not the one that x_hat is the share of, so both bounds are mirrored.
+    return 1 - upper, 1 - lower
 
 
 def alpha_error(n: int, t: int, b: Fraction) -> tuple[Fraction, Fraction]:

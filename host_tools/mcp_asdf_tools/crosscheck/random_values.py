@@ -105,16 +105,17 @@ def draw_usual_alpha(rng: Random) -> int:
 def draw_b_hat(rng: Random) -> int:
     """Draw b_hat in units of 2**-32, an accuracy within the firmware's limits.
 
-    It is anywhere between them, at a distance of any size from 1/2, or at a distance of any size from an end.
+    It is anywhere between them, or near to 1/2, or near to one of them:
+
+    - Near to 1/2 it is at 1/2 itself, where it just carries information, or at a distance of any size, so
+      that 1 / (2 b_hat - 1) has any size. One unit more or less shows a limit that is off by one.
+    - Near to a limit, where 1 - b_hat or b_hat itself has few bits, it is at the limit or at a distance of
+      any size from it.
     """
-    # Near 1/2: at 1/2 itself, where b_hat is just informative, and at any distance, so that 1 / (2 b_hat - 1)
-    # has any size. One unit more or less shows a limit that is off by one.
     distance = rng.choice([0, draw_number_of_any_size(rng, 1, 31), B_HAT_INFORMATIVE_DISTANCE])
     side = rng.choice([-1, 1])
     near_half = Q32_HALF + side * (distance + rng.randint(-1, 1))
 
-    # Near an end: the smallest or the largest b_hat, or at any distance from there. There 1 - b_hat, or b_hat
-    # itself, has few bits.
     off_low_end = B_HAT_MIN + draw_number_of_any_size(rng, 0, 30)
     near_low_end = rng.choice([off_low_end, B_HAT_MIN])
 

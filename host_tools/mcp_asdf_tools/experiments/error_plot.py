@@ -65,9 +65,9 @@ def plot_errors_over_time(
 
 def _series_of_filters(experiments: Sequence[Trials]) -> list[Series]:
     """Return the experiments of each filter as a series, in the order of FILTERS."""
+    all_series = []
     # All filters get their colours first: a filter then has the same colour in every picture, whichever
     # others are there.
-    all_series = []
     for name, colour in zip(FILTERS, colours_of_filters([*FILTERS]), strict=True):
         experiments_of_filter = [trials for trials in experiments if trials.experiment.filter == name]
         if experiments_of_filter:

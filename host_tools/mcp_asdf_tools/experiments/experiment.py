@@ -122,8 +122,10 @@ def combinations(parameters: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def without_repetitions(experiments: Iterable[Experiment]) -> list[Experiment]:
-    """Return each of several experiments once, in the order in which they first come."""
-    # The keys of a dictionary keep their order, unlike the elements of a set.
+    """Return each of several experiments once, in the order in which they first come.
+
+    The keys of a dictionary keep their order, unlike the elements of a set.
+    """
     return list(dict.fromkeys(experiments))
 
 

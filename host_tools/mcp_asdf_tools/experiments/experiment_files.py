@@ -90,9 +90,9 @@ def _parse_grids(path: Path, text: str) -> tuple[dict[str, Any], list[dict[str, 
 def _shipped_file(name: Path) -> Path:
     """Return the path of a file that comes with the program, by its name without a suffix.
 
-    Raises UsageError if there is none of that name.
+    Raises UsageError if there is none of that name. Names of files alone are compared, so that no name leads
+    out of this folder.
     """
-    # Names of files alone are compared, so that no name leads out of this folder.
     shipped_files = {path.stem: path for path in sorted(STUDIES.glob("*.toml"))}
     if str(name) not in shipped_files:
         names = ", ".join(shipped_files)
@@ -119,8 +119,10 @@ class _KeyLines:
                 self._lines.setdefault((grid_number, key), []).append(str(line_number))
 
     def error_at(self, grid_number: int, key: str, message: str) -> UsageError:
-        """Return an error that names the lines of a key in a grid, or above the grids if it is not there."""
-        # A key above the grids holds in each of them.
+        """Return an error that names the lines of a key in a grid, or above the grids if it is not there.
+
+        A key above the grids holds in each of them.
+        """
         lines = self._lines.get((grid_number, key)) or self._lines.get((0, key), [])
         position = f", line {' or '.join(lines)}" if lines else ""
         return UsageError(f"{self._path}{position}: {message}")

@@ -73,8 +73,8 @@ def name_series(experiment: Experiment, varying_names: Sequence[str]) -> str:
 
     It has the name of the filter, and those parameters of ``varying_names`` that have an effect.
     """
-    # A parameter without effect, such as omega without a test, would split experiments that are alike.
     names = [filter_name(experiment)]
+    # A parameter without effect, such as omega without a test, would split experiments that are alike.
     for parameter_name in varying_names:
         if has_effect(experiment, parameter_name):
             value = format_for_legend(experiment.parameters()[parameter_name])

@@ -108,8 +108,10 @@ def describe_columns() -> dict[str, dict[str, str]]:
 
 @cache
 def column_types() -> dict[str, Any]:
-    """Return the pyarrow type of each column by its name, in the order of a table's columns."""
-    # Seeds take all values of 64 bits without a sign.
+    """Return the pyarrow type of each column by its name, in the order of a table's columns.
+
+    Whole numbers have no sign, since seeds take all values of 64 bits.
+    """
     number_types = {int: pa.uint64(), float: pa.float64(), Decimal: pa.float64()}
     default_experiment = Experiment()
     types = {

@@ -88,9 +88,8 @@ class Trials:
 
         After the last filter step these have a b_hat, the accuracy that they assume, that is more than
         HARM_LIMIT from the one that they started with. Trials that end before the first filter step harm
-        nobody.
+        nobody. The first robots are the flawed ones, and all others start with the same b_hat.
         """
-        # The first robots are the flawed ones, and all others start with the same b_hat.
         b_hat_of_healthy_robots = self.b_hat[:, :, self.experiment.flawed :]
         initial_b_hat = self.experiment.b_hat(self.experiment.robots - 1)
         # The slice has only the last filter step, or none: then ``any`` of nothing is False.
@@ -151,8 +150,8 @@ def describe_differences(experiments: Sequence[Trials]) -> str:
 
 def _is_same_value(parameter_value: object, requested_value: Any) -> bool:
     """Return whether a parameter has the requested value, as a text or as a number."""
-    # Words, such as the name of a filter, and numbers that are written as this program prints them.
     if str(parameter_value) == str(requested_value):
+        # Words, such as the name of a filter, and numbers that are written as this program prints them.
         return True
     with suppress(TypeError, ValueError):
         return isinstance(parameter_value, int | float) and float(requested_value) == parameter_value

@@ -213,9 +213,9 @@ class Store:
     def finish(self) -> None:
         """Write the output file, remove the parts and release the output. Nothing can be added afterwards.
 
-        All trials must have results. Raises UsageError if the file cannot be written.
+        All trials must have results. Raises UsageError if the file cannot be written. The output is complete
+        before the first part is removed: a kill in between loses nothing.
         """
-        # The output is complete before the first part is removed: a kill in between loses nothing.
         write_tables(self.output, self._tables_in_order())
         self._unwritten = []
         for part_path in self.parts.glob("*.parquet"):

@@ -57,9 +57,9 @@ def run_sweep(
     They run on ``workers`` processes, 1 being this one, or with the address of a ``scheduler`` on that Dask
     cluster. ``report`` is called after each job with the number of its trials. KeyboardInterrupt ends it at
     once; as after any error, what was finished is on disk. Raises UsageError if a job cannot be run, a worker
-    process of this machine dies, or another process is at work on the output.
+    process of this machine dies, or another process is at work on the output. Interrupts are delayed while
+    the store changes, so that it is never left in between.
     """
-    # Interrupts are delayed while the store changes, so that it is never left in between.
     try:
         if store.missing_count:
             _log_start(store.missing_count, workers, scheduler)
@@ -229,8 +229,8 @@ def _worker_processes(workers: int) -> Iterator[Executor]:
 
     Raises UsageError if one of them is killed.
     """
-    # The caller may have child processes of its own, which must not be killed below.
     other_children = set(active_children())
+    # The caller may have child processes of its own, which must not be killed below.
     # Started anew rather than forked: a fork copies locks that another thread may hold at that moment.
     pool = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent)
     try:

@@ -353,8 +353,8 @@ class Job:
 
         Raises UsageError in a worker of another version of the program, and if the firmware cannot be loaded.
         """
-        # Another version may compute other results, or may not even know the experiment's parameters.
         worker_version = own_version()
+        # Another version may compute other results, or may not even know the experiment's parameters.
         if self.version != worker_version:
             raise UsageError(
                 f"a worker has mcp-asdf {worker_version}, this is {self.version}; install the same on all"

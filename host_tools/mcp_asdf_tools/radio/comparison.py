@@ -213,9 +213,9 @@ def _first_difference(
 
     The result is a ``Difference.field``: "missing" if the received frames end first, "twice" if more frames
     are received than expected and two in a row have the same data, "extra" if no two have. Otherwise it names
-    what is wrong with a frame, or the first data field in which it is wrong.
+    what is wrong with a frame, or the first data field in which it is wrong. The shorter list is filled up
+    with None.
     """
-    # The shorter list is filled up with None.
     for received_frame, expected_frame in zip_longest(received, expected):
         if received_frame is None:
             return "missing"

@@ -207,8 +207,10 @@ class Verification:
     def __init__(
         self, settings: RadioSettings, options: BenchOptions, phases: Sequence[Phase] = PHASES
     ) -> None:
-        """Plan the phases and start the model. Raises UsageError if the controller broadcasts too rarely."""
-        # Two rounds give every fault a broadcast to affect, also in a phase of few ticks.
+        """Plan the phases and start the model. Raises UsageError if the controller broadcasts too rarely.
+
+        A phase has at least two rounds, so that every fault has a broadcast to affect.
+        """
         self._phase_ticks = max(options.ticks, 2 * settings.controller.comms_period)
         self._phases, faults = plan_phases(settings, phases, self._phase_ticks)
         self.bench = Bench(replace(settings, faults=tuple(faults)), options)

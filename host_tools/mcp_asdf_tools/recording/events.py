@@ -352,9 +352,10 @@ class EventsReader:
     def _parse_header(self, plain_header: Any) -> EventsHeader:
         """Return the description of a run in the JSON value of the first line.
 
-        Settings that are missing have their defaults: the file was written before they existed. Raises
-        UsageError for another format or version, for a robot with the robust filter of an earlier version,
-        and for a value that is impossible.
+        Settings of robots and frames that are missing have their defaults: the file was written before they
+        existed. Raises UsageError for another format; for a version that cannot be read, or one in which the
+        robust filter of a robot was another one; for robots that are no list or share an id; and for a value
+        that is missing without a default, or impossible.
         """
         if not isinstance(plain_header, dict) or plain_header.get("format") != FORMAT:
             raise self.error_in_line(f'"format": "{FORMAT}" is missing')
@@ -381,6 +382,7 @@ class EventsReader:
         ids_with_robust_filter = frozenset(
             robot.id for robot in robots if robot.config.filter == Filter.ROBUST
         )
+        # Earlier versions are read, too, but in them robots with this filter did something else.
         if ids_with_robust_filter and version < _FIRST_VERSION_OF_ROBUST_FILTER:
             raise self.error_in_line(
                 f"robots {format_ids(ids_with_robust_filter)} have the robust filter of an earlier mcp-asdf, "
@@ -434,5 +436,4 @@ def _is_event(event: Any) -> bool:
 
 def _is_whole_number(value: Any) -> bool:
     """Return whether a JSON value is an integer of at least 0, and not true or false."""
-    # For isinstance, a bool is an int, too.
-    return type(value) is int and value >= 0
+    return type(value) is int and value >= 0  # for isinstance, a bool is an int, too

@@ -224,8 +224,8 @@ class BusRobot:
 
         It is due in the last of the ``comms_period`` ticks of a round, and stays due until a tick has ended.
         """
-        # Recorded first, as it begins the tick to which the events that follow belong.
         if self.recorder is not None:
+            # Recorded first, as it begins the tick to which the events that follow belong.
             self.recorder.record_observation(z)
         self.ticks += 1
         if z is not None:
@@ -278,8 +278,7 @@ class BusRobot:
 
     def heartbeat(self, now: float) -> can.Message:
         """Return the next heartbeat, stamped ``now`` (seconds), and count it; see ``is_heartbeat_due``."""
-        # There is one heartbeat a second, from second 0 on.
-        uptime = self.sent.heartbeats
+        uptime = self.sent.heartbeats  # there is one heartbeat a second, from second 0 on
         self.sent.heartbeats += 1
         return encode_heartbeat(Heartbeat(self.id, uptime, uptime % TRANSFER_IDS), timestamp=now)
 
@@ -428,8 +427,8 @@ class RoundingPort:
         ``x_hat`` is in units of 2**-23, ``alpha`` in the firmware's form, a mantissa and a shift in 32 bits.
         An invalid estimate raises no exception.
         """
-        # Invalid estimates are usual on a bus: as with ``FixedPointRobot`` they are no exceptions here.
         try:
+            # Invalid estimates are usual on a bus: as with ``FixedPointRobot`` they are no exceptions here.
             return self._robot.receive(sender, x_hat / Q23_ONE, alpha_from_word(alpha))
         except FirmwareError as error:
             return error.status

@@ -39,17 +39,19 @@ class Calibration:
     def b_hat(self) -> float:
         """Accuracy for the robot to assume at its start: the mean of both colours' accuracies.
 
-        Each is taken as (right readings + 1) / (readings + 2), Laplace's rule, so it is never 0 or 1.
+        Each is taken as (right readings + 1) / (readings + 2), Laplace's rule, so it is never 0 or 1. With
+        the share p of n readings on the right side, p n readings are right.
         """
-        # With the share p of n readings on the right side, p n readings are right.
         cautious_accuracies = [(p * n + 1) / (n + 2) for p, n in self._colours()]
         return sum(cautious_accuracies) / 2
 
     @property
     def uncertainty(self) -> float:
-        """Half the width of the 95 % interval of ``b_hat``, at least that of one wrong reading a colour."""
-        # Each term is the variance p (1 - p) / n of a share p of n readings. With one wrong reading p (1 - p)
-        # is about 1 / n.
+        """Half the width of the 95 % interval of ``b_hat``, at least that of one wrong reading a colour.
+
+        Each term is the variance p (1 - p) / n of a share p of n readings. With one wrong reading p (1 - p)
+        is about 1 / n.
+        """
         variances = [max(p * (1 - p), 1 / n) / n for p, n in self._colours()]
         return _HALF_95_PERCENT_WIDTH * math.sqrt(sum(variances))
 

@@ -43,8 +43,8 @@ def _make_by_extension(
     ``mcp_asdf.FixedPointRobot``, any other those of ``mcp_asdf.Robot``. Raises UsageError, naming the missing
     members.
     """
-    # Checked now, and by name: a member that is missing would end a run in the middle.
     robot = make(config, robot_id, b_hat)
+    # Checked now, and by name: a member that is missing would end a run in the middle.
     kind = FixedPointRobot if hasattr(robot, "receive_all") else Robot
     missing = [member for member in _MEMBERS[kind] if not hasattr(robot, member)]
     if missing:

@@ -133,8 +133,7 @@ class Lockstep:
         Raises LockstepError if a robot does not answer within the time limit, or its telemetry is not the
         next after its last; can.CanError if the bus does not take the commands.
         """
-        # Telemetry that came before the command is no answer to it.
-        self._telemetry.clear()
+        self._telemetry.clear()  # telemetry that came before the command is no answer to it
         self._last_actions = {robot: Action.SETTLE for robot in robots}
         self._send_commands(self._last_actions)
         answers = self._wait_for_answers(robots, self._telemetry, "settle")
@@ -157,9 +156,9 @@ class Lockstep:
         The first telemetry of a robot may have any number, since the robot may have run before. Raises
         LockstepError for another number than the expected one.
         """
-        # A robot sends telemetry only when it settles: a gap or a repetition reveals a restart or an answer
-        # to nobody's command.
         if robot in self._next_transfer_ids and transfer_id != self._next_transfer_ids[robot]:
+            # A robot sends telemetry only when it settles: a gap or a repetition reveals a restart or an
+            # answer to nobody's command.
             raise LockstepError(
                 f"robot {robot} answered in tick {self.tick} with transfer_id {transfer_id}, not "
                 f"{self._next_transfer_ids[robot]} (modulo {TRANSFER_IDS}): it restarted or sends telemetry "
@@ -172,8 +171,8 @@ class Lockstep:
 
         Raises can.CanError if the bus does not take them.
         """
-        # All commands are encoded before the first is sent, so that a wrong id sends none of them.
         frames = []
+        # All commands are encoded before the first is sent, so that a wrong id sends none of them.
         for robot, action in actions.items():
             transfer_id = self._sent_command_count % TRANSFER_IDS
             command = Command(DRIVER_ID, self.tick, robot, action, transfer_id)
@@ -189,11 +188,10 @@ class Lockstep:
     ) -> dict[int, Answer]:
         """Wait until ``answers`` has an entry for each of ``robots``, and return these entries by id.
 
-        ``answers`` is one of this object's stores, which fill while frames are received.
-        ``expected_answer`` says in an error what a robot did not do. Raises LockstepError after the time
-        limit.
+        ``answers`` is one of this object's stores, which fill while frames are received. ``expected_answer``
+        says in an error what a robot did not do. Raises LockstepError after the time limit. An answer may
+        have come already, while an earlier one was awaited.
         """
-        # An answer may have come already, while an earlier one was awaited.
         missing_robots = set(robots) - answers.keys()
         for _ in self._receive_while_missing(
             missing_robots, expected_answer, self._timeout, self._last_actions

@@ -158,8 +158,10 @@ class Population(WorldSettings):
 
 
 def _plain(value: Any) -> Any:
-    """Return a parameter's value as a number or a text: a Decimal as a float, other objects as their text."""
-    # The nine decimal places of omega survive in a float, and JSON has no decimals.
+    """Return a parameter's value as a number or a text: a Decimal as a float, other objects as their text.
+
+    The nine decimal places of omega survive in a float, and JSON has no decimals.
+    """
     if isinstance(value, Decimal):
         return float(value)
     return value if isinstance(value, int | float) else str(value)

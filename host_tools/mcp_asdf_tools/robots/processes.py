@@ -96,8 +96,7 @@ class NodeProcesses:
 
     def __exit__(self, *_: object) -> None:
         """End all processes, and keep what they report; those that do not end in time are killed."""
-        # All are asked first, so that they end side by side.
-        for process in self._processes.values():
+        for process in self._processes.values():  # all are asked first, so that they end side by side
             process.terminate()
         for robot, process in self._processes.items():
             try:
@@ -113,11 +112,14 @@ class NodeProcesses:
 def _options(robot: RobotSetup, subjects: Subjects) -> list[str]:
     """Return the options of ``mcp-asdf node`` for a robot, such as ``--filter-period=100``.
 
-    Name and value are one argument, so that a negative number is not taken for an option.
+    Name and value are one argument, so that a negative number is not taken for an option. A filter of the
+    firmware is two options: ALWAYS and ADAPTIVE are one filter with different activations, and adaptive is
+    the default.
     """
     values_by_name = robot.plain()
     firmware_filter = robot.config.filter
-    # The process generates the t-table, the thresholds of the test, again from these two values.
+    # The process generates the t-table, the thresholds of the test, again from two numbers: omega, and q, the
+    # largest number of neighbours with an exact threshold.
     table = values_by_name.pop("table", None)
     if firmware_filter is Filter.ADAPTIVE:
         values_by_name |= {"omega": table["omega"], "neighbours": table["q"]}

@@ -62,8 +62,8 @@ def parse_ids(ids_text: str, name: str) -> frozenset[int]:
 
 def format_ids(ids: frozenset[int]) -> str:
     """Return the text that ``parse_ids`` reads back, such as ``0+3-5`` for 0, 3, 4 and 5."""
-    # A range of adjacent ids starts where the id before is missing, and ends where the next one is.
     range_starts = sorted(node_id for node_id in ids if node_id - 1 not in ids)
+    # A range of adjacent ids starts where the id before is missing, and ends where the next one is.
     range_ends = sorted(node_id for node_id in ids if node_id + 1 not in ids)
     return "+".join(
         f"{start}-{end}" if start < end else str(start)

@@ -58,8 +58,10 @@ class AgeingSensors(ABC):
         return np.arange(self._next_step, self._next_step + steps, dtype=np.float64)[:, np.newaxis]
 
     def _normal_draws(self, steps: int, first_step: int) -> NDArray[np.float64]:
-        """Return a normally distributed number for each of some steps and each robot."""
-        # The inverse of the normal distribution function turns uniform numbers into normal ones.
+        """Return a normally distributed number for each of some steps and each robot.
+
+        The inverse of the normal distribution function turns uniform numbers into normal ones.
+        """
         draws: NDArray[np.float64] = ndtri(self._draws.draw_uniforms(steps, first_step))
         return draws
 
@@ -76,8 +78,11 @@ class UnequallyAgeingSensors(AgeingSensors):
     """Sensors that age at rates of their own around a common mean."""
 
     def _changes(self, steps: int) -> NDArray[np.float64]:
-        """Return each robot's rate, times the steps so far."""
-        # The same draws, those of step 0, whenever this is called: a robot keeps its rate.
+        """Return each robot's rate, times the steps so far.
+
+        The rates follow from the same draws, those of step 0, whenever this is called: a robot keeps its
+        rate.
+        """
         rates = MEAN_RATE + RATE_DEVIATION * self._normal_draws(1, first_step=0)
         return rates * self._step_numbers(steps)
 

@@ -67,14 +67,18 @@ class Resampled:
 
 @lru_cache(maxsize=4)
 def resample_indices(trials: int) -> NDArray[np.uint16]:
-    """Draw the trials of every resample with replacement; shape (RESAMPLES, trials), always the same."""
-    # A fixed seed: the report of one study is the same each time it is made.
+    """Draw the trials of every resample with replacement; shape (RESAMPLES, trials), always the same.
+
+    The seed of the draws is fixed: the report of one study is the same each time it is made.
+    """
     return np.random.default_rng(1).integers(trials, size=(RESAMPLES, trials), dtype=np.uint16)
 
 
 def resample_quantile(sample: Sample, quantile: float) -> Resampled:
-    """Return a quantile of a sample and of its resamples. O(RESAMPLES trials)."""
-    # float32 halves the memory of the measures that are kept; its rounding is far below an interval.
+    """Return a quantile of a sample and of its resamples. O(RESAMPLES trials).
+
+    float32 halves the memory of the measures that are kept; its rounding is far below an interval.
+    """
     quantiles = np.quantile(sample[resample_indices(len(sample))], quantile, axis=1, overwrite_input=True)
     return Resampled(float(np.quantile(sample, quantile)), quantiles.astype(np.float32))
 

@@ -125,9 +125,9 @@ def cells_of(study_part: StudyPart) -> tuple[Cell, ...]:
 
     Of cells that are the same experiment there is one, that of ``Cell.normal``.
     """
+    cells = [cell_of(study_part, experiment) for experiment in _shipped_experiments(study_part)]
     # The files have some experiments more than once, as they are grids: see Cell.normal. The keys of a
     # dictionary are each cell once, in order.
-    cells = [cell_of(study_part, experiment) for experiment in _shipped_experiments(study_part)]
     return tuple(dict.fromkeys(cells))
 
 
@@ -174,9 +174,8 @@ def experiment_of(cell: Cell, study_size: StudySize) -> Experiment:
 
     All other parameters are those of the shipped experiments of the cell's part of the study. Where these
     have fewer steps than ``study_size``, theirs are taken. Raises ParameterError for trials, steps or a seed
-    out of range.
+    out of range. All experiments of a part share what the cell does not say.
     """
-    # All experiments of a part share what the cell does not say.
     common = _shipped_experiments(cell.study_part)[0]
     parameters: dict[str, Any] = {
         **common.parameters(),

@@ -93,8 +93,8 @@ class Contrast:
 
         A cell is a kind of swarm, which is compared with another cell or with a level.
         """
-        # A dictionary drops repeated pairs, and keeps the order of the rest.
         plan_by_cells: dict[tuple[Cell, Cell | None], PlannedComparison] = {}
+        # A dictionary drops repeated pairs, and keeps the order of the rest.
         for cell in self._cells(study_part):
             for reference in self._references(cell):
                 # Different values may describe the same experiment, which Cell.normal makes equal.
@@ -418,8 +418,8 @@ def _compare(claim: Claim, study_part: StudyPart | None, study_results: StudyRes
 
     The intervals are so wide that, with the probability CONFIDENCE, every one contains its true difference.
     """
-    # Two kinds of claims have no contrasts: those of the equations, and the one about single robots.
     if study_part is None:
+        # Two kinds of claims have no contrasts: those of the equations, and the one about single robots.
         return EQUATIONS[claim.name]()
     if claim.name == IDENTICAL_ROBOTS:
         return _compare_robots(study_part, study_results)

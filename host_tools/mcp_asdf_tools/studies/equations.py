@@ -154,8 +154,10 @@ def _compare_alpha_ratios(b_hat_pairs: Iterable[tuple[float, float]], claimed_ra
 
 
 def low_b_hat_is_volatile() -> list[Comparison]:
-    """Compare how far x_hat moves at b_hat 0.55 and 0.95 while n/t goes from 0.505 to 0.515."""
-    # No estimate reaches 0 or 1 in this range, where it would stop moving.
+    """Compare how far x_hat moves at b_hat 0.55 and 0.95 while n/t goes from 0.505 to 0.515.
+
+    No estimate reaches 0 or 1 in this range, where it would stop moving.
+    """
     change_of_low, change_of_high = (_x_hat(0.515, b_hat) - _x_hat(0.505, b_hat) for b_hat in (0.55, 0.95))
     column = "change of x_hat: b_hat 0.55 less b_hat 0.95"
     return [_above_zero("n/t 0.505 to 0.515", column, change_of_low - change_of_high)]
@@ -163,8 +165,7 @@ def low_b_hat_is_volatile() -> list[Comparison]:
 
 def physical_density() -> list[Comparison]:
     """Compare the density of eight robots with a radio range of 0.7 m on the paper's platform with 1.3."""
-    # D = N pi r^2 / (width height)
-    density = 8 * pi * 0.7**2 / (3.0353 * 3.0226)
+    density = 8 * pi * 0.7**2 / (3.0353 * 3.0226)  # D = N pi r^2 / (width height)
     return [exact_comparison("", "D less 1.3", _rounded(density - 1.3), Expectation.SAME, size=0.05)]
 
 

@@ -233,8 +233,8 @@ def _draw_b_hat_bands(study_results: StudyResults, study_part: StudyPart) -> Pic
 
     It shows the swarms in which some robots are flawed, but not all, with the shortest filter period tau.
     """
-    # With ASDF+ healthy robots filter, too, and may change a b_hat that was right.
     all_filter = _select_with_shortest_period(study_results, study_part, [ASDF_PLUS])
+    # With ASDF+ healthy robots filter, too, and may change a b_hat that was right.
     experiments = [
         trials for trials in all_filter if trials.experiment.flawed > 0 and not _all_flawed(trials.experiment)
     ]

@@ -357,8 +357,10 @@ class MajorityRobot(ReferenceRobot):
         self._rounds_left = self._draw_duration(self.mean_dissemination * quality)
 
     def _draw_duration(self, mean: float) -> int:
-        """Return a random number of rounds, at least 1, from an exponential distribution."""
-        # A mean of 0 is that of an opinion whose colour has not been read at all.
+        """Return a random number of rounds, at least 1, from an exponential distribution.
+
+        A mean of 0 is that of an opinion whose colour has not been read at all.
+        """
         duration = self._random.expovariate(1 / mean) if mean else 0.0
         return max(1, round(duration))
 
@@ -414,8 +416,8 @@ class KnownAccuracyRobot(ReferenceRobot):
 
         Returns OK, or ERR_OBSERVATION if ``z`` is neither WHITE nor BLACK.
         """
-        # This b_hat already holds for the observation that is counted below.
         self._b_hat = min(self._accuracy_to_assume(), 1 - B_HAT_MARGIN)
+        # This b_hat already holds for the observation that is counted below.
         self._true_accuracy += DRIFT_RATE
         return super().observe(z)
 

@@ -64,9 +64,8 @@ def write_report(
 
     The files are ``report.html``, which needs no other file, the same as ``report.md`` with its pictures in
     ``figures/``, and ``comparisons.csv``, a line for every comparison. Raises UsageError if they cannot be
-    written.
+    written. What can fail, the pictures and the Markdown, is made before the first file is written.
     """
-    # What can fail, the pictures and the Markdown, is made before the first file is written.
     pictures = list(draw_pictures(study_results, study_size))
     images = {
         f"figures/{picture.name}.png": image_of(picture.figure, Path(f"{picture.name}.png"))
@@ -165,8 +164,7 @@ def _decisions_by_part(decisions: Sequence[Decision]) -> dict[str, list[Decision
 
     The equations come first, then the parts in the paper's order; parts without decisions are left out.
     """
-    # Jinja's groupby would sort the parts by name.
-    groups: dict[str, list[Decision]] = {}
+    groups: dict[str, list[Decision]] = {}  # Jinja's groupby would sort the parts by name
     for study_part in (None, *StudyPart):
         decisions_of_part = [decision for decision in decisions if decision.study_part is study_part]
         if decisions_of_part:
@@ -208,8 +206,8 @@ def comparison_table(decision: Decision) -> list[list[str]]:
     The first column has the labels of the rows. The other cells have a mark of MARKS and the difference with
     its interval; they are empty where the claim has no comparison.
     """
-    # Dictionaries, as sets would not keep the order of the comparisons.
     rows = list(dict.fromkeys(comparison.row for comparison in decision.comparisons))
+    # Dictionaries, as sets would not keep the order of the comparisons.
     columns = list(dict.fromkeys(_column_head(comparison) for comparison in decision.comparisons))
     texts: dict[tuple[str, str], str] = {}
     for comparison in decision.comparisons:
@@ -267,8 +265,8 @@ def _relative_agreement(comparison: Comparison) -> float:
     """Return how far a difference lies on the expected side of 0, in multiples of the smallest that counts.
 
     It is below 0 on the other side. Where no difference is expected, it is minus the distance from 0.
+    Relative to its size, a difference of scores can be compared with one of b_hat.
     """
-    # Relative to its size, a difference of scores can be compared with one of b_hat.
     value = comparison.interval.value / comparison.size
     match comparison.expectation:
         case Expectation.SAME:

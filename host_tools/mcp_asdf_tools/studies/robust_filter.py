@@ -158,8 +158,8 @@ def peer_rows() -> dict[str, list[Experiment]]:
     """Return experiments with peers, and with the usual filters in the same worlds.
 
     A peer is a robot class with another filter than the project's; it stands in place of the firmware.
+    BayesCPF runs with any filter but none; with asdf-plus it runs in all robots.
     """
-    # BayesCPF runs with any filter but none; with asdf-plus it runs in all robots.
     filters = [
         {"firmware": RememberingRobot, "filter": ["none", "asdf-minus"]},
         {"firmware": BayesCpfRobot, "filter": "asdf-plus"},
@@ -177,8 +177,10 @@ def peer_rows() -> dict[str, list[Experiment]]:
 
 
 def world_rows() -> dict[str, list[Experiment]]:
-    """Return experiments with robots that lie, with messages that are lost, and with a floor that changes."""
-    # In a fully connected swarm one liar misleads everybody, so a few experiments show enough.
+    """Return experiments with robots that lie, with messages that are lost, and with a floor that changes.
+
+    In a fully connected swarm one liar misleads everybody, so a few experiments show enough.
+    """
     connected: dict[str, Any] = {
         "sensors": [FLAWS["underconfident"]],
         "filter": FILTERS_OF_HEALTHY_SWARMS,
@@ -247,9 +249,9 @@ def grid_text(experiments: Sequence[Trials]) -> str:
 
     These are H, the score from 0 to 100, the mean of |x - f| in the last quarter of a trial, e, the mean of
     |x - f| from convergence on, and the share of healthy robots that a filter harmed. The share is left out
-    where all robots are flawed. An interval in brackets follows a number where it is wide.
+    where all robots are flawed. An interval in brackets follows a number where it is wide. Beside the late
+    error, e shows the beginnings: it counts from convergence on, which may come early.
     """
-    # Beside the late error, e shows the beginnings: it counts from convergence on, which may come early.
     e = mean_over_experiments(mean_e_of_robots, experiments).value
     texts = [score_text(experiments), late_error_text(experiments), format_error(e)]
     return ", ".join([*texts, *harm_texts(experiments)])

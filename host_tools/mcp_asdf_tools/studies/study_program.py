@@ -150,16 +150,18 @@ def mean_over_experiments(
 ) -> Interval:
     """Return the median of a measure over the trials of each experiment, averaged over the experiments.
 
-    The result has its interval of CONFIDENCE. ``resample`` computes another statistic than the median.
+    The result has its interval of CONFIDENCE. ``resample`` computes another statistic than the median. All
+    experiments are resampled by the same trials, which had the same floors and random numbers.
     """
-    # All experiments are resampled by the same trials, which had the same floors and random numbers.
     statistics = [resample(measure(trials)) for trials in experiments]
     return mean_of_resampled(statistics).interval(CONFIDENCE)
 
 
 def mean_harmed_percent(experiments: Sequence[Trials]) -> Interval | None:
-    """Return the mean percentage of healthy robots that a filter harmed, or None if all are flawed."""
-    # So few robots are harmed that most medians would be 0.
+    """Return the mean percentage of healthy robots that a filter harmed, or None if all are flawed.
+
+    So few robots are harmed that most medians would be 0.
+    """
     harmed_percent = mean_over_experiments(harmed_percents, experiments, resample_mean)
     has_healthy_robots = not np.isnan(harmed_percent.value)
     return harmed_percent if has_healthy_robots else None
@@ -221,8 +223,8 @@ def under_and_over_text(experiments: Sequence[Trials]) -> str:
     The first is that of the underconfident swarms, the second that of the overconfident ones; one is left out
     if there are no such swarms.
     """
-    # b alone tells the two kinds apart: it is high only where robots are underconfident.
     texts: list[str] = []
+    # b alone tells the two kinds apart: it is high only where robots are underconfident.
     for sensors in BOTH_FLAWS:
         group = [
             trials for trials in experiments if trials.experiment.true_accuracy == sensors["true_accuracy"]

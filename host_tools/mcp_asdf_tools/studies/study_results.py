@@ -95,8 +95,7 @@ class StudyResults:
         - "loss of H": the median H of the same swarm without flawed robots, less that of this one
         - "rank correlation of h_K and h_e": Spearman's coefficient over the trials
         """
-        # Many claims compare the same cells, and resampling is what takes long.
-        key = (cell.normal, name)
+        key = (cell.normal, name)  # many claims compare the same cells, and resampling is what takes long
         if key not in self._measured:
             self._measured[key] = self._compute_measure(cell.normal, name)
         return self._measured[key]

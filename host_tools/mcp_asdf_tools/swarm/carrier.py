@@ -140,8 +140,8 @@ class ExpectingConnection:
         count as received first. When the time is over, up to _MAX_READS_AFTER_DEADLINE frames that wait in
         the receive buffer are still read.
         """
-        # Of the frames that have not arrived, by what a bus preserves of them
         missing_indices: defaultdict[tuple[int, bytes], deque[int]] = defaultdict(deque)
+        # The indices in it are those of frames that have not arrived, by what a bus preserves of them.
         for index, sent_frame in enumerate(awaited):
             missing_indices[_identifier_and_data(sent_frame.frame)].append(index)
 
@@ -345,8 +345,8 @@ class Carrier:
         other robots get them inside this process. Raises can.CanError if a bus does not take a frame, and
         SwarmError if a frame is lost in a swarm without a clock, where none may be missing.
         """
-        # ``send`` has read back some of the frames of this tick already, and this reads the others.
         self._read_back(tick)
+        # Now all frames of this tick are read back: some were by ``send``, and this has read the others.
         frames_of_tick = self._read_frames
         self._read_frames = []
         deliveries = self._delivery_queue.deliver(tick, frames_of_tick)
@@ -423,8 +423,10 @@ class Carrier:
 
     @property
     def missed_count(self) -> int:
-        """Frames so far that a bus did not carry in time."""
-        # On a shared bus all robots have the same connection, which counts once.
+        """Frames so far that a bus did not carry in time.
+
+        On a shared bus all robots have the same connection, which counts once.
+        """
         connections = {*self._robot_connections.values(), *self.bus_connections.values()}
         return sum(connection.missed_count for connection in connections)
 

@@ -33,10 +33,10 @@ _ARRAY_NAME = re.compile(r"\bmcp_asdf_t_table_omega([0-9]{2,9})_q([0-9]{1,3})\b"
 def table_name(omega: Decimal, q: int) -> str:
     """Return the name of a table's files without suffix, such as ``t_table_omega05_q127``.
 
-    After "omega" stand the decimal places of omega in its shortest form, at least two of them: 05 is
-    0.05, 10 is 0.1, 125 is 0.125. No two tables share a name.
+    After "omega" stand the decimal places of omega in its shortest form, at least two of them: 05 is 0.05, 10
+    is 0.1, 125 is 0.125. No two tables share a name. In its shortest form 0.10 and 0.1 are the same omega,
+    and so have the same name.
     """
-    # In its shortest form 0.10 and 0.1 are the same omega, and so have the same name.
     _, _, decimal_places = f"{omega.normalize():f}".partition(".")
     return f"t_table_omega{decimal_places:0<2}_q{q}"
 
@@ -205,8 +205,10 @@ def _read_text(path: Path) -> str:
 
 
 def _describe_first_difference(file_text: str, expected_text: str) -> str | None:
-    """Return the first line that differs, as found and as expected, or None if the texts are equal."""
-    # A text that ends early has None in place of the lines that the other one still has.
+    """Return the first line that differs, as found and as expected, or None if the texts are equal.
+
+    A text that ends early has None in place of the lines that the other one still has.
+    """
     line_pairs = zip_longest(file_text.split("\n"), expected_text.split("\n"))
     for line_number, (line, expected_line) in enumerate(line_pairs, start=1):
         if line != expected_line:

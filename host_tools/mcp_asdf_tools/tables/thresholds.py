@@ -60,8 +60,10 @@ def omega_word(omega: Decimal) -> int:
 
 
 def omega_from_word(word: int) -> Decimal | None:
-    """Return the only omega with at most 9 decimal places that has this word, or None if there is none."""
-    # Units of 2^-32 are finer than 9 decimal places: at most one such omega rounds to this word.
+    """Return the only omega with at most 9 decimal places that has this word, or None if there is none.
+
+    Units of 2^-32 are finer than 9 decimal places: at most one such omega rounds to this word.
+    """
     omega = round(Decimal(word) / 2**32, OMEGA_PLACES).normalize()
     is_exact = omega_word(omega) == word
     return omega if is_exact and 0 < omega <= MAX_OMEGA else None
@@ -138,17 +140,21 @@ def _t_quantile(omega: mpf, degrees_of_freedom: int, start: mpf) -> mpf:
 
 
 def _central_probability(t: mpf, degrees_of_freedom: int) -> mpf:
-    """Return P(|T| < t), where T has Student's distribution."""
-    # With d degrees of freedom it is the regularised incomplete beta function I_x(1/2, d/2) at
-    # x = t^2 / (d + t^2).
+    """Return P(|T| < t), where T has Student's distribution.
+
+    With d degrees of freedom it is the regularised incomplete beta function I_x(1/2, d/2) at
+    x = t^2 / (d + t^2).
+    """
     square = t * t
     upper_limit = square / (degrees_of_freedom + square)
     return mp.betainc(mpf(1) / 2, mpf(degrees_of_freedom) / 2, 0, upper_limit, regularized=True)
 
 
 def _density(t: mpf, degrees_of_freedom: int) -> mpf:
-    """Return the probability density of |T| at ``t``, where T has Student's distribution."""
-    # Twice the density of T, since t and -t count alike.
+    """Return the probability density of |T| at ``t``, where T has Student's distribution.
+
+    It is twice the density of T, since t and -t count alike.
+    """
     scale = 2 / (mp.sqrt(degrees_of_freedom) * mp.beta(mpf(1) / 2, mpf(degrees_of_freedom) / 2))
     return scale * (1 + t * t / degrees_of_freedom) ** (-mpf(degrees_of_freedom + 1) / 2)
 

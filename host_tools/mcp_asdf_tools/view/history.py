@@ -166,9 +166,9 @@ def steps_between_states(steps: int, robots: int) -> int:
     """Return how many steps a history leaves between two states that it keeps, so that its page stays small.
 
     ``steps`` is the length of the run. The result is the smallest number, at least 1, with which there are at
-    most MAX_STATES states, and with which the page of these ``robots`` has a few megabytes at most.
+    most MAX_STATES states, and with which the page of these ``robots`` has a few megabytes at most. The links
+    of a few robots are a matrix, with a bit for each pair of robots; those of many are a list.
     """
-    # The links of a few robots are a matrix, with a bit for each pair of robots; those of many are a list.
     bits_per_robot = robots if robots <= MAX_ON_BUS else _BITS_PER_ROBOT_OF_MANY
     affordable_states = _MAX_HISTORY_BITS // (robots * bits_per_robot)
     states = min(MAX_STATES, affordable_states)

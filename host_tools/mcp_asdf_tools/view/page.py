@@ -103,8 +103,10 @@ def _read_file(name: str) -> str:
 
 
 def _encode_script_url(script: str) -> str:
-    """Return a URL that contains a script, since a page opened as a file may load no other files."""
-    # Most characters of a script may stand in such a URL as they are, which is shorter than base64.
+    """Return a URL that contains a script, since a page opened as a file may load no other files.
+
+    Most characters of a script may stand in such a URL as they are, which is shorter than base64.
+    """
     return "data:text/javascript;charset=utf-8," + quote(script, safe=_SAFE_IN_DATA_URL)
 
 

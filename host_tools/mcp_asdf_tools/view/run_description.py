@@ -35,6 +35,8 @@ def describe_run(
     the filter. To compute these, the same trial is run here with the filter off, unless that would take more
     than about two seconds. With robots that move, the floor is computed, too.
 
+    The run without a filter has neither faults nor refused ids: with them it would be no fair comparison.
+
     Args:
         settings: The swarm or the experiment.
         trial: Number of the trial.
@@ -44,7 +46,6 @@ def describe_run(
     Raises:
         UsageError: The arena cannot be made.
     """
-    # The run without a filter has neither faults nor refused ids: with them it would be no fair comparison.
     is_plain_run = not faults and not allow
     description = RunDescription(
         title=_format_title(settings, trial),

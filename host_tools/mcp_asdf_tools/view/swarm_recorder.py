@@ -27,8 +27,7 @@ class SwarmRecorder:
 
         Raises UsageError if ``pace`` is below 0 or no number, or if the arena cannot be made.
         """
-        # Written as "not >=", since NaN is refused, too.
-        if not pace >= 0:
+        if not pace >= 0:  # written as "not >=", since NaN is refused, too
             raise UsageError(f"--pace is {pace:g}; give steps a second, or 0 for as many as it can")
         self.history = History(describe_run(settings, faults=settings.faults, allow=settings.allow))
         self._spacing = steps_between_states(settings.steps, settings.robots)

@@ -79,9 +79,9 @@ class Stream(NamedTuple):
     def draw_words(self, steps: int, first_step: int = 0) -> NDArray[np.uint32]:
         """Return the random words of 32 bits for ``steps`` steps from ``first_step`` on, one for each robot.
 
-        The shape is (steps, robots). A step's words do not depend on the steps that are drawn with it.
+        The shape is (steps, robots). A step's words do not depend on the steps that are drawn with it. Whole
+        blocks are drawn, and the words before the first step and after the last one left out.
         """
-        # Whole blocks are drawn, and the words before the first step and after the last one left out.
         first_block = first_step // _WORDS_IN_BLOCK
         end_block = -(-(first_step + steps) // _WORDS_IN_BLOCK)  # rounded up
         block, robot = np.meshgrid(
@@ -111,8 +111,10 @@ class Stream(NamedTuple):
 
 
 def arena_seed(seed: int, trial: int) -> int:
-    """Return the seed of a trial's arena, below 2**64: the first two words of the trial's ARENA_STREAM."""
-    # The stream is drawn as one of a single robot, whose two steps are the two words.
+    """Return the seed of a trial's arena, below 2**64: the first two words of the trial's ARENA_STREAM.
+
+    The stream is drawn as one of a single robot, whose two steps are the two words.
+    """
     seed_words = Stream(ARENA_STREAM, seed, trial, robots=1).draw_words(steps=2)
     low_word, high_word = seed_words[:, 0].tolist()
     return int(low_word) | (int(high_word) << 32)

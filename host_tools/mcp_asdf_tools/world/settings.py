@@ -120,8 +120,8 @@ class WorldSettings:
         An extension's object is replaced by a name for it, and a description of a graph by the Graph. Raises
         ParameterError, naming the parameter, for a value that is wrong or has no effect.
         """
-        # An object is replaced by a name for it first, so that all checks see names.
         for name in _EXTENSION_GROUPS:
+            # An object is replaced by a name for it first, so that all checks see names.
             if hasattr(self, name):  # the firmware is a parameter of subclasses
                 self._replace_value(name, extensions.name_object(getattr(self, name)))
         check_parameters(self)

@@ -29,8 +29,10 @@ class FixedTopology:
         self._neighbours = neighbours
 
     def advance(self, steps: int) -> NDArray[np.bool_]:
-        """Return the neighbours in the next steps, shape (steps, N, N), as a view to be read only. O(1)."""
-        # All steps of the view are the same matrix in memory.
+        """Return the neighbours in the next steps, shape (steps, N, N), as a view to be read only. O(1).
+
+        All steps of the view are the same matrix in memory.
+        """
         return np.broadcast_to(self._neighbours, (steps, *self._neighbours.shape))
 
 
@@ -49,8 +51,8 @@ class CheckedTopology:
         Raises UsageError unless it has the type and shape that ``Topology`` states, and no robot is its own
         neighbour.
         """
-        # An array of another type is not converted: ids or weights would turn into truth values in silence.
         neighbours = np.asarray(self._topology.advance(steps))
+        # An array of another type is not converted: ids or weights would turn into truth values in silence.
         shape = (steps, self._robots, self._robots)
         if neighbours.shape != shape or neighbours.dtype != np.bool_:
             raise UsageError(

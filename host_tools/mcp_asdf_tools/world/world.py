@@ -108,8 +108,8 @@ class World:
         """Let 1 or more steps pass without computing their Scene.
 
         Later steps are the same as after ``advance``. O(steps N), or O(steps N^2) with topology extensions.
+        Draws need no skipping, as each is a function of its step alone. Sensors and topology have a state.
         """
-        # Draws need no skipping, as each is a function of its step alone. Sensors and topology have a state.
         self._next_step += steps
         self._sensors.advance(steps)
         if isinstance(self._topology, Arena):

@@ -202,9 +202,8 @@ def _black_probabilities(experiment: Experiment, first: int, trials: int) -> NDA
 
     They are those of ``trials`` trials from number ``first`` on. An axis along which all values are alike has
     the length 1; that of trials has, unless an extension makes the sensors. Raises UsageError if its answers
-    are not as they should be.
+    are not as they should be. Built-in sensors are alike in all trials, so that one stands for all of them.
     """
-    # Built-in sensors are alike in all trials, so that one stands for all of them.
     distinct_trials = range(trials if experiment.sensor else 1)
     fill_ratio = None if experiment.is_dynamic else experiment.fill_ratio
     probabilities = []

@@ -81,9 +81,9 @@ def _panel_titles(experiments: Sequence[Trials]) -> list[str]:
 
     These letters are the paper's: f is the share of black tiles, b the true accuracy of a sensor, b_hat the
     accuracy that flawed robots assume at first, and P the share of flawed robots. If experiments have
-    different filters, a title begins with a line that names the filter.
+    different filters, a title begins with a line that names the filter. f, b, b_hat and P, which every
+    title has, are not named among the differences, too.
     """
-    # What is in every title anyway does not have to be looked for among the differences.
     varying_names = varying_parameters(experiments, excluded=ALWAYS_SHOWN_PARAMETERS)
     has_several_filters = len({trials.experiment.filter for trials in experiments}) > 1
     titles = []

@@ -75,7 +75,7 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
     handles = [legend_handle(series.label, series.colour, line="-") for series in all_series] if hue else []
 
     def draw_panel(axes: Axes, series_of_panel: Sequence[Series]) -> None:
-        """Draw a curve for each series."""
+        """Draw a curve for each series: its values of ``y`` by those of ``x``."""
         for series in series_of_panel:
             samples = {
                 _axis_value(trials.experiment, x): _measured_values(trials, y, limits)
@@ -83,7 +83,7 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
             }
             _draw_curve(axes, samples, x_values, series.colour)
 
-    # Axes of the caller get curves, labels and a legend; the figure and its caption are the caller's.
+    # Either everything is drawn into the caller's axes, whose figure and caption are the caller's ...
     if ax is not None:
         if facet:
             raise UsageError("facet makes panels and ax is one; give one of them")
@@ -92,6 +92,7 @@ def plot_curve(  # noqa: PLR0913 (each is given by name)
         if hue:
             ax.legend(handles=handles, frameon=False, fontsize=SMALL)
         return cast(Figure, ax.get_figure(root=True))
+    # ... or into a new figure, with a panel for each value of ``facet``.
     titles_and_series = _split_into_panels(experiments, all_series, facet)
     panel_height = 2.6 if len(titles_and_series) > 1 else 3.8
     figure, panels = create_panels(len(titles_and_series), panel_height, len(all_series))
@@ -143,9 +144,8 @@ def _draw_curve(
     """Draw a curve through the medians of samples, which have a value for each trial, by their x value.
 
     Where one of the ``x_values``, those of all panels, is a long text, such as a graph, they stand side by
-    side with shortened labels.
+    side with shortened labels. A series need not have been measured at every x of the others.
     """
-    # A series need not have been measured at every x of the others.
     measured_x = [x for x in x_values if x in samples]
     has_long_texts = any(isinstance(x, str) and len(x) > MAX_LABEL_LENGTH for x in x_values)
     if measured_x:

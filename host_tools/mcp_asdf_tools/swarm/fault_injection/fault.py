@@ -110,8 +110,10 @@ class Fault:
         return [item.name for item in fields(cls) if item.name not in common_fields]
 
     def __str__(self) -> str:
-        """Return the text that ``parse_fault`` reads back: the rate, and all options but the defaults."""
-        # repr() has all the digits of a float that the same fault needs.
+        """Return the text that ``parse_fault`` reads back: the rate, and all options but the defaults.
+
+        The rate is written by repr(), which has all the digits of a float that the same fault needs.
+        """
         items = [f"{self.name}={self.rate!r}"]
         for item in fields(self):
             value = getattr(self, item.name)

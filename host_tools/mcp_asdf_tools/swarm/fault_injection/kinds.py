@@ -125,8 +125,11 @@ class Duplicate(LinkFault):
     ticks: int = parameter("by how much the copy is later", 0, MAX_TICK, default=1)
 
     def change(self, hit: Deliveries, extra_words: RandomWords, run: FaultRun) -> list[Deliveries]:
-        """Return the deliveries, and copies of them that are later by ``ticks``."""
-        # A bit for each duplicate fault, so that copies made by different faults have different numbers.
+        """Return the deliveries, and copies of them that are later by ``ticks``.
+
+        Copy numbers have a bit for each duplicate fault, so that copies made by different faults have
+        different ones.
+        """
         copy_number = hit.copy_number | (1 << run.random.fault_number)
         copies = replace(hit, delay=hit.delay + self.ticks, copy_number=copy_number)
         return [hit, copies]

@@ -26,8 +26,8 @@ def parse_fault(fault_text: str) -> Fault:
     The first item is the kind and its rate (1 if left out); ``robots``, ``receivers`` and ``ids`` take ids
     and ranges of ids, separated by +. Raises UsageError that names the error and the fix.
     """
-    # The kind, and its rate if there is one
     first_item, *items = (item.strip() for item in fault_text.split(","))
+    # The first item is the kind, with its rate if there is one.
     name, equals_sign, rate = first_item.partition("=")
     if name not in _KINDS_BY_NAME:
         # Either text continues the message, and begins with a semicolon.

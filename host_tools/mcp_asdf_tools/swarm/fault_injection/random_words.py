@@ -115,8 +115,7 @@ class FaultRandom:
 
     def _hash_bytes(self, key: _WordKey, word_count: int) -> bytes:
         """Return the bytes of ``word_count`` words, which seed, fault and ``key`` decide."""
-        # A copy, as the hash of seed and fault serves for every word.
-        keyed_hash = self._seeded_hash.copy()
+        keyed_hash = self._seeded_hash.copy()  # a copy, as the hash of seed and fault serves for every word
         spare_byte = 0
         keyed_hash.update(_KEY_LAYOUT.pack(*key, spare_byte))
         return keyed_hash.digest(_BYTES_IN_WORD * word_count)

@@ -115,8 +115,10 @@ class Arena:
         return Motion(position, heading, black, wheels, avoids, adjacency)
 
     def _linked_pairs(self) -> NDArray[np.uint16]:
-        """Return the pairs of robots that receive from each other now, shape (pairs, 2), lower id first."""
-        # A view of the C memory, which holds until the next step.
+        """Return the pairs of robots that receive from each other now, shape (pairs, 2), lower id first.
+
+        It is a view of the C memory, which holds until the next step.
+        """
         bytes_in_pair = 4  # two ids of 16 bits
         links = _arena.ffi.buffer(self._arena.links, bytes_in_pair * self._arena.link_count)
         return np.frombuffer(links, np.uint16).reshape(-1, 2)
